@@ -1,0 +1,111 @@
+#include "semantic_topo_loop/geometry/assignment.h"
+
+#include <cmath>
+#include <limits>
+
+namespace semantic_topo_loop::core {
+namespace {
+
+/// Minimum-cost assignment of every row, rows <= columns, by one shortest augmenting path a row.
+class MinCostAssignment {
+ public:
+  explicit MinCostAssignment(const Eigen::MatrixXd& cost)
+      : cost_(cost),
+        row_of_column_(static_cast<std::size_t>(cost.cols()), kFree),
+        row_potential_(Eigen::VectorXd::Zero(cost.rows())),
+        column_potential_(Eigen::VectorXd::Zero(cost.cols())) {
+    for (int row = 0; row < cost_.rows(); ++row) augment(row);
+  }
+
+  const std::vector<int>& row_of_column() const { return row_of_column_; }
+
+ private:
+  static constexpr int kFree = -1;
+
+  void augment(int start_row) {
+    const auto n = static_cast<std::size_t>(cost_.cols());
+    std::vector<double> distance(n, std::numeric_limits<double>::infinity());
+    std::vector<int> previous(n, kFree);
+    std::vector<bool> scanned(n, false);
+    int row = start_row;
+    int column = kFree;
+    double shortest = 0.0;
+    do {
+      relax(row, column, shortest, scanned, &distance, &previous);
+      column = nearest(distance, scanned);
+      shortest = distance[static_cast<std::size_t>(column)];
+      scanned[static_cast<std::size_t>(column)] = true;
+      row = row_of_column_[static_cast<std::size_t>(column)];
+    } while (row != kFree);
+    update_potentials(start_row, shortest, distance, scanned, column);
+    flip(start_row, column, previous);
+  }
+
+  /// Shortens the way to every open column over `row`, which was reached through `from`.
+  void relax(int row, int from, double shortest, const std::vector<bool>& scanned, std::vector<double>* distance,
+             std::vector<int>* previous) const {
+    for (int j = 0; j < cost_.cols(); ++j) {
+      const auto at = static_cast<std::size_t>(j);
+      if (scanned[at]) continue;
+      const double candidate = shortest + cost_(row, j) - row_potential_(row) - column_potential_(j);
+      if (candidate < (*distance)[at]) {
+        (*distance)[at] = candidate;
+        (*previous)[at] = from;
+      }
+    }
+  }
+
+  static int nearest(const std::vector<double>& distance, const std::vector<bool>& scanned) {
+    int best = kFree;
+    for (std::size_t j = 0; j < distance.size(); ++j) {
+      if (scanned[j]) continue;
+      if (best == kFree || distance[j] < distance[static_cast<std::size_t>(best)]) best = static_cast<int>(j);
+    }
+    return best;
+  }
+
+  void update_potentials(int start_row, double shortest, const std::vector<double>& distance,
+                         const std::vector<bool>& scanned, int last_column) {
+    row_potential_(start_row) += shortest;
+    for (std::size_t j = 0; j < scanned.size(); ++j) {
+      if (!scanned[j] || static_cast<int>(j) == last_column) continue;
+      const double slack = shortest - distance[j];
+      column_potential_(static_cast<int>(j)) -= slack;
+      row_potential_(row_of_column_[j]) += slack;
+    }
+  }
+
+  /// Shifts the rows along the path that ends in a free column.
+  void flip(int start_row, int column, const std::vector<int>& previous) {
+    while (column != kFree) {
+      const int from = previous[static_cast<std::size_t>(column)];
+      row_of_column_[static_cast<std::size_t>(column)] =
+          from == kFree ? start_row : row_of_column_[static_cast<std::size_t>(from)];
+      column = from;
+    }
+  }
+
+  const Eigen::MatrixXd& cost_;
+  std::vector<int> row_of_column_;
+  Eigen::VectorXd row_potential_, column_potential_;
+};
+
+}  // namespace
+
+std::vector<int> assign_max(const Eigen::MatrixXd& score) {
+  std::vector<int> column_of_row(static_cast<std::size_t>(score.rows()), -1);
+  if (score.size() == 0) return column_of_row;
+  const bool transposed = score.rows() > score.cols();
+  Eigen::MatrixXd cost = transposed ? Eigen::MatrixXd(score.transpose()) : score;
+  cost = cost.unaryExpr([](double s) { return std::isfinite(s) && s > 0.0 ? -s : 0.0; });
+  const MinCostAssignment solution(cost);
+  const std::vector<int>& row_of_column = solution.row_of_column();
+  for (int j = 0; j < cost.cols(); ++j) {
+    const int i = row_of_column[static_cast<std::size_t>(j)];
+    if (i < 0 || !(cost(i, j) < 0.0)) continue;
+    column_of_row[static_cast<std::size_t>(transposed ? j : i)] = transposed ? i : j;
+  }
+  return column_of_row;
+}
+
+}  // namespace semantic_topo_loop::core

@@ -1,0 +1,94 @@
+#include "semantic_topo_loop/geometry/camera.h"
+
+#include <sstream>
+
+namespace semantic_topo_loop::core {
+namespace {
+
+/// Displacement that the lens adds to a normalised image point, and its Jacobian.
+void distort_normalised(const std::array<double, 5>& d, const Vec2& p, Vec2* distorted, Eigen::Matrix2d* jacobian) {
+  const double x = p.x(), y = p.y();
+  const double r2 = x * x + y * y;
+  const double radial = 1.0 + r2 * (d[0] + r2 * (d[1] + r2 * d[4]));
+  const double radial_r2 = d[0] + r2 * (2.0 * d[1] + 3.0 * d[4] * r2);
+  *distorted << x * radial + 2.0 * d[2] * x * y + d[3] * (r2 + 2.0 * x * x),
+      y * radial + d[2] * (r2 + 2.0 * y * y) + 2.0 * d[3] * x * y;
+  const double cross = 2.0 * x * y * radial_r2 + 2.0 * d[2] * x + 2.0 * d[3] * y;
+  *jacobian << radial + 2.0 * x * x * radial_r2 + 2.0 * d[2] * y + 6.0 * d[3] * x, cross, cross,
+      radial + 2.0 * y * y * radial_r2 + 6.0 * d[2] * y + 2.0 * d[3] * x;
+}
+
+}  // namespace
+
+bool Camera::is_valid(std::string* error) const {
+  const auto fail = [error](const char* field, double value, const char* rule) {
+    std::ostringstream message;
+    message << field << " = " << value << " " << rule;
+    if (error != nullptr) *error = message.str();
+    return false;
+  };
+  if (!(std::isfinite(fx) && fx > 0.0)) return fail("fx", fx, "must be > 0");
+  if (!(std::isfinite(fy) && fy > 0.0)) return fail("fy", fy, "must be > 0");
+  if (!std::isfinite(cx)) return fail("cx", cx, "must be finite");
+  if (!std::isfinite(cy)) return fail("cy", cy, "must be finite");
+  if (width <= 0) return fail("width", width, "must be > 0");
+  if (height <= 0) return fail("height", height, "must be > 0");
+  for (const double value : distortion) {
+    if (!std::isfinite(value)) return fail("distortion", value, "must be finite");
+  }
+  return true;
+}
+
+bool Camera::has_distortion() const {
+  for (const double value : distortion) {
+    if (value != 0.0) return true;
+  }
+  return false;
+}
+
+Vec2 Camera::undistort(const Vec2& pixel) const {
+  if (!has_distortion()) return pixel;
+  const Vec2 target((pixel.x() - cx) / fx, (pixel.y() - cy) / fy);
+  Vec2 p = target;
+  constexpr int kMaxIterations = 20;
+  for (int i = 0; i < kMaxIterations; ++i) {
+    Vec2 distorted;
+    Eigen::Matrix2d jacobian;
+    distort_normalised(distortion, p, &distorted, &jacobian);
+    if (std::abs(jacobian.determinant()) < 1e-6) break;  // outside the lens model's range
+    const Vec2 step = jacobian.inverse() * (target - distorted);
+    p += step;
+    if (step.squaredNorm() < 1e-20) break;
+  }
+  return {p.x() * fx + cx, p.y() * fy + cy};
+}
+
+Vec2 Camera::distort(const Vec2& pixel) const {
+  if (!has_distortion()) return pixel;
+  Vec2 distorted;
+  Eigen::Matrix2d jacobian;
+  distort_normalised(distortion, {(pixel.x() - cx) / fx, (pixel.y() - cy) / fy}, &distorted, &jacobian);
+  return {distorted.x() * fx + cx, distorted.y() * fy + cy};
+}
+
+Box Camera::undistort(const Box& box) const {
+  if (!has_distortion()) return box;
+  const Vec2 c = box.center();
+  return {undistort(Vec2(box.x1, c.y())).x(), undistort(Vec2(c.x(), box.y1)).y(), undistort(Vec2(box.x2, c.y())).x(),
+          undistort(Vec2(c.x(), box.y2)).y()};
+}
+
+Mat3 Camera::intrinsics() const {
+  Mat3 K;
+  K << fx, 0.0, cx, 0.0, fy, cy, 0.0, 0.0, 1.0;
+  return K;
+}
+
+Mat34 projection_matrix(const Camera& camera, const SE3& T_world_camera) {
+  const SE3 T_camera_world = T_world_camera.inverse();
+  Mat34 Rt;
+  Rt << T_camera_world.rotation(), T_camera_world.t;
+  return camera.intrinsics() * Rt;
+}
+
+}  // namespace semantic_topo_loop::core
