@@ -1,0 +1,45 @@
+#pragma once
+
+#include <string>
+
+namespace semantic_topo_loop::core {
+
+struct AssociatorOptions {
+  std::string mode = "joint";
+  std::string levels = "2d,pro,3d";
+  std::string pro_new_object = "uniform";
+  double min_score = 0.25;
+  double iou_2d_min = 0.5;
+  double iou_3d_min = 0.3;
+  double points_in_box_min = 0.5;
+  double iou_joint_2d_min = 0.4;
+  double suppression_iou = 0.85;
+  double border_px = 8.0;
+  double memory_s = 0.3;
+  int window_keyframes = 100;
+  double posterior_alpha = 1.0;
+  double posterior_count_max = 30.0;
+
+  template <class Visitor>
+  void visit(Visitor& visitor) {
+    visitor("association.mode", mode, "joint (one-to-one over all levels) or cascade (the paper's three levels)");
+    visitor("association.levels", levels, "levels in use, comma separated: 2d, pro, 3d");
+    visitor("association.pro_new_object", pro_new_object,
+            "level 2's prior of a new object: uniform (over labels and image) or paper (as printed)");
+    visitor("association.min_score", min_score, "detections below this score are left out");
+    visitor("association.iou_2d_min", iou_2d_min, "level 1 gate delta1: box overlap with the previous frame");
+    visitor("association.iou_3d_min", iou_3d_min, "level 3 gate delta2: box overlap with the projected quadric");
+    visitor("association.points_in_box_min", points_in_box_min, "level 3 gate delta3: share of map points in the box");
+    visitor("association.iou_joint_2d_min", iou_joint_2d_min, "joint mode: overlap gate for landmarks without a quadric");
+    visitor("association.suppression_iou", suppression_iou, "of two boxes that overlap more, the lower score is left out");
+    visitor("association.border_px", border_px, "sides this close to the image border count as cut");
+    visitor("association.memory_s", memory_s, "joint mode: how long a box remains a track's last position");
+    visitor("association.window_keyframes", window_keyframes,
+            "level 3: landmarks seen in this many last keyframes (all in view in joint mode)");
+    visitor("association.posterior_alpha", posterior_alpha, "level 2: concentration of the Dirichlet process");
+    visitor("association.posterior_count_max", posterior_count_max, "level 2: cap on a landmark's observation count");
+  }
+  bool is_valid(std::string* error) const;
+};
+
+}  // namespace semantic_topo_loop::core

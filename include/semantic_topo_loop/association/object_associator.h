@@ -1,0 +1,35 @@
+#pragma once
+
+#include <memory>
+#include <string>
+
+#include "semantic_topo_loop/association/association.h"
+#include "semantic_topo_loop/detection/class_table.h"
+#include "semantic_topo_loop/detection/detection.h"
+#include "semantic_topo_loop/map/frame.h"
+#include "semantic_topo_loop/map/landmark.h"
+
+namespace semantic_topo_loop::core {
+
+struct AssociatorOptions;
+
+/// MLV-ODA: associates the detections of each frame with landmarks. Alone allocates landmark ids and keeps the tracks
+/// and class counts; geometry comes in by `apply`.
+class ObjectAssociator {
+ public:
+  ObjectAssociator(const AssociatorOptions& options, std::shared_ptr<const ClassTable> classes);
+  ~ObjectAssociator();
+  ObjectAssociator(ObjectAssociator&&) noexcept;
+  ObjectAssociator& operator=(ObjectAssociator&&) noexcept;
+
+  AssociationFrame associate(const Frame& frame, const std::vector<Detection>& detections);
+  /// @return false if the update does not follow the version held, so that the caller must ask for the full map
+  bool apply(const MapUpdate& update);
+  std::uint64_t map_version() const;
+
+ private:
+  class Impl;
+  std::unique_ptr<Impl> impl_;
+};
+
+}  // namespace semantic_topo_loop::core

@@ -1,0 +1,51 @@
+#include <algorithm>
+
+#include "semantic_topo_loop/association/levels.h"
+
+namespace semantic_topo_loop::core {
+namespace {
+
+constexpr double kMemoryDecay = 0.06;      // of the last box's overlap for each frame that missed the object
+constexpr double kMemoryDecayFrames = 6.0;
+constexpr double kMemoryWeight = 0.9;      // of the last box against the projected quadric
+constexpr double kMinSupport3d = 0.1;      // the quadric must agree at least so far with the last box
+constexpr double kConfusableAgreement = 0.5;
+constexpr double kHistogramShare = 0.1, kHistogramAgreement = 0.8;
+constexpr double kFullAgreement = 0.9;
+constexpr double kOtherLabelOverlap = 0.5;  // a box of another label must overlap more
+constexpr double kMatureObservations = 30.0, kMatureBonus = 0.15;
+
+}  // namespace
+
+double JointScorer::label_agreement(const Track& track, int class_id) const {
+  if (track.class_id == class_id) return 1.0;
+  const double base = classes_.confusable(track.class_id, class_id) ? kConfusableAgreement : 0.0;
+  return track.class_share(class_id) > kHistogramShare ? std::max(base, kHistogramAgreement) : base;
+}
+
+double JointScorer::score(const AssociationContext& context, const TrackInFrame& candidate,
+                          const PreparedDetection& detection) const {
+  const Track& track = *candidate.track;
+  const double label = label_agreement(track, detection.class_id);
+  if (label == 0.0) return 0.0;
+  const auto missed = static_cast<double>(context.frame->frame_id - track.last_frame_id - 1);
+  const bool recent = missed <= 1.0 || context.frame->stamp_ns - track.last_stamp_ns <=
+                                           static_cast<std::int64_t>(options_.memory_s * 1e9);
+  const double overlap_2d =
+      recent ? iou(track.last_box, detection.box) * (1.0 - kMemoryDecay * std::min(kMemoryDecayFrames, missed)) : 0.0;
+  const double overlap_3d = candidate.projection ? iou(*candidate.projection, detection.visible) : 0.0;
+
+  double overlap = overlap_2d, gate = options_.iou_joint_2d_min;
+  if (track.has_ellipsoid) {
+    overlap = std::max(overlap_3d, overlap_3d > kMinSupport3d ? kMemoryWeight * overlap_2d : 0.0);
+    gate = options_.iou_3d_min;
+  } else if (!track.points_map.empty()) {
+    const double share = share_of_points_in_box(track.points_map, context.P_image_map, detection.visible);
+    if (share > options_.points_in_box_min) overlap = std::max(overlap, options_.iou_3d_min + gate * share);
+  }
+  if (overlap <= gate || (label < kFullAgreement && overlap < kOtherLabelOverlap)) return 0.0;
+  const double maturity = std::min(1.0, track.observations / kMatureObservations);
+  return overlap * (0.5 + 0.5 * label) * (1.0 + kMatureBonus * maturity);
+}
+
+}  // namespace semantic_topo_loop::core

@@ -1,0 +1,321 @@
+#include "semantic_topo_loop/association/object_associator.h"
+
+#include <Eigen/Core>
+#include <algorithm>
+#include <numeric>
+#include <optional>
+#include <set>
+#include <sstream>
+
+#include "semantic_topo_loop/association/levels.h"
+#include "semantic_topo_loop/geometry/assignment.h"
+#include "semantic_topo_loop/map/object_points.h"
+#include "semantic_topo_loop/pipeline/stopwatch.h"
+
+namespace semantic_topo_loop::core {
+namespace {
+
+constexpr double kMinProjectionPx = 2.0;
+constexpr int kNoTrack = -1;
+
+/// Splits "2d,pro,3d"; nullopt for a name that is no level.
+std::optional<std::set<std::string>> parse_levels(const std::string& text) {
+  std::set<std::string> levels;
+  std::istringstream stream(text);
+  for (std::string name; std::getline(stream, name, ',');) {
+    if (name != "2d" && name != "pro" && name != "3d") return std::nullopt;
+    levels.insert(name);
+  }
+  if (levels.empty()) return std::nullopt;
+  return levels;
+}
+
+}  // namespace
+
+bool AssociatorOptions::is_valid(std::string* error) const {
+  const auto fail = [error](const std::string& name, const std::string& value, const std::string& rule) {
+    if (error != nullptr) *error = "parameter 'association." + name + "' = " + value + " must be " + rule;
+    return false;
+  };
+  if (mode != "joint" && mode != "cascade") return fail("mode", "'" + mode + "'", "joint or cascade");
+  if (!parse_levels(levels)) return fail("levels", "'" + levels + "'", "a comma-separated list of 2d, pro, 3d");
+  if (pro_new_object != "uniform" && pro_new_object != "paper") {
+    return fail("pro_new_object", "'" + pro_new_object + "'", "uniform or paper");
+  }
+  for (const auto& [name, value] :
+       {std::pair("min_score", min_score), std::pair("iou_2d_min", iou_2d_min), std::pair("iou_3d_min", iou_3d_min),
+        std::pair("points_in_box_min", points_in_box_min), std::pair("iou_joint_2d_min", iou_joint_2d_min),
+        std::pair("suppression_iou", suppression_iou)}) {
+    if (!(value >= 0.0 && value <= 1.0)) return fail(name, std::to_string(value), "in [0, 1]");
+  }
+  if (!(border_px >= 0.0)) return fail("border_px", std::to_string(border_px), ">= 0");
+  if (!(memory_s >= 0.0)) return fail("memory_s", std::to_string(memory_s), ">= 0");
+  if (window_keyframes < 1) return fail("window_keyframes", std::to_string(window_keyframes), ">= 1");
+  if (!(posterior_alpha > 0.0)) return fail("posterior_alpha", std::to_string(posterior_alpha), "> 0");
+  if (!(posterior_count_max >= 1.0)) return fail("posterior_count_max", std::to_string(posterior_count_max), ">= 1");
+  return true;
+}
+
+class ObjectAssociator::Impl {
+ public:
+  Impl(const AssociatorOptions& options, std::shared_ptr<const ClassTable> classes)
+      : options_(options), classes_(std::move(classes)), joint_(options_, *classes_) {
+    const std::set<std::string> names = parse_levels(options_.levels).value_or(std::set<std::string>{});
+    if (names.count("2d") != 0) levels_.push_back(std::make_unique<Level2d>(options_));
+    if (names.count("pro") != 0) {
+      levels_.push_back(std::make_unique<LevelPosterior>(options_, std::max<std::size_t>(1, classes_->classes().size())));
+    }
+    if (names.count("3d") != 0) levels_.push_back(std::make_unique<Level3d>(options_));
+  }
+
+  AssociationFrame associate(const Frame& frame, const std::vector<Detection>& detections) {
+    const Stopwatch stopwatch;
+    AssociationFrame result;
+    result.frame_id = frame.frame_id;
+    result.map_version = map_version_;
+    if (!frame.is_end) {
+      AssociationContext context = prepare(frame, detections, &result);
+      const std::vector<int> assigned = options_.mode == "joint" ? assign_jointly(context) : cascade(context, &result);
+      update_tracks(context, assigned, &result);
+    }
+    result.duration_us = stopwatch.elapsed_us();
+    return result;
+  }
+
+  bool apply(const MapUpdate& update) {
+    if (update.base_version != map_version_) return false;
+    map_version_ = update.map_version;
+    T_map_odom_ = update.T_map_odom;
+    for (const LandmarkMerge& merge : update.merged) merge_tracks(merge);
+    for (const std::int64_t id : update.removed) {
+      const auto it = find(id);
+      if (it != tracks_.end()) tracks_.erase(it);
+    }
+    for (const Landmark& landmark : update.changed) set_geometry(landmark);
+    return true;
+  }
+
+  std::uint64_t map_version() const { return map_version_; }
+
+ private:
+  using Tracks = std::vector<Track>;  // in order of id: ids only grow
+
+  Tracks::iterator find(std::int64_t id) {
+    const auto it = std::lower_bound(tracks_.begin(), tracks_.end(), id,
+                                     [](const Track& track, std::int64_t value) { return track.id < value; });
+    return it != tracks_.end() && it->id == id ? it : tracks_.end();
+  }
+
+  void merge_tracks(const LandmarkMerge& merge) {
+    const auto merged = find(merge.merged_id);
+    if (merged == tracks_.end()) return;
+    const auto survivor = find(merge.survivor_id);
+    if (survivor != tracks_.end()) {
+      for (const auto& [class_id, weight] : merged->class_weights) survivor->add_class_weight(class_id, weight);
+      survivor->observations += merged->observations;
+      if (merged->last_frame_id > survivor->last_frame_id) {
+        survivor->last_frame_id = merged->last_frame_id;
+        survivor->last_stamp_ns = merged->last_stamp_ns;
+        survivor->last_keyframe_id = merged->last_keyframe_id;
+        survivor->last_box = merged->last_box;
+      }
+    }
+    tracks_.erase(merged);
+  }
+
+  void set_geometry(const Landmark& landmark) {
+    auto it = find(landmark.id);
+    if (it == tracks_.end()) {
+      // The map speaks of a landmark that was given up here meanwhile (real time): take it back.
+      it = std::lower_bound(tracks_.begin(), tracks_.end(), landmark.id,
+                            [](const Track& track, std::int64_t value) { return track.id < value; });
+      it = tracks_.insert(it, Track{});
+      it->id = landmark.id;
+      it->observations = landmark.observations;
+      it->add_class_weight(landmark.class_id, landmark.observations);
+      next_id_ = std::max(next_id_, landmark.id + 1);
+    }
+    it->state = landmark.state;
+    it->has_ellipsoid = landmark.ellipsoid.has_value();
+    if (!it->has_ellipsoid) return;
+    it->center_map = landmark.ellipsoid->center();
+    it->shape_map = landmark.ellipsoid->shape();
+    it->points_map.clear();
+  }
+
+  /// Undistorts, gates and suppresses the detections; finds the tracks that the frame may see.
+  AssociationContext prepare(const Frame& frame, const std::vector<Detection>& detections, AssociationFrame* result) const {
+    AssociationContext context;
+    context.frame = &frame;
+    context.P_image_map = projection_matrix(frame.camera, T_map_odom_ * frame.T_odom_camera);
+    prepare_detections(frame, detections, &context, result);
+    for (const Track& track : tracks_) {
+      if (track.state == LandmarkState::kRetired) continue;
+      const std::optional<Box> projection = visible_projection(track, context);
+      if (projection || is_recent(track, frame) || !track.points_map.empty()) {
+        context.tracks.push_back({&track, projection});
+      }
+    }
+    return context;
+  }
+
+  void prepare_detections(const Frame& frame, const std::vector<Detection>& detections, AssociationContext* context,
+                          AssociationFrame* result) const {
+    const Camera& camera = frame.camera;
+    result->associations.resize(detections.size());
+    std::vector<PreparedDetection> kept;
+    for (std::size_t i = 0; i < detections.size(); ++i) {
+      const Detection& detection = detections[i];
+      Association& association = result->associations[i];
+      association.detection_index = static_cast<std::int32_t>(i);
+      association.class_id = detection.class_id;
+      association.score = detection.score;
+      association.box = camera.undistort(detection.box);
+      association.truncated = truncated_sides(detection.box, camera.width, camera.height, options_.border_px);
+      if (!classes_->is_mappable(detection.class_id)) {
+        association.level = AssociationLevel::kIgnored;
+      } else if (detection.score < options_.min_score) {
+        association.level = AssociationLevel::kLowScore;
+      } else {
+        kept.push_back({association.detection_index, detection.class_id, detection.score, association.box,
+                        clip(association.box, camera.width, camera.height), association.truncated});
+      }
+    }
+    suppress(kept, context, result);
+  }
+
+  /// Cross-class non-maximum suppression: detectors box one object under two names.
+  void suppress(const std::vector<PreparedDetection>& detections, AssociationContext* context,
+                AssociationFrame* result) const {
+    std::vector<std::size_t> order(detections.size());
+    std::iota(order.begin(), order.end(), 0);
+    std::stable_sort(order.begin(), order.end(),
+                     [&](std::size_t a, std::size_t b) { return detections[a].score > detections[b].score; });
+    std::vector<bool> keep(detections.size(), false);
+    for (const std::size_t i : order) {
+      keep[i] = std::none_of(order.begin(), order.end(), [&](std::size_t j) {
+        return keep[j] && iou(detections[i].box, detections[j].box) >= options_.suppression_iou;
+      });
+    }
+    for (std::size_t i = 0; i < detections.size(); ++i) {
+      if (keep[i]) {
+        context->detections.push_back(detections[i]);
+      } else {
+        result->associations[static_cast<std::size_t>(detections[i].index)].level = AssociationLevel::kSuppressed;
+      }
+    }
+  }
+
+  std::optional<Box> visible_projection(const Track& track, const AssociationContext& context) const {
+    if (!track.has_ellipsoid) return std::nullopt;
+    const std::optional<Box> box = project_box(track.center_map, track.shape_map, context.P_image_map);
+    if (!box) return std::nullopt;
+    const Box visible = clip(*box, context.frame->camera.width, context.frame->camera.height);
+    if (visible.width() <= kMinProjectionPx || visible.height() <= kMinProjectionPx) return std::nullopt;
+    return visible;
+  }
+
+  bool is_recent(const Track& track, const Frame& frame) const {
+    return frame.frame_id - track.last_frame_id <= 2 ||
+           frame.stamp_ns - track.last_stamp_ns <= static_cast<std::int64_t>(options_.memory_s * 1e9);
+  }
+
+  /// One-to-one over all tracks and detections; indices into context.tracks by detection.
+  std::vector<int> assign_jointly(const AssociationContext& context) const {
+    const auto rows = static_cast<Eigen::Index>(context.detections.size());
+    const auto columns = static_cast<Eigen::Index>(context.tracks.size());
+    Eigen::MatrixXd scores(rows, columns);
+    for (Eigen::Index i = 0; i < rows; ++i) {
+      for (Eigen::Index j = 0; j < columns; ++j) {
+        scores(i, j) = joint_.score(context, context.tracks[static_cast<std::size_t>(j)],
+                                    context.detections[static_cast<std::size_t>(i)]);
+      }
+    }
+    return assign_max(scores);
+  }
+
+  /// The paper's cascade: each level gives the boxes that the levels before it left over to their best landmark.
+  std::vector<int> cascade(const AssociationContext& context, AssociationFrame* result) const {
+    std::vector<int> assigned(context.detections.size(), kNoTrack);
+    for (const auto& level : levels_) {
+      for (std::size_t i = 0; i < context.detections.size(); ++i) {
+        if (assigned[i] != kNoTrack) continue;
+        double best = 0.0;
+        for (std::size_t j = 0; j < context.tracks.size(); ++j) {
+          const double score = level->score(context, context.tracks[j], context.detections[i]);
+          if (score > best) {
+            best = score;
+            assigned[i] = static_cast<int>(j);
+          }
+        }
+        if (assigned[i] != kNoTrack) {
+          result->associations[static_cast<std::size_t>(context.detections[i].index)].level = level->level();
+        }
+      }
+    }
+    return assigned;
+  }
+
+  void update_tracks(const AssociationContext& context, const std::vector<int>& assigned, AssociationFrame* result) {
+    // New tracks move the vector, so that the candidates' pointers must not be used after the first of them.
+    std::vector<std::int64_t> ids(assigned.size(), -1);
+    for (std::size_t i = 0; i < assigned.size(); ++i) {
+      if (assigned[i] != kNoTrack) ids[i] = context.tracks[static_cast<std::size_t>(assigned[i])].track->id;
+    }
+    for (std::size_t i = 0; i < assigned.size(); ++i) {
+      const PreparedDetection& detection = context.detections[i];
+      Association& association = result->associations[static_cast<std::size_t>(detection.index)];
+      if (ids[i] < 0) {
+        ids[i] = next_id_++;
+        tracks_.emplace_back();
+        tracks_.back().id = ids[i];
+      } else if (options_.mode == "joint") {
+        association.level = AssociationLevel::kJoint;
+      }
+      Track& track = *find(ids[i]);
+      add_observation(*context.frame, detection, &track);
+      association.landmark_id = track.id;
+    }
+    for (Association& association : result->associations) {
+      if (association.landmark_id >= 0) association.landmark_class_id = find(association.landmark_id)->class_id;
+    }
+  }
+
+  void add_observation(const Frame& frame, const PreparedDetection& detection, Track* track) const {
+    track->add_class_weight(detection.class_id, detection.score);
+    track->observations += 1;
+    track->last_frame_id = frame.frame_id;
+    track->last_stamp_ns = frame.stamp_ns;
+    track->last_keyframe_id = frame.keyframe_id;
+    track->last_box = detection.box;
+    if (track->has_ellipsoid || !frame.points_camera) return;
+    const std::vector<Vec3> points = object_points(*frame.points_camera, frame.camera, detection.box);
+    if (points.empty()) return;
+    const SE3 T_map_camera = T_map_odom_ * frame.T_odom_camera;
+    track->points_map.clear();
+    for (const Vec3& point : points) track->points_map.push_back(T_map_camera * point);
+  }
+
+  AssociatorOptions options_;
+  std::shared_ptr<const ClassTable> classes_;
+  JointScorer joint_;
+  std::vector<std::unique_ptr<AssociationLevelScorer>> levels_;
+  Tracks tracks_;
+  std::int64_t next_id_ = 0;
+  std::uint64_t map_version_ = 0;
+  SE3 T_map_odom_;
+};
+
+ObjectAssociator::ObjectAssociator(const AssociatorOptions& options, std::shared_ptr<const ClassTable> classes)
+    : impl_(std::make_unique<Impl>(options, std::move(classes))) {}
+ObjectAssociator::~ObjectAssociator() = default;
+ObjectAssociator::ObjectAssociator(ObjectAssociator&&) noexcept = default;
+ObjectAssociator& ObjectAssociator::operator=(ObjectAssociator&&) noexcept = default;
+
+AssociationFrame ObjectAssociator::associate(const Frame& frame, const std::vector<Detection>& detections) {
+  return impl_->associate(frame, detections);
+}
+bool ObjectAssociator::apply(const MapUpdate& update) { return impl_->apply(update); }
+std::uint64_t ObjectAssociator::map_version() const { return impl_->map_version(); }
+
+}  // namespace semantic_topo_loop::core
