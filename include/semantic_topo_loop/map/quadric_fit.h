@@ -1,0 +1,62 @@
+#pragma once
+
+#include <optional>
+#include <vector>
+
+#include "semantic_topo_loop/geometry/camera.h"
+#include "semantic_topo_loop/geometry/quadric.h"
+
+namespace semantic_topo_loop::core {
+
+/// One box of an object and the camera that saw it.
+struct BoxView {
+  SE3 T_world_camera;
+  Box box;                     ///< undistorted, px
+  std::uint8_t truncated = 0;  ///< Truncation bits: these sides bound nothing
+};
+
+struct QuadricFitOptions {
+  int max_iterations = 12;
+  double sigma_px = 3.0;         ///< noise of a box edge: sigma_px + sigma_share * box size
+  double sigma_share = 0.1;
+  double roundness_weight = 0.01;  ///< pull of the three log axes to their common start, per view
+  double min_depth_m = 0.2;
+};
+
+/// An ellipsoid with the evidence of its fit.
+struct QuadricFit {
+  Ellipsoid ellipsoid;
+  Mat3 center_covariance = Mat3::Zero();  ///< m^2
+  double mean_iou = 0.0;                  ///< of projected and detected boxes, clipped to the image
+  double median_depth_m = 0.0;
+};
+
+/// Where the rays through the box centres meet: least squares with Cauchy weights, iterated.
+/// @return nullopt for fewer than 2 views, parallel rays, or a point behind many of the cameras
+std::optional<Vec3> triangulate_center(const Camera& camera, const std::vector<BoxView>& views);
+/// Largest angle between two of the lines from the cameras to the point, deg.
+double parallax_deg(const std::vector<BoxView>& views, const Vec3& point_world);
+/// A sphere from several boxes: triangulated centre, radius from the median box size at its depth.
+std::optional<Ellipsoid> initialise_sphere(const Camera& camera, const std::vector<BoxView>& views);
+/// An ellipsoid from one box and the points of the object's surface that were seen inside it (camera frame, m): centre at
+/// the points' robust depth, image-aligned axes from the box, depth axis their mean.
+std::optional<Ellipsoid> initialise_from_points(const Camera& camera, const BoxView& view,
+                                                const std::vector<Vec3>& points_camera);
+
+/// Refines all nine parameters on the box edges: residual (projected edge - detected edge) / sigma, soft-L1 loss a view,
+/// sides cut by the image border left out (Ceres, Levenberg-Marquardt).
+/// @return nullopt if the solver finds no usable solution
+std::optional<QuadricFit> refine_quadric(const Camera& camera, const std::vector<BoxView>& views,
+                                         const Ellipsoid& initial, const QuadricFitOptions& options = {});
+
+/// Derivatives of the four box edges (x1, y1, x2, y2) of a projected ellipsoid.
+struct BoxJacobian {
+  Eigen::Matrix<double, 4, 3> center;    ///< by the centre, px/m
+  Eigen::Matrix<double, 4, 3> rotation;  ///< by a left rotation vector of the ellipsoid in the world, px/rad
+  Eigen::Matrix<double, 4, 3> log_axes;  ///< by the logarithms of the semi-axes, px
+};
+
+/// project_box with its derivatives, by implicit differentiation of the tangent plane condition pi^T Q* pi = 0.
+std::optional<Box> project_box(const Ellipsoid& ellipsoid, const Mat34& P_image_world, BoxJacobian* jacobian);
+
+}  // namespace semantic_topo_loop::core

@@ -1,0 +1,39 @@
+#pragma once
+
+#include <memory>
+#include <string>
+#include <vector>
+
+#include "semantic_topo_loop/association/association.h"
+#include "semantic_topo_loop/detection/class_table.h"
+#include "semantic_topo_loop/map/frame.h"
+#include "semantic_topo_loop/map/landmark.h"
+#include "semantic_topo_loop/pose_graph/map_correction.h"
+
+namespace semantic_topo_loop::core {
+
+struct QuadricMapperOptions;
+
+/// The quadric map: alone owns geometry, state and merges of the landmarks.
+class QuadricMapper {
+ public:
+  QuadricMapper(const QuadricMapperOptions& options, std::shared_ptr<const ClassTable> classes);
+  ~QuadricMapper();
+  QuadricMapper(QuadricMapper&&) noexcept;
+  QuadricMapper& operator=(QuadricMapper&&) noexcept;
+
+  /// Takes in a frame's associations; initialises, refines, merges, confirms and retires landmarks.
+  MapUpdate integrate(const Frame& frame, const AssociationFrame& associations);
+  /// Moves landmarks with their keyframes and takes over map_from_odom, in one version; ends the frame.
+  MapUpdate apply(const MapCorrection& correction);
+  /// Every landmark that has not been merged away or given up, in order of id.
+  std::vector<Landmark> landmarks() const;
+  std::uint64_t map_version() const;
+  const SE3& T_map_odom() const;
+
+ private:
+  class Impl;
+  std::unique_ptr<Impl> impl_;
+};
+
+}  // namespace semantic_topo_loop::core

@@ -1,0 +1,269 @@
+#include "semantic_topo_loop/map/quadric_fit.h"
+
+#include <ceres/ceres.h>
+
+#include <Eigen/Eigenvalues>
+#include <algorithm>
+#include <array>
+#include <cmath>
+#include <deque>
+
+#include "semantic_topo_loop/geometry/ceres_compat.h"
+
+namespace semantic_topo_loop::core {
+namespace {
+
+constexpr double kInvalidResidual = 20.0;  // far outside the noise: no view may vanish to lower the cost
+
+/// r = (projected edges - detected edges) / sigma over centre, rotation (Eigen quaternion) and log semi-axes.
+class BoxEdgeCost final : public ceres::SizedCostFunction<4, 3, 4, 3> {
+ public:
+  BoxEdgeCost(const Mat34& P_image_world, const BoxView& view, double sigma) : P_(P_image_world), edges_(view.box.edges()) {
+    for (int i = 0; i < 4; ++i) weights_(i) = (view.truncated & (1 << i)) != 0 ? 0.0 : 1.0 / sigma;
+  }
+
+  bool Evaluate(double const* const* parameters, double* residuals, double** jacobians) const override {
+    const Eigen::Map<const Vec3> center(parameters[0]);
+    const Eigen::Map<const Quaternion> rotation(parameters[1]);
+    const Eigen::Map<const Vec3> log_axes(parameters[2]);
+    const Ellipsoid ellipsoid{SE3(Quaternion(rotation), Vec3(center)), log_axes.array().exp()};
+    BoxJacobian J;
+    const std::optional<Box> box = project_box(ellipsoid, P_, jacobians != nullptr ? &J : nullptr);
+    Eigen::Map<Vec4> r(residuals);
+    r = box ? Vec4(weights_.cwiseProduct(box->edges() - edges_)) : Vec4((weights_.array() > 0.0).select(kInvalidResidual, Vec4::Zero()));
+    if (jacobians == nullptr) return true;
+    if (!box) J = {Eigen::Matrix<double, 4, 3>::Zero(), Eigen::Matrix<double, 4, 3>::Zero(), Eigen::Matrix<double, 4, 3>::Zero()};
+    const auto write = [](double* target, const auto& value) {
+      using Value = typename std::decay_t<decltype(value)>;
+      Eigen::Map<Eigen::Matrix<double, 4, Value::ColsAtCompileTime, Eigen::RowMajor>> map(target);
+      map = value;
+    };
+    if (jacobians[0] != nullptr) write(jacobians[0], (weights_.asDiagonal() * J.center).eval());
+    if (jacobians[1] != nullptr) {
+      // Lift from the tangent space: the quaternion's plus has half-angle columns, exp(delta) ~ (delta, 1).
+      Eigen::Matrix<double, 4, 3> plus;
+      plus << rotation.w(), rotation.z(), -rotation.y(), -rotation.z(), rotation.w(), rotation.x(), rotation.y(),
+          -rotation.x(), rotation.w(), -rotation.x(), -rotation.y(), -rotation.z();
+      write(jacobians[1], (weights_.asDiagonal() * (2.0 * J.rotation) * plus.transpose()).eval());
+    }
+    if (jacobians[2] != nullptr) write(jacobians[2], (weights_.asDiagonal() * J.log_axes).eval());
+    return true;
+  }
+
+ private:
+  Mat34 P_;
+  Vec4 edges_;
+  Vec4 weights_;
+};
+
+/// r = weight (log axes - mean log axis of the start): keeps axes that no view bounds near a sphere.
+class RoundnessCost final : public ceres::SizedCostFunction<3, 3> {
+ public:
+  RoundnessCost(double target, double weight) : target_(target), weight_(weight) {}
+  bool Evaluate(double const* const* parameters, double* residuals, double** jacobians) const override {
+    for (int i = 0; i < 3; ++i) residuals[i] = weight_ * (parameters[0][i] - target_);
+    if (jacobians != nullptr && jacobians[0] != nullptr) {
+      Eigen::Map<Mat3> jacobian(jacobians[0]);
+      jacobian = weight_ * Mat3::Identity();
+    }
+    return true;
+  }
+
+ private:
+  double target_, weight_;
+};
+
+double median(std::vector<double> values) {
+  const auto middle = values.begin() + static_cast<std::ptrdiff_t>(values.size() / 2);
+  std::nth_element(values.begin(), middle, values.end());
+  return *middle;
+}
+
+Vec3 world_ray(const Camera& camera, const BoxView& view) {
+  return (view.T_world_camera.q * camera.ray(view.box.center())).normalized();
+}
+
+double depth(const BoxView& view, const Vec3& point_world) {
+  return (view.T_world_camera.q.conjugate() * (point_world - view.T_world_camera.t)).z();
+}
+
+std::vector<double> depths(const std::vector<BoxView>& views, const Vec3& point_world) {
+  std::vector<double> result;
+  result.reserve(views.size());
+  for (const BoxView& view : views) result.push_back(depth(view, point_world));
+  return result;
+}
+
+/// Covariance of the centre from the weighted normal matrix of the box edges, rotation held fixed.
+Mat3 center_covariance(const std::vector<Mat34>& projections, const std::vector<BoxView>& views,
+                       const std::vector<double>& sigmas, const Ellipsoid& ellipsoid) {
+  Mat6 H = 1e-9 * Mat6::Identity();
+  for (std::size_t i = 0; i < views.size(); ++i) {
+    BoxJacobian J;
+    if (!project_box(ellipsoid, projections[i], &J)) continue;
+    for (int k = 0; k < 4; ++k) {
+      if ((views[i].truncated & (1 << k)) != 0) continue;
+      Vec6 row;
+      row << J.center.row(k).transpose(), J.log_axes.row(k).transpose();
+      H += row * row.transpose() / (sigmas[i] * sigmas[i]);
+    }
+  }
+  H.bottomRightCorner<3, 3>() += Mat3::Identity();  // log axes are known to about e^1 in any case
+  return Mat6(H.inverse()).topLeftCorner<3, 3>();
+}
+
+}  // namespace
+
+std::optional<Box> project_box(const Ellipsoid& ellipsoid, const Mat34& P, BoxJacobian* jacobian) {
+  const Mat3 R = ellipsoid.T_world_quadric.rotation();
+  const Vec3 squared_axes = ellipsoid.semi_axes.cwiseAbs2();
+  const Mat3 M = R * squared_axes.asDiagonal() * R.transpose();
+  const Vec3& c = ellipsoid.center();
+  const std::optional<Box> box = project_box(c, M, P);
+  if (!box || jacobian == nullptr) return box;
+  const Vec4 edges = box->edges();
+  const Vec3 n2 = P.row(2).head<3>().transpose();
+  for (int k = 0; k < 4; ++k) {
+    // The plane through the edge, pi = (n, d) = row_axis - u row_2, touches the ellipsoid: F = n'Mn - (n'c + d)^2 = 0.
+    const double u = edges(k);
+    const Eigen::RowVector4d plane = P.row(k % 2) - u * P.row(2);
+    const Vec3 n = plane.head<3>().transpose();
+    const double s = n.dot(c) + plane(3);
+    const Vec3 Mn = M * n;
+    const double F_u = -2.0 * Mn.dot(n2) + 2.0 * s * (n2.dot(c) + P(2, 3));
+    const Vec3 m = R.transpose() * n;
+    jacobian->center.row(k) = (2.0 * s / F_u) * n.transpose();
+    jacobian->rotation.row(k) = (-2.0 / F_u) * Mn.cross(n).transpose();
+    jacobian->log_axes.row(k) = (-2.0 / F_u) * squared_axes.cwiseProduct(m.cwiseAbs2()).transpose();
+  }
+  return box;
+}
+
+std::optional<Vec3> triangulate_center(const Camera& camera, const std::vector<BoxView>& views) {
+  if (views.size() < 2) return std::nullopt;
+  std::vector<Vec3> rays;
+  rays.reserve(views.size());
+  for (const BoxView& view : views) rays.push_back(world_ray(camera, view));
+  std::vector<double> weights(views.size(), 1.0);
+  Vec3 point = Vec3::Zero();
+  constexpr int kIterations = 10;
+  constexpr double kScale_m = 0.05;  // distance from a ray at which its weight is halved
+  for (int iteration = 0; iteration < kIterations; ++iteration) {
+    Mat3 A = Mat3::Zero();
+    Vec3 b = Vec3::Zero();
+    for (std::size_t i = 0; i < views.size(); ++i) {
+      const Mat3 N = weights[i] * (Mat3::Identity() - rays[i] * rays[i].transpose());
+      A += N;
+      b += N * views[i].T_world_camera.t;
+    }
+    const Eigen::SelfAdjointEigenSolver<Mat3> eigen(A);
+    if (!(eigen.eigenvalues()(0) > 1e-5 * eigen.eigenvalues()(2))) return std::nullopt;
+    point = A.ldlt().solve(b);
+    for (std::size_t i = 0; i < views.size(); ++i) {
+      const Vec3 v = point - views[i].T_world_camera.t;
+      const double r = (v - rays[i] * rays[i].dot(v)).norm() / kScale_m;
+      weights[i] = 1.0 / (1.0 + r * r);
+    }
+  }
+  if (!point.allFinite()) return std::nullopt;
+  const std::vector<double> z = depths(views, point);
+  const auto behind = std::count_if(z.begin(), z.end(), [](double value) { return value < 0.2; });
+  if (static_cast<double>(behind) > 0.1 * static_cast<double>(z.size())) return std::nullopt;
+  return point;
+}
+
+double parallax_deg(const std::vector<BoxView>& views, const Vec3& point_world) {
+  double min_cosine = 1.0;
+  std::vector<Vec3> directions;
+  directions.reserve(views.size());
+  for (const BoxView& view : views) directions.push_back((point_world - view.T_world_camera.t).normalized());
+  for (std::size_t i = 0; i < directions.size(); ++i) {
+    for (std::size_t j = 0; j < i; ++j) min_cosine = std::min(min_cosine, directions[i].dot(directions[j]));
+  }
+  return degrees(std::acos(std::clamp(min_cosine, -1.0, 1.0)));
+}
+
+std::optional<Ellipsoid> initialise_sphere(const Camera& camera, const std::vector<BoxView>& views) {
+  const std::optional<Vec3> center = triangulate_center(camera, views);
+  if (!center) return std::nullopt;
+  std::vector<double> radii;
+  radii.reserve(views.size());
+  for (const BoxView& view : views) {
+    radii.push_back(0.5 * view.box.size() * std::max(0.0, depth(view, *center)) / camera.fx);
+  }
+  const double radius = median(std::move(radii));
+  if (!(radius > 0.0)) return std::nullopt;
+  return Ellipsoid{SE3(Quaternion::Identity(), *center), Vec3::Constant(radius)};
+}
+
+std::optional<Ellipsoid> initialise_from_points(const Camera& camera, const BoxView& view,
+                                                const std::vector<Vec3>& points_camera) {
+  if (points_camera.empty() || !view.box.is_valid()) return std::nullopt;
+  std::vector<double> z;
+  z.reserve(points_camera.size());
+  for (const Vec3& point : points_camera) z.push_back(point.z());
+  const double surface_depth = median(std::move(z));
+  if (!(surface_depth > 0.0)) return std::nullopt;
+  const double half_width = 0.5 * view.box.width() * surface_depth / camera.fx;
+  const double half_height = 0.5 * view.box.height() * surface_depth / camera.fy;
+  const double half_depth = 0.5 * (half_width + half_height);
+  // The points lie on the near side; the centre is behind them by about half of the depth axis.
+  const Vec3 center_camera = camera.ray(view.box.center()) * (surface_depth + 0.5 * half_depth);
+  return Ellipsoid{SE3(view.T_world_camera.q, view.T_world_camera * center_camera),
+                   Vec3(half_width, half_height, half_depth)};
+}
+
+std::optional<QuadricFit> refine_quadric(const Camera& camera, const std::vector<BoxView>& views,
+                                         const Ellipsoid& initial, const QuadricFitOptions& options) {
+  if (views.empty() || !initial.T_world_quadric.is_finite() || !(initial.semi_axes.minCoeff() > 0.0)) return std::nullopt;
+  std::vector<Mat34> projections;
+  std::vector<double> sigmas;
+  std::deque<BoxEdgeCost> costs;  // cost functions cannot be moved
+  for (const BoxView& view : views) {
+    projections.push_back(projection_matrix(camera, view.T_world_camera));
+    sigmas.push_back(options.sigma_px + options.sigma_share * view.box.size());
+    costs.emplace_back(projections.back(), view, sigmas.back());
+  }
+  Vec3 center = initial.center();
+  Quaternion rotation = initial.T_world_quadric.q;
+  Vec3 log_axes = initial.semi_axes.array().log();
+  RoundnessCost roundness(log_axes.mean(), std::sqrt(options.roundness_weight * static_cast<double>(views.size())));
+  ceres::SoftLOneLoss loss(1.0);
+
+  ceres::Problem::Options problem_options;
+  problem_options.cost_function_ownership = ceres::DO_NOT_TAKE_OWNERSHIP;
+  problem_options.loss_function_ownership = ceres::DO_NOT_TAKE_OWNERSHIP;
+  problem_options.disable_all_safety_checks = true;
+  ceres::Problem problem(problem_options);
+  problem.AddParameterBlock(rotation.coeffs().data(), 4);
+  set_quaternion_manifold(problem, rotation.coeffs().data());
+  for (BoxEdgeCost& cost : costs) {
+    problem.AddResidualBlock(&cost, &loss, center.data(), rotation.coeffs().data(), log_axes.data());
+  }
+  problem.AddResidualBlock(&roundness, nullptr, log_axes.data());
+
+  ceres::Solver::Options solver_options;
+  solver_options.num_threads = 1;
+  solver_options.linear_solver_type = ceres::DENSE_NORMAL_CHOLESKY;
+  solver_options.max_num_iterations = options.max_iterations;
+  solver_options.function_tolerance = 1e-4;
+  solver_options.logging_type = ceres::SILENT;
+  ceres::Solver::Summary summary;
+  ceres::Solve(solver_options, &problem, &summary);
+  if (!summary.IsSolutionUsable()) return std::nullopt;
+
+  QuadricFit fit;
+  fit.ellipsoid = {SE3(rotation.normalized(), center), log_axes.array().exp()};
+  if (!fit.ellipsoid.T_world_quadric.is_finite() || !fit.ellipsoid.semi_axes.allFinite()) return std::nullopt;
+  fit.median_depth_m = median(depths(views, center));
+  const Mat3 shape = fit.ellipsoid.shape();
+  for (std::size_t i = 0; i < views.size(); ++i) {
+    const std::optional<Box> box = project_box(center, shape, projections[i]);
+    if (box) fit.mean_iou += iou(clip(*box, camera.width, camera.height), clip(views[i].box, camera.width, camera.height));
+  }
+  fit.mean_iou /= static_cast<double>(views.size());
+  fit.center_covariance = center_covariance(projections, views, sigmas, fit.ellipsoid);
+  return fit;
+}
+
+}  // namespace semantic_topo_loop::core

@@ -1,0 +1,311 @@
+#include <gtest/gtest.h>
+
+#include <cmath>
+#include <limits>
+#include <random>
+
+#include "semantic_topo_loop/map/mapper_options.h"
+#include "semantic_topo_loop/map/object_points.h"
+#include "semantic_topo_loop/map/quadric_fit.h"
+#include "semantic_topo_loop/map/quadric_mapper.h"
+
+namespace semantic_topo_loop::core {
+namespace {
+
+const Camera kCamera{520.0, 520.0, 320.0, 240.0, 640, 480, {}};
+
+/// A camera at `position` that looks at `target`, its y axis pointing down (world z up).
+SE3 look_at(const Vec3& position, const Vec3& target) {
+  const Vec3 z = (target - position).normalized();
+  const Vec3 x = z.cross(Vec3::UnitZ()).normalized();
+  Mat3 R;
+  R << x, z.cross(x), z;
+  return {R, position};
+}
+
+/// n cameras on an arc around the origin, 1.5 m away and 0.8 m up.
+std::vector<SE3> arc(int n, double span_deg) {
+  std::vector<SE3> poses;
+  for (int i = 0; i < n; ++i) {
+    const double angle = radians(span_deg) * i / (n - 1);
+    poses.push_back(look_at(Vec3(1.5 * std::cos(angle), 1.5 * std::sin(angle), 0.8), Vec3::Zero()));
+  }
+  return poses;
+}
+
+std::vector<BoxView> views_of(const Ellipsoid& ellipsoid, const std::vector<SE3>& poses, double noise_px = 0.0) {
+  std::mt19937_64 random(7);
+  std::normal_distribution<double> noise(0.0, 1.0);
+  std::vector<BoxView> views;
+  for (const SE3& pose : poses) {
+    Box box = *project_box(ellipsoid, projection_matrix(kCamera, pose));
+    for (double* edge : {&box.x1, &box.y1, &box.x2, &box.y2}) *edge += noise_px * noise(random);
+    views.push_back({pose, box, 0});
+  }
+  return views;
+}
+
+const Ellipsoid kCup{SE3(so3_exp(Vec3(0.0, 0.0, 0.4)), Vec3(0.05, -0.1, 0.02)), Vec3(0.05, 0.04, 0.08)};
+
+TEST(QuadricFit, BoxJacobianEqualsNumericDerivative) {
+  const Mat34 P = projection_matrix(kCamera, arc(5, 90.0)[1]);
+  const Ellipsoid ellipsoid{SE3(so3_exp(Vec3(0.3, -0.2, 0.5)), Vec3(0.1, 0.0, 0.05)), Vec3(0.1, 0.05, 0.2)};
+  BoxJacobian J;
+  ASSERT_TRUE(project_box(ellipsoid, P, &J));
+  constexpr double kStep = 1e-6;
+  for (int k = 0; k < 3; ++k) {
+    const Vec3 d = kStep * Vec3::Unit(k);
+    const auto derivative = [&](const Ellipsoid& plus, const Ellipsoid& minus) {
+      return Vec4((project_box(plus, P)->edges() - project_box(minus, P)->edges()) / (2.0 * kStep));
+    };
+    Ellipsoid plus = ellipsoid, minus = ellipsoid;
+    plus.T_world_quadric.t += d;
+    minus.T_world_quadric.t -= d;
+    EXPECT_LT((derivative(plus, minus) - J.center.col(k)).norm(), 1e-3);
+    plus = minus = ellipsoid;
+    plus.T_world_quadric.q = so3_exp(d) * ellipsoid.T_world_quadric.q;
+    minus.T_world_quadric.q = so3_exp(-d) * ellipsoid.T_world_quadric.q;
+    EXPECT_LT((derivative(plus, minus) - J.rotation.col(k)).norm(), 1e-3);
+    plus = minus = ellipsoid;
+    plus.semi_axes(k) *= std::exp(kStep);
+    minus.semi_axes(k) *= std::exp(-kStep);
+    EXPECT_LT((derivative(plus, minus) - J.log_axes.col(k)).norm(), 1e-3);
+  }
+}
+
+TEST(QuadricFit, RecoversAnEllipsoidFromExactBoxes) {
+  const std::vector<BoxView> views = views_of(kCup, arc(20, 150.0));
+  const std::optional<Ellipsoid> sphere = initialise_sphere(kCamera, views);
+  ASSERT_TRUE(sphere);
+  EXPECT_LT((sphere->center() - kCup.center()).norm(), 0.02);
+  QuadricFitOptions options;
+  options.max_iterations = 50;
+  options.roundness_weight = 1e-6;
+  const std::optional<QuadricFit> fit = refine_quadric(kCamera, views, *sphere, options);
+  ASSERT_TRUE(fit);
+  EXPECT_LT((fit->ellipsoid.center() - kCup.center()).norm(), 0.003);
+  EXPECT_GT(fit->mean_iou, 0.97);
+  EXPECT_LT((fit->ellipsoid.shape() - kCup.shape()).norm(), 0.3 * kCup.shape().norm());
+}
+
+TEST(QuadricFit, CovarianceCoversTheErrorAndShrinksWithViews) {
+  const auto covariance = [](int n) {
+    const std::vector<BoxView> views = views_of(kCup, arc(n, 60.0), 2.0);
+    const std::optional<QuadricFit> fit = refine_quadric(kCamera, views, *initialise_sphere(kCamera, views));
+    EXPECT_TRUE(fit);
+    EXPECT_LT((fit->ellipsoid.center() - kCup.center()).norm(),
+              5.0 * std::sqrt(fit->center_covariance.trace()));
+    return fit->center_covariance.trace();
+  };
+  EXPECT_LT(covariance(40), 0.6 * covariance(10));
+}
+
+TEST(QuadricFit, LeavesOutSidesCutByTheBorder) {
+  std::vector<BoxView> views = views_of(kCup, arc(20, 120.0));
+  for (std::size_t i = 0; i < views.size(); i += 2) {
+    views[i].box.x1 += 30.0;  // what a border does to the left side
+    views[i].truncated = kLeft;
+  }
+  const std::optional<QuadricFit> fit = refine_quadric(kCamera, views, kCup);
+  ASSERT_TRUE(fit);
+  EXPECT_LT((fit->ellipsoid.center() - kCup.center()).norm(), 0.005);
+}
+
+TEST(QuadricFit, RefusesDegenerateInput) {
+  const std::vector<BoxView> still(5, views_of(kCup, {arc(5, 90.0)[0]})[0]);
+  EXPECT_FALSE(triangulate_center(kCamera, still));
+  EXPECT_FALSE(triangulate_center(kCamera, {}));
+  EXPECT_FALSE(refine_quadric(kCamera, {}, kCup));
+  Ellipsoid broken = kCup;
+  broken.T_world_quadric.t.x() = std::numeric_limits<double>::quiet_NaN();
+  EXPECT_FALSE(refine_quadric(kCamera, still, broken));
+}
+
+TEST(QuadricFit, OneViewWithPointsGivesPositionAndSize) {
+  const SE3 pose = arc(5, 90.0)[2];
+  const BoxView view = views_of(kCup, {pose})[0];
+  std::vector<Vec3> points;  // of the near side of the object, in front of a wall
+  for (int i = -5; i <= 5; ++i) {
+    for (int j = -5; j <= 5; ++j) {
+      const Vec3 center = pose.inverse() * kCup.center();
+      points.push_back(center + Vec3(0.006 * i, 0.006 * j, -0.03));
+      points.push_back(Vec3(0.2 * i, 0.2 * j, 4.0));
+    }
+  }
+  const std::vector<Vec3> object = object_points(points, kCamera, view.box);
+  EXPECT_GE(object.size(), 80U);
+  for (const Vec3& point : object) EXPECT_LT(point.z(), 3.0);
+  const std::optional<Ellipsoid> ellipsoid = initialise_from_points(kCamera, view, object);
+  ASSERT_TRUE(ellipsoid);
+  EXPECT_LT((ellipsoid->center() - kCup.center()).norm(), 0.03);
+  EXPECT_TRUE(object_points({}, kCamera, view.box).empty());
+  EXPECT_FALSE(initialise_from_points(kCamera, view, {}));
+}
+
+/// Feeds a mapper with the exact boxes of objects seen from an arc, under landmark ids of the test's choice.
+class MapperTest : public testing::Test {
+ protected:
+  MapperTest() : mapper_(QuadricMapperOptions{}, classes()) {}
+
+  static std::shared_ptr<const ClassTable> classes() {
+    std::string error;
+    return std::make_shared<const ClassTable>(*ClassTable::create({{41, "cup", ClassRole::kMovable, "vessel", 0.1},
+                                                                   {75, "vase", ClassRole::kMovable, "vessel", 0.2},
+                                                                   {73, "book", ClassRole::kMovable, "", 0.2}},
+                                                                  &error));
+  }
+
+  struct Seen {
+    std::int64_t id;
+    int class_id;
+    Ellipsoid ellipsoid;
+  };
+
+  MapUpdate step(const SE3& pose, const std::vector<Seen>& seen) {
+    Frame frame;
+    frame.frame_id = next_frame_;
+    frame.stamp_ns = next_frame_ * 33333333;
+    frame.is_keyframe = next_frame_ % 5 == 0;
+    frame.keyframe_id = next_frame_ / 5;
+    frame.T_odom_camera = pose;
+    frame.camera = kCamera;
+    ++next_frame_;
+    AssociationFrame associations;
+    associations.frame_id = frame.frame_id;
+    for (const Seen& object : seen) {
+      Association association;
+      association.landmark_id = object.id;
+      association.class_id = association.landmark_class_id = object.class_id;
+      association.box = *project_box(object.ellipsoid, projection_matrix(kCamera, pose));
+      associations.associations.push_back(association);
+    }
+    return mapper_.integrate(frame, associations);
+  }
+
+  MapUpdate end() {
+    Frame frame;
+    frame.frame_id = next_frame_;
+    frame.is_end = true;
+    mapper_.integrate(frame, {});
+    MapCorrection correction;
+    correction.frame_id = frame.frame_id;
+    return mapper_.apply(correction);
+  }
+
+  const Landmark* find(std::int64_t id) {
+    landmarks_ = mapper_.landmarks();
+    for (const Landmark& landmark : landmarks_) {
+      if (landmark.id == id) return &landmark;
+    }
+    return nullptr;
+  }
+
+  QuadricMapper mapper_;
+  std::vector<Landmark> landmarks_;
+  std::int64_t next_frame_ = 0;
+};
+
+TEST_F(MapperTest, CandidateBecomesConfirmedWithViewsAndParallax) {
+  const std::vector<SE3> poses = arc(60, 90.0);
+  step(poses[0], {{0, 41, kCup}});
+  ASSERT_NE(find(0), nullptr);
+  EXPECT_EQ(find(0)->state, LandmarkState::kCandidate);
+  EXPECT_FALSE(find(0)->ellipsoid);
+  for (std::size_t i = 1; i < poses.size(); ++i) step(poses[i], {{0, 41, kCup}});
+  ASSERT_TRUE(find(0)->ellipsoid);
+  EXPECT_EQ(find(0)->state, LandmarkState::kConfirmed);
+  EXPECT_LT((find(0)->ellipsoid->center() - kCup.center()).norm(), 0.01);
+  EXPECT_GT(find(0)->quality, 0.5);
+  EXPECT_LE(find(0)->quality, 1.0);
+}
+
+TEST_F(MapperTest, ObjectWithoutParallaxStaysACandidate) {
+  for (int i = 0; i < 60; ++i) step(arc(60, 1.0)[static_cast<std::size_t>(i)], {{0, 41, kCup}});
+  EXPECT_EQ(find(0)->state, LandmarkState::kCandidate);
+  EXPECT_FALSE(find(0)->ellipsoid);
+}
+
+TEST_F(MapperTest, DuplicatesOfOneObjectMerge) {
+  const std::vector<SE3> poses = arc(120, 120.0);
+  std::vector<LandmarkMerge> merges;
+  for (std::size_t i = 0; i < poses.size(); ++i) {
+    const MapUpdate update = step(poses[i], {{i < 60 ? 0 : 1, 41, kCup}});
+    merges.insert(merges.end(), update.merged.begin(), update.merged.end());
+  }
+  const MapUpdate last = end();
+  merges.insert(merges.end(), last.merged.begin(), last.merged.end());
+  ASSERT_EQ(merges.size(), 1U);
+  ASSERT_NE(find(merges[0].survivor_id), nullptr);
+  EXPECT_EQ(find(merges[0].merged_id), nullptr);
+  EXPECT_EQ(find(merges[0].survivor_id)->observations, 120);
+}
+
+TEST_F(MapperTest, ObjectsSeenSideBySideDoNotMerge) {
+  Ellipsoid neighbour = kCup;
+  neighbour.T_world_quadric.t += Vec3(0.0, 0.11, 0.0);
+  for (const SE3& pose : arc(120, 120.0)) step(pose, {{0, 41, kCup}, {1, 41, neighbour}});
+  end();
+  EXPECT_NE(find(0), nullptr);
+  EXPECT_NE(find(1), nullptr);
+}
+
+TEST_F(MapperTest, StaleCandidateIsGivenUp) {
+  step(arc(2, 1.0)[0], {{0, 41, kCup}});
+  std::vector<std::int64_t> removed;
+  for (const SE3& pose : arc(120, 120.0)) {
+    const MapUpdate update = step(pose, {{1, 73, kCup}});
+    removed.insert(removed.end(), update.removed.begin(), update.removed.end());
+  }
+  EXPECT_EQ(removed, std::vector<std::int64_t>{0});
+}
+
+TEST_F(MapperTest, NeverSeenAgainWhereExpectedIsRetired) {
+  const std::vector<SE3> poses = arc(60, 90.0);
+  for (int i = 0; i < 11; ++i) step(poses[static_cast<std::size_t>(i) * 5], {{0, 41, kCup}});
+  ASSERT_TRUE(find(0)->ellipsoid);
+  Ellipsoid book = kCup;
+  book.T_world_quadric.t += Vec3(0.4, 0.4, 0.0);
+  for (int i = 0; i < 900; ++i) step(poses[static_cast<std::size_t>(i % 60)], {{1, 73, book}});
+  EXPECT_EQ(find(0)->state, LandmarkState::kRetired);
+  EXPECT_EQ(find(1)->state, LandmarkState::kConfirmed);
+}
+
+TEST_F(MapperTest, LandmarksMoveWithTheirKeyframesAndVersionsChain) {
+  std::uint64_t version = mapper_.map_version();
+  const std::vector<SE3> poses = arc(60, 90.0);
+  for (const SE3& pose : poses) {
+    const MapUpdate update = step(pose, {{0, 41, kCup}});
+    EXPECT_EQ(update.base_version, version);
+    version = update.map_version;
+  }
+  const SE3 T_new_old(so3_exp(Vec3(0.0, 0.1, 0.3)), Vec3(1.0, -2.0, 0.5));
+  MapCorrection correction;
+  correction.frame_id = next_frame_ - 1;
+  correction.changed = true;
+  correction.T_map_odom = T_new_old;
+  correction.valid_to_keyframe_id = 9;  // the last two keyframes are newer than the solution
+  for (std::int64_t id = 0; id <= 9; ++id) {
+    correction.keyframes.push_back({id, id * 5, 0, T_new_old * poses[static_cast<std::size_t>(id) * 5]});
+  }
+  const Vec3 before = find(0)->ellipsoid->center();
+  const MapUpdate update = mapper_.apply(correction);
+  EXPECT_EQ(update.base_version, version);
+  EXPECT_GT(update.map_version, version);
+  EXPECT_LT((find(0)->ellipsoid->center() - T_new_old * before).norm(), 1e-9);
+  // Frames after the correction see the object where it now is.
+  step(poses[0], {{0, 41, kCup}});
+  end();
+  EXPECT_LT((find(0)->ellipsoid->center() - T_new_old * kCup.center()).norm(), 0.01);
+}
+
+TEST(QuadricMapperOptions, RejectsValuesOutOfRangeByName) {
+  QuadricMapperOptions options;
+  options.merge_iou = 1.5;
+  std::string error;
+  EXPECT_FALSE(options.is_valid(&error));
+  EXPECT_NE(error.find("mapping.merge_iou"), std::string::npos);
+  EXPECT_NE(error.find("1.5"), std::string::npos);
+}
+
+}  // namespace
+}  // namespace semantic_topo_loop::core
