@@ -1,0 +1,58 @@
+#pragma once
+
+#include <optional>
+#include <string>
+
+#include "semantic_topo_loop/map/frame.h"
+
+namespace semantic_topo_loop::core {
+
+/// When a frame becomes a keyframe, and when the odometry is taken to have jumped.
+struct KeyframeOptions {
+  double min_translation_m = 0.10;
+  double min_rotation_deg = 7.0;
+  double max_interval_s = 1.0;
+  double break_speed_m_s = 6.0;
+  double break_rate_deg_s = 600.0;
+  double break_gap_s = 1.0;
+
+  template <class Visitor>
+  void visit(Visitor& visitor) {
+    visitor("keyframe.min_translation_m", min_translation_m, "a keyframe after this motion since the last one");
+    visitor("keyframe.min_rotation_deg", min_rotation_deg, "a keyframe after this rotation since the last one");
+    visitor("keyframe.max_interval_s", max_interval_s, "a keyframe after this time at the latest");
+    visitor("keyframe.break_speed_m_s", break_speed_m_s, "faster motion between two frames is a break of the odometry");
+    visitor("keyframe.break_rate_deg_s", break_rate_deg_s, "faster rotation between two frames is a break");
+    visitor("keyframe.break_gap_s", break_gap_s, "a longer time between two poses is a break");
+  }
+  bool is_valid(std::string* error) const;
+};
+
+/// A camera pose of the odometry at the stamp of an image.
+struct PoseSample {
+  std::int64_t stamp_ns = 0;
+  SE3 T_odom_camera;
+  std::optional<Mat6> covariance;  ///< of the motion since the previous sample
+  bool is_break = false;           ///< as stated by the source
+  std::shared_ptr<const std::vector<Vec3>> points_camera;
+};
+
+/// Turns camera poses into frames: numbers them, selects keyframes, flags breaks.
+class FrameBuilder {
+ public:
+  FrameBuilder(const KeyframeOptions& options, const Camera& camera) : options_(options), camera_(camera) {}
+
+  /// @return nullopt, with the field and value in `error`, for a non-finite pose or a stamp not after the last one
+  std::optional<Frame> build(const PoseSample& sample, std::string* error);
+  /// The frame without an image that ends a stream.
+  Frame end() const;
+  void set_camera(const Camera& camera) { camera_ = camera; }
+
+ private:
+  KeyframeOptions options_;
+  Camera camera_;
+  std::optional<Frame> last_;
+  std::optional<Frame> last_keyframe_;
+};
+
+}  // namespace semantic_topo_loop::core

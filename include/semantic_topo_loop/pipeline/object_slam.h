@@ -1,0 +1,41 @@
+#pragma once
+
+#include <memory>
+#include <vector>
+
+#include "semantic_topo_loop/association/object_associator.h"
+#include "semantic_topo_loop/loop/loop_detector.h"
+#include "semantic_topo_loop/map/quadric_mapper.h"
+#include "semantic_topo_loop/pipeline/options.h"
+#include "semantic_topo_loop/pose_graph/pose_graph.h"
+
+namespace semantic_topo_loop::core {
+
+/// What the stages made of one frame, in the order they ran.
+struct FrameResult {
+  AssociationFrame associations;
+  MapUpdate observation;             ///< after the associations were integrated
+  std::vector<LoopClosure> loops;
+  double loop_us = 0.0;
+  MapCorrection correction;
+  MapUpdate completion;              ///< after the correction was applied
+};
+
+/// The whole chain on one thread: association, mapping, loop detection, pose graph. The nodelets call the same stages
+/// in the same order, so that lockstep playback gives the same bytes.
+class ObjectSlam {
+ public:
+  ObjectSlam(const Options& options, std::shared_ptr<const ClassTable> classes);
+
+  FrameResult process(const Frame& frame, const std::vector<Detection>& detections);
+  const QuadricMapper& mapper() const { return mapper_; }
+  const PoseGraph& pose_graph() const { return pose_graph_; }
+
+ private:
+  ObjectAssociator associator_;
+  QuadricMapper mapper_;
+  LoopDetector loop_detector_;
+  PoseGraph pose_graph_;
+};
+
+}  // namespace semantic_topo_loop::core

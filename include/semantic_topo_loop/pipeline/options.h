@@ -1,0 +1,43 @@
+#pragma once
+
+#include <map>
+#include <optional>
+#include <string>
+#include <vector>
+
+#include "semantic_topo_loop/association/associator_options.h"
+#include "semantic_topo_loop/loop/loop_options.h"
+#include "semantic_topo_loop/map/mapper_options.h"
+#include "semantic_topo_loop/pipeline/frame_builder.h"
+#include "semantic_topo_loop/pipeline/option_visitor.h"
+#include "semantic_topo_loop/pose_graph/pose_graph_options.h"
+
+namespace semantic_topo_loop::core {
+
+/// Every parameter of the core, one struct a module. The defaults are the package's one configuration.
+struct Options {
+  KeyframeOptions keyframe;
+  AssociatorOptions association;
+  QuadricMapperOptions mapping;
+  LoopOptions loop;
+  PoseGraphOptions pose_graph;
+
+  template <class Visitor>
+  void visit(Visitor& visitor) {
+    keyframe.visit(visitor);
+    association.visit(visitor);
+    mapping.visit(visitor);
+    loop.visit(visitor);
+    pose_graph.visit(visitor);
+  }
+  bool is_valid(std::string* error) const;
+};
+
+/// Strict: an unknown key, a text of the wrong type or a value out of range is an error that names key and value.
+/// @param values `<module>.<field>` to text   @return nullopt with `error` set
+std::optional<Options> make_options(const std::map<std::string, std::string>& values, std::string* error);
+
+/// Key, default and meaning of every parameter.
+std::vector<OptionLister::Row> list_options();
+
+}  // namespace semantic_topo_loop::core

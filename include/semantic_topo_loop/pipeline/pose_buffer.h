@@ -1,0 +1,50 @@
+#pragma once
+
+#include <cstdint>
+#include <map>
+#include <string>
+
+#include "semantic_topo_loop/geometry/se3.h"
+
+namespace semantic_topo_loop::core {
+
+/// Poses of one moving frame in time order, read at any stamp between two of them. Interpolates over gaps of at most
+/// `max_gap_s` and never extrapolates: a pose that nobody measured is worse than none.
+class PoseBuffer {
+ public:
+  enum class Status {
+    kFound,
+    kNotYet,  ///< newer than every sample: a later one may still bracket it
+    kTooOld,  ///< older than every sample
+    kGap,     ///< the samples around it are too far apart
+  };
+  struct Answer {
+    Status status = Status::kNotYet;
+    SE3 pose;  ///< if found
+  };
+
+  /// @param max_gap_s between the two samples around a stamp, > 0   @param keep_s samples older than the newest one by
+  /// more are forgotten
+  explicit PoseBuffer(double max_gap_s, double keep_s = 60.0);
+
+  /// Takes a sample; one that arrives out of order is sorted in.
+  /// @return false, with the stamp and the value in `error`, for a non-finite pose, a quaternion whose norm is off by
+  /// more than 1 %, a stamp that is there already, or one that is older than what is kept
+  bool add(std::int64_t stamp_ns, const SE3& pose, std::string* error);
+  Answer at(std::int64_t stamp_ns) const;
+  void clear() { samples_.clear(); }
+  bool empty() const { return samples_.empty(); }
+  bool has(std::int64_t stamp_ns) const { return samples_.count(stamp_ns) > 0; }
+  /// Of the newest sample; the buffer must not be empty.
+  std::int64_t newest_ns() const { return samples_.rbegin()->first; }
+
+ private:
+  std::int64_t max_gap_ns_;
+  std::int64_t keep_ns_;
+  std::map<std::int64_t, SE3> samples_;
+};
+
+/// What a status means to the user: "the poses around this stamp are too far apart".
+const char* describe(PoseBuffer::Status status);
+
+}  // namespace semantic_topo_loop::core

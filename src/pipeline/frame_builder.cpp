@@ -1,0 +1,77 @@
+#include "semantic_topo_loop/pipeline/frame_builder.h"
+
+#include <sstream>
+
+namespace semantic_topo_loop::core {
+
+bool KeyframeOptions::is_valid(std::string* error) const {
+  for (const auto& [name, value] : {std::pair("keyframe.min_translation_m", min_translation_m),
+                                    std::pair("keyframe.min_rotation_deg", min_rotation_deg),
+                                    std::pair("keyframe.max_interval_s", max_interval_s),
+                                    std::pair("keyframe.break_speed_m_s", break_speed_m_s),
+                                    std::pair("keyframe.break_rate_deg_s", break_rate_deg_s),
+                                    std::pair("keyframe.break_gap_s", break_gap_s)}) {
+    if (!(value > 0.0)) {
+      std::ostringstream message;
+      message << "parameter '" << name << "' = " << value << " must be > 0";
+      if (error != nullptr) *error = message.str();
+      return false;
+    }
+  }
+  return true;
+}
+
+std::optional<Frame> FrameBuilder::build(const PoseSample& sample, std::string* error) {
+  if (!sample.T_odom_camera.is_finite()) {
+    if (error != nullptr) *error = "pose at stamp " + std::to_string(sample.stamp_ns) + " ns is not finite";
+    return std::nullopt;
+  }
+  if (last_ && sample.stamp_ns <= last_->stamp_ns) {
+    if (error != nullptr) {
+      *error = "stamp " + std::to_string(sample.stamp_ns) + " ns is not after " + std::to_string(last_->stamp_ns) + " ns";
+    }
+    return std::nullopt;
+  }
+  Frame frame;
+  frame.frame_id = last_ ? last_->frame_id + 1 : 0;
+  frame.stamp_ns = sample.stamp_ns;
+  frame.T_odom_camera = sample.T_odom_camera;
+  frame.covariance = sample.covariance;
+  frame.points_camera = sample.points_camera;
+  frame.camera = camera_;
+
+  frame.is_break = sample.is_break;
+  if (last_) {
+    const double dt_s = 1e-9 * static_cast<double>(sample.stamp_ns - last_->stamp_ns);
+    const double distance_m = (sample.T_odom_camera.t - last_->T_odom_camera.t).norm();
+    const double angle_deg = degrees(rotation_angle(sample.T_odom_camera.q, last_->T_odom_camera.q));
+    frame.is_break = frame.is_break || dt_s > options_.break_gap_s || distance_m > options_.break_speed_m_s * dt_s ||
+                     angle_deg > options_.break_rate_deg_s * dt_s;
+  }
+  frame.is_keyframe = !last_keyframe_ || frame.is_break;
+  if (!frame.is_keyframe) {
+    const double dt_s = 1e-9 * static_cast<double>(sample.stamp_ns - last_keyframe_->stamp_ns);
+    frame.is_keyframe =
+        dt_s >= options_.max_interval_s ||
+        (sample.T_odom_camera.t - last_keyframe_->T_odom_camera.t).norm() >= options_.min_translation_m ||
+        degrees(rotation_angle(sample.T_odom_camera.q, last_keyframe_->T_odom_camera.q)) >= options_.min_rotation_deg;
+  }
+  frame.keyframe_id = (last_keyframe_ ? last_keyframe_->keyframe_id : -1) + (frame.is_keyframe ? 1 : 0);
+  last_ = frame;
+  if (frame.is_keyframe) last_keyframe_ = frame;
+  return frame;
+}
+
+Frame FrameBuilder::end() const {
+  Frame frame;
+  if (last_) frame = *last_;
+  frame.frame_id = last_ ? last_->frame_id + 1 : 0;
+  frame.is_keyframe = false;
+  frame.is_break = false;
+  frame.is_end = true;
+  frame.covariance.reset();
+  frame.points_camera.reset();
+  return frame;
+}
+
+}  // namespace semantic_topo_loop::core

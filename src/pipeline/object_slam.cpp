@@ -1,0 +1,29 @@
+#include "semantic_topo_loop/pipeline/object_slam.h"
+
+#include "semantic_topo_loop/pipeline/stopwatch.h"
+
+namespace semantic_topo_loop::core {
+
+ObjectSlam::ObjectSlam(const Options& options, std::shared_ptr<const ClassTable> classes)
+    : associator_(options.association, classes),
+      mapper_(options.mapping, classes),
+      loop_detector_(options.loop, classes),
+      pose_graph_(options.pose_graph) {}
+
+FrameResult ObjectSlam::process(const Frame& frame, const std::vector<Detection>& detections) {
+  FrameResult result;
+  result.associations = associator_.associate(frame, detections);
+  result.observation = mapper_.integrate(frame, result.associations);
+  associator_.apply(result.observation);
+  loop_detector_.apply(result.observation);
+  const Stopwatch stopwatch;
+  result.loops = loop_detector_.detect(frame, result.associations);
+  result.loop_us = stopwatch.elapsed_us();
+  result.correction = pose_graph_.process(frame, result.loops);
+  result.completion = mapper_.apply(result.correction);
+  associator_.apply(result.completion);
+  loop_detector_.apply(result.completion);
+  return result;
+}
+
+}  // namespace semantic_topo_loop::core

@@ -1,0 +1,71 @@
+#include "semantic_topo_loop/pipeline/pose_buffer.h"
+
+#include <cmath>
+#include <sstream>
+
+namespace semantic_topo_loop::core {
+namespace {
+
+constexpr double kMaxNormError = 0.01;
+
+std::int64_t to_nanoseconds(double seconds) { return static_cast<std::int64_t>(std::llround(seconds * 1e9)); }
+
+/// @return empty if the pose can be used
+std::string find_fault(const SE3& pose) {
+  std::ostringstream fault;
+  if (!pose.t.allFinite()) {
+    fault << "translation (" << pose.t.transpose() << ") is not finite";
+  } else if (!pose.q.coeffs().allFinite()) {
+    fault << "quaternion (" << pose.q.coeffs().transpose() << ") is not finite";
+  } else if (std::abs(pose.q.norm() - 1.0) > kMaxNormError) {
+    fault << "quaternion (" << pose.q.coeffs().transpose() << ") has norm " << pose.q.norm() << ", not 1";
+  }
+  return fault.str();
+}
+
+}  // namespace
+
+PoseBuffer::PoseBuffer(double max_gap_s, double keep_s)
+    : max_gap_ns_(to_nanoseconds(max_gap_s)), keep_ns_(to_nanoseconds(keep_s)) {}
+
+bool PoseBuffer::add(std::int64_t stamp_ns, const SE3& pose, std::string* error) {
+  std::string fault = find_fault(pose);
+  if (fault.empty() && !samples_.empty() && stamp_ns < newest_ns() - keep_ns_) fault = "is older than what is kept";
+  if (fault.empty() && !samples_.try_emplace(stamp_ns, pose.q.normalized(), pose.t).second) {
+    fault = "has a stamp that is there already";
+  }
+  if (!fault.empty()) {
+    if (error != nullptr) *error = "pose at stamp " + std::to_string(stamp_ns) + " ns: " + fault;
+    return false;
+  }
+  samples_.erase(samples_.begin(), samples_.lower_bound(newest_ns() - keep_ns_));
+  return true;
+}
+
+PoseBuffer::Answer PoseBuffer::at(std::int64_t stamp_ns) const {
+  const auto after = samples_.lower_bound(stamp_ns);
+  if (after == samples_.end()) return {Status::kNotYet, {}};
+  if (after->first == stamp_ns) return {Status::kFound, after->second};
+  if (after == samples_.begin()) return {Status::kTooOld, {}};
+  const auto before = std::prev(after);
+  const std::int64_t gap_ns = after->first - before->first;
+  if (gap_ns > max_gap_ns_) return {Status::kGap, {}};
+  const double ratio = static_cast<double>(stamp_ns - before->first) / static_cast<double>(gap_ns);
+  return {Status::kFound, interpolate(before->second, after->second, ratio)};
+}
+
+const char* describe(PoseBuffer::Status status) {
+  switch (status) {
+    case PoseBuffer::Status::kFound:
+      return "found";
+    case PoseBuffer::Status::kNotYet:
+      return "no pose has arrived that is as new as this stamp";
+    case PoseBuffer::Status::kTooOld:
+      return "this stamp is older than the first pose";
+    case PoseBuffer::Status::kGap:
+      return "the poses around this stamp are too far apart";
+  }
+  return "unknown";
+}
+
+}  // namespace semantic_topo_loop::core
