@@ -154,9 +154,9 @@ TEST(ObjectAssociator, PosteriorPrefersTheNearerOfTwoLandmarksWhateverTheirCount
   ObjectAssociator associator(options("cascade", "pro"), classes());
   for (int k = 0; k < 200; ++k) associator.associate(frame_at(k), {{kCup, 0.9, box_at(200.0, 200.0)}});
   const AssociationFrame both =
-      associator.associate(frame_at(200), {{kCup, 0.9, box_at(200.0, 200.0)}, {kCup, 0.9, box_at(270.0, 200.0)}});
+      associator.associate(frame_at(200), {{kCup, 0.9, box_at(200.0, 200.0)}, {kCup, 0.9, box_at(300.0, 200.0)}});
   ASSERT_NE(both.associations[0].landmark_id, both.associations[1].landmark_id);
-  const AssociationFrame next = associator.associate(frame_at(201), {{kCup, 0.9, box_at(268.0, 200.0)}});
+  const AssociationFrame next = associator.associate(frame_at(201), {{kCup, 0.9, box_at(265.0, 200.0)}});
   EXPECT_EQ(next.associations[0].landmark_id, both.associations[1].landmark_id);
 }
 

@@ -1,0 +1,15 @@
+#pragma once
+
+#include <optional>
+#include <string>
+
+#include "semantic_topo_loop/geometry/camera.h"
+
+namespace semantic_topo_loop::core {
+
+/// Reads a calibration such as config/camera/tum_fr2.yaml: `fx, fy, cx, cy, width, height` (pixels) and `distortion`,
+/// the five plumb-bob coefficients `[k1, k2, p1, p2, k3]`. Every key must be there.
+/// @return nullopt, with file, line, key and value in `error`, for anything else
+std::optional<Camera> read_camera(const std::string& path, std::string* error);
+
+}  // namespace semantic_topo_loop::core

@@ -1,0 +1,67 @@
+#pragma once
+
+#include <map>
+#include <memory>
+#include <string>
+#include <utility>
+#include <vector>
+
+#include "semantic_topo_loop/association/association.h"
+#include "semantic_topo_loop/detection/class_table.h"
+#include "semantic_topo_loop/loop/loop_closure.h"
+#include "semantic_topo_loop/map/frame.h"
+#include "semantic_topo_loop/map/landmark.h"
+#include "semantic_topo_loop/pose_graph/map_correction.h"
+
+namespace semantic_topo_loop::core {
+
+/// Collects what the stages publish and writes a run's files (docs/files.md). The offline program and the recorder
+/// nodelet feed it the same objects, so both write the same bytes. Every call is keyed by frame_id; the order between
+/// stages does not matter, the order within one stage does.
+class RunRecorder {
+ public:
+  explicit RunRecorder(std::shared_ptr<const ClassTable> classes) : classes_(std::move(classes)) {}
+
+  void record(const Frame& frame);
+  void record(const AssociationFrame& associations);
+  void record(const MapUpdate& update);
+  void record(std::int64_t frame_id, const std::vector<LoopClosure>& loops, double loop_us);
+  void record(const MapCorrection& correction);
+
+  /// Writes trajectory_live.txt, trajectory.txt, keyframes.csv, objects.csv, loops.csv, associations.csv, timing.csv
+  /// and summary.json, creating the directory. Each file appears whole or not at all.
+  /// @return false, with the path in `error`, if a file cannot be written
+  bool write(const std::string& directory, std::string* error) const;
+
+ private:
+  struct FrameTiming {
+    double association_us = 0.0, mapping_us = 0.0, loop_us = 0.0, optimise_us = 0.0;
+  };
+
+  /// T_map_odom before the frame's own correction: what a live user had.
+  SE3 live_map_from_odom(std::int64_t frame_id) const;
+  /// Pose after the last optimisation: hung on the frame's keyframe, or on the last T_map_odom without one.
+  SE3 final_pose(const Frame& frame) const;
+  std::string trajectory(bool live) const;
+  std::string keyframes() const;
+  std::string objects() const;
+  std::string loops() const;
+  std::string associations() const;
+  std::string timing() const;
+  std::string summary() const;
+
+  std::shared_ptr<const ClassTable> classes_;
+  std::map<std::int64_t, Frame> frames_;                    ///< by frame_id, without the END frame
+  std::map<std::int64_t, std::int64_t> keyframe_frames_;    ///< keyframe_id to frame_id
+  std::map<std::int64_t, AssociationFrame> associations_;   ///< by frame_id
+  std::map<std::int64_t, SE3> T_map_odom_;                  ///< in effect after each frame
+  std::map<std::int64_t, Landmark> landmarks_;              ///< latest state of those that still exist
+  std::map<std::int64_t, std::vector<LoopClosure>> loops_;  ///< by frame_id
+  std::map<std::int64_t, SE3> T_map_keyframe_;              ///< of the last solution, by keyframe_id
+  std::vector<LoopVerdict> verdicts_;                       ///< of the last solution
+  std::map<std::int64_t, FrameTiming> timing_;
+  int merges_ = 0;
+  int corrections_ = 0;
+};
+
+}  // namespace semantic_topo_loop::core

@@ -1,0 +1,82 @@
+#include "semantic_topo_loop/io/options_yaml.h"
+
+#include "yaml.h"
+
+namespace semantic_topo_loop::core {
+namespace {
+
+/// Why an option on its own cannot be taken, or an empty text.
+std::string option_problem(const std::string& key, const std::string& value) {
+  Options options;
+  OptionSetter setter(OptionTexts{{key, value}});
+  options.visit(setter);
+  return setter.error();
+}
+
+bool parse_module(const std::string& path, const std::string& module, const YAML::Node& fields, OptionTexts* texts,
+                  std::string* error) {
+  if (!fields.IsMap()) {
+    *error = yaml_place(path, fields) + ": '" + module + "' must be a map of options";
+    return false;
+  }
+  if (!check_unique_keys(path, fields, error)) return false;
+  for (const auto& entry : fields) {
+    const std::string key = module + "." + entry.first.Scalar();
+    if (!entry.second.IsScalar()) {
+      *error = yaml_place(path, entry.first) + ": '" + key + "' must be a single value";
+      return false;
+    }
+    const std::string problem = option_problem(key, entry.second.Scalar());
+    if (!problem.empty()) {
+      *error = yaml_place(path, entry.first) + ": " + problem;
+      return false;
+    }
+    (*texts)[key] = entry.second.Scalar();
+  }
+  return true;
+}
+
+std::optional<OptionTexts> parse_options(const std::string& path, std::string* error) {
+  const std::optional<YAML::Node> root = read_yaml_map(path, error);
+  if (!root || !check_unique_keys(path, *root, error)) return std::nullopt;
+  OptionTexts texts;
+  for (const auto& entry : *root) {
+    if (!parse_module(path, entry.first.Scalar(), entry.second, &texts, error)) return std::nullopt;
+  }
+  return texts;
+}
+
+}  // namespace
+
+std::optional<OptionTexts> read_option_texts(const std::string& path, std::string* error) {
+  std::string problem;
+  std::optional<OptionTexts> texts = parse_options(path, &problem);
+  if (!texts && error != nullptr) *error = problem;
+  return texts;
+}
+
+bool set_option_text(const std::string& assignment, OptionTexts* texts, std::string* error) {
+  const std::size_t equals = assignment.find('=');
+  if (equals == std::string::npos || equals == 0) {
+    if (error != nullptr) *error = "'" + assignment + "' must be <module>.<field>=<value>";
+    return false;
+  }
+  (*texts)[assignment.substr(0, equals)] = assignment.substr(equals + 1);
+  return true;
+}
+
+std::optional<Options> load_options(const std::string& path, const std::vector<std::string>& assignments,
+                                    std::string* error) {
+  OptionTexts texts;
+  if (!path.empty()) {
+    std::optional<OptionTexts> from_file = read_option_texts(path, error);
+    if (!from_file) return std::nullopt;
+    texts = std::move(*from_file);
+  }
+  for (const std::string& assignment : assignments) {
+    if (!set_option_text(assignment, &texts, error)) return std::nullopt;
+  }
+  return make_options(texts, error);
+}
+
+}  // namespace semantic_topo_loop::core

@@ -1,0 +1,260 @@
+#include "semantic_topo_loop/io/run_recorder.h"
+
+#include <nlohmann/json.hpp>
+
+#include "semantic_topo_loop/io/stamp.h"
+#include "semantic_topo_loop/io/text_file.h"
+#include "semantic_topo_loop/io/tum_trajectory.h"
+
+namespace semantic_topo_loop::core {
+namespace {
+
+const char* level_name(AssociationLevel level) {
+  switch (level) {
+    case AssociationLevel::kNew:
+      return "new";
+    case AssociationLevel::k2d:
+      return "2d";
+    case AssociationLevel::kPosterior:
+      return "pro";
+    case AssociationLevel::k3d:
+      return "3d";
+    case AssociationLevel::kJoint:
+      return "joint";
+    case AssociationLevel::kJda:
+      return "jda";
+    case AssociationLevel::kIgnored:
+      return "ignored";
+    case AssociationLevel::kSuppressed:
+      return "suppressed";
+    case AssociationLevel::kLowScore:
+      return "low_score";
+  }
+  return "unknown";
+}
+
+/// One row of a CSV file, built field by field.
+class CsvRow {
+ public:
+  CsvRow& add(const std::string& text) {
+    row_ += (row_.empty() ? "" : ",") + text;
+    return *this;
+  }
+  CsvRow& add(std::int64_t number) { return add(std::to_string(number)); }
+  CsvRow& add(double number, int decimals) { return add(format_fixed(number, decimals)); }
+  CsvRow& add(const Vec3& v) {
+    return add(v.x(), kLengthDecimals).add(v.y(), kLengthDecimals).add(v.z(), kLengthDecimals);
+  }
+  CsvRow& add(const Quaternion& q) {
+    return add(q.x(), kLengthDecimals)
+        .add(q.y(), kLengthDecimals)
+        .add(q.z(), kLengthDecimals)
+        .add(q.w(), kLengthDecimals);
+  }
+  CsvRow& add(const SE3& T) { return add(T.t).add(T.q); }
+  std::string end() const { return row_ + '\n'; }
+
+ private:
+  static constexpr int kLengthDecimals = 9;
+  std::string row_;
+};
+
+constexpr int kRatioDecimals = 6;
+
+}  // namespace
+
+void RunRecorder::record(const Frame& frame) {
+  if (frame.is_end) return;
+  frames_.insert_or_assign(frame.frame_id, frame);
+  if (frame.is_keyframe) keyframe_frames_[frame.keyframe_id] = frame.frame_id;
+}
+
+void RunRecorder::record(const AssociationFrame& associations) {
+  timing_[associations.frame_id].association_us = associations.duration_us;
+  associations_.insert_or_assign(associations.frame_id, associations);
+}
+
+void RunRecorder::record(const MapUpdate& update) {
+  timing_[update.frame_id].mapping_us += update.duration_us;
+  for (const Landmark& landmark : update.changed) landmarks_.insert_or_assign(landmark.id, landmark);
+  for (const std::int64_t id : update.removed) landmarks_.erase(id);
+  for (const LandmarkMerge& merge : update.merged) landmarks_.erase(merge.merged_id);
+  merges_ += static_cast<int>(update.merged.size());
+}
+
+void RunRecorder::record(std::int64_t frame_id, const std::vector<LoopClosure>& loops, double loop_us) {
+  timing_[frame_id].loop_us = loop_us;
+  if (!loops.empty()) loops_.insert_or_assign(frame_id, loops);
+}
+
+void RunRecorder::record(const MapCorrection& correction) {
+  timing_[correction.frame_id].optimise_us = correction.duration_us;
+  T_map_odom_.insert_or_assign(correction.frame_id, correction.T_map_odom);
+  if (!correction.changed) return;
+  ++corrections_;
+  T_map_keyframe_.clear();
+  for (const KeyframePose& keyframe : correction.keyframes) {
+    T_map_keyframe_.insert_or_assign(keyframe.keyframe_id, keyframe.T_map_camera);
+  }
+  verdicts_ = correction.loops;
+}
+
+SE3 RunRecorder::live_map_from_odom(std::int64_t frame_id) const {
+  const auto own = T_map_odom_.lower_bound(frame_id);
+  return own == T_map_odom_.begin() ? SE3() : std::prev(own)->second;
+}
+
+SE3 RunRecorder::final_pose(const Frame& frame) const {
+  const auto solution = T_map_keyframe_.find(frame.keyframe_id);
+  const auto keyframe_frame = keyframe_frames_.find(frame.keyframe_id);
+  if (solution == T_map_keyframe_.end() || keyframe_frame == keyframe_frames_.end()) {
+    return (T_map_odom_.empty() ? SE3() : T_map_odom_.rbegin()->second) * frame.T_odom_camera;
+  }
+  const SE3& T_odom_keyframe = frames_.at(keyframe_frame->second).T_odom_camera;
+  return solution->second * (T_odom_keyframe.inverse() * frame.T_odom_camera);
+}
+
+std::string RunRecorder::trajectory(bool live) const {
+  std::string text;
+  for (const auto& [frame_id, frame] : frames_) {
+    const SE3 T_map_camera = live ? live_map_from_odom(frame_id) * frame.T_odom_camera : final_pose(frame);
+    text += format_tum_pose({frame.stamp_ns, T_map_camera}) + '\n';
+  }
+  return text;
+}
+
+std::string RunRecorder::keyframes() const {
+  std::string text = "keyframe_id,frame_id,stamp,x,y,z,qx,qy,qz,qw\n";
+  for (const auto& [keyframe_id, frame_id] : keyframe_frames_) {
+    const Frame& frame = frames_.at(frame_id);
+    text += CsvRow().add(keyframe_id).add(frame_id).add(format_stamp(frame.stamp_ns)).add(final_pose(frame)).end();
+  }
+  return text;
+}
+
+std::string RunRecorder::objects() const {
+  std::string text = "id,class_id,label,x,y,z,qx,qy,qz,qw,a,b,c,state,observations,baseline_deg,mean_iou,quality\n";
+  for (const auto& [id, landmark] : landmarks_) {
+    if (!landmark.ellipsoid) continue;
+    text += CsvRow()
+                .add(id)
+                .add(landmark.class_id)
+                .add(classes_->name(landmark.class_id))
+                .add(landmark.ellipsoid->T_world_quadric)
+                .add(landmark.ellipsoid->semi_axes)
+                .add(to_string(landmark.state))
+                .add(landmark.observations)
+                .add(landmark.baseline_deg, kRatioDecimals)
+                .add(landmark.mean_iou, kRatioDecimals)
+                .add(landmark.quality, kRatioDecimals)
+                .end();
+  }
+  return text;
+}
+
+std::string RunRecorder::loops() const {
+  std::string text =
+      "query_frame,match_frame,query_stamp,match_stamp,query_begin,query_end,match_begin,match_end,accepted,reason,"
+      "score,inliers,x,y,z,qx,qy,qz,qw\n";
+  for (const auto& [frame_id, candidates] : loops_) {
+    for (const LoopClosure& loop : candidates) {
+      text += CsvRow()
+                  .add(loop.query_frame)
+                  .add(loop.match_frame)
+                  .add(format_stamp(loop.query_stamp_ns))
+                  .add(format_stamp(loop.match_stamp_ns))
+                  .add(loop.query_begin)
+                  .add(loop.query_end)
+                  .add(loop.match_begin)
+                  .add(loop.match_end)
+                  .add(loop.accepted ? 1 : 0)
+                  .add(to_string(loop.reason))
+                  .add(loop.score, kRatioDecimals)
+                  .add(loop.inliers)
+                  .add(loop.T_match_query)
+                  .end();
+    }
+  }
+  return text;
+}
+
+std::string RunRecorder::associations() const {
+  std::string text = "frame_id,detection_index,landmark_id,level\n";
+  for (const auto& [frame_id, frame] : associations_) {
+    for (const Association& association : frame.associations) {
+      text += CsvRow()
+                  .add(frame_id)
+                  .add(association.detection_index)
+                  .add(association.landmark_id)
+                  .add(level_name(association.level))
+                  .end();
+    }
+  }
+  return text;
+}
+
+std::string RunRecorder::timing() const {
+  std::string text = "frame_id,association_us,mapping_us,loop_us,optimise_us\n";
+  constexpr int kMicrosecondDecimals = 1;
+  for (const auto& [frame_id, frame] : frames_) {
+    const auto it = timing_.find(frame_id);
+    const FrameTiming t = it == timing_.end() ? FrameTiming() : it->second;
+    text += CsvRow()
+                .add(frame_id)
+                .add(t.association_us, kMicrosecondDecimals)
+                .add(t.mapping_us, kMicrosecondDecimals)
+                .add(t.loop_us, kMicrosecondDecimals)
+                .add(t.optimise_us, kMicrosecondDecimals)
+                .end();
+  }
+  return text;
+}
+
+std::string RunRecorder::summary() const {
+  std::int64_t detections = 0, breaks = 0, candidates = 0, accepted = 0, kept = 0;
+  std::map<std::string, int> levels, states, reasons;
+  for (const auto& [frame_id, frame] : frames_) breaks += frame.is_break ? 1 : 0;
+  for (const auto& [frame_id, frame] : associations_) {
+    detections += static_cast<std::int64_t>(frame.associations.size());
+    for (const Association& association : frame.associations) ++levels[level_name(association.level)];
+  }
+  for (const auto& [id, landmark] : landmarks_) ++states[to_string(landmark.state)];
+  for (const auto& [frame_id, loops] : loops_) {
+    candidates += static_cast<std::int64_t>(loops.size());
+    for (const LoopClosure& loop : loops) {
+      ++reasons[to_string(loop.reason)];
+      accepted += loop.accepted ? 1 : 0;
+    }
+  }
+  for (const LoopVerdict& verdict : verdicts_) kept += verdict.kept ? 1 : 0;
+  const nlohmann::json summary = {
+      {"frames", frames_.size()},
+      {"keyframes", keyframe_frames_.size()},
+      {"breaks", breaks},
+      {"detections", detections},
+      {"associations", levels},
+      {"landmarks", states},
+      {"merges", merges_},
+      {"loops", {{"candidates", candidates}, {"accepted", accepted}, {"kept", kept}, {"reasons", reasons}}},
+      {"corrections", corrections_}};
+  constexpr int kIndent = 2;
+  return summary.dump(kIndent) + '\n';
+}
+
+bool RunRecorder::write(const std::string& directory, std::string* error) const {
+  const std::pair<const char*, std::string> files[] = {{"trajectory_live.txt", trajectory(true)},
+                                                       {"trajectory.txt", trajectory(false)},
+                                                       {"keyframes.csv", keyframes()},
+                                                       {"objects.csv", objects()},
+                                                       {"loops.csv", loops()},
+                                                       {"associations.csv", associations()},
+                                                       {"timing.csv", timing()},
+                                                       {"summary.json", summary()}};
+  if (!make_directory(directory, error)) return false;
+  for (const auto& [name, text] : files) {
+    if (!write_text_file(directory + "/" + name, text, error)) return false;
+  }
+  return true;
+}
+
+}  // namespace semantic_topo_loop::core

@@ -1,0 +1,294 @@
+#include "semantic_topo_loop/io/run_recorder.h"
+
+#include <gtest/gtest.h>
+
+#include <nlohmann/json.hpp>
+
+#include "../geometry/random_poses.h"
+#include "../test_files.h"
+#include "semantic_topo_loop/evaluation/run_files.h"
+#include "semantic_topo_loop/io/tum_trajectory.h"
+
+namespace semantic_topo_loop::core {
+namespace {
+
+constexpr std::int64_t kStart = 1500000000000000000, kPeriod = 33333333;
+
+std::shared_ptr<const ClassTable> classes() {
+  return std::make_shared<ClassTable>(*ClassTable::create({{41, "cup", ClassRole::kMovable, "", 0.1}}, nullptr));
+}
+
+/// Ten frames with keyframes at 0 and 5; after frame 7 both keyframes move.
+class RunRecorderTest : public ::testing::Test {
+ protected:
+  RunRecorderTest() : recorder_(classes()) {
+    RandomPoses random(31);
+    T_map_odom_ = random.pose(1.0);
+    for (int i = 0; i < 2; ++i) T_map_keyframe_.push_back(random.pose(1.0));
+    for (int i = 0; i < 10; ++i) frames_.push_back(make_frame(i, random.pose(1.0)));
+  }
+
+  static Frame make_frame(int i, const SE3& T_odom_camera) {
+    Frame frame;
+    frame.frame_id = i;
+    frame.stamp_ns = kStart + i * kPeriod;
+    frame.is_keyframe = i % 5 == 0;
+    frame.keyframe_id = i / 5;
+    frame.is_break = i == 5;
+    frame.T_odom_camera = T_odom_camera;
+    return frame;
+  }
+
+  MapCorrection correction(int i) const {
+    MapCorrection correction;
+    correction.frame_id = i;
+    if (i >= 7) correction.T_map_odom = T_map_odom_;
+    if (i != 7) return correction;
+    correction.changed = true;
+    for (int k = 0; k < 2; ++k) {
+      correction.keyframes.push_back(
+          {k, 5 * k, kStart + 5 * k * kPeriod, T_map_keyframe_[static_cast<std::size_t>(k)]});
+    }
+    correction.loops = {{1, 0, true}, {1, 0, false}};
+    return correction;
+  }
+
+  void record_frames(bool corrections) {
+    for (const Frame& frame : frames_) {
+      recorder_.record(frame);
+      if (corrections) recorder_.record(correction(static_cast<int>(frame.frame_id)));
+    }
+  }
+
+  void write() {
+    std::string error;
+    ASSERT_TRUE(recorder_.write(directory_.path("run"), &error)) << error;
+  }
+  std::string text(const std::string& name) const { return read_whole(directory_.path("run/" + name)); }
+  StampedPoses poses(const std::string& name) const {
+    return read_tum_trajectory(directory_.path("run/" + name), nullptr).value_or(StampedPoses());
+  }
+  static void expect_pose(const SE3& actual, const SE3& expected) {
+    EXPECT_NEAR((actual.matrix() - expected.matrix()).norm(), 0.0, 1e-7);
+  }
+
+  TestDirectory directory_;
+  RunRecorder recorder_;
+  std::vector<Frame> frames_;
+  SE3 T_map_odom_;
+  std::vector<SE3> T_map_keyframe_;
+};
+
+TEST_F(RunRecorderTest, FramesHangOnTheirFinalKeyframes) {
+  record_frames(true);
+  write();
+  const StampedPoses final_poses = poses("trajectory.txt");
+  ASSERT_EQ(final_poses.size(), 10u);
+  for (std::size_t i = 0; i < 10; ++i) {
+    const std::size_t k = i / 5;
+    EXPECT_EQ(final_poses[i].stamp_ns, frames_[i].stamp_ns);
+    expect_pose(final_poses[i].T_world_camera,
+                T_map_keyframe_[k] * frames_[5 * k].T_odom_camera.inverse() * frames_[i].T_odom_camera);
+  }
+}
+
+TEST_F(RunRecorderTest, LivePosesUseTheCorrectionBeforeTheFrame) {
+  record_frames(true);
+  write();
+  const StampedPoses live = poses("trajectory_live.txt");
+  ASSERT_EQ(live.size(), 10u);
+  for (std::size_t i = 0; i < 10; ++i) {
+    expect_pose(live[i].T_world_camera, (i > 7 ? T_map_odom_ : SE3()) * frames_[i].T_odom_camera);
+  }
+}
+
+TEST_F(RunRecorderTest, WithoutCorrectionsBothTrajectoriesAreTheOdometry) {
+  record_frames(false);
+  write();
+  for (const char* name : {"trajectory.txt", "trajectory_live.txt"}) {
+    const StampedPoses written = poses(name);
+    ASSERT_EQ(written.size(), 10u);
+    for (std::size_t i = 0; i < 10; ++i) expect_pose(written[i].T_world_camera, frames_[i].T_odom_camera);
+  }
+}
+
+TEST_F(RunRecorderTest, FramesBeyondTheSolutionUseTheLastMapFromOdom) {
+  record_frames(true);
+  Frame late = make_frame(10, SE3(Quaternion::Identity(), Vec3(1.0, 2.0, 3.0)));
+  recorder_.record(late);
+  write();
+  expect_pose(poses("trajectory.txt").back().T_world_camera, T_map_odom_ * late.T_odom_camera);
+}
+
+TEST_F(RunRecorderTest, TheEndFrameIsNoFrame) {
+  record_frames(true);
+  Frame end = frames_.back();
+  end.frame_id = 10;
+  end.is_end = true;
+  recorder_.record(end);
+  recorder_.record(correction(10));
+  write();
+  EXPECT_EQ(poses("trajectory.txt").size(), 10u);
+  const std::string timing = text("timing.csv");
+  EXPECT_EQ(std::count(timing.begin(), timing.end(), '\n'), 11);
+}
+
+TEST_F(RunRecorderTest, KeyframesAreThoseOfTheTrajectory) {
+  record_frames(true);
+  write();
+  const std::string keyframes = text("keyframes.csv");
+  EXPECT_EQ(keyframes.rfind("keyframe_id,frame_id,stamp,x,y,z,qx,qy,qz,qw\n0,0,1500000000.000000,", 0), 0u);
+  EXPECT_NE(keyframes.find("\n1,5,1500000000.166666665,"), std::string::npos);
+  EXPECT_EQ(std::count(keyframes.begin(), keyframes.end(), '\n'), 3);
+}
+
+Landmark make_landmark(std::int64_t id, LandmarkState state, bool with_ellipsoid) {
+  Landmark landmark;
+  landmark.id = id;
+  landmark.class_id = 41;
+  landmark.state = state;
+  landmark.observations = 12;
+  landmark.baseline_deg = 30.5;
+  landmark.mean_iou = 0.75;
+  landmark.quality = 0.5;
+  if (with_ellipsoid) {
+    landmark.ellipsoid =
+        Ellipsoid{SE3(Quaternion::Identity(), Vec3(static_cast<double>(id), 0.0, 1.0)), Vec3(0.1, 0.2, 0.3)};
+  }
+  return landmark;
+}
+
+TEST_F(RunRecorderTest, ObjectsAreTheLastStatesWithAnEllipsoid) {
+  MapUpdate first;
+  first.frame_id = 0;
+  first.changed = {make_landmark(1, LandmarkState::kCandidate, true), make_landmark(2, LandmarkState::kCandidate, true),
+                   make_landmark(3, LandmarkState::kCandidate, false),
+                   make_landmark(4, LandmarkState::kCandidate, true),
+                   make_landmark(9, LandmarkState::kCandidate, true)};
+  MapUpdate second;
+  second.frame_id = 1;
+  second.changed = {make_landmark(1, LandmarkState::kConfirmed, true), make_landmark(9, LandmarkState::kRetired, true)};
+  second.merged = {{2, 1}};
+  second.removed = {4};
+  recorder_.record(first);
+  recorder_.record(second);
+  write();
+  EXPECT_EQ(text("objects.csv"),
+            "id,class_id,label,x,y,z,qx,qy,qz,qw,a,b,c,state,observations,baseline_deg,mean_iou,quality\n"
+            "1,41,cup,1.000000000,0.000000000,1.000000000,0.000000000,0.000000000,0.000000000,1.000000000,"
+            "0.100000000,0.200000000,0.300000000,confirmed,12,30.500000,0.750000,0.500000\n"
+            "9,41,cup,9.000000000,0.000000000,1.000000000,0.000000000,0.000000000,0.000000000,1.000000000,"
+            "0.100000000,0.200000000,0.300000000,retired,12,30.500000,0.750000,0.500000\n");
+  const auto objects = read_objects(directory_.path("run/objects.csv"), nullptr);
+  ASSERT_TRUE(objects);
+  EXPECT_EQ(objects->at(1).id, 9);
+}
+
+LoopClosure make_loop(std::int64_t query, bool accepted) {
+  LoopClosure loop;
+  loop.query_frame = query;
+  loop.match_frame = 1;
+  loop.query_stamp_ns = kStart + query * 1000000;
+  loop.match_stamp_ns = kStart;
+  loop.query_begin = query - 1;
+  loop.query_end = query + 1;
+  loop.match_begin = 0;
+  loop.match_end = 2;
+  loop.accepted = accepted;
+  loop.reason = accepted ? LoopReason::kAccepted : LoopReason::kTilt;
+  loop.score = 1.25;
+  loop.inliers = 7;
+  return loop;
+}
+
+TEST_F(RunRecorderTest, LoopsInOrderOfFrameAndPosition) {
+  recorder_.record(8, {make_loop(8, true), make_loop(7, false)}, 10.0);
+  recorder_.record(5, {make_loop(5, false)}, 10.0);
+  recorder_.record(6, {}, 10.0);
+  write();
+  const auto loops = read_loops(directory_.path("run/loops.csv"), nullptr);
+  ASSERT_TRUE(loops);
+  ASSERT_EQ(loops->size(), 3u);
+  EXPECT_EQ(loops->at(0).query_frame, 5);
+  EXPECT_EQ(loops->at(1).query_frame, 8);
+  EXPECT_EQ(loops->at(2).query_frame, 7);
+  EXPECT_NE(
+      text("loops.csv").find("\n8,1,1500000000.008000,1500000000.000000,7,9,0,2,1,accepted,1.250000,7,0.000000000"),
+      std::string::npos);
+}
+
+TEST_F(RunRecorderTest, AssociationsByNameOfLevel) {
+  AssociationFrame frame;
+  frame.frame_id = 3;
+  frame.associations.resize(3);
+  frame.associations[0].landmark_id = 5;
+  frame.associations[0].level = AssociationLevel::kJoint;
+  frame.associations[1].detection_index = 1;
+  frame.associations[1].landmark_id = 6;
+  frame.associations[2].detection_index = 2;
+  frame.associations[2].level = AssociationLevel::kIgnored;
+  recorder_.record(frame);
+  write();
+  EXPECT_EQ(text("associations.csv"),
+            "frame_id,detection_index,landmark_id,level\n3,0,5,joint\n3,1,6,new\n3,2,-1,ignored\n");
+}
+
+TEST_F(RunRecorderTest, TimingAddsBothPhasesOfMapping) {
+  recorder_.record(frames_[0]);
+  AssociationFrame associations;
+  associations.frame_id = 0;
+  associations.duration_us = 1.5;
+  recorder_.record(associations);
+  MapUpdate update;
+  update.frame_id = 0;
+  update.duration_us = 2.0;
+  recorder_.record(update);
+  update.phase = MapUpdatePhase::kCorrection;
+  update.duration_us = 0.25;
+  recorder_.record(update);
+  recorder_.record(0, {}, 3.0);
+  MapCorrection correction;
+  correction.frame_id = 0;
+  correction.duration_us = 4.0;
+  recorder_.record(correction);
+  write();
+  EXPECT_EQ(text("timing.csv"), "frame_id,association_us,mapping_us,loop_us,optimise_us\n0,1.5,2.2,3.0,4.0\n");
+}
+
+TEST_F(RunRecorderTest, SummaryCounts) {
+  record_frames(true);
+  AssociationFrame associations;
+  associations.frame_id = 3;
+  associations.associations.resize(2);
+  recorder_.record(associations);
+  MapUpdate update;
+  update.changed = {make_landmark(1, LandmarkState::kConfirmed, true),
+                    make_landmark(2, LandmarkState::kCandidate, false)};
+  update.merged = {{7, 1}};
+  recorder_.record(update);
+  recorder_.record(8, {make_loop(8, true), make_loop(7, false)}, 10.0);
+  write();
+  const nlohmann::json summary = nlohmann::json::parse(text("summary.json"));
+  EXPECT_EQ(summary, nlohmann::json::parse(R"({
+    "frames": 10, "keyframes": 2, "breaks": 1, "detections": 2, "associations": {"new": 2},
+    "landmarks": {"candidate": 1, "confirmed": 1}, "merges": 1, "corrections": 1,
+    "loops": {"candidates": 2, "accepted": 1, "kept": 1, "reasons": {"accepted": 1, "tilt": 1}}})"));
+}
+
+TEST_F(RunRecorderTest, AnEmptyRunStillWritesEveryFile) {
+  write();
+  for (const char* name : {"trajectory_live.txt", "trajectory.txt", "keyframes.csv", "objects.csv", "loops.csv",
+                           "associations.csv", "timing.csv", "summary.json"}) {
+    EXPECT_TRUE(std::filesystem::exists(directory_.path(std::string("run/") + name))) << name;
+  }
+}
+
+TEST_F(RunRecorderTest, AnUnwritableDirectoryIsAnError) {
+  directory_.write("file", "");
+  std::string error;
+  EXPECT_FALSE(recorder_.write(directory_.path("file"), &error));
+  EXPECT_NE(error.find(directory_.path("file")), std::string::npos);
+}
+
+}  // namespace
+}  // namespace semantic_topo_loop::core

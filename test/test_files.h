@@ -1,0 +1,49 @@
+#pragma once
+
+#include <cstdlib>
+#include <filesystem>
+#include <fstream>
+#include <optional>
+#include <sstream>
+#include <string>
+
+namespace semantic_topo_loop::core {
+
+/// A directory of one test, removed at its end.
+class TestDirectory {
+ public:
+  TestDirectory() {
+    std::string pattern = (std::filesystem::temp_directory_path() / "semantic_topo_loop_test_XXXXXX").string();
+    path_ = ::mkdtemp(pattern.data());
+  }
+  ~TestDirectory() { std::filesystem::remove_all(path_); }
+  TestDirectory(const TestDirectory&) = delete;
+  TestDirectory& operator=(const TestDirectory&) = delete;
+
+  std::string path(const std::string& name) const { return path_ + "/" + name; }
+
+  /// Writes a file and gives its path.
+  std::string write(const std::string& name, const std::string& text) const {
+    std::filesystem::create_directories(std::filesystem::path(path(name)).parent_path());
+    std::ofstream(path(name), std::ios::binary) << text;
+    return path(name);
+  }
+
+ private:
+  std::string path_;
+};
+
+inline std::string read_whole(const std::string& path) {
+  std::ostringstream text;
+  text << std::ifstream(path, std::ios::binary).rdbuf();
+  return text.str();
+}
+
+/// A path in the shared recordings, or nullopt without them: GTEST_SKIP() then.
+inline std::optional<std::string> shared_data(const std::string& name) {
+  const char* root = std::getenv("SEMANTIC_TOPO_LOOP_DATA");
+  if (root == nullptr || *root == '\0') return std::nullopt;
+  return std::string(root) + "/" + name;
+}
+
+}  // namespace semantic_topo_loop::core
