@@ -1,0 +1,99 @@
+#include "semantic_topo_loop/evaluation/run_files.h"
+
+#include <cmath>
+#include <functional>
+
+#include "csv_table.h"
+
+namespace semantic_topo_loop::core {
+namespace {
+
+/// Reads every row through `read_row`; the first failure of any becomes the error.
+template <class T>
+std::optional<std::vector<T>> read_rows(const std::string& path, const std::function<T(CsvTable&)>& read_row,
+                                        std::string* error) {
+  std::string problem;
+  std::optional<CsvTable> table = CsvTable::read(path, &problem);
+  std::vector<T> rows;
+  for (std::size_t i = 0; table && i < table->size() && problem.empty(); ++i) {
+    table->select(i);
+    rows.push_back(read_row(*table));
+    problem = table->error();
+  }
+  if (problem.empty()) return rows;
+  if (error != nullptr) *error = problem;
+  return std::nullopt;
+}
+
+Quaternion read_rotation(CsvTable& table) {
+  const Quaternion q(table.number("qw"), table.number("qx"), table.number("qy"), table.number("qz"));
+  constexpr double kMaxNormError = 0.01;
+  if (!(std::abs(q.norm() - 1.0) <= kMaxNormError)) table.reject("qw", "is part of a quaternion that is no rotation");
+  return q.normalized();
+}
+
+MappedObject read_object(CsvTable& table) {
+  MappedObject object;
+  object.id = table.integer("id");
+  object.class_id = static_cast<int>(table.integer("class_id"));
+  object.label = table.text("label");
+  object.center = table.vector("x", "y", "z");
+  object.semi_axes = table.vector("a", "b", "c");
+  object.state = table.text("state");
+  object.observations = static_cast<int>(table.integer("observations"));
+  if (object.state != "candidate" && object.state != "confirmed" && object.state != "retired") {
+    table.reject("state", "must be candidate, confirmed or retired");
+  }
+  return object;
+}
+
+LoopRecord read_loop(CsvTable& table) {
+  LoopRecord loop;
+  loop.query_frame = table.integer("query_frame");
+  loop.match_frame = table.integer("match_frame");
+  loop.query_stamp_ns = table.stamp_ns("query_stamp");
+  loop.match_stamp_ns = table.stamp_ns("match_stamp");
+  loop.query_begin = table.integer("query_begin");
+  loop.query_end = table.integer("query_end");
+  loop.match_begin = table.integer("match_begin");
+  loop.match_end = table.integer("match_end");
+  loop.accepted = table.integer("accepted") == 1;
+  loop.reason = table.text("reason");
+  loop.T_match_query = SE3(read_rotation(table), table.vector("x", "y", "z"));
+  if (!loop.accepted && table.text("accepted") != "0") table.reject("accepted", "must be 0 or 1");
+  return loop;
+}
+
+ReferenceObject read_reference(CsvTable& table) {
+  ReferenceObject object;
+  object.id = static_cast<int>(table.integer("id"));
+  object.class_id = static_cast<int>(table.integer("label_id"));
+  object.label = table.text("label");
+  object.center = table.vector("x", "y", "z");
+  object.semi_axes = table.vector("a", "b", "c");
+  const std::string certainty = table.text("certainty");
+  if (certainty == "probable") {
+    object.certainty = Certainty::kProbable;
+  } else if (certainty == "marginal") {
+    object.certainty = Certainty::kMarginal;
+  } else if (certainty != "certain") {
+    table.reject("certainty", "must be certain, probable or marginal");
+  }
+  return object;
+}
+
+}  // namespace
+
+std::optional<std::vector<MappedObject>> read_objects(const std::string& path, std::string* error) {
+  return read_rows<MappedObject>(path, read_object, error);
+}
+
+std::optional<std::vector<LoopRecord>> read_loops(const std::string& path, std::string* error) {
+  return read_rows<LoopRecord>(path, read_loop, error);
+}
+
+std::optional<std::vector<ReferenceObject>> read_reference_objects(const std::string& path, std::string* error) {
+  return read_rows<ReferenceObject>(path, read_reference, error);
+}
+
+}  // namespace semantic_topo_loop::core

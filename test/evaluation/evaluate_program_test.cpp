@@ -1,0 +1,116 @@
+#include <gtest/gtest.h>
+#include <sys/wait.h>
+
+#include <nlohmann/json.hpp>
+
+#include "../test_files.h"
+
+namespace semantic_topo_loop::core {
+namespace {
+
+/// Runs the program `evaluate` on files of its own.
+class EvaluateProgram : public ::testing::Test {
+ protected:
+  EvaluateProgram() {
+    std::string poses;
+    for (int i = 0; i < 10; ++i) {
+      poses += std::to_string(100 + i) + ".000000 " + std::to_string(i) + " " + std::to_string(i * i) + " 0 0 0 0 1\n";
+    }
+    directory_.write("run/trajectory.txt", poses);
+    directory_.write("gt.txt", poses);
+    directory_.write("run/objects.csv",
+                     "id,class_id,label,x,y,z,a,b,c,state,observations\n7,41,cup,1,2,3,0.1,0.2,0.3,confirmed,12\n"
+                     "8,73,book,4,2,3,0.1,0.2,0.3,confirmed,12\n");
+    directory_.write("reference.csv",
+                     "id,label_id,label,x,y,z,a,b,c,certainty\n0,41,cup,1,2,3,0.1,0.1,0.1,certain\n"
+                     "1,41,cup,8,2,3,0.1,0.1,0.1,certain\n");
+    directory_.write(
+        "run/loops.csv",
+        "query_frame,match_frame,query_stamp,match_stamp,query_begin,query_end,match_begin,match_end,"
+        "accepted,reason,x,y,z,qx,qy,qz,qw\n9,0,109.000000,100.000000,9,9,0,0,1,accepted,9,81,0,0,0,0,1\n");
+  }
+
+  /// @return the exit status; "@" in the arguments stands for the test's directory
+  int run(std::string arguments) {
+    for (std::size_t at = arguments.find('@'); at != std::string::npos; at = arguments.find('@', at)) {
+      arguments.replace(at, 1, directory_.path(""));
+    }
+    const std::string command = std::string(STL_EVALUATE_PROGRAM) + " " + arguments + " >" + directory_.path("out") +
+                                " 2>" + directory_.path("err");
+    const int status = std::system(command.c_str());
+    out_ = read_whole(directory_.path("out"));
+    err_ = read_whole(directory_.path("err"));
+    return WIFEXITED(status) ? WEXITSTATUS(status) : -1;
+  }
+  nlohmann::json json() const { return nlohmann::json::parse(read_whole(directory_.path("out.json"))); }
+
+  void expect_one_line_error(const std::string& part) const {
+    EXPECT_TRUE(out_.empty()) << out_;
+    EXPECT_NE(err_.find(part), std::string::npos) << err_;
+    EXPECT_EQ(std::count(err_.begin(), err_.end(), '\n'), 1) << err_;
+  }
+
+  TestDirectory directory_;
+  std::string out_, err_;
+};
+
+TEST_F(EvaluateProgram, Help) {
+  EXPECT_EQ(run("--help"), 0);
+  EXPECT_NE(out_.find("evaluate trajectory EST GT"), std::string::npos);
+  EXPECT_EQ(run("objects --help"), 0);
+}
+
+TEST_F(EvaluateProgram, Trajectory) {
+  ASSERT_EQ(run("trajectory @run/trajectory.txt @gt.txt --json @out.json"), 0) << err_;
+  EXPECT_NE(out_.find("ATE"), std::string::npos);
+  EXPECT_EQ(json()["pairs"], 10);
+  EXPECT_NEAR(json()["ate_m"]["rmse"].get<double>(), 0.0, 1e-9);
+}
+
+TEST_F(EvaluateProgram, Objects) {
+  ASSERT_EQ(run("objects @run @gt.txt @reference.csv --json @out.json"), 0) << err_;
+  EXPECT_NE(out_.find("certain: precision                 0.5000  (1 / 2)"), std::string::npos) << out_;
+  EXPECT_EQ(json()["certain"]["recall"]["right"], 1);
+  EXPECT_EQ(json()["certain"]["recall"]["total"], 2);
+  EXPECT_EQ(json()["matches"].size(), 3u);
+}
+
+TEST_F(EvaluateProgram, Loops) {
+  ASSERT_EQ(run("loops @run @gt.txt --mocap @gt.txt --json @out.json"), 0) << err_;
+  EXPECT_EQ(json()["right_wide"]["right"], 1);
+  EXPECT_EQ(json()["right_wide"]["total"], 1);
+  EXPECT_EQ(json()["not_judged"], 0);
+}
+
+TEST_F(EvaluateProgram, BadFilesEndWithOneErrorAndStatusOne) {
+  EXPECT_EQ(run("trajectory @none.txt @gt.txt"), 1);
+  expect_one_line_error("none.txt: cannot open the file");
+  EXPECT_EQ(run("objects @run @gt.txt @gt.txt"), 1);
+  expect_one_line_error("gt.txt");
+  EXPECT_EQ(run("loops @nowhere @gt.txt"), 1);
+  expect_one_line_error("nowhere/loops.csv: cannot open the file");
+  directory_.write("bad.txt", "1 2 3\n");
+  EXPECT_EQ(run("loops @run @gt.txt --mocap @bad.txt"), 1);
+  expect_one_line_error("bad.txt:1: 3 columns instead of 8");
+  directory_.write("other.txt", "1 0 0 0 0 0 0 1\n");
+  EXPECT_EQ(run("trajectory @other.txt @gt.txt"), 1);
+  expect_one_line_error("other.txt: cannot align the trajectories");
+  EXPECT_EQ(run("trajectory @gt.txt @gt.txt --json @none/out.json"), 1);
+  EXPECT_NE(err_.find("none/out.json"), std::string::npos);
+}
+
+TEST_F(EvaluateProgram, BadArgumentsEndWithStatusTwo) {
+  EXPECT_EQ(run(""), 2);
+  EXPECT_EQ(run("everything @run"), 2);
+  EXPECT_EQ(run("trajectory @gt.txt"), 2);
+  expect_one_line_error("evaluate trajectory takes 2 paths, not 1");
+  EXPECT_EQ(run("trajectory @gt.txt @gt.txt --typo"), 2);
+  expect_one_line_error("unknown option '--typo'");
+  EXPECT_EQ(run("objects @run @gt.txt @reference.csv --mocap @gt.txt"), 2);
+  expect_one_line_error("unknown option '--mocap'");
+  EXPECT_EQ(run("trajectory @gt.txt @gt.txt --json"), 2);
+  expect_one_line_error("--json needs a file");
+}
+
+}  // namespace
+}  // namespace semantic_topo_loop::core
