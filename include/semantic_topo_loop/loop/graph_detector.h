@@ -1,0 +1,45 @@
+#pragma once
+
+#include <optional>
+#include <vector>
+
+#include "semantic_topo_loop/loop/graph_matcher.h"
+#include "semantic_topo_loop/loop/local_map.h"
+#include "semantic_topo_loop/loop/loop_closure.h"
+#include "semantic_topo_loop/loop/loop_options.h"
+#include "semantic_topo_loop/loop/loop_verifier.h"
+#include "semantic_topo_loop/loop/submap_refiner.h"
+
+namespace semantic_topo_loop::core {
+
+/// Loops between the submap of the last seconds and all earlier ones, by their object graphs alone.
+class GraphDetector {
+ public:
+  explicit GraphDetector(const LoopOptions& options);
+
+  /// Matches the submap with those stored at least `min_gap_s` before it.
+  std::vector<LoopClosure> detect(const LocalMap& query) const;
+  /// Keeps the submap for later queries if the last one kept is old enough.
+  void store(LocalMap map);
+
+ private:
+  struct Candidate {
+    const LocalMap* match = nullptr;
+    GraphMatch alignment;  ///< a: match, b: query
+    double second_score = 0.0;
+    Verdict verdict;
+  };
+  std::optional<Candidate> examine(const LocalMap& query, const std::vector<LabelledPoint>& points,
+                                   std::size_t stored) const;
+  void select(std::vector<Candidate>* candidates) const;
+  LoopClosure finish(const LocalMap& query, const Candidate& candidate) const;
+
+  LoopOptions options_;
+  GraphMatcher matcher_;
+  LoopVerifier verifier_;
+  SubmapRefiner refiner_;
+  std::vector<LocalMap> maps_;
+  std::vector<std::vector<LabelledPoint>> points_;
+};
+
+}  // namespace semantic_topo_loop::core

@@ -1,0 +1,76 @@
+#pragma once
+
+#include <deque>
+#include <optional>
+#include <vector>
+
+#include "semantic_topo_loop/loop/observation_window.h"
+#include "semantic_topo_loop/loop/spheroid.h"
+#include "semantic_topo_loop/loop/up_estimator.h"
+
+namespace semantic_topo_loop::core {
+
+struct LoopOptions;
+
+/// A camera of a submap. The submap's frame is its anchor camera, so that the odometry's world never matters.
+struct LocalFrame {
+  std::int64_t frame_id = -1;
+  Mat3 R_camera_local = Mat3::Identity();
+  Vec3 t_camera_local = Vec3::Zero();
+  Vec3 position = Vec3::Zero();  ///< of the camera, local frame, m
+  Vec2 focal_px = Vec2::Ones();
+  Box image;  ///< on the plane z = 1
+  std::vector<ObservedBox> boxes;
+
+  Vec3 to_camera(const Vec3& point) const { return R_camera_local * point + t_camera_local; }
+};
+
+/// A box that an object was fitted to.
+struct ObjectView {
+  int frame = -1;  ///< index in LocalMap::frames
+  Box box;         ///< on the plane z = 1
+};
+
+struct LocalObject {
+  std::int64_t landmark_id = -1;  ///< the one most of its boxes carry
+  int label = -1;
+  Spheroid spheroid;                   ///< about LocalMap::up, local frame
+  Mat3 covariance = Mat3::Identity();  ///< of the centre, m^2
+  int frames_seen = 0;
+  double seen_share = 0.0;  ///< frames that detect it over frames that have it in view
+  double parallax_deg = 0.0;
+  std::vector<ObjectView> views;
+};
+
+/// Submap: the objects seen within a few seconds, placed by these frames alone.
+struct LocalMap {
+  std::int64_t keyframe_id = -1;  ///< the anchor, a keyframe near the middle
+  std::int64_t frame_id = -1;
+  std::int64_t stamp_ns = 0;
+  std::int64_t begin_frame = -1, end_frame = -1;
+  double span_s = 0.0;
+  UpDirection up;                  ///< anchor camera frame
+  std::vector<LocalFrame> frames;  ///< those that views or checks refer to
+  std::vector<int> check_frames;   ///< indices of frames, spread evenly over the window
+  std::vector<LocalObject> objects;
+};
+
+/// True if the point projects well inside the image, at a depth at which objects are mapped.
+bool in_view(const LocalFrame& frame, const Vec3& point, double max_depth_m);
+
+class LocalMapBuilder {
+ public:
+  explicit LocalMapBuilder(const LoopOptions& options);
+  /// @param T_odom of the frames, any world   @return nullopt if the window holds no keyframe
+  std::optional<LocalMap> build(const std::deque<ObservedFrame>& window, const LandmarkRedirects& redirects,
+                                const UpEstimator& up) const;
+
+ private:
+  std::vector<LocalObject> find_objects(const LocalMap& map, const LandmarkRedirects& redirects) const;
+  std::optional<LocalObject> fit(const LocalMap& map, std::vector<ObjectView> views, const Vec3& center) const;
+
+  int min_views_, fit_views_;
+  double min_parallax_rad_, min_seen_share_, max_depth_m_, max_radius_m_;
+};
+
+}  // namespace semantic_topo_loop::core

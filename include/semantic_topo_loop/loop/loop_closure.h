@@ -1,0 +1,54 @@
+#pragma once
+
+#include <cstdint>
+#include <vector>
+
+#include "semantic_topo_loop/geometry/se3.h"
+
+namespace semantic_topo_loop::core {
+
+/// Why a candidate was accepted or rejected.
+enum class LoopReason : std::uint8_t {
+  kAccepted = 0,
+  kTooFewObjects = 1,  ///< a submap or the common set is too small
+  kTooFewInliers = 2,
+  kTooFewLabels = 3,
+  kDegenerate = 4,     ///< objects on a line or in a point
+  kResidual = 5,       ///< alignment error too large
+  kAmbiguous = 6,      ///< a second, different alignment explains nearly as much
+  kReprojection = 7,   ///< the matched objects do not reproject onto the detections
+  kMirrored = 8,       ///< the cameras lie on different sides of the objects' plane
+  kTilt = 9,           ///< the local up directions disagree
+  kRefinement = 10,    ///< the refinement on boxes failed or moved too far
+  kLowScore = 11,      ///< paper mode: below the score threshold
+  kInconsistent = 12,  ///< paper mode: not repeated over consecutive keyframes
+};
+
+const char* to_string(LoopReason reason);
+
+struct ObjectMatch {
+  std::int64_t query_landmark_id = -1;
+  std::int64_t match_landmark_id = -1;
+};
+
+/// A loop candidate that reached verification: two keyframes and how the later one (query) sees the earlier (match).
+struct LoopClosure {
+  std::int64_t query_keyframe_id = -1, match_keyframe_id = -1;
+  std::int64_t query_frame = -1, match_frame = -1;  ///< frame_id of the two keyframes
+  std::int64_t query_stamp_ns = 0, match_stamp_ns = 0;
+  std::int64_t query_begin = -1, query_end = -1;  ///< first and last frame_id of the evidence
+  std::int64_t match_begin = -1, match_end = -1;
+  bool accepted = false;
+  LoopReason reason = LoopReason::kTooFewObjects;
+  double score = 0.0;
+  double second_score = 0.0;  ///< of the best distinct alternative
+  double rms_m = 0.0;
+  double reprojection_ratio = 0.0;  ///< matched over expected boxes, the worse of both ways
+  int inliers = 0;
+  int labels = 0;
+  SE3 T_match_query;                   ///< of the cameras at query_frame and match_frame
+  Mat6 covariance = Mat6::Identity();  ///< of T_match_query: (translation m, rotation rad), right
+  std::vector<ObjectMatch> matches;
+};
+
+}  // namespace semantic_topo_loop::core

@@ -1,0 +1,37 @@
+#pragma once
+
+#include <memory>
+#include <vector>
+
+#include "semantic_topo_loop/association/association.h"
+#include "semantic_topo_loop/detection/class_table.h"
+#include "semantic_topo_loop/loop/loop_closure.h"
+#include "semantic_topo_loop/map/frame.h"
+#include "semantic_topo_loop/map/landmark.h"
+
+namespace semantic_topo_loop::core {
+
+struct LoopOptions;
+
+/// QLT-SLC: recognises places by the semantic topology of their objects, in `graph` or `paper` mode.
+class LoopDetector {
+ public:
+  LoopDetector(const LoopOptions& options, std::shared_ptr<const ClassTable> classes);
+  ~LoopDetector();
+  LoopDetector(LoopDetector&&) noexcept;
+  LoopDetector& operator=(LoopDetector&&) noexcept;
+
+  /// Keeps landmark quality, states and merge redirects up to date. Call it with every update, in order.
+  void apply(const MapUpdate& update);
+  /// Takes in a frame; at keyframes looks for loops. Call after `apply` of the frame's observation update.
+  /// @return every candidate that reached verification, accepted or not
+  std::vector<LoopClosure> detect(const Frame& frame, const AssociationFrame& associations);
+  /// Loop closing can be switched at run time; frames are taken in all the same.
+  void set_enabled(bool enabled);
+
+ private:
+  class Impl;
+  std::unique_ptr<Impl> impl_;
+};
+
+}  // namespace semantic_topo_loop::core

@@ -1,0 +1,116 @@
+#pragma once
+
+#include <string>
+
+namespace semantic_topo_loop::core {
+
+/// Parameters of loop detection. The defaults are the figures of design.md section 5, one set for all sequences.
+struct LoopOptions {
+  bool enabled = true;
+  std::string mode = "graph";
+  std::string score = "corrected";
+  double min_gap_s = 16.0;
+  int max_candidates = 4;
+
+  double window_s = 8.0;
+  double frame_interval_s = 0.09;
+  double store_interval_s = 2.0;
+  int min_views = 6;
+  double min_parallax_deg = 5.0;
+  double min_seen_share = 0.12;
+  double max_depth_m = 6.0;
+  double max_radius_m = 1.5;
+  int fit_views = 15;
+  double up_window_s = 33.0;
+
+  double size_ratio_log = 0.7;
+  double distance_tolerance_m = 0.06;
+  double distance_tolerance_share = 0.03;
+  double min_distance_m = 0.05;
+  double inlier_distance_m = 0.12;
+
+  int min_inliers = 7;
+  int min_labels = 3;
+  double max_rms_m = 0.09;
+  double min_spread_m = 0.05;
+  double ambiguity_ratio = 1.3;
+  double reprojection_iou = 0.3;
+  double min_reprojection_ratio = 0.4;
+  int min_reprojected_objects = 4;
+  double min_explained_share = 0.25;
+  double max_tilt_deg = 20.0;
+
+  int refine_views = 8;
+  double refine_sigma_px = 4.0;
+  double refine_sigma_share = 0.06;
+  double refine_max_residual = 1.2;
+  double refine_max_shift_m = 0.35;
+  double refine_max_shift_deg = 15.0;
+  double covariance_inflation = 2.0;
+  double max_sigma_m = 0.2;
+  double max_sigma_deg = 6.0;
+
+  int paper_min_common = 3;
+  int paper_min_gap_frames = 1000;
+  double paper_window_s = 3.0;
+  double paper_printed_min_score = 6.0;
+  double paper_corrected_min_score = 0.3;
+  int paper_consistency = 3;
+
+  template <class Visitor>
+  void visit(Visitor& visitor) {
+    visitor("loop.enabled", enabled, "look for loops");
+    visitor("loop.mode", mode, "graph (local object graphs) or paper (shared landmarks)");
+    visitor("loop.score", score, "paper mode: corrected or printed");
+    visitor("loop.min_gap_s", min_gap_s, "graph mode: no loop between submaps closer in time");
+    visitor("loop.max_candidates", max_candidates, "candidates reported a keyframe at most");
+    visitor("loop.window_s", window_s, "graph mode: time span of a submap");
+    visitor("loop.frame_interval_s", frame_interval_s, "frames of a submap are at least this far apart");
+    visitor("loop.store_interval_s", store_interval_s, "a submap is kept for later matches every so often");
+    visitor("loop.min_views", min_views, "frames of a submap that see an object, at least");
+    visitor("loop.min_parallax_deg", min_parallax_deg, "largest angle between two rays to an object, at least");
+    visitor("loop.min_seen_share", min_seen_share,
+            "share of the frames with an object in view that detect it, at least");
+    visitor("loop.max_depth_m", max_depth_m, "no object of a submap is farther away");
+    visitor("loop.max_radius_m", max_radius_m, "no object of a submap is larger");
+    visitor("loop.fit_views", fit_views, "boxes used to fit one object of a submap");
+    visitor("loop.up_window_s", up_window_s, "time over which the up direction is estimated");
+    visitor("loop.size_ratio_log", size_ratio_log, "two objects may correspond if |log of their size ratio| is below");
+    visitor("loop.distance_tolerance_m", distance_tolerance_m,
+            "two correspondences agree if their distances differ less");
+    visitor("loop.distance_tolerance_share", distance_tolerance_share, "plus this share of the distance");
+    visitor("loop.min_distance_m", min_distance_m, "objects closer to each other say nothing");
+    visitor("loop.inlier_distance_m", inlier_distance_m, "an object is an inlier of an alignment within this distance");
+    visitor("loop.min_inliers", min_inliers, "aligned objects of an accepted loop");
+    visitor("loop.min_labels", min_labels, "different labels of an accepted loop");
+    visitor("loop.max_rms_m", max_rms_m, "alignment error of an accepted loop");
+    visitor("loop.min_spread_m", min_spread_m, "second singular value of the aligned objects' spread");
+    visitor("loop.ambiguity_ratio", ambiguity_ratio, "score over that of the best distinct alternative");
+    visitor("loop.reprojection_iou", reprojection_iou, "overlap of a projected object with its detection");
+    visitor("loop.min_reprojection_ratio", min_reprojection_ratio, "matched over expected boxes, both ways");
+    visitor("loop.min_reprojected_objects", min_reprojected_objects, "objects that reproject well, both ways");
+    visitor("loop.min_explained_share", min_explained_share, "share of the detections explained, both ways");
+    visitor("loop.max_tilt_deg", max_tilt_deg, "angle between the up directions of the two submaps");
+    visitor("loop.refine_views", refine_views, "boxes of each object and side in the refinement");
+    visitor("loop.refine_sigma_px", refine_sigma_px, "standard deviation of a box edge in the refinement");
+    visitor("loop.refine_sigma_share", refine_sigma_share, "plus this share of the box size");
+    visitor("loop.refine_max_residual", refine_max_residual,
+            "median box residual after refinement, standard deviations");
+    visitor("loop.refine_max_shift_m", refine_max_shift_m, "the refinement may move the alignment this far");
+    visitor("loop.refine_max_shift_deg", refine_max_shift_deg, "and turn it this far");
+    visitor("loop.covariance_inflation", covariance_inflation, "factor on the refinement's standard deviations");
+    visitor("loop.max_sigma_m", max_sigma_m, "stated error of an accepted loop's translation, at most");
+    visitor("loop.max_sigma_deg", max_sigma_deg, "stated error of an accepted loop's rotation, at most");
+    visitor("loop.paper_min_common", paper_min_common, "paper mode: th_objs, common landmarks of a candidate");
+    visitor("loop.paper_min_gap_frames", paper_min_gap_frames, "paper mode: th_ids, frames between the keyframes");
+    visitor("loop.paper_window_s", paper_window_s,
+            "paper mode: time before a keyframe that its node centres come from");
+    visitor("loop.paper_printed_min_score", paper_printed_min_score, "paper mode: threshold of the printed score");
+    visitor("loop.paper_corrected_min_score", paper_corrected_min_score,
+            "paper mode: threshold of the corrected score");
+    visitor("loop.paper_consistency", paper_consistency, "paper mode: consecutive keyframes that must agree");
+  }
+  bool is_valid(std::string* error) const;
+};
+
+}  // namespace semantic_topo_loop::core

@@ -1,0 +1,74 @@
+#pragma once
+
+#include <cstdint>
+#include <deque>
+#include <map>
+#include <memory>
+#include <vector>
+
+#include "semantic_topo_loop/association/association.h"
+#include "semantic_topo_loop/detection/class_table.h"
+#include "semantic_topo_loop/map/frame.h"
+#include "semantic_topo_loop/map/landmark.h"
+
+namespace semantic_topo_loop::core {
+
+/// A detection of a mappable class, as loop detection keeps it.
+struct ObservedBox {
+  std::int64_t landmark_id = -1;
+  int label = -1;              ///< one number for all classes of a group
+  Box box;                     ///< on the plane z = 1 of the camera (undistorted, without intrinsics)
+  std::uint8_t truncated = 0;  ///< Truncation bits
+};
+
+struct ObservedFrame {
+  std::int64_t frame_id = -1;
+  std::int64_t keyframe_id = -1;
+  std::int64_t stamp_ns = 0;
+  bool is_keyframe = false;
+  SE3 T_odom_camera;
+  Vec2 focal_px = Vec2::Ones();
+  Box image;  ///< the image's rectangle on the plane z = 1
+  std::vector<ObservedBox> boxes;
+};
+
+/// Follows the redirects of merged landmarks.
+class LandmarkRedirects {
+ public:
+  void add(const LandmarkMerge& merge) { survivor_[merge.merged_id] = merge.survivor_id; }
+  std::int64_t resolve(std::int64_t id) const;
+
+ private:
+  std::map<std::int64_t, std::int64_t> survivor_;
+};
+
+/// Gives all classes of a confusable group one label.
+class LabelTable {
+ public:
+  explicit LabelTable(const ClassTable& classes);
+  /// -1 for a class that does not become a landmark.
+  int label(int class_id) const;
+
+ private:
+  std::map<int, int> label_of_class_;
+};
+
+/// The last seconds of frames with their boxes; starts afresh at a break of the odometry.
+class ObservationWindow {
+ public:
+  /// @param interval_s frames closer to the last kept one are left out unless they are keyframes
+  ObservationWindow(double span_s, double interval_s, LabelTable labels);
+
+  void push(const Frame& frame, const AssociationFrame& associations);
+  const std::deque<ObservedFrame>& frames() const { return frames_; }
+
+ private:
+  ObservedFrame observe(const Frame& frame, const AssociationFrame& associations) const;
+
+  std::int64_t span_ns_, interval_ns_;
+  LabelTable labels_;
+  std::deque<ObservedFrame> frames_;
+  std::int64_t last_sampled_ns_ = 0;
+};
+
+}  // namespace semantic_topo_loop::core

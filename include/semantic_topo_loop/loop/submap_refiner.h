@@ -1,0 +1,32 @@
+#pragma once
+
+#include <optional>
+#include <vector>
+
+#include "semantic_topo_loop/loop/graph_matcher.h"
+#include "semantic_topo_loop/loop/local_map.h"
+#include "semantic_topo_loop/loop/loop_options.h"
+
+namespace semantic_topo_loop::core {
+
+struct Refinement {
+  SE3 T_a_b;
+  Mat6 covariance = Mat6::Identity();  ///< of T_a_b: (translation m, rotation rad), right perturbation
+  double median_residual = 0.0;        ///< of the box edges, standard deviations
+};
+
+/// Bundle adjustment over two submaps: their relative pose and one spheroid for each pair of matched objects, from the
+/// boxes of both sides. The poses within a submap stay as the odometry gave them.
+class SubmapRefiner {
+ public:
+  explicit SubmapRefiner(const LoopOptions& options);
+  /// @return nullopt if the problem cannot be solved or the pose is not determined
+  std::optional<Refinement> refine(const LocalMap& a, const LocalMap& b, const SE3& T_a_b,
+                                   const std::vector<NodePair>& pairs) const;
+
+ private:
+  int views_;
+  double sigma_px_, sigma_share_, inflation_;
+};
+
+}  // namespace semantic_topo_loop::core

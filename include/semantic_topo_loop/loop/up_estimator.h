@@ -1,0 +1,36 @@
+#pragma once
+
+#include <cstdint>
+#include <deque>
+#include <optional>
+
+#include "semantic_topo_loop/map/frame.h"
+
+namespace semantic_topo_loop::core {
+
+struct UpDirection {
+  Vec3 direction = Vec3(0.0, -1.0, 0.0);  ///< unit
+  bool certain = false;                   ///< good enough to compare two places by it
+};
+
+/// Where up is, without a gravity sensor: a camera held without roll keeps its x axis level, so the direction that is
+/// most nearly perpendicular to all x axes of the recent past is vertical; its sign is that of image-up. Uncertain
+/// while the camera has hardly turned about the vertical, or rolls.
+class UpEstimator {
+ public:
+  explicit UpEstimator(double span_s);
+  /// Starts afresh at a break of the odometry.
+  void push(const Frame& frame);
+  /// Up in the frame of a camera. Depends on relative poses only.
+  UpDirection estimate(const Quaternion& q_odom_camera) const;
+
+ private:
+  struct Sample {
+    std::int64_t stamp_ns;
+    Quaternion q_odom_camera;
+  };
+  std::int64_t span_ns_;
+  std::deque<Sample> samples_;
+};
+
+}  // namespace semantic_topo_loop::core

@@ -1,0 +1,61 @@
+#include "semantic_topo_loop/loop/observation_window.h"
+
+#include <cmath>
+
+namespace semantic_topo_loop::core {
+
+std::int64_t LandmarkRedirects::resolve(std::int64_t id) const {
+  for (auto it = survivor_.find(id); it != survivor_.end(); it = survivor_.find(id)) id = it->second;
+  return id;
+}
+
+LabelTable::LabelTable(const ClassTable& classes) {
+  std::map<std::string, int> label_of_group;
+  for (const auto& [id, object_class] : classes.classes()) {
+    if (!classes.is_mappable(id)) continue;
+    const bool grouped = !object_class.group.empty();
+    label_of_class_[id] = grouped ? label_of_group.emplace(object_class.group, id).first->second : id;
+  }
+}
+
+int LabelTable::label(int class_id) const {
+  const auto it = label_of_class_.find(class_id);
+  return it == label_of_class_.end() ? -1 : it->second;
+}
+
+ObservationWindow::ObservationWindow(double span_s, double interval_s, LabelTable labels)
+    : span_ns_(std::llround(1e9 * span_s)), interval_ns_(std::llround(1e9 * interval_s)), labels_(std::move(labels)) {}
+
+void ObservationWindow::push(const Frame& frame, const AssociationFrame& associations) {
+  if (frame.is_break) frames_.clear();
+  const bool sampled = frames_.empty() || frame.stamp_ns - last_sampled_ns_ >= interval_ns_;
+  if (sampled) last_sampled_ns_ = frame.stamp_ns;
+  if (sampled || frame.is_keyframe) frames_.push_back(observe(frame, associations));
+  while (!frames_.empty() && frame.stamp_ns - frames_.front().stamp_ns > span_ns_) frames_.pop_front();
+}
+
+ObservedFrame ObservationWindow::observe(const Frame& frame, const AssociationFrame& associations) const {
+  const Camera& camera = frame.camera;
+  ObservedFrame observed;
+  observed.frame_id = frame.frame_id;
+  observed.keyframe_id = frame.keyframe_id;
+  observed.stamp_ns = frame.stamp_ns;
+  observed.is_keyframe = frame.is_keyframe;
+  observed.T_odom_camera = frame.T_odom_camera;
+  observed.focal_px = Vec2(camera.fx, camera.fy);
+  const auto normalised = [&camera](const Box& box) {
+    const Vec3 low = camera.ray({box.x1, box.y1}), high = camera.ray({box.x2, box.y2});
+    return Box{low.x(), low.y(), high.x(), high.y()};
+  };
+  observed.image = normalised({0.0, 0.0, static_cast<double>(camera.width), static_cast<double>(camera.height)});
+  for (const Association& association : associations.associations) {
+    if (association.landmark_id < 0 || !association.box.is_valid()) continue;
+    const int class_id = association.landmark_class_id >= 0 ? association.landmark_class_id : association.class_id;
+    const int label = labels_.label(class_id);
+    if (label < 0) continue;
+    observed.boxes.push_back({association.landmark_id, label, normalised(association.box), association.truncated});
+  }
+  return observed;
+}
+
+}  // namespace semantic_topo_loop::core

@@ -1,0 +1,202 @@
+#include "semantic_topo_loop/loop/graph_matcher.h"
+
+#include <gtest/gtest.h>
+
+#include <algorithm>
+#include <cmath>
+#include <limits>
+
+#include "semantic_topo_loop/loop/clique_search.h"
+#include "synthetic_desk.h"
+
+namespace semantic_topo_loop::core {
+namespace {
+
+using testing::noise;
+using testing::uniform;
+
+struct Problem {
+  std::vector<LabelledPoint> a, b;
+  SE3 T_a_b;
+  int common = 0;
+};
+
+SE3 random_transform(std::mt19937_64& random) {
+  const Vec3 rotation(uniform(random, -2, 2), uniform(random, -2, 2), uniform(random, -2, 2));
+  return {so3_exp(rotation), Vec3(uniform(random, -3, 3), uniform(random, -3, 3), uniform(random, -3, 3))};
+}
+
+LabelledPoint random_point(std::mt19937_64& random, int labels) {
+  LabelledPoint point;
+  point.position = Vec3(uniform(random, -1, 1), uniform(random, -0.7, 0.7), uniform(random, 0, 0.5));
+  point.label = static_cast<int>(uniform(random, 0, labels));
+  point.size = uniform(random, 0.05, 0.12);
+  return point;
+}
+
+/// Point i < common of b is point i of a, seen in another frame with 1 cm of noise; the rest are others.
+Problem random_problem(std::uint64_t seed, int common, int others, int labels) {
+  std::mt19937_64 random(seed);
+  Problem problem;
+  problem.T_a_b = random_transform(random);
+  problem.common = common;
+  const SE3 T_b_a = problem.T_a_b.inverse();
+  for (int i = 0; i < common + others; ++i) {
+    const LabelledPoint p = random_point(random, labels);
+    LabelledPoint q = i < common ? p : random_point(random, labels);
+    q.position = T_b_a * q.position + 0.01 * Vec3(noise(random), noise(random), noise(random));
+    problem.a.push_back(p);
+    problem.b.push_back(q);
+  }
+  return problem;
+}
+
+std::vector<GraphMatch> match(const Problem& problem) {
+  return GraphMatcher(GraphMatcherOptions()).match(problem.a, problem.b);
+}
+
+TEST(GraphMatcher, FindsTheCommonPartAmongOutliers) {
+  int exact = 0;
+  for (std::uint64_t seed = 0; seed < 200; ++seed) {
+    const Problem problem = random_problem(seed, 9, 6, 4);
+    const std::vector<GraphMatch> matches = match(problem);
+    ASSERT_FALSE(matches.empty()) << "seed " << seed;
+    bool close = true;
+    for (int i = 0; i < problem.common; ++i) {
+      const LabelledPoint& p = problem.a[static_cast<std::size_t>(i)];
+      const LabelledPoint& q = problem.b[static_cast<std::size_t>(i)];
+      close = close && (matches.front().T_a_b * q.position - p.position).norm() < 0.08;
+    }
+    int right = 0;
+    for (const NodePair& pair : matches.front().pairs) right += pair.a == pair.b && pair.a < problem.common ? 1 : 0;
+    exact += close && right >= problem.common - 1 ? 1 : 0;
+  }
+  EXPECT_GE(exact, 197);
+}
+
+TEST(GraphMatcher, IsExactWithoutNoise) {
+  std::mt19937_64 random(3);
+  Problem problem = random_problem(11, 8, 0, 4);
+  for (std::size_t i = 0; i < problem.a.size(); ++i) {
+    problem.b[i].position = problem.T_a_b.inverse() * problem.a[i].position;
+  }
+  const std::vector<GraphMatch> matches = match(problem);
+  ASSERT_FALSE(matches.empty());
+  EXPECT_EQ(matches.front().pairs.size(), 8u);
+  EXPECT_LT(matches.front().rms_m, 1e-9);
+  EXPECT_NEAR(matches.front().score, 8.0, 1e-9);
+  EXPECT_LT((matches.front().T_a_b.t - problem.T_a_b.t).norm(), 1e-9);
+}
+
+TEST(GraphMatcher, KeepsTheInputsOrderOutOfTheResult) {
+  const Problem problem = random_problem(21, 9, 5, 4);
+  Problem reversed = problem;
+  std::reverse(reversed.a.begin(), reversed.a.end());
+  std::reverse(reversed.b.begin(), reversed.b.end());
+  const auto matches = match(problem), matches_reversed = match(reversed);
+  ASSERT_FALSE(matches.empty());
+  ASSERT_FALSE(matches_reversed.empty());
+  EXPECT_NEAR(matches.front().score, matches_reversed.front().score, 1e-9);
+}
+
+TEST(GraphMatcher, DoesNotCareAboutTheFrames) {
+  const Problem problem = random_problem(5, 9, 5, 4);
+  Problem moved = problem;
+  std::mt19937_64 random(99);
+  const SE3 T = random_transform(random);
+  for (LabelledPoint& point : moved.b) point.position = T * point.position;
+  const auto matches = match(problem), matches_moved = match(moved);
+  ASSERT_EQ(matches.size(), matches_moved.size());
+  for (std::size_t k = 0; k < matches.size(); ++k) {
+    const SE3 difference = matches[k].T_a_b.inverse() * (matches_moved[k].T_a_b * T);
+    EXPECT_LT(difference.t.norm(), 1e-9);
+    EXPECT_EQ(matches[k].pairs.size(), matches_moved[k].pairs.size());
+  }
+}
+
+TEST(GraphMatcher, SizesAndLabelsGateCorrespondences) {
+  Problem other_labels = random_problem(8, 9, 0, 4);
+  for (LabelledPoint& point : other_labels.b) point.label += 100;
+  EXPECT_TRUE(match(other_labels).empty());
+  Problem other_sizes = random_problem(8, 9, 0, 4);
+  for (LabelledPoint& point : other_sizes.b) point.size *= 5.0;
+  EXPECT_TRUE(match(other_sizes).empty());
+}
+
+TEST(GraphMatcher, TwoWaysToLieAreBothReported) {
+  // b holds one group; a holds it twice, 3 m apart.
+  Problem problem = random_problem(31, 8, 0, 4);
+  std::vector<LabelledPoint> twice = problem.a;
+  for (LabelledPoint point : problem.a) {
+    point.position += Vec3(3.0, 0.0, 0.0);
+    twice.push_back(point);
+  }
+  problem.a = twice;
+  const std::vector<GraphMatch> matches = match(problem);
+  ASSERT_GE(matches.size(), 2u);
+  EXPECT_GT(matches[1].score, matches[0].score / 1.3);
+  EXPECT_NEAR((matches[0].T_a_b.t - matches[1].T_a_b.t).norm(), 3.0, 0.1);
+}
+
+TEST(GraphMatcher, DegenerateInputGivesNothing) {
+  const GraphMatcher matcher{GraphMatcherOptions()};
+  EXPECT_TRUE(matcher.match({}, {}).empty());
+  std::vector<LabelledPoint> points = random_problem(1, 3, 0, 2).a;
+  EXPECT_TRUE(matcher.match(points, points).empty()) << "too few";
+
+  points = random_problem(1, 8, 0, 2).a;
+  for (LabelledPoint& point : points) point.position = Vec3(0.3, 0.2, 0.1);
+  EXPECT_TRUE(matcher.match(points, points).empty()) << "all in one place";
+
+  for (std::size_t i = 0; i < points.size(); ++i) points[i].position = Vec3(0.3 * static_cast<double>(i), 0, 0);
+  for (const GraphMatch& match : matcher.match(points, points)) {
+    EXPECT_TRUE(match.T_a_b.is_finite());
+    EXPECT_LT(match.spread_m(1), 0.05) << "on a line";
+  }
+
+  points = random_problem(1, 8, 0, 3).a;
+  std::vector<LabelledPoint> broken = points;
+  const double nan = std::numeric_limits<double>::quiet_NaN();
+  broken[0].position.x() = nan;
+  broken[1].size = nan;
+  broken[2].size = -1.0;
+  for (const GraphMatch& match : matcher.match(broken, points)) {
+    EXPECT_TRUE(match.T_a_b.is_finite());
+    for (const NodePair& pair : match.pairs) EXPECT_GT(pair.a, 2);
+  }
+}
+
+TEST(CliqueSearch, FindsAPlantedClique) {
+  std::mt19937_64 random(17);
+  for (int trial = 0; trial < 50; ++trial) {
+    const int n = 90;
+    BitGraph graph(n);
+    for (int i = 0; i < n; ++i) {
+      for (int j = i + 1; j < n; ++j) {
+        if (uniform(random, 0, 1) < 0.15) graph.connect(i, j);
+      }
+    }
+    std::vector<int> planted;
+    for (int i = 0; i < 9; ++i) planted.push_back(static_cast<int>(uniform(random, i * 10, i * 10 + 10)));
+    for (const int i : planted) {
+      for (const int j : planted) {
+        if (i != j) graph.connect(i, j);
+      }
+    }
+    const std::vector<int> clique = largest_clique(graph, 100000);
+    EXPECT_GE(clique.size(), planted.size());
+    for (const int i : clique) {
+      for (const int j : clique) EXPECT_TRUE(i == j || graph.connected(i, j));
+    }
+    const std::vector<int> grown = greedy_clique(graph, planted.front());
+    EXPECT_NE(std::find(grown.begin(), grown.end(), planted.front()), grown.end());
+  }
+}
+
+TEST(CliqueSearch, HandlesEmptyAndLooseGraphs) {
+  EXPECT_TRUE(largest_clique(BitGraph(0), 100).empty());
+  EXPECT_EQ(largest_clique(BitGraph(5), 100).size(), 1u);
+}
+
+}  // namespace
+}  // namespace semantic_topo_loop::core

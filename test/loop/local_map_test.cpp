@@ -1,0 +1,275 @@
+#include "semantic_topo_loop/loop/local_map.h"
+
+#include <gtest/gtest.h>
+
+#include <cmath>
+
+#include "semantic_topo_loop/loop/loop_verifier.h"
+#include "semantic_topo_loop/loop/submap_refiner.h"
+#include "synthetic_desk.h"
+
+namespace semantic_topo_loop::core {
+namespace {
+
+using testing::desk_camera;
+using testing::desk_classes;
+using testing::DeskObject;
+using testing::random_desk;
+using testing::uniform;
+
+struct BuiltMap {
+  LocalMap map;
+  SE3 T_world_anchor;
+};
+
+/// A submap from a sweep around the desk. `mirrored` flips the world and the images.
+BuiltMap sweep(const std::vector<DeskObject>& desk, double begin_deg, double end_deg, std::uint64_t seed,
+               bool one_id = false) {
+  const LoopOptions options;
+  ObservationWindow window(options.window_s, options.frame_interval_s, LabelTable(*desk_classes()));
+  UpEstimator up(options.up_window_s);
+  FrameBuilder builder(KeyframeOptions(), desk_camera());
+  std::mt19937_64 random(seed);
+  std::vector<SE3> poses;
+  for (std::int64_t k = 0; k < 80; ++k) {
+    const SE3 pose = testing::desk_pose({{0.0, 8.0, begin_deg, end_deg}}, 0.1 * static_cast<double>(k));
+    PoseSample sample;
+    sample.stamp_ns = k * 100'000'000;
+    sample.T_odom_camera = pose;
+    const auto frame = builder.build(sample, nullptr);
+    AssociationFrame associations = testing::observe(desk, *frame, pose, 0, random);
+    if (one_id) {
+      for (Association& association : associations.associations) association.landmark_id = association.class_id;
+    }
+    window.push(*frame, associations);
+    up.push(*frame);
+    poses.push_back(pose);
+  }
+  const auto map = LocalMapBuilder(options).build(window.frames(), LandmarkRedirects(), up);
+  return {*map, poses[static_cast<std::size_t>(map->frame_id)]};
+}
+
+/// Objects of the map that lie within 4 cm of one of the desk's of the same class.
+int right_objects(const BuiltMap& built, const std::vector<DeskObject>& desk) {
+  int right = 0;
+  for (const LocalObject& object : built.map.objects) {
+    const Vec3 center = built.T_world_anchor * object.spheroid.center;
+    for (const DeskObject& truth : desk) {
+      if (truth.class_id == object.label && (truth.spheroid.center - center).norm() < 0.04) ++right;
+    }
+  }
+  return right;
+}
+
+TEST(LocalMap, FindsTheObjects) {
+  const auto desk = random_desk(1, 12);
+  const BuiltMap built = sweep(desk, 0.0, 60.0, 5);
+  EXPECT_GE(right_objects(built, desk), 11);
+  EXPECT_LE(built.map.objects.size(), 13u);
+  EXPECT_EQ(built.map.begin_frame, 0);
+  EXPECT_EQ(built.map.end_frame, 79);
+}
+
+TEST(LocalMap, SplitsAnIdThatHoldsSeveralObjects) {
+  const auto desk = random_desk(1, 12);
+  const BuiltMap built = sweep(desk, 0.0, 60.0, 5, true);
+  EXPECT_GE(right_objects(built, desk), 11);
+}
+
+TEST(LocalMap, EstimatesUp) {
+  const BuiltMap built = sweep(random_desk(2, 10), 0.0, 90.0, 5);
+  ASSERT_TRUE(built.map.up.certain);
+  EXPECT_GT((built.T_world_anchor.q * built.map.up.direction).z(), std::cos(radians(2.0)));
+}
+
+TEST(LocalMap, UpIsUncertainWithoutTurning) {
+  const BuiltMap built = sweep(random_desk(2, 10), 40.0, 45.0, 5);
+  EXPECT_FALSE(built.map.up.certain);
+}
+
+TEST(LocalMap, IsEmptyWithoutAKeyframe) {
+  const LoopOptions options;
+  const UpEstimator up(options.up_window_s);
+  EXPECT_FALSE(LocalMapBuilder(options).build({}, LandmarkRedirects(), up).has_value());
+}
+
+TEST(ObservationWindow, StartsAfreshAtABreak) {
+  ObservationWindow window(8.0, 0.09, LabelTable(*desk_classes()));
+  Frame frame;
+  frame.camera = desk_camera();
+  for (std::int64_t k = 0; k < 20; ++k) {
+    frame.frame_id = k;
+    frame.stamp_ns = k * 100'000'000;
+    frame.is_break = k == 15;
+    window.push(frame, {});
+  }
+  ASSERT_EQ(window.frames().size(), 5u);
+  EXPECT_EQ(window.frames().front().frame_id, 15);
+}
+
+TEST(ObservationWindow, LeavesOutWhatIsNoLandmark) {
+  ObservationWindow window(8.0, 0.09, LabelTable(*desk_classes()));
+  Frame frame;
+  frame.camera = desk_camera();
+  AssociationFrame associations;
+  Association association;
+  association.box = {100, 100, 150, 160};
+  association.class_id = 7;  // dynamic
+  association.landmark_id = 3;
+  associations.associations.push_back(association);
+  association.class_id = 2;
+  association.landmark_id = -1;
+  associations.associations.push_back(association);
+  association.landmark_id = 4;
+  association.box.x2 = 90;  // inverted
+  associations.associations.push_back(association);
+  association.box.x2 = 150;
+  associations.associations.push_back(association);
+  window.push(frame, associations);
+  ASSERT_EQ(window.frames().front().boxes.size(), 1u);
+  EXPECT_EQ(window.frames().front().boxes.front().landmark_id, 4);
+}
+
+TEST(Spheroid, DerivativesAgreeWithDifferences) {
+  std::mt19937_64 random(4);
+  constexpr double kStep = 1e-6;
+  for (int trial = 0; trial < 50; ++trial) {
+    const Vec3 center(uniform(random, -0.5, 0.5), uniform(random, -0.5, 0.5), uniform(random, 0.8, 3.0));
+    const Vec3 axis = Vec3(uniform(random, -1, 1), uniform(random, -1, 1), uniform(random, -1, 1)).normalized();
+    const Vec2 log_axes(std::log(uniform(random, 0.05, 0.3)), std::log(uniform(random, 0.05, 0.3)));
+    const auto at = project_spheroid(center, axis, log_axes);
+    ASSERT_TRUE(at.has_value());
+    const auto box = spheroid_box(center, axis, log_axes);
+    EXPECT_LT((box->edges() - at->edges).norm(), 1e-12);
+    for (int i = 0; i < 3; ++i) {
+      const Vec3 step = kStep * Vec3::Unit(i);
+      const Vec4 by_center = (project_spheroid(center + step, axis, log_axes)->edges -
+                              project_spheroid(center - step, axis, log_axes)->edges) /
+                             (2 * kStep);
+      const Vec4 by_axis = (project_spheroid(center, axis + step, log_axes)->edges -
+                            project_spheroid(center, axis - step, log_axes)->edges) /
+                           (2 * kStep);
+      EXPECT_LT((by_center - at->d_center.col(i)).norm(), 1e-6);
+      EXPECT_LT((by_axis - at->d_axis.col(i)).norm(), 1e-6);
+    }
+    for (int i = 0; i < 2; ++i) {
+      const Vec2 step = kStep * Vec2::Unit(i);
+      const Vec4 by_axes = (project_spheroid(center, axis, log_axes + step)->edges -
+                            project_spheroid(center, axis, log_axes - step)->edges) /
+                           (2 * kStep);
+      EXPECT_LT((by_axes - at->d_log_axes.col(i)).norm(), 1e-6);
+    }
+  }
+}
+
+TEST(Spheroid, BehindTheCameraIsNothing) {
+  EXPECT_FALSE(project_spheroid(Vec3(0, 0, -1), Vec3::UnitY(), Vec2(-2, -2)).has_value());
+  EXPECT_FALSE(spheroid_box(Vec3(0, 0, 0.05), Vec3::UnitY(), Vec2(-2, -2)).has_value());
+}
+
+std::vector<NodePair> true_pairs(const BuiltMap& a, const BuiltMap& b) {
+  const SE3 T_a_b = a.T_world_anchor.inverse() * b.T_world_anchor;
+  std::vector<NodePair> pairs;
+  for (int i = 0; i < static_cast<int>(a.map.objects.size()); ++i) {
+    for (int j = 0; j < static_cast<int>(b.map.objects.size()); ++j) {
+      const LocalObject& p = a.map.objects[static_cast<std::size_t>(i)];
+      const LocalObject& q = b.map.objects[static_cast<std::size_t>(j)];
+      if (p.label == q.label && (p.spheroid.center - T_a_b * q.spheroid.center).norm() < 0.06) pairs.push_back({i, j});
+    }
+  }
+  return pairs;
+}
+
+TEST(SubmapRefiner, RemovesAnErrorAndStatesItsCovariance) {
+  const auto desk = random_desk(1, 12);
+  const BuiltMap a = sweep(desk, 0.0, 60.0, 5), b = sweep(desk, 50.0, 110.0, 6);
+  const SE3 truth = a.T_world_anchor.inverse() * b.T_world_anchor;
+  Vec6 error;
+  error << 0.05, -0.06, 0.04, 0.03, 0.04, -0.02;
+  const auto refined = SubmapRefiner(LoopOptions()).refine(a.map, b.map, truth * se3_exp(error), true_pairs(a, b));
+  ASSERT_TRUE(refined.has_value());
+  const Vec6 left = se3_log(truth.inverse() * refined->T_a_b);
+  EXPECT_LT(left.head<3>().norm(), 0.025);
+  EXPECT_LT(left.tail<3>().norm(), radians(1.0));
+  EXPECT_LT(refined->median_residual, 1.0);
+  EXPECT_LT(left.dot(refined->covariance.ldlt().solve(left)), 30.0);
+  EXPECT_LT(refined->covariance.diagonal().head<3>().maxCoeff(), 0.05 * 0.05);
+  EXPECT_GT(refined->covariance.diagonal().head<3>().minCoeff(), 0.001 * 0.001);
+}
+
+TEST(SubmapRefiner, RefusesWhatCannotBeSolved) {
+  const auto desk = random_desk(1, 12);
+  const BuiltMap a = sweep(desk, 0.0, 60.0, 5), b = sweep(desk, 50.0, 110.0, 6);
+  const SubmapRefiner refiner{LoopOptions()};
+  const SE3 truth = a.T_world_anchor.inverse() * b.T_world_anchor;
+  EXPECT_FALSE(refiner.refine(a.map, b.map, truth, {}).has_value());
+  SE3 broken = truth;
+  broken.t.x() = std::nan("");
+  EXPECT_FALSE(refiner.refine(a.map, b.map, broken, true_pairs(a, b)).has_value());
+}
+
+TEST(LoopVerifier, AcceptsTheTruthAndTellsWhatFails) {
+  const auto desk = random_desk(1, 12);
+  const BuiltMap a = sweep(desk, 0.0, 60.0, 5), b = sweep(desk, 50.0, 110.0, 6);
+  const LoopVerifier verifier{LoopOptions()};
+  GraphMatch match;
+  match.T_a_b = a.T_world_anchor.inverse() * b.T_world_anchor;
+  match.pairs = true_pairs(a, b);
+  match.labels = 5;
+  match.score = 9.0;
+  match.rms_m = 0.02;
+  match.spread_m = Vec3(0.5, 0.3, 0.05);
+  ASSERT_GE(match.pairs.size(), 7u);
+  EXPECT_EQ(verifier.verify(a.map, b.map, match, 2.0).reason, LoopReason::kAccepted);
+  EXPECT_EQ(verifier.verify(a.map, b.map, match, 8.0).reason, LoopReason::kAmbiguous);
+
+  GraphMatch changed = match;
+  changed.labels = 2;
+  EXPECT_EQ(verifier.verify(a.map, b.map, changed, 2.0).reason, LoopReason::kTooFewLabels);
+  changed = match;
+  changed.spread_m = Vec3(0.5, 0.01, 0.0);
+  EXPECT_EQ(verifier.verify(a.map, b.map, changed, 2.0).reason, LoopReason::kDegenerate);
+  changed = match;
+  changed.rms_m = 0.2;
+  EXPECT_EQ(verifier.verify(a.map, b.map, changed, 2.0).reason, LoopReason::kResidual);
+  changed = match;
+  changed.pairs.resize(5);
+  EXPECT_EQ(verifier.verify(a.map, b.map, changed, 2.0).reason, LoopReason::kTooFewInliers);
+  changed = match;
+  const Vec3 up = a.map.up.direction;
+  const Vec3 middle = match.T_a_b * b.map.objects.front().spheroid.center;
+  const SE3 turn(so3_exp(radians(90.0) * up), middle - so3_exp(radians(90.0) * up) * middle);
+  changed.T_a_b = turn * match.T_a_b;
+  EXPECT_NE(verifier.verify(a.map, b.map, changed, 2.0).reason, LoopReason::kAccepted);
+}
+
+TEST(LoopVerifier, RejectsAMirroredWorld) {
+  // All centres in one plane: a half turn about an axis in the plane puts them onto their own mirror image.
+  LocalMap a;
+  a.frames.resize(1);
+  a.frames[0].position = Vec3(0.1, 0.2, -1.5);
+  for (int i = 0; i < 8; ++i) {
+    LocalObject object;
+    object.spheroid.center = Vec3(0.2 * i, 0.05 * i * i, 0.0);
+    a.objects.push_back(object);
+  }
+  LocalMap b = a;
+  for (LocalObject& object : b.objects) object.spheroid.center.y() *= -1.0;
+  GraphMatch match;
+  match.T_a_b = SE3(so3_exp(Vec3(kPi, 0, 0)), Vec3::Zero());
+  for (int i = 0; i < 8; ++i) match.pairs.push_back({i, i});
+  EXPECT_TRUE(LoopVerifier::is_mirrored(a, b, match));
+  EXPECT_FALSE(LoopVerifier::is_mirrored(a, a, {SE3(), match.pairs, 0, 0.0, 0.0, Vec3::Zero()}));
+}
+
+TEST(LoopVerifier, ComparesUpDirectionsOnlyWhenCertain) {
+  LocalMap a, b;
+  a.up = {Vec3::UnitY(), true};
+  b.up = {Vec3::UnitZ(), true};
+  EXPECT_NEAR(LoopVerifier::tilt(a, b, SE3()), kPi / 2, 1e-9);
+  b.up.certain = false;
+  EXPECT_EQ(LoopVerifier::tilt(a, b, SE3()), 0.0);
+}
+
+}  // namespace
+}  // namespace semantic_topo_loop::core

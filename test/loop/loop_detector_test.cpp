@@ -1,0 +1,267 @@
+#include "semantic_topo_loop/loop/loop_detector.h"
+
+#include <gtest/gtest.h>
+
+#include <cmath>
+#include <limits>
+#include <map>
+#include <set>
+#include <utility>
+
+#include "semantic_topo_loop/pipeline/options.h"
+#include "synthetic_desk.h"
+
+namespace semantic_topo_loop::core {
+namespace {
+
+using testing::random_desk;
+using testing::run;
+using testing::RunOutcome;
+using testing::RunSetup;
+
+/// Two visits to a desk half a minute apart, with 0.5 m and 8 deg of drift between them and new landmark ids.
+RunSetup drifted_revisit(std::uint64_t seed) {
+  RunSetup setup;
+  setup.desk = random_desk(seed, 12);
+  setup.visits = {{0.0, 12.0, 0.0, 80.0}, {30.0, 42.0, 60.0, -20.0}};
+  setup.end_s = 42.0;
+  setup.drift = SE3(so3_exp(Vec3(0.08, -0.06, 0.1)), Vec3(0.4, 0.25, -0.15));
+  setup.drift_from_s = 20.0;
+  return setup;
+}
+
+double error_m(const SE3& a, const SE3& b) { return (a.t - b.t).norm(); }
+double error_deg(const SE3& a, const SE3& b) { return degrees(rotation_angle(a.q, b.q)); }
+
+void expect_right(const RunOutcome& outcome) {
+  for (const LoopClosure& loop : outcome.loops) {
+    ASSERT_TRUE(loop.T_match_query.is_finite());
+    if (!loop.accepted) continue;
+    EXPECT_LT(error_m(loop.T_match_query, outcome.truth(loop)), 0.1);
+    EXPECT_LT(error_deg(loop.T_match_query, outcome.truth(loop)), 3.0);
+    EXPECT_EQ(loop.reason, LoopReason::kAccepted);
+    EXPECT_LT(loop.match_end, loop.query_begin);
+    EXPECT_LE(loop.query_begin, loop.query_frame);
+    EXPECT_LE(loop.query_frame, loop.query_end);
+    EXPECT_EQ(static_cast<int>(loop.matches.size()), loop.inliers);
+  }
+}
+
+TEST(LoopDetector, GraphModeClosesADriftedRevisitWithoutSharedIds) {
+  for (std::uint64_t seed = 1; seed <= 3; ++seed) {
+    const RunOutcome outcome = run(LoopOptions(), drifted_revisit(seed));
+    EXPECT_GE(outcome.accepted(), 5) << "seed " << seed;
+    expect_right(outcome);
+    for (const LoopClosure& loop : outcome.loops) {
+      if (!loop.accepted) continue;
+      EXPECT_GT(error_m(loop.T_match_query, outcome.odometry(loop)), 0.1) << "no innovation";
+    }
+  }
+}
+
+TEST(LoopDetector, ClosesAcrossARestartOfTheOdometry) {
+  RunSetup setup = drifted_revisit(2);
+  setup.drift = SE3(so3_exp(Vec3(-0.9, 1.2, 0.8)), Vec3(-4.0, 1.0, 2.0));
+  setup.drift_is_break = true;
+  const RunOutcome outcome = run(LoopOptions(), setup);
+  EXPECT_GE(outcome.accepted(), 5);
+  expect_right(outcome);
+}
+
+TEST(LoopDetector, TheOdometrysWorldDoesNotMatter) {
+  for (const char* mode : {"graph", "paper"}) {
+    LoopOptions options;
+    options.mode = mode;
+    options.paper_min_gap_frames = 150;
+    RunSetup setup = drifted_revisit(1);
+    setup.same_ids = true;
+    const RunOutcome outcome = run(options, setup);
+    setup.T_odom_world = SE3(so3_exp(Vec3(1.1, -0.7, 2.0)), Vec3(30.0, -20.0, 5.0));
+    const RunOutcome moved = run(options, setup);
+    const auto pairs = [](const RunOutcome& o) {
+      std::set<std::pair<std::int64_t, std::int64_t>> result;
+      for (const LoopClosure& loop : o.loops) {
+        if (loop.accepted) result.emplace(loop.query_frame, loop.match_frame);
+      }
+      return result;
+    };
+    EXPECT_FALSE(pairs(outcome).empty()) << mode;
+    EXPECT_EQ(pairs(outcome), pairs(moved)) << mode;
+  }
+}
+
+TEST(LoopDetector, IsDeterministic) {
+  const RunOutcome first = run(LoopOptions(), drifted_revisit(3)), second = run(LoopOptions(), drifted_revisit(3));
+  ASSERT_EQ(first.loops.size(), second.loops.size());
+  for (std::size_t i = 0; i < first.loops.size(); ++i) {
+    EXPECT_EQ(first.loops[i].T_match_query.t, second.loops[i].T_match_query.t);
+    EXPECT_EQ(first.loops[i].covariance, second.loops[i].covariance);
+  }
+}
+
+TEST(LoopDetector, AnotherDeskIsNoLoop) {
+  for (std::uint64_t seed = 1; seed <= 5; ++seed) {
+    RunSetup setup = drifted_revisit(seed);
+    const RunSetup other = drifted_revisit(seed + 100);
+    // The second visit sees another desk: objects at another place, shown by ids and truth alike.
+    LoopDetector detector(LoopOptions(), testing::desk_classes());
+    FrameBuilder builder(KeyframeOptions(), testing::desk_camera());
+    std::mt19937_64 random(1);
+    for (std::int64_t k = 0; k < 420; ++k) {
+      const double time_s = 0.1 * static_cast<double>(k);
+      PoseSample sample;
+      sample.stamp_ns = k * 100'000'000;
+      sample.T_odom_camera = testing::desk_pose(setup.visits, time_s);
+      const auto frame = builder.build(sample, nullptr);
+      const auto& desk = time_s < 20.0 ? setup.desk : other.desk;
+      const auto associations = testing::observe(desk, *frame, sample.T_odom_camera, time_s < 20.0 ? 0 : 500, random);
+      for (const LoopClosure& loop : detector.detect(*frame, associations)) EXPECT_FALSE(loop.accepted);
+    }
+  }
+}
+
+TEST(LoopDetector, TwoIdenticalGroupsAreAmbiguous) {
+  // The first visit sees two equal groups side by side, the second visit one of them.
+  RunSetup setup = drifted_revisit(4);
+  const auto group = random_desk(4, 7, Vec3(-0.9, 0.0, 0.7));
+  LoopDetector detector(LoopOptions(), testing::desk_classes());
+  FrameBuilder builder(KeyframeOptions(), testing::desk_camera());
+  std::vector<testing::DeskObject> both = group;
+  for (testing::DeskObject object : group) {
+    object.spheroid.center += Vec3(1.8, 0.0, 0.0);
+    both.push_back(object);
+  }
+  std::mt19937_64 random(1);
+  int ambiguous = 0;
+  for (std::int64_t k = 0; k < 420; ++k) {
+    const double time_s = 0.1 * static_cast<double>(k);
+    SE3 pose = testing::desk_pose(setup.visits, time_s);
+    pose.t += pose.q * Vec3(0.0, 0.0, -1.2);
+    PoseSample sample;
+    sample.stamp_ns = k * 100'000'000;
+    sample.T_odom_camera = pose;
+    const auto frame = builder.build(sample, nullptr);
+    const auto associations = testing::observe(time_s < 20.0 ? both : group, *frame, pose, 0, random);
+    for (const LoopClosure& loop : detector.detect(*frame, associations)) {
+      EXPECT_FALSE(loop.accepted);
+      ambiguous += loop.reason == LoopReason::kAmbiguous ? 1 : 0;
+    }
+  }
+  EXPECT_GT(ambiguous, 0);
+}
+
+TEST(LoopDetector, PaperModeCorrectsADriftedRevisit) {
+  for (const char* score : {"corrected", "printed"}) {
+    LoopOptions options;
+    options.mode = "paper";
+    options.score = score;
+    options.paper_min_gap_frames = 150;
+    RunSetup setup = drifted_revisit(1);
+    setup.same_ids = true;
+    const RunOutcome outcome = run(options, setup);
+    EXPECT_GE(outcome.accepted(), 3) << score;
+    expect_right(outcome);
+    for (const LoopClosure& loop : outcome.loops) {
+      if (!loop.accepted) continue;
+      EXPECT_GT(error_m(loop.T_match_query, outcome.odometry(loop)), 0.1) << "no innovation";
+    }
+  }
+}
+
+TEST(LoopDetector, PaperModeNeedsSharedIdsGapAndScore) {
+  LoopOptions options;
+  options.mode = "paper";
+  options.paper_min_gap_frames = 150;
+  RunSetup setup = drifted_revisit(1);
+  EXPECT_TRUE(run(options, setup).loops.empty()) << "no landmark is shared";
+  setup.same_ids = true;
+  options.paper_min_gap_frames = 1000;
+  EXPECT_TRUE(run(options, setup).loops.empty()) << "too close in time";
+  options.paper_min_gap_frames = 150;
+  options.paper_corrected_min_score = 0.99;
+  const RunOutcome outcome = run(options, setup);
+  EXPECT_FALSE(outcome.loops.empty());
+  for (const LoopClosure& loop : outcome.loops) EXPECT_EQ(loop.reason, LoopReason::kLowScore);
+}
+
+TEST(LoopDetector, CanBeSwitchedOff) {
+  LoopOptions options;
+  options.enabled = false;
+  EXPECT_TRUE(run(options, drifted_revisit(1)).loops.empty());
+}
+
+TEST(LoopDetector, DegenerateScenesGiveNoLoopAndNoNan) {
+  std::vector<std::vector<testing::DeskObject>> desks;
+  desks.push_back({});
+  desks.push_back(random_desk(1, 2));
+  auto line = random_desk(1, 9);
+  for (std::size_t i = 0; i < line.size(); ++i) {
+    line[i].spheroid.center = Vec3(-0.8 + 0.2 * static_cast<double>(i), 0.0, 0.75);
+  }
+  desks.push_back(line);
+  auto one_class = random_desk(1, 10);
+  for (auto& object : one_class) object.class_id = 3;
+  desks.push_back(one_class);
+  auto coincident = random_desk(1, 6);
+  for (auto& object : coincident) object.spheroid.center = Vec3(0.0, 0.0, 0.8);
+  desks.push_back(coincident);
+  for (const char* mode : {"graph", "paper"}) {
+    for (const auto& desk : desks) {
+      LoopOptions options;
+      options.mode = mode;
+      options.paper_min_gap_frames = 150;
+      RunSetup setup = drifted_revisit(1);
+      setup.desk = desk;
+      setup.same_ids = true;
+      for (const LoopClosure& loop : run(options, setup).loops) {
+        ASSERT_TRUE(loop.T_match_query.is_finite());
+        ASSERT_TRUE(std::isfinite(loop.score));
+        EXPECT_FALSE(loop.accepted && std::string(mode) == "graph");
+      }
+    }
+  }
+}
+
+TEST(LoopDetector, BrokenBoxesAndPosesAreSurvived) {
+  LoopDetector detector(LoopOptions(), testing::desk_classes());
+  const double nan = std::numeric_limits<double>::quiet_NaN();
+  for (std::int64_t k = 0; k < 400; ++k) {
+    Frame frame;
+    frame.frame_id = frame.keyframe_id = k;
+    frame.is_keyframe = true;
+    frame.stamp_ns = k * 100'000'000;
+    frame.camera = testing::desk_camera();
+    frame.T_odom_camera.t.x() = k % 3 == 0 ? nan : 0.01 * static_cast<double>(k);
+    AssociationFrame associations;
+    for (int i = 0; i < 6; ++i) {
+      Association association;
+      association.class_id = i;
+      association.landmark_id = i;
+      association.box = i % 2 == 0 ? Box{nan, 10, 20, 30} : Box{10.0 * i, 10, 10.0 * i + 5, 30};
+      associations.associations.push_back(association);
+    }
+    for (const LoopClosure& loop : detector.detect(frame, associations)) {
+      EXPECT_FALSE(loop.accepted);
+      EXPECT_TRUE(loop.T_match_query.is_finite());
+    }
+  }
+}
+
+TEST(LoopOptions, NamesTheBadParameter) {
+  std::string error;
+  EXPECT_TRUE(LoopOptions().is_valid(&error)) << error;
+  for (const auto& [key, value] : std::map<std::string, std::string>{{"loop.mode", "fast"},
+                                                                     {"loop.score", "best"},
+                                                                     {"loop.min_gap_s", "-1"},
+                                                                     {"loop.min_seen_share", "1.5"},
+                                                                     {"loop.min_inliers", "2"},
+                                                                     {"loop.ambiguity_ratio", "0.5"}}) {
+    error.clear();
+    EXPECT_FALSE(make_options({{key, value}}, &error).has_value());
+    EXPECT_NE(error.find(key), std::string::npos) << error;
+    EXPECT_NE(error.find(value), std::string::npos) << error;
+  }
+}
+
+}  // namespace
+}  // namespace semantic_topo_loop::core
