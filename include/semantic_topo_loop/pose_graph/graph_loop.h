@@ -1,0 +1,33 @@
+#pragma once
+
+#include <optional>
+#include <string>
+#include <vector>
+
+#include "semantic_topo_loop/loop/loop_closure.h"
+
+namespace semantic_topo_loop::core {
+
+/// An accepted loop between two vertices, the earlier one first.
+struct GraphLoop {
+  int from = -1, to = -1;
+  SE3 T_from_to;
+  Mat6 covariance = Mat6::Identity();  ///< right: (translation m, rotation rad)
+  std::int64_t query_keyframe_id = -1, match_keyframe_id = -1;
+  std::int64_t query_begin = -1, query_end = -1, match_begin = -1, match_end = -1;  ///< frame_ids of the evidence
+};
+
+/// @param query_vertex, match_vertex vertices of the two keyframes
+/// @return nullopt, naming the loop and the fault in `error`, if it cannot be an edge
+std::optional<GraphLoop> make_graph_loop(const LoopClosure& closure, int query_vertex, int match_vertex,
+                                         std::string* error);
+
+/// How much two loops rest on the same evidence: the overlap of their query windows times that of their match windows,
+/// each as intersection over union, in [0, 1].
+double shared_evidence(const GraphLoop& a, const GraphLoop& b);
+
+/// For each loop the sum of the evidence it shares with all (itself included), >= 1: n copies of a loop each count
+/// 1/n.
+std::vector<double> redundancy(const std::vector<GraphLoop>& loops);
+
+}  // namespace semantic_topo_loop::core

@@ -1,0 +1,43 @@
+#pragma once
+
+#include <string>
+#include <vector>
+
+#include "semantic_topo_loop/geometry/se3.h"
+
+namespace semantic_topo_loop::core {
+
+/// A measured relative pose between two vertices.
+struct GraphEdge {
+  int from = -1, to = -1;
+  SE3 T_from_to;
+  Mat6 sqrt_info = Mat6::Identity();  ///< U of |U e|^2 = e^T covariance^-1 e, e as in relative_pose.h
+  double weight = 1.0;                ///< factor on |U e|^2, >= 0; an edge of weight 0 is left out
+  bool robust = false;                ///< whether the loss applies to it
+};
+
+enum class GraphLoss { kNone, kHuber, kCauchy };
+
+struct GraphSolverOptions {
+  GraphLoss loss = GraphLoss::kNone;
+  double loss_chi2 = 16.8;  ///< |U e|^2 at which the loss begins to bend
+  int max_iterations = 30;
+  double function_tolerance = 1e-6;
+};
+
+struct GraphSolution {
+  bool usable = false;
+  double initial_cost = 0.0, final_cost = 0.0;  ///< 0.5 sum w |U e|^2, after the loss
+  int iterations = 0;
+  std::string message;  ///< why it is not usable
+};
+
+/// Minimises 0.5 sum w |U e|^2 over the poses (Ceres, one thread, Levenberg-Marquardt); the first vertex stays.
+/// @param T_world_vertex start and result; unchanged unless the solution is usable
+GraphSolution solve_graph(const std::vector<GraphEdge>& edges, const GraphSolverOptions& options,
+                          std::vector<SE3>* T_world_vertex);
+
+/// |U e|^2 of an edge, without its weight.
+double chi_squared(const GraphEdge& edge, const std::vector<SE3>& T_world_vertex);
+
+}  // namespace semantic_topo_loop::core

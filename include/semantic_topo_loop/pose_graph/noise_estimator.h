@@ -1,0 +1,28 @@
+#pragma once
+
+#include "semantic_topo_loop/pose_graph/innovation_model.h"
+
+namespace semantic_topo_loop::core {
+
+/// What is expected before any loop is seen, and how far an estimate may go from it.
+struct NoisePrior {
+  OdometryNoise least;
+  double factor_max = 1000.0;  ///< on the least noise
+  double evidence = 1.5;       ///< log likelihood to offer for each e-fold above the least
+};
+
+struct NoiseEstimate {
+  OdometryNoise odometry;
+  double loop_factor = 1.0;  ///< on the sigmas that the loops state
+};
+
+/// Most probable noise given the innovations. Innovations that the loops' own uncertainty explains leave the odometry
+/// at a small noise, so that loops then hardly move it.
+NoiseEstimate estimate_noise(const InnovationModel& model, const NoisePrior& prior, const NoiseEstimate& start);
+
+/// A factor on the least noise at which most loops are likely, robust against a minority of false ones: the median
+/// over the loops, each weighed by 1/redundancy, and one voice for the least noise itself.
+double robust_noise_factor(const InnovationModel& model, const NoisePrior& prior,
+                           const std::vector<double>& redundancies);
+
+}  // namespace semantic_topo_loop::core

@@ -1,0 +1,34 @@
+#pragma once
+
+#include <memory>
+#include <vector>
+
+#include "semantic_topo_loop/loop/loop_closure.h"
+#include "semantic_topo_loop/map/frame.h"
+#include "semantic_topo_loop/pose_graph/map_correction.h"
+
+namespace semantic_topo_loop::core {
+
+struct PoseGraphOptions;
+
+/// Owns the keyframe poses and map_from_odom: takes in odometry and loops, optimises, and says what moved.
+class PoseGraph {
+ public:
+  explicit PoseGraph(const PoseGraphOptions& options);
+  ~PoseGraph();
+  PoseGraph(PoseGraph&&) noexcept;
+  PoseGraph& operator=(PoseGraph&&) noexcept;
+
+  /// Adds the frame's keyframe and odometry edge and the accepted loops; optimises when there is reason to. An end
+  /// frame always optimises.
+  MapCorrection process(const Frame& frame, const std::vector<LoopClosure>& loops);
+  const SE3& T_map_odom() const;
+  /// Every keyframe, in order of id.
+  std::vector<KeyframePose> keyframes() const;
+
+ private:
+  class Impl;
+  std::unique_ptr<Impl> impl_;
+};
+
+}  // namespace semantic_topo_loop::core

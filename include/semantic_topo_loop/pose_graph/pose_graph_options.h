@@ -1,0 +1,46 @@
+#pragma once
+
+#include <string>
+
+namespace semantic_topo_loop::core {
+
+/// When the pose graph optimises, how it rejects false loops, and what it takes the odometry's noise to be.
+struct PoseGraphOptions {
+  std::string robust = "gnc";
+  double robust_chi2 = 16.8;
+  double gnc_loosening = 2.0;
+  int interval_keyframes = 15;
+  int min_interval_keyframes = 3;
+  double urgent_chi2 = 25.0;
+  bool estimate_noise = true;
+  double translation_noise_m = 0.001;
+  double rotation_noise_deg = 0.02;
+  double noise_factor_max = 1000.0;
+  double noise_evidence = 1.5;
+  int max_iterations = 30;
+
+  template <class Visitor>
+  void visit(Visitor& visitor) {
+    visitor("pose_graph.robust", robust, "how false loops are kept out: gnc, cauchy, huber or none");
+    visitor("pose_graph.robust_chi2", robust_chi2, "squared error of a loop, in its sigmas, above which it is doubted");
+    visitor("pose_graph.gnc_loosening", gnc_loosening,
+            "loops are classified with the odometry's sigmas times this, so that right loops have room");
+    visitor("pose_graph.interval_keyframes", interval_keyframes, "optimise new loops after this many keyframes");
+    visitor("pose_graph.min_interval_keyframes", min_interval_keyframes,
+            "a loop that disagrees with the map is optimised after this many keyframes");
+    visitor("pose_graph.urgent_chi2", urgent_chi2, "squared disagreement of a new loop, in its sigmas, that is urgent");
+    visitor("pose_graph.estimate_noise", estimate_noise,
+            "learn the odometry's noise from the loops, where the source states none");
+    visitor("pose_graph.translation_noise_m", translation_noise_m,
+            "least odometry error after one metre of path (1 sigma; grows with the root of the path)");
+    visitor("pose_graph.rotation_noise_deg", rotation_noise_deg,
+            "least odometry error after one radian of rotation (1 sigma; grows with the root of the angle)");
+    visitor("pose_graph.noise_factor_max", noise_factor_max, "greatest factor that is learnt on the least noise");
+    visitor("pose_graph.noise_evidence", noise_evidence,
+            "log likelihood that the loops must offer for each e-fold of noise above the least");
+    visitor("pose_graph.max_iterations", max_iterations, "of one solve");
+  }
+  bool is_valid(std::string* error) const;
+};
+
+}  // namespace semantic_topo_loop::core

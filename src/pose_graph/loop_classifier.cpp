@@ -1,0 +1,80 @@
+#include "semantic_topo_loop/pose_graph/loop_classifier.h"
+
+#include <algorithm>
+#include <cmath>
+
+namespace semantic_topo_loop::core {
+namespace {
+
+constexpr double kMuGrowth = 1.6;
+constexpr int kMaxRounds = 40;
+
+/// Weight of truncated least squares at control parameter mu: 1 for small errors, 0 for large ones, between them the
+/// minimiser of w r^2 + mu (1 - w) / (mu + w) chi2.
+double truncated_weight(double r2, double chi2, double mu) {
+  if (r2 <= mu / (mu + 1.0) * chi2) return 1.0;
+  if (r2 >= (mu + 1.0) / mu * chi2) return 0.0;
+  return std::clamp(std::sqrt(chi2 * mu * (mu + 1.0) / r2) - mu, 0.0, 1.0);
+}
+
+class GraduatedNonConvexity {
+ public:
+  GraduatedNonConvexity(const std::vector<GraphEdge>& edges, double chi2, const GraphSolverOptions& options,
+                        const std::vector<SE3>& T_world_vertex)
+      : edges_(edges), chi2_(chi2), options_(options) {
+    result_.T_world_vertex = T_world_vertex;
+    for (std::size_t i = 0; i < edges.size(); ++i) {
+      if (!edges[i].robust) continue;
+      loops_.push_back(i);
+      base_weights_.push_back(edges[i].weight);
+    }
+  }
+
+  LoopClassification run() {
+    if (!solve()) return result_;
+    double worst = 0.0;
+    for (const std::size_t i : loops_) worst = std::max(worst, chi_squared(edges_[i], result_.T_world_vertex));
+    double mu = chi2_ / std::max(2.0 * worst - chi2_, 1e-9);
+    for (int round = 0; round < kMaxRounds && worst > chi2_; ++round, mu *= kMuGrowth) {
+      const bool decided = reweigh(mu);
+      if (!solve()) return result_;
+      if (decided) break;
+    }
+    result_.usable = true;
+    for (const std::size_t i : loops_) result_.kept.push_back(chi_squared(edges_[i], result_.T_world_vertex) <= chi2_);
+    return result_;
+  }
+
+ private:
+  bool solve() {
+    ++result_.solves;
+    return solve_graph(edges_, options_, &result_.T_world_vertex).usable;
+  }
+  /// @return whether every loop is in or out
+  bool reweigh(double mu) {
+    bool decided = true;
+    for (std::size_t k = 0; k < loops_.size(); ++k) {
+      GraphEdge& edge = edges_[loops_[k]];
+      const double weight = truncated_weight(chi_squared(edge, result_.T_world_vertex), chi2_, mu);
+      decided = decided && (weight < 1e-3 || weight > 0.999);
+      edge.weight = weight * base_weights_[k];
+    }
+    return decided;
+  }
+
+  std::vector<GraphEdge> edges_;
+  std::vector<std::size_t> loops_;
+  std::vector<double> base_weights_;
+  double chi2_;
+  GraphSolverOptions options_;
+  LoopClassification result_;
+};
+
+}  // namespace
+
+LoopClassification classify_loops(const std::vector<GraphEdge>& edges, double chi2, const GraphSolverOptions& options,
+                                  const std::vector<SE3>& T_world_vertex) {
+  return GraduatedNonConvexity(edges, chi2, options, T_world_vertex).run();
+}
+
+}  // namespace semantic_topo_loop::core
