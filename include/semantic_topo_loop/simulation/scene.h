@@ -1,0 +1,47 @@
+#pragma once
+
+#include <string>
+#include <vector>
+
+#include "semantic_topo_loop/geometry/quadric.h"
+
+namespace semantic_topo_loop::core {
+
+struct SceneOptions {
+  std::string layout = "desk";
+  int desks = 3;
+  bool identical_desks = false;
+
+  template <class Visitor>
+  void visit(Visitor& visitor) {
+    visitor("scene.layout", layout, "desk (one large desk) or office (a row of desks)");
+    visitor("scene.desks", desks, "office: number of desks");
+    visitor("scene.identical_desks", identical_desks, "office: every desk carries the same objects at the same places");
+  }
+  bool is_valid(std::string* error) const;
+};
+
+/// A labelled object at rest. Its z axis is vertical.
+struct SceneObject {
+  int class_id = -1;  ///< COCO, 0..79
+  Ellipsoid ellipsoid;
+};
+
+/// A rectangular table top; x is its depth (front at +x), y its width, z up, origin in the middle of the surface.
+struct Desk {
+  SE3 T_world_desk;
+  double half_depth_m = 0.0;
+  double half_width_m = 0.0;
+};
+
+/// A room in a z-up world whose floor is z = 0.
+struct Scene {
+  std::vector<Desk> desks;
+  std::vector<SceneObject> objects;
+};
+
+/// Lays out desks and fills them with objects of plausible sizes. Every object rests on a table top or on the floor,
+/// and no two overlap (their footprints keep a gap); an object that finds no free place is left out.
+Scene make_scene(const SceneOptions& options, std::uint64_t seed);
+
+}  // namespace semantic_topo_loop::core

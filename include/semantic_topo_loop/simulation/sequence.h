@@ -1,0 +1,63 @@
+#pragma once
+
+#include <map>
+#include <optional>
+#include <string>
+#include <vector>
+
+#include "semantic_topo_loop/detection/class_table.h"
+#include "semantic_topo_loop/geometry/camera.h"
+#include "semantic_topo_loop/geometry/stamped_pose.h"
+#include "semantic_topo_loop/simulation/detector.h"
+#include "semantic_topo_loop/simulation/drift.h"
+#include "semantic_topo_loop/simulation/scene.h"
+#include "semantic_topo_loop/simulation/trajectory.h"
+
+namespace semantic_topo_loop::core {
+
+struct SimulationOptions {
+  int seed = 1;
+  std::string odometry_frame = "first_camera";
+  SceneOptions scene;
+  TrajectoryOptions trajectory;
+  DriftOptions drift;
+  DetectorOptions detector;
+
+  template <class Visitor>
+  void visit(Visitor& visitor) {
+    visitor("simulation.seed", seed, "of everything that is random");
+    visitor("simulation.odometry_frame", odometry_frame,
+            "world of the odometry: first_camera (its first pose is the identity), random, or world (as the truth)");
+    scene.visit(visitor);
+    trajectory.visit(visitor);
+    drift.visit(visitor);
+    detector.visit(visitor);
+  }
+  bool is_valid(std::string* error) const;
+};
+
+/// Strict: an unknown key, a text of the wrong type or a value out of range is an error that names key and value.
+std::optional<SimulationOptions> make_simulation_options(const std::map<std::string, std::string>& values,
+                                                         std::string* error);
+
+/// What a recorded sequence has, with the truth.
+struct SimulatedSequence {
+  Camera camera;
+  Scene scene;
+  StampedPoses mocap;     ///< T_world_camera at 100 Hz, from before the first to after the last image
+  StampedPoses truth;     ///< T_world_camera at the images
+  StampedPoses odometry;  ///< T_odom_camera at the images, drifted
+  std::vector<std::vector<SimulatedDetection>> detections;  ///< one vector an image
+};
+
+/// The same options, camera and classes give the same sequence, bit for bit.
+/// @return nullopt, with parameter and value in `error`, for invalid options or a drift level that cannot be met
+std::optional<SimulatedSequence> simulate(const SimulationOptions& options, const Camera& camera,
+                                          const ClassTable& classes, std::string* error);
+
+/// Writes groundtruth.txt, groundtruth_frames.txt, odometry.txt (TUM format), detections.json (OA-SLAM's format),
+/// reference_objects.csv and camera.yaml, making the directory.
+bool write_sequence(const SimulatedSequence& sequence, const ClassTable& classes, const std::string& directory,
+                    std::string* error);
+
+}  // namespace semantic_topo_loop::core

@@ -1,0 +1,217 @@
+#include "semantic_topo_loop/simulation/drift.h"
+
+#include <algorithm>
+#include <array>
+#include <sstream>
+
+#include "option_check.h"
+#include "semantic_topo_loop/simulation/random.h"
+
+namespace semantic_topo_loop::core {
+namespace {
+
+constexpr int kBursts = 3;
+constexpr std::size_t kBurstFrames = 8;
+
+/// The error of one step in the camera frame: `scaled` parts are multiplied until the level is met, `fixed` ones are
+/// not.
+struct StepError {
+  Vec3 rotation_scaled = Vec3::Zero(), rotation_fixed = Vec3::Zero();        ///< rad
+  Vec3 translation_scaled = Vec3::Zero(), translation_fixed = Vec3::Zero();  ///< m
+};
+
+struct Deviation {
+  double position_m = 0.0, rotation_rad = 0.0;
+};
+
+/// A rate that varies around 1 through five random support points over the whole sequence.
+class SlowRate {
+ public:
+  explicit SlowRate(Random* random) {
+    for (double& value : support_) value = 1.0 + 0.4 * random->normal();
+  }
+  double at(double share) const {
+    const double x = share * static_cast<double>(support_.size() - 1);
+    const std::size_t i = std::min(support_.size() - 2, static_cast<std::size_t>(x));
+    const double ratio = x - static_cast<double>(i);
+    return (1.0 - ratio) * support_[i] + ratio * support_[i + 1];
+  }
+
+ private:
+  std::array<double, 5> support_{};
+};
+
+/// A trajectory as steps, and how errors of the steps add up.
+class Replay {
+ public:
+  explicit Replay(const std::vector<SE3>& T_world_camera);
+
+  std::size_t steps() const { return motion_.size(); }
+  const SE3& motion(std::size_t i) const { return motion_[i]; }
+  /// A direction of the world in the camera after step i.
+  Vec3 to_camera(std::size_t i, const Vec3& direction_world) const {
+    return (*truth_)[i + 1].q.conjugate() * direction_world;
+  }
+  double mean_step_m() const { return mean_step_m_; }
+  /// How lively step i is compared with the mean step, at least 0.3.
+  double activity(std::size_t i) const { return activity_[i]; }
+  std::vector<SE3> integrate(const std::vector<StepError>& errors, double rotation_scale,
+                             double translation_scale) const;
+  Deviation deviation(const std::vector<SE3>& poses) const;
+
+ private:
+  const std::vector<SE3>* truth_;
+  std::vector<SE3> motion_;
+  std::vector<double> activity_;
+  double mean_step_m_ = 0.0;
+};
+
+Replay::Replay(const std::vector<SE3>& T_world_camera) : truth_(&T_world_camera) {
+  double mean_angle = 0.0;
+  for (std::size_t i = 1; i < T_world_camera.size(); ++i) {
+    motion_.push_back(T_world_camera[i - 1].inverse() * T_world_camera[i]);
+    mean_step_m_ += motion_.back().t.norm();
+    mean_angle += so3_log(motion_.back().q).norm();
+  }
+  const double count = static_cast<double>(std::max<std::size_t>(1, motion_.size()));
+  // A camera at rest has no steps to compare with; its drift is then even.
+  mean_step_m_ = std::max(mean_step_m_ / count, 1e-9);
+  mean_angle = std::max(mean_angle / count, 1e-9);
+  for (const SE3& motion : motion_) {
+    const double relative = 0.5 * (motion.t.norm() / mean_step_m_ + so3_log(motion.q).norm() / mean_angle);
+    activity_.push_back(0.3 + 0.7 * relative);
+  }
+}
+
+std::vector<SE3> Replay::integrate(const std::vector<StepError>& errors, double rotation_scale,
+                                   double translation_scale) const {
+  std::vector<SE3> poses{truth_->front()};
+  poses.reserve(truth_->size());
+  for (std::size_t i = 0; i < motion_.size(); ++i) {
+    const StepError& e = errors[i];
+    const SE3 error(so3_exp(rotation_scale * e.rotation_scaled + e.rotation_fixed),
+                    translation_scale * e.translation_scaled + e.translation_fixed);
+    poses.push_back(poses.back() * motion_[i] * error);
+  }
+  return poses;
+}
+
+Deviation Replay::deviation(const std::vector<SE3>& poses) const {
+  Deviation worst;
+  for (std::size_t i = 0; i < poses.size(); ++i) {
+    worst.position_m = std::max(worst.position_m, (poses[i].t - (*truth_)[i].t).norm());
+    worst.rotation_rad = std::max(worst.rotation_rad, rotation_angle(poses[i].q, (*truth_)[i].q));
+  }
+  return worst;
+}
+
+/// The steady translation error keeps its direction in the world: fixed to a camera that goes in circles it would
+/// cancel over a lap, and a given level would mean absurd errors of every single step.
+std::vector<StepError> smooth_errors(const Replay& replay, Random* random) {
+  std::vector<StepError> errors(replay.steps());
+  const Vec3 rotation_axis = random->direction();
+  const Vec3 translation_axis = random->direction();
+  const double scale_error = random->normal();
+  const SlowRate rotation_rate(random);
+  const SlowRate translation_rate(random);
+  for (std::size_t i = 0; i < errors.size(); ++i) {
+    const double share = static_cast<double>(i) / static_cast<double>(std::max<std::size_t>(1, errors.size() - 1));
+    const Vec3 rotation_noise = 0.5 * random->normal3();
+    const Vec3 translation_noise = 0.5 * random->normal3();
+    errors[i].rotation_scaled = replay.activity(i) * (rotation_axis * rotation_rate.at(share) + rotation_noise);
+    const Vec3 translation_bias = replay.to_camera(i, translation_axis) * translation_rate.at(share);
+    errors[i].translation_scaled = replay.activity(i) * (translation_bias + translation_noise) +
+                                   scale_error * replay.motion(i).t / replay.mean_step_m();
+  }
+  return errors;
+}
+
+/// Little drift between the bursts: 2 deg and 1 % of the way over the sequence, less if the level asked for is low.
+std::vector<StepError> jump_errors(const Replay& replay, const DriftOptions& options, Random* random) {
+  std::vector<StepError> errors(replay.steps());
+  const double count = static_cast<double>(errors.size());
+  for (int burst = 0; burst < kBursts; ++burst) {
+    const auto begin = static_cast<std::size_t>(random->uniform(0.1, 0.9) * count);
+    const Vec3 rotation = random->direction() / kBurstFrames;
+    const Vec3 translation = random->direction() / kBurstFrames;
+    for (std::size_t i = begin; i < std::min(begin + kBurstFrames, errors.size()); ++i) {
+      errors[i].rotation_scaled += rotation;
+      errors[i].translation_scaled += translation;
+    }
+  }
+  const double rotation_level = std::min(1.0, options.rotation_deg / 5.0);
+  const double translation_level = std::min(1.0, options.position_m / 0.3);
+  const Vec3 rotation_axis = random->direction();
+  const double scale_error = 0.01 * random->normal();
+  for (std::size_t i = 0; i < errors.size(); ++i) {
+    const Vec3 rotation_noise = radians(0.01) * random->normal3();
+    const Vec3 translation_noise = 0.0002 * random->normal3();
+    errors[i].rotation_fixed =
+        rotation_level * (radians(2.0) / count * replay.activity(i) * rotation_axis + rotation_noise);
+    errors[i].translation_fixed = translation_level * (scale_error * replay.motion(i).t + translation_noise);
+  }
+  return errors;
+}
+
+/// The largest scale in [0, infinity) whose error stays within the level, for an error that grows with the scale.
+template <class Error>
+double scale_to_level(const Error& error, double level) {
+  double low = 0.0, high = 1e-4;
+  for (int i = 0; i < 30 && error(high) <= level; ++i) {
+    low = high;
+    high *= 2.0;
+  }
+  for (int i = 0; i < 30; ++i) {
+    const double middle = 0.5 * (low + high);
+    (error(middle) > level ? high : low) = middle;
+  }
+  return low;
+}
+
+std::optional<std::vector<SE3>> scale_errors(const Replay& replay, const std::vector<StepError>& errors,
+                                             const DriftOptions& options) {
+  const auto rotation_error = [&](double s) { return replay.deviation(replay.integrate(errors, s, 0.0)).rotation_rad; };
+  const double level_rad = radians(options.rotation_deg);
+  constexpr double kRounding = 1e-6;
+  if (rotation_error(0.0) > level_rad + kRounding) return std::nullopt;
+  const double rotation_scale = scale_to_level(rotation_error, level_rad);
+  const auto position_error = [&](double s) {
+    return replay.deviation(replay.integrate(errors, rotation_scale, s)).position_m;
+  };
+  if (position_error(0.0) > options.position_m + kRounding) return std::nullopt;
+  const double translation_scale = scale_to_level(position_error, options.position_m);
+  return replay.integrate(errors, rotation_scale, translation_scale);
+}
+
+}  // namespace
+
+bool DriftOptions::is_valid(std::string* error) const {
+  OptionCheck check(error);
+  check.require(model == "smooth" || model == "jump", "drift.model", model, "smooth or jump");
+  check.not_negative("drift.position_m", position_m);
+  check.require(rotation_deg >= 0.0 && rotation_deg < 170.0, "drift.rotation_deg", rotation_deg, "in [0, 170)");
+  return check.ok();
+}
+
+std::optional<std::vector<SE3>> drift_poses(const std::vector<SE3>& T_world_camera, const DriftOptions& options,
+                                            std::uint64_t seed, std::string* error) {
+  if (T_world_camera.size() < 2 || (options.position_m == 0.0 && options.rotation_deg == 0.0)) return T_world_camera;
+  const Replay replay(T_world_camera);
+  Random random(seed);
+  constexpr int kMaxDraws = 20;
+  for (int i = 0; i < kMaxDraws; ++i) {
+    const std::vector<StepError> errors =
+        options.model == "jump" ? jump_errors(replay, options, &random) : smooth_errors(replay, &random);
+    if (auto poses = scale_errors(replay, errors, options)) return poses;
+  }
+  if (error != nullptr) {
+    std::ostringstream message;
+    message << "parameter 'drift.position_m' = '" << options.position_m
+            << "' cannot be met: a rotation drift of 'drift.rotation_deg' = '" << options.rotation_deg
+            << "' moves the camera farther";
+    *error = message.str();
+  }
+  return std::nullopt;
+}
+
+}  // namespace semantic_topo_loop::core

@@ -1,0 +1,146 @@
+#include "semantic_topo_loop/simulation/reference_objects.h"
+
+#include <algorithm>
+
+#include "semantic_topo_loop/io/text_file.h"
+
+namespace semantic_topo_loop::core {
+namespace {
+
+/// The boxes of one object, collected frame by frame.
+struct Evidence {
+  ReferenceObject reference;
+  std::vector<double> ious;
+  std::vector<Vec3> rays;  ///< unit, world frame, at least kRayStep apart
+};
+
+constexpr double kRayStepCosine = 0.99985;  ///< 1 deg
+
+void add_ray(const Vec3& ray, std::vector<Vec3>* rays) {
+  const bool is_new =
+      std::all_of(rays->begin(), rays->end(), [&ray](const Vec3& r) { return r.dot(ray) < kRayStepCosine; });
+  if (is_new) rays->push_back(ray);
+}
+
+double largest_angle_deg(const std::vector<Vec3>& rays) {
+  double smallest_cosine = 1.0;
+  for (const Vec3& a : rays) {
+    for (const Vec3& b : rays) smallest_cosine = std::min(smallest_cosine, a.dot(b));
+  }
+  return degrees(std::acos(std::clamp(smallest_cosine, -1.0, 1.0)));
+}
+
+Certainty certainty_of(const ReferenceObject& object, double rate_hz) {
+  const auto lasts = [rate_hz](int frames, double seconds) { return frames >= seconds * rate_hz; };
+  if (lasts(object.views, 3.0) && lasts(object.whole_frames, 1.0) && object.baseline_deg >= 20.0) {
+    return Certainty::kCertain;
+  }
+  return lasts(object.views, 1.0) && object.baseline_deg >= 10.0 ? Certainty::kProbable : Certainty::kMarginal;
+}
+
+void summarise(double rate_hz, Evidence* evidence) {
+  ReferenceObject& r = evidence->reference;
+  std::vector<double>& ious = evidence->ious;
+  std::sort(ious.begin(), ious.end());
+  for (const double value : ious) {
+    r.mean_iou += value / static_cast<double>(ious.size());
+    r.share_iou_above_half += (value > 0.5 ? 1.0 : 0.0) / static_cast<double>(ious.size());
+  }
+  r.median_iou = ious[ious.size() / 2];
+  r.baseline_deg = largest_angle_deg(evidence->rays);
+  r.certainty = certainty_of(r, rate_hz);
+}
+
+void collect(const SimulatedSequence& sequence, std::size_t frame, const SceneProjector& projector,
+             std::vector<Evidence>* evidence) {
+  const SE3& T_world_camera = sequence.truth[frame].T_world_camera;
+  const double width = sequence.camera.width, height = sequence.camera.height;
+  std::vector<std::optional<Box>> true_boxes;
+  for (std::size_t i = 0; i < sequence.scene.objects.size(); ++i) {
+    true_boxes.push_back(projector.raw_box(sequence.scene.objects[i].ellipsoid, T_world_camera));
+    const std::optional<Box>& box = true_boxes.back();
+    if (box && truncated_sides(*box, width, height, 0.0) == 0) ++(*evidence)[i].reference.whole_frames;
+  }
+  for (const SimulatedDetection& d : sequence.detections[frame]) {
+    if (d.object < 0) continue;
+    const auto i = static_cast<std::size_t>(d.object);
+    const SceneObject& object = sequence.scene.objects[i];
+    Evidence& e = (*evidence)[i];
+    ++e.reference.views;
+    if (e.reference.first_frame < 0) e.reference.first_frame = static_cast<int>(frame);
+    e.reference.last_frame = static_cast<int>(frame);
+    if (d.detection.class_id != object.class_id) ++e.reference.other_classes[d.detection.class_id];
+    e.ious.push_back(true_boxes[i] ? iou(clip(*true_boxes[i], width, height), d.detection.box) : 0.0);
+    add_ray((object.ellipsoid.center() - T_world_camera.t).normalized(), &e.rays);
+  }
+}
+
+std::string format_row(std::size_t id, const ReferenceObject& r, const SceneObject& object, const ClassTable& classes) {
+  std::string row = std::to_string(id) + "," + std::to_string(object.class_id) + "," + classes.name(object.class_id);
+  const Quaternion& q = object.ellipsoid.T_world_quadric.q;
+  const Vec3& center = object.ellipsoid.center();
+  const Vec3& axes = object.ellipsoid.semi_axes;
+  const double yaw = 2.0 * std::atan2(q.z(), q.w());
+  for (const double value : {center.x(), center.y(), center.z(), axes.x(), axes.y(), axes.z(), yaw}) {
+    row += "," + format_fixed(value, 4);
+  }
+  row += "," + std::to_string(r.views) + "," + std::to_string(r.whole_frames);
+  for (const double value : {r.baseline_deg, r.mean_iou, r.median_iou, r.share_iou_above_half}) {
+    row += "," + format_fixed(value, 4);
+  }
+  row += "," + std::to_string(r.first_frame) + "," + std::to_string(r.last_frame) + ",";
+  std::string others;
+  for (const auto& [class_id, count] : r.other_classes) {
+    others += (others.empty() ? "" : ";") + classes.name(class_id) + ":" + std::to_string(count);
+  }
+  return row + others + "," + to_string(r.certainty) + "\n";
+}
+
+}  // namespace
+
+const char* to_string(Certainty certainty) {
+  switch (certainty) {
+    case Certainty::kCertain:
+      return "certain";
+    case Certainty::kProbable:
+      return "probable";
+    case Certainty::kMarginal:
+      break;
+  }
+  return "marginal";
+}
+
+std::vector<ReferenceObject> reference_objects(const SimulatedSequence& sequence) {
+  if (sequence.truth.size() < 2) return {};
+  std::vector<Evidence> evidence(sequence.scene.objects.size());
+  const SceneProjector projector(sequence.scene, sequence.camera);
+  for (std::size_t i = 0; i < sequence.truth.size(); ++i) collect(sequence, i, projector, &evidence);
+
+  const double duration_s =
+      1e-9 * static_cast<double>(sequence.truth.back().stamp_ns - sequence.truth.front().stamp_ns);
+  const double rate_hz = static_cast<double>(sequence.truth.size() - 1) / duration_s;
+  std::vector<ReferenceObject> references;
+  for (std::size_t i = 0; i < evidence.size(); ++i) {
+    evidence[i].reference.object = static_cast<int>(i);
+    if (evidence[i].ious.empty()) continue;
+    summarise(rate_hz, &evidence[i]);
+    references.push_back(evidence[i].reference);
+  }
+  std::stable_sort(references.begin(), references.end(),
+                   [](const ReferenceObject& a, const ReferenceObject& b) { return a.views > b.views; });
+  return references;
+}
+
+std::string format_reference_objects(const SimulatedSequence& sequence, const ClassTable& classes) {
+  std::string text =
+      "id,label_id,label,x,y,z,a,b,c,yaw,views,fullvis_frames,baseline_deg,mean_iou,median_iou,iou_gt_05,first,last,"
+      "alt_labels,certainty\n";
+  const std::vector<ReferenceObject> references = reference_objects(sequence);
+  for (std::size_t i = 0; i < references.size(); ++i) {
+    const auto object = static_cast<std::size_t>(references[i].object);
+    text += format_row(i, references[i], sequence.scene.objects[object], classes);
+  }
+  return text;
+}
+
+}  // namespace semantic_topo_loop::core

@@ -1,0 +1,135 @@
+#include "semantic_topo_loop/simulation/sequence.h"
+
+#include "option_check.h"
+#include "semantic_topo_loop/detection/detection_writer.h"
+#include "semantic_topo_loop/io/text_file.h"
+#include "semantic_topo_loop/io/tum_trajectory.h"
+#include "semantic_topo_loop/pipeline/option_visitor.h"
+#include "semantic_topo_loop/simulation/reference_objects.h"
+
+namespace semantic_topo_loop::core {
+namespace {
+
+constexpr std::int64_t kFirstStampNs = 1400000000000000000;
+constexpr double kMocapRateHz = 100.0;
+constexpr double kMocapMarginS = 0.5;  ///< before the first and after the last image
+
+/// Streams of the seed; one a component, so that the options of one leave the others as they are.
+enum Stream : std::uint64_t { kScene = 1, kTrajectory, kDrift, kDetector, kOdometryFrame };
+
+std::uint64_t seed_of(const SimulationOptions& options, Stream stream) {
+  return static_cast<std::uint64_t>(options.seed) * 16 + stream;
+}
+
+/// Whole microseconds, so that six decimals in a file are exact.
+std::int64_t stamp_at(double time_s) { return kFirstStampNs + 1000 * std::llround(1e6 * time_s); }
+
+StampedPoses sample(const HandheldTrajectory& trajectory, double begin_s, double rate_hz, std::size_t count) {
+  StampedPoses poses;
+  poses.reserve(count);
+  for (std::size_t i = 0; i < count; ++i) {
+    const double time_s = begin_s + static_cast<double>(i) / rate_hz;
+    poses.push_back({stamp_at(time_s), trajectory.T_world_camera(time_s)});
+  }
+  return poses;
+}
+
+SE3 odometry_frame(const SimulationOptions& options, const SE3& T_world_camera0) {
+  if (options.odometry_frame == "world") return SE3();
+  if (options.odometry_frame == "first_camera") return T_world_camera0.inverse();
+  Random random(seed_of(options, kOdometryFrame));
+  const Quaternion rotation = random.rotation();
+  return {rotation, 5.0 * random.normal3()};
+}
+
+std::optional<StampedPoses> odometry(const SimulationOptions& options, const StampedPoses& truth, std::string* error) {
+  std::vector<SE3> T_world_camera;
+  for (const StampedPose& pose : truth) T_world_camera.push_back(pose.T_world_camera);
+  const auto drifted = drift_poses(T_world_camera, options.drift, seed_of(options, kDrift), error);
+  if (!drifted) return std::nullopt;
+  const SE3 T_odom_world = odometry_frame(options, T_world_camera.front());
+  StampedPoses poses;
+  for (std::size_t i = 0; i < truth.size(); ++i) poses.push_back({truth[i].stamp_ns, T_odom_world * (*drifted)[i]});
+  return poses;
+}
+
+std::string format_camera(const Camera& camera) {
+  constexpr int kDigits = 15;
+  std::string text = "# Camera of a simulated sequence.\n";
+  for (const auto& [key, value] : {std::pair("fx", camera.fx), std::pair("fy", camera.fy), std::pair("cx", camera.cx),
+                                   std::pair("cy", camera.cy)}) {
+    text += std::string(key) + ": " + format_general(value, kDigits) + "\n";
+  }
+  text += "width: " + std::to_string(camera.width) + "\nheight: " + std::to_string(camera.height) + "\ndistortion: [";
+  for (std::size_t i = 0; i < camera.distortion.size(); ++i) {
+    text += (i == 0 ? "" : ", ") + format_general(camera.distortion[i], kDigits);
+  }
+  return text + "]  # k1, k2, p1, p2, k3\n";
+}
+
+std::vector<DetectionFrame> detection_frames(const SimulatedSequence& sequence) {
+  std::vector<DetectionFrame> frames;
+  for (std::size_t i = 0; i < sequence.truth.size(); ++i) {
+    DetectionFrame frame{sequence.truth[i].stamp_ns, {}};
+    for (const SimulatedDetection& d : sequence.detections[i]) frame.detections.push_back(d.detection);
+    frames.push_back(std::move(frame));
+  }
+  return frames;
+}
+
+}  // namespace
+
+bool SimulationOptions::is_valid(std::string* error) const {
+  OptionCheck check(error);
+  check.require(seed >= 0, "simulation.seed", seed, ">= 0");
+  check.require(odometry_frame == "first_camera" || odometry_frame == "random" || odometry_frame == "world",
+                "simulation.odometry_frame", odometry_frame, "first_camera, random or world");
+  return check.ok() && scene.is_valid(error) && trajectory.is_valid(error) && drift.is_valid(error) &&
+         detector.is_valid(error);
+}
+
+std::optional<SimulationOptions> make_simulation_options(const std::map<std::string, std::string>& values,
+                                                         std::string* error) {
+  SimulationOptions options;
+  OptionSetter setter(values);
+  options.visit(setter);
+  if (!setter.error().empty()) {
+    if (error != nullptr) *error = setter.error();
+    return std::nullopt;
+  }
+  if (!options.is_valid(error)) return std::nullopt;
+  return options;
+}
+
+std::optional<SimulatedSequence> simulate(const SimulationOptions& options, const Camera& camera,
+                                          const ClassTable& classes, std::string* error) {
+  if (!options.is_valid(error) || !camera.is_valid(error)) return std::nullopt;
+  SimulatedSequence sequence;
+  sequence.camera = camera;
+  sequence.scene = make_scene(options.scene, seed_of(options, kScene));
+  const HandheldTrajectory trajectory(sequence.scene, options.trajectory, seed_of(options, kTrajectory));
+  const double duration_s = options.trajectory.duration_s;
+  const double rate_hz = options.trajectory.rate_hz;
+  sequence.truth = sample(trajectory, 0.0, rate_hz, static_cast<std::size_t>(std::llround(duration_s * rate_hz)));
+  sequence.mocap = sample(trajectory, -kMocapMarginS, kMocapRateHz,
+                          static_cast<std::size_t>((duration_s + 2.0 * kMocapMarginS) * kMocapRateHz) + 1);
+  std::optional<StampedPoses> drifted = odometry(options, sequence.truth, error);
+  if (!drifted) return std::nullopt;
+  sequence.odometry = std::move(*drifted);
+  DetectorModel detector(sequence.scene, camera, classes, options.detector, rate_hz, seed_of(options, kDetector));
+  for (const StampedPose& pose : sequence.truth) sequence.detections.push_back(detector.detect(pose.T_world_camera));
+  return sequence;
+}
+
+bool write_sequence(const SimulatedSequence& sequence, const ClassTable& classes, const std::string& directory,
+                    std::string* error) {
+  return make_directory(directory, error) &&
+         write_tum_trajectory(directory + "/groundtruth.txt", sequence.mocap, error) &&
+         write_tum_trajectory(directory + "/groundtruth_frames.txt", sequence.truth, error) &&
+         write_tum_trajectory(directory + "/odometry.txt", sequence.odometry, error) &&
+         write_detections_json(directory + "/detections.json", detection_frames(sequence), error) &&
+         write_text_file(directory + "/reference_objects.csv", format_reference_objects(sequence, classes), error) &&
+         write_text_file(directory + "/camera.yaml", format_camera(sequence.camera), error);
+}
+
+}  // namespace semantic_topo_loop::core

@@ -1,0 +1,97 @@
+#include "semantic_topo_loop/simulation/trajectory.h"
+
+#include "option_check.h"
+
+namespace semantic_topo_loop::core {
+
+bool TrajectoryOptions::is_valid(std::string* error) const {
+  OptionCheck check(error);
+  check.positive("trajectory.duration_s", duration_s);
+  check.positive("trajectory.rate_hz", rate_hz);
+  check.require(duration_s * rate_hz >= 2.0 && duration_s * rate_hz < 1e6, "trajectory.duration_s", duration_s,
+                "long enough for 2 and short enough for 1e6 images");
+  check.positive("trajectory.lap_s", lap_s);
+  check.require(distance_m >= 0.5, "trajectory.distance_m", distance_m, ">= 0.5");
+  check.require(height_m >= 0.9 && height_m < 10.0, "trajectory.height_m", height_m, "in [0.9, 10)");
+  check.require(wander_m >= 0.0 && wander_m <= 0.3, "trajectory.wander_m", wander_m, "in [0, 0.3]");
+  check.require(shake_m >= 0.0 && shake_m <= 0.1, "trajectory.shake_m", shake_m, "in [0, 0.1]");
+  check.require(shake_deg >= 0.0 && shake_deg <= 10.0, "trajectory.shake_deg", shake_deg, "in [0, 10]");
+  return check.ok();
+}
+
+SmoothNoise::SmoothNoise(double low_hz, double high_hz, Random* random) {
+  for (Wave& wave : waves_) {
+    wave.hz = random->uniform(low_hz, high_hz);
+    wave.phase = random->uniform(0.0, 2.0 * kPi);
+  }
+}
+
+double SmoothNoise::operator()(double time_s) const {
+  double sum = 0.0;
+  for (const Wave& wave : waves_) sum += std::sin(2.0 * kPi * wave.hz * time_s + wave.phase);
+  return sum * std::sqrt(2.0 / static_cast<double>(waves_.size()));
+}
+
+HandheldTrajectory::HandheldTrajectory(const Scene& scene, const TrajectoryOptions& options, std::uint64_t seed)
+    : options_(options) {
+  Random random(seed);
+  line_start_ = scene.desks.front().T_world_desk.t;
+  const Vec3 line = scene.desks.back().T_world_desk.t - line_start_;
+  line_length_m_ = line.norm();
+  // A single desk is circled; any direction serves as its middle line.
+  line_direction_ = line_length_m_ > 1e-6 ? Vec3(line / line_length_m_) : Vec3::UnitX();
+  first_lap_ = random.uniform();
+  sense_ = random.chance(0.5) ? 1.0 : -1.0;
+  for (SmoothNoise& noise : wander_) noise = SmoothNoise(0.03, 0.15, &random);
+  for (SmoothNoise& noise : shake_) noise = SmoothNoise(0.8, 5.0, &random);
+}
+
+HandheldTrajectory::Station HandheldTrajectory::station(double laps) const {
+  const double whole = std::floor(laps);
+  const double arc = kPi * options_.distance_m;
+  const double way = (laps - whole) * 2.0 * (line_length_m_ + arc);
+  const double turns = 2.0 * kPi * whole;
+  if (way < line_length_m_) return {way, turns};
+  if (way < line_length_m_ + arc) return {line_length_m_, turns + (way - line_length_m_) / options_.distance_m};
+  if (way < 2.0 * line_length_m_ + arc) return {2.0 * line_length_m_ + arc - way, turns + kPi};
+  return {0.0, turns + kPi + (way - 2.0 * line_length_m_ - arc) / options_.distance_m};
+}
+
+HandheldTrajectory::Station HandheldTrajectory::smooth_station(double laps) const {
+  // A moving average rounds the corners of the pace, where straight meets arc.
+  constexpr int kSamples = 16;
+  constexpr double kWindowLaps = 0.1;
+  Station mean;
+  for (int i = 0; i < kSamples; ++i) {
+    const Station s = station(laps + kWindowLaps * ((i + 0.5) / kSamples - 0.5));
+    mean.along_m += s.along_m / kSamples;
+    mean.angle += s.angle / kSamples;
+  }
+  return mean;
+}
+
+SE3 HandheldTrajectory::T_world_camera(double time_s) const {
+  const Station s = smooth_station(first_lap_ + sense_ * time_s / options_.lap_s);
+  const Vec3 side(line_direction_.y(), -line_direction_.x(), 0.0);
+  const Vec3 outward = std::cos(s.angle) * side + std::sin(s.angle) * line_direction_;
+  const Vec3 line_point = line_start_ + s.along_m * line_direction_;
+
+  std::array<double, 5> wander;
+  for (std::size_t i = 0; i < wander.size(); ++i) wander[i] = options_.wander_m * wander_[i](time_s);
+  Vec3 position = line_point + (options_.distance_m + wander[0]) * outward;
+  position.z() = options_.height_m + wander[1];
+  const Vec3 target = line_point + Vec3(wander[2], wander[3], 0.5 * wander[4]);
+
+  const Vec3 forward = (target - position).normalized();
+  const Vec3 right = forward.cross(Vec3::UnitZ()).normalized();
+  Mat3 R_world_camera;
+  R_world_camera << right, forward.cross(right), forward;
+  Vec6 shake;
+  for (int i = 0; i < 6; ++i) {
+    const double amplitude = i < 3 ? options_.shake_m : radians(options_.shake_deg);
+    shake[i] = amplitude * shake_[static_cast<std::size_t>(i)](time_s);
+  }
+  return SE3(R_world_camera, position) * se3_exp(shake);
+}
+
+}  // namespace semantic_topo_loop::core

@@ -1,0 +1,154 @@
+#include <algorithm>
+
+#include "semantic_topo_loop/simulation/drift.h"
+#include "test_fixtures.h"
+
+namespace semantic_topo_loop::core {
+namespace {
+
+using simulation_test::options_of;
+
+std::vector<SE3> poses(const std::string& layout, std::uint64_t seed, double duration_s = 60.0) {
+  SceneOptions scene_options;
+  scene_options.layout = layout;
+  TrajectoryOptions options;
+  options.duration_s = duration_s;
+  const HandheldTrajectory trajectory(make_scene(scene_options, seed), options, seed);
+  std::vector<SE3> result;
+  for (double i = 0.0; i < duration_s * options.rate_hz; i += 1.0) {
+    result.push_back(trajectory.T_world_camera(i / options.rate_hz));
+  }
+  return result;
+}
+
+class TrajectoryTest : public ::testing::TestWithParam<std::string> {};
+
+TEST_P(TrajectoryTest, looks_at_a_desk_from_above_with_the_image_upright) {
+  for (std::uint64_t seed = 0; seed < 10; ++seed) {
+    SceneOptions scene_options;
+    scene_options.layout = GetParam();
+    const Scene scene = make_scene(scene_options, seed);
+    for (const SE3& T : poses(GetParam(), seed)) {
+      EXPECT_GT(T.t.z(), 0.9);
+      EXPECT_LT((T.q * Vec3::UnitY()).z(), -0.5) << "y points down";
+      double nearest_deg = 180.0;
+      for (const Desk& desk : scene.desks) {
+        const Vec3 seen = T.inverse() * desk.T_world_desk.t;
+        nearest_deg = std::min(nearest_deg, degrees(std::atan2(seen.head<2>().norm(), seen.z())));
+      }
+      EXPECT_LT(nearest_deg, 45.0);
+    }
+  }
+}
+
+TEST_P(TrajectoryTest, moves_as_smoothly_as_a_hand) {
+  for (std::uint64_t seed = 0; seed < 10; ++seed) {
+    const std::vector<SE3> T = poses(GetParam(), seed);
+    for (std::size_t i = 2; i < T.size(); ++i) {
+      EXPECT_LT((T[i].t - T[i - 1].t).norm() * 30.0, 1.5) << "m/s, seed " << seed << ", frame " << i;
+      EXPECT_LT(degrees(rotation_angle(T[i].q, T[i - 1].q)) * 30.0, 90.0) << "deg/s, seed " << seed << ", frame " << i;
+      const Vec3 acceleration = (T[i].t - 2.0 * T[i - 1].t + T[i - 2].t) * 900.0;
+      EXPECT_LT(acceleration.norm(), 15.0) << "m/s^2, seed " << seed << ", frame " << i;
+    }
+  }
+}
+
+TEST_P(TrajectoryTest, revisits_after_more_than_a_thousand_frames) {
+  for (std::uint64_t seed = 0; seed < 10; ++seed) {
+    const std::vector<SE3> T = poses(GetParam(), seed);
+    int revisits = 0;
+    for (std::size_t i = 1001; i < T.size(); ++i) {
+      const bool revisit =
+          std::any_of(T.begin(), T.begin() + static_cast<std::ptrdiff_t>(i - 1000), [&](const SE3& old) {
+            const double angle = std::acos(std::clamp((T[i].q * Vec3::UnitZ()).dot(old.q * Vec3::UnitZ()), -1.0, 1.0));
+            return (T[i].t - old.t).norm() < 0.8 && degrees(angle) < 25.0;
+          });
+      revisits += revisit ? 1 : 0;
+    }
+    EXPECT_GT(revisits, 400) << "seed " << seed;
+  }
+}
+
+INSTANTIATE_TEST_SUITE_P(Layouts, TrajectoryTest, ::testing::Values("desk", "office"));
+
+struct Level {
+  std::string model;
+  double position_m, rotation_deg;
+};
+
+class DriftTest : public ::testing::TestWithParam<Level> {};
+
+TEST_P(DriftTest, reaches_the_level_exactly) {
+  const std::vector<SE3> truth = poses("desk", 4);
+  for (std::uint64_t seed = 0; seed < 5; ++seed) {
+    DriftOptions options;
+    options.model = GetParam().model;
+    options.position_m = GetParam().position_m;
+    options.rotation_deg = GetParam().rotation_deg;
+    std::string error;
+    const auto drifted = drift_poses(truth, options, seed, &error);
+    ASSERT_TRUE(drifted) << error;
+    ASSERT_EQ(drifted->size(), truth.size());
+    EXPECT_EQ(drifted->front().t, truth.front().t);
+    double position_m = 0.0, rotation_deg = 0.0;
+    for (std::size_t i = 0; i < truth.size(); ++i) {
+      position_m = std::max(position_m, ((*drifted)[i].t - truth[i].t).norm());
+      rotation_deg = std::max(rotation_deg, degrees(rotation_angle((*drifted)[i].q, truth[i].q)));
+    }
+    EXPECT_NEAR(position_m, options.position_m, 1e-3 * options.position_m + 1e-9);
+    EXPECT_NEAR(rotation_deg, options.rotation_deg, 1e-3 * options.rotation_deg + 1e-9);
+  }
+}
+
+INSTANTIATE_TEST_SUITE_P(Levels, DriftTest,
+                         ::testing::Values(Level{"smooth", 0.3, 5.0}, Level{"smooth", 1.0, 15.0},
+                                           Level{"smooth", 2.0, 30.0}, Level{"smooth", 0.5, 0.0},
+                                           Level{"jump", 0.3, 5.0}, Level{"jump", 1.0, 15.0},
+                                           Level{"jump", 2.0, 30.0}));
+
+TEST(Drift, level_zero_is_exact) {
+  const std::vector<SE3> truth = poses("desk", 1, 5.0);
+  for (const char* model : {"smooth", "jump"}) {
+    DriftOptions options;
+    options.model = model;
+    options.position_m = options.rotation_deg = 0.0;
+    const auto drifted = drift_poses(truth, options, 1, nullptr);
+    ASSERT_TRUE(drifted);
+    for (std::size_t i = 0; i < truth.size(); ++i) {
+      EXPECT_EQ((*drifted)[i].t, truth[i].t);
+      EXPECT_EQ((*drifted)[i].q.coeffs(), truth[i].q.coeffs());
+    }
+  }
+}
+
+/// Largest error of the motion over one frame.
+double worst_step_m(const std::vector<SE3>& truth, const std::vector<SE3>& drifted, std::size_t i) {
+  return ((drifted[i].inverse() * drifted[i + 1]).t - (truth[i].inverse() * truth[i + 1]).t).norm();
+}
+
+TEST(Drift, jump_is_good_but_for_three_bursts) {
+  const std::vector<SE3> truth = poses("desk", 2);
+  DriftOptions options;
+  options.model = "jump";
+  options.position_m = 1.0;
+  options.rotation_deg = 15.0;
+  const auto drifted = drift_poses(truth, options, 7, nullptr);
+  ASSERT_TRUE(drifted);
+  int bad = 0;
+  for (std::size_t i = 0; i + 1 < truth.size(); ++i) bad += worst_step_m(truth, *drifted, i) > 0.005 ? 1 : 0;
+  EXPECT_GT(bad, 0);
+  EXPECT_LE(bad, 24);
+}
+
+TEST(Drift, a_level_that_cannot_be_met_is_an_error_with_both_values) {
+  DriftOptions options;
+  options.position_m = 0.001;
+  options.rotation_deg = 60.0;
+  std::string error;
+  EXPECT_FALSE(drift_poses(poses("desk", 1), options, 1, &error));
+  EXPECT_NE(error.find("'drift.position_m' = '0.001'"), std::string::npos) << error;
+  EXPECT_NE(error.find("'60'"), std::string::npos) << error;
+}
+
+}  // namespace
+}  // namespace semantic_topo_loop::core
