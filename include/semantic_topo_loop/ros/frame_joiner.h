@@ -1,0 +1,82 @@
+#pragma once
+
+#include <cstddef>
+#include <cstdint>
+#include <functional>
+#include <map>
+#include <optional>
+#include <tuple>
+#include <utility>
+
+namespace semantic_topo_loop {
+
+/// Joins one message of each kind by frame_id, in order of frame_id. When a frame completes, older incomplete ones are
+/// evicted: nothing may be processed before a frame that was already processed. Not thread-safe.
+template <class... Kinds>
+class FrameJoiner {
+ public:
+  using Set = std::tuple<Kinds...>;
+  using Partial = std::tuple<std::optional<Kinds>...>;
+  using EvictHandler = std::function<void(std::int64_t frame_id, const Partial& partial)>;
+
+  /// @param capacity incomplete frames held; the oldest is evicted beyond   @param on_evict called oldest first
+  explicit FrameJoiner(std::size_t capacity, EvictHandler on_evict = {})
+      : capacity_(capacity), on_evict_(std::move(on_evict)) {}
+
+  /// Adds the message of kind `I`.
+  /// @return the complete set if this message was the last one missing
+  template <std::size_t I>
+  std::optional<Set> add(std::int64_t frame_id, std::tuple_element_t<I, Set> message) {
+    if (is_past(frame_id)) {
+      ++late_;
+      return std::nullopt;
+    }
+    Partial& partial = pending_[frame_id];
+    std::get<I>(partial) = std::move(message);
+    if (!is_complete(partial)) {
+      if (pending_.size() > capacity_) evict_oldest();
+      return std::nullopt;
+    }
+    Set set = std::apply([](auto&... items) { return Set(std::move(*items)...); }, partial);
+    pending_.erase(frame_id);
+    evict_before(frame_id);
+    last_frame_id_ = frame_id;
+    return set;
+  }
+
+  void clear() {
+    pending_.clear();
+    last_frame_id_ = kNone;
+  }
+  /// The frame was complete or evicted already: what still comes of it is not joined.
+  bool is_past(std::int64_t frame_id) const { return frame_id <= last_frame_id_; }
+  /// Incomplete frames given up.
+  std::uint64_t evicted() const { return evicted_; }
+  /// Messages of frames that were complete or evicted already.
+  std::uint64_t late() const { return late_; }
+  std::size_t size() const { return pending_.size(); }
+
+ private:
+  static constexpr std::int64_t kNone = -1;
+
+  static bool is_complete(const Partial& partial) {
+    return std::apply([](const auto&... items) { return (items.has_value() && ...); }, partial);
+  }
+  void evict_oldest() {
+    const auto oldest = pending_.extract(pending_.begin());
+    last_frame_id_ = oldest.key();
+    ++evicted_;
+    if (on_evict_) on_evict_(oldest.key(), oldest.mapped());
+  }
+  void evict_before(std::int64_t frame_id) {
+    while (!pending_.empty() && pending_.begin()->first < frame_id) evict_oldest();
+  }
+
+  std::size_t capacity_;
+  EvictHandler on_evict_;
+  std::map<std::int64_t, Partial> pending_;
+  std::int64_t last_frame_id_ = kNone;
+  std::uint64_t evicted_ = 0, late_ = 0;
+};
+
+}  // namespace semantic_topo_loop

@@ -1,0 +1,46 @@
+#pragma once
+
+#include <sensor_msgs/CameraInfo.h>
+#include <tf2_msgs/TFMessage.h>
+
+#include <cstdint>
+#include <optional>
+#include <string>
+#include <utility>
+#include <vector>
+
+#include "semantic_topo_loop/geometry/stamped_pose.h"
+
+namespace semantic_topo_loop {
+
+/// What the player publishes for one image: first the transforms, then the camera_info that stands for the image.
+struct PlayerItem {
+  std::vector<tf2_msgs::TFMessage> transforms;  ///< recorded up to a little after the image, so that none is awaited
+  sensor_msgs::CameraInfo camera_info;          ///< stamped as the image
+};
+
+/// A recording, image by image.
+class PlayerSource {
+ public:
+  virtual ~PlayerSource() = default;
+  /// @return nullopt at the end; with `error` set if the recording ends there by a fault
+  virtual std::optional<PlayerItem> next(std::string* error) = 0;
+  /// Images in the recording, for the progress shown.
+  virtual std::size_t size() const = 0;
+};
+
+/// The stamps of a trajectory file.
+class FileStamps : public PlayerSource {
+ public:
+  FileStamps(core::StampedPoses trajectory, sensor_msgs::CameraInfo camera_info)
+      : trajectory_(std::move(trajectory)), camera_info_(std::move(camera_info)) {}
+  std::optional<PlayerItem> next(std::string* error) override;
+  std::size_t size() const override { return trajectory_.size(); }
+
+ private:
+  core::StampedPoses trajectory_;
+  sensor_msgs::CameraInfo camera_info_;
+  std::size_t index_ = 0;
+};
+
+}  // namespace semantic_topo_loop

@@ -1,0 +1,64 @@
+#pragma once
+
+#include <rosbag/bag.h>
+#include <rosbag/view.h>
+
+#include <cstdint>
+#include <deque>
+#include <memory>
+#include <optional>
+#include <string>
+#include <vector>
+
+#include "semantic_topo_loop/ros/player_source.h"
+
+namespace semantic_topo_loop {
+
+/// How a bag in the layout of the official TUM RGB-D bags is read.
+struct TumBagPlayback {
+  std::string file;
+  std::string stamps = "image";   ///< of the images: image or camera_info
+  std::string mocap_tf = "drop";  ///< the motion capture's edge in /tf: drop, or odom (its parent becomes odom_frame)
+  std::string odom_frame = "odom";
+  double lookahead_s = 0.3;  ///< transforms recorded up to this long after an image go before it
+};
+
+/// Reads a bag in the official TUM layout, in one pass, without a master: `/camera/rgb/image_color`,
+/// `/camera/rgb/camera_info` and `/tf` with `/world -> /kinect` from the motion capture and the camera's chain below
+/// `/kinect`. Only the motion capture's edge is changed, so that `kinect` has one parent. Leading slashes of frame ids
+/// are stripped.
+class TumBagSource : public PlayerSource {
+ public:
+  /// @param calibration replaces the recorded camera_info, which holds the driver's defaults
+  /// @return null, with the file and cause in `error`, if it cannot be played
+  static std::unique_ptr<TumBagSource> open(const TumBagPlayback& options,
+                                            const std::optional<sensor_msgs::CameraInfo>& calibration,
+                                            std::string* error);
+  std::optional<PlayerItem> next(std::string* error) override;
+  std::size_t size() const override { return size_; }
+
+ private:
+  struct Image {
+    ros::Time received;
+    std_msgs::Header header;
+  };
+
+  explicit TumBagSource(const TumBagPlayback& options) : options_(options) {}
+  void open_bag();
+  bool is_due(const Image& image) const;
+  void read_message(const rosbag::MessageInstance& message);
+  void take_transforms(const tf2_msgs::TFMessage& message);
+  PlayerItem make_item(const Image& image);
+
+  const TumBagPlayback options_;
+  std::optional<sensor_msgs::CameraInfo> calibration_;
+  rosbag::Bag bag_;
+  std::unique_ptr<rosbag::View> view_;
+  rosbag::View::iterator position_;
+  ros::Time read_to_;  ///< time of recording of the last message read
+  std::size_t size_ = 0;
+  std::deque<Image> images_;
+  std::vector<tf2_msgs::TFMessage> transforms_;
+};
+
+}  // namespace semantic_topo_loop

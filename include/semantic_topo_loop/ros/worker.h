@@ -1,0 +1,61 @@
+#pragma once
+
+#include <condition_variable>
+#include <cstddef>
+#include <cstdint>
+#include <deque>
+#include <functional>
+#include <mutex>
+#include <string>
+#include <thread>
+
+namespace semantic_topo_loop {
+
+/// Whether a task may be given up when its stage cannot keep up.
+enum class Keep {
+  kDroppable,  ///< a frame's data: the oldest goes when the queue is full, counted
+  kAlways,     ///< state that later tasks build on: map updates, corrections, sessions
+};
+
+/// A bounded queue and one thread that runs its tasks in order of arrival. Pushing never waits.
+class Worker {
+ public:
+  using Task = std::function<void()>;
+  using ErrorHandler = std::function<void(const std::string& what)>;
+
+  /// @param capacity droppable tasks held, at least 1   @param on_error called on the worker's thread for a task that
+  /// threw; the next task runs all the same
+  Worker(std::size_t capacity, ErrorHandler on_error);
+  ~Worker() { close(); }
+  Worker(const Worker&) = delete;
+  Worker& operator=(const Worker&) = delete;
+
+  /// Drops the oldest droppable task when `capacity` of them wait, and the oldest of all when 16 times as many tasks
+  /// of any kind do. After close() nothing is taken.
+  void push(Task task, Keep keep = Keep::kDroppable);
+  /// Forgets what waits, lets the running task end, and joins the thread. Never call it from a task.
+  void close();
+
+  std::uint64_t dropped() const;
+  std::size_t size() const;
+
+ private:
+  struct Entry {
+    Task task;
+    Keep keep;
+  };
+  void run();
+  void drop(std::deque<Entry>::iterator entry);
+
+  const std::size_t capacity_;
+  const ErrorHandler on_error_;
+  mutable std::mutex mutex_;  ///< guards all below but thread_
+  std::condition_variable wake_;
+  std::deque<Entry> queue_;
+  std::size_t droppable_ = 0;
+  std::uint64_t dropped_ = 0;
+  bool closed_ = false;
+  std::thread thread_;
+};
+
+}  // namespace semantic_topo_loop

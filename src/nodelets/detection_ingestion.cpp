@@ -1,0 +1,199 @@
+#include <chrono>
+#include <deque>
+#include <memory>
+#include <pluginlib/class_list_macros.hpp>
+#include <set>
+#include <string>
+#include <vector>
+
+#include "semantic_topo_loop/DetectionArray.h"
+#include "semantic_topo_loop/Frame.h"
+#include "semantic_topo_loop/detection/detection_reader.h"
+#include "semantic_topo_loop/geometry/stamped_pose.h"
+#include "semantic_topo_loop/ros/conversions.h"
+#include "semantic_topo_loop/ros/detection_matcher.h"
+#include "semantic_topo_loop/ros/detection_parameters.h"
+#include "semantic_topo_loop/ros/pose_source.h"
+#include "semantic_topo_loop/ros/stage.h"
+
+namespace semantic_topo_loop {
+
+/// Gives each Frame its detections: exactly one DetectionArray a Frame, in order, empty if there are none.
+class DetectionIngestionNodelet : public Stage {
+ public:
+  DetectionIngestionNodelet() : Stage("DetectionIngestion") {}
+  ~DetectionIngestionNodelet() override { stop(); }
+
+ private:
+  using Clock = std::chrono::steady_clock;
+  struct Waiting {
+    Frame::ConstPtr frame;
+    Clock::time_point deadline;
+  };
+  static constexpr char kMissing[] = "frames without detections";
+  static constexpr char kUnmatched[] = "detections without a frame";
+
+  void onInit() override;
+  bool load_file();
+  void reset_session() override;
+  void on_frame(const Frame::ConstPtr& frame);
+  void on_input(const DetectionArray::ConstPtr& message);
+  void resolve();
+  /// @return false if the frame must wait on
+  bool resolve(const Waiting& waiting);
+  std::vector<core::Detection> from_file(const Frame& frame);
+  std::vector<core::Detection> checked(const DetectionArray& message);
+  void emit(const Frame& frame, const std::vector<core::Detection>& detections);
+  void report_unused();
+  /// Counts, and warns at the first time.
+  void complain(const std::string& cause, const std::string& detail);
+
+  core::Options options_;
+  DetectionParameters parameters_;
+  std::shared_ptr<const core::ClassTable> classes_;
+  ros::Publisher publisher_;
+  bool is_file_ = false;
+  std::vector<core::DetectionFrame> file_;
+  std::size_t matched_ = 0;  ///< images of the file that met a frame, this session
+  std::deque<Waiting> waiting_;
+  std::unique_ptr<DetectionMatcher> matcher_;
+  std::set<std::string> complaints_;
+};
+
+void DetectionIngestionNodelet::onInit() {
+  if (!start(&options_, &parameters_, 2)) return;
+  classes_ = load_classes(parameters_.class_table);
+  if (!classes_) return;
+  is_file_ = parameters_.source == "file";
+  if (is_file_ && !load_file()) return;
+  for (const char* counter : {kMissing, kUnmatched}) statistics().count(counter, 0);
+  // A detector that is late must find its frames still waiting, and one that is ahead its detections still kept.
+  constexpr std::size_t kKeptPerFrame = 10;
+  matcher_ = std::make_unique<DetectionMatcher>(queue_capacity() * kKeptPerFrame);
+  publisher_ = advertise<DetectionArray>("detections");
+  follow_sessions();
+  if (!is_file_) {
+    const boost::function<void(const DetectionArray::ConstPtr&)> callback = [this](const DetectionArray::ConstPtr& m) {
+      push("detections_in", Keep::kDroppable, [this, m] { on_input(m); });
+    };
+    keep_subscriber(getNodeHandle().subscribe<DetectionArray>("detections_in", 100, callback));
+    constexpr double kDeadlinePeriodS = 0.02;
+    start_timer(kDeadlinePeriodS, [this] { resolve(); });
+  }
+  subscribe("frames", Keep::kDroppable, &DetectionIngestionNodelet::on_frame);
+}
+
+bool DetectionIngestionNodelet::load_file() {
+  core::DetectionReport report;
+  std::string error;
+  auto detections = core::read_detections(parameters_.detections_file, *classes_, &report, &error);
+  for (const std::string& warning : report.warnings()) NODELET_WARN("%s", warning.c_str());
+  for (std::size_t i = 0; i < core::kDetectionProblemCount; ++i) {
+    const auto problem = static_cast<core::DetectionProblem>(i);
+    const int count = report.cause(problem).count;
+    if (count > 0) statistics().count(core::to_string(problem), static_cast<std::uint64_t>(count));
+  }
+  if (!detections) {
+    fail(error);
+    return false;
+  }
+  file_ = std::move(*detections);
+  return true;
+}
+
+void DetectionIngestionNodelet::reset_session() {
+  waiting_.clear();
+  matched_ = 0;
+}
+
+void DetectionIngestionNodelet::on_frame(const Frame::ConstPtr& frame) {
+  const std::chrono::duration<double> timeout(parameters_.detection_timeout_s);
+  waiting_.push_back({frame, Clock::now() + std::chrono::duration_cast<Clock::duration>(timeout)});
+  resolve();
+}
+
+void DetectionIngestionNodelet::on_input(const DetectionArray::ConstPtr& message) {
+  matcher_->add(message);
+  resolve();
+  statistics().set(kUnmatched, matcher_->unmatched());
+}
+
+void DetectionIngestionNodelet::resolve() {
+  while (!waiting_.empty() && resolve(waiting_.front())) waiting_.pop_front();
+}
+
+bool DetectionIngestionNodelet::resolve(const Waiting& waiting) {
+  const Frame& frame = *waiting.frame;
+  if (frame.is_end) {
+    emit(frame, {});
+    if (is_file_) report_unused();
+    return true;
+  }
+  if (is_file_) {
+    emit(frame, from_file(frame));
+    return true;
+  }
+  const std::int64_t stamp_ns = to_stamp_ns(frame.header.stamp);
+  if (const DetectionArray::ConstPtr message = matcher_->take(stamp_ns)) {
+    emit(frame, checked(*message));
+    return true;
+  }
+  if (Clock::now() < waiting.deadline) return false;
+  complain(kMissing, "nothing on detections_in for stamp " + std::to_string(stamp_ns) + " ns within " +
+                         std::to_string(parameters_.detection_timeout_s) + " s");
+  emit(frame, {});
+  return true;
+}
+
+std::vector<core::Detection> DetectionIngestionNodelet::from_file(const Frame& frame) {
+  const std::int64_t stamp_ns = to_stamp_ns(frame.header.stamp);
+  const core::DetectionFrame* found = core::find_stamp(file_, stamp_ns, kStampToleranceNs);
+  if (found == nullptr) {
+    complain(kMissing, parameters_.detections_file + " has no image with stamp " + std::to_string(stamp_ns) + " ns");
+    return {};
+  }
+  ++matched_;
+  return found->detections;
+}
+
+std::vector<core::Detection> DetectionIngestionNodelet::checked(const DetectionArray& message) {
+  std::vector<core::Detection> kept;
+  for (const core::Detection& detection : from_msg(message)) {
+    const std::optional<core::DetectionProblem> problem = core::validate(detection, *classes_);
+    if (problem) {
+      complain(core::to_string(*problem), "a box on detections_in is left out: " + core::describe(detection, *problem));
+    } else {
+      kept.push_back(detection);
+    }
+  }
+  return kept;
+}
+
+void DetectionIngestionNodelet::emit(const Frame& frame, const std::vector<core::Detection>& detections) {
+  auto message = boost::make_shared<DetectionArray>();
+  to_msg(detections, message.get());
+  message->header = make_header(frame.header.stamp, frame.camera_frame);
+  message->session_id = frame.session_id;
+  message->frame_id = frame.frame_id;
+  publisher_.publish(message);
+  count_processed();
+}
+
+void DetectionIngestionNodelet::report_unused() {
+  const std::size_t unused = file_.size() - matched_;
+  statistics().set(kUnmatched, unused);
+  if (unused == 0) return;
+  NODELET_WARN("%zu of %zu images in %s had no frame: the odometry has no pose there", unused, file_.size(),
+               parameters_.detections_file.c_str());
+}
+
+void DetectionIngestionNodelet::complain(const std::string& cause, const std::string& detail) {
+  statistics().count(cause);
+  if (complaints_.insert(cause).second) {
+    NODELET_WARN("%s: %s (further ones are counted in the diagnostics)", cause.c_str(), detail.c_str());
+  }
+}
+
+}  // namespace semantic_topo_loop
+
+PLUGINLIB_EXPORT_CLASS(semantic_topo_loop::DetectionIngestionNodelet, nodelet::Nodelet)

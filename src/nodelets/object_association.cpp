@@ -1,0 +1,137 @@
+#include <deque>
+#include <map>
+#include <memory>
+#include <pluginlib/class_list_macros.hpp>
+#include <set>
+
+#include "semantic_topo_loop/FrameDone.h"
+#include "semantic_topo_loop/association/object_associator.h"
+#include "semantic_topo_loop/ros/conversions.h"
+#include "semantic_topo_loop/ros/frame_joiner.h"
+#include "semantic_topo_loop/ros/map_follower.h"
+#include "semantic_topo_loop/ros/stage.h"
+
+namespace semantic_topo_loop {
+
+/// Associates each frame's detections with landmarks, follows the quadric map, and says when a frame is done: it is the
+/// last of the loop to change its state.
+class ObjectAssociationNodelet : public Stage {
+ public:
+  ObjectAssociationNodelet() : Stage("ObjectAssociation") {}
+  ~ObjectAssociationNodelet() override { stop(); }
+
+ private:
+  using Parameters = ClassStageParameters;
+  /// A frame that the end of the chain has not answered yet.
+  struct Open {
+    ros::Time stamp;
+    bool is_end = false;
+    bool associated = false;
+  };
+
+  void onInit() override {
+    Parameters parameters;
+    if (!start(&options_, &parameters, 2)) return;
+    classes_ = load_classes(parameters.class_table);
+    if (!classes_) return;
+    joiner_ = std::make_unique<Joiner>(queue_capacity());
+    associations_publisher_ = advertise<AssociationArray>("associations");
+    done_publisher_ = advertise<FrameDone>("frame_done");
+    for (const char* counter : {kIncomplete, kVersionGaps}) statistics().count(counter, 0);
+    reset_session();
+    follow_sessions();
+    subscribe("quadric_map_updates", Keep::kAlways, &ObjectAssociationNodelet::on_update);
+    subscribe("detections", Keep::kDroppable, &ObjectAssociationNodelet::on_detections);
+    subscribe("frames", Keep::kDroppable, &ObjectAssociationNodelet::on_frame);
+  }
+
+  void reset_session() override {
+    associator_ = std::make_unique<core::ObjectAssociator>(options_.association, classes_);
+    follower_ = MapFollower();
+    full_map_subscriber_.shutdown();
+    joiner_->clear();
+    open_.clear();
+    next_done_ = kNoFrame;
+  }
+
+  void on_frame(const Frame::ConstPtr& frame) {
+    open_[frame->frame_id] = {frame->header.stamp, frame->is_end != 0, false};
+    if (next_done_ == kNoFrame) next_done_ = frame->frame_id;
+    associate(joiner_->add<0>(frame->frame_id, frame));
+  }
+
+  void on_detections(const DetectionArray::ConstPtr& detections) {
+    associate(joiner_->add<1>(detections->frame_id, detections));
+  }
+
+  void associate(const std::optional<std::tuple<Frame::ConstPtr, DetectionArray::ConstPtr>>& joined) {
+    statistics().set(kIncomplete, joiner_->evicted());
+    if (!joined) return;
+    const auto& [frame, detections] = *joined;
+    auto message = boost::make_shared<AssociationArray>();
+    to_msg(associator_->associate(from_msg(*frame), from_msg(*detections)), message.get());
+    message->header = make_header(frame->header.stamp, frame->camera_frame);
+    message->session_id = session_id();
+    open_[frame->frame_id].associated = true;
+    associations_publisher_.publish(message);
+    count_processed();
+  }
+
+  void on_update(const QuadricMapUpdate::ConstPtr& message) {
+    take_over(follower_.follow(from_msg(*message)));
+    if (message->phase == QuadricMapUpdate::PHASE_CORRECTION) finish(message->frame_id);
+  }
+
+  void on_full_map(const QuadricMap::ConstPtr& message) { take_over(follower_.recover(from_msg(*message))); }
+
+  /// Applies what the follower lets through; asks for the full map while there is a gap, and only then.
+  void take_over(const std::vector<core::MapUpdate>& updates) {
+    for (const core::MapUpdate& update : updates) associator_->apply(update);
+    statistics().set(kVersionGaps, follower_.gaps());
+    if (follower_.has_gap() && !full_map_subscriber_) {
+      full_map_subscriber_ = make_subscriber("quadric_map", Keep::kAlways, &ObjectAssociationNodelet::on_full_map);
+    } else if (!follower_.has_gap() && full_map_subscriber_) {
+      full_map_subscriber_.shutdown();
+    }
+  }
+
+  /// Corrections come in order of frames, so what is older and still open got lost on its way.
+  void finish(std::int64_t frame_id) {
+    if (next_done_ == kNoFrame) return;
+    for (; next_done_ <= frame_id; ++next_done_) publish_done(next_done_);
+    open_.erase(open_.begin(), open_.lower_bound(next_done_));
+  }
+
+  void publish_done(std::int64_t frame_id) {
+    const auto it = open_.find(frame_id);
+    const Open open = it == open_.end() ? Open() : it->second;
+    auto message = boost::make_shared<FrameDone>();
+    message->header = make_header(open.stamp, "");
+    message->session_id = session_id();
+    message->frame_id = frame_id;
+    message->map_version = associator_->map_version();
+    message->status = !open.associated ? FrameDone::STATUS_FAILED
+                                       : (open.is_end ? FrameDone::STATUS_END : FrameDone::STATUS_PROCESSED);
+    message->stage = name();
+    done_publisher_.publish(message);
+  }
+
+  using Joiner = FrameJoiner<Frame::ConstPtr, DetectionArray::ConstPtr>;
+  static constexpr std::int64_t kNoFrame = -1;
+  static constexpr char kIncomplete[] = "dropped, frame or detections missing";
+  static constexpr char kVersionGaps[] = "gaps between map versions";
+
+  core::Options options_;
+  std::shared_ptr<const core::ClassTable> classes_;
+  ros::Publisher associations_publisher_, done_publisher_;
+  ros::Subscriber full_map_subscriber_;
+  std::unique_ptr<Joiner> joiner_;
+  std::unique_ptr<core::ObjectAssociator> associator_;
+  MapFollower follower_;
+  std::map<std::int64_t, Open> open_;
+  std::int64_t next_done_ = kNoFrame;  ///< the first frame without a FrameDone
+};
+
+}  // namespace semantic_topo_loop
+
+PLUGINLIB_EXPORT_CLASS(semantic_topo_loop::ObjectAssociationNodelet, nodelet::Nodelet)

@@ -1,0 +1,318 @@
+#include <rosgraph_msgs/Clock.h>
+#include <std_msgs/Empty.h>
+#include <std_msgs/String.h>
+
+#include <chrono>
+#include <condition_variable>
+#include <memory>
+#include <mutex>
+#include <optional>
+#include <pluginlib/class_list_macros.hpp>
+#include <string>
+#include <thread>
+
+#include "semantic_topo_loop/AssociationArray.h"
+#include "semantic_topo_loop/DetectionArray.h"
+#include "semantic_topo_loop/Frame.h"
+#include "semantic_topo_loop/LoopClosureArray.h"
+#include "semantic_topo_loop/MapCorrection.h"
+#include "semantic_topo_loop/QuadricMapUpdate.h"
+#include "semantic_topo_loop/io/camera_yaml.h"
+#include "semantic_topo_loop/io/tum_trajectory.h"
+#include "semantic_topo_loop/ros/conversions.h"
+#include "semantic_topo_loop/ros/player_ledger.h"
+#include "semantic_topo_loop/ros/player_parameters.h"
+#include "semantic_topo_loop/ros/player_source.h"
+#include "semantic_topo_loop/ros/stage.h"
+#include "semantic_topo_loop/ros/tum_bag_source.h"
+
+namespace semantic_topo_loop {
+
+/// Plays a recording through the chain: with credit, so that nothing is dropped and the result is offline's, or at a
+/// rate. Says on `player_status` (latched) how it ended, for wait_for_player.
+class PlayerNodelet : public Stage {
+ public:
+  PlayerNodelet() : Stage("Player") {}
+  ~PlayerNodelet() override;
+
+ private:
+  using Clock = std::chrono::steady_clock;
+  enum class Wait { kReady, kStopped, kStalled };
+
+  void onInit() override;
+  void watch();
+  template <class Message, class Handler>
+  void listen(const std::string& topic, Handler handler);
+  template <class Message>
+  void follow(const std::string& topic, PlayerLedger::Link link);
+
+  void play();
+  std::unique_ptr<PlayerSource> open_source(std::string* error) const;
+  bool wait_for_stages();
+  /// Plays every image. @return false if the player is to end here
+  bool play_images(PlayerSource* source, std::string* fault);
+  bool play_end();
+  Wait wait_for_turn(std::int64_t stamp_ns);
+  template <class Predicate>
+  Wait wait_until(Predicate predicate);
+  bool is_stalled() const;
+  void publish(const PlayerItem& item);
+  void report_stall();
+  void set_status(const std::string& status);
+
+  core::Options options_;
+  PlayerParameters parameters_;
+  ros::Publisher clock_publisher_, tf_publisher_, camera_info_publisher_, end_publisher_, query_publisher_;
+  ros::Publisher status_publisher_;
+  bool publishes_clock_ = false;
+  std::optional<std::pair<Clock::time_point, std::int64_t>> rate_origin_;  ///< playback thread only
+
+  std::mutex mutex_;  ///< guards all below but the thread; held for moments only
+  std::condition_variable changed_;
+  std::unique_ptr<PlayerLedger> ledger_;
+  Clock::time_point last_progress_;
+  bool stop_ = false;
+  std::thread thread_;
+};
+
+PlayerNodelet::~PlayerNodelet() {
+  {
+    const std::lock_guard<std::mutex> lock(mutex_);
+    stop_ = true;
+  }
+  changed_.notify_all();
+  if (thread_.joinable()) thread_.join();
+  stop();
+}
+
+void PlayerNodelet::onInit() {
+  if (!start(&options_, &parameters_, 1)) {
+    status_publisher_ = advertise<std_msgs::String>("player_status", true);
+    set_status("failed: bad parameter");
+    return;
+  }
+  ledger_ = std::make_unique<PlayerLedger>(parameters_.stage_names(), parameters_.await_results);
+  publishes_clock_ = ros::param::param<bool>("/use_sim_time", false);
+  if (publishes_clock_) clock_publisher_ = getNodeHandle().advertise<rosgraph_msgs::Clock>("/clock", 10);
+  tf_publisher_ = getNodeHandle().advertise<tf2_msgs::TFMessage>("/tf", 1000);
+  camera_info_publisher_ = advertise<sensor_msgs::CameraInfo>("camera_info");
+  end_publisher_ = advertise<std_msgs::Empty>("end_of_stream");
+  query_publisher_ = advertise<std_msgs::Empty>("session_queries");
+  status_publisher_ = advertise<std_msgs::String>("player_status", true);
+  watch();
+  thread_ = std::thread([this] { play(); });
+}
+
+template <class Message, class Handler>
+void PlayerNodelet::listen(const std::string& topic, Handler handler) {
+  const boost::function<void(const boost::shared_ptr<const Message>&)> callback =
+      [this, handler](const boost::shared_ptr<const Message>& message) {
+        {
+          const std::lock_guard<std::mutex> lock(mutex_);
+          handler(*message);
+        }
+        changed_.notify_all();
+      };
+  keep_subscriber(getNodeHandle().subscribe<Message>(topic, 1000, callback));
+}
+
+template <class Message>
+void PlayerNodelet::follow(const std::string& topic, PlayerLedger::Link link) {
+  listen<Message>(topic, [this, link](const Message& m) { ledger_->seen(link, m.session_id, m.frame_id); });
+}
+
+void PlayerNodelet::watch() {
+  listen<SessionAck>("session_acks", [this](const SessionAck& ack) { ledger_->take(ack); });
+  listen<Frame>("frames", [this](const Frame& frame) {
+    ledger_->numbered(frame.session_id, to_stamp_ns(frame.header.stamp), frame.frame_id, frame.is_end != 0);
+  });
+  follow<DetectionArray>("detections", PlayerLedger::kDetections);
+  follow<AssociationArray>("associations", PlayerLedger::kAssociations);
+  listen<QuadricMapUpdate>("quadric_map_updates", [this](const QuadricMapUpdate& update) {
+    const bool completes = update.phase == QuadricMapUpdate::PHASE_CORRECTION;
+    ledger_->seen(completes ? PlayerLedger::kCompletions : PlayerLedger::kObservations, update.session_id,
+                  update.frame_id);
+  });
+  follow<LoopClosureArray>("loop_closures", PlayerLedger::kLoopClosures);
+  follow<MapCorrection>("map_corrections", PlayerLedger::kCorrections);
+  listen<FrameDone>("frame_done", [this](const FrameDone& done) {
+    ledger_->done(done);
+    last_progress_ = Clock::now();
+  });
+  listen<std_msgs::String>("results_written", [this](const std_msgs::String&) { ledger_->results_written(); });
+  listen<SessionControl>("session_control", [this](const SessionControl& control) {
+    ledger_->take(control);
+    last_progress_ = Clock::now();
+  });
+}
+
+void PlayerNodelet::play() {
+  std::string fault;
+  const std::unique_ptr<PlayerSource> source = open_source(&fault);
+  if (!source) {
+    fail(fault);
+    set_status("failed: " + fault);
+    return;
+  }
+  if (!wait_for_stages()) return;
+  NODELET_INFO("playing %zu images", source->size());
+  set_status("playing");
+  if (!play_images(source.get(), &fault)) return;
+  if (!fault.empty()) NODELET_ERROR("the recording ends early: %s; what was mapped is kept", fault.c_str());
+  if (!play_end()) return;
+  set_status(fault.empty() ? "finished" : "failed: " + fault);
+}
+
+std::unique_ptr<PlayerSource> PlayerNodelet::open_source(std::string* error) const {
+  std::optional<sensor_msgs::CameraInfo> calibration;
+  if (!parameters_.camera_file.empty()) {
+    const std::optional<core::Camera> camera = core::read_camera(parameters_.camera_file, error);
+    if (!camera) return nullptr;
+    calibration.emplace();
+    to_msg(*camera, &*calibration);
+    calibration->header.frame_id = parameters_.camera_frame;
+  }
+  if (parameters_.mode == "bag") {
+    constexpr double kRecordingDelayS = 0.2;
+    const TumBagPlayback bag = {parameters_.bag_file, parameters_.stamps, parameters_.mocap_tf, parameters_.odom_frame,
+                                parameters_.max_pose_gap_s + kRecordingDelayS};
+    return TumBagSource::open(bag, calibration, error);
+  }
+  std::optional<core::StampedPoses> trajectory = core::read_tum_trajectory(parameters_.trajectory_file, error);
+  if (!trajectory) return nullptr;
+  return std::make_unique<FileStamps>(std::move(*trajectory), *calibration);
+}
+
+bool PlayerNodelet::wait_for_stages() {
+  constexpr auto kQueryPeriod = std::chrono::milliseconds(300);
+  const auto deadline = Clock::now() + std::chrono::duration<double>(parameters_.startup_timeout_s);
+  const auto is_up = [this] { return stop_ || ledger_->missing_stages().empty(); };
+  std::unique_lock<std::mutex> lock(mutex_);
+  // Stages that were there before us have acknowledged the session unheard: it is repeated for us.
+  while (!is_up() && Clock::now() < deadline) {
+    lock.unlock();
+    query_publisher_.publish(boost::make_shared<std_msgs::Empty>());
+    lock.lock();
+    changed_.wait_for(lock, kQueryPeriod, is_up);
+  }
+  if (stop_) return false;
+  if (is_up()) return true;
+  std::string missing;
+  for (const std::string& stage : ledger_->missing_stages()) missing += (missing.empty() ? "" : ", ") + stage;
+  lock.unlock();
+  NODELET_FATAL("nothing was played: not up after %.0f s: %s", parameters_.startup_timeout_s, missing.c_str());
+  set_status("failed: not up: " + missing);
+  return false;
+}
+
+bool PlayerNodelet::play_images(PlayerSource* source, std::string* fault) {
+  constexpr auto kReportPeriod = std::chrono::seconds(5);
+  Clock::time_point reported = Clock::now();
+  std::size_t played = 0;
+  while (const std::optional<PlayerItem> item = source->next(fault)) {
+    const Wait wait = wait_for_turn(to_stamp_ns(item->camera_info.header.stamp));
+    if (wait == Wait::kStalled) report_stall();
+    if (wait != Wait::kReady) return false;
+    publish(*item);
+    ++played;
+    if (Clock::now() - reported > kReportPeriod) {
+      reported = Clock::now();
+      NODELET_INFO("image %zu of %zu", played, source->size());
+    }
+  }
+  return true;
+}
+
+bool PlayerNodelet::play_end() {
+  // Every image first: the end must not overtake one that still waits for its pose.
+  Wait wait = wait_until([this] { return ledger_->in_flight() == 0; });
+  if (wait == Wait::kReady) {
+    {
+      const std::lock_guard<std::mutex> lock(mutex_);
+      last_progress_ = Clock::now();
+      ledger_->end_sent();
+    }
+    end_publisher_.publish(boost::make_shared<std_msgs::Empty>());
+    wait = wait_until([this] { return ledger_->is_end_done(); });
+  }
+  if (wait == Wait::kStalled) report_stall();
+  if (wait != Wait::kReady) return false;
+  const std::lock_guard<std::mutex> lock(mutex_);
+  NODELET_INFO("the chain is through with %lu images, %lu of them without a pose",
+               static_cast<unsigned long>(ledger_->frames_done()),
+               static_cast<unsigned long>(ledger_->frames_without_pose()));
+  return true;
+}
+
+PlayerNodelet::Wait PlayerNodelet::wait_for_turn(std::int64_t stamp_ns) {
+  if (parameters_.lockstep) {
+    return wait_until([this] { return ledger_->in_flight() < static_cast<std::size_t>(parameters_.credit); });
+  }
+  const Wait wait = wait_until([] { return true; });
+  if (wait != Wait::kReady) return wait;
+  if (!rate_origin_) rate_origin_ = {Clock::now(), stamp_ns};
+  const std::chrono::duration<double> offset(1e-9 * static_cast<double>(stamp_ns - rate_origin_->second) /
+                                             parameters_.rate);
+  const auto due = rate_origin_->first + std::chrono::duration_cast<Clock::duration>(offset);
+  const Wait turn = wait_until([due] { return Clock::now() >= due; });
+  return turn;
+}
+
+template <class Predicate>
+PlayerNodelet::Wait PlayerNodelet::wait_until(Predicate predicate) {
+  constexpr auto kPoll = std::chrono::milliseconds(2);
+  std::unique_lock<std::mutex> lock(mutex_);
+  while (true) {
+    if (stop_) return Wait::kStopped;
+    if (!ledger_->is_paused()) {
+      if (predicate()) return Wait::kReady;
+      if (is_stalled()) return Wait::kStalled;
+    } else {
+      last_progress_ = Clock::now();
+      rate_origin_.reset();
+    }
+    changed_.wait_for(lock, kPoll);
+  }
+}
+
+bool PlayerNodelet::is_stalled() const {
+  if (ledger_->in_flight() == 0 && !ledger_->awaits_end()) return false;
+  return Clock::now() - last_progress_ > std::chrono::duration<double>(parameters_.stall_timeout_s);
+}
+
+void PlayerNodelet::publish(const PlayerItem& item) {
+  if (publishes_clock_) {
+    auto clock = boost::make_shared<rosgraph_msgs::Clock>();
+    clock->clock = item.camera_info.header.stamp;
+    clock_publisher_.publish(clock);
+  }
+  for (const tf2_msgs::TFMessage& transforms : item.transforms) {
+    tf_publisher_.publish(boost::make_shared<tf2_msgs::TFMessage>(transforms));
+  }
+  {
+    const std::lock_guard<std::mutex> lock(mutex_);
+    if (ledger_->in_flight() == 0) last_progress_ = Clock::now();
+    ledger_->sent(to_stamp_ns(item.camera_info.header.stamp));
+  }
+  camera_info_publisher_.publish(boost::make_shared<sensor_msgs::CameraInfo>(item.camera_info));
+}
+
+void PlayerNodelet::report_stall() {
+  std::string stage;
+  {
+    const std::lock_guard<std::mutex> lock(mutex_);
+    stage = ledger_->silent_stage();
+  }
+  NODELET_FATAL("playback ends: stage %s has been silent for %.0f s", stage.c_str(), parameters_.stall_timeout_s);
+  set_status("stalled: " + stage);
+}
+
+void PlayerNodelet::set_status(const std::string& status) {
+  auto message = boost::make_shared<std_msgs::String>();
+  message->data = status;
+  status_publisher_.publish(message);
+}
+
+}  // namespace semantic_topo_loop
+
+PLUGINLIB_EXPORT_CLASS(semantic_topo_loop::PlayerNodelet, nodelet::Nodelet)

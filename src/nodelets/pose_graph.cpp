@@ -1,0 +1,163 @@
+#include "semantic_topo_loop/pose_graph/pose_graph.h"
+
+#include <nav_msgs/Path.h>
+
+#include <memory>
+#include <optional>
+#include <pluginlib/class_list_macros.hpp>
+#include <utility>
+#include <vector>
+
+#include "semantic_topo_loop/ros/conversions.h"
+#include "semantic_topo_loop/ros/frame_joiner.h"
+#include "semantic_topo_loop/ros/lazy_publisher.h"
+#include "semantic_topo_loop/ros/map_odom_sender.h"
+#include "semantic_topo_loop/ros/stage.h"
+
+namespace semantic_topo_loop {
+namespace {
+
+struct Parameters : StageParameters {
+  std::string map_frame = "map";
+  bool publish_tf = true;
+  double tf_rate_hz = 20.0;
+  double tf_tolerance_s = 0.1;
+
+  template <class Visitor>
+  void visit(Visitor& visitor) {
+    StageParameters::visit(visitor);
+    visitor("map_frame", map_frame, "frame of the corrected map");
+    visitor("publish_tf", publish_tf, "send the transform from map_frame to the odometry's frame");
+    visitor("tf_rate_hz", tf_rate_hz, "rate of that transform (wall time)");
+    visitor("tf_tolerance_s", tf_tolerance_s, "how far the transform is dated ahead of the last pose");
+  }
+  bool is_valid(std::string* error) const {
+    if (!StageParameters::is_valid(error)) return false;
+    const bool good = tf_rate_hz > 0.0 && tf_tolerance_s >= 0.0;
+    if (!good && error != nullptr) {
+      *error = tf_rate_hz > 0.0 ? "parameter 'tf_tolerance_s' = " + std::to_string(tf_tolerance_s) + " must be >= 0"
+                                : "parameter 'tf_rate_hz' = " + std::to_string(tf_rate_hz) + " must be > 0";
+    }
+    return good;
+  }
+};
+
+}  // namespace
+
+/// Owns the keyframe poses: optimises them with the loops, publishes corrections, paths and the transform from map to
+/// odometry.
+class PoseGraphNodelet : public Stage {
+ public:
+  PoseGraphNodelet() : Stage("PoseGraph") {}
+  ~PoseGraphNodelet() override { stop(); }
+
+ private:
+  using Joiner = FrameJoiner<Frame::ConstPtr, LoopClosureArray::ConstPtr>;
+  static constexpr double kPathPeriodS = 0.5;
+  static constexpr char kWithoutLoops[] = "frames whose loop detection was lost";
+
+  void onInit() override {
+    if (!start(&options_, &parameters_, 2)) return;
+    // Keyframes are the graph's vertices: a frame whose loop message got lost still goes in.
+    joiner_ = std::make_unique<Joiner>(queue_capacity(), [this](std::int64_t, const Joiner::Partial& partial) {
+      if (std::get<0>(partial)) process(**std::get<0>(partial), {});
+    });
+    correction_publisher_ = advertise<MapCorrection>("map_corrections");
+    odometry_path_.open(advertise<nav_msgs::Path>("path_odometry"));
+    corrected_path_.open(advertise<nav_msgs::Path>("path_corrected"));
+    statistics().count(kWithoutLoops, 0);
+    reset_session();
+    if (parameters_.publish_tf) {
+      tf_sender_ = std::make_unique<MapOdomSender>(parameters_.map_frame, parameters_.tf_tolerance_s);
+      keep_timer(getNodeHandle().createWallTimer(ros::WallDuration(1.0 / parameters_.tf_rate_hz),
+                                                 &PoseGraphNodelet::on_tf_timer, this));
+    }
+    follow_sessions();
+    subscribe("loop_closures", Keep::kAlways, &PoseGraphNodelet::on_loops);
+    subscribe("frames", Keep::kAlways, &PoseGraphNodelet::on_frame);
+    start_timer(kPathPeriodS, [this] { publish_paths(); });
+  }
+
+  void reset_session() override {
+    graph_ = std::make_unique<core::PoseGraph>(options_.pose_graph);
+    joiner_->clear();
+    late_loops_.clear();
+    odometry_keyframes_.clear();
+    last_frame_.reset();
+  }
+
+  void on_frame(const Frame::ConstPtr& frame) { process(joiner_->add<0>(frame->frame_id, frame)); }
+
+  /// Loops of a frame that went in without them are added with the next frame.
+  void on_loops(const LoopClosureArray::ConstPtr& loops) {
+    if (!joiner_->is_past(loops->frame_id)) return process(joiner_->add<1>(loops->frame_id, loops));
+    const std::vector<core::LoopClosure> late = from_msg(*loops);
+    late_loops_.insert(late_loops_.end(), late.begin(), late.end());
+  }
+
+  void process(const std::optional<Joiner::Set>& joined) {
+    statistics().set(kWithoutLoops, joiner_->evicted());
+    if (joined) process(*std::get<0>(*joined), from_msg(*std::get<1>(*joined)));
+  }
+
+  void process(const Frame& frame, const std::vector<core::LoopClosure>& frame_loops) {
+    std::vector<core::LoopClosure> loops = std::exchange(late_loops_, {});
+    loops.insert(loops.end(), frame_loops.begin(), frame_loops.end());
+    auto message = boost::make_shared<MapCorrection>();
+    to_msg(graph_->process(from_msg(frame), loops), message.get());
+    message->header = make_header(frame.header.stamp, parameters_.map_frame);
+    message->session_id = session_id();
+    if (tf_sender_) tf_sender_->update(graph_->T_map_odom(), frame.header.stamp, frame.header.frame_id);
+    correction_publisher_.publish(message);
+    if (frame.is_keyframe) odometry_keyframes_.push_back(stamped(frame.header.stamp, from_msg(frame.odom_from_camera)));
+    last_frame_ = stamped(frame.header.stamp, from_msg(frame.odom_from_camera));
+    odometry_path_.mark_changed();
+    corrected_path_.mark_changed();
+    count_processed();
+  }
+
+  geometry_msgs::PoseStamped stamped(const ros::Time& stamp, const core::SE3& T_map_camera) const {
+    geometry_msgs::PoseStamped pose;
+    pose.header = make_header(stamp, parameters_.map_frame);
+    pose.pose = to_msg(T_map_camera);
+    return pose;
+  }
+
+  /// The path through the keyframes and the last frame; both in the map frame, so that they can be compared.
+  void publish_paths() {
+    if (!last_frame_) return;
+    if (odometry_path_.is_due()) {
+      auto path = boost::make_shared<nav_msgs::Path>();
+      path->header = last_frame_->header;
+      path->poses = odometry_keyframes_;
+      path->poses.push_back(*last_frame_);
+      odometry_path_.publish(path);
+    }
+    if (corrected_path_.is_due()) {
+      auto path = boost::make_shared<nav_msgs::Path>();
+      path->header = last_frame_->header;
+      for (const core::KeyframePose& keyframe : graph_->keyframes()) {
+        path->poses.push_back(stamped(to_ros_time(keyframe.stamp_ns), keyframe.T_map_camera));
+      }
+      path->poses.push_back(stamped(last_frame_->header.stamp, graph_->T_map_odom() * from_msg(last_frame_->pose)));
+      corrected_path_.publish(path);
+    }
+  }
+
+  void on_tf_timer(const ros::WallTimerEvent&) { tf_sender_->send(); }
+
+  core::Options options_;
+  Parameters parameters_;
+  ros::Publisher correction_publisher_;
+  LazyPublisher odometry_path_, corrected_path_;
+  std::unique_ptr<MapOdomSender> tf_sender_;
+  std::unique_ptr<Joiner> joiner_;
+  std::unique_ptr<core::PoseGraph> graph_;
+  std::vector<core::LoopClosure> late_loops_;
+  std::vector<geometry_msgs::PoseStamped> odometry_keyframes_;
+  std::optional<geometry_msgs::PoseStamped> last_frame_;  ///< in the odometry's frame
+};
+
+}  // namespace semantic_topo_loop
+
+PLUGINLIB_EXPORT_CLASS(semantic_topo_loop::PoseGraphNodelet, nodelet::Nodelet)

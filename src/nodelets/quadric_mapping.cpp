@@ -1,0 +1,110 @@
+#include <memory>
+#include <pluginlib/class_list_macros.hpp>
+
+#include "semantic_topo_loop/map/quadric_mapper.h"
+#include "semantic_topo_loop/ros/conversions.h"
+#include "semantic_topo_loop/ros/frame_joiner.h"
+#include "semantic_topo_loop/ros/stage.h"
+
+namespace semantic_topo_loop {
+namespace {
+
+struct Parameters : ClassStageParameters {
+  std::string map_frame = "map";
+
+  template <class Visitor>
+  void visit(Visitor& visitor) {
+    ClassStageParameters::visit(visitor);
+    visitor("map_frame", map_frame, "frame of the corrected map");
+  }
+};
+
+}  // namespace
+
+/// Keeps the quadric map and publishes its deltas, and the whole of it now and then for late listeners.
+class QuadricMappingNodelet : public Stage {
+ public:
+  QuadricMappingNodelet() : Stage("QuadricMapping") {}
+  ~QuadricMappingNodelet() override { stop(); }
+
+ private:
+  using Joiner = FrameJoiner<Frame::ConstPtr, AssociationArray::ConstPtr>;
+  static constexpr double kFullMapPeriodS = 1.0;
+  static constexpr char kIncomplete[] = "dropped, frame or associations missing";
+
+  void onInit() override {
+    if (!start(&options_, &parameters_, 2)) return;
+    classes_ = load_classes(parameters_.class_table);
+    if (!classes_) return;
+    joiner_ = std::make_unique<Joiner>(queue_capacity());
+    update_publisher_ = advertise<QuadricMapUpdate>("quadric_map_updates");
+    map_publisher_ = advertise<QuadricMap>("quadric_map", true);
+    statistics().count(kIncomplete, 0);
+    reset_session();
+    follow_sessions();
+    subscribe("map_corrections", Keep::kAlways, &QuadricMappingNodelet::on_correction);
+    subscribe("associations", Keep::kDroppable, &QuadricMappingNodelet::on_associations);
+    subscribe("frames", Keep::kDroppable, &QuadricMappingNodelet::on_frame);
+    start_timer(kFullMapPeriodS, [this] { publish_map(); });
+  }
+
+  void reset_session() override {
+    mapper_ = std::make_unique<core::QuadricMapper>(options_.mapping, classes_);
+    joiner_->clear();
+    published_version_ = 0;
+  }
+
+  void on_frame(const Frame::ConstPtr& frame) { integrate(joiner_->add<0>(frame->frame_id, frame)); }
+
+  void on_associations(const AssociationArray::ConstPtr& associations) {
+    integrate(joiner_->add<1>(associations->frame_id, associations));
+  }
+
+  void integrate(const std::optional<std::tuple<Frame::ConstPtr, AssociationArray::ConstPtr>>& joined) {
+    statistics().set(kIncomplete, joiner_->evicted());
+    if (!joined) return;
+    const auto& [frame, associations] = *joined;
+    publish(mapper_->integrate(from_msg(*frame), from_msg(*associations)), frame->header.stamp);
+    count_processed();
+  }
+
+  void on_correction(const MapCorrection::ConstPtr& correction) {
+    publish(mapper_->apply(from_msg(*correction)), correction->header.stamp);
+    if (correction->changed) publish_map();
+  }
+
+  void publish(const core::MapUpdate& update, const ros::Time& stamp) {
+    auto message = boost::make_shared<QuadricMapUpdate>();
+    to_msg(update, message.get());
+    message->header = make_header(stamp, parameters_.map_frame);
+    message->session_id = session_id();
+    last_stamp_ = stamp;
+    update_publisher_.publish(message);
+  }
+
+  /// The whole map, unless that version is out already.
+  void publish_map() {
+    if (mapper_->map_version() == published_version_) return;
+    published_version_ = mapper_->map_version();
+    auto message = boost::make_shared<QuadricMap>();
+    message->header = make_header(last_stamp_, parameters_.map_frame);
+    message->session_id = session_id();
+    message->map_version = published_version_;
+    message->map_from_odom = to_msg(mapper_->T_map_odom());
+    message->quadrics = to_msg(mapper_->landmarks());
+    map_publisher_.publish(message);
+  }
+
+  core::Options options_;
+  Parameters parameters_;
+  std::shared_ptr<const core::ClassTable> classes_;
+  ros::Publisher update_publisher_, map_publisher_;
+  std::unique_ptr<Joiner> joiner_;
+  std::unique_ptr<core::QuadricMapper> mapper_;
+  std::uint64_t published_version_ = 0;
+  ros::Time last_stamp_;
+};
+
+}  // namespace semantic_topo_loop
+
+PLUGINLIB_EXPORT_CLASS(semantic_topo_loop::QuadricMappingNodelet, nodelet::Nodelet)

@@ -1,0 +1,157 @@
+#include <std_msgs/String.h>
+#include <std_srvs/Trigger.h>
+
+#include <filesystem>
+#include <memory>
+#include <mutex>
+#include <pluginlib/class_list_macros.hpp>
+
+#include "semantic_topo_loop/io/run_recorder.h"
+#include "semantic_topo_loop/ros/conversions.h"
+#include "semantic_topo_loop/ros/frame_joiner.h"
+#include "semantic_topo_loop/ros/stage.h"
+
+namespace semantic_topo_loop {
+namespace {
+
+struct Parameters : ClassStageParameters {
+  std::string output_dir;
+
+  template <class Visitor>
+  void visit(Visitor& visitor) {
+    ClassStageParameters::visit(visitor);
+    visitor("output_dir", output_dir, "where a run's files go at its end or by ~save_results; empty: nothing is kept");
+  }
+};
+
+}  // namespace
+
+/// Collects what the stages say and writes the files of the offline program.
+class RecorderNodelet : public Stage {
+ public:
+  RecorderNodelet() : Stage("Recorder") {}
+  ~RecorderNodelet() override { stop(); }
+
+ private:
+  /// The END frame is complete when every stage has spoken of it.
+  struct Heard {};
+  using Joiner = FrameJoiner<Frame::ConstPtr, Heard, Heard, Heard, Heard, Heard>;
+  enum Kind : std::size_t { kFrame, kAssociations, kObservation, kLoops, kCorrection, kCompletion };
+
+  void onInit() override {
+    core::Options options;
+    if (!start(&options, &parameters_, 6)) return;
+    classes_ = load_classes(parameters_.class_table);
+    if (!classes_) return;
+    joiner_ = std::make_unique<Joiner>(queue_capacity());
+    reset_session();
+    written_publisher_ = advertise<std_msgs::String>("results_written", true);
+    keep_service(getPrivateNodeHandle().advertiseService("save_results", &RecorderNodelet::on_save, this));
+    follow_sessions();
+    if (parameters_.output_dir.empty()) return;
+    subscribe("map_corrections", Keep::kAlways, &RecorderNodelet::on_correction);
+    subscribe("loop_closures", Keep::kAlways, &RecorderNodelet::on_loops);
+    subscribe("quadric_map_updates", Keep::kAlways, &RecorderNodelet::on_update);
+    subscribe("associations", Keep::kAlways, &RecorderNodelet::on_associations);
+    subscribe("frames", Keep::kAlways, &RecorderNodelet::on_frame);
+  }
+
+  void reset_session() override {
+    joiner_->clear();
+    const std::lock_guard<std::mutex> lock(mutex_);
+    recorder_ = std::make_unique<core::RunRecorder>(classes_);
+  }
+
+  bool on_save(std_srvs::Trigger::Request&, std_srvs::Trigger::Response& response) {
+    if (parameters_.output_dir.empty()) {
+      response.success = false;
+      response.message = "parameter 'output_dir' is empty: nothing was recorded";
+    } else {
+      response.success = write(&response.message);
+    }
+    return true;
+  }
+
+  /// @param answer absolute path of the directory, or the error
+  bool write(std::string* answer) {
+    std::error_code error_code;
+    const std::filesystem::path directory = std::filesystem::absolute(parameters_.output_dir, error_code);
+    if (error_code) {
+      *answer = parameters_.output_dir + ": " + error_code.message();
+      return false;
+    }
+    const std::lock_guard<std::mutex> lock(mutex_);
+    if (!recorder_->write(directory.string(), answer)) return false;
+    *answer = directory.lexically_normal().string();
+    return true;
+  }
+
+  void on_frame(const Frame::ConstPtr& frame) {
+    record(from_msg(*frame));
+    add<kFrame>(frame->frame_id, frame);
+  }
+
+  void on_associations(const AssociationArray::ConstPtr& associations) {
+    record(from_msg(*associations));
+    add<kAssociations>(associations->frame_id, {});
+  }
+
+  void on_update(const QuadricMapUpdate::ConstPtr& update) {
+    record(from_msg(*update));
+    if (update->phase == QuadricMapUpdate::PHASE_OBSERVATION) {
+      add<kObservation>(update->frame_id, {});
+    } else {
+      add<kCompletion>(update->frame_id, {});
+    }
+  }
+
+  void on_loops(const LoopClosureArray::ConstPtr& loops) {
+    {
+      const std::lock_guard<std::mutex> lock(mutex_);
+      recorder_->record(loops->frame_id, from_msg(*loops), loops->duration_us);
+    }
+    add<kLoops>(loops->frame_id, {});
+  }
+
+  void on_correction(const MapCorrection::ConstPtr& correction) {
+    record(from_msg(*correction));
+    add<kCorrection>(correction->frame_id, {});
+  }
+
+  template <class Record>
+  void record(const Record& record) {
+    const std::lock_guard<std::mutex> lock(mutex_);
+    recorder_->record(record);
+  }
+
+  template <Kind kind>
+  void add(std::int64_t frame_id, std::tuple_element_t<kind, Joiner::Set> item) {
+    const std::optional<Joiner::Set> joined = joiner_->template add<kind>(frame_id, item);
+    if (!joined) return;
+    count_processed();
+    if (std::get<kFrame>(*joined)->is_end) write_results();
+  }
+
+  void write_results() {
+    auto message = boost::make_shared<std_msgs::String>();
+    if (write(&message->data)) {
+      NODELET_INFO("results written to %s", message->data.c_str());
+      statistics().set_failure("");
+      written_publisher_.publish(message);
+    } else {
+      statistics().set_failure(message->data);
+      NODELET_ERROR("results not written: %s", message->data.c_str());
+    }
+  }
+
+  Parameters parameters_;
+  std::shared_ptr<const core::ClassTable> classes_;
+  ros::Publisher written_publisher_;
+  std::unique_ptr<Joiner> joiner_;
+  std::mutex mutex_;  ///< guards recorder_, which the worker fills and the service reads
+  std::unique_ptr<core::RunRecorder> recorder_;
+};
+
+}  // namespace semantic_topo_loop
+
+PLUGINLIB_EXPORT_CLASS(semantic_topo_loop::RecorderNodelet, nodelet::Nodelet)

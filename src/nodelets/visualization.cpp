@@ -1,0 +1,180 @@
+#include <tf2_ros/static_transform_broadcaster.h>
+
+#include <memory>
+#include <optional>
+#include <pluginlib/class_list_macros.hpp>
+#include <string>
+#include <utility>
+
+#include "semantic_topo_loop/ros/conversions.h"
+#include "semantic_topo_loop/ros/lazy_publisher.h"
+#include "semantic_topo_loop/ros/map_follower.h"
+#include "semantic_topo_loop/ros/markers.h"
+#include "semantic_topo_loop/ros/stage.h"
+
+namespace semantic_topo_loop {
+namespace {
+
+struct Parameters : ClassStageParameters {
+  std::string map_frame = "map";
+  std::string upright_frame = "map_upright";
+  double rate_hz = 5.0;
+  MarkerSizes sizes;
+
+  template <class Visitor>
+  void visit(Visitor& visitor) {
+    ClassStageParameters::visit(visitor);
+    visitor("map_frame", map_frame, "frame of the corrected map");
+    visitor("upright_frame", upright_frame,
+            "z-up child frame of map_frame at the first camera, for viewers; empty: none");
+    visitor("rate_hz", rate_hz, "most often that markers are published (wall time)");
+    visitor("label_size_m", sizes.label_m, "height of the labels' letters");
+    visitor("line_width_m", sizes.line_m, "width of the topology's lines");
+    visitor("camera_size_m", sizes.camera_m, "depth of the keyframes' frusta");
+  }
+  bool is_valid(std::string* error) const {
+    if (!ClassStageParameters::is_valid(error)) return false;
+    for (const auto& [key, value] :
+         {std::pair("rate_hz", rate_hz), std::pair("label_size_m", sizes.label_m),
+          std::pair("line_width_m", sizes.line_m), std::pair("camera_size_m", sizes.camera_m)}) {
+      if (value > 0.0) continue;
+      if (error != nullptr) *error = "parameter '" + std::string(key) + "' = " + std::to_string(value) + " must be > 0";
+      return false;
+    }
+    return true;
+  }
+};
+
+}  // namespace
+
+/// Shows the map in rviz. Follows the deltas at all times, since a late listener wants the whole, but reads frames and
+/// associations, and makes markers, only while somebody listens.
+class VisualizationNodelet : public Stage {
+ public:
+  VisualizationNodelet() : Stage("Visualization") {}
+  ~VisualizationNodelet() override { stop(); }
+
+ private:
+  void onInit() override {
+    core::Options options;
+    if (!start(&options, &parameters_, 2)) return;
+    classes_ = load_classes(parameters_.class_table);
+    if (!classes_) return;
+    quadrics_.open(advertise<visualization_msgs::MarkerArray>("markers/quadrics"));
+    labels_.open(advertise<visualization_msgs::MarkerArray>("markers/labels"));
+    topology_.open(advertise<visualization_msgs::MarkerArray>("markers/topology"));
+    loops_.open(advertise<visualization_msgs::MarkerArray>("markers/loops"));
+    keyframes_.open(advertise<visualization_msgs::MarkerArray>("markers/keyframes"));
+    tf_broadcaster_ = std::make_unique<tf2_ros::StaticTransformBroadcaster>();
+    follow_sessions();
+    subscribe("keyframes", Keep::kAlways, &VisualizationNodelet::on_keyframe);
+    subscribe("loop_closures", Keep::kAlways, &VisualizationNodelet::on_loops);
+    subscribe("map_corrections", Keep::kAlways, &VisualizationNodelet::on_correction);
+    subscribe("quadric_map_updates", Keep::kAlways, &VisualizationNodelet::on_update);
+    start_timer(1.0 / parameters_.rate_hz, [this] { publish(); });
+  }
+
+  void reset_session() override {
+    view_ = MapView();
+    follower_ = MapFollower();
+    sent_upright_.reset();
+    for (LazyPublisher* publisher : {&quadrics_, &labels_, &topology_, &loops_, &keyframes_}) publisher->mark_changed();
+  }
+
+  void on_update(const QuadricMapUpdate::ConstPtr& message) {
+    stamp_ = message->header.stamp;
+    take_over(follower_.follow(from_msg(*message)));
+    if (message->phase == QuadricMapUpdate::PHASE_CORRECTION) count_processed();
+  }
+
+  void on_full_map(const QuadricMap::ConstPtr& message) { take_over(follower_.recover(from_msg(*message))); }
+
+  void take_over(const std::vector<core::MapUpdate>& updates) {
+    for (const core::MapUpdate& update : updates) {
+      view_.apply(update);
+      if (update.map_version == update.base_version) continue;
+      for (LazyPublisher* publisher : {&quadrics_, &labels_, &topology_}) publisher->mark_changed();
+    }
+    toggle(follower_.has_gap(), "quadric_map", &VisualizationNodelet::on_full_map, &full_map_subscriber_);
+  }
+
+  void on_correction(const MapCorrection::ConstPtr& message) {
+    view_.apply(from_msg(*message));
+    if (!message->changed) return;
+    for (LazyPublisher* publisher : {&labels_, &loops_, &keyframes_}) publisher->mark_changed();
+  }
+
+  void on_keyframe(const Keyframe::ConstPtr& message) {
+    view_.add_keyframe(message->keyframe_id, from_msg(message->odom_from_camera));
+    keyframes_.mark_changed();
+  }
+
+  void on_loops(const LoopClosureArray::ConstPtr& message) {
+    if (message->closures.empty()) return;
+    view_.add_loops(from_msg(*message));
+    loops_.mark_changed();
+  }
+
+  void on_frame(const Frame::ConstPtr& message) {
+    view_.set_frame(from_msg(*message));
+    keyframes_.mark_changed();
+  }
+
+  void on_associations(const AssociationArray::ConstPtr& message) {
+    view_.set_view(from_msg(*message));
+    topology_.mark_changed();
+  }
+
+  /// For viewers, whose z is up: the map's need not be.
+  void send_upright_frame() {
+    const std::optional<core::SE3> T_map_upright = view_.T_map_upright();
+    if (parameters_.upright_frame.empty() || !T_map_upright) return;
+    constexpr double kSameAngleRad = 0.02, kSameDistanceM = 0.02;
+    const bool same = sent_upright_ && core::rotation_angle(sent_upright_->q, T_map_upright->q) < kSameAngleRad &&
+                      (sent_upright_->t - T_map_upright->t).norm() < kSameDistanceM;
+    if (same) return;
+    sent_upright_ = T_map_upright;
+    geometry_msgs::TransformStamped message;
+    message.header = make_header(stamp_, parameters_.map_frame);
+    message.child_frame_id = parameters_.upright_frame;
+    message.transform.translation = to_vector_msg(T_map_upright->t);
+    message.transform.rotation = to_msg(*T_map_upright).orientation;
+    tf_broadcaster_->sendTransform(message);
+  }
+
+  void publish() {
+    send_upright_frame();
+    toggle(keyframes_.has_listeners(), "frames", &VisualizationNodelet::on_frame, &frame_subscriber_);
+    toggle(topology_.has_listeners(), "associations", &VisualizationNodelet::on_associations, &association_subscriber_);
+    const std_msgs::Header header = make_header(stamp_, parameters_.map_frame);
+    const MarkerSizes& sizes = parameters_.sizes;
+    if (quadrics_.is_due()) quadrics_.publish(make_quadric_markers(view_, header));
+    if (labels_.is_due()) labels_.publish(make_label_markers(view_, header, *classes_, sizes));
+    if (topology_.is_due()) topology_.publish(make_topology_markers(view_, header, sizes));
+    if (loops_.is_due()) loops_.publish(make_loop_markers(view_, header, sizes));
+    if (keyframes_.is_due()) keyframes_.publish(make_keyframe_markers(view_, header, sizes));
+  }
+
+  /// Subscribes while wanted, and only then.
+  template <class Message>
+  void toggle(bool wanted, const std::string& topic,
+              void (VisualizationNodelet::*handler)(const boost::shared_ptr<const Message>&),
+              ros::Subscriber* subscriber) {
+    if (wanted && !*subscriber) *subscriber = make_subscriber(topic, Keep::kDroppable, handler);
+    if (!wanted && *subscriber) subscriber->shutdown();
+  }
+
+  Parameters parameters_;
+  std::shared_ptr<const core::ClassTable> classes_;
+  LazyPublisher quadrics_, labels_, topology_, loops_, keyframes_;
+  ros::Subscriber frame_subscriber_, association_subscriber_, full_map_subscriber_;
+  std::unique_ptr<tf2_ros::StaticTransformBroadcaster> tf_broadcaster_;
+  std::optional<core::SE3> sent_upright_;
+  MapView view_;
+  MapFollower follower_;
+  ros::Time stamp_;
+};
+
+}  // namespace semantic_topo_loop
+
+PLUGINLIB_EXPORT_CLASS(semantic_topo_loop::VisualizationNodelet, nodelet::Nodelet)

@@ -1,0 +1,45 @@
+#include "semantic_topo_loop/ros/detection_matcher.h"
+
+#include <algorithm>
+#include <cstdlib>
+
+#include "semantic_topo_loop/ros/conversions.h"
+#include "semantic_topo_loop/ros/pose_source.h"
+
+namespace semantic_topo_loop {
+namespace {
+
+constexpr std::int64_t kJumpBackNs = 1000000000;
+
+std::int64_t stamp_of(const DetectionArray::ConstPtr& detections) { return to_stamp_ns(detections->header.stamp); }
+
+}  // namespace
+
+void DetectionMatcher::add(const DetectionArray::ConstPtr& detections) {
+  const bool jumped_back = !waiting_.empty() && stamp_of(detections) < stamp_of(waiting_.back()) - kJumpBackNs;
+  if (jumped_back) {
+    unmatched_ += waiting_.size();
+    waiting_.clear();
+  }
+  waiting_.push_back(detections);
+  if (waiting_.size() > capacity_) {
+    ++unmatched_;
+    waiting_.pop_front();
+  }
+}
+
+DetectionArray::ConstPtr DetectionMatcher::take(std::int64_t stamp_ns) {
+  const auto found = std::find_if(waiting_.begin(), waiting_.end(), [stamp_ns](const DetectionArray::ConstPtr& d) {
+    return std::abs(stamp_of(d) - stamp_ns) <= kStampToleranceNs;
+  });
+  if (found == waiting_.end()) return nullptr;
+  const DetectionArray::ConstPtr detections = *found;
+  waiting_.erase(found);
+  const auto is_older = [stamp_ns](const DetectionArray::ConstPtr& d) { return stamp_of(d) < stamp_ns; };
+  const auto end = std::remove_if(waiting_.begin(), waiting_.end(), is_older);
+  unmatched_ += static_cast<std::uint64_t>(std::distance(end, waiting_.end()));
+  waiting_.erase(end, waiting_.end());
+  return detections;
+}
+
+}  // namespace semantic_topo_loop

@@ -1,0 +1,100 @@
+#include "semantic_topo_loop/ros/map_view.h"
+
+#include <Eigen/Eigenvalues>
+#include <set>
+
+namespace semantic_topo_loop {
+
+void MapView::apply(const core::MapUpdate& update) {
+  for (const core::Landmark& landmark : update.changed) landmarks_[landmark.id] = landmark;
+  for (const std::int64_t id : update.removed) landmarks_.erase(id);
+  for (const core::LandmarkMerge& merge : update.merged) {
+    landmarks_.erase(merge.merged_id);
+    redirects_[merge.merged_id] = merge.survivor_id;
+  }
+  T_map_odom_ = update.T_map_odom;
+}
+
+void MapView::apply(const core::MapCorrection& correction) {
+  if (!correction.changed) return;
+  T_map_odom_ = correction.T_map_odom;
+  for (auto& [id, keyframe] : keyframes_) keyframe.T_map_camera = T_map_odom_ * keyframe.T_odom_camera;
+  for (const core::KeyframePose& pose : correction.keyframes) {
+    const auto it = keyframes_.find(pose.keyframe_id);
+    if (it != keyframes_.end()) it->second.T_map_camera = pose.T_map_camera;
+  }
+  for (LoopEnds& loop : loops_) {
+    for (const core::LoopVerdict& verdict : correction.loops) {
+      const bool same =
+          verdict.query_keyframe_id == loop.query_keyframe_id && verdict.match_keyframe_id == loop.match_keyframe_id;
+      if (same) loop.kept = verdict.kept;
+    }
+  }
+}
+
+void MapView::add_keyframe(std::int64_t keyframe_id, const core::SE3& T_odom_camera) {
+  keyframes_[keyframe_id] = {T_odom_camera, T_map_odom_ * T_odom_camera};
+}
+
+void MapView::add_loops(const std::vector<core::LoopClosure>& loops) {
+  for (const core::LoopClosure& loop : loops) {
+    if (loop.accepted) loops_.push_back({loop.query_keyframe_id, loop.match_keyframe_id, true});
+  }
+}
+
+void MapView::set_view(const core::AssociationFrame& associations) {
+  in_view_.clear();
+  for (const core::Association& association : associations.associations) {
+    if (association.landmark_id >= 0) in_view_.push_back(association.landmark_id);
+  }
+}
+
+std::vector<const core::Landmark*> MapView::objects_in_view() const {
+  std::set<std::int64_t> ids;
+  for (std::int64_t id : in_view_) {
+    for (auto it = redirects_.find(id); it != redirects_.end(); it = redirects_.find(id)) id = it->second;
+    ids.insert(id);
+  }
+  std::vector<const core::Landmark*> objects;
+  for (const std::int64_t id : ids) {
+    const auto it = landmarks_.find(id);
+    const bool shown =
+        it != landmarks_.end() && it->second.ellipsoid && it->second.state != core::LandmarkState::kRetired;
+    if (shown) objects.push_back(&it->second);
+  }
+  return objects;
+}
+
+core::Vec3 MapView::up() const {
+  // Who holds a camera level rolls it little: its x axis is horizontal. Before the camera has turned, the x axes leave
+  // one direction open, and image-up decides there.
+  constexpr double kImageUpWeight = 0.02;
+  core::Mat3 scatter = core::Mat3::Zero();
+  core::Vec3 image_up = core::Vec3::Zero();
+  for (const auto& [id, keyframe] : keyframes_) {
+    const core::Mat3 R = keyframe.T_map_camera.rotation();
+    scatter += R.col(0) * R.col(0).transpose();
+    image_up -= R.col(1);
+  }
+  if (!(image_up.norm() > 0.0)) return {0.0, -1.0, 0.0};
+  image_up.normalize();
+  scatter /= static_cast<double>(keyframes_.size());
+  scatter += kImageUpWeight * (core::Mat3::Identity() - image_up * image_up.transpose());
+  const Eigen::SelfAdjointEigenSolver<core::Mat3> solver(scatter);
+  const core::Vec3 vertical = solver.eigenvectors().col(0);
+  return vertical.dot(image_up) < 0.0 ? -vertical : vertical;
+}
+
+std::optional<core::SE3> MapView::T_map_upright() const {
+  if (keyframes_.empty()) return std::nullopt;
+  const core::SE3& T_map_camera = keyframes_.begin()->second.T_map_camera;
+  core::Mat3 R;
+  R.col(2) = up();
+  // A camera that looks straight down has image-up ahead.
+  const core::Vec3 ahead = T_map_camera.rotation().col(2) - 0.1 * T_map_camera.rotation().col(1);
+  R.col(1) = R.col(2).cross(ahead).normalized();
+  R.col(0) = R.col(1).cross(R.col(2));
+  return core::SE3(R, T_map_camera.t);
+}
+
+}  // namespace semantic_topo_loop

@@ -1,0 +1,85 @@
+#include "semantic_topo_loop/ros/player_ledger.h"
+
+#include <algorithm>
+
+namespace semantic_topo_loop {
+namespace {
+
+/// Who publishes on each link.
+constexpr std::array<const char*, PlayerLedger::kLinkCount> kPublishers = {
+    "PoseFrontend",  "DetectionIngestion", "ObjectAssociation", "QuadricMapping",
+    "LoopDetection", "PoseGraph",          "QuadricMapping"};
+/// Reports a frame as done when it is complete.
+constexpr char kLastStage[] = "ObjectAssociation";
+constexpr char kRecorder[] = "Recorder";
+
+}  // namespace
+
+void PlayerLedger::take(const SessionControl& control) {
+  is_paused_ = control.command == SessionControl::COMMAND_PAUSE;
+  const bool is_start = control.command == SessionControl::COMMAND_START;
+  if (control.session_id == session_id_ && (!is_start || control.header.stamp == session_stamp_)) return;
+  session_id_ = control.session_id;
+  if (is_start) session_stamp_ = control.header.stamp;
+  in_flight_.clear();
+  last_seen_.fill(0);
+  end_frame_id_ = kUnknownFrame;
+}
+
+void PlayerLedger::take(const SessionAck& ack) { acknowledged_[ack.stage] = ack.session_id; }
+
+std::vector<std::string> PlayerLedger::missing_stages() const {
+  if (session_id_ == 0) return {kPublishers[kFrames]};
+  std::vector<std::string> missing;
+  for (const std::string& stage : stages_) {
+    const auto session = acknowledged_.find(stage);
+    if (session == acknowledged_.end() || session->second != session_id_) missing.push_back(stage);
+  }
+  return missing;
+}
+
+void PlayerLedger::numbered(std::uint32_t session_id, std::int64_t stamp_ns, std::int64_t frame_id, bool is_end) {
+  if (session_id != session_id_) return;
+  if (is_end) {
+    end_frame_id_ = frame_id;
+  } else if (const auto frame = in_flight_.find(stamp_ns); frame != in_flight_.end()) {
+    frame->second = frame_id;
+  }
+  seen(kFrames, session_id, frame_id);
+}
+
+void PlayerLedger::seen(Link link, std::uint32_t session_id, std::int64_t frame_id) {
+  if (session_id != session_id_) return;
+  last_seen_[link] = std::max(last_seen_[link], frame_id + 1);
+}
+
+void PlayerLedger::done(const FrameDone& done) {
+  if (done.session_id != session_id_) return;
+  if (done.status == FrameDone::STATUS_END) {
+    is_end_done_ = true;
+    in_flight_.clear();
+    return;
+  }
+  ++frames_done_;
+  if (done.status == FrameDone::STATUS_NO_POSE) ++frames_without_pose_;
+  const std::int64_t stamp_ns = static_cast<std::int64_t>(done.header.stamp.toNSec());
+  const auto frame = in_flight_.upper_bound(stamp_ns);
+  if (done.status == FrameDone::STATUS_PROCESSED) {
+    // Frames leave the chain in order: an older one that has not come was dropped, as stages may do in real time.
+    in_flight_.erase(in_flight_.begin(), frame);
+  } else {
+    in_flight_.erase(stamp_ns);
+  }
+}
+
+std::string PlayerLedger::silent_stage() const {
+  if (is_end_done_) return kRecorder;
+  const std::int64_t frame_id = in_flight_.empty() ? end_frame_id_ : in_flight_.begin()->second;
+  if (frame_id == kUnknownFrame) return kPublishers[kFrames];
+  for (std::size_t link = 0; link < kLinkCount; ++link) {
+    if (last_seen_[link] <= frame_id) return kPublishers[link];
+  }
+  return kLastStage;
+}
+
+}  // namespace semantic_topo_loop

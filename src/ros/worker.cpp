@@ -1,0 +1,82 @@
+#include "semantic_topo_loop/ros/worker.h"
+
+#include <algorithm>
+#include <exception>
+#include <utility>
+
+namespace semantic_topo_loop {
+namespace {
+
+constexpr std::size_t kHardLimitFactor = 16;
+
+}  // namespace
+
+Worker::Worker(std::size_t capacity, ErrorHandler on_error)
+    : capacity_(std::max<std::size_t>(capacity, 1)), on_error_(std::move(on_error)), thread_([this] { run(); }) {}
+
+void Worker::push(Task task, Keep keep) {
+  {
+    const std::lock_guard<std::mutex> lock(mutex_);
+    if (closed_) return;
+    if (queue_.size() >= kHardLimitFactor * capacity_) drop(queue_.begin());
+    if (keep == Keep::kDroppable) {
+      if (droppable_ == capacity_) {
+        drop(std::find_if(queue_.begin(), queue_.end(),
+                          [](const Entry& entry) { return entry.keep == Keep::kDroppable; }));
+      }
+      ++droppable_;
+    }
+    queue_.push_back({std::move(task), keep});
+  }
+  wake_.notify_one();
+}
+
+void Worker::drop(std::deque<Entry>::iterator entry) {
+  if (entry->keep == Keep::kDroppable) --droppable_;
+  queue_.erase(entry);
+  ++dropped_;
+}
+
+void Worker::close() {
+  {
+    const std::lock_guard<std::mutex> lock(mutex_);
+    closed_ = true;
+    queue_.clear();
+    droppable_ = 0;
+  }
+  wake_.notify_all();
+  if (thread_.joinable()) thread_.join();
+}
+
+std::uint64_t Worker::dropped() const {
+  const std::lock_guard<std::mutex> lock(mutex_);
+  return dropped_;
+}
+
+std::size_t Worker::size() const {
+  const std::lock_guard<std::mutex> lock(mutex_);
+  return queue_.size();
+}
+
+void Worker::run() {
+  while (true) {
+    Entry entry;
+    {
+      std::unique_lock<std::mutex> lock(mutex_);
+      wake_.wait(lock, [this] { return closed_ || !queue_.empty(); });
+      if (closed_) return;
+      entry = std::move(queue_.front());
+      queue_.pop_front();
+      if (entry.keep == Keep::kDroppable) --droppable_;
+    }
+    try {
+      entry.task();
+    } catch (const std::exception& exception) {
+      if (on_error_) on_error_(exception.what());
+    } catch (...) {
+      if (on_error_) on_error_("unknown exception");
+    }
+  }
+}
+
+}  // namespace semantic_topo_loop

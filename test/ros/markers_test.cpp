@@ -1,0 +1,191 @@
+#include "semantic_topo_loop/ros/markers.h"
+
+#include <gtest/gtest.h>
+
+#include <algorithm>
+#include <cmath>
+#include <random>
+
+namespace semantic_topo_loop {
+namespace {
+
+using visualization_msgs::Marker;
+
+core::Landmark make_landmark(std::int64_t id, int class_id, core::LandmarkState state, const core::Vec3& center) {
+  core::Landmark landmark;
+  landmark.id = id;
+  landmark.class_id = class_id;
+  landmark.state = state;
+  landmark.quality = 0.5;
+  landmark.ellipsoid = core::Ellipsoid{core::SE3(core::Quaternion::Identity(), center), {0.1, 0.2, 0.3}};
+  return landmark;
+}
+
+/// Two confirmed objects, a candidate, a retired one and one without an ellipsoid.
+MapView make_view() {
+  core::MapUpdate update;
+  update.changed = {make_landmark(1, 62, core::LandmarkState::kConfirmed, {0.0, 0.0, 1.0}),
+                    make_landmark(2, 66, core::LandmarkState::kConfirmed, {1.0, 0.0, 1.0}),
+                    make_landmark(3, 41, core::LandmarkState::kCandidate, {2.0, 0.0, 1.0}),
+                    make_landmark(4, 41, core::LandmarkState::kRetired, {3.0, 0.0, 1.0}),
+                    make_landmark(5, 41, core::LandmarkState::kConfirmed, {4.0, 0.0, 1.0})};
+  update.changed.back().ellipsoid.reset();
+  MapView view;
+  view.apply(update);
+  return view;
+}
+
+core::AssociationFrame make_associations(const std::vector<std::int64_t>& landmark_ids) {
+  core::AssociationFrame frame;
+  for (const std::int64_t id : landmark_ids) {
+    frame.associations.emplace_back();
+    frame.associations.back().landmark_id = id;
+  }
+  return frame;
+}
+
+std_msgs::Header map_header() {
+  std_msgs::Header header;
+  header.frame_id = "map";
+  return header;
+}
+
+std::size_t count_layer(const visualization_msgs::MarkerArray& array, const std::string& layer) {
+  return static_cast<std::size_t>(std::count_if(array.markers.begin(), array.markers.end(), [&layer](const Marker& m) {
+    return m.ns == layer && m.action == Marker::ADD;
+  }));
+}
+
+TEST(Markers, EveryArrayBeginsWithDeleteAllInTheMapFrame) {
+  const MapView view = make_view();
+  const core::ClassTable classes;
+  for (const auto& array :
+       {make_quadric_markers(view, map_header()), make_label_markers(view, map_header(), classes, {}),
+        make_topology_markers(view, map_header(), {}), make_loop_markers(view, map_header(), {}),
+        make_keyframe_markers(view, map_header(), {})}) {
+    ASSERT_FALSE(array->markers.empty());
+    EXPECT_EQ(array->markers.front().action, Marker::DELETEALL);
+    for (const Marker& marker : array->markers) EXPECT_EQ(marker.header.frame_id, "map");
+  }
+}
+
+TEST(Markers, QuadricsHaveTheirAxesIdsAndStates) {
+  const auto array = make_quadric_markers(make_view(), map_header());
+  EXPECT_EQ(count_layer(*array, "quadrics"), 2u);
+  EXPECT_EQ(count_layer(*array, "candidates"), 1u);
+  const Marker& first = array->markers[1];
+  EXPECT_EQ(first.id, 1);
+  EXPECT_EQ(first.type, Marker::SPHERE);
+  EXPECT_DOUBLE_EQ(first.scale.x, 0.2);
+  EXPECT_DOUBLE_EQ(first.scale.y, 0.4);
+  EXPECT_DOUBLE_EQ(first.scale.z, 0.6);
+  EXPECT_LT(array->markers[3].color.a, first.color.a);
+}
+
+TEST(Markers, LabelsStandAboveTheObjectAlongTheCamerasUp) {
+  MapView view = make_view();
+  const core::ClassTable classes;
+  // Without a keyframe, up is -y; one camera that lies on its side makes it x.
+  auto array = make_label_markers(view, map_header(), classes, {});
+  ASSERT_EQ(count_layer(*array, "labels"), 2u);
+  EXPECT_LT(array->markers[1].pose.position.y, -0.2);
+  EXPECT_EQ(array->markers[1].text, "class_62");
+  core::Mat3 R;
+  R << 0.0, -1.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0;
+  view.add_keyframe(0, core::SE3(R, core::Vec3::Zero()));
+  array = make_label_markers(view, map_header(), classes, {});
+  EXPECT_GT(array->markers[1].pose.position.x, 0.1);
+  EXPECT_NEAR(array->markers[1].pose.position.y, 0.0, 1e-12);
+}
+
+TEST(Markers, TopologyJoinsTheObjectsInViewThroughMerges) {
+  MapView view = make_view();
+  core::MapUpdate merge;
+  merge.merged = {{3, 2}};
+  view.apply(merge);
+  view.set_view(make_associations({1, 3, -1, 4, 99}));
+  const auto array = make_topology_markers(view, map_header(), {});
+  ASSERT_EQ(array->markers.size(), 2u);
+  ASSERT_EQ(array->markers[1].points.size(), 2u);
+  EXPECT_EQ(array->markers[1].points[0].x, 0.0);
+  EXPECT_EQ(array->markers[1].points[1].x, 1.0);
+}
+
+TEST(Markers, LoopsAreGreenUntilTheOptimiserRejectsThem) {
+  MapView view;
+  for (int i = 0; i < 3; ++i) view.add_keyframe(i, core::SE3(core::Quaternion::Identity(), core::Vec3(i, 0.0, 0.0)));
+  core::LoopClosure accepted, rejected;
+  accepted.query_keyframe_id = 2;
+  accepted.match_keyframe_id = 0;
+  accepted.accepted = true;
+  rejected.query_keyframe_id = 1;
+  rejected.match_keyframe_id = 0;
+  view.add_loops({accepted, rejected});
+  auto array = make_loop_markers(view, map_header(), {});
+  ASSERT_EQ(array->markers.size(), 2u);
+  EXPECT_EQ(array->markers[1].points.size(), 2u);
+  EXPECT_GT(array->markers[1].color.g, array->markers[1].color.r);
+
+  core::MapCorrection correction;
+  correction.changed = true;
+  correction.loops = {{2, 0, false}};
+  view.apply(correction);
+  array = make_loop_markers(view, map_header(), {});
+  ASSERT_EQ(array->markers.size(), 2u);
+  EXPECT_GT(array->markers[1].color.r, array->markers[1].color.g);
+}
+
+TEST(MapView, CorrectionMovesKeyframesAndComposesTheLaterOnes) {
+  MapView view;
+  view.add_keyframe(0, core::SE3());
+  view.add_keyframe(1, core::SE3(core::Quaternion::Identity(), {1.0, 0.0, 0.0}));
+  core::MapCorrection correction;
+  correction.changed = true;
+  correction.T_map_odom.t = core::Vec3(0.0, 5.0, 0.0);
+  correction.keyframes = {{0, 0, 0, core::SE3(core::Quaternion::Identity(), {0.0, 0.0, 7.0})}};
+  view.apply(correction);
+  EXPECT_EQ(view.keyframes().at(0).T_map_camera.t, core::Vec3(0.0, 0.0, 7.0));
+  EXPECT_EQ(view.keyframes().at(1).T_map_camera.t, core::Vec3(1.0, 5.0, 0.0));
+  view.add_keyframe(2, core::SE3());
+  EXPECT_EQ(view.keyframes().at(2).T_map_camera.t, core::Vec3(0.0, 5.0, 0.0));
+}
+
+TEST(MapView, UprightIsVerticalHoweverTheWorldLies) {
+  std::mt19937_64 random(3);
+  std::uniform_real_distribution<double> uniform(-1.0, 1.0);
+  for (int i = 0; i < 20; ++i) {
+    // Level cameras that look 40 deg down, turning about the vertical of a world in any attitude.
+    const core::Mat3 R_map_level =
+        core::so3_exp(3.0 * core::Vec3(uniform(random), uniform(random), uniform(random))).toRotationMatrix();
+    MapView view;
+    for (int k = 0; k < 8; ++k) {
+      core::Mat3 R_level_optical;
+      R_level_optical << 0.0, 0.0, 1.0, -1.0, 0.0, 0.0, 0.0, -1.0, 0.0;
+      const core::Mat3 R_level_camera = core::so3_exp({0.0, 0.0, 0.2 * k}).toRotationMatrix() * R_level_optical *
+                                        core::so3_exp({-core::radians(40.0), 0.0, 0.0}).toRotationMatrix();
+      view.add_keyframe(k, core::SE3(core::Mat3(R_map_level * R_level_camera), core::Vec3(k, 2.0, 3.0)));
+    }
+    const std::optional<core::SE3> T_map_upright = view.T_map_upright();
+    ASSERT_TRUE(T_map_upright);
+    EXPECT_GT(T_map_upright->rotation().col(2).dot(R_map_level.col(2)), std::cos(core::radians(5.0)));
+    EXPECT_GT(T_map_upright->rotation().col(0).dot(R_map_level.col(0)), std::cos(core::radians(5.0)));
+    EXPECT_EQ(T_map_upright->t, core::Vec3(0.0, 2.0, 3.0));
+  }
+}
+
+TEST(MapView, NothingIsUprightWithoutAKeyframe) { EXPECT_FALSE(MapView().T_map_upright()); }
+
+TEST(ClassColor, DiffersBetweenTheObjectsOfADesk) {
+  const std::vector<int> desk = {39, 41, 56, 58, 62, 63, 64, 65, 66, 67, 73, 77};
+  for (std::size_t i = 0; i < desk.size(); ++i) {
+    const auto a = class_color(desk[i], 1.0);
+    EXPECT_GE(std::max({a.r, a.g, a.b}), 0.7f) << desk[i];
+    for (std::size_t j = 0; j < i; ++j) {
+      const auto b = class_color(desk[j], 1.0);
+      EXPECT_GT(std::abs(a.r - b.r) + std::abs(a.g - b.g) + std::abs(a.b - b.b), 0.15f) << desk[i] << ' ' << desk[j];
+    }
+  }
+}
+
+}  // namespace
+}  // namespace semantic_topo_loop
