@@ -1,0 +1,100 @@
+#!/usr/bin/env python3
+"""demo.launch from end to end: it ends by itself, says what it must on its topics, and leaves offline's files."""
+import csv
+import os
+import shutil
+import tempfile
+import threading
+import unittest
+
+import rospy
+import rostest
+from nav_msgs.msg import Path
+from tf2_msgs.msg import TFMessage
+from visualization_msgs.msg import MarkerArray
+
+from playback import PACKAGE, RESULT_FILES, Launch, differing_files, run_program
+from semantic_topo_loop.msg import FrameDone, QuadricMap
+
+
+class Heard:
+    """What was published on the topics that users look at."""
+
+    def __init__(self):
+        self.lock = threading.Lock()
+        self.done = []
+        self.edges = set()
+        self.last = {}
+        rospy.Subscriber('/tf', TFMessage, self.take_tf)
+        rospy.Subscriber('/%s/frame_done' % PACKAGE, FrameDone, self.take_done, queue_size=10000)
+        for topic, kind in [('path_odometry', Path), ('path_corrected', Path), ('quadric_map', QuadricMap),
+                            ('markers/quadrics', MarkerArray), ('markers/labels', MarkerArray),
+                            ('markers/keyframes', MarkerArray)]:
+            rospy.Subscriber('/%s/%s' % (PACKAGE, topic), kind, self.take, topic)
+
+    def take_tf(self, message):
+        with self.lock:
+            self.edges |= {(t.header.frame_id, t.child_frame_id) for t in message.transforms}
+
+    def take_done(self, message):
+        with self.lock:
+            self.done.append(message)
+
+    def take(self, message, topic):
+        with self.lock:
+            self.last[topic] = message
+
+
+class DemoTest(unittest.TestCase):
+    @classmethod
+    def setUpClass(cls):
+        rospy.init_node('demo_test')
+        cls.directory = tempfile.mkdtemp(prefix='semantic_topo_loop_demo_')
+        cls.data = os.path.join(cls.directory, 'data')
+        cls.results = os.path.join(cls.directory, 'results')
+        cls.heard = Heard()
+        cls.launch = Launch('demo.launch', rviz='false', duration='16', data=cls.data, output=cls.results)
+        cls.ended = cls.launch.wait(90)
+        cls.launch.stop()
+
+    @classmethod
+    def tearDownClass(cls):
+        shutil.rmtree(cls.directory)
+
+    def test_ends_by_itself_with_every_file(self):
+        self.assertTrue(self.ended, self.launch.output())
+        self.assertTrue(self.launch.player_finished(), self.launch.output())
+        self.assertEqual(sorted(os.listdir(self.results)), sorted(RESULT_FILES))
+
+    def test_maps_objects(self):
+        with open(os.path.join(self.results, 'objects.csv')) as file:
+            states = [row['state'] for row in csv.DictReader(file)]
+        self.assertGreaterEqual(states.count('confirmed'), 3, states)
+
+    def test_answers_every_image_and_the_end(self):
+        with open(os.path.join(self.data, 'odometry.txt')) as file:
+            images = sum(1 for line in file if not line.startswith('#'))
+        statuses = [done.status for done in self.heard.done]
+        self.assertEqual(statuses.count(FrameDone.STATUS_PROCESSED), images)
+        self.assertEqual(statuses[-1], FrameDone.STATUS_END)
+        self.assertEqual([done.frame_id for done in self.heard.done], list(range(images + 1)))
+
+    def test_publishes_what_rviz_shows(self):
+        self.assertIn(('map', 'odom'), self.heard.edges)
+        self.assertIn(('odom', 'camera_optical_frame'), self.heard.edges)
+        self.assertEqual(set(self.heard.last), {'path_odometry', 'path_corrected', 'quadric_map', 'markers/quadrics',
+                                                'markers/labels', 'markers/keyframes'})
+        self.assertGreater(len(self.heard.last['path_corrected'].poses), 10)
+        self.assertGreater(len(self.heard.last['markers/quadrics'].markers), 3)
+
+    def test_lockstep_is_offline_byte_for_byte(self):
+        offline = os.path.join(self.directory, 'offline')
+        status, output = run_program('offline', '--trajectory', os.path.join(self.data, 'odometry.txt'),
+                                     '--detections', os.path.join(self.data, 'detections.json'),
+                                     '--camera', os.path.join(self.data, 'camera.yaml'), '--output', offline)
+        self.assertEqual(status, 0, output)
+        self.assertEqual(differing_files(offline, self.results), [])
+
+
+if __name__ == '__main__':
+    rostest.rosrun(PACKAGE, 'demo', DemoTest)

@@ -1,0 +1,409 @@
+#include <gtest/gtest.h>
+#include <rosbag/bag.h>
+#include <sensor_msgs/Image.h>
+
+#include <cmath>
+#include <limits>
+
+#include "../test_files.h"
+#include "semantic_topo_loop/ros/conversions.h"
+#include "semantic_topo_loop/ros/detection_matcher.h"
+#include "semantic_topo_loop/ros/player_ledger.h"
+#include "semantic_topo_loop/ros/player_parameters.h"
+#include "semantic_topo_loop/ros/player_source.h"
+#include "semantic_topo_loop/ros/pose_frontend_parameters.h"
+#include "semantic_topo_loop/ros/pose_odometry.h"
+#include "semantic_topo_loop/ros/pose_tf.h"
+#include "semantic_topo_loop/ros/tum_bag_source.h"
+
+namespace semantic_topo_loop {
+namespace {
+
+constexpr std::int64_t kStart_ns = 1311868164363181000;
+std::int64_t at_ms(std::int64_t milliseconds) { return kStart_ns + milliseconds * 1000000; }
+
+geometry_msgs::TransformStamped transform(const std::string& parent, const std::string& child, std::int64_t stamp_ns,
+                                          double x) {
+  geometry_msgs::TransformStamped message;
+  message.header = make_header(to_ros_time(stamp_ns), parent);
+  message.child_frame_id = child;
+  message.transform.translation.x = x;
+  message.transform.rotation.w = 1.0;
+  return message;
+}
+
+tf2_msgs::TFMessage message_of(const geometry_msgs::TransformStamped& transform) {
+  tf2_msgs::TFMessage message;
+  message.transforms.push_back(transform);
+  return message;
+}
+
+/// odom -> base moves by 1 m/s, sampled at the given times; base -> camera is fixed, 2 m ahead.
+void fill(TfPoses* poses, std::initializer_list<int> times_ms) {
+  ASSERT_TRUE(poses->add(message_of(transform("/base", "/camera", 0, 2.0)), true, nullptr));
+  for (const int time_ms : times_ms) {
+    const double x = 1e-3 * time_ms;
+    ASSERT_TRUE(poses->add(message_of(transform("/odom", "/base", at_ms(time_ms), x)), false, nullptr));
+  }
+}
+
+TEST(TfPoses, ComposesTheChainAtTheStamp) {
+  TfPoses poses("odom", 0.1);
+  fill(&poses, {0, 50, 100});
+  const PoseSource::Answer answer = poses.at(at_ms(60), "camera");
+  ASSERT_EQ(answer.status, PoseSource::Status::kFound) << answer.problem;
+  EXPECT_NEAR(answer.sample.T_odom_camera.t.x(), 2.06, 1e-9);
+  EXPECT_EQ(answer.sample.stamp_ns, at_ms(60));
+}
+
+TEST(TfPoses, NeitherExtrapolatesNorBridgesGaps) {
+  TfPoses poses("odom", 0.1);
+  fill(&poses, {0, 50, 300});
+  EXPECT_EQ(poses.at(at_ms(301), "camera").status, PoseSource::Status::kNotYet);
+  const PoseSource::Answer gap = poses.at(at_ms(100), "camera");
+  EXPECT_EQ(gap.status, PoseSource::Status::kNever);
+  EXPECT_NE(gap.problem.find("odom -> base"), std::string::npos) << gap.problem;
+  EXPECT_EQ(poses.at(at_ms(-1), "camera").status, PoseSource::Status::kNever);
+}
+
+TEST(TfPoses, SaysWhatIsMissing) {
+  TfPoses poses("odom", 0.1);
+  fill(&poses, {0, 50});
+  const PoseSource::Answer answer = poses.at(at_ms(25), "lens");
+  EXPECT_EQ(answer.status, PoseSource::Status::kNotYet);
+  EXPECT_NE(answer.problem.find("'odom' down to 'lens'"), std::string::npos) << answer.problem;
+}
+
+TEST(TfPoses, LeavesBadTransformsOut) {
+  TfPoses poses("odom", 0.1);
+  fill(&poses, {0, 50});
+  auto bad = transform("odom", "base", at_ms(100), std::numeric_limits<double>::quiet_NaN());
+  std::string error;
+  EXPECT_FALSE(poses.add(message_of(bad), false, &error));
+  EXPECT_NE(error.find("odom -> base"), std::string::npos) << error;
+  EXPECT_NE(error.find("nan"), std::string::npos) << error;
+  bad = transform("odom", "base", at_ms(100), 0.1);
+  bad.transform.rotation.w = 2.0;
+  EXPECT_FALSE(poses.add(message_of(bad), false, &error));
+  EXPECT_NE(error.find("norm"), std::string::npos) << error;
+  EXPECT_EQ(poses.at(at_ms(75), "camera").status, PoseSource::Status::kNotYet);
+  EXPECT_TRUE(poses.add(message_of(transform("odom", "base", at_ms(50), 0.05)), false, &error)) << "a repeated one";
+}
+
+TEST(TfPoses, FollowsTimeThatJumpsBack) {
+  TfPoses poses("odom", 0.1);
+  fill(&poses, {10000, 10050});
+  fill(&poses, {0, 50});
+  EXPECT_EQ(poses.at(at_ms(25), "camera").status, PoseSource::Status::kFound);
+  EXPECT_EQ(poses.at(at_ms(10025), "camera").status, PoseSource::Status::kNotYet);
+}
+
+nav_msgs::Odometry odometry_at(int time_ms) {
+  nav_msgs::Odometry message;
+  message.header = make_header(to_ros_time(at_ms(time_ms)), "odom");
+  message.child_frame_id = "base";
+  message.pose.pose.position.x = 1e-3 * time_ms;
+  message.pose.pose.orientation.w = 1.0;
+  return message;
+}
+
+TEST(OdometryPoses, MovesThePoseToTheCamera) {
+  const auto transforms = std::make_shared<TfPoses>("odom", 0.1);
+  OdometryPoses poses(transforms, 0.1);
+  ASSERT_TRUE(poses.add(odometry_at(0), nullptr));
+  ASSERT_TRUE(poses.add(odometry_at(50), nullptr));
+  EXPECT_EQ(poses.at(at_ms(25), "camera").status, PoseSource::Status::kNotYet) << "no extrinsics yet";
+  ASSERT_TRUE(transforms->add(message_of(transform("base", "camera", 0, 2.0)), true, nullptr));
+  const PoseSource::Answer answer = poses.at(at_ms(25), "camera");
+  ASSERT_EQ(answer.status, PoseSource::Status::kFound) << answer.problem;
+  EXPECT_NEAR(answer.sample.T_odom_camera.t.x(), 2.025, 1e-9);
+  EXPECT_FALSE(answer.sample.covariance) << "the source states none";
+  EXPECT_EQ(poses.at(at_ms(25), "base").status, PoseSource::Status::kFound) << "the odometry is the camera's";
+}
+
+TEST(OdometryPoses, TakesTheStepsCovarianceFromTheTwist) {
+  OdometryPoses poses(std::make_shared<TfPoses>("odom", 1.0), 1.0);
+  for (const int time_ms : {0, 500, 1000}) {
+    nav_msgs::Odometry message = odometry_at(time_ms);
+    for (std::size_t i = 0; i < 36; i += 7) message.twist.covariance[i] = 0.04;
+    ASSERT_TRUE(poses.add(message, nullptr));
+  }
+  EXPECT_FALSE(poses.at(at_ms(100), "base").sample.covariance) << "the first pose has no predecessor";
+  const PoseSource::Answer answer = poses.at(at_ms(600), "base");
+  ASSERT_TRUE(answer.sample.covariance);
+  EXPECT_LT((*answer.sample.covariance - 0.01 * core::Mat6::Identity()).norm(), 1e-12) << "(0.2 m/s * 0.5 s)^2";
+  poses.reset();
+  EXPECT_FALSE(poses.at(at_ms(700), "base").sample.covariance);
+}
+
+TEST(OdometryPoses, LeavesBadMessagesOut) {
+  OdometryPoses poses(std::make_shared<TfPoses>("odom", 0.1), 0.1);
+  nav_msgs::Odometry bad = odometry_at(0);
+  bad.pose.pose.orientation.w = 0.0;
+  std::string error;
+  EXPECT_FALSE(poses.add(bad, &error));
+  EXPECT_NE(error.find("odometry pose.orientation"), std::string::npos) << error;
+  bad = odometry_at(0);
+  bad.pose.pose.position.z = std::numeric_limits<double>::infinity();
+  EXPECT_FALSE(poses.add(bad, &error));
+  EXPECT_NE(error.find("position.z"), std::string::npos) << error;
+}
+
+TEST(FilePoses, KnowsItsOwnStampsOnly) {
+  FilePoses poses({{at_ms(0), core::SE3()}, {at_ms(33), core::SE3()}});
+  EXPECT_EQ(poses.at(at_ms(33) + 900, "camera").status, PoseSource::Status::kFound);
+  const PoseSource::Answer answer = poses.at(at_ms(33) + 1100, "camera");
+  EXPECT_EQ(answer.status, PoseSource::Status::kNever);
+  EXPECT_NE(answer.problem.find("1311868164.396"), std::string::npos) << answer.problem;
+}
+
+DetectionArray::ConstPtr detections_at(std::int64_t stamp_ns) {
+  const auto message = boost::make_shared<DetectionArray>();
+  message->header.stamp = to_ros_time(stamp_ns);
+  return message;
+}
+
+TEST(DetectionMatcher, JoinsWithinAMicrosecondAndCountsTheRest) {
+  DetectionMatcher matcher(10);
+  for (const int time_ms : {0, 33, 66, 99}) matcher.add(detections_at(at_ms(time_ms)));
+  EXPECT_EQ(matcher.take(at_ms(33) + 2000), nullptr);
+  EXPECT_NE(matcher.take(at_ms(66) - 1000), nullptr);
+  EXPECT_EQ(matcher.unmatched(), 2u) << "those before";
+  EXPECT_EQ(matcher.take(at_ms(66)), nullptr) << "given out already";
+  EXPECT_NE(matcher.take(at_ms(99)), nullptr);
+}
+
+TEST(DetectionMatcher, IsBoundedAndFollowsTimeThatJumpsBack) {
+  DetectionMatcher matcher(3);
+  for (const int time_ms : {5000, 5033, 5066, 5099}) matcher.add(detections_at(at_ms(time_ms)));
+  EXPECT_EQ(matcher.unmatched(), 1u);
+  matcher.add(detections_at(at_ms(0)));
+  EXPECT_EQ(matcher.unmatched(), 4u);
+  EXPECT_NE(matcher.take(at_ms(0)), nullptr);
+}
+
+SessionControl start_of(std::uint32_t session_id) {
+  SessionControl control;
+  control.header.stamp = ros::Time(session_id, 0);
+  control.session_id = session_id;
+  control.command = SessionControl::COMMAND_START;
+  return control;
+}
+
+SessionAck ack_of(const std::string& stage, std::uint32_t session_id) {
+  SessionAck ack;
+  ack.stage = stage;
+  ack.session_id = session_id;
+  return ack;
+}
+
+FrameDone done_of(int time_ms, std::uint8_t status) {
+  FrameDone done;
+  done.header.stamp = to_ros_time(at_ms(time_ms));
+  done.session_id = 1;
+  done.status = status;
+  return done;
+}
+
+TEST(PlayerLedger, NamesTheStagesThatAreNotUp) {
+  PlayerLedger ledger({"DetectionIngestion", "PoseGraph"}, false);
+  EXPECT_EQ(ledger.missing_stages(), std::vector<std::string>{"PoseFrontend"});
+  ledger.take(ack_of("PoseGraph", 1));
+  ledger.take(start_of(1));
+  EXPECT_EQ(ledger.missing_stages(), std::vector<std::string>{"DetectionIngestion"});
+  ledger.take(ack_of("DetectionIngestion", 1));
+  EXPECT_TRUE(ledger.missing_stages().empty());
+  ledger.take(start_of(2));
+  EXPECT_EQ(ledger.missing_stages().size(), 2u) << "a new session must be acknowledged anew";
+}
+
+TEST(PlayerLedger, GivesCreditBackOnceAFrameIsDone) {
+  PlayerLedger ledger({}, false);
+  ledger.take(start_of(1));
+  for (const int time_ms : {0, 33, 66}) ledger.sent(at_ms(time_ms));
+  ledger.done(done_of(33, FrameDone::STATUS_NO_POSE));
+  EXPECT_EQ(ledger.in_flight(), 2u);
+  EXPECT_EQ(ledger.frames_without_pose(), 1u);
+  ledger.done(done_of(66, FrameDone::STATUS_PROCESSED));
+  EXPECT_EQ(ledger.in_flight(), 0u) << "a processed frame answers for older ones, which were dropped";
+  ledger.sent(at_ms(99));
+  ledger.take(start_of(1));
+  EXPECT_EQ(ledger.in_flight(), 1u) << "the session was only repeated";
+  ledger.take(start_of(2));
+  EXPECT_EQ(ledger.in_flight(), 0u) << "the stages have forgotten it";
+}
+
+TEST(PlayerLedger, NamesTheFirstStageThatHasNotShownTheFrame) {
+  PlayerLedger ledger({}, true);
+  ledger.take(start_of(1));
+  ledger.sent(at_ms(0));
+  EXPECT_EQ(ledger.silent_stage(), "PoseFrontend");
+  ledger.numbered(1, at_ms(0), 0, false);
+  EXPECT_EQ(ledger.silent_stage(), "DetectionIngestion");
+  ledger.seen(PlayerLedger::kDetections, 1, 0);
+  ledger.seen(PlayerLedger::kAssociations, 2, 0);
+  EXPECT_EQ(ledger.silent_stage(), "ObjectAssociation") << "another session does not count";
+  ledger.seen(PlayerLedger::kAssociations, 1, 0);
+  ledger.seen(PlayerLedger::kObservations, 1, 0);
+  EXPECT_EQ(ledger.silent_stage(), "LoopDetection");
+  ledger.seen(PlayerLedger::kLoopClosures, 1, 0);
+  ledger.seen(PlayerLedger::kCorrections, 1, 0);
+  EXPECT_EQ(ledger.silent_stage(), "QuadricMapping");
+  ledger.seen(PlayerLedger::kCompletions, 1, 0);
+  EXPECT_EQ(ledger.silent_stage(), "ObjectAssociation");
+  ledger.done(done_of(0, FrameDone::STATUS_PROCESSED));
+
+  ledger.end_sent();
+  EXPECT_EQ(ledger.silent_stage(), "PoseFrontend");
+  ledger.numbered(1, at_ms(0), 1, true);
+  EXPECT_EQ(ledger.silent_stage(), "DetectionIngestion");
+  ledger.done(done_of(0, FrameDone::STATUS_END));
+  EXPECT_FALSE(ledger.is_end_done());
+  EXPECT_EQ(ledger.silent_stage(), "Recorder");
+  ledger.results_written();
+  EXPECT_TRUE(ledger.is_end_done());
+}
+
+TEST(Parameters, BadValuesAreNamed) {
+  std::string error;
+  PlayerParameters player;
+  player.mode = "film";
+  EXPECT_FALSE(player.is_valid(&error));
+  EXPECT_EQ(error, "parameter 'mode' = 'film' must be files or bag");
+  player.mode = "bag";
+  player.bag_file = "a.bag";
+  player.rate = -1.0;
+  EXPECT_FALSE(player.is_valid(&error));
+  EXPECT_EQ(error, "parameter 'rate' = '-1' must be > 0");
+  player.rate = 1.0;
+  player.credit = player.queue_size;
+  EXPECT_FALSE(player.is_valid(&error)) << "so many would be dropped";
+
+  PoseFrontendParameters frontend;
+  EXPECT_TRUE(frontend.is_valid(&error)) << error;
+  frontend.pose_source = "file";
+  EXPECT_FALSE(frontend.is_valid(&error));
+  EXPECT_NE(error.find("trajectory_file"), std::string::npos) << error;
+  frontend.pose_source = "gps";
+  EXPECT_FALSE(frontend.is_valid(&error));
+  EXPECT_EQ(error, "parameter 'pose_source' = 'gps' must be file, tf or odometry");
+}
+
+/// A bag as the TUM ones, with an image each 100 ms and the motion capture each 20 ms.
+std::string write_bag(const core::TestDirectory& directory, int duration_ms) {
+  const std::string file = directory.path("recording.bag");
+  rosbag::Bag bag(file, rosbag::bagmode::Write);
+  bag.setCompression(rosbag::compression::BZ2);
+  bag.setChunkThreshold(4096);
+  for (int time_ms = 0; time_ms <= duration_ms; time_ms += 20) {
+    const ros::Time time = to_ros_time(at_ms(time_ms));
+    bag.write("/tf", time, message_of(transform("/world", "/kinect", at_ms(time_ms), 1e-3 * time_ms)));
+    bag.write("/tf", time, message_of(transform("/kinect", "/openni_camera", at_ms(time_ms), 0.0)));
+    if (time_ms % 100 != 0) continue;
+    sensor_msgs::CameraInfo camera_info;
+    camera_info.header = make_header(time, "/openni_rgb_optical_frame");
+    camera_info.K[0] = camera_info.K[4] = 525.0;
+    bag.write("/camera/rgb/camera_info", time, camera_info);
+    sensor_msgs::Image image;
+    image.header = camera_info.header;
+    image.data.resize(1000);
+    bag.write("/camera/rgb/image_color", time, image);
+  }
+  return file;
+}
+
+TumBagPlayback playback_of(const std::string& file) {
+  TumBagPlayback playback;
+  playback.file = file;
+  return playback;
+}
+
+TEST(TumBagSource, GivesTransformsAheadOfTheImages) {
+  const core::TestDirectory directory;
+  TumBagPlayback playback = playback_of(write_bag(directory, 2000));
+  playback.mocap_tf = "odom";
+  std::string error;
+  const auto source = TumBagSource::open(playback, std::nullopt, &error);
+  ASSERT_TRUE(source) << error;
+  EXPECT_EQ(source->size(), 21u);
+  std::int64_t newest_ns = 0;
+  int images = 0;
+  while (const std::optional<PlayerItem> item = source->next(&error)) {
+    for (const tf2_msgs::TFMessage& message : item->transforms) {
+      for (const geometry_msgs::TransformStamped& t : message.transforms) {
+        newest_ns = std::max(newest_ns, to_stamp_ns(t.header.stamp));
+        EXPECT_EQ(t.header.frame_id, t.child_frame_id == "kinect" ? "odom" : "kinect");
+      }
+    }
+    const std::int64_t stamp_ns = to_stamp_ns(item->camera_info.header.stamp);
+    EXPECT_EQ(stamp_ns, at_ms(100 * images));
+    EXPECT_GE(newest_ns, std::min(stamp_ns + 300000000, at_ms(2000)));
+    EXPECT_EQ(item->camera_info.header.frame_id, "openni_rgb_optical_frame");
+    EXPECT_EQ(item->camera_info.K[0], 525.0);
+    ++images;
+  }
+  EXPECT_EQ(error, "");
+  EXPECT_EQ(images, 21);
+}
+
+TEST(TumBagSource, DropsTheMotionCaptureAndReplacesTheCalibration) {
+  const core::TestDirectory directory;
+  TumBagPlayback playback = playback_of(write_bag(directory, 500));
+  playback.stamps = "camera_info";
+  sensor_msgs::CameraInfo calibration;
+  calibration.K[0] = 520.9;
+  std::string error;
+  const auto source = TumBagSource::open(playback, calibration, &error);
+  ASSERT_TRUE(source) << error;
+  int images = 0, transforms = 0;
+  while (const std::optional<PlayerItem> item = source->next(&error)) {
+    ++images;
+    EXPECT_EQ(item->camera_info.K[0], 520.9);
+    for (const tf2_msgs::TFMessage& message : item->transforms) {
+      for (const geometry_msgs::TransformStamped& t : message.transforms) {
+        ++transforms;
+        EXPECT_EQ(t.child_frame_id, "openni_camera");
+      }
+    }
+  }
+  EXPECT_EQ(images, 6);
+  EXPECT_EQ(transforms, 26);
+}
+
+TEST(TumBagSource, SaysWhatIsWrongWithAFile) {
+  const core::TestDirectory directory;
+  std::string error;
+  EXPECT_FALSE(TumBagSource::open(playback_of(directory.path("none.bag")), std::nullopt, &error));
+  EXPECT_NE(error.find("none.bag"), std::string::npos) << error;
+
+  EXPECT_FALSE(TumBagSource::open(playback_of(directory.write("text.bag", "no bag")), std::nullopt, &error));
+  EXPECT_NE(error.find("text.bag"), std::string::npos) << error;
+
+  const std::string whole = core::read_whole(write_bag(directory, 2000));
+  const std::string cut = directory.write("cut.bag", whole.substr(0, whole.size() / 2));
+  EXPECT_FALSE(TumBagSource::open(playback_of(cut), std::nullopt, &error));
+  EXPECT_NE(error.find("cut.bag"), std::string::npos) << error;
+
+  const std::string other = directory.path("other.bag");
+  rosbag::Bag(other, rosbag::bagmode::Write).write("/imu", ros::Time(1), message_of(transform("a", "b", 0, 0.0)));
+  EXPECT_FALSE(TumBagSource::open(playback_of(other), std::nullopt, &error));
+  EXPECT_NE(error.find("/camera/rgb/image_color"), std::string::npos) << error;
+}
+
+TEST(TumBagSource, EndsWhereTheFileIsDamaged) {
+  const core::TestDirectory directory;
+  std::string bytes = core::read_whole(write_bag(directory, 4000));
+  bytes.replace(bytes.size() / 2, bytes.size() / 20, bytes.size() / 20, '\xff');
+  std::string error;
+  const auto source = TumBagSource::open(playback_of(directory.write("damaged.bag", bytes)), std::nullopt, &error);
+  ASSERT_TRUE(source) << error;
+  int images = 0;
+  while (source->next(&error)) ++images;
+  EXPECT_NE(error.find("damaged.bag"), std::string::npos) << error;
+  EXPECT_GT(images, 3);
+  EXPECT_LT(images, 41);
+  EXPECT_FALSE(source->next(&error)) << "and stays there";
+}
+
+}  // namespace
+}  // namespace semantic_topo_loop

@@ -1,0 +1,71 @@
+#!/usr/bin/env python3
+"""The recorded fr2_desk through fr2_desk.launch: offline's bytes, and the figures that the package promises."""
+import json
+import os
+import shutil
+import tempfile
+import unittest
+
+import rostest
+
+from playback import PACKAGE, Launch, differing_files, run_program
+
+DATA = os.environ.get('SEMANTIC_TOPO_LOOP_DATA', '')
+
+
+class Fr2DeskTest(unittest.TestCase):
+    @classmethod
+    def setUpClass(cls):
+        cls.directory = tempfile.mkdtemp(prefix='semantic_topo_loop_fr2_')
+        cls.results = os.path.join(cls.directory, 'results')
+        cls.launch = Launch('fr2_desk.launch', data=DATA, output=cls.results)
+        cls.ended = cls.launch.wait(150)
+        cls.launch.stop()
+
+    @classmethod
+    def tearDownClass(cls):
+        shutil.rmtree(cls.directory)
+
+    def recorded(self, name):
+        return os.path.join(DATA, 'tum/fr2_desk', name)
+
+    def evaluate(self, *arguments):
+        file = os.path.join(self.directory, 'figures.json')
+        status, output = run_program('evaluate', *arguments, '--json', file)
+        self.assertEqual(status, 0, output)
+        with open(file) as figures:
+            return json.load(figures)
+
+    def test_ends_by_itself(self):
+        self.assertTrue(self.ended, self.launch.output())
+        self.assertTrue(self.launch.player_finished(), self.launch.output())
+
+    def test_is_offline_byte_for_byte(self):
+        offline = os.path.join(self.directory, 'offline')
+        config = os.path.join(os.path.dirname(__file__), '../../config')
+        status, output = run_program('offline', '--trajectory', self.recorded('orbslam2_rgbd_trajectory.txt'),
+                                     '--detections', self.recorded('detections_yolov5.json'),
+                                     '--camera', os.path.join(config, 'camera/tum_fr2.yaml'),
+                                     '--config', os.path.join(config, 'default.yaml'), '--output', offline)
+        self.assertEqual(status, 0, output)
+        self.assertEqual(differing_files(offline, self.results), [])
+
+    def test_keeps_the_trajectory(self):
+        figures = self.evaluate('trajectory', os.path.join(self.results, 'trajectory.txt'),
+                                self.recorded('groundtruth.txt'))
+        self.assertLessEqual(figures['absolute_m']['rmse'], 0.0090)
+
+    def test_finds_the_objects(self):
+        figures = self.evaluate('objects', self.results, self.recorded('groundtruth_frames.txt'),
+                                self.recorded('reference_objects.csv'))
+        self.assertGreaterEqual(figures['certain']['f'], 0.90)
+
+    def test_closes_right_loops(self):
+        figures = self.evaluate('loops', self.results, self.recorded('groundtruth_frames.txt'))
+        right = figures['right_wide']
+        self.assertGreaterEqual(right['right'], 10)
+        self.assertGreaterEqual(right['right'], 0.9 * right['total'])
+
+
+if __name__ == '__main__':
+    rostest.rosrun(PACKAGE, 'fr2_desk', Fr2DeskTest)

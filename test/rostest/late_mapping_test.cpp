@@ -1,0 +1,165 @@
+#include <chrono>
+#include <deque>
+#include <set>
+#include <thread>
+#include <utility>
+
+#include "in_process_chain.h"
+#include "semantic_topo_loop/AssociationArray.h"
+#include "semantic_topo_loop/QuadricMapUpdate.h"
+#include "semantic_topo_loop/evaluation/run_files.h"
+#include "semantic_topo_loop/evaluation/trajectory_evaluation.h"
+#include "semantic_topo_loop/io/tum_trajectory.h"
+
+namespace semantic_topo_loop {
+namespace {
+
+/// Passes the map's updates on after a while, as a slow mapping would.
+class Delay {
+ public:
+  Delay(const std::string& from, const std::string& to, std::chrono::milliseconds delay) : delay_(delay) {
+    publisher_ = node_.advertise<QuadricMapUpdate>(to, 1000);
+    subscriber_ = node_.subscribe<QuadricMapUpdate>(from, 1000, &Delay::take, this);
+    thread_ = std::thread([this] { run(); });
+  }
+  ~Delay() {
+    subscriber_.shutdown();
+    {
+      const std::lock_guard<std::mutex> lock(mutex_);
+      stop_ = true;
+    }
+    changed_.notify_all();
+    thread_.join();
+  }
+
+ private:
+  using Clock = std::chrono::steady_clock;
+
+  void take(const QuadricMapUpdate::ConstPtr& update) {
+    const std::lock_guard<std::mutex> lock(mutex_);
+    waiting_.emplace_back(Clock::now() + delay_, update);
+    changed_.notify_all();
+  }
+  void run() {
+    std::unique_lock<std::mutex> lock(mutex_);
+    while (!stop_) {
+      if (waiting_.empty()) {
+        changed_.wait(lock);
+      } else if (Clock::now() < waiting_.front().first) {
+        changed_.wait_until(lock, waiting_.front().first);
+      } else {
+        publisher_.publish(waiting_.front().second);
+        waiting_.pop_front();
+      }
+    }
+  }
+
+  const std::chrono::milliseconds delay_;
+  ros::NodeHandle node_;
+  ros::Publisher publisher_;
+  ros::Subscriber subscriber_;
+  std::mutex mutex_;  ///< guards all below but the thread
+  std::condition_variable changed_;
+  std::deque<std::pair<Clock::time_point, QuadricMapUpdate::ConstPtr>> waiting_;
+  bool stop_ = false;
+  std::thread thread_;
+};
+
+/// Which landmarks the associations speak of, and which of them the map knows.
+class LandmarkWatch {
+ public:
+  LandmarkWatch() {
+    associations_ = node_.subscribe<AssociationArray>("associations", 1000, &LandmarkWatch::take_associations, this);
+    updates_ = node_.subscribe<QuadricMapUpdate>("quadric_map_updates", 1000, &LandmarkWatch::take_update, this);
+  }
+  std::set<std::int64_t> used() {
+    const std::lock_guard<std::mutex> lock(mutex_);
+    return used_;
+  }
+  std::set<std::int64_t> known() {
+    const std::lock_guard<std::mutex> lock(mutex_);
+    return known_;
+  }
+
+ private:
+  void take_associations(const AssociationArray::ConstPtr& message) {
+    const std::lock_guard<std::mutex> lock(mutex_);
+    for (const Association& association : message->associations) {
+      if (association.landmark_id >= 0) used_.insert(association.landmark_id);
+    }
+  }
+  void take_update(const QuadricMapUpdate::ConstPtr& message) {
+    const std::lock_guard<std::mutex> lock(mutex_);
+    for (const Quadric& quadric : message->changed) known_.insert(quadric.id);
+    for (const QuadricMerge& merge : message->merged) known_.insert(merge.merged_id);
+    known_.insert(message->removed.begin(), message->removed.end());
+  }
+
+  ros::NodeHandle node_;
+  ros::Subscriber associations_, updates_;
+  std::mutex mutex_;  ///< guards both below
+  std::set<std::int64_t> used_, known_;
+};
+
+/// F of a run's confirmed objects against the simulation's truth.
+double object_f(const std::string& results, const std::string& data) {
+  std::string error;
+  const auto objects = core::read_objects(results + "/objects.csv", &error);
+  const auto references = core::read_reference_objects(data + "/reference_objects.csv", &error);
+  const auto estimate = core::read_tum_trajectory(results + "/trajectory.txt", &error);
+  const auto truth = core::read_tum_trajectory(data + "/groundtruth_frames.txt", &error);
+  if (!objects || !references || !estimate || !truth) {
+    ADD_FAILURE() << error;
+    return 0.0;
+  }
+  const auto trajectory = core::evaluate_trajectory(*estimate, *truth, {}, &error);
+  if (!trajectory) {
+    ADD_FAILURE() << error;
+    return 0.0;
+  }
+  return core::evaluate_objects(*objects, *references, trajectory->alignment).certain.f();
+}
+
+TEST(LateMapping, CostsNeitherLandmarksNorObjects) {
+  const core::TestDirectory directory;
+  const std::string data = directory.path("data");
+  write_simulation({{"trajectory.duration_s", "24"}}, data);
+  if (::testing::Test::HasFatalFailure()) return;
+  {
+    InProcessChain prompt;
+    prompt.load_stages(data, directory.path("prompt"));
+    prompt.load_player(data, true);
+    ASSERT_EQ(prompt.wait_for_end(60.0), "finished");
+    prompt.unload_all();
+  }
+  {
+    const Delay delay("prompt_updates", "quadric_map_updates", std::chrono::milliseconds(300));
+    LandmarkWatch watch;
+    InProcessChain late;
+    late.load_stages(data, directory.path("late"), {{"quadric_map_updates", "prompt_updates"}});
+    late.load_player(data, false);
+    ASSERT_EQ(late.wait_for_end(90.0), "finished");
+    late.unload_all();
+    const std::set<std::int64_t> known = watch.known();
+    EXPECT_FALSE(watch.used().empty());
+    for (const std::int64_t id : watch.used()) EXPECT_EQ(known.count(id), 1u) << "landmark " << id << " is unresolved";
+  }
+  const double prompt_f = object_f(directory.path("prompt"), data);
+  const double late_f = object_f(directory.path("late"), data);
+  EXPECT_GT(prompt_f, 0.5) << "the scene is too hard to say anything";
+  EXPECT_GE(late_f, prompt_f - 0.03);
+  RecordProperty("prompt_f", std::to_string(prompt_f));
+  RecordProperty("late_f", std::to_string(late_f));
+}
+
+}  // namespace
+}  // namespace semantic_topo_loop
+
+int main(int argc, char** argv) {
+  testing::InitGoogleTest(&argc, argv);
+  ros::init(argc, argv, "late_mapping_test");
+  const ros::NodeHandle node;
+  ros::AsyncSpinner spinner(2);
+  spinner.start();
+  return RUN_ALL_TESTS();
+}

@@ -1,0 +1,86 @@
+"""What the tests of whole launch files share."""
+import os
+import signal
+import subprocess
+import threading
+import time
+
+PACKAGE = 'semantic_topo_loop'
+RESULT_FILES = ['trajectory_live.txt', 'trajectory.txt', 'keyframes.csv', 'objects.csv', 'loops.csv',
+                'associations.csv', 'timing.csv', 'summary.json']
+
+
+class Launch:
+    """A launch file in a roslaunch of its own, on the test's master; its output is kept."""
+
+    def __init__(self, launch_file, **arguments):
+        command = ['roslaunch', PACKAGE, launch_file]
+        command += ['%s:=%s' % argument for argument in sorted(arguments.items())]
+        self.lines = []
+        self.process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT,
+                                        universal_newlines=True, start_new_session=True)
+        self.reader = threading.Thread(target=self._read)
+        self.reader.start()
+
+    def _read(self):
+        for line in self.process.stdout:
+            self.lines.append(line.rstrip())
+
+    def wait(self, timeout_s):
+        """Whether roslaunch ended by itself."""
+        try:
+            self.process.wait(timeout_s)
+        except subprocess.TimeoutExpired:
+            return False
+        self.reader.join(10)
+        return True
+
+    def stop(self):
+        if self.process.poll() is None:
+            os.killpg(self.process.pid, signal.SIGINT)
+            try:
+                self.process.wait(30)
+            except subprocess.TimeoutExpired:
+                os.killpg(self.process.pid, signal.SIGKILL)
+        self.reader.join(10)
+
+    def output(self):
+        return '\n'.join(self.lines)
+
+    def player_finished(self):
+        """Whether wait_for_player, which the launch files require, ended with 0 and as the first."""
+        text = self.output()
+        return 'player: finished' in text and 'exit code' not in text
+
+
+def run_program(name, *arguments, timeout_s=120):
+    """A program of the package: (exit code, output)."""
+    done = subprocess.run(['rosrun', PACKAGE, name] + list(arguments), stdout=subprocess.PIPE,
+                          stderr=subprocess.STDOUT, universal_newlines=True, timeout=timeout_s)
+    return done.returncode, done.stdout
+
+
+def differing_files(a, b):
+    """Files of two runs that are not the same bytes, timing.csv aside."""
+    names = set(os.listdir(a)) | set(os.listdir(b))
+    differing = []
+    for name in sorted(names - {'timing.csv'}):
+        contents = []
+        for directory in (a, b):
+            try:
+                with open(os.path.join(directory, name), 'rb') as file:
+                    contents.append(file.read())
+            except OSError:
+                contents.append(None)
+        if contents[0] != contents[1]:
+            differing.append(name)
+    return differing
+
+
+def wait_until(condition, timeout_s):
+    deadline = time.monotonic() + timeout_s
+    while time.monotonic() < deadline:
+        if condition():
+            return True
+        time.sleep(0.05)
+    return condition()
