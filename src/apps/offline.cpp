@@ -1,0 +1,209 @@
+#include <unistd.h>
+
+#include <cstdio>
+#include <iostream>
+#include <memory>
+#include <string>
+#include <vector>
+
+#include "package_path.h"
+#include "semantic_topo_loop/detection/detection_reader.h"
+#include "semantic_topo_loop/geometry/stamped_pose.h"
+#include "semantic_topo_loop/io/camera_yaml.h"
+#include "semantic_topo_loop/io/class_table_yaml.h"
+#include "semantic_topo_loop/io/options_yaml.h"
+#include "semantic_topo_loop/io/run_recorder.h"
+#include "semantic_topo_loop/io/tum_trajectory.h"
+#include "semantic_topo_loop/pipeline/frame_builder.h"
+#include "semantic_topo_loop/pipeline/object_slam.h"
+#include "semantic_topo_loop/pipeline/stopwatch.h"
+
+namespace {
+
+using namespace semantic_topo_loop::core;
+
+constexpr char kUsage[] =
+    "usage: offline --trajectory FILE --detections FILE_OR_DIR --camera YAML --output DIR\n"
+    "               [--classes YAML] [--config YAML] [--set module.field=value ...]\n"
+    "Runs the whole chain on recorded files, without a ROS master.\n"
+    "  --trajectory  camera poses of the odometry, TUM format; one frame a pose\n"
+    "  --detections  OA-SLAM JSON file, or directory of YOLO text files <stamp>.txt\n"
+    "  --camera      calibration, see config/camera\n"
+    "  --classes     class table (default: config/classes_coco.yaml of the package)\n"
+    "  --config      parameters (default: the built-in ones, those of config/default.yaml)\n"
+    "  --set         one parameter, over --config; may be repeated\n"
+    "  --output      directory of the results, made if missing\n";
+
+constexpr std::int64_t kStampTolerance_ns = 1000;
+
+struct Arguments {
+  std::string trajectory, detections, camera, classes, config, output;
+  std::vector<std::string> assignments;
+};
+
+/// @return false with `error` set; an empty error means that help was asked for
+bool parse(int argc, char** argv, Arguments* arguments, std::string* error) {
+  const std::vector<std::pair<std::string, std::string*>> fields = {
+      {"--trajectory", &arguments->trajectory}, {"--detections", &arguments->detections},
+      {"--camera", &arguments->camera},         {"--classes", &arguments->classes},
+      {"--config", &arguments->config},         {"--output", &arguments->output}};
+  for (int i = 1; i < argc; ++i) {
+    const std::string name = argv[i];
+    if (name == "--help" || name == "-h") return false;
+    if (i + 1 == argc) {
+      *error = "argument '" + name + "' is unknown or lacks its value";
+      return false;
+    }
+    const std::string value = argv[++i];
+    if (name == "--set") {
+      arguments->assignments.push_back(value);
+      continue;
+    }
+    bool known = false;
+    for (const auto& [field, target] : fields) {
+      if (field != name) continue;
+      *target = value;
+      known = true;
+    }
+    if (!known) {
+      *error = "unknown argument '" + name + "'";
+      return false;
+    }
+  }
+  for (const auto& [field, target] : fields) {
+    if (target->empty() && field != "--config" && field != "--classes") {
+      *error = "argument " + field + " is missing";
+      return false;
+    }
+  }
+  if (arguments->classes.empty()) {
+    arguments->classes = semantic_topo_loop::apps::config_file("classes_coco.yaml");
+    if (arguments->classes.empty()) {
+      *error = "the package is not on ROS_PACKAGE_PATH: pass --classes";
+      return false;
+    }
+  }
+  return true;
+}
+
+struct Inputs {
+  Options options;
+  Camera camera;
+  std::shared_ptr<const ClassTable> classes;
+  StampedPoses trajectory;
+  std::vector<DetectionFrame> detections;
+};
+
+std::optional<Inputs> load(const Arguments& arguments, std::string* error) {
+  Inputs inputs;
+  const std::optional<Options> options = load_options(arguments.config, arguments.assignments, error);
+  if (!options) return std::nullopt;
+  inputs.options = *options;
+  const std::optional<Camera> camera = read_camera(arguments.camera, error);
+  if (!camera) return std::nullopt;
+  inputs.camera = *camera;
+  std::optional<ClassTable> classes = read_class_table(arguments.classes, error);
+  if (!classes) return std::nullopt;
+  inputs.classes = std::make_shared<const ClassTable>(std::move(*classes));
+  std::optional<StampedPoses> trajectory = read_tum_trajectory(arguments.trajectory, error);
+  if (!trajectory) return std::nullopt;
+  inputs.trajectory = std::move(*trajectory);
+  DetectionReport report;
+  std::optional<std::vector<DetectionFrame>> detections =
+      read_detections(arguments.detections, *inputs.classes, &report, error);
+  for (const std::string& warning : report.warnings()) std::cerr << "offline: warning: " << warning << '\n';
+  if (!detections) return std::nullopt;
+  inputs.detections = std::move(*detections);
+  return inputs;
+}
+
+class Progress {
+ public:
+  explicit Progress(std::size_t total) : total_(total), is_terminal_(isatty(STDERR_FILENO) != 0) {}
+  void show(std::size_t done) {
+    const int percent = static_cast<int>(100 * done / total_);
+    if (!is_terminal_ || percent == percent_) return;
+    percent_ = percent;
+    constexpr int kWidth = 50;
+    const std::string bar(static_cast<std::size_t>(percent * kWidth / 100), '#');
+    std::fprintf(stderr, "\r[%-*s] %3d %%%s", kWidth, bar.c_str(), percent, done == total_ ? "\n" : "");
+  }
+
+ private:
+  std::size_t total_;
+  bool is_terminal_;
+  int percent_ = -1;
+};
+
+void record(const Frame& frame, const FrameResult& result, RunRecorder* recorder) {
+  recorder->record(frame);
+  recorder->record(result.associations);
+  recorder->record(result.observation);
+  recorder->record(frame.frame_id, result.loops, result.loop_us);
+  recorder->record(result.correction);
+  recorder->record(result.completion);
+}
+
+/// @return false with `error` set if the inputs have no frame in common
+bool run(const Inputs& inputs, RunRecorder* recorder, std::string* error) {
+  ObjectSlam slam(inputs.options, inputs.classes);
+  FrameBuilder builder(inputs.options.keyframe, inputs.camera);
+  Progress progress(inputs.trajectory.size());
+  std::size_t matched = 0;
+  const std::vector<Detection> none;
+  const Stopwatch stopwatch;
+  for (std::size_t i = 0; i < inputs.trajectory.size(); ++i) {
+    PoseSample sample;
+    sample.stamp_ns = inputs.trajectory[i].stamp_ns;
+    sample.T_odom_camera = inputs.trajectory[i].T_world_camera;
+    const std::optional<Frame> frame = builder.build(sample, error);
+    if (!frame) return false;
+    const DetectionFrame* detections = find_stamp(inputs.detections, frame->stamp_ns, kStampTolerance_ns);
+    if (detections != nullptr) ++matched;
+    record(*frame, slam.process(*frame, detections != nullptr ? detections->detections : none), recorder);
+    progress.show(i + 1);
+  }
+  if (matched == 0) {
+    *error = "no detection has the stamp of a pose: the first of each are " +
+             std::to_string(inputs.trajectory.front().stamp_ns) + " ns (pose) and " +
+             std::to_string(inputs.detections.front().stamp_ns) + " ns (detection)";
+    return false;
+  }
+  const Frame end = builder.end();
+  record(end, slam.process(end, none), recorder);
+
+  const double seconds = 1e-6 * stopwatch.elapsed_us();
+  const double recorded = 1e-9 * static_cast<double>(inputs.trajectory.back().stamp_ns - inputs.trajectory.front().stamp_ns);
+  if (matched < inputs.trajectory.size()) {
+    std::cerr << "offline: warning: " << inputs.trajectory.size() - matched << " of " << inputs.trajectory.size()
+              << " frames have no detections\n";
+  }
+  if (matched < inputs.detections.size()) {
+    std::cerr << "offline: warning: " << inputs.detections.size() - matched << " of " << inputs.detections.size()
+              << " images with detections have no pose and were left out\n";
+  }
+  std::printf("%zu frames in %.2f s, %.1f x real time\n", inputs.trajectory.size(), seconds, recorded / seconds);
+  return true;
+}
+
+}  // namespace
+
+int main(int argc, char** argv) {
+  Arguments arguments;
+  std::string error;
+  if (!parse(argc, argv, &arguments, &error)) {
+    if (error.empty()) {
+      std::cout << kUsage;
+      return 0;
+    }
+    std::cerr << "offline: error: " << error << '\n' << kUsage;
+    return 2;
+  }
+  const std::optional<Inputs> inputs = load(arguments, &error);
+  if (inputs) {
+    RunRecorder recorder(inputs->classes);
+    if (run(*inputs, &recorder, &error) && recorder.write(arguments.output, &error)) return 0;
+  }
+  std::cerr << "offline: error: " << error << '\n';
+  return 1;
+}
