@@ -1,0 +1,91 @@
+// Time of the core's building blocks. Run a Release or RelWithDebInfo build on an otherwise idle machine:
+//   build/benchmark/benchmark_core
+#include <benchmark/benchmark.h>
+
+#include <cmath>
+#include <memory>
+#include <vector>
+
+#include "semantic_topo_loop/association/associator_options.h"
+#include "semantic_topo_loop/association/object_associator.h"
+#include "semantic_topo_loop/map/quadric_fit.h"
+
+namespace semantic_topo_loop::core {
+namespace {
+
+const Camera kCamera{520.0, 520.0, 320.0, 240.0, 640, 480, {}};
+constexpr int kCup = 41;
+
+std::vector<BoxView> views_of(const Ellipsoid& ellipsoid, int n) {
+  std::vector<BoxView> views;
+  for (int i = 0; i < n; ++i) {
+    const double angle = radians(60.0) * i / n - radians(30.0);
+    const SE3 T_world_camera(so3_exp(Vec3(0.0, -angle, 0.0)), Vec3(1.5 * std::sin(angle), 0.0, -1.5 * std::cos(angle)));
+    views.push_back({T_world_camera, *project_box(ellipsoid, projection_matrix(kCamera, T_world_camera)), 0});
+  }
+  return views;
+}
+
+const Ellipsoid kObject{SE3(so3_exp(Vec3(0.1, 0.2, 0.3)), Vec3(0.02, -0.03, 0.04)), Vec3(0.05, 0.04, 0.1)};
+
+void project_quadric(benchmark::State& state) {
+  const Mat34 P = projection_matrix(kCamera, views_of(kObject, 3)[1].T_world_camera);
+  const Mat3 shape = kObject.shape();
+  for (auto _ : state) benchmark::DoNotOptimize(project_box(kObject.center(), shape, P));
+}
+BENCHMARK(project_quadric);
+
+void initialise_quadric(benchmark::State& state) {
+  const std::vector<BoxView> views = views_of(kObject, static_cast<int>(state.range(0)));
+  for (auto _ : state) benchmark::DoNotOptimize(initialise_sphere(kCamera, views));
+}
+BENCHMARK(initialise_quadric)->Arg(10)->Arg(60);
+
+void refine_quadric_on_boxes(benchmark::State& state) {
+  const std::vector<BoxView> views = views_of(kObject, static_cast<int>(state.range(0)));
+  const Ellipsoid sphere = *initialise_sphere(kCamera, views);
+  for (auto _ : state) benchmark::DoNotOptimize(refine_quadric(kCamera, views, sphere));
+}
+BENCHMARK(refine_quadric_on_boxes)->Arg(10)->Arg(60)->Unit(benchmark::kMicrosecond);
+
+/// A frame with 20 boxes against a map of range(0) landmarks, of which 20 are in view.
+void associate_frame(benchmark::State& state, const char* mode) {
+  std::string error;
+  const auto classes = std::make_shared<const ClassTable>(
+      *ClassTable::create({{kCup, "cup", ClassRole::kMovable, "", 0.1}}, &error));
+  AssociatorOptions options;
+  options.mode = mode;
+  ObjectAssociator associator(options, classes);
+  MapUpdate update;
+  update.map_version = 1;
+  std::vector<Detection> detections;
+  for (int i = 0; i < state.range(0); ++i) {
+    Landmark landmark;
+    landmark.id = i;
+    landmark.class_id = kCup;
+    landmark.observations = 40;
+    const bool in_view = i < 20;
+    const Vec3 center(0.3 * (i % 5) - 0.6, 0.3 * (i / 5 % 4) - 0.45, in_view ? 2.0 : -2.0 - i);
+    landmark.ellipsoid = Ellipsoid{SE3(Quaternion::Identity(), center), Vec3::Constant(0.08)};
+    if (in_view) {
+      detections.push_back({kCup, 0.9, *project_box(*landmark.ellipsoid, projection_matrix(kCamera, SE3()))});
+    }
+    update.changed.push_back(landmark);
+  }
+  associator.apply(update);
+  Frame frame;
+  frame.camera = kCamera;
+  frame.keyframe_id = 0;
+  for (auto _ : state) {
+    ++frame.frame_id;
+    frame.stamp_ns += 33333333;
+    benchmark::DoNotOptimize(associator.associate(frame, detections));
+  }
+}
+BENCHMARK_CAPTURE(associate_frame, joint, "joint")->Arg(20)->Arg(1000)->Arg(10000)->Unit(benchmark::kMicrosecond);
+BENCHMARK_CAPTURE(associate_frame, cascade, "cascade")->Arg(20)->Arg(1000)->Arg(10000)->Unit(benchmark::kMicrosecond);
+
+}  // namespace
+}  // namespace semantic_topo_loop::core
+
+BENCHMARK_MAIN();

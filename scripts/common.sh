@@ -1,0 +1,79 @@
+# Sourced by the other scripts: finds the package, installs what is missing, builds. Needs bash.
+set -euo pipefail
+
+package_dir=$(cd "$(dirname "${BASH_SOURCE[0]}")/.." && pwd)
+build_dir=${SEMANTIC_TOPO_LOOP_BUILD:-$package_dir/build}
+jobs=${SEMANTIC_TOPO_LOOP_JOBS:-$(nproc)}
+
+# ROS's Python is the system's, which another one earlier in PATH would shadow.
+export PATH=/usr/bin:$PATH
+
+say() { printf '\n== %s\n' "$*"; }
+
+as_root() {
+  if [ "$(id -u)" = 0 ]; then "$@"; else sudo "$@"; fi
+}
+
+common_packages="build-essential cmake ninja-build clang-format pkg-config xvfb
+  libbenchmark-dev libboost-all-dev libceres-dev libeigen3-dev libgtest-dev libpcl-dev libyaml-cpp-dev
+  nlohmann-json3-dev python3-numpy python3-matplotlib"
+
+debian_packages="catkin libdiagnostic-msgs-dev libdiagnostic-updater-dev libgeometry-msgs-dev libnav-msgs-dev
+  libnodelet-dev libros-rosgraph-msgs-dev librosbag-dev librosbag-storage-dev libroscpp-dev libroslib-dev
+  librostest-dev libsensor-msgs-dev libstd-msgs-dev libstd-srvs-dev libtf2-dev libtf2-msgs-dev libtf2-ros-dev
+  libvisualization-msgs-dev libnodeletlib-dev libnodeletlib-tools python3-geometry-msgs python3-nav-msgs python3-rosbag
+  python3-roslaunch python3-rospy python3-rostest python3-sensor-msgs python3-std-srvs python3-tf2-msgs
+  python3-visualization-msgs ros-message-generation rosbash rosout rviz"
+
+# ROS's own packages on Ubuntu 20.04; their repository (packages.ros.org) must be set up, as for every use of Noetic.
+noetic_packages="catkin diagnostic-msgs diagnostic-updater geometry-msgs message-generation message-runtime nav-msgs
+  nodelet rosbag rosbag-storage rosbash roscpp rosgraph-msgs roslaunch roslib rospy rostest rviz sensor-msgs std-msgs
+  std-srvs tf2 tf2-msgs tf2-ros visualization-msgs"
+
+required_packages() {
+  local id version
+  id=$(. /etc/os-release && echo "$ID")
+  version=$(. /etc/os-release && echo "${VERSION_ID:-}")
+  case "$id-$version" in
+    debian-12*) echo $common_packages $debian_packages ;;
+    ubuntu-20.04) echo $common_packages $(printf 'ros-noetic-%s ' $(echo $noetic_packages | tr _ -)) ;;
+    *)
+      echo "unsupported system: $id $version (supported: Debian 12, Ubuntu 20.04 with ROS Noetic)" >&2
+      return 1
+      ;;
+  esac
+}
+
+install_dependencies() {
+  local missing=() package packages
+  packages=$(required_packages)
+  for package in $packages; do
+    dpkg-query -W -f '${Status}' "$package" 2>/dev/null | grep -q 'install ok installed' || missing+=("$package")
+  done
+  if [ ${#missing[@]} -gt 0 ]; then
+    say "installing ${#missing[@]} packages"
+    as_root apt-get update -q
+    as_root env DEBIAN_FRONTEND=noninteractive apt-get install -q -y --no-install-recommends "${missing[@]}"
+  fi
+}
+
+source_ros() {
+  # The generated setup files read unset variables.
+  set +u
+  if [ -f /opt/ros/noetic/setup.bash ]; then . /opt/ros/noetic/setup.bash; fi
+  if [ -f "$build_dir/devel/setup.bash" ]; then . "$build_dir/devel/setup.bash"; fi
+  set -u
+}
+
+# build TESTING(ON|OFF) [cmake arguments...]
+build() {
+  local testing=$1
+  shift
+  source_ros
+  say "building in $build_dir"
+  cmake -S "$package_dir" -B "$build_dir" -G Ninja -DCMAKE_BUILD_TYPE=RelWithDebInfo \
+    -DPYTHON_EXECUTABLE=/usr/bin/python3 -DCATKIN_ENABLE_TESTING="$testing" "$@" > "$build_dir.configure.log" 2>&1 \
+    || { cat "$build_dir.configure.log" >&2; return 1; }
+  ninja -C "$build_dir" -j "$jobs"
+  source_ros
+}
