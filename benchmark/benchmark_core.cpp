@@ -51,8 +51,8 @@ BENCHMARK(refine_quadric_on_boxes)->Arg(10)->Arg(60)->Unit(benchmark::kMicroseco
 /// A frame with 20 boxes against a map of range(0) landmarks, of which 20 are in view.
 void associate_frame(benchmark::State& state, const char* mode) {
   std::string error;
-  const auto classes = std::make_shared<const ClassTable>(
-      *ClassTable::create({{kCup, "cup", ClassRole::kMovable, "", 0.1}}, &error));
+  const auto classes =
+      std::make_shared<const ClassTable>(*ClassTable::create({{kCup, "cup", ClassRole::kMovable, "", 0.1}}, &error));
   AssociatorOptions options;
   options.mode = mode;
   ObjectAssociator associator(options, classes);

@@ -32,7 +32,9 @@ constexpr char kUsage[] =
     "  --classes     class table (default: config/classes_coco.yaml of the package)\n"
     "  --config      parameters (default: the built-in ones, those of config/default.yaml)\n"
     "  --set         one parameter, over --config; may be repeated\n"
-    "  --output      directory of the results, made if missing\n";
+    "  --output      directory of the results, made if missing\n"
+    "       offline --list-parameters\n"
+    "Prints every parameter with its default, as a Markdown table.\n";
 
 constexpr std::int64_t kStampTolerance_ns = 1000;
 
@@ -173,7 +175,8 @@ bool run(const Inputs& inputs, RunRecorder* recorder, std::string* error) {
   record(end, slam.process(end, none), recorder);
 
   const double seconds = 1e-6 * stopwatch.elapsed_us();
-  const double recorded = 1e-9 * static_cast<double>(inputs.trajectory.back().stamp_ns - inputs.trajectory.front().stamp_ns);
+  const double recorded =
+      1e-9 * static_cast<double>(inputs.trajectory.back().stamp_ns - inputs.trajectory.front().stamp_ns);
   if (matched < inputs.trajectory.size()) {
     std::cerr << "offline: warning: " << inputs.trajectory.size() - matched << " of " << inputs.trajectory.size()
               << " frames have no detections\n";
@@ -186,9 +189,20 @@ bool run(const Inputs& inputs, RunRecorder* recorder, std::string* error) {
   return true;
 }
 
+void print_parameters() {
+  std::cout << "| parameter | default | meaning |\n| --- | --- | --- |\n";
+  for (const OptionLister::Row& row : list_options()) {
+    std::cout << "| `" << row.key << "` | " << row.value << " | " << row.doc << " |\n";
+  }
+}
+
 }  // namespace
 
 int main(int argc, char** argv) {
+  if (argc == 2 && std::string(argv[1]) == "--list-parameters") {
+    print_parameters();
+    return 0;
+  }
   Arguments arguments;
   std::string error;
   if (!parse(argc, argv, &arguments, &error)) {

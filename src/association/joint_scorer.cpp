@@ -5,10 +5,10 @@
 namespace semantic_topo_loop::core {
 namespace {
 
-constexpr double kMemoryDecay = 0.06;      // of the last box's overlap for each frame that missed the object
+constexpr double kMemoryDecay = 0.06;  // of the last box's overlap for each frame that missed the object
 constexpr double kMemoryDecayFrames = 6.0;
-constexpr double kMemoryWeight = 0.9;      // of the last box against the projected quadric
-constexpr double kMinSupport3d = 0.1;      // the quadric must agree at least so far with the last box
+constexpr double kMemoryWeight = 0.9;  // of the last box against the projected quadric
+constexpr double kMinSupport3d = 0.1;  // the quadric must agree at least so far with the last box
 constexpr double kConfusableAgreement = 0.5;
 constexpr double kHistogramShare = 0.1, kHistogramAgreement = 0.8;
 constexpr double kFullAgreement = 0.9;

@@ -63,7 +63,8 @@ class ObjectAssociator::Impl {
     const std::set<std::string> names = parse_levels(options_.levels).value_or(std::set<std::string>{});
     if (names.count("2d") != 0) levels_.push_back(std::make_unique<Level2d>(options_));
     if (names.count("pro") != 0) {
-      levels_.push_back(std::make_unique<LevelPosterior>(options_, std::max<std::size_t>(1, classes_->classes().size())));
+      levels_.push_back(
+          std::make_unique<LevelPosterior>(options_, std::max<std::size_t>(1, classes_->classes().size())));
     }
     if (names.count("3d") != 0) levels_.push_back(std::make_unique<Level3d>(options_));
   }
@@ -144,7 +145,8 @@ class ObjectAssociator::Impl {
   }
 
   /// Undistorts, gates and suppresses the detections; finds the tracks that the frame may see.
-  AssociationContext prepare(const Frame& frame, const std::vector<Detection>& detections, AssociationFrame* result) const {
+  AssociationContext prepare(const Frame& frame, const std::vector<Detection>& detections,
+                             AssociationFrame* result) const {
     AssociationContext context;
     context.frame = &frame;
     context.P_image_map = projection_matrix(frame.camera, T_map_odom_ * frame.T_odom_camera);

@@ -18,7 +18,8 @@ constexpr double kInvalidResidual = 20.0;  // far outside the noise: no view may
 /// r = (projected edges - detected edges) / sigma over centre, rotation (Eigen quaternion) and log semi-axes.
 class BoxEdgeCost final : public ceres::SizedCostFunction<4, 3, 4, 3> {
  public:
-  BoxEdgeCost(const Mat34& P_image_world, const BoxView& view, double sigma) : P_(P_image_world), edges_(view.box.edges()) {
+  BoxEdgeCost(const Mat34& P_image_world, const BoxView& view, double sigma)
+      : P_(P_image_world), edges_(view.box.edges()) {
     for (int i = 0; i < 4; ++i) weights_(i) = (view.truncated & (1 << i)) != 0 ? 0.0 : 1.0 / sigma;
   }
 
@@ -30,9 +31,12 @@ class BoxEdgeCost final : public ceres::SizedCostFunction<4, 3, 4, 3> {
     BoxJacobian J;
     const std::optional<Box> box = project_box(ellipsoid, P_, jacobians != nullptr ? &J : nullptr);
     Eigen::Map<Vec4> r(residuals);
-    r = box ? Vec4(weights_.cwiseProduct(box->edges() - edges_)) : Vec4((weights_.array() > 0.0).select(kInvalidResidual, Vec4::Zero()));
+    r = box ? Vec4(weights_.cwiseProduct(box->edges() - edges_))
+            : Vec4((weights_.array() > 0.0).select(kInvalidResidual, Vec4::Zero()));
     if (jacobians == nullptr) return true;
-    if (!box) J = {Eigen::Matrix<double, 4, 3>::Zero(), Eigen::Matrix<double, 4, 3>::Zero(), Eigen::Matrix<double, 4, 3>::Zero()};
+    if (!box)
+      J = {Eigen::Matrix<double, 4, 3>::Zero(), Eigen::Matrix<double, 4, 3>::Zero(),
+           Eigen::Matrix<double, 4, 3>::Zero()};
     const auto write = [](double* target, const auto& value) {
       using Value = typename std::decay_t<decltype(value)>;
       Eigen::Map<Eigen::Matrix<double, 4, Value::ColsAtCompileTime, Eigen::RowMajor>> map(target);
@@ -193,7 +197,8 @@ std::optional<Ellipsoid> initialise_sphere(const Camera& camera, const std::vect
   }
   const double radius = median(std::move(radii));
   if (!(radius > 0.0)) return std::nullopt;
-  return Ellipsoid{SE3(Quaternion::Identity(), *center), Vec3::Constant(radius)};
+  // Axes of the first camera, not of the world: a fit must not depend on where the odometry's world lies.
+  return Ellipsoid{SE3(views.front().T_world_camera.q, *center), Vec3::Constant(radius)};
 }
 
 std::optional<Ellipsoid> initialise_from_points(const Camera& camera, const BoxView& view,
@@ -215,7 +220,8 @@ std::optional<Ellipsoid> initialise_from_points(const Camera& camera, const BoxV
 
 std::optional<QuadricFit> refine_quadric(const Camera& camera, const std::vector<BoxView>& views,
                                          const Ellipsoid& initial, const QuadricFitOptions& options) {
-  if (views.empty() || !initial.T_world_quadric.is_finite() || !(initial.semi_axes.minCoeff() > 0.0)) return std::nullopt;
+  if (views.empty() || !initial.T_world_quadric.is_finite() || !(initial.semi_axes.minCoeff() > 0.0))
+    return std::nullopt;
   std::vector<Mat34> projections;
   std::vector<double> sigmas;
   std::deque<BoxEdgeCost> costs;  // cost functions cannot be moved
@@ -259,7 +265,8 @@ std::optional<QuadricFit> refine_quadric(const Camera& camera, const std::vector
   const Mat3 shape = fit.ellipsoid.shape();
   for (std::size_t i = 0; i < views.size(); ++i) {
     const std::optional<Box> box = project_box(center, shape, projections[i]);
-    if (box) fit.mean_iou += iou(clip(*box, camera.width, camera.height), clip(views[i].box, camera.width, camera.height));
+    if (box)
+      fit.mean_iou += iou(clip(*box, camera.width, camera.height), clip(views[i].box, camera.width, camera.height));
   }
   fit.mean_iou /= static_cast<double>(views.size());
   fit.center_covariance = center_covariance(projections, views, sigmas, fit.ellipsoid);

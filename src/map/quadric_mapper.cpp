@@ -26,7 +26,7 @@ struct Observation {
 
 struct MappedLandmark {
   Landmark state;
-  std::vector<Observation> observations;  ///< bounded: thinned evenly when they exceed kObservationsMax
+  std::vector<Observation> observations;    ///< bounded: thinned evenly when they exceed kObservationsMax
   std::map<std::int64_t, int> seen_beside;  ///< frames in which another landmark had a separate box
   std::int64_t last_stamp_ns = 0;
   int expected_frames = 0;
@@ -35,9 +35,9 @@ struct MappedLandmark {
 };
 
 constexpr std::size_t kObservationsMax = 1200;
-constexpr double kSeparateBoxesIou = 0.6;   // two boxes that overlap less show two things
-constexpr int kMergeViews = 30;             // boxes that vote on a merge
-constexpr int kRefitsPerFrame = 4;          // after a correction, so that no frame is held up
+constexpr double kSeparateBoxesIou = 0.6;  // two boxes that overlap less show two things
+constexpr int kMergeViews = 30;            // boxes that vote on a merge
+constexpr int kRefitsPerFrame = 4;         // after a correction, so that no frame is held up
 constexpr double kMinExpectedWidthPx = 12.0, kMinExpectedHeightPx = 8.0;
 constexpr double kFullyVisibleShare = 0.8;
 
@@ -219,7 +219,8 @@ class QuadricMapper::Impl {
     count_side_by_side(associations);
   }
 
-  void initialise_from_frame_points(const Frame& frame, const Association& association, MappedLandmark* landmark) const {
+  void initialise_from_frame_points(const Frame& frame, const Association& association,
+                                    MappedLandmark* landmark) const {
     if (!frame.points_camera || association.truncated != 0) return;
     const BoxView view{T_map_odom_ * frame.T_odom_camera, association.box, association.truncated};
     landmark->state.ellipsoid =
@@ -490,7 +491,7 @@ class QuadricMapper::Impl {
   Landmarks landmarks_;
   std::map<std::int64_t, std::int64_t> redirects_;  ///< merged id -> survivor
   std::uint64_t map_version_ = 0;
-  bool finishing_ = false;  ///< the end frame has been seen
+  bool finishing_ = false;          ///< the end frame has been seen
   std::set<std::int64_t> changed_;  ///< by the update being made
 };
 

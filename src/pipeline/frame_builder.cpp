@@ -5,12 +5,11 @@
 namespace semantic_topo_loop::core {
 
 bool KeyframeOptions::is_valid(std::string* error) const {
-  for (const auto& [name, value] : {std::pair("keyframe.min_translation_m", min_translation_m),
-                                    std::pair("keyframe.min_rotation_deg", min_rotation_deg),
-                                    std::pair("keyframe.max_interval_s", max_interval_s),
-                                    std::pair("keyframe.break_speed_m_s", break_speed_m_s),
-                                    std::pair("keyframe.break_rate_deg_s", break_rate_deg_s),
-                                    std::pair("keyframe.break_gap_s", break_gap_s)}) {
+  for (const auto& [name, value] :
+       {std::pair("keyframe.min_translation_m", min_translation_m),
+        std::pair("keyframe.min_rotation_deg", min_rotation_deg), std::pair("keyframe.max_interval_s", max_interval_s),
+        std::pair("keyframe.break_speed_m_s", break_speed_m_s),
+        std::pair("keyframe.break_rate_deg_s", break_rate_deg_s), std::pair("keyframe.break_gap_s", break_gap_s)}) {
     if (!(value > 0.0)) {
       std::ostringstream message;
       message << "parameter '" << name << "' = " << value << " must be > 0";
@@ -28,7 +27,8 @@ std::optional<Frame> FrameBuilder::build(const PoseSample& sample, std::string* 
   }
   if (last_ && sample.stamp_ns <= last_->stamp_ns) {
     if (error != nullptr) {
-      *error = "stamp " + std::to_string(sample.stamp_ns) + " ns is not after " + std::to_string(last_->stamp_ns) + " ns";
+      *error =
+          "stamp " + std::to_string(sample.stamp_ns) + " ns is not after " + std::to_string(last_->stamp_ns) + " ns";
     }
     return std::nullopt;
   }

@@ -88,12 +88,12 @@ std::set<std::pair<std::size_t, std::size_t>> neighbours(const std::vector<core:
 }  // namespace
 
 std_msgs::ColorRGBA class_color(int class_id, double alpha) {
-  // Steps of the golden angle spread any run of ids over the hues; three tones tell the close ones apart.
-  constexpr double kGoldenRatio = 0.61803398874989485;
-  constexpr std::array<std::pair<double, double>, 3> kTones = {
-      {{0.85, 1.0}, {0.55, 1.0}, {0.90, 0.75}}};  // saturation, value
+  // The hue step that keeps COCO's indoor classes (24 to 79) farthest apart, with four tones, of all steps of 0.001.
+  constexpr double kHueStep = 0.297;
+  constexpr std::array<std::pair<double, double>, 4> kTones = {
+      {{0.85, 1.0}, {0.50, 1.0}, {0.95, 0.75}, {0.60, 0.80}}};  // saturation, value
   const auto [saturation, value] = kTones[static_cast<std::size_t>(std::abs(class_id)) % kTones.size()];
-  const double hue = 6.0 * std::fmod(std::abs(class_id) * kGoldenRatio, 1.0);
+  const double hue = 6.0 * std::fmod(std::abs(class_id) * kHueStep, 1.0);
   const auto channel = [hue, saturation = saturation, value = value](double offset) {
     const double k = std::fmod(offset + hue, 6.0);
     return value - value * saturation * std::clamp(std::min(k, 4.0 - k), 0.0, 1.0);

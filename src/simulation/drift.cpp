@@ -20,10 +20,6 @@ struct StepError {
   Vec3 translation_scaled = Vec3::Zero(), translation_fixed = Vec3::Zero();  ///< m
 };
 
-struct Deviation {
-  double position_m = 0.0, rotation_rad = 0.0;
-};
-
 /// A rate that varies around 1 through five random support points over the whole sequence.
 class SlowRate {
  public:
@@ -57,7 +53,9 @@ class Replay {
   double activity(std::size_t i) const { return activity_[i]; }
   std::vector<SE3> integrate(const std::vector<StepError>& errors, double rotation_scale,
                              double translation_scale) const;
-  Deviation deviation(const std::vector<SE3>& poses) const;
+  /// Largest angle from the truth, rad.
+  double rotation_error(const std::vector<SE3>& poses) const;
+  const std::vector<SE3>& truth() const { return *truth_; }
 
  private:
   const std::vector<SE3>* truth_;
@@ -96,12 +94,9 @@ std::vector<SE3> Replay::integrate(const std::vector<StepError>& errors, double 
   return poses;
 }
 
-Deviation Replay::deviation(const std::vector<SE3>& poses) const {
-  Deviation worst;
-  for (std::size_t i = 0; i < poses.size(); ++i) {
-    worst.position_m = std::max(worst.position_m, (poses[i].t - (*truth_)[i].t).norm());
-    worst.rotation_rad = std::max(worst.rotation_rad, rotation_angle(poses[i].q, (*truth_)[i].q));
-  }
+double Replay::rotation_error(const std::vector<SE3>& poses) const {
+  double worst = 0.0;
+  for (std::size_t i = 0; i < poses.size(); ++i) worst = std::max(worst, rotation_angle(poses[i].q, (*truth_)[i].q));
   return worst;
 }
 
@@ -168,19 +163,76 @@ double scale_to_level(const Error& error, double level) {
   return low;
 }
 
+/// The largest distance from the truth as a function of the translation errors' scale, for given rotations: positions
+/// are linear in the scale, so the function is convex.
+class PositionError {
+ public:
+  PositionError(const Replay& replay, const std::vector<StepError>& errors, double rotation_scale)
+      : truth_(replay.truth()),
+        at_zero_(replay.integrate(errors, rotation_scale, 0.0)),
+        at_one_(replay.integrate(errors, rotation_scale, 1.0)) {}
+
+  double operator()(double scale) const {
+    double worst = 0.0;
+    for (std::size_t i = 0; i < at_zero_.size(); ++i) {
+      worst = std::max(worst, (at_zero_[i].t + scale * (at_one_[i].t - at_zero_[i].t) - truth_[i].t).norm());
+    }
+    return worst;
+  }
+
+  /// The scale nearest to zero, of either sign, at which the error is `level`; none if it is always larger. Where the
+  /// rotation alone moves the camera too far, a translation error that pulls back is as good as any.
+  std::optional<double> reach(double level) const {
+    double slope = 1e-12;
+    for (std::size_t i = 0; i < at_zero_.size(); ++i) slope = std::max(slope, (at_one_[i].t - at_zero_[i].t).norm());
+    const double bound = (level + (*this)(0.0)) / slope;
+    const double lowest = minimiser(bound);
+    if ((*this)(lowest) > level) return std::nullopt;
+    const double positive = crossing(lowest, bound, level), negative = crossing(lowest, -bound, level);
+    return std::abs(positive) < std::abs(negative) ? positive : negative;
+  }
+
+ private:
+  static constexpr int kIterations = 60;
+
+  /// In [-bound, bound], by ternary search.
+  double minimiser(double bound) const {
+    double low = -bound, high = bound;
+    for (int i = 0; i < kIterations; ++i) {
+      const double third = (high - low) / 3.0;
+      if ((*this)(low + third) < (*this)(high - third)) {
+        high -= third;
+      } else {
+        low += third;
+      }
+    }
+    return 0.5 * (low + high);
+  }
+
+  /// Between a scale whose error is within the level and one whose error is not.
+  double crossing(double inside, double outside, double level) const {
+    for (int i = 0; i < kIterations; ++i) {
+      const double middle = 0.5 * (inside + outside);
+      ((*this)(middle) > level ? outside : inside) = middle;
+    }
+    return inside;
+  }
+
+  const std::vector<SE3>& truth_;
+  std::vector<SE3> at_zero_, at_one_;
+};
+
 std::optional<std::vector<SE3>> scale_errors(const Replay& replay, const std::vector<StepError>& errors,
                                              const DriftOptions& options) {
-  const auto rotation_error = [&](double s) { return replay.deviation(replay.integrate(errors, s, 0.0)).rotation_rad; };
+  const auto rotation_error = [&](double s) { return replay.rotation_error(replay.integrate(errors, s, 0.0)); };
   const double level_rad = radians(options.rotation_deg);
   constexpr double kRounding = 1e-6;
   if (rotation_error(0.0) > level_rad + kRounding) return std::nullopt;
   const double rotation_scale = scale_to_level(rotation_error, level_rad);
-  const auto position_error = [&](double s) {
-    return replay.deviation(replay.integrate(errors, rotation_scale, s)).position_m;
-  };
-  if (position_error(0.0) > options.position_m + kRounding) return std::nullopt;
-  const double translation_scale = scale_to_level(position_error, options.position_m);
-  return replay.integrate(errors, rotation_scale, translation_scale);
+  const std::optional<double> translation_scale =
+      PositionError(replay, errors, rotation_scale).reach(options.position_m);
+  if (!translation_scale) return std::nullopt;
+  return replay.integrate(errors, rotation_scale, *translation_scale);
 }
 
 }  // namespace
@@ -198,7 +250,7 @@ std::optional<std::vector<SE3>> drift_poses(const std::vector<SE3>& T_world_came
   if (T_world_camera.size() < 2 || (options.position_m == 0.0 && options.rotation_deg == 0.0)) return T_world_camera;
   const Replay replay(T_world_camera);
   Random random(seed);
-  constexpr int kMaxDraws = 20;
+  constexpr int kMaxDraws = 50;
   for (int i = 0; i < kMaxDraws; ++i) {
     const std::vector<StepError> errors =
         options.model == "jump" ? jump_errors(replay, options, &random) : smooth_errors(replay, &random);
@@ -208,7 +260,7 @@ std::optional<std::vector<SE3>> drift_poses(const std::vector<SE3>& T_world_came
     std::ostringstream message;
     message << "parameter 'drift.position_m' = '" << options.position_m
             << "' cannot be met: a rotation drift of 'drift.rotation_deg' = '" << options.rotation_deg
-            << "' moves the camera farther";
+            << "' always moves the camera farther";
     *error = message.str();
   }
   return std::nullopt;

@@ -32,9 +32,7 @@ Frame frame_at(std::int64_t id) {
   return frame;
 }
 
-Box box_at(double x, double y, double size = 60.0) {
-  return {x - size / 2, y - size / 2, x + size / 2, y + size / 2};
-}
+Box box_at(double x, double y, double size = 60.0) { return {x - size / 2, y - size / 2, x + size / 2, y + size / 2}; }
 
 /// What a mapper would say: landmark `id` is a sphere whose projection in the identity camera is around `box`.
 MapUpdate sphere_update(const ObjectAssociator& associator, std::int64_t id, int class_id, const Box& box) {
@@ -95,12 +93,11 @@ TEST_P(BothModes, QuadricBringsALandmarkBackAfterALongAbsence) {
 
 TEST_P(BothModes, LeavesOutDynamicIgnoredLowAndCoveredBoxes) {
   ObjectAssociator associator(options(GetParam()), classes());
-  const AssociationFrame result =
-      associator.associate(frame_at(0), {{kPerson, 0.9, box_at(100.0, 100.0)},
-                                         {kIgnored, 0.9, box_at(200.0, 100.0)},
-                                         {kCup, 0.1, box_at(300.0, 100.0)},
-                                         {kVase, 0.5, box_at(400.0, 101.0)},
-                                         {kCup, 0.8, box_at(400.0, 100.0)}});
+  const AssociationFrame result = associator.associate(frame_at(0), {{kPerson, 0.9, box_at(100.0, 100.0)},
+                                                                     {kIgnored, 0.9, box_at(200.0, 100.0)},
+                                                                     {kCup, 0.1, box_at(300.0, 100.0)},
+                                                                     {kVase, 0.5, box_at(400.0, 101.0)},
+                                                                     {kCup, 0.8, box_at(400.0, 100.0)}});
   ASSERT_EQ(result.associations.size(), 5U);
   EXPECT_EQ(result.associations[0].level, AssociationLevel::kIgnored);
   EXPECT_EQ(result.associations[1].level, AssociationLevel::kIgnored);
@@ -168,7 +165,8 @@ TEST(ObjectAssociator, PointsStandInForAMissingQuadric) {
   }
   Frame frame = frame_at(0);
   frame.points_camera = points;
-  const std::int64_t id = associator.associate(frame, {{kCup, 0.9, box_at(320.0, 240.0, 70.0)}}).associations[0].landmark_id;
+  const std::int64_t id =
+      associator.associate(frame, {{kCup, 0.9, box_at(320.0, 240.0, 70.0)}}).associations[0].landmark_id;
   Frame moved = frame_at(30);
   moved.T_odom_camera.t = Vec3(0.2, 0.0, 0.0);  // the object is now 50 px to the left
   const AssociationFrame result = associator.associate(moved, {{kCup, 0.9, box_at(270.0, 240.0, 70.0)}});
@@ -179,7 +177,8 @@ TEST(ObjectAssociator, PointsStandInForAMissingQuadric) {
 TEST(ObjectAssociator, MergeRemovalRetirementAndVersionGap) {
   ObjectAssociator associator(options("joint"), classes());
   const AssociationFrame first = associator.associate(
-      frame_at(0), {{kCup, 0.9, box_at(100.0, 200.0)}, {kCup, 0.9, box_at(300.0, 200.0)}, {kBook, 0.9, box_at(500.0, 200.0)}});
+      frame_at(0),
+      {{kCup, 0.9, box_at(100.0, 200.0)}, {kCup, 0.9, box_at(300.0, 200.0)}, {kBook, 0.9, box_at(500.0, 200.0)}});
   const std::int64_t a = first.associations[0].landmark_id, b = first.associations[1].landmark_id,
                      c = first.associations[2].landmark_id;
   MapUpdate update;

@@ -93,8 +93,7 @@ TEST(QuadricFit, CovarianceCoversTheErrorAndShrinksWithViews) {
     const std::vector<BoxView> views = views_of(kCup, arc(n, 60.0), 2.0);
     const std::optional<QuadricFit> fit = refine_quadric(kCamera, views, *initialise_sphere(kCamera, views));
     EXPECT_TRUE(fit);
-    EXPECT_LT((fit->ellipsoid.center() - kCup.center()).norm(),
-              5.0 * std::sqrt(fit->center_covariance.trace()));
+    EXPECT_LT((fit->ellipsoid.center() - kCup.center()).norm(), 5.0 * std::sqrt(fit->center_covariance.trace()));
     return fit->center_covariance.trace();
   };
   EXPECT_LT(covariance(40), 0.6 * covariance(10));

@@ -25,11 +25,11 @@ struct Association {
   std::int32_t detection_index = 0;  ///< in the detections of the frame
   std::int64_t landmark_id = -1;     ///< -1: none
   AssociationLevel level = AssociationLevel::kNew;
-  int class_id = -1;                 ///< as detected
-  double score = 0.0;                ///< of the detector
-  Box box;                           ///< undistorted, px
-  std::uint8_t truncated = 0;        ///< Truncation bits
-  int landmark_class_id = -1;        ///< most frequent class of the landmark, this detection included
+  int class_id = -1;           ///< as detected
+  double score = 0.0;          ///< of the detector
+  Box box;                     ///< undistorted, px
+  std::uint8_t truncated = 0;  ///< Truncation bits
+  int landmark_class_id = -1;  ///< most frequent class of the landmark, this detection included
 };
 
 struct AssociationFrame {

@@ -30,8 +30,10 @@ struct AssociatorOptions {
     visitor("association.iou_2d_min", iou_2d_min, "level 1 gate delta1: box overlap with the previous frame");
     visitor("association.iou_3d_min", iou_3d_min, "level 3 gate delta2: box overlap with the projected quadric");
     visitor("association.points_in_box_min", points_in_box_min, "level 3 gate delta3: share of map points in the box");
-    visitor("association.iou_joint_2d_min", iou_joint_2d_min, "joint mode: overlap gate for landmarks without a quadric");
-    visitor("association.suppression_iou", suppression_iou, "of two boxes that overlap more, the lower score is left out");
+    visitor("association.iou_joint_2d_min", iou_joint_2d_min,
+            "joint mode: overlap gate for landmarks without a quadric");
+    visitor("association.suppression_iou", suppression_iou,
+            "of two boxes that overlap more, the lower score is left out");
     visitor("association.border_px", border_px, "sides this close to the image border count as cut");
     visitor("association.memory_s", memory_s, "joint mode: how long a box remains a track's last position");
     visitor("association.window_keyframes", window_keyframes,

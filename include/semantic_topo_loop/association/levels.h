@@ -29,8 +29,8 @@ class Level2d final : public AssociationLevelScorer {
 };
 
 /// Label posterior over the landmarks of the previous frame, after Mu et al. 2016: an existing landmark i has
-/// n_i / (N + alpha) p(label|i) p(z|i), a new one alpha / (N + alpha) p0(label) p0(z). The score is the log ratio of the
-/// two, plus one, where positive. `paper` leaves p0 out, as the paper prints it.
+/// n_i / (N + alpha) p(label|i) p(z|i), a new one alpha / (N + alpha) p0(label) p0(z). The score is the log ratio of
+/// the two, plus one, where positive. `paper` leaves p0 out, as the paper prints it.
 class LevelPosterior final : public AssociationLevelScorer {
  public:
   LevelPosterior(const AssociatorOptions& options, std::size_t class_count)
@@ -57,8 +57,8 @@ class Level3d final : public AssociationLevelScorer {
   AssociatorOptions options_;
 };
 
-/// Score of the joint one-to-one assignment: box overlap (quadric or last box) times label agreement, above the gates of
-/// the levels. Measured far more robust to missed and mislabelled boxes than the cascade (docs/algorithms.md).
+/// Score of the joint one-to-one assignment: box overlap (quadric or last box) times label agreement, above the gates
+/// of the levels. Measured far more robust to missed and mislabelled boxes than the cascade (docs/algorithms.md).
 class JointScorer {
  public:
   JointScorer(const AssociatorOptions& options, const ClassTable& classes) : options_(options), classes_(classes) {}

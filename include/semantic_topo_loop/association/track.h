@@ -21,12 +21,12 @@ struct Track {
   std::int64_t last_frame_id = -1;
   std::int64_t last_stamp_ns = 0;
   std::int64_t last_keyframe_id = -1;
-  Box last_box;                                       ///< undistorted, px
+  Box last_box;  ///< undistorted, px
   LandmarkState state = LandmarkState::kCandidate;
   bool has_ellipsoid = false;
   Vec3 center_map = Vec3::Zero();
-  Mat3 shape_map = Mat3::Zero();                      ///< R diag(a^2) R^T
-  std::vector<Vec3> points_map;                       ///< of its last observation with points, while without ellipsoid
+  Mat3 shape_map = Mat3::Zero();  ///< R diag(a^2) R^T
+  std::vector<Vec3> points_map;   ///< of its last observation with points, while without ellipsoid
 
   double class_share(int id_of_class) const {
     double total = 0.0, weight = 0.0;
@@ -56,8 +56,8 @@ struct PreparedDetection {
   std::int32_t index = 0;  ///< in the frame's detections
   int class_id = -1;
   double score = 0.0;
-  Box box;                 ///< undistorted, px
-  Box visible;             ///< the same, clipped to the image
+  Box box;      ///< undistorted, px
+  Box visible;  ///< the same, clipped to the image
   std::uint8_t truncated = 0;
 };
 

@@ -11,8 +11,8 @@ namespace semantic_topo_loop::core {
 struct Alignment {
   SE3 T_a_b;
   double scale = 1.0;
-  double rms_m = 0.0;               ///< root mean square of the residuals, m
-  Vec3 spread_m = Vec3::Zero();     ///< singular values of the centred b points / sqrt(n), descending, m
+  double rms_m = 0.0;            ///< root mean square of the residuals, m
+  Vec3 spread_m = Vec3::Zero();  ///< singular values of the centred b points / sqrt(n), descending, m
 };
 
 /// Closed-form least-squares alignment of corresponding points (Umeyama 1991).

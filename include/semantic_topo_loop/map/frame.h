@@ -11,12 +11,12 @@ namespace semantic_topo_loop::core {
 
 /// What the odometry says about one image. Immutable once built; every stage reads the same one.
 struct Frame {
-  std::int64_t frame_id = -1;      ///< counts the frames that have a pose, from 0, in time order
+  std::int64_t frame_id = -1;  ///< counts the frames that have a pose, from 0, in time order
   std::int64_t stamp_ns = 0;
-  std::int64_t keyframe_id = -1;   ///< the keyframe this frame hangs on: itself, or the last one before it
+  std::int64_t keyframe_id = -1;  ///< the keyframe this frame hangs on: itself, or the last one before it
   bool is_keyframe = false;
-  bool is_break = false;           ///< the odometry may have jumped between the previous frame and this one
-  bool is_end = false;             ///< no image: the stream is over and every stage shall finish its work
+  bool is_break = false;  ///< the odometry may have jumped between the previous frame and this one
+  bool is_end = false;    ///< no image: the stream is over and every stage shall finish its work
   SE3 T_odom_camera;
   std::optional<Mat6> covariance;  ///< of the motion since the previous frame: (translation m, rotation rad)
   Camera camera;

@@ -18,13 +18,13 @@ struct Landmark {
   std::int64_t id = -1;
   int class_id = -1;
   LandmarkState state = LandmarkState::kCandidate;
-  std::optional<Ellipsoid> ellipsoid;        ///< in the map frame; none while too few views
-  Mat3 center_covariance = Mat3::Zero();     ///< m^2
-  std::int64_t anchor_keyframe_id = -1;      ///< the keyframe it moves with
+  std::optional<Ellipsoid> ellipsoid;     ///< in the map frame; none while too few views
+  Mat3 center_covariance = Mat3::Zero();  ///< m^2
+  std::int64_t anchor_keyframe_id = -1;   ///< the keyframe it moves with
   int observations = 0;
-  double baseline_deg = 0.0;                 ///< largest angle between two rays to the centre
-  double mean_iou = 0.0;                     ///< of projected and detected boxes
-  double quality = 0.0;                      ///< rho in [0, 1]
+  double baseline_deg = 0.0;  ///< largest angle between two rays to the centre
+  double mean_iou = 0.0;      ///< of projected and detected boxes
+  double quality = 0.0;       ///< rho in [0, 1]
 };
 
 struct LandmarkMerge {
@@ -45,9 +45,9 @@ struct MapUpdate {
   std::uint64_t base_version = 0;
   std::uint64_t map_version = 0;
   SE3 T_map_odom;
-  std::vector<Landmark> changed;          ///< in order of id; retirement is a state
-  std::vector<std::int64_t> removed;      ///< candidates given up
-  std::vector<LandmarkMerge> merged;      ///< redirects, in the order they were made
+  std::vector<Landmark> changed;      ///< in order of id; retirement is a state
+  std::vector<std::int64_t> removed;  ///< candidates given up
+  std::vector<LandmarkMerge> merged;  ///< redirects, in the order they were made
   double duration_us = 0.0;
 };
 

@@ -34,7 +34,8 @@ struct QuadricMapperOptions {
     visitor("mapping.max_depth_m", max_depth_m, "no ellipsoid from farther away (median depth)");
     visitor("mapping.max_semi_axis_m", max_semi_axis_m, "no larger ellipsoid");
     visitor("mapping.min_fit_iou", min_fit_iou, "mean overlap below which a fit is refused");
-    visitor("mapping.maintenance_interval_frames", maintenance_interval_frames, "frames between searches for duplicates");
+    visitor("mapping.maintenance_interval_frames", maintenance_interval_frames,
+            "frames between searches for duplicates");
     visitor("mapping.merge_iou", merge_iou, "overlap of one landmark's boxes with the other's projection, same class");
     visitor("mapping.merge_iou_confusable", merge_iou_confusable, "the same for two classes of one group");
     visitor("mapping.merge_veto_share", merge_veto_share, "no merge if seen side by side in more of the common frames");

@@ -17,7 +17,7 @@ struct BoxView {
 
 struct QuadricFitOptions {
   int max_iterations = 12;
-  double sigma_px = 3.0;         ///< noise of a box edge: sigma_px + sigma_share * box size
+  double sigma_px = 3.0;  ///< noise of a box edge: sigma_px + sigma_share * box size
   double sigma_share = 0.1;
   double roundness_weight = 0.01;  ///< pull of the three log axes to their common start, per view
   double min_depth_m = 0.2;
@@ -38,13 +38,13 @@ std::optional<Vec3> triangulate_center(const Camera& camera, const std::vector<B
 double parallax_deg(const std::vector<BoxView>& views, const Vec3& point_world);
 /// A sphere from several boxes: triangulated centre, radius from the median box size at its depth.
 std::optional<Ellipsoid> initialise_sphere(const Camera& camera, const std::vector<BoxView>& views);
-/// An ellipsoid from one box and the points of the object's surface that were seen inside it (camera frame, m): centre at
-/// the points' robust depth, image-aligned axes from the box, depth axis their mean.
+/// An ellipsoid from one box and the points of the object's surface that were seen inside it (camera frame, m): centre
+/// at the points' robust depth, image-aligned axes from the box, depth axis their mean.
 std::optional<Ellipsoid> initialise_from_points(const Camera& camera, const BoxView& view,
                                                 const std::vector<Vec3>& points_camera);
 
-/// Refines all nine parameters on the box edges: residual (projected edge - detected edge) / sigma, soft-L1 loss a view,
-/// sides cut by the image border left out (Ceres, Levenberg-Marquardt).
+/// Refines all nine parameters on the box edges: residual (projected edge - detected edge) / sigma, soft-L1 loss a
+/// view, sides cut by the image border left out (Ceres, Levenberg-Marquardt).
 /// @return nullopt if the solver finds no usable solution
 std::optional<QuadricFit> refine_quadric(const Camera& camera, const std::vector<BoxView>& views,
                                          const Ellipsoid& initial, const QuadricFitOptions& options = {});

@@ -14,11 +14,11 @@ namespace semantic_topo_loop::core {
 /// What the stages made of one frame, in the order they ran.
 struct FrameResult {
   AssociationFrame associations;
-  MapUpdate observation;             ///< after the associations were integrated
+  MapUpdate observation;  ///< after the associations were integrated
   std::vector<LoopClosure> loops;
   double loop_us = 0.0;
   MapCorrection correction;
-  MapUpdate completion;              ///< after the correction was applied
+  MapUpdate completion;  ///< after the correction was applied
 };
 
 /// The whole chain on one thread: association, mapping, loop detection, pose graph. The nodelets call the same stages
