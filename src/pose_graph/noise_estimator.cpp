@@ -1,5 +1,3 @@
-#include <string>
-#include <cstdlib>
 #include "semantic_topo_loop/pose_graph/noise_estimator.h"
 
 #include <algorithm>
@@ -71,7 +69,7 @@ double robust_noise_factor(const InnovationModel& model, const NoisePrior& prior
   double below = 0.0;
   for (const auto& [factor, weight] : factors) {
     below += weight;
-    if (below >= std::stod(getenv("Q")?getenv("Q"):"0.5") * total) return factor;
+    if (below >= 0.5 * total) return factor;
   }
   return factors.back().first;
 }
