@@ -71,7 +71,6 @@ void DetectionIngestionNodelet::onInit() {
   constexpr std::size_t kKeptPerFrame = 10;
   matcher_ = std::make_unique<DetectionMatcher>(queue_capacity() * kKeptPerFrame);
   publisher_ = advertise<DetectionArray>("detections");
-  follow_sessions();
   if (!is_file_) {
     const boost::function<void(const DetectionArray::ConstPtr&)> callback = [this](const DetectionArray::ConstPtr& m) {
       push("detections_in", Keep::kDroppable, [this, m] { on_input(m); });
@@ -81,6 +80,7 @@ void DetectionIngestionNodelet::onInit() {
     start_timer(kDeadlinePeriodS, [this] { resolve(); });
   }
   subscribe("frames", Keep::kDroppable, &DetectionIngestionNodelet::on_frame);
+  follow_sessions();
 }
 
 bool DetectionIngestionNodelet::load_file() {

@@ -33,10 +33,10 @@ class LoopDetectionNodelet : public Stage {
     for (const char* counter : {kIncomplete, kAccepted}) statistics().count(counter, 0);
     reset_session();
     keep_service(getPrivateNodeHandle().advertiseService("set_loop_closing", &LoopDetectionNodelet::on_switch, this));
-    follow_sessions();
     subscribe("quadric_map_updates", Keep::kAlways, &LoopDetectionNodelet::on_update);
     subscribe("associations", Keep::kDroppable, &LoopDetectionNodelet::on_associations);
     subscribe("frames", Keep::kDroppable, &LoopDetectionNodelet::on_frame);
+    follow_sessions();
   }
 
   void reset_session() override {

@@ -39,10 +39,10 @@ class ObjectAssociationNodelet : public Stage {
     done_publisher_ = advertise<FrameDone>("frame_done");
     for (const char* counter : {kIncomplete, kVersionGaps}) statistics().count(counter, 0);
     reset_session();
-    follow_sessions();
     subscribe("quadric_map_updates", Keep::kAlways, &ObjectAssociationNodelet::on_update);
     subscribe("detections", Keep::kDroppable, &ObjectAssociationNodelet::on_detections);
     subscribe("frames", Keep::kDroppable, &ObjectAssociationNodelet::on_frame);
+    follow_sessions();
   }
 
   void reset_session() override {

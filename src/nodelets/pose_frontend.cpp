@@ -110,9 +110,10 @@ void PoseFrontendNodelet::onInit() {
   done_publisher_ = advertise<FrameDone>("frame_done");
   if (parameters_.publish_odom_tf) broadcaster_ = std::make_unique<tf2_ros::TransformBroadcaster>();
   control_publisher_ = advertise<SessionControl>("session_control", true);
-  push("start", Keep::kAlways, [this] { begin_session("start"); });
   advertise_services();
   subscribe_all();
+  // Last: who hears of the session takes this nodelet for ready.
+  push("start", Keep::kAlways, [this] { begin_session("start"); });
 }
 
 bool PoseFrontendNodelet::open_source() {

@@ -72,10 +72,10 @@ class PoseGraphNodelet : public Stage {
       keep_timer(getNodeHandle().createWallTimer(ros::WallDuration(1.0 / parameters_.tf_rate_hz),
                                                  &PoseGraphNodelet::on_tf_timer, this));
     }
-    follow_sessions();
     subscribe("loop_closures", Keep::kAlways, &PoseGraphNodelet::on_loops);
     subscribe("frames", Keep::kAlways, &PoseGraphNodelet::on_frame);
     start_timer(kPathPeriodS, [this] { publish_paths(); });
+    follow_sessions();
   }
 
   void reset_session() override {

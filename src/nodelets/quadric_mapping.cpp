@@ -41,11 +41,11 @@ class QuadricMappingNodelet : public Stage {
     map_publisher_ = advertise<QuadricMap>("quadric_map", true);
     statistics().count(kIncomplete, 0);
     reset_session();
-    follow_sessions();
     subscribe("map_corrections", Keep::kAlways, &QuadricMappingNodelet::on_correction);
     subscribe("associations", Keep::kDroppable, &QuadricMappingNodelet::on_associations);
     subscribe("frames", Keep::kDroppable, &QuadricMappingNodelet::on_frame);
     start_timer(kFullMapPeriodS, [this] { publish_map(); });
+    follow_sessions();
   }
 
   void reset_session() override {

@@ -47,13 +47,13 @@ class RecorderNodelet : public Stage {
     reset_session();
     written_publisher_ = advertise<std_msgs::String>("results_written", true);
     keep_service(getPrivateNodeHandle().advertiseService("save_results", &RecorderNodelet::on_save, this));
-    follow_sessions();
-    if (parameters_.output_dir.empty()) return;
+    if (parameters_.output_dir.empty()) return follow_sessions();
     subscribe("map_corrections", Keep::kAlways, &RecorderNodelet::on_correction);
     subscribe("loop_closures", Keep::kAlways, &RecorderNodelet::on_loops);
     subscribe("quadric_map_updates", Keep::kAlways, &RecorderNodelet::on_update);
     subscribe("associations", Keep::kAlways, &RecorderNodelet::on_associations);
     subscribe("frames", Keep::kAlways, &RecorderNodelet::on_frame);
+    follow_sessions();
   }
 
   void reset_session() override {

@@ -66,12 +66,12 @@ class VisualizationNodelet : public Stage {
     loops_.open(advertise<visualization_msgs::MarkerArray>("markers/loops"));
     keyframes_.open(advertise<visualization_msgs::MarkerArray>("markers/keyframes"));
     tf_broadcaster_ = std::make_unique<tf2_ros::StaticTransformBroadcaster>();
-    follow_sessions();
     subscribe("keyframes", Keep::kAlways, &VisualizationNodelet::on_keyframe);
     subscribe("loop_closures", Keep::kAlways, &VisualizationNodelet::on_loops);
     subscribe("map_corrections", Keep::kAlways, &VisualizationNodelet::on_correction);
     subscribe("quadric_map_updates", Keep::kAlways, &VisualizationNodelet::on_update);
     start_timer(1.0 / parameters_.rate_hz, [this] { publish(); });
+    follow_sessions();
   }
 
   void reset_session() override {

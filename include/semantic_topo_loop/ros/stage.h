@@ -56,7 +56,8 @@ inline std_msgs::Header make_header(const ros::Time& stamp, const std::string& f
 /// unloading safe at any time. Callbacks only push to the worker; everything a stage overrides or hands to `subscribe`
 /// runs on the worker's one thread, so that a stage needs no lock.
 ///
-/// A derived class calls `start` first in onInit, then advertises, then subscribes; its destructor calls `stop`.
+/// A derived class calls `start` first in onInit, then advertises, subscribes and follows the sessions; its destructor
+/// calls `stop`.
 class Stage : public nodelet::Nodelet {
  protected:
   /// @param name as in acknowledgements and FrameDone, e.g. "ObjectAssociation"
@@ -87,7 +88,8 @@ class Stage : public nodelet::Nodelet {
   /// Shuts down what brings work, closes the queue and joins the thread. May be called twice.
   void stop();
 
-  /// Follows session_control: START of a session calls `reset_session`; every command is acknowledged.
+  /// Follows session_control: START of a session calls `reset_session`; every command is acknowledged. Call it last in
+  /// onInit: who hears the acknowledgement takes the stage for ready.
   void follow_sessions();
   /// A new session has begun: forget everything.
   virtual void reset_session() {}
