@@ -56,7 +56,13 @@ class ObjectAssociationNodelet : public Stage {
 
   void on_frame(const Frame::ConstPtr& frame) {
     open_[frame->frame_id] = {frame->header.stamp, frame->is_end != 0, false};
-    if (next_done_ == kNoFrame) next_done_ = frame->frame_id;
+    if (next_done_ == kNoFrame) {
+      next_done_ = frame->frame_id;
+      if (frame->frame_id > 0) {
+        follower_.join_late();  // landmark ids may have been given out before this nodelet was loaded
+        take_over({});
+      }
+    }
     associate(joiner_->add<0>(frame->frame_id, frame));
   }
 

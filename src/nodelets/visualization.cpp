@@ -29,7 +29,7 @@ struct Parameters : ClassStageParameters {
             "z-up child frame of map_frame at the first camera, for viewers; empty: none");
     visitor("rate_hz", rate_hz, "most often that markers are published (wall time)");
     visitor("label_size_m", sizes.label_m, "height of the labels' letters");
-    visitor("line_width_m", sizes.line_m, "width of the topology's lines");
+    visitor("line_width_m", sizes.line_m, "width of the lines of topology and loops");
     visitor("camera_size_m", sizes.camera_m, "depth of the keyframes' frusta");
   }
   bool is_valid(std::string* error) const {

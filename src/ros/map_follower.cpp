@@ -22,7 +22,9 @@ std::vector<core::MapUpdate> MapFollower::follow(const core::MapUpdate& update) 
 }
 
 std::vector<core::MapUpdate> MapFollower::recover(core::MapUpdate full_map) {
-  if (waiting_.empty() || full_map.map_version <= version_) return {};
+  if (!has_gap()) return {};
+  is_late_ = false;
+  if (full_map.map_version <= version_) return {};
   std::set<std::int64_t> remaining;
   for (const core::Landmark& landmark : full_map.changed) remaining.insert(landmark.id);
   for (const std::int64_t id : ids_) {

@@ -43,6 +43,7 @@ void MapView::add_loops(const std::vector<core::LoopClosure>& loops) {
 }
 
 void MapView::set_view(const core::AssociationFrame& associations) {
+  if (associations.associations.empty()) return;
   in_view_.clear();
   for (const core::Association& association : associations.associations) {
     if (association.landmark_id >= 0) in_view_.push_back(association.landmark_id);

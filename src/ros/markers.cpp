@@ -68,6 +68,22 @@ void add_frustum(const core::SE3& T_map_camera, const core::Vec3& corner, Marker
   }
 }
 
+/// Lines of loops. Where a place is passed slowly each keyframe closes the same loop: one line stands for all of them.
+struct LoopLines {
+  explicit LoopLines(Marker lines) : marker(std::move(lines)) {}
+  void add(const core::Vec3& query, const core::Vec3& match) {
+    constexpr double kSameLoopM = 0.6;
+    for (const auto& [q, m] : ends) {
+      if ((q - query).norm() < kSameLoopM && (m - match).norm() < kSameLoopM) return;
+    }
+    ends.emplace_back(query, match);
+    add_line(query, match, &marker);
+  }
+
+  Marker marker;
+  std::vector<std::pair<core::Vec3, core::Vec3>> ends;
+};
+
 /// Each object with its nearest ones, each pair once.
 std::set<std::pair<std::size_t, std::size_t>> neighbours(const std::vector<core::Vec3>& centers) {
   constexpr std::size_t kNeighbours = 3;
@@ -102,7 +118,7 @@ std_msgs::ColorRGBA class_color(int class_id, double alpha) {
 }
 
 MarkerArrayPtr make_quadric_markers(const MapView& view, const std_msgs::Header& header) {
-  constexpr double kCandidateAlpha = 0.12, kAlphaMin = 0.35, kAlphaByQuality = 0.55;
+  constexpr double kCandidateAlpha = 0.12, kAlphaMin = 0.45, kAlphaByQuality = 0.5;
   MarkerArrayPtr array = make_array(header, "quadrics");
   for (const auto& [id, landmark] : view.landmarks()) {
     if (!landmark.ellipsoid || landmark.state == core::LandmarkState::kRetired) continue;
@@ -146,15 +162,15 @@ MarkerArrayPtr make_topology_markers(const MapView& view, const std_msgs::Header
 
 MarkerArrayPtr make_loop_markers(const MapView& view, const std_msgs::Header& header, const MarkerSizes& sizes) {
   MarkerArrayPtr array = make_array(header, "loops");
-  Marker kept = make_lines(header, "loops", 0, 2.0 * sizes.line_m, color(0.2, 0.9, 0.3, 0.9));
-  Marker rejected = make_lines(header, "loops", 1, 2.0 * sizes.line_m, color(1.0, 0.2, 0.2, 0.9));
+  LoopLines kept(make_lines(header, "loops", 0, sizes.line_m, color(0.2, 0.9, 0.3, 0.45)));
+  LoopLines rejected(make_lines(header, "loops", 1, 2.0 * sizes.line_m, color(1.0, 0.2, 0.2, 0.9)));
   for (const MapView::LoopEnds& loop : view.loops()) {
     const auto query = view.keyframes().find(loop.query_keyframe_id);
     const auto match = view.keyframes().find(loop.match_keyframe_id);
     if (query == view.keyframes().end() || match == view.keyframes().end()) continue;
-    add_line(query->second.T_map_camera.t, match->second.T_map_camera.t, loop.kept ? &kept : &rejected);
+    (loop.kept ? kept : rejected).add(query->second.T_map_camera.t, match->second.T_map_camera.t);
   }
-  for (Marker* lines : {&kept, &rejected}) {
+  for (Marker* lines : {&kept.marker, &rejected.marker}) {
     if (!lines->points.empty()) array->markers.push_back(std::move(*lines));
   }
   return array;

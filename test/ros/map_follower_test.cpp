@@ -70,5 +70,16 @@ TEST(MapFollower, AFullMapWithoutAGapChangesNothing) {
   EXPECT_EQ(follower.version(), 1u);
 }
 
+TEST(MapFollower, WhoJoinsLateTakesTheFullMapBeforeAnyUpdate) {
+  MapFollower follower;
+  follower.join_late();
+  EXPECT_TRUE(follower.has_gap());
+  const auto updates = follower.recover(make_update(0, 9, {1, 2}));
+  ASSERT_EQ(updates.size(), 1u);
+  EXPECT_EQ(updates[0].changed.size(), 2u);
+  EXPECT_FALSE(follower.has_gap());
+  EXPECT_EQ(follower.follow(make_update(9, 10, {3})).size(), 1u);
+}
+
 }  // namespace
 }  // namespace semantic_topo_loop

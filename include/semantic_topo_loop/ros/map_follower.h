@@ -19,7 +19,9 @@ class MapFollower {
   /// @return the jump to the full map, landmarks unknown there removed, and what came after it; empty without a gap
   std::vector<core::MapUpdate> recover(core::MapUpdate full_map);
 
-  bool has_gap() const { return !waiting_.empty(); }
+  /// The map may have grown before this follower came: there is a gap until the full map has been seen.
+  void join_late() { is_late_ = true; }
+  bool has_gap() const { return is_late_ || !waiting_.empty(); }
   std::uint64_t gaps() const { return gaps_; }
   std::uint64_t version() const { return version_; }
 
@@ -29,6 +31,7 @@ class MapFollower {
   std::uint64_t version_ = 0;
   std::set<std::int64_t> ids_;           ///< landmarks that the map has
   std::deque<core::MapUpdate> waiting_;  ///< updates behind the gap
+  bool is_late_ = false;
   std::uint64_t gaps_ = 0;
 };
 

@@ -31,6 +31,7 @@ class MapView {
   /// Accepted loops only; a loop counts as kept until a correction says otherwise.
   void add_loops(const std::vector<core::LoopClosure>& loops);
   void set_frame(const core::Frame& frame) { frame_ = frame; }
+  /// A frame without detections leaves the view as it is.
   void set_view(const core::AssociationFrame& associations);
 
   const std::map<std::int64_t, core::Landmark>& landmarks() const { return landmarks_; }
@@ -38,7 +39,7 @@ class MapView {
   const std::vector<LoopEnds>& loops() const { return loops_; }
   const std::optional<core::Frame>& frame() const { return frame_; }
   const core::SE3& T_map_odom() const { return T_map_odom_; }
-  /// Objects of the last frame that have an ellipsoid and are not retired, in order of id, each once.
+  /// Objects of the last frame with detections that have an ellipsoid and are not retired, in order of id, each once.
   std::vector<const core::Landmark*> objects_in_view() const;
   /// The vertical, as the cameras were held: across the keyframes' x axes, on the side of image-up, since nothing says
   /// that the world is z-up. Unit; -y before the first keyframe.

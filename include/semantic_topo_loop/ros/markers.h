@@ -13,8 +13,8 @@ namespace semantic_topo_loop {
 
 /// Sizes in metres of what has none of its own.
 struct MarkerSizes {
-  double label_m = 0.06;   ///< height of a capital letter
-  double line_m = 0.008;   ///< width of the topology's lines; loops are twice as wide
+  double label_m = 0.08;   ///< height of a capital letter
+  double line_m = 0.008;   ///< width of lines
   double camera_m = 0.06;  ///< depth of a keyframe's frustum; the current camera's is twice as deep
 };
 
@@ -29,7 +29,8 @@ visualization_msgs::MarkerArrayPtr make_label_markers(const MapView& view, const
 /// Lines between neighbours among the objects of the current view, namespace "topology".
 visualization_msgs::MarkerArrayPtr make_topology_markers(const MapView& view, const std_msgs::Header& header,
                                                          const MarkerSizes& sizes);
-/// Lines between the keyframes of accepted loops, namespace "loops": green, or red where the optimiser rejected it.
+/// Lines between the keyframes of accepted loops, namespace "loops": green, or thick and red where the optimiser
+/// rejected it. Of loops whose ends lie together one is drawn.
 visualization_msgs::MarkerArrayPtr make_loop_markers(const MapView& view, const std_msgs::Header& header,
                                                      const MarkerSizes& sizes);
 /// Frusta of the keyframes and, in another colour, of the current camera, namespace "keyframes".
