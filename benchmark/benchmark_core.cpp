@@ -1,5 +1,5 @@
 // Time of the core's building blocks. Run a Release or RelWithDebInfo build on an otherwise idle machine:
-//   build/benchmark/benchmark_core
+//   rosrun semantic_topo_loop benchmark_core
 #include <benchmark/benchmark.h>
 
 #include <cmath>

@@ -2,7 +2,8 @@
 set -euo pipefail
 
 package_dir=$(cd "$(dirname "${BASH_SOURCE[0]}")/.." && pwd)
-build_dir=${SEMANTIC_TOPO_LOOP_BUILD:-$package_dir/build}
+# Not `build`: rosrun of Debian passes over programs below a directory of that name in the package.
+build_dir=${SEMANTIC_TOPO_LOOP_BUILD:-$package_dir/build-catkin}
 jobs=${SEMANTIC_TOPO_LOOP_JOBS:-$(nproc)}
 
 # ROS's Python is the system's, which another one earlier in PATH would shadow.

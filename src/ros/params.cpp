@@ -4,6 +4,7 @@
 
 #include <array>
 #include <cstdio>
+#include <cstdlib>
 
 namespace semantic_topo_loop {
 namespace {
@@ -11,9 +12,13 @@ namespace {
 /// Read from a nodelet's private namespace by diagnostic_updater and by `nodelet standalone`.
 constexpr std::array<const char*, 2> kForeignKeys = {"diagnostic_period", "num_worker_threads"};
 
+/// The shortest text that gives the same number back.
 std::string format(double value) {
   std::array<char, 32> text{};
-  std::snprintf(text.data(), text.size(), "%.17g", value);
+  for (int digits = 15; digits <= 17; ++digits) {
+    std::snprintf(text.data(), text.size(), "%.*g", digits, value);
+    if (std::strtod(text.data(), nullptr) == value) break;
+  }
   return text.data();
 }
 

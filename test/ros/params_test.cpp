@@ -14,12 +14,14 @@ TEST(Flatten, JoinsGroupsAndKeepsEveryDigit) {
   tree["map_frame"] = "map";
   tree["queue_size"] = 12;
   tree["association"]["min_score"] = 0.1 + 0.2;
+  tree["association"]["iou_2d_min"] = 0.3;
   tree["loop"]["enabled"] = XmlRpcValue(false);
   std::string error;
   const auto texts = flatten_parameters(tree, &error);
   ASSERT_TRUE(texts) << error;
   const ParameterTexts expected = {{"map_frame", "map"},
                                    {"queue_size", "12"},
+                                   {"association.iou_2d_min", "0.3"},
                                    {"association.min_score", "0.30000000000000004"},
                                    {"loop.enabled", "false"}};
   EXPECT_EQ(*texts, expected);

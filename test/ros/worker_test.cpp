@@ -9,7 +9,7 @@
 namespace semantic_topo_loop {
 namespace {
 
-/// Keeps the worker busy until it is opened.
+/// Keeps the worker busy until it is opened. Must outlive the worker.
 class Gate {
  public:
   void block(Worker* worker) {
@@ -45,8 +45,8 @@ TEST(Worker, RunsInOrderOfArrival) {
 }
 
 TEST(Worker, DropsTheOldestDroppableWhenFull) {
-  Worker worker(3, {});
   Gate gate;
+  Worker worker(3, {});
   gate.block(&worker);
   std::vector<int> order;
   worker.push([&order] { order.push_back(100); }, Keep::kAlways);
@@ -58,8 +58,8 @@ TEST(Worker, DropsTheOldestDroppableWhenFull) {
 }
 
 TEST(Worker, BoundsEvenWhatIsKept) {
-  Worker worker(2, {});
   Gate gate;
+  Worker worker(2, {});
   gate.block(&worker);
   for (int i = 0; i < 1000; ++i) worker.push([] {}, Keep::kAlways);
   EXPECT_EQ(worker.size(), 32u);
@@ -80,8 +80,8 @@ TEST(Worker, SurvivesATaskThatThrows) {
 }
 
 TEST(Worker, CloseForgetsWhatWaitsAndTakesNothingMore) {
-  Worker worker(10, {});
   Gate gate;
+  Worker worker(10, {});
   gate.block(&worker);
   bool ran = false;
   worker.push([&ran] { ran = true; });
