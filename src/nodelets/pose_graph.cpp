@@ -113,6 +113,7 @@ class PoseGraphNodelet : public Stage {
     last_frame_ = stamped(frame.header.stamp, from_msg(frame.odom_from_camera));
     odometry_path_.mark_changed();
     corrected_path_.mark_changed();
+    if (frame.is_end) publish_paths();  // the recording may be over before the timer comes round
     count_processed();
   }
 
