@@ -6,7 +6,8 @@ import rospy
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import TransformStamped
 from nav_msgs.msg import Odometry
-from sensor_msgs.msg import CameraInfo, PointCloud2, PointField
+from sensor_msgs.msg import CameraInfo, PointCloud2
+from std_srvs.srv import Trigger
 from tf2_msgs.msg import TFMessage
 
 from playback import PACKAGE, Launch, wait_until
@@ -90,11 +91,11 @@ class LiveFeed(unittest.TestCase):
         for i in range(round(50 * begin_s), round(50 * end_s) + 1):
             self.tf.publish(TFMessage([self.transform('/odom', '/base_link', i / 50.0, i / 50.0)]))
 
-    def see(self, time_s, with_detections=True, boxes=((100, 100, 200, 200),)):
+    def see(self, time_s, with_detections=True, boxes=((100, 100, 200, 200),), focal_length=500.0):
         info = CameraInfo(width=640, height=480, distortion_model='plumb_bob', D=[0.0] * 5)
         info.header.frame_id = '/lens'
         info.header.stamp = rospy.Time.from_sec(START_S + time_s)
-        info.K = [500.0, 0.0, 320.0, 0.0, 500.0, 240.0, 0.0, 0.0, 1.0]
+        info.K = [focal_length, 0.0, 320.0, 0.0, focal_length, 240.0, 0.0, 0.0, 1.0]
         self.camera_info.publish(info)
         if not with_detections:
             return

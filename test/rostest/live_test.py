@@ -2,9 +2,7 @@
 """slam.launch on live topics: tf, camera_info and detections that come from other processes, good ones and bad ones."""
 import math
 
-import rospy
 import rostest
-from std_srvs.srv import Trigger
 from tf2_msgs.msg import TFMessage
 
 from live_feed import LiveFeed
@@ -40,6 +38,9 @@ class LiveTest(LiveFeed):
         self.assert_counted('PoseFrontend', 'images with the stamp of the one before')
         self.see(1.107, with_detections=False)
         self.assert_counted('PoseFrontend', 'images out of order')
+        self.see(1.307, with_detections=False, focal_length=0.0)
+        self.assert_status(1.307, FrameDone.STATUS_FAILED)
+        self.assert_counted('PoseFrontend', 'camera_info without a usable calibration')
         self.assert_counted('PoseFrontend', 'bad transforms')
         self.assert_counted('DetectionIngestion', 'frames without detections')
 
