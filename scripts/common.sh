@@ -73,8 +73,8 @@ build() {
   source_ros
   say "building in $build_dir"
   cmake -S "$package_dir" -B "$build_dir" -G Ninja -DCMAKE_BUILD_TYPE=RelWithDebInfo \
-    -DPYTHON_EXECUTABLE=/usr/bin/python3 -DCATKIN_ENABLE_TESTING="$testing" "$@" > "$build_dir.configure.log" 2>&1 \
-    || { cat "$build_dir.configure.log" >&2; return 1; }
+    -DPYTHON_EXECUTABLE=/usr/bin/python3 -DCATKIN_ENABLE_TESTING="$testing" "$@" > "$build_dir/configure.log" 2>&1 \
+    || { cat "$build_dir/configure.log" >&2; return 1; }
   # catkin leaves tests out of the default target.
   ninja -C "$build_dir" -j "$jobs" all $([ "$testing" = OFF ] || echo tests)
   source_ros
