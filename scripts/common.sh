@@ -22,7 +22,7 @@ common_packages="build-essential cmake ninja-build clang-format pkg-config xvfb
 debian_packages="catkin libdiagnostic-msgs-dev libdiagnostic-updater-dev libgeometry-msgs-dev libnav-msgs-dev
   libnodelet-dev libros-rosgraph-msgs-dev librosbag-dev librosbag-storage-dev libroscpp-dev libroslib-dev
   librostest-dev libsensor-msgs-dev libstd-msgs-dev libstd-srvs-dev libtf2-dev libtf2-msgs-dev libtf2-ros-dev
-  libvisualization-msgs-dev libnodeletlib-dev libnodeletlib-tools python3-geometry-msgs python3-nav-msgs python3-rosbag
+  libvisualization-msgs-dev libnodeletlib-dev libnodeletlib-tools python3-diagnostic-msgs python3-geometry-msgs python3-nav-msgs python3-rosbag
   python3-roslaunch python3-rospy python3-rostest python3-sensor-msgs python3-std-srvs python3-tf2-msgs
   python3-visualization-msgs ros-message-generation rosbash rosout rviz"
 
