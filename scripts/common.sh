@@ -9,6 +9,9 @@ jobs=${SEMANTIC_TOPO_LOOP_JOBS:-$(nproc)}
 # ROS's Python is the system's, which another one earlier in PATH would shadow.
 export PATH=/usr/bin:$PATH
 
+# Of the message generators only C++ and Python are used.
+export ROS_LANG_DISABLE=genlisp
+
 say() { printf '\n== %s\n' "$*"; }
 
 as_root() {
@@ -24,7 +27,8 @@ debian_packages="catkin libdiagnostic-msgs-dev libdiagnostic-updater-dev libgeom
   librostest-dev libsensor-msgs-dev libstd-msgs-dev libstd-srvs-dev libtf2-dev libtf2-msgs-dev libtf2-ros-dev
   libvisualization-msgs-dev libnodeletlib-dev libnodeletlib-tools python3-diagnostic-msgs python3-geometry-msgs python3-nav-msgs python3-rosbag
   python3-roslaunch python3-rospy python3-rostest python3-sensor-msgs python3-std-srvs python3-tf2-msgs
-  python3-visualization-msgs ros-message-generation rosbash rosout rviz"
+  python3-visualization-msgs ros-diagnostic-msgs ros-geometry-msgs ros-message-generation ros-nav-msgs ros-sensor-msgs
+  ros-std-msgs ros-visualization-msgs rosbash rosout rviz"
 
 # ROS's own packages on Ubuntu 20.04; their repository (packages.ros.org) must be set up, as for every use of Noetic.
 noetic_packages="catkin diagnostic-msgs diagnostic-updater geometry-msgs message-generation message-runtime nav-msgs

@@ -2,10 +2,21 @@
 import os
 import signal
 import subprocess
+import sys
 import threading
 import time
 
 PACKAGE = 'semantic_topo_loop'
+
+if os.environ.get('STL_DEVEL_PYTHON'):
+    sys.path.insert(1, os.environ['STL_DEVEL_PYTHON'])
+try:
+    import semantic_topo_loop.msg  # noqa: F401, only to say here what is missing where
+except ImportError as error:
+    built = [directory for directory in sys.path if os.path.isdir(os.path.join(directory, PACKAGE))]
+    raise ImportError('%s: no Python messages; PYTHONPATH=%s, STL_DEVEL_PYTHON=%s, found below: %s' % (
+        error, os.environ.get('PYTHONPATH'), os.environ.get('STL_DEVEL_PYTHON'), built or 'nothing of the package'))
+
 RESULT_FILES = ['trajectory_live.txt', 'trajectory.txt', 'keyframes.csv', 'objects.csv', 'loops.csv',
                 'associations.csv', 'timing.csv', 'summary.json']
 
