@@ -30,11 +30,14 @@ class Topic:
             self.messages.append(message)
 
     def at(self, time_s):
-        """The last message with this stamp, or None."""
+        """The last message with this stamp, waited for (topics arrive in no order among each other), or None."""
         stamp = rospy.Time.from_sec(START_S + time_s)
-        with self.lock:
-            found = [m for m in self.messages if m.header.stamp == stamp]
-        return found[-1] if found else None
+
+        def found():
+            with self.lock:
+                return [m for m in self.messages if m.header.stamp == stamp]
+
+        return found()[-1] if wait_until(found, 10) else None
 
 
 class LiveFeed(unittest.TestCase):
@@ -108,8 +111,9 @@ class LiveFeed(unittest.TestCase):
         self.detections.publish(message)
 
     def assert_status(self, time_s, status):
-        self.assertTrue(wait_until(lambda: self.done.at(time_s) is not None, 10), 'no answer for %s' % time_s)
-        self.assertEqual(self.done.at(time_s).status, status, time_s)
+        answer = self.done.at(time_s)
+        self.assertIsNotNone(answer, 'no answer for %s' % time_s)
+        self.assertEqual(answer.status, status, time_s)
 
     def assert_counted(self, stage, key, least=1):
         self.assertTrue(wait_until(lambda: float(self.counters.get((stage, key), 0)) >= least, 10),

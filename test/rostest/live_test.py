@@ -16,6 +16,7 @@ class LiveTest(LiveFeed):
         for i in range(1, 10):
             self.see(0.1 * i + 0.007)
         self.assert_status(0.907, FrameDone.STATUS_PROCESSED)
+        self.assertIsNotNone(self.frames.at(0.907))
         frame = self.frames.at(0.507)
         self.assertAlmostEqual(frame.odom_from_camera.position.x, 0.507, places=7)
         self.assertEqual((frame.header.frame_id, frame.camera_frame), ('odom', 'lens'))
@@ -69,16 +70,16 @@ class LiveTest(LiveFeed):
         before = self.control.messages[-1].session_id
         self.move(1.0, 2.0)
         self.call('pause')
-        self.see(1.307)
-        self.assert_status(1.307, FrameDone.STATUS_FAILED)
-        self.assertEqual(self.control.messages[-1].command, SessionControl.COMMAND_PAUSE)
+        self.see(1.357)
+        self.assert_status(1.357, FrameDone.STATUS_FAILED)
+        self.assertTrue(wait_until(lambda: self.control.messages[-1].command == SessionControl.COMMAND_PAUSE, 10))
         self.call('resume')
         self.see(1.407)
         self.assert_status(1.407, FrameDone.STATUS_PROCESSED)
         self.assertEqual(self.done.at(1.407).session_id, before)
         self.call('reset')
         self.see(1.507)
-        self.assertTrue(wait_until(lambda: self.frames.at(1.507) is not None, 10))
+        self.assertIsNotNone(self.frames.at(1.507))
         self.assertEqual(self.frames.at(1.507).session_id, before + 1)
         self.assertEqual(self.frames.at(1.507).frame_id, 0)
 
