@@ -9,6 +9,7 @@
 #include "semantic_topo_loop/association/associator_options.h"
 #include "semantic_topo_loop/association/object_associator.h"
 #include "semantic_topo_loop/map/quadric_fit.h"
+#include "semantic_topo_loop/map/quadric_initialisation.h"
 
 namespace semantic_topo_loop::core {
 namespace {

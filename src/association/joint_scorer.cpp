@@ -5,8 +5,8 @@
 namespace semantic_topo_loop::core {
 namespace {
 
-constexpr double kMemoryDecay = 0.06;  // of the last box's overlap for each frame that missed the object
-constexpr double kMemoryDecayFrames = 6.0;
+constexpr double kMemoryDecay = 1.8;  // of the last box's overlap for each second that missed the object
+constexpr double kMemoryDecayMax = 0.36;
 constexpr double kMemoryWeight = 0.9;  // of the last box against the projected quadric
 constexpr double kMinSupport3d = 0.1;  // the quadric must agree at least so far with the last box
 constexpr double kConfusableAgreement = 0.5;
@@ -28,11 +28,10 @@ double JointScorer::score(const AssociationContext& context, const TrackInFrame&
   const Track& track = *candidate.track;
   const double label = label_agreement(track, detection.class_id);
   if (label == 0.0) return 0.0;
-  const auto missed = static_cast<double>(context.frame->frame_id - track.last_frame_id - 1);
-  const bool recent = missed <= 1.0 || context.frame->stamp_ns - track.last_stamp_ns <=
-                                           static_cast<std::int64_t>(options_.memory_s * 1e9);
-  const double overlap_2d =
-      recent ? iou(track.last_box, detection.box) * (1.0 - kMemoryDecay * std::min(kMemoryDecayFrames, missed)) : 0.0;
+  const double age_s = 1e-9 * static_cast<double>(context.frame->stamp_ns - track.last_stamp_ns);
+  const bool recent = context.frame->frame_id - track.last_frame_id <= 2 || age_s <= options_.memory_s;
+  const double decay = std::clamp(kMemoryDecay * (age_s - context.interval_s), 0.0, kMemoryDecayMax);
+  const double overlap_2d = recent ? iou(track.last_box, detection.box) * (1.0 - decay) : 0.0;
   const double overlap_3d = candidate.projection ? iou(*candidate.projection, detection.visible) : 0.0;
 
   double overlap = overlap_2d, gate = options_.iou_joint_2d_min;

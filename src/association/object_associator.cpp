@@ -2,12 +2,14 @@
 
 #include <Eigen/Core>
 #include <algorithm>
+#include <map>
 #include <numeric>
 #include <optional>
 #include <set>
 #include <sstream>
 
 #include "semantic_topo_loop/association/levels.h"
+#include "semantic_topo_loop/association/track_store.h"
 #include "semantic_topo_loop/geometry/assignment.h"
 #include "semantic_topo_loop/map/object_points.h"
 #include "semantic_topo_loop/pipeline/stopwatch.h"
@@ -37,7 +39,9 @@ bool AssociatorOptions::is_valid(std::string* error) const {
     if (error != nullptr) *error = "parameter 'association." + name + "' = " + value + " must be " + rule;
     return false;
   };
-  if (mode != "joint" && mode != "cascade") return fail("mode", "'" + mode + "'", "joint or cascade");
+  if (mode != "joint" && mode != "cascade" && mode != "jda") {
+    return fail("mode", "'" + mode + "'", "joint, cascade or jda");
+  }
   if (!parse_levels(levels)) return fail("levels", "'" + levels + "'", "a comma-separated list of 2d, pro, 3d");
   if (pro_new_object != "uniform" && pro_new_object != "paper") {
     return fail("pro_new_object", "'" + pro_new_object + "'", "uniform or paper");
@@ -52,6 +56,10 @@ bool AssociatorOptions::is_valid(std::string* error) const {
   if (!(memory_s >= 0.0)) return fail("memory_s", std::to_string(memory_s), ">= 0");
   if (window_keyframes < 1) return fail("window_keyframes", std::to_string(window_keyframes), ">= 1");
   if (!(posterior_alpha > 0.0)) return fail("posterior_alpha", std::to_string(posterior_alpha), "> 0");
+  if (!(range_m > 0.0)) return fail("range_m", std::to_string(range_m), "> 0");
+  if (!(jda_distance_max > 0.0 && jda_distance_max <= 3.0)) {
+    return fail("jda_distance_max", std::to_string(jda_distance_max), "in (0, 3]");
+  }
   if (!(posterior_count_max >= 1.0)) return fail("posterior_count_max", std::to_string(posterior_count_max), ">= 1");
   return true;
 }
@@ -59,7 +67,7 @@ bool AssociatorOptions::is_valid(std::string* error) const {
 class ObjectAssociator::Impl {
  public:
   Impl(const AssociatorOptions& options, std::shared_ptr<const ClassTable> classes)
-      : options_(options), classes_(std::move(classes)), joint_(options_, *classes_) {
+      : options_(options), classes_(std::move(classes)), joint_(options_, *classes_), jda_(options_) {
     const std::set<std::string> names = parse_levels(options_.levels).value_or(std::set<std::string>{});
     if (names.count("2d") != 0) levels_.push_back(std::make_unique<Level2d>(options_));
     if (names.count("pro") != 0) {
@@ -75,43 +83,38 @@ class ObjectAssociator::Impl {
     result.frame_id = frame.frame_id;
     result.map_version = map_version_;
     if (!frame.is_end) {
-      AssociationContext context = prepare(frame, detections, &result);
-      const std::vector<int> assigned = options_.mode == "joint" ? assign_jointly(context) : cascade(context, &result);
-      update_tracks(context, assigned, &result);
+      const AssociationContext context = prepare(frame, detections, &result);
+      update_tracks(context, assign(context, &result), &result);
+      last_stamp_ns_ = frame.stamp_ns;
     }
-    result.duration_us = stopwatch.elapsed_us();
+    // What the map's changes cost here belongs to the frame that profits from them.
+    result.duration_us = stopwatch.elapsed_us() + update_us_;
+    update_us_ = 0.0;
     return result;
   }
 
   bool apply(const MapUpdate& update) {
     if (update.base_version != map_version_) return false;
+    const Stopwatch stopwatch;
     map_version_ = update.map_version;
     T_map_odom_ = update.T_map_odom;
+    for (const LandmarkMerge& merge : update.unmerged) unmerge_tracks(merge);
     for (const LandmarkMerge& merge : update.merged) merge_tracks(merge);
-    for (const std::int64_t id : update.removed) {
-      const auto it = find(id);
-      if (it != tracks_.end()) tracks_.erase(it);
-    }
+    for (const std::int64_t id : update.removed) tracks_.erase(id);
     for (const Landmark& landmark : update.changed) set_geometry(landmark);
+    update_us_ += stopwatch.elapsed_us();
     return true;
   }
 
   std::uint64_t map_version() const { return map_version_; }
 
  private:
-  using Tracks = std::vector<Track>;  // in order of id: ids only grow
-
-  Tracks::iterator find(std::int64_t id) {
-    const auto it = std::lower_bound(tracks_.begin(), tracks_.end(), id,
-                                     [](const Track& track, std::int64_t value) { return track.id < value; });
-    return it != tracks_.end() && it->id == id ? it : tracks_.end();
-  }
-
   void merge_tracks(const LandmarkMerge& merge) {
-    const auto merged = find(merge.merged_id);
-    if (merged == tracks_.end()) return;
-    const auto survivor = find(merge.survivor_id);
-    if (survivor != tracks_.end()) {
+    const Track* merged = tracks_.find(merge.merged_id);
+    if (merged == nullptr) return;
+    Track* survivor = tracks_.find(merge.survivor_id);
+    if (survivor != nullptr) {
+      merged_tracks_[merge.merged_id] = *merged;
       for (const auto& [class_id, weight] : merged->class_weights) survivor->add_class_weight(class_id, weight);
       survivor->observations += merged->observations;
       if (merged->last_frame_id > survivor->last_frame_id) {
@@ -119,43 +122,62 @@ class ObjectAssociator::Impl {
         survivor->last_stamp_ns = merged->last_stamp_ns;
         survivor->last_keyframe_id = merged->last_keyframe_id;
         survivor->last_box = merged->last_box;
+        tracks_.touch(survivor);
       }
     }
-    tracks_.erase(merged);
+    tracks_.erase(merge.merged_id);
+  }
+
+  /// The merged track comes back as it was; the survivor gives up what it had taken over.
+  void unmerge_tracks(const LandmarkMerge& merge) {
+    const auto record = merged_tracks_.find(merge.merged_id);
+    if (record == merged_tracks_.end()) return;
+    Track& restored = tracks_.create(merge.merged_id);
+    restored = record->second;
+    tracks_.place(&restored);
+    tracks_.touch(&restored);
+    if (Track* survivor = tracks_.find(merge.survivor_id)) {
+      for (const auto& [class_id, weight] : restored.class_weights) survivor->add_class_weight(class_id, -weight);
+      survivor->observations = std::max(1, survivor->observations - restored.observations);
+    }
+    merged_tracks_.erase(record);
   }
 
   void set_geometry(const Landmark& landmark) {
-    auto it = find(landmark.id);
-    if (it == tracks_.end()) {
+    Track* track = tracks_.find(landmark.id);
+    if (track == nullptr) {
       // The map speaks of a landmark that was given up here meanwhile (real time): take it back.
-      it = std::lower_bound(tracks_.begin(), tracks_.end(), landmark.id,
-                            [](const Track& track, std::int64_t value) { return track.id < value; });
-      it = tracks_.insert(it, Track{});
-      it->id = landmark.id;
-      it->observations = landmark.observations;
-      it->add_class_weight(landmark.class_id, landmark.observations);
+      track = &tracks_.create(landmark.id);
+      track->observations = landmark.observations;
+      track->add_class_weight(landmark.class_id, landmark.observations);
       next_id_ = std::max(next_id_, landmark.id + 1);
     }
-    it->state = landmark.state;
-    it->has_ellipsoid = landmark.ellipsoid.has_value();
-    if (!it->has_ellipsoid) return;
-    it->center_map = landmark.ellipsoid->center();
-    it->shape_map = landmark.ellipsoid->shape();
-    it->points_map.clear();
+    track->state = landmark.state;
+    track->has_ellipsoid = landmark.ellipsoid.has_value();
+    if (track->has_ellipsoid) {
+      track->center_map = landmark.ellipsoid->center();
+      track->shape_map = landmark.ellipsoid->shape();
+      track->points_map.clear();
+    }
+    tracks_.place(track);
   }
 
   /// Undistorts, gates and suppresses the detections; finds the tracks that the frame may see.
-  AssociationContext prepare(const Frame& frame, const std::vector<Detection>& detections,
-                             AssociationFrame* result) const {
+  AssociationContext prepare(const Frame& frame, const std::vector<Detection>& detections, AssociationFrame* result) {
     AssociationContext context;
     context.frame = &frame;
-    context.P_image_map = projection_matrix(frame.camera, T_map_odom_ * frame.T_odom_camera);
+    context.interval_s = last_stamp_ns_ ? 1e-9 * static_cast<double>(frame.stamp_ns - *last_stamp_ns_) : 0.0;
+    const SE3 T_map_camera = T_map_odom_ * frame.T_odom_camera;
+    context.P_image_map = projection_matrix(frame.camera, T_map_camera);
     prepare_detections(frame, detections, &context, result);
-    for (const Track& track : tracks_) {
-      if (track.state == LandmarkState::kRetired) continue;
-      const std::optional<Box> projection = visible_projection(track, context);
-      if (projection || is_recent(track, frame) || !track.points_map.empty()) {
-        context.tracks.push_back({&track, projection});
+    const auto recent = [&](const Track& track) { return is_recent(track, frame); };
+    const std::vector<const Track*> tracks =
+        options_.mode == "jda" ? tracks_.all() : tracks_.near(frame.camera, T_map_camera, options_.range_m, recent);
+    for (const Track* track : tracks) {
+      if (track->state == LandmarkState::kRetired) continue;
+      const std::optional<Box> projection = visible_projection(*track, context);
+      if (projection || is_recent(*track, frame) || !track->points_map.empty()) {
+        context.tracks.push_back({track, projection});
       }
     }
     return context;
@@ -222,14 +244,21 @@ class ObjectAssociator::Impl {
            frame.stamp_ns - track.last_stamp_ns <= static_cast<std::int64_t>(options_.memory_s * 1e9);
   }
 
-  /// One-to-one over all tracks and detections; indices into context.tracks by detection.
-  std::vector<int> assign_jointly(const AssociationContext& context) const {
+  /// Indices into context.tracks by detection, kNoTrack for those that start a track.
+  std::vector<int> assign(const AssociationContext& context, AssociationFrame* result) const {
+    if (options_.mode == "joint") return assign_one_to_one(context, joint_);
+    if (options_.mode == "jda") return assign_one_to_one(context, jda_);
+    return cascade(context, result);
+  }
+
+  template <class Scorer>
+  static std::vector<int> assign_one_to_one(const AssociationContext& context, const Scorer& scorer) {
     const auto rows = static_cast<Eigen::Index>(context.detections.size());
     const auto columns = static_cast<Eigen::Index>(context.tracks.size());
     Eigen::MatrixXd scores(rows, columns);
     for (Eigen::Index i = 0; i < rows; ++i) {
       for (Eigen::Index j = 0; j < columns; ++j) {
-        scores(i, j) = joint_.score(context, context.tracks[static_cast<std::size_t>(j)],
+        scores(i, j) = scorer.score(context, context.tracks[static_cast<std::size_t>(j)],
                                     context.detections[static_cast<std::size_t>(i)]);
       }
     }
@@ -259,53 +288,56 @@ class ObjectAssociator::Impl {
   }
 
   void update_tracks(const AssociationContext& context, const std::vector<int>& assigned, AssociationFrame* result) {
-    // New tracks move the vector, so that the candidates' pointers must not be used after the first of them.
-    std::vector<std::int64_t> ids(assigned.size(), -1);
-    for (std::size_t i = 0; i < assigned.size(); ++i) {
-      if (assigned[i] != kNoTrack) ids[i] = context.tracks[static_cast<std::size_t>(assigned[i])].track->id;
-    }
     for (std::size_t i = 0; i < assigned.size(); ++i) {
       const PreparedDetection& detection = context.detections[i];
       Association& association = result->associations[static_cast<std::size_t>(detection.index)];
-      if (ids[i] < 0) {
-        ids[i] = next_id_++;
-        tracks_.emplace_back();
-        tracks_.back().id = ids[i];
-      } else if (options_.mode == "joint") {
-        association.level = AssociationLevel::kJoint;
+      Track* track = nullptr;
+      if (assigned[i] == kNoTrack) {
+        track = &tracks_.create(next_id_++);
+      } else {
+        track = tracks_.find(context.tracks[static_cast<std::size_t>(assigned[i])].track->id);
+        if (options_.mode == "joint") association.level = AssociationLevel::kJoint;
+        if (options_.mode == "jda") association.level = AssociationLevel::kJda;
       }
-      Track& track = *find(ids[i]);
-      add_observation(*context.frame, detection, &track);
-      association.landmark_id = track.id;
+      add_observation(*context.frame, detection, track);
+      association.landmark_id = track->id;
     }
     for (Association& association : result->associations) {
-      if (association.landmark_id >= 0) association.landmark_class_id = find(association.landmark_id)->class_id;
+      if (association.landmark_id >= 0) {
+        association.landmark_class_id = tracks_.find(association.landmark_id)->class_id;
+      }
     }
   }
 
-  void add_observation(const Frame& frame, const PreparedDetection& detection, Track* track) const {
+  void add_observation(const Frame& frame, const PreparedDetection& detection, Track* track) {
     track->add_class_weight(detection.class_id, detection.score);
     track->observations += 1;
     track->last_frame_id = frame.frame_id;
     track->last_stamp_ns = frame.stamp_ns;
     track->last_keyframe_id = frame.keyframe_id;
     track->last_box = detection.box;
+    tracks_.touch(track);
     if (track->has_ellipsoid || !frame.points_camera) return;
     const std::vector<Vec3> points = object_points(*frame.points_camera, frame.camera, detection.box);
     if (points.empty()) return;
     const SE3 T_map_camera = T_map_odom_ * frame.T_odom_camera;
     track->points_map.clear();
     for (const Vec3& point : points) track->points_map.push_back(T_map_camera * point);
+    tracks_.place(track);
   }
 
   AssociatorOptions options_;
   std::shared_ptr<const ClassTable> classes_;
   JointScorer joint_;
+  JdaScorer jda_;
   std::vector<std::unique_ptr<AssociationLevelScorer>> levels_;
-  Tracks tracks_;
+  TrackStore tracks_;
+  std::map<std::int64_t, Track> merged_tracks_;  ///< as they were when they were merged, by id
   std::int64_t next_id_ = 0;
   std::uint64_t map_version_ = 0;
   SE3 T_map_odom_;
+  std::optional<std::int64_t> last_stamp_ns_;  ///< of the frame before
+  double update_us_ = 0.0;                     ///< spent on map updates since then
 };
 
 ObjectAssociator::ObjectAssociator(const AssociatorOptions& options, std::shared_ptr<const ClassTable> classes)

@@ -9,6 +9,7 @@
 #include <deque>
 
 #include "semantic_topo_loop/geometry/ceres_compat.h"
+#include "semantic_topo_loop/geometry/statistics.h"
 
 namespace semantic_topo_loop::core {
 namespace {
@@ -77,27 +78,6 @@ class RoundnessCost final : public ceres::SizedCostFunction<3, 3> {
   double target_, weight_;
 };
 
-double median(std::vector<double> values) {
-  const auto middle = values.begin() + static_cast<std::ptrdiff_t>(values.size() / 2);
-  std::nth_element(values.begin(), middle, values.end());
-  return *middle;
-}
-
-Vec3 world_ray(const Camera& camera, const BoxView& view) {
-  return (view.T_world_camera.q * camera.ray(view.box.center())).normalized();
-}
-
-double depth(const BoxView& view, const Vec3& point_world) {
-  return (view.T_world_camera.q.conjugate() * (point_world - view.T_world_camera.t)).z();
-}
-
-std::vector<double> depths(const std::vector<BoxView>& views, const Vec3& point_world) {
-  std::vector<double> result;
-  result.reserve(views.size());
-  for (const BoxView& view : views) result.push_back(depth(view, point_world));
-  return result;
-}
-
 /// Covariance of the centre from the weighted normal matrix of the box edges, rotation held fixed.
 Mat3 center_covariance(const std::vector<Mat34>& projections, const std::vector<BoxView>& views,
                        const std::vector<double>& sigmas, const Ellipsoid& ellipsoid) {
@@ -143,81 +123,6 @@ std::optional<Box> project_box(const Ellipsoid& ellipsoid, const Mat34& P, BoxJa
   return box;
 }
 
-std::optional<Vec3> triangulate_center(const Camera& camera, const std::vector<BoxView>& views) {
-  if (views.size() < 2) return std::nullopt;
-  std::vector<Vec3> rays;
-  rays.reserve(views.size());
-  for (const BoxView& view : views) rays.push_back(world_ray(camera, view));
-  std::vector<double> weights(views.size(), 1.0);
-  Vec3 point = Vec3::Zero();
-  constexpr int kIterations = 10;
-  constexpr double kScale_m = 0.05;  // distance from a ray at which its weight is halved
-  for (int iteration = 0; iteration < kIterations; ++iteration) {
-    Mat3 A = Mat3::Zero();
-    Vec3 b = Vec3::Zero();
-    for (std::size_t i = 0; i < views.size(); ++i) {
-      const Mat3 N = weights[i] * (Mat3::Identity() - rays[i] * rays[i].transpose());
-      A += N;
-      b += N * views[i].T_world_camera.t;
-    }
-    const Eigen::SelfAdjointEigenSolver<Mat3> eigen(A);
-    if (!(eigen.eigenvalues()(0) > 1e-5 * eigen.eigenvalues()(2))) return std::nullopt;
-    point = A.ldlt().solve(b);
-    for (std::size_t i = 0; i < views.size(); ++i) {
-      const Vec3 v = point - views[i].T_world_camera.t;
-      const double r = (v - rays[i] * rays[i].dot(v)).norm() / kScale_m;
-      weights[i] = 1.0 / (1.0 + r * r);
-    }
-  }
-  if (!point.allFinite()) return std::nullopt;
-  const std::vector<double> z = depths(views, point);
-  const auto behind = std::count_if(z.begin(), z.end(), [](double value) { return value < 0.2; });
-  if (static_cast<double>(behind) > 0.1 * static_cast<double>(z.size())) return std::nullopt;
-  return point;
-}
-
-double parallax_deg(const std::vector<BoxView>& views, const Vec3& point_world) {
-  double min_cosine = 1.0;
-  std::vector<Vec3> directions;
-  directions.reserve(views.size());
-  for (const BoxView& view : views) directions.push_back((point_world - view.T_world_camera.t).normalized());
-  for (std::size_t i = 0; i < directions.size(); ++i) {
-    for (std::size_t j = 0; j < i; ++j) min_cosine = std::min(min_cosine, directions[i].dot(directions[j]));
-  }
-  return degrees(std::acos(std::clamp(min_cosine, -1.0, 1.0)));
-}
-
-std::optional<Ellipsoid> initialise_sphere(const Camera& camera, const std::vector<BoxView>& views) {
-  const std::optional<Vec3> center = triangulate_center(camera, views);
-  if (!center) return std::nullopt;
-  std::vector<double> radii;
-  radii.reserve(views.size());
-  for (const BoxView& view : views) {
-    radii.push_back(0.5 * view.box.size() * std::max(0.0, depth(view, *center)) / camera.fx);
-  }
-  const double radius = median(std::move(radii));
-  if (!(radius > 0.0)) return std::nullopt;
-  // Axes of the first camera, not of the world: a fit must not depend on where the odometry's world lies.
-  return Ellipsoid{SE3(views.front().T_world_camera.q, *center), Vec3::Constant(radius)};
-}
-
-std::optional<Ellipsoid> initialise_from_points(const Camera& camera, const BoxView& view,
-                                                const std::vector<Vec3>& points_camera) {
-  if (points_camera.empty() || !view.box.is_valid()) return std::nullopt;
-  std::vector<double> z;
-  z.reserve(points_camera.size());
-  for (const Vec3& point : points_camera) z.push_back(point.z());
-  const double surface_depth = median(std::move(z));
-  if (!(surface_depth > 0.0)) return std::nullopt;
-  const double half_width = 0.5 * view.box.width() * surface_depth / camera.fx;
-  const double half_height = 0.5 * view.box.height() * surface_depth / camera.fy;
-  const double half_depth = 0.5 * (half_width + half_height);
-  // The points lie on the near side; the centre is behind them by about half of the depth axis.
-  const Vec3 center_camera = camera.ray(view.box.center()) * (surface_depth + 0.5 * half_depth);
-  return Ellipsoid{SE3(view.T_world_camera.q, view.T_world_camera * center_camera),
-                   Vec3(half_width, half_height, half_depth)};
-}
-
 std::optional<QuadricFit> refine_quadric(const Camera& camera, const std::vector<BoxView>& views,
                                          const Ellipsoid& initial, const QuadricFitOptions& options) {
   if (views.empty() || !initial.T_world_quadric.is_finite() || !(initial.semi_axes.minCoeff() > 0.0))
@@ -261,7 +166,9 @@ std::optional<QuadricFit> refine_quadric(const Camera& camera, const std::vector
   QuadricFit fit;
   fit.ellipsoid = {SE3(rotation.normalized(), center), log_axes.array().exp()};
   if (!fit.ellipsoid.T_world_quadric.is_finite() || !fit.ellipsoid.semi_axes.allFinite()) return std::nullopt;
-  fit.median_depth_m = median(depths(views, center));
+  std::vector<double> depths;
+  for (const BoxView& view : views) depths.push_back(view.depth(center));
+  fit.median_depth_m = median(std::move(depths));
   const Mat3 shape = fit.ellipsoid.shape();
   for (std::size_t i = 0; i < views.size(); ++i) {
     const std::optional<Box> box = project_box(center, shape, projections[i]);

@@ -6,9 +6,11 @@
 #include <set>
 #include <sstream>
 
+#include "semantic_topo_loop/geometry/statistics.h"
 #include "semantic_topo_loop/map/mapper_options.h"
 #include "semantic_topo_loop/map/object_points.h"
 #include "semantic_topo_loop/map/quadric_fit.h"
+#include "semantic_topo_loop/map/quadric_initialisation.h"
 #include "semantic_topo_loop/pipeline/stopwatch.h"
 
 namespace semantic_topo_loop::core {
@@ -36,27 +38,21 @@ struct MappedLandmark {
 
 constexpr std::size_t kObservationsMax = 1200;
 constexpr double kSeparateBoxesIou = 0.6;  // two boxes that overlap less show two things
-constexpr int kMergeViews = 30;            // boxes that vote on a merge
+constexpr std::size_t kMergeViews = 30;            // boxes that vote on a merge
 constexpr int kRefitsPerFrame = 4;         // after a correction, so that no frame is held up
 constexpr double kMinExpectedWidthPx = 12.0, kMinExpectedHeightPx = 8.0;
 constexpr double kFullyVisibleShare = 0.8;
 
 /// Up to n elements, evenly spread, first and last included.
 template <class T>
-std::vector<T> spread(const std::vector<T>& values, int n) {
-  const std::size_t count = static_cast<std::size_t>(n);
+std::vector<T> spread(const std::vector<T>& values, std::size_t count) {
   if (values.size() <= count) return values;
   std::vector<T> result;
   result.reserve(count);
-  for (std::size_t i = 0; i < count; ++i) result.push_back(values[i * (values.size() - 1) / (count - 1)]);
+  for (std::size_t i = 0; i < count; ++i) {
+    result.push_back(values[count == 1 ? values.size() / 2 : i * (values.size() - 1) / (count - 1)]);
+  }
   return result;
-}
-
-double median(std::vector<double> values) {
-  if (values.empty()) return 0.0;
-  const auto middle = values.begin() + static_cast<std::ptrdiff_t>(values.size() / 2);
-  std::nth_element(values.begin(), middle, values.end());
-  return *middle;
 }
 
 /// rho = mean IoU * (1 - e^(-baseline / 15 deg)) * (1 - e^(-views / 20)) / (1 + sigma / 5 cm), with sigma the root mean
@@ -269,15 +265,21 @@ class QuadricMapper::Impl {
     }
   }
 
-  /// The views that may take part in a fit: uncut boxes of the landmark's class or one confused with it.
+  /// The views that take part in a fit: boxes of the landmark's class or one confused with it, whole ones first; what
+  /// the image border cuts fills up, since of a large object seen from near there may be nothing else.
   std::vector<BoxView> fit_views(const MappedLandmark& landmark) const {
-    std::vector<Observation> usable;
+    std::vector<Observation> whole, cut;
     for (const Observation& observation : landmark.observations) {
-      if (observation.truncated == 0 && classes_->confusable(observation.class_id, landmark.state.class_id)) {
-        usable.push_back(observation);
-      }
+      if (!classes_->confusable(observation.class_id, landmark.state.class_id)) continue;
+      (observation.truncated == 0 ? whole : cut).push_back(observation);
     }
-    return to_views(spread(usable, options_.fit_views_max));
+    const auto wanted = static_cast<std::size_t>(options_.fit_views_max);
+    std::vector<BoxView> views = to_views(spread(whole, wanted));
+    if (views.size() < wanted) {
+      const std::vector<BoxView> more = to_views(spread(cut, wanted - views.size()));
+      views.insert(views.end(), more.begin(), more.end());
+    }
+    return views;
   }
 
   std::vector<BoxView> to_views(const std::vector<Observation>& observations) const {

@@ -7,6 +7,7 @@
 #include "semantic_topo_loop/map/mapper_options.h"
 #include "semantic_topo_loop/map/object_points.h"
 #include "semantic_topo_loop/map/quadric_fit.h"
+#include "semantic_topo_loop/map/quadric_initialisation.h"
 #include "semantic_topo_loop/map/quadric_mapper.h"
 
 namespace semantic_topo_loop::core {
@@ -112,8 +113,8 @@ TEST(QuadricFit, LeavesOutSidesCutByTheBorder) {
 
 TEST(QuadricFit, RefusesDegenerateInput) {
   const std::vector<BoxView> still(5, views_of(kCup, {arc(5, 90.0)[0]})[0]);
-  EXPECT_FALSE(triangulate_center(kCamera, still));
-  EXPECT_FALSE(triangulate_center(kCamera, {}));
+  EXPECT_FALSE(initialise_sphere(kCamera, still));
+  EXPECT_FALSE(initialise_sphere(kCamera, {}));
   EXPECT_FALSE(refine_quadric(kCamera, {}, kCup));
   Ellipsoid broken = kCup;
   broken.T_world_quadric.t.x() = std::numeric_limits<double>::quiet_NaN();

@@ -19,10 +19,13 @@ struct AssociatorOptions {
   int window_keyframes = 100;
   double posterior_alpha = 1.0;
   double posterior_count_max = 30.0;
+  double range_m = 10.0;
+  double jda_distance_max = 1.6;
 
   template <class Visitor>
   void visit(Visitor& visitor) {
-    visitor("association.mode", mode, "joint (one-to-one over all levels) or cascade (the paper's three levels)");
+    visitor("association.mode", mode,
+            "joint (one-to-one over all levels), cascade (the paper's three levels) or jda (the paper's baseline)");
     visitor("association.levels", levels, "levels in use, comma separated: 2d, pro, 3d");
     visitor("association.pro_new_object", pro_new_object,
             "level 2's prior of a new object: uniform (over labels and image) or paper (as printed)");
@@ -40,6 +43,8 @@ struct AssociatorOptions {
             "level 3: landmarks seen in this many last keyframes (all in view in joint mode)");
     visitor("association.posterior_alpha", posterior_alpha, "level 2: concentration of the Dirichlet process");
     visitor("association.posterior_count_max", posterior_count_max, "level 2: cap on a landmark's observation count");
+    visitor("association.range_m", range_m, "landmarks farther from the camera are not looked for");
+    visitor("association.jda_distance_max", jda_distance_max, "jda mode: largest summed distance of a pair (0 to 3)");
   }
   bool is_valid(std::string* error) const;
 };

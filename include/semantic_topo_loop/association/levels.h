@@ -72,6 +72,19 @@ class JointScorer {
   const ClassTable& classes_;
 };
 
+/// JDA, the baseline that the paper compares with: the distances of all cues added up, (1 - IoU with the box of the
+/// previous frame) + (1 - IoU with the projected quadric) + (0 for the same label, else 1), in one assignment over all
+/// landmarks. The score is how far the sum stays below the gate.
+class JdaScorer {
+ public:
+  explicit JdaScorer(const AssociatorOptions& options) : distance_max_(options.jda_distance_max) {}
+  double score(const AssociationContext& context, const TrackInFrame& candidate,
+               const PreparedDetection& detection) const;
+
+ private:
+  double distance_max_;
+};
+
 /// Share of the points (map frame, m) that project into the box.
 double share_of_points_in_box(const std::vector<Vec3>& points_map, const Mat34& P_image_map, const Box& box);
 

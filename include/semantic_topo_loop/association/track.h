@@ -70,6 +70,7 @@ struct TrackInFrame {
 /// What every level looks at.
 struct AssociationContext {
   const Frame* frame = nullptr;
+  double interval_s = 0.0;  ///< since the frame before
   Mat34 P_image_map;
   std::vector<PreparedDetection> detections;
   std::vector<TrackInFrame> tracks;

@@ -13,6 +13,10 @@ struct BoxView {
   SE3 T_world_camera;
   Box box;                     ///< undistorted, px
   std::uint8_t truncated = 0;  ///< Truncation bits: these sides bound nothing
+
+  double depth(const Vec3& point_world) const {
+    return (T_world_camera.q.conjugate() * (point_world - T_world_camera.t)).z();
+  }
 };
 
 struct QuadricFitOptions {
@@ -30,18 +34,6 @@ struct QuadricFit {
   double mean_iou = 0.0;                  ///< of projected and detected boxes, clipped to the image
   double median_depth_m = 0.0;
 };
-
-/// Where the rays through the box centres meet: least squares with Cauchy weights, iterated.
-/// @return nullopt for fewer than 2 views, parallel rays, or a point behind many of the cameras
-std::optional<Vec3> triangulate_center(const Camera& camera, const std::vector<BoxView>& views);
-/// Largest angle between two of the lines from the cameras to the point, deg.
-double parallax_deg(const std::vector<BoxView>& views, const Vec3& point_world);
-/// A sphere from several boxes: triangulated centre, radius from the median box size at its depth.
-std::optional<Ellipsoid> initialise_sphere(const Camera& camera, const std::vector<BoxView>& views);
-/// An ellipsoid from one box and the points of the object's surface that were seen inside it (camera frame, m): centre
-/// at the points' robust depth, image-aligned axes from the box, depth axis their mean.
-std::optional<Ellipsoid> initialise_from_points(const Camera& camera, const BoxView& view,
-                                                const std::vector<Vec3>& points_camera);
 
 /// Refines all nine parameters on the box edges: residual (projected edge - detected edge) / sigma, soft-L1 loss a
 /// view, sides cut by the image border left out (Ceres, Levenberg-Marquardt).

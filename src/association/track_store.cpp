@@ -1,0 +1,170 @@
+#include "semantic_topo_loop/association/track_store.h"
+
+#include <cmath>
+
+namespace semantic_topo_loop::core {
+namespace {
+
+constexpr double kCell_m = 2.0;
+constexpr int kCellsMax = 5;  // along one side of an object, so that a broken size cannot fill the grid
+
+std::int32_t cell_of(double coordinate) {
+  constexpr double kLimit = 1e6;
+  return static_cast<std::int32_t>(std::floor(std::clamp(coordinate / kCell_m, -kLimit, kLimit)));
+}
+
+std::uint64_t key_of(const std::array<std::int32_t, 3>& cell) {
+  std::uint64_t key = 0;
+  for (const std::int32_t c : cell) key = (key << 21) | (static_cast<std::uint64_t>(c + (1 << 20)) & 0x1fffff);
+  return key;
+}
+
+template <class Function>
+void for_each_cell(const std::array<std::int32_t, 3>& low, const std::array<std::int32_t, 3>& high, Function function) {
+  for (std::int32_t x = low[0]; x <= high[0]; ++x) {
+    for (std::int32_t y = low[1]; y <= high[1]; ++y) {
+      for (std::int32_t z = low[2]; z <= high[2]; ++z) function(std::array<std::int32_t, 3>{x, y, z});
+    }
+  }
+}
+
+/// The pyramid that a camera sees, up to a range.
+struct Frustum {
+  std::array<Vec3, 4> inward;  ///< unit normals of the sides, map frame
+  Vec3 apex, low, high;
+
+  Frustum(const Camera& camera, const SE3& T_map_camera, double range_m) : apex(T_map_camera.t) {
+    const double w = camera.width, h = camera.height;
+    std::array<Vec3, 4> corners{camera.ray({0.0, 0.0}), camera.ray({w, 0.0}), camera.ray({w, h}), camera.ray({0.0, h})};
+    low = high = apex;
+    for (Vec3& corner : corners) {
+      corner = T_map_camera.q * corner;
+      low = low.cwiseMin(apex + range_m * corner);
+      high = high.cwiseMax(apex + range_m * corner);
+    }
+    for (std::size_t i = 0; i < 4; ++i) inward[i] = corners[i].cross(corners[(i + 1) % 4]).normalized();
+  }
+
+  bool may_see_sphere(const Vec3& center, double radius) const {
+    return std::all_of(inward.begin(), inward.end(),
+                       [&](const Vec3& normal) { return normal.dot(center - apex) > -radius; });
+  }
+};
+
+}  // namespace
+
+Track* TrackStore::find(std::int64_t id) {
+  const auto it = slot_of_id_.find(id);
+  return it == slot_of_id_.end() ? nullptr : &entries_[static_cast<std::size_t>(it->second)].track;
+}
+
+Track& TrackStore::create(std::int64_t id) {
+  std::int32_t slot = static_cast<std::int32_t>(entries_.size());
+  if (free_slots_.empty()) {
+    entries_.emplace_back();
+  } else {
+    slot = free_slots_.back();
+    free_slots_.pop_back();
+  }
+  slot_of_id_[id] = slot;
+  Entry& entry = entries_[static_cast<std::size_t>(slot)];
+  entry.track.id = id;
+  return entry.track;
+}
+
+void TrackStore::erase(std::int64_t id) {
+  const auto it = slot_of_id_.find(id);
+  if (it == slot_of_id_.end()) return;
+  const std::int32_t slot = it->second;
+  move_to(slot, {});
+  Entry& entry = entries_[static_cast<std::size_t>(slot)];
+  if (entry.is_recent) recent_.erase(std::find(recent_.begin(), recent_.end(), slot));
+  entry = Entry();
+  free_slots_.push_back(slot);
+  slot_of_id_.erase(it);
+}
+
+void TrackStore::place(Track* track) { move_to(slot_of_id_.at(track->id), cells_of(*track)); }
+
+void TrackStore::touch(Track* track) {
+  const std::int32_t slot = slot_of_id_.at(track->id);
+  Entry& entry = entries_[static_cast<std::size_t>(slot)];
+  if (entry.is_recent) return;
+  entry.is_recent = true;
+  recent_.push_back(slot);
+}
+
+std::vector<const Track*> TrackStore::all() const {
+  std::vector<const Track*> tracks;
+  tracks.reserve(slot_of_id_.size());
+  for (const Entry& entry : entries_) {
+    if (entry.track.id >= 0) tracks.push_back(&entry.track);
+  }
+  std::sort(tracks.begin(), tracks.end(), [](const Track* a, const Track* b) { return a->id < b->id; });
+  return tracks;
+}
+
+void TrackStore::collect_in_view(const Camera& camera, const SE3& T_map_camera, double range_m,
+                                 std::vector<const Track*>* found) {
+  const Frustum frustum(camera, T_map_camera, range_m);
+  Cell low{}, high{};
+  for (std::size_t i = 0; i < 3; ++i) {
+    low[i] = cell_of(frustum.low(static_cast<Eigen::Index>(i)));
+    high[i] = cell_of(frustum.high(static_cast<Eigen::Index>(i)));
+  }
+  const double cell_radius = 0.5 * std::sqrt(3.0) * kCell_m;
+  for_each_cell(low, high, [&](const Cell& cell) {
+    const Vec3 center = kCell_m * Vec3(cell[0] + 0.5, cell[1] + 0.5, cell[2] + 0.5);
+    if (!frustum.may_see_sphere(center, cell_radius)) return;
+    const auto slots = slots_of_cell_.find(key_of(cell));
+    if (slots == slots_of_cell_.end()) return;
+    for (const std::int32_t slot : slots->second) visit(slot, found);
+  });
+}
+
+void TrackStore::visit(std::int32_t slot, std::vector<const Track*>* found) {
+  Entry& entry = entries_[static_cast<std::size_t>(slot)];
+  if (entry.visited_by == query_) return;  // it spans several cells
+  entry.visited_by = query_;
+  found->push_back(&entry.track);
+}
+
+void TrackStore::move_to(std::int32_t slot, const CellRange& cells) {
+  Entry& entry = entries_[static_cast<std::size_t>(slot)];
+  if (entry.cells == cells) return;
+  for_each_cell(entry.cells.low, entry.cells.high, [&](const Cell& cell) {
+    const auto it = slots_of_cell_.find(key_of(cell));
+    it->second.erase(std::find(it->second.begin(), it->second.end(), slot));
+    if (it->second.empty()) slots_of_cell_.erase(it);
+  });
+  entry.cells = cells;
+  for_each_cell(cells.low, cells.high, [&](const Cell& cell) { slots_of_cell_[key_of(cell)].push_back(slot); });
+}
+
+TrackStore::CellRange TrackStore::cells_of(const Track& track) {
+  Vec3 low, high;
+  if (track.state == LandmarkState::kRetired) return {};
+  if (track.has_ellipsoid) {
+    const Vec3 extent = track.shape_map.diagonal().cwiseMax(0.0).cwiseSqrt();
+    low = track.center_map - extent;
+    high = track.center_map + extent;
+  } else if (!track.points_map.empty()) {
+    low = high = track.points_map.front();
+    for (const Vec3& point : track.points_map) {
+      low = low.cwiseMin(point);
+      high = high.cwiseMax(point);
+    }
+  } else {
+    return {};
+  }
+  if (!low.allFinite() || !high.allFinite()) return {};
+  CellRange cells;
+  for (std::size_t i = 0; i < 3; ++i) {
+    const auto axis = static_cast<Eigen::Index>(i);
+    cells.low[i] = cell_of(low(axis));
+    cells.high[i] = std::min(cell_of(high(axis)), cells.low[i] + kCellsMax - 1);
+  }
+  return cells;
+}
+
+}  // namespace semantic_topo_loop::core
