@@ -79,7 +79,7 @@ void RunRecorder::record(const MapUpdate& update) {
   for (const Landmark& landmark : update.changed) landmarks_.insert_or_assign(landmark.id, landmark);
   for (const std::int64_t id : update.removed) landmarks_.erase(id);
   for (const LandmarkMerge& merge : update.merged) landmarks_.erase(merge.merged_id);
-  merges_ += static_cast<int>(update.merged.size());
+  merges_ += static_cast<int>(update.merged.size()) - static_cast<int>(update.unmerged.size());
 }
 
 void RunRecorder::record(std::int64_t frame_id, const std::vector<LoopClosure>& loops, double loop_us) {

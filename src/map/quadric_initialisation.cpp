@@ -57,9 +57,8 @@ std::optional<Vec5> solve(const std::vector<TangentPlane>& planes) {
     Eigen::Matrix2d agree;
     agree << 1.0, -1.0, -1.0, 1.0;
     A.bottomRightCorner<2, 2>() += kRadiiAgree * agree;
-    const Mat3 of_center =
-        A.topLeftCorner<3, 3>() -
-        A.topRightCorner<3, 2>() * A.bottomRightCorner<2, 2>().inverse() * A.bottomLeftCorner<2, 3>();
+    const Mat3 of_center = A.topLeftCorner<3, 3>() - A.topRightCorner<3, 2>() * A.bottomRightCorner<2, 2>().inverse() *
+                                                         A.bottomLeftCorner<2, 3>();
     const Eigen::SelfAdjointEigenSolver<Mat3> eigen(of_center);
     if (!(eigen.eigenvalues()(0) > kMinConditioning * eigen.eigenvalues()(2))) return std::nullopt;
     solution = A.ldlt().solve(b);

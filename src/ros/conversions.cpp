@@ -213,6 +213,7 @@ void to_msg(const core::MapUpdate& update, QuadricMapUpdate* message) {
   message->map_from_odom = to_msg(update.T_map_odom);
   message->changed = to_msg(update.changed);
   message->removed = update.removed;
+  message->unmerged = to_messages<QuadricMerge>(update.unmerged);
   message->merged = to_messages<QuadricMerge>(update.merged);
   message->duration_us = update.duration_us;
 }
@@ -226,6 +227,7 @@ core::MapUpdate from_msg(const QuadricMapUpdate& message) {
   update.T_map_odom = from_msg(message.map_from_odom);
   update.changed = from_messages<core::Landmark>(message.changed);
   update.removed = message.removed;
+  update.unmerged = from_messages<core::LandmarkMerge>(message.unmerged);
   update.merged = from_messages<core::LandmarkMerge>(message.merged);
   update.duration_us = message.duration_us;
   return update;

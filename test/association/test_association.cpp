@@ -5,6 +5,7 @@
 #include "semantic_topo_loop/association/associator_options.h"
 #include "semantic_topo_loop/association/levels.h"
 #include "semantic_topo_loop/association/object_associator.h"
+#include "semantic_topo_loop/association/track_store.h"
 
 namespace semantic_topo_loop::core {
 namespace {
@@ -58,10 +59,10 @@ AssociatorOptions options(const std::string& mode, const std::string& levels = "
   return result;
 }
 
-class BothModes : public testing::TestWithParam<std::string> {};
-INSTANTIATE_TEST_SUITE_P(Modes, BothModes, testing::Values("joint", "cascade"));
+class EveryMode : public testing::TestWithParam<std::string> {};
+INSTANTIATE_TEST_SUITE_P(Modes, EveryMode, testing::Values("joint", "cascade", "jda"));
 
-TEST_P(BothModes, TracksAMovingBoxAndStartsANewLandmarkForAnotherObject) {
+TEST_P(EveryMode, TracksAMovingBoxAndStartsANewLandmarkForAnotherObject) {
   ObjectAssociator associator(options(GetParam()), classes());
   std::int64_t id = -1;
   for (int k = 0; k < 20; ++k) {
@@ -81,7 +82,7 @@ TEST_P(BothModes, TracksAMovingBoxAndStartsANewLandmarkForAnotherObject) {
   EXPECT_NE(other.associations[0].landmark_id, id);
 }
 
-TEST_P(BothModes, QuadricBringsALandmarkBackAfterALongAbsence) {
+TEST_P(EveryMode, QuadricBringsALandmarkBackAfterALongAbsence) {
   ObjectAssociator associator(options(GetParam()), classes());
   const Box box = box_at(300.0, 220.0);
   const std::int64_t id = associator.associate(frame_at(0), {{kCup, 0.9, box}}).associations[0].landmark_id;
@@ -91,7 +92,7 @@ TEST_P(BothModes, QuadricBringsALandmarkBackAfterALongAbsence) {
   EXPECT_EQ(result.map_version, associator.map_version());
 }
 
-TEST_P(BothModes, LeavesOutDynamicIgnoredLowAndCoveredBoxes) {
+TEST_P(EveryMode, LeavesOutDynamicIgnoredLowAndCoveredBoxes) {
   ObjectAssociator associator(options(GetParam()), classes());
   const AssociationFrame result = associator.associate(frame_at(0), {{kPerson, 0.9, box_at(100.0, 100.0)},
                                                                      {kIgnored, 0.9, box_at(200.0, 100.0)},
@@ -204,6 +205,72 @@ TEST(ObjectAssociator, MergeRemovalRetirementAndVersionGap) {
   retire.changed[0].state = LandmarkState::kRetired;
   ASSERT_TRUE(associator.apply(retire));
   EXPECT_NE(associator.associate(frame_at(3), {{kBook, 0.9, box}}).associations[0].landmark_id, d);
+}
+
+TEST(ObjectAssociator, AMergeTakenBackGivesBothTracksTheirOwn) {
+  ObjectAssociator associator(options("joint"), classes());
+  const Box left = box_at(150.0, 240.0), right = box_at(450.0, 240.0);
+  const AssociationFrame first = associator.associate(frame_at(0), {{kCup, 0.9, left}, {kVase, 0.9, right}});
+  const std::int64_t a = first.associations[0].landmark_id, b = first.associations[1].landmark_id;
+  MapUpdate merge;
+  merge.map_version = 1;
+  merge.merged.push_back({b, a});
+  ASSERT_TRUE(associator.apply(merge));
+  MapUpdate undo;
+  undo.base_version = 1;
+  undo.map_version = 2;
+  undo.unmerged.push_back({b, a});
+  ASSERT_TRUE(associator.apply(undo));
+  const AssociationFrame next = associator.associate(frame_at(1), {{kCup, 0.9, left}, {kVase, 0.9, right}});
+  EXPECT_EQ(next.associations[0].landmark_id, a);
+  EXPECT_EQ(next.associations[0].landmark_class_id, kCup);
+  EXPECT_EQ(next.associations[1].landmark_id, b);
+  EXPECT_EQ(next.associations[1].landmark_class_id, kVase);
+}
+
+/// The grid may return more than what is in view, never less, and each track once, in order.
+TEST(TrackStore, FindsWhatALinearScanFindsAsLandmarksComeMoveAndGo) {
+  std::mt19937_64 random(3);
+  std::uniform_real_distribution<double> place(-25.0, 25.0), size(0.05, 1.5), angle(-3.0, 3.0), unit(0.0, 1.0);
+  const auto scatter = [&](Track* track) {
+    track->has_ellipsoid = true;
+    track->center_map = Vec3(place(random), place(random), place(random));
+    track->shape_map = std::pow(size(random), 2) * Mat3::Identity();
+  };
+  TrackStore store;
+  std::vector<std::int64_t> ids;
+  constexpr double kRange_m = 10.0;
+  std::size_t in_view = 0;
+  for (std::int64_t id = 0; id < 3000; ++id) {
+    Track& track = store.create(id);
+    scatter(&track);
+    store.place(&track);
+    ids.push_back(id);
+    const std::int64_t other = ids[static_cast<std::size_t>(unit(random) * static_cast<double>(ids.size()))];
+    if (Track* moved = store.find(other)) {
+      if (unit(random) < 0.3) {
+        store.erase(other);
+      } else {
+        scatter(moved);
+        store.place(moved);
+      }
+    }
+    if (id % 50 != 0) continue;
+    const SE3 T_map_camera(so3_exp(Vec3(angle(random), angle(random), angle(random))),
+                           Vec3(place(random), place(random), place(random)));
+    const Mat34 P = projection_matrix(kCamera, T_map_camera);
+    const auto found = store.near(kCamera, T_map_camera, kRange_m, [](const Track&) { return false; });
+    EXPECT_TRUE(std::is_sorted(found.begin(), found.end(), [](auto* a, auto* b) { return a->id <= b->id; }));
+    for (const Track* candidate : store.all()) {
+      const auto box = project_box(candidate->center_map, candidate->shape_map, P);
+      const double radius = std::sqrt(candidate->shape_map(0, 0));
+      if (!box || clip(*box, kCamera.width, kCamera.height).area() <= 0.0) continue;
+      if ((candidate->center_map - T_map_camera.t).norm() + radius > kRange_m) continue;
+      ++in_view;
+      EXPECT_NE(std::find(found.begin(), found.end(), candidate), found.end()) << candidate->id;
+    }
+  }
+  EXPECT_GT(in_view, 100U);
 }
 
 TEST(ObjectAssociator, MarksSidesAtTheBorderAndUndistorts) {

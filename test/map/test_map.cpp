@@ -111,6 +111,23 @@ TEST(QuadricFit, LeavesOutSidesCutByTheBorder) {
   EXPECT_LT((fit->ellipsoid.center() - kCup.center()).norm(), 0.005);
 }
 
+/// A chair seen from so near that no image shows it whole: only left, right and top sides bound it.
+TEST(QuadricInitialisation, BoxesThatTheBorderCutsStillGiveTheSphere) {
+  const Ellipsoid chair{SE3(Quaternion::Identity(), Vec3(0.1, 0.0, 0.0)), Vec3::Constant(0.4)};
+  std::vector<BoxView> views = views_of(chair, arc(30, 60.0));
+  for (std::size_t i = 0; i < views.size(); ++i) {
+    views[i].box.y2 -= 80.0;
+    views[i].truncated = kBottom;
+    if (i % 3 != 0) continue;
+    views[i].box.x1 += 50.0;
+    views[i].truncated |= kLeft;
+  }
+  const std::optional<Ellipsoid> sphere = initialise_sphere(kCamera, views);
+  ASSERT_TRUE(sphere);
+  EXPECT_LT((sphere->center() - chair.center()).norm(), 0.03);
+  EXPECT_NEAR(sphere->semi_axes.x(), 0.4, 0.03);
+}
+
 TEST(QuadricFit, RefusesDegenerateInput) {
   const std::vector<BoxView> still(5, views_of(kCup, {arc(5, 90.0)[0]})[0]);
   EXPECT_FALSE(initialise_sphere(kCamera, still));
@@ -151,7 +168,8 @@ class MapperTest : public testing::Test {
     std::string error;
     return std::make_shared<const ClassTable>(*ClassTable::create({{41, "cup", ClassRole::kMovable, "vessel", 0.1},
                                                                    {75, "vase", ClassRole::kMovable, "vessel", 0.2},
-                                                                   {73, "book", ClassRole::kMovable, "", 0.2}},
+                                                                   {73, "book", ClassRole::kMovable, "", 0.2},
+                                                                   {62, "tv", ClassRole::kStatic, "", 0.2}},
                                                                   &error));
   }
 
@@ -268,6 +286,84 @@ TEST_F(MapperTest, NeverSeenAgainWhereExpectedIsRetired) {
   for (int i = 0; i < 900; ++i) step(poses[static_cast<std::size_t>(i % 60)], {{1, 73, book}});
   EXPECT_EQ(find(0)->state, LandmarkState::kRetired);
   EXPECT_EQ(find(1)->state, LandmarkState::kConfirmed);
+}
+
+TEST_F(MapperTest, WhatWasMovedIsRetiredWhereItWasAndWhatIsFixedIsNot) {
+  const std::vector<SE3> poses = arc(120, 120.0);
+  Ellipsoid tv = kCup, moved = kCup;
+  tv.T_world_quadric.t += Vec3(-0.3, 0.3, 0.0);
+  moved.T_world_quadric.t += Vec3(0.3, -0.3, 0.0);
+  for (const SE3& pose : poses) step(pose, {{0, 41, kCup}, {1, 62, tv}});
+  ASSERT_EQ(find(0)->state, LandmarkState::kConfirmed);
+  ASSERT_EQ(find(1)->state, LandmarkState::kConfirmed);
+  for (int i = 0; i < 600; ++i) step(poses[static_cast<std::size_t>(i % 120)], {{2, 41, moved}});
+  end();
+  EXPECT_EQ(find(0)->state, LandmarkState::kRetired);
+  EXPECT_EQ(find(1)->state, LandmarkState::kConfirmed);
+  ASSERT_NE(find(2), nullptr);
+  EXPECT_EQ(find(2)->state, LandmarkState::kConfirmed);
+  EXPECT_LT((find(2)->ellipsoid->center() - moved.center()).norm(), 0.01);
+}
+
+TEST_F(MapperTest, WhatIsNotDetectedFromBehindOrWhileHiddenHasNotGone) {
+  const std::vector<SE3> poses = arc(120, 60.0);
+  Ellipsoid book = kCup;
+  book.T_world_quadric.t += Vec3(0.3, -0.3, 0.0);
+  for (const SE3& pose : poses) step(pose, {{0, 41, kCup}});
+  for (int i = 0; i < 600; ++i) {
+    const double angle = radians(180.0 + 0.1 * i);
+    step(look_at(Vec3(1.5 * std::cos(angle), 1.5 * std::sin(angle), 0.8), Vec3::Zero()), {{1, 73, book}});
+  }
+  EXPECT_EQ(find(0)->state, LandmarkState::kConfirmed) << "from behind";
+  Ellipsoid person = kCup;  // stands between the cup and every camera
+  person.semi_axes *= 3.0;
+  for (int i = 0; i < 600; ++i) {
+    const SE3& pose = poses[static_cast<std::size_t>(i % 120)];
+    person.T_world_quadric.t = kCup.center() + 0.5 * (pose.t - kCup.center());
+    step(pose, {{-1, 0, person}, {1, 73, book}});
+  }
+  EXPECT_EQ(find(0)->state, LandmarkState::kConfirmed) << "hidden";
+}
+
+TEST_F(MapperTest, AnEllipsoidOfAnotherSizeThanItsClassIsRefused) {
+  Ellipsoid huge = kCup;
+  huge.semi_axes *= 8.0;
+  for (const SE3& pose : arc(60, 90.0)) step(pose, {{0, 41, huge}});
+  EXPECT_FALSE(find(0)->ellipsoid);
+}
+
+/// A wrong loop closure lays one cup upon another; when it is taken back, so is the merge.
+TEST_F(MapperTest, MergeIsUndoneWhenACorrectionPullsTheTwoApart) {
+  const std::vector<SE3> poses = arc(60, 90.0);
+  for (const SE3& pose : poses) step(pose, {{0, 41, kCup}});
+  for (const SE3& pose : poses) step(pose, {{1, 41, kCup}});
+  const Landmark first = *find(0);
+  ASSERT_NE(find(1), nullptr) << "merged too early for this test";
+  const Landmark second = *find(1);
+  const MapUpdate merge = end();
+  ASSERT_EQ(merge.merged.size(), 1U);
+  ASSERT_EQ(mapper_.landmarks().size(), 1U);
+
+  const SE3 T_new_old(Quaternion::Identity(), Vec3(1.0, 0.0, 0.0));
+  MapCorrection correction;
+  correction.frame_id = next_frame_;
+  correction.changed = true;
+  correction.T_map_odom = T_new_old;
+  correction.valid_to_keyframe_id = 23;
+  for (std::int64_t id = 12; id <= 23; ++id) {
+    correction.keyframes.push_back({id, id * 5, 0, T_new_old * poses[static_cast<std::size_t>(id - 12) * 5]});
+  }
+  const MapUpdate update = mapper_.apply(correction);
+  ASSERT_EQ(update.unmerged.size(), 1U);
+  EXPECT_EQ(update.unmerged[0].merged_id, merge.merged[0].merged_id);
+  ASSERT_NE(find(0), nullptr);
+  ASSERT_NE(find(1), nullptr);
+  EXPECT_EQ(find(0)->observations, first.observations);
+  EXPECT_EQ(find(1)->observations, second.observations);
+  EXPECT_EQ(find(0)->state, LandmarkState::kConfirmed);
+  EXPECT_EQ(find(1)->state, LandmarkState::kConfirmed);
+  EXPECT_LT((find(0)->ellipsoid->center() - kCup.center()).norm(), 0.01);
+  EXPECT_LT((find(1)->ellipsoid->center() - T_new_old * kCup.center()).norm(), 0.01);
 }
 
 TEST_F(MapperTest, LandmarksMoveWithTheirKeyframesAndVersionsChain) {

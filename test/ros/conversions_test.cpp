@@ -255,6 +255,7 @@ TEST(Conversions, MapUpdateIsBitExact) {
     for (int j = 0; j < 4; ++j) update.changed.push_back(random_landmark(&random));
     update.removed = {random.integer(), random.integer()};
     update.merged = {{5, 2}, {2, 1}};
+    update.unmerged = {{7, 6}};
     update.duration_us = random.number();
     QuadricMapUpdate message;
     to_msg(update, &message);
@@ -267,6 +268,9 @@ TEST(Conversions, MapUpdateIsBitExact) {
     ASSERT_EQ(back.changed.size(), update.changed.size());
     for (std::size_t j = 0; j < back.changed.size(); ++j) expect_same(back.changed[j], update.changed[j]);
     EXPECT_EQ(back.removed, update.removed);
+    ASSERT_EQ(back.unmerged.size(), 1u);
+    EXPECT_EQ(back.unmerged[0].merged_id, 7);
+    EXPECT_EQ(back.unmerged[0].survivor_id, 6);
     ASSERT_EQ(back.merged.size(), 2u);
     EXPECT_EQ(back.merged[1].merged_id, 2);
     EXPECT_EQ(back.merged[1].survivor_id, 1);

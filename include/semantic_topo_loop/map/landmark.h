@@ -45,8 +45,8 @@ struct MapUpdate {
   std::uint64_t base_version = 0;
   std::uint64_t map_version = 0;
   SE3 T_map_odom;
-  std::vector<Landmark> changed;      ///< in order of id; retirement is a state
-  std::vector<std::int64_t> removed;  ///< candidates given up
+  std::vector<Landmark> changed;        ///< in order of id; retirement is a state
+  std::vector<std::int64_t> removed;    ///< candidates given up
   std::vector<LandmarkMerge> unmerged;  ///< merges taken back, before `merged` is read; the last made comes first
   std::vector<LandmarkMerge> merged;    ///< redirects, in the order they were made
   double duration_us = 0.0;

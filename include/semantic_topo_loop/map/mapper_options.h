@@ -5,25 +5,28 @@
 namespace semantic_topo_loop::core {
 
 struct QuadricMapperOptions {
-  int min_views = 10;
+  int min_views = 6;
   double min_baseline_deg = 6.0;
   int fit_views_max = 60;
   double refit_growth = 0.15;
   double max_depth_m = 6.0;
   double max_semi_axis_m = 2.5;
+  double size_prior_factor = 6.0;
   double min_fit_iou = 0.3;
-  int maintenance_interval_frames = 30;
+  double maintenance_interval_s = 1.0;
   double merge_iou = 0.3;
   double merge_iou_confusable = 0.5;
   double merge_veto_share = 0.25;
-  int confirm_views = 25;
+  double confirm_seen_s = 1.2;
   double confirm_baseline_deg = 10.0;
   double confirm_mean_iou = 0.5;
-  double confirm_seen_share = 0.06;
+  double confirm_seen_share = 0.14;
+  double confirm_quality = 0.3;
   double forget_candidate_s = 2.0;
-  int forget_candidate_views = 8;
+  double forget_candidate_seen_s = 0.25;
   double retire_seen_share = 0.02;
-  int retire_expected_frames = 200;
+  double retire_expected_s = 7.0;
+  double retire_missed_s = 5.0;
 
   template <class Visitor>
   void visit(Visitor& visitor) {
@@ -33,20 +36,24 @@ struct QuadricMapperOptions {
     visitor("mapping.refit_growth", refit_growth, "refit when the views have grown by this share");
     visitor("mapping.max_depth_m", max_depth_m, "no ellipsoid from farther away (median depth)");
     visitor("mapping.max_semi_axis_m", max_semi_axis_m, "no larger ellipsoid");
+    visitor("mapping.size_prior_factor", size_prior_factor,
+            "no ellipsoid larger or smaller than its class's typical diameter by more than this factor");
     visitor("mapping.min_fit_iou", min_fit_iou, "mean overlap below which a fit is refused");
-    visitor("mapping.maintenance_interval_frames", maintenance_interval_frames,
-            "frames between searches for duplicates");
+    visitor("mapping.maintenance_interval_s", maintenance_interval_s, "time between searches for duplicates");
     visitor("mapping.merge_iou", merge_iou, "overlap of one landmark's boxes with the other's projection, same class");
     visitor("mapping.merge_iou_confusable", merge_iou_confusable, "the same for two classes of one group");
     visitor("mapping.merge_veto_share", merge_veto_share, "no merge if seen side by side in more of the common frames");
-    visitor("mapping.confirm_views", confirm_views, "views of a confirmed landmark");
+    visitor("mapping.confirm_seen_s", confirm_seen_s, "time for which a confirmed landmark was seen whole");
     visitor("mapping.confirm_baseline_deg", confirm_baseline_deg, "parallax of a confirmed landmark");
     visitor("mapping.confirm_mean_iou", confirm_mean_iou, "mean overlap of a confirmed landmark");
-    visitor("mapping.confirm_seen_share", confirm_seen_share, "seen / expected of a confirmed landmark");
+    visitor("mapping.confirm_seen_share", confirm_seen_share, "seen / expected time of a confirmed landmark");
+    visitor("mapping.confirm_quality", confirm_quality, "quality rho of a confirmed landmark");
     visitor("mapping.forget_candidate_s", forget_candidate_s, "a candidate unseen for so long is given up");
-    visitor("mapping.forget_candidate_views", forget_candidate_views, "unless it has this many views");
+    visitor("mapping.forget_candidate_seen_s", forget_candidate_seen_s, "unless it was seen for this long");
     visitor("mapping.retire_seen_share", retire_seen_share, "a landmark is retired when seen / expected falls below");
-    visitor("mapping.retire_expected_frames", retire_expected_frames, "and it was expected in this many frames");
+    visitor("mapping.retire_expected_s", retire_expected_s, "and it was expected for this long");
+    visitor("mapping.retire_missed_s", retire_missed_s,
+            "a landmark is retired when it was expected in vain since its last box for this time over its seen share");
   }
   bool is_valid(std::string* error) const;
 };

@@ -1,0 +1,125 @@
+#pragma once
+
+#include <algorithm>
+#include <array>
+#include <cstdint>
+#include <map>
+#include <vector>
+
+#include "semantic_topo_loop/geometry/camera.h"
+#include "semantic_topo_loop/map/landmark.h"
+#include "semantic_topo_loop/map/quadric_fit.h"
+
+namespace semantic_topo_loop::core {
+
+/// A box of a landmark, hung on the keyframe of its frame so that it follows corrections.
+struct Observation {
+  std::int64_t frame_id = -1;
+  std::int64_t source_id = -1;  ///< the landmark that association named; another than the holder's after a merge
+  std::int64_t keyframe_id = -1;
+  SE3 T_keyframe_camera;
+  Box box;
+  std::uint8_t truncated = 0;
+  int class_id = -1;
+};
+
+/// How long a landmark was seen and should have been. Time, not counts, so that 6 Hz and 30 Hz behave alike.
+struct Sightings {
+  double seen_s = 0.0;             ///< with a box
+  double whole_s = 0.0;            ///< with a box that the image border does not cut
+  double expected_s = 0.0;         ///< in view, large enough and not hidden
+  double unseen_expected_s = 0.0;  ///< expected from where it had been seen before, without a box, since the last one
+
+  double seen_share() const { return expected_s > 0.0 ? seen_s / expected_s : 1.0; }
+  /// While it was there: without the time of its absence, which says nothing of how well a detector sees it.
+  double seen_share_before() const {
+    const double before_s = expected_s - unseen_expected_s;
+    return before_s > 0.0 ? std::min(1.0, seen_s / before_s) : 1.0;
+  }
+  void add(const Sightings& other) {
+    seen_s += other.seen_s;
+    whole_s += other.whole_s;
+  }
+  void remove(const Sightings& other) {
+    seen_s -= other.seen_s;
+    whole_s -= other.whole_s;
+  }
+};
+
+/// From where a landmark was seen: directions in bins of about 25 deg, with the smallest box that showed it there. What
+/// was never detected from behind or from afar has not gone when it is not detected there again.
+class SeenFrom {
+ public:
+  void add(const Vec3& direction_map, double box_size_px) {
+    float& smallest = smallest_px_[bin(direction_map)];
+    const auto size = static_cast<float>(box_size_px);
+    smallest = smallest == 0.0F ? size : std::min(smallest, size);
+  }
+  bool covers(const Vec3& direction_map, double box_size_px) const {
+    const float smallest = smallest_px_[bin(direction_map)];
+    return smallest > 0.0F && box_size_px >= static_cast<double>(smallest);
+  }
+
+ private:
+  static constexpr int kSteps = 4;  // along each side of a cube's face
+
+  static std::size_t bin(const Vec3& direction) {
+    Eigen::Index axis = 0;
+    const double largest = direction.cwiseAbs().maxCoeff(&axis);
+    const auto step = [&](Eigen::Index i) {
+      return std::clamp(static_cast<int>(0.5 * kSteps * (1.0 + direction(i) / largest)), 0, kSteps - 1);
+    };
+    const int face = static_cast<int>(axis) + (direction(axis) < 0.0 ? 3 : 0);
+    return static_cast<std::size_t>((face * kSteps + step((axis + 1) % 3)) * kSteps + step((axis + 2) % 3));
+  }
+
+  std::array<float, 6 * kSteps * kSteps> smallest_px_{};
+};
+
+struct MappedLandmark {
+  Landmark state;
+  std::vector<Observation> observations;    ///< bounded: thinned evenly when too many
+  std::map<std::int64_t, int> seen_beside;  ///< frames in which another landmark had a separate box
+  Sightings sightings;
+  SeenFrom seen_from;
+  std::int64_t last_stamp_ns = 0;
+  int next_fit_at = 0;
+  bool fit_due = false;  ///< a correction moved its views
+};
+
+/// The corrected keyframes and the camera: what turns observations into views.
+class ViewSource {
+ public:
+  ViewSource(const Camera& camera, const std::map<std::int64_t, SE3>& T_map_keyframe)
+      : camera_(camera), T_map_keyframe_(T_map_keyframe) {}
+
+  const Camera& camera() const { return camera_; }
+  BoxView view(const Observation& observation) const {
+    return {T_map_keyframe_.at(observation.keyframe_id) * observation.T_keyframe_camera, observation.box,
+            observation.truncated};
+  }
+  std::vector<BoxView> views(const std::vector<Observation>& observations) const {
+    std::vector<BoxView> result;
+    result.reserve(observations.size());
+    for (const Observation& observation : observations) result.push_back(view(observation));
+    return result;
+  }
+
+ private:
+  const Camera& camera_;
+  const std::map<std::int64_t, SE3>& T_map_keyframe_;
+};
+
+/// Up to `count` elements, evenly spread, first and last included.
+template <class T>
+std::vector<T> spread(const std::vector<T>& values, std::size_t count) {
+  if (values.size() <= count) return values;
+  std::vector<T> result;
+  result.reserve(count);
+  for (std::size_t i = 0; i < count; ++i) {
+    result.push_back(values[count == 1 ? values.size() / 2 : i * (values.size() - 1) / (count - 1)]);
+  }
+  return result;
+}
+
+}  // namespace semantic_topo_loop::core

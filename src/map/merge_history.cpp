@@ -1,0 +1,100 @@
+#include "merge_history.h"
+
+#include <algorithm>
+#include <iterator>
+
+namespace semantic_topo_loop::core {
+namespace {
+
+Remains remains_of(const std::map<std::int64_t, SE3>& T_map_keyframe, const MappedLandmark& landmark) {
+  Remains remains;
+  remains.landmark.state = landmark.state;
+  remains.landmark.seen_beside = landmark.seen_beside;
+  remains.landmark.sightings = landmark.sightings;
+  remains.landmark.last_stamp_ns = landmark.last_stamp_ns;
+  remains.landmark.next_fit_at = landmark.next_fit_at;
+  const auto anchor = T_map_keyframe.find(landmark.state.anchor_keyframe_id);
+  if (landmark.state.ellipsoid && anchor != T_map_keyframe.end()) {
+    remains.T_anchor_quadric = anchor->second.inverse() * landmark.state.ellipsoid->T_world_quadric;
+  }
+  return remains;
+}
+
+MappedLandmark restore(const std::map<std::int64_t, SE3>& T_map_keyframe, const Remains& remains) {
+  MappedLandmark landmark = remains.landmark;
+  landmark.state.ellipsoid = MergeHistory::place(T_map_keyframe, remains);
+  return landmark;
+}
+
+}  // namespace
+
+std::optional<Ellipsoid> MergeHistory::place(const std::map<std::int64_t, SE3>& T_map_keyframe,
+                                             const Remains& remains) {
+  const Landmark& state = remains.landmark.state;
+  const auto anchor = T_map_keyframe.find(state.anchor_keyframe_id);
+  if (!state.ellipsoid || anchor == T_map_keyframe.end()) return state.ellipsoid;
+  return Ellipsoid{anchor->second * remains.T_anchor_quadric, state.ellipsoid->semi_axes};
+}
+
+std::int64_t MergeHistory::resolve(std::int64_t id) const {
+  for (auto it = survivor_of_.find(id); it != survivor_of_.end(); it = survivor_of_.find(id)) id = it->second;
+  return id;
+}
+
+void MergeHistory::join(const std::map<std::int64_t, SE3>& T_map_keyframe, MappedLandmark merged,
+                        MappedLandmark* survivor) {
+  MergeRecord record;
+  record.merge = {merged.state.id, survivor->state.id};
+  record.merged = remains_of(T_map_keyframe, merged);
+  record.survivor = remains_of(T_map_keyframe, *survivor);
+  for (const Observation& observation : merged.observations) record.sources.push_back(observation.source_id);
+  std::sort(record.sources.begin(), record.sources.end());
+  record.sources.erase(std::unique(record.sources.begin(), record.sources.end()), record.sources.end());
+  records_.push_back(std::move(record));
+  survivor_of_[merged.state.id] = survivor->state.id;
+
+  std::vector<Observation> all;
+  all.reserve(survivor->observations.size() + merged.observations.size());
+  std::merge(survivor->observations.begin(), survivor->observations.end(), merged.observations.begin(),
+             merged.observations.end(), std::back_inserter(all),
+             [](const Observation& a, const Observation& b) { return a.frame_id < b.frame_id; });
+  survivor->observations = std::move(all);
+  survivor->state.observations += merged.state.observations;
+  survivor->sightings.add(merged.sightings);
+  survivor->sightings.expected_s = std::max(survivor->sightings.expected_s, merged.sightings.expected_s);
+  if (merged.last_stamp_ns > survivor->last_stamp_ns) {
+    survivor->sightings.unseen_expected_s = merged.sightings.unseen_expected_s;
+    survivor->last_stamp_ns = merged.last_stamp_ns;
+  }
+  for (const auto& [id, count] : merged.seen_beside) survivor->seen_beside[id] += count;
+}
+
+MappedLandmark MergeHistory::split(const std::map<std::int64_t, SE3>& T_map_keyframe, std::size_t index,
+                                   MappedLandmark* survivor) {
+  const MergeRecord record = std::move(records_[index]);
+  records_.erase(records_.begin() + static_cast<std::ptrdiff_t>(index));
+  survivor_of_.erase(record.merge.merged_id);
+
+  MappedLandmark merged = restore(T_map_keyframe, record.merged);
+  const auto belongs_to_merged = [&record](const Observation& observation) {
+    return std::binary_search(record.sources.begin(), record.sources.end(), observation.source_id);
+  };
+  std::vector<Observation>& all = survivor->observations;
+  std::copy_if(all.begin(), all.end(), std::back_inserter(merged.observations), belongs_to_merged);
+  all.erase(std::remove_if(all.begin(), all.end(), belongs_to_merged), all.end());
+
+  const MappedLandmark& before = record.survivor.landmark;
+  if (survivor->state.observations == before.state.observations + merged.state.observations) {
+    MappedLandmark restored = restore(T_map_keyframe, record.survivor);
+    restored.observations = std::move(survivor->observations);
+    *survivor = std::move(restored);
+    return merged;
+  }
+  survivor->state.observations -= merged.state.observations;
+  survivor->sightings.remove(merged.sightings);
+  for (const auto& [id, count] : merged.seen_beside) survivor->seen_beside[id] -= count;
+  survivor->fit_due = true;
+  return merged;
+}
+
+}  // namespace semantic_topo_loop::core

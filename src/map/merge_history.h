@@ -1,0 +1,44 @@
+#pragma once
+
+#include <optional>
+#include <utility>
+#include <vector>
+
+#include "mapped_landmark.h"
+
+namespace semantic_topo_loop::core {
+
+/// A landmark as it was, without its observations, which stay with the survivor of the merge.
+struct Remains {
+  MappedLandmark landmark;
+  SE3 T_anchor_quadric;  ///< so that it can follow its keyframe meanwhile
+};
+
+struct MergeRecord {
+  LandmarkMerge merge;
+  Remains merged, survivor;
+  std::vector<std::int64_t> sources;  ///< observations of these belong to the merged one
+};
+
+/// The merges that were made, so that they can be taken back.
+class MergeHistory {
+ public:
+  /// Moves everything that `merged` has seen into `survivor`.
+  void join(const std::map<std::int64_t, SE3>& T_map_keyframe, MappedLandmark merged, MappedLandmark* survivor);
+  /// Takes back the last merge into `survivor` made, which must exist: the survivor gives up what it had taken over,
+  /// and if nothing was added since, it is what it was.
+  /// @return the landmark that comes back, its ellipsoid where its keyframe now is
+  MappedLandmark split(const std::map<std::int64_t, SE3>& T_map_keyframe, std::size_t record, MappedLandmark* survivor);
+
+  const std::vector<MergeRecord>& records() const { return records_; }
+  /// Where a landmark's remains stand now; nullopt without an ellipsoid.
+  static std::optional<Ellipsoid> place(const std::map<std::int64_t, SE3>& T_map_keyframe, const Remains& remains);
+  /// The landmark that an id has become.
+  std::int64_t resolve(std::int64_t id) const;
+
+ private:
+  std::vector<MergeRecord> records_;                  ///< in the order they were made
+  std::map<std::int64_t, std::int64_t> survivor_of_;  ///< merged id -> survivor
+};
+
+}  // namespace semantic_topo_loop::core
