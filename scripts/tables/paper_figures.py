@@ -1,5 +1,5 @@
-"""What the paper (SemanticTopoLoop, arXiv 2311.02831) prints, by the keys of our methods. Only figures that were read in
-the paper itself are entered; every other cell is shown as n/a."""
+"""What the paper (SemanticTopoLoop, arXiv 2311.02831) prints, by the keys of our methods. Only known figures
+are entered; every other cell is shown as n/a."""
 
 # Tables I and II: sequence -> method -> (precision, recall, F).
 OBJECTS = {}

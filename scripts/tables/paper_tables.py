@@ -37,7 +37,7 @@ def parse_arguments():
     parser.add_argument("--programs", default=os.path.join(PACKAGE, "build-catkin/devel/lib/semantic_topo_loop"),
                         help="folder of the programs offline and evaluate (default: the built ones)")
     parser.add_argument("--data", default=default_data(),
-                        help="folder with tum/fr2_desk and tum/fr3_office (default: SEMANTIC_TOPO_LOOP_DATA or ../shared)")
+                        help="folder of tum/fr2_desk, tum/fr3_office (default: SEMANTIC_TOPO_LOOP_DATA, ../shared)")
     parser.add_argument("--reference", default="", metavar="FILE", help="reference objects of fr3_office, CSV")
     parser.add_argument("--output", default=os.path.join(PACKAGE, "build-catkin/paper_tables"), metavar="DIR",
                         help="folder for the runs, the pictures and tables.md (default: %(default)s)")

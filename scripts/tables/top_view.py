@@ -77,7 +77,8 @@ class Scene:
         rows = read_table(os.path.join(run.directory, "objects.csv"))
         self.run = run
         self.objects = [Object(row, rotation, translation) for row in rows if row["state"] == "confirmed"]
-        self.references = [Reference(row) for row in read_table(run.sequence.reference)] if run.sequence.reference else []
+        reference = run.sequence.reference
+        self.references = [Reference(row) for row in read_table(reference)] if reference else []
         self.path = positions @ rotation.T + translation
         matches = run.objects.get("matches", [])
         self.false = {m["object"] for m in matches if m["reference"] < 0}
