@@ -185,6 +185,10 @@ TEST_P(MovedCup, IsMappedWhereItIsAtTheEnd) {
   EXPECT_EQ(result_->outcome.confirmed_at(result_->new_place, kCup, *classes_), 1);
 }
 
+TEST_P(MovedCup, IsRetiredWhereItWas) {
+  EXPECT_EQ(result_->outcome.confirmed_at(result_->old_place, kCup, *classes_), 0);
+}
+
 TEST_P(MovedCup, LeavesTheOthersMapped) {
   int mapped = 0;
   for (const SceneObject& object : result_->others) {
