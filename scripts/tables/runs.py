@@ -50,10 +50,11 @@ FULL_LEVELS = LEVELS[-1]
 WITHOUT_MAPPING_RULES = (
     "mapping.merge_iou=1",
     "mapping.merge_iou_confusable=1",
-    "mapping.confirm_views=10",
+    "mapping.confirm_seen_s=0",
     "mapping.confirm_baseline_deg=0",
     "mapping.confirm_mean_iou=0",
     "mapping.confirm_seen_share=0",
+    "mapping.confirm_quality=0",
 )
 
 

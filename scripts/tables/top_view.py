@@ -12,7 +12,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Ellipse, Patch
 
 ASSOCIATION_TOLERANCE_S = 0.02
-MARGIN_M = 0.3
+MARGIN_M = 0.2
 PATH_COLOR = "0.75"
 REFERENCE_SIZE = {"certain": 7.0, "probable": 5.0, "marginal": 3.0}
 
@@ -85,7 +85,9 @@ class Scene:
         self.missed = {m["reference"] for m in matches if m["object"] < 0}
 
     def points(self):
-        return [o.center[:2] for o in self.objects] + [r.center[:2] for r in self.references]
+        """Corners of all outlines, and the references' centres."""
+        corners = [o.center[:2] + side * np.sqrt(np.diag(o.outline)) for o in self.objects for side in (-1.0, 1.0)]
+        return corners + [r.center[:2] for r in self.references]
 
 
 def class_colors(scenes):
