@@ -5,6 +5,7 @@ import os
 import sys
 
 import association_tables
+import robustness_table
 from association_tables import FULL
 from runs import JDA, JOINT, Failure, Programs, cascade, find_sequences
 
@@ -15,17 +16,19 @@ TABLES = {
     "I": association_tables.table_1,
     "II": association_tables.table_2,
     "timing": association_tables.table_timing,
+    "robustness": robustness_table.table_robustness,
 }
 VIEWS = ((FULL, "MLV-ODA, the paper's cascade"), (cascade("2d"), "2D"), (cascade("pro"), "Pro"), (cascade("3d"), "3D"),
          (JDA, "JDA"), (JOINT, "joint assignment (default)"))
 
 
 class Context:
-    """What a table needs: the programs and the sequences."""
+    """What a table needs: the programs, the sequences and a folder for inputs of its own."""
 
     def __init__(self, arguments):
         self.programs = Programs(arguments.programs, PACKAGE, arguments.output)
         self.sequences = find_sequences(arguments.data, arguments.reference)
+        self.inputs = os.path.join(arguments.output, "inputs")  # made here from recorded ones
 
 
 def default_data():
@@ -69,7 +72,7 @@ def main():
     arguments = parse_arguments()
     try:
         context = Context(arguments)
-        os.makedirs(arguments.output, exist_ok=True)
+        os.makedirs(context.inputs, exist_ok=True)
         parts = [TABLES[name](context) for name in arguments.tables]
         if not arguments.no_views:
             parts.append(views(context, arguments.output))

@@ -94,10 +94,11 @@ class Programs:
 
     def __init__(self, programs, package, output):
         self._programs = programs
-        self._config = os.path.join(package, "config")
+        self._cameras = os.path.join(package, "config/camera")
+        self._classes = os.path.join(package, "config/classes_coco.yaml")
         self._output = output
         self._runs = {}
-        for name in ("offline", "evaluate"):
+        for name in ("offline", "evaluate", "perturb"):
             if not os.access(os.path.join(programs, name), os.X_OK):
                 raise Failure(f"'{programs}' has no program {name} (--programs)")
         self._parameters = self._list_parameters()
@@ -108,6 +109,11 @@ class Programs:
             print(f"paper_tables: {sequence.name}, {method.key}", file=sys.stderr)
             self._runs[sequence.name, method.key] = self._run(sequence, method)
         return self._runs[sequence.name, method.key]
+
+    def perturb_detections(self, source, target, *arguments):
+        result = self._call("perturb", "detections", source, target, "--classes", self._classes, *arguments)
+        if result.returncode != 0:
+            raise Failure(result.stderr.strip())
 
     def _call(self, name, *arguments):
         command = [os.path.join(self._programs, name), *arguments]
@@ -134,9 +140,8 @@ class Programs:
         run = Run(sequence, method, os.path.join(self._output, "runs", sequence.name, method.key))
         os.makedirs(run.directory, exist_ok=True)
         result = self._call("offline", "--trajectory", sequence.trajectory, "--detections", sequence.detections,
-                            "--camera", os.path.join(self._config, "camera", sequence.camera), "--classes",
-                            os.path.join(self._config, "classes_coco.yaml"), "--output", run.directory,
-                            *self._settings(method))
+                            "--camera", os.path.join(self._cameras, sequence.camera), "--classes", self._classes,
+                            "--output", run.directory, *self._settings(method))
         if result.returncode != 0:
             errors = [line for line in result.stderr.splitlines() if "error" in line] or ["no message"]
             run.problem = errors[0].replace("offline: error: ", "")
