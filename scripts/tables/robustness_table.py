@@ -9,8 +9,8 @@ from runs import JDA, JOINT
 SEEDS = (1, 2, 3, 4, 5)
 SHARES = ("--drop", "0.3", "--relabel", "0.1", "--jitter", "0.03")
 FRAME_STEP = 5
-METHODS = ((JDA, "JDA"), (PLAIN, "2D + merging + confirmation (plain baseline)"), (FULL, "MLV-ODA, the paper's cascade"),
-           (JOINT, JOINT.title))
+METHODS = ((JDA, "JDA"), (PLAIN, "2D + merging + confirmation (plain baseline)"),
+           (FULL, "MLV-ODA, the paper's cascade"), (JOINT, JOINT.title))
 
 
 def corrupted(context, sequence, seed):
