@@ -21,7 +21,7 @@ constexpr char kUsage[] =
     "                [--drift smooth|jump:METRES:DEGREES] [--set key=value ...] [--camera YAML] [--classes YAML]\n"
     "                [--bag FILE] [--bag-images true|false]\n"
     "Writes a simulated sequence: groundtruth.txt, groundtruth_frames.txt, odometry.txt, detections.json,\n"
-    "reference_objects.csv, camera.yaml.\n"
+    "reference_objects.csv, gone_objects.csv, camera.yaml.\n"
     "  --camera      calibration (default: config/camera/tum_fr2.yaml of the package)\n"
     "  --classes     class table (default: config/classes_coco.yaml of the package)\n"
     "  --bag         also write a bag in the TUM layout; --bag-images false: camera_info only\n"

@@ -51,19 +51,30 @@ void summarise(double rate_hz, Evidence* evidence) {
   r.certainty = certainty_of(r, rate_hz);
 }
 
+/// From when on an object is where it stays; nullopt if it does not.
+std::optional<double> settled_from_s(const SceneObject& object) {
+  if (!object.stays()) return std::nullopt;
+  return object.phases.empty() ? 0.0 : object.phases.back().begin_s;
+}
+
 void collect(const SimulatedSequence& sequence, std::size_t frame, const SceneProjector& projector,
              std::vector<Evidence>* evidence) {
   const SE3& T_world_camera = sequence.truth[frame].T_world_camera;
+  const double time_s = sequence.time_s(frame);
+  const auto is_settled = [&](std::size_t object) {
+    const std::optional<double> from_s = settled_from_s(sequence.scene.objects[object]);
+    return from_s && time_s >= *from_s;
+  };
   const double width = sequence.camera.width, height = sequence.camera.height;
   std::vector<std::optional<Box>> true_boxes;
   for (std::size_t i = 0; i < sequence.scene.objects.size(); ++i) {
     true_boxes.push_back(projector.raw_box(sequence.scene.objects[i].ellipsoid, T_world_camera));
     const std::optional<Box>& box = true_boxes.back();
-    if (box && truncated_sides(*box, width, height, 0.0) == 0) ++(*evidence)[i].reference.whole_frames;
+    if (box && is_settled(i) && truncated_sides(*box, width, height, 0.0) == 0) ++(*evidence)[i].reference.whole_frames;
   }
   for (const SimulatedDetection& d : sequence.detections[frame]) {
-    if (d.object < 0) continue;
     const auto i = static_cast<std::size_t>(d.object);
+    if (d.object < 0 || !is_settled(i)) continue;
     const SceneObject& object = sequence.scene.objects[i];
     Evidence& e = (*evidence)[i];
     ++e.reference.views;
@@ -75,15 +86,21 @@ void collect(const SimulatedSequence& sequence, std::size_t frame, const ScenePr
   }
 }
 
-std::string format_row(std::size_t id, const ReferenceObject& r, const SceneObject& object, const ClassTable& classes) {
-  std::string row = std::to_string(id) + "," + std::to_string(object.class_id) + "," + classes.name(object.class_id);
-  const Quaternion& q = object.ellipsoid.T_world_quadric.q;
-  const Vec3& center = object.ellipsoid.center();
-  const Vec3& axes = object.ellipsoid.semi_axes;
+/// `id,label_id,label,x,y,z,a,b,c,yaw`.
+std::string format_place(std::size_t id, int class_id, const Ellipsoid& ellipsoid, const ClassTable& classes) {
+  std::string row = std::to_string(id) + "," + std::to_string(class_id) + "," + classes.name(class_id);
+  const Quaternion& q = ellipsoid.T_world_quadric.q;
+  const Vec3& center = ellipsoid.center();
+  const Vec3& axes = ellipsoid.semi_axes;
   const double yaw = 2.0 * std::atan2(q.z(), q.w());
   for (const double value : {center.x(), center.y(), center.z(), axes.x(), axes.y(), axes.z(), yaw}) {
     row += "," + format_fixed(value, 4);
   }
+  return row;
+}
+
+std::string format_row(std::size_t id, const ReferenceObject& r, const SceneObject& object, const ClassTable& classes) {
+  std::string row = format_place(id, object.class_id, object.ellipsoid, classes);
   row += "," + std::to_string(r.views) + "," + std::to_string(r.whole_frames);
   for (const double value : {r.baseline_deg, r.mean_iou, r.median_iou, r.share_iou_above_half}) {
     row += "," + format_fixed(value, 4);
@@ -94,6 +111,19 @@ std::string format_row(std::size_t id, const ReferenceObject& r, const SceneObje
     others += (others.empty() ? "" : ";") + classes.name(class_id) + ":" + std::to_string(count);
   }
   return row + others + "," + to_string(r.certainty) + "\n";
+}
+
+/// Adds the boxes that show an object at a place that it leaves.
+void count_views(const SimulatedSequence& sequence, double from_s, double to_s, GoneObject* gone) {
+  for (std::size_t frame = 0; frame < sequence.detections.size(); ++frame) {
+    const double time_s = sequence.time_s(frame);
+    if (time_s < from_s || time_s >= to_s) continue;
+    for (const SimulatedDetection& d : sequence.detections[frame]) {
+      if (d.object != gone->object) continue;
+      ++gone->views;
+      gone->last_frame = static_cast<int>(frame);
+    }
+  }
 }
 
 }  // namespace
@@ -139,6 +169,39 @@ std::string format_reference_objects(const SimulatedSequence& sequence, const Cl
   for (std::size_t i = 0; i < references.size(); ++i) {
     const auto object = static_cast<std::size_t>(references[i].object);
     text += format_row(i, references[i], sequence.scene.objects[object], classes);
+  }
+  return text;
+}
+
+std::vector<GoneObject> gone_objects(const SimulatedSequence& sequence) {
+  std::vector<GoneObject> places;
+  for (std::size_t i = 0; i < sequence.scene.objects.size(); ++i) {
+    const std::vector<ObjectPhase>& phases = sequence.scene.objects[i].phases;
+    for (std::size_t k = 0; k + 1 < phases.size(); ++k) {
+      if (!phases[k].is_present || !phases[k].velocity.isZero()) continue;
+      GoneObject gone;
+      gone.object = static_cast<int>(i);
+      gone.ellipsoid = sequence.scene.objects[i].ellipsoid;
+      gone.ellipsoid.T_world_quadric = phases[k].T_world_object;
+      count_views(sequence, phases[k].begin_s, phases[k + 1].begin_s, &gone);
+      places.push_back(gone);
+    }
+  }
+  return places;
+}
+
+std::string format_gone_objects(const SimulatedSequence& sequence, const ClassTable& classes) {
+  std::string text = "id,label_id,label,x,y,z,a,b,c,yaw,views,last,reference_id\n";
+  const std::vector<ReferenceObject> references = reference_objects(sequence);
+  const std::vector<GoneObject> places = gone_objects(sequence);
+  for (std::size_t i = 0; i < places.size(); ++i) {
+    const GoneObject& gone = places[i];
+    const auto reference = std::find_if(references.begin(), references.end(),
+                                        [&gone](const ReferenceObject& r) { return r.object == gone.object; });
+    const auto reference_id = reference == references.end() ? -1 : reference - references.begin();
+    const int class_id = sequence.scene.objects[static_cast<std::size_t>(gone.object)].class_id;
+    text += format_place(i, class_id, gone.ellipsoid, classes) + "," + std::to_string(gone.views) + "," +
+            std::to_string(gone.last_frame) + "," + std::to_string(reference_id) + "\n";
   }
   return text;
 }

@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <array>
 
+#include "footprint.h"
 #include "option_check.h"
 #include "semantic_topo_loop/simulation/random.h"
 
@@ -10,7 +11,6 @@ namespace semantic_topo_loop::core {
 namespace {
 
 constexpr double kTableHeightM = 0.74;
-constexpr double kGapM = 0.02;  ///< between footprints
 constexpr int kMaxTries = 300;
 constexpr double kDeskPitchM = 2.2;  ///< office: between the middles of two desks
 
@@ -109,35 +109,6 @@ const std::vector<Item>& office_items() {
   return kItems;
 }
 
-/// Upright box around an object, seen from above.
-struct Footprint {
-  Vec2 center;
-  Vec2 x_axis, y_axis;  ///< unit
-  Vec2 half;
-
-  double reach(const Vec2& direction) const {
-    return half.x() * std::abs(x_axis.dot(direction)) + half.y() * std::abs(y_axis.dot(direction));
-  }
-};
-
-Footprint footprint(const SE3& T_world_box, double half_x, double half_y, double margin) {
-  const Mat3 R = T_world_box.rotation();
-  return {T_world_box.t.head<2>(), R.col(0).head<2>(), R.col(1).head<2>(), {half_x + margin, half_y + margin}};
-}
-
-/// Separating axes of two rectangles.
-bool disjoint(const Footprint& a, const Footprint& b) {
-  const Vec2 offset = b.center - a.center;
-  for (const Vec2& axis : {a.x_axis, a.y_axis, b.x_axis, b.y_axis}) {
-    if (std::abs(offset.dot(axis)) > a.reach(axis) + b.reach(axis)) return true;
-  }
-  return false;
-}
-
-SE3 upright_pose(const Vec3& position, double yaw) {
-  return {Quaternion(Eigen::AngleAxisd(yaw, Vec3::UnitZ())), position};
-}
-
 Vec3 draw_semi_axes(int class_id, Random* random) {
   const Shape& shape = shape_of(class_id);
   Vec3 axes;
@@ -192,7 +163,7 @@ void Builder::add_desks(const SceneOptions& options, Random* random) {
     desk.half_depth_m = office ? 0.40 : 0.65;
     desk.half_width_m = 0.80;
     scene_.desks.push_back(desk);
-    taken_.push_back(footprint(desk.T_world_desk, desk.half_depth_m, desk.half_width_m, 0.5 * kGapM));
+    taken_.push_back(footprint(desk.T_world_desk, desk.half_depth_m, desk.half_width_m));
   }
 }
 
@@ -210,13 +181,9 @@ void Builder::place_on_desk(const Desk& desk, const Item& item, Random* random) 
     const double x = random->uniform(item.x_low, item.x_high) * desk.half_depth_m;
     const double y = random->uniform(item.y_low, item.y_high) * desk.half_width_m;
     const SE3 T_desk_object = upright_pose({x, y, axes.z()}, yaw);
-    const Footprint on_desk = footprint(T_desk_object, axes.x(), axes.y(), 0.5 * kGapM);
-    if (std::abs(x) + on_desk.reach(Vec2::UnitX()) > desk.half_depth_m ||
-        std::abs(y) + on_desk.reach(Vec2::UnitY()) > desk.half_width_m) {
-      continue;
-    }
+    if (!stands_on(desk, T_desk_object, axes)) continue;
     const SE3 T_world_object = desk.T_world_desk * T_desk_object;
-    if (add_if_free(item.class_id, T_world_object, axes, footprint(T_world_object, axes.x(), axes.y(), 0.5 * kGapM))) {
+    if (add_if_free(item.class_id, T_world_object, axes, footprint(T_world_object, axes.x(), axes.y()))) {
       return;
     }
   }
@@ -231,7 +198,7 @@ void Builder::place_on_floor(const Desk& desk, int class_id, bool at_front, Rand
                             axes.head<2>().maxCoeff();
     const Vec3 position(distance * std::cos(angle), distance * std::sin(angle), axes.z() - kTableHeightM);
     const SE3 T_world_object = desk.T_world_desk * upright_pose(position, random->uniform(-kPi, kPi));
-    const Footprint print = footprint(T_world_object, axes.x(), axes.y(), 0.5 * kGapM);
+    const Footprint print = footprint(T_world_object, axes.x(), axes.y());
     const auto desks_end = taken_.begin() + static_cast<std::ptrdiff_t>(scene_.desks.size());
     const bool off_desks =
         std::all_of(taken_.begin(), desks_end, [&print](const Footprint& other) { return disjoint(print, other); });
@@ -253,6 +220,22 @@ bool Builder::add_if_free(int class_id, const SE3& T_world_object, const Vec3& a
 }
 
 }  // namespace
+
+std::optional<Ellipsoid> SceneObject::at(double time_s) const {
+  if (phases.empty()) return ellipsoid;
+  const auto next = std::upper_bound(phases.begin(), phases.end(), time_s,
+                                     [](double time, const ObjectPhase& phase) { return time < phase.begin_s; });
+  const ObjectPhase& phase = next == phases.begin() ? phases.front() : *(next - 1);
+  if (!phase.is_present) return std::nullopt;
+  Ellipsoid result = ellipsoid;
+  result.T_world_quadric = phase.T_world_object;
+  result.T_world_quadric.t += (time_s - phase.begin_s) * phase.velocity;
+  return result;
+}
+
+bool SceneObject::stays() const {
+  return phases.empty() || (phases.back().is_present && phases.back().velocity.isZero());
+}
 
 bool SceneOptions::is_valid(std::string* error) const {
   OptionCheck check(error);

@@ -53,7 +53,8 @@ struct Cells {
 struct SceneProjector::Caster {
   Mat3 to_sphere = Mat3::Identity();
   Vec3 camera = Vec3::Zero();
-  std::optional<Box> pinhole;
+  bool below_table = false;
+  std::optional<Box> pinhole;  ///< none: out of sight
 
   /// Distance along the ray (in lengths of `ray`) to the first hit; none if missed or behind.
   std::optional<double> hit(const Vec3& ray) const {
@@ -69,20 +70,26 @@ struct SceneProjector::Caster {
 SceneProjector::SceneProjector(const Scene& scene, const Camera& camera)
     : scene_(&scene), camera_(camera), undistorted_image_(undistorted_bounds(camera)) {}
 
-std::vector<std::optional<ObjectView>> SceneProjector::project(const SE3& T_world_camera) const {
+std::vector<std::optional<ObjectView>> SceneProjector::project(const SE3& T_world_camera, double time_s) const {
   const Mat34 P = projection_matrix(camera_, T_world_camera);
   std::vector<Caster> casters;
+  std::vector<std::optional<Box>> wholes;
   for (const SceneObject& object : scene_->objects) {
-    const SE3 T_quadric_camera = object.ellipsoid.T_world_quadric.inverse() * T_world_camera;
-    const Vec3 inverse_axes = object.ellipsoid.semi_axes.cwiseInverse();
-    casters.push_back({inverse_axes.asDiagonal() * T_quadric_camera.rotation(),
-                       inverse_axes.cwiseProduct(T_quadric_camera.t), project_box(object.ellipsoid, P)});
+    casters.emplace_back();
+    wholes.emplace_back();
+    const std::optional<Ellipsoid> ellipsoid = object.at(time_s);
+    if (!ellipsoid) continue;
+    const SE3 T_quadric_camera = ellipsoid->T_world_quadric.inverse() * T_world_camera;
+    const Vec3 inverse_axes = ellipsoid->semi_axes.cwiseInverse();
+    casters.back() = {inverse_axes.asDiagonal() * T_quadric_camera.rotation(),
+                      inverse_axes.cwiseProduct(T_quadric_camera.t), is_below_table(*ellipsoid),
+                      project_box(*ellipsoid, P)};
+    wholes.back() = raw_box(*ellipsoid, T_world_camera);
   }
   std::vector<std::optional<ObjectView>> views(casters.size());
   for (std::size_t i = 0; i < casters.size(); ++i) {
-    const std::optional<Box> whole = raw_box(scene_->objects[i].ellipsoid, T_world_camera);
-    if (!whole || !casters[i].pinhole || !clip(*whole, camera_.width, camera_.height).is_valid()) continue;
-    views[i] = view(*whole, i, casters, T_world_camera);
+    if (!wholes[i] || !casters[i].pinhole || !clip(*wholes[i], camera_.width, camera_.height).is_valid()) continue;
+    views[i] = view(*wholes[i], i, casters, T_world_camera);
   }
   return views;
 }
@@ -105,7 +112,7 @@ ObjectView SceneProjector::view(const Box& whole, std::size_t object, const std:
   view.inside = std::min(1.0, view.box.area() / whole.area());
   view.visible = 1.0;
   const std::vector<const Caster*> hiders = possible_hiders(object, casters);
-  const bool below_table = is_below_table(scene_->objects[object]);
+  const bool below_table = casters[object].below_table;
   if (hiders.empty() && !below_table) return view;
 
   // The grid is laid in the undistorted image; its cells stand for the same cells of the raw box.
@@ -144,8 +151,8 @@ bool SceneProjector::is_hidden(const Vec3& ray, double range, const std::vector<
   });
 }
 
-bool SceneProjector::is_below_table(const SceneObject& object) const {
-  return object.ellipsoid.center().z() < scene_->desks.front().T_world_desk.t.z();
+bool SceneProjector::is_below_table(const Ellipsoid& ellipsoid) const {
+  return ellipsoid.center().z() < scene_->desks.front().T_world_desk.t.z();
 }
 
 bool SceneProjector::is_under_table(const Vec3& point_camera, const SE3& T_world_camera) const {

@@ -15,7 +15,7 @@ constexpr double kMocapRateHz = 100.0;
 constexpr double kMocapMarginS = 0.5;  ///< before the first and after the last image
 
 /// Streams of the seed; one a component, so that the options of one leave the others as they are.
-enum Stream : std::uint64_t { kScene = 1, kTrajectory, kDrift, kDetector, kOdometryFrame };
+enum Stream : std::uint64_t { kScene = 1, kTrajectory, kDrift, kDetector, kOdometryFrame, kDynamics };
 
 std::uint64_t seed_of(const SimulationOptions& options, Stream stream) {
   return static_cast<std::uint64_t>(options.seed) * 16 + stream;
@@ -79,13 +79,17 @@ std::vector<DetectionFrame> detection_frames(const SimulatedSequence& sequence) 
 
 }  // namespace
 
+double SimulatedSequence::time_s(std::size_t frame) const {
+  return 1e-9 * static_cast<double>(truth[frame].stamp_ns - truth.front().stamp_ns);
+}
+
 bool SimulationOptions::is_valid(std::string* error) const {
   OptionCheck check(error);
   check.require(seed >= 0, "simulation.seed", seed, ">= 0");
   check.require(odometry_frame == "first_camera" || odometry_frame == "random" || odometry_frame == "world",
                 "simulation.odometry_frame", odometry_frame, "first_camera, random or world");
   return check.ok() && scene.is_valid(error) && trajectory.is_valid(error) && drift.is_valid(error) &&
-         detector.is_valid(error);
+         dynamics.is_valid(error) && detector.is_valid(error);
 }
 
 std::optional<SimulationOptions> make_simulation_options(const std::map<std::string, std::string>& values,
@@ -109,6 +113,7 @@ std::optional<SimulatedSequence> simulate(const SimulationOptions& options, cons
   sequence.scene = make_scene(options.scene, seed_of(options, kScene));
   const HandheldTrajectory trajectory(sequence.scene, options.trajectory, seed_of(options, kTrajectory));
   const double duration_s = options.trajectory.duration_s;
+  add_dynamics(options.dynamics, trajectory, duration_s, seed_of(options, kDynamics), &sequence.scene);
   const double rate_hz = options.trajectory.rate_hz;
   sequence.truth = sample(trajectory, 0.0, rate_hz, static_cast<std::size_t>(std::llround(duration_s * rate_hz)));
   sequence.mocap = sample(trajectory, -kMocapMarginS, kMocapRateHz,
@@ -117,7 +122,9 @@ std::optional<SimulatedSequence> simulate(const SimulationOptions& options, cons
   if (!drifted) return std::nullopt;
   sequence.odometry = std::move(*drifted);
   DetectorModel detector(sequence.scene, camera, classes, options.detector, rate_hz, seed_of(options, kDetector));
-  for (const StampedPose& pose : sequence.truth) sequence.detections.push_back(detector.detect(pose.T_world_camera));
+  for (std::size_t i = 0; i < sequence.truth.size(); ++i) {
+    sequence.detections.push_back(detector.detect(sequence.truth[i].T_world_camera, sequence.time_s(i)));
+  }
   return sequence;
 }
 
@@ -129,6 +136,7 @@ bool write_sequence(const SimulatedSequence& sequence, const ClassTable& classes
          write_tum_trajectory(directory + "/odometry.txt", sequence.odometry, error) &&
          write_detections_json(directory + "/detections.json", detection_frames(sequence), error) &&
          write_text_file(directory + "/reference_objects.csv", format_reference_objects(sequence, classes), error) &&
+         write_text_file(directory + "/gone_objects.csv", format_gone_objects(sequence, classes), error) &&
          write_text_file(directory + "/camera.yaml", format_camera(sequence.camera), error);
 }
 

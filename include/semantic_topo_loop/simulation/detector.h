@@ -57,7 +57,8 @@ class DetectorModel {
   DetectorModel(const Scene& scene, const Camera& camera, const ClassTable& classes, const DetectorOptions& options,
                 double rate_hz, std::uint64_t seed);
 
-  std::vector<SimulatedDetection> detect(const SE3& T_world_camera);
+  /// @param time_s from the first image; where nothing moves, any
+  std::vector<SimulatedDetection> detect(const SE3& T_world_camera, double time_s = 0.0);
 
  private:
   /// Errors of one object that last: standard normal, first-order Markov.

@@ -17,7 +17,7 @@ enum class Certainty {
 
 const char* to_string(Certainty certainty);
 
-/// What a sequence's detections show of an object.
+/// What a sequence's detections show of an object, at the place where it is at the end.
 struct ReferenceObject {
   int object = -1;            ///< index in Scene::objects
   int views = 0;              ///< boxes that belong to it
@@ -31,10 +31,25 @@ struct ReferenceObject {
   Certainty certainty = Certainty::kMarginal;
 };
 
-/// The objects with at least one box, those with most boxes first.
+/// The objects that stay to the end and have at least one box there, those with most boxes first.
 std::vector<ReferenceObject> reference_objects(const SimulatedSequence& sequence);
 
 /// The text of reference_objects.csv, with the columns of the yardsticks of recorded sequences.
 std::string format_reference_objects(const SimulatedSequence& sequence, const ClassTable& classes);
+
+/// A place where an object was at rest and is no more: a map that shows it there is wrong.
+struct GoneObject {
+  int object = -1;  ///< index in Scene::objects
+  Ellipsoid ellipsoid;
+  int views = 0;        ///< boxes that show it there
+  int last_frame = -1;  ///< the last of them
+};
+
+/// In order of objects and of time.
+std::vector<GoneObject> gone_objects(const SimulatedSequence& sequence);
+
+/// The text of gone_objects.csv: `id,label_id,label,x,y,z,a,b,c,yaw,views,last,reference_id`, the last one the object's
+/// row in reference_objects.csv, -1 without one.
+std::string format_gone_objects(const SimulatedSequence& sequence, const ClassTable& classes);
 
 }  // namespace semantic_topo_loop::core

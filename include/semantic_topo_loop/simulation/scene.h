@@ -1,5 +1,6 @@
 #pragma once
 
+#include <optional>
 #include <string>
 #include <vector>
 
@@ -21,10 +22,24 @@ struct SceneOptions {
   bool is_valid(std::string* error) const;
 };
 
-/// A labelled object at rest. Its z axis is vertical.
+/// A stretch of an object's life; it ends when the next one begins.
+struct ObjectPhase {
+  double begin_s = 0.0;          ///< from the first image
+  bool is_present = true;        ///< false: not in the room
+  SE3 T_world_object;            ///< at begin_s
+  Vec3 velocity = Vec3::Zero();  ///< world frame, m/s
+};
+
+/// A labelled object. Its z axis is vertical.
 struct SceneObject {
-  int class_id = -1;  ///< COCO, 0..79
-  Ellipsoid ellipsoid;
+  int class_id = -1;                ///< COCO, 0..79
+  Ellipsoid ellipsoid;              ///< of an object that moves: where it is at last
+  std::vector<ObjectPhase> phases;  ///< in order of time; empty: always at rest
+
+  /// Where it is at a time; nullopt if it is not in the room then.
+  std::optional<Ellipsoid> at(double time_s) const;
+  /// True if it is in the room, at rest, from some time to the end.
+  bool stays() const;
 };
 
 /// A rectangular table top; x is its depth (front at +x), y its width, z up, origin in the middle of the surface.

@@ -22,8 +22,10 @@ class SceneProjector {
   /// @param scene must outlive the projector
   SceneProjector(const Scene& scene, const Camera& camera);
 
-  /// @return one view an object, in order of Scene::objects; none if the object is behind or outside the image
-  std::vector<std::optional<ObjectView>> project(const SE3& T_world_camera) const;
+  /// @param time_s from the first image; where nothing moves, any
+  /// @return one view an object, in order of Scene::objects; none if the object is behind or outside the image, or not
+  ///         in the room
+  std::vector<std::optional<ObjectView>> project(const SE3& T_world_camera, double time_s = 0.0) const;
   /// The raw box around an ellipsoid, not clipped and not occluded.
   std::optional<Box> raw_box(const Ellipsoid& ellipsoid, const SE3& T_world_camera) const;
 
@@ -34,7 +36,7 @@ class SceneProjector {
                   const SE3& T_world_camera) const;
   static std::vector<const Caster*> possible_hiders(std::size_t object, const std::vector<Caster>& casters);
   static bool is_hidden(const Vec3& ray, double range, const std::vector<const Caster*>& hiders);
-  bool is_below_table(const SceneObject& object) const;
+  bool is_below_table(const Ellipsoid& ellipsoid) const;
   bool is_under_table(const Vec3& point_camera, const SE3& T_world_camera) const;
   Vec2 distort(const Vec2& pixel) const;
 

@@ -10,6 +10,7 @@
 #include "semantic_topo_loop/geometry/stamped_pose.h"
 #include "semantic_topo_loop/simulation/detector.h"
 #include "semantic_topo_loop/simulation/drift.h"
+#include "semantic_topo_loop/simulation/dynamics.h"
 #include "semantic_topo_loop/simulation/scene.h"
 #include "semantic_topo_loop/simulation/trajectory.h"
 
@@ -21,6 +22,7 @@ struct SimulationOptions {
   SceneOptions scene;
   TrajectoryOptions trajectory;
   DriftOptions drift;
+  DynamicsOptions dynamics;
   DetectorOptions detector;
 
   template <class Visitor>
@@ -31,6 +33,7 @@ struct SimulationOptions {
     scene.visit(visitor);
     trajectory.visit(visitor);
     drift.visit(visitor);
+    dynamics.visit(visitor);
     detector.visit(visitor);
   }
   bool is_valid(std::string* error) const;
@@ -48,6 +51,9 @@ struct SimulatedSequence {
   StampedPoses truth;     ///< T_world_camera at the images
   StampedPoses odometry;  ///< T_odom_camera at the images, drifted
   std::vector<std::vector<SimulatedDetection>> detections;  ///< one vector an image
+
+  /// From the first image.
+  double time_s(std::size_t frame) const;
 };
 
 /// The same options, camera and classes give the same sequence, bit for bit.
@@ -56,7 +62,7 @@ std::optional<SimulatedSequence> simulate(const SimulationOptions& options, cons
                                           const ClassTable& classes, std::string* error);
 
 /// Writes groundtruth.txt, groundtruth_frames.txt, odometry.txt (TUM format), detections.json (OA-SLAM's format),
-/// reference_objects.csv and camera.yaml, making the directory.
+/// reference_objects.csv, gone_objects.csv and camera.yaml, making the directory.
 bool write_sequence(const SimulatedSequence& sequence, const ClassTable& classes, const std::string& directory,
                     std::string* error);
 

@@ -1,0 +1,125 @@
+"""Tables I and II (objects by association method, and by its levels) and the timing table."""
+
+import csv
+import os
+import statistics
+
+import paper_figures
+from runs import FULL_LEVELS, JDA, JOINT, LEVELS, bare, cascade
+
+FULL = cascade(FULL_LEVELS)
+PLAIN = cascade("2d")
+
+OBJECT_COLUMNS = ("method", "merging, confirmation", "objects", "merges", "precision", "recall", "F", "F, strict",
+                  "F, paper's rule", "paper: P", "R", "F")
+
+OBJECT_NOTES = (
+    "Objects: confirmed landmarks. Merging, confirmation nearly off: every ellipsoid counts and next to nothing is "
+    "merged. Precision and recall against the certain reference objects (same class, centre within max(0.15 m, half "
+    "the largest semi-axis), one to one; probable and marginal references are neither right nor wrong); strict: "
+    "probable ones are required and everything else unmatched is wrong; paper's rule: an object is right if no other "
+    "constructed object is nearby, with the recall of the certain ones. The reference was triangulated from the same "
+    "detections, so the figures tell consistency, not truth.")
+
+
+def markdown(columns, rows):
+    lines = [columns, ["---"] * len(columns), *rows]
+    return "\n".join("| " + " | ".join(map(str, line)) + " |" for line in lines) + "\n"
+
+
+def ratio(figures):
+    return f"{figures['value']:.3f} ({figures['right']}/{figures['total']})"
+
+
+def harmonic_mean(a, b):
+    return 2.0 * a * b / (a + b) if a + b > 0.0 else 0.0
+
+
+def object_row(run, title, rules):
+    paper = paper_figures.objects(run.sequence.name, run.method.key)
+    if run.problem:
+        return [title, rules, "not available", *["-"] * 6, *paper]
+    counts = [run.summary["landmarks"].get("confirmed", 0), run.summary.get("merges", 0)]
+    e = run.objects
+    if not e:
+        return [title, rules, *counts, *["-"] * 5, *paper]
+    paper_rule = harmonic_mean(e["undisputed"]["value"], e["certain"]["recall"]["value"])
+    return [title, rules, *counts, ratio(e["certain"]["precision"]), ratio(e["certain"]["recall"]),
+            f"{e['certain']['f']:.3f}", f"{e['strict']['f']:.3f}", f"{paper_rule:.3f}", *paper]
+
+
+def object_table(context, entries):
+    """@param entries (method, title, whether merging and confirmation are on)"""
+    parts = []
+    for sequence in context.sequences:
+        rows = [object_row(context.programs.run(sequence, method), title, "on" if rules else "nearly off")
+                for method, title, rules in entries]
+        parts.append(f"**{sequence.name}**" + ("" if sequence.reference else " (no reference: counts only)") + "\n\n" +
+                     markdown(OBJECT_COLUMNS, rows))
+    return "\n".join(parts) + "\n" + OBJECT_NOTES + "\n"
+
+
+def table_1(context):
+    entries = [
+        (JDA, "JDA (the paper's baseline)", True),
+        (bare(PLAIN), "2D only", False),
+        (PLAIN, "2D + merging + confirmation (plain baseline)", True),
+        (bare(FULL), "MLV-ODA, the paper's cascade", False),
+        (FULL, "MLV-ODA, the paper's cascade", True),
+        (bare(JOINT), JOINT.title, False),
+        (JOINT, JOINT.title, True),
+    ]
+    return "### Table I: objects by association method\n\n" + object_table(context, entries)
+
+
+def table_2(context):
+    entries = [(method, method.title, rules) for rules in (True, False)
+               for method in (cascade(levels) if rules else bare(cascade(levels)) for levels in LEVELS)]
+    return ("### Table II: ablation of the cascade's levels\n\n" + object_table(context, entries) +
+            "The upper half of each table has the default mapping rules, the lower half next to none (the gates are as "
+            "wide as the parameters allow; merges of landmarks inside each other remain and are counted): what differs "
+            "between rows of one half comes from the levels, what differs between the halves from merging and "
+            "confirmation. Level 3 alone needs map points or depth: from boxes only, no landmark gets a second view.\n")
+
+
+def read_times(run, column):
+    with open(os.path.join(run.directory, "timing.csv"), newline="") as file:
+        return [float(row[column]) for row in csv.DictReader(file)]
+
+
+def percentile(values, share):
+    """The smallest value that at least this share does not exceed."""
+    ordered = sorted(values)
+    return ordered[max(0, -(-len(ordered) * share // 100) - 1)]
+
+
+def timing_row(run, title):
+    paper = paper_figures.association_us(run.method.key)
+    if run.problem:
+        return [run.sequence.name, title, "not available", *["-"] * 5, paper]
+    association, mapping = read_times(run, "association_us"), read_times(run, "mapping_us")
+    return [run.sequence.name, title, len(association), f"{statistics.median(association):.1f}",
+            f"{percentile(association, 99):.1f}", f"{statistics.mean(association):.1f}",
+            f"{statistics.mean(mapping):.1f}", f"{run.times_real_time:.1f} x", paper]
+
+
+def table_timing(context):
+    rows = [timing_row(context.programs.run(sequence, method), title) for sequence in context.sequences
+            for method, title in ((JDA, "JDA"), (FULL, "MLV-ODA, the paper's cascade"), (JOINT, JOINT.title))]
+    columns = ("sequence", "method", "frames", "association median, us", "p99, us", "mean, us", "mapping mean, us",
+               "whole run", "paper: association, us")
+    return (f"### Time a frame\n\nMachine: {machine()}; the paper's: {paper_figures.ASSOCIATION_MACHINE}.\n\n" +
+            markdown(columns, rows) +
+            "\nAssociation includes undistortion, index update and assignment; mapping includes refinement; the whole "
+            "run includes loop detection and pose graph. The paper states one figure, of no named sequence.\n")
+
+
+def machine():
+    name, count = "unknown processor", os.cpu_count()
+    try:
+        with open("/proc/cpuinfo") as file:
+            names = [line.split(":", 1)[1].strip() for line in file if line.startswith("model name")]
+        name = names[0] if names else name
+    except OSError:
+        pass
+    return f"{name}, {count} processors"

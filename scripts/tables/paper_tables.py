@@ -1,0 +1,90 @@
+"""Prints the paper's tables with its figures beside ours; see scripts/paper_tables."""
+
+import argparse
+import os
+import sys
+
+import association_tables
+import robustness_table
+from association_tables import FULL
+from runs import JDA, JOINT, Failure, Programs, cascade, find_sequences
+
+PACKAGE = os.path.dirname(os.path.dirname(os.path.dirname(os.path.abspath(__file__))))
+
+# Name on the command line -> function of the context that gives Markdown.
+TABLES = {
+    "I": association_tables.table_1,
+    "II": association_tables.table_2,
+    "timing": association_tables.table_timing,
+    "robustness": robustness_table.table_robustness,
+}
+VIEWS = ((FULL, "MLV-ODA, the paper's cascade"), (cascade("2d"), "2D"), (cascade("pro"), "Pro"), (cascade("3d"), "3D"),
+         (JDA, "JDA"), (JOINT, "joint assignment (default)"))
+
+
+class Context:
+    """What a table needs: the programs, the sequences and a folder for inputs of its own."""
+
+    def __init__(self, arguments):
+        self.programs = Programs(arguments.programs, PACKAGE, arguments.output)
+        self.sequences = find_sequences(arguments.data, arguments.reference)
+        self.inputs = os.path.join(arguments.output, "inputs")  # made here from recorded ones
+
+
+def default_data():
+    return os.environ.get("SEMANTIC_TOPO_LOOP_DATA") or os.path.join(os.path.dirname(PACKAGE), "shared")
+
+
+def parse_arguments():
+    parser = argparse.ArgumentParser(prog="paper_tables", description=__doc__)
+    parser.add_argument("--programs", default=os.path.join(PACKAGE, "build-catkin/devel/lib/semantic_topo_loop"),
+                        help="folder of the programs offline and evaluate (default: the built ones)")
+    parser.add_argument("--data", default=default_data(),
+                        help="folder of tum/fr2_desk, tum/fr3_office (default: SEMANTIC_TOPO_LOOP_DATA, ../shared)")
+    parser.add_argument("--reference", default="", metavar="FILE", help="reference objects of fr3_office, CSV")
+    parser.add_argument("--output", default=os.path.join(PACKAGE, "build-catkin/paper_tables"), metavar="DIR",
+                        help="folder for the runs, the pictures and tables.md (default: %(default)s)")
+    parser.add_argument("--tables", default=",".join(TABLES), metavar="LIST",
+                        help="comma-separated choice (default: %(default)s)")
+    parser.add_argument("--no-views", action="store_true", help="no top-view pictures")
+    arguments = parser.parse_args()
+    arguments.tables = [name for name in arguments.tables.split(",") if name]
+    unknown = [name for name in arguments.tables if name not in TABLES]
+    if unknown:
+        parser.error(f"unknown table '{unknown[0]}' (known: {', '.join(TABLES)})")
+    if arguments.reference and not os.path.exists(arguments.reference):
+        parser.error(f"--reference '{arguments.reference}' does not exist")
+    return arguments
+
+
+def views(context, output):
+    # Needs matplotlib, which the tables do not.
+    import top_view
+
+    paths = []
+    for sequence in context.sequences:
+        runs = [(context.programs.run(sequence, method), title) for method, title in VIEWS]
+        paths += top_view.save_views(runs, output)
+    return "### Top views\n\n" + "".join(f"![{os.path.basename(p)[:-4]}]({os.path.basename(p)})\n" for p in paths)
+
+
+def main():
+    arguments = parse_arguments()
+    try:
+        context = Context(arguments)
+        os.makedirs(context.inputs, exist_ok=True)
+        parts = [TABLES[name](context) for name in arguments.tables]
+        if not arguments.no_views:
+            parts.append(views(context, arguments.output))
+    except Failure as failure:
+        sys.exit(f"paper_tables: error: {failure}")
+    if context.programs.notes:
+        parts.append("### Notes\n\n" + "".join(f"- {note}\n" for note in context.programs.notes))
+    text = "\n".join(parts)
+    sys.stdout.write(text)
+    with open(os.path.join(arguments.output, "tables.md"), "w") as file:
+        file.write(text)
+
+
+if __name__ == "__main__":
+    main()

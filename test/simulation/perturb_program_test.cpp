@@ -1,0 +1,101 @@
+#include <gtest/gtest.h>
+#include <sys/wait.h>
+
+#include <algorithm>
+
+#include "../test_files.h"
+
+namespace semantic_topo_loop::core {
+namespace {
+
+/// Runs the program `perturb` on files of its own.
+class PerturbProgram : public ::testing::Test {
+ protected:
+  PerturbProgram() {
+    directory_.write("boxes.json", R"([{"file_name": "1.500000.png", "detections": [
+      {"category_id": 41, "detection_score": 0.5, "bbox": [10, 20, 30, 60]},
+      {"category_id": 73, "detection_score": 0.25, "bbox": [100, 20, 130, 60]}]},
+      {"file_name": "1.600000.png", "detections": []}])");
+    directory_.write("yolo/1.500000.txt", "41 10 20 20 40 0.5\n73 100 20 30 40 0.25\n");
+    directory_.write("yolo/1.600000.txt", "");
+  }
+
+  /// @return the exit status; "@" in the arguments stands for the test's directory
+  int run(std::string arguments) {
+    for (std::size_t at = arguments.find('@'); at != std::string::npos; at = arguments.find('@', at)) {
+      arguments.replace(at, 1, directory_.path(""));
+    }
+    const std::string command = std::string(STL_PERTURB_PROGRAM) + " " + arguments + " >" + directory_.path("out") +
+                                " 2>" + directory_.path("err");
+    const int status = std::system(command.c_str());
+    out_ = read_whole(directory_.path("out"));
+    err_ = read_whole(directory_.path("err"));
+    return WIFEXITED(status) ? WEXITSTATUS(status) : -1;
+  }
+  int detections(const std::string& arguments) {
+    return run("detections " + arguments + " --classes " STL_CONFIG_DIR "/classes_coco.yaml");
+  }
+  void expect_one_line_error(const std::string& part) const {
+    EXPECT_TRUE(out_.empty()) << out_;
+    EXPECT_NE(err_.find(part), std::string::npos) << err_;
+    EXPECT_EQ(std::count(err_.begin(), err_.end(), '\n'), 1) << err_;
+  }
+
+  TestDirectory directory_;
+  std::string out_, err_;
+};
+
+TEST_F(PerturbProgram, WritesTheKindThatItReads) {
+  ASSERT_EQ(detections("@boxes.json @worse.json --seed 3 --jitter 0.03"), 0) << err_;
+  EXPECT_EQ(out_, "2 images, 2 boxes: 0 dropped, 0 relabelled\n");
+  EXPECT_NE(read_whole(directory_.path("worse.json")).find("\"file_name\": \"1.500000.png\""), std::string::npos);
+  ASSERT_EQ(detections("@yolo @worse --seed 3 --relabel 1"), 0) << err_;
+  EXPECT_EQ(out_, "2 images, 2 boxes: 0 dropped, 2 relabelled\n");
+  EXPECT_EQ(read_whole(directory_.path("worse/1.500000.txt")),
+            "73 10.0000 20.0000 20.0000 40.0000 0.500000\n41 100.0000 20.0000 30.0000 40.0000 0.250000\n");
+  EXPECT_TRUE(std::filesystem::exists(directory_.path("worse/1.600000.txt")));
+}
+
+TEST_F(PerturbProgram, TheBytesArePinned) {
+  // The random numbers are part of the format: published figures must stay reproducible.
+  ASSERT_EQ(detections("@yolo @worse --seed 5 --drop 0.1 --relabel 0.5 --jitter 0.03"), 0) << err_;
+  EXPECT_EQ(read_whole(directory_.path("worse/1.500000.txt")),
+            "73 9.5197 18.7997 21.0453 40.3666 0.500000\n41 99.6488 21.3106 30.1603 39.5632 0.250000\n");
+}
+
+TEST_F(PerturbProgram, BadArgumentsAreOneClearError) {
+  EXPECT_EQ(run(""), 2);
+  expect_one_line_error("the sub-command is missing");
+  EXPECT_EQ(run("loops"), 2);
+  expect_one_line_error("unknown sub-command 'loops'");
+  EXPECT_EQ(detections("@boxes.json"), 2);
+  expect_one_line_error("takes 2 paths, not 1");
+  EXPECT_EQ(detections("@boxes.json @out.json --drop 1.5"), 2);
+  expect_one_line_error("'drop' = '1.5' must be in [0, 1]");
+  EXPECT_EQ(detections("@boxes.json @out.json --jitter much"), 2);
+  expect_one_line_error("--jitter 'much' is no number");
+  EXPECT_EQ(detections("@boxes.json @out.json --seed -1"), 2);
+  expect_one_line_error("--seed '-1' is no integer >= 0");
+  EXPECT_EQ(detections("@boxes.json @out.json --flip 0.1"), 2);
+  expect_one_line_error("unknown argument '--flip'");
+  EXPECT_EQ(run("detections @boxes.json @out.json --drop"), 2);
+  expect_one_line_error("'--drop' is unknown or lacks its value");
+  EXPECT_EQ(detections("@boxes.json @boxes.json"), 2);
+  expect_one_line_error("is the input itself");
+  EXPECT_FALSE(std::filesystem::exists(directory_.path("out.json")));
+}
+
+TEST_F(PerturbProgram, BadFilesAreOneClearError) {
+  EXPECT_EQ(detections("@none.json @out.json"), 1);
+  expect_one_line_error("none.json");
+  EXPECT_EQ(detections("@boxes.json @none/out.json"), 1);
+  expect_one_line_error("none/out.json");
+}
+
+TEST_F(PerturbProgram, Help) {
+  EXPECT_EQ(run("--help"), 0);
+  EXPECT_NE(out_.find("perturb detections IN OUT"), std::string::npos);
+}
+
+}  // namespace
+}  // namespace semantic_topo_loop::core
