@@ -19,7 +19,7 @@ LandmarkState life_cycle_state(const MappedLandmark& landmark, const QuadricMapp
   // What is hardly ever seen was never there; what was often seen and is no longer has gone. The second counts the
   // sightings missed since, so that an object that is seldom detected is given more time.
   if ((sightings.expected_s > options.retire_expected_s && seen_share < options.retire_seen_share) ||
-      (is_movable && sightings.unseen_expected_s * sightings.seen_share_before() > options.retire_missed_s)) {
+      (is_movable && sightings.missed_since_s * sightings.familiar_share() > options.retire_missed_s)) {
     return LandmarkState::kRetired;
   }
   const bool confirmed =

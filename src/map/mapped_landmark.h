@@ -25,24 +25,29 @@ struct Observation {
 
 /// How long a landmark was seen and should have been. Time, not counts, so that 6 Hz and 30 Hz behave alike.
 struct Sightings {
-  double seen_s = 0.0;             ///< with a box
-  double whole_s = 0.0;            ///< with a box that the image border does not cut
-  double expected_s = 0.0;         ///< in view, large enough and not hidden
-  double unseen_expected_s = 0.0;  ///< expected from where it had been seen before, without a box, since the last one
+  double seen_s = 0.0;      ///< with a box
+  double whole_s = 0.0;     ///< with a box that the image border does not cut
+  double expected_s = 0.0;  ///< in view, large enough and not hidden
+  /// Expected from where it had been seen before: with a box, without one, and without one since the last box.
+  double familiar_seen_s = 0.0, familiar_missed_s = 0.0, missed_since_s = 0.0;
 
   double seen_share() const { return expected_s > 0.0 ? seen_s / expected_s : 1.0; }
-  /// While it was there: without the time of its absence, which says nothing of how well a detector sees it.
-  double seen_share_before() const {
-    const double before_s = expected_s - unseen_expected_s;
-    return before_s > 0.0 ? std::min(1.0, seen_s / before_s) : 1.0;
+  /// Of the familiar views, those with a box; without the last absence, which says nothing of the time before.
+  double familiar_share() const {
+    const double missed_s = familiar_missed_s - missed_since_s;
+    return familiar_seen_s > 0.0 ? familiar_seen_s / (familiar_seen_s + missed_s) : 0.0;
   }
   void add(const Sightings& other) {
     seen_s += other.seen_s;
     whole_s += other.whole_s;
+    familiar_seen_s += other.familiar_seen_s;
+    familiar_missed_s += other.familiar_missed_s;
   }
   void remove(const Sightings& other) {
     seen_s -= other.seen_s;
     whole_s -= other.whole_s;
+    familiar_seen_s -= other.familiar_seen_s;
+    familiar_missed_s -= other.familiar_missed_s;
   }
 };
 
@@ -54,6 +59,13 @@ class SeenFrom {
     float& smallest = smallest_px_[bin(direction_map)];
     const auto size = static_cast<float>(box_size_px);
     smallest = smallest == 0.0F ? size : std::min(smallest, size);
+  }
+  void add(const SeenFrom& other) {
+    for (std::size_t i = 0; i < smallest_px_.size(); ++i) {
+      const float theirs = other.smallest_px_[i];
+      float& ours = smallest_px_[i];
+      if (theirs > 0.0F) ours = ours == 0.0F ? theirs : std::min(ours, theirs);
+    }
   }
   bool covers(const Vec3& direction_map, double box_size_px) const {
     const float smallest = smallest_px_[bin(direction_map)];

@@ -11,6 +11,7 @@ Remains remains_of(const std::map<std::int64_t, SE3>& T_map_keyframe, const Mapp
   remains.landmark.state = landmark.state;
   remains.landmark.seen_beside = landmark.seen_beside;
   remains.landmark.sightings = landmark.sightings;
+  remains.landmark.seen_from = landmark.seen_from;
   remains.landmark.last_stamp_ns = landmark.last_stamp_ns;
   remains.landmark.next_fit_at = landmark.next_fit_at;
   const auto anchor = T_map_keyframe.find(landmark.state.anchor_keyframe_id);
@@ -63,9 +64,10 @@ void MergeHistory::join(const std::map<std::int64_t, SE3>& T_map_keyframe, Mappe
   survivor->sightings.add(merged.sightings);
   survivor->sightings.expected_s = std::max(survivor->sightings.expected_s, merged.sightings.expected_s);
   if (merged.last_stamp_ns > survivor->last_stamp_ns) {
-    survivor->sightings.unseen_expected_s = merged.sightings.unseen_expected_s;
+    survivor->sightings.missed_since_s = merged.sightings.missed_since_s;
     survivor->last_stamp_ns = merged.last_stamp_ns;
   }
+  survivor->seen_from.add(merged.seen_from);
   for (const auto& [id, count] : merged.seen_beside) survivor->seen_beside[id] += count;
 }
 

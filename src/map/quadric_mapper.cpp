@@ -1,8 +1,8 @@
-#include <cstdio>
-#include <cstdlib>
 #include "semantic_topo_loop/map/quadric_mapper.h"
 
 #include <algorithm>
+#include <cstdio>
+#include <cstdlib>
 #include <map>
 #include <optional>
 #include <set>
@@ -168,7 +168,7 @@ class QuadricMapper::Impl {
       landmark.last_stamp_ns = frame.stamp_ns;
       landmark.sightings.seen_s += step_s_;
       if (association.truncated == 0) landmark.sightings.whole_s += step_s_;
-      landmark.sightings.unseen_expected_s = 0.0;
+      landmark.sightings.missed_since_s = 0.0;
       changed_.insert(id);
     }
     count_side_by_side(associations);
@@ -183,8 +183,10 @@ class QuadricMapper::Impl {
       landmark.sightings.expected_s += step_s_;
       if (landmark.last_stamp_ns == frame.stamp_ns) {
         landmark.seen_from.add(direction, size_px);
+        landmark.sightings.familiar_seen_s += step_s_;
       } else if (landmark.seen_from.covers(direction, size_px)) {
-        landmark.sightings.unseen_expected_s += step_s_;
+        landmark.sightings.familiar_missed_s += step_s_;
+        landmark.sightings.missed_since_s += step_s_;
       }
       touched_.insert(id);
     }
@@ -315,7 +317,10 @@ class QuadricMapper::Impl {
     constexpr int kRounds = 3;  // a merge moves the survivor, which may uncover another duplicate
     for (int round = 0; round < kRounds; ++round) merge_duplicates(update);
     remove_parts(update);
-    for (auto& [id, l] : landmarks_) if (getenv("DBG")) fprintf(stderr, "DBG %ld class %d seen %.2f whole %.2f exp %.2f share %.3f unseen %.2f state %d\n", id, l.state.class_id, l.sightings.seen_s, l.sightings.whole_s, l.sightings.expected_s, l.sightings.seen_share(), l.sightings.unseen_expected_s, (int)l.state.state);
+    for (auto& [id, l] : landmarks_)
+      fprintf(stderr, "DBG %ld class %d seen %.2f whole %.2f exp %.2f share %.3f unseen %.2f state %d\n", id,
+              l.state.class_id, l.sightings.seen_s, l.sightings.whole_s, l.sightings.expected_s,
+              l.sightings.familiar_share(), l.sightings.missed_since_s, (int)l.state.state);
   }
 
   void remove_parts(MapUpdate* update) {

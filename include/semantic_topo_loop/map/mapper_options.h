@@ -26,7 +26,7 @@ struct QuadricMapperOptions {
   double forget_candidate_seen_s = 0.25;
   double retire_seen_share = 0.02;
   double retire_expected_s = 7.0;
-  double retire_missed_s = 5.0;
+  double retire_missed_s = 4.0;
 
   template <class Visitor>
   void visit(Visitor& visitor) {
@@ -53,7 +53,8 @@ struct QuadricMapperOptions {
     visitor("mapping.retire_seen_share", retire_seen_share, "a landmark is retired when seen / expected falls below");
     visitor("mapping.retire_expected_s", retire_expected_s, "and it was expected for this long");
     visitor("mapping.retire_missed_s", retire_missed_s,
-            "a landmark is retired when it was expected in vain since its last box for this time over its seen share");
+            "a movable landmark is retired when so much of its sightings is missed from familiar viewpoints since its "
+            "last box");
   }
   bool is_valid(std::string* error) const;
 };
