@@ -26,17 +26,18 @@ double JointScorer::label_agreement(const Track& track, int class_id) const {
 double JointScorer::score(const AssociationContext& context, const TrackInFrame& candidate,
                           const PreparedDetection& detection) const {
   const Track& track = *candidate.track;
+  const double iou_3d = candidate.projection ? iou(*candidate.projection, detection.visible) : 0.0;
+  const double iou_2d = candidate.is_recent ? iou(track.last_box, detection.box) : 0.0;
+  if (iou_2d == 0.0 && iou_3d == 0.0 && track.points_map.empty()) return 0.0;  // most pairs
   const double label = label_agreement(track, detection.class_id);
   if (label == 0.0) return 0.0;
   const double age_s = 1e-9 * static_cast<double>(context.frame->stamp_ns - track.last_stamp_ns);
-  const bool recent = context.frame->frame_id - track.last_frame_id <= 2 || age_s <= options_.memory_s;
-  const double decay = std::clamp(kMemoryDecay * (age_s - context.interval_s), 0.0, kMemoryDecayMax);
-  const double overlap_2d = recent ? iou(track.last_box, detection.box) * (1.0 - decay) : 0.0;
-  const double overlap_3d = candidate.projection ? iou(*candidate.projection, detection.visible) : 0.0;
+  const double overlap_2d =
+      iou_2d * (1.0 - std::clamp(kMemoryDecay * (age_s - context.interval_s), 0.0, kMemoryDecayMax));
 
   double overlap = overlap_2d, gate = options_.iou_joint_2d_min;
   if (track.has_ellipsoid) {
-    overlap = std::max(overlap_3d, overlap_3d > kMinSupport3d ? kMemoryWeight * overlap_2d : 0.0);
+    overlap = std::max(iou_3d, iou_3d > kMinSupport3d ? kMemoryWeight * overlap_2d : 0.0);
     gate = options_.iou_3d_min;
   } else if (!track.points_map.empty()) {
     const double share = share_of_points_in_box(track.points_map, context.P_image_map, detection.visible);

@@ -176,8 +176,9 @@ class ObjectAssociator::Impl {
     for (const Track* track : tracks) {
       if (track->state == LandmarkState::kRetired) continue;
       const std::optional<Box> projection = visible_projection(*track, context);
-      if (projection || is_recent(*track, frame) || !track->points_map.empty()) {
-        context.tracks.push_back({track, projection});
+      const bool recent_track = is_recent(*track, frame);
+      if (projection || recent_track || !track->points_map.empty()) {
+        context.tracks.push_back({track, projection, recent_track});
       }
     }
     return context;

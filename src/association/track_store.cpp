@@ -45,9 +45,11 @@ struct Frustum {
     for (std::size_t i = 0; i < 4; ++i) inward[i] = corners[i].cross(corners[(i + 1) % 4]).normalized();
   }
 
-  bool may_see_sphere(const Vec3& center, double radius) const {
-    return std::all_of(inward.begin(), inward.end(),
-                       [&](const Vec3& normal) { return normal.dot(center - apex) > -radius; });
+  /// Signed distances from the four sides to a point, inside positive.
+  Vec4 distances(const Vec3& point) const {
+    Vec4 result;
+    for (std::size_t i = 0; i < 4; ++i) result(static_cast<Eigen::Index>(i)) = inward[i].dot(point - apex);
+    return result;
   }
 };
 
@@ -112,14 +114,28 @@ void TrackStore::collect_in_view(const Camera& camera, const SE3& T_map_camera, 
     low[i] = cell_of(frustum.low(static_cast<Eigen::Index>(i)));
     high[i] = cell_of(frustum.high(static_cast<Eigen::Index>(i)));
   }
+  // From cell to cell the distances to the sides change by constants, so that a cell costs a few additions.
   const double cell_radius = 0.5 * std::sqrt(3.0) * kCell_m;
-  for_each_cell(low, high, [&](const Cell& cell) {
-    const Vec3 center = kCell_m * Vec3(cell[0] + 0.5, cell[1] + 0.5, cell[2] + 0.5);
-    if (!frustum.may_see_sphere(center, cell_radius)) return;
-    const auto slots = slots_of_cell_.find(key_of(cell));
-    if (slots == slots_of_cell_.end()) return;
-    for (const std::int32_t slot : slots->second) visit(slot, found);
-  });
+  const Vec3 first = kCell_m * Vec3(low[0] + 0.5, low[1] + 0.5, low[2] + 0.5);
+  const Vec4 start = frustum.distances(first).array() + cell_radius;
+  std::array<Vec4, 3> step;
+  for (std::size_t i = 0; i < 3; ++i) {
+    const Vec3 next = first + kCell_m * Vec3::Unit(static_cast<Eigen::Index>(i));
+    step[i] = frustum.distances(next) - frustum.distances(first);
+  }
+  Vec4 of_x = start;
+  for (std::int32_t x = low[0]; x <= high[0]; ++x, of_x += step[0]) {
+    Vec4 of_y = of_x;
+    for (std::int32_t y = low[1]; y <= high[1]; ++y, of_y += step[1]) {
+      Vec4 of_z = of_y;
+      for (std::int32_t z = low[2]; z <= high[2]; ++z, of_z += step[2]) {
+        if (of_z.minCoeff() < 0.0) continue;
+        const auto slots = slots_of_cell_.find(key_of({x, y, z}));
+        if (slots == slots_of_cell_.end()) continue;
+        for (const std::int32_t slot : slots->second) visit(slot, found);
+      }
+    }
+  }
 }
 
 void TrackStore::visit(std::int32_t slot, std::vector<const Track*>* found) {

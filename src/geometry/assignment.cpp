@@ -1,5 +1,6 @@
 #include "semantic_topo_loop/geometry/assignment.h"
 
+#include <algorithm>
 #include <cmath>
 #include <limits>
 
@@ -90,21 +91,84 @@ class MinCostAssignment {
   Eigen::VectorXd row_potential_, column_potential_;
 };
 
-}  // namespace
+/// Rows and columns that allowed pairs join, in order of index.
+struct Component {
+  std::vector<int> rows, columns;
+};
 
-std::vector<int> assign_max(const Eigen::MatrixXd& score) {
-  std::vector<int> column_of_row(static_cast<std::size_t>(score.rows()), -1);
-  if (score.size() == 0) return column_of_row;
-  const bool transposed = score.rows() > score.cols();
-  Eigen::MatrixXd cost = transposed ? Eigen::MatrixXd(score.transpose()) : score;
-  cost = cost.unaryExpr([](double s) { return std::isfinite(s) && s > 0.0 ? -s : 0.0; });
+/// Scores are mostly forbidden pairs: what no chain of allowed pairs joins can be assigned on its own.
+std::vector<Component> components(const Eigen::MatrixXd& score) {
+  std::vector<int> component_of_row(static_cast<std::size_t>(score.rows()), -1);
+  std::vector<int> component_of_column(static_cast<std::size_t>(score.cols()), -1);
+  std::vector<std::vector<int>> columns_of_row(static_cast<std::size_t>(score.rows()));
+  std::vector<std::vector<int>> rows_of_column(static_cast<std::size_t>(score.cols()));
+  for (int j = 0; j < score.cols(); ++j) {
+    for (int i = 0; i < score.rows(); ++i) {
+      if (!(std::isfinite(score(i, j)) && score(i, j) > 0.0)) continue;
+      columns_of_row[static_cast<std::size_t>(i)].push_back(j);
+      rows_of_column[static_cast<std::size_t>(j)].push_back(i);
+    }
+  }
+  std::vector<Component> result;
+  for (int start = 0; start < score.rows(); ++start) {
+    if (columns_of_row[static_cast<std::size_t>(start)].empty() ||
+        component_of_row[static_cast<std::size_t>(start)] >= 0) {
+      continue;
+    }
+    const int id = static_cast<int>(result.size());
+    Component component;
+    component.rows.push_back(start);
+    component_of_row[static_cast<std::size_t>(start)] = id;
+    for (std::size_t next = 0; next < component.rows.size(); ++next) {
+      for (const int j : columns_of_row[static_cast<std::size_t>(component.rows[next])]) {
+        if (component_of_column[static_cast<std::size_t>(j)] >= 0) continue;
+        component_of_column[static_cast<std::size_t>(j)] = id;
+        component.columns.push_back(j);
+        for (const int i : rows_of_column[static_cast<std::size_t>(j)]) {
+          if (component_of_row[static_cast<std::size_t>(i)] >= 0) continue;
+          component_of_row[static_cast<std::size_t>(i)] = id;
+          component.rows.push_back(i);
+        }
+      }
+    }
+    std::sort(component.rows.begin(), component.rows.end());
+    std::sort(component.columns.begin(), component.columns.end());
+    result.push_back(std::move(component));
+  }
+  return result;
+}
+
+void assign(const Eigen::MatrixXd& score, const Component& component, std::vector<int>* column_of_row) {
+  const auto n = static_cast<Eigen::Index>(component.rows.size());
+  const auto m = static_cast<Eigen::Index>(component.columns.size());
+  if (n == 1 && m == 1) {
+    (*column_of_row)[static_cast<std::size_t>(component.rows[0])] = component.columns[0];
+    return;
+  }
+  const bool transposed = n > m;
+  Eigen::MatrixXd cost(std::min(n, m), std::max(n, m));
+  for (Eigen::Index i = 0; i < n; ++i) {
+    for (Eigen::Index j = 0; j < m; ++j) {
+      const double s =
+          score(component.rows[static_cast<std::size_t>(i)], component.columns[static_cast<std::size_t>(j)]);
+      (transposed ? cost(j, i) : cost(i, j)) = std::isfinite(s) && s > 0.0 ? -s : 0.0;
+    }
+  }
   const MinCostAssignment solution(cost);
   const std::vector<int>& row_of_column = solution.row_of_column();
   for (int j = 0; j < cost.cols(); ++j) {
     const int i = row_of_column[static_cast<std::size_t>(j)];
     if (i < 0 || !(cost(i, j) < 0.0)) continue;
-    column_of_row[static_cast<std::size_t>(transposed ? j : i)] = transposed ? i : j;
+    const int row = component.rows[static_cast<std::size_t>(transposed ? j : i)];
+    (*column_of_row)[static_cast<std::size_t>(row)] = component.columns[static_cast<std::size_t>(transposed ? i : j)];
   }
+}
+
+}  // namespace
+
+std::vector<int> assign_max(const Eigen::MatrixXd& score) {
+  std::vector<int> column_of_row(static_cast<std::size_t>(score.rows()), -1);
+  for (const Component& component : components(score)) assign(score, component, &column_of_row);
   return column_of_row;
 }
 

@@ -58,7 +58,7 @@ Vec2 Camera::undistort(const Vec2& pixel) const {
     if (std::abs(jacobian.determinant()) < 1e-6) break;  // outside the lens model's range
     const Vec2 step = jacobian.inverse() * (target - distorted);
     p += step;
-    if (step.squaredNorm() < 1e-20) break;
+    if (step.squaredNorm() < 1e-14) break;  // converges quadratically: the next step would be 1e-14
   }
   return {p.x() * fx + cx, p.y() * fy + cy};
 }

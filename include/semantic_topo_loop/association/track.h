@@ -65,6 +65,7 @@ struct PreparedDetection {
 struct TrackInFrame {
   const Track* track = nullptr;
   std::optional<Box> projection;  ///< box of its quadric, clipped to the image; none without quadric or out of view
+  bool is_recent = false;         ///< its last box still tells where it may be
 };
 
 /// What every level looks at.
