@@ -14,8 +14,8 @@ OBJECT_COLUMNS = ("method", "merging, confirmation", "objects", "merges", "preci
                   "F, paper's rule", "paper: P", "R", "F")
 
 OBJECT_NOTES = (
-    "Objects: confirmed landmarks. Merging, confirmation nearly off: every ellipsoid counts and next to nothing is "
-    "merged. Precision and recall against the certain reference objects (same class, centre within max(0.15 m, half "
+    "Objects: confirmed landmarks. Merging, confirmation off: every ellipsoid counts and nothing is merged. "
+    "Precision and recall against the certain reference objects (same class, centre within max(0.15 m, half "
     "the largest semi-axis), one to one; probable and marginal references are neither right nor wrong); strict: "
     "probable ones are required and everything else unmatched is wrong; paper's rule: an object is right if no other "
     "constructed object is nearby, with the recall of the certain ones. The reference was triangulated from the same "
@@ -52,7 +52,7 @@ def object_table(context, entries):
     """@param entries (method, title, whether merging and confirmation are on)"""
     parts = []
     for sequence in context.sequences:
-        rows = [object_row(context.programs.run(sequence, method), title, "on" if rules else "nearly off")
+        rows = [object_row(context.programs.run(sequence, method), title, "on" if rules else "off")
                 for method, title, rules in entries]
         parts.append(f"**{sequence.name}**" + ("" if sequence.reference else " (no reference: counts only)") + "\n\n" +
                      markdown(OBJECT_COLUMNS, rows))
@@ -76,8 +76,7 @@ def table_2(context):
     entries = [(method, method.title, rules) for rules in (True, False)
                for method in (cascade(levels) if rules else bare(cascade(levels)) for levels in LEVELS)]
     return ("### Table II: ablation of the cascade's levels\n\n" + object_table(context, entries) +
-            "The upper half of each table has the default mapping rules, the lower half next to none (the gates are as "
-            "wide as the parameters allow; merges of landmarks inside each other remain and are counted): what differs "
+            "The upper half of each table has the default mapping rules, the lower half neither merges nor confirms: what differs "
             "between rows of one half comes from the levels, what differs between the halves from merging and "
             "confirmation. Level 3 alone needs map points or depth: from boxes only, no landmark gets a second view.\n")
 

@@ -45,11 +45,9 @@ class Run:
 LEVELS = ("2d", "pro", "3d", "2d,pro", "2d,3d", "pro,3d", "2d,pro,3d")
 FULL_LEVELS = LEVELS[-1]
 
-# Gates so wide that next to nothing is merged and every ellipsoid counts. Duplicates that lie inside each other are
-# merged all the same: the column "merges" counts them.
+# Nothing is merged, and every ellipsoid counts.
 WITHOUT_MAPPING_RULES = (
-    "mapping.merge_iou=1",
-    "mapping.merge_iou_confusable=1",
+    "mapping.merge_duplicates=false",
     "mapping.confirm_seen_s=0",
     "mapping.confirm_baseline_deg=0",
     "mapping.confirm_mean_iou=0",

@@ -262,6 +262,7 @@ class QuadricMapper::Impl {
   }
 
   void merge_duplicates(MapUpdate* update) {
+    if (!options_.merge_duplicates) return;
     const std::vector<std::int64_t> ids = by_observations();
     for (std::size_t i = 0; i < ids.size(); ++i) {
       if (landmarks_.count(ids[i]) == 0) continue;
@@ -324,6 +325,7 @@ class QuadricMapper::Impl {
   }
 
   void remove_parts(MapUpdate* update) {
+    if (!options_.merge_duplicates) return;
     const std::vector<std::int64_t> ids = by_observations();
     for (std::size_t i = 0; i < ids.size(); ++i) {
       for (std::size_t j = i + 1; j < ids.size(); ++j) {

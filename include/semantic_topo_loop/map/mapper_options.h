@@ -14,6 +14,7 @@ struct QuadricMapperOptions {
   double size_prior_factor = 6.0;
   double min_fit_iou = 0.3;
   double maintenance_interval_s = 1.0;
+  bool merge_duplicates = true;
   double merge_iou = 0.3;
   double merge_iou_confusable = 0.5;
   double merge_veto_share = 0.25;
@@ -40,6 +41,7 @@ struct QuadricMapperOptions {
             "no ellipsoid larger or smaller than its class's typical diameter by more than this factor");
     visitor("mapping.min_fit_iou", min_fit_iou, "mean overlap below which a fit is refused");
     visitor("mapping.maintenance_interval_s", maintenance_interval_s, "time between searches for duplicates");
+    visitor("mapping.merge_duplicates", merge_duplicates, "whether landmarks that are one object become one");
     visitor("mapping.merge_iou", merge_iou, "overlap of one landmark's boxes with the other's projection, same class");
     visitor("mapping.merge_iou_confusable", merge_iou_confusable, "the same for two classes of one group");
     visitor("mapping.merge_veto_share", merge_veto_share, "no merge if seen side by side in more of the common frames");
