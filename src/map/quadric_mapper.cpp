@@ -318,12 +318,9 @@ class QuadricMapper::Impl {
     constexpr int kRounds = 3;  // a merge moves the survivor, which may uncover another duplicate
     for (int round = 0; round < kRounds; ++round) merge_duplicates(update);
     remove_parts(update);
-    for (auto& [id, l] : landmarks_)
-      fprintf(stderr, "DBG %ld class %d seen %.2f whole %.2f exp %.2f share %.3f unseen %.2f state %d\n", id,
-              l.state.class_id, l.sightings.seen_s, l.sightings.whole_s, l.sightings.expected_s,
-              l.sightings.familiar_share(), l.sightings.missed_since_s, (int)l.state.state);
   }
 
+  /// Parts of an object that the detector boxed alone for a while.
   void remove_parts(MapUpdate* update) {
     if (!options_.merge_duplicates) return;
     const std::vector<std::int64_t> ids = by_observations();
