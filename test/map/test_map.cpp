@@ -179,8 +179,10 @@ class MapperTest : public testing::Test {
     Ellipsoid ellipsoid;
   };
 
-  MapUpdate step(const SE3& pose, const std::vector<Seen>& seen) {
+  MapUpdate step(const SE3& pose, const std::vector<Seen>& seen,
+                 std::shared_ptr<const std::vector<Vec3>> points_camera = nullptr) {
     Frame frame;
+    frame.points_camera = std::move(points_camera);
     frame.frame_id = next_frame_;
     frame.stamp_ns = next_frame_ * 33333333;
     frame.is_keyframe = next_frame_ % 5 == 0;
@@ -324,6 +326,23 @@ TEST_F(MapperTest, WhatIsNotDetectedFromBehindOrWhileHiddenHasNotGone) {
     step(pose, {{-1, 0, person}, {1, 73, book}});
   }
   EXPECT_EQ(find(0)->state, LandmarkState::kConfirmed) << "hidden";
+}
+
+TEST_F(MapperTest, WhatDepthShowsToBeHiddenHasNotGone) {
+  const std::vector<SE3> poses = arc(120, 60.0);
+  Ellipsoid book = kCup;
+  book.T_world_quadric.t += Vec3(0.3, -0.3, 0.0);
+  for (const SE3& pose : poses) step(pose, {{0, 41, kCup}});
+  for (int i = 0; i < 600; ++i) {
+    const SE3& pose = poses[static_cast<std::size_t>(i % 120)];
+    const Vec3 cup_camera = pose.inverse() * kCup.center();
+    auto screen = std::make_shared<std::vector<Vec3>>();  // halfway, over the whole cup
+    for (int k = 0; k < 100; ++k) {
+      screen->push_back(0.5 * cup_camera + Vec3(0.006 * (k % 10 - 5), 0.01 * (k / 10 - 5), 0.0));
+    }
+    step(pose, {{1, 73, book}}, screen);
+  }
+  EXPECT_EQ(find(0)->state, LandmarkState::kConfirmed);
 }
 
 TEST_F(MapperTest, AnEllipsoidOfAnotherSizeThanItsClassIsRefused) {

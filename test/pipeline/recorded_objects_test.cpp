@@ -1,0 +1,129 @@
+#include <gtest/gtest.h>
+
+#include <algorithm>
+#include <cstdlib>
+
+#include "semantic_topo_loop/detection/detection_reader.h"
+#include "semantic_topo_loop/evaluation/object_evaluation.h"
+#include "semantic_topo_loop/evaluation/run_files.h"
+#include "semantic_topo_loop/evaluation/trajectory_evaluation.h"
+#include "semantic_topo_loop/io/camera_yaml.h"
+#include "semantic_topo_loop/io/class_table_yaml.h"
+#include "semantic_topo_loop/io/tum_trajectory.h"
+#include "semantic_topo_loop/pipeline/frame_builder.h"
+#include "semantic_topo_loop/pipeline/object_slam.h"
+#include "semantic_topo_loop/simulation/detection_perturbation.h"
+
+namespace semantic_topo_loop::core {
+namespace {
+
+constexpr std::int64_t kStampTolerance_ns = 1000;
+
+/// The real recording fr2_desk: ORB-SLAM2's trajectory, YOLOv5's boxes, the vetted reference objects.
+class RecordedDesk : public testing::Test {
+ protected:
+  static void SetUpTestSuite() {
+    const char* data = std::getenv("SEMANTIC_TOPO_LOOP_DATA");
+    if (data == nullptr) return;
+    const std::string directory = std::string(data) + "/tum/fr2_desk/";
+    std::string error;
+    const auto table = read_class_table(STL_CONFIG_DIR "/classes_coco.yaml", &error);
+    ASSERT_TRUE(table) << error;
+    classes_ = std::make_shared<const ClassTable>(*table);
+    const auto camera = read_camera(STL_CONFIG_DIR "/camera/tum_fr2.yaml", &error);
+    ASSERT_TRUE(camera) << error;
+    camera_ = *camera;
+    const auto trajectory = read_tum_trajectory(directory + "orbslam2_rgbd_trajectory.txt", &error);
+    const auto truth = read_tum_ground_truth(directory + "groundtruth.txt", &error);
+    ASSERT_TRUE(trajectory && truth) << error;
+    trajectory_ = *trajectory;
+    const auto evaluation = evaluate_trajectory(trajectory_, *truth, {}, &error);
+    ASSERT_TRUE(evaluation) << error;
+    alignment_ = evaluation->alignment;
+    DetectionReport report;
+    const auto detections = read_detections(directory + "detections_yolov5.json", *classes_, &report, &error);
+    ASSERT_TRUE(detections) << error;
+    detections_ = *detections;
+    const auto reference = read_reference_objects(directory + "reference_objects.csv", &error);
+    ASSERT_TRUE(reference) << error;
+    reference_ = *reference;
+  }
+
+  void SetUp() override {
+    if (std::getenv("SEMANTIC_TOPO_LOOP_DATA") == nullptr) GTEST_SKIP() << "SEMANTIC_TOPO_LOOP_DATA is not set";
+  }
+
+  /// Maps every `stride`-th frame and judges the objects. Loops are off: this odometry does not drift.
+  static ObjectEvaluation map_objects(const std::vector<DetectionFrame>& detections, std::size_t stride = 1,
+                                      Options options = {}) {
+    options.loop.enabled = false;
+    ObjectSlam slam(options, classes_);
+    FrameBuilder builder(options.keyframe, camera_);
+    for (std::size_t i = 0; i < trajectory_.size(); i += stride) {
+      PoseSample sample;
+      sample.stamp_ns = trajectory_[i].stamp_ns;
+      sample.T_odom_camera = trajectory_[i].T_world_camera;
+      std::string error;
+      const auto frame = builder.build(sample, &error);
+      EXPECT_TRUE(frame) << error;
+      if (!frame) break;
+      const DetectionFrame* seen = find_stamp(detections, frame->stamp_ns, kStampTolerance_ns);
+      slam.process(*frame, seen != nullptr ? seen->detections : std::vector<Detection>{});
+    }
+    slam.process(builder.end(), {});
+    std::vector<MappedObject> objects;
+    for (const Landmark& landmark : slam.mapper().landmarks()) {
+      if (!landmark.ellipsoid) continue;
+      objects.push_back({landmark.id, landmark.class_id, classes_->name(landmark.class_id),
+                         landmark.ellipsoid->center(), landmark.ellipsoid->semi_axes, to_string(landmark.state),
+                         landmark.observations});
+    }
+    return evaluate_objects(objects, reference_, alignment_);
+  }
+
+  static inline std::shared_ptr<const ClassTable> classes_;
+  static inline Camera camera_;
+  static inline StampedPoses trajectory_;
+  static inline Alignment alignment_;
+  static inline std::vector<DetectionFrame> detections_;
+  static inline std::vector<ReferenceObject> reference_;
+};
+
+TEST_F(RecordedDesk, EveryObjectIsMappedOnceUnderItsName) {
+  const ObjectEvaluation e = map_objects(detections_);
+  EXPECT_GE(e.certain.precision.value(), 0.95);
+  EXPECT_GE(e.certain.recall.value(), 0.95);
+  EXPECT_GE(e.certain.f(), 0.97);
+  EXPECT_LT(e.center_m.median, 0.01);
+}
+
+TEST_F(RecordedDesk, SixFramesASecondSuffice) { EXPECT_GE(map_objects(detections_, 5).certain.f(), 0.92); }
+
+TEST_F(RecordedDesk, MissedMislabelledAndShakenBoxesCostLittle) {
+  PerturbationOptions worse;
+  worse.drop = 0.3;
+  worse.relabel = 0.1;
+  worse.jitter = 0.03;
+  double sum = 0.0;
+  constexpr int kSeeds = 3;
+  for (int seed = 101; seed < 101 + kSeeds; ++seed) {
+    PerturbationCounts counts;
+    sum += map_objects(perturb_detections(detections_, worse, static_cast<std::uint64_t>(seed), &counts)).certain.f();
+  }
+  EXPECT_GE(sum / kSeeds, 0.95);
+}
+
+/// What the mapping rules add to any association, and the joint assignment to bad detections.
+TEST_F(RecordedDesk, MergingAndConfirmationDecidePrecision) {
+  Options options;
+  options.mapping.merge_duplicates = false;
+  options.mapping.confirm_seen_s = 0.0;
+  options.mapping.confirm_baseline_deg = 0.0;
+  options.mapping.confirm_mean_iou = 0.0;
+  options.mapping.confirm_seen_share = 0.0;
+  options.mapping.confirm_quality = 0.0;
+  EXPECT_LT(map_objects(detections_, 1, options).certain.precision.value(), 0.8);
+}
+
+}  // namespace
+}  // namespace semantic_topo_loop::core
