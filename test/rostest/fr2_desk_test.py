@@ -59,7 +59,7 @@ class Fr2DeskTest(unittest.TestCase):
     def test_finds_the_objects(self):
         figures = self.evaluate('objects', self.results, self.recorded('groundtruth_frames.txt'),
                                 self.recorded('reference_objects.csv'))
-        self.assertGreaterEqual(figures['certain']['f'], 0.90)
+        self.assertGreaterEqual(figures['certain']['f'], 0.97)
 
     def test_closes_right_loops(self):
         figures = self.evaluate('loops', self.results, self.recorded('groundtruth_frames.txt'))
