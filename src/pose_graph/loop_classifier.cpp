@@ -30,7 +30,17 @@ class GraduatedNonConvexity {
     }
   }
 
-  LoopClassification run() {
+  LoopClassification run(const std::vector<bool>& guess) {
+    if (!guess.empty()) {
+      for (std::size_t k = 0; k < loops_.size(); ++k) edges_[loops_[k]].weight = guess[k] ? base_weights_[k] : 0.0;
+      if (!solve()) return result_;
+      judge();
+      if (result_.kept == guess) {
+        result_.usable = true;
+        return result_;
+      }
+      for (std::size_t k = 0; k < loops_.size(); ++k) edges_[loops_[k]].weight = base_weights_[k];
+    }
     if (!solve()) return result_;
     double worst = 0.0;
     for (const std::size_t i : loops_) worst = std::max(worst, chi_squared(edges_[i], result_.T_world_vertex));
@@ -41,11 +51,15 @@ class GraduatedNonConvexity {
       if (decided) break;
     }
     result_.usable = true;
-    for (const std::size_t i : loops_) result_.kept.push_back(chi_squared(edges_[i], result_.T_world_vertex) <= chi2_);
+    judge();
     return result_;
   }
 
  private:
+  void judge() {
+    result_.kept.clear();
+    for (const std::size_t i : loops_) result_.kept.push_back(chi_squared(edges_[i], result_.T_world_vertex) <= chi2_);
+  }
   bool solve() {
     ++result_.solves;
     return solve_graph(edges_, options_, &result_.T_world_vertex).usable;
@@ -73,8 +87,8 @@ class GraduatedNonConvexity {
 }  // namespace
 
 LoopClassification classify_loops(const std::vector<GraphEdge>& edges, double chi2, const GraphSolverOptions& options,
-                                  const std::vector<SE3>& T_world_vertex) {
-  return GraduatedNonConvexity(edges, chi2, options, T_world_vertex).run();
+                                  const std::vector<SE3>& T_world_vertex, const std::vector<bool>& guess) {
+  return GraduatedNonConvexity(edges, chi2, options, T_world_vertex).run(guess);
 }
 
 }  // namespace semantic_topo_loop::core
