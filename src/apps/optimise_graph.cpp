@@ -65,7 +65,6 @@ bool run(const Arguments& arguments, std::string* error) {
   std::printf("initial cost  %.9g\nfinal cost    %.9g\ninitial chi2  %.9g\nfinal chi2    %.9g\n", report.initial_cost,
               report.final_cost, report.initial_chi2, report.final_chi2);
   std::printf("iterations    %d\nseconds       %.3f\n", report.iterations, seconds);
-  if (report.took_chordal) std::printf("the chordal guess led to the lower cost\n");
   return write_g2o(arguments.out, *graph, error);
 }
 

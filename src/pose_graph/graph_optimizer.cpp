@@ -49,7 +49,7 @@ class GraphOptimizer {
                                                         : GraphLoss::kNone;
     solver_options_.loss_chi2 = graph.is_planar ? kPlanarChi2 : kSpatialChi2;
     solver_options_.max_iterations = options.max_iterations;
-    solver_options_.function_tolerance = 1e-7;
+    solver_options_.function_tolerance = 1e-6;
   }
 
   bool run(G2oGraph* result, GraphOptimizerReport* report, std::string* error) {
@@ -122,18 +122,18 @@ class GraphOptimizer {
     const std::vector<SE3> asked = guess(*part, options_.initial);
     if (options_.robust == "gnc" && !reject_outliers(asked, part, error)) return false;
     add_costs(*part, asked, &report_.initial_cost, &report_.initial_chi2);
-    std::vector<SE3> best = asked;
+    std::vector<SE3> best = options_.initial == "chordal" ? asked : guess(*part, "chordal");
+    // A guess that is worse than the chordal one to begin with has nothing to offer.
+    const bool tries_asked = options_.initial != "chordal" && chi2(*part, asked) < chi2(*part, best);
     GraphSolution solution = solve_graph(part->graph_edges, solver_options_, &best);
     report_.iterations += solution.iterations;
-    if (options_.initial != "chordal") {
-      std::vector<SE3> poses = guess(*part, "chordal");
+    if (tries_asked) {
+      std::vector<SE3> poses = asked;
       const GraphSolution other = solve_graph(part->graph_edges, solver_options_, &poses);
       report_.iterations += other.iterations;
-      constexpr double kLower = 1.0 - 1e-4;
-      if (other.usable && (!solution.usable || other.final_cost < kLower * solution.final_cost)) {
+      if (other.usable && (!solution.usable || other.final_cost <= solution.final_cost)) {
         best = std::move(poses);
         solution = other;
-        report_.took_chordal = true;
       }
     }
     if (!solution.usable) {
@@ -164,6 +164,12 @@ class GraphOptimizer {
       report_.outliers.push_back(&graph_.edges[part->edges[k]]);
     }
     return true;
+  }
+
+  double chi2(const Part& part, const std::vector<SE3>& poses) const {
+    double cost = 0.0, chi2 = 0.0;
+    add_costs(part, poses, &cost, &chi2);
+    return chi2;
   }
 
   void add_costs(const Part& part, const std::vector<SE3>& poses, double* cost, double* chi2) const {

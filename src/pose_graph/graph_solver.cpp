@@ -84,7 +84,7 @@ ceres::Solver::Options solver_options(const GraphSolverOptions& options) {
   ceres_options.max_num_iterations = options.max_iterations;
   ceres_options.function_tolerance = options.function_tolerance;
   ceres_options.max_solver_time_in_seconds = 1e9;
-  ceres_options.initial_trust_region_radius = 1e8;  // nearly Gauss-Newton: the start is good, or the solver backs off
+  ceres_options.initial_trust_region_radius = 1e13;  // nearly Gauss-Newton: the start is good, or the solver backs off
   ceres_options.logging_type = ceres::SILENT;
   return ceres_options;
 }

@@ -22,11 +22,11 @@ struct GraphOptimizerReport {
   int iterations = 0;
   int components = 0;                    ///< parts that no edge joins; each keeps its fixed, else its first, vertex
   std::vector<const G2oEdge*> outliers;  ///< edges that were rejected (gnc); the figures above are without them
-  bool took_chordal = false;             ///< the guess asked for led to a worse minimum than the chordal one
 };
 
-/// Minimises g2o's chi2 over the vertices (Ceres, Levenberg-Marquardt, one thread). Whatever guess is asked for, the
-/// chordal one is tried as well and the lower minimum taken. The same input gives the same bytes.
+/// Minimises g2o's chi2 over the vertices (Ceres, Levenberg-Marquardt, one thread). The chordal guess is
+/// tried as well as the one asked for, unless that is the worse one to begin with, and the lower minimum taken. The
+/// same input gives the same bytes.
 /// @return false, with the cause in `error`, if a part cannot be solved; the graph is then unchanged
 bool optimize_graph(G2oGraph* graph, const GraphOptimizerOptions& options, GraphOptimizerReport* report,
                     std::string* error);
