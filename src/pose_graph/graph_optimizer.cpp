@@ -50,6 +50,7 @@ class GraphOptimizer {
     solver_options_.loss_chi2 = graph.is_planar ? kPlanarChi2 : kSpatialChi2;
     solver_options_.max_iterations = options.max_iterations;
     solver_options_.function_tolerance = 1e-6;
+    solver_options_.has_fill = true;
   }
 
   bool run(G2oGraph* result, GraphOptimizerReport* report, std::string* error) {

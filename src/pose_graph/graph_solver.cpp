@@ -81,6 +81,10 @@ ceres::Solver::Options solver_options(const GraphSolverOptions& options) {
   ceres::Solver::Options ceres_options;
   ceres_options.linear_solver_type = ceres::SPARSE_NORMAL_CHOLESKY;
   ceres_options.num_threads = 1;
+  // SuiteSparse starts threads of its own, to no use for a chain with some loops.
+  if (!options.has_fill && ceres::IsSparseLinearAlgebraLibraryTypeAvailable(ceres::EIGEN_SPARSE)) {
+    ceres_options.sparse_linear_algebra_library_type = ceres::EIGEN_SPARSE;
+  }
   ceres_options.max_num_iterations = options.max_iterations;
   ceres_options.function_tolerance = options.function_tolerance;
   ceres_options.max_solver_time_in_seconds = 1e9;

@@ -12,6 +12,9 @@ namespace {
 constexpr std::size_t kLoopIndex = 5;
 using LogFactors = std::array<double, kLoopIndex + 1>;
 
+constexpr std::size_t kWalks = 2;
+constexpr double kSteadyShare =
+    0.3;  // of the evidence asked for: every odometry drifts, and the least is next to nothing
 constexpr double kLogSigmaLoop = 0.35;  // a loop's sigmas are trusted to about 40 %
 constexpr double kMaxLogLoop = 1.0;
 
@@ -27,7 +30,7 @@ NoiseEstimate to_estimate(const LogFactors& x, const NoisePrior& prior, const st
 
 double penalty(const LogFactors& x, const NoisePrior& prior) {
   double sum = 0.5 * x[kLoopIndex] * x[kLoopIndex] / (kLogSigmaLoop * kLogSigmaLoop);
-  for (std::size_t i = 0; i < kLoopIndex; ++i) sum += prior.evidence * x[i];
+  for (std::size_t i = 0; i < kLoopIndex; ++i) sum += prior.evidence * x[i] * (i < kWalks ? 1.0 : kSteadyShare);
   return sum;
 }
 

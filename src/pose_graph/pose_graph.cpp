@@ -114,7 +114,7 @@ class PoseGraph::Impl {
     entry.match_keyframe_id = closure.match_keyframe_id;
     entry.loop =
         make_graph_loop(closure, vertex(closure.query_keyframe_id), vertex(closure.match_keyframe_id), &entry.refusal);
-    if (entry.loop && neighbours(*entry.loop) < options_.max_neighbour_loops) {
+    if (entry.loop && !is_repetition(*entry.loop)) {
       entry.index = static_cast<int>(trajectory_.loops.size());
       trajectory_.loops.push_back(*entry.loop);
       knowledge_.kept.push_back(true);
@@ -126,13 +126,14 @@ class PoseGraph::Impl {
     entries_.push_back(std::move(entry));
   }
 
-  /// Loops of the graph between the same two places.
-  int neighbours(const GraphLoop& loop) const {
-    constexpr int kReach = 2;  // keyframes
-    return static_cast<int>(
-        std::count_if(trajectory_.loops.begin(), trajectory_.loops.end(), [&loop](const GraphLoop& other) {
-          return std::abs(other.from - loop.from) <= kReach && std::abs(other.to - loop.to) <= kReach;
-        }));
+  /// Whether the graph has the evidence of a loop often enough. The more loops it holds the sooner it has, so that the
+  /// time of a solve hardly grows.
+  bool is_repetition(const GraphLoop& loop) const {
+    constexpr double kMany = 400.0;
+    double sum = 0.0;
+    for (const GraphLoop& other : trajectory_.loops) sum += shared_evidence(loop, other);
+    const double loops = static_cast<double>(trajectory_.loops.size());
+    return sum >= options_.max_redundancy * std::min(1.0, kMany / std::max(loops, 1.0));
   }
 
   double chi2(const GraphLoop& loop) const {
@@ -192,7 +193,7 @@ class PoseGraph::Impl {
              << disagreement << " sigma^2";
       verdict.reason = reason.str();
     } else if (!is_in_graph) {
-      verdict.reason = "repeats other loops between these places";
+      verdict.reason = "repeats the evidence of other loops";
     }
     return verdict;
   }

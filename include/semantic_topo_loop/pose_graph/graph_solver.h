@@ -30,6 +30,8 @@ struct GraphSolverOptions {
   double loss_chi2 = 16.8;  ///< |U e|^2 at which the loss begins to bend
   int max_iterations = 30;
   double function_tolerance = 1e-6;
+  /// For graphs whose factor fills in (many loops all over a sphere): supernodal factorisation, where there is one.
+  bool has_fill = false;
 };
 
 struct GraphSolution {
