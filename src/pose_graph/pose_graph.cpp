@@ -12,6 +12,7 @@
 
 #include "semantic_topo_loop/geometry/stamped_pose.h"
 #include "semantic_topo_loop/pose_graph/jump_monitor.h"
+#include "semantic_topo_loop/pose_graph/loop_consistency.h"
 #include "semantic_topo_loop/pose_graph/relative_pose.h"
 #include "semantic_topo_loop/pose_graph/trajectory_optimizer.h"
 
@@ -65,6 +66,7 @@ class PoseGraph::Impl {
     entries_ = std::move(rest);
     trajectory_.loops = std::move(loops);
     knowledge_.kept = std::move(kept);
+    consistency_.clear();
     return true;
   }
 
@@ -170,6 +172,7 @@ class PoseGraph::Impl {
     keyframes_since_ = 0;
     has_new_loops_ = is_upset_ = is_urgent_ = is_withdrawn_ = false;
     monitor_.apply(&trajectory_.edges);
+    if (options_.robust == "gnc") trajectory_.votes = consistency_.vote(trajectory_.edges, trajectory_.loops);
     OptimizedTrajectory result = optimize_trajectory(trajectory_, options_, knowledge_, effort);
     if (!result.usable) return false;
     trajectory_.T_map_vertex = std::move(result.T_map_vertex);
@@ -187,7 +190,10 @@ class PoseGraph::Impl {
     const bool is_in_graph = entry.index >= 0;
     verdict.kept =
         is_in_graph ? knowledge_.kept[static_cast<std::size_t>(entry.index)] : disagreement <= options_.robust_chi2;
-    if (!verdict.kept) {
+    const auto index = static_cast<std::size_t>(entry.index);
+    if (is_in_graph && index < trajectory_.votes.size() && !trajectory_.votes[index]) {
+      verdict.reason = "no other loop agrees with it, or more disagree";
+    } else if (!verdict.kept) {
       std::ostringstream reason;
       reason << "disagrees with the odometry and the other loops: squared error " << std::setprecision(3)
              << disagreement << " sigma^2";
@@ -210,6 +216,7 @@ class PoseGraph::Impl {
   std::map<std::int64_t, int> vertex_of_;
   OdometryAccumulator accumulator_;
   JumpMonitor monitor_;
+  LoopConsistency consistency_;
   std::optional<StampedPose> last_frame_;  ///< in the odometry's world
   SE3 T_odom_keyframe_;                    ///< of the last keyframe
   SE3 T_map_odom_;

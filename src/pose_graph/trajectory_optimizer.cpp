@@ -55,6 +55,7 @@ class TrajectoryOptimizer {
     std::vector<bool>& kept = result_.knowledge.kept;
     kept.resize(trajectory_.loops.size(), true);
     if (options_.robust == "none") return true;
+    for (std::size_t k = 0; k < kept.size(); ++k) kept[k] = kept[k] && has_vote(k);
     find_loose_factor();
     const GraphKnowledge& known = result_.knowledge;
     const std::vector<GraphEdge> edges =
@@ -62,21 +63,28 @@ class TrajectoryOptimizer {
     if (options_.robust != "gnc") {
       if (!report(solve_graph(edges, solver_options_, &result_.T_map_vertex))) return false;
       for (std::size_t k = 0; k < kept.size(); ++k) {
-        kept[k] = chi_squared(edges[trajectory_.edges.size() + k], result_.T_map_vertex) <= options_.robust_chi2;
+        kept[k] = has_vote(k) &&
+                  chi_squared(edges[trajectory_.edges.size() + k], result_.T_map_vertex) <= options_.robust_chi2;
       }
       return true;
     }
+    std::vector<bool> guess;
+    for (std::size_t k = 0; k < kept.size() && effort_ != Effort::kFull; ++k) {
+      if (has_vote(k)) guess.push_back(kept[k]);
+    }
     const LoopClassification classes =
-        classify_loops(edges, options_.robust_chi2, solver_options_, result_.T_map_vertex,
-                       effort_ == Effort::kFull ? std::vector<bool>() : kept);
+        classify_loops(edges, options_.robust_chi2, solver_options_, result_.T_map_vertex, guess);
     if (!classes.usable) {
       result_.message = "the loops could not be classified";
       return false;
     }
-    kept = classes.kept;
+    std::size_t voter = 0;
+    for (std::size_t k = 0; k < kept.size(); ++k) kept[k] = has_vote(k) && classes.kept[voter++];
     result_.T_map_vertex = classes.T_world_vertex;
     return true;
   }
+
+  bool has_vote(std::size_t loop) const { return trajectory_.votes.empty() || trajectory_.votes[loop]; }
 
   void find_loose_factor() {
     double& factor = result_.knowledge.loose_factor;
@@ -85,7 +93,11 @@ class TrajectoryOptimizer {
     factor = kLeastFactor;
     if (!options_.estimate_noise) return;
     constexpr std::size_t kMaxLoops = 60;
-    const std::vector<GraphLoop> some = thinned(trajectory_.loops, kMaxLoops);
+    std::vector<GraphLoop> voters;
+    for (std::size_t k = 0; k < trajectory_.loops.size(); ++k) {
+      if (has_vote(k)) voters.push_back(trajectory_.loops[k]);
+    }
+    const std::vector<GraphLoop> some = thinned(voters, kMaxLoops);
     const InnovationModel model(result_.T_map_vertex, trajectory_.edges, some);
     factor =
         std::max(factor, options_.gnc_loosening * robust_noise_factor(model, noise_prior(options_), redundancy(some)));
@@ -126,9 +138,10 @@ class TrajectoryOptimizer {
     }
     for (std::size_t k = 0; k < trajectory_.loops.size(); ++k) {
       const GraphLoop& loop = trajectory_.loops[k];
-      const double weight = only_kept && !result_.knowledge.kept[k] ? 0.0 : 1.0 / redundancy_[k];
+      const bool counts = has_vote(k) && (!only_kept || result_.knowledge.kept[k]);
+      const double weight = counts ? 1.0 / redundancy_[k] : 0.0;
       edges.push_back({loop.from, loop.to, loop.T_from_to, square_root_information(loop.covariance) / noise.loop_factor,
-                       weight, true});
+                       weight, has_vote(k)});
     }
     return edges;
   }

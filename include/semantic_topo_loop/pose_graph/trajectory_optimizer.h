@@ -15,6 +15,7 @@ struct Trajectory {
   std::vector<SE3> T_map_vertex;
   std::vector<OdometryEdge> edges;
   std::vector<GraphLoop> loops;
+  std::vector<bool> votes;  ///< one a loop: whether it counts, see LoopConsistency; empty: all do
 };
 
 /// What an optimisation found out, the warm start of the next one.
