@@ -39,6 +39,10 @@ struct Fit {
   double cost = 0.0;
 };
 
+/// The walks are doubted step by step only: coherent errors of a few loops look like a restless odometry from afar. A
+/// steady drift shows only from afar.
+constexpr double kMaxWalkStep = 0.8;
+
 struct Steps {
   double first, last;
 };
@@ -66,7 +70,7 @@ Fit fit_noise(const InnovationModel& model, const NoisePrior& prior, const Noise
     for (std::size_t i = 0; i < best.size(); ++i) {
       for (const double sign : {1.0, -1.0}) {
         LogFactors x = best;
-        x[i] = std::clamp(x[i] + sign * step, lows[i], highs[i]);
+        x[i] = std::clamp(x[i] + sign * std::min(step, i < kWalks ? kMaxWalkStep : step), lows[i], highs[i]);
         if (x[i] == best[i]) continue;
         const double value = cost(x);
         if (!(value < best_cost)) continue;
