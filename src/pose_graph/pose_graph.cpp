@@ -133,7 +133,12 @@ class PoseGraph::Impl {
   bool is_repetition(const GraphLoop& loop) const {
     constexpr double kMany = 400.0;
     double sum = 0.0;
-    for (const GraphLoop& other : trajectory_.loops) sum += shared_evidence(loop, other);
+    for (const GraphLoop& other : trajectory_.loops) {
+      const double shared = shared_evidence(loop, other);
+      constexpr double kCopy = 0.99;
+      if (shared > kCopy) return true;
+      sum += shared;
+    }
     const double loops = static_cast<double>(trajectory_.loops.size());
     return sum >= options_.max_redundancy * std::min(1.0, kMany / std::max(loops, 1.0));
   }
