@@ -21,21 +21,28 @@ Mat43 quaternion_by_rotation(const Quaternion& q) {
   return jacobian;
 }
 
-/// sqrt(w) U log(T_z^-1 T_from^-1 T_to) over (t_from, q_from, t_to, q_to).
+Vec6 residual(const SE3& T_world_from, const SE3& T_world_to, const SE3& T_from_to, GraphError error) {
+  return error == GraphError::kLog ? relative_pose_residual(T_world_from, T_world_to, T_from_to)
+                                   : quaternion_pose_residual(T_world_from, T_world_to, T_from_to);
+}
+
+/// sqrt(w) U e(T_z^-1 T_from^-1 T_to) over (t_from, q_from, t_to, q_to).
 class RelativePoseCost : public ceres::SizedCostFunction<6, 3, 4, 3, 4> {
  public:
-  explicit RelativePoseCost(const GraphEdge& edge)
-      : T_from_to_(edge.T_from_to), sqrt_info_(std::sqrt(edge.weight) * edge.sqrt_info) {}
+  RelativePoseCost(const GraphEdge& edge, GraphError error)
+      : error_(error), T_from_to_(edge.T_from_to), sqrt_info_(std::sqrt(edge.weight) * edge.sqrt_info) {}
 
   bool Evaluate(double const* const* parameters, double* residuals, double** jacobians) const override {
     const SE3 T_world_from{Quaternion(parameters[1]), Vec3(parameters[0])};
     const SE3 T_world_to{Quaternion(parameters[3]), Vec3(parameters[2])};
     Eigen::Map<Vec6> e(residuals);
     if (jacobians == nullptr) {
-      e = sqrt_info_ * relative_pose_residual(T_world_from, T_world_to, T_from_to_);
+      e = sqrt_info_ * residual(T_world_from, T_world_to, T_from_to_, error_);
       return true;
     }
-    const RelativePoseTerms terms = relative_pose_terms(T_world_from, T_world_to, T_from_to_);
+    const RelativePoseTerms terms = error_ == GraphError::kLog
+                                        ? relative_pose_terms(T_world_from, T_world_to, T_from_to_)
+                                        : quaternion_pose_terms(T_world_from, T_world_to, T_from_to_);
     e = sqrt_info_ * terms.residual;
     write(sqrt_info_ * terms.J_from, T_world_from.q, jacobians[0], jacobians[1]);
     write(sqrt_info_ * terms.J_to, T_world_to.q, jacobians[2], jacobians[3]);
@@ -52,6 +59,7 @@ class RelativePoseCost : public ceres::SizedCostFunction<6, 3, 4, 3, 4> {
     }
   }
 
+  GraphError error_;
   SE3 T_from_to_;
   Mat6 sqrt_info_;
 };
@@ -73,22 +81,29 @@ ceres::Solver::Options solver_options(const GraphSolverOptions& options) {
   ceres::Solver::Options ceres_options;
   ceres_options.linear_solver_type = ceres::SPARSE_NORMAL_CHOLESKY;
   ceres_options.num_threads = 1;
+  // SuiteSparse starts threads of its own, to no use for a chain with some loops.
+  if (!options.has_fill && ceres::IsSparseLinearAlgebraLibraryTypeAvailable(ceres::EIGEN_SPARSE)) {
+    ceres_options.sparse_linear_algebra_library_type = ceres::EIGEN_SPARSE;
+  }
   ceres_options.max_num_iterations = options.max_iterations;
   ceres_options.function_tolerance = options.function_tolerance;
   ceres_options.max_solver_time_in_seconds = 1e9;
-  ceres_options.initial_trust_region_radius = 1e8;  // nearly Gauss-Newton: the start is good, or the solver backs off
+  ceres_options.initial_trust_region_radius = 1e13;  // nearly Gauss-Newton: the start is good, or the solver backs off
   ceres_options.logging_type = ceres::SILENT;
   return ceres_options;
 }
 
-void add_vertices(std::vector<SE3>* vertices, ceres::Problem* problem) {
+void add_vertices(const std::vector<int>& fixed, std::vector<SE3>* vertices, ceres::Problem* problem) {
   for (SE3& T : *vertices) {
     problem->AddParameterBlock(T.t.data(), 3);
     problem->AddParameterBlock(T.q.coeffs().data(), 4);
     set_quaternion_manifold(*problem, T.q.coeffs().data());
   }
-  problem->SetParameterBlockConstant(vertices->front().t.data());
-  problem->SetParameterBlockConstant(vertices->front().q.coeffs().data());
+  for (const int v : fixed) {
+    SE3& T = (*vertices)[static_cast<std::size_t>(v)];
+    problem->SetParameterBlockConstant(T.t.data());
+    problem->SetParameterBlockConstant(T.q.coeffs().data());
+  }
 }
 
 bool all_finite(const std::vector<SE3>& vertices) {
@@ -96,10 +111,14 @@ bool all_finite(const std::vector<SE3>& vertices) {
 }
 
 /// @return the first fault that would make every residual meaningless, or an empty text
-std::string fault(const std::vector<GraphEdge>& edges, const std::vector<SE3>& vertices) {
+std::string fault(const std::vector<GraphEdge>& edges, const std::vector<int>& fixed,
+                  const std::vector<SE3>& vertices) {
   if (vertices.empty()) return "no vertex";
+  if (fixed.empty()) return "no vertex is fixed";
   if (!all_finite(vertices)) return "a vertex is not finite";
   const int n = static_cast<int>(vertices.size());
+  if (std::any_of(fixed.begin(), fixed.end(), [n](int v) { return v < 0 || v >= n; }))
+    return "a fixed vertex is unknown";
   for (const GraphEdge& edge : edges) {
     const bool is_joined = edge.from >= 0 && edge.to >= 0 && edge.from < n && edge.to < n && edge.from != edge.to;
     if (is_joined && edge.T_from_to.is_finite() && edge.sqrt_info.allFinite() && edge.weight >= 0.0) continue;
@@ -114,18 +133,18 @@ std::string fault(const std::vector<GraphEdge>& edges, const std::vector<SE3>& v
 GraphSolution solve_graph(const std::vector<GraphEdge>& edges, const GraphSolverOptions& options,
                           std::vector<SE3>* T_world_vertex) {
   GraphSolution solution;
-  solution.message = fault(edges, *T_world_vertex);
+  solution.message = fault(edges, options.fixed, *T_world_vertex);
   if (!solution.message.empty()) return solution;
   std::vector<SE3> vertices = *T_world_vertex;
   for (SE3& T : vertices) T.q.normalize();
   ceres::Problem problem;
-  add_vertices(&vertices, &problem);
+  add_vertices(options.fixed, &vertices, &problem);
   for (const GraphEdge& edge : edges) {
     if (edge.weight <= 0.0) continue;
     SE3& from = vertices[static_cast<std::size_t>(edge.from)];
     SE3& to = vertices[static_cast<std::size_t>(edge.to)];
-    problem.AddResidualBlock(new RelativePoseCost(edge), edge.robust ? make_loss(options) : nullptr, from.t.data(),
-                             from.q.coeffs().data(), to.t.data(), to.q.coeffs().data());
+    problem.AddResidualBlock(new RelativePoseCost(edge, options.error), edge.robust ? make_loss(options) : nullptr,
+                             from.t.data(), from.q.coeffs().data(), to.t.data(), to.q.coeffs().data());
   }
   ceres::Solver::Summary summary;
   ceres::Solve(solver_options(options), &problem, &summary);
@@ -136,14 +155,16 @@ GraphSolution solve_graph(const std::vector<GraphEdge>& edges, const GraphSolver
   solution.message = summary.message;
   if (!solution.usable) return solution;
   for (SE3& T : vertices) T.q.normalize();
-  vertices.front() = T_world_vertex->front();  // not even its rounding changes
+  for (const int v : options.fixed) {  // not even their rounding changes
+    vertices[static_cast<std::size_t>(v)] = (*T_world_vertex)[static_cast<std::size_t>(v)];
+  }
   *T_world_vertex = std::move(vertices);
   return solution;
 }
 
-double chi_squared(const GraphEdge& edge, const std::vector<SE3>& T_world_vertex) {
-  const Vec6 e = relative_pose_residual(T_world_vertex[static_cast<std::size_t>(edge.from)],
-                                        T_world_vertex[static_cast<std::size_t>(edge.to)], edge.T_from_to);
+double chi_squared(const GraphEdge& edge, const std::vector<SE3>& T_world_vertex, GraphError error) {
+  const Vec6 e = residual(T_world_vertex[static_cast<std::size_t>(edge.from)],
+                          T_world_vertex[static_cast<std::size_t>(edge.to)], edge.T_from_to, error);
   return (edge.sqrt_info * e).squaredNorm();
 }
 

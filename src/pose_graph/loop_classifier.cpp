@@ -8,6 +8,7 @@ namespace {
 
 constexpr double kMuGrowth = 1.6;
 constexpr int kMaxRounds = 40;
+constexpr int kRoundIterations = 3;  // each round starts at the solution of the one before
 
 /// Weight of truncated least squares at control parameter mu: 1 for small errors, 0 for large ones, between them the
 /// minimiser of w r^2 + mu (1 - w) / (mu + w) chi2.
@@ -30,22 +31,49 @@ class GraduatedNonConvexity {
     }
   }
 
-  LoopClassification run() {
+  LoopClassification run(const std::vector<bool>& guess) {
+    if (!guess.empty() && confirm(guess)) {
+      result_.usable = true;
+      return result_;
+    }
+    for (std::size_t k = 0; k < loops_.size(); ++k) edges_[loops_[k]].weight = base_weights_[k];
     if (!solve()) return result_;
     double worst = 0.0;
     for (const std::size_t i : loops_) worst = std::max(worst, chi_squared(edges_[i], result_.T_world_vertex));
     double mu = chi2_ / std::max(2.0 * worst - chi2_, 1e-9);
+    options_.max_iterations = std::min(options_.max_iterations, kRoundIterations);
     for (int round = 0; round < kMaxRounds && worst > chi2_; ++round, mu *= kMuGrowth) {
       const bool decided = reweigh(mu);
       if (!solve()) return result_;
       if (decided) break;
     }
     result_.usable = true;
-    for (const std::size_t i : loops_) result_.kept.push_back(chi_squared(edges_[i], result_.T_world_vertex) <= chi2_);
+    judge();
     return result_;
   }
 
  private:
+  /// Solves with the guessed loops; a few of them may turn out false, or others right.
+  bool confirm(std::vector<bool> guess) {
+    constexpr int kAttempts = 3;
+    const std::size_t tolerated = 2 + loops_.size() / 20;
+    for (int attempt = 0; attempt < kAttempts; ++attempt) {
+      for (std::size_t k = 0; k < loops_.size(); ++k) edges_[loops_[k]].weight = guess[k] ? base_weights_[k] : 0.0;
+      if (!solve()) return false;
+      judge();
+      std::size_t changed = 0;
+      for (std::size_t k = 0; k < guess.size(); ++k) changed += guess[k] != result_.kept[k] ? 1 : 0;
+      if (changed == 0) return true;
+      if (changed > tolerated) return false;
+      guess = result_.kept;
+    }
+    return false;
+  }
+
+  void judge() {
+    result_.kept.clear();
+    for (const std::size_t i : loops_) result_.kept.push_back(chi_squared(edges_[i], result_.T_world_vertex) <= chi2_);
+  }
   bool solve() {
     ++result_.solves;
     return solve_graph(edges_, options_, &result_.T_world_vertex).usable;
@@ -73,8 +101,8 @@ class GraduatedNonConvexity {
 }  // namespace
 
 LoopClassification classify_loops(const std::vector<GraphEdge>& edges, double chi2, const GraphSolverOptions& options,
-                                  const std::vector<SE3>& T_world_vertex) {
-  return GraduatedNonConvexity(edges, chi2, options, T_world_vertex).run();
+                                  const std::vector<SE3>& T_world_vertex, const std::vector<bool>& guess) {
+  return GraduatedNonConvexity(edges, chi2, options, T_world_vertex).run(guess);
 }
 
 }  // namespace semantic_topo_loop::core

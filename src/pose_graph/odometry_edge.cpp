@@ -25,8 +25,11 @@ Mat6 odometry_covariance(const OdometryEdge& edge, const OdometryNoise& noise) {
     return diagonal(kBreakTranslation_m * kBreakTranslation_m, kBreakRotation_rad * kBreakRotation_rad);
   }
   if (edge.covariance) return *edge.covariance;
-  return floor_covariance() + diagonal(noise.translation_m * noise.translation_m * edge.path_m,
-                                       noise.rotation_rad * noise.rotation_rad * edge.rotation_rad);
+  return floor_covariance() +
+         diagonal(noise.translation_m * noise.translation_m * edge.path_m,
+                  noise.rotation_rad * noise.rotation_rad * edge.rotation_rad) +
+         diagonal(edge.suspect_translation_m * edge.suspect_translation_m,
+                  edge.suspect_rotation_rad * edge.suspect_rotation_rad);
 }
 
 void OdometryAccumulator::add(const Frame& frame) {

@@ -1,10 +1,18 @@
 #include "semantic_topo_loop/pose_graph/pose_graph.h"
 
+#include <algorithm>
 #include <chrono>
+#include <cstdlib>
+#include <iomanip>
 #include <map>
+#include <optional>
+#include <sstream>
 #include <string>
 #include <utility>
 
+#include "semantic_topo_loop/geometry/stamped_pose.h"
+#include "semantic_topo_loop/pose_graph/jump_monitor.h"
+#include "semantic_topo_loop/pose_graph/loop_consistency.h"
 #include "semantic_topo_loop/pose_graph/relative_pose.h"
 #include "semantic_topo_loop/pose_graph/trajectory_optimizer.h"
 
@@ -12,7 +20,9 @@ namespace semantic_topo_loop::core {
 
 class PoseGraph::Impl {
  public:
-  explicit Impl(const PoseGraphOptions& options) : options_(options) { noise_.odometry = noise_prior(options).least; }
+  explicit Impl(const PoseGraphOptions& options) : options_(options) {
+    knowledge_.noise.odometry = noise_prior(options_).least;
+  }
 
   MapCorrection process(const Frame& frame, const std::vector<LoopClosure>& loops) {
     MapCorrection correction;
@@ -22,7 +32,7 @@ class PoseGraph::Impl {
     for (const LoopClosure& loop : loops) add_loop(loop);
     if (is_due(frame)) {
       const auto start = std::chrono::steady_clock::now();
-      correction.changed = optimize();
+      correction.changed = optimize(frame.is_end);
       correction.duration_us =
           std::chrono::duration<double, std::micro>(std::chrono::steady_clock::now() - start).count();
     }
@@ -33,6 +43,31 @@ class PoseGraph::Impl {
       correction.loops = verdicts();
     }
     return correction;
+  }
+
+  bool withdraw(std::int64_t query_keyframe_id, std::int64_t match_keyframe_id) {
+    const auto is_meant = [=](const Entry& entry) {
+      return entry.query_keyframe_id == query_keyframe_id && entry.match_keyframe_id == match_keyframe_id;
+    };
+    if (std::none_of(entries_.begin(), entries_.end(), is_meant)) return false;
+    std::vector<Entry> rest;
+    std::vector<GraphLoop> loops;
+    std::vector<bool> kept;
+    for (Entry& entry : entries_) {
+      if (is_meant(entry)) continue;
+      if (entry.index >= 0) {
+        kept.push_back(knowledge_.kept[static_cast<std::size_t>(entry.index)]);
+        entry.index = static_cast<int>(loops.size());
+        loops.push_back(*entry.loop);
+      }
+      rest.push_back(std::move(entry));
+    }
+    is_withdrawn_ = loops.size() < trajectory_.loops.size() || is_withdrawn_;
+    entries_ = std::move(rest);
+    trajectory_.loops = std::move(loops);
+    knowledge_.kept = std::move(kept);
+    consistency_.clear();
+    return true;
   }
 
   const SE3& T_map_odom() const { return T_map_odom_; }
@@ -46,6 +81,7 @@ class PoseGraph::Impl {
  private:
   void add_frame(const Frame& frame) {
     if (!frame.T_odom_camera.is_finite()) return;
+    watch(frame);
     accumulator_.add(frame);
     if (!frame.is_keyframe || vertex_of_.count(frame.keyframe_id) != 0) return;
     if (!keyframes_.empty()) trajectory_.edges.push_back(accumulator_.finish(T_odom_keyframe_, frame.T_odom_camera));
@@ -56,22 +92,61 @@ class PoseGraph::Impl {
     ++keyframes_since_;
   }
 
+  /// A loop that the detector accepted.
+  struct Entry {
+    std::int64_t query_keyframe_id = -1, match_keyframe_id = -1;
+    std::optional<GraphLoop> loop;  ///< none if it was refused
+    std::string refusal;
+    int index = -1;  ///< in the graph; -1 for loops that repeat others
+  };
+
+  void watch(const Frame& frame) {
+    if (last_frame_ && !frame.is_break && frame.stamp_ns > last_frame_->stamp_ns) {
+      const double dt_s = 1e-9 * static_cast<double>(frame.stamp_ns - last_frame_->stamp_ns);
+      monitor_.add(last_frame_->T_world_camera.inverse() * frame.T_odom_camera, dt_s,
+                   keyframes_.empty() ? 0 : keyframes_.size() - 1);
+    }
+    last_frame_ = StampedPose{frame.stamp_ns, frame.T_odom_camera};
+  }
+
   void add_loop(const LoopClosure& closure) {
     if (!closure.accepted) return;
-    std::string why_refused;
-    const auto loop =
-        make_graph_loop(closure, vertex(closure.query_keyframe_id), vertex(closure.match_keyframe_id), &why_refused);
-    if (!loop) {
-      refused_.push_back({closure.query_keyframe_id, closure.match_keyframe_id, false});
-      return;
+    Entry entry;
+    entry.query_keyframe_id = closure.query_keyframe_id;
+    entry.match_keyframe_id = closure.match_keyframe_id;
+    entry.loop =
+        make_graph_loop(closure, vertex(closure.query_keyframe_id), vertex(closure.match_keyframe_id), &entry.refusal);
+    if (entry.loop && !is_repetition(*entry.loop)) {
+      entry.index = static_cast<int>(trajectory_.loops.size());
+      trajectory_.loops.push_back(*entry.loop);
+      knowledge_.kept.push_back(true);
+      const double disagreement = chi2(*entry.loop);
+      has_new_loops_ = true;
+      is_upset_ = is_upset_ || disagreement > options_.robust_chi2;
+      is_urgent_ = is_urgent_ || disagreement > options_.urgent_chi2;
     }
-    trajectory_.loops.push_back(*loop);
-    kept_.push_back(true);
-    has_new_loops_ = true;
-    const Vec6 e =
-        relative_pose_residual(trajectory_.T_map_vertex[static_cast<std::size_t>(loop->from)],
-                               trajectory_.T_map_vertex[static_cast<std::size_t>(loop->to)], loop->T_from_to);
-    is_urgent_ = is_urgent_ || (square_root_information(loop->covariance) * e).squaredNorm() > options_.urgent_chi2;
+    entries_.push_back(std::move(entry));
+  }
+
+  /// Whether the graph has the evidence of a loop often enough. The more loops it holds the sooner it has, so that the
+  /// time of a solve hardly grows.
+  bool is_repetition(const GraphLoop& loop) const {
+    constexpr double kMany = 400.0;
+    double sum = 0.0;
+    for (const GraphLoop& other : trajectory_.loops) {
+      const double shared = shared_evidence(loop, other);
+      constexpr double kCopy = 0.99;
+      if (shared > kCopy) return true;
+      sum += shared;
+    }
+    const double loops = static_cast<double>(trajectory_.loops.size());
+    return sum >= options_.max_redundancy * std::min(1.0, kMany / std::max(loops, 1.0));
+  }
+
+  double chi2(const GraphLoop& loop) const {
+    const Vec6 e = relative_pose_residual(trajectory_.T_map_vertex[static_cast<std::size_t>(loop.from)],
+                                          trajectory_.T_map_vertex[static_cast<std::size_t>(loop.to)], loop.T_from_to);
+    return (square_root_information(loop.covariance) * e).squaredNorm();
   }
 
   int vertex(std::int64_t keyframe_id) const {
@@ -79,31 +154,64 @@ class PoseGraph::Impl {
     return found == vertex_of_.end() ? -1 : found->second;
   }
 
+  /// Loops that the map agrees with can wait longer.
   bool is_due(const Frame& frame) const {
+    if (is_withdrawn_) return true;
     if (trajectory_.loops.empty()) return false;
     if (frame.is_end) return true;
-    return has_new_loops_ && (keyframes_since_ >= options_.interval_keyframes ||
-                              (is_urgent_ && keyframes_since_ >= options_.min_interval_keyframes));
+    constexpr int kPatience = 4;
+    const int interval = is_upset_ ? options_.interval_keyframes : kPatience * options_.interval_keyframes;
+    return has_new_loops_ &&
+           (keyframes_since_ >= interval || (is_urgent_ && keyframes_since_ >= options_.min_interval_keyframes));
   }
 
-  bool optimize() {
+  /// The noise is learnt anew when a tenth more loops have come since the last time.
+  Effort effort(bool is_end) const {
+    if (is_end || is_withdrawn_) return Effort::kFull;
+    constexpr std::size_t kGrowth = 10;
+    return trajectory_.loops.size() > learnt_loops_ + learnt_loops_ / kGrowth ? Effort::kLearn : Effort::kUpdate;
+  }
+
+  bool optimize(bool is_end) {
+    const Effort effort = this->effort(is_end);
     keyframes_since_ = 0;
-    has_new_loops_ = is_urgent_ = false;
-    OptimizedTrajectory result = optimize_trajectory(trajectory_, options_, noise_);
+    has_new_loops_ = is_upset_ = is_urgent_ = is_withdrawn_ = false;
+    monitor_.apply(&trajectory_.edges);
+    if (options_.robust == "gnc") trajectory_.votes = consistency_.vote(trajectory_.edges, trajectory_.loops);
+    OptimizedTrajectory result = optimize_trajectory(trajectory_, options_, knowledge_, effort);
     if (!result.usable) return false;
     trajectory_.T_map_vertex = std::move(result.T_map_vertex);
-    kept_ = std::move(result.kept);
-    noise_ = result.noise;
+    knowledge_ = std::move(result.knowledge);
+    if (effort != Effort::kUpdate) learnt_loops_ = trajectory_.loops.size();
     T_map_odom_ = trajectory_.T_map_vertex.back() * T_odom_keyframe_.inverse();
     return true;
   }
 
-  std::vector<LoopVerdict> verdicts() const {
-    std::vector<LoopVerdict> verdicts = refused_;
-    for (std::size_t k = 0; k < kept_.size(); ++k) {
-      const GraphLoop& loop = trajectory_.loops[k];
-      verdicts.push_back({loop.query_keyframe_id, loop.match_keyframe_id, kept_[k]});
+  LoopVerdict verdict(const Entry& entry) const {
+    LoopVerdict verdict{entry.query_keyframe_id, entry.match_keyframe_id, false, entry.refusal};
+    if (!entry.loop) return verdict;
+    const double factor = knowledge_.noise.loop_factor;
+    const double disagreement = chi2(*entry.loop) / (factor * factor);
+    const bool is_in_graph = entry.index >= 0;
+    verdict.kept =
+        is_in_graph ? knowledge_.kept[static_cast<std::size_t>(entry.index)] : disagreement <= options_.robust_chi2;
+    const auto index = static_cast<std::size_t>(entry.index);
+    if (is_in_graph && index < trajectory_.votes.size() && !trajectory_.votes[index]) {
+      verdict.reason = "no other loop agrees with it, or more disagree";
+    } else if (!verdict.kept) {
+      std::ostringstream reason;
+      reason << "disagrees with the odometry and the other loops: squared error " << std::setprecision(3)
+             << disagreement << " sigma^2";
+      verdict.reason = reason.str();
+    } else if (!is_in_graph) {
+      verdict.reason = "repeats the evidence of other loops";
     }
+    return verdict;
+  }
+
+  std::vector<LoopVerdict> verdicts() const {
+    std::vector<LoopVerdict> verdicts;
+    for (const Entry& entry : entries_) verdicts.push_back(verdict(entry));
     return verdicts;
   }
 
@@ -112,13 +220,16 @@ class PoseGraph::Impl {
   std::vector<KeyframePose> keyframes_;
   std::map<std::int64_t, int> vertex_of_;
   OdometryAccumulator accumulator_;
-  SE3 T_odom_keyframe_;  ///< of the last keyframe
+  JumpMonitor monitor_;
+  LoopConsistency consistency_;
+  std::optional<StampedPose> last_frame_;  ///< in the odometry's world
+  SE3 T_odom_keyframe_;                    ///< of the last keyframe
   SE3 T_map_odom_;
-  NoiseEstimate noise_;
-  std::vector<bool> kept_;
-  std::vector<LoopVerdict> refused_;
+  GraphKnowledge knowledge_;
+  std::vector<Entry> entries_;  ///< in order of acceptance
+  std::size_t learnt_loops_ = 0;
   int keyframes_since_ = 0;
-  bool has_new_loops_ = false, is_urgent_ = false;
+  bool has_new_loops_ = false, is_upset_ = false, is_urgent_ = false, is_withdrawn_ = false;
 };
 
 PoseGraph::PoseGraph(const PoseGraphOptions& options) : impl_(std::make_unique<Impl>(options)) {}
@@ -128,6 +239,9 @@ PoseGraph& PoseGraph::operator=(PoseGraph&&) noexcept = default;
 
 MapCorrection PoseGraph::process(const Frame& frame, const std::vector<LoopClosure>& loops) {
   return impl_->process(frame, loops);
+}
+bool PoseGraph::withdraw(std::int64_t query_keyframe_id, std::int64_t match_keyframe_id) {
+  return impl_->withdraw(query_keyframe_id, match_keyframe_id);
 }
 const SE3& PoseGraph::T_map_odom() const { return impl_->T_map_odom(); }
 std::vector<KeyframePose> PoseGraph::keyframes() const { return impl_->keyframes(); }

@@ -29,6 +29,7 @@ bool PoseGraphOptions::is_valid(std::string* error) const {
          check(rotation_noise_deg > 0.0, "rotation_noise_deg", rotation_noise_deg, "> 0", error) &&
          check(noise_factor_max >= 1.0, "noise_factor_max", noise_factor_max, ">= 1", error) &&
          check(noise_evidence >= 0.0, "noise_evidence", noise_evidence, ">= 0", error) &&
+         check(max_redundancy > 0.0, "max_redundancy", max_redundancy, "> 0", error) &&
          check(max_iterations >= 1, "max_iterations", max_iterations, ">= 1", error);
 }
 

@@ -19,19 +19,51 @@ Vec6 relative_pose_residual(const SE3& T_world_from, const SE3& T_world_to, cons
   return se3_log(T_from_to_measured.inverse() * (T_world_from.inverse() * T_world_to));
 }
 
+namespace {
+
+/// Fills in the derivatives. @param rotation_by_local of the rotation residual by a rotation of `to` in its own frame
+void differentiate(const SE3& T_world_from, const SE3& T_world_to, const SE3& T_from_to_measured,
+                   const Mat3& rotation_by_local, RelativePoseTerms* terms) {
+  const Mat3 R_measured_world = (T_world_from.q * T_from_to_measured.q).conjugate().normalized().toRotationMatrix();
+  const Mat3 by_rotation = rotation_by_local * T_world_to.q.conjugate().normalized().toRotationMatrix();
+  terms->J_from.setZero();
+  terms->J_to.setZero();
+  terms->J_to.topLeftCorner<3, 3>() = R_measured_world;
+  terms->J_to.bottomRightCorner<3, 3>() = by_rotation;
+  terms->J_from.topLeftCorner<3, 3>() = -R_measured_world;
+  terms->J_from.topRightCorner<3, 3>() = R_measured_world * hat(T_world_to.t - T_world_from.t);
+  terms->J_from.bottomRightCorner<3, 3>() = -by_rotation;
+}
+
+/// T_z^-1 T_from^-1 T_to with w >= 0.
+SE3 misfit(const SE3& T_world_from, const SE3& T_world_to, const SE3& T_from_to_measured) {
+  SE3 T = T_from_to_measured.inverse() * (T_world_from.inverse() * T_world_to);
+  if (T.q.w() < 0.0) T.q.coeffs() *= -1.0;
+  return T;
+}
+
+}  // namespace
+
 RelativePoseTerms relative_pose_terms(const SE3& T_world_from, const SE3& T_world_to, const SE3& T_from_to_measured) {
   RelativePoseTerms terms;
   terms.residual = relative_pose_residual(T_world_from, T_world_to, T_from_to_measured);
-  const Mat3 R_measured_world = (T_world_from.q * T_from_to_measured.q).conjugate().normalized().toRotationMatrix();
-  const Mat3 by_rotation =
-      right_jacobian_inverse(terms.residual.tail<3>()) * T_world_to.q.conjugate().normalized().toRotationMatrix();
-  terms.J_from.setZero();
-  terms.J_to.setZero();
-  terms.J_to.topLeftCorner<3, 3>() = R_measured_world;
-  terms.J_to.bottomRightCorner<3, 3>() = by_rotation;
-  terms.J_from.topLeftCorner<3, 3>() = -R_measured_world;
-  terms.J_from.topRightCorner<3, 3>() = R_measured_world * hat(T_world_to.t - T_world_from.t);
-  terms.J_from.bottomRightCorner<3, 3>() = -by_rotation;
+  differentiate(T_world_from, T_world_to, T_from_to_measured, right_jacobian_inverse(terms.residual.tail<3>()), &terms);
+  return terms;
+}
+
+Vec6 quaternion_pose_residual(const SE3& T_world_from, const SE3& T_world_to, const SE3& T_from_to_measured) {
+  const SE3 T = misfit(T_world_from, T_world_to, T_from_to_measured);
+  Vec6 e;
+  e << T.t, T.q.vec();
+  return e;
+}
+
+RelativePoseTerms quaternion_pose_terms(const SE3& T_world_from, const SE3& T_world_to, const SE3& T_from_to_measured) {
+  const SE3 T = misfit(T_world_from, T_world_to, T_from_to_measured);
+  RelativePoseTerms terms;
+  terms.residual << T.t, T.q.vec();
+  differentiate(T_world_from, T_world_to, T_from_to_measured, 0.5 * (T.q.w() * Mat3::Identity() + hat(T.q.vec())),
+                &terms);
   return terms;
 }
 

@@ -176,7 +176,7 @@ TEST(PoseGraph, GoodOdometryIsNotMadeWorse) {
     Random random(100 + seed);
     const Vec6 noise = random_tangent(&random, kSigma_m, kSigma_rad);
     std::vector<LoopClosure> loops;
-    for (int k = 150; k < 180; k += 2) loops.push_back(run.loop(k, k - run.round(), noise, kSigma_m, kSigma_rad, 40));
+    for (int k = 150; k < 180; k += 2) loops.push_back(run.loop(k, k - run.round(), noise, kSigma_m, kSigma_rad, 80));
     before += run.worst_odometry_error_m();
     after += run.worst_error_m(finish(run, loops).graph.keyframes());
   }

@@ -18,11 +18,20 @@ struct GraphEdge {
 
 enum class GraphLoss { kNone, kHuber, kCauchy };
 
+enum class GraphError {
+  kLog,        ///< e = (translation, rotation vector), see relative_pose.h
+  kQuaternion  ///< e = (translation, vector part of the quaternion), as g2o has it
+};
+
 struct GraphSolverOptions {
+  GraphError error = GraphError::kLog;
+  std::vector<int> fixed{0};  ///< vertices that stay where they are, at least one
   GraphLoss loss = GraphLoss::kNone;
   double loss_chi2 = 16.8;  ///< |U e|^2 at which the loss begins to bend
   int max_iterations = 30;
   double function_tolerance = 1e-6;
+  /// For graphs whose factor fills in (many loops all over a sphere): supernodal factorisation, where there is one.
+  bool has_fill = false;
 };
 
 struct GraphSolution {
@@ -32,12 +41,12 @@ struct GraphSolution {
   std::string message;  ///< why it is not usable
 };
 
-/// Minimises 0.5 sum w |U e|^2 over the poses (Ceres, one thread, Levenberg-Marquardt); the first vertex stays.
+/// Minimises 0.5 sum w |U e|^2 over the poses (Ceres, one thread, Levenberg-Marquardt).
 /// @param T_world_vertex start and result; unchanged unless the solution is usable
 GraphSolution solve_graph(const std::vector<GraphEdge>& edges, const GraphSolverOptions& options,
                           std::vector<SE3>* T_world_vertex);
 
 /// |U e|^2 of an edge, without its weight.
-double chi_squared(const GraphEdge& edge, const std::vector<SE3>& T_world_vertex);
+double chi_squared(const GraphEdge& edge, const std::vector<SE3>& T_world_vertex, GraphError error = GraphError::kLog);
 
 }  // namespace semantic_topo_loop::core

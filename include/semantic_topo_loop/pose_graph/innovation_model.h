@@ -1,6 +1,7 @@
 #pragma once
 
 #include <Eigen/Core>
+#include <optional>
 #include <vector>
 
 #include "semantic_topo_loop/pose_graph/graph_loop.h"
@@ -8,10 +9,24 @@
 
 namespace semantic_topo_loop::core {
 
+/// An edge at which the odometry is taken to have jumped: sigmas of what it is off, added to its noise.
+struct OdometryJump {
+  std::size_t edge = 0;
+  double translation_m = 0.0, rotation_rad = 0.0;
+};
+
+/// What the odometry's errors are taken to be.
+struct NoiseEstimate {
+  OdometryNoise odometry;
+  double loop_factor = 1.0;  ///< on the sigmas that the loops state
+  std::vector<OdometryJump> jumps;
+};
+
 /// The linear model of what the loops say about the odometry, y = (how far each loop disagrees with the odometry):
-///   y ~ N(0, f^2 C + s_t^2 G_t + s_r^2 G_r + G_0)
-/// with C the loops' covariance (loops that share evidence are correlated), G_t and G_r the odometry's noise per metre
-/// and per radian along the path between each loop's ends, and G_0 of the edges whose covariance is given.
+///   y ~ N(0, f^2 C + s_t^2 G_t + s_r^2 G_r + b_t^2 B_t + b_r^2 B_r + s^2 S + jumps + G_0)
+/// with C the loops' covariance (loops that share evidence are correlated), G_t and G_r the random walk per metre and
+/// per radian along the path between each loop's ends, B_t and B_r the drift that varies slowly (translation fixed to
+/// the camera or to the world), S the scale error, and G_0 of the edges whose covariance is given.
 class InnovationModel {
  public:
   /// Linearises about the given poses, which need not be those of the odometry.
@@ -20,21 +35,54 @@ class InnovationModel {
 
   /// Minus the log likelihood of the innovations, up to a constant.
   double cost(const OdometryNoise& noise, double loop_factor) const;
+  /// The jumps that `cost` and the functions below reckon with.
+  void set_jumps(const std::vector<OdometryJump>& jumps);
+  /// What each edge's lasting errors most probably are, given the innovations, to be put behind its measurement.
+  std::vector<Vec6> steady_errors(const NoiseEstimate& noise) const;
+  /// The jump that brings most log likelihood, if it is more than `least_gain`.
+  struct Candidate {
+    OdometryJump jump;
+    double gain = 0.0;
+  };
+  std::optional<Candidate> best_jump(const NoiseEstimate& noise, double least_gain) const;
   /// Smallest factor on the noise at which loop k is as likely as a typical one (its chi^2 at the median); 0 if it is
   /// so without any odometry noise, infinity if even `max_factor` does not do.
   double explaining_factor(std::size_t k, const OdometryNoise& noise, double max_factor) const;
   std::size_t size() const { return loop_covariances_.size(); }
 
  private:
-  void accumulate_edges(const std::vector<SE3>& T_world_vertex, const std::vector<OdometryEdge>& edges);
+  using Basis = Eigen::Matrix<double, 6, Eigen::Dynamic>;
+  struct Whitened {
+    Eigen::MatrixXd information;
+    Eigen::VectorXd pull;  ///< information * innovation
+  };
 
+  void accumulate_edges();
+  Basis steady_basis(std::size_t edge) const;
+  Eigen::MatrixXd covariance(const OdometryNoise& noise, double loop_factor) const;
+  Whitened whiten(const NoiseEstimate& noise) const;
+  /// A jump of the size that explains most.
+  Candidate judge_jump(std::size_t edge, const Whitened& whitened) const;
+  /// How a motion error of the edge shows in each innovation.
+  Eigen::MatrixXd effect(std::size_t edge) const;
+  std::size_t stride() const;
+
+  const std::vector<SE3>* vertices_;
+  const std::vector<OdometryEdge>* edges_;
+  const std::vector<GraphLoop>* graph_loops_;
+  std::vector<double> progress_;  ///< path and rotation so far, in metres
+  double metres_per_radian_ = 0.0;
   /// Running sums over the edges of B D B^T, B the transport to the world's origin: differences of two of them give
   /// the noise of any stretch of the path.
-  std::vector<Mat6> sum_given_, sum_translation_, sum_rotation_;
+  std::vector<Mat6> to_origin_, sum_given_, sum_translation_, sum_rotation_;
   std::vector<Vec6> sum_residual_;
+  std::vector<Basis> sum_steady_;
+  std::vector<Mat6> from_origin_;  ///< one a loop
   Eigen::VectorXd innovation_;
   std::vector<Mat6> loop_covariances_;
-  Eigen::MatrixXd given_, translation_, rotation_, loops_;
+  Eigen::MatrixXd given_, translation_, rotation_, loops_, jumps_;
+  Eigen::MatrixXd steady_;  ///< how the steady errors show in the innovations
+  Eigen::MatrixXd steady_translation_, steady_rotation_, scale_;
 };
 
 }  // namespace semantic_topo_loop::core

@@ -1,6 +1,7 @@
 #pragma once
 
 #include <cstdint>
+#include <string>
 #include <vector>
 
 #include "semantic_topo_loop/geometry/se3.h"
@@ -18,6 +19,7 @@ struct KeyframePose {
 struct LoopVerdict {
   std::int64_t query_keyframe_id = -1, match_keyframe_id = -1;
   bool kept = false;
+  std::string reason = {};  ///< why it is not kept, or what it repeats; may be empty
 };
 
 /// What the pose graph says after a frame; `changed` is false, and the lists are empty, when nothing moved.

@@ -13,12 +13,17 @@ struct OdometryEdge {
   double rotation_rad = 0.0;       ///< sum of the rotation angles, frame by frame
   std::optional<Mat6> covariance;  ///< stated by the source: (translation m, rotation rad), right
   bool is_break = false;           ///< nothing is known about this motion
+  /// Motion that stands out of that before and after, see JumpMonitor: by so much the odometry may have jumped.
+  double suspect_translation_m = 0.0, suspect_rotation_rad = 0.0;
 };
 
-/// Random-walk noise of an odometry whose source states none.
+/// Noise of an odometry whose source states none: a random walk, and errors that last.
 struct OdometryNoise {
-  double translation_m = 0.001;   ///< sigma after a path of one metre, grows with the root of the path
-  double rotation_rad = 0.00035;  ///< sigma after a rotation of one radian, grows with the root of the rotation
+  double translation_m = 0.001;      ///< sigma after a path of one metre, grows with the root of the path
+  double rotation_rad = 0.00035;     ///< sigma after a rotation of one radian, grows with the root of the rotation
+  double steady_translation = 0.0;   ///< sigma of the slowly varying drift, metres a metre of path
+  double steady_rotation_rad = 0.0;  ///< the same of the rotation, radians a metre of path
+  double scale = 0.0;                ///< sigma of a constant scale error
 };
 
 /// What a standing camera's edge keeps, so that its information stays finite.

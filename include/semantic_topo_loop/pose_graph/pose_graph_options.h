@@ -17,6 +17,7 @@ struct PoseGraphOptions {
   double rotation_noise_deg = 0.02;
   double noise_factor_max = 1000.0;
   double noise_evidence = 1.5;
+  double max_redundancy = 8.0;
   int max_iterations = 30;
 
   template <class Visitor>
@@ -38,6 +39,9 @@ struct PoseGraphOptions {
     visitor("pose_graph.noise_factor_max", noise_factor_max, "greatest factor that is learnt on the least noise");
     visitor("pose_graph.noise_evidence", noise_evidence,
             "log likelihood that the loops must offer for each e-fold of noise above the least");
+    visitor(
+        "pose_graph.max_redundancy", max_redundancy,
+        "a loop stays out of the graph if loops in it rest on its evidence so many times over; less in large graphs");
     visitor("pose_graph.max_iterations", max_iterations, "of one solve");
   }
   bool is_valid(std::string* error) const;

@@ -16,6 +16,10 @@ Vec6 relative_pose_residual(const SE3& T_world_from, const SE3& T_world_to, cons
 /// The same with its analytic derivatives.
 RelativePoseTerms relative_pose_terms(const SE3& T_world_from, const SE3& T_world_to, const SE3& T_from_to_measured);
 
+/// The same with the vector part of the quaternion (w >= 0) for the rotation vector, as g2o has it.
+Vec6 quaternion_pose_residual(const SE3& T_world_from, const SE3& T_world_to, const SE3& T_from_to_measured);
+RelativePoseTerms quaternion_pose_terms(const SE3& T_world_from, const SE3& T_world_to, const SE3& T_from_to_measured);
+
 /// Inverse right Jacobian of the rotation group: log(exp(v) exp(d)) = v + right_jacobian_inverse(v) d + O(d^2).
 Mat3 right_jacobian_inverse(const Vec3& rotation_vector);
 /// Carries a small motion d made before T over to its end: se3_exp(d) * T = T * se3_exp(transport(T) d) + O(d^2).

@@ -15,21 +15,34 @@ struct Trajectory {
   std::vector<SE3> T_map_vertex;
   std::vector<OdometryEdge> edges;
   std::vector<GraphLoop> loops;
+  std::vector<bool> votes;  ///< one a loop: whether it counts, see LoopConsistency; empty: all do
+};
+
+/// What an optimisation found out, the warm start of the next one.
+struct GraphKnowledge {
+  NoiseEstimate noise;
+  double loose_factor = 0.0;  ///< on the least noise, at which loops are classified; 0: not known yet
+  std::vector<bool> kept;     ///< one a loop; loops beyond its end are new
 };
 
 struct OptimizedTrajectory {
   bool usable = false;
   std::string message;  ///< why it is not usable
   std::vector<SE3> T_map_vertex;
-  std::vector<bool> kept;  ///< one a loop
-  NoiseEstimate noise;
+  GraphKnowledge knowledge;
+};
+
+enum class Effort {
+  kUpdate,  ///< trusts what is known: two solves, unless new loops upset it
+  kLearn,   ///< learns the odometry's noise anew
+  kFull     ///< and doubts every loop anew
 };
 
 /// Tells right loops from false ones with loose odometry, learns the odometry's noise from the right ones, and solves
 /// with those at that noise. The first vertex stays.
-/// @param noise of the last optimisation, or what is expected
+/// @param knowledge of the last optimisation, or what is expected
 OptimizedTrajectory optimize_trajectory(const Trajectory& trajectory, const PoseGraphOptions& options,
-                                        const NoiseEstimate& noise);
+                                        const GraphKnowledge& knowledge, Effort effort);
 
 NoisePrior noise_prior(const PoseGraphOptions& options);
 

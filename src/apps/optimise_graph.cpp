@@ -1,0 +1,87 @@
+#include <cstdio>
+#include <iostream>
+#include <string>
+
+#include "semantic_topo_loop/io/g2o.h"
+#include "semantic_topo_loop/pipeline/stopwatch.h"
+#include "semantic_topo_loop/pose_graph/graph_optimizer.h"
+
+namespace {
+
+using namespace semantic_topo_loop::core;
+
+constexpr char kUsage[] =
+    "usage: optimise_graph IN.g2o OUT.g2o [--robust gnc|none|huber|cauchy]\n"
+    "                      [--initial file|odometry|spanning_tree|chordal]\n"
+    "Optimises a pose graph (SE2 or SE3) and prints its cost before and after.\n"
+    "  --robust   how wrong loops are kept out (default: none)\n"
+    "  --initial  first guess (default: file, the vertices of IN); the chordal one is tried as well\n"
+    "Lines that cannot be used are named and left out.\n";
+
+struct Arguments {
+  std::string in, out;
+  GraphOptimizerOptions options;
+};
+
+/// @return false with `error` set; an empty error means that help was asked for
+bool parse(int argc, char** argv, Arguments* arguments, std::string* error) {
+  for (int i = 1; i < argc; ++i) {
+    const std::string name = argv[i];
+    if (name == "--help" || name == "-h") return false;
+    if (name == "--robust" || name == "--initial") {
+      if (++i == argc) {
+        *error = "argument " + name + " lacks its value";
+        return false;
+      }
+      (name == "--robust" ? arguments->options.robust : arguments->options.initial) = argv[i];
+    } else if (name.rfind("--", 0) == 0 || !arguments->out.empty()) {
+      *error = "unknown argument '" + name + "'";
+      return false;
+    } else {
+      (arguments->in.empty() ? arguments->in : arguments->out) = name;
+    }
+  }
+  if (arguments->out.empty()) {
+    *error = "IN.g2o and OUT.g2o are needed";
+    return false;
+  }
+  return arguments->options.is_valid(error);
+}
+
+bool run(const Arguments& arguments, std::string* error) {
+  G2oRefusals refusals;
+  std::optional<G2oGraph> graph = read_g2o(arguments.in, &refusals, error);
+  for (const std::string& refusal : refusals) std::cerr << "optimise_graph: refused: " << refusal << '\n';
+  if (!graph) return false;
+  GraphOptimizerReport report;
+  const Stopwatch stopwatch;
+  if (!optimize_graph(&*graph, arguments.options, &report, error)) return false;
+  const double seconds = 1e-6 * stopwatch.elapsed_us();
+  for (const G2oEdge* edge : report.outliers) {
+    std::cerr << "optimise_graph: outlier: edge " << edge->from << ' ' << edge->to << '\n';
+  }
+  std::printf("vertices      %zu\nedges         %zu\nrefused       %zu\noutliers      %zu\nparts         %d\n",
+              graph->vertices.size(), graph->edges.size(), refusals.size(), report.outliers.size(), report.components);
+  std::printf("initial cost  %.9g\nfinal cost    %.9g\ninitial chi2  %.9g\nfinal chi2    %.9g\n", report.initial_cost,
+              report.final_cost, report.initial_chi2, report.final_chi2);
+  std::printf("iterations    %d\nseconds       %.3f\n", report.iterations, seconds);
+  return write_g2o(arguments.out, *graph, error);
+}
+
+}  // namespace
+
+int main(int argc, char** argv) {
+  Arguments arguments;
+  std::string error;
+  if (!parse(argc, argv, &arguments, &error)) {
+    if (error.empty()) {
+      std::cout << kUsage;
+      return 0;
+    }
+    std::cerr << "optimise_graph: error: " << error << '\n' << kUsage;
+    return 2;
+  }
+  if (run(arguments, &error)) return 0;
+  std::cerr << "optimise_graph: error: " << error << '\n';
+  return 1;
+}

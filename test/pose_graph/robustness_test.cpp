@@ -1,0 +1,172 @@
+#include <gtest/gtest.h>
+
+#include <set>
+
+#include "semantic_topo_loop/pose_graph/jump_monitor.h"
+#include "semantic_topo_loop/pose_graph/loop_consistency.h"
+#include "semantic_topo_loop/simulation/false_loops.h"
+#include "synthetic_run.h"
+
+namespace semantic_topo_loop::core {
+namespace {
+
+constexpr double kSigma_m = 0.02, kSigma_rad = 0.01;
+
+std::vector<LoopClosure> right_loops(const SyntheticRun& run, std::uint64_t seed) {
+  Random random(seed);
+  std::vector<LoopClosure> loops;
+  for (int k = run.round() + 10; k < run.size(); k += 2) {
+    loops.push_back(run.loop(k, k - run.round(), random_tangent(&random, kSigma_m, kSigma_rad), kSigma_m, kSigma_rad));
+  }
+  return loops;
+}
+
+std::vector<KeyframePose> odometry_of(const SyntheticRun& run) {
+  std::vector<KeyframePose> keyframes;
+  for (int k = 0; k < run.size(); ++k) keyframes.push_back({k, k, 0, run.odometry(k)});
+  return keyframes;
+}
+
+/// With as many false loops as `options` say: none is kept, and the map is as good as without.
+void expect_robust(const FalseLoopOptions& options, double drift_m, double drift_rad, std::uint64_t seed) {
+  SyntheticRun run;
+  run.drift(drift_m, drift_rad, seed);
+  const std::vector<LoopClosure> right = right_loops(run, seed);
+  std::set<std::pair<std::int64_t, std::int64_t>> is_right;
+  for (const LoopClosure& loop : right) is_right.insert({loop.query_keyframe_id, loop.match_keyframe_id});
+  std::vector<LoopClosure> loops = right;
+  int added = 0;
+  for (const LoopClosure& loop : make_false_loops(odometry_of(run), options, seed)) {
+    if (is_right.count({loop.query_keyframe_id, loop.match_keyframe_id}) != 0) continue;
+    loops.push_back(loop);
+    ++added;
+  }
+  ASSERT_GT(added, options.count / 2);
+  const FinishedRun with = finish(run, loops), without = finish(run, right);
+  int right_kept = 0;
+  for (const LoopVerdict& verdict : with.end.loops) {
+    const bool right_one = is_right.count({verdict.query_keyframe_id, verdict.match_keyframe_id}) != 0;
+    EXPECT_TRUE(right_one || !verdict.kept) << verdict.query_keyframe_id << " " << verdict.match_keyframe_id;
+    EXPECT_TRUE(verdict.kept || !verdict.reason.empty());
+    right_kept += right_one && verdict.kept ? 1 : 0;
+  }
+  EXPECT_GT(right_kept, static_cast<int>(0.9 * static_cast<double>(right.size())));
+  EXPECT_LT(run.worst_error_m(with.graph.keyframes()), 1.05 * run.worst_error_m(without.graph.keyframes()) + 0.01);
+}
+
+TEST(FalseLoops, AsManyRandomOnesAsRightOnesAreAllRejected) {
+  FalseLoopOptions options;
+  options.count = 45;
+  for (std::uint64_t seed = 1; seed <= 3; ++seed) expect_robust(options, 0.003, 0.001, seed);
+}
+
+TEST(FalseLoops, CoherentClustersAreRejected) {
+  FalseLoopOptions options;
+  options.count = 15;
+  options.cluster_size = 5;
+  for (std::uint64_t seed = 1; seed <= 3; ++seed) expect_robust(options, 0.003, 0.001, seed);
+}
+
+TEST(FalseLoops, TheSameSeedGivesTheSameLoops) {
+  const auto keyframes = odometry_of(SyntheticRun());
+  const auto a = make_false_loops(keyframes, {}, 5), b = make_false_loops(keyframes, {}, 5);
+  const auto c = make_false_loops(keyframes, {}, 6);
+  ASSERT_EQ(a.size(), 10U);
+  ASSERT_EQ(b.size(), 10U);
+  for (std::size_t i = 0; i < a.size(); ++i) EXPECT_EQ(a[i].T_match_query.t, b[i].T_match_query.t);
+  EXPECT_NE(a.front().T_match_query.t, c.front().T_match_query.t);
+  EXPECT_TRUE(make_false_loops({}, {}, 1).empty());
+}
+
+TEST(LoopVerdict, SaysWhyALoopIsRefused) {
+  SyntheticRun run;
+  run.drift(0.003, 0.001, 1);
+  std::vector<LoopClosure> loops = right_loops(run, 1);
+  LoopClosure bad = loops[5];
+  bad.covariance.setZero();
+  loops.push_back(bad);
+  LoopClosure wrong = run.exact_loop(175, 20);
+  wrong.T_match_query.t += Vec3(2.0, 0.0, 0.0);
+  loops.push_back(wrong);
+  bool found_bad = false, found_wrong = false;
+  for (const LoopVerdict& verdict : finish(run, loops).end.loops) {
+    found_bad = found_bad || verdict.reason.find("covariance is not positive definite") != std::string::npos;
+    if (verdict.query_keyframe_id != 175 || verdict.match_keyframe_id != 20) continue;
+    found_wrong = true;
+    EXPECT_FALSE(verdict.kept);
+    EXPECT_EQ(verdict.reason, "no other loop agrees with it, or more disagree");
+  }
+  EXPECT_TRUE(found_bad);
+  EXPECT_TRUE(found_wrong);
+}
+
+TEST(Withdraw, TheMapIsAsIfTheLoopHadNeverBeen) {
+  SyntheticRun run(40);
+  run.drift(0.003, 0.001, 1);
+  const LoopClosure first = run.exact_loop(60, 20);
+  LoopClosure second = run.exact_loop(79, 39);
+  second.T_match_query.t += Vec3(0.05, 0.0, 0.0);
+  FinishedRun both = finish(run, {first, second}), one = finish(run, {first});
+  EXPECT_FALSE(both.graph.withdraw(79, 38));
+  EXPECT_TRUE(both.graph.withdraw(79, 39));
+  EXPECT_FALSE(both.graph.withdraw(79, 39));
+  const MapCorrection correction = both.graph.process(run.end_frame(), {});
+  EXPECT_TRUE(correction.changed);
+  EXPECT_EQ(correction.loops.size(), 1U);
+  const auto a = both.graph.keyframes(), b = one.graph.keyframes();
+  for (std::size_t i = 0; i < a.size(); ++i) EXPECT_LT((a[i].T_map_camera.t - b[i].T_map_camera.t).norm(), 2e-3) << i;
+}
+
+TEST(JumpMonitor, FindsABurstAndNothingElse) {
+  constexpr int kFrames = 300, kFramesPerEdge = 5, kBurst = 150;
+  constexpr double kRate_s = 1.0 / 30.0;
+  Random random(4);
+  JumpMonitor monitor;
+  for (int k = 0; k < kFrames; ++k) {
+    Vec6 motion = random_tangent(&random, 0.001, 0.002);
+    motion(0) += 0.01 * std::sin(0.02 * k);
+    if (k >= kBurst && k < kBurst + 5) motion(1) += 0.04;
+    monitor.add(se3_exp(motion), kRate_s, static_cast<std::size_t>(k / kFramesPerEdge));
+  }
+  std::vector<OdometryEdge> edges(kFrames / kFramesPerEdge);
+  monitor.apply(&edges);
+  for (std::size_t i = 0; i < edges.size(); ++i) {
+    if (i == kBurst / kFramesPerEdge) {
+      EXPECT_NEAR(edges[i].suspect_translation_m, 0.2, 0.02);
+    } else {
+      EXPECT_LT(edges[i].suspect_translation_m, 0.005) << i;
+    }
+  }
+}
+
+TEST(PoseGraph, AJumpThatTheMotionDoesNotShowIsFound) {
+  // A turn of 6 deg in one of many motions: spread over the whole way it would leave the keyframes far off.
+  SyntheticRun run;
+  Vec6 slip = Vec6::Zero();
+  slip(5) = 0.1;
+  run.drift(0.0003, 0.0001, 3, slip, 60, 61);
+  const double before = run.worst_odometry_error_m();
+  ASSERT_GT(before, 0.2);
+  EXPECT_LT(run.worst_error_m(finish(run, right_loops(run, 3)).graph.keyframes()), 0.35 * before);
+}
+
+TEST(LoopConsistency, ALoneWrongLoopHasNoVoteAndUnbrokenOnesDo) {
+  SyntheticRun run;
+  std::vector<OdometryEdge> edges;
+  OdometryAccumulator accumulator;
+  for (int k = 0; k < run.size(); ++k) {
+    accumulator.add(run.frame(k));
+    if (k > 0) edges.push_back(accumulator.finish(run.odometry(k - 1), run.odometry(k)));
+  }
+  std::string why;
+  std::vector<GraphLoop> loops;
+  for (int k = 150; k < 160; k += 2) loops.push_back(*make_graph_loop(run.exact_loop(k, k - 100), k, k - 100, &why));
+  loops.push_back(loops[2]);
+  loops.back().T_from_to.t.x() += 1.0;
+  LoopConsistency consistency;
+  EXPECT_EQ(consistency.vote(edges, loops), (std::vector<bool>{true, true, true, true, true, false}));
+  EXPECT_EQ(LoopConsistency().vote(edges, {loops[0]}), std::vector<bool>{true});
+}
+
+}  // namespace
+}  // namespace semantic_topo_loop::core
