@@ -26,7 +26,7 @@ GraphMatcherOptions matcher_options(const LoopOptions& options) {
 std::vector<LabelledPoint> graph_of(const LocalMap& map) {
   std::vector<LabelledPoint> points;
   for (const LocalObject& object : map.objects) {
-    points.push_back({object.spheroid.center, object.label, object.spheroid.radius()});
+    points.push_back({object.spheroid.center, object.label, object.spheroid.radius(), object.class_id});
   }
   return points;
 }

@@ -53,7 +53,8 @@ ObservedFrame ObservationWindow::observe(const Frame& frame, const AssociationFr
     const int class_id = association.landmark_class_id >= 0 ? association.landmark_class_id : association.class_id;
     const int label = labels_.label(class_id);
     if (label < 0) continue;
-    observed.boxes.push_back({association.landmark_id, label, normalised(association.box), association.truncated});
+    observed.boxes.push_back(
+        {association.landmark_id, label, class_id, normalised(association.box), association.truncated});
   }
   return observed;
 }

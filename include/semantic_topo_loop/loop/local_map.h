@@ -32,8 +32,9 @@ struct ObjectView {
 };
 
 struct LocalObject {
-  std::int64_t landmark_id = -1;  ///< the one most of its boxes carry
-  int label = -1;
+  std::int64_t landmark_id = -1;       ///< the one most of its boxes carry
+  int label = -1;                      ///< of the class group
+  int class_id = -1;                   ///< the one most of its boxes carry
   Spheroid spheroid;                   ///< about LocalMap::up, local frame
   Mat3 covariance = Mat3::Identity();  ///< of the centre, m^2
   int frames_seen = 0;

@@ -45,7 +45,7 @@ struct LoopClosure {
   double rms_m = 0.0;
   double reprojection_ratio = 0.0;  ///< matched over expected boxes, the worse of both ways
   int inliers = 0;
-  int labels = 0;
+  int labels = 0;                      ///< different classes among the matched objects
   SE3 T_match_query;                   ///< of the cameras at query_frame and match_frame
   Mat6 covariance = Mat6::Identity();  ///< of T_match_query: (translation m, rotation rad), right
   std::vector<ObjectMatch> matches;

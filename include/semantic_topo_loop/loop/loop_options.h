@@ -82,7 +82,7 @@ struct LoopOptions {
     visitor("loop.min_distance_m", min_distance_m, "objects closer to each other say nothing");
     visitor("loop.inlier_distance_m", inlier_distance_m, "an object is an inlier of an alignment within this distance");
     visitor("loop.min_inliers", min_inliers, "aligned objects of an accepted loop");
-    visitor("loop.min_labels", min_labels, "different labels of an accepted loop");
+    visitor("loop.min_labels", min_labels, "different classes of an accepted loop");
     visitor("loop.max_rms_m", max_rms_m, "alignment error of an accepted loop");
     visitor("loop.min_spread_m", min_spread_m, "second singular value of the aligned objects' spread");
     visitor("loop.ambiguity_ratio", ambiguity_ratio, "score over that of the best distinct alternative");

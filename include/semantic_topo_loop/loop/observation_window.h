@@ -17,6 +17,7 @@ namespace semantic_topo_loop::core {
 struct ObservedBox {
   std::int64_t landmark_id = -1;
   int label = -1;              ///< one number for all classes of a group
+  int class_id = -1;           ///< of the landmark
   Box box;                     ///< on the plane z = 1 of the camera (undistorted, without intrinsics)
   std::uint8_t truncated = 0;  ///< Truncation bits
 };
