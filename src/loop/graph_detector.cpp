@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <iterator>
 
 #include "loop_evidence.h"
 
@@ -11,6 +12,8 @@ namespace {
 constexpr int kMinCandidateInliers = 4;
 /// Of the window: a submap shorter than that, after a break or at the start, is not kept.
 constexpr double kMinSpanShare = 0.5;
+/// Submaps that share more than this of their time tell of one place.
+constexpr double kSamePlace = 0.5;
 
 GraphMatcherOptions matcher_options(const LoopOptions& options) {
   GraphMatcherOptions matcher;
@@ -43,16 +46,19 @@ double overlap(const LocalMap& p, const LocalMap& q) {
 GraphDetector::GraphDetector(const LoopOptions& options)
     : options_(options), matcher_(matcher_options(options)), verifier_(options), refiner_(options) {}
 
-std::vector<LoopClosure> GraphDetector::detect(const LocalMap& query) const {
+std::vector<LoopClosure> GraphDetector::detect(const LocalMap& query) {
   std::vector<LoopClosure> loops;
   const std::vector<LabelledPoint> points = graph_of(query);
   std::vector<Candidate> candidates;
   for (std::size_t i = 0; i < maps_.size(); ++i) {
-    if (static_cast<double>(query.stamp_ns - maps_[i].stamp_ns) < 1e9 * options_.min_gap_s) break;
+    if (static_cast<double>(query.stamp_ns - maps_[i].map.stamp_ns) < 1e9 * options_.min_gap_s) break;
     if (auto candidate = examine(query, points, i)) candidates.push_back(std::move(*candidate));
   }
   select(&candidates);
-  for (const Candidate& candidate : candidates) loops.push_back(finish(query, candidate));
+  for (const Candidate& candidate : candidates) {
+    loops.push_back(finish(query, candidate));
+    if (loops.back().accepted) mark_closed(match_of(candidate), query.end_ns);
+  }
   return loops;
 }
 
@@ -60,52 +66,65 @@ void GraphDetector::store(LocalMap map) {
   if (static_cast<int>(map.objects.size()) < kMinCandidateInliers) return;
   if (map.span_s < kMinSpanShare * options_.window_s) return;
   const bool due =
-      maps_.empty() || static_cast<double>(map.stamp_ns - maps_.back().stamp_ns) >= 1e9 * options_.store_interval_s;
+      maps_.empty() || static_cast<double>(map.stamp_ns - maps_.back().map.stamp_ns) >= 1e9 * options_.store_interval_s;
   if (!due) return;
-  points_.push_back(graph_of(map));
-  maps_.push_back(std::move(map));
+  std::vector<LabelledPoint> points = graph_of(map);
+  maps_.push_back({std::move(map), std::move(points)});
 }
 
 std::optional<GraphDetector::Candidate> GraphDetector::examine(const LocalMap& query,
                                                                const std::vector<LabelledPoint>& points,
                                                                std::size_t stored) const {
-  std::vector<GraphMatch> matches = matcher_.match(points_[stored], points);
+  std::vector<GraphMatch> matches = matcher_.match(maps_[stored].points, points);
   if (matches.empty()) return std::nullopt;
   Candidate candidate;
-  candidate.match = &maps_[stored];
+  candidate.stored = stored;
   candidate.second_score = matches.size() > 1 ? matches[1].score : 0.0;
   candidate.alignment = std::move(matches.front());
-  candidate.verdict = verifier_.verify(*candidate.match, query, candidate.alignment, candidate.second_score);
+  candidate.verdict = verifier_.verify(match_of(candidate), query, candidate.alignment, candidate.second_score);
   return candidate;
 }
 
-/// The best of every place: submaps that overlap in time tell of one place, accepted ones first, then by score.
+/// The best of every place: submaps that overlap in time tell of one place, accepted ones first, then by score. After
+/// the very best come the places that were closed least recently, since they say more than the same loop once more.
 void GraphDetector::select(std::vector<Candidate>* candidates) const {
-  std::stable_sort(candidates->begin(), candidates->end(), [](const Candidate& p, const Candidate& q) {
-    const bool p_accepted = p.verdict.reason == LoopReason::kAccepted;
-    const bool q_accepted = q.verdict.reason == LoopReason::kAccepted;
-    return p_accepted != q_accepted ? p_accepted : p.alignment.score > q.alignment.score;
+  const auto is_accepted = [](const Candidate& candidate) { return candidate.verdict.reason == LoopReason::kAccepted; };
+  std::stable_sort(candidates->begin(), candidates->end(), [&](const Candidate& p, const Candidate& q) {
+    return is_accepted(p) != is_accepted(q) ? is_accepted(p) : p.alignment.score > q.alignment.score;
   });
-  std::vector<Candidate> selected;
+  std::vector<Candidate> places;
   for (Candidate& candidate : *candidates) {
-    if (static_cast<int>(selected.size()) == options_.max_candidates) break;
-    const bool repeats = std::any_of(selected.begin(), selected.end(), [&](const Candidate& other) {
-      return overlap(*candidate.match, *other.match) > 0.5;
+    const bool repeats = std::any_of(places.begin(), places.end(), [&](const Candidate& other) {
+      return overlap(match_of(candidate), match_of(other)) > kSamePlace;
     });
-    if (!repeats) selected.push_back(std::move(candidate));
+    if (!repeats) places.push_back(std::move(candidate));
   }
-  *candidates = std::move(selected);
+  const auto rejected = std::find_if_not(places.begin(), places.end(), is_accepted);
+  if (rejected - places.begin() > 2) {
+    std::stable_sort(places.begin() + 1, rejected, [this](const Candidate& p, const Candidate& q) {
+      return maps_[p.stored].closed_ns < maps_[q.stored].closed_ns;
+    });
+  }
+  const auto kept =
+      static_cast<std::ptrdiff_t>(std::min(places.size(), static_cast<std::size_t>(options_.max_candidates)));
+  candidates->assign(std::make_move_iterator(places.begin()), std::make_move_iterator(places.begin() + kept));
+}
+
+void GraphDetector::mark_closed(const LocalMap& match, std::int64_t query_ns) {
+  for (StoredMap& stored : maps_) {
+    if (overlap(stored.map, match) > kSamePlace) stored.closed_ns = query_ns;
+  }
 }
 
 LoopClosure GraphDetector::finish(const LocalMap& query, const Candidate& candidate) const {
-  LoopClosure loop = make_closure(*candidate.match, query);
-  set_alignment(*candidate.match, query, candidate.alignment, &loop);
+  LoopClosure loop = make_closure(match_of(candidate), query);
+  set_alignment(match_of(candidate), query, candidate.alignment, &loop);
   loop.reason = candidate.verdict.reason;
   loop.score = candidate.alignment.score;
   loop.second_score = candidate.second_score;
   loop.reprojection_ratio = candidate.verdict.reprojection.ratio;
   if (loop.reason == LoopReason::kAccepted) {
-    refine_and_decide(*candidate.match, query, candidate.alignment, refiner_, options_, &loop);
+    refine_and_decide(match_of(candidate), query, candidate.alignment, refiner_, options_, &loop);
   }
   return loop;
 }

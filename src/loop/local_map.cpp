@@ -232,6 +232,8 @@ std::optional<LocalMap> LocalMapBuilder::build(const std::deque<ObservedFrame>& 
   map.stamp_ns = anchor->stamp_ns;
   map.begin_frame = window.front().frame_id;
   map.end_frame = window.back().frame_id;
+  map.end_ns = window.back().stamp_ns;
+  map.T_odom_anchor = anchor->T_odom_camera;
   map.span_s = 1e-9 * static_cast<double>(window.back().stamp_ns - window.front().stamp_ns);
   map.up = up.estimate(anchor->T_odom_camera.q);
   const SE3 T_anchor_odom = anchor->T_odom_camera.inverse();

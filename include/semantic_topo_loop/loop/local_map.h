@@ -49,7 +49,9 @@ struct LocalMap {
   std::int64_t frame_id = -1;
   std::int64_t stamp_ns = 0;
   std::int64_t begin_frame = -1, end_frame = -1;
+  std::int64_t end_ns = 0;  ///< stamp of the last frame
   double span_s = 0.0;
+  SE3 T_odom_anchor;               ///< for the comparison with frames that follow, not with other submaps
   UpDirection up;                  ///< anchor camera frame
   std::vector<LocalFrame> frames;  ///< those that views or checks refer to
   std::vector<int> check_frames;   ///< indices of frames, spread evenly over the window

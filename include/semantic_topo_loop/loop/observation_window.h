@@ -60,7 +60,10 @@ class ObservationWindow {
   /// @param interval_s frames closer to the last kept one are left out unless they are keyframes
   ObservationWindow(double span_s, double interval_s, LabelTable labels);
 
-  void push(const Frame& frame, const AssociationFrame& associations);
+  /// @return true if the frame was taken in
+  bool push(const Frame& frame, const AssociationFrame& associations);
+  void set_span(double span_s);
+  void clear() { frames_.clear(); }
   const std::deque<ObservedFrame>& frames() const { return frames_; }
 
  private:
