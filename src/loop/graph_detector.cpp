@@ -14,6 +14,10 @@ constexpr int kMinCandidateInliers = 4;
 constexpr double kMinSpanShare = 0.5;
 /// Submaps that share more than this of their time tell of one place.
 constexpr double kSamePlace = 0.5;
+/// m; an odometry without a noticed break is at most this wrong over a short time, jumps that nobody saw included.
+constexpr double kMinDisagreement = 2.5;
+constexpr double kDriftDepth = 2.0;   ///< m; turns apparent drift into metres
+constexpr double kDriftFactor = 2.0;  ///< on the drift observed
 
 GraphMatcherOptions matcher_options(const LoopOptions& options) {
   GraphMatcherOptions matcher;
@@ -41,6 +45,18 @@ double overlap(const LocalMap& p, const LocalMap& q) {
   return static_cast<double>(common) / static_cast<double>(std::max<std::int64_t>(shorter, 1));
 }
 
+/// The query's pose in the odometry's world, had it not drifted since the match.
+SE3 implied_pose(const LocalMap& match, const GraphMatch& alignment) { return match.T_odom_anchor * alignment.T_a_b; }
+
+/// True if p and q are poses of the query by way of two submaps (or the query itself), between which the odometry
+/// cannot have drifted that far: then the two speak of different places.
+bool are_apart(const LocalMap& map_p, const SE3& p, const LocalMap& map_q, const SE3& q) {
+  if (map_p.segment != map_q.segment) return false;
+  const double time_s = 1e-9 * static_cast<double>(std::abs(map_p.stamp_ns - map_q.stamp_ns));
+  const double drift_m = std::max(map_p.drift_rad_s, map_q.drift_rad_s) * kDriftDepth * time_s;
+  return (p.t - q.t).norm() > kMinDisagreement + kDriftFactor * drift_m;
+}
+
 }  // namespace
 
 GraphDetector::GraphDetector(const LoopOptions& options)
@@ -54,6 +70,7 @@ std::vector<LoopClosure> GraphDetector::detect(const LocalMap& query) {
     if (static_cast<double>(query.stamp_ns - maps_[i].map.stamp_ns) < 1e9 * options_.min_gap_s) break;
     if (auto candidate = examine(query, points, i)) candidates.push_back(std::move(*candidate));
   }
+  find_ambiguous(query, &candidates);
   select(&candidates);
   for (const Candidate& candidate : candidates) {
     loops.push_back(finish(query, candidate));
@@ -83,6 +100,27 @@ std::optional<GraphDetector::Candidate> GraphDetector::examine(const LocalMap& q
   candidate.alignment = std::move(matches.front());
   candidate.verdict = verifier_.verify(match_of(candidate), query, candidate.alignment, candidate.second_score);
   return candidate;
+}
+
+/// Abstains where two places look alike: two submaps that the query fits nearly as well, or the submap and the place
+/// where an unbroken odometry sees itself, too far apart for drift. The odometry decides nothing else.
+void GraphDetector::find_ambiguous(const LocalMap& query, std::vector<Candidate>* candidates) const {
+  std::vector<Candidate*> accepted;
+  for (Candidate& candidate : *candidates) {
+    if (candidate.verdict.reason == LoopReason::kAccepted) accepted.push_back(&candidate);
+  }
+  for (Candidate* candidate : accepted) {
+    const LocalMap& match = match_of(*candidate);
+    const SE3 pose = implied_pose(match, candidate->alignment);
+    bool ambiguous = are_apart(match, pose, query, query.T_odom_anchor);
+    for (const Candidate* other : accepted) {
+      if (options_.ambiguity_ratio * other->alignment.score < candidate->alignment.score) continue;
+      if (!are_apart(match, pose, match_of(*other), implied_pose(match_of(*other), other->alignment))) continue;
+      candidate->second_score = std::max(candidate->second_score, other->alignment.score);
+      ambiguous = true;
+    }
+    if (ambiguous) candidate->verdict.reason = LoopReason::kAmbiguous;
+  }
 }
 
 /// The best of every place: submaps that overlap in time tell of one place, accepted ones first, then by score. After

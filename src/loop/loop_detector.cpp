@@ -49,6 +49,8 @@ class LoopDetector::Impl {
     std::optional<LocalMap> map = builder_.build(window_.frames(), redirects_, up_);
     if (!map) return {};
     if (paper_mode_) return paper_.detect(std::move(*map), enabled_);
+    map->segment = segment_;
+    map->drift_rad_s = monitor_.drift_rad_s().value_or(0.0);
     monitor_.set_reference(*map);
     std::vector<LoopClosure> loops;
     if (enabled_) loops = graph_.detect(*map);
@@ -70,10 +72,14 @@ class LoopDetector::Impl {
 
   /// A submap must not straddle a jump of the odometry, and spans less time the faster the odometry drifts.
   void watch_odometry(const Frame& frame, bool taken) {
-    if (frame.is_break) monitor_.restart();
+    if (frame.is_break) {
+      monitor_.restart();
+      ++segment_;
+    }
     if (taken && !window_.frames().empty() && monitor_.push(window_.frames().back())) {
       window_.clear();
       up_.clear();
+      ++segment_;
       settled_ns_ = frame.stamp_ns + kSettleNs;
     }
     const std::optional<double> drift = monitor_.drift_rad_s();
@@ -85,6 +91,7 @@ class LoopDetector::Impl {
   std::int64_t attempt_interval_ns_;
   std::int64_t last_attempt_ns_ = 0;
   double window_s_, min_window_s_, window_drift_rad_;
+  int segment_ = 0;
   std::int64_t settled_ns_ = 0;  ///< frames before are left out, after a jump
   ObservationWindow window_;
   OdometryMonitor monitor_;

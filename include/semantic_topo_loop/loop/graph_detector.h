@@ -38,6 +38,7 @@ class GraphDetector {
   const LocalMap& match_of(const Candidate& candidate) const { return maps_[candidate.stored].map; }
   std::optional<Candidate> examine(const LocalMap& query, const std::vector<LabelledPoint>& points,
                                    std::size_t stored) const;
+  void find_ambiguous(const LocalMap& query, std::vector<Candidate>* candidates) const;
   void select(std::vector<Candidate>* candidates) const;
   void mark_closed(const LocalMap& match, std::int64_t query_ns);
   LoopClosure finish(const LocalMap& query, const Candidate& candidate) const;

@@ -51,6 +51,8 @@ struct LocalMap {
   std::int64_t begin_frame = -1, end_frame = -1;
   std::int64_t end_ns = 0;  ///< stamp of the last frame
   double span_s = 0.0;
+  int segment = 0;                 ///< of the odometry, counted from break to break
+  double drift_rad_s = 0.0;        ///< apparent drift of the odometry at the time
   SE3 T_odom_anchor;               ///< for the comparison with frames that follow, not with other submaps
   UpDirection up;                  ///< anchor camera frame
   std::vector<LocalFrame> frames;  ///< those that views or checks refer to

@@ -15,7 +15,7 @@ enum class LoopReason : std::uint8_t {
   kTooFewLabels = 3,
   kDegenerate = 4,     ///< objects on a line or in a point
   kResidual = 5,       ///< alignment error too large
-  kAmbiguous = 6,      ///< a second, different alignment explains nearly as much
+  kAmbiguous = 6,      ///< a second, different alignment or place explains nearly as much
   kReprojection = 7,   ///< the matched objects do not reproject onto the detections
   kMirrored = 8,       ///< the cameras lie on different sides of the objects' plane
   kTilt = 9,           ///< the local up directions disagree
