@@ -30,6 +30,14 @@ GraphMatcherOptions matcher_options(const LoopOptions& options) {
   return matcher;
 }
 
+SubmapIndexOptions index_options(const LoopOptions& options) {
+  SubmapIndexOptions index;
+  index.distance_tolerance_m = options.distance_tolerance_m;
+  index.distance_tolerance_share = options.distance_tolerance_share;
+  index.min_distance_m = options.min_distance_m;
+  return index;
+}
+
 std::vector<LabelledPoint> graph_of(const LocalMap& map) {
   std::vector<LabelledPoint> points;
   for (const LocalObject& object : map.objects) {
@@ -60,15 +68,23 @@ bool are_apart(const LocalMap& map_p, const SE3& p, const LocalMap& map_q, const
 }  // namespace
 
 GraphDetector::GraphDetector(const LoopOptions& options)
-    : options_(options), matcher_(matcher_options(options)), verifier_(options), refiner_(options) {}
+    : options_(options),
+      index_(index_options(options)),
+      matcher_(matcher_options(options)),
+      verifier_(options),
+      refiner_(options) {}
 
 std::vector<LoopClosure> GraphDetector::detect(const LocalMap& query) {
   std::vector<LoopClosure> loops;
   const std::vector<LabelledPoint> points = graph_of(query);
   std::vector<Candidate> candidates;
-  for (std::size_t i = 0; i < maps_.size(); ++i) {
-    if (static_cast<double>(query.stamp_ns - maps_[i].map.stamp_ns) < 1e9 * options_.min_gap_s) break;
-    if (auto candidate = examine(query, points, i)) candidates.push_back(std::move(*candidate));
+  const auto recent = std::find_if(maps_.begin(), maps_.end(), [&](const StoredMap& stored) {
+    return static_cast<double>(query.stamp_ns - stored.map.stamp_ns) < 1e9 * options_.min_gap_s;
+  });
+  for (const int i : index_.query(points, static_cast<int>(recent - maps_.begin()))) {
+    if (auto candidate = examine(query, points, static_cast<std::size_t>(i))) {
+      candidates.push_back(std::move(*candidate));
+    }
   }
   find_ambiguous(query, &candidates);
   select(&candidates);
@@ -86,6 +102,7 @@ void GraphDetector::store(LocalMap map) {
       maps_.empty() || static_cast<double>(map.stamp_ns - maps_.back().map.stamp_ns) >= 1e9 * options_.store_interval_s;
   if (!due) return;
   std::vector<LabelledPoint> points = graph_of(map);
+  index_.insert(points);
   maps_.push_back({std::move(map), std::move(points)});
 }
 

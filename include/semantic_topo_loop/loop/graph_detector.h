@@ -8,6 +8,7 @@
 #include "semantic_topo_loop/loop/loop_closure.h"
 #include "semantic_topo_loop/loop/loop_options.h"
 #include "semantic_topo_loop/loop/loop_verifier.h"
+#include "semantic_topo_loop/loop/submap_index.h"
 #include "semantic_topo_loop/loop/submap_refiner.h"
 
 namespace semantic_topo_loop::core {
@@ -44,6 +45,7 @@ class GraphDetector {
   LoopClosure finish(const LocalMap& query, const Candidate& candidate) const;
 
   LoopOptions options_;
+  SubmapIndex index_;
   GraphMatcher matcher_;
   LoopVerifier verifier_;
   SubmapRefiner refiner_;
