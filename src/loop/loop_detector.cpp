@@ -61,10 +61,10 @@ class LoopDetector::Impl {
   void set_enabled(bool enabled) { enabled_ = enabled; }
 
  private:
-  /// Graph mode looks for loops between keyframes too: a camera that hardly moves makes few of them, but every view of
+  /// Loops are looked for between keyframes too: a camera that hardly moves makes few of them, but every view of
   /// a known place shall be recognised at once.
   bool is_due(const Frame& frame) {
-    const bool waited = !paper_mode_ && frame.stamp_ns - last_attempt_ns_ >= attempt_interval_ns_;
+    const bool waited = frame.stamp_ns - last_attempt_ns_ >= attempt_interval_ns_;
     if (!frame.is_keyframe && !waited) return false;
     last_attempt_ns_ = frame.stamp_ns;
     return true;

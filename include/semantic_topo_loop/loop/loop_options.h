@@ -55,9 +55,9 @@ struct LoopOptions {
 
   int paper_min_common = 3;
   int paper_min_gap_frames = 1000;
-  double paper_window_s = 3.0;
+  double paper_window_s = 5.0;
   double paper_printed_min_score = 6.0;
-  double paper_corrected_min_score = 0.3;
+  double paper_corrected_min_score = 0.12;
   int paper_consistency = 3;
 
   template <class Visitor>
@@ -67,8 +67,7 @@ struct LoopOptions {
     visitor("loop.score", score, "paper mode: corrected or printed");
     visitor("loop.min_gap_s", min_gap_s, "graph mode: no loop between submaps closer in time");
     visitor("loop.max_candidates", max_candidates, "candidates reported a keyframe at most");
-    visitor("loop.attempt_interval_s", attempt_interval_s,
-            "graph mode: loops are looked for this often, and at keyframes");
+    visitor("loop.attempt_interval_s", attempt_interval_s, "loops are looked for this often, and at keyframes");
     visitor("loop.window_s", window_s, "graph mode: time span of a submap, at most");
     visitor("loop.min_window_s", min_window_s, "and at least, however poor the odometry is");
     visitor("loop.window_drift_deg", window_drift_deg, "the odometry's apparent drift within a submap, at most");
