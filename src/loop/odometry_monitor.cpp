@@ -12,8 +12,7 @@ constexpr double kJumpFactor = 4.0;     ///< a jump exceeds the usual drift over
 constexpr double kMaxOffset = 0.6;      ///< rad
 constexpr double kMaxSizeRatio = 1.6;   ///< of detected and predicted box
 constexpr double kMaxDepth = 6.0;       ///< m
-constexpr int kMinSupport = 3;          ///< objects for a measured shift
-constexpr int kMinJumpSupport = 4;      ///< objects for a jump
+constexpr int kMinSupport = 3;          ///< objects that a shift is told by
 constexpr int kJumpFrames = 2;          ///< consecutive frames that show a jump
 constexpr std::size_t kMaxRates = 200;  ///< some 20 s of frames
 constexpr std::size_t kMinRates = 20;
@@ -56,8 +55,8 @@ bool OdometryMonitor::push(const ObservedFrame& frame) {
   const double age_s = 1e-9 * static_cast<double>(frame.stamp_ns - reference_ns_);
   if (shift.support < kMinSupport || !(age_s > 0.0)) return false;
   const double usual = drift_rad_s().value_or(0.0) * age_s;
-  const bool jumped = shift.support >= kMinJumpSupport && shift.support > 2 * shift.in_place &&
-                      shift.offset.norm() > std::max(kMinJump, kJumpFactor * usual);
+  const bool jumped =
+      shift.support > 2 * shift.in_place && shift.offset.norm() > std::max(kMinJump, kJumpFactor * usual);
   jumped_frames_ = jumped ? jumped_frames_ + 1 : 0;
   if (jumped_frames_ >= kJumpFrames) {
     restart();
