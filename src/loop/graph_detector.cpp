@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <iterator>
 
 #include "loop_evidence.h"
 
@@ -11,6 +12,12 @@ namespace {
 constexpr int kMinCandidateInliers = 4;
 /// Of the window: a submap shorter than that, after a break or at the start, is not kept.
 constexpr double kMinSpanShare = 0.5;
+/// Submaps that share more than this of their time tell of one place.
+constexpr double kSamePlace = 0.5;
+/// m; an odometry without a noticed break is at most this wrong over a short time, jumps that nobody saw included.
+constexpr double kMinDisagreement = 2.5;
+constexpr double kDriftDepth = 2.0;   ///< m; turns apparent drift into metres
+constexpr double kDriftFactor = 2.0;  ///< on the drift observed
 
 GraphMatcherOptions matcher_options(const LoopOptions& options) {
   GraphMatcherOptions matcher;
@@ -23,10 +30,18 @@ GraphMatcherOptions matcher_options(const LoopOptions& options) {
   return matcher;
 }
 
+SubmapIndexOptions index_options(const LoopOptions& options) {
+  SubmapIndexOptions index;
+  index.distance_tolerance_m = options.distance_tolerance_m;
+  index.distance_tolerance_share = options.distance_tolerance_share;
+  index.min_distance_m = options.min_distance_m;
+  return index;
+}
+
 std::vector<LabelledPoint> graph_of(const LocalMap& map) {
   std::vector<LabelledPoint> points;
   for (const LocalObject& object : map.objects) {
-    points.push_back({object.spheroid.center, object.label, object.spheroid.radius()});
+    points.push_back({object.spheroid.center, object.label, object.spheroid.radius(), object.class_id});
   }
   return points;
 }
@@ -38,21 +53,45 @@ double overlap(const LocalMap& p, const LocalMap& q) {
   return static_cast<double>(common) / static_cast<double>(std::max<std::int64_t>(shorter, 1));
 }
 
+/// The query's pose in the odometry's world, had it not drifted since the match.
+SE3 implied_pose(const LocalMap& match, const GraphMatch& alignment) { return match.T_odom_anchor * alignment.T_a_b; }
+
+/// True if p and q are poses of the query by way of two submaps (or the query itself), between which the odometry
+/// cannot have drifted that far: then the two speak of different places.
+bool are_apart(const LocalMap& map_p, const SE3& p, const LocalMap& map_q, const SE3& q) {
+  if (map_p.segment != map_q.segment) return false;
+  const double time_s = 1e-9 * static_cast<double>(std::abs(map_p.stamp_ns - map_q.stamp_ns));
+  const double drift_m = std::max(map_p.drift_rad_s, map_q.drift_rad_s) * kDriftDepth * time_s;
+  return (p.t - q.t).norm() > kMinDisagreement + kDriftFactor * drift_m;
+}
+
 }  // namespace
 
 GraphDetector::GraphDetector(const LoopOptions& options)
-    : options_(options), matcher_(matcher_options(options)), verifier_(options), refiner_(options) {}
+    : options_(options),
+      index_(index_options(options)),
+      matcher_(matcher_options(options)),
+      verifier_(options),
+      refiner_(options) {}
 
-std::vector<LoopClosure> GraphDetector::detect(const LocalMap& query) const {
+std::vector<LoopClosure> GraphDetector::detect(const LocalMap& query) {
   std::vector<LoopClosure> loops;
   const std::vector<LabelledPoint> points = graph_of(query);
   std::vector<Candidate> candidates;
-  for (std::size_t i = 0; i < maps_.size(); ++i) {
-    if (static_cast<double>(query.stamp_ns - maps_[i].stamp_ns) < 1e9 * options_.min_gap_s) break;
-    if (auto candidate = examine(query, points, i)) candidates.push_back(std::move(*candidate));
+  const auto recent = std::find_if(maps_.begin(), maps_.end(), [&](const StoredMap& stored) {
+    return static_cast<double>(query.stamp_ns - stored.map.stamp_ns) < 1e9 * options_.min_gap_s;
+  });
+  for (const int i : index_.query(points, static_cast<int>(recent - maps_.begin()))) {
+    if (auto candidate = examine(query, points, static_cast<std::size_t>(i))) {
+      candidates.push_back(std::move(*candidate));
+    }
   }
+  find_ambiguous(query, &candidates);
   select(&candidates);
-  for (const Candidate& candidate : candidates) loops.push_back(finish(query, candidate));
+  for (const Candidate& candidate : candidates) {
+    loops.push_back(finish(query, candidate));
+    if (loops.back().accepted) mark_closed(match_of(candidate), query.end_ns);
+  }
   return loops;
 }
 
@@ -60,52 +99,87 @@ void GraphDetector::store(LocalMap map) {
   if (static_cast<int>(map.objects.size()) < kMinCandidateInliers) return;
   if (map.span_s < kMinSpanShare * options_.window_s) return;
   const bool due =
-      maps_.empty() || static_cast<double>(map.stamp_ns - maps_.back().stamp_ns) >= 1e9 * options_.store_interval_s;
+      maps_.empty() || static_cast<double>(map.stamp_ns - maps_.back().map.stamp_ns) >= 1e9 * options_.store_interval_s;
   if (!due) return;
-  points_.push_back(graph_of(map));
-  maps_.push_back(std::move(map));
+  std::vector<LabelledPoint> points = graph_of(map);
+  index_.insert(points);
+  maps_.push_back({std::move(map), std::move(points)});
 }
 
 std::optional<GraphDetector::Candidate> GraphDetector::examine(const LocalMap& query,
                                                                const std::vector<LabelledPoint>& points,
                                                                std::size_t stored) const {
-  std::vector<GraphMatch> matches = matcher_.match(points_[stored], points);
+  std::vector<GraphMatch> matches = matcher_.match(maps_[stored].points, points);
   if (matches.empty()) return std::nullopt;
   Candidate candidate;
-  candidate.match = &maps_[stored];
+  candidate.stored = stored;
   candidate.second_score = matches.size() > 1 ? matches[1].score : 0.0;
   candidate.alignment = std::move(matches.front());
-  candidate.verdict = verifier_.verify(*candidate.match, query, candidate.alignment, candidate.second_score);
+  candidate.verdict = verifier_.verify(match_of(candidate), query, candidate.alignment, candidate.second_score);
   return candidate;
 }
 
-/// The best of every place: submaps that overlap in time tell of one place, accepted ones first, then by score.
-void GraphDetector::select(std::vector<Candidate>* candidates) const {
-  std::stable_sort(candidates->begin(), candidates->end(), [](const Candidate& p, const Candidate& q) {
-    const bool p_accepted = p.verdict.reason == LoopReason::kAccepted;
-    const bool q_accepted = q.verdict.reason == LoopReason::kAccepted;
-    return p_accepted != q_accepted ? p_accepted : p.alignment.score > q.alignment.score;
-  });
-  std::vector<Candidate> selected;
+/// Abstains where two places look alike: two submaps that the query fits nearly as well, or the submap and the place
+/// where an unbroken odometry sees itself, too far apart for drift. The odometry decides nothing else.
+void GraphDetector::find_ambiguous(const LocalMap& query, std::vector<Candidate>* candidates) const {
+  std::vector<Candidate*> accepted;
   for (Candidate& candidate : *candidates) {
-    if (static_cast<int>(selected.size()) == options_.max_candidates) break;
-    const bool repeats = std::any_of(selected.begin(), selected.end(), [&](const Candidate& other) {
-      return overlap(*candidate.match, *other.match) > 0.5;
-    });
-    if (!repeats) selected.push_back(std::move(candidate));
+    if (candidate.verdict.reason == LoopReason::kAccepted) accepted.push_back(&candidate);
   }
-  *candidates = std::move(selected);
+  for (Candidate* candidate : accepted) {
+    const LocalMap& match = match_of(*candidate);
+    const SE3 pose = implied_pose(match, candidate->alignment);
+    bool ambiguous = are_apart(match, pose, query, query.T_odom_anchor);
+    for (const Candidate* other : accepted) {
+      if (options_.ambiguity_ratio * other->alignment.score < candidate->alignment.score) continue;
+      if (!are_apart(match, pose, match_of(*other), implied_pose(match_of(*other), other->alignment))) continue;
+      candidate->second_score = std::max(candidate->second_score, other->alignment.score);
+      ambiguous = true;
+    }
+    if (ambiguous) candidate->verdict.reason = LoopReason::kAmbiguous;
+  }
+}
+
+/// The best of every place: submaps that overlap in time tell of one place, accepted ones first, then by score. After
+/// the very best come the places that were closed least recently, since they say more than the same loop once more.
+void GraphDetector::select(std::vector<Candidate>* candidates) const {
+  const auto is_accepted = [](const Candidate& candidate) { return candidate.verdict.reason == LoopReason::kAccepted; };
+  std::stable_sort(candidates->begin(), candidates->end(), [&](const Candidate& p, const Candidate& q) {
+    return is_accepted(p) != is_accepted(q) ? is_accepted(p) : p.alignment.score > q.alignment.score;
+  });
+  std::vector<Candidate> places;
+  for (Candidate& candidate : *candidates) {
+    const bool repeats = std::any_of(places.begin(), places.end(), [&](const Candidate& other) {
+      return overlap(match_of(candidate), match_of(other)) > kSamePlace;
+    });
+    if (!repeats) places.push_back(std::move(candidate));
+  }
+  const auto rejected = std::find_if_not(places.begin(), places.end(), is_accepted);
+  if (rejected - places.begin() > 2) {
+    std::stable_sort(places.begin() + 1, rejected, [this](const Candidate& p, const Candidate& q) {
+      return maps_[p.stored].closed_ns < maps_[q.stored].closed_ns;
+    });
+  }
+  const auto kept =
+      static_cast<std::ptrdiff_t>(std::min(places.size(), static_cast<std::size_t>(options_.max_candidates)));
+  candidates->assign(std::make_move_iterator(places.begin()), std::make_move_iterator(places.begin() + kept));
+}
+
+void GraphDetector::mark_closed(const LocalMap& match, std::int64_t query_ns) {
+  for (StoredMap& stored : maps_) {
+    if (overlap(stored.map, match) > kSamePlace) stored.closed_ns = query_ns;
+  }
 }
 
 LoopClosure GraphDetector::finish(const LocalMap& query, const Candidate& candidate) const {
-  LoopClosure loop = make_closure(*candidate.match, query);
-  set_alignment(*candidate.match, query, candidate.alignment, &loop);
+  LoopClosure loop = make_closure(match_of(candidate), query);
+  set_alignment(match_of(candidate), query, candidate.alignment, &loop);
   loop.reason = candidate.verdict.reason;
   loop.score = candidate.alignment.score;
   loop.second_score = candidate.second_score;
   loop.reprojection_ratio = candidate.verdict.reprojection.ratio;
   if (loop.reason == LoopReason::kAccepted) {
-    refine_and_decide(*candidate.match, query, candidate.alignment, refiner_, options_, &loop);
+    refine_and_decide(match_of(candidate), query, candidate.alignment, refiner_, options_, &loop);
   }
   return loop;
 }

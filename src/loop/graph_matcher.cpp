@@ -171,14 +171,15 @@ class Matching {
   }
 
   void assess(GraphMatch* match) const {
-    std::set<int> labels;
+    std::set<int> classes_a, classes_b;
     const Mat3 R = match->T_a_b.rotation();
     for (const NodePair& pair : match->pairs) {
       const double z = residual(R, match->T_a_b.t, pair) / (kScoreSigmaShare * options_.inlier_distance_m);
       match->score += std::exp(-0.5 * z * z);
-      labels.insert(at(a_, pair.a).label);
+      classes_a.insert(at(a_, pair.a).class_id);
+      classes_b.insert(at(b_, pair.b).class_id);
     }
-    match->labels = static_cast<int>(labels.size());
+    match->classes = static_cast<int>(std::min(classes_a.size(), classes_b.size()));
   }
 
   bool is_distinct(const GraphMatch& p, const GraphMatch& q) const {

@@ -66,16 +66,18 @@ std::map<int, std::vector<BoxRay>> rays_by_label(const std::vector<LocalFrame>& 
     for (const ObservedBox& box : frames[f].boxes) {
       const Vec2 center = box.box.center();
       const Vec3 direction = frames[f].R_camera_local.transpose() * Vec3(center.x(), center.y(), 1.0).normalized();
-      rays[box.label].push_back(
-          {static_cast<int>(f), redirects.resolve(box.landmark_id), box.box, box.truncated == 0, direction});
+      rays[box.label].push_back({static_cast<int>(f), redirects.resolve(box.landmark_id), box.class_id, box.box,
+                                 box.truncated == 0, direction});
     }
   }
   return rays;
 }
 
-std::int64_t commonest_landmark(const std::vector<BoxRay>& rays, const RayCluster& cluster) {
-  std::map<std::int64_t, int> counts;
-  for (const int i : cluster.rays) ++counts[rays[static_cast<std::size_t>(i)].landmark_id];
+/// The value that most of a cluster's boxes have in a field, the lowest on ties.
+template <class Value>
+Value commonest(const std::vector<BoxRay>& rays, const RayCluster& cluster, Value BoxRay::*field) {
+  std::map<Value, int> counts;
+  for (const int i : cluster.rays) ++counts[rays[static_cast<std::size_t>(i)].*field];
   return std::max_element(counts.begin(), counts.end(),
                           [](const auto& p, const auto& q) { return p.second < q.second; })
       ->first;
@@ -230,6 +232,8 @@ std::optional<LocalMap> LocalMapBuilder::build(const std::deque<ObservedFrame>& 
   map.stamp_ns = anchor->stamp_ns;
   map.begin_frame = window.front().frame_id;
   map.end_frame = window.back().frame_id;
+  map.end_ns = window.back().stamp_ns;
+  map.T_odom_anchor = anchor->T_odom_camera;
   map.span_s = 1e-9 * static_cast<double>(window.back().stamp_ns - window.front().stamp_ns);
   map.up = up.estimate(anchor->T_odom_camera.q);
   const SE3 T_anchor_odom = anchor->T_odom_camera.inverse();
@@ -258,8 +262,9 @@ std::vector<LocalObject> LocalMapBuilder::find_objects(const LocalMap& map, cons
       }
       std::optional<LocalObject> object = fit(map, std::move(views), cluster.center);
       if (!object) continue;
-      object->landmark_id = commonest_landmark(rays, cluster);
+      object->landmark_id = commonest(rays, cluster, &BoxRay::landmark_id);
       object->label = label;
+      object->class_id = commonest(rays, cluster, &BoxRay::class_id);
       object->frames_seen = static_cast<int>(cluster.rays.size());
       object->seen_share = std::min(seen_share, 1.0);
       object->parallax_deg = degrees(cluster.parallax_rad);

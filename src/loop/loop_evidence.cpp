@@ -22,7 +22,7 @@ LoopClosure make_closure(const LocalMap& match, const LocalMap& query) {
 void set_alignment(const LocalMap& match, const LocalMap& query, const GraphMatch& alignment, LoopClosure* loop) {
   loop->rms_m = alignment.rms_m;
   loop->inliers = static_cast<int>(alignment.pairs.size());
-  loop->labels = alignment.labels;
+  loop->labels = alignment.classes;
   loop->T_match_query = alignment.T_a_b;
   loop->matches.clear();
   for (const NodePair& pair : alignment.pairs) {

@@ -48,8 +48,11 @@ bool all_shares(std::initializer_list<Named> values, std::string* error) {
 bool LoopOptions::is_valid(std::string* error) const {
   if (mode != "graph" && mode != "paper") return reject("loop.mode", mode, "graph or paper", error);
   if (score != "corrected" && score != "printed") return reject("loop.score", score, "corrected or printed", error);
+  if (min_window_s > window_s) return reject("loop.min_window_s", min_window_s, "<= loop.window_s", error);
   return all_positive({{"loop.min_gap_s", min_gap_s},
                        {"loop.window_s", window_s},
+                       {"loop.min_window_s", min_window_s},
+                       {"loop.window_drift_deg", window_drift_deg},
                        {"loop.store_interval_s", store_interval_s},
                        {"loop.min_parallax_deg", min_parallax_deg},
                        {"loop.max_depth_m", max_depth_m},
@@ -70,6 +73,7 @@ bool LoopOptions::is_valid(std::string* error) const {
                        {"loop.paper_window_s", paper_window_s}},
                       error) &&
          all_at_least({{"loop.frame_interval_s", frame_interval_s},
+                       {"loop.attempt_interval_s", attempt_interval_s},
                        {"loop.distance_tolerance_share", distance_tolerance_share},
                        {"loop.min_distance_m", min_distance_m},
                        {"loop.min_spread_m", min_spread_m},

@@ -60,7 +60,7 @@ Verdict LoopVerifier::verify(const LocalMap& a, const LocalMap& b, const GraphMa
 
 LoopReason LoopVerifier::check_alignment(const GraphMatch& match, double second_score) const {
   if (static_cast<int>(match.pairs.size()) < options_.min_inliers) return LoopReason::kTooFewInliers;
-  if (match.labels < options_.min_labels) return LoopReason::kTooFewLabels;
+  if (match.classes < options_.min_labels) return LoopReason::kTooFewLabels;
   if (match.spread_m(1) < options_.min_spread_m) return LoopReason::kDegenerate;
   if (match.rms_m > options_.max_rms_m) return LoopReason::kResidual;
   if (match.score < options_.ambiguity_ratio * second_score) return LoopReason::kAmbiguous;

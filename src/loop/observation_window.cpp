@@ -26,13 +26,17 @@ int LabelTable::label(int class_id) const {
 ObservationWindow::ObservationWindow(double span_s, double interval_s, LabelTable labels)
     : span_ns_(std::llround(1e9 * span_s)), interval_ns_(std::llround(1e9 * interval_s)), labels_(std::move(labels)) {}
 
-void ObservationWindow::push(const Frame& frame, const AssociationFrame& associations) {
+bool ObservationWindow::push(const Frame& frame, const AssociationFrame& associations) {
   if (frame.is_break) frames_.clear();
   const bool sampled = frames_.empty() || frame.stamp_ns - last_sampled_ns_ >= interval_ns_;
   if (sampled) last_sampled_ns_ = frame.stamp_ns;
-  if (sampled || frame.is_keyframe) frames_.push_back(observe(frame, associations));
+  const bool taken = sampled || frame.is_keyframe;
+  if (taken) frames_.push_back(observe(frame, associations));
   while (!frames_.empty() && frame.stamp_ns - frames_.front().stamp_ns > span_ns_) frames_.pop_front();
+  return taken;
 }
+
+void ObservationWindow::set_span(double span_s) { span_ns_ = std::llround(1e9 * span_s); }
 
 ObservedFrame ObservationWindow::observe(const Frame& frame, const AssociationFrame& associations) const {
   const Camera& camera = frame.camera;
@@ -53,7 +57,8 @@ ObservedFrame ObservationWindow::observe(const Frame& frame, const AssociationFr
     const int class_id = association.landmark_class_id >= 0 ? association.landmark_class_id : association.class_id;
     const int label = labels_.label(class_id);
     if (label < 0) continue;
-    observed.boxes.push_back({association.landmark_id, label, normalised(association.box), association.truncated});
+    observed.boxes.push_back(
+        {association.landmark_id, label, class_id, normalised(association.box), association.truncated});
   }
   return observed;
 }

@@ -23,12 +23,21 @@ GraphMatcherOptions matcher_options(const LoopOptions& options) {
   return matcher;
 }
 
+/// Few common nodes determine the pose poorly; shared landmarks say that the place is right all the same, so the edge
+/// is kept with its wide covariance.
+LoopOptions with_vague_edges(LoopOptions options) {
+  constexpr double kVagueness = 3.0;
+  options.max_sigma_m *= kVagueness;
+  options.max_sigma_deg *= kVagueness;
+  return options;
+}
+
 const LocalObject& object(const LocalMap& map, int i) { return map.objects[static_cast<std::size_t>(i)]; }
 
 }  // namespace
 
 PaperDetector::PaperDetector(const LoopOptions& options)
-    : options_(options), matcher_(matcher_options(options)), refiner_(options) {}
+    : options_(with_vague_edges(options)), matcher_(matcher_options(options)), refiner_(options) {}
 
 void PaperDetector::apply(const MapUpdate& update) {
   for (const Landmark& landmark : update.changed) quality_[landmark.id] = landmark.quality;

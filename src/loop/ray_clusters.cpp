@@ -122,19 +122,19 @@ class Clustering {
 
   /// Turns points into clusters, the best supported first; each box belongs to one cluster.
   void gather(std::vector<Vec3> points) {
+    // Votes only fall as boxes are used up, so that an old count bounds the new one from above.
+    std::vector<int> bounds(points.size(), std::numeric_limits<int>::max());
     while (!points.empty()) {
-      int best_votes = 0;
-      std::size_t best = 0;
-      for (std::size_t k = 0; k < points.size(); ++k) {
-        const int v = votes(points[k]);
-        if (v > best_votes) {
-          best_votes = v;
-          best = k;
-        }
+      const auto best = static_cast<std::size_t>(std::max_element(bounds.begin(), bounds.end()) - bounds.begin());
+      const int best_votes = votes(points[best]);
+      if (best_votes < bounds[best]) {
+        bounds[best] = best_votes;
+        continue;
       }
       if (best_votes < options_.min_views) return;
       const std::optional<RayCluster> cluster = refine(points[best]);
       points.erase(points.begin() + static_cast<std::ptrdiff_t>(best));
+      bounds.erase(bounds.begin() + static_cast<std::ptrdiff_t>(best));
       if (!cluster) continue;
       for (const int i : cluster->rays) used_[static_cast<std::size_t>(i)] = true;
       if (cluster->parallax_rad >= options_.min_parallax_rad) clusters_.push_back(*cluster);

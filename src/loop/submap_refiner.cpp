@@ -1,12 +1,8 @@
 #include "semantic_topo_loop/loop/submap_refiner.h"
 
-#include <ceres/ceres.h>
-
 #include <Eigen/Cholesky>
 #include <algorithm>
-#include <array>
 #include <cmath>
-#include <memory>
 
 namespace semantic_topo_loop::core {
 namespace {
@@ -14,10 +10,12 @@ namespace {
 using Vec5 = Eigen::Matrix<double, 5, 1>;
 using Mat5 = Eigen::Matrix<double, 5, 5>;
 using Mat65 = Eigen::Matrix<double, 6, 5>;
-using Mat46 = Eigen::Matrix<double, 4, 6, Eigen::RowMajor>;
-using Mat45 = Eigen::Matrix<double, 4, 5, Eigen::RowMajor>;
+using Mat46 = Eigen::Matrix<double, 4, 6>;
+using Mat45 = Eigen::Matrix<double, 4, 5>;
 
 constexpr int kMaxIterations = 15;
+constexpr double kMinDecrease = 1e-6;  ///< of the cost, relative; less ends the iteration
+constexpr double kMaxDamping = 1e6;
 constexpr double kMinInformation = 1e-6;
 
 /// Derivative of exp: exp(w + dw) = exp(w) exp(J dw) to first order.
@@ -35,54 +33,106 @@ struct BoxMeasurement {
   Vec3 t_camera_local;
   Vec4 edges;
   Vec4 sqrt_information;
+  std::size_t object;
+  bool in_b;
 };
 
-/// Residual: (box edges of the projected spheroid - measured edges) / sigma. The spheroid lives in a's frame; for a
-/// box of b it is taken over by the inverse of T_a_b = T_0 * exp(delta).
-class BoxCost : public ceres::SizedCostFunction<4, 6, 5> {
- public:
-  BoxCost(const BoxMeasurement& measurement, bool in_b, const SE3& T_0, const Vec3& axis_a)
-      : m_(measurement), in_b_(in_b), R_0_b_(T_0.rotation().transpose()), t_0_(T_0.t), axis_a_(axis_a) {}
+/// The unknowns: T_a_b = T_0 * exp(delta), and centre and log axes of each object in a's frame.
+struct State {
+  Vec6 delta = Vec6::Zero();
+  std::vector<Vec5> objects;
+};
 
-  bool Evaluate(double const* const* parameters, double* residuals, double** jacobians) const override {
-    const Eigen::Map<const Vec6> delta(parameters[0]);
-    const Eigen::Map<const Vec5> object(parameters[1]);
-    const Mat3 R_delta = in_b_ ? so3_exp(delta.tail<3>()).toRotationMatrix() : Mat3::Identity();
-    const Mat3 R_local_a = in_b_ ? Mat3(R_delta.transpose() * R_0_b_) : Mat3(Mat3::Identity());
-    const Vec3 center_local = in_b_ ? Vec3(R_delta.transpose() * (R_0_b_ * (object.head<3>() - t_0_) - delta.head<3>()))
-                                    : Vec3(object.head<3>());
-    const Vec3 axis_local = R_local_a * axis_a_;
-    const auto projection = project_spheroid(m_.R_camera_local * center_local + m_.t_camera_local,
-                                             m_.R_camera_local * axis_local, object.tail<2>());
-    if (!projection) return false;
-    Eigen::Map<Vec4>(residuals, 4) = m_.sqrt_information.cwiseProduct(projection->edges - m_.edges);
-    if (jacobians == nullptr) return true;
-    const Eigen::Matrix<double, 4, 3> d_center =
-        m_.sqrt_information.asDiagonal() * projection->d_center * m_.R_camera_local;
-    if (jacobians[0] != nullptr) {
-      Eigen::Map<Mat46> J(jacobians[0]);
-      J.setZero();
-      if (in_b_) {
-        const Eigen::Matrix<double, 4, 3> d_axis =
-            m_.sqrt_information.asDiagonal() * projection->d_axis * m_.R_camera_local;
-        J.leftCols<3>() = -d_center * R_delta.transpose();
-        J.rightCols<3>() = (d_center * hat(center_local) + d_axis * hat(axis_local)) * right_jacobian(delta.tail<3>());
-      }
-    }
-    if (jacobians[1] != nullptr) {
-      Eigen::Map<Mat45> J(jacobians[1]);
-      J.leftCols<3>() = d_center * R_local_a;
-      J.rightCols<2>() = m_.sqrt_information.asDiagonal() * projection->d_log_axes;
-    }
-    return true;
+/// Residual: (box edges of the projected spheroid - measured edges) / sigma.
+struct BoxResidual {
+  Vec4 r;
+  Mat46 d_delta;
+  Mat45 d_object;
+};
+
+/// What all boxes of a side share in one linearisation.
+struct Side {
+  Mat3 R_local_a = Mat3::Identity();
+  Vec3 t_local_a = Vec3::Zero();
+  Mat3 R_delta_inverse = Mat3::Identity();
+  Mat3 J_right = Mat3::Identity();
+};
+
+Side side_b(const SE3& T_0, const Vec6& delta) {
+  Side side;
+  side.R_delta_inverse = so3_exp(delta.tail<3>()).conjugate().toRotationMatrix();
+  const Mat3 R_0_inverse = T_0.rotation().transpose();
+  side.R_local_a = side.R_delta_inverse * R_0_inverse;
+  side.t_local_a = -(side.R_delta_inverse * (R_0_inverse * T_0.t + delta.head<3>()));
+  side.J_right = right_jacobian(delta.tail<3>());
+  return side;
+}
+
+bool evaluate(const BoxMeasurement& m, const Side& side, const Vec3& axis_a, const Vec5& object, BoxResidual* result) {
+  const Vec3 center_local = side.R_local_a * object.head<3>() + side.t_local_a;
+  const Vec3 axis_local = side.R_local_a * axis_a;
+  const auto projection = project_spheroid(m.R_camera_local * center_local + m.t_camera_local,
+                                           m.R_camera_local * axis_local, object.tail<2>());
+  if (!projection) return false;
+  result->r = m.sqrt_information.cwiseProduct(projection->edges - m.edges);
+  const Eigen::Matrix<double, 4, 3> d_center =
+      m.sqrt_information.asDiagonal() * projection->d_center * m.R_camera_local;
+  result->d_object.leftCols<3>() = d_center * side.R_local_a;
+  result->d_object.rightCols<2>() = m.sqrt_information.asDiagonal() * projection->d_log_axes;
+  if (!m.in_b) return true;
+  const Eigen::Matrix<double, 4, 3> d_axis = m.sqrt_information.asDiagonal() * projection->d_axis * m.R_camera_local;
+  result->d_delta.leftCols<3>() = -d_center * side.R_delta_inverse;
+  result->d_delta.rightCols<3>() = (d_center * hat(center_local) + d_axis * hat(axis_local)) * side.J_right;
+  return true;
+}
+
+/// Normal equations of the pose and the objects, which do not meet each other.
+struct NormalEquations {
+  explicit NormalEquations(std::size_t objects)
+      : H_pose_object(objects, Mat65::Zero()), H_object(objects, Mat5::Zero()), g_object(objects, Vec5::Zero()) {}
+
+  Mat6 H_pose = Mat6::Zero();
+  Vec6 g_pose = Vec6::Zero();
+  std::vector<Mat65> H_pose_object;
+  std::vector<Mat5> H_object;
+  std::vector<Vec5> g_object;
+  double cost = 0.0;
+
+  void add(const BoxMeasurement& m, const BoxResidual& residual) {
+    const double root = std::sqrt(1.0 + residual.r.squaredNorm());  // soft L1: 2 (sqrt(1 + |r|^2) - 1)
+    const double weight = 1.0 / root;
+    cost += 2.0 * (root - 1.0);
+    H_object[m.object].noalias() += weight * residual.d_object.transpose() * residual.d_object;
+    g_object[m.object].noalias() += weight * residual.d_object.transpose() * residual.r;
+    if (!m.in_b) return;
+    H_pose.noalias() += weight * residual.d_delta.transpose() * residual.d_delta;
+    g_pose.noalias() += weight * residual.d_delta.transpose() * residual.r;
+    H_pose_object[m.object].noalias() += weight * residual.d_delta.transpose() * residual.d_object;
   }
 
- private:
-  BoxMeasurement m_;
-  bool in_b_;
-  Mat3 R_0_b_;
-  Vec3 t_0_;
-  Vec3 axis_a_;
+  /// Information of the pose once the objects are eliminated, and the step; `damping` scales the diagonals.
+  Mat6 reduce(double damping, const State& state, State* next) const {
+    Mat6 S = H_pose;
+    S.diagonal() *= 1.0 + damping;
+    Vec6 b = g_pose;
+    std::vector<Eigen::LDLT<Mat5>> factors;
+    for (std::size_t k = 0; k < H_object.size(); ++k) {
+      Mat5 H = H_object[k];
+      H.diagonal() *= 1.0 + damping;
+      H.diagonal().array() += kMinInformation;
+      factors.emplace_back(H);
+      S -= H_pose_object[k] * factors.back().solve(H_pose_object[k].transpose());
+      b -= H_pose_object[k] * factors.back().solve(g_object[k]);
+    }
+    if (next == nullptr) return S;
+    const Vec6 step = -S.ldlt().solve(b);
+    *next = state;
+    next->delta += step;
+    for (std::size_t k = 0; k < H_object.size(); ++k) {
+      next->objects[k] -= factors[k].solve(g_object[k] + H_pose_object[k].transpose() * step);
+    }
+    return S;
+  }
 };
 
 /// The up direction of both submaps in a's frame.
@@ -97,11 +147,13 @@ Vec3 common_axis(const LocalMap& a, const LocalMap& b, const SE3& T_a_b) {
 class RefinementProblem {
  public:
   RefinementProblem(const LocalMap& a, const LocalMap& b, const SE3& T_0, const std::vector<NodePair>& pairs)
-      : a_(a), b_(b), T_0_(T_0), axis_(common_axis(a, b, T_0)), objects_(pairs.size()) {
-    for (std::size_t k = 0; k < pairs.size(); ++k) {
-      const Spheroid& s_a = a.objects[static_cast<std::size_t>(pairs[k].a)].spheroid;
-      const Spheroid& s_b = b.objects[static_cast<std::size_t>(pairs[k].b)].spheroid;
-      objects_[k] << 0.5 * (s_a.center + T_0 * s_b.center), 0.5 * (s_a.log_axes + s_b.log_axes);
+      : a_(a), b_(b), T_0_(T_0), axis_(common_axis(a, b, T_0)) {
+    for (const NodePair& pair : pairs) {
+      const Spheroid& s_a = a.objects[static_cast<std::size_t>(pair.a)].spheroid;
+      const Spheroid& s_b = b.objects[static_cast<std::size_t>(pair.b)].spheroid;
+      Vec5 object;
+      object << 0.5 * (s_a.center + T_0 * s_b.center), 0.5 * (s_a.log_axes + s_b.log_axes);
+      state_.objects.push_back(object);
     }
   }
 
@@ -112,61 +164,42 @@ class RefinementProblem {
     }
   }
 
+  /// Levenberg-Marquardt.   @return false if the start cannot be projected or the steps are not finite
   bool solve() {
-    ceres::Problem::Options problem_options;
-    problem_options.cost_function_ownership = ceres::DO_NOT_TAKE_OWNERSHIP;
-    problem_options.loss_function_ownership = ceres::DO_NOT_TAKE_OWNERSHIP;
-    ceres::Problem problem(problem_options);
-    ceres::SoftLOneLoss loss(1.0);
-    ceres::Solver::Options options;
-    auto* ordering = new ceres::ParameterBlockOrdering;  // owned by the options
-    for (const Term& term : terms_) {
-      problem.AddResidualBlock(term.cost.get(), &loss, delta_.data(), objects_[term.object].data());
+    NormalEquations equations(state_.objects.size()), next_equations(state_.objects.size());
+    if (!linearise(state_, &equations, nullptr)) return false;
+    double damping = 1e-4;
+    for (int i = 0; i < kMaxIterations && damping < kMaxDamping; ++i) {
+      State next;
+      equations.reduce(damping, state_, &next);
+      if (!next.delta.allFinite()) return false;
+      const bool better = linearise(next, &next_equations, nullptr) && next_equations.cost < equations.cost;
+      damping *= better ? 0.1 : 10.0;
+      if (!better) continue;
+      const bool settled = equations.cost - next_equations.cost < kMinDecrease * equations.cost;
+      state_ = std::move(next);
+      std::swap(equations, next_equations);
+      if (settled) break;
     }
-    for (Vec5& object : objects_) ordering->AddElementToGroup(object.data(), 0);
-    ordering->AddElementToGroup(delta_.data(), 1);
-    options.linear_solver_type = ceres::DENSE_SCHUR;
-    options.linear_solver_ordering.reset(ordering);
-    options.max_num_iterations = kMaxIterations;
-    options.num_threads = 1;
-    options.logging_type = ceres::SILENT;
-    ceres::Solver::Summary summary;
-    ceres::Solve(options, &problem, &summary);
-    return summary.IsSolutionUsable() && delta_.allFinite();
+    return true;
   }
 
-  SE3 T_a_b() const { return T_0_ * se3_exp(delta_); }
+  SE3 T_a_b() const { return T_0_ * se3_exp(state_.delta); }
 
   /// Marginal covariance of the pose by the Schur complement, and the median residual.
   /// @return false if the pose is not determined
   bool assess(double inflation, Refinement* refinement) const {
-    Mat6 H = Mat6::Zero();
-    std::vector<Mat65> H_pose_object(objects_.size(), Mat65::Zero());
-    std::vector<Mat5> H_object(objects_.size(), Mat5::Zero());
+    NormalEquations equations(state_.objects.size());
     std::vector<double> residuals;
-    for (const Term& term : terms_) {
-      Vec4 r;
-      Mat46 J_pose;
-      Mat45 J_object;
-      const std::array<const double*, 2> parameters{delta_.data(), objects_[term.object].data()};
-      std::array<double*, 2> jacobians{J_pose.data(), J_object.data()};
-      if (!term.cost->Evaluate(parameters.data(), r.data(), jacobians.data())) return false;
-      const double weight = 1.0 / std::sqrt(1.0 + r.squaredNorm());
-      H += weight * J_pose.transpose() * J_pose;
-      H_pose_object[term.object] += weight * J_pose.transpose() * J_object;
-      H_object[term.object] += weight * J_object.transpose() * J_object;
-      for (int i = 0; i < 4; ++i) residuals.push_back(std::abs(r(i)));
-    }
-    for (std::size_t k = 0; k < objects_.size(); ++k) {
-      H_object[k].diagonal().array() += kMinInformation;
-      H -= H_pose_object[k] * H_object[k].ldlt().solve(H_pose_object[k].transpose());
-    }
+    if (!linearise(state_, &equations, &residuals)) return false;
+    const Mat6 H = equations.reduce(0.0, state_, nullptr);
     const Eigen::LDLT<Mat6> ldlt(H);
     if (!H.allFinite() || !(ldlt.vectorD().minCoeff() > kMinInformation)) return false;
     // From a change of delta to a right perturbation of the result.
+    const Side side = side_b(T_0_, state_.delta);
     Mat6 J = Mat6::Identity();
-    J.topLeftCorner<3, 3>() = so3_exp(delta_.tail<3>()).conjugate().toRotationMatrix();
-    J.bottomRightCorner<3, 3>() = right_jacobian(delta_.tail<3>());
+    J.topLeftCorner<3, 3>() = side.R_delta_inverse;
+    J.bottomRightCorner<3, 3>() = side.J_right;
     const Mat6 covariance = J * ldlt.solve(Mat6::Identity()) * J.transpose();
     refinement->covariance = 0.5 * inflation * inflation * (covariance + covariance.transpose());
     const auto middle = residuals.begin() + static_cast<std::ptrdiff_t>(residuals.size() / 2);
@@ -176,10 +209,18 @@ class RefinementProblem {
   }
 
  private:
-  struct Term {
-    std::unique_ptr<BoxCost> cost;
-    std::size_t object;
-  };
+  /// @return false if a box cannot see its object
+  bool linearise(const State& state, NormalEquations* equations, std::vector<double>* residuals) const {
+    *equations = NormalEquations(state.objects.size());
+    const Side in_a, in_b = side_b(T_0_, state.delta);
+    BoxResidual residual;
+    for (const BoxMeasurement& m : measurements_) {
+      if (!evaluate(m, m.in_b ? in_b : in_a, axis_, state.objects[m.object], &residual)) return false;
+      equations->add(m, residual);
+      for (int i = 0; residuals != nullptr && i < 4; ++i) residuals->push_back(std::abs(residual.r(i)));
+    }
+    return std::isfinite(equations->cost);
+  }
 
   void add_object(const LocalMap& map, const LocalObject& object, bool in_b, std::size_t index, int views,
                   double sigma_px, double sigma_share) {
@@ -192,8 +233,8 @@ class RefinementProblem {
       const double sigma = sigma_px + sigma_share * std::sqrt(size_px.prod());
       const Vec4 sqrt_information =
           Vec4(frame.focal_px.x(), frame.focal_px.y(), frame.focal_px.x(), frame.focal_px.y()) / sigma;
-      const BoxMeasurement measurement{frame.R_camera_local, frame.t_camera_local, view.box.edges(), sqrt_information};
-      terms_.push_back({std::make_unique<BoxCost>(measurement, in_b, T_0_, axis_), index});
+      measurements_.push_back(
+          {frame.R_camera_local, frame.t_camera_local, view.box.edges(), sqrt_information, index, in_b});
     }
   }
 
@@ -201,9 +242,8 @@ class RefinementProblem {
   const LocalMap& b_;
   SE3 T_0_;
   Vec3 axis_;
-  Vec6 delta_ = Vec6::Zero();
-  std::vector<Vec5> objects_;
-  std::vector<Term> terms_;
+  State state_;
+  std::vector<BoxMeasurement> measurements_;
 };
 
 }  // namespace

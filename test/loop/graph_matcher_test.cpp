@@ -123,6 +123,18 @@ TEST(GraphMatcher, SizesAndLabelsGateCorrespondences) {
   EXPECT_TRUE(match(other_sizes).empty());
 }
 
+TEST(GraphMatcher, CountsClassesWithinSharedLabels) {
+  Problem problem = random_problem(8, 9, 0, 1);
+  for (std::size_t i = 0; i < problem.a.size(); ++i) {
+    problem.a[i].class_id = static_cast<int>(i % 4);
+    problem.b[i].class_id = static_cast<int>(i % 3);
+  }
+  const auto matches = match(problem);
+  ASSERT_FALSE(matches.empty());
+  EXPECT_EQ(matches.front().pairs.size(), 9u);
+  EXPECT_EQ(matches.front().classes, 3) << "of the side that has fewer";
+}
+
 TEST(GraphMatcher, TwoWaysToLieAreBothReported) {
   // b holds one group; a holds it twice, 3 m apart.
   Problem problem = random_problem(31, 8, 0, 4);

@@ -215,7 +215,7 @@ TEST(LoopVerifier, AcceptsTheTruthAndTellsWhatFails) {
   GraphMatch match;
   match.T_a_b = a.T_world_anchor.inverse() * b.T_world_anchor;
   match.pairs = true_pairs(a, b);
-  match.labels = 5;
+  match.classes = 5;
   match.score = 9.0;
   match.rms_m = 0.02;
   match.spread_m = Vec3(0.5, 0.3, 0.05);
@@ -224,7 +224,7 @@ TEST(LoopVerifier, AcceptsTheTruthAndTellsWhatFails) {
   EXPECT_EQ(verifier.verify(a.map, b.map, match, 8.0).reason, LoopReason::kAmbiguous);
 
   GraphMatch changed = match;
-  changed.labels = 2;
+  changed.classes = 2;
   EXPECT_EQ(verifier.verify(a.map, b.map, changed, 2.0).reason, LoopReason::kTooFewLabels);
   changed = match;
   changed.spread_m = Vec3(0.5, 0.01, 0.0);

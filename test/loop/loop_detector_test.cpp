@@ -150,6 +150,69 @@ TEST(LoopDetector, TwoIdenticalGroupsAreAmbiguous) {
   EXPECT_GT(ambiguous, 0);
 }
 
+/// Visits desks one after the other, `visit_s` each with a steady walk of 6 s between; all desks are copies of one.
+struct AlikeDesks {
+  std::vector<Vec3> middles;
+  std::vector<int> visits;  ///< index of the desk
+  double visit_s = 12.0;
+
+  RunOutcome run(std::uint64_t seed) const {
+    std::vector<testing::DeskObject> objects;
+    for (const Vec3& middle : middles) {
+      const auto desk = random_desk(seed, 10, middle);
+      objects.insert(objects.end(), desk.begin(), desk.end());
+    }
+    LoopDetector detector(LoopOptions(), testing::desk_classes());
+    FrameBuilder builder(KeyframeOptions(), testing::desk_camera());
+    std::mt19937_64 random(seed);
+    RunOutcome outcome;
+    std::int64_t k = 0;
+    for (std::size_t v = 0; v < visits.size(); ++v) {
+      const Vec3 middle = middles[static_cast<std::size_t>(visits[v])];
+      const Vec3 next = middles[static_cast<std::size_t>(visits[std::min(v + 1, visits.size() - 1)])];
+      for (double time_s = 0.0; time_s < visit_s + 6.0; time_s += 0.1, ++k) {
+        const double walked = std::max(0.0, (time_s - visit_s) / 6.0);
+        const std::vector<testing::Visit> round{{0.0, visit_s, 0.0, 80.0}};
+        const SE3 begin = testing::desk_pose(round, 0.0, next);
+        PoseSample sample;
+        sample.stamp_ns = k * 100'000'000;
+        sample.T_odom_camera = testing::desk_pose(round, std::min(time_s, visit_s), middle);
+        sample.T_odom_camera.t += walked * (begin.t - sample.T_odom_camera.t);
+        sample.T_odom_camera.q = sample.T_odom_camera.q.slerp(walked, begin.q);
+        const auto frame = builder.build(sample, nullptr);
+        const auto seen = testing::observe(objects, *frame, sample.T_odom_camera, 0, random);
+        for (LoopClosure& loop : detector.detect(*frame, seen)) outcome.loops.push_back(std::move(loop));
+        outcome.T_world_camera.push_back(sample.T_odom_camera);
+      }
+    }
+    return outcome;
+  }
+};
+
+/// No accepted loop may lead to another desk; a good part of the candidates is left open.
+void expect_abstention(const RunOutcome& outcome) {
+  int ambiguous = 0, wrong = 0;
+  for (const LoopClosure& loop : outcome.loops) {
+    ambiguous += loop.reason == LoopReason::kAmbiguous ? 1 : 0;
+    wrong += loop.accepted && error_m(loop.T_match_query, outcome.truth(loop)) > 0.35 ? 1 : 0;
+  }
+  EXPECT_EQ(wrong, 0);
+  EXPECT_GT(ambiguous, 0);
+}
+
+TEST(LoopDetector, AbstainsBetweenIdenticalDesksOfDifferentSubmaps) {
+  const AlikeDesks desks{{Vec3(0.0, 0.0, 0.7), Vec3(5.0, 0.0, 0.7)}, {0, 1, 0}};
+  expect_abstention(desks.run(1));
+}
+
+TEST(LoopDetector, AbstainsInAGridOfIdenticalDesks) {
+  AlikeDesks desks;
+  for (int i = 0; i < 9; ++i) desks.middles.emplace_back(3.0 * (i % 3), 3.0 * (i / 3), 0.7);
+  desks.visits = {0, 8, 4};
+  desks.visit_s = 8.0;
+  expect_abstention(desks.run(5));
+}
+
 TEST(LoopDetector, PaperModeCorrectsADriftedRevisit) {
   for (const char* score : {"corrected", "printed"}) {
     LoopOptions options;

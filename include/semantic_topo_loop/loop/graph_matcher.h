@@ -11,6 +11,7 @@ struct LabelledPoint {
   Vec3 position = Vec3::Zero();  ///< m
   int label = -1;
   double size = 0.0;  ///< radius, m
+  int class_id = -1;  ///< counts towards GraphMatch::classes; points of different classes may share a label
 };
 
 struct NodePair {
@@ -23,7 +24,7 @@ struct NodePair {
 struct GraphMatch {
   SE3 T_a_b;
   std::vector<NodePair> pairs;  ///< inliers, one-to-one, ascending in a
-  int labels = 0;               ///< different labels among them
+  int classes = 0;              ///< different classes among them, on the side that has fewer
   double score = 0.0;           ///< sum of exp(-(residual / sigma)^2 / 2)
   double rms_m = 0.0;
   Vec3 spread_m = Vec3::Zero();  ///< singular values of the inliers' spread, descending

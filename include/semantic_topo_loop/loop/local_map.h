@@ -32,8 +32,9 @@ struct ObjectView {
 };
 
 struct LocalObject {
-  std::int64_t landmark_id = -1;  ///< the one most of its boxes carry
-  int label = -1;
+  std::int64_t landmark_id = -1;       ///< the one most of its boxes carry
+  int label = -1;                      ///< of the class group
+  int class_id = -1;                   ///< the one most of its boxes carry
   Spheroid spheroid;                   ///< about LocalMap::up, local frame
   Mat3 covariance = Mat3::Identity();  ///< of the centre, m^2
   int frames_seen = 0;
@@ -48,7 +49,11 @@ struct LocalMap {
   std::int64_t frame_id = -1;
   std::int64_t stamp_ns = 0;
   std::int64_t begin_frame = -1, end_frame = -1;
+  std::int64_t end_ns = 0;  ///< stamp of the last frame
   double span_s = 0.0;
+  int segment = 0;                 ///< of the odometry, counted from break to break
+  double drift_rad_s = 0.0;        ///< apparent drift of the odometry at the time
+  SE3 T_odom_anchor;               ///< for the comparison with frames that follow, not with other submaps
   UpDirection up;                  ///< anchor camera frame
   std::vector<LocalFrame> frames;  ///< those that views or checks refer to
   std::vector<int> check_frames;   ///< indices of frames, spread evenly over the window

@@ -15,7 +15,7 @@ enum class LoopReason : std::uint8_t {
   kTooFewLabels = 3,
   kDegenerate = 4,     ///< objects on a line or in a point
   kResidual = 5,       ///< alignment error too large
-  kAmbiguous = 6,      ///< a second, different alignment explains nearly as much
+  kAmbiguous = 6,      ///< a second, different alignment or place explains nearly as much
   kReprojection = 7,   ///< the matched objects do not reproject onto the detections
   kMirrored = 8,       ///< the cameras lie on different sides of the objects' plane
   kTilt = 9,           ///< the local up directions disagree
@@ -45,7 +45,7 @@ struct LoopClosure {
   double rms_m = 0.0;
   double reprojection_ratio = 0.0;  ///< matched over expected boxes, the worse of both ways
   int inliers = 0;
-  int labels = 0;
+  int labels = 0;                      ///< different classes among the matched objects
   SE3 T_match_query;                   ///< of the cameras at query_frame and match_frame
   Mat6 covariance = Mat6::Identity();  ///< of T_match_query: (translation m, rotation rad), right
   std::vector<ObjectMatch> matches;

@@ -11,8 +11,11 @@ struct LoopOptions {
   std::string score = "corrected";
   double min_gap_s = 16.0;
   int max_candidates = 4;
+  double attempt_interval_s = 0.3;
 
-  double window_s = 8.0;
+  double window_s = 10.0;
+  double min_window_s = 6.0;
+  double window_drift_deg = 1.7;
   double frame_interval_s = 0.09;
   double store_interval_s = 2.0;
   int min_views = 6;
@@ -29,7 +32,7 @@ struct LoopOptions {
   double min_distance_m = 0.05;
   double inlier_distance_m = 0.12;
 
-  int min_inliers = 7;
+  int min_inliers = 6;
   int min_labels = 3;
   double max_rms_m = 0.09;
   double min_spread_m = 0.05;
@@ -47,14 +50,14 @@ struct LoopOptions {
   double refine_max_shift_m = 0.35;
   double refine_max_shift_deg = 15.0;
   double covariance_inflation = 2.0;
-  double max_sigma_m = 0.2;
-  double max_sigma_deg = 6.0;
+  double max_sigma_m = 0.15;
+  double max_sigma_deg = 4.5;
 
   int paper_min_common = 3;
   int paper_min_gap_frames = 1000;
-  double paper_window_s = 3.0;
+  double paper_window_s = 5.0;
   double paper_printed_min_score = 6.0;
-  double paper_corrected_min_score = 0.3;
+  double paper_corrected_min_score = 0.12;
   int paper_consistency = 3;
 
   template <class Visitor>
@@ -64,7 +67,10 @@ struct LoopOptions {
     visitor("loop.score", score, "paper mode: corrected or printed");
     visitor("loop.min_gap_s", min_gap_s, "graph mode: no loop between submaps closer in time");
     visitor("loop.max_candidates", max_candidates, "candidates reported a keyframe at most");
-    visitor("loop.window_s", window_s, "graph mode: time span of a submap");
+    visitor("loop.attempt_interval_s", attempt_interval_s, "loops are looked for this often, and at keyframes");
+    visitor("loop.window_s", window_s, "graph mode: time span of a submap, at most");
+    visitor("loop.min_window_s", min_window_s, "and at least, however poor the odometry is");
+    visitor("loop.window_drift_deg", window_drift_deg, "the odometry's apparent drift within a submap, at most");
     visitor("loop.frame_interval_s", frame_interval_s, "frames of a submap are at least this far apart");
     visitor("loop.store_interval_s", store_interval_s, "a submap is kept for later matches every so often");
     visitor("loop.min_views", min_views, "frames of a submap that see an object, at least");
@@ -82,7 +88,7 @@ struct LoopOptions {
     visitor("loop.min_distance_m", min_distance_m, "objects closer to each other say nothing");
     visitor("loop.inlier_distance_m", inlier_distance_m, "an object is an inlier of an alignment within this distance");
     visitor("loop.min_inliers", min_inliers, "aligned objects of an accepted loop");
-    visitor("loop.min_labels", min_labels, "different labels of an accepted loop");
+    visitor("loop.min_labels", min_labels, "different classes of an accepted loop");
     visitor("loop.max_rms_m", max_rms_m, "alignment error of an accepted loop");
     visitor("loop.min_spread_m", min_spread_m, "second singular value of the aligned objects' spread");
     visitor("loop.ambiguity_ratio", ambiguity_ratio, "score over that of the best distinct alternative");

@@ -17,6 +17,7 @@ namespace semantic_topo_loop::core {
 struct ObservedBox {
   std::int64_t landmark_id = -1;
   int label = -1;              ///< one number for all classes of a group
+  int class_id = -1;           ///< of the landmark
   Box box;                     ///< on the plane z = 1 of the camera (undistorted, without intrinsics)
   std::uint8_t truncated = 0;  ///< Truncation bits
 };
@@ -59,7 +60,10 @@ class ObservationWindow {
   /// @param interval_s frames closer to the last kept one are left out unless they are keyframes
   ObservationWindow(double span_s, double interval_s, LabelTable labels);
 
-  void push(const Frame& frame, const AssociationFrame& associations);
+  /// @return true if the frame was taken in
+  bool push(const Frame& frame, const AssociationFrame& associations);
+  void set_span(double span_s);
+  void clear() { frames_.clear(); }
   const std::deque<ObservedFrame>& frames() const { return frames_; }
 
  private:

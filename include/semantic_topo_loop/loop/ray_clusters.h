@@ -11,6 +11,7 @@ namespace semantic_topo_loop::core {
 struct BoxRay {
   int frame = -1;  ///< index in LocalMap::frames
   std::int64_t landmark_id = -1;
+  int class_id = -1;
   Box box;                         ///< on the plane z = 1
   bool full = false;               ///< no side is cut
   Vec3 direction = Vec3::UnitZ();  ///< unit, local frame

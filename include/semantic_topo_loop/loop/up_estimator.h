@@ -21,6 +21,7 @@ class UpEstimator {
   explicit UpEstimator(double span_s);
   /// Starts afresh at a break of the odometry.
   void push(const Frame& frame);
+  void clear() { samples_.clear(); }
   /// Up in the frame of a camera. Depends on relative poses only.
   UpDirection estimate(const Quaternion& q_odom_camera) const;
 

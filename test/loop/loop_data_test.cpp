@@ -1,0 +1,203 @@
+// The detector on recorded sequences: the same associations again in another world, after a restart, mirrored, and
+// against another place.
+
+#include <gtest/gtest.h>
+
+#include <algorithm>
+#include <set>
+#include <utility>
+
+#include "../test_files.h"
+#include "semantic_topo_loop/detection/detection_reader.h"
+#include "semantic_topo_loop/io/camera_yaml.h"
+#include "semantic_topo_loop/io/class_table_yaml.h"
+#include "semantic_topo_loop/io/tum_trajectory.h"
+#include "semantic_topo_loop/loop/loop_detector.h"
+#include "semantic_topo_loop/loop/loop_options.h"
+#include "semantic_topo_loop/pipeline/frame_builder.h"
+#include "semantic_topo_loop/pipeline/object_slam.h"
+
+namespace semantic_topo_loop::core {
+namespace {
+
+constexpr int kFrameStep = 3;  ///< 10 Hz is plenty, and faster
+
+struct Step {
+  Frame frame;
+  AssociationFrame associations;
+  std::vector<LandmarkMerge> merged;
+};
+using Recording = std::vector<Step>;
+
+std::shared_ptr<const ClassTable> coco() {
+  std::string error;
+  const auto classes = read_class_table(STL_CONFIG_DIR "/classes_coco.yaml", &error);
+  EXPECT_TRUE(classes.has_value()) << error;
+  return std::make_shared<const ClassTable>(*classes);
+}
+
+/// Associates a sequence without closing loops.   @return empty without the shared data
+Recording record(const std::string& sequence, const std::string& trajectory, const std::string& detections,
+                 const std::string& camera_file, std::size_t max_frames) {
+  const auto root = shared_data("tum/" + sequence + "/");
+  Recording steps;
+  if (!root) return steps;
+  std::string error;
+  const auto classes = coco();
+  const auto poses = read_tum_trajectory(*root + trajectory, &error);
+  const auto camera = read_camera(STL_CONFIG_DIR "/camera/" + camera_file, &error);
+  DetectionReport report;
+  const auto boxes = read_detections(*root + detections, *classes, &report, &error);
+  EXPECT_TRUE(poses && camera && boxes) << error;
+  if (!poses || !camera || !boxes) return steps;
+  Options options;
+  options.loop.enabled = false;
+  ObjectSlam slam(options, classes);
+  FrameBuilder builder(options.keyframe, *camera);
+  for (std::size_t i = 0; i < std::min(poses->size(), max_frames); i += kFrameStep) {
+    PoseSample sample;
+    sample.stamp_ns = (*poses)[i].stamp_ns;
+    sample.T_odom_camera = (*poses)[i].T_world_camera;
+    const auto frame = builder.build(sample, &error);
+    const DetectionFrame* seen = find_stamp(*boxes, frame->stamp_ns, 1000);
+    FrameResult result = slam.process(*frame, seen != nullptr ? seen->detections : std::vector<Detection>());
+    std::vector<LandmarkMerge> merged = result.observation.merged;
+    merged.insert(merged.end(), result.completion.merged.begin(), result.completion.merged.end());
+    steps.push_back({*frame, std::move(result.associations), std::move(merged)});
+  }
+  return steps;
+}
+
+const Recording& office() {
+  static const Recording recording =
+      record("fr3_office", "groundtruth_frames.txt", "detections_yolov3", "tum_fr3.yaml", 2600);
+  return recording;
+}
+
+std::vector<LoopClosure> replay(const Recording& recording) {
+  LoopDetector detector(LoopOptions(), coco());
+  std::vector<LoopClosure> loops;
+  for (const Step& step : recording) {
+    MapUpdate update;
+    update.merged = step.merged;
+    for (LoopClosure& loop : detector.detect(step.frame, step.associations)) loops.push_back(std::move(loop));
+    detector.apply(update);
+  }
+  return loops;
+}
+
+std::set<std::pair<std::int64_t, std::int64_t>> accepted_pairs(const std::vector<LoopClosure>& loops) {
+  std::set<std::pair<std::int64_t, std::int64_t>> pairs;
+  for (const LoopClosure& loop : loops) {
+    if (loop.accepted) pairs.emplace(loop.query_frame, loop.match_frame);
+  }
+  return pairs;
+}
+
+/// Appends a recording after another one, as a restart of the odometry 20 s later.
+Recording append(Recording first, Recording second) {
+  constexpr std::int64_t kIdOffset = 1'000'000;
+  const Frame& last = first.back().frame;
+  const std::int64_t frames = last.frame_id + 1, keyframes = last.keyframe_id + 1;
+  const std::int64_t shift_ns = last.stamp_ns + 20'000'000'000 - second.front().frame.stamp_ns;
+  second.front().frame.is_break = true;
+  for (Step& step : second) {
+    step.frame.frame_id += frames;
+    step.frame.keyframe_id += keyframes;
+    step.frame.stamp_ns += shift_ns;
+    for (Association& association : step.associations.associations) {
+      if (association.landmark_id >= 0) association.landmark_id += kIdOffset;
+    }
+    for (LandmarkMerge& merge : step.merged) {
+      merge.merged_id += kIdOffset;
+      merge.survivor_id += kIdOffset;
+    }
+    first.push_back(std::move(step));
+  }
+  return first;
+}
+
+/// Flips the world along x, and the images with it.
+Recording mirrored(Recording recording) {
+  const Mat3 flip = Vec3(-1.0, 1.0, 1.0).asDiagonal();
+  for (Step& step : recording) {
+    SE3& pose = step.frame.T_odom_camera;
+    pose = SE3(Quaternion(Mat3(flip * pose.rotation() * flip)), flip * pose.t);
+    const double width = step.frame.camera.width;
+    step.frame.camera.cx = width - step.frame.camera.cx;
+    for (Association& association : step.associations.associations) {
+      association.box = {width - association.box.x2, association.box.y1, width - association.box.x1,
+                         association.box.y2};
+    }
+  }
+  return recording;
+}
+
+/// Candidates and accepted loops between the two halves.
+std::pair<int, int> across(const std::vector<LoopClosure>& loops, std::int64_t first_frame_of_second) {
+  int candidates = 0, accepted = 0;
+  for (const LoopClosure& loop : loops) {
+    if (loop.query_frame < first_frame_of_second || loop.match_frame >= first_frame_of_second) continue;
+    ++candidates;
+    accepted += loop.accepted ? 1 : 0;
+  }
+  return {candidates, accepted};
+}
+
+TEST(LoopData, TheOdometrysWorldDoesNotMatter) {
+  if (office().empty()) GTEST_SKIP() << "SEMANTIC_TOPO_LOOP_DATA is not set";
+  const SE3 T_other_world(so3_exp(Vec3(2.0, -0.7, 1.1)), Vec3(4.0, -3.0, 2.0));
+  Recording moved = office();
+  for (Step& step : moved) step.frame.T_odom_camera = T_other_world * step.frame.T_odom_camera;
+  const auto pairs = accepted_pairs(replay(office())), moved_pairs = accepted_pairs(replay(moved));
+  ASSERT_GE(pairs.size(), 20u);
+  std::size_t shared = 0;
+  for (const auto& pair : pairs) shared += moved_pairs.count(pair);
+  EXPECT_GE(static_cast<double>(shared), 0.95 * static_cast<double>(pairs.size()));
+}
+
+TEST(LoopData, ClosesAcrossARestart) {
+  if (office().empty()) GTEST_SKIP() << "SEMANTIC_TOPO_LOOP_DATA is not set";
+  const SE3 T_other_world(so3_exp(Vec3(0.5, 1.7, -1.1)), Vec3(-1.0, 3.0, 2.0));
+  Recording restarted = office();
+  const std::size_t middle = restarted.size() / 2;
+  for (std::size_t i = middle; i < restarted.size(); ++i) {
+    restarted[i].frame.T_odom_camera = T_other_world * restarted[i].frame.T_odom_camera;
+    for (Association& association : restarted[i].associations.associations) {
+      if (association.landmark_id >= 0) association.landmark_id += 1'000'000;
+    }
+  }
+  restarted[middle].frame.is_break = true;
+  int right = 0, wrong = 0;
+  for (const LoopClosure& loop : replay(restarted)) {
+    const auto first = static_cast<std::int64_t>(middle);
+    if (!loop.accepted || loop.query_frame < first || loop.match_frame >= first) continue;
+    const SE3 truth = office()[static_cast<std::size_t>(loop.match_frame)].frame.T_odom_camera.inverse() *
+                      office()[static_cast<std::size_t>(loop.query_frame)].frame.T_odom_camera;
+    const bool is_right =
+        (loop.T_match_query.t - truth.t).norm() < 0.35 && degrees(rotation_angle(loop.T_match_query.q, truth.q)) < 10.0;
+    ++(is_right ? right : wrong);
+  }
+  EXPECT_GE(right, 20);
+  EXPECT_LE(wrong, right / 100);
+}
+
+TEST(LoopData, TheMirrorImageIsNoLoop) {
+  if (office().empty()) GTEST_SKIP() << "SEMANTIC_TOPO_LOOP_DATA is not set";
+  const auto [candidates, accepted] =
+      across(replay(append(office(), mirrored(office()))), static_cast<std::int64_t>(office().size()));
+  EXPECT_GT(candidates, 100);
+  EXPECT_EQ(accepted, 0);
+}
+
+TEST(LoopData, AnotherPlaceIsNoLoop) {
+  const Recording desk =
+      record("fr2_desk", "orbslam2_rgbd_trajectory.txt", "detections_yolov5.json", "tum_fr2.yaml", 900);
+  if (desk.empty()) GTEST_SKIP() << "SEMANTIC_TOPO_LOOP_DATA is not set";
+  const auto [candidates, accepted] = across(replay(append(desk, office())), static_cast<std::int64_t>(desk.size()));
+  EXPECT_GT(candidates, 0);
+  EXPECT_EQ(accepted, 0);
+}
+
+}  // namespace
+}  // namespace semantic_topo_loop::core
