@@ -1,7 +1,6 @@
 #include "semantic_topo_loop/loop/keyframe_queue.h"
 
-#include <algorithm>
-#include <iterator>
+#include <set>
 
 namespace semantic_topo_loop::core {
 
@@ -12,23 +11,18 @@ void ObjectIndex::insert(int keyframe, const std::vector<std::int64_t>& landmark
   }
 }
 
-void ObjectIndex::merge(std::int64_t merged_id, std::int64_t survivor_id) {
-  const auto merged = keyframes_of_.find(merged_id);
-  if (merged == keyframes_of_.end() || merged_id == survivor_id) return;
-  const std::vector<int>& survivor = keyframes_of_[survivor_id];
-  std::vector<int> both;
-  std::set_union(merged->second.begin(), merged->second.end(), survivor.begin(), survivor.end(),
-                 std::back_inserter(both));
-  keyframes_of_[survivor_id] = std::move(both);
-  keyframes_of_.erase(merged);
-}
-
-std::vector<KeyframeCandidate> ObjectIndex::query(const std::vector<std::int64_t>& landmark_ids, int min_common) const {
+std::vector<KeyframeCandidate> ObjectIndex::query(const std::vector<std::int64_t>& landmark_ids,
+                                                  const LandmarkRedirects& redirects, int min_common) const {
+  std::set<std::int64_t> landmarks;
+  for (const std::int64_t id : landmark_ids) landmarks.insert(redirects.resolve(id));
   std::map<int, int> common;
-  for (const std::int64_t id : landmark_ids) {
-    const auto it = keyframes_of_.find(id);
-    if (it == keyframes_of_.end()) continue;
-    for (const int keyframe : it->second) ++common[keyframe];
+  for (const std::int64_t landmark : landmarks) {
+    std::set<int> keyframes;
+    for (const std::int64_t id : redirects.aliases(landmark)) {
+      const auto it = keyframes_of_.find(id);
+      if (it != keyframes_of_.end()) keyframes.insert(it->second.begin(), it->second.end());
+    }
+    for (const int keyframe : keyframes) ++common[keyframe];
   }
   std::vector<KeyframeCandidate> candidates;
   for (const auto& [keyframe, count] : common) {

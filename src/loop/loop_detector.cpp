@@ -35,7 +35,7 @@ class LoopDetector::Impl {
         paper_(options) {}
 
   void apply(const MapUpdate& update) {
-    for (const LandmarkMerge& merge : update.merged) redirects_.add(merge);
+    redirects_.apply(update);
     if (paper_mode_) paper_.apply(update);
   }
 

@@ -41,11 +41,8 @@ PaperDetector::PaperDetector(const LoopOptions& options)
 
 void PaperDetector::apply(const MapUpdate& update) {
   for (const Landmark& landmark : update.changed) quality_[landmark.id] = landmark.quality;
-  for (const LandmarkMerge& merge : update.merged) {
-    redirects_.add(merge);
-    index_.merge(merge.merged_id, merge.survivor_id);
-    quality_.erase(merge.merged_id);
-  }
+  redirects_.apply(update);
+  for (const LandmarkMerge& merge : update.merged) quality_.erase(merge.merged_id);
   for (const std::int64_t id : update.removed) quality_.erase(id);
 }
 
@@ -105,7 +102,7 @@ std::optional<PaperDetector::Scored> PaperDetector::best_candidate(const Keyfram
   std::vector<std::int64_t> ids;
   for (const auto& [id, index] : query.object_of_landmark) ids.push_back(id);
   std::optional<Scored> best;
-  for (const KeyframeCandidate& candidate : index_.query(ids, options_.paper_min_common)) {
+  for (const KeyframeCandidate& candidate : index_.query(ids, redirects_, options_.paper_min_common)) {
     const Keyframe& match = keyframes_[static_cast<std::size_t>(candidate.keyframe)];
     if (query.map.frame_id - match.map.frame_id < options_.paper_min_gap_frames) continue;
     const double value = score(match, query);

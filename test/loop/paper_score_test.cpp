@@ -101,23 +101,32 @@ TEST(ObjectIndex, CountsCommonLandmarks) {
   index.insert(0, {1, 2, 3});
   index.insert(1, {3, 4});
   index.insert(2, {1, 3, 4});
-  const auto candidates = index.query({1, 3, 9}, 2);
+  const auto candidates = index.query({1, 3, 9}, {}, 2);
   ASSERT_EQ(candidates.size(), 2u);
   EXPECT_EQ(candidates[0].keyframe, 0);
   EXPECT_EQ(candidates[1].keyframe, 2);
   EXPECT_EQ(candidates[1].common, 2);
-  EXPECT_TRUE(index.query({9}, 1).empty());
+  EXPECT_TRUE(index.query({9}, {}, 1).empty());
 }
 
-TEST(ObjectIndex, FollowsMerges) {
+TEST(ObjectIndex, FollowsMergesAndWhatTakesThemBack) {
   ObjectIndex index;
   index.insert(0, {1, 2});
   index.insert(1, {2, 5});
-  index.merge(5, 1);
-  index.merge(7, 1);
-  const auto candidates = index.query({1, 2}, 2);
-  ASSERT_EQ(candidates.size(), 2u);
-  EXPECT_TRUE(index.query({5}, 1).empty());
+  LandmarkRedirects redirects;
+  MapUpdate update;
+  update.merged = {{5, 1}, {7, 5}};
+  redirects.apply(update);
+  EXPECT_EQ(redirects.resolve(7), 1);
+  EXPECT_EQ(redirects.aliases(5), (std::vector<std::int64_t>{1, 5, 7}));
+  EXPECT_EQ(index.query({1, 2}, redirects, 2).size(), 2U);
+  EXPECT_EQ(index.query({7, 5, 1}, redirects, 1).front().common, 1);
+  MapUpdate back;
+  back.unmerged = {{7, 5}, {5, 1}};
+  redirects.apply(back);
+  EXPECT_EQ(redirects.resolve(7), 7);
+  EXPECT_EQ(redirects.aliases(1), std::vector<std::int64_t>{1});
+  EXPECT_EQ(index.query({1, 2}, redirects, 2).size(), 1U);
 }
 
 }  // namespace

@@ -4,6 +4,8 @@
 #include <map>
 #include <vector>
 
+#include "semantic_topo_loop/loop/observation_window.h"
+
 namespace semantic_topo_loop::core {
 
 /// A keyframe that shares landmarks with the query.
@@ -18,9 +20,10 @@ class ObjectIndex {
  public:
   /// @param keyframe ascending from call to call
   void insert(int keyframe, const std::vector<std::int64_t>& landmark_ids);
-  void merge(std::int64_t merged_id, std::int64_t survivor_id);
   /// Keyframes with at least `min_common` of the landmarks, ascending.
-  std::vector<KeyframeCandidate> query(const std::vector<std::int64_t>& landmark_ids, int min_common) const;
+  /// @param redirects say which ids stand for one landmark
+  std::vector<KeyframeCandidate> query(const std::vector<std::int64_t>& landmark_ids,
+                                       const LandmarkRedirects& redirects, int min_common) const;
 
  private:
   std::map<std::int64_t, std::vector<int>> keyframes_of_;

@@ -33,14 +33,18 @@ struct ObservedFrame {
   std::vector<ObservedBox> boxes;
 };
 
-/// Follows the redirects of merged landmarks.
+/// Which landmark the ids of merged landmarks stand for.
 class LandmarkRedirects {
  public:
-  void add(const LandmarkMerge& merge) { survivor_[merge.merged_id] = merge.survivor_id; }
+  /// Takes over the merges of an update and those that it takes back.
+  void apply(const MapUpdate& update);
   std::int64_t resolve(std::int64_t id) const;
+  /// All ids that stand for the landmark of this id, ascending.
+  std::vector<std::int64_t> aliases(std::int64_t id) const;
 
  private:
   std::map<std::int64_t, std::int64_t> survivor_;
+  std::map<std::int64_t, std::vector<std::int64_t>> merged_into_;
 };
 
 /// Gives all classes of a confusable group one label.
