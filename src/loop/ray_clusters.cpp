@@ -15,9 +15,9 @@ constexpr double kVoteOffset = 0.3;  ///< of the box size, between its centre an
 constexpr double kMemberOffset = 0.35;
 constexpr double kMemberSizeLog = 0.7;  ///< of z * box size against the cluster's median
 constexpr int kRefineRounds = 4;
-constexpr int kPairsPerGroup = 16;
+constexpr int kPairsPerGroup = 32;
 constexpr int kGroupRounds = 3;  ///< objects looked for under one landmark id
-constexpr int kLeftoverPairs = 64;
+constexpr int kAnyPairs = 64;
 constexpr double kMinPairAngle = 0.05;  ///< rad
 
 class Clustering {
@@ -28,17 +28,12 @@ class Clustering {
   std::vector<RayCluster> run() {
     std::vector<Vec3> points;
     std::map<std::int64_t, std::vector<int>> groups;
-    for (int i = 0; i < static_cast<int>(rays_.size()); ++i) {
-      if (ray(i).full) groups[ray(i).landmark_id].push_back(i);
-    }
+    for (const int i : unused()) groups[ray(i).landmark_id].push_back(i);
     for (const auto& [id, members] : groups) propose(members, &points);
-    gather(points);
-
-    std::vector<int> leftover;
-    for (int i = 0; i < static_cast<int>(rays_.size()); ++i) {
-      if (ray(i).full && !is_used(i)) leftover.push_back(i);
-    }
-    gather(pair_points(leftover, kLeftoverPairs));
+    // Landmark ids may change from view to view or join two objects; pairs of any ids find what they miss.
+    for (const Vec3& point : pair_points(unused(), kAnyPairs)) points.push_back(point);
+    gather(std::move(points));
+    gather(pair_points(unused(), kAnyPairs));
     return std::move(clusters_);
   }
 
@@ -46,6 +41,15 @@ class Clustering {
   const BoxRay& ray(int i) const { return rays_[static_cast<std::size_t>(i)]; }
   const LocalFrame& frame_of(int i) const { return frames_[static_cast<std::size_t>(ray(i).frame)]; }
   bool is_used(int i) const { return used_[static_cast<std::size_t>(i)]; }
+
+  /// The boxes without cut sides that belong to no cluster yet.
+  std::vector<int> unused() const {
+    std::vector<int> indices;
+    for (int i = 0; i < static_cast<int>(rays_.size()); ++i) {
+      if (ray(i).full && !is_used(i)) indices.push_back(i);
+    }
+    return indices;
+  }
 
   struct Offset {
     double share;  ///< of the box size; infinite behind the camera
