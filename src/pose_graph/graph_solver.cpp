@@ -152,6 +152,7 @@ GraphSolution solve_graph(const std::vector<GraphEdge>& edges, const GraphSolver
   solution.final_cost = summary.final_cost;
   solution.iterations = static_cast<int>(summary.iterations.size());
   solution.usable = summary.IsSolutionUsable() && all_finite(vertices);
+  solution.converged = summary.termination_type == ceres::CONVERGENCE;
   solution.message = summary.message;
   if (!solution.usable) return solution;
   for (SE3& T : vertices) T.q.normalize();

@@ -39,12 +39,11 @@ class GraduatedNonConvexity {
     for (std::size_t k = 0; k < loops_.size(); ++k) edges_[loops_[k]].weight = base_weights_[k];
     if (!solve()) return result_;
     double worst = 0.0;
-    for (const std::size_t i : loops_) worst = std::max(worst, chi_squared(edges_[i], result_.T_world_vertex));
+    for (const std::size_t i : loops_) worst = std::max(worst, chi_squared(edges_[i], result_.T_world_vertex, options_.error));
     double mu = chi2_ / std::max(2.0 * worst - chi2_, 1e-9);
-    options_.max_iterations = std::min(options_.max_iterations, kRoundIterations);
     for (int round = 0; round < kMaxRounds && worst > chi2_; ++round, mu *= kMuGrowth) {
       const bool decided = reweigh(mu);
-      if (!solve()) return result_;
+      if (!solve_round()) return result_;
       if (decided) break;
     }
     result_.usable = true;
@@ -72,18 +71,27 @@ class GraduatedNonConvexity {
 
   void judge() {
     result_.kept.clear();
-    for (const std::size_t i : loops_) result_.kept.push_back(chi_squared(edges_[i], result_.T_world_vertex) <= chi2_);
+    for (const std::size_t i : loops_) result_.kept.push_back(chi_squared(edges_[i], result_.T_world_vertex, options_.error) <= chi2_);
   }
   bool solve() {
     ++result_.solves;
     return solve_graph(edges_, options_, &result_.T_world_vertex).usable;
+  }
+  /// A few iterations, or as many as it takes where these were lost on steps that led uphill.
+  bool solve_round() {
+    GraphSolverOptions few = options_;
+    few.max_iterations = std::min(options_.max_iterations, kRoundIterations);
+    ++result_.solves;
+    const GraphSolution solution = solve_graph(edges_, few, &result_.T_world_vertex);
+    const bool is_stuck = !solution.converged && solution.final_cost >= solution.initial_cost;
+    return is_stuck ? solve() : solution.usable;
   }
   /// @return whether every loop is in or out
   bool reweigh(double mu) {
     bool decided = true;
     for (std::size_t k = 0; k < loops_.size(); ++k) {
       GraphEdge& edge = edges_[loops_[k]];
-      const double weight = truncated_weight(chi_squared(edge, result_.T_world_vertex), chi2_, mu);
+      const double weight = truncated_weight(chi_squared(edge, result_.T_world_vertex, options_.error), chi2_, mu);
       decided = decided && (weight < 1e-3 || weight > 0.999);
       edge.weight = weight * base_weights_[k];
     }

@@ -175,6 +175,39 @@ TEST(OptimizeGraph, AWrongGuessInTheFileDoesNotMatter) {
   EXPECT_LT(report.final_chi2, 1e-6);
 }
 
+TEST(OptimizeGraph, AScrambledGuessReachesTheMinimumOfAGoodOne) {
+  for (const double noise : {0.1, 0.2, 0.3}) {
+    const G2oGraph truth = ring(60, noise, noise, 8);
+    Random random(9);
+    G2oGraph good = truth, scrambled = truth;
+    for (G2oVertex& vertex : scrambled.vertices) {
+      if (random.chance(0.5)) vertex.T_world_vertex = SE3(random.rotation(), 5.0 * random.normal3());
+    }
+    GraphOptimizerReport from_good, from_scrambled;
+    std::string error;
+    ASSERT_TRUE(optimize_graph(&good, {}, &from_good, &error)) << error;
+    ASSERT_TRUE(optimize_graph(&scrambled, {}, &from_scrambled, &error)) << error;
+    EXPECT_GT(from_scrambled.initial_chi2, 100.0 * from_scrambled.final_chi2);
+    EXPECT_NEAR(from_scrambled.final_chi2, from_good.final_chi2, 1e-3 * from_good.final_chi2) << noise;
+  }
+}
+
+TEST_F(G2o, TheRestOfABadFileIsOptimised) {
+  const std::string x = "EDGE_SE3:QUAT 0 1 1 0 0 0 0 0 1", y = "EDGE_SE3:QUAT 0 1 1.2 0 0 0 0 0 1";
+  auto graph = read("VERTEX_SE3:QUAT 0 0 0 0 0 0 0 1\nVERTEX_SE3:QUAT 1 5 0 0 0 0 0 1\n" + (x + kUnit) + (y + kUnit) +
+                    "EDGE_SE3:QUAT 0 1 9 0 0 0 0 0 1 nan 0 0 0 0 0 1 0 0 0 0 1 0 0 0 1 0 0 1 0 1\n" +
+                    ("EDGE_SE3:QUAT 0 7 9 0 0 0 0 0 1" + std::string(kUnit)));
+  ASSERT_TRUE(graph) << error_;
+  ASSERT_EQ(refusals_.size(), 2U);
+  EXPECT_NE(refusals_[0].find("EDGE_SE3:QUAT 0 1: 'nan'"), std::string::npos) << refusals_[0];
+  EXPECT_NE(refusals_[1].find("edge 0 7 leads to the unknown vertex 7"), std::string::npos) << refusals_[1];
+  GraphOptimizerReport report;
+  ASSERT_TRUE(optimize_graph(&*graph, {}, &report, &error_)) << error_;
+  EXPECT_NEAR(graph->vertices[1].T_world_vertex.t.x(), 1.1, 1e-9);
+  EXPECT_NEAR(report.final_chi2, 0.02, 1e-9);
+  EXPECT_NEAR(report.final_cost, 0.01, 1e-9);
+}
+
 TEST(OptimizeGraph, PartsThatNothingJoinsAreSolvedEach) {
   G2oGraph graph = ring(20, 0.02, 0.02, 5);
   const G2oGraph other = ring(10, 0.02, 0.02, 6);
