@@ -10,8 +10,8 @@ namespace semantic_topo_loop::core {
 namespace {
 
 constexpr int kMinCandidateInliers = 4;
-/// Of the window: a submap shorter than that, after a break or at the start, is not kept.
-constexpr double kMinSpanShare = 0.5;
+/// Of the shortest window: a submap shorter than that, after a break or at the start, is not kept.
+constexpr double kMinSpanShare = 0.8;
 /// Submaps that share more than this of their time tell of one place.
 constexpr double kSamePlace = 0.5;
 /// m; an odometry without a noticed break is at most this wrong over a short time, jumps that nobody saw included.
@@ -97,7 +97,7 @@ std::vector<LoopClosure> GraphDetector::detect(const LocalMap& query) {
 
 void GraphDetector::store(LocalMap map) {
   if (static_cast<int>(map.objects.size()) < kMinCandidateInliers) return;
-  if (map.span_s < kMinSpanShare * options_.window_s) return;
+  if (map.span_s < kMinSpanShare * options_.min_window_s) return;
   const bool due =
       maps_.empty() || static_cast<double>(map.stamp_ns - maps_.back().map.stamp_ns) >= 1e9 * options_.store_interval_s;
   if (!due) return;

@@ -13,7 +13,7 @@ struct LoopOptions {
   int max_candidates = 4;
   double attempt_interval_s = 0.3;
 
-  double window_s = 10.0;
+  double window_s = 15.0;
   double min_window_s = 6.0;
   double window_drift_deg = 1.7;
   double frame_interval_s = 0.09;
