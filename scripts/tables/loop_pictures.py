@@ -23,7 +23,8 @@ def draw_curve(axes, curve, color, numerators, denominators, accepted):
     @param accepted (precision, recall) as (right, total) each"""
     points = [p for p in curve.points() if p[denominators[0]] > 0 and p[denominators[1]] > 0]
     precision, recall = ([p[n] / p[d] for p in points] for n, d in zip(numerators, denominators))
-    axes.plot(recall, precision, color=color, linewidth=1.4, label=curve.group.title)
+    axes.plot(recall, precision, color=color, linewidth=1.4,
+              label=curve.group.title + ("" if points else ": no candidate"))
     if all(total for _, total in accepted):
         axes.plot(accepted[1][0] / accepted[1][1], accepted[0][0] / accepted[0][1], marker="o", markersize=6,
                   color=color, markerfacecolor="white", markeredgewidth=1.5, linestyle="", zorder=4)
@@ -57,7 +58,7 @@ def save_curves(sequence, curves, path):
     by_method = {}
     for curve in curves:
         by_method.setdefault(curve.group.method, []).append(curve)
-    panels = [(method, draw_by_criterion, "one loop a keyframe, by the paper's criterion", "recall of reference loops")
+    panels = [(method, draw_by_criterion, "by the paper's criterion", "recall of reference loops, one loop a keyframe")
               for method in by_method]
     panels.append((GRAPH, draw_by_pose, "right within 0.35 m / 10 deg", "share of loopable queries closed"))
     for axes, (method, draw, title, x_label) in zip(grid.flat, panels):
