@@ -115,9 +115,8 @@ def criterion_row(group, criterion):
     counts = group.table(criterion)
     reference, real, right = (counts[key] for key in ("reference_loops", "real_loops", "true_positives"))
     return [group.method.title, group.title, len(group.runs), counts["keyframes"], reference, real, right,
-            *map(number, (make_ratio(right, real), make_ratio(right, reference),
-                          make_ratio(counts["found"], reference))),
-            share(counts["right_wide"])]
+            number(make_ratio(right, real)), number(make_ratio(right, reference)),
+            share(make_ratio(counts["found"], reference)), share(counts["right_wide"])]
 
 
 def criterion_table(sequence, groups, criterion, title):
