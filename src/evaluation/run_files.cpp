@@ -94,6 +94,10 @@ std::optional<std::vector<LoopRecord>> read_loops(const std::string& path, std::
   return read_rows<LoopRecord>(path, read_loop, error);
 }
 
+std::optional<std::vector<ReferenceObject>> read_reference_objects(const std::string& path, std::string* error) {
+  return read_rows<ReferenceObject>(path, read_reference, error);
+}
+
 std::optional<std::vector<std::int64_t>> read_keyframe_stamps(const std::string& path, std::string* error) {
   return read_rows<std::int64_t>(
       path, [](CsvTable& table) { return table.stamp_ns("stamp"); }, error);
@@ -117,10 +121,6 @@ std::optional<Sightings> read_sightings(const std::string& directory, std::strin
   };
   if (!read_rows<std::int64_t>(directory + "/associations.csv", read_row, error)) return std::nullopt;
   return sightings;
-}
-
-std::optional<std::vector<ReferenceObject>> read_reference_objects(const std::string& path, std::string* error) {
-  return read_rows<ReferenceObject>(path, read_reference, error);
 }
 
 }  // namespace semantic_topo_loop::core

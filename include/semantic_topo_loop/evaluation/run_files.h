@@ -20,9 +20,9 @@ using Sightings = std::map<std::int64_t, std::set<std::int64_t>>;
 /// @return nullopt, with file, line, column and value in `error`
 std::optional<std::vector<MappedObject>> read_objects(const std::string& path, std::string* error);
 std::optional<std::vector<LoopRecord>> read_loops(const std::string& path, std::string* error);
+std::optional<std::vector<ReferenceObject>> read_reference_objects(const std::string& path, std::string* error);
 std::optional<std::vector<std::int64_t>> read_keyframe_stamps(const std::string& path, std::string* error);
 /// From trajectory.txt, associations.csv and objects.csv of a run's directory.
 std::optional<Sightings> read_sightings(const std::string& directory, std::string* error);
-std::optional<std::vector<ReferenceObject>> read_reference_objects(const std::string& path, std::string* error);
 
 }  // namespace semantic_topo_loop::core
