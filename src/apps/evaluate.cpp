@@ -5,8 +5,8 @@
 #include <string>
 #include <vector>
 
+#include "semantic_topo_loop/evaluation/loop_criteria.h"
 #include "semantic_topo_loop/evaluation/loop_evaluation.h"
-#include "semantic_topo_loop/evaluation/loop_table.h"
 #include "semantic_topo_loop/evaluation/object_evaluation.h"
 #include "semantic_topo_loop/evaluation/run_files.h"
 #include "semantic_topo_loop/evaluation/trajectory_evaluation.h"
@@ -164,7 +164,7 @@ std::optional<Report> report_objects(const Arguments& arguments, std::string* er
 struct LoopFiles {
   std::vector<JudgedLoop> loops;
   TruePoses truth;
-  LoopTableInput keyframes;
+  KeyframeViews keyframes;
 };
 
 std::optional<LoopFiles> read_loop_files(const Arguments& arguments, std::string* error) {
@@ -255,10 +255,10 @@ void add_revisits(const LoopEvaluation& e, const TruePoses& truth, Report* repor
   report->json["revisits"] = rows;
 }
 
-void add_table(const std::vector<LoopTableRow>& rows, Report* report) {
+void add_table(const std::vector<CriterionCounts>& rows, Report* report) {
   report->table +=
       "\ncriterion  keyframes  reference pairs, loops, found  real loops, true positives  precision  recall\n";
-  for (const LoopTableRow& row : rows) {
+  for (const CriterionCounts& row : rows) {
     char text[160];
     std::snprintf(text, sizeof(text), "%-9s %10d %16d, %5d, %5d %11d, %14d %10.4f %7.4f\n", row.name, row.keyframes,
                   row.reference_pairs, row.reference_loops, row.found, row.real_loops, row.true_positives,
@@ -295,7 +295,7 @@ std::optional<Report> report_loops(const Arguments& arguments, std::string* erro
   Report report = report_geometry(e);
   add_revisits(e, files->truth, &report);
   add_viewpoints(e, &report);
-  add_table(loop_table(files->loops, files->truth, files->keyframes, LoopEvaluationOptions()), &report);
+  add_table(count_by_criterion(files->loops, files->truth, files->keyframes, LoopEvaluationOptions()), &report);
   if (!arguments.details.empty() && !write_details(*files, arguments.details, error)) return std::nullopt;
   return report;
 }

@@ -3,7 +3,7 @@
 #include <gtest/gtest.h>
 
 #include "../test_files.h"
-#include "semantic_topo_loop/evaluation/loop_table.h"
+#include "semantic_topo_loop/evaluation/loop_criteria.h"
 #include "semantic_topo_loop/io/tum_trajectory.h"
 
 namespace semantic_topo_loop::core {
@@ -216,8 +216,8 @@ TEST(LoopEvaluation, HolesOfTheSharedMocap) {
 }
 
 /// Keyframes every 100 frames; images of both visits show the objects 1, 2 and 3, or only 1 and 2 from 2500 on.
-LoopTableInput every_hundredth() {
-  LoopTableInput input;
+KeyframeViews every_hundredth() {
+  KeyframeViews input;
   for (int i = 0; i < 3000; i += 100) input.keyframe_stamps_ns.push_back(kStart + i * kPeriod);
   input.objects.assign(3000, {});
   for (std::size_t i = 0; i < 1000; ++i) input.objects[i] = {1, 2, 3, 4};
@@ -232,7 +232,7 @@ LoopRecord with_score(LoopRecord loop, double score, bool accepted = true) {
   return loop;
 }
 
-TEST(LoopTable, CountsOneLoopAKeyframe) {
+TEST(LoopCriteria, CountsOneLoopAKeyframe) {
   const StampedPoses frames = visit_twice();
   const TruePoses truth(frames, {}, 0.1);
   const auto loops = judge({with_score(make_loop(frames, 2150, 150), 2.0),         // keyframes 2100, 100: right
@@ -243,7 +243,7 @@ TEST(LoopTable, CountsOneLoopAKeyframe) {
                             with_score(make_loop(frames, 2650, 150), 1.0),         // 2600
                             with_score(make_loop(frames, 2950, 2150), 5.0)},       // not over 1000 frames
                            frames, truth);
-  const std::vector<LoopTableRow> rows = loop_table(loops, truth, every_hundredth(), {});
+  const std::vector<CriterionCounts> rows = count_by_criterion(loops, truth, every_hundredth(), {});
   ASSERT_EQ(rows.size(), 3u);
   EXPECT_EQ(rows[0].keyframes, 30);
   // Keyframes 2000 to 2900 see the first visit's, which ends 1000 frames before the earliest of them.
@@ -260,11 +260,11 @@ TEST(LoopTable, CountsOneLoopAKeyframe) {
   EXPECT_EQ(rows[2].true_positives, 1);
 }
 
-TEST(LoopTable, ReferencePairs) {
+TEST(LoopCriteria, ReferencePairs) {
   const TruePoses truth(visit_twice(), {}, 0.1);
-  const LoopTableInput input = every_hundredth();
+  const KeyframeViews input = every_hundredth();
   const auto pairs = reference_pairs(truth, input);
-  const auto rows = loop_table({}, truth, input, {});
+  const auto rows = count_by_criterion({}, truth, input, {});
   for (std::size_t i = 0; i < rows.size(); ++i) {
     EXPECT_EQ(std::count_if(pairs.begin(), pairs.end(), [i](const ReferencePair& pair) { return pair.fulfils[i]; }),
               rows[i].reference_pairs);
@@ -272,7 +272,7 @@ TEST(LoopTable, ReferencePairs) {
   }
 }
 
-TEST(LoopTable, CurveFallsThroughAllScores) {
+TEST(LoopCriteria, CurveFallsThroughAllScores) {
   const StampedPoses frames = visit_twice();
   const TruePoses truth(frames, {}, 0.1);
   LoopRecord no_pose = with_score(make_loop(frames, 2950, 150), 0.5, false);

@@ -7,8 +7,9 @@
 
 namespace semantic_topo_loop::core {
 
-/// What Table III of the paper counts, by keyframe: a frame stands for its keyframe, the last one that is not later.
-struct LoopTableInput {
+/// The keyframes of a run and what they show. Table III of the paper counts by keyframe: a frame stands for its
+/// keyframe, the last one that is not later.
+struct KeyframeViews {
   std::vector<std::int64_t> keyframe_stamps_ns;  ///< of the run, increasing
   /// Objects that an image shows: ids in increasing order, by number of true image. They tell what two keyframes have
   /// in common.
@@ -16,7 +17,7 @@ struct LoopTableInput {
 };
 
 /// A criterion of the literature and what it makes of a run.
-struct LoopTableRow {
+struct CriterionCounts {
   const char* name = "";
   RevisitCriterion criterion;
   int keyframes = 0;        ///< of the run
@@ -32,27 +33,27 @@ struct LoopTableRow {
 };
 
 /// The criteria of the paper, of SmSLAM+LCD and of common objects.
-std::vector<LoopTableRow> loop_table(const std::vector<JudgedLoop>& loops, const TruePoses& truth,
-                                     const LoopTableInput& input, const LoopEvaluationOptions& options);
+std::vector<CriterionCounts> count_by_criterion(const std::vector<JudgedLoop>& loops, const TruePoses& truth,
+                                                const KeyframeViews& input, const LoopEvaluationOptions& options);
 
-/// A pair of keyframes that fulfils one of the table's criteria.
+/// A pair of keyframes that fulfils one of the criteria.
 struct ReferencePair {
   int query = -1, match = -1;  ///< images
   int common_objects = 0;
-  std::vector<bool> fulfils;  ///< a row of the table each
+  std::vector<bool> fulfils;  ///< one for each criterion
 };
-std::vector<ReferencePair> reference_pairs(const TruePoses& truth, const LoopTableInput& input);
+std::vector<ReferencePair> reference_pairs(const TruePoses& truth, const KeyframeViews& input);
 
 /// What accepting every recorded candidate from a score on would give, whatever the detector's other tests said.
 struct LoopCurvePoint {
   double min_score = 0.0;
-  Ratio precision, recall;  ///< as in the table, by the paper's criterion
+  Ratio precision, recall;  ///< as in CriterionCounts, by the paper's criterion
   Ratio right_wide;         ///< of candidates that are judged and have a pose
   Ratio closed;             ///< loopable queries, as in LoopEvaluation
 };
 /// @return a point for each distinct score, from the highest down
 std::vector<LoopCurvePoint> loop_curve(const std::vector<JudgedLoop>& loops, const TruePoses& truth,
-                                       const LoopTableInput& input, const LoopEvaluationOptions& options);
+                                       const KeyframeViews& input, const LoopEvaluationOptions& options);
 
 /// CSV files of single loops and pairs, and of the curve, for plots.
 std::string judged_loops_csv(const std::vector<JudgedLoop>& loops, const TruePoses& truth);

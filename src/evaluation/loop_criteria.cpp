@@ -1,4 +1,4 @@
-#include "semantic_topo_loop/evaluation/loop_table.h"
+#include "semantic_topo_loop/evaluation/loop_criteria.h"
 
 #include <algorithm>
 #include <cmath>
@@ -12,9 +12,9 @@
 namespace semantic_topo_loop::core {
 namespace {
 
-std::vector<LoopTableRow> make_rows() {
+std::vector<CriterionCounts> make_rows() {
   constexpr double kAny = std::numeric_limits<double>::infinity();
-  std::vector<LoopTableRow> rows(3);
+  std::vector<CriterionCounts> rows(3);
   rows[0].name = "paper";
   rows[0].criterion = RevisitCriterion();
   rows[1].name = "original";
@@ -27,7 +27,7 @@ std::vector<LoopTableRow> make_rows() {
 /// Keyframes as numbers of true images; those without a true pose are left out.
 class Keyframes {
  public:
-  Keyframes(const TruePoses& truth, const LoopTableInput& input) : truth_(truth), input_(input) {
+  Keyframes(const TruePoses& truth, const KeyframeViews& input) : truth_(truth), input_(input) {
     for (const std::int64_t stamp_ns : input.keyframe_stamps_ns) {
       const int image = truth.find(stamp_ns);
       if (image >= 0) images_.push_back(image);
@@ -64,7 +64,7 @@ class Keyframes {
 
  private:
   const TruePoses& truth_;
-  const LoopTableInput& input_;
+  const KeyframeViews& input_;
   std::vector<int> images_;
 };
 
@@ -99,7 +99,7 @@ std::map<int, KeyframeLoop> best_by_keyframe(const std::vector<KeyframeLoop>& lo
   return best;
 }
 
-void count_references(const Keyframes& keyframes, LoopTableRow* row) {
+void count_references(const Keyframes& keyframes, CriterionCounts* row) {
   row->keyframes = static_cast<int>(keyframes.images().size());
   for (const int query : keyframes.images()) {
     int pairs = 0;
@@ -111,7 +111,7 @@ void count_references(const Keyframes& keyframes, LoopTableRow* row) {
   }
 }
 
-void count_loops(const std::vector<KeyframeLoop>& loops, const LoopEvaluationOptions& options, LoopTableRow* row) {
+void count_loops(const std::vector<KeyframeLoop>& loops, const LoopEvaluationOptions& options, CriterionCounts* row) {
   for (const auto& [keyframe, best] : best_by_keyframe(loops)) {
     ++row->real_loops;
     row->true_positives += best.is_true_positive ? 1 : 0;
@@ -174,26 +174,26 @@ std::string row_text(std::initializer_list<std::string> fields) {
 
 }  // namespace
 
-std::vector<LoopTableRow> loop_table(const std::vector<JudgedLoop>& loops, const TruePoses& truth,
-                                     const LoopTableInput& input, const LoopEvaluationOptions& options) {
+std::vector<CriterionCounts> count_by_criterion(const std::vector<JudgedLoop>& loops, const TruePoses& truth,
+                                                const KeyframeViews& input, const LoopEvaluationOptions& options) {
   const Keyframes keyframes(truth, input);
-  std::vector<LoopTableRow> rows = make_rows();
-  for (LoopTableRow& row : rows) {
+  std::vector<CriterionCounts> rows = make_rows();
+  for (CriterionCounts& row : rows) {
     count_references(keyframes, &row);
     count_loops(keyframe_loops(loops, truth, keyframes, row.criterion, true), options, &row);
   }
   return rows;
 }
 
-std::vector<ReferencePair> reference_pairs(const TruePoses& truth, const LoopTableInput& input) {
+std::vector<ReferencePair> reference_pairs(const TruePoses& truth, const KeyframeViews& input) {
   const Keyframes keyframes(truth, input);
-  const std::vector<LoopTableRow> rows = make_rows();
+  const std::vector<CriterionCounts> rows = make_rows();
   std::vector<ReferencePair> pairs;
   for (const int query : keyframes.images()) {
     for (const int match : keyframes.images()) {
       if (match >= query) break;
       ReferencePair pair{query, match, keyframes.common_objects(query, match), {}};
-      for (const LoopTableRow& row : rows) pair.fulfils.push_back(keyframes.fulfils(query, match, row.criterion));
+      for (const CriterionCounts& row : rows) pair.fulfils.push_back(keyframes.fulfils(query, match, row.criterion));
       if (std::find(pair.fulfils.begin(), pair.fulfils.end(), true) != pair.fulfils.end()) pairs.push_back(pair);
     }
   }
@@ -201,7 +201,7 @@ std::vector<ReferencePair> reference_pairs(const TruePoses& truth, const LoopTab
 }
 
 std::vector<LoopCurvePoint> loop_curve(const std::vector<JudgedLoop>& loops, const TruePoses& truth,
-                                       const LoopTableInput& input, const LoopEvaluationOptions& options) {
+                                       const KeyframeViews& input, const LoopEvaluationOptions& options) {
   const Keyframes keyframes(truth, input);
   ScoreCounts revisits, right, closed;
   const auto candidates = keyframe_loops(loops, truth, keyframes, options.revisit, false);
@@ -251,7 +251,7 @@ std::string judged_loops_csv(const std::vector<JudgedLoop>& loops, const TruePos
 
 std::string reference_pairs_csv(const std::vector<ReferencePair>& pairs, const TruePoses& truth) {
   std::string text = "query_image,match_image,distance_m,axes_deg,common_objects";
-  for (const LoopTableRow& row : make_rows()) text += std::string(",") + row.name;
+  for (const CriterionCounts& row : make_rows()) text += std::string(",") + row.name;
   text += '\n';
   constexpr int kDecimals = 3;
   for (const ReferencePair& pair : pairs) {
