@@ -8,6 +8,13 @@ OBJECTS = {}
 ASSOCIATION_US = {"cascade": 42.0}
 ASSOCIATION_MACHINE = "AMD Ryzen 5800H"
 
+# Table III: sequence -> row's title -> (keyframes, reference loops, real loops, true positives, precision, recall).
+LOOPS = {}
+LOOP_TITLE = "the paper's own row"
+
+# Table IV: sequence -> (ATE before: RMSE, mean, median, after: RMSE, mean, median), metres.
+TRAJECTORIES = {}
+
 NOT_AVAILABLE = "n/a"
 
 
@@ -22,3 +29,17 @@ def objects(sequence, method):
 def association_us(method):
     value = ASSOCIATION_US.get(method)
     return NOT_AVAILABLE if value is None else f"{value:g}"
+
+
+def loops(sequence):
+    """The six figures as texts."""
+    return texts(LOOPS.get(sequence), 6)
+
+
+def trajectory(sequence):
+    """The six figures as texts."""
+    return texts(TRAJECTORIES.get(sequence), 6)
+
+
+def texts(figures, count):
+    return (NOT_AVAILABLE,) * count if figures is None else tuple(f"{value:g}" for value in figures)

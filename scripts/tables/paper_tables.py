@@ -5,7 +5,9 @@ import os
 import sys
 
 import association_tables
+import loop_table
 import robustness_table
+import trajectory_table
 from association_tables import FULL
 from runs import JDA, JOINT, Failure, Programs, cascade, find_sequences
 
@@ -15,6 +17,8 @@ PACKAGE = os.path.dirname(os.path.dirname(os.path.dirname(os.path.abspath(__file
 TABLES = {
     "I": association_tables.table_1,
     "II": association_tables.table_2,
+    "III": loop_table.table_3,
+    "IV": trajectory_table.table_4,
     "timing": association_tables.table_timing,
     "robustness": robustness_table.table_robustness,
 }
@@ -28,6 +32,8 @@ class Context:
     def __init__(self, arguments):
         self.programs = Programs(arguments.programs, PACKAGE, arguments.output)
         self.sequences = find_sequences(arguments.data, arguments.reference)
+        self.output = arguments.output  # for pictures and curves
+        self.pictures = not arguments.no_pictures
         self.inputs = os.path.join(arguments.output, "inputs")  # made here from recorded ones
 
 
@@ -46,7 +52,7 @@ def parse_arguments():
                         help="folder for the runs, the pictures and tables.md (default: %(default)s)")
     parser.add_argument("--tables", default=",".join(TABLES), metavar="LIST",
                         help="comma-separated choice (default: %(default)s)")
-    parser.add_argument("--no-views", action="store_true", help="no top-view pictures")
+    parser.add_argument("--no-pictures", action="store_true", help="tables and curves only; matplotlib is not needed")
     arguments = parser.parse_args()
     arguments.tables = [name for name in arguments.tables.split(",") if name]
     unknown = [name for name in arguments.tables if name not in TABLES]
@@ -74,7 +80,7 @@ def main():
         context = Context(arguments)
         os.makedirs(context.inputs, exist_ok=True)
         parts = [TABLES[name](context) for name in arguments.tables]
-        if not arguments.no_views:
+        if context.pictures and {"I", "II"} & set(arguments.tables):
             parts.append(views(context, arguments.output))
     except Failure as failure:
         sys.exit(f"paper_tables: error: {failure}")

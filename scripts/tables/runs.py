@@ -1,5 +1,6 @@
 """The recorded sequences, the methods, and one run of the programs `offline` and `evaluate` for a pair of them."""
 
+import glob
 import json
 import os
 import re
@@ -18,15 +19,17 @@ class Sequence:
     trajectory: str
     detections: str
     camera: str
-    ground_truth: str
+    ground_truth: str  # the motion capture's poses
     reference: str  # path, or "" without one
+    frames: str = ""  # a true pose for every image, or ""
+    drifted: tuple = ()  # paths of odometry with known drift
 
 
 @dataclass(frozen=True)
 class Method:
     key: str
     title: str
-    settings: tuple  # ("module.field=value", ...)
+    settings: tuple = ()  # ("module.field=value", ...)
 
 
 @dataclass
@@ -40,6 +43,16 @@ class Run:
     summary: dict = field(default_factory=dict)
     objects: dict = field(default_factory=dict)  # figures of `evaluate objects`; empty without a reference
     times_real_time: float = 0.0
+
+    @property
+    def trajectory(self):
+        """The optimised one."""
+        return os.path.join(self.directory, "trajectory.txt")
+
+    @property
+    def details(self):
+        """Folder of the files that `evaluate loops --details` writes."""
+        return os.path.join(self.directory, "loops")
 
 
 LEVELS = ("2d", "pro", "3d", "2d,pro", "2d,3d", "pro,3d", "2d,pro,3d")
@@ -68,7 +81,16 @@ def bare(method):
 
 
 JDA = Method("jda", "JDA", ("association.mode=jda",))
-JOINT = Method("joint", "joint assignment (default)", ())
+JOINT = Method("joint", "joint assignment (default)")
+GRAPH = Method("joint", "graph (default)")  # the same run as JOINT's, in the tables of loops
+PAPER_CORRECTED = Method("loops_paper", "paper, corrected score", ("loop.mode=paper",))
+PAPER_PRINTED = Method("loops_printed", "paper, printed score", ("loop.mode=paper", "loop.score=printed"))
+
+
+def truth_of(folder):
+    """What a sequence's folder holds for the tables of loops and trajectories."""
+    frames = os.path.join(folder, "groundtruth_frames.txt")
+    return frames if os.path.exists(frames) else "", tuple(sorted(glob.glob(os.path.join(folder, "drifted", "*.txt"))))
 
 
 def find_sequences(data, fr3_reference):
@@ -77,9 +99,9 @@ def find_sequences(data, fr3_reference):
     fr2_reference = os.path.join(fr2, "reference_objects.csv")
     candidates = [
         Sequence("fr2_desk", fr2 + "/orbslam2_rgbd_trajectory.txt", fr2 + "/detections_yolov5.json", "tum_fr2.yaml",
-                 fr2 + "/groundtruth.txt", fr2_reference if os.path.exists(fr2_reference) else ""),
+                 fr2 + "/groundtruth.txt", fr2_reference if os.path.exists(fr2_reference) else "", *truth_of(fr2)),
         Sequence("fr3_office", fr3 + "/groundtruth_frames.txt", fr3 + "/detections_yolov3", "tum_fr3.yaml",
-                 fr3 + "/groundtruth.txt", fr3_reference),
+                 fr3 + "/groundtruth.txt", fr3_reference, *truth_of(fr3)),
     ]
     found = [s for s in candidates if all(map(os.path.exists, (s.trajectory, s.detections, s.ground_truth)))]
     if not found:
@@ -96,6 +118,7 @@ class Programs:
         self._classes = os.path.join(package, "config/classes_coco.yaml")
         self._output = output
         self._runs = {}
+        self._loops = {}
         for name in ("offline", "evaluate", "perturb"):
             if not os.access(os.path.join(programs, name), os.X_OK):
                 raise Failure(f"'{programs}' has no program {name} (--programs)")
@@ -107,6 +130,13 @@ class Programs:
             print(f"paper_tables: {sequence.name}, {method.key}", file=sys.stderr)
             self._runs[sequence.name, method.key] = self._run(sequence, method)
         return self._runs[sequence.name, method.key]
+
+    def successful_run(self, sequence, method):
+        """For tables that have no row for a run that failed."""
+        run = self.run(sequence, method)
+        if run.problem:
+            raise Failure(f"{method.title} on {sequence.name}: {run.problem}")
+        return run
 
     def perturb_detections(self, source, target, *arguments):
         result = self._call("perturb", "detections", source, target, "--classes", self._classes, *arguments)
@@ -128,9 +158,9 @@ class Programs:
             if key in self._parameters:
                 yield from ("--set", setting)
             else:
-                self._note(f"`{key}` is no parameter of this version and was left out.")
+                self.note(f"`{key}` is no parameter of this version and was left out.")
 
-    def _note(self, text):
+    def note(self, text):
         if text not in self.notes:
             self.notes.append(text)
 
@@ -143,7 +173,7 @@ class Programs:
         if result.returncode != 0:
             errors = [line for line in result.stderr.splitlines() if "error" in line] or ["no message"]
             run.problem = errors[0].replace("offline: error: ", "")
-            self._note(f"{method.title} is not available on {sequence.name}: {run.problem}.")
+            self.note(f"{method.title} is not available on {sequence.name}: {run.problem}.")
             return run
         speed = re.search(r"([0-9.]+) x real time", result.stdout)
         run.times_real_time = float(speed.group(1)) if speed else 0.0
@@ -154,10 +184,27 @@ class Programs:
         return run
 
     def _evaluate_objects(self, run):
-        path = os.path.join(run.directory, "evaluation_objects.json")
-        result = self._call("evaluate", "objects", run.directory, run.sequence.ground_truth, run.sequence.reference,
-                            "--json", path)
+        return self._evaluate("objects", run.directory, run.sequence.ground_truth, run.sequence.reference,
+                              json_path=os.path.join(run.directory, "evaluation_objects.json"))
+
+    def loops(self, run, sightings):
+        """Figures of the run's loops; single loops, pairs and curves come into run.details.
+        @param sightings the run that tells which objects two keyframes have in common"""
+        if run.directory not in self._loops:
+            self._loops[run.directory] = self._evaluate(
+                "loops", run.directory, run.sequence.frames, "--mocap", run.sequence.ground_truth, "--sightings",
+                sightings.directory, "--details", run.details,
+                json_path=os.path.join(run.directory, "evaluation_loops.json"))
+        return self._loops[run.directory]
+
+    def trajectory(self, path, ground_truth, *arguments):
+        """Errors of a trajectory file."""
+        return self._evaluate("trajectory", path, ground_truth, *arguments,
+                              json_path=os.path.join(self._output, "runs", "evaluation_trajectory.json"))
+
+    def _evaluate(self, *arguments, json_path):
+        result = self._call("evaluate", *arguments, "--json", json_path)
         if result.returncode != 0:
             raise Failure(result.stderr.strip())
-        with open(path) as file:
+        with open(json_path) as file:
             return json.load(file)

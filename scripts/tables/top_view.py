@@ -11,30 +11,11 @@ import numpy as np
 from matplotlib.lines import Line2D
 from matplotlib.patches import Ellipse, Patch
 
-ASSOCIATION_TOLERANCE_S = 0.02
+from poses import align
+
 MARGIN_M = 0.2
 PATH_COLOR = "0.75"
 REFERENCE_SIZE = {"certain": 7.0, "probable": 5.0, "marginal": 3.0}
-
-
-def read_poses(path):
-    """Stamps and T_world_camera's positions and quaternions (x, y, z, w) of a TUM file."""
-    rows = np.loadtxt(path, comments="#", ndmin=2)
-    return rows[:, 0], rows[:, 1:4], rows[:, 4:8]
-
-
-def align(run):
-    """Rotation and translation that take the run's map to the ground truth's world (Umeyama 1991, without scale)."""
-    stamps, positions, _ = read_poses(os.path.join(run.directory, "trajectory.txt"))
-    true_stamps, true_positions, _ = read_poses(run.sequence.ground_truth)
-    nearest = np.clip(np.searchsorted(true_stamps, stamps), 1, len(true_stamps) - 1)
-    nearest -= stamps - true_stamps[nearest - 1] < true_stamps[nearest] - stamps
-    near = np.abs(true_stamps[nearest] - stamps) < ASSOCIATION_TOLERANCE_S
-    source, target = positions[near], true_positions[nearest[near]]
-    u, _, vt = np.linalg.svd((target - target.mean(0)).T @ (source - source.mean(0)))
-    flip = np.diag([1.0, 1.0, np.sign(np.linalg.det(u @ vt))])
-    rotation = u @ flip @ vt
-    return rotation, target.mean(0) - rotation @ source.mean(0), positions
 
 
 def rotation_of(x, y, z, w):
@@ -73,7 +54,7 @@ class Scene:
     """What one picture shows."""
 
     def __init__(self, run):
-        rotation, translation, positions = align(run)
+        rotation, translation, positions = align(run.trajectory, run.sequence.ground_truth)
         rows = read_table(os.path.join(run.directory, "objects.csv"))
         self.run = run
         self.objects = [Object(row, rotation, translation) for row in rows if row["state"] == "confirmed"]

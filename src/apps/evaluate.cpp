@@ -5,6 +5,7 @@
 #include <string>
 #include <vector>
 
+#include "semantic_topo_loop/evaluation/loop_criteria.h"
 #include "semantic_topo_loop/evaluation/loop_evaluation.h"
 #include "semantic_topo_loop/evaluation/object_evaluation.h"
 #include "semantic_topo_loop/evaluation/run_files.h"
@@ -21,8 +22,12 @@ constexpr const char* kUsage = R"(Judges the files of a run.
 
   evaluate trajectory EST GT [--scale]         absolute (ATE) and relative (RPE over 1 s) errors of a TUM trajectory
   evaluate objects RUN_DIR GT REFERENCE        objects.csv against reference objects, aligned by trajectory.txt and GT
-  evaluate loops RUN_DIR GT_FRAMES [--mocap F] loops.csv against a true pose for every image; --mocap names the motion
-                                               capture's own file, in whose holes nothing is judged
+  evaluate loops RUN_DIR GT_FRAMES [--mocap F] [--sightings RUN_DIR] [--details DIR]
+                                               loops.csv against a true pose for every image; --mocap names the motion
+                                               capture's own file, in whose holes nothing is judged; --sightings names
+                                               the run that tells which objects two keyframes see in common (default:
+                                               the run itself); --details writes judged_loops.csv, reference_pairs.csv
+                                               and precision_recall.csv there
 
   --json FILE   also writes the figures as JSON
   --help        shows this text
@@ -31,7 +36,7 @@ Exit status: 0 done, 1 a file is missing or wrong, 2 wrong arguments.
 
 struct Arguments {
   std::vector<std::string> positional;
-  std::string json, mocap;
+  std::string json, mocap, sightings, details;
   bool with_scale = false;
 };
 
@@ -155,45 +160,143 @@ std::optional<Report> report_objects(const Arguments& arguments, std::string* er
   return report;
 }
 
-std::optional<Report> report_loops(const Arguments& arguments, std::string* error) {
+/// What the figures of a run's loops are computed from.
+struct LoopFiles {
+  std::vector<JudgedLoop> loops;
+  TruePoses truth;
+  KeyframeViews keyframes;
+};
+
+std::optional<LoopFiles> read_loop_files(const Arguments& arguments, std::string* error) {
   const std::string& run = arguments.positional[0];
+  constexpr double kMaxMocapGapS = 0.1;
   const auto loops = read_loops(run + "/loops.csv", error);
   const auto frames = loops ? read_tum_trajectory(run + "/trajectory.txt", error) : std::nullopt;
-  const auto truth = frames ? read_tum_ground_truth(arguments.positional[1], error) : std::nullopt;
-  if (!truth) return std::nullopt;
-  StampedPoses mocap;
-  if (!arguments.mocap.empty()) {
-    auto poses = read_tum_ground_truth(arguments.mocap, error);
-    if (!poses) return std::nullopt;
-    mocap = std::move(*poses);
-  }
-  const auto e = evaluate_loops(*loops, *frames, *truth, mocap, LoopEvaluationOptions(), error);
-  if (!e) {
+  const auto keyframes = frames ? read_keyframe_stamps(run + "/keyframes.csv", error) : std::nullopt;
+  const auto sightings =
+      keyframes ? read_sightings(arguments.sightings.empty() ? run : arguments.sightings, error) : std::nullopt;
+  auto truth = sightings ? read_tum_ground_truth(arguments.positional[1], error) : std::nullopt;
+  const auto mocap = arguments.mocap.empty() ? StampedPoses() : read_tum_ground_truth(arguments.mocap, error);
+  if (!truth || !mocap) return std::nullopt;
+  LoopFiles files{{}, TruePoses(std::move(*truth), *mocap, kMaxMocapGapS), {*keyframes, {}}};
+  auto judged = judge_loops(*loops, *frames, files.truth, error);
+  if (!judged) {
     *error = run + "/loops.csv: " + *error;
     return std::nullopt;
   }
+  files.loops = std::move(*judged);
+  files.keyframes.objects.resize(static_cast<std::size_t>(files.truth.size()));
+  for (const auto& [stamp_ns, ids] : *sightings) {
+    const int image = files.truth.find(stamp_ns);
+    if (image >= 0) files.keyframes.objects[static_cast<std::size_t>(image)].assign(ids.begin(), ids.end());
+  }
+  return files;
+}
+
+Report report_geometry(const LoopEvaluation& e) {
   Report report;
-  report.table = line("candidates", std::to_string(e->candidates)) + line("accepted", std::to_string(e->accepted)) +
-                 line("not judged (mocap holes)", std::to_string(e->not_judged)) +
-                 line("right within 0.35 m, 10 deg", to_text(e->right_wide)) +
-                 line("right within 0.20 m, 5 deg", to_text(e->right_narrow)) +
-                 line("error, translation", to_text(e->error_m, "m")) +
-                 line("error, rotation", to_text(e->error_deg, "deg")) +
-                 line("loopable queries closed", to_text({e->closed, e->loopable})) +
-                 line("loopable queries closed at once", to_text({e->closed_at_once, e->loopable})) +
-                 line("pairs: precision (paper)", to_text(e->pair_precision)) +
-                 line("pairs: recall (paper)", to_text(e->pair_recall));
-  report.json = {{"candidates", e->candidates},
-                 {"accepted", e->accepted},
-                 {"not_judged", e->not_judged},
-                 {"right_wide", to_json(e->right_wide)},
-                 {"right_narrow", to_json(e->right_narrow)},
-                 {"error_m", to_json(e->error_m)},
-                 {"error_deg", to_json(e->error_deg)},
-                 {"closed", to_json(Ratio{e->closed, e->loopable})},
-                 {"closed_at_once", to_json(Ratio{e->closed_at_once, e->loopable})},
-                 {"pair_precision", to_json(e->pair_precision)},
-                 {"pair_recall", to_json(e->pair_recall)}};
+  report.table = line("candidates", std::to_string(e.candidates)) + line("accepted", std::to_string(e.accepted)) +
+                 line("not judged (mocap holes)", std::to_string(e.not_judged)) +
+                 line("right within 0.35 m, 10 deg", to_text(e.right_wide)) +
+                 line("right within 0.20 m, 5 deg", to_text(e.right_narrow)) +
+                 line("error, translation", to_text(e.error_m, "m")) +
+                 line("error, rotation", to_text(e.error_deg, "deg")) +
+                 line("largest viewpoint difference, right", format_fixed(e.largest_right_view_deg, 1) + " deg") +
+                 line("loopable queries closed", to_text({e.closed, e.loopable})) +
+                 line("loopable queries closed at once", to_text({e.closed_at_once, e.loopable})) +
+                 line("pairs: precision (paper)", to_text(e.pair_precision)) +
+                 line("pairs: recall (paper)", to_text(e.pair_recall));
+  report.json = {{"candidates", e.candidates},
+                 {"accepted", e.accepted},
+                 {"not_judged", e.not_judged},
+                 {"right_wide", to_json(e.right_wide)},
+                 {"right_narrow", to_json(e.right_narrow)},
+                 {"error_m", to_json(e.error_m)},
+                 {"error_deg", to_json(e.error_deg)},
+                 {"largest_right_view_deg", e.largest_right_view_deg},
+                 {"closed", to_json(Ratio{e.closed, e.loopable})},
+                 {"closed_at_once", to_json(Ratio{e.closed_at_once, e.loopable})},
+                 {"pair_precision", to_json(e.pair_precision)},
+                 {"pair_recall", to_json(e.pair_recall)}};
+  return report;
+}
+
+void add_viewpoints(const LoopEvaluation& e, Report* report) {
+  report->table += "\nviewpoint difference, deg  right within 0.35 m, 10 deg   median error\n";
+  for (const ViewpointFigures& bin : e.by_viewpoint) {
+    char text[160];
+    std::snprintf(text, sizeof(text), "%8.0f to %3.0f %13s %-27s %.3f m, %.2f deg\n", bin.from_deg, bin.to_deg, "",
+                  to_text(bin.right_wide).c_str(), bin.error_m.median, bin.error_deg.median);
+    report->table += text;
+    report->json["by_viewpoint"].push_back({{"from_deg", bin.from_deg},
+                                            {"to_deg", bin.to_deg},
+                                            {"right_wide", to_json(bin.right_wide)},
+                                            {"right_narrow", to_json(bin.right_narrow)},
+                                            {"error_m", to_json(bin.error_m)},
+                                            {"error_deg", to_json(bin.error_deg)}});
+  }
+}
+
+void add_revisits(const LoopEvaluation& e, const TruePoses& truth, Report* report) {
+  std::vector<double> latencies_s;
+  Json rows = Json::array();
+  for (const Revisit& revisit : e.revisits) {
+    const int closed = revisit.first + revisit.latency_frames.value_or(0);
+    const double latency_s = 1e-9 * static_cast<double>(truth.stamp_ns(closed) - truth.stamp_ns(revisit.first));
+    if (revisit.latency_frames) latencies_s.push_back(latency_s);
+    rows.push_back({{"first_image", revisit.first},
+                    {"last_image", revisit.last},
+                    {"latency_frames", revisit.latency_frames ? Json(*revisit.latency_frames) : Json()},
+                    {"latency_s", revisit.latency_frames ? Json(latency_s) : Json()}});
+  }
+  const auto closed = static_cast<int>(latencies_s.size());
+  report->table += line("revisits closed", to_text({closed, static_cast<int>(e.revisits.size())})) +
+                   line("latency, revisit to loop", to_text(error_statistics(std::move(latencies_s)), "s"));
+  report->json["revisits"] = rows;
+}
+
+void add_table(const std::vector<CriterionCounts>& rows, Report* report) {
+  report->table +=
+      "\ncriterion  keyframes  reference pairs, loops, found  real loops, true positives  precision  recall\n";
+  for (const CriterionCounts& row : rows) {
+    char text[160];
+    std::snprintf(text, sizeof(text), "%-9s %10d %16d, %5d, %5d %11d, %14d %10.4f %7.4f\n", row.name, row.keyframes,
+                  row.reference_pairs, row.reference_loops, row.found, row.real_loops, row.true_positives,
+                  row.precision().value(), row.recall().value());
+    report->table += text;
+    report->json["table"].push_back({{"criterion", row.name},
+                                     {"keyframes", row.keyframes},
+                                     {"reference_pairs", row.reference_pairs},
+                                     {"reference_loops", row.reference_loops},
+                                     {"real_loops", row.real_loops},
+                                     {"true_positives", row.true_positives},
+                                     {"right_wide", to_json(row.right_wide)},
+                                     {"found", row.found}});
+  }
+}
+
+bool write_details(const LoopFiles& files, const std::string& directory, std::string* error) {
+  const std::pair<const char*, std::string> texts[] = {
+      {"judged_loops.csv", judged_loops_csv(files.loops, files.truth)},
+      {"reference_pairs.csv", reference_pairs_csv(reference_pairs(files.truth, files.keyframes), files.truth)},
+      {"precision_recall.csv",
+       loop_curve_csv(loop_curve(files.loops, files.truth, files.keyframes, LoopEvaluationOptions()))}};
+  if (!make_directory(directory, error)) return false;
+  for (const auto& [name, text] : texts) {
+    if (!write_text_file(directory + "/" + name, text, error)) return false;
+  }
+  return true;
+}
+
+std::optional<Report> report_loops(const Arguments& arguments, std::string* error) {
+  const std::optional<LoopFiles> files = read_loop_files(arguments, error);
+  if (!files) return std::nullopt;
+  const LoopEvaluation e = evaluate_loops(files->loops, files->truth, LoopEvaluationOptions());
+  Report report = report_geometry(e);
+  add_revisits(e, files->truth, &report);
+  add_viewpoints(e, &report);
+  add_table(count_by_criterion(files->loops, files->truth, files->keyframes, LoopEvaluationOptions()), &report);
+  if (!arguments.details.empty() && !write_details(*files, arguments.details, error)) return std::nullopt;
   return report;
 }
 
@@ -206,19 +309,26 @@ struct Command {
 constexpr Command kCommands[] = {
     {"trajectory", 2, report_trajectory}, {"objects", 3, report_objects}, {"loops", 2, report_loops}};
 
+/// Where the value of an option goes; null for an option that the command does not have.
+std::string* option_of(const std::string& name, const Command& command, Arguments* arguments) {
+  if (name == "--json") return &arguments->json;
+  if (command.run != report_loops) return nullptr;
+  if (name == "--mocap") return &arguments->mocap;
+  if (name == "--sightings") return &arguments->sightings;
+  return name == "--details" ? &arguments->details : nullptr;
+}
+
 /// @return false with the problem in `error`
 bool parse_arguments(int argc, char** argv, const Command& command, Arguments* arguments, std::string* error) {
-  const bool is_loops = command.run == report_loops, is_trajectory = command.run == report_trajectory;
   for (int i = 2; i < argc; ++i) {
     const std::string argument = argv[i];
-    const bool takes_value = argument == "--json" || (argument == "--mocap" && is_loops);
-    if (takes_value && i + 1 == argc) {
-      *error = argument + " needs a file";
-      return false;
-    }
-    if (takes_value) {
-      (argument == "--json" ? arguments->json : arguments->mocap) = argv[++i];
-    } else if (argument == "--scale" && is_trajectory) {
+    if (std::string* value = option_of(argument, command, arguments)) {
+      if (++i == argc) {
+        *error = argument + " needs a path";
+        return false;
+      }
+      *value = argv[i];
+    } else if (argument == "--scale" && command.run == report_trajectory) {
       arguments->with_scale = true;
     } else if (argument.rfind("--", 0) == 0) {
       *error = "unknown option '" + argument + "' of evaluate " + command.name;

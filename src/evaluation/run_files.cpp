@@ -4,6 +4,7 @@
 #include <functional>
 
 #include "csv_table.h"
+#include "semantic_topo_loop/io/tum_trajectory.h"
 
 namespace semantic_topo_loop::core {
 namespace {
@@ -59,6 +60,7 @@ LoopRecord read_loop(CsvTable& table) {
   loop.match_end = table.integer("match_end");
   loop.accepted = table.integer("accepted") == 1;
   loop.reason = table.text("reason");
+  loop.score = table.number("score");
   loop.T_match_query = SE3(read_rotation(table), table.vector("x", "y", "z"));
   if (!loop.accepted && table.text("accepted") != "0") table.reject("accepted", "must be 0 or 1");
   return loop;
@@ -94,6 +96,31 @@ std::optional<std::vector<LoopRecord>> read_loops(const std::string& path, std::
 
 std::optional<std::vector<ReferenceObject>> read_reference_objects(const std::string& path, std::string* error) {
   return read_rows<ReferenceObject>(path, read_reference, error);
+}
+
+std::optional<std::vector<std::int64_t>> read_keyframe_stamps(const std::string& path, std::string* error) {
+  return read_rows<std::int64_t>(
+      path, [](CsvTable& table) { return table.stamp_ns("stamp"); }, error);
+}
+
+std::optional<Sightings> read_sightings(const std::string& directory, std::string* error) {
+  const auto objects = read_objects(directory + "/objects.csv", error);
+  const auto frames = objects ? read_tum_trajectory(directory + "/trajectory.txt", error) : std::nullopt;
+  if (!frames) return std::nullopt;
+  std::set<std::int64_t> confirmed;
+  for (const MappedObject& object : *objects) {
+    if (object.state == "confirmed") confirmed.insert(object.id);
+  }
+  Sightings sightings;
+  const auto read_row = [&](CsvTable& table) {
+    const std::int64_t frame = table.integer("frame_id"), id = table.integer("landmark_id");
+    const bool is_known = frame >= 0 && frame < static_cast<std::int64_t>(frames->size());
+    if (!is_known) table.reject("frame_id", "is no frame of trajectory.txt");
+    if (is_known && confirmed.count(id) > 0) sightings[(*frames)[static_cast<std::size_t>(frame)].stamp_ns].insert(id);
+    return id;
+  };
+  if (!read_rows<std::int64_t>(directory + "/associations.csv", read_row, error)) return std::nullopt;
+  return sightings;
 }
 
 }  // namespace semantic_topo_loop::core

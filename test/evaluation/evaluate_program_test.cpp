@@ -27,7 +27,10 @@ class EvaluateProgram : public ::testing::Test {
     directory_.write(
         "run/loops.csv",
         "query_frame,match_frame,query_stamp,match_stamp,query_begin,query_end,match_begin,match_end,"
-        "accepted,reason,x,y,z,qx,qy,qz,qw\n9,0,109.000000,100.000000,9,9,0,0,1,accepted,9,81,0,0,0,0,1\n");
+        "accepted,reason,score,x,y,z,qx,qy,qz,qw\n9,0,109.000000,100.000000,9,9,0,0,1,accepted,7.5,9,81,0,0,0,0,1\n");
+    directory_.write("run/keyframes.csv",
+                     "keyframe_id,frame_id,stamp,x,y,z,qx,qy,qz,qw\n0,0,100.000000,0,0,0,0,0,0,1\n");
+    directory_.write("run/associations.csv", "frame_id,detection_index,landmark_id,level\n0,0,7,new\n9,0,7,joint\n");
   }
 
   /// @return the exit status; "@" in the arguments stands for the test's directory
@@ -80,6 +83,19 @@ TEST_F(EvaluateProgram, Loops) {
   EXPECT_EQ(json()["right_wide"]["right"], 1);
   EXPECT_EQ(json()["right_wide"]["total"], 1);
   EXPECT_EQ(json()["not_judged"], 0);
+  EXPECT_EQ(json()["table"].size(), 3u);
+  EXPECT_EQ(json()["table"][0]["keyframes"], 1);
+  EXPECT_EQ(json()["by_viewpoint"].size(), 6u);
+  EXPECT_TRUE(json()["revisits"].empty());
+}
+
+TEST_F(EvaluateProgram, DetailsOfLoops) {
+  ASSERT_EQ(run("loops @run @gt.txt --sightings @run --details @details"), 0) << err_;
+  EXPECT_NE(read_whole(directory_.path("details/judged_loops.csv")).find("\n9,0,1,accepted,7.500000,1,0.000000"),
+            std::string::npos);
+  EXPECT_FALSE(read_whole(directory_.path("details/reference_pairs.csv")).empty());
+  EXPECT_NE(read_whole(directory_.path("details/precision_recall.csv")).find("\n7.500000,0,0,0,1,1,0,0\n"),
+            std::string::npos);
 }
 
 TEST_F(EvaluateProgram, BadFilesEndWithOneErrorAndStatusOne) {
@@ -89,6 +105,8 @@ TEST_F(EvaluateProgram, BadFilesEndWithOneErrorAndStatusOne) {
   expect_one_line_error("gt.txt");
   EXPECT_EQ(run("loops @nowhere @gt.txt"), 1);
   expect_one_line_error("nowhere/loops.csv: cannot open the file");
+  EXPECT_EQ(run("loops @run @gt.txt --sightings @nowhere"), 1);
+  expect_one_line_error("nowhere/objects.csv: cannot open the file");
   directory_.write("bad.txt", "1 2 3\n");
   EXPECT_EQ(run("loops @run @gt.txt --mocap @bad.txt"), 1);
   expect_one_line_error("bad.txt:1: 3 columns instead of 8");
@@ -109,7 +127,7 @@ TEST_F(EvaluateProgram, BadArgumentsEndWithStatusTwo) {
   EXPECT_EQ(run("objects @run @gt.txt @reference.csv --mocap @gt.txt"), 2);
   expect_one_line_error("unknown option '--mocap'");
   EXPECT_EQ(run("trajectory @gt.txt @gt.txt --json"), 2);
-  expect_one_line_error("--json needs a file");
+  expect_one_line_error("--json needs a path");
 }
 
 }  // namespace

@@ -18,8 +18,8 @@ class RunFiles : public ::testing::Test {
 
 constexpr const char* kObjects = "id,class_id,label,x,y,z,a,b,c,state,observations\n";
 constexpr const char* kLoops =
-    "query_frame,match_frame,query_stamp,match_stamp,query_begin,query_end,match_begin,match_end,accepted,reason,x,y,z,"
-    "qx,qy,qz,qw\n";
+    "query_frame,match_frame,query_stamp,match_stamp,query_begin,query_end,match_begin,match_end,accepted,reason,score,"
+    "x,y,z,qx,qy,qz,qw\n";
 
 TEST_F(RunFiles, Objects) {
   const auto objects =
@@ -56,24 +56,46 @@ TEST_F(RunFiles, ObjectErrors) {
 
 TEST_F(RunFiles, Loops) {
   const auto loops =
-      read_loops(write(std::string(kLoops) + "9,2,1.000000,0.500000,8,9,1,3,1,accepted,1,2,3,0,0,0,1\n"), &error_);
+      read_loops(write(std::string(kLoops) + "9,2,1.000000,0.500000,8,9,1,3,1,accepted,7.5,1,2,3,0,0,0,1\n"), &error_);
   ASSERT_TRUE(loops) << error_;
   ASSERT_EQ(loops->size(), 1u);
   EXPECT_EQ(loops->at(0).query_stamp_ns, 1000000000);
   EXPECT_EQ(loops->at(0).match_end, 3);
   EXPECT_TRUE(loops->at(0).accepted);
+  EXPECT_EQ(loops->at(0).score, 7.5);
   EXPECT_EQ(loops->at(0).T_match_query.t, Vec3(1.0, 2.0, 3.0));
 }
 
 TEST_F(RunFiles, LoopErrors) {
-  EXPECT_FALSE(read_loops(write(std::string(kLoops) + "9,2,1.0,0.5,8,9,1,3,yes,accepted,1,2,3,0,0,0,1\n"), &error_));
+  EXPECT_FALSE(
+      read_loops(write(std::string(kLoops) + "9,2,1.0,0.5,8,9,1,3,yes,accepted,7.5,1,2,3,0,0,0,1\n"), &error_));
   expect_error(":2: accepted = 'yes' is no integer");
-  EXPECT_FALSE(read_loops(write(std::string(kLoops) + "9,2,1.0,0.5,8,9,1,3,2,accepted,1,2,3,0,0,0,1\n"), &error_));
+  EXPECT_FALSE(read_loops(write(std::string(kLoops) + "9,2,1.0,0.5,8,9,1,3,2,accepted,7.5,1,2,3,0,0,0,1\n"), &error_));
   expect_error(":2: accepted = '2' must be 0 or 1");
-  EXPECT_FALSE(read_loops(write(std::string(kLoops) + "9,2,1.0,0.5,8,9,1,3,1,accepted,1,2,3,0,0,0,2\n"), &error_));
+  EXPECT_FALSE(read_loops(write(std::string(kLoops) + "9,2,1.0,0.5,8,9,1,3,1,accepted,7.5,1,2,3,0,0,0,2\n"), &error_));
   expect_error(":2: qw = '2' is part of a quaternion that is no rotation");
-  EXPECT_FALSE(read_loops(write(std::string(kLoops) + "9,2,then,0.5,8,9,1,3,1,accepted,1,2,3,0,0,0,1\n"), &error_));
+  EXPECT_FALSE(read_loops(write(std::string(kLoops) + "9,2,then,0.5,8,9,1,3,1,accepted,7.5,1,2,3,0,0,0,1\n"), &error_));
   expect_error(":2: query_stamp = 'then' is no stamp in seconds");
+}
+
+TEST_F(RunFiles, SightingsAreThoseOfConfirmedObjects) {
+  directory_.write("trajectory.txt", "1.0 0 0 0 0 0 0 1\n2.0 0 0 0 0 0 0 1\n");
+  directory_.write("objects.csv", std::string(kObjects) + "7,41,cup,1,2,3,0.1,0.1,0.1,confirmed,9\n" +
+                                      "8,41,cup,1,2,3,0.1,0.1,0.1,candidate,9\n");
+  const std::string header = "frame_id,detection_index,landmark_id,level\n";
+  directory_.write("associations.csv", header + "0,0,7,joint\n0,1,8,joint\n1,0,9,joint\n1,1,-1,ignored\n");
+  const auto sightings = read_sightings(directory_.path("."), &error_);
+  ASSERT_TRUE(sightings) << error_;
+  EXPECT_EQ(*sightings, (Sightings{{1000000000, {7}}}));
+  directory_.write("associations.csv", header + "2,0,7,joint\n");
+  EXPECT_FALSE(read_sightings(directory_.path("."), &error_));
+  EXPECT_NE(error_.find("associations.csv:2: frame_id = '2' is no frame of trajectory.txt"), std::string::npos);
+}
+
+TEST_F(RunFiles, KeyframeStamps) {
+  const auto stamps = read_keyframe_stamps(write("keyframe_id,frame_id,stamp\n0,3,1.5\n1,9,2.25\n"), &error_);
+  ASSERT_TRUE(stamps) << error_;
+  EXPECT_EQ(*stamps, (std::vector<std::int64_t>{1500000000, 2250000000}));
 }
 
 TEST_F(RunFiles, ReferenceObjectsOfFr2Desk) {
