@@ -35,7 +35,12 @@ class TrajectoryOptimizer {
  public:
   TrajectoryOptimizer(const Trajectory& trajectory, const PoseGraphOptions& options, const GraphKnowledge& knowledge,
                       Effort effort)
-      : trajectory_(trajectory), options_(options), effort_(effort), redundancy_(redundancy(trajectory.loops)) {
+      : trajectory_(trajectory),
+        options_(options),
+        effort_(effort),
+        redundancy_(redundancy(trajectory.loops, trajectory.votes)),
+        votes_(trajectory.votes) {
+    if (votes_.empty()) votes_.assign(trajectory.loops.size(), true);
     result_.T_map_vertex = trajectory.T_map_vertex;
     result_.knowledge = knowledge;
     solver_options_.loss = loss_of(options.robust);
@@ -55,22 +60,22 @@ class TrajectoryOptimizer {
     std::vector<bool>& kept = result_.knowledge.kept;
     kept.resize(trajectory_.loops.size(), true);
     if (options_.robust == "none") return true;
-    for (std::size_t k = 0; k < kept.size(); ++k) kept[k] = kept[k] && has_vote(k);
-    find_loose_factor();
+    judge_strain();
+    for (std::size_t k = 0; k < kept.size(); ++k) kept[k] = kept[k] && votes_[k];
     const GraphKnowledge& known = result_.knowledge;
     const std::vector<GraphEdge> edges =
         graph({scaled(noise_prior(options_).least, known.loose_factor), 1.0, known.noise.jumps}, false);
     if (options_.robust != "gnc") {
       if (!report(solve_graph(edges, solver_options_, &result_.T_map_vertex))) return false;
       for (std::size_t k = 0; k < kept.size(); ++k) {
-        kept[k] = has_vote(k) &&
-                  chi_squared(edges[trajectory_.edges.size() + k], result_.T_map_vertex) <= options_.robust_chi2;
+        kept[k] =
+            votes_[k] && chi_squared(edges[trajectory_.edges.size() + k], result_.T_map_vertex) <= options_.robust_chi2;
       }
       return true;
     }
     std::vector<bool> guess;
     for (std::size_t k = 0; k < kept.size() && effort_ != Effort::kFull; ++k) {
-      if (has_vote(k)) guess.push_back(kept[k]);
+      if (votes_[k]) guess.push_back(kept[k]);
     }
     const LoopClassification classes =
         classify_loops(edges, options_.robust_chi2, solver_options_, result_.T_map_vertex, guess);
@@ -79,28 +84,39 @@ class TrajectoryOptimizer {
       return false;
     }
     std::size_t voter = 0;
-    for (std::size_t k = 0; k < kept.size(); ++k) kept[k] = has_vote(k) && classes.kept[voter++];
+    for (std::size_t k = 0; k < kept.size(); ++k) kept[k] = votes_[k] && classes.kept[voter++];
     result_.T_map_vertex = classes.T_world_vertex;
     return true;
   }
 
-  bool has_vote(std::size_t loop) const { return trajectory_.votes.empty() || trajectory_.votes[loop]; }
-
-  void find_loose_factor() {
-    double& factor = result_.knowledge.loose_factor;
-    if (factor > 0.0 && effort_ == Effort::kUpdate) return;
-    constexpr double kLeastFactor = 10.0;  // 1 cm after one metre: less room is of no use to right loops
-    factor = kLeastFactor;
-    if (!options_.estimate_noise) return;
-    constexpr std::size_t kMaxLoops = 60;
-    std::vector<GraphLoop> voters;
-    for (std::size_t k = 0; k < trajectory_.loops.size(); ++k) {
-      if (has_vote(k)) voters.push_back(trajectory_.loops[k]);
+  /// Finds the odometry's noise that most loops bear out, and takes the vote from those that would need many times as
+  /// much: a place that looks like another contradicts the odometry by any amount, a right loop by what the others do.
+  void judge_strain() {
+    const PathNoise path(result_.T_map_vertex, trajectory_.edges);
+    const NoisePrior prior = noise_prior(options_);
+    std::vector<double> factors, weights;
+    for (std::size_t k = 0; k < votes_.size(); ++k) {
+      if (!votes_[k]) continue;
+      factors.push_back(
+          std::min(path.explaining_factor(trajectory_.loops[k], prior.least, prior.factor_max), prior.factor_max));
+      weights.push_back(1.0 / redundancy_[k]);
     }
-    const std::vector<GraphLoop> some = thinned(voters, kMaxLoops);
-    const InnovationModel model(result_.T_map_vertex, trajectory_.edges, some);
-    factor =
-        std::max(factor, options_.gnc_loosening * robust_noise_factor(model, noise_prior(options_), redundancy(some)));
+    double& loose = result_.knowledge.loose_factor;
+    if (loose <= 0.0 || effort_ != Effort::kUpdate) {
+      constexpr double kLeastFactor = 10.0;  // 1 cm after one metre: less room is of no use to right loops
+      loose = kLeastFactor;
+      if (options_.estimate_noise) {
+        loose = std::max(loose, options_.gnc_loosening * robust_noise_factor(factors, weights));
+      }
+    }
+    if (options_.robust != "gnc") return;
+    constexpr double kStrain = 3.0, kLeastStrain = 45.0;
+    const double limit = std::max(kLeastStrain, kStrain * loose / options_.gnc_loosening);
+    std::size_t voter = 0;
+    for (std::size_t k = 0; k < votes_.size(); ++k) {
+      if (!votes_[k]) continue;
+      votes_[k] = factors[voter++] <= limit || path.has_stated(trajectory_.loops[k]);
+    }
   }
 
   void learn_noise() {
@@ -138,10 +154,10 @@ class TrajectoryOptimizer {
     }
     for (std::size_t k = 0; k < trajectory_.loops.size(); ++k) {
       const GraphLoop& loop = trajectory_.loops[k];
-      const bool counts = has_vote(k) && (!only_kept || result_.knowledge.kept[k]);
+      const bool counts = votes_[k] && (!only_kept || result_.knowledge.kept[k]);
       const double weight = counts ? 1.0 / redundancy_[k] : 0.0;
       edges.push_back({loop.from, loop.to, loop.T_from_to, square_root_information(loop.covariance) / noise.loop_factor,
-                       weight, has_vote(k)});
+                       weight, votes_[k]});
     }
     return edges;
   }
@@ -155,6 +171,7 @@ class TrajectoryOptimizer {
   const PoseGraphOptions& options_;
   Effort effort_;
   std::vector<double> redundancy_;
+  std::vector<bool> votes_;          ///< which loops count
   std::vector<Vec6> steady_errors_;  ///< of each edge; empty before they are known
   GraphSolverOptions solver_options_;
   OptimizedTrajectory result_;
