@@ -25,6 +25,8 @@ std::vector<GraphLoop> thinned(const std::vector<GraphLoop>& loops, std::size_t 
   return some;
 }
 
+constexpr int kFewJumps = 2, kManyJumps = 8;  // that are looked for in one go
+
 Mat6 jump_covariance(const OdometryJump& jump) {
   Vec6 sigmas;
   sigmas << Vec3::Constant(jump.translation_m), Vec3::Constant(jump.rotation_rad);
@@ -43,6 +45,8 @@ class TrajectoryOptimizer {
     if (votes_.empty()) votes_.assign(trajectory.loops.size(), true);
     result_.T_map_vertex = trajectory.T_map_vertex;
     result_.knowledge = knowledge;
+    // What is learnt last must not depend on what was believed on the way.
+    if (effort == Effort::kFull && options.estimate_noise) result_.knowledge.noise = {noise_prior(options).least, 1.0, {}};
     solver_options_.loss = loss_of(options.robust);
     solver_options_.loss_chi2 = options.robust_chi2;
     solver_options_.max_iterations = options.max_iterations;
@@ -129,9 +133,9 @@ class TrajectoryOptimizer {
     const std::vector<GraphLoop> some = thinned(loops, kMaxLoops);
     InnovationModel model(result_.T_map_vertex, trajectory_.edges, some);
     NoiseEstimate& noise = result_.knowledge.noise;
-    constexpr int kMaxNewJumps = 2;
+    const int max_new_jumps = effort_ == Effort::kFull ? kManyJumps : kFewJumps;
     if (effort_ != Effort::kUpdate) {
-      noise = estimate_noise_and_jumps(&model, noise_prior(options_), noise, kMaxNewJumps);
+      noise = estimate_noise_and_jumps(&model, noise_prior(options_), noise, max_new_jumps);
     }
     model.set_jumps(noise.jumps);
     steady_errors_ = model.steady_errors(noise);
