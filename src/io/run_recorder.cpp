@@ -156,7 +156,7 @@ std::string RunRecorder::loops() const {
 }
 
 std::string RunRecorder::loop_verdicts() const {
-  std::string text = "query_keyframe,match_keyframe,query_frame,match_frame,kept,verdict\n";
+  std::string text = "query_keyframe,match_keyframe,query_frame,match_frame,extra,kept,verdict\n";
   const auto frame_of = [this](std::int64_t keyframe_id) {
     const auto found = keyframe_frames_.find(keyframe_id);
     return found == keyframe_frames_.end() ? -1 : found->second;
@@ -167,6 +167,7 @@ std::string RunRecorder::loop_verdicts() const {
                 .add(verdict.match_keyframe_id)
                 .add(frame_of(verdict.query_keyframe_id))
                 .add(frame_of(verdict.match_keyframe_id))
+                .add(verdict.is_extra ? 1 : 0)
                 .add(verdict.kept ? 1 : 0)
                 .add(verdict.reason.empty() ? "kept" : verdict.reason)
                 .end();

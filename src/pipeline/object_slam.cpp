@@ -11,7 +11,7 @@ ObjectSlam::ObjectSlam(const Options& options, std::shared_ptr<const ClassTable>
       pose_graph_(options.pose_graph) {}
 
 FrameResult ObjectSlam::process(const Frame& frame, const std::vector<Detection>& detections,
-                                const std::vector<LoopClosure>& given_loops) {
+                                const std::vector<LoopClosure>& extra_loops) {
   FrameResult result;
   result.associations = associator_.associate(frame, detections);
   result.observation = mapper_.integrate(frame, result.associations);
@@ -20,9 +20,7 @@ FrameResult ObjectSlam::process(const Frame& frame, const std::vector<Detection>
   const Stopwatch stopwatch;
   result.loops = loop_detector_.detect(frame, result.associations);
   result.loop_us = stopwatch.elapsed_us();
-  std::vector<LoopClosure> loops = result.loops;
-  loops.insert(loops.end(), given_loops.begin(), given_loops.end());
-  result.correction = pose_graph_.process(frame, loops);
+  result.correction = pose_graph_.process(frame, result.loops, extra_loops);
   result.completion = mapper_.apply(result.correction);
   associator_.apply(result.completion);
   loop_detector_.apply(result.completion);

@@ -24,12 +24,14 @@ class PoseGraph::Impl {
     knowledge_.noise.odometry = noise_prior(options_).least;
   }
 
-  MapCorrection process(const Frame& frame, const std::vector<LoopClosure>& loops) {
+  MapCorrection process(const Frame& frame, const std::vector<LoopClosure>& loops,
+                        const std::vector<LoopClosure>& extra_loops) {
     MapCorrection correction;
     correction.frame_id = frame.frame_id;
     correction.T_map_odom_old = T_map_odom_;
     if (!frame.is_end) add_frame(frame);
-    for (const LoopClosure& loop : loops) add_loop(loop);
+    for (const LoopClosure& loop : loops) add_loop(loop, false);
+    for (const LoopClosure& loop : extra_loops) add_loop(loop, true);
     if (is_due(frame)) {
       const auto start = std::chrono::steady_clock::now();
       correction.changed = optimize(frame.is_end);
@@ -98,7 +100,8 @@ class PoseGraph::Impl {
     std::int64_t query_keyframe_id = -1, match_keyframe_id = -1;
     std::optional<GraphLoop> loop;  ///< none if it was refused
     std::string refusal;
-    int index = -1;  ///< in the graph; -1 for loops that repeat others
+    int index = -1;         ///< in the graph; -1 for loops that repeat others
+    bool is_extra = false;  ///< given from outside
   };
 
   void watch(const Frame& frame) {
@@ -110,9 +113,10 @@ class PoseGraph::Impl {
     last_frame_ = StampedPose{frame.stamp_ns, frame.T_odom_camera};
   }
 
-  void add_loop(const LoopClosure& closure) {
+  void add_loop(const LoopClosure& closure, bool is_extra) {
     if (!closure.accepted) return;
     Entry entry;
+    entry.is_extra = is_extra;
     entry.query_keyframe_id = closure.query_keyframe_id;
     entry.match_keyframe_id = closure.match_keyframe_id;
     entry.loop =
@@ -129,8 +133,8 @@ class PoseGraph::Impl {
     entries_.push_back(std::move(entry));
   }
 
-  /// Whether the graph has the evidence of a loop often enough, in loops that are believed. The more of them it holds the
-  /// sooner it has, so that the time of a solve hardly grows.
+  /// Whether the graph has the evidence of a loop often enough, in loops that are believed. The more of them it holds
+  /// the sooner it has, so that the time of a solve hardly grows.
   bool is_repetition(const GraphLoop& loop) const {
     constexpr double kMany = 400.0;
     double sum = 0.0, loops = 0.0;
@@ -190,7 +194,7 @@ class PoseGraph::Impl {
   }
 
   LoopVerdict verdict(const Entry& entry) const {
-    LoopVerdict verdict{entry.query_keyframe_id, entry.match_keyframe_id, false, entry.refusal};
+    LoopVerdict verdict{entry.query_keyframe_id, entry.match_keyframe_id, false, entry.refusal, entry.is_extra};
     if (!entry.loop) return verdict;
     const double factor = knowledge_.noise.loop_factor;
     const double disagreement = chi2(*entry.loop) / (factor * factor);
@@ -267,8 +271,9 @@ PoseGraph::~PoseGraph() = default;
 PoseGraph::PoseGraph(PoseGraph&&) noexcept = default;
 PoseGraph& PoseGraph::operator=(PoseGraph&&) noexcept = default;
 
-MapCorrection PoseGraph::process(const Frame& frame, const std::vector<LoopClosure>& loops) {
-  return impl_->process(frame, loops);
+MapCorrection PoseGraph::process(const Frame& frame, const std::vector<LoopClosure>& loops,
+                                 const std::vector<LoopClosure>& extra_loops) {
+  return impl_->process(frame, loops, extra_loops);
 }
 bool PoseGraph::withdraw(std::int64_t query_keyframe_id, std::int64_t match_keyframe_id) {
   return impl_->withdraw(query_keyframe_id, match_keyframe_id);

@@ -46,7 +46,8 @@ class TrajectoryOptimizer {
     result_.T_map_vertex = trajectory.T_map_vertex;
     result_.knowledge = knowledge;
     // What is learnt last must not depend on what was believed on the way.
-    if (effort == Effort::kFull && options.estimate_noise) result_.knowledge.noise = {noise_prior(options).least, 1.0, {}};
+    if (effort == Effort::kFull && options.estimate_noise)
+      result_.knowledge.noise = {noise_prior(options).least, 1.0, {}};
     solver_options_.loss = loss_of(options.robust);
     solver_options_.loss_chi2 = options.robust_chi2;
     solver_options_.max_iterations = options.max_iterations;

@@ -20,6 +20,7 @@ struct LoopVerdict {
   std::int64_t query_keyframe_id = -1, match_keyframe_id = -1;
   bool kept = false;
   std::string reason = {};  ///< why it is not kept, or what it repeats; may be empty
+  bool is_extra = false;    ///< given from outside, not found
 };
 
 /// A stretch of odometry that is not believed.
