@@ -2,12 +2,14 @@
 
 #include <cstdio>
 #include <iostream>
+#include <map>
 #include <memory>
 #include <string>
 #include <vector>
 
 #include "package_path.h"
 #include "semantic_topo_loop/detection/detection_reader.h"
+#include "semantic_topo_loop/evaluation/run_files.h"
 #include "semantic_topo_loop/geometry/stamped_pose.h"
 #include "semantic_topo_loop/io/camera_yaml.h"
 #include "semantic_topo_loop/io/class_table_yaml.h"
@@ -24,7 +26,7 @@ using namespace semantic_topo_loop::core;
 
 constexpr char kUsage[] =
     "usage: offline --trajectory FILE --detections FILE_OR_DIR --camera YAML --output DIR\n"
-    "               [--classes YAML] [--config YAML] [--set module.field=value ...]\n"
+    "               [--classes YAML] [--config YAML] [--set module.field=value ...] [--extra-loops CSV]\n"
     "Runs the whole chain on recorded files, without a ROS master.\n"
     "  --trajectory  camera poses of the odometry, TUM format; one frame a pose\n"
     "  --detections  OA-SLAM JSON file, or directory of YOLO text files <stamp>.txt\n"
@@ -32,6 +34,7 @@ constexpr char kUsage[] =
     "  --classes     class table (default: config/classes_coco.yaml of the package)\n"
     "  --config      parameters (default: the built-in ones, those of config/default.yaml)\n"
     "  --set         one parameter, over --config; may be repeated\n"
+    "  --extra-loops loops for the pose graph beside those that are found, as loops.csv, see docs/files.md\n"
     "  --output      directory of the results, made if missing\n"
     "       offline --list-parameters\n"
     "Prints every parameter with its default, as a Markdown table.\n";
@@ -39,7 +42,7 @@ constexpr char kUsage[] =
 constexpr std::int64_t kStampTolerance_ns = 1000;
 
 struct Arguments {
-  std::string trajectory, detections, camera, classes, config, output;
+  std::string trajectory, detections, camera, classes, config, extra_loops, output;
   std::vector<std::string> assignments;
 };
 
@@ -48,7 +51,8 @@ bool parse(int argc, char** argv, Arguments* arguments, std::string* error) {
   const std::vector<std::pair<std::string, std::string*>> fields = {
       {"--trajectory", &arguments->trajectory}, {"--detections", &arguments->detections},
       {"--camera", &arguments->camera},         {"--classes", &arguments->classes},
-      {"--config", &arguments->config},         {"--output", &arguments->output}};
+      {"--config", &arguments->config},         {"--extra-loops", &arguments->extra_loops},
+      {"--output", &arguments->output}};
   for (int i = 1; i < argc; ++i) {
     const std::string name = argv[i];
     if (name == "--help" || name == "-h") return false;
@@ -73,7 +77,7 @@ bool parse(int argc, char** argv, Arguments* arguments, std::string* error) {
     }
   }
   for (const auto& [field, target] : fields) {
-    if (target->empty() && field != "--config" && field != "--classes") {
+    if (target->empty() && field != "--config" && field != "--classes" && field != "--extra-loops") {
       *error = "argument " + field + " is missing";
       return false;
     }
@@ -94,7 +98,15 @@ struct Inputs {
   std::shared_ptr<const ClassTable> classes;
   StampedPoses trajectory;
   std::vector<DetectionFrame> detections;
+  std::vector<LoopClosure> extra_loops;
 };
+
+bool load_extra_loops(const std::string& path, std::vector<LoopClosure>* loops, std::string* error) {
+  if (path.empty()) return true;
+  std::optional<std::vector<LoopClosure>> given = read_given_loops(path, error);
+  if (given) *loops = std::move(*given);
+  return given.has_value();
+}
 
 std::optional<Inputs> load(const Arguments& arguments, std::string* error) {
   Inputs inputs;
@@ -116,6 +128,7 @@ std::optional<Inputs> load(const Arguments& arguments, std::string* error) {
   for (const std::string& warning : report.warnings()) std::cerr << "offline: warning: " << warning << '\n';
   if (!detections) return std::nullopt;
   inputs.detections = std::move(*detections);
+  if (!load_extra_loops(arguments.extra_loops, &inputs.extra_loops, error)) return std::nullopt;
   return inputs;
 }
 
@@ -137,6 +150,39 @@ class Progress {
   int percent_ = -1;
 };
 
+/// Hands loops out at their query frames.
+class ExtraLoops {
+ public:
+  explicit ExtraLoops(const std::vector<LoopClosure>& loops) {
+    for (const LoopClosure& loop : loops) loops_[loop.query_frame].push_back(loop);
+  }
+  std::vector<LoopClosure> at(const Frame& frame) {
+    if (frame.is_keyframe) keyframe_of_[frame.frame_id] = frame.keyframe_id;
+    std::vector<LoopClosure> due = std::move(loops_[frame.frame_id]);
+    loops_.erase(frame.frame_id);
+    for (LoopClosure& loop : due) {
+      loop.query_keyframe_id = keyframe(loop.query_frame);
+      loop.match_keyframe_id = keyframe(loop.match_frame);
+    }
+    return due;
+  }
+  /// Those whose query frame never came.
+  std::size_t left() const {
+    std::size_t count = 0;
+    for (const auto& [frame, loops] : loops_) count += loops.size();
+    return count;
+  }
+
+ private:
+  /// -1 where there is none: the pose graph refuses such a loop.
+  std::int64_t keyframe(std::int64_t frame_id) const {
+    const auto found = keyframe_of_.find(frame_id);
+    return found == keyframe_of_.end() ? -1 : found->second;
+  }
+  std::map<std::int64_t, std::vector<LoopClosure>> loops_;
+  std::map<std::int64_t, std::int64_t> keyframe_of_;
+};
+
 void record(const Frame& frame, const FrameResult& result, RunRecorder* recorder) {
   recorder->record(frame);
   recorder->record(result.associations);
@@ -150,6 +196,7 @@ void record(const Frame& frame, const FrameResult& result, RunRecorder* recorder
 bool run(const Inputs& inputs, RunRecorder* recorder, std::string* error) {
   ObjectSlam slam(inputs.options, inputs.classes);
   FrameBuilder builder(inputs.options.keyframe, inputs.camera);
+  ExtraLoops extra_loops(inputs.extra_loops);
   Progress progress(inputs.trajectory.size());
   std::size_t matched = 0;
   const std::vector<Detection> none;
@@ -162,7 +209,8 @@ bool run(const Inputs& inputs, RunRecorder* recorder, std::string* error) {
     if (!frame) return false;
     const DetectionFrame* detections = find_stamp(inputs.detections, frame->stamp_ns, kStampTolerance_ns);
     if (detections != nullptr) ++matched;
-    record(*frame, slam.process(*frame, detections != nullptr ? detections->detections : none), recorder);
+    const std::vector<Detection>& boxes = detections != nullptr ? detections->detections : none;
+    record(*frame, slam.process(*frame, boxes, extra_loops.at(*frame)), recorder);
     progress.show(i + 1);
   }
   if (matched == 0) {
@@ -180,6 +228,9 @@ bool run(const Inputs& inputs, RunRecorder* recorder, std::string* error) {
   if (matched < inputs.trajectory.size()) {
     std::cerr << "offline: warning: " << inputs.trajectory.size() - matched << " of " << inputs.trajectory.size()
               << " frames have no detections\n";
+  }
+  if (extra_loops.left() > 0) {
+    std::cerr << "offline: warning: " << extra_loops.left() << " extra loops have a query frame that never came\n";
   }
   if (matched < inputs.detections.size()) {
     std::cerr << "offline: warning: " << inputs.detections.size() - matched << " of " << inputs.detections.size()

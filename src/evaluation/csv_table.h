@@ -19,6 +19,7 @@ class CsvTable {
 
   std::size_t size() const { return rows_.size(); }
   void select(std::size_t row) { row_ = row; }
+  bool has(const std::string& column) const { return columns_.count(column) != 0; }
   double number(const std::string& column);
   std::int64_t integer(const std::string& column);
   std::int64_t stamp_ns(const std::string& column);

@@ -66,6 +66,43 @@ LoopRecord read_loop(CsvTable& table) {
   return loop;
 }
 
+double sigma(CsvTable& table, const std::string& column, double value) {
+  if (table.has(column)) value = table.number(column);
+  if (!(value > 0.0)) table.reject(column, "must be > 0");
+  return value;
+}
+
+LoopClosure read_given_loop(CsvTable& table) {
+  const LoopRecord record = read_loop(table);
+  LoopClosure loop;
+  loop.query_frame = record.query_frame;
+  loop.match_frame = record.match_frame;
+  loop.query_stamp_ns = record.query_stamp_ns;
+  loop.match_stamp_ns = record.match_stamp_ns;
+  loop.query_begin = record.query_begin;
+  loop.query_end = record.query_end;
+  loop.match_begin = record.match_begin;
+  loop.match_end = record.match_end;
+  loop.accepted = record.accepted;
+  loop.reason = record.accepted ? LoopReason::kAccepted : LoopReason::kTooFewObjects;
+  loop.T_match_query = record.T_match_query;
+  constexpr double kSigma_m = 0.03, kSigma_deg = 1.0;
+  const double sigma_m = sigma(table, "sigma_m", kSigma_m), sigma_rad = radians(sigma(table, "sigma_deg", kSigma_deg));
+  Vec6 variances;
+  variances << Vec3::Constant(sigma_m * sigma_m), Vec3::Constant(sigma_rad * sigma_rad);
+  loop.covariance = variances.asDiagonal();
+  return loop;
+}
+
+KeyframePose read_keyframe(CsvTable& table) {
+  KeyframePose keyframe;
+  keyframe.keyframe_id = table.integer("keyframe_id");
+  keyframe.frame_id = table.integer("frame_id");
+  keyframe.stamp_ns = table.stamp_ns("stamp");
+  keyframe.T_map_camera = SE3(read_rotation(table), table.vector("x", "y", "z"));
+  return keyframe;
+}
+
 ReferenceObject read_reference(CsvTable& table) {
   ReferenceObject object;
   object.id = static_cast<int>(table.integer("id"));
@@ -92,6 +129,14 @@ std::optional<std::vector<MappedObject>> read_objects(const std::string& path, s
 
 std::optional<std::vector<LoopRecord>> read_loops(const std::string& path, std::string* error) {
   return read_rows<LoopRecord>(path, read_loop, error);
+}
+
+std::optional<std::vector<LoopClosure>> read_given_loops(const std::string& path, std::string* error) {
+  return read_rows<LoopClosure>(path, read_given_loop, error);
+}
+
+std::optional<std::vector<KeyframePose>> read_keyframes(const std::string& path, std::string* error) {
+  return read_rows<KeyframePose>(path, read_keyframe, error);
 }
 
 std::optional<std::vector<ReferenceObject>> read_reference_objects(const std::string& path, std::string* error) {

@@ -2,6 +2,8 @@
 
 #include <nlohmann/json.hpp>
 
+#include "csv_row.h"
+#include "semantic_topo_loop/io/loop_table.h"
 #include "semantic_topo_loop/io/stamp.h"
 #include "semantic_topo_loop/io/text_file.h"
 #include "semantic_topo_loop/io/tum_trajectory.h"
@@ -33,33 +35,26 @@ const char* level_name(AssociationLevel level) {
   return "unknown";
 }
 
-/// One row of a CSV file, built field by field.
-class CsvRow {
- public:
-  CsvRow& add(const std::string& text) {
-    row_ += (row_.empty() ? "" : ",") + text;
-    return *this;
-  }
-  CsvRow& add(std::int64_t number) { return add(std::to_string(number)); }
-  CsvRow& add(double number, int decimals) { return add(format_fixed(number, decimals)); }
-  CsvRow& add(const Vec3& v) {
-    return add(v.x(), kLengthDecimals).add(v.y(), kLengthDecimals).add(v.z(), kLengthDecimals);
-  }
-  CsvRow& add(const Quaternion& q) {
-    return add(q.x(), kLengthDecimals)
-        .add(q.y(), kLengthDecimals)
-        .add(q.z(), kLengthDecimals)
-        .add(q.w(), kLengthDecimals);
-  }
-  CsvRow& add(const SE3& T) { return add(T.t).add(T.q); }
-  std::string end() const { return row_ + '\n'; }
-
- private:
-  static constexpr int kLengthDecimals = 9;
-  std::string row_;
-};
-
 constexpr int kRatioDecimals = 6;
+
+nlohmann::json odometry_summary(const OdometryReport& report) {
+  nlohmann::json faults = nlohmann::json::array();
+  for (const OdometryFault& fault : report.faults) {
+    faults.push_back({{"from_keyframe", fault.from_keyframe_id},
+                      {"to_keyframe", fault.to_keyframe_id},
+                      {"kind", fault.is_break ? "break" : "jump"},
+                      {"translation_m", fault.translation_m},
+                      {"rotation_rad", fault.rotation_rad}});
+  }
+  return {{"stated_edges", report.stated_edges},
+          {"translation_m", report.translation_m},
+          {"rotation_rad", report.rotation_rad},
+          {"steady_translation", report.steady_translation},
+          {"steady_rotation_rad", report.steady_rotation_rad},
+          {"scale", report.scale},
+          {"loop_factor", report.loop_factor},
+          {"faults", faults}};
+}
 
 }  // namespace
 
@@ -92,11 +87,11 @@ void RunRecorder::record(const MapCorrection& correction) {
   T_map_odom_.insert_or_assign(correction.frame_id, correction.T_map_odom);
   if (!correction.changed) return;
   ++corrections_;
+  correction_ = correction;
   T_map_keyframe_.clear();
   for (const KeyframePose& keyframe : correction.keyframes) {
     T_map_keyframe_.insert_or_assign(keyframe.keyframe_id, keyframe.T_map_camera);
   }
-  verdicts_ = correction.loops;
 }
 
 SE3 RunRecorder::live_map_from_odom(std::int64_t frame_id) const {
@@ -153,27 +148,29 @@ std::string RunRecorder::objects() const {
 }
 
 std::string RunRecorder::loops() const {
-  std::string text =
-      "query_frame,match_frame,query_stamp,match_stamp,query_begin,query_end,match_begin,match_end,accepted,reason,"
-      "score,inliers,x,y,z,qx,qy,qz,qw\n";
+  std::string text = loop_table_header();
   for (const auto& [frame_id, candidates] : loops_) {
-    for (const LoopClosure& loop : candidates) {
-      text += CsvRow()
-                  .add(loop.query_frame)
-                  .add(loop.match_frame)
-                  .add(format_stamp(loop.query_stamp_ns))
-                  .add(format_stamp(loop.match_stamp_ns))
-                  .add(loop.query_begin)
-                  .add(loop.query_end)
-                  .add(loop.match_begin)
-                  .add(loop.match_end)
-                  .add(loop.accepted ? 1 : 0)
-                  .add(to_string(loop.reason))
-                  .add(loop.score, kRatioDecimals)
-                  .add(loop.inliers)
-                  .add(loop.T_match_query)
-                  .end();
-    }
+    for (const LoopClosure& loop : candidates) text += loop_table_row(loop);
+  }
+  return text;
+}
+
+std::string RunRecorder::loop_verdicts() const {
+  std::string text = "query_keyframe,match_keyframe,query_frame,match_frame,extra,kept,verdict\n";
+  const auto frame_of = [this](std::int64_t keyframe_id) {
+    const auto found = keyframe_frames_.find(keyframe_id);
+    return found == keyframe_frames_.end() ? -1 : found->second;
+  };
+  for (const LoopVerdict& verdict : correction_.loops) {
+    text += CsvRow()
+                .add(verdict.query_keyframe_id)
+                .add(verdict.match_keyframe_id)
+                .add(frame_of(verdict.query_keyframe_id))
+                .add(frame_of(verdict.match_keyframe_id))
+                .add(verdict.is_extra ? 1 : 0)
+                .add(verdict.kept ? 1 : 0)
+                .add(verdict.reason.empty() ? "kept" : verdict.reason)
+                .end();
   }
   return text;
 }
@@ -226,7 +223,7 @@ std::string RunRecorder::summary() const {
       accepted += loop.accepted ? 1 : 0;
     }
   }
-  for (const LoopVerdict& verdict : verdicts_) kept += verdict.kept ? 1 : 0;
+  for (const LoopVerdict& verdict : correction_.loops) kept += verdict.kept ? 1 : 0;
   const nlohmann::json summary = {
       {"frames", frames_.size()},
       {"keyframes", keyframe_frames_.size()},
@@ -236,7 +233,8 @@ std::string RunRecorder::summary() const {
       {"landmarks", states},
       {"merges", merges_},
       {"loops", {{"candidates", candidates}, {"accepted", accepted}, {"kept", kept}, {"reasons", reasons}}},
-      {"corrections", corrections_}};
+      {"corrections", corrections_},
+      {"odometry", odometry_summary(correction_.odometry)}};
   constexpr int kIndent = 2;
   return summary.dump(kIndent) + '\n';
 }
@@ -247,6 +245,7 @@ bool RunRecorder::write(const std::string& directory, std::string* error) const 
                                                        {"keyframes.csv", keyframes()},
                                                        {"objects.csv", objects()},
                                                        {"loops.csv", loops()},
+                                                       {"loop_verdicts.csv", loop_verdicts()},
                                                        {"associations.csv", associations()},
                                                        {"timing.csv", timing()},
                                                        {"summary.json", summary()}};

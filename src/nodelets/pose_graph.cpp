@@ -2,12 +2,15 @@
 
 #include <nav_msgs/Path.h>
 
+#include <chrono>
+#include <future>
 #include <memory>
 #include <optional>
 #include <pluginlib/class_list_macros.hpp>
 #include <utility>
 #include <vector>
 
+#include "semantic_topo_loop/WithdrawLoop.h"
 #include "semantic_topo_loop/ros/conversions.h"
 #include "semantic_topo_loop/ros/frame_joiner.h"
 #include "semantic_topo_loop/ros/lazy_publisher.h"
@@ -72,6 +75,7 @@ class PoseGraphNodelet : public Stage {
       keep_timer(getNodeHandle().createWallTimer(ros::WallDuration(1.0 / parameters_.tf_rate_hz),
                                                  &PoseGraphNodelet::on_tf_timer, this));
     }
+    keep_service(getPrivateNodeHandle().advertiseService("withdraw_loop", &PoseGraphNodelet::on_withdraw, this));
     subscribe("loop_closures", Keep::kAlways, &PoseGraphNodelet::on_loops);
     subscribe("frames", Keep::kAlways, &PoseGraphNodelet::on_frame);
     start_timer(kPathPeriodS, [this] { publish_paths(); });
@@ -84,6 +88,27 @@ class PoseGraphNodelet : public Stage {
     late_loops_.clear();
     odometry_keyframes_.clear();
     last_frame_.reset();
+  }
+
+  /// Asks the worker, which owns the graph, and waits for its answer.
+  bool on_withdraw(WithdrawLoop::Request& request, WithdrawLoop::Response& response) {
+    const auto answer = std::make_shared<std::promise<bool>>();
+    std::future<bool> is_found = answer->get_future();
+    push("withdraw_loop", Keep::kAlways,
+         [this, answer, query = request.query_keyframe_id, match = request.match_keyframe_id] {
+           answer->set_value(graph_->withdraw(query, match));
+         });
+    constexpr std::chrono::seconds kPatience(2);
+    if (is_found.wait_for(kPatience) != std::future_status::ready) {
+      response.message = "the pose graph is busy; the loop is withdrawn when it comes to it";
+      return true;
+    }
+    const std::string name =
+        std::to_string(request.query_keyframe_id) + " and " + std::to_string(request.match_keyframe_id);
+    response.success = is_found.get();
+    response.message = response.success ? "the loop of keyframes " + name + " is out from the next frame"
+                                        : "there is no accepted loop of keyframes " + name;
+    return true;
   }
 
   void on_frame(const Frame::ConstPtr& frame) { process(joiner_->add<0>(frame->frame_id, frame)); }

@@ -10,7 +10,8 @@ ObjectSlam::ObjectSlam(const Options& options, std::shared_ptr<const ClassTable>
       loop_detector_(options.loop, classes),
       pose_graph_(options.pose_graph) {}
 
-FrameResult ObjectSlam::process(const Frame& frame, const std::vector<Detection>& detections) {
+FrameResult ObjectSlam::process(const Frame& frame, const std::vector<Detection>& detections,
+                                const std::vector<LoopClosure>& extra_loops) {
   FrameResult result;
   result.associations = associator_.associate(frame, detections);
   result.observation = mapper_.integrate(frame, result.associations);
@@ -19,7 +20,7 @@ FrameResult ObjectSlam::process(const Frame& frame, const std::vector<Detection>
   const Stopwatch stopwatch;
   result.loops = loop_detector_.detect(frame, result.associations);
   result.loop_us = stopwatch.elapsed_us();
-  result.correction = pose_graph_.process(frame, result.loops);
+  result.correction = pose_graph_.process(frame, result.loops, extra_loops);
   result.completion = mapper_.apply(result.correction);
   associator_.apply(result.completion);
   loop_detector_.apply(result.completion);

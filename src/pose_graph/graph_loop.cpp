@@ -56,10 +56,12 @@ double shared_evidence(const GraphLoop& a, const GraphLoop& b) {
          interval_overlap(a.match_begin, a.match_end, b.match_begin, b.match_end);
 }
 
-std::vector<double> redundancy(const std::vector<GraphLoop>& loops) {
+std::vector<double> redundancy(const std::vector<GraphLoop>& loops, const std::vector<bool>& counts) {
   std::vector<double> sums(loops.size(), 1.0);
+  const auto is_in = [&counts](std::size_t i) { return counts.empty() || counts[i]; };
   for (std::size_t i = 0; i < loops.size(); ++i) {
-    for (std::size_t j = 0; j < i; ++j) {
+    for (std::size_t j = 0; j < i && is_in(i); ++j) {
+      if (!is_in(j)) continue;
       const double shared = shared_evidence(loops[i], loops[j]);
       sums[i] += shared;
       sums[j] += shared;

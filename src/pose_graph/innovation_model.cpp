@@ -68,49 +68,43 @@ InnovationModel::Basis InnovationModel::steady_basis(std::size_t edge) const {
   return basis;
 }
 
+InnovationModel::MotionBound InnovationModel::usual_motion(const std::vector<OdometryEdge>& edges) {
+  if (edges.empty()) return {};
+  std::vector<double> paths, turns;
+  for (const OdometryEdge& edge : edges) {
+    paths.push_back(edge.path_m);
+    turns.push_back(edge.rotation_rad);
+  }
+  const auto middle = static_cast<std::ptrdiff_t>(edges.size() / 2);
+  std::nth_element(paths.begin(), paths.begin() + middle, paths.end());
+  std::nth_element(turns.begin(), turns.begin() + middle, turns.end());
+  return {paths[edges.size() / 2], turns[edges.size() / 2]};
+}
+
 void InnovationModel::accumulate_edges() {
-  const std::vector<SE3>& T_world_vertex = *vertices_;
   const std::size_t n = edges_->size() + 1;
   double path = 0.0, turn = 0.0;
   for (const OdometryEdge& edge : *edges_) {
     path += edge.path_m;
     turn += edge.rotation_rad;
   }
+  usual_motion_ = usual_motion(*edges_);
   metres_per_radian_ = turn > 0.0 ? path / turn : 0.0;
   progress_.assign(n, 0.0);
   for (std::size_t i = 0; i + 1 < n; ++i) {
     progress_[i + 1] = progress_[i] + 0.5 * ((*edges_)[i].path_m + metres_per_radian_ * (*edges_)[i].rotation_rad);
   }
-  for (std::vector<Mat6>* sum : {&sum_given_, &sum_translation_, &sum_rotation_}) {
-    sum->assign(n, Mat6::Zero());
-  }
-  sum_residual_.assign(n, Vec6::Zero());
   sum_steady_.assign(n, Basis::Zero(6, kSteadyColumns));
   for (std::size_t i = 0; i + 1 < n; ++i) {
-    const OdometryEdge& edge = (*edges_)[i];
-    const Mat6 to_origin = transport(T_world_vertex[i + 1].inverse());
-    to_origin_.push_back(to_origin);
-    const bool is_given = edge.is_break || edge.covariance;
-    const auto carried = [&to_origin](const Mat6& m) { return Mat6(to_origin * m * to_origin.transpose()); };
-    sum_given_[i + 1] = sum_given_[i] + carried(odometry_covariance(edge, {0.0, 0.0}));
-    sum_translation_[i + 1] = sum_translation_[i];
-    sum_rotation_[i + 1] = sum_rotation_[i];
-    sum_residual_[i + 1] = sum_residual_[i];
     sum_steady_[i + 1] = sum_steady_[i];
-    if (!edge.is_break) {
-      sum_residual_[i + 1] +=
-          to_origin * relative_pose_residual(T_world_vertex[i], T_world_vertex[i + 1], edge.T_from_to);
-    }
-    if (is_given) continue;
-    sum_translation_[i + 1] += carried(variances(edge.path_m, 0.0));
-    sum_rotation_[i + 1] += carried(variances(0.0, edge.rotation_rad));
-    sum_steady_[i + 1] += to_origin * steady_basis(i);
+    const OdometryEdge& edge = (*edges_)[i];
+    if (!edge.is_break && !edge.covariance) sum_steady_[i + 1] += path_.to_origin(i) * steady_basis(i);
   }
 }
 
 InnovationModel::InnovationModel(const std::vector<SE3>& T_world_vertex, const std::vector<OdometryEdge>& edges,
                                  const std::vector<GraphLoop>& loops)
-    : vertices_(&T_world_vertex), edges_(&edges), graph_loops_(&loops) {
+    : vertices_(&T_world_vertex), edges_(&edges), graph_loops_(&loops), path_(T_world_vertex, edges) {
   accumulate_edges();
   const auto n = row(loops.size());
   innovation_.resize(n);
@@ -121,14 +115,10 @@ InnovationModel::InnovationModel(const std::vector<SE3>& T_world_vertex, const s
   for (std::size_t k = 0; k < loops.size(); ++k) {
     const GraphLoop& loop = loops[k];
     const auto from = static_cast<std::size_t>(loop.from), to = static_cast<std::size_t>(loop.to);
-    const Vec6 e = relative_pose_residual(T_world_vertex[from], T_world_vertex[to], loop.T_from_to);
-    Mat6 by_motion = Mat6::Zero();
-    by_motion.topLeftCorner<3, 3>() = so3_exp(e.tail<3>()).toRotationMatrix();
-    by_motion.bottomRightCorner<3, 3>() = right_jacobian_inverse(e.tail<3>());
-    from_origin_[k] = by_motion * transport(T_world_vertex[to]);
-    innovation_.segment<6>(row(k)) = e - from_origin_[k] * (sum_residual_[to] - sum_residual_[from]);
+    const Innovation innovation = path_.innovation(loop);
+    from_origin_[k] = innovation.from_origin;
+    innovation_.segment<6>(row(k)) = innovation.error;
     steady_.middleRows<6>(row(k)) = from_origin_[k] * (sum_steady_[to] - sum_steady_[from]);
-    loop_covariances_.push_back(loop.covariance);
     roots[k] = loop.covariance.llt().matrixL();
   }
   for (std::size_t k = 0; k < loops.size(); ++k) {
@@ -138,12 +128,12 @@ InnovationModel::InnovationModel(const std::vector<SE3>& T_world_vertex, const s
       const double shared = k == l ? 1.0 : std::min(kMaxCorrelation, shared_evidence(loops[k], loops[l]));
       loops_.block<6, 6>(row(k), row(l)) = shared * roots[k] * roots[l].transpose();
       if (begin >= end) continue;
-      const auto between = [&](const std::vector<Mat6>& sums) {
+      const auto between = [&](const PathNoise::Sums& sums) {
         return Mat6(from_origin_[k] * (sums[end] - sums[begin]) * from_origin_[l].transpose());
       };
-      given_.block<6, 6>(row(k), row(l)) = between(sum_given_);
-      translation_.block<6, 6>(row(k), row(l)) = between(sum_translation_);
-      rotation_.block<6, 6>(row(k), row(l)) = between(sum_rotation_);
+      given_.block<6, 6>(row(k), row(l)) = between(path_.given());
+      translation_.block<6, 6>(row(k), row(l)) = between(path_.translation());
+      rotation_.block<6, 6>(row(k), row(l)) = between(path_.rotation());
     }
   }
   const Eigen::MatrixXd turning = columns(steady_, 0, 3), moving = columns(steady_, 3, 6);
@@ -157,7 +147,7 @@ Eigen::MatrixXd InnovationModel::effect(std::size_t edge) const {
   for (std::size_t k = 0; k < graph_loops_->size(); ++k) {
     const GraphLoop& loop = (*graph_loops_)[k];
     const int i = static_cast<int>(edge);
-    if (loop.from <= i && i < loop.to) result.middleRows<6>(row(k)) = from_origin_[k] * to_origin_[edge];
+    if (loop.from <= i && i < loop.to) result.middleRows<6>(row(k)) = from_origin_[k] * path_.to_origin(edge);
   }
   return result;
 }
@@ -216,10 +206,25 @@ std::size_t InnovationModel::stride() const {
   return 1 + edges_->size() / kMaxCandidates;
 }
 
+InnovationModel::MotionBound InnovationModel::motion_bound(std::size_t edge) const {
+  const std::size_t reach = stride() - 1;  // a jump stands for those of its neighbours too
+  const std::size_t first = edge - std::min(edge, reach), last = std::min(edges_->size() - 1, edge + reach);
+  MotionBound bound;
+  for (std::size_t i = first; i <= last; ++i) {
+    bound.translation_m = std::max(bound.translation_m, (*edges_)[i].path_m);
+    bound.rotation_rad = std::max(bound.rotation_rad, (*edges_)[i].rotation_rad);
+  }
+  constexpr double kTrueMotion = 2.0;  // times the usual one: what the camera itself may have done meanwhile
+  bound.translation_m += kTrueMotion * usual_motion_.translation_m;
+  bound.rotation_rad += kTrueMotion * usual_motion_.rotation_rad;
+  return bound;
+}
+
 InnovationModel::Candidate InnovationModel::judge_jump(std::size_t edge, const Whitened& whitened) const {
   const Eigen::MatrixXd by_error = effect(edge);
   const Mat6 information = by_error.transpose() * whitened.information * by_error;
   const Vec6 pull = by_error.transpose() * whitened.pull;
+  const MotionBound bound = motion_bound(edge);
   // Sigmas by fixed point: the estimate under a wide prior, then the prior that fits the estimate.
   Candidate candidate{{edge, 1.0, 1.0}, 0.0};
   constexpr int kRounds = 3;
@@ -230,8 +235,8 @@ InnovationModel::Candidate InnovationModel::judge_jump(std::size_t edge, const W
     candidate.gain = 0.5 * pull.dot(estimate) - 0.5 * std::log(std::max(inner.determinant(), 1.0));
     if (round == kRounds) return candidate;
     constexpr double kRootThree = 1.7320508;
-    candidate.jump.translation_m = estimate.head<3>().norm() / kRootThree;
-    candidate.jump.rotation_rad = estimate.tail<3>().norm() / kRootThree;
+    candidate.jump.translation_m = std::min(estimate.head<3>().norm(), bound.translation_m) / kRootThree;
+    candidate.jump.rotation_rad = std::min(estimate.tail<3>().norm(), bound.rotation_rad) / kRootThree;
   }
 }
 
@@ -245,32 +250,6 @@ std::optional<InnovationModel::Candidate> InnovationModel::best_jump(const Noise
     if (candidate.gain > (best ? best->gain : least_gain)) best = candidate;
   }
   return best;
-}
-
-double InnovationModel::explaining_factor(std::size_t k, const OdometryNoise& noise, double max_factor) const {
-  constexpr double kMedianChi2 = 5.348;  // of six degrees of freedom
-  const GraphLoop& loop = (*graph_loops_)[k];
-  const auto from = static_cast<std::size_t>(loop.from), to = static_cast<std::size_t>(loop.to);
-  const Vec6 y = innovation_.segment<6>(row(k));
-  const auto along = [&](const std::vector<Mat6>& sums) {
-    return Mat6(from_origin_[k] * (sums[to] - sums[from]) * from_origin_[k].transpose());
-  };
-  const Mat6 base = loop_covariances_[k] + along(sum_given_);
-  const Mat6 noise_part =
-      squared(noise.translation_m) * along(sum_translation_) + squared(noise.rotation_rad) * along(sum_rotation_);
-  const auto is_explained = [&](double factor) {
-    const Mat6 covariance = base + factor * factor * noise_part;
-    return y.dot(covariance.llt().solve(y)) <= kMedianChi2;
-  };
-  if (is_explained(0.0)) return 0.0;
-  if (!is_explained(max_factor)) return std::numeric_limits<double>::infinity();
-  double low = 0.0, high = max_factor;
-  constexpr int kBisections = 30;
-  for (int i = 0; i < kBisections; ++i) {
-    const double middle = 0.5 * (low + high);
-    (is_explained(middle) ? high : low) = middle;
-  }
-  return high;
 }
 
 }  // namespace semantic_topo_loop::core

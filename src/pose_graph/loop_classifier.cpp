@@ -39,7 +39,8 @@ class GraduatedNonConvexity {
     for (std::size_t k = 0; k < loops_.size(); ++k) edges_[loops_[k]].weight = base_weights_[k];
     if (!solve()) return result_;
     double worst = 0.0;
-    for (const std::size_t i : loops_) worst = std::max(worst, chi_squared(edges_[i], result_.T_world_vertex, options_.error));
+    for (const std::size_t i : loops_)
+      worst = std::max(worst, chi_squared(edges_[i], result_.T_world_vertex, options_.error));
     double mu = chi2_ / std::max(2.0 * worst - chi2_, 1e-9);
     for (int round = 0; round < kMaxRounds && worst > chi2_; ++round, mu *= kMuGrowth) {
       const bool decided = reweigh(mu);
@@ -71,7 +72,8 @@ class GraduatedNonConvexity {
 
   void judge() {
     result_.kept.clear();
-    for (const std::size_t i : loops_) result_.kept.push_back(chi_squared(edges_[i], result_.T_world_vertex, options_.error) <= chi2_);
+    for (const std::size_t i : loops_)
+      result_.kept.push_back(chi_squared(edges_[i], result_.T_world_vertex, options_.error) <= chi2_);
   }
   bool solve() {
     ++result_.solves;

@@ -125,14 +125,12 @@ NoiseEstimate estimate_noise_and_jumps(InnovationModel* model, const NoisePrior&
   return best.noise;
 }
 
-double robust_noise_factor(const InnovationModel& model, const NoisePrior& prior,
-                           const std::vector<double>& redundancies) {
+double robust_noise_factor(const std::vector<double>& explaining_factors, const std::vector<double>& weights) {
   std::vector<std::pair<double, double>> factors{{1.0, 1.0}};  // factor, weight
   double total = 1.0;
-  for (std::size_t k = 0; k < model.size(); ++k) {
-    const double weight = 1.0 / redundancies[k];
-    factors.emplace_back(std::min(model.explaining_factor(k, prior.least, prior.factor_max), prior.factor_max), weight);
-    total += weight;
+  for (std::size_t k = 0; k < explaining_factors.size(); ++k) {
+    factors.emplace_back(explaining_factors[k], weights[k]);
+    total += weights[k];
   }
   std::sort(factors.begin(), factors.end());
   double below = 0.0;

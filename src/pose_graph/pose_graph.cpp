@@ -24,12 +24,14 @@ class PoseGraph::Impl {
     knowledge_.noise.odometry = noise_prior(options_).least;
   }
 
-  MapCorrection process(const Frame& frame, const std::vector<LoopClosure>& loops) {
+  MapCorrection process(const Frame& frame, const std::vector<LoopClosure>& loops,
+                        const std::vector<LoopClosure>& extra_loops) {
     MapCorrection correction;
     correction.frame_id = frame.frame_id;
     correction.T_map_odom_old = T_map_odom_;
     if (!frame.is_end) add_frame(frame);
-    for (const LoopClosure& loop : loops) add_loop(loop);
+    for (const LoopClosure& loop : loops) add_loop(loop, false);
+    for (const LoopClosure& loop : extra_loops) add_loop(loop, true);
     if (is_due(frame)) {
       const auto start = std::chrono::steady_clock::now();
       correction.changed = optimize(frame.is_end);
@@ -41,6 +43,7 @@ class PoseGraph::Impl {
     if (correction.changed) {
       correction.keyframes = keyframes();
       correction.loops = verdicts();
+      correction.odometry = odometry_report();
     }
     return correction;
   }
@@ -97,7 +100,8 @@ class PoseGraph::Impl {
     std::int64_t query_keyframe_id = -1, match_keyframe_id = -1;
     std::optional<GraphLoop> loop;  ///< none if it was refused
     std::string refusal;
-    int index = -1;  ///< in the graph; -1 for loops that repeat others
+    int index = -1;         ///< in the graph; -1 for loops that repeat others
+    bool is_extra = false;  ///< given from outside
   };
 
   void watch(const Frame& frame) {
@@ -109,9 +113,10 @@ class PoseGraph::Impl {
     last_frame_ = StampedPose{frame.stamp_ns, frame.T_odom_camera};
   }
 
-  void add_loop(const LoopClosure& closure) {
+  void add_loop(const LoopClosure& closure, bool is_extra) {
     if (!closure.accepted) return;
     Entry entry;
+    entry.is_extra = is_extra;
     entry.query_keyframe_id = closure.query_keyframe_id;
     entry.match_keyframe_id = closure.match_keyframe_id;
     entry.loop =
@@ -128,18 +133,19 @@ class PoseGraph::Impl {
     entries_.push_back(std::move(entry));
   }
 
-  /// Whether the graph has the evidence of a loop often enough. The more loops it holds the sooner it has, so that the
-  /// time of a solve hardly grows.
+  /// Whether the graph has the evidence of a loop often enough, in loops that are believed. The more of them it holds
+  /// the sooner it has, so that the time of a solve hardly grows.
   bool is_repetition(const GraphLoop& loop) const {
     constexpr double kMany = 400.0;
-    double sum = 0.0;
-    for (const GraphLoop& other : trajectory_.loops) {
-      const double shared = shared_evidence(loop, other);
+    double sum = 0.0, loops = 0.0;
+    for (std::size_t k = 0; k < trajectory_.loops.size(); ++k) {
+      if (!knowledge_.kept[k]) continue;
+      const double shared = shared_evidence(loop, trajectory_.loops[k]);
       constexpr double kCopy = 0.99;
       if (shared > kCopy) return true;
       sum += shared;
+      loops += 1.0;
     }
-    const double loops = static_cast<double>(trajectory_.loops.size());
     return sum >= options_.max_redundancy * std::min(1.0, kMany / std::max(loops, 1.0));
   }
 
@@ -188,7 +194,7 @@ class PoseGraph::Impl {
   }
 
   LoopVerdict verdict(const Entry& entry) const {
-    LoopVerdict verdict{entry.query_keyframe_id, entry.match_keyframe_id, false, entry.refusal};
+    LoopVerdict verdict{entry.query_keyframe_id, entry.match_keyframe_id, false, entry.refusal, entry.is_extra};
     if (!entry.loop) return verdict;
     const double factor = knowledge_.noise.loop_factor;
     const double disagreement = chi2(*entry.loop) / (factor * factor);
@@ -197,7 +203,7 @@ class PoseGraph::Impl {
         is_in_graph ? knowledge_.kept[static_cast<std::size_t>(entry.index)] : disagreement <= options_.robust_chi2;
     const auto index = static_cast<std::size_t>(entry.index);
     if (is_in_graph && index < trajectory_.votes.size() && !trajectory_.votes[index]) {
-      verdict.reason = "no other loop agrees with it, or more disagree";
+      verdict.reason = "no other loop agrees with it or more disagree";
     } else if (!verdict.kept) {
       std::ostringstream reason;
       reason << "disagrees with the odometry and the other loops: squared error " << std::setprecision(3)
@@ -207,6 +213,34 @@ class PoseGraph::Impl {
       verdict.reason = "repeats the evidence of other loops";
     }
     return verdict;
+  }
+
+  OdometryReport odometry_report() const {
+    const NoiseEstimate& noise = knowledge_.noise;
+    OdometryReport report;
+    report.translation_m = noise.odometry.translation_m;
+    report.rotation_rad = noise.odometry.rotation_rad;
+    report.steady_translation = noise.odometry.steady_translation;
+    report.steady_rotation_rad = noise.odometry.steady_rotation_rad;
+    report.scale = noise.odometry.scale;
+    report.loop_factor = noise.loop_factor;
+    std::map<std::size_t, OdometryFault> faults;  // by edge
+    const auto fault = [this, &faults](std::size_t edge) -> OdometryFault& {
+      OdometryFault& fault = faults[edge];
+      fault.from_keyframe_id = keyframes_[edge].keyframe_id;
+      fault.to_keyframe_id = keyframes_[edge + 1].keyframe_id;
+      return fault;
+    };
+    for (std::size_t i = 0; i < trajectory_.edges.size(); ++i) {
+      report.stated_edges += trajectory_.edges[i].covariance ? 1 : 0;
+      if (trajectory_.edges[i].is_break) fault(i).is_break = true;
+    }
+    for (const OdometryJump& jump : noise.jumps) {
+      fault(jump.edge).translation_m = jump.translation_m;
+      fault(jump.edge).rotation_rad = jump.rotation_rad;
+    }
+    for (const auto& [edge, entry] : faults) report.faults.push_back(entry);
+    return report;
   }
 
   std::vector<LoopVerdict> verdicts() const {
@@ -237,8 +271,9 @@ PoseGraph::~PoseGraph() = default;
 PoseGraph::PoseGraph(PoseGraph&&) noexcept = default;
 PoseGraph& PoseGraph::operator=(PoseGraph&&) noexcept = default;
 
-MapCorrection PoseGraph::process(const Frame& frame, const std::vector<LoopClosure>& loops) {
-  return impl_->process(frame, loops);
+MapCorrection PoseGraph::process(const Frame& frame, const std::vector<LoopClosure>& loops,
+                                 const std::vector<LoopClosure>& extra_loops) {
+  return impl_->process(frame, loops, extra_loops);
 }
 bool PoseGraph::withdraw(std::int64_t query_keyframe_id, std::int64_t match_keyframe_id) {
   return impl_->withdraw(query_keyframe_id, match_keyframe_id);

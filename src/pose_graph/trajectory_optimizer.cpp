@@ -25,6 +25,8 @@ std::vector<GraphLoop> thinned(const std::vector<GraphLoop>& loops, std::size_t 
   return some;
 }
 
+constexpr int kFewJumps = 2, kManyJumps = 8;  // that are looked for in one go
+
 Mat6 jump_covariance(const OdometryJump& jump) {
   Vec6 sigmas;
   sigmas << Vec3::Constant(jump.translation_m), Vec3::Constant(jump.rotation_rad);
@@ -35,9 +37,17 @@ class TrajectoryOptimizer {
  public:
   TrajectoryOptimizer(const Trajectory& trajectory, const PoseGraphOptions& options, const GraphKnowledge& knowledge,
                       Effort effort)
-      : trajectory_(trajectory), options_(options), effort_(effort), redundancy_(redundancy(trajectory.loops)) {
+      : trajectory_(trajectory),
+        options_(options),
+        effort_(effort),
+        redundancy_(redundancy(trajectory.loops, trajectory.votes)),
+        votes_(trajectory.votes) {
+    if (votes_.empty()) votes_.assign(trajectory.loops.size(), true);
     result_.T_map_vertex = trajectory.T_map_vertex;
     result_.knowledge = knowledge;
+    // What is learnt last must not depend on what was believed on the way.
+    if (effort == Effort::kFull && options.estimate_noise)
+      result_.knowledge.noise = {noise_prior(options).least, 1.0, {}};
     solver_options_.loss = loss_of(options.robust);
     solver_options_.loss_chi2 = options.robust_chi2;
     solver_options_.max_iterations = options.max_iterations;
@@ -55,22 +65,22 @@ class TrajectoryOptimizer {
     std::vector<bool>& kept = result_.knowledge.kept;
     kept.resize(trajectory_.loops.size(), true);
     if (options_.robust == "none") return true;
-    for (std::size_t k = 0; k < kept.size(); ++k) kept[k] = kept[k] && has_vote(k);
-    find_loose_factor();
+    judge_strain();
+    for (std::size_t k = 0; k < kept.size(); ++k) kept[k] = kept[k] && votes_[k];
     const GraphKnowledge& known = result_.knowledge;
     const std::vector<GraphEdge> edges =
         graph({scaled(noise_prior(options_).least, known.loose_factor), 1.0, known.noise.jumps}, false);
     if (options_.robust != "gnc") {
       if (!report(solve_graph(edges, solver_options_, &result_.T_map_vertex))) return false;
       for (std::size_t k = 0; k < kept.size(); ++k) {
-        kept[k] = has_vote(k) &&
-                  chi_squared(edges[trajectory_.edges.size() + k], result_.T_map_vertex) <= options_.robust_chi2;
+        kept[k] =
+            votes_[k] && chi_squared(edges[trajectory_.edges.size() + k], result_.T_map_vertex) <= options_.robust_chi2;
       }
       return true;
     }
     std::vector<bool> guess;
     for (std::size_t k = 0; k < kept.size() && effort_ != Effort::kFull; ++k) {
-      if (has_vote(k)) guess.push_back(kept[k]);
+      if (votes_[k]) guess.push_back(kept[k]);
     }
     const LoopClassification classes =
         classify_loops(edges, options_.robust_chi2, solver_options_, result_.T_map_vertex, guess);
@@ -79,28 +89,40 @@ class TrajectoryOptimizer {
       return false;
     }
     std::size_t voter = 0;
-    for (std::size_t k = 0; k < kept.size(); ++k) kept[k] = has_vote(k) && classes.kept[voter++];
+    for (std::size_t k = 0; k < kept.size(); ++k) kept[k] = votes_[k] && classes.kept[voter++];
     result_.T_map_vertex = classes.T_world_vertex;
     return true;
   }
 
-  bool has_vote(std::size_t loop) const { return trajectory_.votes.empty() || trajectory_.votes[loop]; }
-
-  void find_loose_factor() {
-    double& factor = result_.knowledge.loose_factor;
-    if (factor > 0.0 && effort_ == Effort::kUpdate) return;
-    constexpr double kLeastFactor = 10.0;  // 1 cm after one metre: less room is of no use to right loops
-    factor = kLeastFactor;
-    if (!options_.estimate_noise) return;
-    constexpr std::size_t kMaxLoops = 60;
-    std::vector<GraphLoop> voters;
-    for (std::size_t k = 0; k < trajectory_.loops.size(); ++k) {
-      if (has_vote(k)) voters.push_back(trajectory_.loops[k]);
+  /// Finds the odometry's noise that most loops bear out, and takes the vote from those that would need many times as
+  /// much: a place that looks like another contradicts the odometry by any amount, a right loop by what the others do.
+  void judge_strain() {
+    const PathNoise path(result_.T_map_vertex, trajectory_.edges);
+    const NoisePrior prior = noise_prior(options_);
+    std::vector<double> factors, weights;
+    for (std::size_t k = 0; k < votes_.size(); ++k) {
+      if (!votes_[k]) continue;
+      factors.push_back(
+          std::min(path.explaining_factor(trajectory_.loops[k], prior.least, prior.factor_max), prior.factor_max));
+      weights.push_back(1.0 / redundancy_[k]);
     }
-    const std::vector<GraphLoop> some = thinned(voters, kMaxLoops);
-    const InnovationModel model(result_.T_map_vertex, trajectory_.edges, some);
-    factor =
-        std::max(factor, options_.gnc_loosening * robust_noise_factor(model, noise_prior(options_), redundancy(some)));
+    double& loose = result_.knowledge.loose_factor;
+    if (loose <= 0.0 || effort_ != Effort::kUpdate) {
+      constexpr double kLeastFactor = 10.0;  // 1 cm after one metre: less room is of no use to right loops
+      loose = kLeastFactor;
+      if (options_.estimate_noise) {
+        loose = std::max(loose, options_.gnc_loosening * robust_noise_factor(factors, weights));
+      }
+    }
+    if (options_.robust != "gnc") return;
+    // A single burst may stand behind some loops and not behind most: 15 cm after one metre is always granted.
+    constexpr double kStrain = 3.0, kLeastStrain = 150.0;
+    const double limit = std::max(kLeastStrain, kStrain * loose / options_.gnc_loosening);
+    std::size_t voter = 0;
+    for (std::size_t k = 0; k < votes_.size(); ++k) {
+      if (!votes_[k]) continue;
+      votes_[k] = factors[voter++] <= limit || path.has_stated(trajectory_.loops[k]);
+    }
   }
 
   void learn_noise() {
@@ -112,9 +134,9 @@ class TrajectoryOptimizer {
     const std::vector<GraphLoop> some = thinned(loops, kMaxLoops);
     InnovationModel model(result_.T_map_vertex, trajectory_.edges, some);
     NoiseEstimate& noise = result_.knowledge.noise;
-    constexpr int kMaxNewJumps = 2;
+    const int max_new_jumps = effort_ == Effort::kFull ? kManyJumps : kFewJumps;
     if (effort_ != Effort::kUpdate) {
-      noise = estimate_noise_and_jumps(&model, noise_prior(options_), noise, kMaxNewJumps);
+      noise = estimate_noise_and_jumps(&model, noise_prior(options_), noise, max_new_jumps);
     }
     model.set_jumps(noise.jumps);
     steady_errors_ = model.steady_errors(noise);
@@ -138,10 +160,10 @@ class TrajectoryOptimizer {
     }
     for (std::size_t k = 0; k < trajectory_.loops.size(); ++k) {
       const GraphLoop& loop = trajectory_.loops[k];
-      const bool counts = has_vote(k) && (!only_kept || result_.knowledge.kept[k]);
+      const bool counts = votes_[k] && (!only_kept || result_.knowledge.kept[k]);
       const double weight = counts ? 1.0 / redundancy_[k] : 0.0;
       edges.push_back({loop.from, loop.to, loop.T_from_to, square_root_information(loop.covariance) / noise.loop_factor,
-                       weight, has_vote(k)});
+                       weight, votes_[k]});
     }
     return edges;
   }
@@ -155,6 +177,7 @@ class TrajectoryOptimizer {
   const PoseGraphOptions& options_;
   Effort effort_;
   std::vector<double> redundancy_;
+  std::vector<bool> votes_;          ///< which loops count
   std::vector<Vec6> steady_errors_;  ///< of each edge; empty before they are known
   GraphSolverOptions solver_options_;
   OptimizedTrajectory result_;

@@ -76,11 +76,27 @@ LoopVerdict to_msg(const core::LoopVerdict& verdict) {
   message.query_keyframe_id = verdict.query_keyframe_id;
   message.match_keyframe_id = verdict.match_keyframe_id;
   message.kept = verdict.kept;
+  message.reason = verdict.reason;
   return message;
 }
 
 core::LoopVerdict from_msg(const LoopVerdict& message) {
-  return {message.query_keyframe_id, message.match_keyframe_id, message.kept != 0};
+  return {message.query_keyframe_id, message.match_keyframe_id, message.kept != 0, message.reason, false};
+}
+
+OdometryFault to_msg(const core::OdometryFault& fault) {
+  OdometryFault message;
+  message.from_keyframe_id = fault.from_keyframe_id;
+  message.to_keyframe_id = fault.to_keyframe_id;
+  message.is_break = fault.is_break;
+  message.translation_m = fault.translation_m;
+  message.rotation_rad = fault.rotation_rad;
+  return message;
+}
+
+core::OdometryFault from_msg(const OdometryFault& message) {
+  return {message.from_keyframe_id, message.to_keyframe_id, message.is_break != 0, message.translation_m,
+          message.rotation_rad};
 }
 
 ObjectMatch to_msg(const core::ObjectMatch& match) {
@@ -301,6 +317,32 @@ std::vector<core::LoopClosure> from_msg(const LoopClosureArray& message) {
   return from_messages<core::LoopClosure>(message.closures);
 }
 
+OdometryReport to_msg(const core::OdometryReport& report) {
+  OdometryReport message;
+  message.stated_edges = report.stated_edges;
+  message.translation_m = report.translation_m;
+  message.rotation_rad = report.rotation_rad;
+  message.steady_translation = report.steady_translation;
+  message.steady_rotation_rad = report.steady_rotation_rad;
+  message.scale = report.scale;
+  message.loop_factor = report.loop_factor;
+  message.faults = to_messages<OdometryFault>(report.faults);
+  return message;
+}
+
+core::OdometryReport from_msg(const OdometryReport& message) {
+  core::OdometryReport report;
+  report.stated_edges = message.stated_edges;
+  report.translation_m = message.translation_m;
+  report.rotation_rad = message.rotation_rad;
+  report.steady_translation = message.steady_translation;
+  report.steady_rotation_rad = message.steady_rotation_rad;
+  report.scale = message.scale;
+  report.loop_factor = message.loop_factor;
+  report.faults = from_messages<core::OdometryFault>(message.faults);
+  return report;
+}
+
 void to_msg(const core::MapCorrection& correction, MapCorrection* message) {
   message->frame_id = correction.frame_id;
   message->changed = correction.changed;
@@ -309,6 +351,7 @@ void to_msg(const core::MapCorrection& correction, MapCorrection* message) {
   message->map_from_odom = to_msg(correction.T_map_odom);
   message->keyframes = to_messages<KeyframePose>(correction.keyframes);
   message->loops = to_messages<LoopVerdict>(correction.loops);
+  message->odometry = to_msg(correction.odometry);
   message->duration_us = correction.duration_us;
 }
 
@@ -321,6 +364,7 @@ core::MapCorrection from_msg(const MapCorrection& message) {
   correction.T_map_odom = from_msg(message.map_from_odom);
   correction.keyframes = from_messages<core::KeyframePose>(message.keyframes);
   correction.loops = from_messages<core::LoopVerdict>(message.loops);
+  correction.odometry = from_msg(message.odometry);
   correction.duration_us = message.duration_us;
   return correction;
 }

@@ -49,7 +49,8 @@ class RunRecorderTest : public ::testing::Test {
       correction.keyframes.push_back(
           {k, 5 * k, kStart + 5 * k * kPeriod, T_map_keyframe_[static_cast<std::size_t>(k)]});
     }
-    correction.loops = {{1, 0, true}, {1, 0, false}};
+    correction.loops = {{1, 0, true, "", false}, {1, -1, false, "it is wrong", true}};
+    correction.odometry = {0, 0.25, 0.5, 0.0, 0.0, 0.0, 1.5, {{0, 1, false, 0.125, 2.0}}};
     return correction;
   }
 
@@ -272,13 +273,24 @@ TEST_F(RunRecorderTest, SummaryCounts) {
   EXPECT_EQ(summary, nlohmann::json::parse(R"({
     "frames": 10, "keyframes": 2, "breaks": 1, "detections": 2, "associations": {"new": 2},
     "landmarks": {"candidate": 1, "confirmed": 1}, "merges": 1, "corrections": 1,
-    "loops": {"candidates": 2, "accepted": 1, "kept": 1, "reasons": {"accepted": 1, "tilt": 1}}})"));
+    "loops": {"candidates": 2, "accepted": 1, "kept": 1, "reasons": {"accepted": 1, "tilt": 1}},
+    "odometry": {"stated_edges": 0, "translation_m": 0.25, "rotation_rad": 0.5, "steady_translation": 0.0,
+      "steady_rotation_rad": 0.0, "scale": 0.0, "loop_factor": 1.5, "faults": [
+        {"from_keyframe": 0, "to_keyframe": 1, "kind": "jump", "translation_m": 0.125, "rotation_rad": 2.0}]}})"));
+}
+
+TEST_F(RunRecorderTest, VerdictsNameTheirFrames) {
+  record_frames(true);
+  write();
+  EXPECT_EQ(text("loop_verdicts.csv"),
+            "query_keyframe,match_keyframe,query_frame,match_frame,extra,kept,verdict\n"
+            "1,0,5,0,0,1,kept\n1,-1,5,-1,1,0,it is wrong\n");
 }
 
 TEST_F(RunRecorderTest, AnEmptyRunStillWritesEveryFile) {
   write();
   for (const char* name : {"trajectory_live.txt", "trajectory.txt", "keyframes.csv", "objects.csv", "loops.csv",
-                           "associations.csv", "timing.csv", "summary.json"}) {
+                           "loop_verdicts.csv", "associations.csv", "timing.csv", "summary.json"}) {
     EXPECT_TRUE(std::filesystem::exists(directory_.path(std::string("run/") + name))) << name;
   }
 }

@@ -84,8 +84,10 @@ TEST(NoiseEstimator, RobustFactorIgnoresAMinorityOfFalseLoops) {
   Case data = make_case({0.02, 0.012}, 1.0, 5);
   const NoisePrior prior{OdometryNoise(), 1000.0, 1.5};
   const auto factor = [&] {
-    const InnovationModel model(data.vertices, data.edges, data.loops);
-    return robust_noise_factor(model, prior, redundancy(data.loops));
+    const PathNoise path(data.vertices, data.edges);
+    std::vector<double> factors;
+    for (const GraphLoop& loop : data.loops) factors.push_back(path.explaining_factor(loop, prior.least, 1000.0));
+    return robust_noise_factor(factors, std::vector<double>(factors.size(), 1.0));
   };
   const double clean = factor();
   Random random(6);

@@ -94,7 +94,7 @@ TEST(LoopVerdict, SaysWhyALoopIsRefused) {
     if (verdict.query_keyframe_id != 175 || verdict.match_keyframe_id != 20) continue;
     found_wrong = true;
     EXPECT_FALSE(verdict.kept);
-    EXPECT_EQ(verdict.reason, "no other loop agrees with it, or more disagree");
+    EXPECT_EQ(verdict.reason, "no other loop agrees with it or more disagree");
   }
   EXPECT_TRUE(found_bad);
   EXPECT_TRUE(found_wrong);

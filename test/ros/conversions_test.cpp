@@ -338,7 +338,8 @@ TEST(Conversions, CorrectionIsBitExact) {
   correction.T_map_odom_old = random.pose();
   correction.T_map_odom = random.pose();
   correction.keyframes = {{1, 2, 1311868164363181001, random.pose()}, {3, 4, 5, random.pose()}};
-  correction.loops = {{9, 1, true}, {12, 3, false}};
+  correction.loops = {{9, 1, true, "", false}, {12, 3, false, "it is wrong", false}};
+  correction.odometry = {3, 0.1, 0.2, 0.3, 0.4, 0.5, 1.5, {{4, 5, true, 0.0, 0.0}, {7, 8, false, 0.6, 0.7}}};
   correction.duration_us = random.number();
   MapCorrection message;
   to_msg(correction, &message);
@@ -357,6 +358,21 @@ TEST(Conversions, CorrectionIsBitExact) {
   EXPECT_EQ(back.loops[1].query_keyframe_id, 12);
   EXPECT_EQ(back.loops[1].match_keyframe_id, 3);
   EXPECT_FALSE(back.loops[1].kept);
+  EXPECT_EQ(back.loops[1].reason, "it is wrong");
+  EXPECT_EQ(back.odometry.stated_edges, 3);
+  EXPECT_EQ(back.odometry.translation_m, 0.1);
+  EXPECT_EQ(back.odometry.rotation_rad, 0.2);
+  EXPECT_EQ(back.odometry.steady_translation, 0.3);
+  EXPECT_EQ(back.odometry.steady_rotation_rad, 0.4);
+  EXPECT_EQ(back.odometry.scale, 0.5);
+  EXPECT_EQ(back.odometry.loop_factor, 1.5);
+  ASSERT_EQ(back.odometry.faults.size(), 2u);
+  EXPECT_TRUE(back.odometry.faults[0].is_break);
+  EXPECT_EQ(back.odometry.faults[1].from_keyframe_id, 7);
+  EXPECT_EQ(back.odometry.faults[1].to_keyframe_id, 8);
+  EXPECT_FALSE(back.odometry.faults[1].is_break);
+  EXPECT_EQ(back.odometry.faults[1].translation_m, 0.6);
+  EXPECT_EQ(back.odometry.faults[1].rotation_rad, 0.7);
   EXPECT_TRUE(same_bits(back.duration_us, correction.duration_us));
 }
 

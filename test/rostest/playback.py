@@ -18,7 +18,7 @@ except ImportError as error:
         error, os.environ.get('PYTHONPATH'), os.environ.get('STL_DEVEL_PYTHON'), built or 'nothing of the package'))
 
 RESULT_FILES = ['trajectory_live.txt', 'trajectory.txt', 'keyframes.csv', 'objects.csv', 'loops.csv',
-                'associations.csv', 'timing.csv', 'summary.json']
+                'loop_verdicts.csv', 'associations.csv', 'timing.csv', 'summary.json']
 
 
 class Launch:

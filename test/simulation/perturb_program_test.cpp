@@ -4,6 +4,8 @@
 #include <algorithm>
 
 #include "../test_files.h"
+#include "semantic_topo_loop/evaluation/run_files.h"
+#include "semantic_topo_loop/io/loop_table.h"
 
 namespace semantic_topo_loop::core {
 namespace {
@@ -63,11 +65,50 @@ TEST_F(PerturbProgram, TheBytesArePinned) {
             "73 9.5197 18.7997 21.0453 40.3666 0.500000\n41 99.6488 21.3106 30.1603 39.5632 0.250000\n");
 }
 
+TEST_F(PerturbProgram, FalseLoopsAreASeededShareOfTheRightOnes) {
+  std::string keyframes = "keyframe_id,frame_id,stamp,x,y,z,qx,qy,qz,qw\n", loops = loop_table_header();
+  for (int k = 0; k < 60; ++k) {
+    const std::string id = std::to_string(k), frame = std::to_string(10 * k);
+    keyframes += id + "," + frame + "," + frame + ".0," + id + ",0,0,0,0,0,1\n";
+  }
+  for (int k = 0; k < 20; ++k) {
+    LoopClosure loop;
+    loop.query_frame = 10 * (k + 40);
+    loop.match_frame = 10 * k;
+    loop.accepted = k < 10;
+    loops += loop_table_row(loop);
+  }
+  directory_.write("run/keyframes.csv", keyframes);
+  directory_.write("run/loops.csv", loops);
+  ASSERT_EQ(run("loops @run @false.csv --seed 3 --share 0.5 --cluster 5 --distance 2"), 0) << err_;
+  EXPECT_EQ(out_, "10 accepted loops, 5 wrong ones written\n");
+  std::string error;
+  const auto wrong = read_given_loops(directory_.path("false.csv"), &error);
+  ASSERT_TRUE(wrong) << error;
+  ASSERT_EQ(wrong->size(), 5U);
+  for (const LoopClosure& loop : *wrong) {
+    EXPECT_TRUE(loop.accepted);
+    EXPECT_NEAR(loop.covariance(0, 0), 0.03 * 0.03, 1e-9);
+    // Without rotation in the odometry the error of all members is the same but for the lever arm of the rotation.
+    const Vec3 odometry(0.1 * static_cast<double>(loop.query_frame - loop.match_frame), 0.0, 0.0);
+    EXPECT_GT((loop.T_match_query.t - odometry).norm(), 0.5);
+  }
+  const std::string first = read_whole(directory_.path("false.csv"));
+  ASSERT_EQ(run("loops @run @false.csv --seed 3 --share 0.5 --cluster 5 --distance 2"), 0) << err_;
+  EXPECT_EQ(read_whole(directory_.path("false.csv")), first);
+}
+
 TEST_F(PerturbProgram, BadArgumentsAreOneClearError) {
   EXPECT_EQ(run(""), 2);
   expect_one_line_error("the sub-command is missing");
-  EXPECT_EQ(run("loops"), 2);
-  expect_one_line_error("unknown sub-command 'loops'");
+  EXPECT_EQ(run("poses"), 2);
+  expect_one_line_error("unknown sub-command 'poses'");
+  EXPECT_EQ(run("loops @run"), 2);
+  expect_one_line_error("takes 2 paths, not 1");
+  EXPECT_EQ(run("loops @run @out.csv --cluster 0"), 2);
+  expect_one_line_error("'cluster' = '0' must be >= 1");
+  EXPECT_EQ(run("loops @run @out.csv"), 1);
+  expect_one_line_error("keyframes.csv");
   EXPECT_EQ(detections("@boxes.json"), 2);
   expect_one_line_error("takes 2 paths, not 1");
   EXPECT_EQ(detections("@boxes.json @out.json --drop 1.5"), 2);

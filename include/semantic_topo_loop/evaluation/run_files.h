@@ -9,6 +9,8 @@
 
 #include "semantic_topo_loop/evaluation/loop_judge.h"
 #include "semantic_topo_loop/evaluation/object_evaluation.h"
+#include "semantic_topo_loop/loop/loop_closure.h"
+#include "semantic_topo_loop/pose_graph/map_correction.h"
 
 namespace semantic_topo_loop::core {
 
@@ -20,6 +22,10 @@ using Sightings = std::map<std::int64_t, std::set<std::int64_t>>;
 /// @return nullopt, with file, line, column and value in `error`
 std::optional<std::vector<MappedObject>> read_objects(const std::string& path, std::string* error);
 std::optional<std::vector<LoopRecord>> read_loops(const std::string& path, std::string* error);
+/// Loops for the pose graph: the columns of loops.csv and, if they are there, `sigma_m,sigma_deg` of each axis of the
+/// pose, else 0.03 m and 1 degree. Keyframe ids are left open: the run that takes them knows which frames they are.
+std::optional<std::vector<LoopClosure>> read_given_loops(const std::string& path, std::string* error);
+std::optional<std::vector<KeyframePose>> read_keyframes(const std::string& path, std::string* error);
 std::optional<std::vector<ReferenceObject>> read_reference_objects(const std::string& path, std::string* error);
 std::optional<std::vector<std::int64_t>> read_keyframe_stamps(const std::string& path, std::string* error);
 /// From trajectory.txt, associations.csv and objects.csv of a run's directory.

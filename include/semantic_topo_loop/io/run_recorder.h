@@ -28,8 +28,8 @@ class RunRecorder {
   void record(std::int64_t frame_id, const std::vector<LoopClosure>& loops, double loop_us);
   void record(const MapCorrection& correction);
 
-  /// Writes trajectory_live.txt, trajectory.txt, keyframes.csv, objects.csv, loops.csv, associations.csv, timing.csv
-  /// and summary.json, creating the directory. Each file appears whole or not at all.
+  /// Writes trajectory_live.txt, trajectory.txt, keyframes.csv, objects.csv, loops.csv, loop_verdicts.csv,
+  /// associations.csv, timing.csv and summary.json, creating the directory. Each file appears whole or not at all.
   /// @return false, with the path in `error`, if a file cannot be written
   bool write(const std::string& directory, std::string* error) const;
 
@@ -46,6 +46,7 @@ class RunRecorder {
   std::string keyframes() const;
   std::string objects() const;
   std::string loops() const;
+  std::string loop_verdicts() const;
   std::string associations() const;
   std::string timing() const;
   std::string summary() const;
@@ -58,7 +59,7 @@ class RunRecorder {
   std::map<std::int64_t, Landmark> landmarks_;              ///< latest state of those that still exist
   std::map<std::int64_t, std::vector<LoopClosure>> loops_;  ///< by frame_id
   std::map<std::int64_t, SE3> T_map_keyframe_;              ///< of the last solution, by keyframe_id
-  std::vector<LoopVerdict> verdicts_;                       ///< of the last solution
+  MapCorrection correction_;                                ///< the last that changed something
   std::map<std::int64_t, FrameTiming> timing_;
   int merges_ = 0;
   int corrections_ = 0;

@@ -27,7 +27,9 @@ class ObjectSlam {
  public:
   ObjectSlam(const Options& options, std::shared_ptr<const ClassTable> classes);
 
-  FrameResult process(const Frame& frame, const std::vector<Detection>& detections);
+  /// @param extra_loops handed to the pose graph beside those that are found
+  FrameResult process(const Frame& frame, const std::vector<Detection>& detections,
+                      const std::vector<LoopClosure>& extra_loops = {});
   const QuadricMapper& mapper() const { return mapper_; }
   const PoseGraph& pose_graph() const { return pose_graph_; }
 

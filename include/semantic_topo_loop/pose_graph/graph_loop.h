@@ -26,8 +26,9 @@ std::optional<GraphLoop> make_graph_loop(const LoopClosure& closure, int query_v
 /// each as intersection over union, in [0, 1].
 double shared_evidence(const GraphLoop& a, const GraphLoop& b);
 
-/// For each loop the sum of the evidence it shares with all (itself included), >= 1: n copies of a loop each count
-/// 1/n.
-std::vector<double> redundancy(const std::vector<GraphLoop>& loops);
+/// For each loop the sum of the evidence it shares with all that count (itself included), >= 1: n copies of a loop each
+/// count 1/n.
+/// @param counts one a loop; empty: all do
+std::vector<double> redundancy(const std::vector<GraphLoop>& loops, const std::vector<bool>& counts = {});
 
 }  // namespace semantic_topo_loop::core

@@ -36,7 +36,7 @@ struct GraphSolverOptions {
 
 struct GraphSolution {
   bool usable = false;
-  bool converged = false;  ///< a tolerance ended it, not the number of iterations
+  bool converged = false;                       ///< a tolerance ended it, not the number of iterations
   double initial_cost = 0.0, final_cost = 0.0;  ///< 0.5 sum w |U e|^2, after the loss
   int iterations = 0;
   std::string message;  ///< why it is not usable

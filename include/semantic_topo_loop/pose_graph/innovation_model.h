@@ -6,6 +6,7 @@
 
 #include "semantic_topo_loop/pose_graph/graph_loop.h"
 #include "semantic_topo_loop/pose_graph/odometry_edge.h"
+#include "semantic_topo_loop/pose_graph/path_noise.h"
 
 namespace semantic_topo_loop::core {
 
@@ -45,10 +46,6 @@ class InnovationModel {
     double gain = 0.0;
   };
   std::optional<Candidate> best_jump(const NoiseEstimate& noise, double least_gain) const;
-  /// Smallest factor on the noise at which loop k is as likely as a typical one (its chi^2 at the median); 0 if it is
-  /// so without any odometry noise, infinity if even `max_factor` does not do.
-  double explaining_factor(std::size_t k, const OdometryNoise& noise, double max_factor) const;
-  std::size_t size() const { return loop_covariances_.size(); }
 
  private:
   using Basis = Eigen::Matrix<double, 6, Eigen::Dynamic>;
@@ -56,6 +53,13 @@ class InnovationModel {
     Eigen::MatrixXd information;
     Eigen::VectorXd pull;  ///< information * innovation
   };
+
+  /// What the odometry may be off by within an edge: it measured a jump as motion, or missed what the camera did.
+  struct MotionBound {
+    double translation_m = 0.0, rotation_rad = 0.0;
+  };
+  static MotionBound usual_motion(const std::vector<OdometryEdge>& edges);
+  MotionBound motion_bound(std::size_t edge) const;
 
   void accumulate_edges();
   Basis steady_basis(std::size_t edge) const;
@@ -72,14 +76,11 @@ class InnovationModel {
   const std::vector<GraphLoop>* graph_loops_;
   std::vector<double> progress_;  ///< path and rotation so far, in metres
   double metres_per_radian_ = 0.0;
-  /// Running sums over the edges of B D B^T, B the transport to the world's origin: differences of two of them give
-  /// the noise of any stretch of the path.
-  std::vector<Mat6> to_origin_, sum_given_, sum_translation_, sum_rotation_;
-  std::vector<Vec6> sum_residual_;
-  std::vector<Basis> sum_steady_;
+  MotionBound usual_motion_;  ///< median over the edges
+  PathNoise path_;
+  std::vector<Basis> sum_steady_;  ///< one a vertex, carried to the world's origin
   std::vector<Mat6> from_origin_;  ///< one a loop
   Eigen::VectorXd innovation_;
-  std::vector<Mat6> loop_covariances_;
   Eigen::MatrixXd given_, translation_, rotation_, loops_, jumps_;
   Eigen::MatrixXd steady_;  ///< how the steady errors show in the innovations
   Eigen::MatrixXd steady_translation_, steady_rotation_, scale_;

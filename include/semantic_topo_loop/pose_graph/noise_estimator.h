@@ -22,9 +22,9 @@ NoiseEstimate estimate_noise_and_jumps(InnovationModel* model, const NoisePrior&
 /// at a small noise, so that loops then hardly move it.
 NoiseEstimate estimate_noise(const InnovationModel& model, const NoisePrior& prior, const NoiseEstimate& start);
 
-/// A factor on the least noise at which most loops are likely, robust against a minority of false ones: the median
-/// over the loops, each weighed by 1/redundancy, and one voice for the least noise itself.
-double robust_noise_factor(const InnovationModel& model, const NoisePrior& prior,
-                           const std::vector<double>& redundancies);
+/// A factor on the least noise at which most loops are likely, robust against a minority of false ones: the weighted
+/// median over the loops, and one voice for the least noise itself.
+/// @param explaining_factors of each loop, see PathNoise   @param weights e.g. 1 / redundancy
+double robust_noise_factor(const std::vector<double>& explaining_factors, const std::vector<double>& weights);
 
 }  // namespace semantic_topo_loop::core

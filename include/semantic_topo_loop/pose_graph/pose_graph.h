@@ -21,7 +21,9 @@ class PoseGraph {
 
   /// Adds the frame's keyframe and odometry edge and the accepted loops; optimises when there is reason to. An end
   /// frame always optimises.
-  MapCorrection process(const Frame& frame, const std::vector<LoopClosure>& loops);
+  /// @param extra_loops loops from outside, treated alike
+  MapCorrection process(const Frame& frame, const std::vector<LoopClosure>& loops,
+                        const std::vector<LoopClosure>& extra_loops = {});
   /// Takes the accepted loops between two keyframes out again; the next frame optimises without them.
   /// @return false if there is none
   bool withdraw(std::int64_t query_keyframe_id, std::int64_t match_keyframe_id);

@@ -90,6 +90,10 @@ KeyframePose to_msg(const core::KeyframePose& keyframe);
 core::KeyframePose from_msg(const KeyframePose& message);
 LoopVerdict to_msg(const core::LoopVerdict& verdict);
 core::LoopVerdict from_msg(const LoopVerdict& message);
+OdometryFault to_msg(const core::OdometryFault& fault);
+core::OdometryFault from_msg(const OdometryFault& message);
+OdometryReport to_msg(const core::OdometryReport& report);
+core::OdometryReport from_msg(const OdometryReport& message);
 void to_msg(const core::MapCorrection& correction, MapCorrection* message);
 core::MapCorrection from_msg(const MapCorrection& message);
 

@@ -1,0 +1,19 @@
+#pragma once
+
+#include <string>
+#include <vector>
+
+#include "semantic_topo_loop/loop/loop_closure.h"
+
+namespace semantic_topo_loop::core {
+
+/// Lines of loops.csv (docs/files.md), with their end of line.
+std::string loop_table_header();
+std::string loop_table_row(const LoopClosure& loop);
+
+/// Writes loops to be handed to the pose graph: loops.csv with `sigma_m,sigma_deg`, the root mean square over the axes
+/// of what the covariance says, behind it.
+/// @return false, with the path in `error`, if the file cannot be written
+bool write_given_loops(const std::string& path, const std::vector<LoopClosure>& loops, std::string* error);
+
+}  // namespace semantic_topo_loop::core
