@@ -155,7 +155,8 @@ std::string RunRecorder::objects() const {
 std::string RunRecorder::loops() const {
   std::string text =
       "query_frame,match_frame,query_stamp,match_stamp,query_begin,query_end,match_begin,match_end,accepted,reason,"
-      "score,inliers,x,y,z,qx,qy,qz,qw\n";
+      "score,inliers,x,y,z,qx,qy,qz,qw,labels,second_score,rms_m,spread_m,tilt_deg,reprojection_ratio,"
+      "reprojected_objects,explained_share,refine_residual,refine_shift_m,refine_shift_deg,sigma_m,sigma_deg\n";
   for (const auto& [frame_id, candidates] : loops_) {
     for (const LoopClosure& loop : candidates) {
       text += CsvRow()
@@ -172,6 +173,19 @@ std::string RunRecorder::loops() const {
                   .add(loop.score, kRatioDecimals)
                   .add(loop.inliers)
                   .add(loop.T_match_query)
+                  .add(loop.labels)
+                  .add(loop.second_score, kRatioDecimals)
+                  .add(loop.rms_m, kRatioDecimals)
+                  .add(loop.spread_m, kRatioDecimals)
+                  .add(loop.tilt_deg, kRatioDecimals)
+                  .add(loop.reprojection_ratio, kRatioDecimals)
+                  .add(loop.reprojected_objects)
+                  .add(loop.explained_share, kRatioDecimals)
+                  .add(loop.refine_residual, kRatioDecimals)
+                  .add(loop.refine_shift_m, kRatioDecimals)
+                  .add(loop.refine_shift_deg, kRatioDecimals)
+                  .add(loop.sigma_m, kRatioDecimals)
+                  .add(loop.sigma_deg, kRatioDecimals)
                   .end();
     }
   }

@@ -19,7 +19,7 @@ FrameResult ObjectSlam::process(const Frame& frame, const std::vector<Detection>
   const Stopwatch stopwatch;
   result.loops = loop_detector_.detect(frame, result.associations);
   result.loop_us = stopwatch.elapsed_us();
-  result.correction = pose_graph_.process(frame, result.loops);
+  result.correction = pose_graph_.process(frame, own_loops(result.loops));
   result.completion = mapper_.apply(result.correction);
   associator_.apply(result.completion);
   loop_detector_.apply(result.completion);

@@ -198,6 +198,8 @@ LoopClosure make_loop(std::int64_t query, bool accepted) {
   loop.reason = accepted ? LoopReason::kAccepted : LoopReason::kTilt;
   loop.score = 1.25;
   loop.inliers = 7;
+  loop.rms_m = 0.03;
+  loop.reprojection_ratio = 0.7;
   return loop;
 }
 
@@ -212,6 +214,8 @@ TEST_F(RunRecorderTest, LoopsInOrderOfFrameAndPosition) {
   EXPECT_EQ(loops->at(0).query_frame, 5);
   EXPECT_EQ(loops->at(1).query_frame, 8);
   EXPECT_EQ(loops->at(2).query_frame, 7);
+  EXPECT_NE(text("loops.csv").find(",tilt,1.250000,7,"), std::string::npos);
+  EXPECT_NE(text("loops.csv").find(",0.030000,0.000000,-1.000000,0.700000,-1,"), std::string::npos) << "its figures";
   EXPECT_NE(
       text("loops.csv").find("\n8,1,1500000000.008000,1500000000.000000,7,9,0,2,1,accepted,1.250000,7,0.000000000"),
       std::string::npos);

@@ -2,6 +2,7 @@
 
 #include <cmath>
 #include <cstdint>
+#include <functional>
 #include <memory>
 #include <random>
 #include <string>
@@ -162,8 +163,9 @@ struct RunOutcome {
   }
 };
 
-/// Feeds 10 Hz frames through a LoopDetector.
-inline RunOutcome run(const LoopOptions& options, const RunSetup& setup) {
+/// Feeds 10 Hz frames through a LoopDetector.   @param at_end is shown the detector after the last frame
+inline RunOutcome run(const LoopOptions& options, const RunSetup& setup,
+                      const std::function<void(const LoopDetector&)>& at_end = {}) {
   LoopDetector detector(options, desk_classes());
   FrameBuilder builder(KeyframeOptions(), desk_camera());
   std::mt19937_64 random(7);
@@ -192,6 +194,7 @@ inline RunOutcome run(const LoopOptions& options, const RunSetup& setup) {
     outcome.T_world_camera.push_back(T_world_camera);
     outcome.T_odom_camera.push_back(sample.T_odom_camera);
   }
+  if (at_end) at_end(detector);
   return outcome;
 }
 
