@@ -10,9 +10,9 @@
 #include "semantic_topo_loop/loop/graph_detector.h"
 #include "semantic_topo_loop/loop/local_map.h"
 #include "semantic_topo_loop/loop/loop_options.h"
-#include "semantic_topo_loop/loop/loop_record.h"
 #include "semantic_topo_loop/loop/observation_window.h"
 #include "semantic_topo_loop/loop/odometry_monitor.h"
+#include "semantic_topo_loop/loop/pair_record.h"
 #include "semantic_topo_loop/loop/paper_detector.h"
 #include "semantic_topo_loop/loop/up_estimator.h"
 
@@ -220,7 +220,7 @@ class LoopDetector::Impl {
   GraphDetector graph_;
   PaperDetector paper_;
   std::optional<GraphDetector> earlier_;  ///< of an earlier run's submaps
-  LoopRecord record_{kRecordCapacity};
+  PairRecord record_{kRecordCapacity};
   std::map<std::int64_t, KeyframeTime> keyframes_;
 };
 

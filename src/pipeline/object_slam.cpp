@@ -1,5 +1,6 @@
 #include "semantic_topo_loop/pipeline/object_slam.h"
 
+#include "semantic_topo_loop/pipeline/earlier_map.h"
 #include "semantic_topo_loop/pipeline/stopwatch.h"
 
 namespace semantic_topo_loop::core {
@@ -24,6 +25,12 @@ FrameResult ObjectSlam::process(const Frame& frame, const std::vector<Detection>
   associator_.apply(result.completion);
   loop_detector_.apply(result.completion);
   return result;
+}
+
+std::vector<LocalMap> ObjectSlam::submaps_in_map() const {
+  std::vector<LocalMap> submaps = loop_detector_.submaps();
+  move_to_map(pose_graph_.keyframes(), pose_graph_.T_map_odom(), &submaps);
+  return submaps;
 }
 
 }  // namespace semantic_topo_loop::core

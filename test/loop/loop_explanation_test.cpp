@@ -5,7 +5,7 @@
 #include <map>
 
 #include "semantic_topo_loop/loop/local_map.h"
-#include "semantic_topo_loop/loop/loop_record.h"
+#include "semantic_topo_loop/loop/pair_record.h"
 #include "synthetic_desk.h"
 
 namespace semantic_topo_loop::core {
@@ -119,8 +119,8 @@ TEST(LoopExplanation, PaperModeToo) {
   });
 }
 
-TEST(LoopRecord, ForgetsTheEarliestQueries) {
-  LoopRecord record(4);
+TEST(PairRecord, ForgetsTheEarliestQueries) {
+  PairRecord record(4);
   for (std::int64_t query = 10; query < 14; ++query) {
     LoopClosure loop;
     loop.query_keyframe_id = query;

@@ -26,7 +26,7 @@ struct LocalFrame {
 };
 
 /// A box that an object was fitted to.
-struct BoxView {
+struct SubmapView {
   int frame = -1;  ///< index in LocalMap::frames
   Box box;         ///< on the plane z = 1
 };
@@ -40,7 +40,7 @@ struct LocalObject {
   int frames_seen = 0;
   double seen_share = 0.0;  ///< frames that detect it over frames that have it in view
   double parallax_deg = 0.0;
-  std::vector<BoxView> views;
+  std::vector<SubmapView> views;
 };
 
 /// Submap: the objects seen within a few seconds, placed by these frames alone.
@@ -73,7 +73,7 @@ class LocalMapBuilder {
 
  private:
   std::vector<LocalObject> find_objects(const LocalMap& map, const LandmarkRedirects& redirects) const;
-  std::optional<LocalObject> fit(const LocalMap& map, std::vector<BoxView> views, const Vec3& center) const;
+  std::optional<LocalObject> fit(const LocalMap& map, std::vector<SubmapView> views, const Vec3& center) const;
 
   int min_views_, fit_views_;
   double min_parallax_rad_, min_seen_share_, max_depth_m_, max_radius_m_;

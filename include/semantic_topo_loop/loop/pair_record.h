@@ -11,9 +11,9 @@ namespace semantic_topo_loop::core {
 
 /// What was decided for each pair of keyframes: the accepted loop if there was one, else the latest decision. Bounded:
 /// the earliest queries are forgotten.
-class LoopRecord {
+class PairRecord {
  public:
-  explicit LoopRecord(std::size_t capacity) : capacity_(capacity) {}
+  explicit PairRecord(std::size_t capacity) : capacity_(capacity) {}
   /// Takes in candidates of the run itself.
   void add(const std::vector<LoopClosure>& loops);
   /// @return null if the pair is not on record; covariance and matches are not kept

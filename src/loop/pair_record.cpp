@@ -1,10 +1,10 @@
-#include "semantic_topo_loop/loop/loop_record.h"
+#include "semantic_topo_loop/loop/pair_record.h"
 
 #include <utility>
 
 namespace semantic_topo_loop::core {
 
-void LoopRecord::add(const std::vector<LoopClosure>& loops) {
+void PairRecord::add(const std::vector<LoopClosure>& loops) {
   for (LoopClosure loop : loops) {
     loop.matches = {};
     loop.covariance.setIdentity();
@@ -19,7 +19,7 @@ void LoopRecord::add(const std::vector<LoopClosure>& loops) {
   }
 }
 
-const LoopClosure* LoopRecord::find(std::int64_t query_keyframe_id, std::int64_t match_keyframe_id) const {
+const LoopClosure* PairRecord::find(std::int64_t query_keyframe_id, std::int64_t match_keyframe_id) const {
   const auto of_query = decisions_.find(query_keyframe_id);
   if (of_query == decisions_.end()) return nullptr;
   const auto it = of_query->second.find(match_keyframe_id);
