@@ -130,6 +130,10 @@ std::optional<Inputs> load(const Arguments& arguments, std::string* error) {
   inputs.detections = std::move(*detections);
   inputs.save_map = arguments.save_map;
   if (!arguments.map.empty()) {
+    if (inputs.options.loop.mode != "graph") {
+      *error = "argument --map = '" + arguments.map + "' needs loop.mode = graph";
+      return std::nullopt;
+    }
     inputs.earlier_map = read_submaps(arguments.map, *inputs.classes, error);
     if (!inputs.earlier_map) return std::nullopt;
   }

@@ -74,7 +74,10 @@ class LoopDetector::Impl {
       loops = graph_.detect(*map);
       record_.add(loops);
       if (earlier_) {
-        for (LoopClosure& loop : earlier_->detect(*map)) loops.push_back(std::move(loop));
+        for (LoopClosure& loop : earlier_->detect(*map)) {
+          relocaliser_.add(loop, map->T_odom_anchor);
+          loops.push_back(std::move(loop));
+        }
       }
     }
     graph_.store(std::move(*map));
@@ -91,6 +94,8 @@ class LoopDetector::Impl {
       earlier_->insert(std::move(submap));
     }
   }
+
+  std::optional<Relocalisation> relocalisation() const { return relocaliser_.estimate(); }
 
   std::vector<LocalMap> submaps() const {
     std::vector<LocalMap> submaps;
@@ -220,6 +225,7 @@ class LoopDetector::Impl {
   GraphDetector graph_;
   PaperDetector paper_;
   std::optional<GraphDetector> earlier_;  ///< of an earlier run's submaps
+  Relocaliser relocaliser_;
   PairRecord record_{kRecordCapacity};
   std::map<std::int64_t, KeyframeTime> keyframes_;
 };
@@ -243,6 +249,8 @@ LoopExplanation LoopDetector::explain(std::int64_t query_keyframe_id, std::int64
 }
 
 void LoopDetector::set_earlier_map(std::vector<LocalMap> submaps) { impl_->set_earlier_map(std::move(submaps)); }
+
+std::optional<Relocalisation> LoopDetector::relocalisation() const { return impl_->relocalisation(); }
 
 std::vector<LocalMap> LoopDetector::submaps() const { return impl_->submaps(); }
 

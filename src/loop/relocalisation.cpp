@@ -8,7 +8,8 @@ namespace {
 constexpr double kAgreement_m = 0.5;
 constexpr double kAgreement_rad = 0.26;
 constexpr std::size_t kMinAgreeing = 3;
-constexpr std::size_t kMaxHypotheses = 200;  ///< votes whose supporters are counted, spread evenly
+constexpr std::size_t kMaxVotes = 1000;
+constexpr std::size_t kMaxHypotheses = 50;  ///< votes whose supporters are counted, spread evenly
 constexpr int kRounds = 3;
 constexpr int kIterations = 5;
 
@@ -16,11 +17,13 @@ constexpr int kIterations = 5;
 
 void Relocaliser::add(const LoopClosure& loop, const SE3& T_odom_query) {
   if (!loop.accepted || !loop.T_earlier_match || !T_odom_query.is_finite()) return;
+  if (!loop.covariance.allFinite()) return;
   const Eigen::LDLT<Mat6> ldlt(loop.covariance);
   if (ldlt.info() != Eigen::Success || !ldlt.isPositive()) return;
   const Mat6 information = ldlt.solve(Mat6::Identity());
   if (!information.allFinite()) return;
   votes_.push_back({*loop.T_earlier_match * loop.T_match_query, T_odom_query, information});
+  if (votes_.size() > kMaxVotes) votes_.pop_front();
 }
 
 std::vector<const Relocaliser::Vote*> Relocaliser::supporters(const SE3& T_earlier_odom) const {

@@ -10,6 +10,7 @@
 
 #include "semantic_topo_loop/association/association.h"
 #include "semantic_topo_loop/detection/class_table.h"
+#include "semantic_topo_loop/loop/local_map.h"
 #include "semantic_topo_loop/loop/loop_detector.h"
 #include "semantic_topo_loop/loop/loop_options.h"
 #include "semantic_topo_loop/loop/spheroid.h"
@@ -141,6 +142,7 @@ struct RunSetup {
   bool drift_is_break = false;
   bool same_ids = false;  ///< later visits keep the landmark ids of the first
   double quality = 0.8;
+  std::vector<LocalMap> earlier_map = {};
 };
 
 struct RunOutcome {
@@ -167,6 +169,7 @@ struct RunOutcome {
 inline RunOutcome run(const LoopOptions& options, const RunSetup& setup,
                       const std::function<void(const LoopDetector&)>& at_end = {}) {
   LoopDetector detector(options, desk_classes());
+  if (!setup.earlier_map.empty()) detector.set_earlier_map(setup.earlier_map);
   FrameBuilder builder(KeyframeOptions(), desk_camera());
   std::mt19937_64 random(7);
   RunOutcome outcome;

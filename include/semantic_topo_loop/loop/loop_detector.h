@@ -1,12 +1,14 @@
 #pragma once
 
 #include <memory>
+#include <optional>
 #include <vector>
 
 #include "semantic_topo_loop/association/association.h"
 #include "semantic_topo_loop/detection/class_table.h"
 #include "semantic_topo_loop/loop/loop_closure.h"
 #include "semantic_topo_loop/loop/loop_explanation.h"
+#include "semantic_topo_loop/loop/relocalisation.h"
 #include "semantic_topo_loop/map/frame.h"
 #include "semantic_topo_loop/map/landmark.h"
 
@@ -37,6 +39,8 @@ class LoopDetector {
   /// Graph mode: looks for the place in an earlier run's submaps, too (io/submap_file.h). Call it before the first
   /// frame.
   void set_earlier_map(std::vector<LocalMap> submaps);
+  /// Where the run is in the earlier run's map, by the last accepted loops into it.
+  std::optional<Relocalisation> relocalisation() const;
   /// The submaps kept so far, poses in the odometry's world.
   std::vector<LocalMap> submaps() const;
 

@@ -1,5 +1,6 @@
 #pragma once
 
+#include <deque>
 #include <optional>
 #include <vector>
 
@@ -15,7 +16,7 @@ struct Relocalisation {
 };
 
 /// Consensus of loops into an earlier run's map: the largest group that agrees on where its cameras are, and the pose
-/// that fits the group best, weighed by the loops' covariances.
+/// that fits the group best, weighed by the loops' covariances. The last thousand loops count, since odometry drifts.
 class Relocaliser {
  public:
   /// Takes in an accepted loop with T_earlier_match; others are ignored.
@@ -32,7 +33,7 @@ class Relocaliser {
   std::vector<const Vote*> supporters(const SE3& T_earlier_odom) const;
   static SE3 fit(const std::vector<const Vote*>& votes, SE3 T_earlier_odom);
 
-  std::vector<Vote> votes_;
+  std::deque<Vote> votes_;
 };
 
 }  // namespace semantic_topo_loop::core
