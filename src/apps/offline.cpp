@@ -4,6 +4,7 @@
 #include <iostream>
 #include <map>
 #include <memory>
+#include <set>
 #include <string>
 #include <vector>
 
@@ -15,6 +16,7 @@
 #include "semantic_topo_loop/io/class_table_yaml.h"
 #include "semantic_topo_loop/io/options_yaml.h"
 #include "semantic_topo_loop/io/run_recorder.h"
+#include "semantic_topo_loop/io/submap_file.h"
 #include "semantic_topo_loop/io/tum_trajectory.h"
 #include "semantic_topo_loop/pipeline/frame_builder.h"
 #include "semantic_topo_loop/pipeline/object_slam.h"
@@ -26,7 +28,8 @@ using namespace semantic_topo_loop::core;
 
 constexpr char kUsage[] =
     "usage: offline --trajectory FILE --detections FILE_OR_DIR --camera YAML --output DIR\n"
-    "               [--classes YAML] [--config YAML] [--set module.field=value ...] [--extra-loops CSV]\n"
+    "               [--classes YAML] [--config YAML] [--set module.field=value ...]\n"
+    "               [--extra-loops CSV] [--map FILE] [--save-map FILE]\n"
     "Runs the whole chain on recorded files, without a ROS master.\n"
     "  --trajectory  camera poses of the odometry, TUM format; one frame a pose\n"
     "  --detections  OA-SLAM JSON file, or directory of YOLO text files <stamp>.txt\n"
@@ -36,23 +39,30 @@ constexpr char kUsage[] =
     "  --set         one parameter, over --config; may be repeated\n"
     "  --extra-loops loops for the pose graph beside those that are found, as loops.csv, see docs/files.md\n"
     "  --output      directory of the results, made if missing\n"
+    "  --map         submaps that an earlier run saved: the run's place in its map is looked for\n"
+    "  --save-map    file for this run's submaps, for later runs\n"
     "       offline --list-parameters\n"
     "Prints every parameter with its default, as a Markdown table.\n";
 
 constexpr std::int64_t kStampTolerance_ns = 1000;
 
 struct Arguments {
-  std::string trajectory, detections, camera, classes, config, extra_loops, output;
+  std::string trajectory, detections, camera, classes, config, extra_loops, output, map, save_map;
   std::vector<std::string> assignments;
 };
 
 /// @return false with `error` set; an empty error means that help was asked for
 bool parse(int argc, char** argv, Arguments* arguments, std::string* error) {
-  const std::vector<std::pair<std::string, std::string*>> fields = {
-      {"--trajectory", &arguments->trajectory}, {"--detections", &arguments->detections},
-      {"--camera", &arguments->camera},         {"--classes", &arguments->classes},
-      {"--config", &arguments->config},         {"--extra-loops", &arguments->extra_loops},
-      {"--output", &arguments->output}};
+  const std::vector<std::pair<std::string, std::string*>> fields = {{"--trajectory", &arguments->trajectory},
+                                                                    {"--detections", &arguments->detections},
+                                                                    {"--camera", &arguments->camera},
+                                                                    {"--classes", &arguments->classes},
+                                                                    {"--config", &arguments->config},
+                                                                    {"--extra-loops", &arguments->extra_loops},
+                                                                    {"--output", &arguments->output},
+                                                                    {"--map", &arguments->map},
+                                                                    {"--save-map", &arguments->save_map}};
+  const std::set<std::string> optional = {"--classes", "--config", "--extra-loops", "--map", "--save-map"};
   for (int i = 1; i < argc; ++i) {
     const std::string name = argv[i];
     if (name == "--help" || name == "-h") return false;
@@ -77,7 +87,7 @@ bool parse(int argc, char** argv, Arguments* arguments, std::string* error) {
     }
   }
   for (const auto& [field, target] : fields) {
-    if (target->empty() && field != "--config" && field != "--classes" && field != "--extra-loops") {
+    if (target->empty() && optional.count(field) == 0) {
       *error = "argument " + field + " is missing";
       return false;
     }
@@ -99,6 +109,8 @@ struct Inputs {
   StampedPoses trajectory;
   std::vector<DetectionFrame> detections;
   std::vector<LoopClosure> extra_loops;
+  std::optional<std::vector<LocalMap>> earlier_map;
+  std::string save_map;
 };
 
 bool load_extra_loops(const std::string& path, std::vector<LoopClosure>* loops, std::string* error) {
@@ -129,6 +141,15 @@ std::optional<Inputs> load(const Arguments& arguments, std::string* error) {
   if (!detections) return std::nullopt;
   inputs.detections = std::move(*detections);
   if (!load_extra_loops(arguments.extra_loops, &inputs.extra_loops, error)) return std::nullopt;
+  inputs.save_map = arguments.save_map;
+  if (!arguments.map.empty()) {
+    if (inputs.options.loop.mode != "graph") {
+      *error = "argument --map = '" + arguments.map + "' needs loop.mode = graph";
+      return std::nullopt;
+    }
+    inputs.earlier_map = read_submaps(arguments.map, *inputs.classes, error);
+    if (!inputs.earlier_map) return std::nullopt;
+  }
   return inputs;
 }
 
@@ -192,9 +213,20 @@ void record(const Frame& frame, const FrameResult& result, RunRecorder* recorder
   recorder->record(result.completion);
 }
 
-/// @return false with `error` set if the inputs have no frame in common
+void print(const std::optional<Relocalisation>& found) {
+  if (!found) {
+    std::printf("not found in the earlier map\n");
+    return;
+  }
+  const SE3& T = found->T_earlier_odom;
+  std::printf("earlier map from odometry: %.4f %.4f %.4f %.6f %.6f %.6f %.6f, by %d of %d loops\n", T.t.x(), T.t.y(),
+              T.t.z(), T.q.x(), T.q.y(), T.q.z(), T.q.w(), found->agreeing, found->total);
+}
+
+/// @return false with `error` set if the inputs have no frame in common, or the submaps cannot be written
 bool run(const Inputs& inputs, RunRecorder* recorder, std::string* error) {
   ObjectSlam slam(inputs.options, inputs.classes);
+  if (inputs.earlier_map) slam.set_earlier_map(*inputs.earlier_map);
   FrameBuilder builder(inputs.options.keyframe, inputs.camera);
   ExtraLoops extra_loops(inputs.extra_loops);
   Progress progress(inputs.trajectory.size());
@@ -221,6 +253,7 @@ bool run(const Inputs& inputs, RunRecorder* recorder, std::string* error) {
   }
   const Frame end = builder.end();
   record(end, slam.process(end, none), recorder);
+  if (!inputs.save_map.empty() && !write_submaps(inputs.save_map, slam.submaps_in_map(), error)) return false;
 
   const double seconds = 1e-6 * stopwatch.elapsed_us();
   const double recorded =
@@ -267,7 +300,10 @@ int main(int argc, char** argv) {
   const std::optional<Inputs> inputs = load(arguments, &error);
   if (inputs) {
     RunRecorder recorder(inputs->classes);
-    if (run(*inputs, &recorder, &error) && recorder.write(arguments.output, &error)) return 0;
+    if (run(*inputs, &recorder, &error) && recorder.write(arguments.output, &error)) {
+      if (inputs->earlier_map) print(recorder.relocalisation());
+      return 0;
+    }
   }
   std::cerr << "offline: error: " << error << '\n';
   return 1;

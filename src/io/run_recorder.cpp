@@ -1,5 +1,7 @@
 #include "semantic_topo_loop/io/run_recorder.h"
 
+#include <algorithm>
+#include <cmath>
 #include <nlohmann/json.hpp>
 
 #include "csv_row.h"
@@ -56,6 +58,20 @@ nlohmann::json odometry_summary(const OdometryReport& report) {
           {"faults", faults}};
 }
 
+nlohmann::json to_json(const std::optional<Relocalisation>& relocalisation) {
+  if (!relocalisation) return nullptr;
+  nlohmann::json pose;
+  for (const double value : {relocalisation->T_earlier_odom.t.x(), relocalisation->T_earlier_odom.t.y(),
+                             relocalisation->T_earlier_odom.t.z(), relocalisation->T_earlier_odom.q.x(),
+                             relocalisation->T_earlier_odom.q.y(), relocalisation->T_earlier_odom.q.z(),
+                             relocalisation->T_earlier_odom.q.w()}) {
+    pose.push_back(std::round(1e9 * value) / 1e9);
+  }
+  return {{"earlier_map_from_odom", pose}, {"agreeing", relocalisation->agreeing}, {"accepted", relocalisation->total}};
+}
+
+bool is_in_earlier_map(const LoopClosure& loop) { return loop.T_earlier_match.has_value(); }
+
 }  // namespace
 
 void RunRecorder::record(const Frame& frame) {
@@ -79,6 +95,7 @@ void RunRecorder::record(const MapUpdate& update) {
 
 void RunRecorder::record(std::int64_t frame_id, const std::vector<LoopClosure>& loops, double loop_us) {
   timing_[frame_id].loop_us = loop_us;
+  has_earlier_map_ = has_earlier_map_ || std::any_of(loops.begin(), loops.end(), is_in_earlier_map);
   if (!loops.empty()) loops_.insert_or_assign(frame_id, loops);
 }
 
@@ -147,10 +164,12 @@ std::string RunRecorder::objects() const {
   return text;
 }
 
-std::string RunRecorder::loops() const {
+std::string RunRecorder::loops(bool in_earlier_map) const {
   std::string text = loop_table_header();
   for (const auto& [frame_id, candidates] : loops_) {
-    for (const LoopClosure& loop : candidates) text += loop_table_row(loop);
+    for (const LoopClosure& loop : candidates) {
+      if (is_in_earlier_map(loop) == in_earlier_map) text += loop_table_row(loop);
+    }
   }
   return text;
 }
@@ -217,14 +236,14 @@ std::string RunRecorder::summary() const {
   }
   for (const auto& [id, landmark] : landmarks_) ++states[to_string(landmark.state)];
   for (const auto& [frame_id, loops] : loops_) {
-    candidates += static_cast<std::int64_t>(loops.size());
-    for (const LoopClosure& loop : loops) {
+    for (const LoopClosure& loop : own_loops(loops)) {
+      ++candidates;
       ++reasons[to_string(loop.reason)];
       accepted += loop.accepted ? 1 : 0;
     }
   }
   for (const LoopVerdict& verdict : correction_.loops) kept += verdict.kept ? 1 : 0;
-  const nlohmann::json summary = {
+  nlohmann::json summary = {
       {"frames", frames_.size()},
       {"keyframes", keyframe_frames_.size()},
       {"breaks", breaks},
@@ -235,20 +254,33 @@ std::string RunRecorder::summary() const {
       {"loops", {{"candidates", candidates}, {"accepted", accepted}, {"kept", kept}, {"reasons", reasons}}},
       {"corrections", corrections_},
       {"odometry", odometry_summary(correction_.odometry)}};
+  if (has_earlier_map_) summary["relocalisation"] = to_json(relocalisation());
   constexpr int kIndent = 2;
   return summary.dump(kIndent) + '\n';
 }
 
+std::optional<Relocalisation> RunRecorder::relocalisation() const {
+  Relocaliser relocaliser;
+  for (const auto& [frame_id, loops] : loops_) {
+    for (const LoopClosure& loop : loops) {
+      const auto query = frames_.find(loop.query_frame);
+      if (query != frames_.end()) relocaliser.add(loop, query->second.T_odom_camera);
+    }
+  }
+  return relocaliser.estimate();
+}
+
 bool RunRecorder::write(const std::string& directory, std::string* error) const {
-  const std::pair<const char*, std::string> files[] = {{"trajectory_live.txt", trajectory(true)},
-                                                       {"trajectory.txt", trajectory(false)},
-                                                       {"keyframes.csv", keyframes()},
-                                                       {"objects.csv", objects()},
-                                                       {"loops.csv", loops()},
-                                                       {"loop_verdicts.csv", loop_verdicts()},
-                                                       {"associations.csv", associations()},
-                                                       {"timing.csv", timing()},
-                                                       {"summary.json", summary()}};
+  std::vector<std::pair<const char*, std::string>> files = {{"trajectory_live.txt", trajectory(true)},
+                                                            {"trajectory.txt", trajectory(false)},
+                                                            {"keyframes.csv", keyframes()},
+                                                            {"objects.csv", objects()},
+                                                            {"loops.csv", loops(false)},
+                                                             {"loop_verdicts.csv", loop_verdicts()},
+                                                            {"associations.csv", associations()},
+                                                            {"timing.csv", timing()},
+                                                            {"summary.json", summary()}};
+  if (has_earlier_map_) files.emplace_back("relocalisations.csv", loops(true));
   if (!make_directory(directory, error)) return false;
   for (const auto& [name, text] : files) {
     if (!write_text_file(directory + "/" + name, text, error)) return false;

@@ -74,20 +74,19 @@ GraphDetector::GraphDetector(const LoopOptions& options)
       verifier_(options),
       refiner_(options) {}
 
-std::vector<LoopClosure> GraphDetector::detect(const LocalMap& query) {
-  std::vector<LoopClosure> loops;
-  const std::vector<LabelledPoint> points = graph_of(query);
-  std::vector<Candidate> candidates;
+int GraphDetector::old_enough(const LocalMap& query) const {
   const auto recent = std::find_if(maps_.begin(), maps_.end(), [&](const StoredMap& stored) {
     return static_cast<double>(query.stamp_ns - stored.map.stamp_ns) < 1e9 * options_.min_gap_s;
   });
-  for (const int i : index_.query(points, static_cast<int>(recent - maps_.begin()))) {
-    if (auto candidate = examine(query, points, static_cast<std::size_t>(i))) {
-      candidates.push_back(std::move(*candidate));
-    }
-  }
+  return static_cast<int>(recent - maps_.begin());
+}
+
+std::vector<LoopClosure> GraphDetector::detect(const LocalMap& query) {
+  const std::vector<LabelledPoint> points = graph_of(query);
+  std::vector<Candidate> candidates = examine(query, points, index_.query(points, old_enough(query)));
   find_ambiguous(query, &candidates);
   select(&candidates);
+  std::vector<LoopClosure> loops;
   for (const Candidate& candidate : candidates) {
     loops.push_back(finish(query, candidate));
     if (loops.back().accepted) mark_closed(match_of(candidate), query.end_ns);
@@ -100,23 +99,57 @@ void GraphDetector::store(LocalMap map) {
   if (map.span_s < kMinSpanShare * options_.min_window_s) return;
   const bool due =
       maps_.empty() || static_cast<double>(map.stamp_ns - maps_.back().map.stamp_ns) >= 1e9 * options_.store_interval_s;
-  if (!due) return;
+  if (due) insert(std::move(map));
+}
+
+void GraphDetector::insert(LocalMap map) {
   std::vector<LabelledPoint> points = graph_of(map);
   index_.insert(points);
   maps_.push_back({std::move(map), std::move(points)});
 }
 
-std::optional<GraphDetector::Candidate> GraphDetector::examine(const LocalMap& query,
-                                                               const std::vector<LabelledPoint>& points,
-                                                               std::size_t stored) const {
-  std::vector<GraphMatch> matches = matcher_.match(maps_[stored].points, points);
-  if (matches.empty()) return std::nullopt;
-  Candidate candidate;
-  candidate.stored = stored;
-  candidate.second_score = matches.size() > 1 ? matches[1].score : 0.0;
-  candidate.alignment = std::move(matches.front());
-  candidate.verdict = verifier_.verify(match_of(candidate), query, candidate.alignment, candidate.second_score);
-  return candidate;
+std::optional<std::size_t> GraphDetector::submap_about(std::int64_t frame_id, std::int64_t stamp_ns) const {
+  std::optional<std::size_t> best;
+  for (std::size_t i = 0; i < maps_.size(); ++i) {
+    const LocalMap& map = maps_[i].map;
+    if (frame_id < map.begin_frame || frame_id > map.end_frame) continue;
+    if (!best || std::abs(map.stamp_ns - stamp_ns) < std::abs(maps_[*best].map.stamp_ns - stamp_ns)) best = i;
+  }
+  return best;
+}
+
+GraphDetector::Comparison GraphDetector::compare(std::size_t query, std::size_t match) const {
+  const StoredMap& stored = maps_[query];
+  const int number = static_cast<int>(match);
+  const int end = std::max(old_enough(stored.map), number + 1);
+  Comparison comparison;
+  comparison.agreeing_pairs = index_.agreeing_pairs(stored.points, end)[match];
+  std::vector<int> numbers = index_.query(stored.points, end);
+  comparison.proposed = std::binary_search(numbers.begin(), numbers.end(), number);
+  if (!comparison.proposed) numbers.push_back(number);
+  std::vector<Candidate> candidates = examine(stored.map, stored.points, numbers);
+  find_ambiguous(stored.map, &candidates);
+  for (const Candidate& candidate : candidates) {
+    if (candidate.stored == match) comparison.closure = finish(stored.map, candidate);
+  }
+  return comparison;
+}
+
+std::vector<GraphDetector::Candidate> GraphDetector::examine(const LocalMap& query,
+                                                             const std::vector<LabelledPoint>& points,
+                                                             const std::vector<int>& numbers) const {
+  std::vector<Candidate> candidates;
+  for (const int number : numbers) {
+    Candidate candidate;
+    candidate.stored = static_cast<std::size_t>(number);
+    std::vector<GraphMatch> matches = matcher_.match(maps_[candidate.stored].points, points);
+    if (matches.empty()) continue;
+    candidate.second_score = matches.size() > 1 ? matches[1].score : 0.0;
+    candidate.alignment = std::move(matches.front());
+    candidate.verdict = verifier_.verify(match_of(candidate), query, candidate.alignment, candidate.second_score);
+    candidates.push_back(std::move(candidate));
+  }
+  return candidates;
 }
 
 /// Abstains where two places look alike: two submaps that the query fits nearly as well, or the submap and the place
@@ -142,17 +175,18 @@ void GraphDetector::find_ambiguous(const LocalMap& query, std::vector<Candidate>
 
 /// The best of every place: submaps that overlap in time tell of one place, accepted ones first, then by score. After
 /// the very best come the places that were closed least recently, since they say more than the same loop once more.
+/// Those beyond `max_candidates` and those of a place that has a better one are outranked, and come last.
 void GraphDetector::select(std::vector<Candidate>* candidates) const {
   const auto is_accepted = [](const Candidate& candidate) { return candidate.verdict.reason == LoopReason::kAccepted; };
   std::stable_sort(candidates->begin(), candidates->end(), [&](const Candidate& p, const Candidate& q) {
     return is_accepted(p) != is_accepted(q) ? is_accepted(p) : p.alignment.score > q.alignment.score;
   });
-  std::vector<Candidate> places;
+  std::vector<Candidate> places, others;
   for (Candidate& candidate : *candidates) {
     const bool repeats = std::any_of(places.begin(), places.end(), [&](const Candidate& other) {
       return overlap(match_of(candidate), match_of(other)) > kSamePlace;
     });
-    if (!repeats) places.push_back(std::move(candidate));
+    (repeats ? others : places).push_back(std::move(candidate));
   }
   const auto rejected = std::find_if_not(places.begin(), places.end(), is_accepted);
   if (rejected - places.begin() > 2) {
@@ -160,9 +194,12 @@ void GraphDetector::select(std::vector<Candidate>* candidates) const {
       return maps_[p.stored].closed_ns < maps_[q.stored].closed_ns;
     });
   }
-  const auto kept =
-      static_cast<std::ptrdiff_t>(std::min(places.size(), static_cast<std::size_t>(options_.max_candidates)));
-  candidates->assign(std::make_move_iterator(places.begin()), std::make_move_iterator(places.begin() + kept));
+  const std::size_t kept = std::min(places.size(), static_cast<std::size_t>(options_.max_candidates));
+  std::move(others.begin(), others.end(), std::back_inserter(places));
+  for (std::size_t i = kept; i < places.size(); ++i) {
+    if (is_accepted(places[i])) places[i].verdict.reason = LoopReason::kOutranked;
+  }
+  *candidates = std::move(places);
 }
 
 void GraphDetector::mark_closed(const LocalMap& match, std::int64_t query_ns) {
@@ -177,7 +214,12 @@ LoopClosure GraphDetector::finish(const LocalMap& query, const Candidate& candid
   loop.reason = candidate.verdict.reason;
   loop.score = candidate.alignment.score;
   loop.second_score = candidate.second_score;
-  loop.reprojection_ratio = candidate.verdict.reprojection.ratio;
+  loop.tilt_deg = candidate.verdict.tilt_deg;
+  if (const std::optional<Reprojection>& reprojection = candidate.verdict.reprojection) {
+    loop.reprojection_ratio = reprojection->ratio;
+    loop.reprojected_objects = reprojection->objects;
+    loop.explained_share = reprojection->explained;
+  }
   if (loop.reason == LoopReason::kAccepted) {
     refine_and_decide(match_of(candidate), query, candidate.alignment, refiner_, options_, &loop);
   }

@@ -90,9 +90,9 @@ double median(std::vector<double> values) {
 }
 
 /// Half width and half height of the boxes at their depths, as logs.
-Vec2 log_axes_of_boxes(const LocalMap& map, const std::vector<ObjectView>& views, const Vec3& center) {
+Vec2 log_axes_of_boxes(const LocalMap& map, const std::vector<SubmapView>& views, const Vec3& center) {
   std::vector<double> halves_x, halves_y;
-  for (const ObjectView& view : views) {
+  for (const SubmapView& view : views) {
     const double depth = map.frames[static_cast<std::size_t>(view.frame)].to_camera(center).z();
     halves_x.push_back(0.5 * depth * view.box.width());
     halves_y.push_back(0.5 * depth * view.box.height());
@@ -103,7 +103,7 @@ Vec2 log_axes_of_boxes(const LocalMap& map, const std::vector<ObjectView>& views
 /// Normal equations of the box edges with soft-L1 weights and a weak prior on the axes.
 struct SpheroidFit {
   const LocalMap& map;
-  const std::vector<ObjectView>& views;
+  const std::vector<SubmapView>& views;
   Vec2 prior_log_axes;
 
   /// @return the cost, or infinity if a view cannot see the spheroid
@@ -114,7 +114,7 @@ struct SpheroidFit {
     H->diagonal().tail<2>().setConstant(1.0 / (kLogAxisPriorSigma * kLogAxisPriorSigma));
     g->tail<2>() = prior / kLogAxisPriorSigma;
     double cost = prior.squaredNorm();
-    for (const ObjectView& view : views) {
+    for (const SubmapView& view : views) {
       const LocalFrame& frame = map.frames[static_cast<std::size_t>(view.frame)];
       const auto projection = project_spheroid(frame.to_camera(spheroid.center),
                                                frame.R_camera_local * map.up.direction, spheroid.log_axes);
@@ -188,7 +188,7 @@ void remove_duplicates(std::vector<LocalObject>* objects) {
 void compact(LocalMap* map) {
   std::set<int> needed(map->check_frames.begin(), map->check_frames.end());
   for (const LocalObject& object : map->objects) {
-    for (const ObjectView& view : object.views) needed.insert(view.frame);
+    for (const SubmapView& view : object.views) needed.insert(view.frame);
   }
   std::map<int, int> renumbered;
   std::vector<LocalFrame> frames;
@@ -199,7 +199,7 @@ void compact(LocalMap* map) {
   map->frames = std::move(frames);
   for (int& i : map->check_frames) i = renumbered[i];
   for (LocalObject& object : map->objects) {
-    for (ObjectView& view : object.views) view.frame = renumbered[view.frame];
+    for (SubmapView& view : object.views) view.frame = renumbered[view.frame];
   }
 }
 
@@ -255,7 +255,7 @@ std::vector<LocalObject> LocalMapBuilder::find_objects(const LocalMap& map, cons
       const double seen_share =
           static_cast<double>(cluster.rays.size()) / std::max<double>(static_cast<double>(visible), 1.0);
       if (seen_share < min_seen_share_) continue;
-      std::vector<ObjectView> views;
+      std::vector<SubmapView> views;
       for (const int i : cluster.rays) {
         const BoxRay& ray = rays[static_cast<std::size_t>(i)];
         if (ray.full) views.push_back({ray.frame, ray.box});
@@ -275,7 +275,7 @@ std::vector<LocalObject> LocalMapBuilder::find_objects(const LocalMap& map, cons
   return objects;
 }
 
-std::optional<LocalObject> LocalMapBuilder::fit(const LocalMap& map, std::vector<ObjectView> views,
+std::optional<LocalObject> LocalMapBuilder::fit(const LocalMap& map, std::vector<SubmapView> views,
                                                 const Vec3& center) const {
   LocalObject object;
   for (const int i : spread(static_cast<int>(views.size()), fit_views_)) {

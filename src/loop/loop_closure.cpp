@@ -1,5 +1,8 @@
 #include "semantic_topo_loop/loop/loop_closure.h"
 
+#include <algorithm>
+#include <iterator>
+
 namespace semantic_topo_loop::core {
 
 const char* to_string(LoopReason reason) {
@@ -30,8 +33,17 @@ const char* to_string(LoopReason reason) {
       return "low_score";
     case LoopReason::kInconsistent:
       return "inconsistent";
+    case LoopReason::kOutranked:
+      return "outranked";
   }
   return "unknown";
+}
+
+std::vector<LoopClosure> own_loops(const std::vector<LoopClosure>& loops) {
+  std::vector<LoopClosure> own;
+  std::copy_if(loops.begin(), loops.end(), std::back_inserter(own),
+               [](const LoopClosure& loop) { return !loop.T_earlier_match; });
+  return own;
 }
 
 }  // namespace semantic_topo_loop::core

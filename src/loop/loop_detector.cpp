@@ -2,13 +2,17 @@
 
 #include <algorithm>
 #include <cmath>
+#include <limits>
 #include <map>
+#include <optional>
+#include <sstream>
 
 #include "semantic_topo_loop/loop/graph_detector.h"
 #include "semantic_topo_loop/loop/local_map.h"
 #include "semantic_topo_loop/loop/loop_options.h"
 #include "semantic_topo_loop/loop/observation_window.h"
 #include "semantic_topo_loop/loop/odometry_monitor.h"
+#include "semantic_topo_loop/loop/pair_record.h"
 #include "semantic_topo_loop/loop/paper_detector.h"
 #include "semantic_topo_loop/loop/up_estimator.h"
 
@@ -16,13 +20,21 @@ namespace semantic_topo_loop::core {
 namespace {
 
 constexpr std::int64_t kSettleNs = 300'000'000;  ///< a jump may take several frames
+constexpr std::size_t kRecordCapacity = 50'000;  ///< decisions that can be explained without a new comparison
+
+/// The submaps of an earlier run are never too recent, whatever its clock said.
+LoopOptions without_gap(LoopOptions options) {
+  options.min_gap_s = -std::numeric_limits<double>::infinity();
+  return options;
+}
 
 }  // namespace
 
 class LoopDetector::Impl {
  public:
   Impl(const LoopOptions& options, const ClassTable& classes)
-      : enabled_(options.enabled),
+      : options_(options),
+        enabled_(options.enabled),
         paper_mode_(options.mode == "paper"),
         attempt_interval_ns_(std::llround(1e9 * options.attempt_interval_s)),
         window_s_(options.window_s),
@@ -41,6 +53,7 @@ class LoopDetector::Impl {
 
   std::vector<LoopClosure> detect(const Frame& frame, const AssociationFrame& associations) {
     if (frame.is_end) return {};
+    if (frame.is_keyframe) keyframes_[frame.keyframe_id] = {frame.frame_id, frame.stamp_ns};
     if (frame.stamp_ns < settled_ns_) return {};
     const bool taken = window_.push(frame, associations);
     up_.push(frame);
@@ -48,19 +61,129 @@ class LoopDetector::Impl {
     if (!is_due(frame)) return {};
     std::optional<LocalMap> map = builder_.build(window_.frames(), redirects_, up_);
     if (!map) return {};
-    if (paper_mode_) return paper_.detect(std::move(*map), enabled_);
+    if (paper_mode_) {
+      std::vector<LoopClosure> loops = paper_.detect(std::move(*map), enabled_);
+      record_.add(loops);
+      return loops;
+    }
     map->segment = segment_;
     map->drift_rad_s = monitor_.drift_rad_s().value_or(0.0);
     monitor_.set_reference(*map);
     std::vector<LoopClosure> loops;
-    if (enabled_) loops = graph_.detect(*map);
+    if (enabled_) {
+      loops = graph_.detect(*map);
+      record_.add(loops);
+      if (earlier_) {
+        for (LoopClosure& loop : earlier_->detect(*map)) {
+          relocaliser_.add(loop, map->T_odom_anchor);
+          loops.push_back(std::move(loop));
+        }
+      }
+    }
     graph_.store(std::move(*map));
     return loops;
   }
 
   void set_enabled(bool enabled) { enabled_ = enabled; }
 
+  void set_earlier_map(std::vector<LocalMap> submaps) {
+    earlier_.emplace(without_gap(options_));
+    for (LocalMap& submap : submaps) {
+      submap.is_earlier = true;
+      submap.segment = -1;
+      earlier_->insert(std::move(submap));
+    }
+  }
+
+  std::optional<Relocalisation> relocalisation() const { return relocaliser_.estimate(); }
+
+  std::vector<LocalMap> submaps() const {
+    std::vector<LocalMap> submaps;
+    for (const GraphDetector::StoredMap& stored : graph_.submaps()) submaps.push_back(stored.map);
+    return submaps;
+  }
+
+  LoopExplanation explain(std::int64_t query_id, std::int64_t match_id) const {
+    for (const std::int64_t id : {query_id, match_id}) {
+      if (keyframes_.count(id) == 0) return {PairStatus::kUnknownKeyframe, unknown_keyframe(id), std::nullopt};
+    }
+    if (query_id <= match_id) {
+      return {PairStatus::kWrongOrder, "the query must be the later of the two keyframes", std::nullopt};
+    }
+    if (const LoopClosure* loop = record_.find(query_id, match_id)) return verified(*loop);
+    if (paper_mode_) {
+      return {PairStatus::kNotAttempted, "paper mode judges the best candidate of each keyframe, which was another one",
+              std::nullopt};
+    }
+    return explain_by_submaps(query_id, match_id);
+  }
+
  private:
+  struct KeyframeTime {
+    std::int64_t frame_id = -1;
+    std::int64_t stamp_ns = 0;
+  };
+
+  std::string unknown_keyframe(std::int64_t id) const {
+    std::ostringstream text;
+    text << "keyframe " << id << " is unknown";
+    if (!keyframes_.empty())
+      text << ": there are " << keyframes_.begin()->first << " to " << keyframes_.rbegin()->first;
+    return text.str();
+  }
+
+  LoopExplanation verified(const LoopClosure& loop) const {
+    std::ostringstream text;
+    text << "keyframes " << loop.query_keyframe_id << " and " << loop.match_keyframe_id << ' '
+         << describe(loop, options_);
+    return {PairStatus::kVerified, text.str(), loop};
+  }
+
+  std::optional<std::size_t> submap_about(std::int64_t keyframe_id) const {
+    const KeyframeTime& keyframe = keyframes_.at(keyframe_id);
+    return graph_.submap_about(keyframe.frame_id, keyframe.stamp_ns);
+  }
+
+  /// Places are compared by submaps, each of which speaks for all keyframes that it spans.
+  LoopExplanation explain_by_submaps(std::int64_t query_id, std::int64_t match_id) const {
+    const std::optional<std::size_t> query = submap_about(query_id), match = submap_about(match_id);
+    if (match) {
+      const LoopClosure* loop = record_.find(query_id, anchor(*match));
+      if (loop == nullptr && query) loop = record_.find(anchor(*query), anchor(*match));
+      if (loop != nullptr) return verified(*loop);
+    }
+    if (!query || !match) {
+      return {PairStatus::kNoSubmap,
+              "no submap was kept about keyframe " + std::to_string(match ? query_id : match_id) +
+                  ": too few objects or too little time since the start, a break or a jump of the odometry",
+              std::nullopt};
+    }
+    if (*query <= *match) {
+      return {PairStatus::kTooRecent, "both keyframes belong to one submap", std::nullopt};
+    }
+    const GraphDetector::Comparison comparison = graph_.compare(*query, *match);
+    LoopExplanation answer{status(*query, *match, comparison), {}, comparison.closure};
+    std::ostringstream text;
+    text << to_string(answer.status) << ": the submaps about keyframes " << anchor(*query) << " and " << anchor(*match)
+         << " are " << gap_s(*query, *match) << " s apart (>= " << options_.min_gap_s << ") and share "
+         << comparison.agreeing_pairs << " pairs of objects";
+    if (answer.closure) text << "; compared now, they would be " << describe(*answer.closure, options_);
+    answer.text = text.str();
+    return answer;
+  }
+
+  PairStatus status(std::size_t query, std::size_t match, const GraphDetector::Comparison& comparison) const {
+    if (gap_s(query, match) < options_.min_gap_s) return PairStatus::kTooRecent;
+    if (!comparison.proposed) return PairStatus::kNotProposed;
+    return comparison.closure ? PairStatus::kNotAttempted : PairStatus::kNoAlignment;
+  }
+
+  const LocalMap& submap(std::size_t number) const { return graph_.submaps()[number].map; }
+  std::int64_t anchor(std::size_t number) const { return submap(number).keyframe_id; }
+  double gap_s(std::size_t query, std::size_t match) const {
+    return 1e-9 * static_cast<double>(submap(query).stamp_ns - submap(match).stamp_ns);
+  }
+
   /// Loops are looked for between keyframes too: a camera that hardly moves makes few of them, but every view of
   /// a known place shall be recognised at once.
   bool is_due(const Frame& frame) {
@@ -86,6 +209,7 @@ class LoopDetector::Impl {
     if (drift) window_.set_span(std::clamp(window_drift_rad_ / std::max(*drift, 1e-9), min_window_s_, window_s_));
   }
 
+  LoopOptions options_;
   bool enabled_;
   bool paper_mode_;
   std::int64_t attempt_interval_ns_;
@@ -100,6 +224,10 @@ class LoopDetector::Impl {
   LocalMapBuilder builder_;
   GraphDetector graph_;
   PaperDetector paper_;
+  std::optional<GraphDetector> earlier_;  ///< of an earlier run's submaps
+  Relocaliser relocaliser_;
+  PairRecord record_{kRecordCapacity};
+  std::map<std::int64_t, KeyframeTime> keyframes_;
 };
 
 LoopDetector::LoopDetector(const LoopOptions& options, std::shared_ptr<const ClassTable> classes)
@@ -115,5 +243,15 @@ std::vector<LoopClosure> LoopDetector::detect(const Frame& frame, const Associat
 }
 
 void LoopDetector::set_enabled(bool enabled) { impl_->set_enabled(enabled); }
+
+LoopExplanation LoopDetector::explain(std::int64_t query_keyframe_id, std::int64_t match_keyframe_id) const {
+  return impl_->explain(query_keyframe_id, match_keyframe_id);
+}
+
+void LoopDetector::set_earlier_map(std::vector<LocalMap> submaps) { impl_->set_earlier_map(std::move(submaps)); }
+
+std::optional<Relocalisation> LoopDetector::relocalisation() const { return impl_->relocalisation(); }
+
+std::vector<LocalMap> LoopDetector::submaps() const { return impl_->submaps(); }
 
 }  // namespace semantic_topo_loop::core

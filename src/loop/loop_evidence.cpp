@@ -16,11 +16,13 @@ LoopClosure make_closure(const LocalMap& match, const LocalMap& query) {
   loop.query_end = query.end_frame;
   loop.match_begin = match.begin_frame;
   loop.match_end = match.end_frame;
+  if (match.is_earlier) loop.T_earlier_match = match.T_odom_anchor;
   return loop;
 }
 
 void set_alignment(const LocalMap& match, const LocalMap& query, const GraphMatch& alignment, LoopClosure* loop) {
   loop->rms_m = alignment.rms_m;
+  loop->spread_m = alignment.spread_m(1);
   loop->inliers = static_cast<int>(alignment.pairs.size());
   loop->labels = alignment.classes;
   loop->T_match_query = alignment.T_a_b;
@@ -31,31 +33,23 @@ void set_alignment(const LocalMap& match, const LocalMap& query, const GraphMatc
   }
 }
 
-namespace {
-
-bool moved_too_far(const SE3& before, const SE3& after, const LoopOptions& options) {
-  return (before.inverse() * after).t.norm() > options.refine_max_shift_m ||
-         rotation_angle(before.q, after.q) > radians(options.refine_max_shift_deg);
-}
-
-bool is_vague(const Mat6& covariance, const LoopOptions& options) {
-  return std::sqrt(covariance.topLeftCorner<3, 3>().trace()) > options.max_sigma_m ||
-         std::sqrt(covariance.bottomRightCorner<3, 3>().trace()) > radians(options.max_sigma_deg);
-}
-
-}  // namespace
-
 void refine_and_decide(const LocalMap& match, const LocalMap& query, const GraphMatch& alignment,
                        const SubmapRefiner& refiner, const LoopOptions& options, LoopClosure* loop) {
   loop->reason = LoopReason::kRefinement;
   const std::optional<Refinement> refined = refiner.refine(match, query, alignment.T_a_b, alignment.pairs);
-  if (!refined || refined->median_residual > options.refine_max_residual ||
-      moved_too_far(alignment.T_a_b, refined->T_a_b, options)) {
+  if (!refined) return;
+  loop->refine_residual = refined->median_residual;
+  loop->refine_shift_m = (alignment.T_a_b.inverse() * refined->T_a_b).t.norm();
+  loop->refine_shift_deg = degrees(rotation_angle(alignment.T_a_b.q, refined->T_a_b.q));
+  loop->sigma_m = std::sqrt(refined->covariance.topLeftCorner<3, 3>().trace());
+  loop->sigma_deg = degrees(std::sqrt(refined->covariance.bottomRightCorner<3, 3>().trace()));
+  if (loop->refine_residual > options.refine_max_residual || loop->refine_shift_m > options.refine_max_shift_m ||
+      loop->refine_shift_deg > options.refine_max_shift_deg) {
     return;
   }
   loop->T_match_query = refined->T_a_b;
   loop->covariance = refined->covariance;
-  if (is_vague(refined->covariance, options)) return;
+  if (loop->sigma_m > options.max_sigma_m || loop->sigma_deg > options.max_sigma_deg) return;
   loop->reason = LoopReason::kAccepted;
   loop->accepted = true;
 }

@@ -43,16 +43,17 @@ Vec3 mean_position(const LocalMap& map) {
 Verdict LoopVerifier::verify(const LocalMap& a, const LocalMap& b, const GraphMatch& match, double second_score) const {
   Verdict verdict;
   verdict.reason = check_alignment(match, second_score);
+  verdict.tilt_deg = degrees(tilt(a, b, match.T_a_b));
   if (verdict.reason != LoopReason::kAccepted) return verdict;
   if (is_mirrored(a, b, match)) {
     verdict.reason = LoopReason::kMirrored;
-  } else if (tilt(a, b, match.T_a_b) > radians(options_.max_tilt_deg)) {
+  } else if (verdict.tilt_deg > options_.max_tilt_deg) {
     verdict.reason = LoopReason::kTilt;
   } else {
     verdict.reprojection = reproject_both(a, b, match.T_a_b);
-    const bool explains = verdict.reprojection.ratio > options_.min_reprojection_ratio &&
-                          verdict.reprojection.objects >= options_.min_reprojected_objects &&
-                          verdict.reprojection.explained > options_.min_explained_share;
+    const bool explains = verdict.reprojection->ratio > options_.min_reprojection_ratio &&
+                          verdict.reprojection->objects >= options_.min_reprojected_objects &&
+                          verdict.reprojection->explained > options_.min_explained_share;
     if (!explains) verdict.reason = LoopReason::kReprojection;
   }
   return verdict;

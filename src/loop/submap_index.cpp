@@ -39,7 +39,7 @@ void SubmapIndex::insert(const std::vector<LabelledPoint>& points) {
   ++size_;
 }
 
-std::vector<int> SubmapIndex::query(const std::vector<LabelledPoint>& points, int end) const {
+std::vector<int> SubmapIndex::agreeing_pairs(const std::vector<LabelledPoint>& points, int end) const {
   std::vector<int> edges(static_cast<std::size_t>(std::max(end, 0)), 0);
   std::vector<int> last_pair(edges.size(), -1);
   int pair = 0;
@@ -58,6 +58,11 @@ std::vector<int> SubmapIndex::query(const std::vector<LabelledPoint>& points, in
     }
     ++pair;
   });
+  return edges;
+}
+
+std::vector<int> SubmapIndex::query(const std::vector<LabelledPoint>& points, int end) const {
+  const std::vector<int> edges = agreeing_pairs(points, end);
   std::vector<int> candidates;
   for (int submap = 0; submap < end; ++submap) {
     if (edges[static_cast<std::size_t>(submap)] >= options_.min_edges) candidates.push_back(submap);

@@ -227,7 +227,7 @@ class RefinementProblem {
     const int n = static_cast<int>(object.views.size());
     const int count = std::min(n, views);
     for (int k = 0; k < count; ++k) {
-      const ObjectView& view = object.views[static_cast<std::size_t>(k * n / count)];
+      const SubmapView& view = object.views[static_cast<std::size_t>(k * n / count)];
       const LocalFrame& frame = map.frames[static_cast<std::size_t>(view.frame)];
       const Vec2 size_px = frame.focal_px.cwiseProduct(Vec2(view.box.width(), view.box.height()));
       const double sigma = sigma_px + sigma_share * std::sqrt(size_px.prod());

@@ -1,16 +1,39 @@
+#include <geometry_msgs/TransformStamped.h>
 #include <std_srvs/SetBool.h>
+#include <std_srvs/Trigger.h>
 
 #include <memory>
+#include <mutex>
 #include <optional>
 #include <pluginlib/class_list_macros.hpp>
 
+#include "semantic_topo_loop/WhyLoop.h"
+#include "semantic_topo_loop/io/submap_file.h"
 #include "semantic_topo_loop/loop/loop_detector.h"
+#include "semantic_topo_loop/pipeline/earlier_map.h"
 #include "semantic_topo_loop/pipeline/stopwatch.h"
 #include "semantic_topo_loop/ros/conversions.h"
 #include "semantic_topo_loop/ros/frame_joiner.h"
 #include "semantic_topo_loop/ros/stage.h"
 
 namespace semantic_topo_loop {
+namespace {
+
+struct Parameters : ClassStageParameters {
+  std::string map_file, save_map_file;
+  std::string earlier_map_frame = "earlier_map";
+
+  template <class Visitor>
+  void visit(Visitor& visitor) {
+    ClassStageParameters::visit(visitor);
+    visitor("map_file", map_file, "submaps of an earlier run, in which the run's place is looked for; empty: none");
+    visitor("save_map_file", save_map_file,
+            "where the run's submaps go at its end or by ~save_map; empty: they are not kept");
+    visitor("earlier_map_frame", earlier_map_frame, "name of the earlier run's map frame in earlier_map_from_odom");
+  }
+};
+
+}  // namespace
 
 /// Looks for loops in each frame once its observation update is there; loop closing can be switched at run time.
 class LoopDetectionNodelet : public Stage {
@@ -24,15 +47,22 @@ class LoopDetectionNodelet : public Stage {
   static constexpr char kAccepted[] = "loops accepted";
 
   void onInit() override {
-    ClassStageParameters parameters;
-    if (!start(&options_, &parameters, 2)) return;
-    classes_ = load_classes(parameters.class_table);
-    if (!classes_) return;
+    if (!start(&options_, &parameters_, 2)) return;
+    classes_ = load_classes(parameters_.class_table);
+    if (!classes_ || !load_earlier_map()) return;
     joiner_ = std::make_unique<Joiner>(queue_capacity());
     publisher_ = advertise<LoopClosureArray>("loop_closures");
     for (const char* counter : {kIncomplete, kAccepted}) statistics().count(counter, 0);
     reset_session();
     keep_service(getPrivateNodeHandle().advertiseService("set_loop_closing", &LoopDetectionNodelet::on_switch, this));
+    keep_service(getPrivateNodeHandle().advertiseService("why_loop", &LoopDetectionNodelet::on_why, this));
+    keep_service(getPrivateNodeHandle().advertiseService("save_map", &LoopDetectionNodelet::on_save, this));
+    if (!parameters_.map_file.empty()) {
+      relocalisation_publisher_ = advertise<geometry_msgs::TransformStamped>("earlier_map_from_odom", true);
+    }
+    if (!parameters_.save_map_file.empty()) {
+      subscribe("map_corrections", Keep::kAlways, &LoopDetectionNodelet::on_correction);
+    }
     subscribe("quadric_map_updates", Keep::kAlways, &LoopDetectionNodelet::on_update);
     subscribe("associations", Keep::kDroppable, &LoopDetectionNodelet::on_associations);
     subscribe("frames", Keep::kDroppable, &LoopDetectionNodelet::on_frame);
@@ -40,14 +70,38 @@ class LoopDetectionNodelet : public Stage {
   }
 
   void reset_session() override {
+    joiner_->clear();
+    const std::lock_guard<std::mutex> lock(mutex_);
     detector_ = std::make_unique<core::LoopDetector>(options_.loop, classes_);
     if (enabled_) detector_->set_enabled(*enabled_);
-    joiner_->clear();
+    if (!earlier_map_.empty()) detector_->set_earlier_map(earlier_map_);
+    keyframes_.clear();
+    T_map_odom_ = core::SE3();
+    end_frame_id_ = -1;
+  }
+
+  /// @return false after fail()
+  bool load_earlier_map() {
+    if (parameters_.map_file.empty()) return true;
+    std::string error;
+    std::optional<std::vector<core::LocalMap>> submaps;
+    if (options_.loop.mode == "graph") {
+      submaps = core::read_submaps(parameters_.map_file, *classes_, &error);
+    } else {
+      error = "parameter 'map_file' = '" + parameters_.map_file + "' needs loop/mode graph";
+    }
+    if (!submaps) {
+      fail(error);
+      return false;
+    }
+    earlier_map_ = std::move(*submaps);
+    return true;
   }
 
   bool on_switch(std_srvs::SetBool::Request& request, std_srvs::SetBool::Response& response) {
     push("set_loop_closing", Keep::kAlways, [this, enabled = request.data != 0] {
       enabled_ = enabled;
+      const std::lock_guard<std::mutex> lock(mutex_);
       detector_->set_enabled(enabled);
     });
     response.success = true;
@@ -56,7 +110,61 @@ class LoopDetectionNodelet : public Stage {
     return true;
   }
 
-  void on_frame(const Frame::ConstPtr& frame) { detect(joiner_->add<0>(frame->frame_id, frame)); }
+  bool on_save(std_srvs::Trigger::Request&, std_srvs::Trigger::Response& response) {
+    if (parameters_.save_map_file.empty()) {
+      response.success = false;
+      response.message = "parameter 'save_map_file' is empty: there is no place for the submaps";
+    } else {
+      response.success = save(&response.message);
+    }
+    return true;
+  }
+
+  /// @param answer the file, or the error
+  bool save(std::string* answer) {
+    std::vector<core::LocalMap> submaps;
+    {
+      const std::lock_guard<std::mutex> lock(mutex_);
+      submaps = detector_->submaps();
+      core::move_to_map(keyframes_, T_map_odom_, &submaps);
+    }
+    if (!core::write_submaps(parameters_.save_map_file, submaps, answer)) return false;
+    *answer = parameters_.save_map_file;
+    return true;
+  }
+
+  void on_correction(const MapCorrection::ConstPtr& message) {
+    core::MapCorrection correction = from_msg(*message);
+    {
+      const std::lock_guard<std::mutex> lock(mutex_);
+      T_map_odom_ = correction.T_map_odom;
+      if (correction.changed) keyframes_ = std::move(correction.keyframes);
+    }
+    if (message->frame_id != end_frame_id_) return;
+    std::string answer;
+    if (save(&answer)) {
+      NODELET_INFO("submaps written to %s", answer.c_str());
+    } else {
+      statistics().set_failure(answer);
+      NODELET_ERROR("submaps not written: %s", answer.c_str());
+    }
+  }
+
+  /// Answers at once, between two frames: asking changes nothing, and waits for one frame's detection at most.
+  bool on_why(WhyLoop::Request& request, WhyLoop::Response& response) {
+    const std::lock_guard<std::mutex> lock(mutex_);
+    const core::LoopExplanation answer = detector_->explain(request.query_keyframe_id, request.match_keyframe_id);
+    response.status = static_cast<std::uint8_t>(answer.status);
+    response.explanation = answer.text;
+    response.has_closure = answer.closure.has_value();
+    if (answer.closure) response.closure = to_msg(*answer.closure);
+    return true;
+  }
+
+  void on_frame(const Frame::ConstPtr& frame) {
+    if (frame->is_end) end_frame_id_ = frame->frame_id;
+    detect(joiner_->add<0>(frame->frame_id, frame));
+  }
 
   void on_associations(const AssociationArray::ConstPtr& associations) {
     detect(joiner_->add<1>(associations->frame_id, associations));
@@ -64,7 +172,10 @@ class LoopDetectionNodelet : public Stage {
 
   /// Updates are applied as they come, which is the order in which the map made them.
   void on_update(const QuadricMapUpdate::ConstPtr& update) {
-    detector_->apply(from_msg(*update));
+    {
+      const std::lock_guard<std::mutex> lock(mutex_);
+      detector_->apply(from_msg(*update));
+    }
     if (update->phase == QuadricMapUpdate::PHASE_OBSERVATION) detect(joiner_->add<2>(update->frame_id, update));
   }
 
@@ -72,27 +183,63 @@ class LoopDetectionNodelet : public Stage {
     statistics().set(kIncomplete, joiner_->evicted());
     if (!joined) return;
     const Frame& frame = *std::get<0>(*joined);
-    const core::Stopwatch stopwatch;
-    const std::vector<core::LoopClosure> loops = detector_->detect(from_msg(frame), from_msg(*std::get<1>(*joined)));
     auto message = boost::make_shared<LoopClosureArray>();
-    message->duration_us = stopwatch.elapsed_us();
+    const std::vector<core::LoopClosure> loops =
+        detect(from_msg(frame), from_msg(*std::get<1>(*joined)), &message->duration_us);
     to_msg(loops, message.get());
     message->header = make_header(frame.header.stamp, frame.camera_frame);
     message->session_id = session_id();
     message->frame_id = frame.frame_id;
     publisher_.publish(message);
+    bool relocalised = false;
     for (const core::LoopClosure& loop : loops) {
+      relocalised = relocalised || (loop.accepted && loop.T_earlier_match);
       statistics().count(loop.accepted ? kAccepted : std::string("loops rejected: ") + to_string(loop.reason));
     }
+    if (relocalised) publish_relocalisation(frame);
     count_processed();
   }
 
+  void publish_relocalisation(const Frame& frame) {
+    std::optional<core::Relocalisation> found;
+    {
+      const std::lock_guard<std::mutex> lock(mutex_);
+      found = detector_->relocalisation();
+    }
+    if (!found) return;
+    auto message = boost::make_shared<geometry_msgs::TransformStamped>();
+    message->header = make_header(frame.header.stamp, parameters_.earlier_map_frame);
+    message->child_frame_id = frame.header.frame_id;
+    const geometry_msgs::Pose pose = to_msg(found->T_earlier_odom);
+    message->transform.translation.x = pose.position.x;
+    message->transform.translation.y = pose.position.y;
+    message->transform.translation.z = pose.position.z;
+    message->transform.rotation = pose.orientation;
+    relocalisation_publisher_.publish(message);
+    NODELET_INFO_ONCE("the run's place in the earlier map is known, by %d of %d loops", found->agreeing, found->total);
+  }
+
+  std::vector<core::LoopClosure> detect(const core::Frame& frame, const core::AssociationFrame& associations,
+                                        double* duration_us) {
+    const std::lock_guard<std::mutex> lock(mutex_);
+    const core::Stopwatch stopwatch;
+    std::vector<core::LoopClosure> loops = detector_->detect(frame, associations);
+    *duration_us = stopwatch.elapsed_us();
+    return loops;
+  }
+
   core::Options options_;
+  Parameters parameters_;
   std::shared_ptr<const core::ClassTable> classes_;
   std::optional<bool> enabled_;  ///< as set by the service; none: as configured
-  ros::Publisher publisher_;
+  std::vector<core::LocalMap> earlier_map_;
+  ros::Publisher publisher_, relocalisation_publisher_;
   std::unique_ptr<Joiner> joiner_;
+  std::int64_t end_frame_id_ = -1;  ///< of the session's END frame, once it came
+  std::mutex mutex_;                ///< guards all below, which the worker feeds, and ~why_loop and ~save_map ask
   std::unique_ptr<core::LoopDetector> detector_;
+  std::vector<core::KeyframePose> keyframes_;  ///< of the last solution
+  core::SE3 T_map_odom_;
 };
 
 }  // namespace semantic_topo_loop

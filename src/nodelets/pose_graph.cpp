@@ -116,13 +116,13 @@ class PoseGraphNodelet : public Stage {
   /// Loops of a frame that went in without them are added with the next frame.
   void on_loops(const LoopClosureArray::ConstPtr& loops) {
     if (!joiner_->is_past(loops->frame_id)) return process(joiner_->add<1>(loops->frame_id, loops));
-    const std::vector<core::LoopClosure> late = from_msg(*loops);
+    const std::vector<core::LoopClosure> late = core::own_loops(from_msg(*loops));
     late_loops_.insert(late_loops_.end(), late.begin(), late.end());
   }
 
   void process(const std::optional<Joiner::Set>& joined) {
     statistics().set(kWithoutLoops, joiner_->evicted());
-    if (joined) process(*std::get<0>(*joined), from_msg(*std::get<1>(*joined)));
+    if (joined) process(*std::get<0>(*joined), core::own_loops(from_msg(*std::get<1>(*joined))));
   }
 
   void process(const Frame& frame, const std::vector<core::LoopClosure>& frame_loops) {

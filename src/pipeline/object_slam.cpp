@@ -1,5 +1,6 @@
 #include "semantic_topo_loop/pipeline/object_slam.h"
 
+#include "semantic_topo_loop/pipeline/earlier_map.h"
 #include "semantic_topo_loop/pipeline/stopwatch.h"
 
 namespace semantic_topo_loop::core {
@@ -20,11 +21,17 @@ FrameResult ObjectSlam::process(const Frame& frame, const std::vector<Detection>
   const Stopwatch stopwatch;
   result.loops = loop_detector_.detect(frame, result.associations);
   result.loop_us = stopwatch.elapsed_us();
-  result.correction = pose_graph_.process(frame, result.loops, extra_loops);
+  result.correction = pose_graph_.process(frame, own_loops(result.loops), extra_loops);
   result.completion = mapper_.apply(result.correction);
   associator_.apply(result.completion);
   loop_detector_.apply(result.completion);
   return result;
+}
+
+std::vector<LocalMap> ObjectSlam::submaps_in_map() const {
+  std::vector<LocalMap> submaps = loop_detector_.submaps();
+  move_to_map(pose_graph_.keyframes(), pose_graph_.T_map_odom(), &submaps);
+  return submaps;
 }
 
 }  // namespace semantic_topo_loop::core

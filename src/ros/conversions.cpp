@@ -274,12 +274,23 @@ LoopClosure to_msg(const core::LoopClosure& loop) {
   message.score = loop.score;
   message.second_score = loop.second_score;
   message.rms_m = loop.rms_m;
+  message.spread_m = loop.spread_m;
+  message.tilt_deg = loop.tilt_deg;
   message.reprojection_ratio = loop.reprojection_ratio;
+  message.reprojected_objects = loop.reprojected_objects;
+  message.explained_share = loop.explained_share;
+  message.refine_residual = loop.refine_residual;
+  message.refine_shift_m = loop.refine_shift_m;
+  message.refine_shift_deg = loop.refine_shift_deg;
+  message.sigma_m = loop.sigma_m;
+  message.sigma_deg = loop.sigma_deg;
   message.inliers = loop.inliers;
   message.labels = loop.labels;
   message.match_from_query = to_msg(loop.T_match_query);
   fill(loop.covariance, &message.covariance);
   message.matches = to_messages<ObjectMatch>(loop.matches);
+  message.in_earlier_map = loop.T_earlier_match.has_value();
+  message.earlier_map_from_match = to_msg(loop.T_earlier_match.value_or(core::SE3()));
   return message;
 }
 
@@ -300,12 +311,22 @@ core::LoopClosure from_msg(const LoopClosure& message) {
   loop.score = message.score;
   loop.second_score = message.second_score;
   loop.rms_m = message.rms_m;
+  loop.spread_m = message.spread_m;
+  loop.tilt_deg = message.tilt_deg;
   loop.reprojection_ratio = message.reprojection_ratio;
+  loop.reprojected_objects = message.reprojected_objects;
+  loop.explained_share = message.explained_share;
+  loop.refine_residual = message.refine_residual;
+  loop.refine_shift_m = message.refine_shift_m;
+  loop.refine_shift_deg = message.refine_shift_deg;
+  loop.sigma_m = message.sigma_m;
+  loop.sigma_deg = message.sigma_deg;
   loop.inliers = message.inliers;
   loop.labels = message.labels;
   loop.T_match_query = from_msg(message.match_from_query);
   loop.covariance = to_matrix6(message.covariance);
   loop.matches = from_messages<core::ObjectMatch>(message.matches);
+  if (message.in_earlier_map != 0) loop.T_earlier_match = from_msg(message.earlier_map_from_match);
   return loop;
 }
 

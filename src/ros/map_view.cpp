@@ -38,7 +38,8 @@ void MapView::add_keyframe(std::int64_t keyframe_id, const core::SE3& T_odom_cam
 
 void MapView::add_loops(const std::vector<core::LoopClosure>& loops) {
   for (const core::LoopClosure& loop : loops) {
-    if (loop.accepted) loops_.push_back({loop.query_keyframe_id, loop.match_keyframe_id, true});
+    if (loop.accepted && !loop.T_earlier_match)
+      loops_.push_back({loop.query_keyframe_id, loop.match_keyframe_id, true});
   }
 }
 

@@ -9,7 +9,7 @@ namespace {
 
 /// The boxes of one object, collected frame by frame.
 struct Evidence {
-  ReferenceObject reference;
+  SimulatedReference reference;
   std::vector<double> ious;
   std::vector<Vec3> rays;  ///< unit, world frame, at least kRayStep apart
 };
@@ -30,7 +30,7 @@ double largest_angle_deg(const std::vector<Vec3>& rays) {
   return degrees(std::acos(std::clamp(smallest_cosine, -1.0, 1.0)));
 }
 
-Certainty certainty_of(const ReferenceObject& object, double rate_hz) {
+Certainty certainty_of(const SimulatedReference& object, double rate_hz) {
   const auto lasts = [rate_hz](int frames, double seconds) { return frames >= seconds * rate_hz; };
   if (lasts(object.views, 3.0) && lasts(object.whole_frames, 1.0) && object.baseline_deg >= 20.0) {
     return Certainty::kCertain;
@@ -39,7 +39,7 @@ Certainty certainty_of(const ReferenceObject& object, double rate_hz) {
 }
 
 void summarise(double rate_hz, Evidence* evidence) {
-  ReferenceObject& r = evidence->reference;
+  SimulatedReference& r = evidence->reference;
   std::vector<double>& ious = evidence->ious;
   std::sort(ious.begin(), ious.end());
   for (const double value : ious) {
@@ -99,7 +99,8 @@ std::string format_place(std::size_t id, int class_id, const Ellipsoid& ellipsoi
   return row;
 }
 
-std::string format_row(std::size_t id, const ReferenceObject& r, const SceneObject& object, const ClassTable& classes) {
+std::string format_row(std::size_t id, const SimulatedReference& r, const SceneObject& object,
+                       const ClassTable& classes) {
   std::string row = format_place(id, object.class_id, object.ellipsoid, classes);
   row += "," + std::to_string(r.views) + "," + std::to_string(r.whole_frames);
   for (const double value : {r.baseline_deg, r.mean_iou, r.median_iou, r.share_iou_above_half}) {
@@ -140,7 +141,7 @@ const char* to_string(Certainty certainty) {
   return "marginal";
 }
 
-std::vector<ReferenceObject> reference_objects(const SimulatedSequence& sequence) {
+std::vector<SimulatedReference> reference_objects(const SimulatedSequence& sequence) {
   if (sequence.truth.size() < 2) return {};
   std::vector<Evidence> evidence(sequence.scene.objects.size());
   const SceneProjector projector(sequence.scene, sequence.camera);
@@ -149,7 +150,7 @@ std::vector<ReferenceObject> reference_objects(const SimulatedSequence& sequence
   const double duration_s =
       1e-9 * static_cast<double>(sequence.truth.back().stamp_ns - sequence.truth.front().stamp_ns);
   const double rate_hz = static_cast<double>(sequence.truth.size() - 1) / duration_s;
-  std::vector<ReferenceObject> references;
+  std::vector<SimulatedReference> references;
   for (std::size_t i = 0; i < evidence.size(); ++i) {
     evidence[i].reference.object = static_cast<int>(i);
     if (evidence[i].ious.empty()) continue;
@@ -157,7 +158,7 @@ std::vector<ReferenceObject> reference_objects(const SimulatedSequence& sequence
     references.push_back(evidence[i].reference);
   }
   std::stable_sort(references.begin(), references.end(),
-                   [](const ReferenceObject& a, const ReferenceObject& b) { return a.views > b.views; });
+                   [](const SimulatedReference& a, const SimulatedReference& b) { return a.views > b.views; });
   return references;
 }
 
@@ -165,7 +166,7 @@ std::string format_reference_objects(const SimulatedSequence& sequence, const Cl
   std::string text =
       "id,label_id,label,x,y,z,a,b,c,yaw,views,fullvis_frames,baseline_deg,mean_iou,median_iou,iou_gt_05,first,last,"
       "alt_labels,certainty\n";
-  const std::vector<ReferenceObject> references = reference_objects(sequence);
+  const std::vector<SimulatedReference> references = reference_objects(sequence);
   for (std::size_t i = 0; i < references.size(); ++i) {
     const auto object = static_cast<std::size_t>(references[i].object);
     text += format_row(i, references[i], sequence.scene.objects[object], classes);
@@ -192,12 +193,12 @@ std::vector<GoneObject> gone_objects(const SimulatedSequence& sequence) {
 
 std::string format_gone_objects(const SimulatedSequence& sequence, const ClassTable& classes) {
   std::string text = "id,label_id,label,x,y,z,a,b,c,yaw,views,last,reference_id\n";
-  const std::vector<ReferenceObject> references = reference_objects(sequence);
+  const std::vector<SimulatedReference> references = reference_objects(sequence);
   const std::vector<GoneObject> places = gone_objects(sequence);
   for (std::size_t i = 0; i < places.size(); ++i) {
     const GoneObject& gone = places[i];
     const auto reference = std::find_if(references.begin(), references.end(),
-                                        [&gone](const ReferenceObject& r) { return r.object == gone.object; });
+                                        [&gone](const SimulatedReference& r) { return r.object == gone.object; });
     const auto reference_id = reference == references.end() ? -1 : reference - references.begin();
     const int class_id = sequence.scene.objects[static_cast<std::size_t>(gone.object)].class_id;
     text += format_place(i, class_id, gone.ellipsoid, classes) + "," + std::to_string(gone.views) + "," +

@@ -199,6 +199,8 @@ LoopClosure make_loop(std::int64_t query, bool accepted) {
   loop.reason = accepted ? LoopReason::kAccepted : LoopReason::kTilt;
   loop.score = 1.25;
   loop.inliers = 7;
+  loop.rms_m = 0.03;
+  loop.reprojection_ratio = 0.7;
   return loop;
 }
 
@@ -213,9 +215,30 @@ TEST_F(RunRecorderTest, LoopsInOrderOfFrameAndPosition) {
   EXPECT_EQ(loops->at(0).query_frame, 5);
   EXPECT_EQ(loops->at(1).query_frame, 8);
   EXPECT_EQ(loops->at(2).query_frame, 7);
+  EXPECT_NE(text("loops.csv").find(",tilt,1.250000,7,"), std::string::npos);
+  EXPECT_NE(text("loops.csv").find(",0.030000,0.000000,-1.000000,0.700000,-1,"), std::string::npos) << "its figures";
   EXPECT_NE(
       text("loops.csv").find("\n8,1,1500000000.008000,1500000000.000000,7,9,0,2,1,accepted,1.250000,7,0.000000000"),
       std::string::npos);
+}
+
+TEST_F(RunRecorderTest, LoopsIntoAnEarlierMapAreKeptApart) {
+  const SE3 T_earlier_odom(so3_exp(Vec3(0.3, -0.2, 0.5)), Vec3(1.0, 2.0, 3.0));
+  for (const Frame& frame : frames_) recorder_.record(frame);
+  for (std::int64_t k = 5; k < 9; ++k) {
+    LoopClosure loop = make_loop(k, true);
+    loop.T_earlier_match = SE3(so3_exp(Vec3(0.1, 0.0, 0.0)), Vec3(4.0, 0.0, 0.0));
+    loop.T_match_query =
+        loop.T_earlier_match->inverse() * T_earlier_odom * frames_[static_cast<std::size_t>(k)].T_odom_camera;
+    recorder_.record(k, {make_loop(k, true), loop}, 10.0);
+  }
+  write();
+  EXPECT_EQ(read_loops(directory_.path("run/loops.csv"), nullptr)->size(), 4u);
+  EXPECT_EQ(read_loops(directory_.path("run/relocalisations.csv"), nullptr)->size(), 4u);
+  const nlohmann::json summary = nlohmann::json::parse(text("summary.json"));
+  EXPECT_EQ(summary["loops"]["accepted"], 4);
+  EXPECT_EQ(summary["relocalisation"]["agreeing"], 4);
+  EXPECT_NEAR(summary["relocalisation"]["earlier_map_from_odom"][1].get<double>(), 2.0, 1e-6);
 }
 
 TEST_F(RunRecorderTest, AssociationsByNameOfLevel) {

@@ -12,6 +12,7 @@
 #include "semantic_topo_loop/io/camera_yaml.h"
 #include "semantic_topo_loop/io/class_table_yaml.h"
 #include "semantic_topo_loop/io/tum_trajectory.h"
+#include "semantic_topo_loop/loop/local_map.h"
 #include "semantic_topo_loop/loop/loop_detector.h"
 #include "semantic_topo_loop/loop/loop_options.h"
 #include "semantic_topo_loop/pipeline/frame_builder.h"
@@ -180,6 +181,26 @@ TEST(LoopData, ClosesAcrossARestart) {
   }
   EXPECT_GE(right, 20);
   EXPECT_LE(wrong, right / 100);
+}
+
+TEST(LoopData, ARunInAnUnknownFrameIsPlacedInAnEarlierMap) {
+  if (office().empty()) GTEST_SKIP() << "SEMANTIC_TOPO_LOOP_DATA is not set";
+  const SE3 T_other_world(so3_exp(Vec3(-0.4, 1.3, 2.1)), Vec3(2.0, -3.0, 1.0));
+  const auto middle = office().begin() + static_cast<std::ptrdiff_t>(office().size() / 2);
+  LoopDetector first(LoopOptions(), coco()), second(LoopOptions(), coco());
+  for (auto step = office().begin(); step != middle; ++step) first.detect(step->frame, step->associations);
+  second.set_earlier_map(first.submaps());
+  for (auto step = middle; step != office().end(); ++step) {
+    Frame frame = step->frame;
+    frame.T_odom_camera = T_other_world * frame.T_odom_camera;
+    second.detect(frame, step->associations);
+  }
+  const std::optional<Relocalisation> found = second.relocalisation();
+  ASSERT_TRUE(found.has_value());
+  const SE3 there = found->T_earlier_odom * T_other_world * office().back().frame.T_odom_camera;
+  EXPECT_LT((there.t - office().back().frame.T_odom_camera.t).norm(), 0.1);
+  EXPECT_LT(degrees(rotation_angle(there.q, office().back().frame.T_odom_camera.q)), 3.0);
+  EXPECT_GE(found->agreeing, 20);
 }
 
 TEST(LoopData, TheMirrorImageIsNoLoop) {

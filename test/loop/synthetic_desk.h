@@ -2,6 +2,7 @@
 
 #include <cmath>
 #include <cstdint>
+#include <functional>
 #include <memory>
 #include <random>
 #include <string>
@@ -9,6 +10,7 @@
 
 #include "semantic_topo_loop/association/association.h"
 #include "semantic_topo_loop/detection/class_table.h"
+#include "semantic_topo_loop/loop/local_map.h"
 #include "semantic_topo_loop/loop/loop_detector.h"
 #include "semantic_topo_loop/loop/loop_options.h"
 #include "semantic_topo_loop/loop/spheroid.h"
@@ -140,6 +142,7 @@ struct RunSetup {
   bool drift_is_break = false;
   bool same_ids = false;  ///< later visits keep the landmark ids of the first
   double quality = 0.8;
+  std::vector<LocalMap> earlier_map = {};
 };
 
 struct RunOutcome {
@@ -162,9 +165,11 @@ struct RunOutcome {
   }
 };
 
-/// Feeds 10 Hz frames through a LoopDetector.
-inline RunOutcome run(const LoopOptions& options, const RunSetup& setup) {
+/// Feeds 10 Hz frames through a LoopDetector.   @param at_end is shown the detector after the last frame
+inline RunOutcome run(const LoopOptions& options, const RunSetup& setup,
+                      const std::function<void(const LoopDetector&)>& at_end = {}) {
   LoopDetector detector(options, desk_classes());
+  if (!setup.earlier_map.empty()) detector.set_earlier_map(setup.earlier_map);
   FrameBuilder builder(KeyframeOptions(), desk_camera());
   std::mt19937_64 random(7);
   RunOutcome outcome;
@@ -192,6 +197,7 @@ inline RunOutcome run(const LoopOptions& options, const RunSetup& setup) {
     outcome.T_world_camera.push_back(T_world_camera);
     outcome.T_odom_camera.push_back(sample.T_odom_camera);
   }
+  if (at_end) at_end(detector);
   return outcome;
 }
 

@@ -165,11 +165,11 @@ class MovedCup : public ::testing::TestWithParam<std::tuple<std::string, int>> {
     ASSERT_GT(gone[0].views, 60);
     const auto references = reference_objects(*sequence);
     const auto moved = std::find_if(references.begin(), references.end(),
-                                    [&gone](const ReferenceObject& r) { return r.object == gone[0].object; });
+                                    [&gone](const SimulatedReference& r) { return r.object == gone[0].object; });
     ASSERT_TRUE(moved != references.end() && moved->certainty == Certainty::kCertain);
     result->old_place = gone[0].ellipsoid.center();
     result->new_place = sequence->scene.objects[static_cast<std::size_t>(moved->object)].ellipsoid.center();
-    for (const ReferenceObject& r : references) {
+    for (const SimulatedReference& r : references) {
       if (r.certainty == Certainty::kCertain && r.object != moved->object) {
         result->others.push_back(sequence->scene.objects[static_cast<std::size_t>(r.object)]);
       }

@@ -2,6 +2,7 @@
 
 #include <filesystem>
 #include <fstream>
+#include <map>
 #include <regex>
 #include <string>
 
@@ -27,6 +28,25 @@ TEST(Layering, CoreIncludesNoRosHeader) {
     }
   }
   EXPECT_GT(files, 100);
+}
+
+/// Two types of one name in one namespace would share the symbols of their templates, whichever is linked first.
+TEST(Layering, NoTwoFilesDefineTheSameType) {
+  const std::regex definition("(struct|class) ([A-Za-z0-9_]+)( final)?( :.*)? \\{.*");
+  std::map<std::string, std::string> file_of;
+  for (const std::string root : {STL_SOURCE_DIR "/include/semantic_topo_loop", STL_SOURCE_DIR "/src"}) {
+    for (const auto& entry : fs::recursive_directory_iterator(root)) {
+      if (entry.path().extension() != ".h") continue;
+      std::ifstream file(entry.path());
+      for (std::string line; std::getline(file, line);) {
+        std::smatch match;
+        if (!std::regex_match(line, match, definition)) continue;
+        const auto [known, is_new] = file_of.emplace(match[2].str(), entry.path().string());
+        EXPECT_TRUE(is_new) << match[2] << " is defined in " << known->second << " and " << entry.path();
+      }
+    }
+  }
+  EXPECT_GT(file_of.size(), 100u);
 }
 
 }  // namespace

@@ -111,10 +111,14 @@ core::LoopClosure random_loop(Random* random) {
     *id = random->integer();
   }
   loop.accepted = random->flag();
-  loop.reason = static_cast<core::LoopReason>(random->small() % 13);
-  for (double* value : {&loop.score, &loop.second_score, &loop.rms_m, &loop.reprojection_ratio}) {
+  loop.reason = static_cast<core::LoopReason>(random->small() % 14);
+  for (double* value : {&loop.score, &loop.second_score, &loop.rms_m, &loop.spread_m, &loop.tilt_deg,
+                        &loop.reprojection_ratio, &loop.explained_share, &loop.refine_residual, &loop.refine_shift_m,
+                        &loop.refine_shift_deg, &loop.sigma_m, &loop.sigma_deg}) {
     *value = random->number();
   }
+  loop.reprojected_objects = random->small();
+  if (random->flag()) loop.T_earlier_match = random->pose();
   loop.inliers = random->small();
   loop.labels = random->small();
   loop.T_match_query = random->pose();
@@ -296,7 +300,8 @@ TEST(Conversions, FullMapHasEveryLandmark) {
 
 TEST(Conversions, LoopsAreBitExact) {
   Random random(7);
-  const std::vector<core::LoopClosure> loops = {random_loop(&random), random_loop(&random)};
+  std::vector<core::LoopClosure> loops;
+  for (int i = 0; i < 6; ++i) loops.push_back(random_loop(&random));
   LoopClosureArray message;
   to_msg(loops, &message);
   const std::vector<core::LoopClosure> back = from_msg(over_the_wire(message));
@@ -318,7 +323,18 @@ TEST(Conversions, LoopsAreBitExact) {
     EXPECT_TRUE(same_bits(a.score, b.score));
     EXPECT_TRUE(same_bits(a.second_score, b.second_score));
     EXPECT_TRUE(same_bits(a.rms_m, b.rms_m));
+    EXPECT_TRUE(same_bits(a.spread_m, b.spread_m));
+    EXPECT_TRUE(same_bits(a.tilt_deg, b.tilt_deg));
     EXPECT_TRUE(same_bits(a.reprojection_ratio, b.reprojection_ratio));
+    EXPECT_EQ(a.reprojected_objects, b.reprojected_objects);
+    EXPECT_TRUE(same_bits(a.explained_share, b.explained_share));
+    EXPECT_TRUE(same_bits(a.refine_residual, b.refine_residual));
+    EXPECT_TRUE(same_bits(a.refine_shift_m, b.refine_shift_m));
+    EXPECT_TRUE(same_bits(a.refine_shift_deg, b.refine_shift_deg));
+    EXPECT_TRUE(same_bits(a.sigma_m, b.sigma_m));
+    EXPECT_TRUE(same_bits(a.sigma_deg, b.sigma_deg));
+    ASSERT_EQ(a.T_earlier_match.has_value(), b.T_earlier_match.has_value());
+    if (a.T_earlier_match) expect_same(*a.T_earlier_match, *b.T_earlier_match);
     EXPECT_EQ(a.inliers, b.inliers);
     EXPECT_EQ(a.labels, b.labels);
     expect_same(a.T_match_query, b.T_match_query);

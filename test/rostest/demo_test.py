@@ -15,6 +15,7 @@ from visualization_msgs.msg import MarkerArray
 
 from playback import PACKAGE, RESULT_FILES, Launch, differing_files, run_program, wait_until
 from semantic_topo_loop.msg import FrameDone, QuadricMap
+from semantic_topo_loop.srv import WhyLoop, WhyLoopResponse
 
 
 class Heard:
@@ -92,6 +93,21 @@ class DemoTest(unittest.TestCase):
         self.assertIn(('odom', 'camera_optical_frame'), self.heard.edges)
         self.assertGreater(len(self.heard.last['path_corrected'].poses), 10)
         self.assertGreater(len(self.heard.last['markers/quadrics'].markers), 3)
+
+    def test_explains_pairs_of_keyframes(self):
+        why_loop = rospy.ServiceProxy('/%s/loop_detection/why_loop' % PACKAGE, WhyLoop)
+        with open(os.path.join(self.results, 'keyframes.csv')) as file:
+            last = max(int(row['keyframe_id']) for row in csv.DictReader(file))
+        answer = why_loop(last + 1, 0)
+        self.assertEqual((answer.status, answer.has_closure), (WhyLoopResponse.STATUS_UNKNOWN_KEYFRAME, False))
+        self.assertIn('keyframe %d is unknown: there are 0 to %d' % (last + 1, last), answer.explanation)
+        self.assertEqual(why_loop(1, 2).status, WhyLoopResponse.STATUS_WRONG_ORDER)
+        # All within loop.min_gap_s, so that the pair is compared for the answer.
+        answers = [why_loop(last // 2 + k, k) for k in range(last // 2)]
+        too_recent = [a for a in answers if a.status == WhyLoopResponse.STATUS_TOO_RECENT and a.has_closure]
+        self.assertTrue(too_recent, [a.explanation for a in answers])
+        self.assertIn('compared now', too_recent[0].explanation)
+        self.assertGreaterEqual(too_recent[0].closure.inliers, 4)
 
     def test_lockstep_is_offline_byte_for_byte(self):
         offline = os.path.join(self.directory, 'offline')

@@ -143,7 +143,7 @@ TEST(Dynamics, people_come_into_view_and_hide_what_is_behind) {
 
 TEST(Dynamics, people_are_no_reference_objects) {
   const auto sequence = simulate_texts({{"trajectory.duration_s", "20"}, {"dynamics.persons", "3"}});
-  for (const ReferenceObject& reference : reference_objects(*sequence)) {
+  for (const SimulatedReference& reference : reference_objects(*sequence)) {
     EXPECT_NE(sequence->scene.objects[static_cast<std::size_t>(reference.object)].class_id, kPerson);
   }
   EXPECT_TRUE(gone_objects(*sequence).empty());
@@ -200,7 +200,7 @@ TEST(Dynamics, truth_states_the_final_place_and_the_one_that_is_gone) {
 
   const auto references = reference_objects(*sequence);
   const auto it = std::find_if(references.begin(), references.end(),
-                               [&](const ReferenceObject& r) { return r.object == gone[0].object; });
+                               [&](const SimulatedReference& r) { return r.object == gone[0].object; });
   ASSERT_NE(it, references.end());
   EXPECT_GE(it->first_frame, kMoveFrame);
   EXPECT_GT(it->mean_iou, 0.7);

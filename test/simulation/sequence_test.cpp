@@ -143,9 +143,9 @@ TEST(Sequence, most_objects_of_a_whole_lap_are_certain) {
   for (const char* layout : {"desk", "office"}) {
     const auto sequence = simulate(options_of({{"scene.layout", layout}}), camera_fr2(), coco(), nullptr);
     ASSERT_TRUE(sequence);
-    const std::vector<ReferenceObject> references = reference_objects(*sequence);
+    const std::vector<SimulatedReference> references = reference_objects(*sequence);
     double certain = 0.0;
-    for (const ReferenceObject& r : references) {
+    for (const SimulatedReference& r : references) {
       certain += r.certainty == Certainty::kCertain ? 1.0 : 0.0;
       EXPECT_GE(r.views, 1);
       EXPECT_LE(r.mean_iou, 1.0);
@@ -161,7 +161,7 @@ TEST(Sequence, most_objects_of_a_whole_lap_are_certain) {
 TEST(Sequence, a_few_views_do_not_make_an_object_certain) {
   const auto sequence = simulate(options_of({{"trajectory.duration_s", "2"}}), camera_fr2(), coco(), nullptr);
   ASSERT_TRUE(sequence);
-  for (const ReferenceObject& r : reference_objects(*sequence)) EXPECT_NE(r.certainty, Certainty::kCertain);
+  for (const SimulatedReference& r : reference_objects(*sequence)) EXPECT_NE(r.certainty, Certainty::kCertain);
 }
 
 TEST(SimulationOptions, bad_values_are_named) {

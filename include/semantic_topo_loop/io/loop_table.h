@@ -11,8 +11,8 @@ namespace semantic_topo_loop::core {
 std::string loop_table_header();
 std::string loop_table_row(const LoopClosure& loop);
 
-/// Writes loops to be handed to the pose graph: loops.csv with `sigma_m,sigma_deg`, the root mean square over the axes
-/// of what the covariance says, behind it.
+/// Writes loops to be handed to the pose graph, as loops.csv; `sigma_m` and `sigma_deg` are what the covariance
+/// says of translation and rotation, the root of its trace.
 /// @return false, with the path in `error`, if the file cannot be written
 bool write_given_loops(const std::string& path, const std::vector<LoopClosure>& loops, std::string* error);
 

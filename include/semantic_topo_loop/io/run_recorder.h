@@ -2,6 +2,7 @@
 
 #include <map>
 #include <memory>
+#include <optional>
 #include <string>
 #include <utility>
 #include <vector>
@@ -9,6 +10,7 @@
 #include "semantic_topo_loop/association/association.h"
 #include "semantic_topo_loop/detection/class_table.h"
 #include "semantic_topo_loop/loop/loop_closure.h"
+#include "semantic_topo_loop/loop/relocalisation.h"
 #include "semantic_topo_loop/map/frame.h"
 #include "semantic_topo_loop/map/landmark.h"
 #include "semantic_topo_loop/pose_graph/map_correction.h"
@@ -29,9 +31,12 @@ class RunRecorder {
   void record(const MapCorrection& correction);
 
   /// Writes trajectory_live.txt, trajectory.txt, keyframes.csv, objects.csv, loops.csv, loop_verdicts.csv,
-  /// associations.csv, timing.csv and summary.json, creating the directory. Each file appears whole or not at all.
+  /// associations.csv, timing.csv and summary.json, and relocalisations.csv if there were candidates in an earlier run's
+  /// map, creating the directory. Each file appears whole or not at all.
   /// @return false, with the path in `error`, if a file cannot be written
   bool write(const std::string& directory, std::string* error) const;
+  /// Where the run is in an earlier run's map, by the loops recorded so far.
+  std::optional<Relocalisation> relocalisation() const;
 
  private:
   struct FrameTiming {
@@ -45,7 +50,8 @@ class RunRecorder {
   std::string trajectory(bool live) const;
   std::string keyframes() const;
   std::string objects() const;
-  std::string loops() const;
+  /// @param in_earlier_map those into an earlier run's map, or the run's own
+  std::string loops(bool in_earlier_map) const;
   std::string loop_verdicts() const;
   std::string associations() const;
   std::string timing() const;
@@ -58,6 +64,7 @@ class RunRecorder {
   std::map<std::int64_t, SE3> T_map_odom_;                  ///< in effect after each frame
   std::map<std::int64_t, Landmark> landmarks_;              ///< latest state of those that still exist
   std::map<std::int64_t, std::vector<LoopClosure>> loops_;  ///< by frame_id
+  bool has_earlier_map_ = false;                            ///< there was a candidate in it
   std::map<std::int64_t, SE3> T_map_keyframe_;              ///< of the last solution, by keyframe_id
   MapCorrection correction_;                                ///< the last that changed something
   std::map<std::int64_t, FrameTiming> timing_;

@@ -26,7 +26,7 @@ struct LocalFrame {
 };
 
 /// A box that an object was fitted to.
-struct ObjectView {
+struct SubmapView {
   int frame = -1;  ///< index in LocalMap::frames
   Box box;         ///< on the plane z = 1
 };
@@ -40,7 +40,7 @@ struct LocalObject {
   int frames_seen = 0;
   double seen_share = 0.0;  ///< frames that detect it over frames that have it in view
   double parallax_deg = 0.0;
-  std::vector<ObjectView> views;
+  std::vector<SubmapView> views;
 };
 
 /// Submap: the objects seen within a few seconds, placed by these frames alone.
@@ -53,6 +53,7 @@ struct LocalMap {
   double span_s = 0.0;
   int segment = 0;                 ///< of the odometry, counted from break to break
   double drift_rad_s = 0.0;        ///< apparent drift of the odometry at the time
+  bool is_earlier = false;         ///< of an earlier run, whose map is then what T_odom_anchor leads to
   SE3 T_odom_anchor;               ///< for the comparison with frames that follow, not with other submaps
   UpDirection up;                  ///< anchor camera frame
   std::vector<LocalFrame> frames;  ///< those that views or checks refer to
@@ -72,7 +73,7 @@ class LocalMapBuilder {
 
  private:
   std::vector<LocalObject> find_objects(const LocalMap& map, const LandmarkRedirects& redirects) const;
-  std::optional<LocalObject> fit(const LocalMap& map, std::vector<ObjectView> views, const Vec3& center) const;
+  std::optional<LocalObject> fit(const LocalMap& map, std::vector<SubmapView> views, const Vec3& center) const;
 
   int min_views_, fit_views_;
   double min_parallax_rad_, min_seen_share_, max_depth_m_, max_radius_m_;

@@ -1,6 +1,7 @@
 #pragma once
 
 #include <cstdint>
+#include <optional>
 #include <vector>
 
 #include "semantic_topo_loop/geometry/se3.h"
@@ -22,6 +23,7 @@ enum class LoopReason : std::uint8_t {
   kRefinement = 10,    ///< the refinement on boxes failed or moved too far
   kLowScore = 11,      ///< paper mode: below the score threshold
   kInconsistent = 12,  ///< paper mode: not repeated over consecutive keyframes
+  kOutranked = 13,     ///< passed every test on the alignment, but a better candidate speaks for its place
 };
 
 const char* to_string(LoopReason reason);
@@ -32,6 +34,7 @@ struct ObjectMatch {
 };
 
 /// A loop candidate that reached verification: two keyframes and how the later one (query) sees the earlier (match).
+/// Figures that are -1 were not computed, because an earlier test had failed.
 struct LoopClosure {
   std::int64_t query_keyframe_id = -1, match_keyframe_id = -1;
   std::int64_t query_frame = -1, match_frame = -1;  ///< frame_id of the two keyframes
@@ -43,12 +46,27 @@ struct LoopClosure {
   double score = 0.0;
   double second_score = 0.0;  ///< of the best distinct alternative
   double rms_m = 0.0;
-  double reprojection_ratio = 0.0;  ///< matched over expected boxes, the worse of both ways
+  double spread_m = 0.0;             ///< second singular value of the matched objects' spread
+  double tilt_deg = -1.0;            ///< between the two up directions; 0 if one of them is uncertain
+  double reprojection_ratio = -1.0;  ///< matched over expected boxes, the worse of both ways, as the next two
+  int reprojected_objects = -1;      ///< objects that reproject onto detections
+  double explained_share = -1.0;     ///< of the detections
+  double refine_residual = -1.0;     ///< median box residual after refinement, standard deviations
+  double refine_shift_m = -1.0;      ///< how far the refinement moved the alignment
+  double refine_shift_deg = -1.0;    ///< and turned it
+  double sigma_m = -1.0;             ///< stated error of the translation: root of the covariance's trace
+  double sigma_deg = -1.0;           ///< and of the rotation
   int inliers = 0;
   int labels = 0;                      ///< different classes among the matched objects
   SE3 T_match_query;                   ///< of the cameras at query_frame and match_frame
   Mat6 covariance = Mat6::Identity();  ///< of T_match_query: (translation m, rotation rad), right
   std::vector<ObjectMatch> matches;
+  /// Set if the match is a submap of an earlier run, to which all match_ fields then refer: the pose of its anchor in
+  /// that run's map.
+  std::optional<SE3> T_earlier_match;
 };
+
+/// The loops within the run, without those into an earlier run's map.
+std::vector<LoopClosure> own_loops(const std::vector<LoopClosure>& loops);
 
 }  // namespace semantic_topo_loop::core

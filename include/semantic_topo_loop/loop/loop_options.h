@@ -66,7 +66,7 @@ struct LoopOptions {
     visitor("loop.mode", mode, "graph (local object graphs) or paper (shared landmarks)");
     visitor("loop.score", score, "paper mode: corrected or printed");
     visitor("loop.min_gap_s", min_gap_s, "graph mode: no loop between submaps closer in time");
-    visitor("loop.max_candidates", max_candidates, "candidates reported a keyframe at most");
+    visitor("loop.max_candidates", max_candidates, "loops accepted a keyframe at most");
     visitor("loop.attempt_interval_s", attempt_interval_s, "loops are looked for this often, and at keyframes");
     visitor("loop.window_s", window_s, "graph mode: time span of a submap, at most");
     visitor("loop.min_window_s", min_window_s, "and at least, however poor the odometry is");

@@ -1,5 +1,7 @@
 #pragma once
 
+#include <optional>
+
 #include "semantic_topo_loop/loop/graph_matcher.h"
 #include "semantic_topo_loop/loop/local_map.h"
 #include "semantic_topo_loop/loop/loop_closure.h"
@@ -16,7 +18,8 @@ struct Reprojection {
 
 struct Verdict {
   LoopReason reason = LoopReason::kAccepted;
-  Reprojection reprojection;  ///< each figure the worse of both ways
+  double tilt_deg = 0.0;                     ///< between the two up directions, 0 if one of them is uncertain
+  std::optional<Reprojection> reprojection;  ///< each figure the worse of both ways; none if a test before it failed
 };
 
 /// The acceptance tests of design.md section 5, steps 4 and 6.

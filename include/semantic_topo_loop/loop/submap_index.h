@@ -24,6 +24,8 @@ class SubmapIndex {
   /// Submaps are numbered from 0 in the order of insertion.
   void insert(const std::vector<LabelledPoint>& points);
   int size() const { return size_; }
+  /// How many pairs of the query's objects each of the submaps 0 .. end - 1 shares.
+  std::vector<int> agreeing_pairs(const std::vector<LabelledPoint>& points, int end) const;
   /// @param end submaps from this number on are left out   @return numbers, ascending
   std::vector<int> query(const std::vector<LabelledPoint>& points, int end) const;
 

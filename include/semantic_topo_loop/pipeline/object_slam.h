@@ -1,9 +1,11 @@
 #pragma once
 
 #include <memory>
+#include <utility>
 #include <vector>
 
 #include "semantic_topo_loop/association/object_associator.h"
+#include "semantic_topo_loop/loop/local_map.h"
 #include "semantic_topo_loop/loop/loop_detector.h"
 #include "semantic_topo_loop/map/quadric_mapper.h"
 #include "semantic_topo_loop/pipeline/options.h"
@@ -30,6 +32,11 @@ class ObjectSlam {
   /// @param extra_loops handed to the pose graph beside those that are found
   FrameResult process(const Frame& frame, const std::vector<Detection>& detections,
                       const std::vector<LoopClosure>& extra_loops = {});
+  /// Looks for the run's place in the submaps of an earlier run (io/submap_file.h), too. Call it before the first
+  /// frame.
+  void set_earlier_map(std::vector<LocalMap> submaps) { loop_detector_.set_earlier_map(std::move(submaps)); }
+  /// The run's own submaps, in its map.
+  std::vector<LocalMap> submaps_in_map() const;
   const QuadricMapper& mapper() const { return mapper_; }
   const PoseGraph& pose_graph() const { return pose_graph_; }
 

@@ -18,7 +18,7 @@ enum class Certainty {
 const char* to_string(Certainty certainty);
 
 /// What a sequence's detections show of an object, at the place where it is at the end.
-struct ReferenceObject {
+struct SimulatedReference {
   int object = -1;            ///< index in Scene::objects
   int views = 0;              ///< boxes that belong to it
   int whole_frames = 0;       ///< frames that have it whole in the image
@@ -32,7 +32,7 @@ struct ReferenceObject {
 };
 
 /// The objects that stay to the end and have at least one box there, those with most boxes first.
-std::vector<ReferenceObject> reference_objects(const SimulatedSequence& sequence);
+std::vector<SimulatedReference> reference_objects(const SimulatedSequence& sequence);
 
 /// The text of reference_objects.csv, with the columns of the yardsticks of recorded sequences.
 std::string format_reference_objects(const SimulatedSequence& sequence, const ClassTable& classes);

@@ -1,0 +1,14 @@
+#pragma once
+
+#include <vector>
+
+#include "semantic_topo_loop/loop/local_map.h"
+#include "semantic_topo_loop/pose_graph/map_correction.h"
+
+namespace semantic_topo_loop::core {
+
+/// Takes submaps from the odometry's world to the map, so that a later run can be placed in it.
+/// @param keyframes of the last solution, ascending; submaps of later keyframes move with T_map_odom
+void move_to_map(const std::vector<KeyframePose>& keyframes, const SE3& T_map_odom, std::vector<LocalMap>* submaps);
+
+}  // namespace semantic_topo_loop::core

@@ -1,0 +1,311 @@
+#include "semantic_topo_loop/io/submap_file.h"
+
+#include <cmath>
+#include <nlohmann/json.hpp>
+
+#include "semantic_topo_loop/io/text_file.h"
+
+namespace semantic_topo_loop::core {
+namespace {
+
+using Json = nlohmann::json;
+
+constexpr char kFormat[] = "semantic_topo_loop submaps 1";
+
+// --- writing ------------------------------------------------------------------------------------------------------
+
+/// A micrometre, and a thousandth of a pixel: far below what boxes tell.
+double rounded(double value) { return std::round(1e6 * value) / 1e6; }
+
+template <class Vector>
+Json array_of(const Vector& v) {
+  Json array = Json::array();
+  for (Eigen::Index i = 0; i < v.size(); ++i) array.push_back(rounded(v(i)));
+  return array;
+}
+
+Json to_json(const SE3& T) {
+  Eigen::Matrix<double, 7, 1> v;
+  v << T.t, T.q.x(), T.q.y(), T.q.z(), T.q.w();
+  return array_of(v);
+}
+
+Json to_json(const LocalFrame& frame) {
+  Json boxes = Json::array();
+  for (const ObservedBox& box : frame.boxes) {
+    Json row = array_of(box.box.edges());
+    row.push_back(box.landmark_id);
+    row.push_back(box.class_id);
+    row.push_back(box.truncated);
+    boxes.push_back(std::move(row));
+  }
+  return {{"frame_id", frame.frame_id},
+          {"anchor_from_camera", to_json(SE3(Mat3(frame.R_camera_local.transpose()), frame.position))},
+          {"focal_px", array_of(frame.focal_px)},
+          {"image", array_of(frame.image.edges())},
+          {"boxes", std::move(boxes)}};
+}
+
+Json to_json(const LocalObject& object) {
+  Json views = Json::array();
+  for (const SubmapView& view : object.views) {
+    Json row = array_of(view.box.edges());
+    row.push_back(view.frame);
+    views.push_back(std::move(row));
+  }
+  return {{"landmark_id", object.landmark_id},          {"class_id", object.class_id},
+          {"center", array_of(object.spheroid.center)}, {"log_axes", array_of(object.spheroid.log_axes)},
+          {"seen_share", rounded(object.seen_share)},   {"views", std::move(views)}};
+}
+
+Json to_json(const LocalMap& map) {
+  Json frames = Json::array(), objects = Json::array();
+  for (const LocalFrame& frame : map.frames) frames.push_back(to_json(frame));
+  for (const LocalObject& object : map.objects) objects.push_back(to_json(object));
+  return {{"keyframe_id", map.keyframe_id},
+          {"frame_id", map.frame_id},
+          {"stamp_ns", map.stamp_ns},
+          {"begin_frame", map.begin_frame},
+          {"end_frame", map.end_frame},
+          {"end_ns", map.end_ns},
+          {"span_s", map.span_s},
+          {"map_from_anchor", to_json(map.T_odom_anchor)},
+          {"up", array_of(map.up.direction)},
+          {"up_certain", map.up.certain},
+          {"check_frames", map.check_frames},
+          {"frames", std::move(frames)},
+          {"objects", std::move(objects)}};
+}
+
+// --- reading ------------------------------------------------------------------------------------------------------
+
+/// A value of the file and the name of its place. The first problem is kept; what is read after it means nothing.
+class Field {
+ public:
+  Field(const Json& json, std::string name, std::string* problem)
+      : json_(json), name_(std::move(name)), problem_(problem) {}
+
+  Field member(const char* key) const {
+    if (!json_.is_object()) {
+      reject("must be an object");
+    } else if (const auto it = json_.find(key); it != json_.end()) {
+      return {*it, name_ + (name_.empty() ? "" : ".") + key, problem_};
+    } else {
+      reject(std::string("has no '") + key + "'");
+    }
+    return {kNothing, name_, problem_};
+  }
+
+  std::vector<Field> elements() const {
+    std::vector<Field> fields;
+    if (!json_.is_array()) reject("must be an array");
+    for (std::size_t i = 0; json_.is_array() && i < json_.size(); ++i) {
+      fields.emplace_back(json_[i], name_ + '[' + std::to_string(i) + ']', problem_);
+    }
+    return fields;
+  }
+
+  std::int64_t integer() const {
+    if (json_.is_number_integer()) return json_.get<std::int64_t>();
+    reject("must be an integer");
+    return 0;
+  }
+
+  /// An index into an array of this size.
+  int index(std::size_t size) const {
+    const std::int64_t value = integer();
+    if (value < 0 || value >= static_cast<std::int64_t>(size)) reject("is no index of a frame");
+    return static_cast<int>(value);
+  }
+
+  bool flag() const {
+    if (json_.is_boolean()) return json_.get<bool>();
+    reject("must be true or false");
+    return false;
+  }
+
+  double number() const {
+    const double value = json_.is_number() ? json_.get<double>() : std::nan("");
+    if (!std::isfinite(value)) reject("must be a finite number");
+    return value;
+  }
+
+  template <int n>
+  Eigen::Matrix<double, n, 1> numbers() const {
+    Eigen::Matrix<double, n, 1> v = Eigen::Matrix<double, n, 1>::Zero();
+    const std::vector<Field> fields = elements();
+    if (fields.size() < static_cast<std::size_t>(n)) reject("must have " + std::to_string(n) + " numbers");
+    for (std::size_t i = 0; i < fields.size() && i < static_cast<std::size_t>(n); ++i) {
+      v(static_cast<Eigen::Index>(i)) = fields[i].number();
+    }
+    return v;
+  }
+
+  SE3 pose() const {
+    const auto v = numbers<7>();
+    const Quaternion q(v(6), v(3), v(4), v(5));
+    constexpr double kMaxNormError = 0.01;
+    if (!(std::abs(q.norm() - 1.0) <= kMaxNormError)) {
+      reject("holds a quaternion that is no rotation");
+      return {};
+    }
+    return {q.normalized(), v.head<3>()};
+  }
+
+  Box box() const {
+    const Vec4 v = numbers<4>();
+    const Box box{v(0), v(1), v(2), v(3)};
+    if (!box.is_valid()) reject("is no box [x1, y1, x2, y2]");
+    return box;
+  }
+
+  void reject(const std::string& rule) const {
+    if (!problem_->empty()) return;
+    constexpr std::size_t kMaxValue = 60;
+    const std::string value = json_.is_structured() ? std::string() : " = " + json_.dump().substr(0, kMaxValue);
+    *problem_ = (name_.empty() ? "the file" : name_) + value + ' ' + rule;
+  }
+  bool is_fine() const { return problem_->empty(); }
+
+ private:
+  static const Json kNothing;
+  const Json& json_;
+  std::string name_;
+  std::string* problem_;
+};
+
+const Json Field::kNothing;
+
+class SubmapReader {
+ public:
+  explicit SubmapReader(const ClassTable& classes) : classes_(classes), labels_(classes) {}
+
+  LocalMap read(const Field& field) const {
+    LocalMap map;
+    map.keyframe_id = field.member("keyframe_id").integer();
+    map.frame_id = field.member("frame_id").integer();
+    map.stamp_ns = field.member("stamp_ns").integer();
+    map.begin_frame = field.member("begin_frame").integer();
+    map.end_frame = field.member("end_frame").integer();
+    map.end_ns = field.member("end_ns").integer();
+    map.span_s = field.member("span_s").number();
+    map.T_odom_anchor = field.member("map_from_anchor").pose();
+    map.up.direction = field.member("up").numbers<3>();
+    if (!(map.up.direction.norm() > 0.5)) field.member("up").reject("is no direction");
+    map.up.direction.normalize();
+    map.up.certain = field.member("up_certain").flag();
+    for (const Field& frame : field.member("frames").elements()) map.frames.push_back(read_frame(frame));
+    for (const Field& index : field.member("check_frames").elements()) {
+      map.check_frames.push_back(index.index(map.frames.size()));
+    }
+    for (const Field& object : field.member("objects").elements()) {
+      map.objects.push_back(read_object(object, map.frames.size()));
+    }
+    return map;
+  }
+
+ private:
+  LocalFrame read_frame(const Field& field) const {
+    LocalFrame frame;
+    frame.frame_id = field.member("frame_id").integer();
+    const SE3 T_local_camera = field.member("anchor_from_camera").pose();
+    frame.R_camera_local = T_local_camera.rotation().transpose();
+    frame.position = T_local_camera.t;
+    frame.t_camera_local = -frame.R_camera_local * frame.position;
+    frame.focal_px = field.member("focal_px").numbers<2>();
+    if (!(frame.focal_px.minCoeff() > 0.0)) field.member("focal_px").reject("must be > 0");
+    frame.image = field.member("image").box();
+    for (const Field& row : field.member("boxes").elements()) frame.boxes.push_back(read_box(row));
+    return frame;
+  }
+
+  /// x1, y1, x2, y2, landmark, class, truncated sides.
+  ObservedBox read_box(const Field& row) const {
+    const std::vector<Field> fields = row.elements();
+    ObservedBox box;
+    if (fields.size() != 7) {
+      row.reject("must have 7 fields");
+      return box;
+    }
+    box.box = row.box();
+    box.landmark_id = fields[4].integer();
+    box.class_id = read_class(fields[5]);
+    box.label = labels_.label(box.class_id);
+    const std::int64_t truncated = fields[6].integer();
+    if (truncated < 0 || truncated > 15) fields[6].reject("must be a sum of 1, 2, 4, 8");
+    box.truncated = static_cast<std::uint8_t>(truncated);
+    return box;
+  }
+
+  LocalObject read_object(const Field& field, std::size_t frames) const {
+    LocalObject object;
+    object.landmark_id = field.member("landmark_id").integer();
+    object.class_id = read_class(field.member("class_id"));
+    object.label = labels_.label(object.class_id);
+    object.spheroid.center = field.member("center").numbers<3>();
+    object.spheroid.log_axes = field.member("log_axes").numbers<2>();
+    constexpr double kMaxLogAxis = 10.0;
+    if (!(object.spheroid.log_axes.cwiseAbs().maxCoeff() < kMaxLogAxis)) {
+      field.member("log_axes").reject("must be logs of metres");
+    }
+    object.seen_share = field.member("seen_share").number();
+    for (const Field& row : field.member("views").elements()) {
+      const std::vector<Field> fields = row.elements();
+      if (fields.size() != 5) {
+        row.reject("must have 5 fields");
+        break;
+      }
+      object.views.push_back({fields[4].index(frames), row.box()});
+    }
+    return object;
+  }
+
+  int read_class(const Field& field) const {
+    const std::int64_t id = field.integer();
+    const bool known = id >= 0 && id <= std::numeric_limits<int>::max() && classes_.is_mappable(static_cast<int>(id));
+    if (!known) field.reject("is no class that becomes a landmark in the class table");
+    return known ? static_cast<int>(id) : -1;
+  }
+
+  const ClassTable& classes_;
+  LabelTable labels_;
+};
+
+}  // namespace
+
+bool write_submaps(const std::string& path, const std::vector<LocalMap>& submaps, std::string* error) {
+  Json rows = Json::array();
+  for (const LocalMap& submap : submaps) rows.push_back(to_json(submap));
+  const Json file = {{"format", kFormat}, {"submaps", std::move(rows)}};
+  return write_text_file(path, file.dump() + '\n', error);
+}
+
+std::optional<std::vector<LocalMap>> read_submaps(const std::string& path, const ClassTable& classes,
+                                                  std::string* error) {
+  const std::optional<std::string> text = read_text_file(path, error);
+  if (!text) return std::nullopt;
+  std::string problem;
+  std::vector<LocalMap> submaps;
+  try {
+    const Json root = Json::parse(*text);
+    const Field file(root, "", &problem);
+    const Json* format = root.is_object() && root.contains("format") ? &root["format"] : nullptr;
+    if (format == nullptr || *format != kFormat) file.reject(std::string("has no \"format\": \"") + kFormat + '"');
+    const SubmapReader reader(classes);
+    if (file.is_fine()) {
+      for (const Field& submap : file.member("submaps").elements()) {
+        submaps.push_back(reader.read(submap));
+        if (!file.is_fine()) break;
+      }
+      if (submaps.empty()) file.reject("holds no submap");
+    }
+  } catch (const Json::exception& exception) {
+    const std::string what = exception.what();
+    problem = text->empty() ? "the file is empty" : what.substr(what.find("] ") + 2);
+  }
+  if (problem.empty()) return submaps;
+  if (error != nullptr) *error = path + ": " + problem;
+  return std::nullopt;
+}
+
+}  // namespace semantic_topo_loop::core

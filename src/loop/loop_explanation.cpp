@@ -1,0 +1,74 @@
+#include "semantic_topo_loop/loop/loop_explanation.h"
+
+#include <sstream>
+
+namespace semantic_topo_loop::core {
+namespace {
+
+class Sentence {
+ public:
+  /// Left out if the figure was not computed.
+  Sentence& add(const char* name, double value, const char* relation, double threshold) {
+    if (value >= 0.0) text_ << ", " << name << ' ' << value << " (" << relation << ' ' << threshold << ')';
+    return *this;
+  }
+  std::ostringstream& stream() { return text_; }
+
+ private:
+  std::ostringstream text_;
+};
+
+}  // namespace
+
+const char* to_string(PairStatus status) {
+  switch (status) {
+    case PairStatus::kVerified:
+      return "verified";
+    case PairStatus::kUnknownKeyframe:
+      return "unknown_keyframe";
+    case PairStatus::kWrongOrder:
+      return "wrong_order";
+    case PairStatus::kNoSubmap:
+      return "no_submap";
+    case PairStatus::kTooRecent:
+      return "too_recent";
+    case PairStatus::kNotProposed:
+      return "not_proposed";
+    case PairStatus::kNoAlignment:
+      return "no_alignment";
+    case PairStatus::kNotAttempted:
+      return "not_attempted";
+  }
+  return "unknown";
+}
+
+std::string describe(const LoopClosure& loop, const LoopOptions& options) {
+  Sentence sentence;
+  sentence.stream().precision(3);
+  sentence.stream() << (loop.accepted ? "accepted" : "rejected: ") << (loop.accepted ? "" : to_string(loop.reason));
+  if (options.mode == "paper") {
+    const bool printed = options.score == "printed";
+    return sentence.add("common landmarks", loop.inliers, ">=", options.paper_min_common)
+        .add("score", loop.score, ">=", printed ? options.paper_printed_min_score : options.paper_corrected_min_score)
+        .stream()
+        .str();
+  }
+  return sentence.add("aligned objects", loop.inliers, ">=", options.min_inliers)
+      .add("classes", loop.labels, ">=", options.min_labels)
+      .add("spread m", loop.spread_m, ">=", options.min_spread_m)
+      .add("rms m", loop.rms_m, "<=", options.max_rms_m)
+      .add("score", loop.score, ">=", options.ambiguity_ratio * loop.second_score)
+      .add("tilt deg", loop.tilt_deg, "<=", options.max_tilt_deg)
+      .add("reprojection ratio", loop.reprojection_ratio, ">", options.min_reprojection_ratio)
+      .add("reprojected objects", loop.reprojected_objects, ">=", options.min_reprojected_objects)
+      .add("explained share", loop.explained_share, ">", options.min_explained_share)
+      .add("box residual", loop.refine_residual, "<=", options.refine_max_residual)
+      .add("refinement m", loop.refine_shift_m, "<=", options.refine_max_shift_m)
+      .add("refinement deg", loop.refine_shift_deg, "<=", options.refine_max_shift_deg)
+      .add("sigma m", loop.sigma_m, "<=", options.max_sigma_m)
+      .add("sigma deg", loop.sigma_deg, "<=", options.max_sigma_deg)
+      .stream()
+      .str();
+}
+
+}  // namespace semantic_topo_loop::core

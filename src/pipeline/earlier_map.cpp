@@ -1,0 +1,17 @@
+#include "semantic_topo_loop/pipeline/earlier_map.h"
+
+#include <algorithm>
+
+namespace semantic_topo_loop::core {
+
+void move_to_map(const std::vector<KeyframePose>& keyframes, const SE3& T_map_odom, std::vector<LocalMap>* submaps) {
+  for (LocalMap& submap : *submaps) {
+    const auto pose =
+        std::lower_bound(keyframes.begin(), keyframes.end(), submap.keyframe_id,
+                         [](const KeyframePose& keyframe, std::int64_t id) { return keyframe.keyframe_id < id; });
+    const bool solved = pose != keyframes.end() && pose->keyframe_id == submap.keyframe_id;
+    submap.T_odom_anchor = solved ? pose->T_map_camera : T_map_odom * submap.T_odom_anchor;
+  }
+}
+
+}  // namespace semantic_topo_loop::core

@@ -1,0 +1,137 @@
+#include "semantic_topo_loop/loop/relocalisation.h"
+
+#include <gtest/gtest.h>
+
+#include "synthetic_desk.h"
+
+namespace semantic_topo_loop::core {
+namespace {
+
+using testing::random_desk;
+using testing::run;
+using testing::RunOutcome;
+using testing::RunSetup;
+
+double error_m(const SE3& a, const SE3& b) { return (a.t - b.t).norm(); }
+double error_deg(const SE3& a, const SE3& b) { return degrees(rotation_angle(a.q, b.q)); }
+
+/// The submaps of a run past a desk, in its world.
+std::vector<LocalMap> map_of(std::uint64_t seed) {
+  RunSetup setup;
+  setup.desk = random_desk(seed, 12);
+  setup.visits = {{0.0, 14.0, 0.0, 90.0}};
+  setup.end_s = 14.0;
+  std::vector<LocalMap> submaps;
+  run(LoopOptions(), setup, [&submaps](const LoopDetector& detector) { submaps = detector.submaps(); });
+  return submaps;
+}
+
+/// A run past a desk with an odometry in a world of its own.
+RunSetup later_run(std::uint64_t seed) {
+  RunSetup setup;
+  setup.desk = random_desk(seed, 12);
+  setup.visits = {{0.0, 14.0, 70.0, -10.0}};
+  setup.end_s = 14.0;
+  setup.T_odom_world = SE3(so3_exp(Vec3(0.7, -1.1, 2.0)), Vec3(3.0, -8.0, 1.0));
+  return setup;
+}
+
+TEST(Relocalisation, FindsARunInTheMapOfAnEarlierOne) {
+  for (std::uint64_t seed = 1; seed <= 2; ++seed) {
+    RunSetup setup = later_run(seed);
+    setup.earlier_map = map_of(seed);
+    ASSERT_FALSE(setup.earlier_map.empty());
+    std::optional<Relocalisation> found;
+    const RunOutcome outcome =
+        run(LoopOptions(), setup, [&found](const LoopDetector& detector) { found = detector.relocalisation(); });
+    ASSERT_TRUE(found.has_value()) << "seed " << seed;
+    EXPECT_LT(error_m(found->T_earlier_odom * setup.T_odom_world, SE3()), 0.1);
+    EXPECT_LT(error_deg(found->T_earlier_odom * setup.T_odom_world, SE3()), 3.0);
+    EXPECT_EQ(found->total, outcome.accepted());
+    for (const LoopClosure& loop : outcome.loops) EXPECT_TRUE(loop.T_earlier_match.has_value());
+    EXPECT_TRUE(own_loops(outcome.loops).empty());
+  }
+}
+
+TEST(Relocalisation, IsNotFoundInTheMapOfAnotherPlace) {
+  for (std::uint64_t seed = 1; seed <= 2; ++seed) {
+    RunSetup setup = later_run(seed);
+    setup.earlier_map = map_of(seed + 50);
+    run(LoopOptions(), setup,
+        [](const LoopDetector& detector) { EXPECT_FALSE(detector.relocalisation().has_value()); });
+  }
+}
+
+TEST(Relocalisation, AMapDoesNotChangeTheRunsOwnLoops) {
+  RunSetup setup = later_run(2);
+  setup.visits.push_back({32.0, 44.0, 0.0, 70.0});
+  setup.end_s = 44.0;
+  const std::vector<LoopClosure> alone = run(LoopOptions(), setup).loops;
+  setup.earlier_map = map_of(2);
+  const std::vector<LoopClosure> own = own_loops(run(LoopOptions(), setup).loops);
+  EXPECT_FALSE(alone.empty());
+  ASSERT_EQ(own.size(), alone.size());
+  for (std::size_t i = 0; i < own.size(); ++i) {
+    EXPECT_EQ(own[i].match_frame, alone[i].match_frame);
+    EXPECT_EQ(own[i].T_match_query.t, alone[i].T_match_query.t);
+  }
+}
+
+LoopClosure vote(const SE3& T_earlier_query, double sigma) {
+  LoopClosure loop;
+  loop.accepted = true;
+  loop.T_earlier_match = SE3(so3_exp(Vec3(0.1, 0.2, 0.3)), Vec3(1.0, 2.0, 3.0));
+  loop.T_match_query = loop.T_earlier_match->inverse() * T_earlier_query;
+  loop.covariance = sigma * sigma * Mat6::Identity();
+  return loop;
+}
+
+TEST(Relocaliser, TakesTheConsensusAndNotTheMean) {
+  std::mt19937_64 random(3);
+  const auto vector = [&random](double half) {
+    return Vec3(testing::uniform(random, -half, half), testing::uniform(random, -half, half),
+                testing::uniform(random, -half, half));
+  };
+  const SE3 truth(so3_exp(Vec3(1.0, -0.4, 0.8)), Vec3(5.0, -2.0, 1.0));
+  Relocaliser relocaliser;
+  for (int i = 0; i < 30; ++i) {
+    const SE3 T_odom_query(so3_exp(vector(2.0)), vector(4.0));
+    const bool wrong = i % 3 == 0;
+    const SE3 error(so3_exp(vector(wrong ? 1.5 : 0.02)), vector(wrong ? 3.0 : 0.03));
+    relocaliser.add(vote(truth * T_odom_query * error, 0.03), T_odom_query);
+  }
+  const std::optional<Relocalisation> found = relocaliser.estimate();
+  ASSERT_TRUE(found.has_value());
+  EXPECT_EQ(found->agreeing, 20);
+  EXPECT_EQ(found->total, 30);
+  EXPECT_LT(error_m(found->T_earlier_odom, truth), 0.03);
+  EXPECT_LT(error_deg(found->T_earlier_odom, truth), 0.5);
+}
+
+TEST(Relocaliser, NeedsThreeThatAgreeAndAMajority) {
+  const SE3 truth(so3_exp(Vec3(0.3, 0.0, 0.0)), Vec3(1.0, 0.0, 0.0)), other(Mat3::Identity(), Vec3(-9.0, 0.0, 0.0));
+  Relocaliser relocaliser;
+  EXPECT_FALSE(relocaliser.estimate().has_value());
+  for (int i = 0; i < 3; ++i) {
+    EXPECT_FALSE(relocaliser.estimate().has_value());
+    relocaliser.add(vote(truth, 0.03), SE3());
+  }
+  EXPECT_TRUE(relocaliser.estimate().has_value());
+  for (int i = 0; i < 3; ++i) relocaliser.add(vote(other, 0.03), SE3());
+  EXPECT_FALSE(relocaliser.estimate().has_value()) << "two places, three loops each";
+}
+
+TEST(Relocaliser, IgnoresWhatIsNoLoopIntoTheMap) {
+  Relocaliser relocaliser;
+  for (int i = 0; i < 5; ++i) {
+    LoopClosure rejected = vote(SE3(), 0.03), own = rejected, broken = rejected;
+    rejected.accepted = false;
+    own.T_earlier_match.reset();
+    broken.covariance(0, 0) = std::nan("");
+    for (const LoopClosure& loop : {rejected, own, broken}) relocaliser.add(loop, SE3());
+  }
+  EXPECT_FALSE(relocaliser.estimate().has_value());
+}
+
+}  // namespace
+}  // namespace semantic_topo_loop::core
