@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <cmath>
 #include <iterator>
+#include <set>
 
 #include "loop_evidence.h"
 
@@ -27,6 +28,7 @@ GraphMatcherOptions matcher_options(const LoopOptions& options) {
   matcher.min_distance_m = options.min_distance_m;
   matcher.inlier_distance_m = options.inlier_distance_m;
   matcher.min_pairs = kMinCandidateInliers;
+  matcher.free_scale = options.scale == "free";
   return matcher;
 }
 
@@ -44,6 +46,25 @@ std::vector<LabelledPoint> graph_of(const LocalMap& map) {
     points.push_back({object.spheroid.center, object.label, object.spheroid.radius(), object.class_id});
   }
   return points;
+}
+
+/// The submap in another unit of length; boxes on the plane z = 1 do not depend on it.
+LocalMap rescaled(LocalMap map, double scale) {
+  for (LocalFrame& frame : map.frames) {
+    frame.position *= scale;
+    frame.t_camera_local *= scale;
+  }
+  for (LocalObject& object : map.objects) {
+    object.spheroid.center *= scale;
+    object.spheroid.log_axes.array() += std::log(scale);
+    object.covariance *= scale * scale;
+  }
+  return map;
+}
+
+/// The query in the match's unit of length; `scaled` holds it if that is another one.
+const LocalMap& in_unit(const LocalMap& query, double scale, std::optional<LocalMap>* scaled) {
+  return scale == 1.0 ? query : scaled->emplace(rescaled(query, scale));
 }
 
 /// Share of the shorter window that two windows have in common.
@@ -81,9 +102,23 @@ int GraphDetector::old_enough(const LocalMap& query) const {
   return static_cast<int>(recent - maps_.begin());
 }
 
+/// With a free scale the index is asked at every scale that its tolerance tells from the next.
+std::vector<int> GraphDetector::propose(const std::vector<LabelledPoint>& points, int end) const {
+  if (options_.scale != "free") return index_.query(points, end);
+  constexpr double kStep = 0.08;
+  const int steps = static_cast<int>(std::ceil(std::log(kMaxScale) / kStep));
+  std::set<int> numbers;
+  for (int k = -steps; k <= steps; ++k) {
+    std::vector<LabelledPoint> scaled = points;
+    for (LabelledPoint& point : scaled) point.position *= std::exp(k * kStep);
+    for (const int number : index_.query(scaled, end)) numbers.insert(number);
+  }
+  return {numbers.begin(), numbers.end()};
+}
+
 std::vector<LoopClosure> GraphDetector::detect(const LocalMap& query) {
   const std::vector<LabelledPoint> points = graph_of(query);
-  std::vector<Candidate> candidates = examine(query, points, index_.query(points, old_enough(query)));
+  std::vector<Candidate> candidates = examine(query, points, propose(points, old_enough(query)));
   find_ambiguous(query, &candidates);
   select(&candidates);
   std::vector<LoopClosure> loops;
@@ -124,7 +159,7 @@ GraphDetector::Comparison GraphDetector::compare(std::size_t query, std::size_t 
   const int end = std::max(old_enough(stored.map), number + 1);
   Comparison comparison;
   comparison.agreeing_pairs = index_.agreeing_pairs(stored.points, end)[match];
-  std::vector<int> numbers = index_.query(stored.points, end);
+  std::vector<int> numbers = propose(stored.points, end);
   comparison.proposed = std::binary_search(numbers.begin(), numbers.end(), number);
   if (!comparison.proposed) numbers.push_back(number);
   std::vector<Candidate> candidates = examine(stored.map, stored.points, numbers);
@@ -146,7 +181,9 @@ std::vector<GraphDetector::Candidate> GraphDetector::examine(const LocalMap& que
     if (matches.empty()) continue;
     candidate.second_score = matches.size() > 1 ? matches[1].score : 0.0;
     candidate.alignment = std::move(matches.front());
-    candidate.verdict = verifier_.verify(match_of(candidate), query, candidate.alignment, candidate.second_score);
+    std::optional<LocalMap> scaled;
+    candidate.verdict = verifier_.verify(match_of(candidate), in_unit(query, candidate.alignment.scale, &scaled),
+                                         candidate.alignment, candidate.second_score);
     candidates.push_back(std::move(candidate));
   }
   return candidates;
@@ -221,7 +258,9 @@ LoopClosure GraphDetector::finish(const LocalMap& query, const Candidate& candid
     loop.explained_share = reprojection->explained;
   }
   if (loop.reason == LoopReason::kAccepted) {
-    refine_and_decide(match_of(candidate), query, candidate.alignment, refiner_, options_, &loop);
+    std::optional<LocalMap> scaled;
+    refine_and_decide(match_of(candidate), in_unit(query, candidate.alignment.scale, &scaled), candidate.alignment,
+                      refiner_, options_, &loop);
   }
   return loop;
 }

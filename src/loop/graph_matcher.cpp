@@ -3,8 +3,10 @@
 #include <Eigen/Core>
 #include <algorithm>
 #include <cmath>
+#include <map>
 #include <optional>
 #include <set>
+#include <utility>
 
 #include "semantic_topo_loop/geometry/alignment.h"
 #include "semantic_topo_loop/loop/clique_search.h"
@@ -19,6 +21,17 @@ constexpr double kScoreSigmaShare = 0.5;
 
 bool is_usable(const LabelledPoint& point) {
   return point.label >= 0 && point.position.allFinite() && std::isfinite(point.size) && point.size > 0.0;
+}
+
+/// True if two matches put the graph's middle at different places, or turn it differently.
+bool are_distinct(const GraphMatcherOptions& options, const std::vector<LabelledPoint>& b, const GraphMatch& p,
+                  const GraphMatch& q) {
+  Vec3 middle = Vec3::Zero();
+  for (const NodePair& pair : p.pairs) {
+    middle += b[static_cast<std::size_t>(pair.b)].position / static_cast<double>(p.pairs.size());
+  }
+  return (p.T_a_b * (p.scale * middle) - q.T_a_b * (q.scale * middle)).norm() > options.distinct_m ||
+         rotation_angle(p.T_a_b.q, q.T_a_b.q) > options.distinct_rad;
 }
 
 class Matching {
@@ -182,17 +195,10 @@ class Matching {
     match->classes = static_cast<int>(std::min(classes_a.size(), classes_b.size()));
   }
 
-  bool is_distinct(const GraphMatch& p, const GraphMatch& q) const {
-    Vec3 middle = Vec3::Zero();
-    for (const NodePair& pair : p.pairs) middle += at(b_, pair.b).position / static_cast<double>(p.pairs.size());
-    return (p.T_a_b * middle - q.T_a_b * middle).norm() > options_.distinct_m ||
-           rotation_angle(p.T_a_b.q, q.T_a_b.q) > options_.distinct_rad;
-  }
-
   /// Keeps the list sorted by score and free of near copies.
   void insert(GraphMatch match, std::vector<GraphMatch>* matches) const {
     const auto same = std::find_if(matches->begin(), matches->end(),
-                                   [&](const GraphMatch& other) { return !is_distinct(match, other); });
+                                   [&](const GraphMatch& other) { return !are_distinct(options_, b_, match, other); });
     if (same != matches->end()) {
       if (same->score >= match.score) return;
       matches->erase(same);
@@ -209,11 +215,105 @@ class Matching {
   std::vector<NodePair> candidates_;
 };
 
+std::vector<LabelledPoint> rescaled(std::vector<LabelledPoint> points, double scale) {
+  for (LabelledPoint& point : points) {
+    point.position *= scale;
+    point.size *= scale;
+  }
+  return points;
+}
+
+/// Pairs of points by their labels, with the log of their distances.
+std::map<std::pair<int, int>, std::vector<double>> log_distances(const std::vector<LabelledPoint>& points,
+                                                                 double min_distance_m) {
+  std::map<std::pair<int, int>, std::vector<double>> distances;
+  for (std::size_t i = 0; i < points.size(); ++i) {
+    for (std::size_t j = i + 1; j < points.size(); ++j) {
+      const double distance = (points[i].position - points[j].position).norm();
+      if (!is_usable(points[i]) || !is_usable(points[j]) || !(distance > min_distance_m)) continue;
+      distances[std::minmax({points[i].label, points[j].label})].push_back(std::log(distance));
+    }
+  }
+  return distances;
+}
+
+/// The scales that most pairs of equal labels vote for, best first: peaks of a histogram of log(d_a / d_b).
+std::vector<double> vote_scales(const std::vector<LabelledPoint>& a, const std::vector<LabelledPoint>& b,
+                                double min_distance_m) {
+  constexpr double kBin = 0.02;
+  constexpr int kSpread = 4;  ///< bins to either side that a vote also supports: the error of two distances
+  constexpr int kMaxPeaks = 3;
+  const int half = static_cast<int>(std::ceil(std::log(kMaxScale) / kBin));
+  std::vector<double> votes(static_cast<std::size_t>(2 * half + 1), 0.0);
+  const auto of_b = log_distances(b, min_distance_m);
+  for (const auto& [labels, logs_a] : log_distances(a, min_distance_m)) {
+    const auto logs_b = of_b.find(labels);
+    if (logs_b == of_b.end()) continue;
+    for (const double log_a : logs_a) {
+      for (const double log_b : logs_b->second) {
+        const int middle = half + static_cast<int>(std::lround((log_a - log_b) / kBin));
+        for (int k = -kSpread; k <= kSpread; ++k) {
+          if (middle + k < 0 || middle + k > 2 * half) continue;
+          votes[static_cast<std::size_t>(middle + k)] += 1.0 - std::abs(k) / (kSpread + 1.0);
+        }
+      }
+    }
+  }
+  std::vector<double> scales;
+  for (int peak = 0; peak < kMaxPeaks; ++peak) {
+    const auto best = std::max_element(votes.begin(), votes.end());
+    if (!(*best > 0.0)) break;
+    const int bin = static_cast<int>(best - votes.begin());
+    scales.push_back(std::exp((bin - half) * kBin));
+    for (int k = std::max(bin - 2 * kSpread, 0); k <= std::min(bin + 2 * kSpread, 2 * half); ++k) {
+      votes[static_cast<std::size_t>(k)] = 0.0;
+    }
+  }
+  return scales;
+}
+
 }  // namespace
 
 std::vector<GraphMatch> GraphMatcher::match(const std::vector<LabelledPoint>& a,
                                             const std::vector<LabelledPoint>& b) const {
-  return Matching(options_, a, b).run();
+  if (!options_.free_scale) return Matching(options_, a, b).run();
+  std::vector<GraphMatch> matches;
+  for (const double scale : vote_scales(a, b, options_.min_distance_m)) {
+    for (GraphMatch& match : match_scaled(a, b, scale)) matches.push_back(std::move(match));
+  }
+  std::stable_sort(matches.begin(), matches.end(),
+                   [](const GraphMatch& p, const GraphMatch& q) { return p.score > q.score; });
+  std::vector<GraphMatch> distinct;
+  for (GraphMatch& match : matches) {
+    const bool known = std::any_of(distinct.begin(), distinct.end(),
+                                   [&](const GraphMatch& better) { return !are_distinct(options_, b, match, better); });
+    if (!known) distinct.push_back(std::move(match));
+  }
+  if (static_cast<int>(distinct.size()) > options_.max_matches) {
+    distinct.resize(static_cast<std::size_t>(options_.max_matches));
+  }
+  return distinct;
+}
+
+/// Matches at a voted scale, then once more at the scale that the best match's inliers have.
+std::vector<GraphMatch> GraphMatcher::match_scaled(const std::vector<LabelledPoint>& a,
+                                                   const std::vector<LabelledPoint>& b, double scale) const {
+  std::vector<LabelledPoint> scaled = rescaled(b, scale);
+  std::vector<GraphMatch> matches = Matching(options_, a, scaled).run();
+  if (matches.empty()) return matches;
+  std::vector<Vec3> points_a, points_b;
+  for (const NodePair& pair : matches.front().pairs) {
+    points_a.push_back(a[static_cast<std::size_t>(pair.a)].position);
+    points_b.push_back(b[static_cast<std::size_t>(pair.b)].position);
+  }
+  const std::optional<Alignment> alignment = align_points(points_a, points_b, true);
+  if (alignment && std::abs(std::log(alignment->scale)) < std::log(kMaxScale)) {
+    scale = alignment->scale;
+    scaled = rescaled(b, scale);
+    matches = Matching(options_, a, scaled).run();
+  }
+  for (GraphMatch& match : matches) match.scale = scale;
+  return matches;
 }
 
 }  // namespace semantic_topo_loop::core

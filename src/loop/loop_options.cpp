@@ -48,6 +48,7 @@ bool all_shares(std::initializer_list<Named> values, std::string* error) {
 bool LoopOptions::is_valid(std::string* error) const {
   if (mode != "graph" && mode != "paper") return reject("loop.mode", mode, "graph or paper", error);
   if (score != "corrected" && score != "printed") return reject("loop.score", score, "corrected or printed", error);
+  if (scale != "fixed" && scale != "free") return reject("loop.scale", scale, "fixed or free", error);
   if (min_window_s > window_s) return reject("loop.min_window_s", min_window_s, "<= loop.window_s", error);
   return all_positive({{"loop.min_gap_s", min_gap_s},
                        {"loop.window_s", window_s},

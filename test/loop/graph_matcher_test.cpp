@@ -74,6 +74,45 @@ TEST(GraphMatcher, FindsTheCommonPartAmongOutliers) {
   EXPECT_GE(exact, 197);
 }
 
+TEST(GraphMatcher, VotesForTheScale) {
+  GraphMatcherOptions options;
+  options.free_scale = true;
+  const GraphMatcher free(options), fixed{GraphMatcherOptions()};
+  std::mt19937_64 random(5);
+  int exact = 0;
+  for (std::uint64_t seed = 0; seed < 200; ++seed) {
+    Problem problem = random_problem(seed, 9, 4, 5);
+    const double scale = uniform(random, 1.0, 1.5), of_a_over_b = seed % 2 == 0 ? scale : 1.0 / scale;
+    for (LabelledPoint& point : problem.b) {
+      point.position /= of_a_over_b;
+      point.size /= of_a_over_b;
+    }
+    const std::vector<GraphMatch> matches = free.match(problem.a, problem.b);
+    if (matches.empty()) continue;
+    const GraphMatch& best = matches.front();
+    bool close = std::abs(best.scale / of_a_over_b - 1.0) < 0.05;
+    for (int i = 0; i < problem.common; ++i) {
+      const Vec3 p = best.T_a_b * (best.scale * problem.b[static_cast<std::size_t>(i)].position);
+      close = close && (p - problem.a[static_cast<std::size_t>(i)].position).norm() < 0.1;
+    }
+    exact += close ? 1 : 0;
+    for (const GraphMatch& match : fixed.match(problem.a, problem.b)) EXPECT_EQ(match.scale, 1.0);
+  }
+  EXPECT_GE(exact, 190);
+}
+
+TEST(GraphMatcher, AFreeScaleFindsNothingInDegenerateInput) {
+  GraphMatcherOptions options;
+  options.free_scale = true;
+  const GraphMatcher matcher(options);
+  std::mt19937_64 random(1);
+  std::vector<LabelledPoint> one_place(6, random_point(random, 1)), broken = one_place;
+  for (LabelledPoint& point : broken) point.position.x() = std::numeric_limits<double>::quiet_NaN();
+  EXPECT_TRUE(matcher.match({}, {}).empty());
+  EXPECT_TRUE(matcher.match(one_place, one_place).empty());
+  EXPECT_TRUE(matcher.match(broken, one_place).empty());
+}
+
 TEST(GraphMatcher, IsExactWithoutNoise) {
   std::mt19937_64 random(3);
   Problem problem = random_problem(11, 8, 0, 4);

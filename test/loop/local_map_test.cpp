@@ -259,7 +259,7 @@ TEST(LoopVerifier, RejectsAMirroredWorld) {
   match.T_a_b = SE3(so3_exp(Vec3(kPi, 0, 0)), Vec3::Zero());
   for (int i = 0; i < 8; ++i) match.pairs.push_back({i, i});
   EXPECT_TRUE(LoopVerifier::is_mirrored(a, b, match));
-  EXPECT_FALSE(LoopVerifier::is_mirrored(a, a, {SE3(), match.pairs, 0, 0.0, 0.0, Vec3::Zero()}));
+  EXPECT_FALSE(LoopVerifier::is_mirrored(a, a, {SE3(), 1.0, match.pairs, 0, 0.0, 0.0, Vec3::Zero()}));
 }
 
 TEST(LoopVerifier, ComparesUpDirectionsOnlyWhenCertain) {

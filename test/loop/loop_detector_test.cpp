@@ -68,6 +68,21 @@ TEST(LoopDetector, ClosesAcrossARestartOfTheOdometry) {
   expect_right(outcome);
 }
 
+/// T_match_query of a scaled odometry has the match's unit of length, which is the true one here.
+TEST(LoopDetector, AFreeScaleClosesWhereTheOdometrysScaleHasDrifted) {
+  LoopOptions free;
+  free.scale = "free";
+  for (const double scale : {1.0, 0.75, 1.25, 1.5}) {
+    RunSetup setup = drifted_revisit(2);
+    setup.drift_scale = scale;
+    setup.drift_is_break = true;
+    const RunOutcome outcome = run(free, setup);
+    EXPECT_GE(outcome.accepted(), 5) << "scale " << scale;
+    expect_right(outcome);
+    if (std::abs(scale - 1.0) > 0.2) EXPECT_LT(run(LoopOptions(), setup).accepted(), outcome.accepted() / 2);
+  }
+}
+
 TEST(LoopDetector, TheOdometrysWorldDoesNotMatter) {
   for (const char* mode : {"graph", "paper"}) {
     LoopOptions options;
@@ -315,6 +330,7 @@ TEST(LoopOptions, NamesTheBadParameter) {
   EXPECT_TRUE(LoopOptions().is_valid(&error)) << error;
   for (const auto& [key, value] : std::map<std::string, std::string>{{"loop.mode", "fast"},
                                                                      {"loop.score", "best"},
+                                                                     {"loop.scale", "some"},
                                                                      {"loop.min_gap_s", "-1"},
                                                                      {"loop.min_seen_share", "1.5"},
                                                                      {"loop.min_inliers", "2"},

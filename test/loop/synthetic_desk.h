@@ -139,6 +139,7 @@ struct RunSetup {
   SE3 T_odom_world;  ///< the odometry's world
   SE3 drift;         ///< applied on the left from `drift_from_s` on
   double drift_from_s = 1e9;
+  double drift_scale = 1.0;  ///< of the odometry's translations, from then on
   bool drift_is_break = false;
   bool same_ids = false;  ///< later visits keep the landmark ids of the first
   double quality = 0.8;
@@ -188,6 +189,7 @@ inline RunOutcome run(const LoopOptions& options, const RunSetup& setup,
     PoseSample sample;
     sample.stamp_ns = 1'000'000'000 + k * 100'000'000;
     sample.T_odom_camera = setup.T_odom_world * (drifted ? setup.drift * T_world_camera : T_world_camera);
+    if (drifted) sample.T_odom_camera.t *= setup.drift_scale;
     sample.is_break = setup.drift_is_break && drifted && time_s < setup.drift_from_s + 0.1;
     const auto frame = builder.build(sample, nullptr);
     const std::int64_t first_id = drifted && !setup.same_ids ? 500 : 0;

@@ -53,10 +53,11 @@ class DemoTest(unittest.TestCase):
         cls.directory = tempfile.mkdtemp(prefix='semantic_topo_loop_demo_')
         cls.data = os.path.join(cls.directory, 'data')
         cls.results = os.path.join(cls.directory, 'results')
+        cls.submaps = os.path.join(cls.directory, 'submaps.json')
         cls.heard = Heard()
         # It stays up at the end, so that what is published at intervals can be heard.
         cls.launch = Launch('demo.launch', rviz='false', duration='16', data=cls.data, output=cls.results,
-                            exit_at_end='false')
+                            exit_at_end='false', save_map=cls.submaps)
         cls.status, cls.said = run_program('wait_for_player', '__ns:=/' + PACKAGE, timeout_s=90)
 
     @classmethod
@@ -110,12 +111,16 @@ class DemoTest(unittest.TestCase):
         self.assertGreaterEqual(too_recent[0].closure.inliers, 4)
 
     def test_lockstep_is_offline_byte_for_byte(self):
-        offline = os.path.join(self.directory, 'offline')
+        offline, submaps = (os.path.join(self.directory, name) for name in ('offline', 'offline_submaps.json'))
         status, output = run_program('offline', '--trajectory', os.path.join(self.data, 'odometry.txt'),
                                      '--detections', os.path.join(self.data, 'detections.json'),
-                                     '--camera', os.path.join(self.data, 'camera.yaml'), '--output', offline)
+                                     '--camera', os.path.join(self.data, 'camera.yaml'), '--output', offline,
+                                     '--save-map', submaps)
         self.assertEqual(status, 0, output)
         self.assertEqual(differing_files(offline, self.results), [])
+        self.assertTrue(wait_until(lambda: os.path.exists(self.submaps), 10), self.launch.output())
+        with open(submaps, 'rb') as ours, open(self.submaps, 'rb') as theirs:
+            self.assertEqual(ours.read(), theirs.read())
 
 
 if __name__ == '__main__':

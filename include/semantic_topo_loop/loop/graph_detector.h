@@ -55,6 +55,8 @@ class GraphDetector {
   };
   /// Number of submaps that are `min_gap_s` older than the query.
   int old_enough(const LocalMap& query) const;
+  /// Submaps worth matching, of the numbers below `end`.
+  std::vector<int> propose(const std::vector<LabelledPoint>& points, int end) const;
   const LocalMap& match_of(const Candidate& candidate) const { return maps_[candidate.stored].map; }
   /// Aligns and verifies the query with the submaps of these numbers.
   std::vector<Candidate> examine(const LocalMap& query, const std::vector<LabelledPoint>& points,

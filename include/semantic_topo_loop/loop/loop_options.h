@@ -9,6 +9,7 @@ struct LoopOptions {
   bool enabled = true;
   std::string mode = "graph";
   std::string score = "corrected";
+  std::string scale = "fixed";
   double min_gap_s = 16.0;
   int max_candidates = 4;
   double attempt_interval_s = 0.3;
@@ -65,6 +66,7 @@ struct LoopOptions {
     visitor("loop.enabled", enabled, "look for loops");
     visitor("loop.mode", mode, "graph (local object graphs) or paper (shared landmarks)");
     visitor("loop.score", score, "paper mode: corrected or printed");
+    visitor("loop.scale", scale, "graph mode: fixed, or free for an odometry whose scale drifts (monocular)");
     visitor("loop.min_gap_s", min_gap_s, "graph mode: no loop between submaps closer in time");
     visitor("loop.max_candidates", max_candidates, "loops accepted a keyframe at most");
     visitor("loop.attempt_interval_s", attempt_interval_s, "loops are looked for this often, and at keyframes");
