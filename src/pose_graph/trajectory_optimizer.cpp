@@ -126,12 +126,13 @@ class TrajectoryOptimizer {
   }
 
   void learn_noise() {
-    constexpr std::size_t kMaxLoops = 24;  // as many as can be afforded: the cost grows with their cube
+    // As many as can be afforded: the cost grows with their cube.
+    const std::size_t max_loops = effort_ == Effort::kFull ? 40 : 24;
     std::vector<GraphLoop> loops;
     for (std::size_t k = 0; k < trajectory_.loops.size(); ++k) {
       if (result_.knowledge.kept[k]) loops.push_back(trajectory_.loops[k]);
     }
-    const std::vector<GraphLoop> some = thinned(loops, kMaxLoops);
+    const std::vector<GraphLoop> some = thinned(loops, max_loops);
     InnovationModel model(result_.T_map_vertex, trajectory_.edges, some);
     NoiseEstimate& noise = result_.knowledge.noise;
     const int max_new_jumps = effort_ == Effort::kFull ? kManyJumps : kFewJumps;
