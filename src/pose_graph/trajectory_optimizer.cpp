@@ -116,7 +116,7 @@ class TrajectoryOptimizer {
     }
     if (options_.robust != "gnc") return;
     // A single burst may stand behind some loops and not behind most: 15 cm after one metre is always granted.
-    constexpr double kStrain = 3.0, kLeastStrain = 150.0;
+    constexpr double kStrain = 2.5, kLeastStrain = 150.0;
     const double limit = std::max(kLeastStrain, kStrain * loose / options_.gnc_loosening);
     std::size_t voter = 0;
     for (std::size_t k = 0; k < votes_.size(); ++k) {
