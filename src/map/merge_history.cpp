@@ -24,6 +24,7 @@ Remains remains_of(const std::map<std::int64_t, SE3>& T_map_keyframe, const Mapp
 MappedLandmark restore(const std::map<std::int64_t, SE3>& T_map_keyframe, const Remains& remains) {
   MappedLandmark landmark = remains.landmark;
   landmark.state.ellipsoid = MergeHistory::place(T_map_keyframe, remains);
+  landmark.fit_due = landmark.state.mean_iou > 0.0;  // it was fitted in the map that has just been corrected
   return landmark;
 }
 

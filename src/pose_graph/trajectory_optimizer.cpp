@@ -116,7 +116,7 @@ class TrajectoryOptimizer {
     }
     if (options_.robust != "gnc") return;
     // A single burst may stand behind some loops and not behind most: 15 cm after one metre is always granted.
-    constexpr double kStrain = 3.0, kLeastStrain = 150.0;
+    constexpr double kStrain = 2.5, kLeastStrain = 150.0;
     const double limit = std::max(kLeastStrain, kStrain * loose / options_.gnc_loosening);
     std::size_t voter = 0;
     for (std::size_t k = 0; k < votes_.size(); ++k) {
@@ -126,12 +126,13 @@ class TrajectoryOptimizer {
   }
 
   void learn_noise() {
-    constexpr std::size_t kMaxLoops = 24;  // as many as can be afforded: the cost grows with their cube
+    // As many as can be afforded: the cost grows with their cube.
+    const std::size_t max_loops = effort_ == Effort::kFull ? 40 : 24;
     std::vector<GraphLoop> loops;
     for (std::size_t k = 0; k < trajectory_.loops.size(); ++k) {
       if (result_.knowledge.kept[k]) loops.push_back(trajectory_.loops[k]);
     }
-    const std::vector<GraphLoop> some = thinned(loops, kMaxLoops);
+    const std::vector<GraphLoop> some = thinned(loops, max_loops);
     InnovationModel model(result_.T_map_vertex, trajectory_.edges, some);
     NoiseEstimate& noise = result_.knowledge.noise;
     const int max_new_jumps = effort_ == Effort::kFull ? kManyJumps : kFewJumps;
