@@ -17,8 +17,8 @@ namespace {
 const Camera kCamera{520.0, 520.0, 320.0, 240.0, 640, 480, {}};
 constexpr int kCup = 41;
 
-std::vector<SubmapView> views_of(const Ellipsoid& ellipsoid, int n) {
-  std::vector<SubmapView> views;
+std::vector<BoxView> views_of(const Ellipsoid& ellipsoid, int n) {
+  std::vector<BoxView> views;
   for (int i = 0; i < n; ++i) {
     const double angle = radians(60.0) * i / n - radians(30.0);
     const SE3 T_world_camera(so3_exp(Vec3(0.0, -angle, 0.0)), Vec3(1.5 * std::sin(angle), 0.0, -1.5 * std::cos(angle)));
@@ -37,13 +37,13 @@ void project_quadric(benchmark::State& state) {
 BENCHMARK(project_quadric);
 
 void initialise_quadric(benchmark::State& state) {
-  const std::vector<SubmapView> views = views_of(kObject, static_cast<int>(state.range(0)));
+  const std::vector<BoxView> views = views_of(kObject, static_cast<int>(state.range(0)));
   for (auto _ : state) benchmark::DoNotOptimize(initialise_sphere(kCamera, views));
 }
 BENCHMARK(initialise_quadric)->Arg(10)->Arg(60);
 
 void refine_quadric_on_boxes(benchmark::State& state) {
-  const std::vector<SubmapView> views = views_of(kObject, static_cast<int>(state.range(0)));
+  const std::vector<BoxView> views = views_of(kObject, static_cast<int>(state.range(0)));
   const Ellipsoid sphere = *initialise_sphere(kCamera, views);
   for (auto _ : state) benchmark::DoNotOptimize(refine_quadric(kCamera, views, sphere));
 }
