@@ -7,6 +7,7 @@
 #include <optional>
 #include <sstream>
 
+#include "semantic_topo_loop/loop/burst_watch.h"
 #include "semantic_topo_loop/loop/graph_detector.h"
 #include "semantic_topo_loop/loop/local_map.h"
 #include "semantic_topo_loop/loop/loop_options.h"
@@ -199,12 +200,16 @@ class LoopDetector::Impl {
       monitor_.restart();
       ++segment_;
     }
-    if (taken && !window_.frames().empty() && monitor_.push(window_.frames().back())) {
+    // The boxes show a jump at once, the motion by itself only once the jump is over.
+    const bool has_burst = bursts_.push(frame);
+    const bool has_shift = taken && !window_.frames().empty() && monitor_.push(window_.frames().back());
+    if (has_burst || has_shift) {
+      monitor_.restart();
       window_.clear();
       up_.clear();
       ++segment_;
-      settled_ns_ = frame.stamp_ns + kSettleNs;
     }
+    if (has_shift) settled_ns_ = frame.stamp_ns + kSettleNs;
     const std::optional<double> drift = monitor_.drift_rad_s();
     if (drift) window_.set_span(std::clamp(window_drift_rad_ / std::max(*drift, 1e-9), min_window_s_, window_s_));
   }
@@ -219,6 +224,7 @@ class LoopDetector::Impl {
   std::int64_t settled_ns_ = 0;  ///< frames before are left out, after a jump
   ObservationWindow window_;
   OdometryMonitor monitor_;
+  BurstWatch bursts_;
   UpEstimator up_;
   LandmarkRedirects redirects_;
   LocalMapBuilder builder_;

@@ -10,8 +10,8 @@
 #include <string>
 #include <utility>
 
+#include "semantic_topo_loop/geometry/motion_bursts.h"
 #include "semantic_topo_loop/geometry/stamped_pose.h"
-#include "semantic_topo_loop/pose_graph/jump_monitor.h"
 #include "semantic_topo_loop/pose_graph/loop_consistency.h"
 #include "semantic_topo_loop/pose_graph/relative_pose.h"
 #include "semantic_topo_loop/pose_graph/trajectory_optimizer.h"
@@ -107,8 +107,8 @@ class PoseGraph::Impl {
   void watch(const Frame& frame) {
     if (last_frame_ && !frame.is_break && frame.stamp_ns > last_frame_->stamp_ns) {
       const double dt_s = 1e-9 * static_cast<double>(frame.stamp_ns - last_frame_->stamp_ns);
-      monitor_.add(last_frame_->T_world_camera.inverse() * frame.T_odom_camera, dt_s,
-                   keyframes_.empty() ? 0 : keyframes_.size() - 1);
+      bursts_.add(last_frame_->T_world_camera.inverse() * frame.T_odom_camera, dt_s,
+                  keyframes_.empty() ? 0 : keyframes_.size() - 1);
     }
     last_frame_ = StampedPose{frame.stamp_ns, frame.T_odom_camera};
   }
@@ -182,7 +182,10 @@ class PoseGraph::Impl {
     const Effort effort = this->effort(is_end);
     keyframes_since_ = 0;
     has_new_loops_ = is_upset_ = is_urgent_ = is_withdrawn_ = false;
-    monitor_.apply(&trajectory_.edges);
+    for (std::size_t i = 0; i < trajectory_.edges.size(); ++i) {
+      trajectory_.edges[i].suspect_translation_m = bursts_.suspect(i).head<3>().norm();
+      trajectory_.edges[i].suspect_rotation_rad = bursts_.suspect(i).tail<3>().norm();
+    }
     if (options_.robust == "gnc") trajectory_.votes = consistency_.vote(trajectory_.edges, trajectory_.loops);
     OptimizedTrajectory result = optimize_trajectory(trajectory_, options_, knowledge_, effort);
     if (!result.usable) return false;
@@ -254,7 +257,7 @@ class PoseGraph::Impl {
   std::vector<KeyframePose> keyframes_;
   std::map<std::int64_t, int> vertex_of_;
   OdometryAccumulator accumulator_;
-  JumpMonitor monitor_;
+  MotionBursts bursts_;
   LoopConsistency consistency_;
   std::optional<StampedPose> last_frame_;  ///< in the odometry's world
   SE3 T_odom_keyframe_;                    ///< of the last keyframe

@@ -2,7 +2,6 @@
 
 #include <set>
 
-#include "semantic_topo_loop/pose_graph/jump_monitor.h"
 #include "semantic_topo_loop/pose_graph/loop_consistency.h"
 #include "semantic_topo_loop/simulation/false_loops.h"
 #include "synthetic_run.h"
@@ -115,28 +114,6 @@ TEST(Withdraw, TheMapIsAsIfTheLoopHadNeverBeen) {
   EXPECT_EQ(correction.loops.size(), 1U);
   const auto a = both.graph.keyframes(), b = one.graph.keyframes();
   for (std::size_t i = 0; i < a.size(); ++i) EXPECT_LT((a[i].T_map_camera.t - b[i].T_map_camera.t).norm(), 2e-3) << i;
-}
-
-TEST(JumpMonitor, FindsABurstAndNothingElse) {
-  constexpr int kFrames = 300, kFramesPerEdge = 5, kBurst = 150;
-  constexpr double kRate_s = 1.0 / 30.0;
-  Random random(4);
-  JumpMonitor monitor;
-  for (int k = 0; k < kFrames; ++k) {
-    Vec6 motion = random_tangent(&random, 0.001, 0.002);
-    motion(0) += 0.01 * std::sin(0.02 * k);
-    if (k >= kBurst && k < kBurst + 5) motion(1) += 0.04;
-    monitor.add(se3_exp(motion), kRate_s, static_cast<std::size_t>(k / kFramesPerEdge));
-  }
-  std::vector<OdometryEdge> edges(kFrames / kFramesPerEdge);
-  monitor.apply(&edges);
-  for (std::size_t i = 0; i < edges.size(); ++i) {
-    if (i == kBurst / kFramesPerEdge) {
-      EXPECT_NEAR(edges[i].suspect_translation_m, 0.2, 0.02);
-    } else {
-      EXPECT_LT(edges[i].suspect_translation_m, 0.005) << i;
-    }
-  }
 }
 
 TEST(PoseGraph, AJumpThatTheMotionDoesNotShowIsFound) {

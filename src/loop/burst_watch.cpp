@@ -1,0 +1,32 @@
+#include "semantic_topo_loop/loop/burst_watch.h"
+
+namespace semantic_topo_loop::core {
+namespace {
+
+constexpr int kFramesPerSection = 15;
+constexpr double kMinTranslation = 0.05;  ///< m; less does not spoil a submap
+constexpr double kMinRotation = 0.03;     ///< rad
+
+}  // namespace
+
+bool BurstWatch::push(const Frame& frame) {
+  const bool follows = last_ && !frame.is_break && frame.stamp_ns > last_->stamp_ns;
+  if (follows) {
+    const double dt_s = 1e-9 * static_cast<double>(frame.stamp_ns - last_->stamp_ns);
+    bursts_.add(last_->T_world_camera.inverse() * frame.T_odom_camera, dt_s, section_);
+  }
+  last_ = StampedPose{frame.stamp_ns, frame.T_odom_camera};
+  if (!follows) return false;
+  // A burst may lie across the border of two sections.
+  Vec6 suspect = bursts_.suspect(section_);
+  if (section_ > 0) suspect += bursts_.suspect(section_ - 1);
+  const bool jumped = suspect.head<3>().norm() > kMinTranslation || suspect.tail<3>().norm() > kMinRotation;
+  constexpr std::size_t kBeyond = 2;  // what is still to come of this burst belongs to the old sections
+  if (jumped || ++frames_ == kFramesPerSection) {
+    section_ += jumped ? kBeyond : 1;
+    frames_ = 0;
+  }
+  return jumped;
+}
+
+}  // namespace semantic_topo_loop::core
