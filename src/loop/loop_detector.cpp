@@ -207,9 +207,12 @@ class LoopDetector::Impl {
       monitor_.restart();
       window_.clear();
       up_.clear();
-      ++segment_;
     }
-    if (has_shift) settled_ns_ = frame.stamp_ns + kSettleNs;
+    // A burst is small, and may be a jolt of the camera itself: where the odometry sees itself still tells places apart.
+    if (has_shift) {
+      ++segment_;
+      settled_ns_ = frame.stamp_ns + kSettleNs;
+    }
     const std::optional<double> drift = monitor_.drift_rad_s();
     if (drift) window_.set_span(std::clamp(window_drift_rad_ / std::max(*drift, 1e-9), min_window_s_, window_s_));
   }
