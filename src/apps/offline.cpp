@@ -53,15 +53,12 @@ struct Arguments {
 
 /// @return false with `error` set; an empty error means that help was asked for
 bool parse(int argc, char** argv, Arguments* arguments, std::string* error) {
-  const std::vector<std::pair<std::string, std::string*>> fields = {{"--trajectory", &arguments->trajectory},
-                                                                    {"--detections", &arguments->detections},
-                                                                    {"--camera", &arguments->camera},
-                                                                    {"--classes", &arguments->classes},
-                                                                    {"--config", &arguments->config},
-                                                                    {"--extra-loops", &arguments->extra_loops},
-                                                                    {"--output", &arguments->output},
-                                                                    {"--map", &arguments->map},
-                                                                    {"--save-map", &arguments->save_map}};
+  const std::vector<std::pair<std::string, std::string*>> fields = {
+      {"--trajectory", &arguments->trajectory}, {"--detections", &arguments->detections},
+      {"--camera", &arguments->camera},         {"--classes", &arguments->classes},
+      {"--config", &arguments->config},         {"--extra-loops", &arguments->extra_loops},
+      {"--output", &arguments->output},         {"--map", &arguments->map},
+      {"--save-map", &arguments->save_map}};
   const std::set<std::string> optional = {"--classes", "--config", "--extra-loops", "--map", "--save-map"};
   for (int i = 1; i < argc; ++i) {
     const std::string name = argv[i];

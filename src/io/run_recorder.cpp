@@ -276,7 +276,7 @@ bool RunRecorder::write(const std::string& directory, std::string* error) const 
                                                             {"keyframes.csv", keyframes()},
                                                             {"objects.csv", objects()},
                                                             {"loops.csv", loops(false)},
-                                                             {"loop_verdicts.csv", loop_verdicts()},
+                                                            {"loop_verdicts.csv", loop_verdicts()},
                                                             {"associations.csv", associations()},
                                                             {"timing.csv", timing()},
                                                             {"summary.json", summary()}};

@@ -6,6 +6,7 @@
 #include <map>
 #include <set>
 
+#include "semantic_topo_loop/geometry/statistics.h"
 #include "semantic_topo_loop/loop/loop_options.h"
 #include "semantic_topo_loop/loop/ray_clusters.h"
 
@@ -81,12 +82,6 @@ Value commonest(const std::vector<BoxRay>& rays, const RayCluster& cluster, Valu
   return std::max_element(counts.begin(), counts.end(),
                           [](const auto& p, const auto& q) { return p.second < q.second; })
       ->first;
-}
-
-double median(std::vector<double> values) {
-  const auto middle = values.begin() + static_cast<std::ptrdiff_t>(values.size() / 2);
-  std::nth_element(values.begin(), middle, values.end());
-  return *middle;
 }
 
 /// Half width and half height of the boxes at their depths, as logs.

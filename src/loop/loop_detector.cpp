@@ -208,7 +208,8 @@ class LoopDetector::Impl {
       window_.clear();
       up_.clear();
     }
-    // A burst is small, and may be a jolt of the camera itself: where the odometry sees itself still tells places apart.
+    // A burst is small, and may be a jolt of the camera itself: where the odometry sees itself still tells places
+    // apart.
     if (has_shift) {
       ++segment_;
       settled_ns_ = frame.stamp_ns + kSettleNs;

@@ -3,6 +3,8 @@
 #include <algorithm>
 #include <cmath>
 
+#include "semantic_topo_loop/geometry/statistics.h"
+
 namespace semantic_topo_loop::core {
 namespace {
 
@@ -69,10 +71,7 @@ bool OdometryMonitor::push(const ObservedFrame& frame) {
 
 std::optional<double> OdometryMonitor::drift_rad_s() const {
   if (rates_.size() < kMinRates) return std::nullopt;
-  std::vector<double> rates(rates_.begin(), rates_.end());
-  const auto middle = rates.begin() + static_cast<std::ptrdiff_t>(rates.size() / 2);
-  std::nth_element(rates.begin(), middle, rates.end());
-  return *middle;
+  return median({rates_.begin(), rates_.end()});
 }
 
 /// The offset between predicted and detected boxes of one label that most objects share; the smallest on ties.

@@ -6,6 +6,9 @@
 #include <limits>
 #include <map>
 #include <optional>
+#include <utility>
+
+#include "semantic_topo_loop/geometry/statistics.h"
 
 namespace semantic_topo_loop::core {
 namespace {
@@ -170,11 +173,10 @@ class Clustering {
       sizes.push_back(o.depth * ray(i).box.size());
     }
     if (near.empty()) return {};
-    const auto middle = sizes.begin() + static_cast<std::ptrdiff_t>(sizes.size() / 2);
-    std::nth_element(sizes.begin(), middle, sizes.end());
+    const double usual = median(std::move(sizes));
     std::map<int, std::pair<double, int>> best_of_frame;
     for (const auto& [i, o] : near) {
-      if (std::abs(std::log(o.depth * ray(i).box.size() / *middle)) >= kMemberSizeLog) continue;
+      if (std::abs(std::log(o.depth * ray(i).box.size() / usual)) >= kMemberSizeLog) continue;
       const auto [it, inserted] = best_of_frame.emplace(ray(i).frame, std::pair(o.share, i));
       if (!inserted) it->second = std::min(it->second, std::pair(o.share, i));
     }

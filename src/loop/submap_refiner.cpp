@@ -3,6 +3,9 @@
 #include <Eigen/Cholesky>
 #include <algorithm>
 #include <cmath>
+#include <utility>
+
+#include "semantic_topo_loop/geometry/statistics.h"
 
 namespace semantic_topo_loop::core {
 namespace {
@@ -202,9 +205,7 @@ class RefinementProblem {
     J.bottomRightCorner<3, 3>() = side.J_right;
     const Mat6 covariance = J * ldlt.solve(Mat6::Identity()) * J.transpose();
     refinement->covariance = 0.5 * inflation * inflation * (covariance + covariance.transpose());
-    const auto middle = residuals.begin() + static_cast<std::ptrdiff_t>(residuals.size() / 2);
-    std::nth_element(residuals.begin(), middle, residuals.end());
-    refinement->median_residual = *middle;
+    refinement->median_residual = median(std::move(residuals));
     return refinement->covariance.allFinite();
   }
 

@@ -31,8 +31,8 @@ class RunRecorder {
   void record(const MapCorrection& correction);
 
   /// Writes trajectory_live.txt, trajectory.txt, keyframes.csv, objects.csv, loops.csv, loop_verdicts.csv,
-  /// associations.csv, timing.csv and summary.json, and relocalisations.csv if there were candidates in an earlier run's
-  /// map, creating the directory. Each file appears whole or not at all.
+  /// associations.csv, timing.csv and summary.json, and relocalisations.csv if there were candidates in an earlier
+  /// run's map, creating the directory. Each file appears whole or not at all.
   /// @return false, with the path in `error`, if a file cannot be written
   bool write(const std::string& directory, std::string* error) const;
   /// Where the run is in an earlier run's map, by the loops recorded so far.
