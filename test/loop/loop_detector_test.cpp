@@ -79,7 +79,9 @@ TEST(LoopDetector, AFreeScaleClosesWhereTheOdometrysScaleHasDrifted) {
     const RunOutcome outcome = run(free, setup);
     EXPECT_GE(outcome.accepted(), 5) << "scale " << scale;
     expect_right(outcome);
-    if (std::abs(scale - 1.0) > 0.2) EXPECT_LT(run(LoopOptions(), setup).accepted(), outcome.accepted() / 2);
+    if (std::abs(scale - 1.0) > 0.2) {
+      EXPECT_LT(run(LoopOptions(), setup).accepted(), outcome.accepted() / 2);
+    }
   }
 }
 
