@@ -41,7 +41,7 @@ Case make_case(const OdometryNoise& noise, double loop_factor, std::uint64_t see
 NoiseEstimate estimate(const Case& data) {
   const NoisePrior prior{OdometryNoise(), 1000.0, 1.5};
   const InnovationModel model(data.vertices, data.edges, data.loops);
-  return estimate_noise(model, prior, {prior.least, 1.0});
+  return estimate_noise(model, prior, {prior.least, 1.0, {}});
 }
 
 TEST(NoiseEstimator, FindsTheNoiseThatMadeTheInnovations) {
@@ -75,7 +75,7 @@ TEST(NoiseEstimator, StaysInItsBounds) {
   const Case data = make_case({0.5, 0.3}, 1.0, 2);
   const NoisePrior prior{OdometryNoise(), 3.0, 1.5};
   const InnovationModel model(data.vertices, data.edges, data.loops);
-  const NoiseEstimate found = estimate_noise(model, prior, {prior.least, 1.0});
+  const NoiseEstimate found = estimate_noise(model, prior, {prior.least, 1.0, {}});
   EXPECT_NEAR(found.odometry.translation_m, 3.0 * prior.least.translation_m, 1e-9);
   EXPECT_NEAR(found.odometry.rotation_rad, 3.0 * prior.least.rotation_rad, 1e-9);
 }

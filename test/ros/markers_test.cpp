@@ -114,13 +114,14 @@ TEST(Markers, TopologyJoinsTheObjectsInViewThroughMerges) {
 TEST(Markers, LoopsAreGreenUntilTheOptimiserRejectsThem) {
   MapView view;
   for (int i = 0; i < 3; ++i) view.add_keyframe(i, core::SE3(core::Quaternion::Identity(), core::Vec3(i, 0.0, 0.0)));
-  core::LoopClosure accepted, rejected;
+  std::vector<core::LoopClosure> loops(2);
+  core::LoopClosure &accepted = loops[0], &rejected = loops[1];
   accepted.query_keyframe_id = 2;
   accepted.match_keyframe_id = 0;
   accepted.accepted = true;
   rejected.query_keyframe_id = 1;
   rejected.match_keyframe_id = 0;
-  view.add_loops({accepted, rejected});
+  view.add_loops(loops);
   auto array = make_loop_markers(view, map_header(), {});
   ASSERT_EQ(array->markers.size(), 2u);
   EXPECT_EQ(array->markers[1].points.size(), 2u);
