@@ -23,8 +23,12 @@ void remember(double value, std::size_t turn, std::vector<double>* history) {
 
 }  // namespace
 
-void MotionBursts::add(const SE3& motion, double dt_s, std::size_t section) {
-  window_.push_back({se3_log(motion) / dt_s, dt_s, section});
+void MotionBursts::push(const StampedPose& pose, bool is_break, std::size_t section) {
+  const std::optional<StampedPose> last = last_;
+  last_ = pose;
+  if (!last || is_break || pose.stamp_ns <= last->stamp_ns) return;
+  const double dt_s = 1e-9 * static_cast<double>(pose.stamp_ns - last->stamp_ns);
+  window_.push_back({se3_log(last->T_world_camera.inverse() * pose.T_world_camera) / dt_s, dt_s, section});
   if (window_.size() > 2 * kReach + 1) window_.pop_front();
   if (window_.size() == 2 * kReach + 1) judge(kReach);
 }

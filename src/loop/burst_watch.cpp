@@ -10,13 +10,7 @@ constexpr double kMinRotation = 0.03;     ///< rad
 }  // namespace
 
 bool BurstWatch::push(const Frame& frame) {
-  const bool follows = last_ && !frame.is_break && frame.stamp_ns > last_->stamp_ns;
-  if (follows) {
-    const double dt_s = 1e-9 * static_cast<double>(frame.stamp_ns - last_->stamp_ns);
-    bursts_.add(last_->T_world_camera.inverse() * frame.T_odom_camera, dt_s, section_);
-  }
-  last_ = StampedPose{frame.stamp_ns, frame.T_odom_camera};
-  if (!follows) return false;
+  bursts_.push({frame.stamp_ns, frame.T_odom_camera}, frame.is_break, section_);
   // A burst may lie across the border of two sections.
   Vec6 suspect = bursts_.suspect(section_);
   if (section_ > 0) suspect += bursts_.suspect(section_ - 1);

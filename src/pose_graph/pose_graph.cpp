@@ -11,7 +11,6 @@
 #include <utility>
 
 #include "semantic_topo_loop/geometry/motion_bursts.h"
-#include "semantic_topo_loop/geometry/stamped_pose.h"
 #include "semantic_topo_loop/pose_graph/loop_consistency.h"
 #include "semantic_topo_loop/pose_graph/relative_pose.h"
 #include "semantic_topo_loop/pose_graph/trajectory_optimizer.h"
@@ -84,7 +83,7 @@ class PoseGraph::Impl {
  private:
   void add_frame(const Frame& frame) {
     if (!frame.T_odom_camera.is_finite()) return;
-    watch(frame);
+    bursts_.push({frame.stamp_ns, frame.T_odom_camera}, frame.is_break, keyframes_.empty() ? 0 : keyframes_.size() - 1);
     accumulator_.add(frame);
     if (!frame.is_keyframe || vertex_of_.count(frame.keyframe_id) != 0) return;
     if (!keyframes_.empty()) trajectory_.edges.push_back(accumulator_.finish(T_odom_keyframe_, frame.T_odom_camera));
@@ -103,15 +102,6 @@ class PoseGraph::Impl {
     int index = -1;         ///< in the graph; -1 for loops that repeat others
     bool is_extra = false;  ///< given from outside
   };
-
-  void watch(const Frame& frame) {
-    if (last_frame_ && !frame.is_break && frame.stamp_ns > last_frame_->stamp_ns) {
-      const double dt_s = 1e-9 * static_cast<double>(frame.stamp_ns - last_frame_->stamp_ns);
-      bursts_.add(last_frame_->T_world_camera.inverse() * frame.T_odom_camera, dt_s,
-                  keyframes_.empty() ? 0 : keyframes_.size() - 1);
-    }
-    last_frame_ = StampedPose{frame.stamp_ns, frame.T_odom_camera};
-  }
 
   void add_loop(const LoopClosure& closure, bool is_extra) {
     if (!closure.accepted) return;
@@ -259,8 +249,7 @@ class PoseGraph::Impl {
   OdometryAccumulator accumulator_;
   MotionBursts bursts_;
   LoopConsistency consistency_;
-  std::optional<StampedPose> last_frame_;  ///< in the odometry's world
-  SE3 T_odom_keyframe_;                    ///< of the last keyframe
+  SE3 T_odom_keyframe_;  ///< of the last keyframe
   SE3 T_map_odom_;
   GraphKnowledge knowledge_;
   std::vector<Entry> entries_;  ///< in order of acceptance

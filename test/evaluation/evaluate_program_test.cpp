@@ -1,5 +1,4 @@
 #include <gtest/gtest.h>
-#include <sys/wait.h>
 
 #include <nlohmann/json.hpp>
 
@@ -34,16 +33,11 @@ class EvaluateProgram : public ::testing::Test {
   }
 
   /// @return the exit status; "@" in the arguments stands for the test's directory
-  int run(std::string arguments) {
-    for (std::size_t at = arguments.find('@'); at != std::string::npos; at = arguments.find('@', at)) {
-      arguments.replace(at, 1, directory_.path(""));
-    }
-    const std::string command = std::string(STL_EVALUATE_PROGRAM) + " " + arguments + " >" + directory_.path("out") +
-                                " 2>" + directory_.path("err");
-    const int status = std::system(command.c_str());
-    out_ = read_whole(directory_.path("out"));
-    err_ = read_whole(directory_.path("err"));
-    return WIFEXITED(status) ? WEXITSTATUS(status) : -1;
+  int run(const std::string& arguments) {
+    const ProgramRun run = run_program(STL_EVALUATE_PROGRAM, arguments, directory_);
+    out_ = run.out;
+    err_ = run.err;
+    return run.status;
   }
   nlohmann::json json() const { return nlohmann::json::parse(read_whole(directory_.path("out.json"))); }
 

@@ -7,8 +7,6 @@
 namespace semantic_topo_loop::core {
 namespace {
 
-constexpr double kSigma_m = 0.02, kSigma_rad = 0.01;
-
 struct Case {
   std::vector<SE3> vertices;
   std::vector<OdometryEdge> edges;

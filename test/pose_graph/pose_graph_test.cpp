@@ -14,18 +14,6 @@
 namespace semantic_topo_loop::core {
 namespace {
 
-constexpr double kSigma_m = 0.02, kSigma_rad = 0.01;
-
-/// Loops from every fifth keyframe of the second round, with independent noise as stated.
-std::vector<LoopClosure> noisy_loops(const SyntheticRun& run, std::uint64_t seed) {
-  Random random(seed);
-  std::vector<LoopClosure> loops;
-  for (int k = run.round() + 10; k < run.size(); k += 5) {
-    loops.push_back(run.loop(k, k - run.round(), random_tangent(&random, kSigma_m, kSigma_rad), kSigma_m, kSigma_rad));
-  }
-  return loops;
-}
-
 int count_kept(const std::vector<LoopVerdict>& verdicts) {
   int kept = 0;
   for (const LoopVerdict& verdict : verdicts) kept += verdict.kept ? 1 : 0;

@@ -9,17 +9,6 @@
 namespace semantic_topo_loop::core {
 namespace {
 
-constexpr double kSigma_m = 0.02, kSigma_rad = 0.01;
-
-std::vector<LoopClosure> right_loops(const SyntheticRun& run, std::uint64_t seed) {
-  Random random(seed);
-  std::vector<LoopClosure> loops;
-  for (int k = run.round() + 10; k < run.size(); k += 2) {
-    loops.push_back(run.loop(k, k - run.round(), random_tangent(&random, kSigma_m, kSigma_rad), kSigma_m, kSigma_rad));
-  }
-  return loops;
-}
-
 std::vector<KeyframePose> odometry_of(const SyntheticRun& run) {
   std::vector<KeyframePose> keyframes;
   for (int k = 0; k < run.size(); ++k) keyframes.push_back({k, k, 0, run.odometry(k)});
@@ -30,7 +19,7 @@ std::vector<KeyframePose> odometry_of(const SyntheticRun& run) {
 void expect_robust(const FalseLoopOptions& options, double drift_m, double drift_rad, std::uint64_t seed) {
   SyntheticRun run;
   run.drift(drift_m, drift_rad, seed);
-  const std::vector<LoopClosure> right = right_loops(run, seed);
+  const std::vector<LoopClosure> right = noisy_loops(run, seed, 2);
   std::set<std::pair<std::int64_t, std::int64_t>> is_right;
   for (const LoopClosure& loop : right) is_right.insert({loop.query_keyframe_id, loop.match_keyframe_id});
   std::vector<LoopClosure> loops = right;
@@ -80,7 +69,7 @@ TEST(FalseLoops, TheSameSeedGivesTheSameLoops) {
 TEST(LoopVerdict, SaysWhyALoopIsRefused) {
   SyntheticRun run;
   run.drift(0.003, 0.001, 1);
-  std::vector<LoopClosure> loops = right_loops(run, 1);
+  std::vector<LoopClosure> loops = noisy_loops(run, 1, 2);
   LoopClosure bad = loops[5];
   bad.covariance.setZero();
   loops.push_back(bad);
@@ -124,7 +113,7 @@ TEST(PoseGraph, AJumpThatTheMotionDoesNotShowIsFound) {
   run.drift(0.0003, 0.0001, 3, slip, 60, 61);
   const double before = run.worst_odometry_error_m();
   ASSERT_GT(before, 0.2);
-  EXPECT_LT(run.worst_error_m(finish(run, right_loops(run, 3)).graph.keyframes()), 0.35 * before);
+  EXPECT_LT(run.worst_error_m(finish(run, noisy_loops(run, 3, 2)).graph.keyframes()), 0.35 * before);
 }
 
 TEST(LoopConsistency, ALoneWrongLoopHasNoVoteAndUnbrokenOnesDo) {

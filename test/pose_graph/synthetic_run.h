@@ -100,6 +100,18 @@ class SyntheticRun {
   std::vector<SE3> truth_, odometry_;
 };
 
+constexpr double kSigma_m = 0.02, kSigma_rad = 0.01;  ///< of each axis of noisy_loops()
+
+/// Loops from every `step`th keyframe of the second round, with independent noise as stated.
+inline std::vector<LoopClosure> noisy_loops(const SyntheticRun& run, std::uint64_t seed, int step = 5) {
+  Random random(seed);
+  std::vector<LoopClosure> loops;
+  for (int k = run.round() + 10; k < run.size(); k += step) {
+    loops.push_back(run.loop(k, k - run.round(), random_tangent(&random, kSigma_m, kSigma_rad), kSigma_m, kSigma_rad));
+  }
+  return loops;
+}
+
 /// A pose graph that was fed a whole run, and what it said last.
 struct FinishedRun {
   PoseGraph graph;

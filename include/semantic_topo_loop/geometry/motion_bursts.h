@@ -2,9 +2,10 @@
 
 #include <cstddef>
 #include <deque>
+#include <optional>
 #include <vector>
 
-#include "semantic_topo_loop/geometry/se3.h"
+#include "semantic_topo_loop/geometry/stamped_pose.h"
 
 namespace semantic_topo_loop::core {
 
@@ -12,8 +13,9 @@ namespace semantic_topo_loop::core {
 /// of the frames around it, and what exceeds the usual difference by far counts as a suspected jump of its section.
 class MotionBursts {
  public:
-  /// @param motion from the previous frame, dt_s > 0 ago   @param section of the path that it belongs to, not falling
-  void add(const SE3& motion, double dt_s, std::size_t section);
+  /// Takes in the next pose of the odometry; the motion to a pose after a break, or one that is not later, is left out.
+  /// @param section of the path that the motion belongs to, not falling
+  void push(const StampedPose& pose, bool is_break, std::size_t section);
   /// What stood out in a section, (m, rad); the last few frames have not been compared yet.
   Vec6 suspect(std::size_t section) const;
 
@@ -25,6 +27,7 @@ class MotionBursts {
   };
   void judge(std::size_t index);
 
+  std::optional<StampedPose> last_;
   std::deque<Motion> window_;
   std::vector<Vec6> suspects_;  ///< by section
   /// How far the rates of the last frames differed from their surroundings.

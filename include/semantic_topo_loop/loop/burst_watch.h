@@ -1,10 +1,8 @@
 #pragma once
 
 #include <cstddef>
-#include <optional>
 
 #include "semantic_topo_loop/geometry/motion_bursts.h"
-#include "semantic_topo_loop/geometry/stamped_pose.h"
 #include "semantic_topo_loop/map/frame.h"
 
 namespace semantic_topo_loop::core {
@@ -17,7 +15,6 @@ class BurstWatch {
 
  private:
   MotionBursts bursts_;
-  std::optional<StampedPose> last_;
   std::size_t section_ = 0;
   int frames_ = 0;  ///< in the section
 };

@@ -9,6 +9,15 @@
 
 namespace semantic_topo_loop::core {
 
+/// A camera pose of the odometry at the stamp of an image.
+struct PoseSample {
+  std::int64_t stamp_ns = 0;
+  SE3 T_odom_camera;
+  std::optional<Mat6> covariance;  ///< of the motion since the previous sample
+  bool is_break = false;           ///< as stated by the source
+  std::shared_ptr<const std::vector<Vec3>> points_camera;
+};
+
 /// What the odometry says about one image. Immutable once built; every stage reads the same one.
 struct Frame {
   std::int64_t frame_id = -1;  ///< counts the frames that have a pose, from 0, in time order

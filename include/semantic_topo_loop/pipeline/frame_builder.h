@@ -28,15 +28,6 @@ struct KeyframeOptions {
   bool is_valid(std::string* error) const;
 };
 
-/// A camera pose of the odometry at the stamp of an image.
-struct PoseSample {
-  std::int64_t stamp_ns = 0;
-  SE3 T_odom_camera;
-  std::optional<Mat6> covariance;  ///< of the motion since the previous sample
-  bool is_break = false;           ///< as stated by the source
-  std::shared_ptr<const std::vector<Vec3>> points_camera;
-};
-
 /// Turns camera poses into frames: numbers them, selects keyframes, flags breaks.
 class FrameBuilder {
  public:
