@@ -18,22 +18,23 @@ as_root() {
   if [ "$(id -u)" = 0 ]; then "$@"; else sudo "$@"; fi
 }
 
-common_packages="build-essential cmake ninja-build clang-format pkg-config xvfb
-  libbenchmark-dev libboost-all-dev libceres-dev libeigen3-dev libgtest-dev libpcl-dev libyaml-cpp-dev
-  nlohmann-json3-dev python3-numpy python3-matplotlib"
+common_packages="build-essential cmake ninja-build clang-format pkg-config xvfb libbenchmark-dev libboost-all-dev
+  libceres-dev libeigen3-dev libgtest-dev libopencv-dev libpcl-dev libyaml-cpp-dev nlohmann-json3-dev python3-numpy
+  python3-matplotlib"
 
-debian_packages="catkin libdiagnostic-msgs-dev libdiagnostic-updater-dev libgeometry-msgs-dev libnav-msgs-dev
-  libnodelet-dev libros-rosgraph-msgs-dev librosbag-dev librosbag-storage-dev libroscpp-dev libroslib-dev
-  librostest-dev libsensor-msgs-dev libstd-msgs-dev libstd-srvs-dev libtf2-dev libtf2-msgs-dev libtf2-ros-dev
-  libvisualization-msgs-dev libnodeletlib-dev libnodeletlib-tools python3-diagnostic-msgs python3-geometry-msgs python3-nav-msgs python3-rosbag
-  python3-roslaunch python3-rospy python3-rostest python3-sensor-msgs python3-std-srvs python3-tf2-msgs
-  python3-visualization-msgs ros-diagnostic-msgs ros-geometry-msgs ros-message-generation ros-nav-msgs ros-sensor-msgs
-  ros-std-msgs ros-visualization-msgs rosbash rosout rviz"
+debian_packages="catkin libcv-bridge-dev libdiagnostic-msgs-dev libdiagnostic-updater-dev libgeometry-msgs-dev
+  libimage-transport-dev libmessage-filters-dev libnav-msgs-dev libnodelet-dev libros-rosgraph-msgs-dev librosbag-dev
+  librosbag-storage-dev libroscpp-dev libroslib-dev librostest-dev libsensor-msgs-dev libstd-msgs-dev libstd-srvs-dev
+  libtf2-dev libtf2-msgs-dev libtf2-ros-dev libvisualization-msgs-dev libnodeletlib-dev libnodeletlib-tools
+  python3-diagnostic-msgs python3-geometry-msgs python3-nav-msgs python3-rosbag python3-roslaunch python3-rospy
+  python3-rostest python3-sensor-msgs python3-std-srvs python3-tf2-msgs python3-visualization-msgs ros-diagnostic-msgs
+  ros-geometry-msgs ros-message-generation ros-nav-msgs ros-sensor-msgs ros-std-msgs ros-visualization-msgs rosbash
+  rosout rviz"
 
 # ROS's own packages on Ubuntu 20.04; their repository (packages.ros.org) must be set up, as for every use of Noetic.
-noetic_packages="catkin diagnostic-msgs diagnostic-updater geometry-msgs message-generation message-runtime nav-msgs
-  nodelet rosbag rosbag-storage rosbash roscpp rosgraph-msgs roslaunch roslib rospy rostest rviz sensor-msgs std-msgs
-  std-srvs tf2 tf2-msgs tf2-ros visualization-msgs"
+noetic_packages="catkin cv-bridge diagnostic-msgs diagnostic-updater geometry-msgs image-transport message-filters
+  message-generation message-runtime nav-msgs nodelet rosbag rosbag-storage rosbash roscpp rosgraph-msgs roslaunch
+  roslib rospy rostest rviz sensor-msgs std-msgs std-srvs tf2 tf2-msgs tf2-ros visualization-msgs"
 
 required_packages() {
   local id version

@@ -1,0 +1,46 @@
+#pragma once
+
+#include <memory>
+#include <optional>
+#include <string>
+
+#include "semantic_topo_loop/frontend/frontend_options.h"
+#include "semantic_topo_loop/frontend/rgbd_image.h"
+#include "semantic_topo_loop/map/frame.h"
+
+namespace semantic_topo_loop::core {
+
+/// What became of one image.
+enum class TrackingState {
+  kStarted,      ///< the first image of an odometry: at the start, or anew after a loss (then the sample is a break)
+  kTracked,      ///< followed from the image before
+  kRelocalised,  ///< found again in recent keyframes after a loss
+  kLost,         ///< no pose
+  kUnusable,     ///< no pose: the image shows nothing to follow (too few features or depths)
+};
+
+struct TrackedImage {
+  TrackingState state = TrackingState::kLost;
+  std::optional<PoseSample> sample;  ///< unless lost: T_odom_camera, covariance, break flag, points_camera
+  int matches = 0;                   ///< map points found in the image
+  int inliers = 0;                   ///< of these, how many the pose explains
+};
+
+/// Visual odometry of an RGB-D camera: ORB features, projection into a local map, pose refinement, local bundle
+/// adjustment with depth. Same images, same poses, bit for bit.
+class RgbdFrontend {
+ public:
+  RgbdFrontend(const FrontendOptions& options, const Camera& camera);
+  ~RgbdFrontend();
+  RgbdFrontend(RgbdFrontend&&) noexcept;
+  RgbdFrontend& operator=(RgbdFrontend&&) noexcept;
+
+  /// Images in time order, made by make_rgbd_image with the same camera.
+  TrackedImage track(const RgbdImage& image);
+
+ private:
+  struct Impl;
+  std::unique_ptr<Impl> impl_;
+};
+
+}  // namespace semantic_topo_loop::core

@@ -1,0 +1,50 @@
+#pragma once
+
+#include <cstdint>
+#include <opencv2/core.hpp>
+#include <optional>
+#include <string>
+
+#include "semantic_topo_loop/geometry/camera.h"
+
+namespace semantic_topo_loop::core {
+
+/// How a depth image is read.
+struct DepthOptions {
+  double scale = 1000.0;
+  std::string invalid_values = "0 65535";
+  double max_m = 8.0;
+  double scale_correction = 1.0;
+  std::string color_from_depth;
+  std::string intrinsics;
+
+  template <class Visitor>
+  void visit(Visitor& visitor) {
+    visitor("depth.scale", scale, "16UC1: units a metre; 1000 for millimetres, 5000 in TUM's PNG files");
+    visitor("depth.invalid_values", invalid_values, "16UC1: values that mean no depth, apart from each other by blanks");
+    visitor("depth.max_m", max_m, "farther depth is left out: its noise grows with the square");
+    visitor("depth.scale_correction", scale_correction, "factor on every depth; TUM's freiburg2 needs 0.96");
+    visitor("depth.color_from_depth", color_from_depth,
+            "T_color_depth, 'x y z qx qy qz qw', m, of depth that is not registered to the colour camera; else empty");
+    visitor("depth.intrinsics", intrinsics,
+            "'fx fy cx cy', px, of the depth camera where color_from_depth is given; empty: the colour camera's");
+  }
+  bool is_valid(std::string* error) const;
+};
+
+/// A colour image with its depth, as the front end works on it.
+struct RgbdImage {
+  std::int64_t stamp_ns = 0;
+  cv::Mat gray;     ///< CV_8UC1, raw (distorted) pixels
+  cv::Mat depth_m;  ///< CV_32FC1 of the same size: m along the colour camera's z axis; 0 where there is none
+};
+
+/// Brings images as cameras send them into the front end's form.
+/// @param color CV_8UC1, or CV_8UC3 as BGR   @param depth CV_16UC1 in units of `scale`, or CV_32FC1 in metres, NaN or
+/// <= 0 where there is none   @param camera the colour camera
+/// @return nullopt, with stamp, field and value in `error`, for an empty image, one of another size than the camera's,
+/// or one of another type
+std::optional<RgbdImage> make_rgbd_image(std::int64_t stamp_ns, const cv::Mat& color, const cv::Mat& depth,
+                                         const Camera& camera, const DepthOptions& options, std::string* error);
+
+}  // namespace semantic_topo_loop::core
