@@ -94,9 +94,12 @@ std::vector<double> estimate_log_scales(const Trajectory& trajectory, const Pose
   std::vector<double> log_scale(trajectory.T_map_vertex.size(), 0.0);
   if (log_scale.size() < 2) return log_scale;
   const std::vector<double> copies = redundancy(trajectory.loops);
-  constexpr int kRounds = 12;
-  constexpr double kCauchy2 = 4.0;  // squared error, in sigmas, at which a loop counts half
+  // Graduated non-convexity with Geman and McClure's weights: the squared error, in sigmas, at which a loop counts a
+  // quarter falls from where it hardly matters.
+  constexpr int kRounds = 20;
+  constexpr double kWide2 = 1e4, kNarrow2 = 6.0;
   for (int round = 0; round < kRounds; ++round) {
+    const double bend2 = std::max(kNarrow2, kWide2 * std::pow(0.5, round));
     ChainSystem system(log_scale.size());
     for (std::size_t i = 0; i < trajectory.edges.size(); ++i) {
       const int from = static_cast<int>(i);
@@ -106,8 +109,8 @@ std::vector<double> estimate_log_scales(const Trajectory& trajectory, const Pose
       const GraphLoop& loop = trajectory.loops[k];
       if (!loop.has_scale()) continue;
       const double information = 1.0 / loop.scale_covariance(6), error = scale_error(loop, log_scale);
-      const double weight = round == 0 ? 1.0 : 1.0 / (1.0 + information * error * error / kCauchy2);
-      system.add(loop.from, loop.to, std::log(loop.scale), weight * information / copies[k]);
+      const double root_weight = round == 0 ? 1.0 : 1.0 / (1.0 + information * error * error / bend2);
+      system.add(loop.from, loop.to, std::log(loop.scale), root_weight * root_weight * information / copies[k]);
     }
     if (!system.solve(&log_scale)) break;
   }

@@ -11,7 +11,7 @@ namespace semantic_topo_loop::core {
 /// odometry has at their first vertex. log_scale is that of the map's unit over the odometry's, one a vertex, 0 at the
 /// first.
 
-/// The scales that the loops state along a random walk of the scale, robust against false loops (Cauchy weights). What
+/// The scales that the loops state along a random walk of the scale, robust against false loops. What
 /// no loop reaches keeps the scale of its neighbour.
 std::vector<double> estimate_log_scales(const Trajectory& trajectory, const PoseGraphOptions& options);
 /// Which loops state a scale that agrees with these.
