@@ -7,7 +7,11 @@
 namespace semantic_topo_loop {
 
 struct TumBagOptions {
-  bool with_images = true;  ///< tiny grey /camera/rgb/image_color; else camera_info only
+  bool with_images = true;  ///< /camera/rgb/image_color; else camera_info only
+  /// Of render_sequence: its colour images, with their depth as /camera/depth/image. Empty: tiny grey images, no depth.
+  std::string image_directory;
+  core::RenderingOptions rendering;  ///< that these images were rendered with
+  std::string compression = "bz2";   ///< of chunks: bz2 as the official bags, lz4 or none
 };
 
 /// Pose of the colour camera's optical frame on the simulated rig, `/kinect` being what the mocap tracks.
