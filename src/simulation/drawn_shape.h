@@ -25,6 +25,17 @@ enum class Paint {
   kFur,
 };
 
+/// Faces of a box in its own axes; of an ellipsoid, the parts nearest to them.
+enum Face : int { kFront, kBack, kLeftFace, kRightFace, kTopFace, kBottomFace };  ///< +x, -x, +y, -y, +z, -z
+constexpr int kFaces = 6;
+
+/// @param p on the surface, in units of `half`
+inline Face face_of(const Eigen::Vector3f& p) {
+  const Eigen::Vector3f size = p.cwiseAbs();
+  const int axis = size.x() >= size.y() ? (size.x() >= size.z() ? 0 : 2) : (size.y() >= size.z() ? 1 : 2);
+  return static_cast<Face>(2 * axis + (p[axis] < 0.0F ? 1 : 0));
+}
+
 /// A surface that rays meet: a box or an ellipsoid.
 struct DrawnShape {
   bool is_box = true;

@@ -60,14 +60,7 @@ PaintedShape::PaintedShape(const DrawnShape& shape, bool inside, std::uint64_t s
   }
 }
 
-Face PaintedShape::face_of(const Eigen::Vector3f& p) {
-  int axis = 0;
-  p.cwiseAbs().maxCoeff(&axis);
-  return static_cast<Face>(2 * axis + (p[axis] < 0.0F ? 1 : 0));
-}
-
-Colour PaintedShape::colour(const Eigen::Vector3f& p, float footprint_m) const {
-  const Face face = face_of(p);
+Colour PaintedShape::colour(const Eigen::Vector3f& p, Face face, float footprint_m) const {
   const Eigen::Vector2f at = face_coordinates(face, p);
   const float across = inside_ ? -at.x() : at.x();
   return textures_[static_cast<std::size_t>(face)].sample(0.5F + 0.5F * across, 0.5F + 0.5F * at.y(), footprint_m);

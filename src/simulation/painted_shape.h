@@ -17,9 +17,8 @@ class PaintedShape {
   PaintedShape(const DrawnShape& shape, bool inside, std::uint64_t seed, std::uint64_t index);
 
   const DrawnShape& shape() const { return shape_; }
-  /// @param p on the surface, in units of `half`   @param footprint_m width of what a pixel shows
-  Colour colour(const Eigen::Vector3f& p, float footprint_m) const;
-  static Face face_of(const Eigen::Vector3f& p);
+  /// @param p on the surface, in units of `half`, of that face   @param footprint_m width of what a pixel shows
+  Colour colour(const Eigen::Vector3f& p, Face face, float footprint_m) const;
 
  private:
   DrawnShape shape_;

@@ -61,13 +61,6 @@ float enter_sphere(const Eigen::Vector3f& o, const Eigen::Vector3f& d) {
 
 }  // namespace
 
-Eigen::Vector3f CastShape::normal(const Eigen::Vector3f& point) const {
-  if (!is_box) return (R_camera_shape * point.cwiseProduct(inverse_half)).normalized();
-  int axis = 0;
-  point.cwiseAbs().maxCoeff(&axis);
-  return point[axis] > 0.0F ? Eigen::Vector3f(R_camera_shape.col(axis)) : Eigen::Vector3f(-R_camera_shape.col(axis));
-}
-
 std::optional<CastShape> cast_shape(const DrawnShape& shape, const SE3& T_camera_shape, int index) {
   const std::optional<Box> bounds =
       shape.is_box ? box_bounds(T_camera_shape, shape.half) : ellipsoid_bounds(T_camera_shape, shape.half);

@@ -20,8 +20,12 @@ struct CastShape {
   Box bounds;       ///< holds every ray (x, y, 1) that can hit
 
   Eigen::Vector3f point(const Eigen::Vector3f& ray, float depth) const { return depth * (scale * ray) + origin; }
-  /// Unit normal in the camera frame at a point of the surface (in units of `half`), outwards.
-  Eigen::Vector3f normal(const Eigen::Vector3f& point) const;
+  /// Unit normal in the camera frame at a point of the surface (in units of `half`) and its face, outwards.
+  Eigen::Vector3f normal(const Eigen::Vector3f& point, Face face) const {
+    if (!is_box) return (R_camera_shape * point.cwiseProduct(inverse_half)).normalized();
+    const Eigen::Vector3f axis = R_camera_shape.col(face / 2);
+    return face % 2 == 0 ? axis : Eigen::Vector3f(-axis);
+  }
 };
 
 /// @return nullopt if no part of the shape lies in front of the camera

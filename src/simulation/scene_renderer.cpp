@@ -30,10 +30,17 @@ bool overlap(const Box& a, const Box& b, double margin) {
   return a.x1 <= b.x2 + margin && b.x1 <= a.x2 + margin && a.y1 <= b.y2 + margin && b.y1 <= a.y2 + margin;
 }
 
-/// What one ray meets first; shape -1 is the room.
+/// What one ray meets first; cast -1 is the room.
 struct Hit {
   float depth = kMiss;
   int cast = -1;
+};
+
+/// What is seen along a ray.
+struct Look {
+  Colour colour;
+  float cosine = 1.0F;  ///< of the angle between ray and normal
+  int surface = 0;      ///< a number for each face of a box and for each ellipsoid
 };
 
 /// Pixels of one object: all that it covers, and those that nothing hides.
@@ -93,13 +100,13 @@ class Picture {
     room_ = *cast_shape(walls.shape(), T_camera_room, -1);
     lamp_ = (T_camera_room.rotation() * lamp_direction()).cast<float>();
     focal_px_ = static_cast<float>(std::min(rays.camera().fx, rays.camera().fy));
-    hits_.resize(static_cast<std::size_t>(rays.rays().total()));
   }
 
   RenderedImage render(bool with_colour) {
     const cv::Size size = rays_.rays().size();
     image_.depth_m.create(size, CV_32FC1);
     image_.cosine.create(size, CV_32FC1);
+    surfaces_.create(size, CV_32SC1);
     if (with_colour) image_.colour.create(size, CV_8UC3);
     for (int y = 0; y < size.height; y += kTilePx) {
       for (int x = 0; x < size.width; x += kTilePx) {
@@ -116,7 +123,6 @@ class Picture {
     const auto& p = rays_.rays().at<cv::Vec2f>(y, x);
     return {p[0], p[1], 1.0F};
   }
-  Hit& hit_at(int x, int y) { return hits_[static_cast<std::size_t>(y * rays_.rays().cols + x)]; }
   const CastShape& cast_of(const Hit& hit) const {
     return hit.cast < 0 ? room_ : casts_[static_cast<std::size_t>(hit.cast)];
   }
@@ -165,13 +171,12 @@ class Picture {
     find_candidates(tile);
     for (int y = tile.y; y < tile.y + tile.height; ++y) {
       for (int x = tile.x; x < tile.x + tile.width; ++x) {
-        const Hit hit = hit_at(x, y) = cast_pixel(x, y);
-        const Eigen::Vector3f direction = ray(x, y);
-        float cosine = 0.0F;
-        const Colour colour = look(direction, hit, with_colour, &cosine);
+        const Hit hit = cast_pixel(x, y);
+        const Look seen = look(ray(x, y), hit, with_colour);
         image_.depth_m.at<float>(y, x) = hit.depth;
-        image_.cosine.at<float>(y, x) = cosine;
-        if (with_colour) image_.colour.at<cv::Vec3b>(y, x) = to_pixel(colour);
+        image_.cosine.at<float>(y, x) = seen.cosine;
+        surfaces_.at<int>(y, x) = seen.surface;
+        if (with_colour) image_.colour.at<cv::Vec3b>(y, x) = to_pixel(seen.colour);
       }
     }
   }
@@ -181,40 +186,35 @@ class Picture {
             cv::saturate_cast<std::uint8_t>(c.r)};
   }
 
-  Colour look(const Eigen::Vector3f& direction, const Hit& hit, bool with_colour, float* cosine) const {
+  Look look(const Eigen::Vector3f& direction, const Hit& hit, bool with_colour) const {
     const CastShape& shape = cast_of(hit);
     const Eigen::Vector3f point = shape.point(direction, hit.depth);
-    const Eigen::Vector3f outward = shape.normal(point);
+    const Face face = face_of(point);
+    const Eigen::Vector3f outward = shape.normal(point, face);
     const Eigen::Vector3f normal = hit.cast < 0 ? Eigen::Vector3f(-outward) : outward;
-    *cosine = std::max(1e-3F, -normal.dot(direction) / direction.norm());
-    if (!with_colour) return {};
+    Look seen;
+    seen.cosine = std::max(1e-3F, -normal.dot(direction) / direction.norm());
+    seen.surface = kFaces * hit.cast + (shape.is_box ? face : 0);
+    if (!with_colour) return seen;
     // Between the footprint's width across and along the slope.
-    const float footprint_m = hit.depth / (focal_px_ * std::sqrt(*cosine));
+    const float footprint_m = hit.depth / (focal_px_ * std::sqrt(seen.cosine));
     const PaintedShape& painted = hit.cast < 0 ? walls_ : shapes_[static_cast<std::size_t>(shape.shape)];
-    const Colour colour = painted.colour(point, footprint_m);
+    const Colour colour = painted.colour(point, face, footprint_m);
     const float light = kAmbient + (1.0F - kAmbient) * std::max(0.0F, normal.dot(lamp_));
-    return {light * colour.b, light * colour.g, light * colour.r};
-  }
-
-  bool same_surface(const Hit& a, const Hit& b, int x, int y, int dx, int dy) const {
-    if (a.cast != b.cast) return false;
-    const CastShape& shape = cast_of(a);
-    if (!shape.is_box) return true;
-    return PaintedShape::face_of(shape.point(ray(x, y), a.depth)) ==
-           PaintedShape::face_of(shape.point(ray(x + dx, y + dy), b.depth));
+    seen.colour = {light * colour.b, light * colour.g, light * colour.r};
+    return seen;
   }
 
   /// Several rays a pixel where a neighbour shows another surface.
   void smooth_edges() {
-    const cv::Size size = rays_.rays().size();
-    std::vector<std::uint8_t> is_edge(hits_.size(), 0);
+    const cv::Size size = surfaces_.size();
+    cv::Mat is_edge = cv::Mat::zeros(size, CV_8UC1);
     for (int y = 0; y < size.height; ++y) {
       for (int x = 0; x < size.width; ++x) {
-        for (const auto& [dx, dy] : {std::pair(1, 0), std::pair(0, 1)}) {
-          if (x + dx >= size.width || y + dy >= size.height) continue;
-          if (same_surface(hit_at(x, y), hit_at(x + dx, y + dy), x, y, dx, dy)) continue;
-          is_edge[static_cast<std::size_t>(y * size.width + x)] = 1;
-          is_edge[static_cast<std::size_t>((y + dy) * size.width + x + dx)] = 1;
+        for (const cv::Point& next : {cv::Point(x + 1, y), cv::Point(x, y + 1)}) {
+          if (next.x >= size.width || next.y >= size.height) continue;
+          if (surfaces_.at<int>(y, x) == surfaces_.at<int>(next)) continue;
+          is_edge.at<std::uint8_t>(y, x) = is_edge.at<std::uint8_t>(next) = 1;
         }
       }
     }
@@ -223,12 +223,12 @@ class Picture {
     }
   }
 
-  void smooth_tile(const std::vector<std::uint8_t>& is_edge, const cv::Rect& whole) {
+  void smooth_tile(const cv::Mat& is_edge, const cv::Rect& whole) {
     const cv::Rect tile = whole & cv::Rect(0, 0, rays_.rays().cols, rays_.rays().rows);
     bool has_candidates = false;
     for (int y = tile.y; y < tile.y + tile.height; ++y) {
       for (int x = tile.x; x < tile.x + tile.width; ++x) {
-        if (is_edge[static_cast<std::size_t>(y * rays_.rays().cols + x)] == 0) continue;
+        if (is_edge.at<std::uint8_t>(y, x) == 0) continue;
         if (!has_candidates) find_candidates(tile);
         has_candidates = true;
         image_.colour.at<cv::Vec3b>(y, x) = to_pixel(average_colour(x, y));
@@ -242,8 +242,7 @@ class Picture {
     for (const auto& [dx, dy] :
          {std::pair(-0.5F, -1.0F), std::pair(1.0F, -0.5F), std::pair(0.5F, 1.0F), std::pair(-1.0F, 0.5F)}) {
       const Eigen::Vector3f direction = ray(x, y) + Eigen::Vector3f(dx * step, dy * step, 0.0F);
-      float cosine = 0.0F;
-      const Colour c = look(direction, cast(direction), true, &cosine);
+      const Colour c = look(direction, cast(direction), true).colour;
       sum = {sum.b + 0.25F * c.b, sum.g + 0.25F * c.g, sum.r + 0.25F * c.r};
     }
     return sum;
@@ -289,7 +288,7 @@ class Picture {
   Eigen::Vector3f lamp_ = Eigen::Vector3f::UnitZ();
   float focal_px_ = 1.0F;
   std::vector<int> candidates_;
-  std::vector<Hit> hits_;
+  cv::Mat surfaces_;  ///< CV_32SC1, see Look
   std::vector<Coverage> coverage_;
   RenderedImage image_;
 };

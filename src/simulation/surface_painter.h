@@ -7,10 +7,6 @@
 
 namespace semantic_topo_loop::core {
 
-/// Faces of a box in its own axes; of an ellipsoid, the parts nearest to them.
-enum Face : int { kFront, kBack, kLeftFace, kRightFace, kTopFace, kBottomFace };  ///< +x, -x, +y, -y, +z, -z
-constexpr int kFaces = 6;
-
 /// What one face shows, CV_8UC3: up in the picture is +z on the sides. No two calls with the same generator give the
 /// same picture.
 /// @param size px   @param texels_per_m of the picture   @param base see base_colour

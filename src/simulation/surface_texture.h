@@ -20,7 +20,7 @@ class SurfaceTexture {
   Colour sample(float u, float v, float footprint_m) const;
 
  private:
-  std::vector<cv::Mat> levels_;
+  std::vector<cv::Mat> levels_;  ///< CV_8UC4
   float texels_per_m_ = 1.0F;
 };
 
