@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <filesystem>
+#include <limits>
 #include <opencv2/imgcodecs.hpp>
 #include <thread>
 
@@ -53,6 +54,18 @@ bool write_image(const std::string& path, const cv::Mat& image, std::string* err
   }
   if (!written && error != nullptr) *error = path + ": cannot write the image";
   return written;
+}
+
+std::optional<cv::Mat> read_image(const std::string& path, int type, const Camera& camera, std::string* error) {
+  cv::Mat image;
+  try {
+    image = cv::imread(path, cv::IMREAD_UNCHANGED);
+  } catch (const cv::Exception&) {
+    image.release();
+  }
+  if (image.type() == type && image.cols == camera.width && image.rows == camera.height) return image;
+  if (error != nullptr) *error = path + ": cannot read an image of the sequence";
+  return std::nullopt;
 }
 
 /// Renders single frames; const, so that threads may share it.
@@ -173,6 +186,28 @@ bool render_sequence(const SimulationOptions& options, const ClassTable& classes
     }
   }
   return write_lists(*sequence, directory, error);
+}
+
+std::optional<cv::Mat> read_rendered_colour(const SimulatedSequence& sequence, const std::string& directory,
+                                            std::size_t frame, std::string* error) {
+  return read_image(directory + "/" + colour_name(sequence, frame), CV_8UC3, sequence.camera, error);
+}
+
+std::optional<cv::Mat> read_rendered_depth(const SimulatedSequence& sequence, const RenderingOptions& rendering,
+                                           const std::string& directory, std::size_t frame, std::string* error) {
+  const std::optional<cv::Mat> units =
+      read_image(directory + "/" + depth_name(sequence, frame), CV_16UC1, sequence.camera, error);
+  if (!units) return std::nullopt;
+  cv::Mat depth_m(units->size(), CV_32FC1);
+  for (int y = 0; y < units->rows; ++y) {
+    const auto* in = units->ptr<std::uint16_t>(y);
+    float* out = depth_m.ptr<float>(y);
+    for (int x = 0; x < units->cols; ++x) {
+      const bool has_depth = in[x] != 0 && in[x] != rendering.far_value;
+      out[x] = has_depth ? static_cast<float>(in[x] / rendering.depth_scale) : std::numeric_limits<float>::quiet_NaN();
+    }
+  }
+  return depth_m;
 }
 
 std::string sequence_manifest(const SimulationOptions& options, const Camera& camera, const std::string& class_table,

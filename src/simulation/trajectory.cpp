@@ -151,7 +151,8 @@ SE3 RobotTrajectory::T_world_camera(double time_s) const {
   const double standing = std::max(0.0, std::cos(phase));
   const double scan = radians(kScanDeg) * standing * standing * standing * std::sin(2.0 * phase);
 
-  constexpr double kStep = 1e-4;
+  // Over 2 % of a lap, so that the heading turns as smoothly as the place moves.
+  constexpr double kStep = 0.01;
   const Vec3 heading = sense_ * (position(laps + kStep) - position(laps - kStep));
   const double inward = sense_ * radians(kMountDeg);
   const Vec3 level = Quaternion(Eigen::AngleAxisd(inward + scan, Vec3::UnitZ())) * heading.normalized();

@@ -1,5 +1,7 @@
 #pragma once
 
+#include <opencv2/core.hpp>
+#include <optional>
 #include <string>
 
 #include "semantic_topo_loop/detection/class_table.h"
@@ -17,6 +19,13 @@ SE3 color_from_depth(const RenderingOptions& options);
 /// @return false, with path and cause in `error`, if a file cannot be written
 bool render_sequence(const SimulationOptions& options, const ClassTable& classes, int threads,
                      const std::string& directory, SimulatedSequence* sequence, std::string* error);
+
+/// Images that render_sequence wrote: CV_8UC3 as BGR, and CV_32FC1 in metres, NaN where there is no depth.
+/// @return nullopt, with path and cause in `error`, if the file is missing or no such image
+std::optional<cv::Mat> read_rendered_colour(const SimulatedSequence& sequence, const std::string& directory,
+                                            std::size_t frame, std::string* error);
+std::optional<cv::Mat> read_rendered_depth(const SimulatedSequence& sequence, const RenderingOptions& rendering,
+                                           const std::string& directory, std::size_t frame, std::string* error);
 
 /// What a directory of a simulated sequence is made from. A directory whose `manifest.txt` says the same as a new
 /// request need not be made again.
