@@ -30,7 +30,9 @@ bool PoseGraphOptions::is_valid(std::string* error) const {
          check(noise_factor_max >= 1.0, "noise_factor_max", noise_factor_max, ">= 1", error) &&
          check(noise_evidence >= 0.0, "noise_evidence", noise_evidence, ">= 0", error) &&
          check(max_redundancy > 0.0, "max_redundancy", max_redundancy, "> 0", error) &&
-         check(max_iterations >= 1, "max_iterations", max_iterations, ">= 1", error);
+         check(max_iterations >= 1, "max_iterations", max_iterations, ">= 1", error) &&
+         check(scale == "fixed" || scale == "free", "scale", scale, "fixed or free", error) &&
+         check(scale_walk > 0.0 && scale_walk <= 0.5, "scale_walk", scale_walk, "in (0, 0.5]", error);
 }
 
 }  // namespace semantic_topo_loop::core

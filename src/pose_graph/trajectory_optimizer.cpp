@@ -145,7 +145,8 @@ class TrajectoryOptimizer {
 
   bool solve() {
     const bool has_loss = solver_options_.loss != GraphLoss::kNone;
-    return report(solve_graph(graph(result_.knowledge.noise, !has_loss), solver_options_, &result_.T_map_vertex));
+    result_.edges = graph(result_.knowledge.noise, !has_loss);
+    return report(solve_graph(result_.edges, solver_options_, &result_.T_map_vertex));
   }
 
   std::vector<GraphEdge> graph(const NoiseEstimate& noise, bool only_kept) const {

@@ -19,6 +19,8 @@ struct PoseGraphOptions {
   double noise_evidence = 1.5;
   double max_redundancy = 8.0;
   int max_iterations = 30;
+  std::string scale = "fixed";
+  double scale_walk = 0.02;
 
   template <class Visitor>
   void visit(Visitor& visitor) {
@@ -43,6 +45,9 @@ struct PoseGraphOptions {
         "pose_graph.max_redundancy", max_redundancy,
         "a loop stays out of the graph if loops in it rest on its evidence so many times over; less in large graphs");
     visitor("pose_graph.max_iterations", max_iterations, "of one solve");
+    visitor("pose_graph.scale", scale, "of the odometry: fixed, or free where it drifts (monocular; Sim(3) vertices)");
+    visitor("pose_graph.scale_walk", scale_walk,
+            "free scale: error of its logarithm after one metre of path (1 sigma; grows with the root of the path)");
   }
   bool is_valid(std::string* error) const;
 };
