@@ -12,6 +12,7 @@
 
 #include "semantic_topo_loop/geometry/motion_bursts.h"
 #include "semantic_topo_loop/pose_graph/loop_consistency.h"
+#include "semantic_topo_loop/pose_graph/object_memory.h"
 #include "semantic_topo_loop/pose_graph/relative_pose.h"
 #include "semantic_topo_loop/pose_graph/trajectory_optimizer.h"
 
@@ -21,6 +22,16 @@ class PoseGraph::Impl {
  public:
   explicit Impl(const PoseGraphOptions& options) : options_(options) {
     knowledge_.noise.odometry = noise_prior(options_).least;
+    has_objects_ = options_.objects == "on";
+    trajectory_.objects.noise = {options_.object_weight, options_.object_sigma_px, options_.object_sigma_share};
+  }
+
+  void observe(const Frame& frame, const AssociationFrame& associations) {
+    if (has_objects_ && is_vertex(frame)) objects_.add(static_cast<int>(keyframes_.size()), frame, associations);
+  }
+
+  void apply(const MapUpdate& update) {
+    if (has_objects_) objects_.apply(update, vertex_of_, trajectory_.T_map_vertex);
   }
 
   MapCorrection process(const Frame& frame, const std::vector<LoopClosure>& loops,
@@ -81,11 +92,16 @@ class PoseGraph::Impl {
   }
 
  private:
+  /// Whether the frame, which is not in the graph yet, becomes a vertex of it.
+  bool is_vertex(const Frame& frame) const {
+    return frame.is_keyframe && frame.T_odom_camera.is_finite() && vertex_of_.count(frame.keyframe_id) == 0;
+  }
+
   void add_frame(const Frame& frame) {
     if (!frame.T_odom_camera.is_finite()) return;
     bursts_.push({frame.stamp_ns, frame.T_odom_camera}, frame.is_break, keyframes_.empty() ? 0 : keyframes_.size() - 1);
     accumulator_.add(frame);
-    if (!frame.is_keyframe || vertex_of_.count(frame.keyframe_id) != 0) return;
+    if (!is_vertex(frame)) return;
     if (!keyframes_.empty()) trajectory_.edges.push_back(accumulator_.finish(T_odom_keyframe_, frame.T_odom_camera));
     vertex_of_[frame.keyframe_id] = static_cast<int>(keyframes_.size());
     keyframes_.push_back({frame.keyframe_id, frame.frame_id, frame.stamp_ns, SE3()});
@@ -153,6 +169,7 @@ class PoseGraph::Impl {
   /// Loops that the map agrees with can wait longer.
   bool is_due(const Frame& frame) const {
     if (is_withdrawn_) return true;
+    if (frame.is_end && !objects_.empty()) return true;
     if (trajectory_.loops.empty()) return false;
     if (frame.is_end) return true;
     constexpr int kPatience = 4;
@@ -177,6 +194,7 @@ class PoseGraph::Impl {
       trajectory_.edges[i].suspect_rotation_rad = bursts_.suspect(i).tail<3>().norm();
     }
     if (options_.robust == "gnc") trajectory_.votes = consistency_.vote(trajectory_.edges, trajectory_.loops);
+    if (has_objects_ && is_end) trajectory_.objects.objects = objects_.objects();
     OptimizedTrajectory result = optimize_trajectory(trajectory_, options_, knowledge_, effort);
     if (!result.usable) return false;
     trajectory_.T_map_vertex = std::move(result.T_map_vertex);
@@ -246,6 +264,8 @@ class PoseGraph::Impl {
   Trajectory trajectory_;
   std::vector<KeyframePose> keyframes_;
   std::map<std::int64_t, int> vertex_of_;
+  bool has_objects_ = false;
+  ObjectMemory objects_;
   OdometryAccumulator accumulator_;
   MotionBursts bursts_;
   LoopConsistency consistency_;
@@ -263,6 +283,10 @@ PoseGraph::~PoseGraph() = default;
 PoseGraph::PoseGraph(PoseGraph&&) noexcept = default;
 PoseGraph& PoseGraph::operator=(PoseGraph&&) noexcept = default;
 
+void PoseGraph::observe(const Frame& frame, const AssociationFrame& associations) {
+  impl_->observe(frame, associations);
+}
+void PoseGraph::apply(const MapUpdate& update) { impl_->apply(update); }
 MapCorrection PoseGraph::process(const Frame& frame, const std::vector<LoopClosure>& loops,
                                  const std::vector<LoopClosure>& extra_loops) {
   return impl_->process(frame, loops, extra_loops);
