@@ -7,9 +7,9 @@
 namespace semantic_topo_loop::core {
 namespace {
 
-constexpr double kUnseenResidual = 20.0;  // far outside the noise: no view may vanish to lower the cost
-constexpr double kLossScale = 3.08;       // root of the 95 % quantile of chi^2 with four degrees of freedom
-constexpr double kAxesSigma = 0.5;        // of the logarithms of the semi-axes, about those that the map has
+constexpr double kUnseenResidual = 20.0;     // far outside the noise: no view may vanish to lower the cost
+constexpr double kLossScale = 3.08;          // root of the 95 % quantile of chi^2 with four degrees of freedom
+constexpr double kAxesSigma = 0.5;           // of the logarithms of the semi-axes, about those that the map has
 constexpr double kVisibleShare = 2.0 / 3.0;  // of the extent: mean height of a hemisphere over its outline
 
 template <int kRows>
@@ -156,8 +156,7 @@ ceres::CostFunction* make_depth_cost(const ObjectView& view, const Quaternion& a
 ObjectBlocks::ObjectBlocks(const GraphObjects& objects, std::vector<SE3>* T_world_vertex, ceres::Problem* problem) {
   const ObjectNoise& noise = objects.noise;
   for (const GraphObject& object : objects.objects) {
-    const SE3 T_world_quadric =
-        (*T_world_vertex)[static_cast<std::size_t>(object.anchor)] * object.T_anchor_quadric;
+    const SE3 T_world_quadric = (*T_world_vertex)[static_cast<std::size_t>(object.anchor)] * object.T_anchor_quadric;
     unknowns_.push_back({T_world_quadric.t, object.semi_axes.array().log()});
     Unknowns& unknowns = unknowns_.back();
     problem->AddResidualBlock(new AxesCost(unknowns.log_axes), nullptr, unknowns.log_axes.data());

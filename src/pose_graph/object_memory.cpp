@@ -50,8 +50,10 @@ void ObjectMemory::apply(const MapUpdate& update, const std::map<std::int64_t, i
     const auto anchor = vertex_of.find(landmark.anchor_keyframe_id);
     if (anchor == vertex_of.end()) continue;
     const SE3& T_map_anchor = T_map_vertex[static_cast<std::size_t>(anchor->second)];
-    landmarks_[landmark.id] = {anchor->second, T_map_anchor.inverse() * landmark.ellipsoid->T_world_quadric,
-                               landmark.ellipsoid->semi_axes, {}};
+    landmarks_[landmark.id] = {anchor->second,
+                               T_map_anchor.inverse() * landmark.ellipsoid->T_world_quadric,
+                               landmark.ellipsoid->semi_axes,
+                               {}};
   }
 }
 

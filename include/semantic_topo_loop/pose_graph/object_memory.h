@@ -33,7 +33,7 @@ class ObjectMemory {
 
   std::int64_t resolve(std::int64_t id) const;
 
-  std::vector<Sighting> sightings_;  ///< in order of the keyframes
+  std::vector<Sighting> sightings_;                ///< in order of the keyframes
   std::map<std::int64_t, GraphObject> landmarks_;  ///< confirmed, without views
   std::map<std::int64_t, std::int64_t> survivor_of_;
 };
