@@ -1,12 +1,16 @@
 #include "semantic_topo_loop/pose_graph/graph_object.h"
 
+#include <cmath>
 #include <utility>
+
+#include "semantic_topo_loop/map/quadric_fit.h"
 
 namespace semantic_topo_loop::core {
 namespace {
 
 constexpr std::size_t kMinViews = 4;
 constexpr double kMinOverlap = 0.1;
+constexpr double kVisibleShare = 0.7;
 
 /// A side that the image border cuts bounds nothing: the projection's counts there.
 bool overlaps(const ObjectView& view, const Box& projected) {
@@ -35,6 +39,43 @@ Mat34 projection_matrix(const ObjectView& view, const SE3& T_world_camera) {
   Mat34 P;
   P << K * R_camera_world, -(K * (R_camera_world * T_world_camera.t));
   return P;
+}
+
+std::optional<ObjectTerms<4>> box_terms(const ObjectView& view, const SE3& T_world_camera, const Ellipsoid& ellipsoid) {
+  BoxJacobian J;
+  const std::optional<Box> box = project_box(ellipsoid, projection_matrix(view, T_world_camera), &J);
+  if (!box) return std::nullopt;
+  ObjectTerms<4> terms;
+  terms.error = box->edges() - view.box.edges();
+  terms.center = J.center;
+  terms.log_axes = J.log_axes;
+  // What the camera does, the ellipsoid does the other way round.
+  terms.camera_t = -J.center;
+  terms.camera_rotation = J.center * hat(ellipsoid.center() - T_world_camera.t) - J.rotation;
+  for (int i = 0; i < 4; ++i) {
+    if ((view.truncated & (1 << i)) == 0) continue;
+    terms.error(i) = 0.0;
+    for (ObjectTerms<4>::Jacobian* jacobian :
+         {&terms.camera_t, &terms.camera_rotation, &terms.center, &terms.log_axes}) {
+      jacobian->row(i).setZero();
+    }
+  }
+  return terms;
+}
+
+ObjectTerms<1> depth_terms(const SurfaceDepth& depth, const SE3& T_world_camera, const Ellipsoid& ellipsoid) {
+  const Vec3 ray = T_world_camera.q.normalized() * depth.ray_camera;
+  const Vec3 shape_ray = ellipsoid.shape() * ray;
+  const double extent = std::sqrt(ray.dot(shape_ray));
+  const Vec3 to_center = ellipsoid.center() - T_world_camera.t;
+  const Vec3 along = ellipsoid.T_world_quadric.q.conjugate() * ray;
+  ObjectTerms<1> terms;
+  terms.error(0) = ray.dot(to_center) - kVisibleShare * extent - depth.distance_m;
+  terms.camera_t = -ray.transpose();
+  terms.camera_rotation = (ray.cross(to_center) - kVisibleShare / extent * ray.cross(shape_ray)).transpose();
+  terms.center = ray.transpose();
+  terms.log_axes = -kVisibleShare / extent * ellipsoid.semi_axes.cwiseProduct(along).cwiseAbs2().transpose();
+  return terms;
 }
 
 GraphObjects well_seen(const GraphObjects& objects, const std::vector<SE3>& T_world_vertex, int max_views) {

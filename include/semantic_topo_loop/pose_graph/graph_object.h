@@ -47,6 +47,24 @@ struct GraphObjects {
 /// P = K [R|t] of the view's image.
 Mat34 projection_matrix(const ObjectView& view, const SE3& T_world_camera);
 
+/// What a view sees of an object: `n` figures and their derivatives.
+template <int n>
+struct ObjectTerms {
+  using Jacobian = Eigen::Matrix<double, n, 3>;
+  Eigen::Matrix<double, n, 1> error = Eigen::Matrix<double, n, 1>::Zero();  ///< expected - measured
+  Jacobian camera_t = Jacobian::Zero();                                     ///< by the camera's position
+  Jacobian camera_rotation = Jacobian::Zero();  ///< by a rotation vector of the camera in the world: R <- exp(w) R
+  Jacobian center = Jacobian::Zero();           ///< by the ellipsoid's centre
+  Jacobian log_axes = Jacobian::Zero();         ///< by the logarithms of its semi-axes
+};
+
+/// Edges of the box, px; those that the image border cuts are 0.
+/// @return nullopt if the camera cannot see the ellipsoid
+std::optional<ObjectTerms<4>> box_terms(const ObjectView& view, const SE3& T_world_camera, const Ellipsoid& ellipsoid);
+/// Distance of the visible side along the ray, m: that of the centre less 0.7 of the ellipsoid's extent, which is the
+/// median over a hemisphere's outline.
+ObjectTerms<1> depth_terms(const SurfaceDepth& depth, const SE3& T_world_camera, const Ellipsoid& ellipsoid);
+
 /// The objects with at most `max_views` views each, spread evenly. Views in which the ellipsoid at its start does not
 /// overlap the box are left out, the poses say that they show something else, and then objects with too few views.
 GraphObjects well_seen(const GraphObjects& objects, const std::vector<SE3>& T_world_vertex, int max_views);
