@@ -2,6 +2,8 @@
 
 #include <cmath>
 
+#include "graph_problem.h"
+
 namespace semantic_topo_loop::core {
 namespace {
 
@@ -16,13 +18,10 @@ void write(const Eigen::Matrix<double, n, 3>& J, double* target) {
   }
 }
 
-/// Derivative by the quaternion (x, y, z, w) from that by a small rotation of the outer frame: see graph_solver.cpp.
+/// Derivative by the quaternion (x, y, z, w) from that by a small rotation of the outer frame.
 template <int n>
 void write(const Eigen::Matrix<double, n, 3>& J, const Quaternion& q, double* target) {
-  Eigen::Matrix<double, 4, 3> plus;
-  plus.topRows<3>() = q.w() * Mat3::Identity() - hat(q.vec());
-  plus.bottomRows<1>() = -q.vec().transpose();
-  const Eigen::Matrix<double, n, 4> by_quaternion = 2.0 * J * plus.transpose();
+  const Eigen::Matrix<double, n, 4> by_quaternion = 2.0 * J * quaternion_by_rotation(q).transpose();
   for (int row = 0; row < n; ++row) {
     for (int column = 0; column < 4; ++column) target[4 * row + column] = by_quaternion(row, column);
   }

@@ -146,7 +146,8 @@ class TrajectoryOptimizer {
 
   bool solve() {
     const bool has_loss = solver_options_.loss != GraphLoss::kNone;
-    return report(solve_graph(graph(result_.knowledge.noise, !has_loss), solver_options_, &result_.T_map_vertex));
+    result_.edges = graph(result_.knowledge.noise, !has_loss);
+    return report(solve_graph(result_.edges, solver_options_, &result_.T_map_vertex));
   }
 
   /// From the solution without them, which stays where this finds none.

@@ -15,7 +15,7 @@ constexpr double kMocapRateHz = 100.0;
 constexpr double kMocapMarginS = 0.5;  ///< before the first and after the last image
 
 /// Streams of the seed; one a component, so that the options of one leave the others as they are.
-enum Stream : std::uint64_t { kScene = 1, kTrajectory, kDrift, kDetector, kOdometryFrame, kDynamics };
+enum Stream : std::uint64_t { kScene = 1, kTrajectory, kDrift, kDetector, kOdometryFrame, kDynamics, kScaleDrift };
 
 std::uint64_t seed_of(const SimulationOptions& options, Stream stream) {
   return static_cast<std::uint64_t>(options.seed) * 16 + stream;
@@ -45,8 +45,9 @@ SE3 odometry_frame(const SimulationOptions& options, const SE3& T_world_camera0)
 std::optional<StampedPoses> odometry(const SimulationOptions& options, const StampedPoses& truth, std::string* error) {
   std::vector<SE3> T_world_camera;
   for (const StampedPose& pose : truth) T_world_camera.push_back(pose.T_world_camera);
-  const auto drifted = drift_poses(T_world_camera, options.drift, seed_of(options, kDrift), error);
+  auto drifted = drift_poses(T_world_camera, options.drift, seed_of(options, kDrift), error);
   if (!drifted) return std::nullopt;
+  *drifted = drift_scale(*drifted, options.drift, seed_of(options, kScaleDrift));
   const SE3 T_odom_world = odometry_frame(options, T_world_camera.front());
   StampedPoses poses;
   for (std::size_t i = 0; i < truth.size(); ++i) poses.push_back({truth[i].stamp_ns, T_odom_world * (*drifted)[i]});

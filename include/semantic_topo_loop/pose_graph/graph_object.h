@@ -33,7 +33,7 @@ struct GraphObject {
 
 /// What object observations count for.
 struct ObjectNoise {
-  double weight = 1.0;    ///< factor on the squared errors
+  double weight = 0.1;    ///< factor on the squared errors
   double sigma_px = 4.0;  ///< of a box edge: sigma_px + sigma_share * box size
   double sigma_share = 0.06;
 };

@@ -5,6 +5,7 @@
 
 #include "semantic_topo_loop/pose_graph/graph_loop.h"
 #include "semantic_topo_loop/pose_graph/graph_object.h"
+#include "semantic_topo_loop/pose_graph/graph_solver.h"
 #include "semantic_topo_loop/pose_graph/noise_estimator.h"
 #include "semantic_topo_loop/pose_graph/odometry_edge.h"
 #include "semantic_topo_loop/pose_graph/pose_graph_options.h"
@@ -32,6 +33,7 @@ struct OptimizedTrajectory {
   std::string message;  ///< why it is not usable
   std::vector<SE3> T_map_vertex;
   GraphKnowledge knowledge;
+  std::vector<GraphEdge> edges;  ///< of the last solve: the odometry's, then the loops
 };
 
 enum class Effort {
