@@ -13,6 +13,7 @@
 
 #include "semantic_topo_loop/geometry/motion_bursts.h"
 #include "semantic_topo_loop/pose_graph/loop_consistency.h"
+#include "semantic_topo_loop/pose_graph/object_memory.h"
 #include "semantic_topo_loop/pose_graph/relative_pose.h"
 #include "semantic_topo_loop/pose_graph/scaled_trajectory.h"
 #include "semantic_topo_loop/pose_graph/trajectory_optimizer.h"
@@ -23,6 +24,16 @@ class PoseGraph::Impl {
  public:
   explicit Impl(const PoseGraphOptions& options) : options_(options) {
     knowledge_.noise.odometry = noise_prior(options_).least;
+    has_objects_ = options_.objects == "on" && !has_free_scale();
+    trajectory_.objects.noise = {options_.object_weight, options_.object_sigma_px, options_.object_sigma_share};
+  }
+
+  void observe(const Frame& frame, const AssociationFrame& associations) {
+    if (has_objects_ && is_vertex(frame)) objects_.add(static_cast<int>(keyframes_.size()), frame, associations);
+  }
+
+  void apply(const MapUpdate& update) {
+    if (has_objects_) objects_.apply(update, vertex_of_, trajectory_.T_map_vertex);
   }
 
   MapCorrection process(const Frame& frame, const std::vector<LoopClosure>& loops,
@@ -88,6 +99,11 @@ class PoseGraph::Impl {
   }
 
  private:
+  /// Whether the frame, which is not in the graph yet, becomes a vertex of it.
+  bool is_vertex(const Frame& frame) const {
+    return frame.is_keyframe && frame.T_odom_camera.is_finite() && vertex_of_.count(frame.keyframe_id) == 0;
+  }
+
   bool has_free_scale() const { return options_.scale == "free"; }
 
   /// Where a camera behind the last keyframe is in the map.
@@ -102,7 +118,7 @@ class PoseGraph::Impl {
     bursts_.push({frame.stamp_ns, frame.T_odom_camera}, frame.is_break, keyframes_.empty() ? 0 : keyframes_.size() - 1);
     accumulator_.add(frame);
     T_odom_frame_ = frame.T_odom_camera;
-    if (!frame.is_keyframe || vertex_of_.count(frame.keyframe_id) != 0) return;
+    if (!is_vertex(frame)) return;
     if (!keyframes_.empty()) trajectory_.edges.push_back(accumulator_.finish(T_odom_keyframe_, frame.T_odom_camera));
     vertex_of_[frame.keyframe_id] = static_cast<int>(keyframes_.size());
     trajectory_.T_map_vertex.push_back(place(frame.T_odom_camera));
@@ -172,6 +188,7 @@ class PoseGraph::Impl {
   /// Loops that the map agrees with can wait longer.
   bool is_due(const Frame& frame) const {
     if (is_withdrawn_) return true;
+    if (frame.is_end && !objects_.empty()) return true;
     if (trajectory_.loops.empty()) return false;
     if (frame.is_end) return true;
     constexpr int kPatience = 4;
@@ -195,6 +212,7 @@ class PoseGraph::Impl {
       trajectory_.edges[i].suspect_translation_m = bursts_.suspect(i).head<3>().norm();
       trajectory_.edges[i].suspect_rotation_rad = bursts_.suspect(i).tail<3>().norm();
     }
+    if (has_objects_ && is_end) trajectory_.objects.objects = objects_.objects();
     if (!(has_free_scale() ? optimize_similarities(effort) : optimize_poses(effort))) return false;
     if (effort != Effort::kUpdate) learnt_loops_ = trajectory_.loops.size();
     T_map_odom_ = trajectory_.T_map_vertex.back() * T_odom_keyframe_.inverse();
@@ -295,6 +313,8 @@ class PoseGraph::Impl {
   Trajectory trajectory_;
   std::vector<KeyframePose> keyframes_;
   std::map<std::int64_t, int> vertex_of_;
+  bool has_objects_ = false;
+  ObjectMemory objects_;
   OdometryAccumulator accumulator_;
   MotionBursts bursts_;
   LoopConsistency consistency_;
@@ -314,6 +334,10 @@ PoseGraph::~PoseGraph() = default;
 PoseGraph::PoseGraph(PoseGraph&&) noexcept = default;
 PoseGraph& PoseGraph::operator=(PoseGraph&&) noexcept = default;
 
+void PoseGraph::observe(const Frame& frame, const AssociationFrame& associations) {
+  impl_->observe(frame, associations);
+}
+void PoseGraph::apply(const MapUpdate& update) { impl_->apply(update); }
 MapCorrection PoseGraph::process(const Frame& frame, const std::vector<LoopClosure>& loops,
                                  const std::vector<LoopClosure>& extra_loops) {
   return impl_->process(frame, loops, extra_loops);
