@@ -2,7 +2,9 @@
 
 #include <algorithm>
 #include <cmath>
+#include <future>
 
+#include "bundle_adjustment.h"
 #include "feature_extractor.h"
 #include "map_builder.h"
 
@@ -67,6 +69,7 @@ struct RgbdFrontend::Impl {
   Mat6 motion_covariance(const TrackedFeatures& image) const;
   void add_keyframe(const TrackedFeatures& image);
   void accept(TrackedFeatures image);
+  void take_refinement();
 
   FrontendOptions options;
   FeatureExtractor extractor;
@@ -75,6 +78,7 @@ struct RgbdFrontend::Impl {
   PointGrid grid;
   TrackingMap map;
   Camera camera;
+  std::future<BundleProblem> refinement;  ///< of the map around the last image, a keyframe
   std::int64_t images = 0;
   std::int64_t next_candidate = 0;      ///< of the keyframes that are tried in turn after a loss
   std::optional<TrackedFeatures> last;  ///< the last image that has a pose
@@ -140,7 +144,22 @@ Mat6 RgbdFrontend::Impl::motion_covariance(const TrackedFeatures& image) const {
   return covariance;
 }
 
-void RgbdFrontend::Impl::add_keyframe(const TrackedFeatures& image) { builder.add_keyframe(image, &map); }
+void RgbdFrontend::Impl::add_keyframe(const TrackedFeatures& image) {
+  const std::int64_t id = builder.add_keyframe(image, &map);
+  if (map.keyframes().size() < 2) return;
+  refinement = std::async(std::launch::async, [this, problem = local_bundle(map, id, options)]() mutable {
+    solve(camera, options.window_iterations, &problem);
+    return std::move(problem);
+  });
+}
+
+void RgbdFrontend::Impl::take_refinement() {
+  if (!refinement.valid()) return;
+  apply(refinement.get(), &map);
+  const TrackingKeyframe& newest = map.keyframes().rbegin()->second;
+  last->T_camera_map = newest.T_camera_map;
+  last->points = newest.points;
+}
 
 void RgbdFrontend::Impl::accept(TrackedFeatures image) {
   const bool is_next = last && last_tracked_image == images - 1;
@@ -156,6 +175,7 @@ TrackedImage RgbdFrontend::Impl::track(const RgbdImage& rgbd) {
   image.stamp_ns = rgbd.stamp_ns;
   image.features = extractor.extract(rgbd);
   image.points.assign(image.features.size(), -1);
+  take_refinement();
   TrackedImage result;
   bool is_break = false;
   if (static_cast<int>(image.features.size()) < options.min_inliers) {
