@@ -35,7 +35,8 @@ class PointGrid {
       const Vec3 ray = registration.is_identity()
                            ? pixel.ray
                            : camera.ray(camera.undistort(registration.to_color(camera, Vec2(pixel.u, pixel.v), z)));
-      points->push_back((z * ray).cast<float>().cast<double>());
+      const Eigen::Vector3f point = (z * ray).cast<float>();
+      points->push_back(point.cast<double>());
     }
     return points;
   }
