@@ -225,11 +225,4 @@ void FrontendStage::publish_done(std::int64_t stamp_ns, std::uint8_t status) {
   done_publisher_.publish(message);
 }
 
-void FrontendStage::complain(const std::string& cause, const std::string& detail) {
-  statistics().count(cause);
-  if (complaints_.insert(cause).second) {
-    NODELET_WARN("%s: %s (further ones are counted in the diagnostics)", cause.c_str(), detail.c_str());
-  }
-}
-
 }  // namespace semantic_topo_loop

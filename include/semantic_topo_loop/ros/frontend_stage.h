@@ -8,7 +8,6 @@
 #include <cstdint>
 #include <memory>
 #include <optional>
-#include <set>
 #include <string>
 
 #include "semantic_topo_loop/pipeline/frame_builder.h"
@@ -59,10 +58,9 @@ class FrontendStage : public Stage {
   void emit_end();
   /// Answers an image that gives no frame.
   void publish_done(std::int64_t stamp_ns, std::uint8_t status);
-  /// Counts, and warns at the first time.
-  void complain(const std::string& cause, const std::string& detail);
   const std::optional<core::Camera>& camera() const { return camera_; }
   const std::string& camera_frame() const { return camera_frame_; }
+  std::uint32_t current_session() const { return control_->session_id; }
 
  private:
   void advertise_services();
@@ -94,7 +92,6 @@ class FrontendStage : public Stage {
   std::optional<std::int64_t> last_stamp_ns_;
   bool is_paused_ = false;
   SessionControlPtr control_;  ///< the last command
-  std::set<std::string> complaints_;
   std::unique_ptr<tf2_ros::TransformBroadcaster> broadcaster_;
   ros::Publisher control_publisher_, frame_publisher_, keyframe_publisher_, done_publisher_;
 };
