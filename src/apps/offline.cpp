@@ -332,6 +332,7 @@ bool run(const Inputs& inputs, RunRecorder* recorder, std::string* error) {
   const std::vector<Detection> none;
   const Stopwatch stopwatch;
   while (const std::optional<PoseSample> sample = inputs.source->next()) {
+    if (const std::optional<Camera> camera = inputs.source->camera()) builder.set_camera(*camera);
     const std::optional<Frame> frame = builder.build(*sample, error);
     if (!frame) return false;
     const DetectionFrame* detections = find_stamp(inputs.detections, frame->stamp_ns, kStampTolerance_ns);

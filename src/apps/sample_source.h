@@ -24,6 +24,8 @@ class SampleSource {
   /// Images gone through so far, and of all.
   virtual std::size_t done() const = 0;
   virtual std::size_t total() const = 0;
+  /// The camera of the last sample, where the source corrects its calibration.
+  virtual std::optional<core::Camera> camera() const { return std::nullopt; }
   /// What became of the images, where there are any.
   virtual std::optional<core::TrackingReport> report() const { return std::nullopt; }
   /// What was left out, once the end is reached; empty if nothing.
@@ -82,6 +84,7 @@ class RgbdSource : public SampleSource {
   }
   std::size_t done() const override { return done_; }
   std::size_t total() const override { return total_; }
+  std::optional<core::Camera> camera() const override { return frontend_.camera(); }
   std::optional<core::TrackingReport> report() const override { return report_; }
   std::string warning() const override { return left_out_.text(); }
   std::string fault() const override { return is_at_end_ ? fault_ : std::string(); }

@@ -171,7 +171,7 @@ bool PoseFrontendNodelet::resolve(const Trigger& trigger) {
     return true;
   }
   if (!take_points(trigger, is_late, &answer.sample)) return false;
-  emit(answer.sample);
+  emit(answer.sample, camera());
   return true;
 }
 

@@ -194,7 +194,7 @@ bool RgbdFrontendNodelet::prepare(std::int64_t stamp_ns) {
 void RgbdFrontendNodelet::track(const core::RgbdImage& image) {
   const core::TrackedImage tracked = frontend_->track(image);
   report_.add(tracked);
-  if (tracked.sample) return emit(*tracked.sample);
+  if (tracked.sample) return emit(*tracked.sample, frontend_->camera());
   const bool is_lost = tracked.state == core::TrackingState::kLost;
   complain(is_lost ? "images lost track of" : "images with nothing to follow",
            "stamp " + std::to_string(image.stamp_ns) + " ns: " + std::to_string(tracked.matches) + " matches, " +

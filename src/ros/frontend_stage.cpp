@@ -115,7 +115,6 @@ void FrontendStage::on_camera_info(const sensor_msgs::CameraInfo& message) {
     std::string error;
     camera_ = checked_camera(message, &error);
     if (!camera_) complain("camera_info without a usable calibration", error + "; give camera_file");
-    if (camera_ && builder_) builder_->set_camera(*camera_);
   }
   on_camera_stamp(to_stamp_ns(message.header.stamp));
 }
@@ -152,13 +151,14 @@ bool FrontendStage::is_in_order(std::int64_t stamp_ns) {
   return false;
 }
 
-void FrontendStage::emit(const core::PoseSample& sample) {
-  if (!camera_) {
+void FrontendStage::emit(const core::PoseSample& sample, const std::optional<core::Camera>& camera) {
+  if (!camera) {
     complain("images without a calibration", "neither camera_file nor a usable camera_info");
     publish_done(sample.stamp_ns, FrameDone::STATUS_FAILED);
     return;
   }
-  if (!builder_) builder_.emplace(keyframe_options_, *camera_);
+  if (!builder_) builder_.emplace(keyframe_options_, *camera);
+  builder_->set_camera(*camera);
   std::string error;
   const std::optional<core::Frame> frame = builder_->build(sample, &error);
   if (!frame) {

@@ -37,6 +37,8 @@ class RgbdFrontend {
 
   /// Images in time order, made by make_rgbd_image with the same camera.
   TrackedImage track(const RgbdImage& image);
+  /// The colour camera, with its focal lengths as self-calibration corrected them; else as given.
+  const Camera& camera() const;
 
  private:
   struct Impl;

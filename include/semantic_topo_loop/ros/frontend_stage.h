@@ -54,7 +54,8 @@ class FrontendStage : public Stage {
   /// @return whether an image is to be worked on; else it is answered. A jump back in time begins a session.
   bool accept(std::int64_t stamp_ns);
   void begin_session(const std::string& reason);
-  void emit(const core::PoseSample& sample);
+  /// @param camera of the frame; none: the image is answered by a failure
+  void emit(const core::PoseSample& sample, const std::optional<core::Camera>& camera);
   void emit_end();
   /// Answers an image that gives no frame.
   void publish_done(std::int64_t stamp_ns, std::uint8_t status);
