@@ -6,6 +6,8 @@
 #include <vector>
 
 #include "semantic_topo_loop/association/associator_options.h"
+#include "semantic_topo_loop/frontend/frontend_options.h"
+#include "semantic_topo_loop/frontend/rgbd_image.h"
 #include "semantic_topo_loop/loop/loop_options.h"
 #include "semantic_topo_loop/map/mapper_options.h"
 #include "semantic_topo_loop/pipeline/frame_builder.h"
@@ -16,6 +18,8 @@ namespace semantic_topo_loop::core {
 
 /// Every parameter of the core, one struct a module. The defaults are the package's one configuration.
 struct Options {
+  DepthOptions depth;
+  FrontendOptions frontend;
   KeyframeOptions keyframe;
   AssociatorOptions association;
   QuadricMapperOptions mapping;
@@ -24,6 +28,8 @@ struct Options {
 
   template <class Visitor>
   void visit(Visitor& visitor) {
+    depth.visit(visitor);
+    frontend.visit(visitor);
     keyframe.visit(visitor);
     association.visit(visitor);
     mapping.visit(visitor);
