@@ -3,11 +3,13 @@
 #include <cstddef>
 #include <future>
 #include <iostream>
+#include <memory>
 #include <optional>
 #include <string>
 #include <utility>
 #include <vector>
 
+#include "semantic_topo_loop/frontend/keyframe_points.h"
 #include "semantic_topo_loop/frontend/rgbd_frontend.h"
 #include "semantic_topo_loop/frontend/tracking_report.h"
 #include "semantic_topo_loop/geometry/stamped_pose.h"
@@ -21,6 +23,8 @@ class SampleSource {
   virtual ~SampleSource() = default;
   /// The next image that has a pose, or nullopt at the end.
   virtual std::optional<core::PoseSample> next() = 0;
+  /// What the point map keeps of the last image, where there are images.
+  virtual std::shared_ptr<const core::KeyframePoints> keyframe_points(int /*semi_dense_max*/) const { return nullptr; }
   /// Images gone through so far, and of all.
   virtual std::size_t done() const = 0;
   virtual std::size_t total() const = 0;
@@ -66,10 +70,15 @@ class FolderSource : public SampleSource {
         continue;
       }
       core::TrackedImage tracked = frontend_.track(*reading.image);
+      last_image_ = *reading.image;
       report_.add(tracked);
       if (tracked.sample) return std::move(tracked.sample);
     }
     return std::nullopt;
+  }
+  std::shared_ptr<const core::KeyframePoints> keyframe_points(int semi_dense_max) const override {
+    return std::make_shared<const core::KeyframePoints>(
+        core::KeyframePoints{frontend_.sparse_points(), core::semi_dense_points(last_image_, camera_, semi_dense_max)});
   }
   std::size_t done() const override { return done_; }
   std::size_t total() const override { return files_.size(); }
@@ -94,6 +103,7 @@ class FolderSource : public SampleSource {
   core::DepthOptions depth_;
   core::RgbdFrontend frontend_;
   core::TrackingReport report_;
+  core::RgbdImage last_image_;
   std::size_t done_ = 0;
   std::future<Reading> pending_;
 };

@@ -42,17 +42,15 @@ void append(const std::vector<Eigen::Vector3f>& points, float intensity, std::st
 
 }  // namespace
 
+bool is_point_cloud_path(const std::string& path) { return ends_with(path, ".ply") || ends_with(path, ".pcd"); }
+
 bool write_point_cloud(const std::string& path, const MapPoints& points, std::string* error) {
-  const std::size_t count = points.sparse.size() + points.semi_dense.size();
-  std::string bytes;
-  if (ends_with(path, ".ply")) {
-    bytes = ply_header(count);
-  } else if (ends_with(path, ".pcd")) {
-    bytes = pcd_header(count);
-  } else {
+  if (!is_point_cloud_path(path)) {
     if (error != nullptr) *error = "'" + path + "' ends neither in .ply nor in .pcd";
     return false;
   }
+  const std::size_t count = points.sparse.size() + points.semi_dense.size();
+  std::string bytes = ends_with(path, ".ply") ? ply_header(count) : pcd_header(count);
   bytes.reserve(bytes.size() + 16 * count);
   append(points.sparse, 1.0F, &bytes);
   append(points.semi_dense, 0.0F, &bytes);

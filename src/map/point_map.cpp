@@ -55,6 +55,7 @@ bool PointMapOptions::is_valid(std::string* error) const {
     return false;
   };
   if (!(voxel_m > 0.0)) return fail("voxel_m", std::to_string(voxel_m));
+  if (semi_dense_max < 1) return fail("semi_dense_max", std::to_string(semi_dense_max));
   if (points_max < 1) return fail("points_max", std::to_string(points_max));
   return true;
 }

@@ -2,27 +2,14 @@
 
 #include <cstdint>
 #include <map>
-#include <string>
 #include <vector>
 
 #include "semantic_topo_loop/map/frame.h"
 #include "semantic_topo_loop/map/keyframe_points.h"
+#include "semantic_topo_loop/map/point_map_options.h"
 #include "semantic_topo_loop/pose_graph/map_correction.h"
 
 namespace semantic_topo_loop::core {
-
-struct PointMapOptions {
-  double voxel_m = 0.02;
-  int points_max = 2000000;
-
-  template <class Visitor>
-  void visit(Visitor& visitor) {
-    visitor("point_map.voxel_m", voxel_m, "of the semi-dense points of a keyframe, one is kept in a cube of this size");
-    visitor("point_map.points_max", points_max,
-            "points kept; beyond, those of the oldest keyframes are thinned, again and again");
-  }
-  bool is_valid(std::string* error) const;
-};
 
 /// The points of a map, in the map frame, m.
 struct MapPoints {
