@@ -15,10 +15,12 @@
 #include "semantic_topo_loop/io/camera_yaml.h"
 #include "semantic_topo_loop/io/class_table_yaml.h"
 #include "semantic_topo_loop/io/options_yaml.h"
+#include "semantic_topo_loop/io/point_cloud_file.h"
 #include "semantic_topo_loop/io/rgbd_folder.h"
 #include "semantic_topo_loop/io/run_recorder.h"
 #include "semantic_topo_loop/io/submap_file.h"
 #include "semantic_topo_loop/io/tum_trajectory.h"
+#include "semantic_topo_loop/map/point_map.h"
 #include "semantic_topo_loop/pipeline/frame_builder.h"
 #include "semantic_topo_loop/pipeline/object_slam.h"
 #include "semantic_topo_loop/pipeline/stopwatch.h"
@@ -34,7 +36,7 @@ using semantic_topo_loop::apps::TrajectorySource;
 constexpr char kUsage[] =
     "usage: offline --trajectory FILE --detections FILE_OR_DIR --camera YAML --output DIR\n"
     "               [--classes YAML] [--config YAML] [--set module.field=value ...]\n"
-    "               [--extra-loops CSV] [--map FILE] [--save-map FILE]\n"
+    "               [--extra-loops CSV] [--map FILE] [--save-map FILE] [--points FILE]\n"
     "       offline --rgbd DIR --camera YAML --output DIR [--associations FILE] [--detections FILE_OR_DIR] ...\n"
     "       offline --bag FILE --camera YAML --output DIR [--detections FILE_OR_DIR] ...\n"
     "Runs the whole chain on recorded files, without a ROS master.\n"
@@ -52,6 +54,7 @@ constexpr char kUsage[] =
     "  --output      directory of the results, made if missing\n"
     "  --map         submaps that an earlier run saved: the run's place in its map is looked for\n"
     "  --save-map    file for this run's submaps, for later runs\n"
+    "  --points      with --rgbd: file for the map's points, .ply or .pcd\n"
     "       offline --list-parameters\n"
     "Prints every parameter with its default, as a Markdown table.\n";
 
@@ -59,7 +62,7 @@ constexpr std::int64_t kStampTolerance_ns = 1000;
 
 struct Arguments {
   std::string trajectory, rgbd, bag, associations, detections, camera, classes, config, extra_loops, output, map,
-      save_map;
+      save_map, points;
   std::vector<std::string> assignments;
 };
 
@@ -72,6 +75,10 @@ bool are_complete(const Arguments& arguments, std::string* error) {
     *error = "argument --detections is missing";
   } else if (!arguments.associations.empty() && arguments.rgbd.empty()) {
     *error = "argument --associations needs --rgbd";
+  } else if (!arguments.points.empty() && arguments.rgbd.empty()) {
+    *error = "argument --points needs --rgbd";
+  } else if (!arguments.points.empty() && !is_point_cloud_path(arguments.points)) {
+    *error = "argument --points '" + arguments.points + "' ends neither in .ply nor in .pcd";
   } else {
     return true;
   }
@@ -91,9 +98,11 @@ bool parse(int argc, char** argv, Arguments* arguments, std::string* error) {
                                                                     {"--extra-loops", &arguments->extra_loops},
                                                                     {"--output", &arguments->output},
                                                                     {"--map", &arguments->map},
-                                                                    {"--save-map", &arguments->save_map}};
-  const std::set<std::string> optional = {"--trajectory", "--rgbd",   "--bag",         "--detections", "--associations",
-                                          "--classes",    "--config", "--extra-loops", "--map",        "--save-map"};
+                                                                    {"--save-map", &arguments->save_map},
+                                                                    {"--points", &arguments->points}};
+  const std::set<std::string> optional = {"--trajectory",   "--rgbd",     "--bag",    "--detections",
+                                          "--associations", "--classes",  "--config", "--extra-loops",
+                                          "--map",          "--save-map", "--points"};
   for (int i = 1; i < argc; ++i) {
     const std::string name = argv[i];
     if (name == "--help" || name == "-h") return false;
@@ -142,7 +151,7 @@ struct Inputs {
   std::vector<DetectionFrame> detections;
   std::vector<LoopClosure> extra_loops;
   std::optional<std::vector<LocalMap>> earlier_map;
-  std::string save_map;
+  std::string save_map, points;
 };
 
 std::unique_ptr<RgbdReader> open_images(const Arguments& arguments, const Inputs& inputs, std::string* error) {
@@ -202,6 +211,7 @@ std::optional<Inputs> load(const Arguments& arguments, std::string* error) {
   if (!load_detections(arguments.detections, *inputs.classes, &inputs.detections, error)) return std::nullopt;
   if (!load_extra_loops(arguments.extra_loops, &inputs.extra_loops, error)) return std::nullopt;
   inputs.save_map = arguments.save_map;
+  inputs.points = arguments.points;
   if (!arguments.map.empty()) {
     if (inputs.options.loop.mode != "graph") {
       *error = "argument --map = '" + arguments.map + "' needs loop.mode = graph";
@@ -326,6 +336,7 @@ bool run(const Inputs& inputs, RunRecorder* recorder, std::string* error) {
   ObjectSlam slam(inputs.options, inputs.classes);
   if (inputs.earlier_map) slam.set_earlier_map(*inputs.earlier_map);
   FrameBuilder builder(inputs.options.keyframe, inputs.camera);
+  PointMap point_map(inputs.options.point_map);
   ExtraLoops extra_loops(inputs.extra_loops);
   Progress progress(inputs.source->total());
   Counts counts;
@@ -333,20 +344,29 @@ bool run(const Inputs& inputs, RunRecorder* recorder, std::string* error) {
   const Stopwatch stopwatch;
   while (const std::optional<PoseSample> sample = inputs.source->next()) {
     if (const std::optional<Camera> camera = inputs.source->camera()) builder.set_camera(*camera);
-    const std::optional<Frame> frame = builder.build(*sample, error);
+    std::optional<Frame> frame = builder.build(*sample, error);
     if (!frame) return false;
+    if (frame->is_keyframe && !inputs.points.empty()) {
+      frame->keyframe_points = inputs.source->keyframe_points(inputs.options.point_map.semi_dense_max);
+    }
     const DetectionFrame* detections = find_stamp(inputs.detections, frame->stamp_ns, kStampTolerance_ns);
     if (detections != nullptr) ++counts.with_detections;
     const std::vector<Detection>& boxes = detections != nullptr ? detections->detections : none;
-    record(*frame, slam.process(*frame, boxes, extra_loops.at(*frame)), recorder);
+    const FrameResult result = slam.process(*frame, boxes, extra_loops.at(*frame));
+    point_map.add(*frame);
+    point_map.apply(result.correction);
+    record(*frame, result, recorder);
     if (counts.frames++ == 0) counts.first_ns = frame->stamp_ns;
     counts.last_ns = frame->stamp_ns;
     progress.show(inputs.source->done());
   }
   if (!has_input(inputs, counts, error)) return false;
   const Frame end = builder.end();
-  record(end, slam.process(end, none), recorder);
+  const FrameResult last = slam.process(end, none);
+  point_map.apply(last.correction);
+  record(end, last, recorder);
   if (const std::optional<TrackingReport> tracking = inputs.source->report()) recorder->record(*tracking);
+  if (!inputs.points.empty() && !write_point_cloud(inputs.points, point_map.points(), error)) return false;
   if (!inputs.save_map.empty() && !write_submaps(inputs.save_map, slam.submaps_in_map(), error)) return false;
 
   const double seconds = 1e-6 * stopwatch.elapsed_us();

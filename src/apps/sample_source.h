@@ -7,6 +7,7 @@
 #include <string>
 #include <utility>
 
+#include "semantic_topo_loop/frontend/keyframe_points.h"
 #include "semantic_topo_loop/frontend/rgbd_frontend.h"
 #include "semantic_topo_loop/frontend/tracking_report.h"
 #include "semantic_topo_loop/geometry/stamped_pose.h"
@@ -21,6 +22,8 @@ class SampleSource {
   virtual ~SampleSource() = default;
   /// The next image that has a pose, or nullopt at the end.
   virtual std::optional<core::PoseSample> next() = 0;
+  /// What the point map keeps of the last image, where there are images.
+  virtual std::shared_ptr<const core::KeyframePoints> keyframe_points(int /*semi_dense_max*/) const { return nullptr; }
   /// Images gone through so far, and of all.
   virtual std::size_t done() const = 0;
   virtual std::size_t total() const = 0;
@@ -76,11 +79,16 @@ class RgbdSource : public SampleSource {
         continue;
       }
       core::TrackedImage tracked = frontend_.track(*reading->image);
+      last_image_ = *reading->image;
       report_.add(tracked);
       if (tracked.sample) return std::move(tracked.sample);
     }
     is_at_end_ = true;
     return std::nullopt;
+  }
+  std::shared_ptr<const core::KeyframePoints> keyframe_points(int semi_dense_max) const override {
+    return std::make_shared<const core::KeyframePoints>(core::KeyframePoints{
+        frontend_.sparse_points(), core::semi_dense_points(last_image_, frontend_.camera(), semi_dense_max)});
   }
   std::size_t done() const override { return done_; }
   std::size_t total() const override { return total_; }
@@ -120,6 +128,7 @@ class RgbdSource : public SampleSource {
   core::RgbdFrontend frontend_;
   core::TrackingReport report_;
   LeftOut left_out_;
+  core::RgbdImage last_image_;
   std::size_t done_ = 0;
   std::string fault_;  ///< written before the reading thread ends the stream
   bool is_at_end_ = false;

@@ -85,6 +85,7 @@ bool is_in_earlier_map(const LoopClosure& loop) { return loop.T_earlier_match.ha
 void RunRecorder::record(const Frame& frame) {
   if (frame.is_end) return;
   Frame& kept = frames_.insert_or_assign(frame.frame_id, frame).first->second;
+  kept.keyframe_points.reset();
   kept.points_camera.reset();  // no file has them, and those of a long run fill the memory
   if (frame.is_keyframe) keyframe_frames_[frame.keyframe_id] = frame.frame_id;
 }
