@@ -83,6 +83,7 @@ class ObjectAssociator::Impl {
     result.frame_id = frame.frame_id;
     result.map_version = map_version_;
     if (!frame.is_end) {
+      points_.reset();
       prepare(frame, detections, &result);
       update_tracks(context_, assign(context_, &result), &result);
       last_stamp_ns_ = frame.stamp_ns;
@@ -322,7 +323,8 @@ class ObjectAssociator::Impl {
     track->last_box = detection.box;
     tracks_.touch(track);
     if (track->has_ellipsoid || !frame.points_camera) return;
-    const std::vector<Vec3> points = object_points(*frame.points_camera, frame.camera, detection.box);
+    if (!points_) points_.emplace(*frame.points_camera, frame.camera);
+    const std::vector<Vec3> points = object_points(*points_, detection.box);
     if (points.empty()) return;
     const SE3 T_map_camera = T_map_odom_ * frame.T_odom_camera;
     track->points_map.clear();
@@ -340,6 +342,7 @@ class ObjectAssociator::Impl {
   std::int64_t next_id_ = 0;
   std::uint64_t map_version_ = 0;
   SE3 T_map_odom_;
+  std::optional<FramePoints> points_;          ///< of the frame, once a track without an ellipsoid needs them
   std::optional<std::int64_t> last_stamp_ns_;  ///< of the frame before
   double update_us_ = 0.0;                     ///< spent on map updates since then
 
