@@ -21,7 +21,7 @@ struct PoseGraphOptions {
   int max_iterations = 30;
   std::string scale = "fixed";
   double scale_walk = 0.02;
-  std::string objects = "with_loops";
+  std::string objects = "off";
   double object_weight = 0.1;
   double object_sigma_px = 4.0;
   double object_sigma_share = 0.06;
