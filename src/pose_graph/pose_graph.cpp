@@ -24,7 +24,7 @@ class PoseGraph::Impl {
  public:
   explicit Impl(const PoseGraphOptions& options) : options_(options) {
     knowledge_.noise.odometry = noise_prior(options_).least;
-    has_objects_ = options_.objects == "on" && !has_free_scale();
+    has_objects_ = options_.objects != "off" && !has_free_scale();
     trajectory_.objects.noise = {options_.object_weight, options_.object_sigma_px, options_.object_sigma_share};
   }
 
@@ -188,7 +188,7 @@ class PoseGraph::Impl {
   /// Loops that the map agrees with can wait longer.
   bool is_due(const Frame& frame) const {
     if (is_withdrawn_) return true;
-    if (frame.is_end && !objects_.empty()) return true;
+    if (frame.is_end && options_.objects == "on" && !objects_.empty()) return true;
     if (trajectory_.loops.empty()) return false;
     if (frame.is_end) return true;
     constexpr int kPatience = 4;
