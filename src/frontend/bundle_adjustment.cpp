@@ -24,10 +24,10 @@ Mat3 right_jacobian(const Vec3& w) {
 }
 
 /// Reprojection error, and depth error where there is a depth, in sigmas:
-///   r = [(project(p) - pixel) / sigma_px; (p.z - depth) / sigma_m],  p = exp(d) (T_camera_map x)
-/// by the pose's change d = (translation, rotation) and the point x.
+///   r = [(s f p.xy / p.z + c - pixel) / sigma_px; (p.z - depth) / sigma_m],  p = exp(d) (T_camera_map x)
+/// by the pose's change d = (translation, rotation), the point x and the factor s of the focal lengths f.
 template <int kValues>
-class ViewError : public ceres::SizedCostFunction<kValues, 6, 3> {
+class ViewError : public ceres::SizedCostFunction<kValues, 6, 3, 1> {
  public:
   ViewError(const Camera& camera, const SE3& T_camera_map, const PoseObservation& observation)
       : camera_(&camera), R_(T_camera_map.rotation()), t_(T_camera_map.t), o_(observation) {}
@@ -38,14 +38,15 @@ class ViewError : public ceres::SizedCostFunction<kValues, 6, 3> {
     const Mat3 dR = so3_exp(turn).toRotationMatrix();
     const Vec3 p = dR * before + translation;
     if (p.z() < kMinDepth_m) return false;
-    const double z_inverse = 1.0 / p.z();
+    const double z_inverse = 1.0 / p.z(), factor = parameters[2][0];
     Eigen::Map<Eigen::Matrix<double, kValues, 1>> r(residuals);
-    r[0] = (camera_->fx * p.x() * z_inverse + camera_->cx - o_.pixel.x()) / o_.pixel_sigma;
-    r[1] = (camera_->fy * p.y() * z_inverse + camera_->cy - o_.pixel.y()) / o_.pixel_sigma;
+    r[0] = (factor * camera_->fx * p.x() * z_inverse + camera_->cx - o_.pixel.x()) / o_.pixel_sigma;
+    r[1] = (factor * camera_->fy * p.y() * z_inverse + camera_->cy - o_.pixel.y()) / o_.pixel_sigma;
     if (kValues == 3) r[kValues - 1] = (p.z() - o_.depth_m) / o_.depth_sigma_m;
     if (jacobians == nullptr) return true;
     Eigen::Matrix<double, kValues, 3> by_p;
-    const double fx = camera_->fx * z_inverse / o_.pixel_sigma, fy = camera_->fy * z_inverse / o_.pixel_sigma;
+    const double fx = factor * camera_->fx * z_inverse / o_.pixel_sigma;
+    const double fy = factor * camera_->fy * z_inverse / o_.pixel_sigma;
     by_p.row(0) << fx, 0.0, -fx * p.x() * z_inverse;
     by_p.row(1) << 0.0, fy, -fy * p.y() * z_inverse;
     if (kValues == 3) by_p.row(kValues - 1) << 0.0, 0.0, 1.0 / o_.depth_sigma_m;
@@ -57,6 +58,12 @@ class ViewError : public ceres::SizedCostFunction<kValues, 6, 3> {
     if (jacobians[1] != nullptr) {
       Eigen::Map<Eigen::Matrix<double, kValues, 3, Eigen::RowMajor>> J(jacobians[1]);
       J = by_p * dR * R_;
+    }
+    if (jacobians[2] != nullptr) {
+      Eigen::Map<Eigen::Matrix<double, kValues, 1>> J(jacobians[2]);
+      J.setZero();
+      J[0] = fx * p.x() / factor;
+      J[1] = fy * p.y() / factor;
     }
     return true;
   }
@@ -151,7 +158,7 @@ BundleProblem local_bundle(const TrackingMap& map, std::int64_t keyframe, const 
   return std::move(selection.problem);
 }
 
-void solve(const Camera& camera, int iterations, BundleProblem* bundle) {
+void solve(const Camera& camera, int iterations, bool with_focal, BundleProblem* bundle) {
   std::vector<std::array<double, 6>> changes(bundle->poses.size());
   std::vector<Vec3> points(bundle->points.size());
   ceres::Problem::Options problem_options;
@@ -160,6 +167,9 @@ void solve(const Camera& camera, int iterations, BundleProblem* bundle) {
   ceres::Problem problem(problem_options);
   for (std::array<double, 6>& change : changes) change.fill(0.0);
   for (std::size_t i = 0; i < points.size(); ++i) points[i] = bundle->points[i].position;
+  double factor = bundle->focal_factor;
+  problem.AddParameterBlock(&factor, 1);
+  if (!with_focal) problem.SetParameterBlockConstant(&factor);
   auto ordering = std::make_shared<ceres::ParameterBlockOrdering>();
   for (const BundleProblem::View& view : bundle->views) {
     const BundleProblem::Pose& pose = bundle->poses[view.pose];
@@ -171,7 +181,7 @@ void solve(const Camera& camera, int iterations, BundleProblem* bundle) {
     } else {
       error = new ViewError<2>(camera, pose.T_camera_map, view.observation);
     }
-    problem.AddResidualBlock(error, &loss, changes[view.pose].data(), point.data());
+    problem.AddResidualBlock(error, &loss, changes[view.pose].data(), point.data(), &factor);
     ordering->AddElementToGroup(point.data(), 0);
     ordering->AddElementToGroup(changes[view.pose].data(), 1);
   }
@@ -181,6 +191,7 @@ void solve(const Camera& camera, int iterations, BundleProblem* bundle) {
     }
   }
   if (problem.NumResidualBlocks() == 0) return;
+  ordering->AddElementToGroup(&factor, 1);
   ceres::Solver::Options options;
   options.linear_solver_type = ceres::DENSE_SCHUR;
   options.linear_solver_ordering = ordering;
@@ -202,7 +213,26 @@ void solve(const Camera& camera, int iterations, BundleProblem* bundle) {
     view.is_outlier =
         !agrees(camera, bundle->poses[view.pose].T_camera_map, points[view.point], view.observation).first;
   }
+  bundle->focal_factor = factor;
+  bundle->cost_before = summary.initial_cost;
+  bundle->cost_after = summary.final_cost;
   bundle->is_solved = true;
+}
+
+double check_focal_length(const Camera& camera, const BundleProblem& problem) {
+  constexpr int kIterations = 12;
+  constexpr double kMinChange = 0.02, kMinGain = 0.03, kLargestFactor = 1.3;
+  BundleProblem as_given = problem;
+  // Fixed keyframes would hold on to the focal length that they were placed with.
+  for (BundleProblem::Pose& pose : as_given.poses) pose.is_fixed = false;
+  as_given.poses.back().is_fixed = true;
+  BundleProblem corrected = as_given;
+  solve(camera, kIterations, false, &as_given);
+  solve(camera, kIterations, true, &corrected);
+  const double factor = corrected.focal_factor;
+  if (!as_given.is_solved || !corrected.is_solved || std::abs(factor - 1.0) < kMinChange) return 1.0;
+  if (factor > kLargestFactor || factor < 1.0 / kLargestFactor) return 1.0;
+  return corrected.cost_after < (1.0 - kMinGain) * as_given.cost_after ? factor : 1.0;
 }
 
 void apply(const BundleProblem& problem, TrackingMap* map) {

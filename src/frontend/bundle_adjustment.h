@@ -27,6 +27,8 @@ struct BundleProblem {
   std::vector<Pose> poses;
   std::vector<Point> points;
   std::vector<View> views;
+  double focal_factor = 1.0;  ///< of the camera's focal lengths
+  double cost_before = 0.0, cost_after = 0.0;
   bool is_solved = false;
 };
 
@@ -35,7 +37,11 @@ struct BundleProblem {
 BundleProblem local_bundle(const TrackingMap& map, std::int64_t keyframe, const FrontendOptions& options);
 
 /// Refines poses and points: reprojection and depth errors, robust. Same problem, same result, bit for bit.
-void solve(const Camera& camera, int iterations, BundleProblem* problem);
+/// @param with_focal fits focal_factor, too
+void solve(const Camera& camera, int iterations, bool with_focal, BundleProblem* problem);
+
+/// Factor by which the focal lengths are off, if that explains the views clearly better; else 1.
+double check_focal_length(const Camera& camera, const BundleProblem& problem);
 
 /// Takes over what was refined, and takes views back that do not agree with it.
 void apply(const BundleProblem& problem, TrackingMap* map);

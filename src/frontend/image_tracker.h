@@ -27,6 +27,7 @@ class ImageTracker {
  public:
   ImageTracker(const FrontendOptions& options, const Camera& camera) : options_(options), camera_(camera) {}
 
+  void set_camera(const Camera& camera) { camera_ = camera; }
   /// Looks for the points of the last image where the guess puts them.
   bool follow(const TrackedFeatures& last, const SE3& T_camera_map, TrackingMap* map, TrackedFeatures* image) const;
   /// Looks for the points of a keyframe anywhere in the image.

@@ -9,6 +9,7 @@ class MapBuilder {
  public:
   MapBuilder(const FrontendOptions& options, const Camera& camera) : options_(options), camera_(camera) {}
 
+  void set_camera(const Camera& camera) { camera_ = camera; }
   /// Whether the image shows enough that the map does not have.
   bool needs_keyframe(const TrackedFeatures& image, const TrackingMap& map) const;
   /// Adds the image as a keyframe, with new points from its depths, and tidies up around it.

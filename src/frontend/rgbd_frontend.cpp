@@ -23,13 +23,20 @@ class PointGrid {
       }
     }
   }
-  std::shared_ptr<const std::vector<Vec3>> points(const cv::Mat& depth_m) const {
+  /// @param registration of the depth image   @param camera its focal lengths corrected
+  std::shared_ptr<const std::vector<Vec3>> points(const cv::Mat& depth_m, const DepthRegistration& registration,
+                                                  const Camera& camera) const {
     auto points = std::make_shared<std::vector<Vec3>>();
     points->reserve(pixels_.size());
     for (const Pixel& pixel : pixels_) {
       const double z = depth_m.at<float>(pixel.v, pixel.u);
       // Rounded to float, as which the points travel.
-      if (z > 0.0) points->push_back((z * pixel.ray).cast<float>().cast<double>());
+      if (z <= 0.0) continue;
+      const Vec3 ray = registration.is_identity()
+                           ? pixel.ray
+                           : camera.ray(camera.undistort(registration.to_color(camera, Vec2(pixel.u, pixel.v), z)));
+      const Eigen::Vector3f point = (z * ray).cast<float>();
+      points->push_back(point.cast<double>());
     }
     return points;
   }
@@ -59,7 +66,9 @@ struct RgbdFrontend::Impl {
         builder(options, color_camera),
         grid(color_camera, options.point_stride_px),
         map(options, color_camera),
-        camera(color_camera) {}
+        camera(color_camera) {
+    if (options.self_calibration) registration_estimator.emplace(camera);
+  }
 
   TrackedImage track(const RgbdImage& image);
   bool start(TrackedFeatures* image);
@@ -70,6 +79,10 @@ struct RgbdFrontend::Impl {
   void add_keyframe(const TrackedFeatures& image);
   void accept(TrackedFeatures image);
   void take_refinement();
+  void look_for_registration(const RgbdImage& image);
+  bool is_focal_check_due();
+  /// Begins the map anew at an image that has a pose, once the calibration turned out to be wrong.
+  void begin_calibrated_map(TrackedFeatures* image);
 
   FrontendOptions options;
   FeatureExtractor extractor;
@@ -78,6 +91,12 @@ struct RgbdFrontend::Impl {
   PointGrid grid;
   TrackingMap map;
   Camera camera;
+  DepthRegistration registration;
+  std::optional<RegistrationEstimator> registration_estimator;  ///< until it has decided
+  std::int64_t last_registration_ns = 0;                        ///< stamp of the last image it took
+  bool has_new_registration = false;
+  double new_focal_factor = 1.0;          ///< to be applied
+  int next_focal_check = 6;               ///< keyframes of the map
   std::future<BundleProblem> refinement;  ///< of the map around the last image, a keyframe
   std::int64_t images = 0;
   std::int64_t starts = 0;              ///< maps begun: each counts its points from 0
@@ -149,18 +168,58 @@ Mat6 RgbdFrontend::Impl::motion_covariance(const TrackedFeatures& image) const {
 void RgbdFrontend::Impl::add_keyframe(const TrackedFeatures& image) {
   const std::int64_t id = builder.add_keyframe(image, &map);
   if (map.keyframes().size() < 2) return;
-  refinement = std::async(std::launch::async, [this, problem = local_bundle(map, id, options)]() mutable {
-    solve(camera, options.window_iterations, &problem);
+  const bool checks_focal = is_focal_check_due();
+  refinement = std::async(std::launch::async, [this, checks_focal, problem = local_bundle(map, id, options)]() mutable {
+    solve(camera, options.window_iterations, false, &problem);
+    if (checks_focal) problem.focal_factor = check_focal_length(camera, problem);
     return std::move(problem);
   });
 }
 
 void RgbdFrontend::Impl::take_refinement() {
   if (!refinement.valid()) return;
-  apply(refinement.get(), &map);
+  const BundleProblem problem = refinement.get();
+  apply(problem, &map);
+  new_focal_factor = problem.focal_factor;
   const TrackingKeyframe& newest = map.keyframes().rbegin()->second;
   last->T_camera_map = newest.T_camera_map;
   last->points = newest.points;
+}
+
+void RgbdFrontend::Impl::look_for_registration(const RgbdImage& image) {
+  constexpr std::int64_t kInterval_ns = 150'000'000;
+  constexpr int kImages = 6;
+  if (!registration_estimator) return;
+  if (registration_estimator->images() > 0 && image.stamp_ns - last_registration_ns < kInterval_ns) return;
+  registration_estimator->add(image);
+  last_registration_ns = image.stamp_ns;
+  if (registration_estimator->images() < kImages) return;
+  if (const std::optional<DepthRegistration> found = registration_estimator->estimate()) {
+    registration = *found;
+    extractor.set_registration(registration);
+    has_new_registration = true;
+  }
+  registration_estimator.reset();
+}
+
+bool RgbdFrontend::Impl::is_focal_check_due() {
+  if (!options.self_calibration || registration_estimator) return false;
+  const auto keyframes = static_cast<int>(map.keyframes().size());
+  if (keyframes < next_focal_check) return false;
+  next_focal_check = keyframes + keyframes / 2;
+  return true;
+}
+
+void RgbdFrontend::Impl::begin_calibrated_map(TrackedFeatures* image) {
+  camera.fx *= new_focal_factor;
+  camera.fy *= new_focal_factor;
+  has_new_registration = false;
+  new_focal_factor = 1.0;
+  extractor.set_camera(camera);
+  tracker.set_camera(camera);
+  builder.set_camera(camera);
+  map = TrackingMap(options, camera);
+  image->points.assign(image->features.size(), -1);
 }
 
 void RgbdFrontend::Impl::accept(TrackedFeatures image) {
@@ -175,6 +234,7 @@ TrackedImage RgbdFrontend::Impl::track(const RgbdImage& rgbd) {
   TrackedFeatures image;
   image.number = images;
   image.stamp_ns = rgbd.stamp_ns;
+  look_for_registration(rgbd);
   image.features = extractor.extract(rgbd);
   image.points.assign(image.features.size(), -1);
   take_refinement();
@@ -200,10 +260,11 @@ TrackedImage RgbdFrontend::Impl::track(const RgbdImage& rgbd) {
     sample.stamp_ns = image.stamp_ns;
     sample.T_odom_camera = image.T_camera_map.inverse();
     sample.is_break = is_break;
-    sample.points_camera = grid.points(rgbd.depth_m);
+    sample.points_camera = grid.points(rgbd.depth_m, registration, camera);
     if (last && !is_break) sample.covariance = motion_covariance(image);
     result.sample = std::move(sample);
-    if (result.state == TrackingState::kStarted || builder.needs_keyframe(image, map)) {
+    if (has_new_registration || new_focal_factor != 1.0) begin_calibrated_map(&image);
+    if (map.keyframes().empty() || builder.needs_keyframe(image, map)) {
       add_keyframe(image);
       image.points = map.keyframes().rbegin()->second.points;
     }
@@ -220,6 +281,8 @@ RgbdFrontend::RgbdFrontend(RgbdFrontend&&) noexcept = default;
 RgbdFrontend& RgbdFrontend::operator=(RgbdFrontend&&) noexcept = default;
 
 TrackedImage RgbdFrontend::track(const RgbdImage& image) { return impl_->track(image); }
+
+const Camera& RgbdFrontend::camera() const { return impl_->camera; }
 
 std::vector<SparsePoint> RgbdFrontend::sparse_points() const {
   constexpr int kPointBits = 40;

@@ -41,7 +41,7 @@ std::string TrackingReport::warning() const {
     text += separator + std::to_string(count) + " " + what;
     separator = ", ";
   }
-  if (unreadable > 0) text += " (first: " + first_unreadable + ")";
+  if (unreadable > 0) text += " (first unreadable: " + first_unreadable + ")";
   return text;
 }
 

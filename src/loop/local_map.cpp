@@ -208,6 +208,19 @@ bool in_view(const LocalFrame& frame, const Vec3& point, double max_depth_m) {
   return u > frame.image.x1 + mx && u < frame.image.x2 - mx && v > frame.image.y1 + my && v < frame.image.y2 - my;
 }
 
+LocalMap rescaled(LocalMap map, double scale) {
+  for (LocalFrame& frame : map.frames) {
+    frame.position *= scale;
+    frame.t_camera_local *= scale;
+  }
+  for (LocalObject& object : map.objects) {
+    object.spheroid.center *= scale;
+    object.spheroid.log_axes.array() += std::log(scale);
+    object.covariance *= scale * scale;
+  }
+  return map;
+}
+
 LocalMapBuilder::LocalMapBuilder(const LoopOptions& options)
     : min_views_(options.min_views),
       fit_views_(options.fit_views),

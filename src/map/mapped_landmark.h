@@ -8,10 +8,14 @@
 #include <vector>
 
 #include "semantic_topo_loop/geometry/camera.h"
+#include "semantic_topo_loop/geometry/sim3.h"
 #include "semantic_topo_loop/map/landmark.h"
 #include "semantic_topo_loop/map/quadric_fit.h"
 
 namespace semantic_topo_loop::core {
+
+/// S_map_keyframe by keyframe_id; the scale, 1 unless it is free, is the map's units of length in one of the odometry.
+using KeyframePlaces = std::map<std::int64_t, Sim3>;
 
 /// A box of a landmark, hung on the keyframe of its frame so that it follows corrections.
 struct Observation {
@@ -109,13 +113,14 @@ struct MappedLandmark {
 /// The corrected keyframes and the camera: what turns observations into views.
 class ViewSource {
  public:
-  ViewSource(const Camera& camera, const std::map<std::int64_t, SE3>& T_map_keyframe)
-      : camera_(camera), T_map_keyframe_(T_map_keyframe) {}
+  ViewSource(const Camera& camera, const KeyframePlaces& S_map_keyframe)
+      : camera_(camera), S_map_keyframe_(S_map_keyframe) {}
 
   const Camera& camera() const { return camera_; }
   BoxView view(const Observation& observation) const {
-    return {T_map_keyframe_.at(observation.keyframe_id) * observation.T_keyframe_camera, observation.box,
-            observation.truncated, observation.surface};
+    const Sim3& S_map_keyframe = S_map_keyframe_.at(observation.keyframe_id);
+    return {S_map_keyframe.pose(observation.T_keyframe_camera), observation.box, observation.truncated,
+            scaled(observation.surface, S_map_keyframe.scale)};
   }
   std::vector<BoxView> views(const std::vector<Observation>& observations) const {
     std::vector<BoxView> result;
@@ -125,8 +130,16 @@ class ViewSource {
   }
 
  private:
+  /// Depth is in the odometry's unit of length, as its translations are.
+  static std::shared_ptr<const Surface> scaled(const std::shared_ptr<const Surface>& surface, double scale) {
+    if (!surface || scale == 1.0) return surface;
+    auto result = std::make_shared<Surface>(*surface);
+    for (Eigen::Vector3f& point : *result) point *= static_cast<float>(scale);
+    return result;
+  }
+
   const Camera& camera_;
-  const std::map<std::int64_t, SE3>& T_map_keyframe_;
+  const KeyframePlaces& S_map_keyframe_;
 };
 
 /// Up to `count` elements, evenly spread, first and last included.

@@ -33,7 +33,7 @@ class QuadricMapper::Impl {
   Impl(const QuadricMapperOptions& options, std::shared_ptr<const ClassTable> classes)
       : options_(options),
         classes_(std::move(classes)),
-        views_(camera_, T_map_keyframe_),
+        views_(camera_, S_map_keyframe_),
         fitter_(options_, *classes_),
         duplicates_(options_, *classes_) {}
 
@@ -65,15 +65,16 @@ class QuadricMapper::Impl {
   MapUpdate apply(const MapCorrection& correction) {
     const Stopwatch stopwatch;
     MapUpdate update = begin_update(correction.frame_id, MapUpdatePhase::kCorrection);
+    T_map_odom_ = correction.T_map_odom;
+    scale_ = correction.scale;
     if (correction.changed) {
-      const std::map<std::int64_t, SE3> before = T_map_keyframe_;
-      T_map_odom_ = correction.T_map_odom;
+      const KeyframePlaces before = S_map_keyframe_;
       for (const KeyframePose& keyframe : correction.keyframes) {
-        const auto it = T_map_keyframe_.find(keyframe.keyframe_id);
-        if (it != T_map_keyframe_.end()) it->second = keyframe.T_map_camera;
+        const auto it = S_map_keyframe_.find(keyframe.keyframe_id);
+        if (it != S_map_keyframe_.end()) it->second = Sim3(keyframe.T_map_camera, keyframe.scale);
       }
-      for (auto it = T_map_keyframe_.upper_bound(correction.valid_to_keyframe_id); it != T_map_keyframe_.end(); ++it) {
-        it->second = T_map_odom_ * T_odom_keyframe_.at(it->first);
+      for (auto it = S_map_keyframe_.upper_bound(correction.valid_to_keyframe_id); it != S_map_keyframe_.end(); ++it) {
+        it->second = Sim3(T_map_odom_ * T_odom_keyframe_.at(it->first), scale_);
       }
       for (auto& [id, landmark] : landmarks_) move(before, &landmark);
       undo_wrong_merges(&update);
@@ -145,7 +146,7 @@ class QuadricMapper::Impl {
   void add_keyframe(const Frame& frame) {
     if (!frame.is_keyframe) return;
     T_odom_keyframe_[frame.keyframe_id] = frame.T_odom_camera;
-    T_map_keyframe_[frame.keyframe_id] = T_map_odom_ * frame.T_odom_camera;
+    S_map_keyframe_[frame.keyframe_id] = Sim3(T_map_odom_ * frame.T_odom_camera, scale_);
   }
 
   void add_observations(const Frame& frame, const FramePoints* points, const AssociationFrame& associations) {
@@ -280,7 +281,7 @@ class QuadricMapper::Impl {
 
   void merge(std::int64_t survivor_id, std::int64_t merged_id, MapUpdate* update) {
     MappedLandmark& survivor = landmarks_.at(survivor_id);
-    merges_.join(T_map_keyframe_, std::move(landmarks_.at(merged_id)), &survivor);
+    merges_.join(S_map_keyframe_, std::move(landmarks_.at(merged_id)), &survivor);
     landmarks_.erase(merged_id);
     update->merged.push_back({merged_id, survivor_id});
     while (survivor.observations.size() > kObservationsMax) thin(&survivor.observations);
@@ -292,26 +293,28 @@ class QuadricMapper::Impl {
   void undo_wrong_merges(MapUpdate* update) {
     for (std::size_t i = merges_.records().size(); i-- > 0;) {
       const MergeRecord& record = merges_.records()[i];
-      const auto merged = MergeHistory::place(T_map_keyframe_, record.merged);
-      const auto survivor = MergeHistory::place(T_map_keyframe_, record.survivor);
+      const auto merged = MergeHistory::place(S_map_keyframe_, record.merged);
+      const auto survivor = MergeHistory::place(S_map_keyframe_, record.survivor);
       const auto holder = landmarks_.find(record.merge.survivor_id);
       if (!merged || !survivor || holder == landmarks_.end()) continue;
       const double apart = (merged->center() - survivor->center()).norm();
       if (apart <= kUndoReach * DuplicateTest::reach_m(*merged, *survivor)) continue;
       const LandmarkMerge merge = record.merge;
-      landmarks_[merge.merged_id] = merges_.split(T_map_keyframe_, i, &holder->second);
+      landmarks_[merge.merged_id] = merges_.split(S_map_keyframe_, i, &holder->second);
       update->unmerged.push_back(merge);
       changed_.insert({merge.merged_id, merge.survivor_id});
     }
   }
 
-  /// Rigidly with the anchor keyframe; the fit from all corrected views follows in the next frames.
-  void move(const std::map<std::int64_t, SE3>& before, MappedLandmark* landmark) {
+  /// With the anchor keyframe, in its scale; the fit from all corrected views follows in the next frames.
+  void move(const KeyframePlaces& before, MappedLandmark* landmark) {
     if (!landmark->state.ellipsoid) return;
     const auto old_pose = before.find(landmark->state.anchor_keyframe_id);
     if (old_pose == before.end()) return;
-    const SE3 T_new_old = T_map_keyframe_.at(landmark->state.anchor_keyframe_id) * old_pose->second.inverse();
-    landmark->state.ellipsoid->T_world_quadric = T_new_old * landmark->state.ellipsoid->T_world_quadric;
+    const Sim3 S_new_old = S_map_keyframe_.at(landmark->state.anchor_keyframe_id) * old_pose->second.inverse();
+    landmark->state.ellipsoid->T_world_quadric = S_new_old.pose(landmark->state.ellipsoid->T_world_quadric);
+    landmark->state.ellipsoid->semi_axes *= S_new_old.scale;
+    landmark->state.center_covariance *= S_new_old.scale * S_new_old.scale;
     landmark->fit_due = landmark->state.mean_iou > 0.0;
     changed_.insert(landmark->state.id);
   }
@@ -346,7 +349,9 @@ class QuadricMapper::Impl {
   std::shared_ptr<const ClassTable> classes_;
   Camera camera_;
   SE3 T_map_odom_;
-  std::map<std::int64_t, SE3> T_map_keyframe_, T_odom_keyframe_;
+  double scale_ = 1.0;  ///< units of length of the map in one of the odometry, now
+  KeyframePlaces S_map_keyframe_;
+  std::map<std::int64_t, SE3> T_odom_keyframe_;
   Landmarks landmarks_;
   MergeHistory merges_;
   ViewSource views_;

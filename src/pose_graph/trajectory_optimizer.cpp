@@ -57,6 +57,7 @@ class TrajectoryOptimizer {
     if (!classify()) return result_;
     if (options_.estimate_noise) learn_noise();
     result_.usable = solve();
+    if (result_.usable && !trajectory_.objects.objects.empty()) solve_with_objects();
     return result_;
   }
 
@@ -145,7 +146,15 @@ class TrajectoryOptimizer {
 
   bool solve() {
     const bool has_loss = solver_options_.loss != GraphLoss::kNone;
-    return report(solve_graph(graph(result_.knowledge.noise, !has_loss), solver_options_, &result_.T_map_vertex));
+    result_.edges = graph(result_.knowledge.noise, !has_loss);
+    return report(solve_graph(result_.edges, solver_options_, &result_.T_map_vertex));
+  }
+
+  /// From the solution without them, which stays where this finds none.
+  void solve_with_objects() {
+    const bool has_loss = solver_options_.loss != GraphLoss::kNone;
+    solve_graph(graph(result_.knowledge.noise, !has_loss), solver_options_, &result_.T_map_vertex,
+                well_seen(trajectory_.objects, result_.T_map_vertex, options_.object_views));
   }
 
   std::vector<GraphEdge> graph(const NoiseEstimate& noise, bool only_kept) const {

@@ -59,7 +59,9 @@ bool write_image(const std::string& path, const cv::Mat& image, std::string* err
 std::optional<cv::Mat> read_image(const std::string& path, int type, const Camera& camera, std::string* error) {
   cv::Mat image;
   try {
-    image = cv::imread(path, cv::IMREAD_UNCHANGED);
+    // imread would print about a missing file.
+    std::error_code ignored;
+    if (std::filesystem::exists(path, ignored)) image = cv::imread(path, cv::IMREAD_UNCHANGED);
   } catch (const cv::Exception&) {
     image.release();
   }

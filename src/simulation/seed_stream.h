@@ -13,7 +13,8 @@ enum SeedStream : std::uint64_t {
   kOdometryFrame,
   kDynamics,
   kTextures,
-  kImageNoise
+  kImageNoise,
+  kScaleDrift
 };
 
 inline std::uint64_t seed_of(const SimulationOptions& options, SeedStream stream) {

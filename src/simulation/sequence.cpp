@@ -40,8 +40,9 @@ SE3 odometry_frame(const SimulationOptions& options, const SE3& T_world_camera0)
 std::optional<StampedPoses> odometry(const SimulationOptions& options, const StampedPoses& truth, std::string* error) {
   std::vector<SE3> T_world_camera;
   for (const StampedPose& pose : truth) T_world_camera.push_back(pose.T_world_camera);
-  const auto drifted = drift_poses(T_world_camera, options.drift, seed_of(options, kDrift), error);
+  auto drifted = drift_poses(T_world_camera, options.drift, seed_of(options, kDrift), error);
   if (!drifted) return std::nullopt;
+  *drifted = drift_scale(*drifted, options.drift, seed_of(options, kScaleDrift));
   const SE3 T_odom_world = odometry_frame(options, T_world_camera.front());
   StampedPoses poses;
   for (std::size_t i = 0; i < truth.size(); ++i) poses.push_back({truth[i].stamp_ns, T_odom_world * (*drifted)[i]});

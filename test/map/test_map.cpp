@@ -4,6 +4,7 @@
 #include <limits>
 #include <random>
 
+#include "semantic_topo_loop/geometry/sim3.h"
 #include "semantic_topo_loop/map/mapper_options.h"
 #include "semantic_topo_loop/map/quadric_fit.h"
 #include "semantic_topo_loop/map/quadric_initialisation.h"
@@ -393,6 +394,32 @@ TEST_F(MapperTest, LandmarksMoveWithTheirKeyframesAndVersionsChain) {
   step(poses[0], {{0, 41, kCup}});
   end();
   EXPECT_LT((find(0)->ellipsoid->center() - T_new_old * kCup.center()).norm(), 0.01);
+}
+
+/// A camera that came to count in a unit of half the length has mapped everything twice as large.
+TEST_F(MapperTest, LandmarksGrowWithTheScaleOfTheirKeyframes) {
+  const std::vector<SE3> poses = arc(60, 90.0);
+  for (const SE3& pose : poses) step(pose, {{0, 41, kCup}});
+  const Ellipsoid before = *find(0)->ellipsoid;
+  constexpr double kScale = 0.5;
+  const Sim3 S_new_old(SE3(so3_exp(Vec3(0.0, 0.1, 0.3)), Vec3(1.0, -2.0, 0.5)), kScale);
+  const auto corrected = [&](const SE3& T_odom_camera) { return S_new_old.pose(T_odom_camera); };
+  MapCorrection correction;
+  correction.frame_id = next_frame_ - 1;
+  correction.changed = true;
+  correction.scale = kScale;
+  correction.T_map_odom = corrected(poses.back()) * poses.back().inverse();
+  correction.valid_to_keyframe_id = 11;
+  for (std::int64_t id = 0; id <= 11; ++id) {
+    correction.keyframes.push_back({id, id * 5, 0, corrected(poses[static_cast<std::size_t>(id) * 5]), kScale});
+  }
+  mapper_.apply(correction);
+  EXPECT_LT((find(0)->ellipsoid->center() - S_new_old * before.center()).norm(), 1e-9);
+  EXPECT_LT((find(0)->ellipsoid->semi_axes - kScale * before.semi_axes).norm(), 1e-12);
+  // The fit from the views, which hang on the keyframes in the odometry's unit, says the same.
+  end();
+  EXPECT_LT((find(0)->ellipsoid->center() - S_new_old * kCup.center()).norm(), 0.01);
+  EXPECT_LT((find(0)->ellipsoid->semi_axes - kScale * before.semi_axes).norm(), 0.005);
 }
 
 TEST(QuadricMapperOptions, RejectsValuesOutOfRangeByName) {

@@ -140,6 +140,26 @@ TEST(Drift, jump_is_good_but_for_three_bursts) {
   EXPECT_LE(bad, 24);
 }
 
+TEST(Drift, the_scale_walks_as_far_as_it_is_told_and_the_rotation_stays) {
+  const std::vector<SE3> truth = poses("desk", 3);
+  DriftOptions options;
+  options.scale_percent = 20.0;
+  options.global_scale = 0.5;
+  for (std::uint64_t seed = 0; seed < 4; ++seed) {
+    const std::vector<SE3> drifted = drift_scale(truth, options, seed);
+    ASSERT_EQ(drifted.size(), truth.size());
+    double largest = 0.0;
+    for (std::size_t i = 1; i < truth.size(); ++i) {
+      const double true_m = (truth[i].t - truth[i - 1].t).norm(), step = (drifted[i].t - drifted[i - 1].t).norm();
+      if (true_m > 1e-6) largest = std::max(largest, std::abs(std::log(step / (0.5 * true_m))));
+      EXPECT_LT(rotation_angle(drifted[i].q, truth[i].q), 1e-6);
+    }
+    EXPECT_NEAR(largest, std::log(1.2), 1e-3);
+  }
+  EXPECT_NE(drift_scale(truth, options, 1).back().t, drift_scale(truth, options, 2).back().t);
+  EXPECT_EQ(drift_scale(truth, {}, 1).back().t, truth.back().t) << "none unless it is asked for";
+}
+
 TEST(Drift, a_level_that_cannot_be_met_is_an_error_with_both_values) {
   DriftOptions options;
   options.position_m = 0.001;

@@ -16,6 +16,7 @@ struct FrontendOptions {
   int window_keyframes = 10;
   int window_iterations = 6;
   int max_keyframes = 600;
+  bool self_calibration = true;
   int point_stride_px = 4;
 
   template <class Visitor>
@@ -32,6 +33,8 @@ struct FrontendOptions {
     visitor("frontend.window_keyframes", window_keyframes, "keyframes refined by a local bundle adjustment");
     visitor("frontend.window_iterations", window_iterations, "iterations of a local bundle adjustment at most");
     visitor("frontend.max_keyframes", max_keyframes, "keyframes kept; the oldest ones are forgotten");
+    visitor("frontend.self_calibration", self_calibration,
+            "find out where depth is not registered to colour, and correct focal lengths that are clearly wrong");
     visitor("frontend.point_stride_px", point_stride_px, "grid of depth pixels that a frame hands on as points");
   }
   bool is_valid(std::string* error) const;

@@ -39,6 +39,8 @@ class RgbdFrontend {
 
   /// Images in time order, made by make_rgbd_image with the same camera.
   TrackedImage track(const RgbdImage& image);
+  /// The colour camera, with its focal lengths as self-calibration corrected them; else as given.
+  const Camera& camera() const;
   /// The map points that the last image with a pose sees, in order of id. Ids are never used twice.
   std::vector<SparsePoint> sparse_points() const;
 
