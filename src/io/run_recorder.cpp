@@ -72,13 +72,21 @@ nlohmann::json to_json(const std::optional<Relocalisation>& relocalisation) {
 
 bool has_scale(const LoopClosure& loop) { return loop.scale_covariance(6) > 0.0; }
 
+nlohmann::json to_json(const TrackingReport& tracking) {
+  return {{"total", tracking.images},          {"tracked", tracking.tracked}, {"relocalised", tracking.relocalised},
+          {"started_anew", tracking.restarts}, {"lost", tracking.lost},       {"unusable", tracking.unusable},
+          {"unreadable", tracking.unreadable}};
+}
+
 bool is_in_earlier_map(const LoopClosure& loop) { return loop.T_earlier_match.has_value(); }
 
 }  // namespace
 
 void RunRecorder::record(const Frame& frame) {
   if (frame.is_end) return;
-  frames_.insert_or_assign(frame.frame_id, frame);
+  Frame& kept = frames_.insert_or_assign(frame.frame_id, frame).first->second;
+  kept.keyframe_points.reset();
+  kept.points_camera.reset();  // no file has them, and those of a long run fill the memory
   if (frame.is_keyframe) keyframe_frames_[frame.keyframe_id] = frame.frame_id;
 }
 
@@ -284,6 +292,7 @@ std::string RunRecorder::summary() const {
       {"loops", {{"candidates", candidates}, {"accepted", accepted}, {"kept", kept}, {"reasons", reasons}}},
       {"corrections", corrections_},
       {"odometry", odometry_summary(correction_.odometry)}};
+  if (tracking_) summary["images"] = to_json(*tracking_);
   if (has_earlier_map_) summary["relocalisation"] = to_json(relocalisation());
   constexpr int kIndent = 2;
   return summary.dump(kIndent) + '\n';

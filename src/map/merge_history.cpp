@@ -66,6 +66,7 @@ void MergeHistory::join(const KeyframePlaces& S_map_keyframe, MappedLandmark mer
   survivor->sightings.expected_s = std::max(survivor->sightings.expected_s, merged.sightings.expected_s);
   if (merged.last_stamp_ns > survivor->last_stamp_ns) {
     survivor->sightings.missed_since_s = merged.sightings.missed_since_s;
+    survivor->sightings.seen_through_since_s = merged.sightings.seen_through_since_s;
     survivor->last_stamp_ns = merged.last_stamp_ns;
   }
   survivor->seen_from.add(merged.seen_from);

@@ -14,7 +14,6 @@
 #include "merge_history.h"
 #include "semantic_topo_loop/map/mapper_options.h"
 #include "semantic_topo_loop/map/object_points.h"
-#include "semantic_topo_loop/map/quadric_initialisation.h"
 #include "semantic_topo_loop/pipeline/stopwatch.h"
 #include "visibility.h"
 
@@ -46,9 +45,11 @@ class QuadricMapper::Impl {
     } else {
       camera_ = frame.camera;
       begin_step(frame.stamp_ns);
+      std::optional<FramePoints> points;
+      if (frame.points_camera) points.emplace(*frame.points_camera, frame.camera);
       add_keyframe(frame);
-      add_observations(frame, associations);
-      count_expected(frame, associations);
+      add_observations(frame, points ? &*points : nullptr, associations);
+      count_expected(frame, points ? &*points : nullptr, associations);
       fit_due_landmarks();
       if (1e-9 * static_cast<double>(frame.stamp_ns - last_maintenance_ns_) >= options_.maintenance_interval_s) {
         last_maintenance_ns_ = frame.stamp_ns;
@@ -148,7 +149,7 @@ class QuadricMapper::Impl {
     S_map_keyframe_[frame.keyframe_id] = Sim3(T_map_odom_ * frame.T_odom_camera, scale_);
   }
 
-  void add_observations(const Frame& frame, const AssociationFrame& associations) {
+  void add_observations(const Frame& frame, const FramePoints* points, const AssociationFrame& associations) {
     const auto keyframe = T_odom_keyframe_.find(frame.keyframe_id);
     if (keyframe == T_odom_keyframe_.end()) return;  // only after a dropped keyframe: nothing to hang the boxes on
     const SE3 T_keyframe_camera = keyframe->second.inverse() * frame.T_odom_camera;
@@ -159,10 +160,16 @@ class QuadricMapper::Impl {
       if (landmark.state.id < 0) {
         landmark.state.id = id;
         landmark.next_fit_at = options_.min_views;
-        initialise_from_frame_points(frame, association, &landmark);
       }
+      // Depth of every keyframe is plenty; until there is an ellipsoid any frame may give it.
+      std::shared_ptr<const Surface> surface;
+      if (points != nullptr && (frame.is_keyframe || !landmark.state.ellipsoid)) {
+        surface = make_surface(object_points(*points, association.box), frame.camera, association.box);
+      }
+      if (surface && !landmark.state.ellipsoid) landmark.next_fit_at = 1;
       landmark.observations.push_back({frame.frame_id, association.landmark_id, frame.keyframe_id, T_keyframe_camera,
-                                       association.box, association.truncated, association.class_id});
+                                       association.box, association.truncated, association.class_id,
+                                       std::move(surface)});
       if (landmark.observations.size() > kObservationsMax) thin(&landmark.observations);
       landmark.state.class_id = association.landmark_class_id;
       landmark.state.observations += 1;
@@ -170,37 +177,33 @@ class QuadricMapper::Impl {
       landmark.sightings.seen_s += step_s_;
       if (association.truncated == 0) landmark.sightings.whole_s += step_s_;
       landmark.sightings.missed_since_s = 0.0;
+      landmark.sightings.seen_through_since_s = 0.0;
       changed_.insert(id);
     }
     count_side_by_side(associations);
   }
 
-  void count_expected(const Frame& frame, const AssociationFrame& associations) {
+  void count_expected(const Frame& frame, const FramePoints* points, const AssociationFrame& associations) {
     if (associations.associations.empty()) return;  // nothing at all was detected: rather the detector's fault
     const SE3 T_map_camera = T_map_odom_ * frame.T_odom_camera;
-    for (const auto& [id, size_px] : expected_landmarks(landmarks_, frame, T_map_camera, associations)) {
-      MappedLandmark& landmark = landmarks_.at(id);
+    for (const ExpectedLandmark& expected : expected_landmarks(landmarks_, frame, points, T_map_camera, associations)) {
+      MappedLandmark& landmark = landmarks_.at(expected.id);
       const Vec3 direction = landmark.state.ellipsoid->center() - T_map_camera.t;
       landmark.sightings.expected_s += step_s_;
+      const double seen_through_s = expected.is_seen_through ? step_s_ : 0.0;
       if (landmark.last_stamp_ns == frame.stamp_ns) {
-        landmark.seen_from.add(direction, size_px);
+        landmark.seen_from.add(direction, expected.size_px);
         landmark.sightings.familiar_seen_s += step_s_;
-      } else if (landmark.seen_from.covers(direction, size_px)) {
-        landmark.sightings.familiar_missed_s += step_s_;
-        landmark.sightings.missed_since_s += step_s_;
+        landmark.sightings.transparent_s += seen_through_s;
+      } else {
+        landmark.sightings.seen_through_since_s += seen_through_s;
+        if (landmark.seen_from.covers(direction, expected.size_px)) {
+          landmark.sightings.familiar_missed_s += step_s_;
+          landmark.sightings.missed_since_s += step_s_;
+        }
       }
-      touched_.insert(id);
+      touched_.insert(expected.id);
     }
-  }
-
-  void initialise_from_frame_points(const Frame& frame, const Association& association,
-                                    MappedLandmark* landmark) const {
-    if (!frame.points_camera || association.truncated != 0) return;
-    const BoxView view{T_map_odom_ * frame.T_odom_camera, association.box, association.truncated};
-    std::vector<Vec3> points = object_points(*frame.points_camera, frame.camera, association.box);
-    for (Vec3& point : points) point *= scale_;
-    landmark->state.ellipsoid = initialise_from_points(frame.camera, view, points);
-    landmark->state.anchor_keyframe_id = frame.keyframe_id;
   }
 
   static void thin(std::vector<Observation>* observations) {

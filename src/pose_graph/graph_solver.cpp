@@ -4,6 +4,7 @@
 #include <cmath>
 
 #include "graph_problem.h"
+#include "object_blocks.h"
 #include "semantic_topo_loop/geometry/ceres_compat.h"
 #include "semantic_topo_loop/pose_graph/relative_pose.h"
 
@@ -130,7 +131,7 @@ ceres::Solver::Options ceres_options(const GraphSolverOptions& options) {
 }
 
 GraphSolution solve_graph(const std::vector<GraphEdge>& edges, const GraphSolverOptions& options,
-                          std::vector<SE3>* T_world_vertex) {
+                          std::vector<SE3>* T_world_vertex, const GraphObjects& objects) {
   GraphSolution solution;
   solution.message = fault(edges, options.fixed, *T_world_vertex);
   if (!solution.message.empty()) return solution;
@@ -145,6 +146,7 @@ GraphSolution solve_graph(const std::vector<GraphEdge>& edges, const GraphSolver
     problem.AddResidualBlock(new RelativePoseCost(edge, options.error), edge.robust ? make_loss(options) : nullptr,
                              from.t.data(), from.q.coeffs().data(), to.t.data(), to.q.coeffs().data());
   }
+  const ObjectBlocks object_blocks(objects, &vertices, &problem);
   ceres::Solver::Summary summary;
   ceres::Solve(ceres_options(options), &problem, &summary);
   solution.initial_cost = summary.initial_cost;

@@ -6,7 +6,6 @@
 
 #include "semantic_topo_loop/geometry/sim3.h"
 #include "semantic_topo_loop/map/mapper_options.h"
-#include "semantic_topo_loop/map/object_points.h"
 #include "semantic_topo_loop/map/quadric_fit.h"
 #include "semantic_topo_loop/map/quadric_initialisation.h"
 #include "semantic_topo_loop/map/quadric_mapper.h"
@@ -42,7 +41,7 @@ std::vector<BoxView> views_of(const Ellipsoid& ellipsoid, const std::vector<SE3>
   for (const SE3& pose : poses) {
     Box box = *project_box(ellipsoid, projection_matrix(kCamera, pose));
     for (double* edge : {&box.x1, &box.y1, &box.x2, &box.y2}) *edge += noise_px * noise(random);
-    views.push_back({pose, box, 0});
+    views.push_back({pose, box, 0, nullptr});
   }
   return views;
 }
@@ -137,27 +136,6 @@ TEST(QuadricFit, RefusesDegenerateInput) {
   Ellipsoid broken = kCup;
   broken.T_world_quadric.t.x() = std::numeric_limits<double>::quiet_NaN();
   EXPECT_FALSE(refine_quadric(kCamera, still, broken));
-}
-
-TEST(QuadricFit, OneViewWithPointsGivesPositionAndSize) {
-  const SE3 pose = arc(5, 90.0)[2];
-  const BoxView view = views_of(kCup, {pose})[0];
-  std::vector<Vec3> points;  // of the near side of the object, in front of a wall
-  for (int i = -5; i <= 5; ++i) {
-    for (int j = -5; j <= 5; ++j) {
-      const Vec3 center = pose.inverse() * kCup.center();
-      points.push_back(center + Vec3(0.006 * i, 0.006 * j, -0.03));
-      points.push_back(Vec3(0.2 * i, 0.2 * j, 4.0));
-    }
-  }
-  const std::vector<Vec3> object = object_points(points, kCamera, view.box);
-  EXPECT_GE(object.size(), 80U);
-  for (const Vec3& point : object) EXPECT_LT(point.z(), 3.0);
-  const std::optional<Ellipsoid> ellipsoid = initialise_from_points(kCamera, view, object);
-  ASSERT_TRUE(ellipsoid);
-  EXPECT_LT((ellipsoid->center() - kCup.center()).norm(), 0.03);
-  EXPECT_TRUE(object_points({}, kCamera, view.box).empty());
-  EXPECT_FALSE(initialise_from_points(kCamera, view, {}));
 }
 
 /// Feeds a mapper with the exact boxes of objects seen from an arc, under landmark ids of the test's choice.

@@ -170,5 +170,55 @@ TEST(Drift, a_level_that_cannot_be_met_is_an_error_with_both_values) {
   EXPECT_NE(error.find("'60'"), std::string::npos) << error;
 }
 
+TEST(HandheldTrajectory, an_arc_swings_to_and_fro) {
+  const Scene scene = make_scene({}, 2);
+  TrajectoryOptions options;
+  options.arc_deg = 90.0;
+  options.wander_m = 0.0;
+  const HandheldTrajectory trajectory(scene, options, 2);
+  const Vec3& center = scene.desks[0].T_world_desk.t;
+  const auto direction = [&](double time_s) {
+    return Vec2((trajectory.T_world_camera(time_s).t - center).head<2>().normalized());
+  };
+  double widest_deg = 0.0;
+  for (double time_s = 0.0; time_s < 36.0; time_s += 0.5) {
+    widest_deg = std::max(widest_deg, degrees(std::acos(std::min(1.0, direction(0.0).dot(direction(time_s))))));
+  }
+  EXPECT_NEAR(widest_deg, 45.0, 2.0) << "half the arc to either side of the first place";
+  EXPECT_GT(direction(0.0).dot(direction(18.0)), std::cos(radians(2.0))) << "back after half a period";
+}
+
+TEST(RobotTrajectory, keeps_height_and_tilt_and_heads_where_it_drives) {
+  for (std::uint64_t seed = 0; seed < 6; ++seed) {
+    SceneOptions scene_options;
+    scene_options.layout = seed % 2 == 0 ? "desk" : "office";
+    TrajectoryOptions options;
+    options.model = "robot";
+    const Scene scene = make_scene(scene_options, seed);
+    const std::unique_ptr<Trajectory> trajectory = make_trajectory(scene, options, seed);
+    double slowest = 1e9, fastest = 0.0, turn_standing = 0.0;
+    for (double time_s = 0.0; time_s < 60.0; time_s += 1.0 / 30.0) {
+      const SE3 T = trajectory->T_world_camera(time_s), next = trajectory->T_world_camera(time_s + 1e-3);
+      EXPECT_EQ(T.t.z(), options.height_m);
+      EXPECT_NEAR((T.q * Vec3::UnitX()).z(), 0.0, 1e-9) << "no roll";
+      EXPECT_NEAR((T.q * Vec3::UnitZ()).z(), -std::sin(radians(18.0)), 1e-9) << "constant tilt";
+      const Vec3 velocity = (next.t - T.t) * 1e3;
+      const double turn = degrees(rotation_angle(T.q, next.q)) * 1e3;
+      EXPECT_LT(turn, 90.0);
+      slowest = std::min(slowest, velocity.norm());
+      fastest = std::max(fastest, velocity.norm());
+      if (velocity.norm() < 0.02) turn_standing = std::max(turn_standing, turn);
+      if (velocity.norm() < 0.05) continue;
+      const Vec3 ahead = (T.q * Vec3::UnitZ()).cwiseProduct(Vec3(1.0, 1.0, 0.0)).normalized();
+      const double aside_deg = degrees(std::acos(std::clamp(ahead.dot(velocity.normalized()), -1.0, 1.0)));
+      EXPECT_NEAR(aside_deg, 55.0, 36.0) << "the camera's mount, and the turns at stops";
+    }
+    EXPECT_LT(slowest, 0.02) << "it stops";
+    EXPECT_LT(fastest, 1.5);
+    EXPECT_GT(fastest, 0.3);
+    EXPECT_GT(turn_standing, 15.0) << "and turns on the spot";
+  }
+}
+
 }  // namespace
 }  // namespace semantic_topo_loop::core

@@ -21,7 +21,8 @@ struct DepthOptions {
   template <class Visitor>
   void visit(Visitor& visitor) {
     visitor("depth.scale", scale, "16UC1: units a metre; 1000 for millimetres, 5000 in TUM's PNG files");
-    visitor("depth.invalid_values", invalid_values, "16UC1: values that mean no depth, apart from each other by blanks");
+    visitor("depth.invalid_values", invalid_values,
+            "16UC1: values that mean no depth, apart from each other by blanks");
     visitor("depth.max_m", max_m, "farther depth is left out: its noise grows with the square");
     visitor("depth.scale_correction", scale_correction, "factor on every depth; TUM's freiburg2 needs 0.96");
     visitor("depth.color_from_depth", color_from_depth,

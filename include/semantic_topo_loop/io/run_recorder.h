@@ -9,6 +9,7 @@
 
 #include "semantic_topo_loop/association/association.h"
 #include "semantic_topo_loop/detection/class_table.h"
+#include "semantic_topo_loop/frontend/tracking_report.h"
 #include "semantic_topo_loop/loop/loop_closure.h"
 #include "semantic_topo_loop/loop/relocalisation.h"
 #include "semantic_topo_loop/map/frame.h"
@@ -29,6 +30,8 @@ class RunRecorder {
   void record(const MapUpdate& update);
   void record(std::int64_t frame_id, const std::vector<LoopClosure>& loops, double loop_us);
   void record(const MapCorrection& correction);
+  /// What the RGB-D front end made of the images, where there is one.
+  void record(const TrackingReport& tracking) { tracking_ = tracking; }
 
   /// Writes trajectory_live.txt, trajectory.txt, keyframes.csv, objects.csv, loops.csv, loop_verdicts.csv,
   /// associations.csv, timing.csv and summary.json, and relocalisations.csv if there were candidates in an earlier
@@ -72,6 +75,7 @@ class RunRecorder {
   std::map<std::int64_t, Sim3> S_map_keyframe_;             ///< of the last solution, by keyframe_id
   MapCorrection correction_;                                ///< the last that changed something
   std::map<std::int64_t, FrameTiming> timing_;
+  std::optional<TrackingReport> tracking_;
   int merges_ = 0;
   int corrections_ = 0;
 };

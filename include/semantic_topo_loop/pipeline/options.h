@@ -6,8 +6,11 @@
 #include <vector>
 
 #include "semantic_topo_loop/association/associator_options.h"
+#include "semantic_topo_loop/frontend/frontend_options.h"
+#include "semantic_topo_loop/frontend/rgbd_image.h"
 #include "semantic_topo_loop/loop/loop_options.h"
 #include "semantic_topo_loop/map/mapper_options.h"
+#include "semantic_topo_loop/map/point_map_options.h"
 #include "semantic_topo_loop/pipeline/frame_builder.h"
 #include "semantic_topo_loop/pipeline/option_visitor.h"
 #include "semantic_topo_loop/pose_graph/pose_graph_options.h"
@@ -16,17 +19,23 @@ namespace semantic_topo_loop::core {
 
 /// Every parameter of the core, one struct a module. The defaults are the package's one configuration.
 struct Options {
+  DepthOptions depth;
+  FrontendOptions frontend;
   KeyframeOptions keyframe;
   AssociatorOptions association;
   QuadricMapperOptions mapping;
+  PointMapOptions point_map;
   LoopOptions loop;
   PoseGraphOptions pose_graph;
 
   template <class Visitor>
   void visit(Visitor& visitor) {
+    depth.visit(visitor);
+    frontend.visit(visitor);
     keyframe.visit(visitor);
     association.visit(visitor);
     mapping.visit(visitor);
+    point_map.visit(visitor);
     loop.visit(visitor);
     pose_graph.visit(visitor);
   }

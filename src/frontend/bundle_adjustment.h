@@ -1,0 +1,49 @@
+#pragma once
+
+#include <cstdint>
+#include <vector>
+
+#include "pose_solver.h"
+#include "tracking_map.h"
+
+namespace semantic_topo_loop::core {
+
+/// A copy of a part of the map, so that it can be refined while the next image is looked at.
+struct BundleProblem {
+  struct Pose {
+    std::int64_t keyframe = -1;
+    SE3 T_camera_map;
+    bool is_fixed = false;
+  };
+  struct Point {
+    std::int64_t id = -1;
+    Vec3 position = Vec3::Zero();
+  };
+  struct View {
+    std::size_t pose = 0, point = 0;
+    PoseObservation observation;
+    bool is_outlier = false;
+  };
+  std::vector<Pose> poses;
+  std::vector<Point> points;
+  std::vector<View> views;
+  double focal_factor = 1.0;  ///< of the camera's focal lengths
+  double cost_before = 0.0, cost_after = 0.0;
+  bool is_solved = false;
+};
+
+/// The keyframes that see most of what a keyframe sees, free, and all points they see; other keyframes that see those
+/// points, fixed.
+BundleProblem local_bundle(const TrackingMap& map, std::int64_t keyframe, const FrontendOptions& options);
+
+/// Refines poses and points: reprojection and depth errors, robust. Same problem, same result, bit for bit.
+/// @param with_focal fits focal_factor, too
+void solve(const Camera& camera, int iterations, bool with_focal, BundleProblem* problem);
+
+/// Factor by which the focal lengths are off, if that explains the views clearly better; else 1.
+double check_focal_length(const Camera& camera, const BundleProblem& problem);
+
+/// Takes over what was refined, and takes views back that do not agree with it.
+void apply(const BundleProblem& problem, TrackingMap* map);
+
+}  // namespace semantic_topo_loop::core

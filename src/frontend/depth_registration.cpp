@@ -1,0 +1,155 @@
+#include "depth_registration.h"
+
+#include <algorithm>
+#include <array>
+#include <cmath>
+#include <opencv2/imgproc.hpp>
+
+namespace semantic_topo_loop::core {
+namespace {
+
+constexpr int kSharp = 0, kBlurred = 1;
+constexpr std::size_t kRimsPerImage = 500;
+
+/// Strength of edges across an axis, cut off where more contrast says no more.
+cv::Mat edge_strength(const cv::Mat& gray, int axis) {
+  cv::Mat smooth, gradient, magnitude;
+  cv::GaussianBlur(gray, smooth, cv::Size(5, 5), 1.2);
+  cv::Sobel(smooth, gradient, CV_16S, axis == 0 ? 1 : 0, axis == 0 ? 0 : 1, 3);
+  constexpr double kSaturation = 120.0;
+  cv::convertScaleAbs(gradient, magnitude, 255.0 / kSaturation);
+  return magnitude;
+}
+
+}  // namespace
+
+void RegistrationEstimator::add_rims(const cv::Mat& depth_m, int axis) {
+  constexpr int kReach_px = 12;  // over the shadow beside a surface, in which there is no depth
+  constexpr float kStep = 1.15F;
+  constexpr int kRow = 2;  // every second line
+  const int lines = axis == 0 ? depth_m.rows : depth_m.cols, length = axis == 0 ? depth_m.cols : depth_m.rows;
+  const auto at = [&](int line, int i) { return axis == 0 ? depth_m.at<float>(line, i) : depth_m.at<float>(i, line); };
+  std::vector<Rim> found;
+  for (int line = 0; line < lines; line += kRow) {
+    int last = -1;  // the last pixel with depth
+    for (int i = 0; i < length; ++i) {
+      const float z = at(line, i);
+      if (z <= 0.0F) continue;
+      if (last >= 0 && i - last <= kReach_px) {
+        const float before = at(line, last);
+        const int rim = z > kStep * before ? last : (before > kStep * z ? i : -1);
+        if (rim >= 0) {
+          const Vec2 pixel = axis == 0 ? Vec2(rim, line) : Vec2(line, rim);
+          found.push_back({pixel, at(line, rim), gradients_.size() - 1, axis});
+        }
+      }
+      last = i;
+    }
+  }
+  const std::size_t stride = std::max<std::size_t>(1, found.size() / kRimsPerImage);
+  for (std::size_t i = 0; i < found.size(); i += stride) rims_.push_back(found[i]);
+}
+
+void RegistrationEstimator::add(const RgbdImage& image) {
+  Gradients gradients;
+  for (const int axis : {0, 1}) {
+    gradients.of_axis[axis][kSharp] = edge_strength(image.gray, axis);
+    cv::GaussianBlur(gradients.of_axis[axis][kSharp], gradients.of_axis[axis][kBlurred], cv::Size(0, 0), 4.0);
+  }
+  gradients_.push_back(gradients);
+  add_rims(image.depth_m, 0);
+  add_rims(image.depth_m, 1);
+}
+
+double RegistrationEstimator::score(const DepthRegistration& registration, const Rim& rim, int blur) const {
+  const Vec2 pixel = registration.to_color(camera_, rim.pixel, rim.z_m);
+  const auto u = static_cast<int>(std::lround(pixel.x())), v = static_cast<int>(std::lround(pixel.y()));
+  if (u < 0 || v < 0 || u >= camera_.width || v >= camera_.height) return 0.0;
+  return gradients_[rim.image].of_axis[rim.axis][blur].at<std::uint8_t>(v, u) / 255.0;
+}
+
+double RegistrationEstimator::score(const DepthRegistration& registration, int blur) const {
+  double sum = 0.0;
+  for (const Rim& rim : rims_) sum += score(registration, rim, blur);
+  // Shifts beyond those of a camera's housing need reasons.
+  constexpr double kShiftSigma_px = 15.0, kParallaxSigma = 25.0, kPriorWeight = 0.01;
+  const double prior = registration.shift_px.squaredNorm() / (kShiftSigma_px * kShiftSigma_px) +
+                       registration.parallax_px_m.squaredNorm() / (kParallaxSigma * kParallaxSigma);
+  return sum / static_cast<double>(rims_.size()) - kPriorWeight * prior;
+}
+
+DepthRegistration RegistrationEstimator::climb(DepthRegistration best, int blur, double step) const {
+  constexpr int kRounds = 40;
+  constexpr double kSmallest = 0.25;
+  double highest = score(best, blur);
+  const double half_width_px = 0.5 * camera_.width;
+  for (int round = 0; round < kRounds && step >= kSmallest; ++round) {
+    bool is_better = false;
+    for (int parameter = 0; parameter < 5; ++parameter) {
+      for (const double change : {-step, step}) {
+        DepthRegistration next = best;
+        switch (parameter) {  // each moves the rims by about as many pixels
+          case 0:
+            next.scale += change / half_width_px;
+            break;
+          case 1:
+            next.shift_px.x() += change;
+            break;
+          case 2:
+            next.shift_px.y() += change;
+            break;
+          case 3:
+            next.parallax_px_m.x() += change;
+            break;
+          default:
+            next.parallax_px_m.y() += change;
+        }
+        const double value = score(next, blur);
+        if (value <= highest) continue;
+        highest = value;
+        best = next;
+        is_better = true;
+      }
+    }
+    if (!is_better) step *= 0.5;
+  }
+  return best;
+}
+
+bool RegistrationEstimator::is_clearly_better(const DepthRegistration& registration) const {
+  double sum = 0.0, squares = 0.0, moved_px = 0.0;
+  const DepthRegistration identity;
+  for (const Rim& rim : rims_) {
+    const double gain = score(registration, rim, kSharp) - score(identity, rim, kSharp);
+    sum += gain;
+    squares += gain * gain;
+    moved_px += (registration.to_color(camera_, rim.pixel, rim.z_m) - rim.pixel).norm();
+  }
+  const auto n = static_cast<double>(rims_.size());
+  // Neighbouring rims tell the same, so that only some of them count as independent.
+  constexpr double kIndependentShare = 0.02, kMinSigmas = 4.0, kMinMotion_px = 3.0, kMinGain = 0.03;
+  const double mean = sum / n;
+  const double sigma = std::sqrt(std::max(squares / n - mean * mean, 1e-9) / (kIndependentShare * n));
+  return mean > kMinSigmas * sigma && mean > kMinGain && moved_px / n > kMinMotion_px;
+}
+
+std::optional<DepthRegistration> RegistrationEstimator::estimate() const {
+  constexpr std::size_t kMinRims = 500;
+  if (rims_.size() < kMinRims) return std::nullopt;
+  DepthRegistration best;
+  double highest = -1.0;
+  for (const double scale : {1.0, 0.95, 1.05, 0.9, 1.1}) {
+    DepthRegistration start;
+    start.scale = scale;
+    const DepthRegistration coarse = climb(start, kBlurred, 8.0);
+    const double value = score(coarse, kBlurred);
+    if (value <= highest) continue;
+    highest = value;
+    best = coarse;
+  }
+  best = climb(best, kSharp, 2.0);
+  if (!is_clearly_better(best)) return std::nullopt;
+  return best;
+}
+
+}  // namespace semantic_topo_loop::core

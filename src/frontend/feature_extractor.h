@@ -1,0 +1,38 @@
+#pragma once
+
+#include <vector>
+
+#include "depth_registration.h"
+#include "image_features.h"
+#include "semantic_topo_loop/frontend/frontend_options.h"
+#include "semantic_topo_loop/frontend/rgbd_image.h"
+
+namespace semantic_topo_loop::core {
+
+/// Standard deviation of a depth of a structured-light camera: grows with the square of the distance (Khoshelham and
+/// Oude Elberink, "Accuracy and resolution of Kinect depth data", Sensors 2012).
+inline double depth_noise_m(double z_m) { return 1.4e-3 * z_m * z_m + 1e-3; }
+
+/// Finds ORB features, spread evenly over the image, with the depth around each.
+class FeatureExtractor {
+ public:
+  FeatureExtractor(const FrontendOptions& options, const Camera& camera) : options_(options), camera_(camera) {}
+  ImageFeatures extract(const RgbdImage& image) const;
+  void set_camera(const Camera& camera) { camera_ = camera; }
+  void set_registration(const DepthRegistration& registration) { registration_ = registration; }
+
+ private:
+  void extract_level(const cv::Mat& image, int level, int wanted, std::vector<cv::Vec2f>* raw_pixels,
+                     ImageFeatures* result) const;
+  /// Depth around a raw pixel: none where the surroundings, as wide as the registration may be off, are no one surface.
+  void measure_depth(const cv::Mat& depth_m, const cv::Vec2f& raw_pixel, ImageFeature* feature) const;
+
+  /// The pixel of the depth image that shows what a pixel of the colour image shows.
+  Vec2 depth_pixel(const cv::Mat& depth_m, const cv::Vec2f& raw_pixel) const;
+
+  FrontendOptions options_;
+  Camera camera_;
+  DepthRegistration registration_;
+};
+
+}  // namespace semantic_topo_loop::core

@@ -1,0 +1,198 @@
+#include "image_tracker.h"
+
+#include <algorithm>
+#include <cmath>
+
+namespace semantic_topo_loop::core {
+namespace {
+
+constexpr double kMinDepth_m = 0.1;
+
+int count(const std::vector<std::int64_t>& points) {
+  return static_cast<int>(std::count_if(points.begin(), points.end(), [](std::int64_t id) { return id >= 0; }));
+}
+
+}  // namespace
+
+PoseObservation ImageTracker::observation(const ImageFeature& feature, const MapPoint& point) const {
+  PoseObservation o;
+  o.point_map = point.position;
+  o.pixel = feature.pixel;
+  o.pixel_sigma = std::pow(options_.scale_factor, feature.level);
+  o.depth_m = feature.depth_m;
+  o.depth_sigma_m = feature.depth_sigma_m;
+  return o;
+}
+
+std::optional<Vec2> ImageTracker::project(const Vec3& p) const {
+  if (p.z() < kMinDepth_m) return std::nullopt;
+  const Vec2 pixel(camera_.fx * p.x() / p.z() + camera_.cx, camera_.fy * p.y() / p.z() + camera_.cy);
+  if (!(pixel.x() >= 0.0 && pixel.y() >= 0.0 && pixel.x() < camera_.width && pixel.y() < camera_.height)) {
+    return std::nullopt;
+  }
+  return pixel;
+}
+
+bool ImageTracker::fit(const SE3& T_camera_map, TrackingMap* map, TrackedFeatures* image) const {
+  std::vector<PoseObservation> observations;
+  std::vector<std::size_t> features;
+  for (std::size_t i = 0; i < image->points.size(); ++i) {
+    const MapPoint* point = map->point(image->points[i]);
+    if (point == nullptr) continue;
+    observations.push_back(observation(image->features.features[i], *point));
+    features.push_back(i);
+  }
+  image->matches = static_cast<int>(features.size());
+  image->inliers = 0;
+  const std::optional<PoseEstimate> estimate = refine_pose(camera_, T_camera_map, observations);
+  if (!estimate) return false;
+  image->T_camera_map = estimate->T_camera_map;
+  image->covariance = estimate->covariance;
+  image->inliers = estimate->inliers;
+  for (std::size_t k = 0; k < features.size(); ++k) {
+    if (!estimate->is_inlier[k]) image->points[features[k]] = -1;
+  }
+  return true;
+}
+
+bool ImageTracker::follow(const TrackedFeatures& last, const SE3& T_camera_map, TrackingMap* map,
+                          TrackedFeatures* image) const {
+  constexpr double kRadius_px = 15.0;
+  for (const double factor : {1.0, 2.5}) {
+    std::vector<SearchItem> items;
+    std::vector<std::int64_t> ids;
+    for (std::size_t i = 0; i < last.points.size(); ++i) {
+      const MapPoint* point = map->point(last.points[i]);
+      if (point == nullptr) continue;
+      const std::optional<Vec2> pixel = project(T_camera_map * point->position);
+      if (!pixel) continue;
+      const ImageFeature& feature = last.features.features[i];
+      SearchItem item;
+      item.descriptor = last.features.descriptors[i];
+      item.pixel = *pixel;
+      item.level = feature.level;
+      item.radius_px = factor * kRadius_px * std::pow(options_.scale_factor, feature.level);
+      item.angle_deg = feature.angle_deg;
+      items.push_back(item);
+      ids.push_back(point->id);
+    }
+    const std::vector<int> found =
+        search(items, image->features, std::vector<bool>(image->features.size(), false), kMatchBits, 0.9);
+    image->points.assign(image->features.size(), -1);
+    for (std::size_t k = 0; k < items.size(); ++k) {
+      if (found[k] >= 0) image->points[static_cast<std::size_t>(found[k])] = ids[k];
+    }
+    if (count(image->points) < options_.min_inliers) continue;
+    if (fit(T_camera_map, map, image) && image->inliers >= options_.min_inliers / 2 &&
+        3 * image->inliers >= image->matches) {
+      return true;
+    }
+  }
+  return false;
+}
+
+bool ImageTracker::find(const TrackingKeyframe& keyframe, TrackingMap* map, TrackedFeatures* image) const {
+  std::vector<bool> wanted(keyframe.points.size());
+  std::transform(keyframe.points.begin(), keyframe.points.end(), wanted.begin(),
+                 [](std::int64_t id) { return id >= 0; });
+  const std::vector<int> matches = match_anywhere(keyframe.features, wanted, image->features);
+  std::vector<PoseObservation> observations;
+  std::vector<std::pair<std::size_t, std::int64_t>> pairs;
+  for (std::size_t i = 0; i < matches.size(); ++i) {
+    if (matches[i] < 0) continue;
+    const auto feature = static_cast<std::size_t>(matches[i]);
+    const MapPoint* point = map->point(keyframe.points[i]);
+    observations.push_back(observation(image->features.features[feature], *point));
+    pairs.emplace_back(feature, point->id);
+  }
+  const std::optional<PoseEstimate> estimate = find_pose(camera_, observations, options_.min_inliers / 2);
+  if (!estimate) return false;
+  image->points.assign(image->features.size(), -1);
+  for (std::size_t k = 0; k < pairs.size(); ++k) {
+    if (estimate->is_inlier[k]) image->points[pairs[k].first] = pairs[k].second;
+  }
+  image->T_camera_map = estimate->T_camera_map;
+  return true;
+}
+
+std::vector<std::int64_t> ImageTracker::local_keyframes(const TrackingMap& map, const TrackedFeatures& image) const {
+  constexpr std::size_t kCovisible = 25, kMax = 45;
+  constexpr double kNear_m = 1.0, kMinCosine = 0.7;
+  std::vector<std::int64_t> ids;
+  for (const auto& [id, shared] : map.covisible(image.points)) {
+    if (ids.size() < kCovisible) ids.push_back(id);
+  }
+  // Places seen before are found again by where they are, long before anything in them is matched.
+  const SE3 T_map_camera = image.T_camera_map.inverse();
+  std::vector<std::pair<double, std::int64_t>> near;
+  for (const auto& [id, keyframe] : map.keyframes()) {
+    const double distance_m = (keyframe.center() - T_map_camera.t).norm();
+    const Quaternion turn = image.T_camera_map.q * keyframe.T_camera_map.q.conjugate();
+    const double cosine = (turn * Vec3::UnitZ()).z();
+    if (distance_m < kNear_m && cosine > kMinCosine) near.emplace_back(distance_m + 1.0 - cosine, id);
+  }
+  std::sort(near.begin(), near.end());
+  for (const auto& [distance, id] : near) {
+    if (ids.size() >= kMax) break;
+    if (std::find(ids.begin(), ids.end(), id) == ids.end()) ids.push_back(id);
+  }
+  return ids;
+}
+
+std::optional<SearchItem> ImageTracker::expect(const TrackingMap& map, const MapPoint& point,
+                                               const SE3& T_camera_map) const {
+  constexpr double kMinCosine = 0.5, kRadius_px = 8.0;
+  const Vec3 p = T_camera_map * point.position;
+  const std::optional<Vec2> pixel = project(p);
+  if (!pixel) return std::nullopt;
+  const double distance_m = p.norm();
+  if ((T_camera_map.q * point.direction).dot(p) < kMinCosine * distance_m) return std::nullopt;
+  // Nearer or farther than any level of the pyramid shows it alike.
+  const double farthest_m = 1.3 * point.level_0_distance_m;
+  const double nearest_m = farthest_m / std::pow(options_.scale_factor, options_.levels + 2);
+  if (distance_m > farthest_m || distance_m < nearest_m) return std::nullopt;
+  SearchItem item;
+  item.descriptor = point.descriptor;
+  item.pixel = *pixel;
+  item.level = map.predict_level(point, distance_m);
+  item.radius_px = kRadius_px * std::pow(options_.scale_factor, item.level);
+  return item;
+}
+
+bool ImageTracker::track_local_map(TrackingMap* map, TrackedFeatures* image) const {
+  std::vector<bool> is_taken(image->points.size(), false);
+  std::vector<MapPoint*> expected;
+  for (std::size_t i = 0; i < image->points.size(); ++i) {
+    MapPoint* point = map->point(image->points[i]);
+    is_taken[i] = point != nullptr;
+    if (point == nullptr) continue;
+    point->local_in = image->number;
+    expected.push_back(point);
+  }
+  std::vector<SearchItem> items;
+  std::vector<MapPoint*> points;
+  for (const std::int64_t id : local_keyframes(*map, *image)) {
+    for (const std::int64_t point_id : map->keyframe(id)->points) {
+      MapPoint* point = map->point(point_id);
+      if (point == nullptr || point->local_in == image->number) continue;
+      point->local_in = image->number;
+      const std::optional<SearchItem> item = expect(*map, *point, image->T_camera_map);
+      if (!item) continue;
+      items.push_back(*item);
+      points.push_back(point);
+      expected.push_back(point);
+    }
+  }
+  const std::vector<int> found = search(items, image->features, is_taken, kMatchBits, 0.8);
+  for (std::size_t k = 0; k < items.size(); ++k) {
+    if (found[k] >= 0) image->points[static_cast<std::size_t>(found[k])] = points[k]->id;
+  }
+  if (!fit(image->T_camera_map, map, image) || image->inliers < options_.min_inliers) return false;
+  for (MapPoint* point : expected) ++point->expected;
+  for (const std::int64_t id : image->points) {
+    if (MapPoint* point = map->point(id)) ++point->found;
+  }
+  return true;
+}
+
+}  // namespace semantic_topo_loop::core

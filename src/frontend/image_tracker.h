@@ -1,0 +1,51 @@
+#pragma once
+
+#include <cstdint>
+#include <optional>
+#include <vector>
+
+#include "feature_matcher.h"
+#include "pose_solver.h"
+#include "tracking_map.h"
+
+namespace semantic_topo_loop::core {
+
+/// An image on its way through the tracker.
+struct TrackedFeatures {
+  std::int64_t number = -1;  ///< counts images
+  std::int64_t stamp_ns = 0;
+  ImageFeatures features;
+  std::vector<std::int64_t> points;  ///< map point of each feature; -1: none
+  SE3 T_camera_map;
+  Mat6 covariance = Mat6::Zero();  ///< of the pose, camera frame
+  int matches = 0;
+  int inliers = 0;
+};
+
+/// Finds an image's pose in the map.
+class ImageTracker {
+ public:
+  ImageTracker(const FrontendOptions& options, const Camera& camera) : options_(options), camera_(camera) {}
+
+  void set_camera(const Camera& camera) { camera_ = camera; }
+  /// Looks for the points of the last image where the guess puts them.
+  bool follow(const TrackedFeatures& last, const SE3& T_camera_map, TrackingMap* map, TrackedFeatures* image) const;
+  /// Looks for the points of a keyframe anywhere in the image.
+  bool find(const TrackingKeyframe& keyframe, TrackingMap* map, TrackedFeatures* image) const;
+  /// Looks for all points around that should be in view, and fits the pose to all that were found.
+  bool track_local_map(TrackingMap* map, TrackedFeatures* image) const;
+
+ private:
+  PoseObservation observation(const ImageFeature& feature, const MapPoint& point) const;
+  /// Fits the pose from `T_camera_map`; features that do not agree lose their point.
+  bool fit(const SE3& T_camera_map, TrackingMap* map, TrackedFeatures* image) const;
+  std::vector<std::int64_t> local_keyframes(const TrackingMap& map, const TrackedFeatures& image) const;
+  std::optional<Vec2> project(const Vec3& point_camera) const;
+  /// Where a point should be seen; nullopt if it is out of view.
+  std::optional<SearchItem> expect(const TrackingMap& map, const MapPoint& point, const SE3& T_camera_map) const;
+
+  FrontendOptions options_;
+  Camera camera_;
+};
+
+}  // namespace semantic_topo_loop::core

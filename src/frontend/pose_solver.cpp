@@ -1,0 +1,201 @@
+#include "pose_solver.h"
+
+#include <Eigen/Cholesky>
+#include <algorithm>
+#include <array>
+#include <cmath>
+#include <random>
+
+#include "semantic_topo_loop/geometry/alignment.h"
+
+namespace semantic_topo_loop::core {
+namespace {
+
+constexpr double kPixelGate2 = 5.991;  ///< chi square of two values, 95 %
+constexpr double kDepthGate2 = 3.841;  ///< of one value
+constexpr double kMinDepth_m = 0.05;
+
+/// Errors of one observation in units of their sigmas, and their derivatives by a small motion (translation, rotation)
+/// of the camera frame, applied from the left.
+struct Linearised {
+  Vec2 pixel_error = Vec2::Zero();
+  double depth_error = 0.0;
+  Eigen::Matrix<double, 2, 6> pixel_jacobian;
+  Eigen::Matrix<double, 1, 6> depth_jacobian;
+};
+
+bool errors(const Camera& camera, const SE3& T_camera_map, const PoseObservation& o, Vec3* p, Linearised* out) {
+  *p = T_camera_map * o.point_map;
+  if (p->z() < kMinDepth_m) return false;
+  const Vec2 projected(camera.fx * p->x() / p->z() + camera.cx, camera.fy * p->y() / p->z() + camera.cy);
+  out->pixel_error = (projected - o.pixel) / o.pixel_sigma;
+  out->depth_error = o.depth_m > 0.0 ? (p->z() - o.depth_m) / o.depth_sigma_m : 0.0;
+  return true;
+}
+
+void jacobians(const Camera& camera, const PoseObservation& o, const Vec3& p, Linearised* out) {
+  const double inverse_z = 1.0 / p.z();
+  Eigen::Matrix<double, 3, 6> point;
+  point << Mat3::Identity(), -hat(p);
+  Eigen::Matrix<double, 2, 3> projection;
+  projection << camera.fx * inverse_z, 0.0, -camera.fx * p.x() * inverse_z * inverse_z, 0.0, camera.fy * inverse_z,
+      -camera.fy * p.y() * inverse_z * inverse_z;
+  out->pixel_jacobian = projection * point / o.pixel_sigma;
+  if (o.depth_m > 0.0) {
+    out->depth_jacobian = point.row(2) / o.depth_sigma_m;
+  } else {
+    out->depth_jacobian.setZero();
+  }
+}
+
+double huber_weight(double squared, double gate2) { return squared <= gate2 ? 1.0 : std::sqrt(gate2 / squared); }
+
+struct NormalEquations {
+  Mat6 hessian = Mat6::Zero();
+  Vec6 gradient = Vec6::Zero();
+  double squared = 0.0;  ///< weighted sum of squares
+  double values = 0.0;   ///< how many values were summed, by weight
+};
+
+NormalEquations accumulate(const Camera& camera, const SE3& T, const std::vector<PoseObservation>& observations,
+                           const std::vector<bool>& used, bool is_robust) {
+  NormalEquations n;
+  for (std::size_t i = 0; i < observations.size(); ++i) {
+    Vec3 p;
+    Linearised l;
+    if (!used[i] || !errors(camera, T, observations[i], &p, &l)) continue;
+    jacobians(camera, observations[i], p, &l);
+    const double pixel2 = l.pixel_error.squaredNorm(), depth2 = l.depth_error * l.depth_error;
+    const double pixel_weight = is_robust ? huber_weight(pixel2, kPixelGate2) : 1.0;
+    double depth_weight = huber_weight(depth2, kDepthGate2);
+    if (!is_robust && depth2 > kDepthGate2) depth_weight = 0.0;
+    n.hessian += pixel_weight * l.pixel_jacobian.transpose() * l.pixel_jacobian +
+                 depth_weight * l.depth_jacobian.transpose() * l.depth_jacobian;
+    n.gradient += pixel_weight * l.pixel_jacobian.transpose() * l.pixel_error +
+                  depth_weight * l.depth_jacobian.transpose() * l.depth_error;
+    n.squared += pixel_weight * pixel2 + depth_weight * depth2;
+    n.values += 2.0 * pixel_weight + (observations[i].depth_m > 0.0 ? depth_weight : 0.0);
+  }
+  return n;
+}
+
+/// @return false if the equations are singular
+bool iterate(const Camera& camera, const std::vector<PoseObservation>& observations, const std::vector<bool>& used,
+             bool is_robust, int iterations, SE3* T) {
+  constexpr double kConverged = 1e-6;
+  for (int i = 0; i < iterations; ++i) {
+    const NormalEquations n = accumulate(camera, *T, observations, used, is_robust);
+    const Eigen::LDLT<Mat6> factor(n.hessian);
+    if (factor.info() != Eigen::Success || !(factor.vectorD().minCoeff() > 1e-6)) return false;
+    const Vec6 step = factor.solve(-n.gradient);
+    if (!step.allFinite()) return false;
+    *T = SE3(so3_exp(step.tail<3>()), step.head<3>()) * *T;
+    if (step.norm() < kConverged) break;
+  }
+  return true;
+}
+
+/// Which observations' pixels the pose explains.
+int classify(const Camera& camera, const SE3& T, const std::vector<PoseObservation>& observations, double gate2,
+             std::vector<bool>* is_inlier) {
+  int inliers = 0;
+  for (std::size_t i = 0; i < observations.size(); ++i) {
+    Vec3 p;
+    Linearised l;
+    (*is_inlier)[i] = errors(camera, T, observations[i], &p, &l) && l.pixel_error.squaredNorm() <= gate2;
+    inliers += (*is_inlier)[i] ? 1 : 0;
+  }
+  return inliers;
+}
+
+Vec3 measured_point(const Camera& camera, const PoseObservation& o) { return o.depth_m * camera.ray(o.pixel); }
+
+/// Whether two points are as far apart in the image as in the map.
+bool same_distance(const Camera& camera, const PoseObservation& a, const PoseObservation& b) {
+  const double in_map = (a.point_map - b.point_map).norm();
+  const double measured = (measured_point(camera, a) - measured_point(camera, b)).norm();
+  constexpr double kGateSigmas = 3.0, kMinDistance_m = 0.05, kShare = 0.1;
+  const double sigma = std::hypot(a.depth_sigma_m, b.depth_sigma_m);
+  return in_map > kMinDistance_m && std::abs(in_map - measured) < kGateSigmas * sigma + kShare * in_map;
+}
+
+/// refine_pose, which begins with the observations that are `used`.
+std::optional<PoseEstimate> refine(const Camera& camera, const SE3& T_camera_map,
+                                   const std::vector<PoseObservation>& observations, std::vector<bool> used) {
+  constexpr int kMinObservations = 6, kIterations = 6;
+  if (observations.size() < kMinObservations) return std::nullopt;
+  PoseEstimate estimate;
+  estimate.T_camera_map = T_camera_map;
+  estimate.is_inlier = std::move(used);
+  SE3* T = &estimate.T_camera_map;
+  if (!iterate(camera, observations, estimate.is_inlier, true, 2 * kIterations, T)) return std::nullopt;
+  constexpr int kRounds = 2;
+  for (int round = 0; round < kRounds; ++round) {
+    estimate.inliers = classify(camera, *T, observations, kPixelGate2, &estimate.is_inlier);
+    if (estimate.inliers < kMinObservations) return std::nullopt;
+    if (!iterate(camera, observations, estimate.is_inlier, false, kIterations, T)) return std::nullopt;
+  }
+  estimate.inliers = classify(camera, *T, observations, kPixelGate2, &estimate.is_inlier);
+  const NormalEquations n = accumulate(camera, *T, observations, estimate.is_inlier, false);
+  const Eigen::LDLT<Mat6> factor(n.hessian);
+  if (estimate.inliers < kMinObservations || factor.info() != Eigen::Success) return std::nullopt;
+  const double variance_factor = std::max(1.0, n.squared / std::max(1.0, n.values - 6.0));
+  estimate.covariance = variance_factor * factor.solve(Mat6::Identity());
+  if (!estimate.covariance.allFinite()) return std::nullopt;
+  return estimate;
+}
+
+}  // namespace
+
+std::optional<PoseEstimate> refine_pose(const Camera& camera, const SE3& T_camera_map,
+                                        const std::vector<PoseObservation>& observations) {
+  return refine(camera, T_camera_map, observations, std::vector<bool>(observations.size(), true));
+}
+
+std::optional<PoseEstimate> find_pose(const Camera& camera, const std::vector<PoseObservation>& observations,
+                                      int min_inliers) {
+  std::vector<std::size_t> with_depth;
+  for (std::size_t i = 0; i < observations.size(); ++i) {
+    if (observations[i].depth_m > 0.0) with_depth.push_back(i);
+  }
+  if (with_depth.size() < 3) return std::nullopt;
+  constexpr int kDraws = 2000, kMaxTested = 300, kLocalRounds = 2;
+  constexpr double kWideGate2 = 36.0;  // three points give a rough pose
+  constexpr std::uint64_t kSeed = 20231108;
+  std::mt19937_64 generator(kSeed);
+  std::vector<bool> is_inlier(observations.size());
+  int best_inliers = 0;
+  SE3 best;
+  for (int draw = 0, tested = 0; draw < kDraws && tested < kMaxTested; ++draw) {
+    std::array<std::size_t, 3> sample{};
+    for (std::size_t& index : sample) index = with_depth[generator() % with_depth.size()];
+    const PoseObservation &a = observations[sample[0]], &b = observations[sample[1]], &c = observations[sample[2]];
+    if (!same_distance(camera, a, b) || !same_distance(camera, b, c) || !same_distance(camera, a, c)) continue;
+    const std::optional<Alignment> alignment =
+        align_points({measured_point(camera, a), measured_point(camera, b), measured_point(camera, c)},
+                     {a.point_map, b.point_map, c.point_map});
+    if (!alignment) continue;
+    ++tested;
+    SE3 candidate = alignment->T_a_b;
+    int inliers = classify(camera, candidate, observations, kWideGate2, &is_inlier);
+    // A rough pose that is at all good is polished before it is judged.
+    for (int round = 0; round < kLocalRounds && inliers >= 6 && 2 * inliers > best_inliers; ++round) {
+      SE3 polished = candidate;
+      if (!iterate(camera, observations, is_inlier, true, 3, &polished)) break;
+      const int now = classify(camera, polished, observations, kWideGate2, &is_inlier);
+      if (now < inliers) break;
+      candidate = polished;
+      inliers = now;
+    }
+    if (inliers <= best_inliers) continue;
+    best_inliers = inliers;
+    best = candidate;
+  }
+  if (best_inliers < min_inliers) return std::nullopt;
+  classify(camera, best, observations, kWideGate2, &is_inlier);
+  std::optional<PoseEstimate> estimate = refine(camera, best, observations, is_inlier);
+  if (!estimate || estimate->inliers < min_inliers) return std::nullopt;
+  return estimate;
+}
+
+}  // namespace semantic_topo_loop::core

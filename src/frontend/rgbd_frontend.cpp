@@ -1,0 +1,301 @@
+#include "semantic_topo_loop/frontend/rgbd_frontend.h"
+
+#include <algorithm>
+#include <cmath>
+#include <future>
+
+#include "bundle_adjustment.h"
+#include "feature_extractor.h"
+#include "map_builder.h"
+
+namespace semantic_topo_loop::core {
+namespace {
+
+constexpr double kMaxGuess_s = 0.5;  ///< motion is not carried on for longer
+
+/// Camera-frame points of an even grid of depth pixels.
+class PointGrid {
+ public:
+  PointGrid(const Camera& camera, int stride_px) {
+    for (int v = stride_px / 2; v < camera.height; v += stride_px) {
+      for (int u = stride_px / 2; u < camera.width; u += stride_px) {
+        pixels_.push_back({u, v, camera.ray(camera.undistort(Vec2(u, v)))});
+      }
+    }
+  }
+  /// @param registration of the depth image   @param camera its focal lengths corrected
+  std::shared_ptr<const std::vector<Vec3>> points(const cv::Mat& depth_m, const DepthRegistration& registration,
+                                                  const Camera& camera) const {
+    auto points = std::make_shared<std::vector<Vec3>>();
+    points->reserve(pixels_.size());
+    for (const Pixel& pixel : pixels_) {
+      const double z = depth_m.at<float>(pixel.v, pixel.u);
+      // Rounded to float, as which the points travel.
+      if (z <= 0.0) continue;
+      const Vec3 ray = registration.is_identity()
+                           ? pixel.ray
+                           : camera.ray(camera.undistort(registration.to_color(camera, Vec2(pixel.u, pixel.v), z)));
+      const Eigen::Vector3f point = (z * ray).cast<float>();
+      points->push_back(point.cast<double>());
+    }
+    return points;
+  }
+
+ private:
+  struct Pixel {
+    int u, v;
+    Vec3 ray;
+  };
+  std::vector<Pixel> pixels_;
+};
+
+Mat6 rotated(const Mat6& covariance, const Mat3& R) {
+  Mat6 turn = Mat6::Zero();
+  turn.topLeftCorner<3, 3>() = R;
+  turn.bottomRightCorner<3, 3>() = R;
+  return turn * covariance * turn.transpose();
+}
+
+}  // namespace
+
+struct RgbdFrontend::Impl {
+  Impl(const FrontendOptions& frontend_options, const Camera& color_camera)
+      : options(frontend_options),
+        extractor(options, color_camera),
+        tracker(options, color_camera),
+        builder(options, color_camera),
+        grid(color_camera, options.point_stride_px),
+        map(options, color_camera),
+        camera(color_camera) {
+    if (options.self_calibration) registration_estimator.emplace(camera);
+  }
+
+  TrackedImage track(const RgbdImage& image);
+  bool start(TrackedFeatures* image);
+  bool follow(TrackedFeatures* image);
+  bool find_again(TrackedFeatures* image);
+  SE3 guess(std::int64_t stamp_ns) const;
+  Mat6 motion_covariance(const TrackedFeatures& image) const;
+  void add_keyframe(const TrackedFeatures& image);
+  void accept(TrackedFeatures image);
+  void take_refinement();
+  void look_for_registration(const RgbdImage& image);
+  bool is_focal_check_due();
+  /// Begins the map anew at an image that has a pose, once the calibration turned out to be wrong.
+  void begin_calibrated_map(TrackedFeatures* image);
+
+  FrontendOptions options;
+  FeatureExtractor extractor;
+  ImageTracker tracker;
+  MapBuilder builder;
+  PointGrid grid;
+  TrackingMap map;
+  Camera camera;
+  DepthRegistration registration;
+  std::optional<RegistrationEstimator> registration_estimator;  ///< until it has decided
+  std::int64_t last_registration_ns = 0;                        ///< stamp of the last image it took
+  bool has_new_registration = false;
+  double new_focal_factor = 1.0;          ///< to be applied
+  int next_focal_check = 6;               ///< keyframes of the map
+  std::future<BundleProblem> refinement;  ///< of the map around the last image, a keyframe
+  std::int64_t images = 0;
+  std::int64_t starts = 0;              ///< maps begun: each counts its points from 0
+  std::int64_t next_candidate = 0;      ///< of the keyframes that are tried in turn after a loss
+  std::optional<TrackedFeatures> last;  ///< the last image that has a pose
+  std::int64_t last_tracked_image = -1;
+  SE3 T_last_before;  ///< motion of the camera over the last two images, in the camera frame
+  double motion_s = 0.0;
+};
+
+SE3 RgbdFrontend::Impl::guess(std::int64_t stamp_ns) const {
+  const double dt_s = 1e-9 * static_cast<double>(stamp_ns - last->stamp_ns);
+  if (motion_s <= 0.0 || dt_s > kMaxGuess_s || motion_s > kMaxGuess_s) return last->T_camera_map;
+  const double ratio = dt_s / motion_s;
+  const SE3 motion(so3_exp(ratio * so3_log(T_last_before.q)), ratio * T_last_before.t);
+  return motion * last->T_camera_map;
+}
+
+bool RgbdFrontend::Impl::start(TrackedFeatures* image) {
+  const auto has_depth = [](const ImageFeature& feature) { return feature.has_depth(); };
+  const auto depths = std::count_if(image->features.features.begin(), image->features.features.end(), has_depth);
+  if (depths < 2 * options.min_inliers) return false;
+  image->T_camera_map = last ? last->T_camera_map : SE3();
+  image->inliers = image->matches = 0;
+  image->points.assign(image->features.size(), -1);
+  map = TrackingMap(options, camera);
+  ++starts;
+  return true;
+}
+
+bool RgbdFrontend::Impl::follow(TrackedFeatures* image) {
+  if (last_tracked_image != images - 1) return false;
+  if (tracker.follow(*last, guess(image->stamp_ns), &map, image) && tracker.track_local_map(&map, image)) return true;
+  return find_again(image);
+}
+
+bool RgbdFrontend::Impl::find_again(TrackedFeatures* image) {
+  constexpr int kNewest = 3, kOthers = 3;
+  std::vector<std::int64_t> ids;
+  for (auto it = map.keyframes().rbegin(); it != map.keyframes().rend(); ++it) ids.push_back(it->first);
+  std::vector<std::int64_t> tried(
+      ids.begin(), ids.begin() + std::min<std::ptrdiff_t>(kNewest, static_cast<std::ptrdiff_t>(ids.size())));
+  for (int i = 0; i < kOthers && ids.size() > kNewest; ++i) {
+    const auto others = static_cast<std::int64_t>(ids.size()) - kNewest;
+    tried.push_back(ids[static_cast<std::size_t>(kNewest + next_candidate++ % others)]);
+  }
+  for (const std::int64_t id : tried) {
+    if (tracker.find(*map.keyframe(id), &map, image) && tracker.track_local_map(&map, image)) return true;
+  }
+  return false;
+}
+
+Mat6 RgbdFrontend::Impl::motion_covariance(const TrackedFeatures& image) const {
+  constexpr double kFloor_m = 5e-4, kFloor_rad = 2e-4, kShare = 0.01, kMost_m = 0.2, kMost_rad = 0.2;
+  const SE3 motion = image.T_camera_map * last->T_camera_map.inverse();
+  Mat6 covariance = image.covariance + rotated(last->covariance, motion.rotation());
+  // A trace beyond the bound says that hardly anything is known; it is scaled down to be of use in a graph.
+  const double translation = covariance.topLeftCorner<3, 3>().trace(),
+               rotation = covariance.bottomRightCorner<3, 3>().trace();
+  const double excess = std::max({1.0, translation / (kMost_m * kMost_m), rotation / (kMost_rad * kMost_rad)});
+  covariance /= excess;
+  const double floor_m = std::hypot(kFloor_m, kShare * motion.t.norm());
+  const double floor_rad = std::hypot(kFloor_rad, kShare * rotation_angle(motion.q, Quaternion::Identity()));
+  covariance.diagonal().head<3>().array() += floor_m * floor_m;
+  covariance.diagonal().tail<3>().array() += floor_rad * floor_rad;
+  return covariance;
+}
+
+void RgbdFrontend::Impl::add_keyframe(const TrackedFeatures& image) {
+  const std::int64_t id = builder.add_keyframe(image, &map);
+  if (map.keyframes().size() < 2) return;
+  const bool checks_focal = is_focal_check_due();
+  refinement = std::async(std::launch::async, [this, checks_focal, problem = local_bundle(map, id, options)]() mutable {
+    solve(camera, options.window_iterations, false, &problem);
+    if (checks_focal) problem.focal_factor = check_focal_length(camera, problem);
+    return std::move(problem);
+  });
+}
+
+void RgbdFrontend::Impl::take_refinement() {
+  if (!refinement.valid()) return;
+  const BundleProblem problem = refinement.get();
+  apply(problem, &map);
+  new_focal_factor = problem.focal_factor;
+  const TrackingKeyframe& newest = map.keyframes().rbegin()->second;
+  last->T_camera_map = newest.T_camera_map;
+  last->points = newest.points;
+}
+
+void RgbdFrontend::Impl::look_for_registration(const RgbdImage& image) {
+  constexpr std::int64_t kInterval_ns = 150'000'000;
+  constexpr int kImages = 6;
+  if (!registration_estimator) return;
+  if (registration_estimator->images() > 0 && image.stamp_ns - last_registration_ns < kInterval_ns) return;
+  registration_estimator->add(image);
+  last_registration_ns = image.stamp_ns;
+  if (registration_estimator->images() < kImages) return;
+  if (const std::optional<DepthRegistration> found = registration_estimator->estimate()) {
+    registration = *found;
+    extractor.set_registration(registration);
+    has_new_registration = true;
+  }
+  registration_estimator.reset();
+}
+
+bool RgbdFrontend::Impl::is_focal_check_due() {
+  if (!options.self_calibration || registration_estimator) return false;
+  const auto keyframes = static_cast<int>(map.keyframes().size());
+  if (keyframes < next_focal_check) return false;
+  next_focal_check = keyframes + keyframes / 2;
+  return true;
+}
+
+void RgbdFrontend::Impl::begin_calibrated_map(TrackedFeatures* image) {
+  camera.fx *= new_focal_factor;
+  camera.fy *= new_focal_factor;
+  has_new_registration = false;
+  new_focal_factor = 1.0;
+  extractor.set_camera(camera);
+  tracker.set_camera(camera);
+  builder.set_camera(camera);
+  map = TrackingMap(options, camera);
+  image->points.assign(image->features.size(), -1);
+}
+
+void RgbdFrontend::Impl::accept(TrackedFeatures image) {
+  const bool is_next = last && last_tracked_image == images - 1;
+  motion_s = is_next ? 1e-9 * static_cast<double>(image.stamp_ns - last->stamp_ns) : 0.0;
+  if (is_next) T_last_before = image.T_camera_map * last->T_camera_map.inverse();
+  last_tracked_image = images;
+  last = std::move(image);
+}
+
+TrackedImage RgbdFrontend::Impl::track(const RgbdImage& rgbd) {
+  TrackedFeatures image;
+  image.number = images;
+  image.stamp_ns = rgbd.stamp_ns;
+  look_for_registration(rgbd);
+  image.features = extractor.extract(rgbd);
+  image.points.assign(image.features.size(), -1);
+  take_refinement();
+  TrackedImage result;
+  bool is_break = false;
+  if (static_cast<int>(image.features.size()) < options.min_inliers) {
+    result.state = TrackingState::kUnusable;
+  } else if (!last) {
+    result.state = start(&image) ? TrackingState::kStarted : TrackingState::kUnusable;
+  } else if (follow(&image)) {
+    result.state = TrackingState::kTracked;
+  } else if (last_tracked_image != images - 1 && find_again(&image)) {
+    result.state = TrackingState::kRelocalised;
+  } else if (1e-9 * static_cast<double>(image.stamp_ns - last->stamp_ns) > options.restart_after_s && start(&image)) {
+    result.state = TrackingState::kStarted;
+    is_break = true;
+  }
+  result.matches = image.matches;
+  result.inliers = image.inliers;
+  const bool has_pose = result.state != TrackingState::kLost && result.state != TrackingState::kUnusable;
+  if (has_pose) {
+    PoseSample sample;
+    sample.stamp_ns = image.stamp_ns;
+    sample.T_odom_camera = image.T_camera_map.inverse();
+    sample.is_break = is_break;
+    sample.points_camera = grid.points(rgbd.depth_m, registration, camera);
+    if (last && !is_break) sample.covariance = motion_covariance(image);
+    result.sample = std::move(sample);
+    if (has_new_registration || new_focal_factor != 1.0) begin_calibrated_map(&image);
+    if (map.keyframes().empty() || builder.needs_keyframe(image, map)) {
+      add_keyframe(image);
+      image.points = map.keyframes().rbegin()->second.points;
+    }
+    accept(std::move(image));
+  }
+  ++images;
+  return result;
+}
+
+RgbdFrontend::RgbdFrontend(const FrontendOptions& options, const Camera& camera)
+    : impl_(std::make_unique<Impl>(options, camera)) {}
+RgbdFrontend::~RgbdFrontend() = default;
+RgbdFrontend::RgbdFrontend(RgbdFrontend&&) noexcept = default;
+RgbdFrontend& RgbdFrontend::operator=(RgbdFrontend&&) noexcept = default;
+
+TrackedImage RgbdFrontend::track(const RgbdImage& image) { return impl_->track(image); }
+
+const Camera& RgbdFrontend::camera() const { return impl_->camera; }
+
+std::vector<SparsePoint> RgbdFrontend::sparse_points() const {
+  constexpr int kPointBits = 40;
+  std::vector<SparsePoint> points;
+  if (!impl_->last) return points;
+  for (const std::int64_t id : impl_->last->points) {
+    const MapPoint* point = id >= 0 ? impl_->map.point(id) : nullptr;
+    if (point == nullptr) continue;
+    points.push_back({(impl_->starts << kPointBits) + id, (impl_->last->T_camera_map * point->position).cast<float>()});
+  }
+  const auto by_id = [](const SparsePoint& a, const SparsePoint& b) { return a.id < b.id; };
+  std::sort(points.begin(), points.end(), by_id);
+  return points;
+}
+
+}  // namespace semantic_topo_loop::core

@@ -1,0 +1,161 @@
+#include "semantic_topo_loop/frontend/rgbd_image.h"
+
+#include <algorithm>
+#include <array>
+#include <cmath>
+#include <opencv2/imgproc.hpp>
+#include <sstream>
+#include <vector>
+
+#include "semantic_topo_loop/geometry/se3.h"
+
+namespace semantic_topo_loop::core {
+namespace {
+
+/// The numbers of a text, or nullopt if something else is in it.
+std::optional<std::vector<double>> numbers(const std::string& text) {
+  std::istringstream stream(text);
+  std::vector<double> values;
+  for (std::string field; stream >> field;) {
+    std::istringstream one(field);
+    double value = 0.0;
+    if (!(one >> value) || !one.eof() || !std::isfinite(value)) return std::nullopt;
+    values.push_back(value);
+  }
+  return values;
+}
+
+SE3 parse_pose(const std::vector<double>& v) {
+  return {Quaternion(v[6], v[3], v[4], v[5]).normalized(), Vec3(v[0], v[1], v[2])};
+}
+
+/// The depth image in metres, 0 where there is none, in its own pixels.
+cv::Mat to_metres(const cv::Mat& depth, const DepthOptions& options) {
+  cv::Mat metres(depth.size(), CV_32FC1);
+  const auto limited = [&options](float m) { return m > 0.0F && m <= static_cast<float>(options.max_m) ? m : 0.0F; };
+  if (depth.type() == CV_32FC1) {
+    const auto factor = static_cast<float>(options.scale_correction);
+    for (int v = 0; v < depth.rows; ++v) {
+      const float* from = depth.ptr<float>(v);
+      float* to = metres.ptr<float>(v);
+      for (int u = 0; u < depth.cols; ++u) to[u] = limited(factor * from[u]);  // false for NaN
+    }
+    return metres;
+  }
+  // One look-up a pixel: 65536 values are fewer than an image has pixels.
+  std::vector<float> table(65536);
+  for (std::size_t raw = 0; raw < table.size(); ++raw) {
+    table[raw] = limited(static_cast<float>(static_cast<double>(raw) * options.scale_correction / options.scale));
+  }
+  const std::vector<double> invalid = numbers(options.invalid_values).value_or(std::vector<double>());
+  for (const double value : invalid) table[static_cast<std::size_t>(std::clamp(value, 0.0, 65535.0))] = 0.0F;
+  for (int v = 0; v < depth.rows; ++v) {
+    const std::uint16_t* from = depth.ptr<std::uint16_t>(v);
+    float* to = metres.ptr<float>(v);
+    for (int u = 0; u < depth.cols; ++u) to[u] = table[from[u]];
+  }
+  return metres;
+}
+
+/// Depth seen by another camera, as the colour camera would see it: nearest surface first, each value drawn on the
+/// four pixels around its place so that no holes open between neighbours.
+cv::Mat registered(const cv::Mat& depth_m, const Camera& color, const Camera& depth, const SE3& T_color_depth) {
+  cv::Mat result = cv::Mat::zeros(color.height, color.width, CV_32FC1);
+  for (int v = 0; v < depth_m.rows; ++v) {
+    for (int u = 0; u < depth_m.cols; ++u) {
+      const float z_m = depth_m.at<float>(v, u);
+      if (z_m <= 0.0F) continue;
+      const Vec3 p = T_color_depth * Vec3(z_m * depth.ray(Vec2(u, v)));
+      if (p.z() <= 0.0) continue;
+      const Vec2 pixel = color.distort(Vec2(color.fx * p.x() / p.z() + color.cx, color.fy * p.y() / p.z() + color.cy));
+      if (!(pixel.x() > -1.0 && pixel.y() > -1.0 && pixel.x() < color.width && pixel.y() < color.height)) continue;
+      const int left = static_cast<int>(std::floor(pixel.x())), top = static_cast<int>(std::floor(pixel.y()));
+      for (int y = std::max(top, 0); y <= std::min(top + 1, color.height - 1); ++y) {
+        for (int x = std::max(left, 0); x <= std::min(left + 1, color.width - 1); ++x) {
+          float& there = result.at<float>(y, x);
+          if (there <= 0.0F || p.z() < there) there = static_cast<float>(p.z());
+        }
+      }
+    }
+  }
+  return result;
+}
+
+std::string describe(const char* field, const cv::Mat& image) {
+  return std::string(field) + " image of " + std::to_string(image.cols) + " x " + std::to_string(image.rows) +
+         " pixels of OpenCV type " + std::to_string(image.type());
+}
+
+}  // namespace
+
+bool DepthOptions::is_valid(std::string* error) const {
+  const auto fail = [error](const char* name, const auto& value, const char* rule) {
+    std::ostringstream message;
+    message << "parameter 'depth." << name << "' = '" << value << "' must be " << rule;
+    if (error != nullptr) *error = message.str();
+    return false;
+  };
+  if (!(scale > 0.0)) return fail("scale", scale, "> 0");
+  if (!(max_m > 0.0)) return fail("max_m", max_m, "> 0");
+  if (!(scale_correction > 0.0)) return fail("scale_correction", scale_correction, "> 0");
+  const std::optional<std::vector<double>> invalid = numbers(invalid_values);
+  const bool are_raw = invalid && std::all_of(invalid->begin(), invalid->end(), [](double value) {
+                         return value >= 0.0 && value <= 65535.0 && value == std::floor(value);
+                       });
+  if (!are_raw) return fail("invalid_values", invalid_values, "whole numbers in [0, 65535]");
+  const std::optional<std::vector<double>> pose = numbers(color_from_depth);
+  constexpr double kNormTolerance = 0.01;
+  if (!pose ||
+      (!pose->empty() && (pose->size() != 7 || std::abs(Vec4(pose->data() + 3).norm() - 1.0) > kNormTolerance))) {
+    return fail("color_from_depth", color_from_depth, "empty or 'x y z qx qy qz qw' with a unit quaternion");
+  }
+  const std::optional<std::vector<double>> pinhole = numbers(intrinsics);
+  if (!pinhole || (!pinhole->empty() && (pinhole->size() != 4 || !((*pinhole)[0] > 0.0 && (*pinhole)[1] > 0.0)))) {
+    return fail("intrinsics", intrinsics, "empty or 'fx fy cx cy' with fx, fy > 0");
+  }
+  if (!pinhole->empty() && pose->empty()) {
+    return fail("intrinsics", intrinsics, "empty where depth.color_from_depth is");
+  }
+  return true;
+}
+
+std::optional<RgbdImage> make_rgbd_image(std::int64_t stamp_ns, const cv::Mat& color, const cv::Mat& depth,
+                                         const Camera& camera, const DepthOptions& options, std::string* error) {
+  const auto fail = [stamp_ns, error](const std::string& message) {
+    if (error != nullptr) *error = "stamp " + std::to_string(stamp_ns) + " ns: " + message;
+    return std::nullopt;
+  };
+  const std::string wanted = std::to_string(camera.width) + " x " + std::to_string(camera.height);
+  if (color.cols != camera.width || color.rows != camera.height || color.empty()) {
+    return fail(describe("color", color) + ", but the camera has " + wanted);
+  }
+  if (color.type() != CV_8UC1 && color.type() != CV_8UC3) return fail(describe("color", color) + ", not 8UC1 or 8UC3");
+  const std::optional<std::vector<double>> pose = numbers(options.color_from_depth);
+  const bool is_registered = !pose || pose->empty();
+  if (depth.empty() || (is_registered && depth.size() != color.size())) {
+    return fail(describe("depth", depth) + ", but the camera has " + wanted);
+  }
+  if (depth.type() != CV_16UC1 && depth.type() != CV_32FC1) {
+    return fail(describe("depth", depth) + ", not 16UC1 or 32FC1");
+  }
+  RgbdImage image;
+  image.stamp_ns = stamp_ns;
+  if (color.type() == CV_8UC3) {
+    cv::cvtColor(color, image.gray, cv::COLOR_BGR2GRAY);
+  } else {
+    image.gray = color.clone();
+  }
+  image.depth_m = to_metres(depth, options);
+  if (is_registered) return image;
+  Camera depth_camera = camera;
+  depth_camera.distortion = {};
+  const std::vector<double> pinhole = numbers(options.intrinsics).value_or(std::vector<double>());
+  if (pinhole.size() == 4) {
+    depth_camera.fx = pinhole[0], depth_camera.fy = pinhole[1], depth_camera.cx = pinhole[2];
+    depth_camera.cy = pinhole[3];
+  }
+  image.depth_m = registered(image.depth_m, camera, depth_camera, parse_pose(*pose));
+  return image;
+}
+
+}  // namespace semantic_topo_loop::core

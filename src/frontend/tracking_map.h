@@ -1,0 +1,71 @@
+#pragma once
+
+#include <cstdint>
+#include <map>
+#include <vector>
+
+#include "image_features.h"
+#include "semantic_topo_loop/frontend/frontend_options.h"
+
+namespace semantic_topo_loop::core {
+
+/// A point of the map that images are tracked against.
+struct MapPoint {
+  std::int64_t id = -1;
+  Vec3 position = Vec3::Zero();       ///< map frame, m
+  Descriptor descriptor{};            ///< the one of its views that is most like the others
+  Vec3 direction = Vec3::Zero();      ///< mean of the unit vectors from the keyframes that see it
+  double level_0_distance_m = 0.0;    ///< from where it is seen on level 0 of the pyramid
+  std::map<std::int64_t, int> views;  ///< keyframe to the index of its feature
+  std::int64_t first_keyframe = -1;
+  int expected = 1;            ///< images in which it should be seen
+  int found = 1;               ///< images in which it was
+  std::int64_t local_in = -1;  ///< the last image in whose local map it is
+};
+
+/// An image that the map was built from, without its pixels.
+struct TrackingKeyframe {
+  std::int64_t id = -1;
+  std::int64_t stamp_ns = 0;
+  SE3 T_camera_map;
+  ImageFeatures features;
+  std::vector<std::int64_t> points;  ///< of each feature; -1: none
+  Vec3 center() const { return T_camera_map.inverse().t; }
+};
+
+/// Keyframes and the points they see.
+class TrackingMap {
+ public:
+  TrackingMap(const FrontendOptions& options, const Camera& camera) : options_(options), camera_(camera) {}
+
+  TrackingKeyframe& add_keyframe(TrackingKeyframe keyframe);
+  MapPoint& add_point(const Vec3& position, std::int64_t keyframe, int feature);
+  void add_view(MapPoint* point, std::int64_t keyframe, int feature);
+  void remove_view(std::int64_t point, std::int64_t keyframe);
+  void remove_point(std::int64_t point);
+  void remove_keyframe(std::int64_t keyframe);
+  /// One point for two: `from` is removed, its views become those of `into`.
+  void merge(std::int64_t from, std::int64_t into);
+  /// Descriptor, direction and distance, from the views.
+  void refresh(MapPoint* point) const;
+
+  MapPoint* point(std::int64_t id);
+  TrackingKeyframe* keyframe(std::int64_t id);
+  const std::map<std::int64_t, TrackingKeyframe>& keyframes() const { return keyframes_; }
+  const std::map<std::int64_t, MapPoint>& points() const { return points_; }
+  /// Keyframes that see points of this one, most first (the newer of two equal ones), with the number of points.
+  std::vector<std::pair<std::int64_t, int>> covisible(std::int64_t keyframe) const;
+  /// The same for a list of points (-1: none).
+  std::vector<std::pair<std::int64_t, int>> covisible(const std::vector<std::int64_t>& points) const;
+  /// Level of the pyramid on which a point is expected to be seen from a distance.
+  int predict_level(const MapPoint& point, double distance_m) const;
+
+ private:
+  FrontendOptions options_;
+  Camera camera_;
+  std::map<std::int64_t, TrackingKeyframe> keyframes_;
+  std::map<std::int64_t, MapPoint> points_;
+  std::int64_t next_point_ = 0;
+};
+
+}  // namespace semantic_topo_loop::core

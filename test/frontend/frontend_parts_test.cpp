@@ -1,0 +1,261 @@
+#include <gtest/gtest.h>
+
+#include <bitset>
+#include <opencv2/imgproc.hpp>
+#include <random>
+
+#include "../../src/frontend/bundle_adjustment.h"
+#include "../../src/frontend/depth_registration.h"
+#include "../../src/frontend/feature_matcher.h"
+#include "../../src/frontend/pose_solver.h"
+
+namespace semantic_topo_loop::core {
+namespace {
+
+Camera kinect() {
+  Camera camera;
+  camera.fx = camera.fy = 525.0;
+  camera.cx = 319.5;
+  camera.cy = 239.5;
+  camera.width = 640;
+  camera.height = 480;
+  return camera;
+}
+
+class Noise {
+ public:
+  double normal() { return normal_(engine_); }
+  double uniform(double low, double high) { return low + (high - low) * uniform_(engine_); }
+  std::uint64_t bits() { return engine_(); }
+
+ private:
+  std::mt19937_64 engine_{7};
+  std::normal_distribution<double> normal_;
+  std::uniform_real_distribution<double> uniform_;
+};
+
+/// A point in the image, measured with errors of one sigma.
+PoseObservation observe(const Camera& camera, const SE3& T_camera_map, Noise* noise) {
+  const double z = noise->uniform(0.8, 4.0);
+  const Vec2 pixel(noise->uniform(20.0, 620.0), noise->uniform(20.0, 460.0));
+  PoseObservation o;
+  o.point_map = T_camera_map.inverse() * Vec3(z * camera.ray(pixel));
+  o.depth_sigma_m = 0.002 * z * z;
+  o.depth_m = z + o.depth_sigma_m * noise->normal();
+  o.pixel_sigma = 1.3;
+  o.pixel = pixel + o.pixel_sigma * Vec2(noise->normal(), noise->normal());
+  return o;
+}
+
+const SE3 kPose(so3_exp(Vec3(0.2, -0.4, 0.1)), Vec3(0.3, -0.1, 0.5));
+
+TEST(Descriptor, HammingCountsBits) {
+  Noise noise;
+  for (int i = 0; i < 100; ++i) {
+    Descriptor a{}, b{};
+    int expected = 0;
+    for (std::size_t k = 0; k < a.size(); ++k) {
+      a[k] = noise.bits();
+      b[k] = i == 0 ? ~a[k] : noise.bits();  // all 256 bits at first
+      expected += static_cast<int>(std::bitset<64>(a[k] ^ b[k]).count());
+    }
+    EXPECT_EQ(hamming(a, b), expected);
+  }
+}
+
+/// The squared error in units of the stated covariance is on average the number of degrees of freedom.
+TEST(PoseSolver, CovarianceIsThatOfTheErrors) {
+  const Camera camera = kinect();
+  Noise noise;
+  double sum = 0.0;
+  constexpr int kRuns = 200;
+  for (int run = 0; run < kRuns; ++run) {
+    std::vector<PoseObservation> observations;
+    for (int i = 0; i < 60; ++i) observations.push_back(observe(camera, kPose, &noise));
+    const SE3 guess(kPose.q * so3_exp(Vec3(0.02, 0.01, -0.02)), kPose.t + Vec3(0.02, -0.03, 0.02));
+    const std::optional<PoseEstimate> estimate = refine_pose(camera, guess, observations);
+    ASSERT_TRUE(estimate);
+    const Vec6 error = se3_log(kPose * estimate->T_camera_map.inverse());
+    sum += error.dot(estimate->covariance.ldlt().solve(error));
+  }
+  // Cutting errors off at 95 % makes the estimate a little less certain than it states.
+  EXPECT_GT(sum / kRuns, 5.0);
+  EXPECT_LT(sum / kRuns, 10.0);
+}
+
+TEST(PoseSolver, FindsAPoseAmongWrongMatches) {
+  const Camera camera = kinect();
+  Noise noise;
+  std::vector<PoseObservation> observations;
+  for (int i = 0; i < 100; ++i) {
+    observations.push_back(observe(camera, kPose, &noise));
+    if (i % 5 >= 2) observations.back().point_map = Vec3(noise.normal(), noise.normal(), noise.normal());
+  }
+  const std::optional<PoseEstimate> estimate = find_pose(camera, observations, 20);
+  ASSERT_TRUE(estimate);
+  EXPECT_LT((estimate->T_camera_map.t - kPose.t).norm(), 0.01);
+  EXPECT_GE(estimate->inliers, 34);
+  EXPECT_LE(estimate->inliers, 44);
+  const std::optional<PoseEstimate> again = find_pose(camera, observations, 20);
+  EXPECT_EQ(again->T_camera_map.t, estimate->T_camera_map.t);
+  EXPECT_FALSE(find_pose(camera, observations, 60));
+}
+
+TEST(PoseSolver, TooFewObservationsAreNoPose) {
+  const Camera camera = kinect();
+  Noise noise;
+  std::vector<PoseObservation> observations;
+  for (int i = 0; i < 5; ++i) observations.push_back(observe(camera, kPose, &noise));
+  EXPECT_FALSE(refine_pose(camera, kPose, observations));
+  EXPECT_FALSE(find_pose(camera, {}, 6));
+}
+
+/// A camera that goes around points, with errors in the start values.
+BundleProblem bundle(const Camera& seen_with, Noise* noise) {
+  BundleProblem problem;
+  constexpr int kPoses = 8, kPoints = 120;
+  for (int i = 0; i < kPoses; ++i) {
+    BundleProblem::Pose pose;
+    pose.keyframe = i;
+    pose.T_camera_map = SE3(so3_exp(Vec3(0.02 * i, 0.08 * i, 0.0)), Vec3(-0.1 * i, 0.02 * i, 0.03 * i));
+    pose.is_fixed = i == 0;
+    problem.poses.push_back(pose);
+  }
+  for (int i = 0; i < kPoints; ++i) {
+    const Vec3 point(noise->uniform(-1.0, 1.0), noise->uniform(-0.8, 0.8), noise->uniform(1.5, 3.0));
+    problem.points.push_back({i, point});
+    for (std::size_t k = 0; k < problem.poses.size(); ++k) {
+      const Vec3 p = problem.poses[k].T_camera_map * point;
+      BundleProblem::View view;
+      view.pose = k;
+      view.point = static_cast<std::size_t>(i);
+      view.observation.pixel = Vec2(seen_with.fx * p.x() / p.z() + seen_with.cx + 0.3 * noise->normal(),
+                                    seen_with.fy * p.y() / p.z() + seen_with.cy + 0.3 * noise->normal());
+      view.observation.depth_sigma_m = 0.003 * p.z() * p.z();
+      view.observation.depth_m = p.z() + view.observation.depth_sigma_m * noise->normal();
+      problem.views.push_back(view);
+    }
+  }
+  return problem;
+}
+
+TEST(BundleAdjustment, RecoversPosesAndPoints) {
+  Noise noise;
+  const BundleProblem truth = bundle(kinect(), &noise);
+  BundleProblem problem = truth;
+  for (BundleProblem::Pose& pose : problem.poses) {
+    if (!pose.is_fixed) pose.T_camera_map.t += 0.02 * Vec3(noise.normal(), noise.normal(), noise.normal());
+  }
+  for (BundleProblem::Point& point : problem.points) {
+    point.position += 0.02 * Vec3(noise.normal(), noise.normal(), noise.normal());
+  }
+  problem.views[37].observation.pixel += Vec2(40.0, 0.0);
+  solve(kinect(), 15, false, &problem);
+  ASSERT_TRUE(problem.is_solved);
+  for (std::size_t i = 0; i < problem.poses.size(); ++i) {
+    EXPECT_LT((problem.poses[i].T_camera_map.t - truth.poses[i].T_camera_map.t).norm(), 0.003) << i;
+  }
+  EXPECT_EQ(problem.poses[0].T_camera_map.t, truth.poses[0].T_camera_map.t);
+  EXPECT_TRUE(problem.views[37].is_outlier);
+  EXPECT_FALSE(problem.views[36].is_outlier);
+}
+
+TEST(BundleAdjustment, FindsAWrongFocalLengthAndLeavesARightOne) {
+  Noise noise;
+  Camera wide = kinect();
+  wide.fx *= 0.9;
+  wide.fy *= 0.9;
+  EXPECT_NEAR(check_focal_length(kinect(), bundle(wide, &noise)), 0.9, 0.01);
+  EXPECT_EQ(check_focal_length(kinect(), bundle(kinect(), &noise)), 1.0);
+}
+
+/// Rectangles in front of a wall, seen in depth and, by another camera beside it, in colour.
+RgbdImage rectangles(const Camera& camera, const DepthRegistration& registration, Noise* noise) {
+  RgbdImage image;
+  image.gray = cv::Mat(camera.height, camera.width, CV_8UC1, cv::Scalar(120));
+  image.depth_m = cv::Mat(camera.height, camera.width, CV_32FC1, cv::Scalar(3.5));
+  for (int i = 0; i < 14; ++i) {
+    const double z = 3.0 - 0.15 * i;  // the nearer ones are drawn over the others
+    const Vec2 corner(noise->uniform(10.0, 560.0), noise->uniform(10.0, 420.0));
+    const Vec2 size(noise->uniform(40.0, 120.0), noise->uniform(40.0, 120.0));
+    const auto draw = [](cv::Mat* on, const Vec2& a, const Vec2& b, double value) {
+      cv::rectangle(*on, cv::Point(static_cast<int>(std::lround(a.x())), static_cast<int>(std::lround(a.y()))),
+                    cv::Point(static_cast<int>(std::lround(b.x())), static_cast<int>(std::lround(b.y()))),
+                    cv::Scalar(value), cv::FILLED);
+    };
+    draw(&image.depth_m, corner, corner + size, z);
+    draw(&image.gray, registration.to_color(camera, corner, z), registration.to_color(camera, corner + size, z),
+         i % 2 == 0 ? noise->uniform(0.0, 80.0) : noise->uniform(160.0, 255.0));
+  }
+  return image;
+}
+
+TEST(DepthRegistration, IsFoundFromOutlines) {
+  const Camera camera = kinect();
+  DepthRegistration truth;
+  truth.scale = 0.92;
+  truth.shift_px = Vec2(2.0, -3.0);
+  truth.parallax_px_m = Vec2(13.0, 0.0);
+  RegistrationEstimator estimator(camera);
+  Noise noise;
+  for (int i = 0; i < 4; ++i) estimator.add(rectangles(camera, truth, &noise));
+  const std::optional<DepthRegistration> found = estimator.estimate();
+  ASSERT_TRUE(found);
+  for (const Vec2& pixel : {Vec2(50, 60), Vec2(600, 100), Vec2(320, 400)}) {
+    for (const double z : {1.0, 3.0}) {
+      EXPECT_LT((found->to_color(camera, pixel, z) - truth.to_color(camera, pixel, z)).norm(), 3.0);
+      EXPECT_LT((found->to_depth(camera, found->to_color(camera, pixel, z), z) - pixel).norm(), 1e-9);
+    }
+  }
+}
+
+TEST(DepthRegistration, RegisteredDepthIsLeftAlone) {
+  const Camera camera = kinect();
+  RegistrationEstimator estimator(camera);
+  Noise noise;
+  for (int i = 0; i < 4; ++i) estimator.add(rectangles(camera, {}, &noise));
+  EXPECT_FALSE(estimator.estimate());
+}
+
+TEST(DepthRegistration, NoOutlinesSayNothing) {
+  const Camera camera = kinect();
+  RegistrationEstimator estimator(camera);
+  RgbdImage image;
+  image.gray = cv::Mat(camera.height, camera.width, CV_8UC1, cv::Scalar(120));
+  image.depth_m = cv::Mat(camera.height, camera.width, CV_32FC1, cv::Scalar(2.0));
+  estimator.add(image);
+  EXPECT_FALSE(estimator.estimate());
+}
+
+TEST(FeatureMatcher, FindsWhatIsNearAndAlike) {
+  const Camera camera = kinect();
+  Noise noise;
+  ImageFeatures image;
+  std::vector<SearchItem> items;
+  for (int i = 0; i < 200; ++i) {
+    ImageFeature feature;
+    feature.pixel = Vec2(noise.uniform(10.0, 630.0), noise.uniform(10.0, 470.0));
+    feature.level = i % 4;
+    Descriptor descriptor{noise.bits(), noise.bits(), noise.bits(), noise.bits()};
+    image.features.push_back(feature);
+    image.descriptors.push_back(descriptor);
+    SearchItem item;
+    descriptor[0] ^= 0xff;
+    item.descriptor = descriptor;
+    item.pixel = feature.pixel + Vec2(4.0, -3.0);
+    item.radius_px = i == 3 ? 2.0 : 6.0;
+    item.level = i == 5 ? feature.level + 2 : feature.level;
+    items.push_back(item);
+  }
+  image.index(camera);
+  std::vector<bool> is_taken(image.size(), false);
+  is_taken[8] = true;
+  const std::vector<int> found = search(items, image, is_taken, kMatchBits, 0.9);
+  for (int i = 0; i < 200; ++i) {
+    const bool is_out_of_question = i == 3 || i == 5 || i == 8;
+    EXPECT_EQ(found[static_cast<std::size_t>(i)], is_out_of_question ? -1 : i);
+  }
+}
+
+}  // namespace
+}  // namespace semantic_topo_loop::core

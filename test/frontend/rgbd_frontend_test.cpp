@@ -1,0 +1,216 @@
+#include "semantic_topo_loop/frontend/rgbd_frontend.h"
+
+#include <gtest/gtest.h>
+
+#include <Eigen/Eigenvalues>
+
+#include "semantic_topo_loop/frontend/tracking_report.h"
+#include "synthetic_room.h"
+
+namespace semantic_topo_loop::core {
+namespace {
+
+const Camera kCamera = SyntheticRoom::small_camera();
+const SyntheticRoom kRoom(kCamera);
+constexpr double kInterval_s = 0.0333333333;
+
+/// The room seen from a place of the walk.
+RgbdImage on_walk(int image) { return kRoom.render(stamp_of(image), pose_on_walk(kInterval_s * image)); }
+
+SE3 true_motion(int from, int to) {
+  return pose_on_walk(kInterval_s * from).inverse() * pose_on_walk(kInterval_s * to);
+}
+
+/// Error of a pose, m, where the map begins at image 0 of the walk.
+double error_m(const TrackedImage& tracked, int image) {
+  return (tracked.sample->T_odom_camera.t - true_motion(0, image).t).norm();
+}
+
+/// A front end that has followed the walk's first images.
+RgbdFrontend after_walk(int images, const FrontendOptions& options = {}) {
+  RgbdFrontend frontend(options, kCamera);
+  for (int i = 0; i < images; ++i) EXPECT_TRUE(frontend.track(on_walk(i)).sample) << i;
+  return frontend;
+}
+
+/// The other end of the room, which the walk never shows.
+RgbdImage elsewhere(int image) {
+  const SE3 T(so3_exp(Vec3(0.0, kPi, 0.0)), Vec3(0.0, 0.3, 0.5));
+  return kRoom.render(stamp_of(image), T);
+}
+
+TEST(RgbdFrontend, FollowsAWalk) {
+  RgbdFrontend frontend({}, kCamera);
+  constexpr int kImages = 45;
+  for (int i = 0; i < kImages; ++i) {
+    const TrackedImage tracked = frontend.track(on_walk(i));
+    ASSERT_TRUE(tracked.sample) << i;
+    EXPECT_EQ(tracked.state, i == 0 ? TrackingState::kStarted : TrackingState::kTracked);
+    EXPECT_EQ(tracked.sample->stamp_ns, stamp_of(i));
+    EXPECT_FALSE(tracked.sample->is_break);
+    EXPECT_LT(error_m(tracked, i), 0.012) << i;
+    EXPECT_LT(degrees(rotation_angle(tracked.sample->T_odom_camera.q, true_motion(0, i).q)), 0.3) << i;
+    EXPECT_EQ(tracked.sample->covariance.has_value(), i > 0);
+    if (i == 0) continue;
+    const Eigen::SelfAdjointEigenSolver<Mat6> eigen(*tracked.sample->covariance);
+    EXPECT_GT(eigen.eigenvalues().minCoeff(), 1e-9);
+    EXPECT_LT(eigen.eigenvalues().maxCoeff(), 1e-3);
+  }
+  EXPECT_EQ(frontend.camera().fx, kCamera.fx);
+}
+
+TEST(RgbdFrontend, PointsAreThoseOfTheDepthImageAndExactInFloat) {
+  RgbdFrontend frontend({}, kCamera);
+  RgbdImage image = on_walk(0);
+  image.depth_m.at<float>(2, 2) = 0.0F;
+  const TrackedImage tracked = frontend.track(image);
+  ASSERT_TRUE(tracked.sample && tracked.sample->points_camera);
+  const std::vector<Vec3>& points = *tracked.sample->points_camera;
+  EXPECT_EQ(points.size(), static_cast<std::size_t>(kCamera.width / 4 * kCamera.height / 4 - 1));
+  for (const Vec3& p : points) {
+    for (int axis = 0; axis < 3; ++axis) {
+      const auto rounded = static_cast<float>(p[axis]);
+      ASSERT_EQ(p[axis], static_cast<double>(rounded));
+    }
+  }
+  const float z = image.depth_m.at<float>(2, 6);
+  EXPECT_LT((points.front() - z * kCamera.ray(Vec2(6, 2))).norm(), 1e-6);
+}
+
+TEST(RgbdFrontend, SameImagesSamePosesForAnyNumberOfThreads) {
+  const int threads = cv::getNumThreads();
+  std::vector<std::vector<SE3>> runs;
+  for (const int count : {1, 4}) {
+    cv::setNumThreads(count);
+    RgbdFrontend frontend({}, kCamera);
+    runs.emplace_back();
+    for (int i = 0; i < 24; ++i) runs.back().push_back(frontend.track(on_walk(2 * i)).sample->T_odom_camera);
+  }
+  cv::setNumThreads(threads);
+  for (std::size_t i = 0; i < runs[0].size(); ++i) {
+    EXPECT_EQ(runs[0][i].t, runs[1][i].t) << i;
+    EXPECT_EQ(runs[0][i].q.coeffs(), runs[1][i].q.coeffs()) << i;
+  }
+}
+
+TEST(RgbdFrontend, BlackImageHasNoPoseAndTheNextIsFoundAgain) {
+  RgbdFrontend frontend = after_walk(6);
+  RgbdImage black = on_walk(6);
+  black.gray.setTo(0);
+  const TrackedImage none = frontend.track(black);
+  EXPECT_EQ(none.state, TrackingState::kUnusable);
+  EXPECT_FALSE(none.sample);
+  const TrackedImage again = frontend.track(on_walk(7));
+  EXPECT_EQ(again.state, TrackingState::kRelocalised);
+  ASSERT_TRUE(again.sample);
+  EXPECT_FALSE(again.sample->is_break);
+  EXPECT_LT(error_m(again, 7), 0.012);
+}
+
+TEST(RgbdFrontend, ImageWithoutDepthIsTrackedButStartsNothing) {
+  RgbdFrontend frontend({}, kCamera);
+  RgbdImage image = on_walk(0);
+  image.depth_m.setTo(0.0F);
+  EXPECT_EQ(frontend.track(image).state, TrackingState::kUnusable);
+  for (int i = 1; i < 6; ++i) frontend.track(on_walk(i));
+  image = on_walk(6);
+  image.depth_m.setTo(0.0F);
+  const TrackedImage tracked = frontend.track(image);
+  ASSERT_EQ(tracked.state, TrackingState::kTracked);
+  EXPECT_LT((tracked.sample->T_odom_camera.t - true_motion(1, 6).t).norm(), 0.015);
+  EXPECT_TRUE(tracked.sample->points_camera->empty());
+}
+
+TEST(RgbdFrontend, GapOfTwoSecondsIsBridged) {
+  RgbdFrontend frontend = after_walk(8);
+  RgbdImage image = kRoom.render(stamp_of(8 + 60), pose_on_walk(kInterval_s * 15));
+  const TrackedImage tracked = frontend.track(image);
+  ASSERT_EQ(tracked.state, TrackingState::kTracked);
+  EXPECT_LT(error_m(tracked, 15), 0.02);
+}
+
+TEST(RgbdFrontend, LostElsewhereAndFoundAgain) {
+  RgbdFrontend frontend = after_walk(10);
+  for (int i = 10; i < 20; ++i) {
+    const TrackedImage tracked = frontend.track(elsewhere(i));
+    EXPECT_EQ(tracked.state, TrackingState::kLost);
+    EXPECT_FALSE(tracked.sample);
+  }
+  const TrackedImage tracked = frontend.track(on_walk(20));
+  ASSERT_EQ(tracked.state, TrackingState::kRelocalised);
+  EXPECT_FALSE(tracked.sample->is_break);
+  EXPECT_LT(error_m(tracked, 20), 0.02);
+}
+
+TEST(RgbdFrontend, LostForLongItStartsAnewWithABreak) {
+  FrontendOptions options;
+  options.restart_after_s = 0.2;
+  RgbdFrontend frontend = after_walk(5, options);
+  int lost = 0;
+  TrackedImage tracked;
+  for (int i = 5; i < 20; ++i) {
+    tracked = frontend.track(elsewhere(i));
+    if (tracked.sample) break;
+    ++lost;
+  }
+  EXPECT_GE(lost, 5);
+  ASSERT_TRUE(tracked.sample);
+  EXPECT_EQ(tracked.state, TrackingState::kStarted);
+  EXPECT_TRUE(tracked.sample->is_break);
+  EXPECT_FALSE(tracked.sample->covariance);
+  const SE3 last = tracked.sample->T_odom_camera;
+  EXPECT_LT((last.t - true_motion(0, 4).t).norm(), 0.012);  // where it was seen last
+  tracked = frontend.track(elsewhere(20));
+  ASSERT_EQ(tracked.state, TrackingState::kTracked);
+  EXPECT_LT((tracked.sample->T_odom_camera.t - last.t).norm(), 1e-3);
+}
+
+TEST(RgbdFrontend, DistortedImages) {
+  Camera camera = kCamera;
+  camera.distortion = {0.2, -0.5, 0.002, -0.001, 0.3};
+  const SyntheticRoom room(camera);
+  RgbdFrontend frontend({}, camera);
+  for (int i = 0; i < 12; ++i) {
+    const TrackedImage tracked = frontend.track(room.render(stamp_of(i), pose_on_walk(2.0 * kInterval_s * i)));
+    ASSERT_TRUE(tracked.sample) << i;
+    EXPECT_LT(error_m(tracked, 2 * i), 0.012) << i;
+  }
+}
+
+TEST(TrackingReport, CountsAndNames) {
+  TrackingReport report;
+  TrackedImage image;
+  image.state = TrackingState::kStarted;
+  image.sample.emplace();
+  report.add(image);
+  image.state = TrackingState::kTracked;
+  report.add(image);
+  EXPECT_EQ(report.warning(), "");
+  image.state = TrackingState::kLost;
+  report.add(image);
+  report.add(image);
+  report.add_unreadable("rgb/7.png: no such file");
+  image.state = TrackingState::kStarted;
+  image.sample->is_break = true;
+  report.add(image);
+  EXPECT_EQ(report.images, 6);
+  EXPECT_EQ(report.restarts, 1);
+  EXPECT_EQ(report.warning(),
+            "of 6 images: 2 lost, 1 unreadable, 1 starts anew (first unreadable: rgb/7.png: no such file)");
+}
+
+TEST(FrontendOptions, BadValuesAreNamed) {
+  FrontendOptions options;
+  std::string error;
+  EXPECT_TRUE(options.is_valid(&error)) << error;
+  options.scale_factor = 1.0;
+  EXPECT_FALSE(options.is_valid(&error));
+  EXPECT_NE(error.find("frontend.scale_factor"), std::string::npos);
+  options = {};
+  options.max_keyframes = 3;
+  EXPECT_FALSE(options.is_valid(&error));
+  EXPECT_NE(error.find("frontend.max_keyframes"), std::string::npos);
+}
+
+}  // namespace
+}  // namespace semantic_topo_loop::core

@@ -1,0 +1,145 @@
+#include "semantic_topo_loop/frontend/rgbd_image.h"
+
+#include <gtest/gtest.h>
+
+#include <cmath>
+#include <limits>
+
+#include "synthetic_room.h"
+
+namespace semantic_topo_loop::core {
+namespace {
+
+const Camera kCamera = SyntheticRoom::small_camera();
+
+cv::Mat gray(std::uint8_t value = 100) { return {kCamera.height, kCamera.width, CV_8UC1, cv::Scalar(value)}; }
+
+TEST(RgbdImage, MillimetresAndMetresGiveTheSameDepthWithCorrection) {
+  DepthOptions options;
+  options.scale_correction = 0.96;
+  cv::Mat raw(kCamera.height, kCamera.width, CV_16UC1, cv::Scalar(2500));
+  cv::Mat metres(kCamera.height, kCamera.width, CV_32FC1, cv::Scalar(2.5));
+  std::string error;
+  const auto from_raw = make_rgbd_image(7, gray(), raw, kCamera, options, &error);
+  const auto from_metres = make_rgbd_image(7, gray(), metres, kCamera, options, &error);
+  ASSERT_TRUE(from_raw && from_metres) << error;
+  EXPECT_EQ(from_raw->stamp_ns, 7);
+  EXPECT_NEAR(from_raw->depth_m.at<float>(10, 20), 2.4, 1e-6);
+  EXPECT_NEAR(from_metres->depth_m.at<float>(10, 20), 2.4, 1e-6);
+}
+
+TEST(RgbdImage, TumScale) {
+  DepthOptions options;
+  options.scale = 5000.0;
+  const cv::Mat raw(kCamera.height, kCamera.width, CV_16UC1, cv::Scalar(7500));
+  const auto image = make_rgbd_image(0, gray(), raw, kCamera, options, nullptr);
+  ASSERT_TRUE(image);
+  EXPECT_NEAR(image->depth_m.at<float>(0, 0), 1.5, 1e-6);
+}
+
+TEST(RgbdImage, InvalidAndFarValuesAreNoDepth) {
+  DepthOptions options;
+  options.invalid_values = "0 65535 1234";
+  options.max_m = 3.0;
+  cv::Mat raw(kCamera.height, kCamera.width, CV_16UC1, cv::Scalar(1000));
+  raw.at<std::uint16_t>(0, 0) = 0;
+  raw.at<std::uint16_t>(0, 1) = 65535;
+  raw.at<std::uint16_t>(0, 2) = 1234;
+  raw.at<std::uint16_t>(0, 3) = 3001;
+  const auto a = make_rgbd_image(0, gray(), raw, kCamera, options, nullptr);
+  cv::Mat metres(kCamera.height, kCamera.width, CV_32FC1, cv::Scalar(1.0));
+  metres.at<float>(0, 0) = std::numeric_limits<float>::quiet_NaN();
+  metres.at<float>(0, 1) = std::numeric_limits<float>::infinity();
+  metres.at<float>(0, 2) = -1.0F;
+  metres.at<float>(0, 3) = 3.001F;
+  const auto b = make_rgbd_image(0, gray(), metres, kCamera, options, nullptr);
+  ASSERT_TRUE(a && b);
+  for (int u = 0; u < 4; ++u) {
+    EXPECT_EQ(a->depth_m.at<float>(0, u), 0.0F) << u;
+    EXPECT_EQ(b->depth_m.at<float>(0, u), 0.0F) << u;
+  }
+  EXPECT_EQ(a->depth_m.at<float>(0, 4), 1.0F);
+  EXPECT_EQ(b->depth_m.at<float>(0, 4), 1.0F);
+}
+
+TEST(RgbdImage, ColourBecomesGray) {
+  cv::Mat color(kCamera.height, kCamera.width, CV_8UC3, cv::Scalar(0, 0, 200));
+  const cv::Mat depth(kCamera.height, kCamera.width, CV_32FC1, cv::Scalar(1.0));
+  const auto image = make_rgbd_image(0, color, depth, kCamera, {}, nullptr);
+  ASSERT_TRUE(image);
+  EXPECT_EQ(image->gray.type(), CV_8UC1);
+  EXPECT_NEAR(image->gray.at<std::uint8_t>(5, 5), 0.299 * 200, 1.0);  // red in BGR
+}
+
+/// A wall 2 m before both cameras, the depth camera 10 cm to the left: what it sees at u moves by f b / z to the left.
+TEST(RgbdImage, UnregisteredDepthIsSeenByTheColourCamera) {
+  DepthOptions options;
+  options.color_from_depth = "-0.1 0 0.5 0 0 0 1";
+  options.intrinsics = "300 300 100 80";
+  cv::Mat depth = cv::Mat::zeros(160, 200, CV_16UC1);
+  depth.at<std::uint16_t>(80, 100) = 1500;
+  std::string error;
+  const auto image = make_rgbd_image(0, gray(), depth, kCamera, options, &error);
+  ASSERT_TRUE(image) << error;
+  const Vec2 expected(kCamera.fx * -0.1 / 2.0 + kCamera.cx, kCamera.cy);
+  EXPECT_EQ(cv::countNonZero(image->depth_m), 4);
+  EXPECT_NEAR(image->depth_m.at<float>(static_cast<int>(expected.y()), static_cast<int>(expected.x())), 2.0, 1e-6);
+}
+
+TEST(RgbdImage, NearerSurfaceWinsWhereTwoMeet) {
+  DepthOptions options;
+  options.color_from_depth = "0.3 0 0 0 0 0 1";
+  cv::Mat depth = cv::Mat::zeros(kCamera.height, kCamera.width, CV_32FC1);
+  // Both end up at the same pixel: f (x + b) / z is the same.
+  const auto u_of = [](double x, double z) { return static_cast<int>(std::lround(kCamera.fx * x / z + kCamera.cx)); };
+  depth.at<float>(100, u_of(0.0, 3.0)) = 3.0F;
+  depth.at<float>(100, u_of(-0.2, 1.0)) = 1.0F;
+  const auto image = make_rgbd_image(0, gray(), depth, kCamera, options, nullptr);
+  ASSERT_TRUE(image);
+  const int u = static_cast<int>(kCamera.fx * 0.1 + kCamera.cx);
+  float nearest = 9.0F;
+  for (int x = u - 1; x <= u + 1; ++x) {
+    if (image->depth_m.at<float>(100, x) > 0.0F) nearest = std::min(nearest, image->depth_m.at<float>(100, x));
+  }
+  EXPECT_NEAR(nearest, 1.0, 1e-6);
+}
+
+TEST(RgbdImage, WrongImagesAreNamed) {
+  const cv::Mat depth(kCamera.height, kCamera.width, CV_16UC1, cv::Scalar(1000));
+  const cv::Mat small(10, 20, CV_16UC1, cv::Scalar(1000)), bytes(kCamera.height, kCamera.width, CV_8UC1, cv::Scalar(1));
+  const cv::Mat doubles(kCamera.height, kCamera.width, CV_64FC1, cv::Scalar(1.0));
+  const auto error_of = [](const cv::Mat& color, const cv::Mat& d) {
+    std::string error;
+    EXPECT_FALSE(make_rgbd_image(42, color, d, kCamera, {}, &error));
+    return error;
+  };
+  EXPECT_NE(error_of(gray(), small).find("depth image of 20 x 10"), std::string::npos);
+  EXPECT_NE(error_of(gray(), small).find("42 ns"), std::string::npos);
+  EXPECT_NE(error_of(gray(), bytes).find("not 16UC1 or 32FC1"), std::string::npos);
+  EXPECT_NE(error_of(doubles, depth).find("not 8UC1 or 8UC3"), std::string::npos);
+  EXPECT_NE(error_of(cv::Mat(), depth).find("color image of 0 x 0"), std::string::npos);
+  EXPECT_NE(error_of(gray(), cv::Mat()).find("depth image of 0 x 0"), std::string::npos);
+}
+
+TEST(DepthOptions, BadValuesAreNamed) {
+  const auto error_of = [](auto change) {
+    DepthOptions options;
+    change(&options);
+    std::string error;
+    EXPECT_FALSE(options.is_valid(&error));
+    return error;
+  };
+  EXPECT_NE(error_of([](DepthOptions* o) { o->scale = 0.0; }).find("depth.scale"), std::string::npos);
+  EXPECT_NE(error_of([](DepthOptions* o) { o->invalid_values = "0 x"; }).find("'0 x'"), std::string::npos);
+  EXPECT_NE(error_of([](DepthOptions* o) { o->invalid_values = "70000"; }).find("invalid_values"), std::string::npos);
+  EXPECT_NE(error_of([](DepthOptions* o) { o->color_from_depth = "0 0 0"; }).find("color_from_depth"),
+            std::string::npos);
+  EXPECT_NE(error_of([](DepthOptions* o) { o->color_from_depth = "0 0 0 1 1 0 0"; }).find("color_from_depth"),
+            std::string::npos);
+  EXPECT_NE(error_of([](DepthOptions* o) { o->intrinsics = "500 500 320 240"; }).find("intrinsics"), std::string::npos);
+  std::string error;
+  EXPECT_TRUE(DepthOptions().is_valid(&error)) << error;
+}
+
+}  // namespace
+}  // namespace semantic_topo_loop::core
