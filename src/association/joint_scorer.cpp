@@ -33,7 +33,10 @@ double JointScorer::score(const AssociationContext& context, const TrackInFrame&
       iou_2d * (1.0 - std::clamp(kMemoryDecay * (age_s - context.interval_s), 0.0, kMemoryDecayMax));
 
   double overlap = overlap_2d, gate = options_.iou_joint_2d_min;
-  if (track.has_ellipsoid) {
+  if (track.is_provisional) {
+    overlap = std::max(iou_3d, overlap_2d);
+    gate = options_.iou_3d_min;
+  } else if (track.has_ellipsoid) {
     overlap = std::max(iou_3d, iou_3d > kMinSupport3d ? kMemoryWeight * overlap_2d : 0.0);
     gate = options_.iou_3d_min;
   } else if (!track.points_map.empty() && label_agreement(track, detection.class_id) > 0.0) {

@@ -19,6 +19,7 @@ namespace {
 
 constexpr double kMinProjectionPx = 2.0;
 constexpr int kNoTrack = -1;
+constexpr double kProvisionalBaseline_deg = 3.0;  // with less parallax, boxes cannot have corrected a wrong depth
 
 /// Splits "2d,pro,3d"; nullopt for a name that is no level.
 std::optional<std::set<std::string>> parse_levels(const std::string& text) {
@@ -155,6 +156,7 @@ class ObjectAssociator::Impl {
     }
     track->state = landmark.state;
     track->has_ellipsoid = landmark.ellipsoid.has_value();
+    track->is_provisional = track->has_ellipsoid && landmark.baseline_deg < kProvisionalBaseline_deg;
     if (track->has_ellipsoid) {
       track->center_map = landmark.ellipsoid->center();
       track->shape_map = landmark.ellipsoid->shape();
