@@ -25,9 +25,9 @@ std::vector<GraphLoop> thinned(const std::vector<GraphLoop>& loops, std::size_t 
   return some;
 }
 
-/// Factors on the least noise that a loop may need, over the usual and in all. A single burst may stand behind some loops
-/// and not behind most: 15 cm after one metre is always granted. 40 cm are no odometry's: a loop that asks for more has
-/// no say in what is usual either.
+/// Factors on the least noise that a loop may need, over the usual and in all. A single burst may stand behind some
+/// loops and not behind most: 15 cm after one metre is always granted. 40 cm are no odometry's: a loop that asks for
+/// more has no say in what is usual either.
 constexpr double kStrain = 2.5, kLeastStrain = 150.0, kMaxStrain = 400.0;
 
 constexpr int kFewJumps = 2, kManyJumps = 8;  // that are looked for in one go
@@ -42,10 +42,7 @@ class TrajectoryOptimizer {
  public:
   TrajectoryOptimizer(const Trajectory& trajectory, const PoseGraphOptions& options, const GraphKnowledge& knowledge,
                       Effort effort)
-      : trajectory_(trajectory),
-        options_(options),
-        effort_(effort),
-        votes_(trajectory.votes) {
+      : trajectory_(trajectory), options_(options), effort_(effort), votes_(trajectory.votes) {
     if (votes_.empty()) votes_.assign(trajectory.loops.size(), true);
     counts_ = votes_;
     for (std::size_t k = 0; k < knowledge.kept.size() && effort == Effort::kSettle; ++k) {
@@ -55,8 +52,7 @@ class TrajectoryOptimizer {
     result_.T_map_vertex = trajectory.T_map_vertex;
     result_.knowledge = knowledge;
     // What is learnt last must not depend on what was believed on the way.
-    if (starts_afresh() && options.estimate_noise)
-      result_.knowledge.noise = {noise_prior(options).least, 1.0, {}};
+    if (starts_afresh() && options.estimate_noise) result_.knowledge.noise = {noise_prior(options).least, 1.0, {}};
     solver_options_.loss = loss_of(options.robust);
     solver_options_.loss_chi2 = options.robust_chi2;
     solver_options_.max_iterations = options.max_iterations;
@@ -200,8 +196,8 @@ class TrajectoryOptimizer {
   const Trajectory& trajectory_;
   const PoseGraphOptions& options_;
   Effort effort_;
-  std::vector<bool> votes_;          ///< which loops may be kept
-  std::vector<bool> counts_;         ///< which of them say how noisy the odometry is, and share evidence
+  std::vector<bool> votes_;   ///< which loops may be kept
+  std::vector<bool> counts_;  ///< which of them say how noisy the odometry is, and share evidence
   std::vector<double> redundancy_;
   std::vector<Vec6> steady_errors_;  ///< of each edge; empty before they are known
   GraphSolverOptions solver_options_;

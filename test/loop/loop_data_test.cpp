@@ -158,7 +158,8 @@ TEST(LoopData, TheOdometrysWorldDoesNotMatter) {
 }
 
 TEST(LoopData, LandmarksDoNotMatter) {
-  // A correction of the map, a false one too, changes what the boxes are associated with, and not which loops are found.
+  // A correction of the map, a false one too, changes what the boxes are associated with, and not which loops are
+  // found.
   if (office().empty()) GTEST_SKIP() << "SEMANTIC_TOPO_LOOP_DATA is not set";
   Recording other = office();
   std::int64_t id = 0;
