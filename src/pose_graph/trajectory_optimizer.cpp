@@ -138,7 +138,7 @@ class TrajectoryOptimizer {
 
   void learn_noise() {
     // As many as can be afforded: the cost grows with their cube.
-    const std::size_t max_loops = starts_afresh() ? 40 : 24;
+    const std::size_t max_loops = starts_afresh() ? 60 : 24;
     std::vector<GraphLoop> loops;
     for (std::size_t k = 0; k < trajectory_.loops.size(); ++k) {
       if (result_.knowledge.kept[k]) loops.push_back(trajectory_.loops[k]);
