@@ -15,31 +15,37 @@
 #include "semantic_topo_loop/io/camera_yaml.h"
 #include "semantic_topo_loop/io/class_table_yaml.h"
 #include "semantic_topo_loop/io/options_yaml.h"
+#include "semantic_topo_loop/io/point_cloud_file.h"
+#include "semantic_topo_loop/io/rgbd_folder.h"
 #include "semantic_topo_loop/io/run_recorder.h"
 #include "semantic_topo_loop/io/submap_file.h"
 #include "semantic_topo_loop/io/tum_trajectory.h"
+#include "semantic_topo_loop/map/point_map.h"
 #include "semantic_topo_loop/pipeline/frame_builder.h"
 #include "semantic_topo_loop/pipeline/object_slam.h"
 #include "semantic_topo_loop/pipeline/stopwatch.h"
+#include "semantic_topo_loop/ros/tum_bag_reader.h"
 
 namespace {
 
 using namespace semantic_topo_loop::core;
-using semantic_topo_loop::apps::FolderSource;
+using semantic_topo_loop::apps::RgbdSource;
 using semantic_topo_loop::apps::SampleSource;
 using semantic_topo_loop::apps::TrajectorySource;
 
 constexpr char kUsage[] =
     "usage: offline --trajectory FILE --detections FILE_OR_DIR --camera YAML --output DIR\n"
     "               [--classes YAML] [--config YAML] [--set module.field=value ...]\n"
-    "               [--extra-loops CSV] [--map FILE] [--save-map FILE]\n"
+    "               [--extra-loops CSV] [--map FILE] [--save-map FILE] [--points FILE]\n"
     "       offline --rgbd DIR --camera YAML --output DIR [--associations FILE] [--detections FILE_OR_DIR] ...\n"
+    "       offline --bag FILE --camera YAML --output DIR [--detections FILE_OR_DIR] ...\n"
     "Runs the whole chain on recorded files, without a ROS master.\n"
     "  --trajectory  camera poses of the odometry, TUM format; one frame a pose\n"
     "  --rgbd        folder of colour and depth images: the odometry is found from them; see depth.* and frontend.*\n"
+    "  --bag         the same from a bag in the layout of the TUM RGB-D bags\n"
     "  --associations which depth belongs to which colour image (default: associations.txt of the folder)\n"
-    "  --detections  OA-SLAM JSON file, or directory of YOLO text files <stamp>.txt; with --rgbd they may be\n"
-    "                left out: odometry only\n"
+    "  --detections  OA-SLAM JSON file, or directory of YOLO text files <stamp>.txt; with --rgbd and --bag they\n"
+    "                may be left out: odometry only\n"
     "  --camera      calibration, see config/camera\n"
     "  --classes     class table (default: config/classes_coco.yaml of the package)\n"
     "  --config      parameters (default: the built-in ones, those of config/default.yaml)\n"
@@ -48,24 +54,31 @@ constexpr char kUsage[] =
     "  --output      directory of the results, made if missing\n"
     "  --map         submaps that an earlier run saved: the run's place in its map is looked for\n"
     "  --save-map    file for this run's submaps, for later runs\n"
+    "  --points      with --rgbd: file for the map's points, .ply or .pcd\n"
     "       offline --list-parameters\n"
     "Prints every parameter with its default, as a Markdown table.\n";
 
 constexpr std::int64_t kStampTolerance_ns = 1000;
 
 struct Arguments {
-  std::string trajectory, rgbd, associations, detections, camera, classes, config, extra_loops, output, map, save_map;
+  std::string trajectory, rgbd, bag, associations, detections, camera, classes, config, extra_loops, output, map,
+      save_map, points;
   std::vector<std::string> assignments;
 };
 
 /// Whether the arguments that belong together are there.
 bool are_complete(const Arguments& arguments, std::string* error) {
-  if (arguments.trajectory.empty() == arguments.rgbd.empty()) {
-    *error = "one of the arguments --trajectory and --rgbd is needed";
-  } else if (arguments.detections.empty() && arguments.rgbd.empty()) {
+  const int sources = !arguments.trajectory.empty() + !arguments.rgbd.empty() + !arguments.bag.empty();
+  if (sources != 1) {
+    *error = "one of the arguments --trajectory, --rgbd and --bag is needed";
+  } else if (arguments.detections.empty() && !arguments.trajectory.empty()) {
     *error = "argument --detections is missing";
   } else if (!arguments.associations.empty() && arguments.rgbd.empty()) {
     *error = "argument --associations needs --rgbd";
+  } else if (!arguments.points.empty() && arguments.rgbd.empty()) {
+    *error = "argument --points needs --rgbd";
+  } else if (!arguments.points.empty() && !is_point_cloud_path(arguments.points)) {
+    *error = "argument --points '" + arguments.points + "' ends neither in .ply nor in .pcd";
   } else {
     return true;
   }
@@ -74,16 +87,22 @@ bool are_complete(const Arguments& arguments, std::string* error) {
 
 /// @return false with `error` set; an empty error means that help was asked for
 bool parse(int argc, char** argv, Arguments* arguments, std::string* error) {
-  const std::vector<std::pair<std::string, std::string*>> fields = {
-      {"--trajectory", &arguments->trajectory}, {"--rgbd", &arguments->rgbd},
-      {"--detections", &arguments->detections}, {"--associations", &arguments->associations},
-      {"--camera", &arguments->camera},         {"--classes", &arguments->classes},
-      {"--config", &arguments->config},         {"--extra-loops", &arguments->extra_loops},
-      {"--output", &arguments->output},         {"--map", &arguments->map},
-      {"--save-map", &arguments->save_map}};
-  const std::set<std::string> optional = {"--trajectory",   "--rgbd",    "--detections",
-                                          "--associations", "--classes", "--config",
-                                          "--extra-loops",  "--map",     "--save-map"};
+  const std::vector<std::pair<std::string, std::string*>> fields = {{"--trajectory", &arguments->trajectory},
+                                                                    {"--rgbd", &arguments->rgbd},
+                                                                    {"--bag", &arguments->bag},
+                                                                    {"--detections", &arguments->detections},
+                                                                    {"--associations", &arguments->associations},
+                                                                    {"--camera", &arguments->camera},
+                                                                    {"--classes", &arguments->classes},
+                                                                    {"--config", &arguments->config},
+                                                                    {"--extra-loops", &arguments->extra_loops},
+                                                                    {"--output", &arguments->output},
+                                                                    {"--map", &arguments->map},
+                                                                    {"--save-map", &arguments->save_map},
+                                                                    {"--points", &arguments->points}};
+  const std::set<std::string> optional = {"--trajectory",   "--rgbd",     "--bag",    "--detections",
+                                          "--associations", "--classes",  "--config", "--extra-loops",
+                                          "--map",          "--save-map", "--points"};
   for (int i = 1; i < argc; ++i) {
     const std::string name = argv[i];
     if (name == "--help" || name == "-h") return false;
@@ -132,14 +151,12 @@ struct Inputs {
   std::vector<DetectionFrame> detections;
   std::vector<LoopClosure> extra_loops;
   std::optional<std::vector<LocalMap>> earlier_map;
-  std::string save_map;
+  std::string save_map, points;
 };
 
-std::unique_ptr<SampleSource> open_source(const Arguments& arguments, const Inputs& inputs, std::string* error) {
-  if (arguments.rgbd.empty()) {
-    std::optional<StampedPoses> trajectory = read_tum_trajectory(arguments.trajectory, error);
-    if (!trajectory) return nullptr;
-    return std::make_unique<TrajectorySource>(std::move(*trajectory));
+std::unique_ptr<RgbdReader> open_images(const Arguments& arguments, const Inputs& inputs, std::string* error) {
+  if (!arguments.bag.empty()) {
+    return semantic_topo_loop::open_tum_bag(arguments.bag, inputs.camera, inputs.options.depth, error);
   }
   const std::string list =
       arguments.associations.empty() ? arguments.rgbd + "/associations.txt" : arguments.associations;
@@ -147,8 +164,18 @@ std::unique_ptr<SampleSource> open_source(const Arguments& arguments, const Inpu
   std::optional<std::vector<RgbdFile>> files = read_associations(list, arguments.rgbd, &warning, error);
   if (!files) return nullptr;
   if (!warning.empty()) std::cerr << "offline: warning: " << warning << '\n';
-  return std::make_unique<FolderSource>(std::move(*files), inputs.camera, inputs.options.depth,
-                                        inputs.options.frontend);
+  return std::make_unique<RgbdFolder>(std::move(*files), inputs.camera, inputs.options.depth);
+}
+
+std::unique_ptr<SampleSource> open_source(const Arguments& arguments, const Inputs& inputs, std::string* error) {
+  if (!arguments.trajectory.empty()) {
+    std::optional<StampedPoses> trajectory = read_tum_trajectory(arguments.trajectory, error);
+    if (!trajectory) return nullptr;
+    return std::make_unique<TrajectorySource>(std::move(*trajectory));
+  }
+  std::unique_ptr<RgbdReader> reader = open_images(arguments, inputs, error);
+  if (!reader) return nullptr;
+  return std::make_unique<RgbdSource>(std::move(reader), inputs.camera, inputs.options.frontend);
 }
 
 bool load_detections(const std::string& path, const ClassTable& classes, std::vector<DetectionFrame>* frames,
@@ -184,6 +211,7 @@ std::optional<Inputs> load(const Arguments& arguments, std::string* error) {
   if (!load_detections(arguments.detections, *inputs.classes, &inputs.detections, error)) return std::nullopt;
   if (!load_extra_loops(arguments.extra_loops, &inputs.extra_loops, error)) return std::nullopt;
   inputs.save_map = arguments.save_map;
+  inputs.points = arguments.points;
   if (!arguments.map.empty()) {
     if (inputs.options.loop.mode != "graph") {
       *error = "argument --map = '" + arguments.map + "' needs loop.mode = graph";
@@ -284,6 +312,7 @@ void warn(const Inputs& inputs, const Counts& counts, std::size_t loops_left) {
     say(std::to_string(images - counts.with_detections) + " of " + std::to_string(images) +
         " images with detections have no pose and were left out");
   }
+  if (!inputs.source->warning().empty()) say(inputs.source->warning());
   const std::optional<TrackingReport> tracking = inputs.source->report();
   if (tracking && !tracking->warning().empty()) say(tracking->warning());
 }
@@ -292,7 +321,8 @@ void warn(const Inputs& inputs, const Counts& counts, std::size_t loops_left) {
 bool has_input(const Inputs& inputs, const Counts& counts, std::string* error) {
   if (counts.frames == 0) {
     const std::optional<TrackingReport> tracking = inputs.source->report();
-    *error = "no image has a pose" + (tracking ? ": " + tracking->warning() : std::string());
+    *error = inputs.source->fault();
+    if (error->empty()) *error = "no image has a pose" + (tracking ? ": " + tracking->warning() : std::string());
     return false;
   }
   if (counts.with_detections > 0 || inputs.detections.empty()) return true;
@@ -306,6 +336,7 @@ bool run(const Inputs& inputs, RunRecorder* recorder, std::string* error) {
   ObjectSlam slam(inputs.options, inputs.classes);
   if (inputs.earlier_map) slam.set_earlier_map(*inputs.earlier_map);
   FrameBuilder builder(inputs.options.keyframe, inputs.camera);
+  PointMap point_map(inputs.options.point_map);
   ExtraLoops extra_loops(inputs.extra_loops);
   Progress progress(inputs.source->total());
   Counts counts;
@@ -313,20 +344,29 @@ bool run(const Inputs& inputs, RunRecorder* recorder, std::string* error) {
   const Stopwatch stopwatch;
   while (const std::optional<PoseSample> sample = inputs.source->next()) {
     if (const std::optional<Camera> camera = inputs.source->camera()) builder.set_camera(*camera);
-    const std::optional<Frame> frame = builder.build(*sample, error);
+    std::optional<Frame> frame = builder.build(*sample, error);
     if (!frame) return false;
+    if (frame->is_keyframe && !inputs.points.empty()) {
+      frame->keyframe_points = inputs.source->keyframe_points(inputs.options.point_map.semi_dense_max);
+    }
     const DetectionFrame* detections = find_stamp(inputs.detections, frame->stamp_ns, kStampTolerance_ns);
     if (detections != nullptr) ++counts.with_detections;
     const std::vector<Detection>& boxes = detections != nullptr ? detections->detections : none;
-    record(*frame, slam.process(*frame, boxes, extra_loops.at(*frame)), recorder);
+    const FrameResult result = slam.process(*frame, boxes, extra_loops.at(*frame));
+    point_map.add(*frame);
+    point_map.apply(result.correction);
+    record(*frame, result, recorder);
     if (counts.frames++ == 0) counts.first_ns = frame->stamp_ns;
     counts.last_ns = frame->stamp_ns;
     progress.show(inputs.source->done());
   }
   if (!has_input(inputs, counts, error)) return false;
   const Frame end = builder.end();
-  record(end, slam.process(end, none), recorder);
+  const FrameResult last = slam.process(end, none);
+  point_map.apply(last.correction);
+  record(end, last, recorder);
   if (const std::optional<TrackingReport> tracking = inputs.source->report()) recorder->record(*tracking);
+  if (!inputs.points.empty() && !write_point_cloud(inputs.points, point_map.points(), error)) return false;
   if (!inputs.save_map.empty() && !write_submaps(inputs.save_map, slam.submaps_in_map(), error)) return false;
 
   const double seconds = 1e-6 * stopwatch.elapsed_us();
@@ -365,7 +405,9 @@ int main(int argc, char** argv) {
     RunRecorder recorder(inputs->classes);
     if (run(*inputs, &recorder, &error) && recorder.write(arguments.output, &error)) {
       if (inputs->earlier_map) print(recorder.relocalisation());
-      return 0;
+      error = inputs->source->fault();
+      if (error.empty()) return 0;
+      error = "the recording ends early: " + error + "; what was mapped is kept";
     }
   }
   std::cerr << "offline: error: " << error << '\n';

@@ -60,6 +60,7 @@ bool run(const Arguments& arguments, std::string* error) {
   for (const G2oEdge* edge : report.outliers) {
     std::cerr << "optimise_graph: outlier: edge " << edge->from << ' ' << edge->to << '\n';
   }
+  for (const std::string& problem : report.unsolved) std::cerr << "optimise_graph: left as it is: " << problem << '\n';
   std::printf("vertices      %zu\nedges         %zu\nrefused       %zu\noutliers      %zu\nparts         %d\n",
               graph->vertices.size(), graph->edges.size(), refusals.size(), report.outliers.size(), report.components);
   std::printf("initial cost  %.9g\nfinal cost    %.9g\ninitial chi2  %.9g\nfinal chi2    %.9g\n", report.initial_cost,

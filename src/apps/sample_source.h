@@ -1,17 +1,18 @@
 #pragma once
 
 #include <cstddef>
-#include <future>
-#include <iostream>
+#include <map>
+#include <memory>
 #include <optional>
 #include <string>
 #include <utility>
-#include <vector>
 
+#include "semantic_topo_loop/frontend/keyframe_points.h"
 #include "semantic_topo_loop/frontend/rgbd_frontend.h"
 #include "semantic_topo_loop/frontend/tracking_report.h"
 #include "semantic_topo_loop/geometry/stamped_pose.h"
-#include "semantic_topo_loop/io/rgbd_folder.h"
+#include "semantic_topo_loop/io/rgbd_reader.h"
+#include "semantic_topo_loop/pipeline/read_ahead.h"
 
 namespace semantic_topo_loop::apps {
 
@@ -21,6 +22,8 @@ class SampleSource {
   virtual ~SampleSource() = default;
   /// The next image that has a pose, or nullopt at the end.
   virtual std::optional<core::PoseSample> next() = 0;
+  /// What the point map keeps of the last image, where there are images.
+  virtual std::shared_ptr<const core::KeyframePoints> keyframe_points(int /*semi_dense_max*/) const { return nullptr; }
   /// Images gone through so far, and of all.
   virtual std::size_t done() const = 0;
   virtual std::size_t total() const = 0;
@@ -28,6 +31,10 @@ class SampleSource {
   virtual std::optional<core::Camera> camera() const { return std::nullopt; }
   /// What became of the images, where there are any.
   virtual std::optional<core::TrackingReport> report() const { return std::nullopt; }
+  /// What was left out, once the end is reached; empty if nothing.
+  virtual std::string warning() const { return {}; }
+  /// Why the recording ended early, once the end is reached; empty if it did not.
+  virtual std::string fault() const { return {}; }
 };
 
 /// Poses of a trajectory file.
@@ -50,55 +57,82 @@ class TrajectorySource : public SampleSource {
   std::size_t done_ = 0;
 };
 
-/// Poses that the RGB-D front end finds for a folder of images. The next image is read while one is tracked.
-class FolderSource : public SampleSource {
+/// Poses that the RGB-D front end finds in a recording's images, which are read while others are tracked.
+class RgbdSource : public SampleSource {
  public:
-  FolderSource(std::vector<core::RgbdFile> files, const core::Camera& camera, const core::DepthOptions& depth,
-               const core::FrontendOptions& frontend)
-      : files_(std::move(files)), camera_(camera), depth_(depth), frontend_(frontend, camera) {
-    read_ahead();
-  }
+  RgbdSource(std::unique_ptr<core::RgbdReader> reader, const core::Camera& camera,
+             const core::FrontendOptions& frontend)
+      : reader_(std::move(reader)),
+        total_(reader_->total()),
+        frontend_(frontend, camera),
+        readings_([this] { return reader_->next(&fault_); }, kReadAhead) {}
+
   std::optional<core::PoseSample> next() override {
-    while (done_ < files_.size()) {
-      const Reading reading = pending_.get();
+    while (const std::optional<core::RgbdReading> reading = readings_.next()) {
       ++done_;
-      read_ahead();
-      if (!reading.image) {
-        report_.add_unreadable(reading.error);
+      if (!reading->left_out.empty()) {
+        left_out_.add(*reading);
         continue;
       }
-      core::TrackedImage tracked = frontend_.track(*reading.image);
+      if (!reading->image) {
+        report_.add_unreadable(reading->error);
+        continue;
+      }
+      core::TrackedImage tracked = frontend_.track(*reading->image);
+      last_image_ = *reading->image;
       report_.add(tracked);
       if (tracked.sample) return std::move(tracked.sample);
     }
+    is_at_end_ = true;
     return std::nullopt;
   }
+  std::shared_ptr<const core::KeyframePoints> keyframe_points(int semi_dense_max) const override {
+    return std::make_shared<const core::KeyframePoints>(core::KeyframePoints{
+        frontend_.sparse_points(), core::semi_dense_points(last_image_, frontend_.camera(), semi_dense_max)});
+  }
   std::size_t done() const override { return done_; }
-  std::size_t total() const override { return files_.size(); }
+  std::size_t total() const override { return total_; }
   std::optional<core::Camera> camera() const override { return frontend_.camera(); }
   std::optional<core::TrackingReport> report() const override { return report_; }
+  std::string warning() const override { return left_out_.text(); }
+  std::string fault() const override { return is_at_end_ ? fault_ : std::string(); }
 
  private:
-  struct Reading {
-    std::optional<core::RgbdImage> image;
-    std::string error;
-  };
-  void read_ahead() {
-    if (done_ == files_.size()) return;
-    pending_ = std::async(std::launch::async, [this, file = files_[done_]] {
-      Reading reading;
-      reading.image = core::read_rgbd_image(file, camera_, depth_, &reading.error);
-      return reading;
-    });
-  }
+  static constexpr std::size_t kReadAhead = 8;
 
-  std::vector<core::RgbdFile> files_;
-  core::Camera camera_;
-  core::DepthOptions depth_;
+  /// Images that the recording itself does not count, by cause.
+  class LeftOut {
+   public:
+    void add(const core::RgbdReading& reading) {
+      Cause& cause = causes_[reading.left_out];
+      if (cause.count++ == 0) cause.first = reading.error;
+    }
+    std::string text() const {
+      std::string text;
+      for (const auto& [name, cause] : causes_) {
+        text += (text.empty() ? "" : "; ") + std::to_string(cause.count) + " " + name + " (first: " + cause.first + ")";
+      }
+      return text;
+    }
+
+   private:
+    struct Cause {
+      std::size_t count = 0;
+      std::string first;
+    };
+    std::map<std::string, Cause> causes_;
+  };
+
+  std::unique_ptr<core::RgbdReader> reader_;  ///< of the reading thread, once it runs
+  const std::size_t total_;
   core::RgbdFrontend frontend_;
   core::TrackingReport report_;
+  LeftOut left_out_;
+  core::RgbdImage last_image_;
   std::size_t done_ = 0;
-  std::future<Reading> pending_;
+  std::string fault_;  ///< written before the reading thread ends the stream
+  bool is_at_end_ = false;
+  core::ReadAhead<core::RgbdReading> readings_;  ///< last: its thread ends before what it uses
 };
 
 }  // namespace semantic_topo_loop::apps

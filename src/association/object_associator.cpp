@@ -19,6 +19,7 @@ namespace {
 
 constexpr double kMinProjectionPx = 2.0;
 constexpr int kNoTrack = -1;
+constexpr double kProvisionalBaseline_deg = 3.0;  // with less parallax, boxes cannot have corrected a wrong depth
 
 /// Splits "2d,pro,3d"; nullopt for a name that is no level.
 std::optional<std::set<std::string>> parse_levels(const std::string& text) {
@@ -83,8 +84,9 @@ class ObjectAssociator::Impl {
     result.frame_id = frame.frame_id;
     result.map_version = map_version_;
     if (!frame.is_end) {
-      const AssociationContext context = prepare(frame, detections, &result);
-      update_tracks(context, assign(context, &result), &result);
+      points_.reset();
+      prepare(frame, detections, &result);
+      update_tracks(context_, assign(context_, &result), &result);
       last_stamp_ns_ = frame.stamp_ns;
     }
     // What the map's changes cost here belongs to the frame that profits from them.
@@ -154,6 +156,7 @@ class ObjectAssociator::Impl {
     }
     track->state = landmark.state;
     track->has_ellipsoid = landmark.ellipsoid.has_value();
+    track->is_provisional = track->has_ellipsoid && landmark.baseline_deg < kProvisionalBaseline_deg;
     if (track->has_ellipsoid) {
       track->center_map = landmark.ellipsoid->center();
       track->shape_map = landmark.ellipsoid->shape();
@@ -163,32 +166,36 @@ class ObjectAssociator::Impl {
   }
 
   /// Undistorts, gates and suppresses the detections; finds the tracks that the frame may see.
-  AssociationContext prepare(const Frame& frame, const std::vector<Detection>& detections, AssociationFrame* result) {
-    AssociationContext context;
+  void prepare(const Frame& frame, const std::vector<Detection>& detections, AssociationFrame* result) {
+    AssociationContext& context = context_;
+    context.detections.clear();
+    context.tracks.clear();
     context.frame = &frame;
     context.interval_s = last_stamp_ns_ ? 1e-9 * static_cast<double>(frame.stamp_ns - *last_stamp_ns_) : 0.0;
     const SE3 T_map_camera = T_map_odom_ * frame.T_odom_camera;
     context.P_image_map = projection_matrix(frame.camera, T_map_camera);
-    prepare_detections(frame, detections, &context, result);
+    prepare_detections(frame, detections, result);
     const auto recent = [&](const Track& track) { return is_recent(track, frame); };
-    const std::vector<const Track*> tracks =
-        options_.mode == "jda" ? tracks_.all() : tracks_.near(frame.camera, T_map_camera, options_.range_m, recent);
-    for (const Track* track : tracks) {
-      if (track->state == LandmarkState::kRetired) continue;
-      const std::optional<Box> projection = visible_projection(*track, context);
-      const bool recent_track = is_recent(*track, frame);
-      if (projection || recent_track || !track->points_map.empty()) {
-        context.tracks.push_back({track, projection, recent_track});
-      }
+    if (options_.mode == "jda") {
+      for (const Track* track : tracks_.all()) consider(*track);
+    } else {
+      for (const Track* track : tracks_.near(frame.camera, T_map_camera, options_.range_m, recent)) consider(*track);
     }
-    return context;
   }
 
-  void prepare_detections(const Frame& frame, const std::vector<Detection>& detections, AssociationContext* context,
-                          AssociationFrame* result) const {
+  void consider(const Track& track) {
+    if (track.state == LandmarkState::kRetired) return;
+    const std::optional<Box> projection = visible_projection(track, context_);
+    const bool recent_track = is_recent(track, *context_.frame);
+    if (projection || recent_track || !track.points_map.empty()) {
+      context_.tracks.push_back({&track, projection, recent_track});
+    }
+  }
+
+  void prepare_detections(const Frame& frame, const std::vector<Detection>& detections, AssociationFrame* result) {
     const Camera& camera = frame.camera;
     result->associations.resize(detections.size());
-    std::vector<PreparedDetection> kept;
+    gated_.clear();
     for (std::size_t i = 0; i < detections.size(); ++i) {
       const Detection& detection = detections[i];
       Association& association = result->associations[i];
@@ -202,31 +209,31 @@ class ObjectAssociator::Impl {
       } else if (detection.score < options_.min_score) {
         association.level = AssociationLevel::kLowScore;
       } else {
-        kept.push_back({association.detection_index, detection.class_id, detection.score, association.box,
-                        clip(association.box, camera.width, camera.height), association.truncated});
+        gated_.push_back({association.detection_index, detection.class_id, detection.score, association.box,
+                          clip(association.box, camera.width, camera.height), association.truncated});
       }
     }
-    suppress(kept, context, result);
+    suppress(result);
   }
 
   /// Cross-class non-maximum suppression: detectors box one object under two names.
-  void suppress(const std::vector<PreparedDetection>& detections, AssociationContext* context,
-                AssociationFrame* result) const {
-    std::vector<std::size_t> order(detections.size());
-    std::iota(order.begin(), order.end(), 0);
-    std::stable_sort(order.begin(), order.end(),
-                     [&](std::size_t a, std::size_t b) { return detections[a].score > detections[b].score; });
-    std::vector<bool> keep(detections.size(), false);
-    for (const std::size_t i : order) {
-      keep[i] = std::none_of(order.begin(), order.end(), [&](std::size_t j) {
-        return keep[j] && iou(detections[i].box, detections[j].box) >= options_.suppression_iou;
+  void suppress(AssociationFrame* result) {
+    by_score_.resize(gated_.size());
+    std::iota(by_score_.begin(), by_score_.end(), 0);
+    std::sort(by_score_.begin(), by_score_.end(), [this](std::size_t a, std::size_t b) {
+      return gated_[a].score > gated_[b].score || (gated_[a].score == gated_[b].score && a < b);
+    });
+    is_kept_.assign(gated_.size(), false);
+    for (const std::size_t i : by_score_) {
+      is_kept_[i] = std::none_of(by_score_.begin(), by_score_.end(), [&](std::size_t j) {
+        return is_kept_[j] && iou(gated_[i].box, gated_[j].box) >= options_.suppression_iou;
       });
     }
-    for (std::size_t i = 0; i < detections.size(); ++i) {
-      if (keep[i]) {
-        context->detections.push_back(detections[i]);
+    for (std::size_t i = 0; i < gated_.size(); ++i) {
+      if (is_kept_[i]) {
+        context_.detections.push_back(gated_[i]);
       } else {
-        result->associations[static_cast<std::size_t>(detections[i].index)].level = AssociationLevel::kSuppressed;
+        result->associations[static_cast<std::size_t>(gated_[i].index)].level = AssociationLevel::kSuppressed;
       }
     }
   }
@@ -246,24 +253,23 @@ class ObjectAssociator::Impl {
   }
 
   /// Indices into context.tracks by detection, kNoTrack for those that start a track.
-  std::vector<int> assign(const AssociationContext& context, AssociationFrame* result) const {
+  std::vector<int> assign(const AssociationContext& context, AssociationFrame* result) {
     if (options_.mode == "joint") return assign_one_to_one(context, joint_);
     if (options_.mode == "jda") return assign_one_to_one(context, jda_);
     return cascade(context, result);
   }
 
   template <class Scorer>
-  static std::vector<int> assign_one_to_one(const AssociationContext& context, const Scorer& scorer) {
+  std::vector<int> assign_one_to_one(const AssociationContext& context, const Scorer& scorer) {
     const auto rows = static_cast<Eigen::Index>(context.detections.size());
     const auto columns = static_cast<Eigen::Index>(context.tracks.size());
-    Eigen::MatrixXd scores(rows, columns);
-    for (Eigen::Index i = 0; i < rows; ++i) {
-      for (Eigen::Index j = 0; j < columns; ++j) {
-        scores(i, j) = scorer.score(context, context.tracks[static_cast<std::size_t>(j)],
-                                    context.detections[static_cast<std::size_t>(i)]);
+    scores_.clear();
+    for (const TrackInFrame& track : context.tracks) {
+      for (const PreparedDetection& detection : context.detections) {
+        scores_.push_back(scorer.score(context, track, detection));
       }
     }
-    return assign_max(scores);
+    return assign_max(Eigen::Map<const Eigen::MatrixXd>(scores_.data(), rows, columns));
   }
 
   /// The paper's cascade: each level gives the boxes that the levels before it left over to their best landmark.
@@ -319,7 +325,8 @@ class ObjectAssociator::Impl {
     track->last_box = detection.box;
     tracks_.touch(track);
     if (track->has_ellipsoid || !frame.points_camera) return;
-    const std::vector<Vec3> points = object_points(*frame.points_camera, frame.camera, detection.box);
+    if (!points_) points_.emplace(*frame.points_camera, frame.camera);
+    const std::vector<Vec3> points = object_points(*points_, detection.box);
     if (points.empty()) return;
     const SE3 T_map_camera = T_map_odom_ * frame.T_odom_camera;
     track->points_map.clear();
@@ -337,8 +344,16 @@ class ObjectAssociator::Impl {
   std::int64_t next_id_ = 0;
   std::uint64_t map_version_ = 0;
   SE3 T_map_odom_;
+  std::optional<FramePoints> points_;          ///< of the frame, once a track without an ellipsoid needs them
   std::optional<std::int64_t> last_stamp_ns_;  ///< of the frame before
   double update_us_ = 0.0;                     ///< spent on map updates since then
+
+  // Of the frame at hand; kept, so that a frame hardly allocates.
+  AssociationContext context_;
+  std::vector<PreparedDetection> gated_;  ///< before suppression
+  std::vector<std::size_t> by_score_;     ///< indices of them
+  std::vector<bool> is_kept_;
+  std::vector<double> scores_;  ///< detections by tracks, column by column
 };
 
 ObjectAssociator::ObjectAssociator(const AssociatorOptions& options, std::shared_ptr<const ClassTable> classes)

@@ -106,8 +106,7 @@ std::vector<const Track*> TrackStore::all() const {
   return tracks;
 }
 
-void TrackStore::collect_in_view(const Camera& camera, const SE3& T_map_camera, double range_m,
-                                 std::vector<const Track*>* found) {
+void TrackStore::collect_in_view(const Camera& camera, const SE3& T_map_camera, double range_m) {
   const Frustum frustum(camera, T_map_camera, range_m);
   Cell low{}, high{};
   for (std::size_t i = 0; i < 3; ++i) {
@@ -132,17 +131,17 @@ void TrackStore::collect_in_view(const Camera& camera, const SE3& T_map_camera, 
         if (of_z.minCoeff() < 0.0) continue;
         const auto slots = slots_of_cell_.find(key_of({x, y, z}));
         if (slots == slots_of_cell_.end()) continue;
-        for (const std::int32_t slot : slots->second) visit(slot, found);
+        for (const std::int32_t slot : slots->second) visit(slot);
       }
     }
   }
 }
 
-void TrackStore::visit(std::int32_t slot, std::vector<const Track*>* found) {
+void TrackStore::visit(std::int32_t slot) {
   Entry& entry = entries_[static_cast<std::size_t>(slot)];
   if (entry.visited_by == query_) return;  // it spans several cells
   entry.visited_by = query_;
-  found->push_back(&entry.track);
+  found_.push_back(&entry.track);
 }
 
 void TrackStore::move_to(std::int32_t slot, const CellRange& cells) {

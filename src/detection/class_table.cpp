@@ -1,5 +1,7 @@
 #include "semantic_topo_loop/detection/class_table.h"
 
+#include <algorithm>
+
 namespace semantic_topo_loop::core {
 
 std::optional<ClassTable> ClassTable::create(std::vector<ObjectClass> classes, std::string* error) {
@@ -10,6 +12,10 @@ std::optional<ClassTable> ClassTable::create(std::vector<ObjectClass> classes, s
       if (error != nullptr) *error = "class id " + std::to_string(id) + " is listed twice";
       return std::nullopt;
     }
+  }
+  for (const auto& [id, object_class] : table.classes_) {
+    const bool is_mappable = object_class.role == ClassRole::kStatic || object_class.role == ClassRole::kMovable;
+    if (is_mappable) table.mappable_.push_back(id);
   }
   return table;
 }
@@ -38,10 +44,6 @@ bool ClassTable::confusable(int a, int b) const {
   return class_a != nullptr && class_b != nullptr && !class_a->group.empty() && class_a->group == class_b->group;
 }
 
-bool ClassTable::is_mappable(int id) const {
-  const ObjectClass* object_class = find(id);
-  return object_class != nullptr &&
-         (object_class->role == ClassRole::kStatic || object_class->role == ClassRole::kMovable);
-}
+bool ClassTable::is_mappable(int id) const { return std::binary_search(mappable_.begin(), mappable_.end(), id); }
 
 }  // namespace semantic_topo_loop::core

@@ -101,6 +101,7 @@ struct RgbdFrontend::Impl {
   int next_focal_check = 6;               ///< keyframes of the map
   std::future<BundleProblem> refinement;  ///< of the map around the last image, a keyframe
   std::int64_t images = 0;
+  std::int64_t starts = 0;              ///< maps begun: each counts its points from 0
   std::size_t next_candidate = 0;       ///< of the keyframes that are tried in turn after a loss
   std::optional<TrackedFeatures> last;  ///< the last image that has a pose
   std::int64_t last_tracked_image = -1;
@@ -124,6 +125,7 @@ bool RgbdFrontend::Impl::start(TrackedFeatures* image) {
   image->inliers = image->matches = 0;
   image->points.assign(image->features.size(), -1);
   map = TrackingMap(options, camera);
+  ++starts;
   return true;
 }
 
@@ -237,6 +239,7 @@ void RgbdFrontend::Impl::begin_calibrated_map(TrackedFeatures* image) {
   tracker.set_camera(camera);
   builder.set_camera(camera);
   map = TrackingMap(options, camera);
+  ++starts;
   image->points.assign(image->features.size(), -1);
 }
 
@@ -301,5 +304,19 @@ RgbdFrontend& RgbdFrontend::operator=(RgbdFrontend&&) noexcept = default;
 TrackedImage RgbdFrontend::track(const RgbdImage& image) { return impl_->track(image); }
 
 const Camera& RgbdFrontend::camera() const { return impl_->camera; }
+
+std::vector<SparsePoint> RgbdFrontend::sparse_points() const {
+  constexpr int kPointBits = 40;
+  std::vector<SparsePoint> points;
+  if (!impl_->last) return points;
+  for (const std::int64_t id : impl_->last->points) {
+    const MapPoint* point = id >= 0 ? impl_->map.point(id) : nullptr;
+    if (point == nullptr) continue;
+    points.push_back({(impl_->starts << kPointBits) + id, (impl_->last->T_camera_map * point->position).cast<float>()});
+  }
+  const auto by_id = [](const SparsePoint& a, const SparsePoint& b) { return a.id < b.id; };
+  std::sort(points.begin(), points.end(), by_id);
+  return points;
+}
 
 }  // namespace semantic_topo_loop::core

@@ -91,20 +91,46 @@ class MinCostAssignment {
   Eigen::VectorXd row_potential_, column_potential_;
 };
 
+using Scores = Eigen::Ref<const Eigen::MatrixXd>;
+
+bool is_allowed(double score) { return std::isfinite(score) && score > 0.0; }
+
 /// Rows and columns that allowed pairs join, in order of index.
 struct Component {
   std::vector<int> rows, columns;
 };
 
+/// Pairs of a row and a column that have no other choice, which is most of what there is.
+std::vector<int> lone_pairs(const Scores& score) {
+  constexpr int kNone = -1, kSeveral = -2;
+  std::vector<int> column_of_row(static_cast<std::size_t>(score.rows()), kNone);
+  std::vector<bool> is_shared(static_cast<std::size_t>(score.cols()), false);
+  for (int j = 0; j < score.cols(); ++j) {
+    int rows = 0;
+    for (int i = 0; i < score.rows(); ++i) {
+      if (!is_allowed(score(i, j))) continue;
+      int& column = column_of_row[static_cast<std::size_t>(i)];
+      column = column == kNone ? j : kSeveral;
+      ++rows;
+    }
+    is_shared[static_cast<std::size_t>(j)] = rows > 1;
+  }
+  for (int& column : column_of_row) {
+    if (column == kSeveral || (column >= 0 && is_shared[static_cast<std::size_t>(column)])) column = kNone;
+  }
+  return column_of_row;
+}
+
 /// Scores are mostly forbidden pairs: what no chain of allowed pairs joins can be assigned on its own.
-std::vector<Component> components(const Eigen::MatrixXd& score) {
+/// @param assigned column of each row that is settled, else -1
+std::vector<Component> components(const Scores& score, const std::vector<int>& assigned) {
   std::vector<int> component_of_row(static_cast<std::size_t>(score.rows()), -1);
   std::vector<int> component_of_column(static_cast<std::size_t>(score.cols()), -1);
   std::vector<std::vector<int>> columns_of_row(static_cast<std::size_t>(score.rows()));
   std::vector<std::vector<int>> rows_of_column(static_cast<std::size_t>(score.cols()));
   for (int j = 0; j < score.cols(); ++j) {
     for (int i = 0; i < score.rows(); ++i) {
-      if (!(std::isfinite(score(i, j)) && score(i, j) > 0.0)) continue;
+      if (!is_allowed(score(i, j)) || assigned[static_cast<std::size_t>(i)] >= 0) continue;
       columns_of_row[static_cast<std::size_t>(i)].push_back(j);
       rows_of_column[static_cast<std::size_t>(j)].push_back(i);
     }
@@ -138,20 +164,16 @@ std::vector<Component> components(const Eigen::MatrixXd& score) {
   return result;
 }
 
-void assign(const Eigen::MatrixXd& score, const Component& component, std::vector<int>* column_of_row) {
+void assign(const Scores& score, const Component& component, std::vector<int>* column_of_row) {
   const auto n = static_cast<Eigen::Index>(component.rows.size());
   const auto m = static_cast<Eigen::Index>(component.columns.size());
-  if (n == 1 && m == 1) {
-    (*column_of_row)[static_cast<std::size_t>(component.rows[0])] = component.columns[0];
-    return;
-  }
   const bool transposed = n > m;
   Eigen::MatrixXd cost(std::min(n, m), std::max(n, m));
   for (Eigen::Index i = 0; i < n; ++i) {
     for (Eigen::Index j = 0; j < m; ++j) {
       const double s =
           score(component.rows[static_cast<std::size_t>(i)], component.columns[static_cast<std::size_t>(j)]);
-      (transposed ? cost(j, i) : cost(i, j)) = std::isfinite(s) && s > 0.0 ? -s : 0.0;
+      (transposed ? cost(j, i) : cost(i, j)) = is_allowed(s) ? -s : 0.0;
     }
   }
   const MinCostAssignment solution(cost);
@@ -166,9 +188,9 @@ void assign(const Eigen::MatrixXd& score, const Component& component, std::vecto
 
 }  // namespace
 
-std::vector<int> assign_max(const Eigen::MatrixXd& score) {
-  std::vector<int> column_of_row(static_cast<std::size_t>(score.rows()), -1);
-  for (const Component& component : components(score)) assign(score, component, &column_of_row);
+std::vector<int> assign_max(const Eigen::Ref<const Eigen::MatrixXd>& score) {
+  std::vector<int> column_of_row = lone_pairs(score);
+  for (const Component& component : components(score, column_of_row)) assign(score, component, &column_of_row);
   return column_of_row;
 }
 

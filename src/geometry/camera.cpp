@@ -6,7 +6,8 @@ namespace semantic_topo_loop::core {
 namespace {
 
 /// Displacement that the lens adds to a normalised image point, and its Jacobian.
-void distort_normalised(const std::array<double, 5>& d, const Vec2& p, Vec2* distorted, Eigen::Matrix2d* jacobian) {
+inline void distort_normalised(const std::array<double, 5>& d, const Vec2& p, Vec2* distorted,
+                               Eigen::Matrix2d* jacobian) {
   const double x = p.x(), y = p.y();
   const double r2 = x * x + y * y;
   const double radial = 1.0 + r2 * (d[0] + r2 * (d[1] + r2 * d[4]));
@@ -16,6 +17,22 @@ void distort_normalised(const std::array<double, 5>& d, const Vec2& p, Vec2* dis
   const double cross = 2.0 * x * y * radial_r2 + 2.0 * d[2] * x + 2.0 * d[3] * y;
   *jacobian << radial + 2.0 * x * x * radial_r2 + 2.0 * d[2] * y + 6.0 * d[3] * x, cross, cross,
       radial + 2.0 * y * y * radial_r2 + 6.0 * d[2] * y + 2.0 * d[3] * x;
+}
+
+Vec2 undistort_pixel(const Camera& camera, const Vec2& pixel) {
+  const Vec2 target((pixel.x() - camera.cx) / camera.fx, (pixel.y() - camera.cy) / camera.fy);
+  Vec2 p = target;
+  constexpr int kMaxIterations = 20;
+  for (int i = 0; i < kMaxIterations; ++i) {
+    Vec2 distorted;
+    Eigen::Matrix2d jacobian;
+    distort_normalised(camera.distortion, p, &distorted, &jacobian);
+    if (std::abs(jacobian.determinant()) < 1e-6) break;  // outside the lens model's range
+    const Vec2 step = jacobian.inverse() * (target - distorted);
+    p += step;
+    if (step.squaredNorm() < 1e-14) break;  // converges quadratically: the next step would be 1e-14
+  }
+  return {p.x() * camera.fx + camera.cx, p.y() * camera.fy + camera.cy};
 }
 
 }  // namespace
@@ -46,22 +63,7 @@ bool Camera::has_distortion() const {
   return false;
 }
 
-Vec2 Camera::undistort(const Vec2& pixel) const {
-  if (!has_distortion()) return pixel;
-  const Vec2 target((pixel.x() - cx) / fx, (pixel.y() - cy) / fy);
-  Vec2 p = target;
-  constexpr int kMaxIterations = 20;
-  for (int i = 0; i < kMaxIterations; ++i) {
-    Vec2 distorted;
-    Eigen::Matrix2d jacobian;
-    distort_normalised(distortion, p, &distorted, &jacobian);
-    if (std::abs(jacobian.determinant()) < 1e-6) break;  // outside the lens model's range
-    const Vec2 step = jacobian.inverse() * (target - distorted);
-    p += step;
-    if (step.squaredNorm() < 1e-14) break;  // converges quadratically: the next step would be 1e-14
-  }
-  return {p.x() * fx + cx, p.y() * fy + cy};
-}
+Vec2 Camera::undistort(const Vec2& pixel) const { return has_distortion() ? undistort_pixel(*this, pixel) : pixel; }
 
 Vec2 Camera::distort(const Vec2& pixel) const {
   if (!has_distortion()) return pixel;
@@ -74,8 +76,9 @@ Vec2 Camera::distort(const Vec2& pixel) const {
 Box Camera::undistort(const Box& box) const {
   if (!has_distortion()) return box;
   const Vec2 c = box.center();
-  return {undistort(Vec2(box.x1, c.y())).x(), undistort(Vec2(c.x(), box.y1)).y(), undistort(Vec2(box.x2, c.y())).x(),
-          undistort(Vec2(c.x(), box.y2)).y()};
+  const auto x = [this, &c](double side) { return undistort_pixel(*this, {side, c.y()}).x(); };
+  const auto y = [this, &c](double side) { return undistort_pixel(*this, {c.x(), side}).y(); };
+  return {x(box.x1), y(box.y1), x(box.x2), y(box.y2)};
 }
 
 Mat3 Camera::intrinsics() const {

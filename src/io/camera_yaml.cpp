@@ -1,5 +1,6 @@
 #include "semantic_topo_loop/io/camera_yaml.h"
 
+#include "semantic_topo_loop/io/text_file.h"
 #include "yaml.h"
 
 namespace semantic_topo_loop::core {
@@ -48,6 +49,20 @@ std::optional<Camera> read_camera(const std::string& path, std::string* error) {
   std::optional<Camera> camera = parse_camera(path, &problem);
   if (!camera && error != nullptr) *error = problem;
   return camera;
+}
+
+std::string format_camera(const Camera& camera) {
+  constexpr int kDigits = 15;
+  std::string text;
+  for (const auto& [key, value] : {std::pair("fx", camera.fx), std::pair("fy", camera.fy), std::pair("cx", camera.cx),
+                                   std::pair("cy", camera.cy)}) {
+    text += std::string(key) + ": " + format_general(value, kDigits) + "\n";
+  }
+  text += "width: " + std::to_string(camera.width) + "\nheight: " + std::to_string(camera.height) + "\ndistortion: [";
+  for (std::size_t i = 0; i < camera.distortion.size(); ++i) {
+    text += (i == 0 ? "" : ", ") + format_general(camera.distortion[i], kDigits);
+  }
+  return text + "]  # k1, k2, p1, p2, k3\n";
 }
 
 }  // namespace semantic_topo_loop::core

@@ -96,8 +96,10 @@ class Reader {
     }
     for (std::size_t i = 1 + ids; i < fields.size(); ++i) {
       const std::optional<double> value = parse_double(fields[i]);
-      if (!value || !std::isfinite(*value)) {
+      constexpr double kMax = 1e30;  // the error of an edge, squared and weighed, must stay finite
+      if (!value || !(std::abs(*value) <= kMax)) {
         *problem = std::string(fields.front()) + named(*id) + ": '" + std::string(fields[i]) + "' is no finite number";
+        if (value && std::isfinite(*value)) *problem += " below 1e30";
         return false;
       }
       values->push_back(*value);

@@ -83,4 +83,11 @@ std::optional<RgbdImage> read_rgbd_image(const RgbdFile& file, const Camera& cam
   return image;
 }
 
+std::optional<RgbdReading> RgbdFolder::next(std::string* /*fault*/) {
+  if (index_ == files_.size()) return std::nullopt;
+  RgbdReading reading;
+  reading.image = read_rgbd_image(files_[index_++], camera_, options_, &reading.error);
+  return reading;
+}
+
 }  // namespace semantic_topo_loop::core

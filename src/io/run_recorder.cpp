@@ -70,6 +70,8 @@ nlohmann::json to_json(const std::optional<Relocalisation>& relocalisation) {
   return {{"earlier_map_from_odom", pose}, {"agreeing", relocalisation->agreeing}, {"accepted", relocalisation->total}};
 }
 
+bool has_scale(const LoopClosure& loop) { return loop.scale_covariance(6) > 0.0; }
+
 nlohmann::json to_json(const TrackingReport& tracking) {
   return {{"total", tracking.images},          {"tracked", tracking.tracked}, {"relocalised", tracking.relocalised},
           {"started_anew", tracking.restarts}, {"lost", tracking.lost},       {"unusable", tracking.unusable},
@@ -83,6 +85,7 @@ bool is_in_earlier_map(const LoopClosure& loop) { return loop.T_earlier_match.ha
 void RunRecorder::record(const Frame& frame) {
   if (frame.is_end) return;
   Frame& kept = frames_.insert_or_assign(frame.frame_id, frame).first->second;
+  kept.keyframe_points.reset();
   kept.points_camera.reset();  // no file has them, and those of a long run fill the memory
   if (frame.is_keyframe) keyframe_frames_[frame.keyframe_id] = frame.frame_id;
 }
@@ -103,6 +106,7 @@ void RunRecorder::record(const MapUpdate& update) {
 void RunRecorder::record(std::int64_t frame_id, const std::vector<LoopClosure>& loops, double loop_us) {
   timing_[frame_id].loop_us = loop_us;
   has_earlier_map_ = has_earlier_map_ || std::any_of(loops.begin(), loops.end(), is_in_earlier_map);
+  has_loop_scales_ = has_loop_scales_ || std::any_of(loops.begin(), loops.end(), has_scale);
   if (!loops.empty()) loops_.insert_or_assign(frame_id, loops);
 }
 
@@ -112,9 +116,9 @@ void RunRecorder::record(const MapCorrection& correction) {
   if (!correction.changed) return;
   ++corrections_;
   correction_ = correction;
-  T_map_keyframe_.clear();
+  S_map_keyframe_.clear();
   for (const KeyframePose& keyframe : correction.keyframes) {
-    T_map_keyframe_.insert_or_assign(keyframe.keyframe_id, keyframe.T_map_camera);
+    S_map_keyframe_.insert_or_assign(keyframe.keyframe_id, Sim3(keyframe.T_map_camera, keyframe.scale));
   }
 }
 
@@ -124,13 +128,13 @@ SE3 RunRecorder::live_map_from_odom(std::int64_t frame_id) const {
 }
 
 SE3 RunRecorder::final_pose(const Frame& frame) const {
-  const auto solution = T_map_keyframe_.find(frame.keyframe_id);
+  const auto solution = S_map_keyframe_.find(frame.keyframe_id);
   const auto keyframe_frame = keyframe_frames_.find(frame.keyframe_id);
-  if (solution == T_map_keyframe_.end() || keyframe_frame == keyframe_frames_.end()) {
+  if (solution == S_map_keyframe_.end() || keyframe_frame == keyframe_frames_.end()) {
     return (T_map_odom_.empty() ? SE3() : T_map_odom_.rbegin()->second) * frame.T_odom_camera;
   }
   const SE3& T_odom_keyframe = frames_.at(keyframe_frame->second).T_odom_camera;
-  return solution->second * (T_odom_keyframe.inverse() * frame.T_odom_camera);
+  return solution->second.pose(T_odom_keyframe.inverse() * frame.T_odom_camera);
 }
 
 std::string RunRecorder::trajectory(bool live) const {
@@ -197,6 +201,33 @@ std::string RunRecorder::loop_verdicts() const {
                 .add(verdict.kept ? 1 : 0)
                 .add(verdict.reason.empty() ? "kept" : verdict.reason)
                 .end();
+  }
+  return text;
+}
+
+std::string RunRecorder::scales() const {
+  std::string text = "keyframe_id,frame_id,scale\n";
+  for (const auto& [keyframe_id, frame_id] : keyframe_frames_) {
+    const auto solution = S_map_keyframe_.find(keyframe_id);
+    if (solution == S_map_keyframe_.end()) continue;
+    text += CsvRow().add(keyframe_id).add(frame_id).add(solution->second.scale, kRatioDecimals).end();
+  }
+  return text;
+}
+
+std::string RunRecorder::loop_scales() const {
+  std::string text = "query_frame,match_frame,accepted,scale,sigma_log\n";
+  for (const auto& [frame_id, candidates] : loops_) {
+    for (const LoopClosure& loop : candidates) {
+      if (!has_scale(loop)) continue;
+      text += CsvRow()
+                  .add(loop.query_frame)
+                  .add(loop.match_frame)
+                  .add(loop.accepted ? 1 : 0)
+                  .add(loop.scale, kRatioDecimals)
+                  .add(std::sqrt(loop.scale_covariance(6)), kRatioDecimals)
+                  .end();
+    }
   }
   return text;
 }
@@ -289,6 +320,10 @@ bool RunRecorder::write(const std::string& directory, std::string* error) const 
                                                             {"timing.csv", timing()},
                                                             {"summary.json", summary()}};
   if (has_earlier_map_) files.emplace_back("relocalisations.csv", loops(true));
+  const bool has_scales = std::any_of(S_map_keyframe_.begin(), S_map_keyframe_.end(),
+                                      [](const auto& keyframe) { return keyframe.second.scale != 1.0; });
+  if (has_scales) files.emplace_back("scales.csv", scales());
+  if (has_loop_scales_) files.emplace_back("loop_scales.csv", loop_scales());
   if (!make_directory(directory, error)) return false;
   for (const auto& [name, text] : files) {
     if (!write_text_file(directory + "/" + name, text, error)) return false;

@@ -48,20 +48,6 @@ std::vector<LabelledPoint> graph_of(const LocalMap& map) {
   return points;
 }
 
-/// The submap in another unit of length; boxes on the plane z = 1 do not depend on it.
-LocalMap rescaled(LocalMap map, double scale) {
-  for (LocalFrame& frame : map.frames) {
-    frame.position *= scale;
-    frame.t_camera_local *= scale;
-  }
-  for (LocalObject& object : map.objects) {
-    object.spheroid.center *= scale;
-    object.spheroid.log_axes.array() += std::log(scale);
-    object.covariance *= scale * scale;
-  }
-  return map;
-}
-
 /// The query in the match's unit of length; `scaled` holds it if that is another one.
 const LocalMap& in_unit(const LocalMap& query, double scale, std::optional<LocalMap>* scaled) {
   return scale == 1.0 ? query : scaled->emplace(rescaled(query, scale));

@@ -67,8 +67,8 @@ std::map<int, std::vector<BoxRay>> rays_by_label(const std::vector<LocalFrame>& 
     for (const ObservedBox& box : frames[f].boxes) {
       const Vec2 center = box.box.center();
       const Vec3 direction = frames[f].R_camera_local.transpose() * Vec3(center.x(), center.y(), 1.0).normalized();
-      rays[box.label].push_back({static_cast<int>(f), redirects.resolve(box.landmark_id), box.class_id, box.box,
-                                 box.truncated == 0, direction});
+      rays[box.label].push_back({static_cast<int>(f), redirects.resolve(box.landmark_id), box.track_id, box.class_id,
+                                 box.box, box.truncated == 0, direction});
     }
   }
   return rays;
@@ -206,6 +206,19 @@ bool in_view(const LocalFrame& frame, const Vec3& point, double max_depth_m) {
   const double mx = kViewMargin * frame.image.width(), my = kViewMargin * frame.image.height();
   const double u = p.x() / p.z(), v = p.y() / p.z();
   return u > frame.image.x1 + mx && u < frame.image.x2 - mx && v > frame.image.y1 + my && v < frame.image.y2 - my;
+}
+
+LocalMap rescaled(LocalMap map, double scale) {
+  for (LocalFrame& frame : map.frames) {
+    frame.position *= scale;
+    frame.t_camera_local *= scale;
+  }
+  for (LocalObject& object : map.objects) {
+    object.spheroid.center *= scale;
+    object.spheroid.log_axes.array() += std::log(scale);
+    object.covariance *= scale * scale;
+  }
+  return map;
 }
 
 LocalMapBuilder::LocalMapBuilder(const LoopOptions& options)

@@ -26,6 +26,7 @@ void set_alignment(const LocalMap& match, const LocalMap& query, const GraphMatc
   loop->inliers = static_cast<int>(alignment.pairs.size());
   loop->labels = alignment.classes;
   loop->T_match_query = alignment.T_a_b;
+  loop->scale = alignment.scale;
   loop->matches.clear();
   for (const NodePair& pair : alignment.pairs) {
     loop->matches.push_back({query.objects[static_cast<std::size_t>(pair.b)].landmark_id,
@@ -49,6 +50,8 @@ void refine_and_decide(const LocalMap& match, const LocalMap& query, const Graph
   }
   loop->T_match_query = refined->T_a_b;
   loop->covariance = refined->covariance;
+  loop->scale *= refined->scale;
+  loop->scale_covariance = refined->scale_covariance;
   if (loop->sigma_m > options.max_sigma_m || loop->sigma_deg > options.max_sigma_deg) return;
   loop->reason = LoopReason::kAccepted;
   loop->accepted = true;

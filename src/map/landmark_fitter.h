@@ -1,5 +1,8 @@
 #pragma once
 
+#include <optional>
+#include <vector>
+
 #include "mapped_landmark.h"
 #include "semantic_topo_loop/detection/class_table.h"
 #include "semantic_topo_loop/map/mapper_options.h"
@@ -17,6 +20,7 @@ class LandmarkFitter {
   bool fit(const ViewSource& source, MappedLandmark* landmark) const;
 
  private:
+  std::optional<Ellipsoid> start(const Camera& camera, const std::vector<BoxView>& views, const Landmark& state) const;
   std::vector<BoxView> fit_views(const ViewSource& source, const MappedLandmark& landmark) const;
   bool is_sane(const QuadricFit& fit, int class_id) const;
 

@@ -4,6 +4,11 @@
 #include <cmath>
 
 namespace semantic_topo_loop::core {
+namespace {
+
+constexpr double kTransparentShare = 0.1;
+
+}  // namespace
 
 double landmark_quality(const MappedLandmark& landmark) {
   const Landmark& state = landmark.state;
@@ -18,6 +23,11 @@ LandmarkState life_cycle_state(const MappedLandmark& landmark, const QuadricMapp
   const double seen_share = sightings.seen_share();
   // What is hardly ever seen was never there; what was often seen and is no longer has gone. The second counts the
   // sightings missed since, so that an object that is seldom detected is given more time.
+  // Where depth shows what lies behind it, it is not; unless that was so while it had boxes, too.
+  if (sightings.transparent_s < kTransparentShare * sightings.seen_s &&
+      sightings.seen_through_since_s > options.retire_seen_through_s) {
+    return LandmarkState::kRetired;
+  }
   if ((sightings.expected_s > options.retire_expected_s && seen_share < options.retire_seen_share) ||
       (is_movable && sightings.missed_since_s * sightings.familiar_share() > options.retire_missed_s)) {
     return LandmarkState::kRetired;

@@ -4,13 +4,18 @@
 #include <array>
 #include <cstdint>
 #include <map>
+#include <memory>
 #include <vector>
 
 #include "semantic_topo_loop/geometry/camera.h"
+#include "semantic_topo_loop/geometry/sim3.h"
 #include "semantic_topo_loop/map/landmark.h"
 #include "semantic_topo_loop/map/quadric_fit.h"
 
 namespace semantic_topo_loop::core {
+
+/// S_map_keyframe by keyframe_id; the scale, 1 unless it is free, is the map's units of length in one of the odometry.
+using KeyframePlaces = std::map<std::int64_t, Sim3>;
 
 /// A box of a landmark, hung on the keyframe of its frame so that it follows corrections.
 struct Observation {
@@ -21,6 +26,7 @@ struct Observation {
   Box box;
   std::uint8_t truncated = 0;
   int class_id = -1;
+  std::shared_ptr<const Surface> surface;  ///< what depth there was inside the box; null without
 };
 
 /// How long a landmark was seen and should have been. Time, not counts, so that 6 Hz and 30 Hz behave alike.
@@ -30,6 +36,9 @@ struct Sightings {
   double expected_s = 0.0;  ///< in view, large enough and not hidden
   /// Expected from where it had been seen before: with a box, without one, and without one since the last box.
   double familiar_seen_s = 0.0, familiar_missed_s = 0.0, missed_since_s = 0.0;
+  /// In view where depth shows what lies behind it: while it had a box (it has holes, or is misplaced), and without a
+  /// box since the last one (it has gone).
+  double transparent_s = 0.0, seen_through_since_s = 0.0;
 
   double seen_share() const { return expected_s > 0.0 ? seen_s / expected_s : 1.0; }
   /// Of the familiar views, those with a box; without the last absence, which says nothing of the time before.
@@ -42,12 +51,14 @@ struct Sightings {
     whole_s += other.whole_s;
     familiar_seen_s += other.familiar_seen_s;
     familiar_missed_s += other.familiar_missed_s;
+    transparent_s += other.transparent_s;
   }
   void remove(const Sightings& other) {
     seen_s -= other.seen_s;
     whole_s -= other.whole_s;
     familiar_seen_s -= other.familiar_seen_s;
     familiar_missed_s -= other.familiar_missed_s;
+    transparent_s -= other.transparent_s;
   }
 };
 
@@ -102,13 +113,14 @@ struct MappedLandmark {
 /// The corrected keyframes and the camera: what turns observations into views.
 class ViewSource {
  public:
-  ViewSource(const Camera& camera, const std::map<std::int64_t, SE3>& T_map_keyframe)
-      : camera_(camera), T_map_keyframe_(T_map_keyframe) {}
+  ViewSource(const Camera& camera, const KeyframePlaces& S_map_keyframe)
+      : camera_(camera), S_map_keyframe_(S_map_keyframe) {}
 
   const Camera& camera() const { return camera_; }
   BoxView view(const Observation& observation) const {
-    return {T_map_keyframe_.at(observation.keyframe_id) * observation.T_keyframe_camera, observation.box,
-            observation.truncated};
+    const Sim3& S_map_keyframe = S_map_keyframe_.at(observation.keyframe_id);
+    return {S_map_keyframe.pose(observation.T_keyframe_camera), observation.box, observation.truncated,
+            scaled(observation.surface, S_map_keyframe.scale)};
   }
   std::vector<BoxView> views(const std::vector<Observation>& observations) const {
     std::vector<BoxView> result;
@@ -118,8 +130,16 @@ class ViewSource {
   }
 
  private:
+  /// Depth is in the odometry's unit of length, as its translations are.
+  static std::shared_ptr<const Surface> scaled(const std::shared_ptr<const Surface>& surface, double scale) {
+    if (!surface || scale == 1.0) return surface;
+    auto result = std::make_shared<Surface>(*surface);
+    for (Eigen::Vector3f& point : *result) point *= static_cast<float>(scale);
+    return result;
+  }
+
   const Camera& camera_;
-  const std::map<std::int64_t, SE3>& T_map_keyframe_;
+  const KeyframePlaces& S_map_keyframe_;
 };
 
 /// Up to `count` elements, evenly spread, first and last included.

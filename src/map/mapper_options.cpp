@@ -19,7 +19,7 @@ bool QuadricMapperOptions::is_valid(std::string* error) const {
        {std::pair("refit_growth", refit_growth), std::pair("max_depth_m", max_depth_m),
         std::pair("max_semi_axis_m", max_semi_axis_m), std::pair("maintenance_interval_s", maintenance_interval_s),
         std::pair("forget_candidate_s", forget_candidate_s), std::pair("retire_expected_s", retire_expected_s),
-        std::pair("retire_missed_s", retire_missed_s)}) {
+        std::pair("retire_missed_s", retire_missed_s), std::pair("retire_seen_through_s", retire_seen_through_s)}) {
     if (!(value > 0.0)) return fail(name, value, "> 0");
   }
   for (const auto& [name, value] :

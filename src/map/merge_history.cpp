@@ -6,7 +6,7 @@
 namespace semantic_topo_loop::core {
 namespace {
 
-Remains remains_of(const std::map<std::int64_t, SE3>& T_map_keyframe, const MappedLandmark& landmark) {
+Remains remains_of(const KeyframePlaces& S_map_keyframe, const MappedLandmark& landmark) {
   Remains remains;
   remains.landmark.state = landmark.state;
   remains.landmark.seen_beside = landmark.seen_beside;
@@ -14,28 +14,29 @@ Remains remains_of(const std::map<std::int64_t, SE3>& T_map_keyframe, const Mapp
   remains.landmark.seen_from = landmark.seen_from;
   remains.landmark.last_stamp_ns = landmark.last_stamp_ns;
   remains.landmark.next_fit_at = landmark.next_fit_at;
-  const auto anchor = T_map_keyframe.find(landmark.state.anchor_keyframe_id);
-  if (landmark.state.ellipsoid && anchor != T_map_keyframe.end()) {
-    remains.T_anchor_quadric = anchor->second.inverse() * landmark.state.ellipsoid->T_world_quadric;
+  const auto anchor = S_map_keyframe.find(landmark.state.anchor_keyframe_id);
+  if (landmark.state.ellipsoid && anchor != S_map_keyframe.end()) {
+    remains.T_anchor_quadric = anchor->second.inverse().pose(landmark.state.ellipsoid->T_world_quadric);
+    remains.anchor_scale = anchor->second.scale;
   }
   return remains;
 }
 
-MappedLandmark restore(const std::map<std::int64_t, SE3>& T_map_keyframe, const Remains& remains) {
+MappedLandmark restore(const KeyframePlaces& S_map_keyframe, const Remains& remains) {
   MappedLandmark landmark = remains.landmark;
-  landmark.state.ellipsoid = MergeHistory::place(T_map_keyframe, remains);
+  landmark.state.ellipsoid = MergeHistory::place(S_map_keyframe, remains);
   landmark.fit_due = landmark.state.mean_iou > 0.0;  // it was fitted in the map that has just been corrected
   return landmark;
 }
 
 }  // namespace
 
-std::optional<Ellipsoid> MergeHistory::place(const std::map<std::int64_t, SE3>& T_map_keyframe,
-                                             const Remains& remains) {
+std::optional<Ellipsoid> MergeHistory::place(const KeyframePlaces& S_map_keyframe, const Remains& remains) {
   const Landmark& state = remains.landmark.state;
-  const auto anchor = T_map_keyframe.find(state.anchor_keyframe_id);
-  if (!state.ellipsoid || anchor == T_map_keyframe.end()) return state.ellipsoid;
-  return Ellipsoid{anchor->second * remains.T_anchor_quadric, state.ellipsoid->semi_axes};
+  const auto anchor = S_map_keyframe.find(state.anchor_keyframe_id);
+  if (!state.ellipsoid || anchor == S_map_keyframe.end()) return state.ellipsoid;
+  return Ellipsoid{anchor->second.pose(remains.T_anchor_quadric),
+                   anchor->second.scale / remains.anchor_scale * state.ellipsoid->semi_axes};
 }
 
 std::int64_t MergeHistory::resolve(std::int64_t id) const {
@@ -43,12 +44,11 @@ std::int64_t MergeHistory::resolve(std::int64_t id) const {
   return id;
 }
 
-void MergeHistory::join(const std::map<std::int64_t, SE3>& T_map_keyframe, MappedLandmark merged,
-                        MappedLandmark* survivor) {
+void MergeHistory::join(const KeyframePlaces& S_map_keyframe, MappedLandmark merged, MappedLandmark* survivor) {
   MergeRecord record;
   record.merge = {merged.state.id, survivor->state.id};
-  record.merged = remains_of(T_map_keyframe, merged);
-  record.survivor = remains_of(T_map_keyframe, *survivor);
+  record.merged = remains_of(S_map_keyframe, merged);
+  record.survivor = remains_of(S_map_keyframe, *survivor);
   for (const Observation& observation : merged.observations) record.sources.push_back(observation.source_id);
   std::sort(record.sources.begin(), record.sources.end());
   record.sources.erase(std::unique(record.sources.begin(), record.sources.end()), record.sources.end());
@@ -66,19 +66,19 @@ void MergeHistory::join(const std::map<std::int64_t, SE3>& T_map_keyframe, Mappe
   survivor->sightings.expected_s = std::max(survivor->sightings.expected_s, merged.sightings.expected_s);
   if (merged.last_stamp_ns > survivor->last_stamp_ns) {
     survivor->sightings.missed_since_s = merged.sightings.missed_since_s;
+    survivor->sightings.seen_through_since_s = merged.sightings.seen_through_since_s;
     survivor->last_stamp_ns = merged.last_stamp_ns;
   }
   survivor->seen_from.add(merged.seen_from);
   for (const auto& [id, count] : merged.seen_beside) survivor->seen_beside[id] += count;
 }
 
-MappedLandmark MergeHistory::split(const std::map<std::int64_t, SE3>& T_map_keyframe, std::size_t index,
-                                   MappedLandmark* survivor) {
+MappedLandmark MergeHistory::split(const KeyframePlaces& S_map_keyframe, std::size_t index, MappedLandmark* survivor) {
   const MergeRecord record = std::move(records_[index]);
   records_.erase(records_.begin() + static_cast<std::ptrdiff_t>(index));
   survivor_of_.erase(record.merge.merged_id);
 
-  MappedLandmark merged = restore(T_map_keyframe, record.merged);
+  MappedLandmark merged = restore(S_map_keyframe, record.merged);
   const auto belongs_to_merged = [&record](const Observation& observation) {
     return std::binary_search(record.sources.begin(), record.sources.end(), observation.source_id);
   };
@@ -88,7 +88,7 @@ MappedLandmark MergeHistory::split(const std::map<std::int64_t, SE3>& T_map_keyf
 
   const MappedLandmark& before = record.survivor.landmark;
   if (survivor->state.observations == before.state.observations + merged.state.observations) {
-    MappedLandmark restored = restore(T_map_keyframe, record.survivor);
+    MappedLandmark restored = restore(S_map_keyframe, record.survivor);
     restored.observations = std::move(survivor->observations);
     *survivor = std::move(restored);
     return merged;

@@ -11,7 +11,8 @@ namespace semantic_topo_loop::core {
 /// A landmark as it was, without its observations, which stay with the survivor of the merge.
 struct Remains {
   MappedLandmark landmark;
-  SE3 T_anchor_quadric;  ///< so that it can follow its keyframe meanwhile
+  SE3 T_anchor_quadric;       ///< so that it can follow its keyframe meanwhile; in the odometry's unit of length
+  double anchor_scale = 1.0;  ///< of its keyframe when it was given its semi-axes
 };
 
 struct MergeRecord {
@@ -24,15 +25,15 @@ struct MergeRecord {
 class MergeHistory {
  public:
   /// Moves everything that `merged` has seen into `survivor`.
-  void join(const std::map<std::int64_t, SE3>& T_map_keyframe, MappedLandmark merged, MappedLandmark* survivor);
+  void join(const KeyframePlaces& S_map_keyframe, MappedLandmark merged, MappedLandmark* survivor);
   /// Takes back the last merge into `survivor` made, which must exist: the survivor gives up what it had taken over,
   /// and if nothing was added since, it is what it was.
   /// @return the landmark that comes back, its ellipsoid where its keyframe now is
-  MappedLandmark split(const std::map<std::int64_t, SE3>& T_map_keyframe, std::size_t record, MappedLandmark* survivor);
+  MappedLandmark split(const KeyframePlaces& S_map_keyframe, std::size_t record, MappedLandmark* survivor);
 
   const std::vector<MergeRecord>& records() const { return records_; }
   /// Where a landmark's remains stand now; nullopt without an ellipsoid.
-  static std::optional<Ellipsoid> place(const std::map<std::int64_t, SE3>& T_map_keyframe, const Remains& remains);
+  static std::optional<Ellipsoid> place(const KeyframePlaces& S_map_keyframe, const Remains& remains);
   /// The landmark that an id has become.
   std::int64_t resolve(std::int64_t id) const;
 

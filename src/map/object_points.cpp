@@ -6,8 +6,11 @@
 #include <pcl/search/kdtree.h>
 #include <pcl/segmentation/extract_clusters.h>
 
+#include <algorithm>
+#include <array>
 #include <cmath>
-#include <limits>
+
+#include "semantic_topo_loop/geometry/plane.h"
 
 namespace semantic_topo_loop::core {
 namespace {
@@ -15,15 +18,76 @@ namespace {
 using Cloud = pcl::PointCloud<pcl::PointXYZ>;
 
 constexpr std::size_t kMinPoints = 5;
+constexpr std::size_t kPointsMax = 400;  // around a box: more make nothing better and every step slower
+constexpr double kRing = 0.25;           // of the box's sides, on each side: what lies around the object
+constexpr int kPlanesMax = 2;            // table and wall
+constexpr int kHypotheses = 40;
+constexpr double kPlaneShare = 0.3;  // of the points around the box, from which on a plane is the object's support
+constexpr double kMiddle = 0.8;      // of the box: the ellipse that a convex object fills
+constexpr double kFlatShare = 0.15;  // of the middle above the support, below which the object is flat
+constexpr int kSurfaceCells = 3;     // along each side of the box
 
-Cloud::Ptr points_in_box(const std::vector<Vec3>& points_camera, const Camera& camera, const Box& box) {
+/// 0 in the middle of the box, 1 on the ellipse that touches its sides.
+double eccentricity(const Vec2& pixel, const Box& box) {
+  const Vec2 offset = pixel - box.center();
+  return std::hypot(2.0 * offset.x() / box.width(), 2.0 * offset.y() / box.height());
+}
+
+/// What is around and in a box.
+struct Neighbourhood {
+  std::vector<SeenPoint> inside;
+  std::vector<Vec3> around;
+};
+
+Neighbourhood look(const FramePoints& points, const Box& box) {
+  const double dx = kRing * box.width(), dy = kRing * box.height();
+  Neighbourhood result;
+  for (const SeenPoint& p : points.in({box.x1 - dx, box.y1 - dy, box.x2 + dx, box.y2 + dy}, kPointsMax)) {
+    const bool is_inside =
+        p.pixel.x() >= box.x1 && p.pixel.x() <= box.x2 && p.pixel.y() >= box.y1 && p.pixel.y() <= box.y2;
+    if (is_inside) {
+      result.inside.push_back(p);
+    } else {
+      result.around.push_back(p.point_camera);
+    }
+  }
+  return result;
+}
+
+template <class Point, class Position>
+void remove_plane(const Plane& plane, Position position, std::vector<Point>* points) {
+  const auto lies_in = [&](const Point& point) {
+    const Vec3& p = position(point);
+    return std::abs(plane.distance(p)) <= plane_tolerance_m(p.z());
+  };
+  points->erase(std::remove_if(points->begin(), points->end(), lies_in), points->end());
+}
+
+/// The points inside the box that belong to none of the planes that go on around it.
+std::vector<SeenPoint> without_supports(Neighbourhood neighbourhood) {
+  const auto least = static_cast<std::size_t>(kPlaneShare * static_cast<double>(neighbourhood.around.size()));
+  for (int i = 0; i < kPlanesMax && neighbourhood.around.size() > std::max(kMinPoints, least); ++i) {
+    const double share = static_cast<double>(least) / static_cast<double>(neighbourhood.around.size());
+    const std::optional<Plane> plane = dominant_plane(neighbourhood.around, kHypotheses, share);
+    if (!plane) break;
+    const auto of_point = [](const Vec3& p) -> const Vec3& { return p; };
+    const auto of_seen = [](const SeenPoint& p) -> const Vec3& { return p.point_camera; };
+    remove_plane(*plane, of_point, &neighbourhood.around);
+    remove_plane(*plane, of_seen, &neighbourhood.inside);
+  }
+  return std::move(neighbourhood.inside);
+}
+
+std::size_t in_middle(const std::vector<SeenPoint>& points, const Box& box) {
+  return static_cast<std::size_t>(std::count_if(
+      points.begin(), points.end(), [&](const SeenPoint& p) { return eccentricity(p.pixel, box) < kMiddle; }));
+}
+
+Cloud::Ptr to_cloud(const std::vector<SeenPoint>& points) {
   Cloud::Ptr cloud(new Cloud);
-  for (const Vec3& p : points_camera) {
-    if (!p.allFinite() || !(p.z() > 0.0)) continue;
-    const double u = camera.fx * p.x() / p.z() + camera.cx;
-    const double v = camera.fy * p.y() / p.z() + camera.cy;
-    if (u < box.x1 || u > box.x2 || v < box.y1 || v > box.y2) continue;
-    cloud->push_back({static_cast<float>(p.x()), static_cast<float>(p.y()), static_cast<float>(p.z())});
+  for (const SeenPoint& p : points) {
+    const Eigen::Vector3f q = p.point_camera.cast<float>();
+    cloud->push_back({q.x(), q.y(), q.z()});
   }
   return cloud;
 }
@@ -38,25 +102,7 @@ Cloud::Ptr without_outliers(const Cloud::Ptr& cloud) {
   return filtered;
 }
 
-/// Mean distance of the cluster's projections from the middle of the box, in box sizes.
-double offset(const Cloud& cloud, const pcl::PointIndices& cluster, const Camera& camera, const Box& box) {
-  double sum = 0.0;
-  for (const int index : cluster.indices) {
-    const pcl::PointXYZ& p = cloud[static_cast<std::size_t>(index)];
-    const Vec2 pixel(camera.fx * p.x / p.z + camera.cx, camera.fy * p.y / p.z + camera.cy);
-    sum += (pixel - box.center()).norm() / box.size();
-  }
-  return sum / static_cast<double>(cluster.indices.size());
-}
-
-}  // namespace
-
-std::vector<Vec3> object_points(const std::vector<Vec3>& points_camera, const Camera& camera, const Box& box) {
-  const Cloud::Ptr in_box = points_in_box(points_camera, camera, box);
-  if (in_box->size() < kMinPoints || !box.is_valid()) return {};
-  const Cloud::Ptr cloud = without_outliers(in_box);
-  if (cloud->size() < kMinPoints) return {};
-
+std::vector<pcl::PointIndices> clusters(const Cloud::Ptr& cloud, const Camera& camera, const Box& box) {
   double mean_depth = 0.0;
   for (const pcl::PointXYZ& p : *cloud) mean_depth += p.z / static_cast<double>(cloud->size());
   pcl::search::KdTree<pcl::PointXYZ>::Ptr tree(new pcl::search::KdTree<pcl::PointXYZ>);
@@ -67,26 +113,77 @@ std::vector<Vec3> object_points(const std::vector<Vec3>& points_camera, const Ca
   clustering.setMinClusterSize(static_cast<int>(kMinPoints));
   clustering.setSearchMethod(tree);
   clustering.setInputCloud(cloud);
-  std::vector<pcl::PointIndices> clusters;
-  clustering.extract(clusters);
+  std::vector<pcl::PointIndices> found;
+  clustering.extract(found);
+  return found;
+}
 
-  const pcl::PointIndices* best = nullptr;
-  double best_offset = std::numeric_limits<double>::infinity();
-  for (const pcl::PointIndices& cluster : clusters) {
-    const double value = offset(*cloud, cluster, camera, box);
-    if (value < best_offset) {
-      best_offset = value;
-      best = &cluster;
+/// How much of the box's middle a cluster fills.
+double weight(const Cloud& cloud, const pcl::PointIndices& cluster, const Camera& camera, const Box& box) {
+  double sum = 0.0;
+  for (const int index : cluster.indices) {
+    const pcl::PointXYZ& p = cloud[static_cast<std::size_t>(index)];
+    const Vec2 pixel(camera.fx * p.x / p.z + camera.cx, camera.fy * p.y / p.z + camera.cy);
+    const double e = eccentricity(pixel, box);
+    sum += std::max(0.0, 1.0 - e * e);
+  }
+  return sum;
+}
+
+std::vector<Vec3> middle_cluster(const std::vector<SeenPoint>& seen, const Camera& camera, const Box& box) {
+  const Cloud::Ptr cloud = without_outliers(to_cloud(seen));
+  std::vector<Vec3> points;
+  if (cloud->size() < kMinPoints) return points;
+  double most = 0.0;
+  for (const pcl::PointIndices& cluster : clusters(cloud, camera, box)) {
+    const double value = weight(*cloud, cluster, camera, box);
+    if (value <= most) continue;
+    most = value;
+    points.clear();
+    for (const int index : cluster.indices) {
+      const pcl::PointXYZ& p = (*cloud)[static_cast<std::size_t>(index)];
+      points.emplace_back(p.x, p.y, p.z);
     }
   }
-  std::vector<Vec3> points;
-  if (best == nullptr) return points;
-  points.reserve(best->indices.size());
-  for (const int index : best->indices) {
-    const pcl::PointXYZ& p = (*cloud)[static_cast<std::size_t>(index)];
-    points.emplace_back(p.x, p.y, p.z);
-  }
   return points;
+}
+
+}  // namespace
+
+std::vector<Vec3> object_points(const FramePoints& points, const Box& box) {
+  if (!box.is_valid()) return {};
+  Neighbourhood neighbourhood = look(points, box);
+  if (neighbourhood.inside.size() < kMinPoints) return {};
+  std::vector<SeenPoint> all = neighbourhood.inside;
+  const std::vector<SeenPoint> above = without_supports(std::move(neighbourhood));
+  const double share = static_cast<double>(in_middle(above, box)) / static_cast<double>(in_middle(all, box) + 1);
+  if (above.size() >= kMinPoints && share >= kFlatShare) return middle_cluster(above, points.camera(), box);
+  all.erase(
+      std::remove_if(all.begin(), all.end(), [&](const SeenPoint& p) { return eccentricity(p.pixel, box) >= kMiddle; }),
+      all.end());
+  return all.size() < kMinPoints ? std::vector<Vec3>{} : middle_cluster(all, points.camera(), box);
+}
+
+std::shared_ptr<const Surface> make_surface(const std::vector<Vec3>& object_points_camera, const Camera& camera,
+                                            const Box& box) {
+  std::array<std::vector<Vec3>, kSurfaceCells * kSurfaceCells> cells;
+  for (const Vec3& p : object_points_camera) {
+    const Vec2 pixel(camera.fx * p.x() / p.z() + camera.cx, camera.fy * p.y() / p.z() + camera.cy);
+    if (eccentricity(pixel, box) >= kMiddle) continue;
+    const auto cell = [](double share) {
+      return std::clamp(static_cast<int>(share * kSurfaceCells), 0, kSurfaceCells - 1);
+    };
+    const int column = cell((pixel.x() - box.x1) / box.width()), row = cell((pixel.y() - box.y1) / box.height());
+    cells[static_cast<std::size_t>(row * kSurfaceCells + column)].push_back(p);
+  }
+  Surface surface;
+  for (std::vector<Vec3>& cell : cells) {
+    if (cell.empty()) continue;
+    const auto middle = cell.begin() + static_cast<std::ptrdiff_t>(cell.size() / 2);
+    std::nth_element(cell.begin(), middle, cell.end(), [](const Vec3& a, const Vec3& b) { return a.z() < b.z(); });
+    surface.push_back(middle->cast<float>());
+  }
+  return surface.empty() ? nullptr : std::make_shared<const Surface>(std::move(surface));
 }
 
 }  // namespace semantic_topo_loop::core

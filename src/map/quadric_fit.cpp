@@ -10,6 +10,7 @@
 
 #include "semantic_topo_loop/geometry/ceres_compat.h"
 #include "semantic_topo_loop/geometry/statistics.h"
+#include "surface_cost.h"
 
 namespace semantic_topo_loop::core {
 namespace {
@@ -45,10 +46,7 @@ class BoxEdgeCost final : public ceres::SizedCostFunction<4, 3, 4, 3> {
     };
     if (jacobians[0] != nullptr) write(jacobians[0], (weights_.asDiagonal() * J.center).eval());
     if (jacobians[1] != nullptr) {
-      // Lift from the tangent space: the quaternion's plus has half-angle columns, exp(delta) ~ (delta, 1).
-      Eigen::Matrix<double, 4, 3> plus;
-      plus << rotation.w(), rotation.z(), -rotation.y(), -rotation.z(), rotation.w(), rotation.x(), rotation.y(),
-          -rotation.x(), rotation.w(), -rotation.x(), -rotation.y(), -rotation.z();
+      const Eigen::Matrix<double, 4, 3> plus = quaternion_plus(Quaternion(rotation));
       write(jacobians[1], (weights_.asDiagonal() * (2.0 * J.rotation) * plus.transpose()).eval());
     }
     if (jacobians[2] != nullptr) write(jacobians[2], (weights_.asDiagonal() * J.log_axes).eval());
@@ -78,9 +76,10 @@ class RoundnessCost final : public ceres::SizedCostFunction<3, 3> {
   double target_, weight_;
 };
 
-/// Covariance of the centre from the weighted normal matrix of the box edges, rotation held fixed.
+/// Covariance of the centre from the weighted normal matrix of box edges and depth, rotation held fixed.
 Mat3 center_covariance(const std::vector<Mat34>& projections, const std::vector<BoxView>& views,
-                       const std::vector<double>& sigmas, const Ellipsoid& ellipsoid) {
+                       const std::vector<double>& sigmas, const std::vector<double>& surface_sigmas,
+                       const Ellipsoid& ellipsoid) {
   Mat6 H = 1e-9 * Mat6::Identity();
   for (std::size_t i = 0; i < views.size(); ++i) {
     BoxJacobian J;
@@ -90,6 +89,16 @@ Mat3 center_covariance(const std::vector<Mat34>& projections, const std::vector<
       Vec6 row;
       row << J.center.row(k).transpose(), J.log_axes.row(k).transpose();
       H += row * row.transpose() / (sigmas[i] * sigmas[i]);
+    }
+    if (!views[i].surface) continue;
+    const double n = static_cast<double>(views[i].surface->size());
+    for (const Eigen::Vector3f& p : *views[i].surface) {
+      const Vec3 ray = views[i].T_world_camera.q * Vec3(p.cast<double>() / static_cast<double>(p.z()));
+      const std::optional<SurfaceDepth> depth = surface_depth(ellipsoid, views[i].T_world_camera.t, ray);
+      if (!depth) continue;
+      Vec6 row;
+      row << depth->by_center, depth->by_log_axes;
+      H += row * row.transpose() / (n * surface_sigmas[i] * surface_sigmas[i]);
     }
   }
   H.bottomRightCorner<3, 3>() += Mat3::Identity();  // log axes are known to about e^1 in any case
@@ -128,18 +137,22 @@ std::optional<QuadricFit> refine_quadric(const Camera& camera, const std::vector
   if (views.empty() || !initial.T_world_quadric.is_finite() || !(initial.semi_axes.minCoeff() > 0.0))
     return std::nullopt;
   std::vector<Mat34> projections;
-  std::vector<double> sigmas;
+  std::vector<double> sigmas, surface_sigmas;
   std::deque<BoxEdgeCost> costs;  // cost functions cannot be moved
+  std::deque<SurfaceCost> surface_costs;
   for (const BoxView& view : views) {
     projections.push_back(projection_matrix(camera, view.T_world_camera));
     sigmas.push_back(options.sigma_px + options.sigma_share * view.box.size());
     costs.emplace_back(projections.back(), view, sigmas.back());
+    surface_sigmas.push_back(view.surface ? surface_sigma_m(view, initial.radius(), options) : 0.0);
+    if (view.surface) surface_costs.emplace_back(view, surface_sigmas.back());
   }
   Vec3 center = initial.center();
   Quaternion rotation = initial.T_world_quadric.q;
   Vec3 log_axes = initial.semi_axes.array().log();
   RoundnessCost roundness(log_axes.mean(), std::sqrt(options.roundness_weight * static_cast<double>(views.size())));
   ceres::SoftLOneLoss loss(1.0);
+  ceres::CauchyLoss surface_loss(1.0);  // what was taken for the object may be all of it something else
 
   ceres::Problem::Options problem_options;
   problem_options.cost_function_ownership = ceres::DO_NOT_TAKE_OWNERSHIP;
@@ -150,6 +163,9 @@ std::optional<QuadricFit> refine_quadric(const Camera& camera, const std::vector
   set_quaternion_manifold(problem, rotation.coeffs().data());
   for (BoxEdgeCost& cost : costs) {
     problem.AddResidualBlock(&cost, &loss, center.data(), rotation.coeffs().data(), log_axes.data());
+  }
+  for (SurfaceCost& cost : surface_costs) {
+    problem.AddResidualBlock(&cost, &surface_loss, center.data(), rotation.coeffs().data(), log_axes.data());
   }
   problem.AddResidualBlock(&roundness, nullptr, log_axes.data());
 
@@ -176,7 +192,7 @@ std::optional<QuadricFit> refine_quadric(const Camera& camera, const std::vector
       fit.mean_iou += iou(clip(*box, camera.width, camera.height), clip(views[i].box, camera.width, camera.height));
   }
   fit.mean_iou /= static_cast<double>(views.size());
-  fit.center_covariance = center_covariance(projections, views, sigmas, fit.ellipsoid);
+  fit.center_covariance = center_covariance(projections, views, sigmas, surface_sigmas, fit.ellipsoid);
   return fit;
 }
 

@@ -16,7 +16,8 @@ using Vec5 = Eigen::Matrix<double, 5, 1>;
 
 constexpr double kCauchyScale_m = 0.05;  // distance from a tangent plane at which its weight is halved
 constexpr double kMinConditioning = 1e-5;
-constexpr double kRadiiAgree = 0.01;  // weight of "half-width = half-height", for sides that no view shows
+constexpr double kDepthRatioMax = 3.0;  // of the axis along the view to the two across it
+constexpr double kRadiiAgree = 0.01;    // weight of "half-width = half-height", for sides that no view shows
 
 /// One side of a box, as the plane through the camera and that side: row' (X, r_width, r_height) = offset.
 struct TangentPlane {
@@ -99,19 +100,22 @@ std::optional<Ellipsoid> initialise_sphere(const Camera& camera, const std::vect
   return Ellipsoid{SE3(views.front().T_world_camera.q, center), Vec3::Constant(radius)};
 }
 
-std::optional<Ellipsoid> initialise_from_points(const Camera& camera, const BoxView& view,
-                                                const std::vector<Vec3>& points_camera) {
-  if (points_camera.empty() || !view.box.is_valid()) return std::nullopt;
+std::optional<Ellipsoid> initialise_from_surface(const Camera& camera, const BoxView& view, double size_prior_m) {
+  if (!view.surface || view.surface->empty() || view.truncated != 0 || !view.box.is_valid()) return std::nullopt;
   std::vector<double> z;
-  z.reserve(points_camera.size());
-  for (const Vec3& point : points_camera) z.push_back(point.z());
+  z.reserve(view.surface->size());
+  for (const Eigen::Vector3f& point : *view.surface) z.push_back(static_cast<double>(point.z()));
   const double surface_depth = median(std::move(z));
   if (!(surface_depth > 0.0)) return std::nullopt;
   const double half_width = 0.5 * view.box.width() * surface_depth / camera.fx;
   const double half_height = 0.5 * view.box.height() * surface_depth / camera.fy;
-  const double half_depth = 0.5 * (half_width + half_height);
-  // The points lie on the near side; the centre is behind them by about half of the depth axis.
-  const Vec3 center_camera = camera.ray(view.box.center()) * (surface_depth + 0.5 * half_depth);
+  const double symmetric = std::sqrt(half_width * half_height);
+  double half_depth = symmetric;
+  if (size_prior_m > 0.0) {
+    const double of_class = std::pow(0.5 * size_prior_m, 3.0) / (half_width * half_height);
+    half_depth = std::clamp(std::sqrt(symmetric * of_class), symmetric / kDepthRatioMax, symmetric * kDepthRatioMax);
+  }
+  const Vec3 center_camera = camera.ray(view.box.center()) * (surface_depth + half_depth);
   return Ellipsoid{SE3(view.T_world_camera.q, view.T_world_camera * center_camera),
                    Vec3(half_width, half_height, half_depth)};
 }

@@ -14,7 +14,6 @@
 #include "merge_history.h"
 #include "semantic_topo_loop/map/mapper_options.h"
 #include "semantic_topo_loop/map/object_points.h"
-#include "semantic_topo_loop/map/quadric_initialisation.h"
 #include "semantic_topo_loop/pipeline/stopwatch.h"
 #include "visibility.h"
 
@@ -34,7 +33,7 @@ class QuadricMapper::Impl {
   Impl(const QuadricMapperOptions& options, std::shared_ptr<const ClassTable> classes)
       : options_(options),
         classes_(std::move(classes)),
-        views_(camera_, T_map_keyframe_),
+        views_(camera_, S_map_keyframe_),
         fitter_(options_, *classes_),
         duplicates_(options_, *classes_) {}
 
@@ -46,9 +45,11 @@ class QuadricMapper::Impl {
     } else {
       camera_ = frame.camera;
       begin_step(frame.stamp_ns);
+      std::optional<FramePoints> points;
+      if (frame.points_camera) points.emplace(*frame.points_camera, frame.camera);
       add_keyframe(frame);
-      add_observations(frame, associations);
-      count_expected(frame, associations);
+      add_observations(frame, points ? &*points : nullptr, associations);
+      count_expected(frame, points ? &*points : nullptr, associations);
       fit_due_landmarks();
       if (1e-9 * static_cast<double>(frame.stamp_ns - last_maintenance_ns_) >= options_.maintenance_interval_s) {
         last_maintenance_ns_ = frame.stamp_ns;
@@ -64,15 +65,16 @@ class QuadricMapper::Impl {
   MapUpdate apply(const MapCorrection& correction) {
     const Stopwatch stopwatch;
     MapUpdate update = begin_update(correction.frame_id, MapUpdatePhase::kCorrection);
+    T_map_odom_ = correction.T_map_odom;
+    scale_ = correction.scale;
     if (correction.changed) {
-      const std::map<std::int64_t, SE3> before = T_map_keyframe_;
-      T_map_odom_ = correction.T_map_odom;
+      const KeyframePlaces before = S_map_keyframe_;
       for (const KeyframePose& keyframe : correction.keyframes) {
-        const auto it = T_map_keyframe_.find(keyframe.keyframe_id);
-        if (it != T_map_keyframe_.end()) it->second = keyframe.T_map_camera;
+        const auto it = S_map_keyframe_.find(keyframe.keyframe_id);
+        if (it != S_map_keyframe_.end()) it->second = Sim3(keyframe.T_map_camera, keyframe.scale);
       }
-      for (auto it = T_map_keyframe_.upper_bound(correction.valid_to_keyframe_id); it != T_map_keyframe_.end(); ++it) {
-        it->second = T_map_odom_ * T_odom_keyframe_.at(it->first);
+      for (auto it = S_map_keyframe_.upper_bound(correction.valid_to_keyframe_id); it != S_map_keyframe_.end(); ++it) {
+        it->second = Sim3(T_map_odom_ * T_odom_keyframe_.at(it->first), scale_);
       }
       for (auto& [id, landmark] : landmarks_) move(before, &landmark);
       undo_wrong_merges(&update);
@@ -144,10 +146,10 @@ class QuadricMapper::Impl {
   void add_keyframe(const Frame& frame) {
     if (!frame.is_keyframe) return;
     T_odom_keyframe_[frame.keyframe_id] = frame.T_odom_camera;
-    T_map_keyframe_[frame.keyframe_id] = T_map_odom_ * frame.T_odom_camera;
+    S_map_keyframe_[frame.keyframe_id] = Sim3(T_map_odom_ * frame.T_odom_camera, scale_);
   }
 
-  void add_observations(const Frame& frame, const AssociationFrame& associations) {
+  void add_observations(const Frame& frame, const FramePoints* points, const AssociationFrame& associations) {
     const auto keyframe = T_odom_keyframe_.find(frame.keyframe_id);
     if (keyframe == T_odom_keyframe_.end()) return;  // only after a dropped keyframe: nothing to hang the boxes on
     const SE3 T_keyframe_camera = keyframe->second.inverse() * frame.T_odom_camera;
@@ -158,10 +160,16 @@ class QuadricMapper::Impl {
       if (landmark.state.id < 0) {
         landmark.state.id = id;
         landmark.next_fit_at = options_.min_views;
-        initialise_from_frame_points(frame, association, &landmark);
       }
+      // Depth of every keyframe is plenty; until there is an ellipsoid any frame may give it.
+      std::shared_ptr<const Surface> surface;
+      if (points != nullptr && (frame.is_keyframe || !landmark.state.ellipsoid)) {
+        surface = make_surface(object_points(*points, association.box), frame.camera, association.box);
+      }
+      if (surface && !landmark.state.ellipsoid) landmark.next_fit_at = 1;
       landmark.observations.push_back({frame.frame_id, association.landmark_id, frame.keyframe_id, T_keyframe_camera,
-                                       association.box, association.truncated, association.class_id});
+                                       association.box, association.truncated, association.class_id,
+                                       std::move(surface)});
       if (landmark.observations.size() > kObservationsMax) thin(&landmark.observations);
       landmark.state.class_id = association.landmark_class_id;
       landmark.state.observations += 1;
@@ -169,36 +177,33 @@ class QuadricMapper::Impl {
       landmark.sightings.seen_s += step_s_;
       if (association.truncated == 0) landmark.sightings.whole_s += step_s_;
       landmark.sightings.missed_since_s = 0.0;
+      landmark.sightings.seen_through_since_s = 0.0;
       changed_.insert(id);
     }
     count_side_by_side(associations);
   }
 
-  void count_expected(const Frame& frame, const AssociationFrame& associations) {
+  void count_expected(const Frame& frame, const FramePoints* points, const AssociationFrame& associations) {
     if (associations.associations.empty()) return;  // nothing at all was detected: rather the detector's fault
     const SE3 T_map_camera = T_map_odom_ * frame.T_odom_camera;
-    for (const auto& [id, size_px] : expected_landmarks(landmarks_, frame, T_map_camera, associations)) {
-      MappedLandmark& landmark = landmarks_.at(id);
+    for (const ExpectedLandmark& expected : expected_landmarks(landmarks_, frame, points, T_map_camera, associations)) {
+      MappedLandmark& landmark = landmarks_.at(expected.id);
       const Vec3 direction = landmark.state.ellipsoid->center() - T_map_camera.t;
       landmark.sightings.expected_s += step_s_;
+      const double seen_through_s = expected.is_seen_through ? step_s_ : 0.0;
       if (landmark.last_stamp_ns == frame.stamp_ns) {
-        landmark.seen_from.add(direction, size_px);
+        landmark.seen_from.add(direction, expected.size_px);
         landmark.sightings.familiar_seen_s += step_s_;
-      } else if (landmark.seen_from.covers(direction, size_px)) {
-        landmark.sightings.familiar_missed_s += step_s_;
-        landmark.sightings.missed_since_s += step_s_;
+        landmark.sightings.transparent_s += seen_through_s;
+      } else {
+        landmark.sightings.seen_through_since_s += seen_through_s;
+        if (landmark.seen_from.covers(direction, expected.size_px)) {
+          landmark.sightings.familiar_missed_s += step_s_;
+          landmark.sightings.missed_since_s += step_s_;
+        }
       }
-      touched_.insert(id);
+      touched_.insert(expected.id);
     }
-  }
-
-  void initialise_from_frame_points(const Frame& frame, const Association& association,
-                                    MappedLandmark* landmark) const {
-    if (!frame.points_camera || association.truncated != 0) return;
-    const BoxView view{T_map_odom_ * frame.T_odom_camera, association.box, association.truncated};
-    landmark->state.ellipsoid =
-        initialise_from_points(frame.camera, view, object_points(*frame.points_camera, frame.camera, association.box));
-    landmark->state.anchor_keyframe_id = frame.keyframe_id;
   }
 
   static void thin(std::vector<Observation>* observations) {
@@ -276,7 +281,7 @@ class QuadricMapper::Impl {
 
   void merge(std::int64_t survivor_id, std::int64_t merged_id, MapUpdate* update) {
     MappedLandmark& survivor = landmarks_.at(survivor_id);
-    merges_.join(T_map_keyframe_, std::move(landmarks_.at(merged_id)), &survivor);
+    merges_.join(S_map_keyframe_, std::move(landmarks_.at(merged_id)), &survivor);
     landmarks_.erase(merged_id);
     update->merged.push_back({merged_id, survivor_id});
     while (survivor.observations.size() > kObservationsMax) thin(&survivor.observations);
@@ -288,26 +293,28 @@ class QuadricMapper::Impl {
   void undo_wrong_merges(MapUpdate* update) {
     for (std::size_t i = merges_.records().size(); i-- > 0;) {
       const MergeRecord& record = merges_.records()[i];
-      const auto merged = MergeHistory::place(T_map_keyframe_, record.merged);
-      const auto survivor = MergeHistory::place(T_map_keyframe_, record.survivor);
+      const auto merged = MergeHistory::place(S_map_keyframe_, record.merged);
+      const auto survivor = MergeHistory::place(S_map_keyframe_, record.survivor);
       const auto holder = landmarks_.find(record.merge.survivor_id);
       if (!merged || !survivor || holder == landmarks_.end()) continue;
       const double apart = (merged->center() - survivor->center()).norm();
       if (apart <= kUndoReach * DuplicateTest::reach_m(*merged, *survivor)) continue;
       const LandmarkMerge merge = record.merge;
-      landmarks_[merge.merged_id] = merges_.split(T_map_keyframe_, i, &holder->second);
+      landmarks_[merge.merged_id] = merges_.split(S_map_keyframe_, i, &holder->second);
       update->unmerged.push_back(merge);
       changed_.insert({merge.merged_id, merge.survivor_id});
     }
   }
 
-  /// Rigidly with the anchor keyframe; the fit from all corrected views follows in the next frames.
-  void move(const std::map<std::int64_t, SE3>& before, MappedLandmark* landmark) {
+  /// With the anchor keyframe, in its scale; the fit from all corrected views follows in the next frames.
+  void move(const KeyframePlaces& before, MappedLandmark* landmark) {
     if (!landmark->state.ellipsoid) return;
     const auto old_pose = before.find(landmark->state.anchor_keyframe_id);
     if (old_pose == before.end()) return;
-    const SE3 T_new_old = T_map_keyframe_.at(landmark->state.anchor_keyframe_id) * old_pose->second.inverse();
-    landmark->state.ellipsoid->T_world_quadric = T_new_old * landmark->state.ellipsoid->T_world_quadric;
+    const Sim3 S_new_old = S_map_keyframe_.at(landmark->state.anchor_keyframe_id) * old_pose->second.inverse();
+    landmark->state.ellipsoid->T_world_quadric = S_new_old.pose(landmark->state.ellipsoid->T_world_quadric);
+    landmark->state.ellipsoid->semi_axes *= S_new_old.scale;
+    landmark->state.center_covariance *= S_new_old.scale * S_new_old.scale;
     landmark->fit_due = landmark->state.mean_iou > 0.0;
     changed_.insert(landmark->state.id);
   }
@@ -342,7 +349,9 @@ class QuadricMapper::Impl {
   std::shared_ptr<const ClassTable> classes_;
   Camera camera_;
   SE3 T_map_odom_;
-  std::map<std::int64_t, SE3> T_map_keyframe_, T_odom_keyframe_;
+  double scale_ = 1.0;  ///< units of length of the map in one of the odometry, now
+  KeyframePlaces S_map_keyframe_;
+  std::map<std::int64_t, SE3> T_odom_keyframe_;
   Landmarks landmarks_;
   MergeHistory merges_;
   ViewSource views_;

@@ -2,18 +2,24 @@
 
 #include <algorithm>
 
+#include "semantic_topo_loop/geometry/depth_noise.h"
+#include "surface_cost.h"
+
 namespace semantic_topo_loop::core {
 namespace {
 
 constexpr double kMinWidthPx = 12.0, kMinHeightPx = 8.0;
 constexpr double kFullyVisibleShare = 0.8;
 constexpr double kHiddenShare = 0.5;  // of the box, from which on it counts as hidden
-constexpr double kPointMargin_m = 0.1;
-constexpr std::size_t kMinPoints = 5;
+constexpr double kSigmas = 2.5;
+constexpr double kMiddle = 0.6;            // of the sides of the projection
+constexpr double kSeenThroughShare = 0.5;  // of its middle, from which on nothing seems to be there
+constexpr std::size_t kMinPoints = 5, kPointsMax = 80;
 
 struct Candidate {
   std::int64_t id = -1;
-  Box box;
+  const Ellipsoid* ellipsoid = nullptr;
+  Box box, whole;                       ///< inside the image, and not clipped
   double near_m = 0.0, center_m = 0.0;  ///< depths of the near side and the centre
 };
 
@@ -32,24 +38,38 @@ bool is_hidden_by_other(const Candidate& candidate, const AssociationFrame& asso
   });
 }
 
-bool is_hidden_by_points(const Candidate& candidate, const Frame& frame) {
-  if (!frame.points_camera) return false;
-  std::size_t inside = 0, in_front = 0;
-  for (const Vec3& point : *frame.points_camera) {
-    if (!(point.z() > 0.0)) continue;
-    const double u = frame.camera.fx * point.x() / point.z() + frame.camera.cx;
-    const double v = frame.camera.fy * point.y() / point.z() + frame.camera.cy;
-    if (u < candidate.box.x1 || u > candidate.box.x2 || v < candidate.box.y1 || v > candidate.box.y2) continue;
-    ++inside;
-    if (point.z() < candidate.near_m - kPointMargin_m) ++in_front;
+/// What depth says about the place of a landmark.
+enum class DepthThere { kUnknown, kInFront, kAtIt, kBehind };
+
+/// By the points in the middle of its projection, where its near side should be; the border shows what is around it.
+DepthThere depth_there(const Candidate& candidate, const FramePoints& points, const SE3& T_map_camera) {
+  const Vec2 middle = candidate.whole.center();
+  const double half_width = 0.5 * kMiddle * candidate.whole.width();
+  const double half_height = 0.5 * kMiddle * candidate.whole.height();
+  const Box box{middle.x() - half_width, middle.y() - half_height, middle.x() + half_width, middle.y() + half_height};
+  const QuadricFitOptions shape;
+  const double uneven = shape.surface_sigma_m + shape.surface_share * candidate.ellipsoid->radius();
+  std::size_t known = 0, in_front = 0, behind = 0;
+  for (const SeenPoint& p : points.in(box, kPointsMax)) {
+    const double z = p.point_camera.z();
+    const std::optional<SurfaceDepth> there =
+        surface_depth(*candidate.ellipsoid, T_map_camera.t, T_map_camera.q * Vec3(p.point_camera / z));
+    if (!there) continue;
+    const double margin = kSigmas * (uneven + depth_sigma_m(z));
+    ++known;
+    if (z < there->depth - margin) ++in_front;
+    if (z > there->depth + margin) ++behind;
   }
-  return inside >= kMinPoints && static_cast<double>(in_front) > kHiddenShare * static_cast<double>(inside);
+  if (known < kMinPoints) return DepthThere::kUnknown;
+  const auto share = [known](std::size_t count) { return static_cast<double>(count) / static_cast<double>(known); };
+  if (share(in_front) > kHiddenShare) return DepthThere::kInFront;
+  return share(behind) > kSeenThroughShare ? DepthThere::kBehind : DepthThere::kAtIt;
 }
 
 }  // namespace
 
 std::vector<ExpectedLandmark> expected_landmarks(const std::map<std::int64_t, MappedLandmark>& landmarks,
-                                                 const Frame& frame, const SE3& T_map_camera,
+                                                 const Frame& frame, const FramePoints* points, const SE3& T_map_camera,
                                                  const AssociationFrame& associations) {
   const Mat34 P = projection_matrix(frame.camera, T_map_camera);
   std::vector<Candidate> in_view;
@@ -66,15 +86,15 @@ std::vector<ExpectedLandmark> expected_landmarks(const std::map<std::int64_t, Ma
     }
     const Vec3 axis = P.row(2).head<3>().transpose();
     const double depth = axis.dot(center) + P(2, 3);
-    in_view.push_back({id, visible, depth - std::sqrt(std::max(0.0, axis.dot(shape * axis))), depth});
+    in_view.push_back({id, &*landmark.state.ellipsoid, visible, *box,
+                       depth - std::sqrt(std::max(0.0, axis.dot(shape * axis))), depth});
   }
   std::vector<ExpectedLandmark> expected;
   for (const Candidate& candidate : in_view) {
-    if (is_hidden_by_landmark(candidate, in_view) || is_hidden_by_other(candidate, associations) ||
-        is_hidden_by_points(candidate, frame)) {
-      continue;
-    }
-    expected.push_back({candidate.id, candidate.box.size()});
+    if (is_hidden_by_landmark(candidate, in_view) || is_hidden_by_other(candidate, associations)) continue;
+    const DepthThere there = points != nullptr ? depth_there(candidate, *points, T_map_camera) : DepthThere::kUnknown;
+    if (there == DepthThere::kInFront) continue;
+    expected.push_back({candidate.id, candidate.box.size(), there == DepthThere::kBehind});
   }
   return expected;
 }

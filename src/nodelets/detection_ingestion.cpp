@@ -2,7 +2,6 @@
 #include <deque>
 #include <memory>
 #include <pluginlib/class_list_macros.hpp>
-#include <set>
 #include <string>
 #include <vector>
 
@@ -45,8 +44,6 @@ class DetectionIngestionNodelet : public Stage {
   std::vector<core::Detection> checked(const DetectionArray& message);
   void emit(const Frame& frame, const std::vector<core::Detection>& detections);
   void report_unused();
-  /// Counts, and warns at the first time.
-  void complain(const std::string& cause, const std::string& detail);
 
   core::Options options_;
   DetectionParameters parameters_;
@@ -57,7 +54,6 @@ class DetectionIngestionNodelet : public Stage {
   std::size_t matched_ = 0;  ///< images of the file that met a frame, this session
   std::deque<Waiting> waiting_;
   std::unique_ptr<DetectionMatcher> matcher_;
-  std::set<std::string> complaints_;
 };
 
 void DetectionIngestionNodelet::onInit() {
@@ -71,7 +67,7 @@ void DetectionIngestionNodelet::onInit() {
   constexpr std::size_t kKeptPerFrame = 10;
   matcher_ = std::make_unique<DetectionMatcher>(queue_capacity() * kKeptPerFrame);
   publisher_ = advertise<DetectionArray>("detections");
-  if (!is_file_) {
+  if (parameters_.source == "topic") {
     const boost::function<void(const DetectionArray::ConstPtr&)> callback = [this](const DetectionArray::ConstPtr& m) {
       push("detections_in", Keep::kDroppable, [this, m] { on_input(m); });
     };
@@ -127,6 +123,10 @@ bool DetectionIngestionNodelet::resolve(const Waiting& waiting) {
   if (frame.is_end) {
     emit(frame, {});
     if (is_file_) report_unused();
+    return true;
+  }
+  if (parameters_.source == "none") {
+    emit(frame, {});
     return true;
   }
   if (is_file_) {
@@ -185,13 +185,6 @@ void DetectionIngestionNodelet::report_unused() {
   if (unused == 0) return;
   NODELET_WARN("%zu of %zu images in %s had no frame: the odometry has no pose there", unused, file_.size(),
                parameters_.detections_file.c_str());
-}
-
-void DetectionIngestionNodelet::complain(const std::string& cause, const std::string& detail) {
-  statistics().count(cause);
-  if (complaints_.insert(cause).second) {
-    NODELET_WARN("%s: %s (further ones are counted in the diagnostics)", cause.c_str(), detail.c_str());
-  }
 }
 
 }  // namespace semantic_topo_loop

@@ -2,6 +2,7 @@
 #include <std_srvs/SetBool.h>
 #include <std_srvs/Trigger.h>
 
+#include <filesystem>
 #include <memory>
 #include <mutex>
 #include <optional>
@@ -120,16 +121,22 @@ class LoopDetectionNodelet : public Stage {
     return true;
   }
 
-  /// @param answer the file, or the error
+  /// @param answer absolute path of the file, or the error
   bool save(std::string* answer) {
+    std::error_code error_code;
+    const std::filesystem::path file = std::filesystem::absolute(parameters_.save_map_file, error_code);
+    if (error_code) {
+      *answer = parameters_.save_map_file + ": " + error_code.message();
+      return false;
+    }
     std::vector<core::LocalMap> submaps;
     {
       const std::lock_guard<std::mutex> lock(mutex_);
       submaps = detector_->submaps();
       core::move_to_map(keyframes_, T_map_odom_, &submaps);
     }
-    if (!core::write_submaps(parameters_.save_map_file, submaps, answer)) return false;
-    *answer = parameters_.save_map_file;
+    if (!core::write_submaps(file.string(), submaps, answer)) return false;
+    *answer = file.lexically_normal().string();
     return true;
   }
 

@@ -2,6 +2,7 @@
 #include <std_msgs/Empty.h>
 #include <std_msgs/String.h>
 
+#include <algorithm>
 #include <chrono>
 #include <condition_variable>
 #include <memory>
@@ -49,6 +50,8 @@ class PlayerNodelet : public Stage {
   void play();
   std::unique_ptr<PlayerSource> open_source(std::string* error) const;
   bool wait_for_stages();
+  /// Topics connect at their own pace: an image that nobody hears yet would be awaited for ever.
+  bool are_images_heard() const;
   /// Plays every image. @return false if the player is to end here
   bool play_images(PlayerSource* source, std::string* fault);
   bool play_end();
@@ -63,7 +66,7 @@ class PlayerNodelet : public Stage {
   core::Options options_;
   PlayerParameters parameters_;
   ros::Publisher clock_publisher_, tf_publisher_, camera_info_publisher_, end_publisher_, query_publisher_;
-  ros::Publisher status_publisher_;
+  ros::Publisher status_publisher_, color_publisher_, depth_publisher_;
   bool publishes_clock_ = false;
   std::optional<std::pair<Clock::time_point, std::int64_t>> rate_origin_;  ///< playback thread only
 
@@ -91,11 +94,16 @@ void PlayerNodelet::onInit() {
     set_status("failed: bad parameter");
     return;
   }
-  ledger_ = std::make_unique<PlayerLedger>(parameters_.stage_names(), parameters_.await_results);
+  const std::string frontend = parameters_.images ? "RgbdFrontend" : "PoseFrontend";
+  ledger_ = std::make_unique<PlayerLedger>(frontend, parameters_.stage_names(), parameters_.await_results);
   publishes_clock_ = ros::param::param<bool>("/use_sim_time", false);
   if (publishes_clock_) clock_publisher_ = getNodeHandle().advertise<rosgraph_msgs::Clock>("/clock", 10);
   tf_publisher_ = getNodeHandle().advertise<tf2_msgs::TFMessage>("/tf", 1000);
   camera_info_publisher_ = advertise<sensor_msgs::CameraInfo>("camera_info");
+  if (parameters_.images) {
+    color_publisher_ = advertise<sensor_msgs::Image>("color");
+    depth_publisher_ = advertise<sensor_msgs::Image>("depth");
+  }
   end_publisher_ = advertise<std_msgs::Empty>("end_of_stream");
   query_publisher_ = advertise<std_msgs::Empty>("session_queries");
   status_publisher_ = advertise<std_msgs::String>("player_status", true);
@@ -174,9 +182,16 @@ std::unique_ptr<PlayerSource> PlayerNodelet::open_source(std::string* error) con
   }
   if (parameters_.mode == "bag") {
     constexpr double kRecordingDelayS = 0.2;
-    const TumBagPlayback bag = {parameters_.bag_file, parameters_.stamps, parameters_.mocap_tf, parameters_.odom_frame,
-                                parameters_.max_pose_gap_s + kRecordingDelayS};
-    return TumBagSource::open(bag, calibration, error);
+    TumBagPlayback bag;
+    bag.file = parameters_.bag_file;
+    bag.stamps = parameters_.stamps;
+    bag.with_images = parameters_.images;
+    bag.max_depth_delay_s = parameters_.max_depth_delay_s;
+    bag.mocap_tf = parameters_.mocap_tf;
+    bag.odom_frame = parameters_.odom_frame;
+    bag.lookahead_s = parameters_.max_pose_gap_s + kRecordingDelayS;
+    std::unique_ptr<PlayerSource> source = TumBagSource::open(bag, calibration, error);
+    return source ? std::make_unique<ReadAheadSource>(std::move(source)) : nullptr;
   }
   std::optional<core::StampedPoses> trajectory = core::read_tum_trajectory(parameters_.trajectory_file, error);
   if (!trajectory) return nullptr;
@@ -186,7 +201,7 @@ std::unique_ptr<PlayerSource> PlayerNodelet::open_source(std::string* error) con
 bool PlayerNodelet::wait_for_stages() {
   constexpr auto kQueryPeriod = std::chrono::milliseconds(300);
   const auto deadline = Clock::now() + std::chrono::duration<double>(parameters_.startup_timeout_s);
-  const auto is_up = [this] { return stop_ || ledger_->missing_stages().empty(); };
+  const auto is_up = [this] { return stop_ || (ledger_->missing_stages().empty() && are_images_heard()); };
   std::unique_lock<std::mutex> lock(mutex_);
   // Stages that were there before us have acknowledged the session unheard: it is repeated for us.
   while (!is_up() && Clock::now() < deadline) {
@@ -199,10 +214,17 @@ bool PlayerNodelet::wait_for_stages() {
   if (is_up()) return true;
   std::string missing;
   for (const std::string& stage : ledger_->missing_stages()) missing += (missing.empty() ? "" : ", ") + stage;
+  if (missing.empty()) missing = "nobody subscribes to color, depth and camera_info";
   lock.unlock();
   NODELET_FATAL("nothing was played: not up after %.0f s: %s", parameters_.startup_timeout_s, missing.c_str());
   set_status("failed: not up: " + missing);
   return false;
+}
+
+bool PlayerNodelet::are_images_heard() const {
+  if (!parameters_.images) return true;
+  return camera_info_publisher_.getNumSubscribers() > 0 && color_publisher_.getNumSubscribers() > 0 &&
+         depth_publisher_.getNumSubscribers() > 0;
 }
 
 bool PlayerNodelet::play_images(PlayerSource* source, std::string* fault) {
@@ -210,6 +232,10 @@ bool PlayerNodelet::play_images(PlayerSource* source, std::string* fault) {
   Clock::time_point reported = Clock::now();
   std::size_t played = 0;
   while (const std::optional<PlayerItem> item = source->next(fault)) {
+    if (!item->left_out.empty()) {
+      complain(item->left_out, item->detail);
+      continue;
+    }
     const Wait wait = wait_for_turn(to_stamp_ns(item->camera_info.header.stamp));
     if (wait == Wait::kStalled) report_stall();
     if (wait != Wait::kReady) return false;
@@ -238,9 +264,13 @@ bool PlayerNodelet::play_end() {
   if (wait == Wait::kStalled) report_stall();
   if (wait != Wait::kReady) return false;
   const std::lock_guard<std::mutex> lock(mutex_);
-  NODELET_INFO("the chain is through with %lu images, %lu of them without a pose",
-               static_cast<unsigned long>(ledger_->frames_done()),
-               static_cast<unsigned long>(ledger_->frames_without_pose()));
+  const auto sent = static_cast<unsigned long>(ledger_->frames_sent());
+  const auto done = static_cast<unsigned long>(ledger_->frames_done());
+  const unsigned long dropped = sent - std::min(sent, done);
+  statistics().set("images dropped by the chain", dropped);
+  NODELET_INFO("the chain is through with %lu of %lu images, %lu of them without a pose; %lu dropped (%.2f %%)", done,
+               sent, static_cast<unsigned long>(ledger_->frames_without_pose()), dropped,
+               sent > 0 ? 100.0 * static_cast<double>(dropped) / static_cast<double>(sent) : 0.0);
   return true;
 }
 
@@ -295,6 +325,9 @@ void PlayerNodelet::publish(const PlayerItem& item) {
     ledger_->sent(to_stamp_ns(item.camera_info.header.stamp));
   }
   camera_info_publisher_.publish(boost::make_shared<sensor_msgs::CameraInfo>(item.camera_info));
+  if (item.color) color_publisher_.publish(item.color);
+  if (item.depth) depth_publisher_.publish(item.depth);
+  statistics().count("images played");
 }
 
 void PlayerNodelet::report_stall() {

@@ -47,15 +47,17 @@ struct Parameters : StageParameters {
 
 }  // namespace
 
-/// Owns the keyframe poses: optimises them with the loops, publishes corrections, paths and the transform from map to
-/// odometry.
+/// Owns the keyframe poses: optimises them with the loops, and with the objects if they take part, publishes
+/// corrections, paths and the transform from map to odometry.
 class PoseGraphNodelet : public Stage {
  public:
   PoseGraphNodelet() : Stage("PoseGraph") {}
   ~PoseGraphNodelet() override { stop(); }
 
  private:
-  using Joiner = FrameJoiner<Frame::ConstPtr, LoopClosureArray::ConstPtr>;
+  /// The last two are null where the objects take no part.
+  using Joiner =
+      FrameJoiner<Frame::ConstPtr, LoopClosureArray::ConstPtr, AssociationArray::ConstPtr, QuadricMapUpdate::ConstPtr>;
   static constexpr double kPathPeriodS = 0.5;
   static constexpr char kWithoutLoops[] = "frames whose loop detection was lost";
 
@@ -63,7 +65,7 @@ class PoseGraphNodelet : public Stage {
     if (!start(&options_, &parameters_, 2)) return;
     // Keyframes are the graph's vertices: a frame whose loop message got lost still goes in.
     joiner_ = std::make_unique<Joiner>(queue_capacity(), [this](std::int64_t, const Joiner::Partial& partial) {
-      if (std::get<0>(partial)) process(**std::get<0>(partial), {});
+      if (std::get<0>(partial)) process(**std::get<0>(partial), {}, std::get<2>(partial).value_or(nullptr));
     });
     correction_publisher_ = advertise<MapCorrection>("map_corrections");
     odometry_path_.open(advertise<nav_msgs::Path>("path_odometry"));
@@ -77,6 +79,10 @@ class PoseGraphNodelet : public Stage {
     }
     keep_service(getPrivateNodeHandle().advertiseService("withdraw_loop", &PoseGraphNodelet::on_withdraw, this));
     subscribe("loop_closures", Keep::kAlways, &PoseGraphNodelet::on_loops);
+    if (has_objects()) {
+      subscribe("associations", Keep::kAlways, &PoseGraphNodelet::on_associations);
+      subscribe("quadric_map_updates", Keep::kAlways, &PoseGraphNodelet::on_update);
+    }
     subscribe("frames", Keep::kAlways, &PoseGraphNodelet::on_frame);
     start_timer(kPathPeriodS, [this] { publish_paths(); });
     follow_sessions();
@@ -111,7 +117,25 @@ class PoseGraphNodelet : public Stage {
     return true;
   }
 
-  void on_frame(const Frame::ConstPtr& frame) { process(joiner_->add<0>(frame->frame_id, frame)); }
+  bool has_objects() const { return options_.pose_graph.objects != "off"; }
+
+  void on_frame(const Frame::ConstPtr& frame) {
+    if (!has_objects()) {
+      joiner_->add<2>(frame->frame_id, nullptr);
+      joiner_->add<3>(frame->frame_id, nullptr);
+    }
+    process(joiner_->add<0>(frame->frame_id, frame));
+  }
+
+  void on_associations(const AssociationArray::ConstPtr& associations) {
+    process(joiner_->add<2>(associations->frame_id, associations));
+  }
+
+  /// Updates are applied as they come, which is the order in which the map made them.
+  void on_update(const QuadricMapUpdate::ConstPtr& update) {
+    graph_->apply(from_msg(*update));
+    if (update->phase == QuadricMapUpdate::PHASE_OBSERVATION) process(joiner_->add<3>(update->frame_id, update));
+  }
 
   /// Loops of a frame that went in without them are added with the next frame.
   void on_loops(const LoopClosureArray::ConstPtr& loops) {
@@ -122,10 +146,15 @@ class PoseGraphNodelet : public Stage {
 
   void process(const std::optional<Joiner::Set>& joined) {
     statistics().set(kWithoutLoops, joiner_->evicted());
-    if (joined) process(*std::get<0>(*joined), core::own_loops(from_msg(*std::get<1>(*joined))));
+    if (!joined) return;
+    const auto& [frame, loops, associations, update] = *joined;
+    process(*frame, core::own_loops(from_msg(*loops)), associations);
   }
 
-  void process(const Frame& frame, const std::vector<core::LoopClosure>& frame_loops) {
+  /// @param associations null: none
+  void process(const Frame& frame, const std::vector<core::LoopClosure>& frame_loops,
+               const AssociationArray::ConstPtr& associations) {
+    if (associations) graph_->observe(from_msg(frame), from_msg(*associations));
     std::vector<core::LoopClosure> loops = std::exchange(late_loops_, {});
     loops.insert(loops.end(), frame_loops.begin(), frame_loops.end());
     auto message = boost::make_shared<MapCorrection>();

@@ -51,6 +51,7 @@ class RecorderNodelet : public Stage {
     subscribe("map_corrections", Keep::kAlways, &RecorderNodelet::on_correction);
     subscribe("loop_closures", Keep::kAlways, &RecorderNodelet::on_loops);
     subscribe("quadric_map_updates", Keep::kAlways, &RecorderNodelet::on_update);
+    subscribe("tracking_report", Keep::kAlways, &RecorderNodelet::on_tracking);
     subscribe("associations", Keep::kAlways, &RecorderNodelet::on_associations);
     subscribe("frames", Keep::kAlways, &RecorderNodelet::on_frame);
     follow_sessions();
@@ -90,6 +91,8 @@ class RecorderNodelet : public Stage {
     record(from_msg(*frame));
     add<kFrame>(frame->frame_id, frame);
   }
+
+  void on_tracking(const TrackingReport::ConstPtr& report) { record(from_msg(*report)); }
 
   void on_associations(const AssociationArray::ConstPtr& associations) {
     record(from_msg(*associations));

@@ -71,6 +71,7 @@ Frame FrameBuilder::end() const {
   frame.is_end = true;
   frame.covariance.reset();
   frame.points_camera.reset();
+  frame.keyframe_points.reset();
   return frame;
 }
 

@@ -21,10 +21,13 @@ FrameResult ObjectSlam::process(const Frame& frame, const std::vector<Detection>
   const Stopwatch stopwatch;
   result.loops = loop_detector_.detect(frame, result.associations);
   result.loop_us = stopwatch.elapsed_us();
+  pose_graph_.apply(result.observation);
+  pose_graph_.observe(frame, result.associations);
   result.correction = pose_graph_.process(frame, own_loops(result.loops), extra_loops);
   result.completion = mapper_.apply(result.correction);
   associator_.apply(result.completion);
   loop_detector_.apply(result.completion);
+  pose_graph_.apply(result.completion);
   return result;
 }
 

@@ -3,8 +3,8 @@
 namespace semantic_topo_loop::core {
 
 bool Options::is_valid(std::string* error) const {
-  return depth.is_valid(error) && frontend.is_valid(error) && keyframe.is_valid(error) &&
-         association.is_valid(error) && mapping.is_valid(error) && loop.is_valid(error) && pose_graph.is_valid(error);
+  return depth.is_valid(error) && frontend.is_valid(error) && keyframe.is_valid(error) && association.is_valid(error) &&
+         mapping.is_valid(error) && point_map.is_valid(error) && loop.is_valid(error) && pose_graph.is_valid(error);
 }
 
 std::optional<Options> make_options(const std::map<std::string, std::string>& values, std::string* error) {

@@ -1,6 +1,10 @@
 #include "semantic_topo_loop/pose_graph/graph_loop.h"
 
+#include <Eigen/Cholesky>
+#include <Eigen/LU>
 #include <algorithm>
+#include <cmath>
+#include <utility>
 
 #include "semantic_topo_loop/pose_graph/relative_pose.h"
 
@@ -13,6 +17,21 @@ double interval_overlap(std::int64_t a_begin, std::int64_t a_end, std::int64_t b
   return shared > 0 ? static_cast<double>(shared) / static_cast<double>(all) : 0.0;
 }
 
+Mat7 joint_covariance(const Mat6& covariance, const Vec7& with_scale) {
+  Mat7 joint;
+  joint.topLeftCorner<6, 6>() = covariance;
+  joint.col(6) = with_scale;
+  joint.row(6) = with_scale.transpose();
+  return joint;
+}
+
+bool is_scale_covariance(const Mat6& covariance, const Vec7& with_scale) {
+  if (!with_scale.allFinite()) return false;
+  // What the pose leaves open of the scale.
+  const Vec6 cross = with_scale.head<6>();
+  return with_scale(6) - cross.dot(covariance.llt().solve(cross)) > 0.0;
+}
+
 const char* fault(const LoopClosure& closure, int query_vertex, int match_vertex) {
   if (query_vertex < 0) return "its query keyframe is unknown";
   if (match_vertex < 0) return "its match keyframe is unknown";
@@ -21,10 +40,46 @@ const char* fault(const LoopClosure& closure, int query_vertex, int match_vertex
   constexpr double kMaxNormError = 1e-3;
   if (std::abs(closure.T_match_query.q.norm() - 1.0) > kMaxNormError) return "its quaternion is not of unit length";
   if (!is_covariance(closure.covariance)) return "its covariance is not positive definite";
+  if (!std::isfinite(closure.scale) || closure.scale <= 0.0) return "its scale is not positive";
+  const bool has_scale = !closure.scale_covariance.isZero(0.0);
+  if (has_scale && !is_scale_covariance(closure.covariance, closure.scale_covariance))
+    return "the covariance of its scale is not positive definite";
   return nullptr;
 }
 
+/// The loop the other way round.
+void invert(GraphLoop* loop) {
+  const SE3 T = loop->T_from_to;
+  const Sim3 S_inverse = loop->S_from_to().inverse();
+  std::swap(loop->from, loop->to);
+  if (loop->scale == 1.0 && !loop->has_scale()) {
+    loop->T_from_to = T.inverse();
+    loop->covariance = inverse_covariance(T, loop->covariance);
+    return;
+  }
+  // As inverse_covariance, in the other unit; a scale error moves the end of the inverse along itself.
+  Mat7 carry = Mat7::Identity();
+  carry.topLeftCorner<6, 6>() = transport(T.inverse());
+  carry.topRows<3>() *= S_inverse.scale;
+  carry.topRightCorner<3, 1>() = T.q * S_inverse.T.t;
+  const Mat7 joint = carry * joint_covariance(loop->covariance, loop->scale_covariance) * carry.transpose();
+  loop->T_from_to = S_inverse.T;
+  loop->scale = S_inverse.scale;
+  loop->covariance = joint.topLeftCorner<6, 6>();
+  loop->scale_covariance = joint.col(6);
+}
+
 }  // namespace
+
+Mat7 similarity_sqrt_info(const GraphLoop& loop) {
+  Mat7 sqrt_info = Mat7::Zero();
+  if (!loop.has_scale()) {
+    sqrt_info.topLeftCorner<6, 6>() = square_root_information(loop.covariance);
+    return sqrt_info;
+  }
+  const Mat7 information = joint_covariance(loop.covariance, loop.scale_covariance).inverse();
+  return (0.5 * (information + information.transpose())).llt().matrixU();
+}
 
 std::optional<GraphLoop> make_graph_loop(const LoopClosure& closure, int query_vertex, int match_vertex,
                                          std::string* error) {
@@ -42,12 +97,13 @@ std::optional<GraphLoop> make_graph_loop(const LoopClosure& closure, int query_v
   loop.query_end = has_windows ? closure.query_end : closure.query_frame;
   loop.match_begin = has_windows ? closure.match_begin : closure.match_frame;
   loop.match_end = has_windows ? closure.match_end : closure.match_frame;
-  const SE3 T_match_query(closure.T_match_query.q.normalized(), closure.T_match_query.t);
-  const bool forward = match_vertex < query_vertex;
-  loop.from = forward ? match_vertex : query_vertex;
-  loop.to = forward ? query_vertex : match_vertex;
-  loop.T_from_to = forward ? T_match_query : T_match_query.inverse();
-  loop.covariance = forward ? closure.covariance : inverse_covariance(T_match_query, closure.covariance);
+  loop.from = match_vertex;
+  loop.to = query_vertex;
+  loop.T_from_to = SE3(closure.T_match_query.q.normalized(), closure.T_match_query.t);
+  loop.covariance = closure.covariance;
+  loop.scale = closure.scale;
+  loop.scale_covariance = closure.scale_covariance;
+  if (loop.from > loop.to) invert(&loop);
   return loop;
 }
 

@@ -57,8 +57,18 @@ class GraphOptimizer {
     report_ = GraphOptimizerReport();
     std::vector<Part> parts = split();
     report_.components = static_cast<int>(parts.size());
+    bool has_solved_edges = false;
     for (Part& part : parts) {
-      if (!solve(&part, error)) return false;
+      std::string problem;
+      if (!solve(&part, &problem)) {
+        report_.unsolved.push_back(problem);
+      } else if (!part.edges.empty()) {
+        has_solved_edges = true;
+      }
+    }
+    if (!report_.unsolved.empty() && !has_solved_edges) {
+      *error = report_.unsolved.front();
+      return false;
     }
     for (const Part& part : parts) {
       for (std::size_t i = 0; i < part.vertices.size(); ++i) {
@@ -121,8 +131,8 @@ class GraphOptimizer {
   bool solve(Part* part, std::string* error) {
     solver_options_.fixed = part->fixed;
     const std::vector<SE3> asked = guess(*part, options_.initial);
-    if (options_.robust == "gnc" && !reject_outliers(asked, part, error)) return false;
-    add_costs(*part, asked, &report_.initial_cost, &report_.initial_chi2);
+    std::vector<const G2oEdge*> outliers;
+    if (options_.robust == "gnc" && !reject_outliers(asked, part, &outliers, error)) return false;
     std::vector<SE3> best = options_.initial == "chordal" ? asked : guess(*part, "chordal");
     // A guess that is worse than the chordal one to begin with has nothing to offer.
     const bool tries_asked = options_.initial != "chordal" && chi2(*part, asked) < chi2(*part, best);
@@ -143,12 +153,15 @@ class GraphOptimizer {
       return false;
     }
     part->T_world_vertex = std::move(best);
+    report_.outliers.insert(report_.outliers.end(), outliers.begin(), outliers.end());
+    add_costs(*part, asked, &report_.initial_cost, &report_.initial_chi2);
     add_costs(*part, part->T_world_vertex, &report_.final_cost, &report_.final_chi2);
     return true;
   }
 
   /// Gives the outliers weight 0.
-  bool reject_outliers(const std::vector<SE3>& start, Part* part, std::string* error) {
+  bool reject_outliers(const std::vector<SE3>& start, Part* part, std::vector<const G2oEdge*>* outliers,
+                       std::string* error) const {
     GraphSolverOptions options = solver_options_;
     options.loss = GraphLoss::kNone;
     const LoopClassification classes = classify_loops(part->graph_edges, options.loss_chi2, options, start);
@@ -162,7 +175,7 @@ class GraphOptimizer {
       GraphEdge& edge = part->graph_edges[k];
       if (!edge.robust || classes.kept[loop++]) continue;
       edge.weight = 0.0;
-      report_.outliers.push_back(&graph_.edges[part->edges[k]]);
+      outliers->push_back(&graph_.edges[part->edges[k]]);
     }
     return true;
   }

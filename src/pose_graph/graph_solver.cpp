@@ -3,23 +3,16 @@
 #include <algorithm>
 #include <cmath>
 
+#include "graph_problem.h"
+#include "object_blocks.h"
 #include "semantic_topo_loop/geometry/ceres_compat.h"
 #include "semantic_topo_loop/pose_graph/relative_pose.h"
 
 namespace semantic_topo_loop::core {
 namespace {
 
-using Mat43 = Eigen::Matrix<double, 4, 3>;
 using RowMat63 = Eigen::Matrix<double, 6, 3, Eigen::RowMajor>;
 using RowMat64 = Eigen::Matrix<double, 6, 4, Eigen::RowMajor>;
-
-/// Derivative of the quaternion (x, y, z, w) by a small rotation of the outer frame, times two.
-Mat43 quaternion_by_rotation(const Quaternion& q) {
-  Mat43 jacobian;
-  jacobian.topRows<3>() = q.w() * Mat3::Identity() - hat(q.vec());
-  jacobian.bottomRows<1>() = -q.vec().transpose();
-  return jacobian;
-}
 
 Vec6 residual(const SE3& T_world_from, const SE3& T_world_to, const SE3& T_from_to, GraphError error) {
   return error == GraphError::kLog ? relative_pose_residual(T_world_from, T_world_to, T_from_to)
@@ -77,22 +70,6 @@ ceres::LossFunction* make_loss(const GraphSolverOptions& options) {
   return nullptr;
 }
 
-ceres::Solver::Options solver_options(const GraphSolverOptions& options) {
-  ceres::Solver::Options ceres_options;
-  ceres_options.linear_solver_type = ceres::SPARSE_NORMAL_CHOLESKY;
-  ceres_options.num_threads = 1;
-  // SuiteSparse starts threads of its own, to no use for a chain with some loops.
-  if (!options.has_fill && ceres::IsSparseLinearAlgebraLibraryTypeAvailable(ceres::EIGEN_SPARSE)) {
-    ceres_options.sparse_linear_algebra_library_type = ceres::EIGEN_SPARSE;
-  }
-  ceres_options.max_num_iterations = options.max_iterations;
-  ceres_options.function_tolerance = options.function_tolerance;
-  ceres_options.max_solver_time_in_seconds = 1e9;
-  ceres_options.initial_trust_region_radius = 1e13;  // nearly Gauss-Newton: the start is good, or the solver backs off
-  ceres_options.logging_type = ceres::SILENT;
-  return ceres_options;
-}
-
 void add_vertices(const std::vector<int>& fixed, std::vector<SE3>* vertices, ceres::Problem* problem) {
   for (SE3& T : *vertices) {
     problem->AddParameterBlock(T.t.data(), 3);
@@ -130,8 +107,31 @@ std::string fault(const std::vector<GraphEdge>& edges, const std::vector<int>& f
 
 }  // namespace
 
+Eigen::Matrix<double, 4, 3> quaternion_by_rotation(const Quaternion& q) {
+  Eigen::Matrix<double, 4, 3> jacobian;
+  jacobian.topRows<3>() = q.w() * Mat3::Identity() - hat(q.vec());
+  jacobian.bottomRows<1>() = -q.vec().transpose();
+  return jacobian;
+}
+
+ceres::Solver::Options ceres_options(const GraphSolverOptions& options) {
+  ceres::Solver::Options result;
+  result.linear_solver_type = ceres::SPARSE_NORMAL_CHOLESKY;
+  result.num_threads = 1;
+  // SuiteSparse starts threads of its own, to no use for a chain with some loops.
+  if (!options.has_fill && ceres::IsSparseLinearAlgebraLibraryTypeAvailable(ceres::EIGEN_SPARSE)) {
+    result.sparse_linear_algebra_library_type = ceres::EIGEN_SPARSE;
+  }
+  result.max_num_iterations = options.max_iterations;
+  result.function_tolerance = options.function_tolerance;
+  result.max_solver_time_in_seconds = 1e9;
+  result.initial_trust_region_radius = 1e13;  // nearly Gauss-Newton: the start is good, or the solver backs off
+  result.logging_type = ceres::SILENT;
+  return result;
+}
+
 GraphSolution solve_graph(const std::vector<GraphEdge>& edges, const GraphSolverOptions& options,
-                          std::vector<SE3>* T_world_vertex) {
+                          std::vector<SE3>* T_world_vertex, const GraphObjects& objects) {
   GraphSolution solution;
   solution.message = fault(edges, options.fixed, *T_world_vertex);
   if (!solution.message.empty()) return solution;
@@ -146,8 +146,9 @@ GraphSolution solve_graph(const std::vector<GraphEdge>& edges, const GraphSolver
     problem.AddResidualBlock(new RelativePoseCost(edge, options.error), edge.robust ? make_loss(options) : nullptr,
                              from.t.data(), from.q.coeffs().data(), to.t.data(), to.q.coeffs().data());
   }
+  const ObjectBlocks object_blocks(objects, &vertices, &problem);
   ceres::Solver::Summary summary;
-  ceres::Solve(solver_options(options), &problem, &summary);
+  ceres::Solve(ceres_options(options), &problem, &summary);
   solution.initial_cost = summary.initial_cost;
   solution.final_cost = summary.final_cost;
   solution.iterations = static_cast<int>(summary.iterations.size());

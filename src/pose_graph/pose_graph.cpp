@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <chrono>
+#include <cmath>
 #include <cstdlib>
 #include <iomanip>
 #include <map>
@@ -12,7 +13,9 @@
 
 #include "semantic_topo_loop/geometry/motion_bursts.h"
 #include "semantic_topo_loop/pose_graph/loop_consistency.h"
+#include "semantic_topo_loop/pose_graph/object_memory.h"
 #include "semantic_topo_loop/pose_graph/relative_pose.h"
+#include "semantic_topo_loop/pose_graph/scaled_trajectory.h"
 #include "semantic_topo_loop/pose_graph/trajectory_optimizer.h"
 
 namespace semantic_topo_loop::core {
@@ -21,6 +24,16 @@ class PoseGraph::Impl {
  public:
   explicit Impl(const PoseGraphOptions& options) : options_(options) {
     knowledge_.noise.odometry = noise_prior(options_).least;
+    has_objects_ = options_.objects != "off" && !has_free_scale();
+    trajectory_.objects.noise = {options_.object_weight, options_.object_sigma_px, options_.object_sigma_share};
+  }
+
+  void observe(const Frame& frame, const AssociationFrame& associations) {
+    if (has_objects_ && is_vertex(frame)) objects_.add(static_cast<int>(keyframes_.size()), frame, associations);
+  }
+
+  void apply(const MapUpdate& update) {
+    if (has_objects_) objects_.apply(update, vertex_of_, trajectory_.T_map_vertex);
   }
 
   MapCorrection process(const Frame& frame, const std::vector<LoopClosure>& loops,
@@ -37,7 +50,9 @@ class PoseGraph::Impl {
       correction.duration_us =
           std::chrono::duration<double, std::micro>(std::chrono::steady_clock::now() - start).count();
     }
+    if (has_free_scale()) T_map_odom_ = place(T_odom_frame_) * T_odom_frame_.inverse();
     correction.T_map_odom = T_map_odom_;
+    correction.scale = log_scale_.empty() ? 1.0 : std::exp(log_scale_.back());
     if (!keyframes_.empty()) correction.valid_to_keyframe_id = keyframes_.back().keyframe_id;
     if (correction.changed) {
       correction.keyframes = keyframes();
@@ -76,20 +91,39 @@ class PoseGraph::Impl {
 
   std::vector<KeyframePose> keyframes() const {
     std::vector<KeyframePose> poses = keyframes_;
-    for (std::size_t i = 0; i < poses.size(); ++i) poses[i].T_map_camera = trajectory_.T_map_vertex[i];
+    for (std::size_t i = 0; i < poses.size(); ++i) {
+      poses[i].T_map_camera = trajectory_.T_map_vertex[i];
+      poses[i].scale = std::exp(log_scale_[i]);
+    }
     return poses;
   }
 
  private:
+  /// Whether the frame, which is not in the graph yet, becomes a vertex of it.
+  bool is_vertex(const Frame& frame) const {
+    return frame.is_keyframe && frame.T_odom_camera.is_finite() && vertex_of_.count(frame.keyframe_id) == 0;
+  }
+
+  bool has_free_scale() const { return options_.scale == "free"; }
+
+  /// Where a camera behind the last keyframe is in the map.
+  SE3 place(const SE3& T_odom_camera) const {
+    if (!has_free_scale() || keyframes_.empty()) return T_map_odom_ * T_odom_camera;
+    const Sim3 S_map_keyframe(trajectory_.T_map_vertex.back(), std::exp(log_scale_.back()));
+    return S_map_keyframe.pose(T_odom_keyframe_.inverse() * T_odom_camera);
+  }
+
   void add_frame(const Frame& frame) {
     if (!frame.T_odom_camera.is_finite()) return;
     bursts_.push({frame.stamp_ns, frame.T_odom_camera}, frame.is_break, keyframes_.empty() ? 0 : keyframes_.size() - 1);
     accumulator_.add(frame);
-    if (!frame.is_keyframe || vertex_of_.count(frame.keyframe_id) != 0) return;
+    T_odom_frame_ = frame.T_odom_camera;
+    if (!is_vertex(frame)) return;
     if (!keyframes_.empty()) trajectory_.edges.push_back(accumulator_.finish(T_odom_keyframe_, frame.T_odom_camera));
     vertex_of_[frame.keyframe_id] = static_cast<int>(keyframes_.size());
+    trajectory_.T_map_vertex.push_back(place(frame.T_odom_camera));
+    log_scale_.push_back(log_scale_.empty() ? 0.0 : log_scale_.back());
     keyframes_.push_back({frame.keyframe_id, frame.frame_id, frame.stamp_ns, SE3()});
-    trajectory_.T_map_vertex.push_back(T_map_odom_ * frame.T_odom_camera);
     T_odom_keyframe_ = frame.T_odom_camera;
     ++keyframes_since_;
   }
@@ -140,6 +174,7 @@ class PoseGraph::Impl {
   }
 
   double chi2(const GraphLoop& loop) const {
+    if (has_free_scale()) return chi_squared(loop, trajectory_.T_map_vertex, log_scale_);
     const Vec6 e = relative_pose_residual(trajectory_.T_map_vertex[static_cast<std::size_t>(loop.from)],
                                           trajectory_.T_map_vertex[static_cast<std::size_t>(loop.to)], loop.T_from_to);
     return (square_root_information(loop.covariance) * e).squaredNorm();
@@ -153,6 +188,7 @@ class PoseGraph::Impl {
   /// Loops that the map agrees with can wait longer.
   bool is_due(const Frame& frame) const {
     if (is_withdrawn_) return true;
+    if (frame.is_end && options_.objects == "on" && !objects_.empty()) return true;
     if (trajectory_.loops.empty()) return false;
     if (frame.is_end) return true;
     constexpr int kPatience = 4;
@@ -176,14 +212,91 @@ class PoseGraph::Impl {
       trajectory_.edges[i].suspect_translation_m = bursts_.suspect(i).head<3>().norm();
       trajectory_.edges[i].suspect_rotation_rad = bursts_.suspect(i).tail<3>().norm();
     }
-    if (options_.robust == "gnc") trajectory_.votes = consistency_.vote(trajectory_.edges, trajectory_.loops);
-    OptimizedTrajectory result = optimize_trajectory(trajectory_, options_, knowledge_, effort);
-    if (!result.usable) return false;
-    trajectory_.T_map_vertex = std::move(result.T_map_vertex);
-    knowledge_ = std::move(result.knowledge);
+    if (has_objects_ && is_end) trajectory_.objects.objects = objects_.objects();
+    if (!(has_free_scale() ? optimize_similarities(effort) : optimize_poses(effort))) return false;
     if (effort != Effort::kUpdate) learnt_loops_ = trajectory_.loops.size();
     T_map_odom_ = trajectory_.T_map_vertex.back() * T_odom_keyframe_.inverse();
     return true;
+  }
+
+  bool optimize_poses(Effort effort) {
+    if (options_.robust == "gnc") trajectory_.votes = consistency_.vote(trajectory_.edges, trajectory_.loops);
+    const bool is_doubted = effort == Effort::kFull && options_.robust == "gnc";
+    if (is_doubted && !tell_right_loops()) return false;
+    OptimizedTrajectory result =
+        optimize_trajectory(trajectory_, options_, knowledge_, is_doubted ? Effort::kSettle : effort);
+    if (!result.usable) return false;
+    trajectory_.T_map_vertex = std::move(result.T_map_vertex);
+    knowledge_ = std::move(result.knowledge);
+    return true;
+  }
+
+  /// The scales that the loops state come first; what they leave open, the poses tell. Loops are judged and noise is
+  /// learnt in the map's unit of length, once at the scales stated and once at those found.
+  bool optimize_similarities(Effort effort) {
+    std::vector<double> log_scale = estimate_log_scales(trajectory_, options_);
+    const std::vector<bool> votes = scale_votes(trajectory_, log_scale);
+    std::vector<SE3> T_map_vertex = trajectory_.T_map_vertex;
+    constexpr int kRounds = 2;
+    for (int round = 0; round < kRounds; ++round) {
+      Trajectory scaled = in_map_unit(trajectory_, log_scale);
+      scaled.T_map_vertex = T_map_vertex;
+      if (options_.robust == "gnc") {
+        consistency_.clear();
+        trajectory_.votes = consistency_.vote(scaled.edges, scaled.loops);
+        for (std::size_t k = 0; k < votes.size(); ++k) trajectory_.votes[k] = trajectory_.votes[k] && votes[k];
+        scaled.votes = trajectory_.votes;
+      }
+      OptimizedTrajectory rigid = optimize_trajectory(scaled, options_, knowledge_, effort);
+      if (!rigid.usable || !solve_scales(trajectory_, rigid, options_, &T_map_vertex, &log_scale)) return false;
+      knowledge_ = std::move(rigid.knowledge);
+    }
+    trajectory_.T_map_vertex = std::move(T_map_vertex);
+    log_scale_ = std::move(log_scale);
+    return true;
+  }
+
+  /// Doubts every loop anew. Loops that were outvoted by false ones get another chance.
+  bool tell_right_loops() {
+    const std::vector<bool> voted = trajectory_.votes;
+    if (!classify()) return false;
+    std::vector<bool> eligible = knowledge_.kept;
+    for (std::size_t k = 0; k < voted.size(); ++k) eligible[k] = eligible[k] || !voted[k];
+    trajectory_.votes = consistency_.vote(trajectory_.edges, trajectory_.loops, eligible, knowledge_.kept);
+    if (trajectory_.votes != knowledge_.kept && !classify()) return false;
+    forget_false_loops(voted);
+    return true;
+  }
+
+  bool classify() {
+    OptimizedTrajectory result = optimize_trajectory(trajectory_, options_, knowledge_, Effort::kClassify);
+    if (!result.usable) return false;
+    trajectory_.T_map_vertex = std::move(result.T_map_vertex);
+    knowledge_ = std::move(result.knowledge);
+    return true;
+  }
+
+  /// A loop found false shall leave no trace: which loops repeat others follows from those that fit.
+  /// @param voted in the first round: says why a loop is not kept
+  void forget_false_loops(const std::vector<bool>& voted) {
+    const std::vector<bool> kept = std::move(knowledge_.kept);
+    trajectory_.loops.clear();
+    trajectory_.votes.clear();
+    knowledge_.kept.clear();
+    for (Entry& entry : entries_) {
+      if (!entry.loop) continue;
+      const bool was_in_graph = entry.index >= 0;
+      const auto index = static_cast<std::size_t>(entry.index);
+      const bool fits = was_in_graph ? kept[index] : chi2(*entry.loop) <= options_.robust_chi2;
+      const bool has_vote = fits || !was_in_graph || voted[index];
+      entry.index = -1;
+      if (fits && is_repetition(*entry.loop)) continue;
+      entry.index = static_cast<int>(trajectory_.loops.size());
+      trajectory_.loops.push_back(*entry.loop);
+      trajectory_.votes.push_back(has_vote);
+      knowledge_.kept.push_back(fits);
+    }
+    consistency_.clear();
   }
 
   LoopVerdict verdict(const Entry& entry) const {
@@ -246,10 +359,14 @@ class PoseGraph::Impl {
   Trajectory trajectory_;
   std::vector<KeyframePose> keyframes_;
   std::map<std::int64_t, int> vertex_of_;
+  bool has_objects_ = false;
+  ObjectMemory objects_;
   OdometryAccumulator accumulator_;
   MotionBursts bursts_;
   LoopConsistency consistency_;
-  SE3 T_odom_keyframe_;  ///< of the last keyframe
+  SE3 T_odom_keyframe_;            ///< of the last keyframe
+  SE3 T_odom_frame_;               ///< of the last frame
+  std::vector<double> log_scale_;  ///< of the map's unit of length over the odometry's, one a vertex; 0 unless free
   SE3 T_map_odom_;
   GraphKnowledge knowledge_;
   std::vector<Entry> entries_;  ///< in order of acceptance
@@ -263,6 +380,10 @@ PoseGraph::~PoseGraph() = default;
 PoseGraph::PoseGraph(PoseGraph&&) noexcept = default;
 PoseGraph& PoseGraph::operator=(PoseGraph&&) noexcept = default;
 
+void PoseGraph::observe(const Frame& frame, const AssociationFrame& associations) {
+  impl_->observe(frame, associations);
+}
+void PoseGraph::apply(const MapUpdate& update) { impl_->apply(update); }
 MapCorrection PoseGraph::process(const Frame& frame, const std::vector<LoopClosure>& loops,
                                  const std::vector<LoopClosure>& extra_loops) {
   return impl_->process(frame, loops, extra_loops);

@@ -30,7 +30,15 @@ bool PoseGraphOptions::is_valid(std::string* error) const {
          check(noise_factor_max >= 1.0, "noise_factor_max", noise_factor_max, ">= 1", error) &&
          check(noise_evidence >= 0.0, "noise_evidence", noise_evidence, ">= 0", error) &&
          check(max_redundancy > 0.0, "max_redundancy", max_redundancy, "> 0", error) &&
-         check(max_iterations >= 1, "max_iterations", max_iterations, ">= 1", error);
+         check(max_iterations >= 1, "max_iterations", max_iterations, ">= 1", error) &&
+         check(scale == "fixed" || scale == "free", "scale", scale, "fixed or free", error) &&
+         check(scale_walk > 0.0 && scale_walk <= 0.5, "scale_walk", scale_walk, "in (0, 0.5]", error) &&
+         check(objects == "off" || objects == "with_loops" || objects == "on", "objects", objects,
+               "off, with_loops or on", error) &&
+         check(object_weight > 0.0, "object_weight", object_weight, "> 0", error) &&
+         check(object_sigma_px > 0.0, "object_sigma_px", object_sigma_px, "> 0", error) &&
+         check(object_sigma_share >= 0.0, "object_sigma_share", object_sigma_share, ">= 0", error) &&
+         check(object_views >= 4, "object_views", object_views, ">= 4", error);
 }
 
 }  // namespace semantic_topo_loop::core

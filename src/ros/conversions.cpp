@@ -64,11 +64,12 @@ KeyframePose to_msg(const core::KeyframePose& keyframe) {
   message.frame_id = keyframe.frame_id;
   message.stamp_ns = keyframe.stamp_ns;
   message.map_from_camera = to_msg(keyframe.T_map_camera);
+  message.scale = keyframe.scale;
   return message;
 }
 
 core::KeyframePose from_msg(const KeyframePose& message) {
-  return {message.keyframe_id, message.frame_id, message.stamp_ns, from_msg(message.map_from_camera)};
+  return {message.keyframe_id, message.frame_id, message.stamp_ns, from_msg(message.map_from_camera), message.scale};
 }
 
 LoopVerdict to_msg(const core::LoopVerdict& verdict) {
@@ -288,6 +289,8 @@ LoopClosure to_msg(const core::LoopClosure& loop) {
   message.labels = loop.labels;
   message.match_from_query = to_msg(loop.T_match_query);
   fill(loop.covariance, &message.covariance);
+  message.scale = loop.scale;
+  Eigen::Map<core::Vec7>(message.scale_covariance.data()) = loop.scale_covariance;
   message.matches = to_messages<ObjectMatch>(loop.matches);
   message.in_earlier_map = loop.T_earlier_match.has_value();
   message.earlier_map_from_match = to_msg(loop.T_earlier_match.value_or(core::SE3()));
@@ -325,6 +328,8 @@ core::LoopClosure from_msg(const LoopClosure& message) {
   loop.labels = message.labels;
   loop.T_match_query = from_msg(message.match_from_query);
   loop.covariance = to_matrix6(message.covariance);
+  loop.scale = message.scale;
+  loop.scale_covariance = Eigen::Map<const core::Vec7>(message.scale_covariance.data());
   loop.matches = from_messages<core::ObjectMatch>(message.matches);
   if (message.in_earlier_map != 0) loop.T_earlier_match = from_msg(message.earlier_map_from_match);
   return loop;
@@ -370,6 +375,7 @@ void to_msg(const core::MapCorrection& correction, MapCorrection* message) {
   message->valid_to_keyframe_id = correction.valid_to_keyframe_id;
   message->map_from_odom_old = to_msg(correction.T_map_odom_old);
   message->map_from_odom = to_msg(correction.T_map_odom);
+  message->scale = correction.scale;
   message->keyframes = to_messages<KeyframePose>(correction.keyframes);
   message->loops = to_messages<LoopVerdict>(correction.loops);
   message->odometry = to_msg(correction.odometry);
@@ -383,6 +389,7 @@ core::MapCorrection from_msg(const MapCorrection& message) {
   correction.valid_to_keyframe_id = message.valid_to_keyframe_id;
   correction.T_map_odom_old = from_msg(message.map_from_odom_old);
   correction.T_map_odom = from_msg(message.map_from_odom);
+  correction.scale = message.scale;
   correction.keyframes = from_messages<core::KeyframePose>(message.keyframes);
   correction.loops = from_messages<core::LoopVerdict>(message.loops);
   correction.odometry = from_msg(message.odometry);

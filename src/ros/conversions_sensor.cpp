@@ -46,6 +46,30 @@ bool has_xyz(const sensor_msgs::PointCloud2& message, std::string* error) {
 
 }  // namespace
 
+void to_msg(const core::TrackingReport& report, TrackingReport* message) {
+  message->images = report.images;
+  message->tracked = report.tracked;
+  message->relocalised = report.relocalised;
+  message->restarts = report.restarts;
+  message->lost = report.lost;
+  message->unusable = report.unusable;
+  message->unreadable = report.unreadable;
+  message->first_unreadable = report.first_unreadable;
+}
+
+core::TrackingReport from_msg(const TrackingReport& message) {
+  core::TrackingReport report;
+  report.images = message.images;
+  report.tracked = message.tracked;
+  report.relocalised = message.relocalised;
+  report.restarts = message.restarts;
+  report.lost = message.lost;
+  report.unusable = message.unusable;
+  report.unreadable = message.unreadable;
+  report.first_unreadable = message.first_unreadable;
+  return report;
+}
+
 ros::Time to_ros_time(std::int64_t stamp_ns) {
   constexpr std::int64_t kMax = (std::int64_t{std::numeric_limits<std::uint32_t>::max()} + 1) * kNsPerS - 1;
   const std::int64_t ns = std::clamp<std::int64_t>(stamp_ns, 0, kMax);

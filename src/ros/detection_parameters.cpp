@@ -7,8 +7,8 @@ namespace semantic_topo_loop {
 bool DetectionParameters::is_valid(std::string* error) const {
   if (!ClassStageParameters::is_valid(error)) return false;
   std::ostringstream problem;
-  if (source != "topic" && source != "file") {
-    problem << "parameter 'source' = '" << source << "' must be topic or file";
+  if (source != "topic" && source != "file" && source != "none") {
+    problem << "parameter 'source' = '" << source << "' must be topic, file or none";
   } else if (source == "file" && detections_file.empty()) {
     problem << "parameter 'detections_file' = '' must be given with source file";
   } else if (!(detection_timeout_s >= 0.0)) {

@@ -5,10 +5,9 @@
 namespace semantic_topo_loop {
 namespace {
 
-/// Who publishes on each link.
-constexpr std::array<const char*, PlayerLedger::kLinkCount> kPublishers = {
-    "PoseFrontend",  "DetectionIngestion", "ObjectAssociation", "QuadricMapping",
-    "LoopDetection", "PoseGraph",          "QuadricMapping"};
+/// Who publishes on each link after the front end.
+constexpr std::array<const char*, PlayerLedger::kLinkCount - 1> kPublishers = {
+    "DetectionIngestion", "ObjectAssociation", "QuadricMapping", "LoopDetection", "PoseGraph", "QuadricMapping"};
 /// Reports a frame as done when it is complete.
 constexpr char kLastStage[] = "ObjectAssociation";
 constexpr char kRecorder[] = "Recorder";
@@ -29,7 +28,7 @@ void PlayerLedger::take(const SessionControl& control) {
 void PlayerLedger::take(const SessionAck& ack) { acknowledged_[ack.stage] = ack.session_id; }
 
 std::vector<std::string> PlayerLedger::missing_stages() const {
-  if (session_id_ == 0) return {kPublishers[kFrames]};
+  if (session_id_ == 0) return {frontend_};
   std::vector<std::string> missing;
   for (const std::string& stage : stages_) {
     const auto session = acknowledged_.find(stage);
@@ -75,9 +74,9 @@ void PlayerLedger::done(const FrameDone& done) {
 std::string PlayerLedger::silent_stage() const {
   if (is_end_done_) return kRecorder;
   const std::int64_t frame_id = in_flight_.empty() ? end_frame_id_ : in_flight_.begin()->second;
-  if (frame_id == kUnknownFrame) return kPublishers[kFrames];
-  for (std::size_t link = 0; link < kLinkCount; ++link) {
-    if (last_seen_[link] <= frame_id) return kPublishers[link];
+  if (frame_id == kUnknownFrame || last_seen_[kFrames] <= frame_id) return frontend_;
+  for (std::size_t link = kDetections; link < kLinkCount; ++link) {
+    if (last_seen_[link] <= frame_id) return kPublishers[link - kDetections];
   }
   return kLastStage;
 }

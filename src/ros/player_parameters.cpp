@@ -27,13 +27,17 @@ bool PlayerParameters::is_valid(std::string* error) const {
     return false;
   }
   for (const auto& [key, value] :
-       {std::pair("max_pose_gap_s", max_pose_gap_s), std::pair("rate", rate),
-        std::pair("startup_timeout_s", startup_timeout_s), std::pair("stall_timeout_s", stall_timeout_s)}) {
+       {std::pair("max_pose_gap_s", max_pose_gap_s), std::pair("max_depth_delay_s", max_depth_delay_s),
+        std::pair("rate", rate), std::pair("startup_timeout_s", startup_timeout_s),
+        std::pair("stall_timeout_s", stall_timeout_s)}) {
     if (!(value > 0.0)) return fail(key, value, "> 0", error);
   }
   if (mode == "files" && trajectory_file.empty()) return fail("trajectory_file", "", "given in mode files", error);
   if (mode == "files" && camera_file.empty()) return fail("camera_file", "", "given in mode files", error);
   if (mode == "bag" && bag_file.empty()) return fail("bag_file", "", "given in mode bag", error);
+  if (images && (mode != "bag" || stamps != "image")) {
+    return fail("images", "true", "false unless mode is bag and stamps is image", error);
+  }
   if (credit < 1 || credit >= queue_size) return fail("credit", credit, "at least 1 and less than queue_size", error);
   return true;
 }

@@ -16,7 +16,7 @@ bool fail(const char* key, const Value& value, const char* rule, std::string* er
 }  // namespace
 
 bool PoseFrontendParameters::is_valid(std::string* error) const {
-  if (!StageParameters::is_valid(error)) return false;
+  if (!FrontendParameters::is_valid(error)) return false;
   if (pose_source != "file" && pose_source != "tf" && pose_source != "odometry") {
     return fail("pose_source", pose_source, "file, tf or odometry", error);
   }
@@ -29,7 +29,6 @@ bool PoseFrontendParameters::is_valid(std::string* error) const {
   if (publish_odom_tf && pose_source == "tf") {
     return fail("publish_odom_tf", "true", "false with pose_source tf, where somebody else sends it", error);
   }
-  if (odom_frame.empty()) return fail("odom_frame", odom_frame, "given", error);
   if (!(max_pose_gap_s > 0.0)) return fail("max_pose_gap_s", max_pose_gap_s, "> 0", error);
   if (!(pose_timeout_s >= 0.0)) return fail("pose_timeout_s", pose_timeout_s, ">= 0", error);
   return true;

@@ -13,7 +13,7 @@ namespace {
 constexpr double kKeepS = 60.0;
 /// A sample that is older than the newest one by more says that time has jumped back.
 constexpr std::int64_t kJumpBackNs = 1000000000;
-constexpr char kAuthority[] = "PoseFrontend";
+constexpr char kAuthority[] = "semantic_topo_loop";
 
 geometry_msgs::Pose to_pose(const geometry_msgs::Transform& transform) {
   geometry_msgs::Pose pose;

@@ -41,6 +41,11 @@ std::shared_ptr<const core::ClassTable> Stage::load_classes(const std::string& p
   return nullptr;
 }
 
+void Stage::complain(const std::string& cause, const std::string& detail) {
+  if (!statistics_.count_first(cause)) return;
+  NODELET_WARN("%s: %s (further ones are counted in the diagnostics)", cause.c_str(), detail.c_str());
+}
+
 void Stage::stop() {
   for (ros::Subscriber& subscriber : subscribers_) subscriber.shutdown();
   for (ros::ServiceServer& service : services_) service.shutdown();

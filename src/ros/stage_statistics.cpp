@@ -38,6 +38,11 @@ void StageStatistics::count(const std::string& counter, std::uint64_t n) {
   counters_[counter] += n;
 }
 
+bool StageStatistics::count_first(const std::string& counter) {
+  const std::lock_guard<std::mutex> lock(mutex_);
+  return ++counters_[counter] == 1;
+}
+
 void StageStatistics::set(const std::string& counter, std::uint64_t value) {
   const std::lock_guard<std::mutex> lock(mutex_);
   counters_[counter] = value;

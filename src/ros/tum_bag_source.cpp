@@ -7,12 +7,14 @@
 #include <algorithm>
 #include <exception>
 
+#include "semantic_topo_loop/io/stamp.h"
 #include "semantic_topo_loop/ros/conversions.h"
 
 namespace semantic_topo_loop {
 namespace {
 
 constexpr char kImageTopic[] = "/camera/rgb/image_color";
+constexpr char kDepthTopic[] = "/camera/depth/image";
 constexpr char kCameraInfoTopic[] = "/camera/rgb/camera_info";
 constexpr char kTfTopic[] = "/tf";
 constexpr char kMocapFrame[] = "world";
@@ -32,8 +34,8 @@ std::unique_ptr<TumBagSource> TumBagSource::open(const TumBagPlayback& options,
   std::string problem;
   try {
     source->open_bag();
-    if (source->size_ > 0) return source;
-    problem = "holds no message on " + std::string(options.stamps == "image" ? kImageTopic : kCameraInfoTopic);
+    problem = source->what_is_missing();
+    if (problem.empty()) return source;
   } catch (const rosbag::BagUnindexedException&) {
     problem = "has no index, as after an aborted recording or download; `rosbag reindex` may repair it";
   } catch (const std::exception& exception) {
@@ -46,33 +48,52 @@ std::unique_ptr<TumBagSource> TumBagSource::open(const TumBagPlayback& options,
 void TumBagSource::open_bag() {
   bag_.open(options_.file, rosbag::bagmode::Read);
   const std::string stamp_topic = options_.stamps == "image" ? kImageTopic : kCameraInfoTopic;
-  size_ = rosbag::View(bag_, rosbag::TopicQuery(stamp_topic)).size();
+  size_ = count(stamp_topic);
   std::vector<std::string> topics = {kTfTopic, kCameraInfoTopic};
   if (stamp_topic == kImageTopic) topics.emplace_back(kImageTopic);
+  if (options_.with_images) topics.emplace_back(kDepthTopic);
   view_ = std::make_unique<rosbag::View>(bag_, rosbag::TopicQuery(topics));
   position_ = view_->begin();
 }
 
+std::size_t TumBagSource::count(const std::string& topic) const {
+  return rosbag::View(bag_, rosbag::TopicQuery(topic)).size();
+}
+
+std::string TumBagSource::what_is_missing() const {
+  const std::string nothing = "holds no message on ";
+  if (size_ == 0) return nothing + (options_.stamps == "image" ? kImageTopic : kCameraInfoTopic);
+  if (options_.with_images && count(kDepthTopic) == 0) {
+    return nothing + kDepthTopic + ": without depth, poses must come from elsewhere";
+  }
+  return {};
+}
+
 std::optional<PlayerItem> TumBagSource::next(std::string* error) {
   try {
-    while (position_ != view_->end() && (images_.empty() || !is_due(images_.front()))) {
+    while (position_ != view_->end() && !is_due()) {
       read_message(*position_);
       ++position_;
     }
   } catch (const std::exception& exception) {
     position_ = view_->end();
-    images_.clear();
-    if (error != nullptr) *error = explain(options_.file, std::string("is damaged: ") + exception.what());
+    fault_ = explain(options_.file, std::string("is damaged: ") + exception.what());
+  }
+  if (images_.empty() && options_.with_images) {
+    pairing_.finish();
+    take_pairs();
+  }
+  if (images_.empty()) {
+    if (!fault_.empty() && error != nullptr) *error = fault_;
     return std::nullopt;
   }
-  if (images_.empty()) return std::nullopt;
   const Image image = images_.front();
   images_.pop_front();
   return make_item(image);
 }
 
-bool TumBagSource::is_due(const Image& image) const {
-  return read_to_ - image.received > ros::Duration(options_.lookahead_s);
+bool TumBagSource::is_due() const {
+  return !images_.empty() && read_to_ - images_.front().received > ros::Duration(options_.lookahead_s);
 }
 
 void TumBagSource::read_message(const rosbag::MessageInstance& message) {
@@ -82,10 +103,29 @@ void TumBagSource::read_message(const rosbag::MessageInstance& message) {
     return;
   }
   if (const auto camera_info = message.instantiate<sensor_msgs::CameraInfo>()) {
-    if (options_.stamps == "camera_info") images_.push_back({message.getTime(), camera_info->header});
+    if (options_.stamps == "camera_info") images_.push_back({message.getTime(), camera_info->header, {}, {}});
     if (!calibration_) calibration_ = *camera_info;
   } else if (const auto image = message.instantiate<sensor_msgs::Image>()) {
-    images_.push_back({message.getTime(), image->header});
+    if (message.getTopic() == kImageTopic) {
+      take_color(message.getTime(), image);
+    } else {
+      pairing_.add_depth(image);
+    }
+    take_pairs();
+  }
+}
+
+void TumBagSource::take_color(const ros::Time& received, const sensor_msgs::ImagePtr& image) {
+  if (options_.with_images) {
+    pairing_.add_color(received, image);
+  } else {
+    images_.push_back({received, image->header, {}, {}});
+  }
+}
+
+void TumBagSource::take_pairs() {
+  while (const std::optional<DepthPairing::Answer> answer = pairing_.take()) {
+    images_.push_back({answer->received, answer->color->header, answer->color, answer->depth});
   }
 }
 
@@ -109,7 +149,29 @@ PlayerItem TumBagSource::make_item(const Image& image) {
   if (calibration_) item.camera_info = *calibration_;
   item.camera_info.header = image.header;
   item.camera_info.header.frame_id = strip_leading_slash(image.header.frame_id);
+  if (!options_.with_images || !is_in_order(image.header, &item)) return item;
+  if (!image.depth) {
+    item.left_out = "colour images without depth";
+    item.detail = "none within " + std::to_string(options_.max_depth_delay_s) + " s of stamp " +
+                  core::format_stamp(to_stamp_ns(image.header.stamp));
+    return item;
+  }
+  // The two belong together now: whoever joins them by stamp shall not have to guess again.
+  image.depth->header.stamp = image.header.stamp;
+  item.color = image.color;
+  item.depth = image.depth;
   return item;
+}
+
+bool TumBagSource::is_in_order(const std_msgs::Header& header, PlayerItem* item) {
+  if (!last_stamp_ || header.stamp > *last_stamp_) {
+    last_stamp_ = header.stamp;
+    return true;
+  }
+  item->left_out = "images out of order";
+  item->detail = "stamp " + core::format_stamp(to_stamp_ns(header.stamp)) + " after " +
+                 core::format_stamp(to_stamp_ns(*last_stamp_));
+  return false;
 }
 
 }  // namespace semantic_topo_loop

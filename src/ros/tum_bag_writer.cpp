@@ -6,7 +6,10 @@
 #include <sensor_msgs/image_encodings.h>
 #include <tf2_msgs/TFMessage.h>
 
+#include <opencv2/core.hpp>
+
 #include "semantic_topo_loop/ros/conversions.h"
+#include "semantic_topo_loop/simulation/rgbd_sequence.h"
 
 namespace semantic_topo_loop {
 
@@ -59,9 +62,13 @@ namespace {
 
 constexpr char kInfoTopic[] = "/camera/rgb/camera_info";
 constexpr char kImageTopic[] = "/camera/rgb/image_color";
+constexpr char kDepthInfoTopic[] = "/camera/depth/camera_info";
+constexpr char kDepthTopic[] = "/camera/depth/image";
 constexpr char kTfTopic[] = "/tf";
+constexpr char kCameraFrame[] = "/openni_camera";
 constexpr char kOpticalFrame[] = "/openni_rgb_optical_frame";
-constexpr std::uint32_t kImageWidth = 8, kImageHeight = 6;
+constexpr char kDepthOpticalFrame[] = "/openni_depth_optical_frame";  ///< of depth that is not registered
+constexpr int kThumbnailWidth = 8, kThumbnailHeight = 6;
 constexpr std::size_t kChainPeriod = 10;  ///< mocap samples
 
 /// The camera as it hangs on the markers' rig: measured by nobody, but neither identity nor axis-aligned.
@@ -82,7 +89,7 @@ geometry_msgs::TransformStamped transform(std::int64_t stamp_ns, const char* par
 }
 
 /// The driver's default: no calibration.
-sensor_msgs::CameraInfo camera_info(const core::Camera& camera) {
+sensor_msgs::CameraInfo camera_info(const core::Camera& camera, const char* frame) {
   core::Camera driver;
   driver.fx = driver.fy = 525.0;
   driver.cx = 0.5 * (camera.width - 1);
@@ -91,29 +98,45 @@ sensor_msgs::CameraInfo camera_info(const core::Camera& camera) {
   driver.height = camera.height;
   sensor_msgs::CameraInfo message;
   to_msg(driver, &message);
-  message.header.frame_id = kOpticalFrame;
+  message.header.frame_id = frame;
   return message;
 }
 
-sensor_msgs::Image grey_image() {
-  sensor_msgs::Image image;
-  image.header.frame_id = kOpticalFrame;
-  image.width = kImageWidth;
-  image.height = kImageHeight;
-  image.encoding = sensor_msgs::image_encodings::RGB8;
-  image.step = 3 * kImageWidth;
-  image.data.assign(std::size_t{image.step} * image.height, 128);
-  return image;
+/// @param image continuous
+sensor_msgs::Image image_message(const cv::Mat& image, const char* frame, const std::string& encoding) {
+  sensor_msgs::Image message;
+  message.header.frame_id = frame;
+  message.width = static_cast<std::uint32_t>(image.cols);
+  message.height = static_cast<std::uint32_t>(image.rows);
+  message.encoding = encoding;
+  message.step = static_cast<std::uint32_t>(image.cols * static_cast<int>(image.elemSize()));
+  message.data.assign(image.data, image.data + image.total() * image.elemSize());
+  return message;
+}
+
+/// The official bags hold rgb8.
+cv::Mat swap_blue_and_red(const cv::Mat& bgr) {
+  cv::Mat rgb(bgr.size(), CV_8UC3);
+  const int bgr_to_rgb[] = {0, 2, 1, 1, 2, 0};
+  cv::mixChannels(&bgr, 1, &rgb, 1, bgr_to_rgb, 3);
+  return rgb;
+}
+
+rosbag::compression::CompressionType compression_of(const std::string& name) {
+  if (name == "none") return rosbag::compression::Uncompressed;
+  return name == "lz4" ? rosbag::compression::LZ4 : rosbag::compression::BZ2;
 }
 
 class TumBag {
  public:
-  TumBag(const std::string& path, const core::Camera& camera, const TumBagOptions& options)
+  TumBag(const std::string& path, const core::SimulatedSequence& sequence, const TumBagOptions& options)
       : bag_(path, rosbag::bagmode::Write),
-        with_images_(options.with_images),
-        info_(camera_info(camera)),
-        image_(grey_image()) {
-    bag_.setCompression(rosbag::compression::BZ2);
+        sequence_(sequence),
+        options_(options),
+        depth_frame_(options.rendering.depth_offset_m == 0.0 ? kOpticalFrame : kDepthOpticalFrame),
+        info_(camera_info(sequence.camera, kOpticalFrame)),
+        depth_info_(camera_info(sequence.camera, depth_frame_)) {
+    bag_.setCompression(compression_of(options.compression));
   }
 
   void write_mocap(const core::StampedPose& pose) {
@@ -123,30 +146,82 @@ class TumBag {
     bag_.write(kTfTopic, to_ros_time(pose.stamp_ns), mocap);
     if (mocap_count_++ % kChainPeriod != 0) return;
     TfMessage chain;
-    chain.message.transforms = {transform(pose.stamp_ns, "/kinect", "/openni_camera", kinect_from_camera()),
-                                transform(pose.stamp_ns, "/openni_camera", "/openni_rgb_frame", camera_from_rgb()),
+    chain.message.transforms = {transform(pose.stamp_ns, "/kinect", kCameraFrame, kinect_from_camera()),
+                                transform(pose.stamp_ns, kCameraFrame, "/openni_rgb_frame", camera_from_rgb()),
                                 transform(pose.stamp_ns, "/openni_rgb_frame", kOpticalFrame, rgb_from_optical())};
+    if (depth_frame_ != kOpticalFrame) {
+      const core::SE3 T_rgb_depth =
+          rgb_from_optical() * core::color_from_depth(options_.rendering) * rgb_from_optical().inverse();
+      chain.message.transforms.push_back(
+          transform(pose.stamp_ns, kCameraFrame, "/openni_depth_frame", camera_from_rgb() * T_rgb_depth));
+      chain.message.transforms.push_back(
+          transform(pose.stamp_ns, "/openni_depth_frame", kDepthOpticalFrame, rgb_from_optical()));
+    }
     bag_.write(kTfTopic, to_ros_time(pose.stamp_ns), chain);
   }
 
-  void write_image(std::int64_t stamp_ns) {
-    const ros::Time stamp = to_ros_time(stamp_ns);
-    info_.header.stamp = image_.header.stamp = stamp;
-    info_.header.seq = image_.header.seq = image_count_++;
-    bag_.write(kInfoTopic, stamp, info_);
-    if (with_images_) bag_.write(kImageTopic, stamp, image_);
+  /// @return false with `error` set if the frame's image cannot be read
+  bool write_colour(std::size_t frame, std::string* error) {
+    const std::int64_t stamp_ns = sequence_.truth[frame].stamp_ns;
+    write(kInfoTopic, frame, stamp_ns, &info_);
+    if (!options_.with_images) return true;
+    std::optional<cv::Mat> image(cv::Mat(kThumbnailHeight, kThumbnailWidth, CV_8UC3, cv::Scalar::all(128.0)));
+    if (has_rendered_images()) image = core::read_rendered_colour(sequence_, options_.image_directory, frame, error);
+    if (!image) return false;
+    sensor_msgs::Image message =
+        image_message(swap_blue_and_red(*image), kOpticalFrame, sensor_msgs::image_encodings::RGB8);
+    write(kImageTopic, frame, stamp_ns, &message);
+    return true;
+  }
+
+  bool write_depth(std::size_t frame, std::string* error) {
+    if (!has_rendered_images()) return true;
+    const std::int64_t stamp_ns = sequence_.depth[frame].stamp_ns;
+    const std::optional<cv::Mat> depth_m =
+        core::read_rendered_depth(sequence_, options_.rendering, options_.image_directory, frame, error);
+    if (!depth_m) return false;
+    write(kDepthInfoTopic, frame, stamp_ns, &depth_info_);
+    sensor_msgs::Image message = image_message(*depth_m, depth_frame_, sensor_msgs::image_encodings::TYPE_32FC1);
+    write(kDepthTopic, frame, stamp_ns, &message);
+    return true;
   }
 
   void close() { bag_.close(); }
 
  private:
+  bool has_rendered_images() const { return options_.with_images && !options_.image_directory.empty(); }
+
+  template <class Message>
+  void write(const char* topic, std::size_t frame, std::int64_t stamp_ns, Message* message) {
+    message->header.stamp = to_ros_time(stamp_ns);
+    message->header.seq = static_cast<std::uint32_t>(frame);
+    bag_.write(topic, message->header.stamp, *message);
+  }
+
   rosbag::Bag bag_;
-  bool with_images_;
-  sensor_msgs::CameraInfo info_;
-  sensor_msgs::Image image_;
+  const core::SimulatedSequence& sequence_;
+  const TumBagOptions& options_;
+  const char* depth_frame_;
+  sensor_msgs::CameraInfo info_, depth_info_;
   std::size_t mocap_count_ = 0;
-  std::uint32_t image_count_ = 0;
 };
+
+/// Everything in order of time.
+bool write_messages(const core::SimulatedSequence& sequence, TumBag* bag, std::string* error) {
+  std::size_t colour = 0, depth = 0;
+  for (const core::StampedPose& pose : sequence.mocap) {
+    for (;;) {
+      const bool has_colour = colour < sequence.truth.size() && sequence.truth[colour].stamp_ns <= pose.stamp_ns;
+      const bool has_depth = depth < sequence.depth.size() && sequence.depth[depth].stamp_ns <= pose.stamp_ns;
+      if (!has_colour && !has_depth) break;
+      const bool is_colour =
+          has_colour && (!has_depth || sequence.truth[colour].stamp_ns <= sequence.depth[depth].stamp_ns);
+      if (!(is_colour ? bag->write_colour(colour++, error) : bag->write_depth(depth++, error))) return false;
+    }
+    bag->write_mocap(pose);
+  }
+  return true;
+}
 
 }  // namespace
 
@@ -155,14 +230,8 @@ core::SE3 tum_kinect_from_optical() { return kinect_from_camera() * camera_from_
 bool write_tum_bag(const core::SimulatedSequence& sequence, const std::string& path, const TumBagOptions& options,
                    std::string* error) {
   try {
-    TumBag bag(path, sequence.camera, options);
-    std::size_t image = 0;
-    for (const core::StampedPose& pose : sequence.mocap) {
-      for (; image < sequence.truth.size() && sequence.truth[image].stamp_ns <= pose.stamp_ns; ++image) {
-        bag.write_image(sequence.truth[image].stamp_ns);
-      }
-      bag.write_mocap(pose);
-    }
+    TumBag bag(path, sequence, options);
+    if (!write_messages(sequence, &bag, error)) return false;
     bag.close();
   } catch (const std::exception& exception) {
     if (error != nullptr) *error = path + ": cannot write the bag: " + exception.what();

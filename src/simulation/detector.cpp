@@ -68,10 +68,14 @@ DetectorModel::DetectorModel(const Scene& scene, const Camera& camera, const Cla
 }
 
 std::vector<SimulatedDetection> DetectorModel::detect(const SE3& T_world_camera, double time_s) {
+  return detect(T_world_camera, projector_.project(T_world_camera, time_s));
+}
+
+std::vector<SimulatedDetection> DetectorModel::detect(const SE3& T_world_camera,
+                                                      const std::vector<std::optional<ObjectView>>& views) {
   advance_moods();
   advance_phantoms(T_world_camera);
   std::vector<SimulatedDetection> detections;
-  const std::vector<std::optional<ObjectView>> views = projector_.project(T_world_camera, time_s);
   for (std::size_t i = 0; i < views.size(); ++i) {
     const std::optional<Detection> detection = views[i] ? detect_object(i, *views[i]) : std::nullopt;
     if (detection) detections.push_back({*detection, static_cast<int>(i)});

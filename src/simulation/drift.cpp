@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <array>
+#include <cmath>
 #include <sstream>
 
 #include "option_check.h"
@@ -242,6 +243,8 @@ bool DriftOptions::is_valid(std::string* error) const {
   check.require(model == "smooth" || model == "jump", "drift.model", model, "smooth or jump");
   check.not_negative("drift.position_m", position_m);
   check.require(rotation_deg >= 0.0 && rotation_deg < 170.0, "drift.rotation_deg", rotation_deg, "in [0, 170)");
+  check.not_negative("drift.scale_percent", scale_percent);
+  check.require(global_scale > 0.0, "drift.global_scale", global_scale, "> 0");
   return check.ok();
 }
 
@@ -264,6 +267,26 @@ std::optional<std::vector<SE3>> drift_poses(const std::vector<SE3>& T_world_came
     *error = message.str();
   }
   return std::nullopt;
+}
+
+std::vector<SE3> drift_scale(const std::vector<SE3>& T_world_camera, const DriftOptions& options, std::uint64_t seed) {
+  if (T_world_camera.size() < 2 || (options.scale_percent == 0.0 && options.global_scale == 1.0)) return T_world_camera;
+  Random random(seed);
+  std::vector<double> walk{0.0};  // one a motion
+  double largest = 0.0;
+  for (std::size_t i = 1; i < T_world_camera.size(); ++i) {
+    const double step_m = (T_world_camera[i].t - T_world_camera[i - 1].t).norm();
+    walk.push_back(walk.back() + std::sqrt(step_m) * random.normal());
+    largest = std::max(largest, std::abs(walk.back()));
+  }
+  const double level = std::log(1.0 + 0.01 * options.scale_percent) / std::max(largest, 1e-12);
+  std::vector<SE3> poses{T_world_camera.front()};
+  for (std::size_t i = 1; i < T_world_camera.size(); ++i) {
+    SE3 motion = T_world_camera[i - 1].inverse() * T_world_camera[i];
+    motion.t *= options.global_scale * std::exp(level * walk[i]);
+    poses.push_back(poses.back() * motion);
+  }
+  return poses;
 }
 
 }  // namespace semantic_topo_loop::core

@@ -1,7 +1,9 @@
 #include "semantic_topo_loop/simulation/sequence.h"
 
 #include "option_check.h"
+#include "seed_stream.h"
 #include "semantic_topo_loop/detection/detection_writer.h"
+#include "semantic_topo_loop/io/camera_yaml.h"
 #include "semantic_topo_loop/io/text_file.h"
 #include "semantic_topo_loop/io/tum_trajectory.h"
 #include "semantic_topo_loop/pipeline/option_visitor.h"
@@ -14,17 +16,10 @@ constexpr std::int64_t kFirstStampNs = 1400000000000000000;
 constexpr double kMocapRateHz = 100.0;
 constexpr double kMocapMarginS = 0.5;  ///< before the first and after the last image
 
-/// Streams of the seed; one a component, so that the options of one leave the others as they are.
-enum Stream : std::uint64_t { kScene = 1, kTrajectory, kDrift, kDetector, kOdometryFrame, kDynamics };
-
-std::uint64_t seed_of(const SimulationOptions& options, Stream stream) {
-  return static_cast<std::uint64_t>(options.seed) * 16 + stream;
-}
-
 /// Whole microseconds, so that six decimals in a file are exact.
 std::int64_t stamp_at(double time_s) { return kFirstStampNs + 1000 * std::llround(1e6 * time_s); }
 
-StampedPoses sample(const HandheldTrajectory& trajectory, double begin_s, double rate_hz, std::size_t count) {
+StampedPoses sample(const Trajectory& trajectory, double begin_s, double rate_hz, std::size_t count) {
   StampedPoses poses;
   poses.reserve(count);
   for (std::size_t i = 0; i < count; ++i) {
@@ -45,26 +40,13 @@ SE3 odometry_frame(const SimulationOptions& options, const SE3& T_world_camera0)
 std::optional<StampedPoses> odometry(const SimulationOptions& options, const StampedPoses& truth, std::string* error) {
   std::vector<SE3> T_world_camera;
   for (const StampedPose& pose : truth) T_world_camera.push_back(pose.T_world_camera);
-  const auto drifted = drift_poses(T_world_camera, options.drift, seed_of(options, kDrift), error);
+  auto drifted = drift_poses(T_world_camera, options.drift, seed_of(options, kDrift), error);
   if (!drifted) return std::nullopt;
+  *drifted = drift_scale(*drifted, options.drift, seed_of(options, kScaleDrift));
   const SE3 T_odom_world = odometry_frame(options, T_world_camera.front());
   StampedPoses poses;
   for (std::size_t i = 0; i < truth.size(); ++i) poses.push_back({truth[i].stamp_ns, T_odom_world * (*drifted)[i]});
   return poses;
-}
-
-std::string format_camera(const Camera& camera) {
-  constexpr int kDigits = 15;
-  std::string text = "# Camera of a simulated sequence.\n";
-  for (const auto& [key, value] : {std::pair("fx", camera.fx), std::pair("fy", camera.fy), std::pair("cx", camera.cx),
-                                   std::pair("cy", camera.cy)}) {
-    text += std::string(key) + ": " + format_general(value, kDigits) + "\n";
-  }
-  text += "width: " + std::to_string(camera.width) + "\nheight: " + std::to_string(camera.height) + "\ndistortion: [";
-  for (std::size_t i = 0; i < camera.distortion.size(); ++i) {
-    text += (i == 0 ? "" : ", ") + format_general(camera.distortion[i], kDigits);
-  }
-  return text + "]  # k1, k2, p1, p2, k3\n";
 }
 
 std::vector<DetectionFrame> detection_frames(const SimulatedSequence& sequence) {
@@ -89,7 +71,7 @@ bool SimulationOptions::is_valid(std::string* error) const {
   check.require(odometry_frame == "first_camera" || odometry_frame == "random" || odometry_frame == "world",
                 "simulation.odometry_frame", odometry_frame, "first_camera, random or world");
   return check.ok() && scene.is_valid(error) && trajectory.is_valid(error) && drift.is_valid(error) &&
-         dynamics.is_valid(error) && detector.is_valid(error);
+         dynamics.is_valid(error) && detector.is_valid(error) && rendering.is_valid(error);
 }
 
 std::optional<SimulationOptions> make_simulation_options(const std::map<std::string, std::string>& values,
@@ -111,12 +93,15 @@ std::optional<SimulatedSequence> simulate(const SimulationOptions& options, cons
   SimulatedSequence sequence;
   sequence.camera = camera;
   sequence.scene = make_scene(options.scene, seed_of(options, kScene));
-  const HandheldTrajectory trajectory(sequence.scene, options.trajectory, seed_of(options, kTrajectory));
+  const std::unique_ptr<Trajectory> trajectory =
+      make_trajectory(sequence.scene, options.trajectory, seed_of(options, kTrajectory));
   const double duration_s = options.trajectory.duration_s;
-  add_dynamics(options.dynamics, trajectory, duration_s, seed_of(options, kDynamics), &sequence.scene);
+  add_dynamics(options.dynamics, *trajectory, duration_s, seed_of(options, kDynamics), &sequence.scene);
   const double rate_hz = options.trajectory.rate_hz;
-  sequence.truth = sample(trajectory, 0.0, rate_hz, static_cast<std::size_t>(std::llround(duration_s * rate_hz)));
-  sequence.mocap = sample(trajectory, -kMocapMarginS, kMocapRateHz,
+  const auto count = static_cast<std::size_t>(std::llround(duration_s * rate_hz));
+  sequence.truth = sample(*trajectory, 0.0, rate_hz, count);
+  sequence.depth = sample(*trajectory, options.rendering.depth_delay_s, rate_hz, count);
+  sequence.mocap = sample(*trajectory, -kMocapMarginS, kMocapRateHz,
                           static_cast<std::size_t>((duration_s + 2.0 * kMocapMarginS) * kMocapRateHz) + 1);
   std::optional<StampedPoses> drifted = odometry(options, sequence.truth, error);
   if (!drifted) return std::nullopt;
@@ -137,7 +122,8 @@ bool write_sequence(const SimulatedSequence& sequence, const ClassTable& classes
          write_detections_json(directory + "/detections.json", detection_frames(sequence), error) &&
          write_text_file(directory + "/reference_objects.csv", format_reference_objects(sequence, classes), error) &&
          write_text_file(directory + "/gone_objects.csv", format_gone_objects(sequence, classes), error) &&
-         write_text_file(directory + "/camera.yaml", format_camera(sequence.camera), error);
+         write_text_file(directory + "/camera.yaml",
+                         "# Camera of a simulated sequence.\n" + format_camera(sequence.camera), error);
 }
 
 }  // namespace semantic_topo_loop::core

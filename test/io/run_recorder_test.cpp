@@ -310,6 +310,40 @@ TEST_F(RunRecorderTest, VerdictsNameTheirFrames) {
             "1,0,5,0,0,1,kept\n1,-1,5,-1,1,0,it is wrong\n");
 }
 
+TEST_F(RunRecorderTest, FramesFollowTheScaleOfTheirKeyframe) {
+  constexpr double kScale = 0.5;
+  for (const Frame& frame : frames_) {
+    recorder_.record(frame);
+    MapCorrection with_scale = correction(static_cast<int>(frame.frame_id));
+    if (with_scale.changed) with_scale.keyframes[1].scale = kScale;
+    recorder_.record(with_scale);
+  }
+  LoopClosure loop = make_loop(8, true);
+  loop.scale = 1.25;
+  loop.scale_covariance(6) = 0.0004;
+  recorder_.record(8, {loop, make_loop(7, false)}, 10.0);
+  write();
+  const StampedPoses optimised = poses("trajectory.txt");
+  ASSERT_EQ(optimised.size(), 10U);
+  for (std::size_t i = 5; i < 10; ++i) {
+    SE3 T_keyframe_camera = frames_[5].T_odom_camera.inverse() * frames_[i].T_odom_camera;
+    T_keyframe_camera.t *= kScale;
+    expect_pose(optimised[i].T_world_camera, T_map_keyframe_[1] * T_keyframe_camera);
+  }
+  EXPECT_EQ(text("scales.csv"), "keyframe_id,frame_id,scale\n0,0,1.000000\n1,5,0.500000\n");
+  const std::string ends = std::to_string(loop.query_frame) + "," + std::to_string(loop.match_frame);
+  EXPECT_EQ(text("loop_scales.csv"),
+            "query_frame,match_frame,accepted,scale,sigma_log\n" + ends + ",1,1.250000,0.020000\n");
+}
+
+TEST_F(RunRecorderTest, AFixedScaleLeavesNoFileOfScales) {
+  record_frames(true);
+  recorder_.record(8, {make_loop(8, true)}, 10.0);
+  write();
+  EXPECT_FALSE(std::filesystem::exists(directory_.path("run/scales.csv")));
+  EXPECT_FALSE(std::filesystem::exists(directory_.path("run/loop_scales.csv")));
+}
+
 TEST_F(RunRecorderTest, AnEmptyRunStillWritesEveryFile) {
   write();
   for (const char* name : {"trajectory_live.txt", "trajectory.txt", "keyframes.csv", "objects.csv", "loops.csv",

@@ -79,6 +79,12 @@ TEST(LoopDetector, AFreeScaleClosesWhereTheOdometrysScaleHasDrifted) {
     const RunOutcome outcome = run(free, setup);
     EXPECT_GE(outcome.accepted(), 5) << "scale " << scale;
     expect_right(outcome);
+    for (const LoopClosure& loop : outcome.loops) {
+      if (!loop.accepted) continue;
+      const double error = std::log(loop.scale * scale), sigma = std::sqrt(loop.scale_covariance(6));
+      EXPECT_LT(std::abs(error), 0.05) << "scale " << scale;
+      EXPECT_LT(std::abs(error), 4.0 * sigma) << "scale " << scale << " is stated too precisely";
+    }
     if (std::abs(scale - 1.0) > 0.2) {
       EXPECT_LT(run(LoopOptions(), setup).accepted(), outcome.accepted() / 2);
     }

@@ -4,8 +4,8 @@
 #include <limits>
 #include <random>
 
+#include "semantic_topo_loop/geometry/sim3.h"
 #include "semantic_topo_loop/map/mapper_options.h"
-#include "semantic_topo_loop/map/object_points.h"
 #include "semantic_topo_loop/map/quadric_fit.h"
 #include "semantic_topo_loop/map/quadric_initialisation.h"
 #include "semantic_topo_loop/map/quadric_mapper.h"
@@ -41,7 +41,7 @@ std::vector<BoxView> views_of(const Ellipsoid& ellipsoid, const std::vector<SE3>
   for (const SE3& pose : poses) {
     Box box = *project_box(ellipsoid, projection_matrix(kCamera, pose));
     for (double* edge : {&box.x1, &box.y1, &box.x2, &box.y2}) *edge += noise_px * noise(random);
-    views.push_back({pose, box, 0});
+    views.push_back({pose, box, 0, nullptr});
   }
   return views;
 }
@@ -136,27 +136,6 @@ TEST(QuadricFit, RefusesDegenerateInput) {
   Ellipsoid broken = kCup;
   broken.T_world_quadric.t.x() = std::numeric_limits<double>::quiet_NaN();
   EXPECT_FALSE(refine_quadric(kCamera, still, broken));
-}
-
-TEST(QuadricFit, OneViewWithPointsGivesPositionAndSize) {
-  const SE3 pose = arc(5, 90.0)[2];
-  const BoxView view = views_of(kCup, {pose})[0];
-  std::vector<Vec3> points;  // of the near side of the object, in front of a wall
-  for (int i = -5; i <= 5; ++i) {
-    for (int j = -5; j <= 5; ++j) {
-      const Vec3 center = pose.inverse() * kCup.center();
-      points.push_back(center + Vec3(0.006 * i, 0.006 * j, -0.03));
-      points.push_back(Vec3(0.2 * i, 0.2 * j, 4.0));
-    }
-  }
-  const std::vector<Vec3> object = object_points(points, kCamera, view.box);
-  EXPECT_GE(object.size(), 80U);
-  for (const Vec3& point : object) EXPECT_LT(point.z(), 3.0);
-  const std::optional<Ellipsoid> ellipsoid = initialise_from_points(kCamera, view, object);
-  ASSERT_TRUE(ellipsoid);
-  EXPECT_LT((ellipsoid->center() - kCup.center()).norm(), 0.03);
-  EXPECT_TRUE(object_points({}, kCamera, view.box).empty());
-  EXPECT_FALSE(initialise_from_points(kCamera, view, {}));
 }
 
 /// Feeds a mapper with the exact boxes of objects seen from an arc, under landmark ids of the test's choice.
@@ -415,6 +394,32 @@ TEST_F(MapperTest, LandmarksMoveWithTheirKeyframesAndVersionsChain) {
   step(poses[0], {{0, 41, kCup}});
   end();
   EXPECT_LT((find(0)->ellipsoid->center() - T_new_old * kCup.center()).norm(), 0.01);
+}
+
+/// A camera that came to count in a unit of half the length has mapped everything twice as large.
+TEST_F(MapperTest, LandmarksGrowWithTheScaleOfTheirKeyframes) {
+  const std::vector<SE3> poses = arc(60, 90.0);
+  for (const SE3& pose : poses) step(pose, {{0, 41, kCup}});
+  const Ellipsoid before = *find(0)->ellipsoid;
+  constexpr double kScale = 0.5;
+  const Sim3 S_new_old(SE3(so3_exp(Vec3(0.0, 0.1, 0.3)), Vec3(1.0, -2.0, 0.5)), kScale);
+  const auto corrected = [&](const SE3& T_odom_camera) { return S_new_old.pose(T_odom_camera); };
+  MapCorrection correction;
+  correction.frame_id = next_frame_ - 1;
+  correction.changed = true;
+  correction.scale = kScale;
+  correction.T_map_odom = corrected(poses.back()) * poses.back().inverse();
+  correction.valid_to_keyframe_id = 11;
+  for (std::int64_t id = 0; id <= 11; ++id) {
+    correction.keyframes.push_back({id, id * 5, 0, corrected(poses[static_cast<std::size_t>(id) * 5]), kScale});
+  }
+  mapper_.apply(correction);
+  EXPECT_LT((find(0)->ellipsoid->center() - S_new_old * before.center()).norm(), 1e-9);
+  EXPECT_LT((find(0)->ellipsoid->semi_axes - kScale * before.semi_axes).norm(), 1e-12);
+  // The fit from the views, which hang on the keyframes in the odometry's unit, says the same.
+  end();
+  EXPECT_LT((find(0)->ellipsoid->center() - S_new_old * kCup.center()).norm(), 0.01);
+  EXPECT_LT((find(0)->ellipsoid->semi_axes - kScale * before.semi_axes).norm(), 0.005);
 }
 
 TEST(QuadricMapperOptions, RejectsValuesOutOfRangeByName) {

@@ -16,8 +16,8 @@ TEST(Layering, CoreIncludesNoRosHeader) {
       "#include *<(ros|nodelet|tf2|tf2_ros|rosbag|[a-z_]+_msgs)/.*|#include.*semantic_topo_loop/(ros/|[A-Z]).*");
   int files = 0;
   for (const std::string root : {STL_SOURCE_DIR "/include/semantic_topo_loop", STL_SOURCE_DIR "/src"}) {
-    for (const std::string module : {"geometry", "frontend", "detection", "association", "map", "loop", "pose_graph", "pipeline",
-                                     "io", "simulation", "evaluation"}) {
+    for (const std::string module : {"geometry", "frontend", "detection", "association", "map", "loop", "pose_graph",
+                                     "pipeline", "io", "simulation", "evaluation"}) {
       for (const auto& entry : fs::directory_iterator(fs::path(root) / module)) {
         std::ifstream file(entry.path());
         ++files;

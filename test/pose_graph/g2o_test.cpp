@@ -4,6 +4,7 @@
 
 #include <cstdlib>
 #include <filesystem>
+#include <limits>
 
 #include "random_poses.h"
 #include "semantic_topo_loop/io/text_file.h"
@@ -97,8 +98,8 @@ TEST_F(G2o, BadLinesAreNamedAndTheRestIsRead) {
                           "VERTEX_SE3:QUAT 4 0 0\n" +              // 7
                           ("EDGE_SE3:QUAT 0 9" + edge + kUnit) +   // 8: unknown
                           ("EDGE_SE3:QUAT 1 1" + edge + kUnit) +   // 9: itself
-                          "EDGE_SE3:QUAT 0 1" + edge + " -1 0 0 0 0 0 1 0 0 0 0 1 0 0 0 1 0 0 1 0 1\n" +  // 10
-                          "EDGE_POINT 0 1 2\nFIX 7\nFIX x\n");
+                          "EDGE_SE3:QUAT 0 1" + edge + " -1 0 0 0 0 0 1 0 0 0 0 1 0 0 0 1 0 0 1 0 1\n" +        // 10
+                          "EDGE_POINT 0 1 2\nFIX 7\nFIX x\n" + "EDGE_SE3:QUAT 1 0 1e308 0 0 0 0 0 1" + kUnit);  // 14
   ASSERT_TRUE(graph) << error_;
   EXPECT_EQ(graph->vertices.size(), 2U);
   ASSERT_EQ(graph->edges.size(), 1U);
@@ -108,7 +109,8 @@ TEST_F(G2o, BadLinesAreNamedAndTheRestIsRead) {
        {":4: vertex 1 is given twice", ":5: VERTEX_SE3:QUAT 2: 'nan' is no finite number", ":6: quaternion of norm 0",
         ":7: VERTEX_SE3:QUAT has 3 values instead of 8", ":8: edge 0 9 leads to the unknown vertex 9",
         ":9: edge 1 1 joins a vertex to itself", ":10: edge 0 1: its information matrix is not positive definite",
-        ":11: unknown tag 'EDGE_POINT'", ":12: FIX of the unknown vertex 7", ":13: id 'x' is no number >= 0"}) {
+        ":11: unknown tag 'EDGE_POINT'", ":12: FIX of the unknown vertex 7", ":13: id 'x' is no number >= 0",
+        ":14: EDGE_SE3:QUAT 1 0: '1e308' is no finite number below 1e30"}) {
     EXPECT_NE(all.find(part), std::string::npos) << part << "\n" << all;
   }
 }
@@ -231,6 +233,36 @@ TEST(OptimizeGraph, PartsThatNothingJoinsAreSolvedEach) {
   EXPECT_EQ(graph.vertices[0].T_world_vertex.t, before.vertices[0].T_world_vertex.t);
   EXPECT_EQ(graph.vertices[24].T_world_vertex.t, before.vertices[24].T_world_vertex.t) << "fixed";
   EXPECT_NE(graph.vertices[20].T_world_vertex.t, before.vertices[20].T_world_vertex.t);
+}
+
+TEST(OptimizeGraph, APartThatCannotBeSolvedIsNamedAndTheRestIsOptimised) {
+  const G2oGraph good = ring(20, 0.02, 0.02, 5);
+  for (const char* robust : {"none", "gnc"}) {
+    G2oGraph graph = good, alone = good;
+    GraphOptimizerOptions options;
+    options.robust = robust;
+    GraphOptimizerReport report, report_alone;
+    std::string error;
+    ASSERT_TRUE(optimize_graph(&alone, options, &report_alone, &error)) << error;
+    for (const std::int64_t id : {100, 101}) graph.vertices.push_back({id, SE3(), false});
+    G2oEdge edge = graph.edges.front();
+    edge.from = 100;
+    edge.to = 101;
+    edge.T_from_to.t.x() = std::numeric_limits<double>::quiet_NaN();
+    graph.edges.push_back(edge);
+    ASSERT_TRUE(optimize_graph(&graph, options, &report, &error)) << error;
+    ASSERT_EQ(report.unsolved.size(), 1U) << robust;
+    EXPECT_NE(report.unsolved[0].find("the part of vertex 100"), std::string::npos) << report.unsolved[0];
+    EXPECT_EQ(report.final_chi2, report_alone.final_chi2);
+    EXPECT_EQ(report.initial_chi2, report_alone.initial_chi2);
+    for (std::size_t i = 0; i < 20; ++i) {
+      EXPECT_EQ(graph.vertices[i].T_world_vertex.t, alone.vertices[i].T_world_vertex.t) << i;
+    }
+    EXPECT_EQ(graph.vertices[21].T_world_vertex.t, Vec3(Vec3::Zero()));
+    graph.vertices.erase(graph.vertices.begin(), graph.vertices.begin() + 20);
+    graph.edges.erase(graph.edges.begin(), graph.edges.end() - 1);
+    EXPECT_FALSE(optimize_graph(&graph, options, &report, &error)) << "nothing is left";
+  }
 }
 
 TEST(OptimizeGraph, GncNamesTheOutliers) {

@@ -42,6 +42,28 @@ class SyntheticRun {
   void restart(int first, const SE3& T_new_old) {
     for (int k = first; k < size(); ++k) odometry_[static_cast<std::size_t>(k)] = T_new_old * odometry(k);
   }
+  /// From now on the odometry counts in a unit of length that grows steadily, to exp(log_scale) times the first.
+  void drift_scale(double log_scale) {
+    const std::vector<SE3> before = odometry_;
+    log_scale_ = log_scale;
+    for (int k = 1; k < size(); ++k) {
+      const auto i = static_cast<std::size_t>(k);
+      SE3 motion = before[i - 1].inverse() * before[i];
+      motion.t *= unit(k - 1);
+      odometry_[i] = odometry_[i - 1] * motion;
+    }
+  }
+  /// The odometry's unit of length at a frame: so many make a metre.
+  double unit(int k) const { return std::exp(log_scale_ * k / size()); }
+  /// A loop as one finds it in the odometry's units.
+  LoopClosure in_units(LoopClosure closure) const {
+    const double unit_match = unit(static_cast<int>(closure.match_frame));
+    closure.T_match_query.t *= unit_match;
+    closure.covariance.topRows<3>() *= unit_match;
+    closure.covariance.leftCols<3>() *= unit_match;
+    closure.scale = unit_match / unit(static_cast<int>(closure.query_frame));
+    return closure;
+  }
   void move_world(const SE3& T) { restart(0, T); }
 
   Frame frame(int k) const {
@@ -98,6 +120,7 @@ class SyntheticRun {
  private:
   int round_;
   std::vector<SE3> truth_, odometry_;
+  double log_scale_ = 0.0;
 };
 
 constexpr double kSigma_m = 0.02, kSigma_rad = 0.01;  ///< of each axis of noisy_loops()

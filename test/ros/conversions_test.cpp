@@ -123,6 +123,8 @@ core::LoopClosure random_loop(Random* random) {
   loop.labels = random->small();
   loop.T_match_query = random->pose();
   loop.covariance = random->matrix<core::Mat6>();
+  loop.scale = random->number();
+  loop.scale_covariance = random->matrix<core::Mat7>().col(2);
   loop.matches = {{random->integer(), random->integer()}, {random->integer(), random->integer()}};
   return loop;
 }
@@ -339,6 +341,8 @@ TEST(Conversions, LoopsAreBitExact) {
     EXPECT_EQ(a.labels, b.labels);
     expect_same(a.T_match_query, b.T_match_query);
     EXPECT_TRUE(same_matrix(a.covariance, b.covariance));
+    EXPECT_TRUE(same_bits(a.scale, b.scale));
+    EXPECT_TRUE(same_matrix(a.scale_covariance, b.scale_covariance));
     ASSERT_EQ(a.matches.size(), b.matches.size());
     EXPECT_EQ(a.matches[1].query_landmark_id, b.matches[1].query_landmark_id);
     EXPECT_EQ(a.matches[1].match_landmark_id, b.matches[1].match_landmark_id);
@@ -353,7 +357,8 @@ TEST(Conversions, CorrectionIsBitExact) {
   correction.valid_to_keyframe_id = random.integer();
   correction.T_map_odom_old = random.pose();
   correction.T_map_odom = random.pose();
-  correction.keyframes = {{1, 2, 1311868164363181001, random.pose()}, {3, 4, 5, random.pose()}};
+  correction.scale = random.number();
+  correction.keyframes = {{1, 2, 1311868164363181001, random.pose()}, {3, 4, 5, random.pose(), random.number()}};
   correction.loops = {{9, 1, true, "", false}, {12, 3, false, "it is wrong", false}};
   correction.odometry = {3, 0.1, 0.2, 0.3, 0.4, 0.5, 1.5, {{4, 5, true, 0.0, 0.0}, {7, 8, false, 0.6, 0.7}}};
   correction.duration_us = random.number();
@@ -370,6 +375,9 @@ TEST(Conversions, CorrectionIsBitExact) {
   EXPECT_EQ(back.keyframes[0].frame_id, 2);
   EXPECT_EQ(back.keyframes[0].stamp_ns, 1311868164363181001);
   expect_same(back.keyframes[1].T_map_camera, correction.keyframes[1].T_map_camera);
+  EXPECT_EQ(back.keyframes[0].scale, 1.0);
+  EXPECT_TRUE(same_bits(back.keyframes[1].scale, correction.keyframes[1].scale));
+  EXPECT_TRUE(same_bits(back.scale, correction.scale));
   ASSERT_EQ(back.loops.size(), 2u);
   EXPECT_EQ(back.loops[1].query_keyframe_id, 12);
   EXPECT_EQ(back.loops[1].match_keyframe_id, 3);

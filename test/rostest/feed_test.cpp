@@ -206,7 +206,7 @@ FrameDone done_of(int time_ms, std::uint8_t status) {
 }
 
 TEST(PlayerLedger, NamesTheStagesThatAreNotUp) {
-  PlayerLedger ledger({"DetectionIngestion", "PoseGraph"}, false);
+  PlayerLedger ledger("PoseFrontend", {"DetectionIngestion", "PoseGraph"}, false);
   EXPECT_EQ(ledger.missing_stages(), std::vector<std::string>{"PoseFrontend"});
   ledger.take(ack_of("PoseGraph", 1));
   ledger.take(start_of(1));
@@ -218,7 +218,7 @@ TEST(PlayerLedger, NamesTheStagesThatAreNotUp) {
 }
 
 TEST(PlayerLedger, GivesCreditBackOnceAFrameIsDone) {
-  PlayerLedger ledger({}, false);
+  PlayerLedger ledger("PoseFrontend", {}, false);
   ledger.take(start_of(1));
   for (const int time_ms : {0, 33, 66}) ledger.sent(at_ms(time_ms));
   ledger.done(done_of(33, FrameDone::STATUS_NO_POSE));
@@ -234,7 +234,7 @@ TEST(PlayerLedger, GivesCreditBackOnceAFrameIsDone) {
 }
 
 TEST(PlayerLedger, NamesTheFirstStageThatHasNotShownTheFrame) {
-  PlayerLedger ledger({}, true);
+  PlayerLedger ledger("PoseFrontend", {}, true);
   ledger.take(start_of(1));
   ledger.sent(at_ms(0));
   EXPECT_EQ(ledger.silent_stage(), "PoseFrontend");

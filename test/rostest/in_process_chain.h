@@ -64,6 +64,12 @@ class InProcessChain {
     load("detection_ingestion", "DetectionIngestion", {});
     load("pose_frontend", "PoseFrontend", {});
   }
+  /// The pose graph and the map that follows it; the test plays the other stages.
+  void load_correction() {
+    set("quadric_mapping", "class_table", STL_CONFIG_DIR "/classes_coco.yaml");
+    load("pose_graph", "PoseGraph", {});
+    load("quadric_mapping", "QuadricMapping", {});
+  }
   void load_player(const std::string& data, bool lockstep) {
     set("player", "mode", "files");
     set("player", "trajectory_file", data + "/odometry.txt");

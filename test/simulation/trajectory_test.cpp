@@ -140,6 +140,26 @@ TEST(Drift, jump_is_good_but_for_three_bursts) {
   EXPECT_LE(bad, 24);
 }
 
+TEST(Drift, the_scale_walks_as_far_as_it_is_told_and_the_rotation_stays) {
+  const std::vector<SE3> truth = poses("desk", 3);
+  DriftOptions options;
+  options.scale_percent = 20.0;
+  options.global_scale = 0.5;
+  for (std::uint64_t seed = 0; seed < 4; ++seed) {
+    const std::vector<SE3> drifted = drift_scale(truth, options, seed);
+    ASSERT_EQ(drifted.size(), truth.size());
+    double largest = 0.0;
+    for (std::size_t i = 1; i < truth.size(); ++i) {
+      const double true_m = (truth[i].t - truth[i - 1].t).norm(), step = (drifted[i].t - drifted[i - 1].t).norm();
+      if (true_m > 1e-6) largest = std::max(largest, std::abs(std::log(step / (0.5 * true_m))));
+      EXPECT_LT(rotation_angle(drifted[i].q, truth[i].q), 1e-6);
+    }
+    EXPECT_NEAR(largest, std::log(1.2), 1e-3);
+  }
+  EXPECT_NE(drift_scale(truth, options, 1).back().t, drift_scale(truth, options, 2).back().t);
+  EXPECT_EQ(drift_scale(truth, {}, 1).back().t, truth.back().t) << "none unless it is asked for";
+}
+
 TEST(Drift, a_level_that_cannot_be_met_is_an_error_with_both_values) {
   DriftOptions options;
   options.position_m = 0.001;
@@ -148,6 +168,56 @@ TEST(Drift, a_level_that_cannot_be_met_is_an_error_with_both_values) {
   EXPECT_FALSE(drift_poses(poses("desk", 1), options, 1, &error));
   EXPECT_NE(error.find("'drift.position_m' = '0.001'"), std::string::npos) << error;
   EXPECT_NE(error.find("'60'"), std::string::npos) << error;
+}
+
+TEST(HandheldTrajectory, an_arc_swings_to_and_fro) {
+  const Scene scene = make_scene({}, 2);
+  TrajectoryOptions options;
+  options.arc_deg = 90.0;
+  options.wander_m = 0.0;
+  const HandheldTrajectory trajectory(scene, options, 2);
+  const Vec3& center = scene.desks[0].T_world_desk.t;
+  const auto direction = [&](double time_s) {
+    return Vec2((trajectory.T_world_camera(time_s).t - center).head<2>().normalized());
+  };
+  double widest_deg = 0.0;
+  for (double time_s = 0.0; time_s < 36.0; time_s += 0.5) {
+    widest_deg = std::max(widest_deg, degrees(std::acos(std::min(1.0, direction(0.0).dot(direction(time_s))))));
+  }
+  EXPECT_NEAR(widest_deg, 45.0, 2.0) << "half the arc to either side of the first place";
+  EXPECT_GT(direction(0.0).dot(direction(18.0)), std::cos(radians(2.0))) << "back after half a period";
+}
+
+TEST(RobotTrajectory, keeps_height_and_tilt_and_heads_where_it_drives) {
+  for (std::uint64_t seed = 0; seed < 6; ++seed) {
+    SceneOptions scene_options;
+    scene_options.layout = seed % 2 == 0 ? "desk" : "office";
+    TrajectoryOptions options;
+    options.model = "robot";
+    const Scene scene = make_scene(scene_options, seed);
+    const std::unique_ptr<Trajectory> trajectory = make_trajectory(scene, options, seed);
+    double slowest = 1e9, fastest = 0.0, turn_standing = 0.0;
+    for (double time_s = 0.0; time_s < 60.0; time_s += 1.0 / 30.0) {
+      const SE3 T = trajectory->T_world_camera(time_s), next = trajectory->T_world_camera(time_s + 1e-3);
+      EXPECT_EQ(T.t.z(), options.height_m);
+      EXPECT_NEAR((T.q * Vec3::UnitX()).z(), 0.0, 1e-9) << "no roll";
+      EXPECT_NEAR((T.q * Vec3::UnitZ()).z(), -std::sin(radians(18.0)), 1e-9) << "constant tilt";
+      const Vec3 velocity = (next.t - T.t) * 1e3;
+      const double turn = degrees(rotation_angle(T.q, next.q)) * 1e3;
+      EXPECT_LT(turn, 90.0);
+      slowest = std::min(slowest, velocity.norm());
+      fastest = std::max(fastest, velocity.norm());
+      if (velocity.norm() < 0.02) turn_standing = std::max(turn_standing, turn);
+      if (velocity.norm() < 0.05) continue;
+      const Vec3 ahead = (T.q * Vec3::UnitZ()).cwiseProduct(Vec3(1.0, 1.0, 0.0)).normalized();
+      const double aside_deg = degrees(std::acos(std::clamp(ahead.dot(velocity.normalized()), -1.0, 1.0)));
+      EXPECT_NEAR(aside_deg, 55.0, 36.0) << "the camera's mount, and the turns at stops";
+    }
+    EXPECT_LT(slowest, 0.02) << "it stops";
+    EXPECT_LT(fastest, 1.5);
+    EXPECT_GT(fastest, 0.3);
+    EXPECT_GT(turn_standing, 15.0) << "and turns on the spot";
+  }
 }
 
 }  // namespace

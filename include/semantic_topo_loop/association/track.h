@@ -24,6 +24,7 @@ struct Track {
   Box last_box;  ///< undistorted, px
   LandmarkState state = LandmarkState::kCandidate;
   bool has_ellipsoid = false;
+  bool is_provisional = false;  ///< the ellipsoid comes from depth as yet, not from several directions
   Vec3 center_map = Vec3::Zero();
   Mat3 shape_map = Mat3::Zero();  ///< R diag(a^2) R^T
   std::vector<Vec3> points_map;   ///< of its last observation with points, while without ellipsoid

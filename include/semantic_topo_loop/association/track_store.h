@@ -27,22 +27,24 @@ class TrackStore {
 
   /// Tracks in front of the camera up to `range_m` away, as far as the grid tells (more, but never fewer), and those
   /// for which `is_recent` holds; in order of id.
+  /// @return valid until the next call
   template <class IsRecent>
-  std::vector<const Track*> near(const Camera& camera, const SE3& T_map_camera, double range_m, IsRecent is_recent) {
+  const std::vector<const Track*>& near(const Camera& camera, const SE3& T_map_camera, double range_m,
+                                        IsRecent is_recent) {
     ++query_;
-    std::vector<const Track*> found;
-    collect_in_view(camera, T_map_camera, range_m, &found);
+    found_.clear();
+    collect_in_view(camera, T_map_camera, range_m);
     std::size_t kept = 0;
     for (const std::int32_t slot : recent_) {
       Entry& entry = entries_[static_cast<std::size_t>(slot)];
       entry.is_recent = entry.track.id >= 0 && is_recent(entry.track);
       if (!entry.is_recent) continue;
       recent_[kept++] = slot;
-      visit(slot, &found);
+      visit(slot);
     }
     recent_.resize(kept);
-    std::sort(found.begin(), found.end(), [](const Track* a, const Track* b) { return a->id < b->id; });
-    return found;
+    std::sort(found_.begin(), found_.end(), [](const Track* a, const Track* b) { return a->id < b->id; });
+    return found_;
   }
   /// Every track, in order of id.
   std::vector<const Track*> all() const;
@@ -60,8 +62,8 @@ class TrackStore {
     std::uint64_t visited_by = 0;
   };
 
-  void collect_in_view(const Camera& camera, const SE3& T_map_camera, double range_m, std::vector<const Track*>* found);
-  void visit(std::int32_t slot, std::vector<const Track*>* found);
+  void collect_in_view(const Camera& camera, const SE3& T_map_camera, double range_m);
+  void visit(std::int32_t slot);
   void move_to(std::int32_t slot, const CellRange& cells);
   static CellRange cells_of(const Track& track);
 
@@ -71,6 +73,7 @@ class TrackStore {
   std::unordered_map<std::uint64_t, std::vector<std::int32_t>> slots_of_cell_;
   std::vector<std::int32_t> recent_;
   std::uint64_t query_ = 0;
+  std::vector<const Track*> found_;  ///< by the last query
 };
 
 }  // namespace semantic_topo_loop::core

@@ -37,6 +37,7 @@ class ClassTable {
 
  private:
   std::map<int, ObjectClass> classes_;
+  std::vector<int> mappable_;  ///< ids, ascending: asked for every detection
 };
 
 }  // namespace semantic_topo_loop::core

@@ -3,10 +3,12 @@
 #include <memory>
 #include <optional>
 #include <string>
+#include <vector>
 
 #include "semantic_topo_loop/frontend/frontend_options.h"
 #include "semantic_topo_loop/frontend/rgbd_image.h"
 #include "semantic_topo_loop/map/frame.h"
+#include "semantic_topo_loop/map/keyframe_points.h"
 
 namespace semantic_topo_loop::core {
 
@@ -39,6 +41,8 @@ class RgbdFrontend {
   TrackedImage track(const RgbdImage& image);
   /// The colour camera, with its focal lengths as self-calibration corrected them; else as given.
   const Camera& camera() const;
+  /// The map points that the last image with a pose sees, in order of id. Ids are never used twice.
+  std::vector<SparsePoint> sparse_points() const;
 
  private:
   struct Impl;

@@ -10,6 +10,6 @@ namespace semantic_topo_loop::core {
 /// always give the same assignment.
 /// @param score any shape; an entry <= 0 or not finite forbids the pair, since leaving both free costs nothing
 /// @return for each row its column, or -1
-std::vector<int> assign_max(const Eigen::MatrixXd& score);
+std::vector<int> assign_max(const Eigen::Ref<const Eigen::MatrixXd>& score);
 
 }  // namespace semantic_topo_loop::core

@@ -3,9 +3,10 @@
 #include <cstdint>
 #include <optional>
 #include <string>
+#include <utility>
 #include <vector>
 
-#include "semantic_topo_loop/frontend/rgbd_image.h"
+#include "semantic_topo_loop/io/rgbd_reader.h"
 
 namespace semantic_topo_loop::core {
 
@@ -25,5 +26,20 @@ std::optional<std::vector<RgbdFile>> read_associations(const std::string& path, 
 /// @return nullopt, with path and cause in `error`, if a file is missing, no image, or not what the camera makes
 std::optional<RgbdImage> read_rgbd_image(const RgbdFile& file, const Camera& camera, const DepthOptions& options,
                                          std::string* error);
+
+/// The images of a list, read one after the other.
+class RgbdFolder : public RgbdReader {
+ public:
+  RgbdFolder(std::vector<RgbdFile> files, const Camera& camera, const DepthOptions& options)
+      : files_(std::move(files)), camera_(camera), options_(options) {}
+  std::optional<RgbdReading> next(std::string* fault) override;
+  std::size_t total() const override { return files_.size(); }
+
+ private:
+  std::vector<RgbdFile> files_;
+  Camera camera_;
+  DepthOptions options_;
+  std::size_t index_ = 0;
+};
 
 }  // namespace semantic_topo_loop::core

@@ -35,7 +35,8 @@ class RunRecorder {
 
   /// Writes trajectory_live.txt, trajectory.txt, keyframes.csv, objects.csv, loops.csv, loop_verdicts.csv,
   /// associations.csv, timing.csv and summary.json, and relocalisations.csv if there were candidates in an earlier
-  /// run's map, creating the directory. Each file appears whole or not at all.
+  /// run's map, and scales.csv and loop_scales.csv if the scale is free, creating the directory. Each file appears
+  /// whole or not at all.
   /// @return false, with the path in `error`, if a file cannot be written
   bool write(const std::string& directory, std::string* error) const;
   /// Where the run is in an earlier run's map, by the loops recorded so far.
@@ -56,6 +57,8 @@ class RunRecorder {
   /// @param in_earlier_map those into an earlier run's map, or the run's own
   std::string loops(bool in_earlier_map) const;
   std::string loop_verdicts() const;
+  std::string scales() const;
+  std::string loop_scales() const;
   std::string associations() const;
   std::string timing() const;
   std::string summary() const;
@@ -68,7 +71,8 @@ class RunRecorder {
   std::map<std::int64_t, Landmark> landmarks_;              ///< latest state of those that still exist
   std::map<std::int64_t, std::vector<LoopClosure>> loops_;  ///< by frame_id
   bool has_earlier_map_ = false;                            ///< there was a candidate in it
-  std::map<std::int64_t, SE3> T_map_keyframe_;              ///< of the last solution, by keyframe_id
+  bool has_loop_scales_ = false;                            ///< a loop states one
+  std::map<std::int64_t, Sim3> S_map_keyframe_;             ///< of the last solution, by keyframe_id
   MapCorrection correction_;                                ///< the last that changed something
   std::map<std::int64_t, FrameTiming> timing_;
   std::optional<TrackingReport> tracking_;

@@ -64,6 +64,9 @@ struct LocalMap {
 /// True if the point projects well inside the image, at a depth at which objects are mapped.
 bool in_view(const LocalFrame& frame, const Vec3& point, double max_depth_m);
 
+/// The submap in a unit of length of which `scale` make one of the old; boxes on the plane z = 1 do not depend on it.
+LocalMap rescaled(LocalMap map, double scale);
+
 class LocalMapBuilder {
  public:
   explicit LocalMapBuilder(const LoopOptions& options);

@@ -4,7 +4,7 @@
 #include <optional>
 #include <vector>
 
-#include "semantic_topo_loop/geometry/se3.h"
+#include "semantic_topo_loop/geometry/sim3.h"
 
 namespace semantic_topo_loop::core {
 
@@ -60,6 +60,10 @@ struct LoopClosure {
   int labels = 0;                      ///< different classes among the matched objects
   SE3 T_match_query;                   ///< of the cameras at query_frame and match_frame
   Mat6 covariance = Mat6::Identity();  ///< of T_match_query: (translation m, rotation rad), right
+  /// Of the match's unit of length over the query's: p_match = scale * (q * p_query) + t, with (q, t) = T_match_query.
+  double scale = 1.0;
+  /// Of log scale with (translation, rotation, log scale); zero if the scale was not measured.
+  Vec7 scale_covariance = Vec7::Zero();
   std::vector<ObjectMatch> matches;
   /// Set if the match is a submap of an earlier run, to which all match_ fields then refer: the pose of its anchor in
   /// that run's map.

@@ -9,6 +9,8 @@
 
 namespace semantic_topo_loop::core {
 
+struct KeyframePoints;
+
 /// A camera pose of the odometry at the stamp of an image.
 struct PoseSample {
   std::int64_t stamp_ns = 0;
@@ -30,6 +32,7 @@ struct Frame {
   std::optional<Mat6> covariance;  ///< of the motion since the previous frame: (translation m, rotation rad)
   Camera camera;
   std::shared_ptr<const std::vector<Vec3>> points_camera;  ///< optional points seen by this frame, camera frame, m
+  std::shared_ptr<const KeyframePoints> keyframe_points;   ///< optional, of keyframes: what the point map keeps of it
 };
 
 }  // namespace semantic_topo_loop::core

@@ -28,6 +28,7 @@ struct QuadricMapperOptions {
   double retire_seen_share = 0.02;
   double retire_expected_s = 7.0;
   double retire_missed_s = 4.0;
+  double retire_seen_through_s = 1.0;
 
   template <class Visitor>
   void visit(Visitor& visitor) {
@@ -57,6 +58,8 @@ struct QuadricMapperOptions {
     visitor("mapping.retire_missed_s", retire_missed_s,
             "a movable landmark is retired when so much of its sightings is missed from familiar viewpoints since its "
             "last box");
+    visitor("mapping.retire_seen_through_s", retire_seen_through_s,
+            "a landmark is retired when for this time since its last box depth shows what lies behind it");
   }
   bool is_valid(std::string* error) const;
 };

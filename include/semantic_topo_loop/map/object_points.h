@@ -1,15 +1,25 @@
 #pragma once
 
+#include <memory>
 #include <vector>
 
-#include "semantic_topo_loop/geometry/camera.h"
+#include "semantic_topo_loop/map/frame_points.h"
+#include "semantic_topo_loop/map/surface.h"
 
 namespace semantic_topo_loop::core {
 
-/// The points of one object: those that project into its box, without outliers (PCL statistical removal) and reduced to
-/// the cluster nearest to the box's middle (PCL Euclidean clustering), since a box also shows what is behind.
-/// @param points_camera points of the frame, camera frame, m   @param box undistorted, px
-/// @return empty if too few points are left
-std::vector<Vec3> object_points(const std::vector<Vec3>& points_camera, const Camera& camera, const Box& box);
+/// The points of one object: those inside its box, without the planes that go on around the box (the table it stands
+/// on, the wall behind it: RANSAC with a fixed seed), without outliers (PCL statistical removal), and of what is left
+/// the cluster that fills the middle of the box (PCL Euclidean clustering). What hardly rises above its support, a
+/// sheet of paper, is given as the part of the support that its box shows.
+/// @param box undistorted, px
+/// @return camera frame, m; empty if too few points are left
+std::vector<Vec3> object_points(const FramePoints& points, const Box& box);
+
+/// The near side of an object as the fit of its ellipsoid needs it: of each ninth of the box the point of median depth,
+/// where it lies in the ellipse that a convex object fills.
+/// @param object_points_camera as object_points gives them   @return null if there are none
+std::shared_ptr<const Surface> make_surface(const std::vector<Vec3>& object_points_camera, const Camera& camera,
+                                            const Box& box);
 
 }  // namespace semantic_topo_loop::core

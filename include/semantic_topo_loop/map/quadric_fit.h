@@ -1,18 +1,21 @@
 #pragma once
 
+#include <memory>
 #include <optional>
 #include <vector>
 
 #include "semantic_topo_loop/geometry/camera.h"
 #include "semantic_topo_loop/geometry/quadric.h"
+#include "semantic_topo_loop/map/surface.h"
 
 namespace semantic_topo_loop::core {
 
 /// One box of an object and the camera that saw it.
 struct BoxView {
   SE3 T_world_camera;
-  Box box;                     ///< undistorted, px
-  std::uint8_t truncated = 0;  ///< Truncation bits: these sides bound nothing
+  Box box;                                 ///< undistorted, px
+  std::uint8_t truncated = 0;              ///< Truncation bits: these sides bound nothing
+  std::shared_ptr<const Surface> surface;  ///< what depth there was inside the box; null without
 
   double depth(const Vec3& point_world) const {
     return (T_world_camera.q.conjugate() * (point_world - T_world_camera.t)).z();
@@ -25,6 +28,8 @@ struct QuadricFitOptions {
   double sigma_share = 0.1;
   double roundness_weight = 0.01;  ///< pull of the three log axes to their common start, per view
   double min_depth_m = 0.2;
+  double surface_sigma_m = 0.01;  ///< of depth against the ellipsoid, beside the camera's noise: no object is one
+  double surface_share = 0.15;    ///< the same, as a share of the ellipsoid's radius
 };
 
 /// An ellipsoid with the evidence of its fit.
@@ -36,7 +41,9 @@ struct QuadricFit {
 };
 
 /// Refines all nine parameters on the box edges: residual (projected edge - detected edge) / sigma, soft-L1 loss a
-/// view, sides cut by the image border left out (Ceres, Levenberg-Marquardt).
+/// view, sides cut by the image border left out (Ceres, Levenberg-Marquardt). Where a view has a surface, also on its
+/// depth: residual (depth of the ellipsoid along the ray - measured depth) / sigma, Cauchy loss a view; the points of
+/// one view share one error, that of the shape, and count as one measurement.
 /// @return nullopt if the solver finds no usable solution
 std::optional<QuadricFit> refine_quadric(const Camera& camera, const std::vector<BoxView>& views,
                                          const Ellipsoid& initial, const QuadricFitOptions& options = {});

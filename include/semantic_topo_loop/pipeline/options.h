@@ -10,6 +10,7 @@
 #include "semantic_topo_loop/frontend/rgbd_image.h"
 #include "semantic_topo_loop/loop/loop_options.h"
 #include "semantic_topo_loop/map/mapper_options.h"
+#include "semantic_topo_loop/map/point_map_options.h"
 #include "semantic_topo_loop/pipeline/frame_builder.h"
 #include "semantic_topo_loop/pipeline/option_visitor.h"
 #include "semantic_topo_loop/pose_graph/pose_graph_options.h"
@@ -23,6 +24,7 @@ struct Options {
   KeyframeOptions keyframe;
   AssociatorOptions association;
   QuadricMapperOptions mapping;
+  PointMapOptions point_map;
   LoopOptions loop;
   PoseGraphOptions pose_graph;
 
@@ -33,6 +35,7 @@ struct Options {
     keyframe.visit(visitor);
     association.visit(visitor);
     mapping.visit(visitor);
+    point_map.visit(visitor);
     loop.visit(visitor);
     pose_graph.visit(visitor);
   }

@@ -12,10 +12,18 @@ namespace semantic_topo_loop::core {
 struct GraphLoop {
   int from = -1, to = -1;
   SE3 T_from_to;
-  Mat6 covariance = Mat6::Identity();  ///< right: (translation m, rotation rad)
+  Mat6 covariance = Mat6::Identity();    ///< right: (translation m, rotation rad)
+  double scale = 1.0;                    ///< of from's unit of length over to's, see LoopClosure
+  Vec7 scale_covariance = Vec7::Zero();  ///< of log scale with (translation, rotation, log scale); zero: not measured
   std::int64_t query_keyframe_id = -1, match_keyframe_id = -1;
   std::int64_t query_begin = -1, query_end = -1, match_begin = -1, match_end = -1;  ///< frame_ids of the evidence
+
+  bool has_scale() const { return scale_covariance(6) > 0.0; }
+  Sim3 S_from_to() const { return Sim3(T_from_to, scale); }
 };
+
+/// U of |U e|^2 with e of relative_similarity.h; its last row is zero if the scale was not measured.
+Mat7 similarity_sqrt_info(const GraphLoop& loop);
 
 /// @param query_vertex, match_vertex vertices of the two keyframes
 /// @return nullopt, naming the loop and the fault in `error`, if it cannot be an edge

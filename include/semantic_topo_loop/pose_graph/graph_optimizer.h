@@ -22,12 +22,14 @@ struct GraphOptimizerReport {
   int iterations = 0;
   int components = 0;                    ///< parts that no edge joins; each keeps its fixed, else its first, vertex
   std::vector<const G2oEdge*> outliers;  ///< edges that were rejected (gnc); the figures above are without them
+  /// Parts that could not be solved, and why; they stay as they are, and the figures above are without them.
+  std::vector<std::string> unsolved;
 };
 
 /// Minimises g2o's chi2 over the vertices (Ceres, Levenberg-Marquardt, one thread). The chordal guess is
 /// tried as well as the one asked for, unless that is the worse one to begin with, and the lower minimum taken. The
 /// same input gives the same bytes.
-/// @return false, with the cause in `error`, if a part cannot be solved; the graph is then unchanged
+/// @return false, with the cause in `error`, if no part can be solved; the graph is then unchanged
 bool optimize_graph(G2oGraph* graph, const GraphOptimizerOptions& options, GraphOptimizerReport* report,
                     std::string* error);
 

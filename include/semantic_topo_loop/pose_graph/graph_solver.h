@@ -4,6 +4,7 @@
 #include <vector>
 
 #include "semantic_topo_loop/geometry/se3.h"
+#include "semantic_topo_loop/pose_graph/graph_object.h"
 
 namespace semantic_topo_loop::core {
 
@@ -44,8 +45,9 @@ struct GraphSolution {
 
 /// Minimises 0.5 sum w |U e|^2 over the poses (Ceres, one thread, Levenberg-Marquardt).
 /// @param T_world_vertex start and result; unchanged unless the solution is usable
+/// @param objects unknowns beside the poses; their observations add to the cost
 GraphSolution solve_graph(const std::vector<GraphEdge>& edges, const GraphSolverOptions& options,
-                          std::vector<SE3>* T_world_vertex);
+                          std::vector<SE3>* T_world_vertex, const GraphObjects& objects = {});
 
 /// |U e|^2 of an edge, without its weight.
 double chi_squared(const GraphEdge& edge, const std::vector<SE3>& T_world_vertex, GraphError error = GraphError::kLog);

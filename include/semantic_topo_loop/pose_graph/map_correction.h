@@ -13,6 +13,7 @@ struct KeyframePose {
   std::int64_t frame_id = -1;
   std::int64_t stamp_ns = 0;
   SE3 T_map_camera;
+  double scale = 1.0;  ///< units of length of the map in one of the odometry about this keyframe
 };
 
 /// Whether the optimiser believes an accepted loop.
@@ -45,7 +46,9 @@ struct MapCorrection {
   std::int64_t frame_id = -1;
   bool changed = false;
   std::int64_t valid_to_keyframe_id = -1;  ///< last keyframe in the solution; later ones compose on T_map_odom
+  /// Right for this frame; with a free scale it moves with the camera, and only so much as the scale is off.
   SE3 T_map_odom_old, T_map_odom;
+  double scale = 1.0;                   ///< units of length of the map in one of the odometry, at this frame
   std::vector<KeyframePose> keyframes;  ///< every keyframe in the solution, in order of id
   std::vector<LoopVerdict> loops;       ///< every accepted loop so far, in order of acceptance
   OdometryReport odometry;              ///< as of this solution

@@ -3,8 +3,10 @@
 #include <memory>
 #include <vector>
 
+#include "semantic_topo_loop/association/association.h"
 #include "semantic_topo_loop/loop/loop_closure.h"
 #include "semantic_topo_loop/map/frame.h"
+#include "semantic_topo_loop/map/landmark.h"
 #include "semantic_topo_loop/pose_graph/map_correction.h"
 
 namespace semantic_topo_loop::core {
@@ -19,6 +21,11 @@ class PoseGraph {
   PoseGraph(PoseGraph&&) noexcept;
   PoseGraph& operator=(PoseGraph&&) noexcept;
 
+  /// What the objects are tied by (pose_graph.objects): give it before `process` of the same frame. Nothing happens
+  /// while objects take no part.
+  void observe(const Frame& frame, const AssociationFrame& associations);
+  /// Follows the map. @param update of the frame before, or of this one before `process`
+  void apply(const MapUpdate& update);
   /// Adds the frame's keyframe and odometry edge and the accepted loops; optimises when there is reason to. An end
   /// frame always optimises.
   /// @param extra_loops loops from outside, treated alike

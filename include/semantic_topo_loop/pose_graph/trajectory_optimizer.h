@@ -4,6 +4,8 @@
 #include <vector>
 
 #include "semantic_topo_loop/pose_graph/graph_loop.h"
+#include "semantic_topo_loop/pose_graph/graph_object.h"
+#include "semantic_topo_loop/pose_graph/graph_solver.h"
 #include "semantic_topo_loop/pose_graph/noise_estimator.h"
 #include "semantic_topo_loop/pose_graph/odometry_edge.h"
 #include "semantic_topo_loop/pose_graph/pose_graph_options.h"
@@ -16,6 +18,7 @@ struct Trajectory {
   std::vector<OdometryEdge> edges;
   std::vector<GraphLoop> loops;
   std::vector<bool> votes;  ///< one a loop: whether it counts, see LoopConsistency; empty: all do
+  GraphObjects objects;     ///< take part in the last solve, once loops and odometry have been settled
 };
 
 /// What an optimisation found out, the warm start of the next one.
@@ -30,12 +33,15 @@ struct OptimizedTrajectory {
   std::string message;  ///< why it is not usable
   std::vector<SE3> T_map_vertex;
   GraphKnowledge knowledge;
+  std::vector<GraphEdge> edges;  ///< of the last solve: the odometry's, then the loops
 };
 
 enum class Effort {
-  kUpdate,  ///< trusts what is known: two solves, unless new loops upset it
-  kLearn,   ///< learns the odometry's noise anew
-  kFull     ///< and doubts every loop anew
+  kUpdate,    ///< trusts what is known: two solves, unless new loops upset it
+  kLearn,     ///< learns the odometry's noise anew
+  kFull,      ///< and doubts every loop anew
+  kClassify,  ///< doubts every loop anew, and does no more
+  kSettle     ///< trusts the loops that are kept, and makes everything else from these alone
 };
 
 /// Tells right loops from false ones with loose odometry, learns the odometry's noise from the right ones, and solves

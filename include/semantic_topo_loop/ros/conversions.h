@@ -19,8 +19,10 @@
 #include "semantic_topo_loop/MapCorrection.h"
 #include "semantic_topo_loop/QuadricMap.h"
 #include "semantic_topo_loop/QuadricMapUpdate.h"
+#include "semantic_topo_loop/TrackingReport.h"
 #include "semantic_topo_loop/association/association.h"
 #include "semantic_topo_loop/detection/detection.h"
+#include "semantic_topo_loop/frontend/tracking_report.h"
 #include "semantic_topo_loop/loop/loop_closure.h"
 #include "semantic_topo_loop/map/frame.h"
 #include "semantic_topo_loop/map/landmark.h"
@@ -96,6 +98,9 @@ OdometryReport to_msg(const core::OdometryReport& report);
 core::OdometryReport from_msg(const OdometryReport& message);
 void to_msg(const core::MapCorrection& correction, MapCorrection* message);
 core::MapCorrection from_msg(const MapCorrection& message);
+
+void to_msg(const core::TrackingReport& report, TrackingReport* message);
+core::TrackingReport from_msg(const TrackingReport& message);
 
 /// A pose from outside: finite, and a quaternion of norm 1 within 1 %, which is then normalised.
 /// @return nullopt, with `field`'s component and its value in `error`

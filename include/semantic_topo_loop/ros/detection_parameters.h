@@ -15,7 +15,7 @@ struct DetectionParameters : ClassStageParameters {
   template <class Visitor>
   void visit(Visitor& visitor) {
     ClassStageParameters::visit(visitor);
-    visitor("source", source, "where detections come from: topic (detections_in) or file");
+    visitor("source", source, "where detections come from: topic (detections_in), file, or none");
     visitor("detections_file", detections_file, "file: OA-SLAM JSON, or a directory of YOLO text files");
     visitor("detection_timeout_s", detection_timeout_s, "topic: how long a frame waits for its detections, wall time");
   }

@@ -21,21 +21,25 @@ class PlayerLedger {
   enum Link { kFrames, kDetections, kAssociations, kObservations, kLoopClosures, kCorrections, kCompletions };
   static constexpr std::size_t kLinkCount = 7;
 
-  /// @param stages that must acknowledge the session before the first frame   @param expects_results the stream has
-  /// only ended when the recorder has written its files
-  PlayerLedger(std::vector<std::string> stages, bool expects_results)
-      : stages_(std::move(stages)), expects_results_(expects_results) {}
+  /// @param frontend name of the stage that opens the session and makes the frames   @param stages that must
+  /// acknowledge the session before the first frame   @param expects_results the stream has only ended when the
+  /// recorder has written its files
+  PlayerLedger(std::string frontend, std::vector<std::string> stages, bool expects_results)
+      : frontend_(std::move(frontend)), stages_(std::move(stages)), expects_results_(expects_results) {}
 
   /// A new session forgets the frames on their way: the stages have dropped them.
   void take(const SessionControl& control);
   void take(const SessionAck& ack);
-  /// PoseFrontend if it has opened no session, else the stages that have not acknowledged it.
+  /// The front end if it has opened no session, else the stages that have not acknowledged it.
   std::vector<std::string> missing_stages() const;
   bool is_paused() const { return is_paused_; }
 
-  void sent(std::int64_t stamp_ns) { in_flight_[stamp_ns] = kUnknownFrame; }
+  void sent(std::int64_t stamp_ns) {
+    in_flight_[stamp_ns] = kUnknownFrame;
+    ++frames_sent_;
+  }
   void end_sent() { is_end_sent_ = true; }
-  /// A frame as PoseFrontend numbered it.
+  /// A frame as the front end numbered it.
   void numbered(std::uint32_t session_id, std::int64_t stamp_ns, std::int64_t frame_id, bool is_end);
   void seen(Link link, std::uint32_t session_id, std::int64_t frame_id);
   void done(const FrameDone& done);
@@ -44,6 +48,8 @@ class PlayerLedger {
   std::size_t in_flight() const { return in_flight_.size(); }
   bool is_end_done() const { return is_end_done_ && (!expects_results_ || has_results_); }
   bool awaits_end() const { return is_end_sent_ && !is_end_done(); }
+  std::uint64_t frames_sent() const { return frames_sent_; }
+  /// Frames that the chain answered for; the others sent were dropped on their way, as stages may do in real time.
   std::uint64_t frames_done() const { return frames_done_; }
   std::uint64_t frames_without_pose() const { return frames_without_pose_; }
   /// The stage that the oldest frame on its way, or the end of the stream, waits for.
@@ -52,17 +58,18 @@ class PlayerLedger {
  private:
   static constexpr std::int64_t kUnknownFrame = -1;
 
+  std::string frontend_;
   std::vector<std::string> stages_;
   bool expects_results_;
   std::uint32_t session_id_ = 0;  ///< 0: none yet
-  ros::Time session_stamp_;       ///< of its START, which PoseFrontend may repeat
+  ros::Time session_stamp_;       ///< of its START, which the front end may repeat
   bool is_paused_ = false;
   std::map<std::string, std::uint32_t> acknowledged_;  ///< last session_id by stage
   std::map<std::int64_t, std::int64_t> in_flight_;     ///< frame_id by stamp
   std::int64_t end_frame_id_ = kUnknownFrame;
   bool is_end_sent_ = false, is_end_done_ = false, has_results_ = false;
   std::array<std::int64_t, kLinkCount> last_seen_{};  ///< largest frame_id + 1 of each link, this session
-  std::uint64_t frames_done_ = 0, frames_without_pose_ = 0;
+  std::uint64_t frames_sent_ = 0, frames_done_ = 0, frames_without_pose_ = 0;
 };
 
 }  // namespace semantic_topo_loop

@@ -13,6 +13,8 @@ struct PlayerParameters : StageParameters {
   std::string trajectory_file, camera_file, bag_file;
   std::string camera_frame = "camera_optical_frame";
   std::string stamps = "image";
+  bool images = false;
+  double max_depth_delay_s = 0.02;
   std::string mocap_tf = "drop";
   std::string odom_frame = "odom";
   double max_pose_gap_s = 0.1;
@@ -33,6 +35,8 @@ struct PlayerParameters : StageParameters {
     visitor("camera_frame", camera_frame, "files: tf frame of the camera's optical frame");
     visitor("bag_file", bag_file, "bag: what is played");
     visitor("stamps", stamps, "bag: which stamps are played, image or camera_info");
+    visitor("images", images, "bag: play the colour and depth images too, for RgbdFrontend; left out without depth");
+    visitor("max_depth_delay_s", max_depth_delay_s, "bag, images: depth farther from colour in stamp is none of it");
     visitor("mocap_tf", mocap_tf, "bag: drop the motion capture's transform, or odom to take it as the odometry");
     visitor("odom_frame", odom_frame, "bag: parent of the motion capture's transform if mocap_tf is odom");
     visitor("max_pose_gap_s", max_pose_gap_s, "bag: transforms go at least this long ahead of the images");

@@ -83,6 +83,8 @@ class Stage : public nodelet::Nodelet {
   }
   /// The nodelet cannot work: says so once, and in the diagnostics from then on.
   void fail(const std::string& error);
+  /// Counts something that is wrong with the input, and warns at the first time.
+  void complain(const std::string& cause, const std::string& detail);
   /// @return null after fail() if the file cannot be used
   std::shared_ptr<const core::ClassTable> load_classes(const std::string& path);
   /// Shuts down what brings work, closes the queue and joins the thread. May be called twice.

@@ -29,6 +29,8 @@ class StageStatistics {
   void count_processed(Clock::time_point arrival);
   /// Adds to a named counter ("incomplete frames"), which is shown even while it is zero once declared.
   void count(const std::string& counter, std::uint64_t n = 1);
+  /// Counts one. @return whether it is the counter's first
+  bool count_first(const std::string& counter);
   /// Sets a named counter that somebody else counts.
   void set(const std::string& counter, std::uint64_t value);
   void set_failure(const std::string& failure);

@@ -59,6 +59,9 @@ class DetectorModel {
 
   /// @param time_s from the first image; where nothing moves, any
   std::vector<SimulatedDetection> detect(const SE3& T_world_camera, double time_s = 0.0);
+  /// The same of views that come from elsewhere, one an object in order of Scene::objects.
+  std::vector<SimulatedDetection> detect(const SE3& T_world_camera,
+                                         const std::vector<std::optional<ObjectView>>& views);
 
  private:
   /// Errors of one object that last: standard normal, first-order Markov.

@@ -11,6 +11,7 @@
 #include "semantic_topo_loop/simulation/detector.h"
 #include "semantic_topo_loop/simulation/drift.h"
 #include "semantic_topo_loop/simulation/dynamics.h"
+#include "semantic_topo_loop/simulation/rendering_options.h"
 #include "semantic_topo_loop/simulation/scene.h"
 #include "semantic_topo_loop/simulation/trajectory.h"
 
@@ -24,6 +25,7 @@ struct SimulationOptions {
   DriftOptions drift;
   DynamicsOptions dynamics;
   DetectorOptions detector;
+  RenderingOptions rendering;
 
   template <class Visitor>
   void visit(Visitor& visitor) {
@@ -35,6 +37,7 @@ struct SimulationOptions {
     drift.visit(visitor);
     dynamics.visit(visitor);
     detector.visit(visitor);
+    rendering.visit(visitor);
   }
   bool is_valid(std::string* error) const;
 };
@@ -49,6 +52,7 @@ struct SimulatedSequence {
   Scene scene;
   StampedPoses mocap;     ///< T_world_camera at 100 Hz, from before the first to after the last image
   StampedPoses truth;     ///< T_world_camera at the images
+  StampedPoses depth;     ///< T_world_camera of the colour camera at the depth images, one an image
   StampedPoses odometry;  ///< T_odom_camera at the images, drifted
   std::vector<std::vector<SimulatedDetection>> detections;  ///< one vector an image
 

@@ -1,6 +1,7 @@
 #pragma once
 
 #include <array>
+#include <memory>
 #include <string>
 #include <vector>
 
@@ -10,9 +11,11 @@
 namespace semantic_topo_loop::core {
 
 struct TrajectoryOptions {
+  std::string model = "handheld";
   double duration_s = 60.0;
   double rate_hz = 30.0;
   double lap_s = 36.0;
+  double arc_deg = 360.0;
   double distance_m = 1.6;
   double height_m = 1.45;
   double wander_m = 0.15;
@@ -21,9 +24,13 @@ struct TrajectoryOptions {
 
   template <class Visitor>
   void visit(Visitor& visitor) {
+    visitor("trajectory.model", model,
+            "handheld (looks at the desks, wanders and shakes) or robot (wheels, a fixed camera that looks ahead and "
+            "aside; stops to look around)");
     visitor("trajectory.duration_s", duration_s, "length of the sequence");
     visitor("trajectory.rate_hz", rate_hz, "images per second");
     visitor("trajectory.lap_s", lap_s, "time of one lap around the desks; what comes later revisits");
+    visitor("trajectory.arc_deg", arc_deg, "handheld: less than 360 swings to and fro over that share of a lap");
     visitor("trajectory.distance_m", distance_m, "horizontal distance from the desks' middle line");
     visitor("trajectory.height_m", height_m, "mean height of the camera above the floor");
     visitor("trajectory.wander_m", wander_m, "slow deviation of position and of the point looked at");
@@ -47,17 +54,32 @@ class SmoothNoise {
   std::array<Wave, 4> waves_;
 };
 
-/// A handheld camera that goes round the desks at a steady pace and looks at them, wandering and shaking. Continuous in
-/// time, so that any sensor can sample it.
-class HandheldTrajectory {
+/// How a camera moves through a scene. Continuous in time, so that any sensor can sample it.
+class Trajectory {
  public:
-  HandheldTrajectory(const Scene& scene, const TrajectoryOptions& options, std::uint64_t seed);
-
+  virtual ~Trajectory() = default;
   /// Pose of the camera's optical frame (x right, y down, z forward).
-  SE3 T_world_camera(double time_s) const;
+  virtual SE3 T_world_camera(double time_s) const = 0;
+};
+
+/// By TrajectoryOptions::model.
+std::unique_ptr<Trajectory> make_trajectory(const Scene& scene, const TrajectoryOptions& options, std::uint64_t seed);
+
+/// The lap that trajectories follow: an oval around the desks' middle line, without corners in the pace.
+class Lap {
+ public:
+  Lap(const Scene& scene, double distance_m);
+
+  /// A place of the lap, at table height.
+  struct Place {
+    Vec3 line_point;  ///< the nearest point of the middle line
+    Vec3 outward;     ///< unit
+  };
+  /// @param laps whole laps repeat
+  Place at(double laps) const;
 
  private:
-  /// A point of the lap: how far along the desks' middle line, and on which side of it.
+  /// How far along the desks' middle line, and on which side of it.
   struct Station {
     double along_m = 0.0, angle = 0.0;
   };
@@ -65,14 +87,47 @@ class HandheldTrajectory {
   Station station(double laps) const;
   Station smooth_station(double laps) const;
 
-  TrajectoryOptions options_;
-  Vec3 line_start_ = Vec3::Zero();  ///< of the desks' middle line, at table height
+  double distance_m_;
+  Vec3 line_start_ = Vec3::Zero();
   Vec3 line_direction_ = Vec3::UnitX();
   double line_length_m_ = 0.0;
+};
+
+/// A handheld camera that goes round the desks at a steady pace and looks at them, wandering and shaking.
+class HandheldTrajectory : public Trajectory {
+ public:
+  HandheldTrajectory(const Scene& scene, const TrajectoryOptions& options, std::uint64_t seed);
+
+  SE3 T_world_camera(double time_s) const override;
+
+ private:
+  double laps(double time_s) const;
+
+  TrajectoryOptions options_;
+  Lap lap_;
   double first_lap_ = 0.0;
   double sense_ = 1.0;
   std::array<SmoothNoise, 5> wander_;
   std::array<SmoothNoise, 6> shake_;
+};
+
+/// A wheeled robot that drives round the desks: it heads where it goes, its camera keeps its height and its tilt and is
+/// mounted turned towards the desks. Every few seconds it stops and turns to and fro on the spot.
+class RobotTrajectory : public Trajectory {
+ public:
+  RobotTrajectory(const Scene& scene, const TrajectoryOptions& options, std::uint64_t seed);
+
+  SE3 T_world_camera(double time_s) const override;
+
+ private:
+  Vec3 position(double laps) const;
+
+  TrajectoryOptions options_;
+  Lap lap_;
+  double first_lap_ = 0.0;
+  double sense_ = 1.0;
+  double first_stop_ = 0.0;  ///< phase, rad
+  SmoothNoise wander_;
 };
 
 }  // namespace semantic_topo_loop::core

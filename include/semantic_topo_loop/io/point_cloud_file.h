@@ -1,0 +1,17 @@
+#pragma once
+
+#include <string>
+
+#include "semantic_topo_loop/map/point_map.h"
+
+namespace semantic_topo_loop::core {
+
+/// Whether the path's ending names a format that write_point_cloud knows.
+bool is_point_cloud_path(const std::string& path);
+
+/// Writes the points of a map as PLY or PCD, by the file's ending, binary: x, y, z (m, map frame) and intensity, 1 for
+/// sparse points, which come first, and 0 for semi-dense ones, as floats.
+/// @return false, with path and cause in `error`, for another ending or a file that cannot be written
+bool write_point_cloud(const std::string& path, const MapPoints& points, std::string* error);
+
+}  // namespace semantic_topo_loop::core

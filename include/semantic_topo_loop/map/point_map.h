@@ -1,0 +1,56 @@
+#pragma once
+
+#include <cstdint>
+#include <map>
+#include <vector>
+
+#include "semantic_topo_loop/geometry/sim3.h"
+#include "semantic_topo_loop/map/frame.h"
+#include "semantic_topo_loop/map/keyframe_points.h"
+#include "semantic_topo_loop/map/point_map_options.h"
+#include "semantic_topo_loop/pose_graph/map_correction.h"
+
+namespace semantic_topo_loop::core {
+
+/// The points of a map, in the map frame, m.
+struct MapPoints {
+  std::vector<Eigen::Vector3f> sparse;  ///< one for each point of the front end, in order of id
+  std::vector<Eigen::Vector3f> semi_dense;
+};
+
+/// The points of the pose-point-object map. They hang on their keyframes and move with them when the map is corrected.
+class PointMap {
+ public:
+  explicit PointMap(const PointMapOptions& options) : options_(options) {}
+
+  /// Takes in the points of a keyframe; other frames change nothing.
+  void add(const Frame& frame);
+  /// Moves the keyframes.
+  void apply(const MapCorrection& correction);
+
+  MapPoints points() const;
+  std::size_t keyframes() const { return keyframes_.size(); }
+  /// Points kept, those that several keyframes see counted with each.
+  std::size_t size() const { return size_; }
+  /// Points given up because the map was full.
+  std::uint64_t thinned() const { return thinned_; }
+
+ private:
+  struct Keyframe {
+    SE3 T_odom_camera;
+    Sim3 S_map_camera;  ///< the scale is the map's units of length in one of the odometry, 1 unless it is free
+    KeyframePoints points;
+    int thinnings = 0;
+  };
+
+  void bound();
+
+  PointMapOptions options_;
+  SE3 T_map_odom_;
+  double scale_ = 1.0;  ///< of new keyframes
+  std::map<std::int64_t, Keyframe> keyframes_;
+  std::size_t size_ = 0;
+  std::uint64_t thinned_ = 0;
+};
+
+}  // namespace semantic_topo_loop::core

@@ -1,0 +1,72 @@
+#pragma once
+
+#include <optional>
+#include <vector>
+
+#include "semantic_topo_loop/geometry/quadric.h"
+
+namespace semantic_topo_loop::core {
+
+/// How far away the visible side of an object is.
+struct SurfaceDepth {
+  Vec3 ray_camera = Vec3::UnitZ();  ///< unit vector from the camera to the object
+  double distance_m = 0.0;          ///< of the points seen on the object, along the ray
+};
+
+/// One box of an object in a keyframe.
+struct ObjectView {
+  int vertex = -1;
+  Vec4 intrinsics = Vec4::Zero();  ///< fx, fy, cx, cy, px
+  Box box;                         ///< undistorted, px
+  std::uint8_t truncated = 0;      ///< Truncation bits: these sides bound nothing
+  std::optional<SurfaceDepth> depth;
+};
+
+/// An object as a vertex of the graph: an ellipsoid that hangs on a keyframe until it is solved for. Centre and
+/// semi-axes are free, its axes keep their directions.
+struct GraphObject {
+  int anchor = -1;                ///< vertex
+  SE3 T_anchor_quadric;           ///< start
+  Vec3 semi_axes = Vec3::Ones();  ///< start, m
+  std::vector<ObjectView> views;
+};
+
+/// What object observations count for.
+struct ObjectNoise {
+  double weight = 0.1;    ///< factor on the squared errors
+  double sigma_px = 4.0;  ///< of a box edge: sigma_px + sigma_share * box size
+  double sigma_share = 0.06;
+};
+
+/// Object vertices of one solve.
+struct GraphObjects {
+  ObjectNoise noise;
+  std::vector<GraphObject> objects;
+};
+
+/// P = K [R|t] of the view's image.
+Mat34 projection_matrix(const ObjectView& view, const SE3& T_world_camera);
+
+/// What a view sees of an object: `n` figures and their derivatives.
+template <int n>
+struct ObjectTerms {
+  using Jacobian = Eigen::Matrix<double, n, 3>;
+  Eigen::Matrix<double, n, 1> error = Eigen::Matrix<double, n, 1>::Zero();  ///< expected - measured
+  Jacobian camera_t = Jacobian::Zero();                                     ///< by the camera's position
+  Jacobian camera_rotation = Jacobian::Zero();  ///< by a rotation vector of the camera in the world: R <- exp(w) R
+  Jacobian center = Jacobian::Zero();           ///< by the ellipsoid's centre
+  Jacobian log_axes = Jacobian::Zero();         ///< by the logarithms of its semi-axes
+};
+
+/// Edges of the box, px; those that the image border cuts are 0.
+/// @return nullopt if the camera cannot see the ellipsoid
+std::optional<ObjectTerms<4>> box_terms(const ObjectView& view, const SE3& T_world_camera, const Ellipsoid& ellipsoid);
+/// Distance of the visible side along the ray, m: that of the centre less 0.7 of the ellipsoid's extent, which is the
+/// median over a hemisphere's outline.
+ObjectTerms<1> depth_terms(const SurfaceDepth& depth, const SE3& T_world_camera, const Ellipsoid& ellipsoid);
+
+/// The objects with at most `max_views` views each, spread evenly. Views in which the ellipsoid at its start does not
+/// overlap the box are left out, the poses say that they show something else, and then objects with too few views.
+GraphObjects well_seen(const GraphObjects& objects, const std::vector<SE3>& T_world_vertex, int max_views);
+
+}  // namespace semantic_topo_loop::core

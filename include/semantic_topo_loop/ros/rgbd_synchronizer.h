@@ -1,0 +1,65 @@
+#pragma once
+
+#include <message_filters/sync_policies/approximate_time.h>
+#include <message_filters/synchronizer.h>
+#include <sensor_msgs/Image.h>
+
+#include <chrono>
+#include <cstdint>
+#include <functional>
+#include <map>
+#include <memory>
+#include <optional>
+#include <string>
+
+namespace semantic_topo_loop {
+
+/// Joins colour and depth images that arrive on topics, by message_filters' ApproximateTime, and accounts for those
+/// that it cannot join. Not thread-safe.
+class RgbdSynchronizer {
+ public:
+  using Clock = std::chrono::steady_clock;
+  using ImageConstPtr = sensor_msgs::ImageConstPtr;
+  using OnPair = std::function<void(const ImageConstPtr& color, const ImageConstPtr& depth)>;
+  using OnSingle = std::function<void(std::int64_t stamp_ns)>;
+  struct Options {
+    int queue_size = 10;                                       ///< images of a topic that wait for the other one
+    double max_delay_s = 0.02;                                 ///< between the stamps of a pair
+    double pair_timeout_s = 1.0;                               ///< how long a colour image waits for depth
+    double starvation_s = 3.0;                                 ///< silence that is worth a word
+    std::string color_topic = "color", depth_topic = "depth";  ///< for that word
+  };
+
+  /// @param on_pair called for each pair, in order   @param on_single called for each colour image that stays alone
+  RgbdSynchronizer(const Options& options, OnPair on_pair, OnSingle on_single);
+
+  void add_color(const ImageConstPtr& image, Clock::time_point now);
+  void add_depth(const ImageConstPtr& image, Clock::time_point now);
+  /// Gives up colour images that have waited for too long.
+  void expire(Clock::time_point now);
+  /// Why no pairs come, with topics and stamps; empty while they do.
+  std::string starvation(Clock::time_point now) const;
+
+ private:
+  using Policy = message_filters::sync_policies::ApproximateTime<sensor_msgs::Image, sensor_msgs::Image>;
+  struct Topic {
+    std::optional<std::int64_t> stamp_ns;  ///< of the last image
+    Clock::time_point heard;               ///< when it came; at first, when listening began
+  };
+
+  /// ApproximateTime would wait for ever for the time before a jump back.
+  void restart();
+  void hear(const ImageConstPtr& image, Clock::time_point now, Topic* topic);
+  void join(const ImageConstPtr& color, const ImageConstPtr& depth);
+  std::string describe(const std::string& name, const Topic& topic, Clock::time_point now) const;
+
+  const Options options_;
+  const OnPair on_pair_;
+  const OnSingle on_single_;
+  std::unique_ptr<message_filters::Synchronizer<Policy>> synchronizer_;
+  std::map<std::int64_t, Clock::time_point> waiting_;  ///< colour images without depth so far, and when they came
+  Topic color_, depth_;
+  Clock::time_point paired_;  ///< when the last pair was complete
+};
+
+}  // namespace semantic_topo_loop

@@ -1,0 +1,60 @@
+#include "semantic_topo_loop/io/point_cloud_file.h"
+
+#include <array>
+#include <cstdint>
+#include <cstring>
+
+#include "semantic_topo_loop/io/text_file.h"
+
+namespace semantic_topo_loop::core {
+namespace {
+
+bool ends_with(const std::string& text, const std::string& end) {
+  return text.size() >= end.size() && text.compare(text.size() - end.size(), end.size(), end) == 0;
+}
+
+std::string ply_header(std::size_t count) {
+  return "ply\nformat binary_little_endian 1.0\ncomment metres, map frame; intensity 1: sparse, 0: semi-dense\n"
+         "element vertex " +
+         std::to_string(count) +
+         "\nproperty float x\nproperty float y\nproperty float z\nproperty float intensity\nend_header\n";
+}
+
+std::string pcd_header(std::size_t count) {
+  const std::string n = std::to_string(count);
+  return "# .PCD v0.7 - Point Cloud Data file format\nVERSION 0.7\nFIELDS x y z intensity\nSIZE 4 4 4 4\n"
+         "TYPE F F F F\nCOUNT 1 1 1 1\nWIDTH " +
+         n + "\nHEIGHT 1\nVIEWPOINT 0 0 0 1 0 0 0\nPOINTS " + n + "\nDATA binary\n";
+}
+
+/// Little-endian, whatever the machine.
+void append(float value, std::string* bytes) {
+  std::uint32_t bits = 0;
+  std::memcpy(&bits, &value, sizeof bits);
+  for (int shift = 0; shift < 32; shift += 8) bytes->push_back(static_cast<char>((bits >> shift) & 0xff));
+}
+
+void append(const std::vector<Eigen::Vector3f>& points, float intensity, std::string* bytes) {
+  for (const Eigen::Vector3f& p : points) {
+    for (const float value : {p.x(), p.y(), p.z(), intensity}) append(value, bytes);
+  }
+}
+
+}  // namespace
+
+bool is_point_cloud_path(const std::string& path) { return ends_with(path, ".ply") || ends_with(path, ".pcd"); }
+
+bool write_point_cloud(const std::string& path, const MapPoints& points, std::string* error) {
+  if (!is_point_cloud_path(path)) {
+    if (error != nullptr) *error = "'" + path + "' ends neither in .ply nor in .pcd";
+    return false;
+  }
+  const std::size_t count = points.sparse.size() + points.semi_dense.size();
+  std::string bytes = ends_with(path, ".ply") ? ply_header(count) : pcd_header(count);
+  bytes.reserve(bytes.size() + 16 * count);
+  append(points.sparse, 1.0F, &bytes);
+  append(points.semi_dense, 0.0F, &bytes);
+  return write_text_file(path, bytes, error);
+}
+
+}  // namespace semantic_topo_loop::core

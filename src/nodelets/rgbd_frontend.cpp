@@ -1,0 +1,207 @@
+#include "semantic_topo_loop/frontend/rgbd_frontend.h"
+
+#include <image_transport/image_transport.h>
+#include <image_transport/subscriber_filter.h>
+
+#include <memory>
+#include <mutex>
+#include <optional>
+#include <pluginlib/class_list_macros.hpp>
+#include <string>
+#include <tuple>
+
+#include "semantic_topo_loop/FrameDone.h"
+#include "semantic_topo_loop/TrackingReport.h"
+#include "semantic_topo_loop/frontend/tracking_report.h"
+#include "semantic_topo_loop/ros/conversions.h"
+#include "semantic_topo_loop/ros/frontend_stage.h"
+#include "semantic_topo_loop/ros/rgbd_conversion.h"
+#include "semantic_topo_loop/ros/rgbd_frontend_parameters.h"
+#include "semantic_topo_loop/ros/rgbd_synchronizer.h"
+
+namespace semantic_topo_loop {
+namespace {
+
+bool is_same(const core::Camera& a, const core::Camera& b) {
+  return std::tie(a.fx, a.fy, a.cx, a.cy, a.width, a.height, a.distortion) ==
+         std::tie(b.fx, b.fy, b.cx, b.cy, b.width, b.height, b.distortion);
+}
+
+}  // namespace
+
+/// Finds the camera's poses from its colour and depth images.
+class RgbdFrontendNodelet : public FrontendStage {
+ public:
+  RgbdFrontendNodelet() : FrontendStage("RgbdFrontend") {}
+  ~RgbdFrontendNodelet() override {
+    color_.unsubscribe();
+    depth_.unsubscribe();
+    stop();
+  }
+
+ private:
+  using ImageConstPtr = sensor_msgs::ImageConstPtr;
+  using Clock = RgbdSynchronizer::Clock;
+  static constexpr char kSingle[] = "colour images without depth";
+
+  void onInit() override;
+  void subscribe_images();
+  void on_color(const ImageConstPtr& image);
+  void on_depth(const ImageConstPtr& image);
+  /// Once in a while: images that wait for too long, topics that are silent.
+  void watch();
+  void add_diagnostics(diagnostic_updater::DiagnosticStatusWrapper& status) override;
+
+  void forget() override;
+  void on_end() override;
+  void on_single(std::int64_t stamp_ns);
+  void on_pair(const ImageConstPtr& color, const ImageConstPtr& depth);
+  /// The front end of this session's camera; null, and the image answered, while there is no calibration.
+  bool prepare(std::int64_t stamp_ns);
+  void fail_image(std::int64_t stamp_ns, const std::string& cause, const std::string& detail);
+  void track(const core::RgbdImage& image);
+
+  core::Options options_;
+  RgbdFrontendParameters parameters_;
+  image_transport::SubscriberFilter color_, depth_;
+  ros::Publisher report_publisher_;
+  std::optional<core::RgbdFrontend> frontend_;
+  std::optional<core::Camera> frontend_camera_;
+  core::TrackingReport report_;
+
+  std::mutex mutex_;  ///< guards all below, which callbacks, worker and diagnostics share; nothing else is locked in it
+  std::unique_ptr<RgbdSynchronizer> synchronizer_;
+  std::string starvation_;
+};
+
+void RgbdFrontendNodelet::onInit() {
+  if (!start(&options_, &parameters_, 1)) return;
+  std::shared_ptr<TfPoses> transforms;
+  if (!parameters_.base_frame.empty()) {
+    // Only the camera's place on the robot is asked for: a rigid part, whose gaps do not matter.
+    constexpr double kMaxGapS = 1.0;
+    transforms = std::make_shared<TfPoses>(parameters_.odom_frame, kMaxGapS);
+  }
+  if (!open(options_.keyframe, parameters_, transforms)) return;
+  statistics().count(kSingle, 0);
+  report_publisher_ = advertise<TrackingReport>("tracking_report");
+  subscribe_images();
+  constexpr double kWatchPeriodS = 0.25;
+  start_timer(kWatchPeriodS, [this] { watch(); });
+  follow_stream();
+}
+
+void RgbdFrontendNodelet::subscribe_images() {
+  const ros::NodeHandle node = getNodeHandle();
+  RgbdSynchronizer::Options options;
+  options.queue_size = parameters_.sync_queue_size;
+  options.max_delay_s = parameters_.max_depth_delay_s;
+  options.pair_timeout_s = parameters_.pair_timeout_s;
+  options.starvation_s = parameters_.starvation_s;
+  // Remapped here, as the names that image_transport makes of them ("color/compressed") have remappings of their own.
+  options.color_topic = node.resolveName("color");
+  options.depth_topic = node.resolveName("depth");
+  synchronizer_ = std::make_unique<RgbdSynchronizer>(
+      options,
+      [this](const ImageConstPtr& color, const ImageConstPtr& depth) {
+        push("pairs of images", Keep::kDroppable, [this, color, depth] { on_pair(color, depth); });
+      },
+      [this](std::int64_t stamp_ns) { push(kSingle, Keep::kAlways, [this, stamp_ns] { on_single(stamp_ns); }); });
+  color_.registerCallback(boost::function<void(const ImageConstPtr&)>([this](const auto& image) { on_color(image); }));
+  depth_.registerCallback(boost::function<void(const ImageConstPtr&)>([this](const auto& image) { on_depth(image); }));
+  image_transport::ImageTransport transport(node);
+  const ros::NodeHandle& own = getPrivateNodeHandle();
+  color_.subscribe(transport, options.color_topic, static_cast<std::uint32_t>(parameters_.color_queue_size),
+                   {parameters_.color_transport, {}, own, "color_transport"});
+  depth_.subscribe(transport, options.depth_topic, static_cast<std::uint32_t>(parameters_.depth_queue_size),
+                   {parameters_.depth_transport, {}, own, "depth_transport"});
+}
+
+void RgbdFrontendNodelet::on_color(const ImageConstPtr& image) {
+  statistics().count_input("color");
+  const std::lock_guard<std::mutex> lock(mutex_);
+  synchronizer_->add_color(image, Clock::now());
+}
+
+void RgbdFrontendNodelet::on_depth(const ImageConstPtr& image) {
+  statistics().count_input("depth");
+  const std::lock_guard<std::mutex> lock(mutex_);
+  synchronizer_->add_depth(image, Clock::now());
+}
+
+void RgbdFrontendNodelet::watch() {
+  const Clock::time_point now = Clock::now();
+  const std::lock_guard<std::mutex> lock(mutex_);
+  synchronizer_->expire(now);
+  const std::string starvation = synchronizer_->starvation(now);
+  if (starvation_.empty() && !starvation.empty()) NODELET_WARN("%s", starvation.c_str());
+  starvation_ = starvation;
+}
+
+void RgbdFrontendNodelet::add_diagnostics(diagnostic_updater::DiagnosticStatusWrapper& status) {
+  const std::lock_guard<std::mutex> lock(mutex_);
+  if (!starvation_.empty()) status.mergeSummary(diagnostic_msgs::DiagnosticStatus::WARN, starvation_);
+}
+
+void RgbdFrontendNodelet::forget() {
+  frontend_.reset();
+  report_ = {};
+}
+
+void RgbdFrontendNodelet::on_end() {
+  auto message = boost::make_shared<TrackingReport>();
+  to_msg(report_, message.get());
+  message->session_id = current_session();
+  report_publisher_.publish(message);
+  emit_end();
+}
+
+void RgbdFrontendNodelet::on_single(std::int64_t stamp_ns) {
+  fail_image(stamp_ns, kSingle,
+             "none on 'depth' within " + std::to_string(parameters_.max_depth_delay_s) + " s of stamp " +
+                 std::to_string(stamp_ns) + " ns");
+}
+
+void RgbdFrontendNodelet::fail_image(std::int64_t stamp_ns, const std::string& cause, const std::string& detail) {
+  complain(cause, detail);
+  publish_done(stamp_ns, FrameDone::STATUS_FAILED);
+}
+
+void RgbdFrontendNodelet::on_pair(const ImageConstPtr& color, const ImageConstPtr& depth) {
+  const std::int64_t stamp_ns = to_stamp_ns(color->header.stamp);
+  if (!accept(stamp_ns) || !prepare(stamp_ns)) return;
+  std::string error;
+  const std::optional<core::RgbdImage> image =
+      make_rgbd_image(*color, *depth, *frontend_camera_, options_.depth, &error);
+  if (image) return track(*image);
+  report_.add_unreadable(error);
+  fail_image(stamp_ns, "unusable images", error);
+}
+
+bool RgbdFrontendNodelet::prepare(std::int64_t stamp_ns) {
+  if (!camera()) {
+    fail_image(stamp_ns, "images without a calibration", "neither camera_file nor a usable camera_info");
+    return false;
+  }
+  if (frontend_ && !is_same(*frontend_camera_, *camera())) begin_session("another calibration came");
+  if (!frontend_) {
+    frontend_camera_ = camera();
+    frontend_.emplace(options_.frontend, *frontend_camera_);
+  }
+  return true;
+}
+
+void RgbdFrontendNodelet::track(const core::RgbdImage& image) {
+  const core::TrackedImage tracked = frontend_->track(image);
+  report_.add(tracked);
+  if (tracked.sample) return emit(*tracked.sample, frontend_->camera());
+  const bool is_lost = tracked.state == core::TrackingState::kLost;
+  complain(is_lost ? "images lost track of" : "images with nothing to follow",
+           "stamp " + std::to_string(image.stamp_ns) + " ns: " + std::to_string(tracked.matches) + " matches, " +
+               std::to_string(tracked.inliers) + " of them agree on a pose");
+  publish_done(image.stamp_ns, FrameDone::STATUS_NO_POSE);
+}
+
+}  // namespace semantic_topo_loop
+
+PLUGINLIB_EXPORT_CLASS(semantic_topo_loop::RgbdFrontendNodelet, nodelet::Nodelet)

@@ -1,0 +1,228 @@
+#include "semantic_topo_loop/ros/frontend_stage.h"
+
+#include <std_srvs/Trigger.h>
+
+#include <utility>
+
+#include "semantic_topo_loop/Frame.h"
+#include "semantic_topo_loop/FrameDone.h"
+#include "semantic_topo_loop/Keyframe.h"
+#include "semantic_topo_loop/io/camera_yaml.h"
+#include "semantic_topo_loop/ros/conversions.h"
+
+namespace semantic_topo_loop {
+
+bool FrontendParameters::is_valid(std::string* error) const {
+  if (!StageParameters::is_valid(error)) return false;
+  if (!odom_frame.empty()) return true;
+  if (error != nullptr) *error = "parameter 'odom_frame' = '' must be given";
+  return false;
+}
+
+bool FrontendStage::open(const core::KeyframeOptions& options, const FrontendParameters& parameters,
+                         std::shared_ptr<TfPoses> transforms) {
+  keyframe_options_ = options;
+  parameters_ = parameters;
+  transforms_ = std::move(transforms);
+  camera_frame_ = parameters_.camera_frame;
+  if (!parameters_.camera_file.empty()) {
+    std::string error;
+    camera_ = core::read_camera(parameters_.camera_file, &error);
+    if (!camera_) {
+      fail(error);
+      return false;
+    }
+    has_camera_file_ = true;
+  }
+  frame_publisher_ = advertise<Frame>("frames");
+  keyframe_publisher_ = advertise<Keyframe>("keyframes");
+  done_publisher_ = advertise<FrameDone>("frame_done");
+  if (parameters_.publish_odom_tf) broadcaster_ = std::make_unique<tf2_ros::TransformBroadcaster>();
+  control_publisher_ = advertise<SessionControl>("session_control", true);
+  advertise_services();
+  return true;
+}
+
+void FrontendStage::follow_stream() {
+  constexpr std::uint32_t kTfQueue = 1000;
+  const auto queue_size = static_cast<std::uint32_t>(queue_capacity());
+  if (transforms_) {
+    listen<tf2_msgs::TFMessage>("/tf_static", kTfQueue, &FrontendStage::on_static_transforms);
+    listen<tf2_msgs::TFMessage>("/tf", kTfQueue, &FrontendStage::on_transforms);
+  }
+  listen<std_msgs::Empty>("session_queries", queue_size, &FrontendStage::on_query);
+  listen<std_msgs::Empty>("end_of_stream", queue_size, &FrontendStage::on_stream_end);
+  listen<sensor_msgs::CameraInfo>("camera_info", queue_size, &FrontendStage::on_camera_info);
+  push("start", Keep::kAlways, [this] { begin_session("start"); });
+}
+
+void FrontendStage::add_service(const std::string& service, const std::string& answer,
+                                void (FrontendStage::*handler)()) {
+  using Request = std_srvs::Trigger::Request;
+  using Response = std_srvs::Trigger::Response;
+  const boost::function<bool(Request&, Response&)> callback = [this, service, answer, handler](Request&,
+                                                                                               Response& response) {
+    push(service, Keep::kAlways, [this, handler] { (this->*handler)(); });
+    response.success = true;
+    response.message = answer;
+    return true;
+  };
+  keep_service(getPrivateNodeHandle().advertiseService(service, callback));
+}
+
+void FrontendStage::advertise_services() {
+  add_service("reset", "a new session begins", &FrontendStage::reset);
+  add_service("pause", "images are left out until ~resume", &FrontendStage::pause);
+  add_service("resume", "images are taken again", &FrontendStage::resume);
+}
+
+void FrontendStage::begin_session(const std::string& reason) {
+  builder_.reset();
+  forget();
+  last_stamp_ns_.reset();
+  is_paused_ = false;
+  control(SessionControl::COMMAND_START, reason);
+}
+
+void FrontendStage::control(std::uint8_t command, const std::string& reason) {
+  auto message = boost::make_shared<SessionControl>();
+  // Wall time: it tells sessions apart when this nodelet was loaded again, and is no stamp of data.
+  const ros::WallTime now = ros::WallTime::now();
+  message->header.stamp = ros::Time(now.sec, now.nsec);
+  message->session_id = (control_ ? control_->session_id : 0) + (command == SessionControl::COMMAND_START ? 1 : 0);
+  message->command = command;
+  message->reason = reason;
+  NODELET_INFO("session %u: %s", message->session_id, reason.c_str());
+  control_ = message;
+  control_publisher_.publish(control_);
+}
+
+void FrontendStage::pause() {
+  if (is_paused_) return;
+  is_paused_ = true;
+  control(SessionControl::COMMAND_PAUSE, "pause was called");
+}
+
+void FrontendStage::resume() {
+  if (!is_paused_) return;
+  is_paused_ = false;
+  control(SessionControl::COMMAND_RESUME, "resume was called");
+}
+
+void FrontendStage::on_camera_info(const sensor_msgs::CameraInfo& message) {
+  if (parameters_.camera_frame.empty()) camera_frame_ = strip_leading_slash(message.header.frame_id);
+  if (!has_camera_file_) {
+    std::string error;
+    camera_ = checked_camera(message, &error);
+    if (!camera_) complain("camera_info without a usable calibration", error + "; give camera_file");
+  }
+  on_camera_stamp(to_stamp_ns(message.header.stamp));
+}
+
+void FrontendStage::take_transforms(const tf2_msgs::TFMessage& message, bool is_static) {
+  std::string error;
+  if (!transforms_->add(message, is_static, &error)) complain("bad transforms", error);
+  on_more_transforms();
+}
+
+bool FrontendStage::accept(std::int64_t stamp_ns) {
+  if (is_paused_) {
+    statistics().count("images left out while paused");
+    publish_done(stamp_ns, FrameDone::STATUS_FAILED);
+    return false;
+  }
+  if (!is_in_order(stamp_ns)) return false;
+  last_stamp_ns_ = stamp_ns;
+  return true;
+}
+
+bool FrontendStage::is_in_order(std::int64_t stamp_ns) {
+  constexpr std::int64_t kJumpBackNs = 1000000000;
+  if (!last_stamp_ns_ || stamp_ns > *last_stamp_ns_) return true;
+  const std::string detail =
+      "stamp " + std::to_string(stamp_ns) + " ns after " + std::to_string(*last_stamp_ns_) + " ns";
+  if (stamp_ns < *last_stamp_ns_ - kJumpBackNs) {
+    NODELET_WARN("time jumped back: %s", detail.c_str());
+    begin_session("time jumped back");
+    return true;
+  }
+  complain(stamp_ns == *last_stamp_ns_ ? "images with the stamp of the one before" : "images out of order", detail);
+  publish_done(stamp_ns, FrameDone::STATUS_FAILED);
+  return false;
+}
+
+void FrontendStage::emit(const core::PoseSample& sample, const std::optional<core::Camera>& camera) {
+  if (!camera) {
+    complain("images without a calibration", "neither camera_file nor a usable camera_info");
+    publish_done(sample.stamp_ns, FrameDone::STATUS_FAILED);
+    return;
+  }
+  if (!builder_) builder_.emplace(keyframe_options_, *camera);
+  builder_->set_camera(*camera);
+  std::string error;
+  const std::optional<core::Frame> frame = builder_->build(sample, &error);
+  if (!frame) {
+    complain("images left out", error);
+    publish_done(sample.stamp_ns, FrameDone::STATUS_FAILED);
+    return;
+  }
+  if (frame->is_break && frame->frame_id > 0) statistics().count("breaks of the odometry");
+  publish_frame(*frame);
+  if (broadcaster_) publish_odom_tf(*frame);
+  count_processed();
+}
+
+void FrontendStage::emit_end() {
+  if (!builder_) builder_.emplace(keyframe_options_, camera_.value_or(core::Camera()));
+  publish_frame(builder_->end());
+}
+
+void FrontendStage::publish_frame(const core::Frame& frame) {
+  auto message = boost::make_shared<Frame>();
+  to_msg(frame, message.get());
+  message->header.frame_id = parameters_.odom_frame;
+  message->session_id = control_->session_id;
+  message->camera_frame = camera_frame_;
+  message->camera.header.frame_id = camera_frame_;
+  message->points.header = make_header(message->header.stamp, camera_frame_);
+  if (frame.is_keyframe) {
+    auto keyframe = boost::make_shared<Keyframe>();
+    to_msg(frame, keyframe.get());
+    keyframe->header.frame_id = parameters_.odom_frame;
+    keyframe->session_id = control_->session_id;
+    keyframe_publisher_.publish(keyframe);
+  }
+  frame_publisher_.publish(message);
+}
+
+void FrontendStage::publish_odom_tf(const core::Frame& frame) {
+  core::SE3 T_odom_child = frame.T_odom_camera;
+  const std::string child = parameters_.base_frame.empty() ? camera_frame_ : parameters_.base_frame;
+  if (child != camera_frame_) {
+    const std::optional<core::SE3> T_camera_base = transforms_->find(camera_frame_, child, frame.stamp_ns);
+    if (!T_camera_base) {
+      complain("no tf from the camera to base_frame", "'" + camera_frame_ + "' to '" + child + "'");
+      return;
+    }
+    T_odom_child = T_odom_child * *T_camera_base;
+  }
+  geometry_msgs::TransformStamped transform;
+  transform.header = make_header(to_ros_time(frame.stamp_ns), parameters_.odom_frame);
+  transform.child_frame_id = child;
+  const geometry_msgs::Pose pose = to_msg(T_odom_child);
+  transform.transform.rotation = pose.orientation;
+  transform.transform.translation = to_vector_msg(T_odom_child.t);
+  broadcaster_->sendTransform(transform);
+}
+
+void FrontendStage::publish_done(std::int64_t stamp_ns, std::uint8_t status) {
+  auto message = boost::make_shared<FrameDone>();
+  message->header.stamp = to_ros_time(stamp_ns);
+  message->session_id = control_->session_id;
+  message->frame_id = -1;
+  message->status = status;
+  message->stage = name();
+  done_publisher_.publish(message);
+}
+
+}  // namespace semantic_topo_loop

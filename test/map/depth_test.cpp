@@ -1,0 +1,273 @@
+#include <gtest/gtest.h>
+
+#include <cmath>
+#include <limits>
+
+#include "depth_scene.h"
+#include "semantic_topo_loop/geometry/plane.h"
+#include "semantic_topo_loop/map/mapper_options.h"
+#include "semantic_topo_loop/map/object_points.h"
+#include "semantic_topo_loop/map/quadric_fit.h"
+#include "semantic_topo_loop/map/quadric_initialisation.h"
+#include "semantic_topo_loop/map/quadric_mapper.h"
+
+namespace semantic_topo_loop::core {
+namespace {
+
+using testing::DepthScene;
+using testing::on_table;
+
+const Camera kCamera{520.0, 520.0, 320.0, 240.0, 640, 480, {}};
+const Ellipsoid kCup = on_table(0.05, -0.1, Vec3(0.045, 0.045, 0.06));
+const Ellipsoid kKeyboard = on_table(0.0, 0.0, Vec3(0.08, 0.22, 0.018), 0.3);
+const Ellipsoid kBottle = on_table(-0.1, 0.15, Vec3(0.035, 0.035, 0.12));
+
+SE3 look_at(const Vec3& position, const Vec3& target) {
+  const Vec3 z = (target - position).normalized();
+  const Vec3 x = z.cross(Vec3::UnitZ()).normalized();
+  Mat3 R;
+  R << x, z.cross(x), z;
+  return {R, position};
+}
+
+SE3 from_side(double angle_deg) {
+  const double a = radians(angle_deg);
+  return look_at(Vec3(1.2 * std::cos(a), 1.2 * std::sin(a), 0.8), Vec3(0.0, 0.0, 0.05));
+}
+
+Box box_of(const Ellipsoid& ellipsoid, const SE3& pose) {
+  return *project_box(ellipsoid, projection_matrix(kCamera, pose));
+}
+
+BoxView view_of(const Ellipsoid& ellipsoid, const SE3& pose, const DepthScene& scene) {
+  const Box box = box_of(ellipsoid, pose);
+  const FramePoints points(scene.look(kCamera, pose), kCamera);
+  return {pose, box, 0, make_surface(object_points(points, box), kCamera, box)};
+}
+
+TEST(FramePoints, FindThePointsInABoxAsALookAtAllOfThemDoes) {
+  std::vector<Vec3> all = DepthScene{{kCup, kBottle}}.look(kCamera, from_side(20.0));
+  const double nan = std::numeric_limits<double>::quiet_NaN();
+  all.insert(all.begin() + 100, {Vec3(nan, 0.0, 1.0), Vec3(0.0, 0.0, -1.0), Vec3(0.0, 0.0, 0.0), Vec3(9.0, 9.0, 0.01)});
+  const FramePoints points(all, kCamera);
+  EXPECT_EQ(points.size(), all.size() - 3);
+  for (const Box& box : {Box{100.0, 50.0, 300.0, 200.0}, Box{-50.0, -50.0, 20.0, 700.0},
+                         Box{310.5, 200.0, 311.5, 480.0}, Box{0.0, 0.0, 1e9, 1e9}}) {
+    std::size_t inside = 0;
+    for (const Vec3& p : all) {
+      const double u = 520.0 * p.x() / p.z() + 320.0, v = 520.0 * p.y() / p.z() + 240.0;
+      inside += p.z() > 0.0 && u >= box.x1 && u <= box.x2 && v >= box.y1 && v <= box.y2 ? 1 : 0;
+    }
+    EXPECT_EQ(points.in(box, all.size()).size(), inside);
+  }
+  const std::size_t thinned = points.in({0.0, 0.0, 640.0, 480.0}, 300).size();
+  EXPECT_GT(thinned, 200U);
+  EXPECT_LE(thinned, 300U);
+  EXPECT_TRUE(points.in({10.0, 10.0, 5.0, 20.0}, 300).empty());
+  EXPECT_TRUE(FramePoints({}, kCamera).in({0.0, 0.0, 640.0, 480.0}, 300).empty());
+}
+
+TEST(DominantPlane, IsTheTableUnderThings) {
+  const SE3 pose = from_side(60.0);
+  const std::vector<Vec3> points = DepthScene{{kCup, kKeyboard}}.look(kCamera, pose);
+  const std::optional<Plane> plane = dominant_plane(points, 50, 0.3);
+  ASSERT_TRUE(plane);
+  EXPECT_GT((pose.q * plane->normal).z(), std::cos(radians(1.0))) << "towards the camera, so upwards";
+  EXPECT_NEAR(plane->offset, 0.8, 0.01);
+  EXPECT_FALSE(dominant_plane({}, 50, 0.3));
+  EXPECT_FALSE(dominant_plane(std::vector<Vec3>(20, Vec3(0.0, 0.0, 1.0)), 50, 0.3)) << "one point many times";
+}
+
+/// Boxes of real detectors are larger than the object: what is left must be the object all the same.
+TEST(ObjectPoints, AreThoseOfTheObjectAndNotOfTheTableBehindIt) {
+  const DepthScene scene{{kCup, kBottle}};
+  for (const double angle : {0.0, 70.0, 200.0}) {
+    const SE3 pose = from_side(angle);
+    const FramePoints frame(scene.look(kCamera, pose), kCamera);
+    Box box = box_of(kCup, pose);
+    const double margin = 0.15 * box.size();
+    box = {box.x1 - margin, box.y1 - margin, box.x2 + margin, box.y2 + margin};
+    const std::vector<Vec3> points = object_points(frame, box);
+    ASSERT_GT(points.size(), 15U);
+    std::size_t on_cup = 0;
+    for (const Vec3& p : points) {
+      const Vec3 q = kCup.T_world_quadric.inverse() * (pose * p);
+      on_cup += std::abs(q.cwiseQuotient(kCup.semi_axes).norm() - 1.0) < 0.3 ? 1 : 0;
+    }
+    EXPECT_GT(static_cast<double>(on_cup), 0.9 * static_cast<double>(points.size())) << angle;
+  }
+}
+
+TEST(ObjectPoints, OfASheetOnATableAreItsPartOfTheTable) {
+  const SE3 pose = from_side(0.0);
+  const Ellipsoid sheet = on_table(0.0, 0.0, Vec3(0.10, 0.15, 0.001));
+  const FramePoints frame(DepthScene{{sheet}}.look(kCamera, pose), kCamera);
+  const std::vector<Vec3> points = object_points(frame, box_of(sheet, pose));
+  ASSERT_GT(points.size(), 30U);
+  for (const Vec3& p : points) EXPECT_NEAR((pose * p).z(), 0.0, 0.02);
+}
+
+TEST(ObjectPoints, BadInputGivesNone) {
+  const FramePoints empty({}, kCamera);
+  EXPECT_TRUE(object_points(empty, {100.0, 100.0, 200.0, 200.0}).empty());
+  const FramePoints same(std::vector<Vec3>(50, Vec3(0.0, 0.0, 1.0)), kCamera);
+  EXPECT_LE(object_points(same, {300.0, 220.0, 340.0, 260.0}).size(), 50U) << "no crash on one point many times";
+  EXPECT_TRUE(object_points(same, {340.0, 220.0, 300.0, 260.0}).empty());
+  const double nan = std::numeric_limits<double>::quiet_NaN();
+  EXPECT_TRUE(object_points(same, {nan, 220.0, 340.0, 260.0}).empty());
+  EXPECT_EQ(make_surface({}, kCamera, {0.0, 0.0, 10.0, 10.0}), nullptr);
+}
+
+TEST(SurfaceFit, OneViewGivesTheCentreToAThirdOfTheRadius) {
+  for (const Ellipsoid& object : {kCup, kBottle, kKeyboard}) {
+    const BoxView view = view_of(object, from_side(30.0), DepthScene{{object}});
+    const std::optional<Ellipsoid> start = initialise_from_surface(kCamera, view, 2.0 * object.radius());
+    ASSERT_TRUE(start);
+    const std::optional<QuadricFit> fit = refine_quadric(kCamera, {view}, *start);
+    ASSERT_TRUE(fit);
+    EXPECT_LT((fit->ellipsoid.center() - object.center()).norm(), 0.015 + 0.33 * object.radius());
+    EXPECT_GT(fit->mean_iou, 0.8);
+    EXPECT_LT((fit->ellipsoid.center() - object.center()).norm(), 3.0 * std::sqrt(fit->center_covariance.trace()));
+  }
+}
+
+TEST(SurfaceFit, WithoutASurfaceOrWithACutBoxThereIsNoStart) {
+  BoxView view = view_of(kCup, from_side(30.0), DepthScene{{kCup}});
+  view.truncated = kLeft;
+  EXPECT_FALSE(initialise_from_surface(kCamera, view, 0.1));
+  view.truncated = 0;
+  view.surface = nullptr;
+  EXPECT_FALSE(initialise_from_surface(kCamera, view, 0.1));
+}
+
+/// Boxes from a narrow angle leave the distance open; depth closes it.
+TEST(SurfaceFit, DepthPinsTheDistanceThatBoxesLeaveOpen) {
+  const DepthScene scene{{kBottle}};
+  std::vector<BoxView> with_depth, without;
+  std::mt19937_64 random(3);
+  std::normal_distribution<double> normal(0.0, 2.0);
+  for (int i = 0; i < 8; ++i) {
+    BoxView view = view_of(kBottle, from_side(30.0 + i), scene);
+    for (double* edge : {&view.box.x1, &view.box.y1, &view.box.x2, &view.box.y2}) *edge += normal(random);
+    with_depth.push_back(view);
+    view.surface = nullptr;
+    without.push_back(view);
+  }
+  const std::optional<Ellipsoid> start = initialise_from_surface(kCamera, with_depth.back(), 0.0);
+  ASSERT_TRUE(start);
+  const std::optional<QuadricFit> depth = refine_quadric(kCamera, with_depth, *start);
+  const std::optional<QuadricFit> boxes = refine_quadric(kCamera, without, *start);
+  ASSERT_TRUE(depth && boxes);
+  EXPECT_LT((depth->ellipsoid.center() - kBottle.center()).norm(), 0.035);
+  EXPECT_LT(depth->center_covariance.trace(), 0.5 * boxes->center_covariance.trace());
+}
+
+/// Half of the views took a wall far behind for the object.
+TEST(SurfaceFit, ViewsWithTheDepthOfSomethingElseDoNotMoveIt) {
+  const DepthScene scene{{kCup}};
+  std::vector<BoxView> views;
+  for (int i = 0; i < 12; ++i) {
+    views.push_back(view_of(kCup, from_side(10.0 * i), scene));
+    if (i % 2 == 1) continue;
+    Surface wall = *views.back().surface;
+    for (Eigen::Vector3f& p : wall) p *= 2.0F;
+    views.back().surface = std::make_shared<const Surface>(wall);
+  }
+  const std::optional<QuadricFit> fit =
+      refine_quadric(kCamera, views, Ellipsoid{kCup.T_world_quadric, Vec3::Constant(0.05)});
+  ASSERT_TRUE(fit);
+  EXPECT_LT((fit->ellipsoid.center() - kCup.center()).norm(), 0.01);
+}
+
+class DepthMapperTest : public ::testing::Test {
+ protected:
+  DepthMapperTest() : mapper_(QuadricMapperOptions{}, classes()) {}
+
+  static std::shared_ptr<const ClassTable> classes() {
+    return std::make_shared<const ClassTable>(*ClassTable::create(
+        {{41, "cup", ClassRole::kMovable, "", 0.1}, {62, "tv", ClassRole::kStatic, "", 0.4}}, nullptr));
+  }
+
+  struct Seen {
+    std::int64_t id;
+    int class_id;
+    Ellipsoid ellipsoid;
+  };
+
+  void step(const SE3& pose, const std::vector<Seen>& seen, const DepthScene& scene) {
+    Frame frame;
+    frame.points_camera = std::make_shared<const std::vector<Vec3>>(scene.look(kCamera, pose));
+    frame.frame_id = next_frame_;
+    frame.stamp_ns = next_frame_ * 33333333;
+    frame.is_keyframe = next_frame_ % 5 == 0;
+    frame.keyframe_id = next_frame_ / 5;
+    frame.T_odom_camera = pose;
+    frame.camera = kCamera;
+    ++next_frame_;
+    AssociationFrame associations;
+    associations.frame_id = frame.frame_id;
+    for (const Seen& object : seen) {
+      Association association;
+      association.landmark_id = object.id;
+      association.class_id = association.landmark_class_id = object.class_id;
+      association.box = box_of(object.ellipsoid, pose);
+      associations.associations.push_back(association);
+    }
+    mapper_.integrate(frame, associations);
+  }
+
+  const Landmark* find(std::int64_t id) {
+    landmarks_ = mapper_.landmarks();
+    for (const Landmark& landmark : landmarks_) {
+      if (landmark.id == id) return &landmark;
+    }
+    return nullptr;
+  }
+
+  QuadricMapper mapper_;
+  std::vector<Landmark> landmarks_;
+  std::int64_t next_frame_ = 0;
+};
+
+TEST_F(DepthMapperTest, OneFrameGivesAnEllipsoidAndMoreMakeItExact) {
+  const DepthScene scene{{kCup}};
+  step(from_side(0.0), {{0, 41, kCup}}, scene);
+  ASSERT_TRUE(find(0)->ellipsoid);
+  EXPECT_EQ(find(0)->state, LandmarkState::kCandidate);
+  EXPECT_LT((find(0)->ellipsoid->center() - kCup.center()).norm(), 0.04);
+  for (int i = 1; i < 60; ++i) step(from_side(1.5 * i), {{0, 41, kCup}}, scene);
+  EXPECT_EQ(find(0)->state, LandmarkState::kConfirmed);
+  EXPECT_LT((find(0)->ellipsoid->center() - kCup.center()).norm(), 0.006);
+}
+
+TEST_F(DepthMapperTest, WhatDepthSeesThroughIsRetiredAndWhatItSeesInFrontHidesIt) {
+  const Ellipsoid tv = on_table(-0.3, 0.2, Vec3(0.06, 0.2, 0.18));
+  const DepthScene both{{kCup, tv}};
+  for (int i = 0; i < 60; ++i) step(from_side(1.5 * i), {{0, 41, kCup}, {1, 62, tv}}, both);
+  ASSERT_EQ(find(0)->state, LandmarkState::kConfirmed);
+  ASSERT_EQ(find(1)->state, LandmarkState::kConfirmed);
+  // A box stands before the cup: the detector misses it, and rightly.
+  for (int i = 0; i < 60; ++i) {
+    DepthScene hidden = both;
+    const SE3 pose = from_side(1.5 * i);
+    hidden.objects.push_back({SE3(Quaternion::Identity(), 0.5 * (pose.t + kCup.center())), Vec3::Constant(0.12)});
+    step(pose, {{1, 62, tv}}, hidden);
+  }
+  EXPECT_EQ(find(0)->state, LandmarkState::kConfirmed);
+  // The cup is carried away, the screen stays.
+  const DepthScene without_cup{{tv}};
+  for (int i = 0; i < 42; ++i) step(from_side(-1.5 * (i + 4)), {{1, 62, tv}}, without_cup);
+  EXPECT_EQ(find(0)->state, LandmarkState::kRetired) << "within 1.4 s, from where it had never been seen";
+  EXPECT_EQ(find(1)->state, LandmarkState::kConfirmed);
+}
+
+TEST_F(DepthMapperTest, ADetectorThatMissesWhatDepthStillShowsRetiresNothing) {
+  const Ellipsoid tv = on_table(-0.3, 0.2, Vec3(0.06, 0.2, 0.18));
+  const DepthScene scene{{kCup, tv}};
+  for (int i = 0; i < 60; ++i) step(from_side(1.5 * i), {{0, 41, kCup}, {1, 62, tv}}, scene);
+  for (int i = 0; i < 60; ++i) step(from_side(1.5 * i), {{1, 62, tv}}, scene);
+  EXPECT_EQ(find(0)->state, LandmarkState::kConfirmed);
+}
+
+}  // namespace
+}  // namespace semantic_topo_loop::core

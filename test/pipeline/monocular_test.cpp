@@ -1,0 +1,111 @@
+// A monocular odometry in simulation: an unknown unit of length that drifts.
+#include <gtest/gtest.h>
+
+#include <algorithm>
+#include <map>
+
+#include "semantic_topo_loop/evaluation/trajectory_evaluation.h"
+#include "semantic_topo_loop/io/camera_yaml.h"
+#include "semantic_topo_loop/io/class_table_yaml.h"
+#include "semantic_topo_loop/pipeline/frame_builder.h"
+#include "semantic_topo_loop/pipeline/object_slam.h"
+#include "semantic_topo_loop/simulation/sequence.h"
+
+namespace semantic_topo_loop::core {
+namespace {
+
+constexpr double kSamePlaceM = 0.15;
+
+std::shared_ptr<const ClassTable> coco() {
+  std::string error;
+  auto classes = read_class_table(STL_CONFIG_DIR "/classes_coco.yaml", &error);
+  EXPECT_TRUE(classes) << error;
+  return std::make_shared<const ClassTable>(classes.value_or(ClassTable()));
+}
+
+/// Two laps; the scale drifts by 15 %, a metre is 0.8 units at first, and the poses drift a little besides.
+std::optional<SimulatedSequence> simulate_monocular(int seed, const ClassTable& classes) {
+  const std::map<std::string, std::string> texts = {{"simulation.seed", std::to_string(seed)},
+                                                    {"trajectory.duration_s", "60"},
+                                                    {"trajectory.lap_s", "30"},
+                                                    {"trajectory.rate_hz", "12"},
+                                                    {"drift.position_m", "0.1"},
+                                                    {"drift.rotation_deg", "2"},
+                                                    {"drift.scale_percent", "15"},
+                                                    {"drift.global_scale", "0.8"}};
+  std::string error;
+  const auto options = make_simulation_options(texts, &error);
+  const auto camera = read_camera(STL_CONFIG_DIR "/camera/tum_fr2.yaml", &error);
+  auto sequence = options && camera ? simulate(*options, *camera, classes, &error) : std::nullopt;
+  EXPECT_TRUE(sequence) << error;
+  return sequence;
+}
+
+/// Keyframes at the end, and what was mapped.
+struct Outcome {
+  StampedPoses keyframes;
+  std::vector<Landmark> landmarks;
+};
+
+Outcome run(const SimulatedSequence& sequence, const std::shared_ptr<const ClassTable>& classes) {
+  Options options;
+  options.loop.scale = options.pose_graph.scale = "free";
+  ObjectSlam slam(options, classes);
+  FrameBuilder builder(options.keyframe, sequence.camera);
+  for (std::size_t i = 0; i < sequence.odometry.size(); ++i) {
+    PoseSample sample;
+    sample.stamp_ns = sequence.odometry[i].stamp_ns;
+    sample.T_odom_camera = sequence.odometry[i].T_world_camera;
+    const auto frame = builder.build(sample, nullptr);
+    std::vector<Detection> detections;
+    for (const SimulatedDetection& d : sequence.detections[i]) detections.push_back(d.detection);
+    slam.process(*frame, detections);
+  }
+  slam.process(builder.end(), {});
+  Outcome outcome;
+  for (const KeyframePose& keyframe : slam.pose_graph().keyframes()) {
+    outcome.keyframes.push_back({keyframe.stamp_ns, keyframe.T_map_camera});
+  }
+  outcome.landmarks = slam.mapper().landmarks();
+  return outcome;
+}
+
+TrajectoryEvaluation evaluate(const StampedPoses& estimate, const StampedPoses& truth) {
+  TrajectoryEvaluationOptions options;
+  options.with_scale = true;
+  std::string error;
+  const auto evaluation = evaluate_trajectory(estimate, truth, options, &error);
+  EXPECT_TRUE(evaluation) << error;
+  return evaluation.value_or(TrajectoryEvaluation());
+}
+
+class Monocular : public ::testing::TestWithParam<int> {};
+
+TEST_P(Monocular, LoopsCorrectTheDriftOfTheScale) {
+  const std::shared_ptr<const ClassTable> classes = coco();
+  const auto sequence = simulate_monocular(GetParam(), *classes);
+  ASSERT_TRUE(sequence);
+  const Outcome outcome = run(*sequence, classes);
+  const TrajectoryEvaluation before = evaluate(sequence->odometry, sequence->truth);
+  const TrajectoryEvaluation after = evaluate(outcome.keyframes, sequence->truth);
+  EXPECT_LT(3.0 * after.absolute_m.rmse, before.absolute_m.rmse);
+  // Landmarks have followed their keyframes, in one unit of length.
+  int mapped = 0;
+  for (const Landmark& landmark : outcome.landmarks) {
+    if (landmark.state != LandmarkState::kConfirmed) continue;
+    const Alignment& T = after.alignment;
+    const Vec3 center = T.scale * (T.T_a_b.q * landmark.ellipsoid->center()) + T.T_a_b.t;
+    const auto is_it = [&](const SceneObject& object) {
+      return (object.ellipsoid.center() - center).norm() < kSamePlaceM &&
+             classes->confusable(object.class_id, landmark.class_id);
+    };
+    const bool is_right = std::any_of(sequence->scene.objects.begin(), sequence->scene.objects.end(), is_it);
+    mapped += is_right ? 1 : 0;
+  }
+  EXPECT_GE(mapped, 12);
+}
+
+INSTANTIATE_TEST_SUITE_P(Seeds, Monocular, ::testing::Values(1, 3));
+
+}  // namespace
+}  // namespace semantic_topo_loop::core

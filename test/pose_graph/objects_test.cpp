@@ -1,0 +1,265 @@
+#include <gtest/gtest.h>
+
+#include <functional>
+#include <set>
+
+#include "semantic_topo_loop/pose_graph/graph_object.h"
+#include "synthetic_run.h"
+
+namespace semantic_topo_loop::core {
+namespace {
+
+const Camera kCamera{520.0, 520.0, 320.0, 240.0, 640, 480, {}};
+constexpr std::int64_t kOtherIds = 1000;  ///< added to the ids of the second round where it has its own
+
+/// The synthetic run's camera looks up: lamps that hang over it.
+std::vector<Ellipsoid> lamps(int count = 40) {
+  Random random(5);
+  std::vector<Ellipsoid> result;
+  for (int i = 0; i < count; ++i) {
+    const Vec3 center(random.uniform(-3.5, 3.5), random.uniform(-2.5, 2.5), random.uniform(1.5, 3.0));
+    const Vec3 axes(random.uniform(0.1, 0.2), random.uniform(0.1, 0.2), random.uniform(0.1, 0.2));
+    result.push_back({SE3(so3_exp(random.normal3()), center), axes});
+  }
+  return result;
+}
+
+struct Observer {
+  SyntheticRun run;
+  std::vector<Ellipsoid> objects = lamps();
+  bool has_other_ids = false;  ///< in the second round
+  std::function<bool(int object, int keyframe)> sees = [](int, int) { return true; };
+  std::function<void(int keyframe, MapUpdate*)> edit = [](int, MapUpdate*) {};
+
+  std::int64_t id(int object, int keyframe) const {
+    return object + (has_other_ids && keyframe >= run.round() ? kOtherIds : 0);
+  }
+
+  AssociationFrame associations(int k) const {
+    AssociationFrame result;
+    result.frame_id = k;
+    for (int i = 0; i < static_cast<int>(objects.size()); ++i) {
+      const auto box = project_box(objects[static_cast<std::size_t>(i)], projection_matrix(kCamera, run.truth(k)));
+      if (!box || !sees(i, k)) continue;
+      Association association;
+      association.landmark_id = id(i, k);
+      association.truncated = truncated_sides(*box, kCamera.width, kCamera.height, 8.0);
+      association.box = clip(*box, kCamera.width, kCamera.height);
+      if (association.box.width() > 10.0 && association.box.height() > 10.0) result.associations.push_back(association);
+    }
+    return result;
+  }
+
+  /// Landmarks that hang on the keyframe in which they are seen first.
+  MapUpdate map(int k, const AssociationFrame& seen, std::set<std::int64_t>* known) const {
+    MapUpdate update;
+    for (const Association& association : seen.associations) {
+      if (!known->insert(association.landmark_id).second) continue;
+      const Ellipsoid& object = objects[static_cast<std::size_t>(association.landmark_id % kOtherIds)];
+      Landmark landmark;
+      landmark.id = association.landmark_id;
+      landmark.state = LandmarkState::kConfirmed;
+      landmark.anchor_keyframe_id = k;
+      landmark.ellipsoid =
+          Ellipsoid{run.odometry(k) * run.truth(k).inverse() * object.T_world_quadric, object.semi_axes};
+      update.changed.push_back(landmark);
+    }
+    edit(k, &update);
+    return update;
+  }
+
+  std::vector<KeyframePose> finish(const PoseGraphOptions& options) const {
+    PoseGraph graph(options);
+    std::set<std::int64_t> known;
+    for (int k = 0; k < run.size(); ++k) {
+      Frame frame = run.frame(k);
+      frame.camera = kCamera;
+      const AssociationFrame seen = associations(k);
+      graph.observe(frame, seen);
+      graph.process(frame, {});
+      graph.apply(map(k, seen, &known));
+    }
+    graph.process(run.end_frame(), {});
+    return graph.keyframes();
+  }
+
+  double worst_error_m(const PoseGraphOptions& options) const { return run.worst_error_m(finish(options)); }
+};
+
+PoseGraphOptions with_objects() {
+  PoseGraphOptions options;
+  options.objects = "on";
+  // The odometry and the exact boxes of drifting_observer().
+  options.object_sigma_px = 0.5;
+  options.object_sigma_share = 0.0;
+  options.translation_noise_m = 0.01;
+  options.rotation_noise_deg = 0.25;
+  return options;
+}
+
+Observer drifting_observer() {
+  Observer observer;
+  observer.run.drift(0.003, 0.001, 3);
+  return observer;
+}
+
+double largest_difference_m(const std::vector<KeyframePose>& a, const std::vector<KeyframePose>& b) {
+  double worst = a.size() == b.size() ? 0.0 : 1e9;
+  for (std::size_t i = 0; i < std::min(a.size(), b.size()); ++i) {
+    worst = std::max(worst, (a[i].T_map_camera.t - b[i].T_map_camera.t).norm());
+  }
+  return worst;
+}
+
+/// Figures of a view by a step of (camera t, camera rotation, centre, log axes).
+template <int n>
+void expect_numeric(const ObjectTerms<n>& terms,
+                    const std::function<ObjectTerms<n>(const SE3&, const Ellipsoid&)>& evaluate, const SE3& T,
+                    const Ellipsoid& ellipsoid) {
+  constexpr double kStep = 1e-6;
+  for (int block = 0; block < 4; ++block) {
+    for (int axis = 0; axis < 3; ++axis) {
+      const auto moved = [&](double step) {
+        const Vec3 d = step * Vec3::Unit(axis);
+        SE3 camera = T;
+        Ellipsoid object = ellipsoid;
+        if (block == 0) camera.t += d;
+        if (block == 1) camera.q = so3_exp(d) * camera.q;
+        if (block == 2) object.T_world_quadric.t += d;
+        if (block == 3) object.semi_axes = object.semi_axes.array() * d.array().exp();
+        return evaluate(camera, object).error;
+      };
+      const auto* jacobians = &terms.camera_t;
+      const Eigen::Matrix<double, n, 1> numeric = (moved(kStep) - moved(-kStep)) / (2.0 * kStep);
+      EXPECT_LT((jacobians[block].col(axis) - numeric).norm(), 1e-5 * (1.0 + numeric.norm())) << block << " " << axis;
+    }
+  }
+}
+
+TEST(ObjectTerms, DerivativesAgreeWithNumericOnes) {
+  Random random(1);
+  for (int trial = 0; trial < 20; ++trial) {
+    const SE3 T_world_camera = random_motion(&random, 2.0, 2.0);
+    const Vec3 center = T_world_camera * Vec3(random.uniform(-0.4, 0.4), random.uniform(-0.3, 0.3), 2.0);
+    const Ellipsoid ellipsoid{SE3(so3_exp(random.normal3()), center), Vec3(0.1, 0.2, 0.35)};
+    ObjectView view;
+    view.intrinsics = {520.0, 500.0, 320.0, 240.0};
+    view.box = {300.0, 200.0, 350.0, 260.0};
+    view.truncated = trial % 2 == 0 ? 0 : kRight;
+    view.depth = SurfaceDepth{Vec3(0.1, -0.05, 1.0).normalized(), 1.8};
+    const auto box = [&view](const SE3& T, const Ellipsoid& e) { return *box_terms(view, T, e); };
+    const auto depth = [&view](const SE3& T, const Ellipsoid& e) { return depth_terms(*view.depth, T, e); };
+    expect_numeric<4>(box(T_world_camera, ellipsoid), box, T_world_camera, ellipsoid);
+    expect_numeric<1>(depth(T_world_camera, ellipsoid), depth, T_world_camera, ellipsoid);
+  }
+}
+
+TEST(ObjectTerms, ABoxOfTheEllipsoidItselfHasNoError) {
+  const Ellipsoid ellipsoid{SE3(so3_exp(Vec3(0.3, 0.2, 0.1)), Vec3(0.1, 0.2, 2.0)), Vec3(0.1, 0.2, 0.3)};
+  ObjectView view;
+  view.intrinsics = {520.0, 520.0, 320.0, 240.0};
+  view.box = *project_box(ellipsoid, projection_matrix(kCamera, SE3()));
+  EXPECT_LT(box_terms(view, SE3(), ellipsoid)->error.norm(), 1e-9);
+  EXPECT_FALSE(box_terms(view, SE3(Quaternion::Identity(), Vec3(0.0, 0.0, 5.0)), ellipsoid).has_value());
+}
+
+TEST(ObjectTerms, TheVisibleSideOfASphereIsSeenBeforeItsCentre) {
+  const Ellipsoid sphere{SE3(Quaternion::Identity(), Vec3(0.0, 0.0, 2.0)), Vec3::Constant(0.1)};
+  EXPECT_NEAR(depth_terms({Vec3::UnitZ(), 1.93}, SE3(), sphere).error(0), 0.0, 1e-12);
+}
+
+TEST(ObjectsInThePoseGraph, ReduceTheErrorWithoutAnyLoop) {
+  const Observer observer = drifting_observer();
+  PoseGraphOptions off = with_objects();
+  off.objects = "off";
+  const double before = observer.worst_error_m(off), after = observer.worst_error_m(with_objects());
+  EXPECT_NEAR(before, observer.run.worst_odometry_error_m(), 1e-9);
+  ASSERT_GT(before, 0.03);
+  EXPECT_LT(after, 0.3 * before);
+}
+
+TEST(ObjectsInThePoseGraph, OffMeansThatNothingIsChanged) {
+  const Observer observer = drifting_observer();
+  EXPECT_EQ(largest_difference_m(observer.finish({}), finish(observer.run, {}).graph.keyframes()), 0.0);
+}
+
+TEST(ObjectsInThePoseGraph, WithLoopsMeansThatOdometryWithoutLoopsIsLeftAlone) {
+  const Observer observer = drifting_observer();
+  PoseGraphOptions options = with_objects();
+  options.objects = "with_loops";
+  EXPECT_EQ(largest_difference_m(observer.finish(options), finish(observer.run, {}).graph.keyframes()), 0.0);
+  std::string error;
+  EXPECT_TRUE(options.is_valid(&error)) << error;
+  options.objects = "always";
+  EXPECT_FALSE(options.is_valid(&error));
+  EXPECT_NE(error.find("pose_graph.objects"), std::string::npos);
+}
+
+TEST(ObjectsInThePoseGraph, AnObjectOfOneViewIsLeftOut) {
+  Observer observer = drifting_observer();
+  const auto without = observer.finish(with_objects());
+  const auto seen_first = observer.associations(0).associations.front().landmark_id;
+  observer.objects.push_back(observer.objects[static_cast<std::size_t>(seen_first)]);
+  const int added = static_cast<int>(observer.objects.size()) - 1;
+  observer.sees = [added](int object, int keyframe) { return object != added || keyframe == 0; };
+  ASSERT_EQ(observer.associations(0).associations.back().landmark_id, added);
+  EXPECT_EQ(largest_difference_m(observer.finish(with_objects()), without), 0.0);
+}
+
+TEST(ObjectsInThePoseGraph, AnObjectWithHardlyAnyParallaxDoesNotDisturb) {
+  Observer observer = drifting_observer();
+  const auto without = observer.finish(with_objects());
+  Ellipsoid far = observer.objects.front();
+  far.T_world_quadric.t.z() += 50.0;
+  far.semi_axes *= 20.0;
+  observer.objects.push_back(far);
+  const int added = static_cast<int>(observer.objects.size()) - 1;
+  observer.sees = [added](int object, int keyframe) { return object != added || keyframe < 6; };
+  EXPECT_LT(largest_difference_m(observer.finish(with_objects()), without), 0.005);
+}
+
+TEST(ObjectsInThePoseGraph, ConfirmedObjectsTakePartAndRetiredOnesDoNot) {
+  Observer observer = drifting_observer();
+  observer.edit = [&observer](int keyframe, MapUpdate* update) {
+    if (keyframe != observer.run.size() - 1) return;
+    for (int i = 0; i < static_cast<int>(observer.objects.size()); ++i) {
+      Landmark landmark;
+      landmark.id = i;
+      landmark.state = LandmarkState::kRetired;
+      update->changed.push_back(landmark);
+    }
+  };
+  EXPECT_EQ(largest_difference_m(observer.finish(with_objects()), finish(observer.run, {}).graph.keyframes()), 0.0);
+}
+
+TEST(ObjectsInThePoseGraph, MergesLinkTwoRounds) {
+  Observer observer = drifting_observer();
+  observer.has_other_ids = true;
+  const double apart = observer.worst_error_m(with_objects());
+  observer.edit = [&observer](int keyframe, MapUpdate* update) {
+    if (keyframe != observer.run.size() - 1) return;
+    for (int i = 0; i < static_cast<int>(observer.objects.size()); ++i) update->merged.push_back({i + kOtherIds, i});
+  };
+  EXPECT_LT(observer.worst_error_m(with_objects()), 0.7 * apart);
+}
+
+TEST(ObjectsInThePoseGraph, AMergeThatIsTakenBackLeavesNoTrace) {
+  Observer observer = drifting_observer();
+  observer.has_other_ids = true;
+  const auto never_merged = observer.finish(with_objects());
+  const int last = observer.run.size() - 1;
+  Landmark merged;
+  observer.edit = [&merged, last](int keyframe, MapUpdate* update) {
+    for (const Landmark& landmark : update->changed) {
+      if (landmark.id >= kOtherIds && merged.id < 0) merged = landmark;
+    }
+    if (keyframe == last - 1) update->merged.push_back({merged.id, merged.id - kOtherIds});
+    if (keyframe != last) return;
+    update->unmerged.push_back({merged.id, merged.id - kOtherIds});
+    update->changed.push_back(merged);
+  };
+  EXPECT_EQ(largest_difference_m(observer.finish(with_objects()), never_merged), 0.0);
+}
+
+}  // namespace
+}  // namespace semantic_topo_loop::core

@@ -1,0 +1,188 @@
+#include <gtest/gtest.h>
+#include <sensor_msgs/image_encodings.h>
+
+#include <atomic>
+#include <cstring>
+#include <limits>
+#include <vector>
+
+#include "semantic_topo_loop/pipeline/read_ahead.h"
+#include "semantic_topo_loop/ros/conversions.h"
+#include "semantic_topo_loop/ros/depth_pairing.h"
+#include "semantic_topo_loop/ros/params.h"
+#include "semantic_topo_loop/ros/rgbd_conversion.h"
+#include "semantic_topo_loop/ros/rgbd_frontend_parameters.h"
+
+namespace semantic_topo_loop {
+namespace {
+
+namespace encodings = sensor_msgs::image_encodings;
+
+std::int64_t at_ms(std::int64_t milliseconds) { return (100000 + milliseconds) * 1000000; }
+
+sensor_msgs::ImagePtr image_at(int time_ms) {
+  auto image = boost::make_shared<sensor_msgs::Image>();
+  image->header.stamp = to_ros_time(at_ms(time_ms));
+  return image;
+}
+
+/// Stamps of the pairs, in ms; -1 for no depth.
+std::vector<std::pair<int, int>> take_all(DepthPairing* pairing) {
+  const auto to_ms = [](const sensor_msgs::ImagePtr& image) {
+    return image ? static_cast<int>((to_stamp_ns(image->header.stamp) - at_ms(0)) / 1000000) : -1;
+  };
+  std::vector<std::pair<int, int>> pairs;
+  while (const auto answer = pairing->take()) pairs.emplace_back(to_ms(answer->color), to_ms(answer->depth));
+  return pairs;
+}
+
+TEST(DepthPairing, TakesTheNearestOnceItIsClear) {
+  DepthPairing pairing(0.02);
+  pairing.add_color({}, image_at(0));
+  pairing.add_depth(image_at(15));
+  EXPECT_TRUE(take_all(&pairing).empty()) << "a nearer one may come";
+  pairing.add_depth(image_at(5));
+  pairing.add_depth(image_at(40));
+  EXPECT_EQ(take_all(&pairing), (std::vector<std::pair<int, int>>{{0, 5}}));
+  pairing.add_color({}, image_at(33));
+  pairing.add_color({}, image_at(66));
+  pairing.finish();
+  EXPECT_EQ(take_all(&pairing), (std::vector<std::pair<int, int>>{{33, 40}, {66, -1}}));
+}
+
+TEST(DepthPairing, DoesNotWaitForASilentTopic) {
+  DepthPairing pairing(0.02);
+  for (int i = 0; i < 100; ++i) pairing.add_color({}, image_at(33 * i));
+  const std::vector<std::pair<int, int>> pairs = take_all(&pairing);
+  ASSERT_GE(pairs.size(), 60u);
+  EXPECT_EQ(pairs.front(), std::make_pair(0, -1));
+}
+
+TEST(DepthPairing, UsesEachDepthOnce) {
+  DepthPairing pairing(0.02);
+  pairing.add_color({}, image_at(0));
+  pairing.add_color({}, image_at(16));
+  pairing.add_depth(image_at(8));
+  pairing.finish();
+  EXPECT_EQ(take_all(&pairing), (std::vector<std::pair<int, int>>{{0, 8}, {16, -1}}));
+}
+
+core::Camera camera() {
+  core::Camera camera;
+  camera.fx = camera.fy = 100.0;
+  camera.cx = 32.0;
+  camera.cy = 24.0;
+  camera.width = 64;
+  camera.height = 48;
+  return camera;
+}
+
+sensor_msgs::Image filled(const std::string& encoding, const std::vector<std::uint8_t>& pixel) {
+  sensor_msgs::Image image;
+  image.header.stamp = to_ros_time(at_ms(0));
+  image.width = 64;
+  image.height = 48;
+  image.encoding = encoding;
+  image.step = static_cast<std::uint32_t>(64 * pixel.size());
+  for (int i = 0; i < 64 * 48; ++i) image.data.insert(image.data.end(), pixel.begin(), pixel.end());
+  return image;
+}
+
+template <class Value>
+sensor_msgs::Image depth_of(const std::string& encoding, Value value) {
+  std::vector<std::uint8_t> bytes(sizeof(Value));
+  std::memcpy(bytes.data(), &value, sizeof(Value));
+  return filled(encoding, bytes);
+}
+
+TEST(MakeRgbdImage, TakesEveryEncoding) {
+  const sensor_msgs::Image depth = depth_of(encodings::TYPE_32FC1, 1.5f);
+  for (const auto& [encoding, pixel] :
+       std::vector<std::pair<std::string, std::vector<std::uint8_t>>>{{encodings::MONO8, {90}},
+                                                                      {encodings::RGB8, {90, 90, 90}},
+                                                                      {encodings::BGR8, {90, 90, 90}},
+                                                                      {encodings::BGRA8, {90, 90, 90, 255}},
+                                                                      {encodings::BAYER_GRBG8, {90}}}) {
+    std::string error;
+    const auto image = make_rgbd_image(filled(encoding, pixel), depth, camera(), {}, &error);
+    ASSERT_TRUE(image) << encoding << ": " << error;
+    EXPECT_EQ(image->stamp_ns, at_ms(0));
+    EXPECT_EQ(image->gray.type(), CV_8UC1);
+    EXPECT_NEAR(image->gray.at<std::uint8_t>(20, 20), 90, 1) << encoding;
+    EXPECT_FLOAT_EQ(image->depth_m.at<float>(20, 20), 1.5f);
+  }
+}
+
+TEST(MakeRgbdImage, CorrectsTheScaleOfBothDepthEncodings) {
+  core::DepthOptions options;
+  options.scale_correction = 0.96;
+  const sensor_msgs::Image color = filled(encodings::RGB8, {10, 20, 30});
+  for (const sensor_msgs::Image& depth :
+       {depth_of(encodings::TYPE_32FC1, 2.0f), depth_of<std::uint16_t>(encodings::TYPE_16UC1, 2000),
+        depth_of<std::uint16_t>(encodings::MONO16, 2000)}) {
+    std::string error;
+    const auto image = make_rgbd_image(color, depth, camera(), options, &error);
+    ASSERT_TRUE(image) << depth.encoding << ": " << error;
+    EXPECT_NEAR(image->depth_m.at<float>(20, 20), 1.92f, 1e-6f) << depth.encoding;
+  }
+}
+
+TEST(MakeRgbdImage, RefusesWhatIsNone) {
+  const sensor_msgs::Image color = filled(encodings::RGB8, {10, 20, 30});
+  const sensor_msgs::Image depth = depth_of(encodings::TYPE_32FC1, 2.0f);
+  std::string error;
+  EXPECT_FALSE(make_rgbd_image(color, filled(encodings::RGB8, {1, 2, 3}), camera(), {}, &error));
+  EXPECT_NE(error.find("rgb8"), std::string::npos) << error;
+  sensor_msgs::Image cut = color;
+  cut.data.resize(100);
+  EXPECT_FALSE(make_rgbd_image(cut, depth, camera(), {}, &error));
+  sensor_msgs::Image strange = color;
+  strange.encoding = "jpeg";
+  EXPECT_FALSE(make_rgbd_image(strange, depth, camera(), {}, &error));
+  EXPECT_NE(error.find("jpeg"), std::string::npos) << error;
+  sensor_msgs::Image half = depth;
+  half.height = 24;
+  half.data.resize(half.data.size() / 2);
+  EXPECT_FALSE(make_rgbd_image(color, half, camera(), {}, &error));
+  sensor_msgs::Image empty;
+  EXPECT_FALSE(make_rgbd_image(empty, depth, camera(), {}, &error));
+  const auto nothing = make_rgbd_image(color, depth_of(encodings::TYPE_32FC1, std::numeric_limits<float>::quiet_NaN()),
+                                       camera(), {}, &error);
+  ASSERT_TRUE(nothing) << "the front end says what it thinks of it";
+  EXPECT_EQ(nothing->depth_m.at<float>(20, 20), 0.0f);
+}
+
+TEST(ReadAhead, KeepsTheOrderAndEnds) {
+  int produced = 0;
+  core::ReadAhead<int> items(
+      [&produced]() -> std::optional<int> {
+        if (produced == 100) return std::nullopt;
+        return produced++;
+      },
+      3);
+  for (int i = 0; i < 100; ++i) ASSERT_EQ(items.next(), i);
+  EXPECT_FALSE(items.next());
+  EXPECT_FALSE(items.next());
+}
+
+TEST(ReadAhead, CanBeLeftInTheMiddle) {
+  std::atomic<int> produced{0};
+  {
+    core::ReadAhead<int> items([&produced]() -> std::optional<int> { return produced++; }, 3);
+    EXPECT_EQ(items.next(), 0);
+  }
+  EXPECT_LE(produced, 6) << "bounded";
+}
+
+TEST(RgbdFrontendParameters, AreStrict) {
+  std::string error;
+  const auto good = make_nodelet_parameters<RgbdFrontendParameters>({{"depth.scale_correction", "0.96"}}, &error);
+  ASSERT_TRUE(good) << error;
+  EXPECT_EQ(good->options.depth.scale_correction, 0.96);
+  EXPECT_FALSE(make_nodelet_parameters<RgbdFrontendParameters>({{"sync_queue_size", "0"}}, &error));
+  EXPECT_NE(error.find("sync_queue_size"), std::string::npos) << error;
+  EXPECT_FALSE(make_nodelet_parameters<RgbdFrontendParameters>({{"odom_frame", ""}}, &error));
+}
+
+}  // namespace
+}  // namespace semantic_topo_loop

@@ -1,0 +1,199 @@
+#!/usr/bin/env python3
+"""Bags with images in the TUM layout through tum.launch and through offline: poses found from the images."""
+import json
+import os
+import shutil
+import tempfile
+import unittest
+
+import rosbag
+import rospy
+import rostest
+from diagnostic_msgs.msg import DiagnosticArray
+from geometry_msgs.msg import TransformStamped
+from tf2_msgs.msg import TFMessage
+
+import wall
+from playback import PACKAGE, Launch, differing_files, run_program
+
+DEPTH_DELAY_S = 0.008
+FRAMES = 25
+
+
+class Recorder:
+    """Writes a bag image by image, a view's step after the other."""
+
+    def __init__(self, path):
+        self.bag = rosbag.Bag(path, 'w', compression='lz4')
+
+    def write(self, topic, message, time_s):
+        self.bag.write(topic, message, wall.stamp_at(time_s))
+
+    def step(self, index, time_s, color=None, depth=None, with_depth=True):
+        stamp = wall.stamp_at(time_s)
+        late = wall.stamp_at(time_s + DEPTH_DELAY_S)
+        chain = TransformStamped(child_frame_id='/kinect')
+        chain.header.frame_id, chain.header.stamp = '/world', stamp
+        chain.transform.rotation.w = 1.0
+        optical = TransformStamped(child_frame_id=wall.FRAME)
+        optical.header.frame_id, optical.header.stamp = '/kinect', stamp
+        optical.transform.rotation.w = 1.0
+        self.write('/tf', TFMessage([chain, optical]), time_s)
+        # The driver's defaults, which the calibration given replaces.
+        self.write('/camera/rgb/camera_info', wall.camera_info(stamp, focal=525.0), time_s)
+        self.write('/camera/rgb/image_color', color or wall.color(stamp, index), time_s)
+        if with_depth:
+            self.write('/camera/depth/image', depth or wall.depth(late), time_s + DEPTH_DELAY_S)
+
+    def close(self):
+        self.bag.close()
+
+
+def read_rows(path):
+    with open(path) as file:
+        return [line.split() for line in file if line.strip() and not line.startswith('#')]
+
+
+class RgbdBagTest(unittest.TestCase):
+    @classmethod
+    def setUpClass(cls):
+        rospy.init_node('rgbd_bag_test')
+        cls.directory = tempfile.mkdtemp(prefix='semantic_topo_loop_rgbd_')
+        with open(cls.path('camera.yaml'), 'w') as file:
+            file.write(wall.CAMERA_YAML)
+        cls.counters = {}
+        rospy.Subscriber('/diagnostics', DiagnosticArray, cls.take_diagnostics)
+
+    @classmethod
+    def tearDownClass(cls):
+        shutil.rmtree(cls.directory)
+
+    @classmethod
+    def take_diagnostics(cls, message):
+        for status in message.status:
+            for value in status.values:
+                cls.counters[status.name.split(': ')[-1], value.key] = value.value
+
+    @classmethod
+    def path(cls, name):
+        return os.path.join(cls.directory, name)
+
+    def play(self, bag, output, **arguments):
+        launch = Launch('tum.launch', bag=bag, camera=self.path('camera.yaml'), output=self.path(output), **arguments)
+        ended = launch.wait(90)
+        launch.stop()
+        self.assertTrue(ended, launch.output())
+        return launch
+
+    def run_offline(self, bag, output, *arguments):
+        return run_program('offline', '--bag', bag, '--camera', self.path('camera.yaml'), '--output',
+                           self.path(output), *arguments)
+
+    def summary(self, output):
+        with open(self.path(output + '/summary.json')) as file:
+            return json.load(file)
+
+    def test_lockstep_gives_the_offline_result(self):
+        bag = self.path('whole.bag')
+        recorder = Recorder(bag)
+        for i in range(FRAMES):
+            recorder.step(i, wall.PERIOD_S * i)
+        recorder.close()
+        detections = []
+        for i in range(FRAMES):
+            stamp = wall.stamp_at(wall.PERIOD_S * i)
+            left = 150 - wall.STEP_PX * i
+            detections.append({'file_name': '%d.%09d.png' % (stamp.secs, stamp.nsecs),
+                               'detections': [{'category_id': 41, 'detection_score': 0.9,
+                                               'bbox': [left, 100, left + 60, 160]}]})
+        with open(self.path('detections.json'), 'w') as file:
+            json.dump(detections, file)
+        launch = self.play(bag, 'lockstep', detections=self.path('detections.json'))
+        self.assertTrue(launch.player_finished(), launch.output())
+        self.assertIn('0 dropped', launch.output())
+        status, output = self.run_offline(bag, 'offline', '--detections', self.path('detections.json'))
+        self.assertEqual(status, 0, output)
+        self.assertEqual(differing_files(self.path('offline'), self.path('lockstep')), [])
+        rows = read_rows(self.path('lockstep/trajectory_live.txt'))
+        self.assertEqual(len(rows), FRAMES)
+        moved = [float(b) - float(a) for a, b in zip(rows[0][1:4], rows[-1][1:4])]
+        for value, expected in zip(moved, [wall.STEP_M * (FRAMES - 1), 0.0, 0.0]):
+            self.assertAlmostEqual(value, expected, delta=0.02)
+        self.assertEqual(self.summary('lockstep')['associations']['joint'] > 0, True)
+
+    def test_bad_images_are_counted_and_the_chain_goes_on(self):
+        bag = self.path('bad.bag')
+        recorder = Recorder(bag)
+        black = wall.color(wall.stamp_at(0), 0)
+        black.data = bytes(len(black.data))
+        time_s = 0.0
+        for i in range(40):
+            time_s += wall.PERIOD_S
+            stamp, late = wall.stamp_at(time_s), wall.stamp_at(time_s + DEPTH_DELAY_S)
+            black.header.stamp = stamp
+            if i == 8:
+                recorder.step(i, time_s, with_depth=False)
+            elif i == 12:
+                recorder.step(i, time_s, depth=wall.depth(late, width=wall.WIDTH // 2, height=wall.HEIGHT // 2))
+            elif i == 16:
+                recorder.step(i, time_s, depth=wall.depth(late, value=float('nan')))
+            elif i == 20:
+                recorder.step(i, time_s, color=black)
+            elif i == 24:
+                back = wall.stamp_at(time_s - 0.5)
+                recorder.step(i, time_s, color=wall.color(back, i))
+            else:
+                recorder.step(i, time_s)
+            if i == 30:
+                time_s += 2.0
+        recorder.close()
+        launch = self.play(bag, 'bad')
+        self.assertTrue(launch.player_finished(), launch.output())
+        text = launch.output()
+        for cause in ('colour images without depth', 'images out of order', 'unusable images',
+                      'images with nothing to follow'):
+            self.assertEqual(text.count(cause + ':'), 1, (cause, text))
+        status, output = self.run_offline(bag, 'bad_offline')
+        self.assertEqual(status, 0, output)
+        self.assertIn('1 colour images without depth', output)
+        self.assertIn('1 images out of order', output)
+        self.assertEqual(differing_files(self.path('bad_offline'), self.path('bad')), [])
+        images = self.summary('bad')['images']
+        self.assertEqual(images['total'], 38)
+        self.assertEqual(images['unreadable'], 1)
+        self.assertGreaterEqual(self.summary('bad')['breaks'], 1, 'the gap of two seconds')
+        self.assertGreaterEqual(len(read_rows(self.path('bad/trajectory.txt'))), 34)
+
+    def test_a_damaged_bag_is_one_error_and_keeps_what_was_mapped(self):
+        bag = self.path('damaged.bag')
+        recorder = Recorder(bag)
+        for i in range(30):
+            recorder.step(i, wall.PERIOD_S * i)
+        recorder.close()
+        with open(bag, 'r+b') as file:
+            content = file.read()
+            # In the middle of a compressed chunk's data; the index at the end stays whole.
+            file.seek(content.index(b'compression=lz4', 2 * len(content) // 3) + 20000)
+            file.write(b'\xff' * 4000)
+        launch = self.play(bag, 'damaged')
+        self.assertIn('exit code 1', launch.output())
+        self.assertEqual(launch.output().count('the recording ends early'), 1, launch.output())
+        status, output = self.run_offline(bag, 'damaged_offline')
+        self.assertEqual(status, 1, output)
+        self.assertEqual(output.count('the recording ends early'), 1, output)
+        self.assertGreater(len(read_rows(self.path('damaged_offline/trajectory.txt'))), 5)
+        self.assertEqual(differing_files(self.path('damaged_offline'), self.path('damaged')), [])
+
+    def test_a_bag_without_depth_says_so(self):
+        bag = self.path('colour.bag')
+        recorder = Recorder(bag)
+        for i in range(3):
+            recorder.step(i, wall.PERIOD_S * i, with_depth=False)
+        recorder.close()
+        status, output = self.run_offline(bag, 'colour')
+        self.assertEqual(status, 1, output)
+        self.assertIn('holds no message on /camera/depth/image', output)
+
+
+if __name__ == '__main__':
+    rostest.rosrun(PACKAGE, 'rgbd_bag', RgbdBagTest)
