@@ -115,7 +115,7 @@ class Selection {
         view.pose = pose->second;
         view.point = i;
         view.observation.pixel = feature.pixel;
-        view.observation.pixel_sigma = std::pow(scale_factor, feature.level);
+        view.observation.pixel_sigma = feature.pixel_sigma(scale_factor);
         view.observation.depth_m = feature.depth_m;
         view.observation.depth_sigma_m = feature.depth_sigma_m;
         problem.views.push_back(view);

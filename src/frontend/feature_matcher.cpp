@@ -87,12 +87,15 @@ std::vector<int> search(const std::vector<SearchItem>& items, const ImageFeature
 }
 
 std::vector<int> match_anywhere(const ImageFeatures& a, const std::vector<bool>& wanted, const ImageFeatures& b) {
-  constexpr int kMaxBits = 64;
-  constexpr double kRatio = 0.9;
+  constexpr int kMaxBits = 80, kMaxLevels = 3;
+  constexpr double kRatio = 0.95, kMaxMotion_px = 240.0;
   std::vector<TwoBest> of_a(a.size()), of_b(b.size());
   for (std::size_t i = 0; i < a.size(); ++i) {
     if (!wanted[i]) continue;
     for (std::size_t j = 0; j < b.size(); ++j) {
+      const Vec2 motion = b.features[j].pixel - a.features[i].pixel;
+      if (motion.cwiseAbs().maxCoeff() > kMaxMotion_px) continue;
+      if (std::abs(a.features[i].level - b.features[j].level) > kMaxLevels) continue;
       const int distance = hamming(a.descriptors[i], b.descriptors[j]);
       of_a[i].offer(distance, static_cast<int>(j), 0);
       of_b[j].offer(distance, static_cast<int>(i), 0);

@@ -1,5 +1,6 @@
 #pragma once
 
+#include <cmath>
 #include <cstdint>
 #include <vector>
 
@@ -15,6 +16,8 @@ struct ImageFeature {
   double depth_m = 0.0;  ///< 0: none that can be relied on
   double depth_sigma_m = 0.0;
   bool has_depth() const { return depth_m > 0.0; }
+  /// Standard deviation of the pixel, which is known as well as the level's pixels are small.
+  double pixel_sigma(double scale_factor) const { return std::pow(scale_factor, level); }
 };
 
 /// The features of one image, and which lie near a pixel.

@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <set>
 
 namespace semantic_topo_loop::core {
 namespace {
@@ -18,7 +19,7 @@ PoseObservation ImageTracker::observation(const ImageFeature& feature, const Map
   PoseObservation o;
   o.point_map = point.position;
   o.pixel = feature.pixel;
-  o.pixel_sigma = std::pow(options_.scale_factor, feature.level);
+  o.pixel_sigma = feature.pixel_sigma(options_.scale_factor);
   o.depth_m = feature.depth_m;
   o.depth_sigma_m = feature.depth_sigma_m;
   return o;
@@ -159,38 +160,50 @@ std::optional<SearchItem> ImageTracker::expect(const TrackingMap& map, const Map
   return item;
 }
 
-bool ImageTracker::track_local_map(TrackingMap* map, TrackedFeatures* image) const {
+void ImageTracker::match_points(const std::vector<MapPoint*>& points, const TrackingMap& map,
+                                TrackedFeatures* image) const {
   std::vector<bool> is_taken(image->points.size(), false);
-  std::vector<MapPoint*> expected;
+  std::set<std::int64_t> matched;
   for (std::size_t i = 0; i < image->points.size(); ++i) {
-    MapPoint* point = map->point(image->points[i]);
-    is_taken[i] = point != nullptr;
-    if (point == nullptr) continue;
-    point->local_in = image->number;
-    expected.push_back(point);
+    is_taken[i] = image->points[i] >= 0;
+    if (is_taken[i]) matched.insert(image->points[i]);
   }
   std::vector<SearchItem> items;
+  std::vector<std::int64_t> ids;
+  for (MapPoint* point : points) {
+    if (matched.count(point->id) > 0) continue;
+    const std::optional<SearchItem> item = expect(map, *point, image->T_camera_map);
+    if (!item) continue;
+    if (point->expected_in != image->number) ++point->expected;
+    point->expected_in = image->number;
+    items.push_back(*item);
+    ids.push_back(point->id);
+  }
+  const std::vector<int> found = search(items, image->features, is_taken, kMatchBits, 0.8);
+  for (std::size_t k = 0; k < items.size(); ++k) {
+    if (found[k] >= 0) image->points[static_cast<std::size_t>(found[k])] = ids[k];
+  }
+}
+
+bool ImageTracker::track_local_map(TrackingMap* map, TrackedFeatures* image) const {
+  const std::int64_t number = map->begin_search();
   std::vector<MapPoint*> points;
   for (const std::int64_t id : local_keyframes(*map, *image)) {
     for (const std::int64_t point_id : map->keyframe(id)->points) {
       MapPoint* point = map->point(point_id);
-      if (point == nullptr || point->local_in == image->number) continue;
-      point->local_in = image->number;
-      const std::optional<SearchItem> item = expect(*map, *point, image->T_camera_map);
-      if (!item) continue;
-      items.push_back(*item);
+      if (point == nullptr || point->search == number) continue;
+      point->search = number;
       points.push_back(point);
-      expected.push_back(point);
     }
   }
-  const std::vector<int> found = search(items, image->features, is_taken, kMatchBits, 0.8);
-  for (std::size_t k = 0; k < items.size(); ++k) {
-    if (found[k] >= 0) image->points[static_cast<std::size_t>(found[k])] = points[k]->id;
-  }
+  match_points(points, *map, image);
   if (!fit(image->T_camera_map, map, image) || image->inliers < options_.min_inliers) return false;
-  for (MapPoint* point : expected) ++point->expected;
   for (const std::int64_t id : image->points) {
-    if (MapPoint* point = map->point(id)) ++point->found;
+    MapPoint* point = map->point(id);
+    if (point == nullptr) continue;
+    if (point->expected_in != image->number) ++point->expected;
+    point->expected_in = image->number;
+    ++point->found;
   }
   return true;
 }

@@ -30,7 +30,7 @@ class ImageTracker {
   void set_camera(const Camera& camera) { camera_ = camera; }
   /// Looks for the points of the last image where the guess puts them.
   bool follow(const TrackedFeatures& last, const SE3& T_camera_map, TrackingMap* map, TrackedFeatures* image) const;
-  /// Looks for the points of a keyframe anywhere in the image.
+  /// Looks for the points of a keyframe without knowing where.
   bool find(const TrackingKeyframe& keyframe, TrackingMap* map, TrackedFeatures* image) const;
   /// Looks for all points around that should be in view, and fits the pose to all that were found.
   bool track_local_map(TrackingMap* map, TrackedFeatures* image) const;
@@ -39,6 +39,8 @@ class ImageTracker {
   PoseObservation observation(const ImageFeature& feature, const MapPoint& point) const;
   /// Fits the pose from `T_camera_map`; features that do not agree lose their point.
   bool fit(const SE3& T_camera_map, TrackingMap* map, TrackedFeatures* image) const;
+  /// Looks for points in view that the image has not been matched with.
+  void match_points(const std::vector<MapPoint*>& points, const TrackingMap& map, TrackedFeatures* image) const;
   std::vector<std::int64_t> local_keyframes(const TrackingMap& map, const TrackedFeatures& image) const;
   std::optional<Vec2> project(const Vec3& point_camera) const;
   /// Where a point should be seen; nullopt if it is out of view.

@@ -19,7 +19,7 @@ class PointGrid {
   PointGrid(const Camera& camera, int stride_px) {
     for (int v = stride_px / 2; v < camera.height; v += stride_px) {
       for (int u = stride_px / 2; u < camera.width; u += stride_px) {
-        pixels_.push_back({u, v, camera.ray(camera.undistort(Vec2(u, v)))});
+        pixels_.push_back({u, v, camera.ray(camera.undistort(Vec2(u, v))).cast<float>()});
       }
     }
   }
@@ -29,13 +29,15 @@ class PointGrid {
     auto points = std::make_shared<std::vector<Vec3>>();
     points->reserve(pixels_.size());
     for (const Pixel& pixel : pixels_) {
-      const double z = depth_m.at<float>(pixel.v, pixel.u);
-      // Rounded to float, as which the points travel.
-      if (z <= 0.0) continue;
-      const Vec3 ray = registration.is_identity()
-                           ? pixel.ray
-                           : camera.ray(camera.undistort(registration.to_color(camera, Vec2(pixel.u, pixel.v), z)));
-      const Eigen::Vector3f point = (z * ray).cast<float>();
+      const float z = depth_m.at<float>(pixel.v, pixel.u);
+      if (z <= 0.0F) continue;
+      Eigen::Vector3f ray = pixel.ray;
+      if (!registration.is_identity()) {
+        const Vec2 in_color = registration.to_color(camera, Vec2(pixel.u, pixel.v), static_cast<double>(z));
+        ray = camera.ray(camera.undistort(in_color)).cast<float>();
+      }
+      // The product of floats, as which the points travel: rounding a double to float and back is left out by GCC 12.
+      const Eigen::Vector3f point = z * ray;
       points->push_back(point.cast<double>());
     }
     return points;
@@ -44,7 +46,7 @@ class PointGrid {
  private:
   struct Pixel {
     int u, v;
-    Vec3 ray;
+    Eigen::Vector3f ray;
   };
   std::vector<Pixel> pixels_;
 };
@@ -100,7 +102,7 @@ struct RgbdFrontend::Impl {
   std::future<BundleProblem> refinement;  ///< of the map around the last image, a keyframe
   std::int64_t images = 0;
   std::int64_t starts = 0;              ///< maps begun: each counts its points from 0
-  std::int64_t next_candidate = 0;      ///< of the keyframes that are tried in turn after a loss
+  std::size_t next_candidate = 0;       ///< of the keyframes that are tried in turn after a loss
   std::optional<TrackedFeatures> last;  ///< the last image that has a pose
   std::int64_t last_tracked_image = -1;
   SE3 T_last_before;  ///< motion of the camera over the last two images, in the camera frame
@@ -129,24 +131,42 @@ bool RgbdFrontend::Impl::start(TrackedFeatures* image) {
 
 bool RgbdFrontend::Impl::follow(TrackedFeatures* image) {
   if (last_tracked_image != images - 1) return false;
-  if (tracker.follow(*last, guess(image->stamp_ns), &map, image) && tracker.track_local_map(&map, image)) return true;
-  return find_again(image);
+  const int strong = 3 * options.min_inliers;
+  TrackedFeatures followed = *image;
+  const bool is_followed =
+      tracker.follow(*last, guess(image->stamp_ns), &map, &followed) && tracker.track_local_map(&map, &followed);
+  // After wide motions few points are where they were guessed, and some of them by chance.
+  if (is_followed && followed.inliers >= strong) {
+    *image = std::move(followed);
+    return true;
+  }
+  const bool is_found = find_again(image);
+  if (is_followed && (!is_found || followed.inliers >= image->inliers)) *image = std::move(followed);
+  return is_followed || is_found;
 }
 
 bool RgbdFrontend::Impl::find_again(TrackedFeatures* image) {
-  constexpr int kNewest = 3, kOthers = 3;
+  constexpr std::size_t kNewest = 3, kOthers = 3;
   std::vector<std::int64_t> ids;
   for (auto it = map.keyframes().rbegin(); it != map.keyframes().rend(); ++it) ids.push_back(it->first);
-  std::vector<std::int64_t> tried(
-      ids.begin(), ids.begin() + std::min<std::ptrdiff_t>(kNewest, static_cast<std::ptrdiff_t>(ids.size())));
-  for (int i = 0; i < kOthers && ids.size() > kNewest; ++i) {
-    const auto others = static_cast<std::int64_t>(ids.size()) - kNewest;
-    tried.push_back(ids[static_cast<std::size_t>(kNewest + next_candidate++ % others)]);
+  std::vector<std::int64_t> tried(ids.begin(),
+                                  ids.begin() + static_cast<std::ptrdiff_t>(std::min(kNewest, ids.size())));
+  for (std::size_t i = 0; i < kOthers && ids.size() > kNewest; ++i) {
+    tried.push_back(ids[kNewest + next_candidate++ % (ids.size() - kNewest)]);
   }
+  // The pose that explains most: a wrong one is seldom that.
+  const int strong = 3 * options.min_inliers;
+  std::optional<TrackedFeatures> best;
   for (const std::int64_t id : tried) {
-    if (tracker.find(*map.keyframe(id), &map, image) && tracker.track_local_map(&map, image)) return true;
+    TrackedFeatures candidate = *image;
+    if (!tracker.find(*map.keyframe(id), &map, &candidate)) continue;
+    if (!tracker.track_local_map(&map, &candidate)) continue;
+    const int inliers = candidate.inliers;
+    if (!best || inliers > best->inliers) best = std::move(candidate);
+    if (inliers >= strong) break;
   }
-  return false;
+  if (best) *image = std::move(*best);
+  return best.has_value();
 }
 
 Mat6 RgbdFrontend::Impl::motion_covariance(const TrackedFeatures& image) const {
@@ -219,6 +239,7 @@ void RgbdFrontend::Impl::begin_calibrated_map(TrackedFeatures* image) {
   tracker.set_camera(camera);
   builder.set_camera(camera);
   map = TrackingMap(options, camera);
+  ++starts;
   image->points.assign(image->features.size(), -1);
 }
 

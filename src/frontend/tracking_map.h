@@ -18,9 +18,10 @@ struct MapPoint {
   double level_0_distance_m = 0.0;    ///< from where it is seen on level 0 of the pyramid
   std::map<std::int64_t, int> views;  ///< keyframe to the index of its feature
   std::int64_t first_keyframe = -1;
-  int expected = 1;            ///< images in which it should be seen
-  int found = 1;               ///< images in which it was
-  std::int64_t local_in = -1;  ///< the last image in whose local map it is
+  int expected = 1;               ///< images in which it should be seen
+  int found = 1;                  ///< images in which it was
+  std::int64_t expected_in = -1;  ///< the last image in which it should have been seen
+  std::int64_t search = -1;       ///< the last search that looked for it
 };
 
 /// An image that the map was built from, without its pixels.
@@ -49,6 +50,8 @@ class TrackingMap {
   /// Descriptor, direction and distance, from the views.
   void refresh(MapPoint* point) const;
 
+  /// Number of a new search, for MapPoint::search.
+  std::int64_t begin_search() { return next_search_++; }
   MapPoint* point(std::int64_t id);
   TrackingKeyframe* keyframe(std::int64_t id);
   const std::map<std::int64_t, TrackingKeyframe>& keyframes() const { return keyframes_; }
@@ -66,6 +69,7 @@ class TrackingMap {
   std::map<std::int64_t, TrackingKeyframe> keyframes_;
   std::map<std::int64_t, MapPoint> points_;
   std::int64_t next_point_ = 0;
+  std::int64_t next_search_ = 0;
 };
 
 }  // namespace semantic_topo_loop::core
