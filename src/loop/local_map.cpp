@@ -67,8 +67,8 @@ std::map<int, std::vector<BoxRay>> rays_by_label(const std::vector<LocalFrame>& 
     for (const ObservedBox& box : frames[f].boxes) {
       const Vec2 center = box.box.center();
       const Vec3 direction = frames[f].R_camera_local.transpose() * Vec3(center.x(), center.y(), 1.0).normalized();
-      rays[box.label].push_back({static_cast<int>(f), redirects.resolve(box.landmark_id), box.class_id, box.box,
-                                 box.truncated == 0, direction});
+      rays[box.label].push_back({static_cast<int>(f), redirects.resolve(box.landmark_id), box.track_id, box.class_id,
+                                 box.box, box.truncated == 0, direction});
     }
   }
   return rays;

@@ -54,18 +54,23 @@ ObservationWindow::ObservationWindow(double span_s, double interval_s, LabelTabl
     : span_ns_(std::llround(1e9 * span_s)), interval_ns_(std::llround(1e9 * interval_s)), labels_(std::move(labels)) {}
 
 bool ObservationWindow::push(const Frame& frame, const AssociationFrame& associations) {
-  if (frame.is_break) frames_.clear();
+  if (frame.is_break) {
+    frames_.clear();
+    tracker_.clear();
+  }
+  ObservedFrame observed = observe(frame, associations);
   const bool sampled = frames_.empty() || frame.stamp_ns - last_sampled_ns_ >= interval_ns_;
   if (sampled) last_sampled_ns_ = frame.stamp_ns;
   const bool taken = sampled || frame.is_keyframe;
-  if (taken) frames_.push_back(observe(frame, associations));
+  if (taken) frames_.push_back(std::move(observed));
   while (!frames_.empty() && frame.stamp_ns - frames_.front().stamp_ns > span_ns_) frames_.pop_front();
   return taken;
 }
 
 void ObservationWindow::set_span(double span_s) { span_ns_ = std::llround(1e9 * span_s); }
 
-ObservedFrame ObservationWindow::observe(const Frame& frame, const AssociationFrame& associations) const {
+/// Every frame is followed, also those that are left out.
+ObservedFrame ObservationWindow::observe(const Frame& frame, const AssociationFrame& associations) {
   const Camera& camera = frame.camera;
   ObservedFrame observed;
   observed.frame_id = frame.frame_id;
@@ -79,13 +84,18 @@ ObservedFrame ObservationWindow::observe(const Frame& frame, const AssociationFr
     return Box{low.x(), low.y(), high.x(), high.y()};
   };
   observed.image = normalised({0.0, 0.0, static_cast<double>(camera.width), static_cast<double>(camera.height)});
+  std::vector<TrackedBox> tracked;
   for (const Association& association : associations.associations) {
-    if (association.landmark_id < 0 || !association.box.is_valid()) continue;
-    const int class_id = association.landmark_class_id >= 0 ? association.landmark_class_id : association.class_id;
-    const int label = labels_.label(class_id);
-    if (label < 0) continue;
-    observed.boxes.push_back(
-        {association.landmark_id, label, class_id, normalised(association.box), association.truncated});
+    if (association.landmark_id < 0 || !association.box.is_valid() || labels_.label(association.class_id) < 0) continue;
+    tracked.push_back({normalised(association.box), association.class_id, association.score});
+    observed.boxes.push_back({association.landmark_id, -1, -1, -1, tracked.back().box, association.truncated});
+  }
+  tracker_.follow(frame.stamp_ns, frame.T_odom_camera.q, &tracked);
+  for (std::size_t i = 0; i < tracked.size(); ++i) {
+    ObservedBox& box = observed.boxes[i];
+    box.track_id = tracked[i].track_id;
+    box.class_id = tracked[i].track_class_id;
+    box.label = labels_.label(box.class_id);
   }
   return observed;
 }

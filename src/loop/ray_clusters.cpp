@@ -19,7 +19,7 @@ constexpr double kMemberOffset = 0.35;
 constexpr double kMemberSizeLog = 0.7;  ///< of z * box size against the cluster's median
 constexpr int kRefineRounds = 4;
 constexpr int kPairsPerGroup = 32;
-constexpr int kGroupRounds = 3;  ///< objects looked for under one landmark id
+constexpr int kGroupRounds = 3;  ///< objects looked for on one track
 constexpr int kAnyPairs = 64;
 constexpr double kMinPairAngle = 0.05;  ///< rad
 
@@ -31,9 +31,9 @@ class Clustering {
   std::vector<RayCluster> run() {
     std::vector<Vec3> points;
     std::map<std::int64_t, std::vector<int>> groups;
-    for (const int i : unused()) groups[ray(i).landmark_id].push_back(i);
-    for (const auto& [id, members] : groups) propose(members, &points);
-    // Landmark ids may change from view to view or join two objects; pairs of any ids find what they miss.
+    for (const int i : unused()) groups[ray(i).track_id].push_back(i);
+    for (const auto& [track, members] : groups) propose(members, &points);
+    // Tracks end when an object leaves the view, or join two objects; pairs of any boxes find what they miss.
     for (const Vec3& point : pair_points(unused(), kAnyPairs)) points.push_back(point);
     gather(std::move(points));
     gather(pair_points(unused(), kAnyPairs));
@@ -96,7 +96,7 @@ class Clustering {
     return points;
   }
 
-  /// The points that most of a landmark id's boxes agree on.
+  /// The points that most of a track's boxes agree on.
   void propose(std::vector<int> members, std::vector<Vec3>* points) const {
     for (int round = 0; round < kGroupRounds && members.size() >= 3; ++round) {
       std::size_t best_votes = 0;

@@ -64,7 +64,7 @@ void PointMap::add(const Frame& frame) {
   if (!frame.is_keyframe || !frame.keyframe_points || keyframes_.count(frame.keyframe_id) != 0) return;
   Keyframe keyframe;
   keyframe.T_odom_camera = frame.T_odom_camera;
-  keyframe.T_map_camera = T_map_odom_ * frame.T_odom_camera;
+  keyframe.S_map_camera = Sim3(T_map_odom_ * frame.T_odom_camera, scale_);
   for (const SparsePoint& point : frame.keyframe_points->sparse) {
     if (point.point_camera.allFinite()) keyframe.points.sparse.push_back(point);
   }
@@ -75,15 +75,18 @@ void PointMap::add(const Frame& frame) {
 }
 
 void PointMap::apply(const MapCorrection& correction) {
-  if (!correction.changed) return;
+  // With a free scale map -> odom moves between solutions, too.
+  if (!correction.changed && correction.scale == scale_ && scale_ == 1.0) return;
   T_map_odom_ = correction.T_map_odom;
+  scale_ = correction.scale;
+  if (!correction.changed) return;
   for (const KeyframePose& pose : correction.keyframes) {
     const auto found = keyframes_.find(pose.keyframe_id);
-    if (found != keyframes_.end()) found->second.T_map_camera = pose.T_map_camera;
+    if (found != keyframes_.end()) found->second.S_map_camera = Sim3(pose.T_map_camera, pose.scale);
   }
   // What is newer than the solution is composed on it.
   for (auto it = keyframes_.upper_bound(correction.valid_to_keyframe_id); it != keyframes_.end(); ++it) {
-    it->second.T_map_camera = T_map_odom_ * it->second.T_odom_camera;
+    it->second.S_map_camera = Sim3(T_map_odom_ * it->second.T_odom_camera, scale_);
   }
 }
 
@@ -114,8 +117,9 @@ MapPoints PointMap::points() const {
   MapPoints result;
   std::map<std::int64_t, Eigen::Vector3f> sparse;  // the newest keyframe that sees a point knows best
   for (const auto& [id, keyframe] : keyframes_) {
-    const Eigen::Matrix3f R = keyframe.T_map_camera.rotation().cast<float>();
-    const Eigen::Vector3f t = keyframe.T_map_camera.t.cast<float>();
+    const Sim3& S_map_camera = keyframe.S_map_camera;
+    const Eigen::Matrix3f R = (S_map_camera.scale * S_map_camera.T.rotation()).cast<float>();
+    const Eigen::Vector3f t = S_map_camera.T.t.cast<float>();
     for (const SparsePoint& point : keyframe.points.sparse) sparse[point.id] = R * point.point_camera + t;
     for (const Eigen::Vector3f& point : keyframe.points.semi_dense) result.semi_dense.push_back(R * point + t);
   }

@@ -117,7 +117,7 @@ class PoseGraphNodelet : public Stage {
     return true;
   }
 
-  bool has_objects() const { return options_.pose_graph.objects == "on"; }
+  bool has_objects() const { return options_.pose_graph.objects != "off"; }
 
   void on_frame(const Frame::ConstPtr& frame) {
     if (!has_objects()) {

@@ -54,7 +54,7 @@ LoopConsistency::Relation LoopConsistency::compare(const GraphLoop& a, const Gra
   return sigma_m < kTelling_m && sigma_rad < kTelling_rad ? Relation::kAgree : Relation::kOpen;
 }
 
-std::vector<bool> LoopConsistency::vote(const std::vector<OdometryEdge>& edges, const std::vector<GraphLoop>& loops) {
+void LoopConsistency::compare_all(const std::vector<OdometryEdge>& edges, const std::vector<GraphLoop>& loops) {
   progress_.assign(1, Progress());
   for (const OdometryEdge& edge : edges) {
     Progress next = progress_.back();
@@ -72,17 +72,30 @@ std::vector<bool> LoopConsistency::vote(const std::vector<OdometryEdge>& edges, 
     for (std::size_t k = 0; k < relations_.size(); ++k) relations.push_back(compare(loops[k], loop));
     relations_.push_back(std::move(relations));
   }
-  return outvote();
 }
 
-std::vector<bool> LoopConsistency::outvote() const {
+std::vector<bool> LoopConsistency::vote(const std::vector<OdometryEdge>& edges, const std::vector<GraphLoop>& loops) {
+  compare_all(edges, loops);
+  return outvote(std::vector<bool>(loops.size(), true));
+}
+
+std::vector<bool> LoopConsistency::vote(const std::vector<OdometryEdge>& edges, const std::vector<GraphLoop>& loops,
+                                        std::vector<bool> eligible, const std::vector<bool>& trusted) {
+  compare_all(edges, loops);
+  for (std::size_t a = 0; a < loops.size(); ++a) {
+    for (std::size_t b = 0; b < loops.size() && eligible[a] && !trusted[a]; ++b) {
+      if (b != a && trusted[b] && relation(a, b) == Relation::kDisagree) eligible[a] = false;
+    }
+  }
+  return outvote(std::move(eligible));
+}
+
+std::vector<bool> LoopConsistency::outvote(std::vector<bool> votes) const {
   const std::size_t n = relations_.size();
-  std::vector<bool> votes(n, true);
   std::vector<int> against(n, 0);
-  const auto relation = [this](std::size_t a, std::size_t b) { return relations_[std::max(a, b)][std::min(a, b)]; };
   for (std::size_t a = 0; a < n; ++a) {
     for (std::size_t b = 0; b < a; ++b) {
-      if (relation(a, b) != Relation::kDisagree) continue;
+      if (!votes[a] || !votes[b] || relation(a, b) != Relation::kDisagree) continue;
       ++against[a];
       ++against[b];
     }

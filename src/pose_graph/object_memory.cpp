@@ -10,12 +10,13 @@ namespace semantic_topo_loop::core {
 namespace {
 
 /// @return none where the frame has too few points on the object, or only a part of it is in the image
-std::optional<SurfaceDepth> surface_depth(const Frame& frame, const Association& association) {
-  if (!frame.points_camera || association.truncated != 0) return std::nullopt;
-  const std::vector<Vec3> points = object_points(*frame.points_camera, frame.camera, association.box);
+std::optional<SurfaceDepth> surface_depth(const std::optional<FramePoints>& frame_points,
+                                          const Association& association) {
+  if (!frame_points || association.truncated != 0) return std::nullopt;
+  const std::vector<Vec3> points = object_points(*frame_points, association.box);
   if (points.empty()) return std::nullopt;
   SurfaceDepth depth;
-  depth.ray_camera = frame.camera.ray(association.box.center()).normalized();
+  depth.ray_camera = frame_points->camera().ray(association.box.center()).normalized();
   std::vector<double> distances;
   for (const Vec3& point : points) distances.push_back(depth.ray_camera.dot(point));
   depth.distance_m = median(std::move(distances));
@@ -26,11 +27,13 @@ std::optional<SurfaceDepth> surface_depth(const Frame& frame, const Association&
 
 void ObjectMemory::add(int vertex, const Frame& frame, const AssociationFrame& associations) {
   const Camera& camera = frame.camera;
+  std::optional<FramePoints> points;
+  if (frame.points_camera) points.emplace(*frame.points_camera, camera);
   for (const Association& association : associations.associations) {
     if (association.landmark_id < 0) continue;
     sightings_.push_back({association.landmark_id,
                           {vertex, Vec4(camera.fx, camera.fy, camera.cx, camera.cy), association.box,
-                           association.truncated, surface_depth(frame, association)}});
+                           association.truncated, surface_depth(points, association)}});
   }
 }
 

@@ -24,7 +24,7 @@ class PoseGraph::Impl {
  public:
   explicit Impl(const PoseGraphOptions& options) : options_(options) {
     knowledge_.noise.odometry = noise_prior(options_).least;
-    has_objects_ = options_.objects == "on" && !has_free_scale();
+    has_objects_ = options_.objects != "off" && !has_free_scale();
     trajectory_.objects.noise = {options_.object_weight, options_.object_sigma_px, options_.object_sigma_share};
   }
 
@@ -188,7 +188,7 @@ class PoseGraph::Impl {
   /// Loops that the map agrees with can wait longer.
   bool is_due(const Frame& frame) const {
     if (is_withdrawn_) return true;
-    if (frame.is_end && !objects_.empty()) return true;
+    if (frame.is_end && options_.objects == "on" && !objects_.empty()) return true;
     if (trajectory_.loops.empty()) return false;
     if (frame.is_end) return true;
     constexpr int kPatience = 4;
@@ -221,7 +221,10 @@ class PoseGraph::Impl {
 
   bool optimize_poses(Effort effort) {
     if (options_.robust == "gnc") trajectory_.votes = consistency_.vote(trajectory_.edges, trajectory_.loops);
-    OptimizedTrajectory result = optimize_trajectory(trajectory_, options_, knowledge_, effort);
+    const bool is_doubted = effort == Effort::kFull && options_.robust == "gnc";
+    if (is_doubted && !tell_right_loops()) return false;
+    OptimizedTrajectory result =
+        optimize_trajectory(trajectory_, options_, knowledge_, is_doubted ? Effort::kSettle : effort);
     if (!result.usable) return false;
     trajectory_.T_map_vertex = std::move(result.T_map_vertex);
     knowledge_ = std::move(result.knowledge);
@@ -251,6 +254,49 @@ class PoseGraph::Impl {
     trajectory_.T_map_vertex = std::move(T_map_vertex);
     log_scale_ = std::move(log_scale);
     return true;
+  }
+
+  /// Doubts every loop anew. Loops that were outvoted by false ones get another chance.
+  bool tell_right_loops() {
+    const std::vector<bool> voted = trajectory_.votes;
+    if (!classify()) return false;
+    std::vector<bool> eligible = knowledge_.kept;
+    for (std::size_t k = 0; k < voted.size(); ++k) eligible[k] = eligible[k] || !voted[k];
+    trajectory_.votes = consistency_.vote(trajectory_.edges, trajectory_.loops, eligible, knowledge_.kept);
+    if (trajectory_.votes != knowledge_.kept && !classify()) return false;
+    forget_false_loops(voted);
+    return true;
+  }
+
+  bool classify() {
+    OptimizedTrajectory result = optimize_trajectory(trajectory_, options_, knowledge_, Effort::kClassify);
+    if (!result.usable) return false;
+    trajectory_.T_map_vertex = std::move(result.T_map_vertex);
+    knowledge_ = std::move(result.knowledge);
+    return true;
+  }
+
+  /// A loop found false shall leave no trace: which loops repeat others follows from those that fit.
+  /// @param voted in the first round: says why a loop is not kept
+  void forget_false_loops(const std::vector<bool>& voted) {
+    const std::vector<bool> kept = std::move(knowledge_.kept);
+    trajectory_.loops.clear();
+    trajectory_.votes.clear();
+    knowledge_.kept.clear();
+    for (Entry& entry : entries_) {
+      if (!entry.loop) continue;
+      const bool was_in_graph = entry.index >= 0;
+      const auto index = static_cast<std::size_t>(entry.index);
+      const bool fits = was_in_graph ? kept[index] : chi2(*entry.loop) <= options_.robust_chi2;
+      const bool has_vote = fits || !was_in_graph || voted[index];
+      entry.index = -1;
+      if (fits && is_repetition(*entry.loop)) continue;
+      entry.index = static_cast<int>(trajectory_.loops.size());
+      trajectory_.loops.push_back(*entry.loop);
+      trajectory_.votes.push_back(has_vote);
+      knowledge_.kept.push_back(fits);
+    }
+    consistency_.clear();
   }
 
   LoopVerdict verdict(const Entry& entry) const {

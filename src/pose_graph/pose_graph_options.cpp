@@ -33,7 +33,8 @@ bool PoseGraphOptions::is_valid(std::string* error) const {
          check(max_iterations >= 1, "max_iterations", max_iterations, ">= 1", error) &&
          check(scale == "fixed" || scale == "free", "scale", scale, "fixed or free", error) &&
          check(scale_walk > 0.0 && scale_walk <= 0.5, "scale_walk", scale_walk, "in (0, 0.5]", error) &&
-         check(objects == "off" || objects == "on", "objects", objects, "off or on", error) &&
+         check(objects == "off" || objects == "with_loops" || objects == "on", "objects", objects,
+               "off, with_loops or on", error) &&
          check(object_weight > 0.0, "object_weight", object_weight, "> 0", error) &&
          check(object_sigma_px > 0.0, "object_sigma_px", object_sigma_px, "> 0", error) &&
          check(object_sigma_share >= 0.0, "object_sigma_share", object_sigma_share, ">= 0", error) &&

@@ -25,6 +25,11 @@ std::vector<GraphLoop> thinned(const std::vector<GraphLoop>& loops, std::size_t 
   return some;
 }
 
+/// Factors on the least noise that a loop may need, over the usual and in all. A single burst may stand behind some
+/// loops and not behind most: 15 cm after one metre is always granted. 40 cm are no odometry's: a loop that asks for
+/// more has no say in what is usual either.
+constexpr double kStrain = 2.5, kLeastStrain = 150.0, kMaxStrain = 400.0;
+
 constexpr int kFewJumps = 2, kManyJumps = 8;  // that are looked for in one go
 
 Mat6 jump_covariance(const OdometryJump& jump) {
@@ -37,17 +42,17 @@ class TrajectoryOptimizer {
  public:
   TrajectoryOptimizer(const Trajectory& trajectory, const PoseGraphOptions& options, const GraphKnowledge& knowledge,
                       Effort effort)
-      : trajectory_(trajectory),
-        options_(options),
-        effort_(effort),
-        redundancy_(redundancy(trajectory.loops, trajectory.votes)),
-        votes_(trajectory.votes) {
+      : trajectory_(trajectory), options_(options), effort_(effort), votes_(trajectory.votes) {
     if (votes_.empty()) votes_.assign(trajectory.loops.size(), true);
+    counts_ = votes_;
+    for (std::size_t k = 0; k < knowledge.kept.size() && effort == Effort::kSettle; ++k) {
+      counts_[k] = counts_[k] && knowledge.kept[k];
+    }
+    redundancy_ = redundancy(trajectory.loops, counts_);
     result_.T_map_vertex = trajectory.T_map_vertex;
     result_.knowledge = knowledge;
     // What is learnt last must not depend on what was believed on the way.
-    if (effort == Effort::kFull && options.estimate_noise)
-      result_.knowledge.noise = {noise_prior(options).least, 1.0, {}};
+    if (starts_afresh() && options.estimate_noise) result_.knowledge.noise = {noise_prior(options).least, 1.0, {}};
     solver_options_.loss = loss_of(options.robust);
     solver_options_.loss_chi2 = options.robust_chi2;
     solver_options_.max_iterations = options.max_iterations;
@@ -55,6 +60,10 @@ class TrajectoryOptimizer {
 
   OptimizedTrajectory run() {
     if (!classify()) return result_;
+    if (effort_ == Effort::kClassify) {
+      result_.usable = true;
+      return result_;
+    }
     if (options_.estimate_noise) learn_noise();
     result_.usable = solve();
     if (result_.usable && !trajectory_.objects.objects.empty()) solve_with_objects();
@@ -62,6 +71,9 @@ class TrajectoryOptimizer {
   }
 
  private:
+  bool starts_afresh() const { return effort_ != Effort::kUpdate && effort_ != Effort::kLearn; }
+  bool doubts_all() const { return effort_ == Effort::kFull || effort_ == Effort::kClassify; }
+
   bool classify() {
     std::vector<bool>& kept = result_.knowledge.kept;
     kept.resize(trajectory_.loops.size(), true);
@@ -80,7 +92,7 @@ class TrajectoryOptimizer {
       return true;
     }
     std::vector<bool> guess;
-    for (std::size_t k = 0; k < kept.size() && effort_ != Effort::kFull; ++k) {
+    for (std::size_t k = 0; k < kept.size() && !doubts_all(); ++k) {
       if (votes_[k]) guess.push_back(kept[k]);
     }
     const LoopClassification classes =
@@ -95,7 +107,7 @@ class TrajectoryOptimizer {
     return true;
   }
 
-  /// Finds the odometry's noise that most loops bear out, and takes the vote from those that would need many times as
+  /// Finds the odometry's noise that the loops bear out, and takes the vote from those that would need many times as
   /// much: a place that looks like another contradicts the odometry by any amount, a right loop by what the others do.
   void judge_strain() {
     const PathNoise path(result_.T_map_vertex, trajectory_.edges);
@@ -105,7 +117,7 @@ class TrajectoryOptimizer {
       if (!votes_[k]) continue;
       factors.push_back(
           std::min(path.explaining_factor(trajectory_.loops[k], prior.least, prior.factor_max), prior.factor_max));
-      weights.push_back(1.0 / redundancy_[k]);
+      weights.push_back(counts_[k] && factors.back() <= kMaxStrain ? 1.0 / redundancy_[k] : 0.0);
     }
     double& loose = result_.knowledge.loose_factor;
     if (loose <= 0.0 || effort_ != Effort::kUpdate) {
@@ -116,9 +128,7 @@ class TrajectoryOptimizer {
       }
     }
     if (options_.robust != "gnc") return;
-    // A single burst may stand behind some loops and not behind most: 15 cm after one metre is always granted.
-    constexpr double kStrain = 2.5, kLeastStrain = 150.0;
-    const double limit = std::max(kLeastStrain, kStrain * loose / options_.gnc_loosening);
+    const double limit = std::clamp(kStrain * loose / options_.gnc_loosening, kLeastStrain, kMaxStrain);
     std::size_t voter = 0;
     for (std::size_t k = 0; k < votes_.size(); ++k) {
       if (!votes_[k]) continue;
@@ -128,7 +138,7 @@ class TrajectoryOptimizer {
 
   void learn_noise() {
     // As many as can be afforded: the cost grows with their cube.
-    const std::size_t max_loops = effort_ == Effort::kFull ? 40 : 24;
+    const std::size_t max_loops = starts_afresh() ? 40 : 24;
     std::vector<GraphLoop> loops;
     for (std::size_t k = 0; k < trajectory_.loops.size(); ++k) {
       if (result_.knowledge.kept[k]) loops.push_back(trajectory_.loops[k]);
@@ -136,7 +146,7 @@ class TrajectoryOptimizer {
     const std::vector<GraphLoop> some = thinned(loops, max_loops);
     InnovationModel model(result_.T_map_vertex, trajectory_.edges, some);
     NoiseEstimate& noise = result_.knowledge.noise;
-    const int max_new_jumps = effort_ == Effort::kFull ? kManyJumps : kFewJumps;
+    const int max_new_jumps = starts_afresh() ? kManyJumps : kFewJumps;
     if (effort_ != Effort::kUpdate) {
       noise = estimate_noise_and_jumps(&model, noise_prior(options_), noise, max_new_jumps);
     }
@@ -186,8 +196,9 @@ class TrajectoryOptimizer {
   const Trajectory& trajectory_;
   const PoseGraphOptions& options_;
   Effort effort_;
+  std::vector<bool> votes_;   ///< which loops may be kept
+  std::vector<bool> counts_;  ///< which of them say how noisy the odometry is, and share evidence
   std::vector<double> redundancy_;
-  std::vector<bool> votes_;          ///< which loops count
   std::vector<Vec6> steady_errors_;  ///< of each edge; empty before they are known
   GraphSolverOptions solver_options_;
   OptimizedTrajectory result_;

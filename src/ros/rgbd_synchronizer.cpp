@@ -51,12 +51,12 @@ void RgbdSynchronizer::hear(const ImageConstPtr& image, Clock::time_point now, T
 void RgbdSynchronizer::add_color(const ImageConstPtr& image, Clock::time_point now) {
   hear(image, now, &color_);
   waiting_[*color_.stamp_ns] = now;
-  synchronizer_->add<0>(ros::MessageEvent<sensor_msgs::Image const>(image));
+  synchronizer_->add<0>(ros::MessageEvent<sensor_msgs::Image const>(image, image->header.stamp));
 }
 
 void RgbdSynchronizer::add_depth(const ImageConstPtr& image, Clock::time_point now) {
   hear(image, now, &depth_);
-  synchronizer_->add<1>(ros::MessageEvent<sensor_msgs::Image const>(image));
+  synchronizer_->add<1>(ros::MessageEvent<sensor_msgs::Image const>(image, image->header.stamp));
 }
 
 void RgbdSynchronizer::join(const ImageConstPtr& color, const ImageConstPtr& depth) {

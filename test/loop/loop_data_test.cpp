@@ -157,6 +157,25 @@ TEST(LoopData, TheOdometrysWorldDoesNotMatter) {
   EXPECT_GE(static_cast<double>(shared), 0.95 * static_cast<double>(pairs.size()));
 }
 
+TEST(LoopData, LandmarksDoNotMatter) {
+  // A correction of the map, a false one too, changes what the boxes are associated with, and not which loops are
+  // found.
+  if (office().empty()) GTEST_SKIP() << "SEMANTIC_TOPO_LOOP_DATA is not set";
+  Recording other = office();
+  std::int64_t id = 0;
+  for (Step& step : other) {
+    step.merged.clear();
+    for (Association& association : step.associations.associations) {
+      if (association.landmark_id < 0) continue;
+      association.landmark_id = id++ % 1000;
+      association.landmark_class_id = association.class_id;
+    }
+  }
+  const auto pairs = accepted_pairs(replay(office()));
+  ASSERT_GE(pairs.size(), 20u);
+  EXPECT_EQ(accepted_pairs(replay(other)), pairs);
+}
+
 TEST(LoopData, ClosesAcrossARestart) {
   if (office().empty()) GTEST_SKIP() << "SEMANTIC_TOPO_LOOP_DATA is not set";
   const SE3 T_other_world(so3_exp(Vec3(0.5, 1.7, -1.1)), Vec3(-1.0, 3.0, 2.0));

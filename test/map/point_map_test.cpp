@@ -66,6 +66,26 @@ TEST(PointMap, PointsMoveWithTheirKeyframesAndNewerOnesWithTheOdometry) {
   EXPECT_LT((points[3].cast<double>() - correction.T_map_odom * (at(0.3) * p)).norm(), 1e-5);
 }
 
+TEST(PointMap, PointsGrowWithTheScaleOfTheirKeyframe) {
+  PointMap map{PointMapOptions()};
+  for (int i = 0; i < 2; ++i) map.add(keyframe(i, at(0.1 * i), {{}, line(1, 0.1F)}));
+  MapCorrection correction;
+  correction.changed = true;
+  correction.valid_to_keyframe_id = 1;
+  correction.scale = 2.0;
+  correction.keyframes = {{0, 0, 0, at(0.0), 1.0}, {1, 10, 0, at(0.2), 2.0}};
+  map.apply(correction);
+  correction.changed = false;
+  correction.T_map_odom = SE3(Quaternion::Identity(), Vec3(0.0, 1.0, 0.0));  // it follows the camera
+  map.apply(correction);
+  map.add(keyframe(2, at(0.2), {{}, line(1, 0.1F)}));
+  const Points points = map.points().semi_dense;
+  ASSERT_EQ(points.size(), 3U);
+  EXPECT_LT((points[0].cast<double>() - at(0.0) * Vec3(0.0, 0.0, 1.0)).norm(), 1e-5);
+  EXPECT_LT((points[1].cast<double>() - at(0.2) * Vec3(0.0, 0.0, 2.0)).norm(), 1e-5);
+  EXPECT_LT((points[2].cast<double>() - correction.T_map_odom * (at(0.2) * Vec3(0.0, 0.0, 2.0))).norm(), 1e-5);
+}
+
 TEST(PointMap, KeepsOnePointAVoxelAndNoneThatIsNotFinite) {
   PointMap map{PointMapOptions()};
   Points points = line(100, 0.001F);

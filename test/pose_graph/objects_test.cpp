@@ -183,6 +183,18 @@ TEST(ObjectsInThePoseGraph, OffMeansThatNothingIsChanged) {
   EXPECT_EQ(largest_difference_m(observer.finish({}), finish(observer.run, {}).graph.keyframes()), 0.0);
 }
 
+TEST(ObjectsInThePoseGraph, WithLoopsMeansThatOdometryWithoutLoopsIsLeftAlone) {
+  const Observer observer = drifting_observer();
+  PoseGraphOptions options = with_objects();
+  options.objects = "with_loops";
+  EXPECT_EQ(largest_difference_m(observer.finish(options), finish(observer.run, {}).graph.keyframes()), 0.0);
+  std::string error;
+  EXPECT_TRUE(options.is_valid(&error)) << error;
+  options.objects = "always";
+  EXPECT_FALSE(options.is_valid(&error));
+  EXPECT_NE(error.find("pose_graph.objects"), std::string::npos);
+}
+
 TEST(ObjectsInThePoseGraph, AnObjectOfOneViewIsLeftOut) {
   Observer observer = drifting_observer();
   const auto without = observer.finish(with_objects());

@@ -3,11 +3,11 @@
 #include <algorithm>
 #include <filesystem>
 
+#include "../test_files.h"
 #include "semantic_topo_loop/io/stamp.h"
 #include "semantic_topo_loop/io/text_file.h"
 #include "semantic_topo_loop/simulation/kinect_model.h"
 #include "semantic_topo_loop/simulation/rgbd_sequence.h"
-#include "test_files.h"
 #include "test_fixtures.h"
 
 namespace semantic_topo_loop::core {

@@ -8,6 +8,7 @@
 
 #include "semantic_topo_loop/association/association.h"
 #include "semantic_topo_loop/detection/class_table.h"
+#include "semantic_topo_loop/loop/box_tracker.h"
 #include "semantic_topo_loop/map/frame.h"
 #include "semantic_topo_loop/map/landmark.h"
 
@@ -16,8 +17,9 @@ namespace semantic_topo_loop::core {
 /// A detection of a mappable class, as loop detection keeps it.
 struct ObservedBox {
   std::int64_t landmark_id = -1;
+  std::int64_t track_id = -1;  ///< of the object while it stays in view
   int label = -1;              ///< one number for all classes of a group
-  int class_id = -1;           ///< of the landmark
+  int class_id = -1;           ///< of the track
   Box box;                     ///< on the plane z = 1 of the camera (undistorted, without intrinsics)
   std::uint8_t truncated = 0;  ///< Truncation bits
 };
@@ -71,10 +73,11 @@ class ObservationWindow {
   const std::deque<ObservedFrame>& frames() const { return frames_; }
 
  private:
-  ObservedFrame observe(const Frame& frame, const AssociationFrame& associations) const;
+  ObservedFrame observe(const Frame& frame, const AssociationFrame& associations);
 
   std::int64_t span_ns_, interval_ns_;
   LabelTable labels_;
+  BoxTracker tracker_;
   std::deque<ObservedFrame> frames_;
   std::int64_t last_sampled_ns_ = 0;
 };

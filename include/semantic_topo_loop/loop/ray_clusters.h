@@ -11,6 +11,7 @@ namespace semantic_topo_loop::core {
 struct BoxRay {
   int frame = -1;  ///< index in LocalMap::frames
   std::int64_t landmark_id = -1;
+  std::int64_t track_id = -1;
   int class_id = -1;
   Box box;                         ///< on the plane z = 1
   bool full = false;               ///< no side is cut
@@ -29,8 +30,8 @@ struct RayClusterOptions {
   double max_depth_m = 6.0;
 };
 
-/// Finds the points at which the boxes of one label meet. Landmark ids propose points; the boxes decide: an id that
-/// holds two objects is split, and boxes of one object under several ids are gathered.
+/// Finds the points at which the boxes of one label meet. Tracks propose points; the boxes decide: a track that
+/// holds two objects is split, and boxes of one object on several tracks are gathered.
 std::vector<RayCluster> cluster_rays(const std::vector<BoxRay>& rays, const std::vector<LocalFrame>& frames,
                                      const RayClusterOptions& options);
 

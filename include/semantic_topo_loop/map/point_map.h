@@ -4,6 +4,7 @@
 #include <map>
 #include <vector>
 
+#include "semantic_topo_loop/geometry/sim3.h"
 #include "semantic_topo_loop/map/frame.h"
 #include "semantic_topo_loop/map/keyframe_points.h"
 #include "semantic_topo_loop/map/point_map_options.h"
@@ -36,7 +37,8 @@ class PointMap {
 
  private:
   struct Keyframe {
-    SE3 T_odom_camera, T_map_camera;
+    SE3 T_odom_camera;
+    Sim3 S_map_camera;  ///< the scale is the map's units of length in one of the odometry, 1 unless it is free
     KeyframePoints points;
     int thinnings = 0;
   };
@@ -45,6 +47,7 @@ class PointMap {
 
   PointMapOptions options_;
   SE3 T_map_odom_;
+  double scale_ = 1.0;  ///< of new keyframes
   std::map<std::int64_t, Keyframe> keyframes_;
   std::size_t size_ = 0;
   std::uint64_t thinned_ = 0;

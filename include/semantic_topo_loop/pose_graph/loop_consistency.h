@@ -1,5 +1,6 @@
 #pragma once
 
+#include <algorithm>
 #include <cstdint>
 #include <vector>
 
@@ -16,6 +17,9 @@ class LoopConsistency {
   /// @param loops those of the last call and new ones behind them
   /// @return whether each loop may vote
   std::vector<bool> vote(const std::vector<OdometryEdge>& edges, const std::vector<GraphLoop>& loops);
+  /// The same among some of them. @param eligible, trusted one a loop; who disagrees with a trusted one has no vote
+  std::vector<bool> vote(const std::vector<OdometryEdge>& edges, const std::vector<GraphLoop>& loops,
+                         std::vector<bool> eligible, const std::vector<bool>& trusted);
   /// Forgets the loops.
   void clear() { relations_.clear(); }
 
@@ -36,7 +40,9 @@ class LoopConsistency {
 
   Stretch stretch(int from, int to) const;
   Relation compare(const GraphLoop& a, const GraphLoop& b) const;
-  std::vector<bool> outvote() const;
+  void compare_all(const std::vector<OdometryEdge>& edges, const std::vector<GraphLoop>& loops);
+  Relation relation(std::size_t a, std::size_t b) const { return relations_[std::max(a, b)][std::min(a, b)]; }
+  std::vector<bool> outvote(std::vector<bool> votes) const;
 
   std::vector<Progress> progress_;
   std::vector<std::vector<Relation>> relations_;  ///< of each loop with those before it

@@ -21,7 +21,7 @@ struct PoseGraphOptions {
   int max_iterations = 30;
   std::string scale = "fixed";
   double scale_walk = 0.02;
-  std::string objects = "on";
+  std::string objects = "off";
   double object_weight = 0.1;
   double object_sigma_px = 4.0;
   double object_sigma_share = 0.06;
@@ -53,7 +53,8 @@ struct PoseGraphOptions {
     visitor("pose_graph.scale", scale, "of the odometry: fixed, or free where it drifts (monocular; Sim(3) vertices)");
     visitor("pose_graph.scale_walk", scale_walk,
             "free scale: error of its logarithm after one metre of path (1 sigma; grows with the root of the path)");
-    visitor("pose_graph.objects", objects, "whether objects take part in the last correction of a run: off or on");
+    visitor("pose_graph.objects", objects,
+            "whether objects take part in the last correction of a run: off, with_loops (if there are any) or on");
     visitor("pose_graph.object_weight", object_weight, "factor on the squared errors of object observations");
     visitor("pose_graph.object_sigma_px", object_sigma_px, "noise of a box edge, constant part");
     visitor("pose_graph.object_sigma_share", object_sigma_share, "noise of a box edge, share of the box size");

@@ -37,9 +37,11 @@ struct OptimizedTrajectory {
 };
 
 enum class Effort {
-  kUpdate,  ///< trusts what is known: two solves, unless new loops upset it
-  kLearn,   ///< learns the odometry's noise anew
-  kFull     ///< and doubts every loop anew
+  kUpdate,    ///< trusts what is known: two solves, unless new loops upset it
+  kLearn,     ///< learns the odometry's noise anew
+  kFull,      ///< and doubts every loop anew
+  kClassify,  ///< doubts every loop anew, and does no more
+  kSettle     ///< trusts the loops that are kept, and makes everything else from these alone
 };
 
 /// Tells right loops from false ones with loose odometry, learns the odometry's noise from the right ones, and solves

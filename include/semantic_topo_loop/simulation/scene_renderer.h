@@ -31,7 +31,8 @@ struct RenderedImage {
   cv::Mat colour;   ///< CV_8UC3, BGR; empty if not asked for
   cv::Mat depth_m;  ///< CV_32FC1, along the camera's z axis
   cv::Mat cosine;   ///< CV_32FC1, of the angle between the ray and the surface's normal, (0, 1]
-  /// Of the shapes drawn, one an object in order of Scene::objects; none if no pixel shows it.
+  /// Of the shapes drawn, one an object in order of Scene::objects; none if no pixel shows it. `whole` is in pixels of
+  /// the undistorted image.
   std::vector<std::optional<ObjectView>> objects;
 };
 
