@@ -94,7 +94,7 @@ Mat3 center_covariance(const std::vector<Mat34>& projections, const std::vector<
     const double n = static_cast<double>(views[i].surface->size());
     for (const Eigen::Vector3f& p : *views[i].surface) {
       const Vec3 ray = views[i].T_world_camera.q * Vec3(p.cast<double>() / static_cast<double>(p.z()));
-      const std::optional<SurfaceDepth> depth = surface_depth(ellipsoid, views[i].T_world_camera.t, ray);
+      const std::optional<RayDepth> depth = surface_depth(ellipsoid, views[i].T_world_camera.t, ray);
       if (!depth) continue;
       Vec6 row;
       row << depth->by_center, depth->by_log_axes;

@@ -14,7 +14,7 @@ constexpr double kInvalidResidual = 20.0;
 
 }  // namespace
 
-std::optional<SurfaceDepth> surface_depth(const Ellipsoid& ellipsoid, const Vec3& origin, const Vec3& direction) {
+std::optional<RayDepth> surface_depth(const Ellipsoid& ellipsoid, const Vec3& origin, const Vec3& direction) {
   // With W = R diag(1/a^2) R' and u = origin - centre, x = origin + t d is on the ellipsoid where A t^2 + 2 B t + C =
   // 0.
   const Mat3 R = ellipsoid.T_world_quadric.rotation();
@@ -24,7 +24,7 @@ std::optional<SurfaceDepth> surface_depth(const Ellipsoid& ellipsoid, const Vec3
   const Vec3 Wu = R * inverse_squares.cwiseProduct(u_axes), Wd = R * inverse_squares.cwiseProduct(d_axes);
   const double A = direction.dot(Wd), B = u.dot(Wd), C = u.dot(Wu) - 1.0;
   if (!(C > 0.0 && B < 0.0)) return std::nullopt;
-  SurfaceDepth result;
+  RayDepth result;
   const double discriminant = B * B - A * C;
   if (discriminant > kBeforeApproach * A) {
     result.depth = (-B - std::sqrt(discriminant)) / A;
@@ -75,8 +75,8 @@ bool SurfaceCost::Evaluate(double const* const* parameters, double* residuals, d
     target = value;
   };
   for (std::size_t i = 0; i < rays_.size(); ++i) {
-    const std::optional<SurfaceDepth> surface = surface_depth(ellipsoid, origin_, rays_[i].direction_world);
-    const SurfaceDepth s = surface.value_or(SurfaceDepth{});
+    const std::optional<RayDepth> surface = surface_depth(ellipsoid, origin_, rays_[i].direction_world);
+    const RayDepth s = surface.value_or(RayDepth{});
     residuals[i] = surface ? weight_ * (s.depth - rays_[i].depth) : kInvalidResidual;
     write(0, i, Eigen::RowVector3d(weight_ * s.by_center.transpose()));
     write(1, i, Eigen::Matrix<double, 1, 4>(weight_ * s.by_rotation.transpose() * lift));

@@ -10,7 +10,7 @@
 namespace semantic_topo_loop::core {
 
 /// Depth at which a ray meets an ellipsoid, with its derivatives as in BoxJacobian.
-struct SurfaceDepth {
+struct RayDepth {
   double depth = 0.0;  ///< in lengths of the ray's direction
   Vec3 by_center = Vec3::Zero(), by_rotation = Vec3::Zero(), by_log_axes = Vec3::Zero();
 };
@@ -18,7 +18,7 @@ struct SurfaceDepth {
 /// A ray that passes near the outline or misses it is taken to end a little before its closest approach to the centre,
 /// so that the depth goes on smoothly.
 /// @return nullopt if the ellipsoid is behind the origin of the ray or around it
-std::optional<SurfaceDepth> surface_depth(const Ellipsoid& ellipsoid, const Vec3& origin, const Vec3& direction);
+std::optional<RayDepth> surface_depth(const Ellipsoid& ellipsoid, const Vec3& origin, const Vec3& direction);
 
 /// Standard deviation of one view's depth against an ellipsoid of the given radius.
 double surface_sigma_m(const BoxView& view, double radius_m, const QuadricFitOptions& options);

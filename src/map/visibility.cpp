@@ -52,7 +52,7 @@ DepthThere depth_there(const Candidate& candidate, const FramePoints& points, co
   std::size_t known = 0, in_front = 0, behind = 0;
   for (const SeenPoint& p : points.in(box, kPointsMax)) {
     const double z = p.point_camera.z();
-    const std::optional<SurfaceDepth> there =
+    const std::optional<RayDepth> there =
         surface_depth(*candidate.ellipsoid, T_map_camera.t, T_map_camera.q * Vec3(p.point_camera / z));
     if (!there) continue;
     const double margin = kSigmas * (uneven + depth_sigma_m(z));

@@ -12,6 +12,7 @@
 
 #include "semantic_topo_loop/FrameDone.h"
 #include "semantic_topo_loop/TrackingReport.h"
+#include "semantic_topo_loop/frontend/keyframe_points.h"
 #include "semantic_topo_loop/frontend/tracking_report.h"
 #include "semantic_topo_loop/ros/conversions.h"
 #include "semantic_topo_loop/ros/frontend_stage.h"
@@ -54,6 +55,7 @@ class RgbdFrontendNodelet : public FrontendStage {
 
   void forget() override;
   void on_end() override;
+  std::shared_ptr<const core::KeyframePoints> keyframe_points() override;
   void on_single(std::int64_t stamp_ns);
   void on_pair(const ImageConstPtr& color, const ImageConstPtr& depth);
   /// The front end of this session's camera; null, and the image answered, while there is no calibration.
@@ -67,6 +69,7 @@ class RgbdFrontendNodelet : public FrontendStage {
   ros::Publisher report_publisher_;
   std::optional<core::RgbdFrontend> frontend_;
   std::optional<core::Camera> frontend_camera_;
+  core::RgbdImage image_;  ///< the last one
   core::TrackingReport report_;
 
   std::mutex mutex_;  ///< guards all below, which callbacks, worker and diagnostics share; nothing else is locked in it
@@ -145,6 +148,7 @@ void RgbdFrontendNodelet::add_diagnostics(diagnostic_updater::DiagnosticStatusWr
 
 void RgbdFrontendNodelet::forget() {
   frontend_.reset();
+  image_ = {};
   report_ = {};
 }
 
@@ -154,6 +158,12 @@ void RgbdFrontendNodelet::on_end() {
   message->session_id = current_session();
   report_publisher_.publish(message);
   emit_end();
+}
+
+std::shared_ptr<const core::KeyframePoints> RgbdFrontendNodelet::keyframe_points() {
+  return std::make_shared<const core::KeyframePoints>(
+      core::KeyframePoints{frontend_->sparse_points(),
+                           core::semi_dense_points(image_, frontend_->camera(), options_.point_map.semi_dense_max)});
 }
 
 void RgbdFrontendNodelet::on_single(std::int64_t stamp_ns) {
@@ -192,6 +202,7 @@ bool RgbdFrontendNodelet::prepare(std::int64_t stamp_ns) {
 }
 
 void RgbdFrontendNodelet::track(const core::RgbdImage& image) {
+  image_ = image;
   const core::TrackedImage tracked = frontend_->track(image);
   report_.add(tracked);
   if (tracked.sample) return emit(*tracked.sample, frontend_->camera());

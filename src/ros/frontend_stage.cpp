@@ -9,6 +9,7 @@
 #include "semantic_topo_loop/Keyframe.h"
 #include "semantic_topo_loop/io/camera_yaml.h"
 #include "semantic_topo_loop/ros/conversions.h"
+#include "semantic_topo_loop/ros/conversions_points.h"
 
 namespace semantic_topo_loop {
 
@@ -36,6 +37,7 @@ bool FrontendStage::open(const core::KeyframeOptions& options, const FrontendPar
   }
   frame_publisher_ = advertise<Frame>("frames");
   keyframe_publisher_ = advertise<Keyframe>("keyframes");
+  points_publisher_ = advertise<KeyframePoints>("keyframe_points");
   done_publisher_ = advertise<FrameDone>("frame_done");
   if (parameters_.publish_odom_tf) broadcaster_ = std::make_unique<tf2_ros::TransformBroadcaster>();
   control_publisher_ = advertise<SessionControl>("session_control", true);
@@ -160,13 +162,14 @@ void FrontendStage::emit(const core::PoseSample& sample, const std::optional<cor
   if (!builder_) builder_.emplace(keyframe_options_, *camera);
   builder_->set_camera(*camera);
   std::string error;
-  const std::optional<core::Frame> frame = builder_->build(sample, &error);
+  std::optional<core::Frame> frame = builder_->build(sample, &error);
   if (!frame) {
     complain("images left out", error);
     publish_done(sample.stamp_ns, FrameDone::STATUS_FAILED);
     return;
   }
   if (frame->is_break && frame->frame_id > 0) statistics().count("breaks of the odometry");
+  if (frame->is_keyframe && points_publisher_.getNumSubscribers() > 0) frame->keyframe_points = keyframe_points();
   publish_frame(*frame);
   if (broadcaster_) publish_odom_tf(*frame);
   count_processed();
@@ -191,6 +194,15 @@ void FrontendStage::publish_frame(const core::Frame& frame) {
     keyframe->header.frame_id = parameters_.odom_frame;
     keyframe->session_id = control_->session_id;
     keyframe_publisher_.publish(keyframe);
+  }
+  if (frame.keyframe_points) {
+    auto points = boost::make_shared<KeyframePoints>();
+    to_msg(frame, points.get());
+    points->session_id = control_->session_id;
+    for (std_msgs::Header* header : {&points->header, &points->sparse.header, &points->semi_dense.header}) {
+      header->frame_id = camera_frame_;
+    }
+    points_publisher_.publish(points);
   }
   frame_publisher_.publish(message);
 }

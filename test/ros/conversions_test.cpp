@@ -9,6 +9,8 @@
 #include <limits>
 #include <random>
 
+#include "semantic_topo_loop/ros/conversions_points.h"
+
 namespace semantic_topo_loop {
 namespace {
 
@@ -487,6 +489,37 @@ TEST(CheckedDetection, RefusesNaNAndTurnedBoxes) {
   message.score = 1.5;
   EXPECT_FALSE(checked_detection(message, &error));
   EXPECT_EQ(error, "score = 1.5 is not in [0, 1]");
+}
+
+TEST(Conversions, PointsOfAKeyframeComeBackBitForBitAndBadOnesAreNamed) {
+  core::KeyframePoints points;
+  points.sparse = {{5, {0.1F, -0.2F, 1.5F}}, {1LL << 41, {1.0F, 2.0F, 3.0F}}};
+  points.semi_dense = {{0.3F, 0.4F, 0.5F}, {-1.0F, 0.0F, 1e-3F}};
+  core::Frame keyframe;
+  keyframe.keyframe_id = 7;
+  keyframe.stamp_ns = 1305031910765326000;
+  keyframe.is_keyframe = true;
+  keyframe.T_odom_camera = core::SE3(core::so3_exp(core::Vec3(0.1, 0.2, 0.3)), core::Vec3(1.0, 2.0, 3.0));
+  keyframe.keyframe_points = std::make_shared<const core::KeyframePoints>(points);
+  KeyframePoints message;
+  to_msg(keyframe, &message);
+  std::string error;
+  const std::optional<core::Frame> back = from_msg(message, &error);
+  ASSERT_TRUE(back) << error;
+  EXPECT_TRUE(back->is_keyframe);
+  EXPECT_EQ(back->keyframe_id, 7);
+  EXPECT_EQ(back->stamp_ns, keyframe.stamp_ns);
+  EXPECT_EQ(back->T_odom_camera.t, keyframe.T_odom_camera.t);
+  EXPECT_EQ(back->keyframe_points->semi_dense, points.semi_dense);
+  ASSERT_EQ(back->keyframe_points->sparse.size(), 2U);
+  for (std::size_t i = 0; i < 2; ++i) {
+    EXPECT_EQ(back->keyframe_points->sparse[i].id, points.sparse[i].id);
+    EXPECT_EQ(back->keyframe_points->sparse[i].point_camera, points.sparse[i].point_camera);
+  }
+  message.sparse_ids.pop_back();
+  EXPECT_FALSE(from_msg(message, &error));
+  EXPECT_NE(error.find("sparse_ids"), std::string::npos);
+  EXPECT_FALSE(from_msg(KeyframePoints(), &error)) << "clouds without fields";
 }
 
 }  // namespace

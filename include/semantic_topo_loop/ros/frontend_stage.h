@@ -48,6 +48,9 @@ class FrontendStage : public Stage {
   virtual void on_camera_stamp(std::int64_t /*stamp_ns*/) {}
   /// tf knows more than before.
   virtual void on_more_transforms() {}
+  /// What the point map keeps of the keyframe that `emit` has just made; null: nothing. Asked for only if somebody
+  /// listens.
+  virtual std::shared_ptr<const core::KeyframePoints> keyframe_points() { return nullptr; }
   /// The stream has ended: call `emit_end` once every image is answered.
   virtual void on_end() = 0;
 
@@ -94,7 +97,7 @@ class FrontendStage : public Stage {
   bool is_paused_ = false;
   SessionControlPtr control_;  ///< the last command
   std::unique_ptr<tf2_ros::TransformBroadcaster> broadcaster_;
-  ros::Publisher control_publisher_, frame_publisher_, keyframe_publisher_, done_publisher_;
+  ros::Publisher control_publisher_, frame_publisher_, keyframe_publisher_, points_publisher_, done_publisher_;
 };
 
 }  // namespace semantic_topo_loop

@@ -1,0 +1,135 @@
+#include <filesystem>
+#include <mutex>
+#include <pluginlib/class_list_macros.hpp>
+#include <string>
+
+#include "semantic_topo_loop/SavePoints.h"
+#include "semantic_topo_loop/io/point_cloud_file.h"
+#include "semantic_topo_loop/map/point_map.h"
+#include "semantic_topo_loop/ros/conversions.h"
+#include "semantic_topo_loop/ros/conversions_points.h"
+#include "semantic_topo_loop/ros/lazy_publisher.h"
+#include "semantic_topo_loop/ros/stage.h"
+
+namespace semantic_topo_loop {
+namespace {
+
+struct Parameters : StageParameters {
+  std::string map_frame = "map";
+  double rate_hz = 1.0;
+
+  template <class Visitor>
+  void visit(Visitor& visitor) {
+    StageParameters::visit(visitor);
+    visitor("map_frame", map_frame, "frame of the corrected map");
+    visitor("rate_hz", rate_hz, "most often that the points are published (wall time)");
+  }
+  bool is_valid(std::string* error) const {
+    if (!StageParameters::is_valid(error)) return false;
+    if (rate_hz > 0.0) return true;
+    if (error != nullptr) *error = "parameter 'rate_hz' = " + std::to_string(rate_hz) + " must be > 0";
+    return false;
+  }
+};
+
+}  // namespace
+
+/// Keeps the points of the keyframes, which move with the map's corrections. Publishes them only while somebody
+/// listens.
+class PointMappingNodelet : public Stage {
+ public:
+  PointMappingNodelet() : Stage("PointMapping") {}
+  ~PointMappingNodelet() override { stop(); }
+
+ private:
+  void onInit() override {
+    if (!start(&options_, &parameters_, 2)) return;
+    reset_session();
+    sparse_.open(advertise<sensor_msgs::PointCloud2>("map_points_sparse"));
+    semi_dense_.open(advertise<sensor_msgs::PointCloud2>("map_points_semi_dense"));
+    keep_service(getPrivateNodeHandle().advertiseService("save_points", &PointMappingNodelet::on_save, this));
+    subscribe("keyframe_points", Keep::kAlways, &PointMappingNodelet::on_points);
+    subscribe("map_corrections", Keep::kAlways, &PointMappingNodelet::on_correction);
+    start_timer(1.0 / parameters_.rate_hz, [this] { publish(); });
+    follow_sessions();
+  }
+
+  void reset_session() override {
+    const std::lock_guard<std::mutex> lock(mutex_);
+    map_ = std::make_unique<core::PointMap>(options_.point_map);
+    mark_changed();
+  }
+
+  void on_points(const KeyframePoints::ConstPtr& message) {
+    std::string error;
+    const std::optional<core::Frame> keyframe = from_msg(*message, &error);
+    if (!keyframe) {
+      statistics().count("unusable points of keyframes");
+      NODELET_WARN_ONCE("points of keyframe %ld left out: %s", static_cast<long>(message->keyframe_id), error.c_str());
+      return;
+    }
+    stamp_ = message->header.stamp;
+    const std::lock_guard<std::mutex> lock(mutex_);
+    map_->add(*keyframe);
+    mark_changed();
+    count_processed();
+  }
+
+  void on_correction(const MapCorrection::ConstPtr& message) {
+    if (!message->changed) return;
+    const std::lock_guard<std::mutex> lock(mutex_);
+    map_->apply(from_msg(*message));
+    mark_changed();
+  }
+
+  bool on_save(SavePoints::Request& request, SavePoints::Response& response) {
+    std::error_code error_code;
+    const std::filesystem::path path = std::filesystem::absolute(request.path, error_code);
+    if (error_code) {
+      response.success = 0;
+      response.message = request.path + ": " + error_code.message();
+      return true;
+    }
+    const core::MapPoints points = snapshot();
+    const bool is_written = core::write_point_cloud(path.string(), points, &response.message);
+    response.success = is_written ? 1 : 0;
+    if (is_written) response.message = path.lexically_normal().string();
+    return true;
+  }
+
+  core::MapPoints snapshot() {
+    const std::lock_guard<std::mutex> lock(mutex_);
+    return map_->points();
+  }
+
+  void publish() {
+    const bool sparse_due = sparse_.is_due(), semi_dense_due = semi_dense_.is_due();
+    if (!sparse_due && !semi_dense_due) return;
+    const core::MapPoints points = snapshot();
+    if (sparse_due) sparse_.publish(cloud(points.sparse));
+    if (semi_dense_due) semi_dense_.publish(cloud(points.semi_dense));
+  }
+
+  sensor_msgs::PointCloud2::Ptr cloud(const std::vector<Eigen::Vector3f>& points) const {
+    auto message = boost::make_shared<sensor_msgs::PointCloud2>();
+    to_cloud(points, message.get());
+    message->header = make_header(stamp_, parameters_.map_frame);
+    return message;
+  }
+
+  void mark_changed() {
+    sparse_.mark_changed();
+    semi_dense_.mark_changed();
+  }
+
+  core::Options options_;
+  Parameters parameters_;
+  LazyPublisher sparse_, semi_dense_;  ///< worker thread only
+  ros::Time stamp_;
+  std::mutex mutex_;  ///< guards map_, which the worker fills and the service reads
+  std::unique_ptr<core::PointMap> map_;
+};
+
+}  // namespace semantic_topo_loop
+
+PLUGINLIB_EXPORT_CLASS(semantic_topo_loop::PointMappingNodelet, nodelet::Nodelet)
