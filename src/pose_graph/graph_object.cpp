@@ -13,7 +13,7 @@ constexpr double kMinOverlap = 0.1;
 constexpr double kVisibleShare = 0.7;
 
 /// A side that the image border cuts bounds nothing: the projection's counts there.
-bool overlaps(const ObjectView& view, const Box& projected) {
+bool overlaps(const GraphObjectView& view, const Box& projected) {
   Vec4 edges = view.box.edges();
   for (int i = 0; i < 4; ++i) {
     if ((view.truncated & (1 << i)) != 0) edges(i) = projected.edges()(i);
@@ -21,16 +21,16 @@ bool overlaps(const ObjectView& view, const Box& projected) {
   return iou({edges(0), edges(1), edges(2), edges(3)}, projected) > kMinOverlap;
 }
 
-std::vector<ObjectView> thinned(std::vector<ObjectView> views, std::size_t count) {
+std::vector<GraphObjectView> thinned(std::vector<GraphObjectView> views, std::size_t count) {
   if (views.size() <= count) return views;
-  std::vector<ObjectView> some;
+  std::vector<GraphObjectView> some;
   for (std::size_t i = 0; i < count; ++i) some.push_back(views[i * views.size() / count]);
   return some;
 }
 
 }  // namespace
 
-Mat34 projection_matrix(const ObjectView& view, const SE3& T_world_camera) {
+Mat34 projection_matrix(const GraphObjectView& view, const SE3& T_world_camera) {
   Mat3 K = Mat3::Identity();
   K(0, 0) = view.intrinsics(0);
   K(1, 1) = view.intrinsics(1);
@@ -41,7 +41,8 @@ Mat34 projection_matrix(const ObjectView& view, const SE3& T_world_camera) {
   return P;
 }
 
-std::optional<ObjectTerms<4>> box_terms(const ObjectView& view, const SE3& T_world_camera, const Ellipsoid& ellipsoid) {
+std::optional<ObjectTerms<4>> box_terms(const GraphObjectView& view, const SE3& T_world_camera,
+                                        const Ellipsoid& ellipsoid) {
   BoxJacobian J;
   const std::optional<Box> box = project_box(ellipsoid, projection_matrix(view, T_world_camera), &J);
   if (!box) return std::nullopt;
@@ -83,8 +84,8 @@ GraphObjects well_seen(const GraphObjects& objects, const std::vector<SE3>& T_wo
   GraphObjects result{objects.noise, {}};
   for (const GraphObject& object : objects.objects) {
     const Ellipsoid ellipsoid{pose(object.anchor) * object.T_anchor_quadric, object.semi_axes};
-    std::vector<ObjectView> views;
-    for (const ObjectView& view : object.views) {
+    std::vector<GraphObjectView> views;
+    for (const GraphObjectView& view : object.views) {
       const std::optional<Box> box = project_box(ellipsoid, projection_matrix(view, pose(view.vertex)));
       if (box && overlaps(view, *box)) views.push_back(view);
     }

@@ -31,7 +31,8 @@ void write(const Eigen::Matrix<double, n, 3>& J, const Quaternion& q, double* ta
 template <int n>
 class ViewCost : public ceres::SizedCostFunction<n, 3, 4, 3, 3> {
  public:
-  ViewCost(const ObjectView& view, const Quaternion& axes, double sigma) : view_(view), axes_(axes), sigma_(sigma) {}
+  ViewCost(const GraphObjectView& view, const Quaternion& axes, double sigma)
+      : view_(view), axes_(axes), sigma_(sigma) {}
 
   bool Evaluate(double const* const* blocks, double* residuals, double** jacobians) const override {
     const SE3 T_world_camera{Quaternion(blocks[1]), Vec3(blocks[0])};
@@ -58,7 +59,7 @@ class ViewCost : public ceres::SizedCostFunction<n, 3, 4, 3, 3> {
     }
   }
 
-  ObjectView view_;
+  GraphObjectView view_;
   Quaternion axes_;
   double sigma_;
 };
@@ -96,7 +97,7 @@ ObjectBlocks::ObjectBlocks(const GraphObjects& objects, std::vector<SE3>* T_worl
     unknowns_.push_back({T_world_quadric.t, object.semi_axes.array().log()});
     Unknowns& unknowns = unknowns_.back();
     problem->AddResidualBlock(new AxesCost(unknowns.log_axes), nullptr, unknowns.log_axes.data());
-    for (const ObjectView& view : object.views) {
+    for (const GraphObjectView& view : object.views) {
       SE3& T_world_camera = (*T_world_vertex)[static_cast<std::size_t>(view.vertex)];
       const auto add = [&](ceres::CostFunction* cost) {
         problem->AddResidualBlock(cost, make_loss(noise.weight), T_world_camera.t.data(),

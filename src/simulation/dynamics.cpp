@@ -123,8 +123,8 @@ bool DynamicsOptions::is_valid(std::string* error) const {
   return check.ok();
 }
 
-void add_dynamics(const DynamicsOptions& options, const Trajectory& trajectory, double duration_s, std::uint64_t seed,
-                  Scene* scene) {
+void add_dynamics(const DynamicsOptions& options, const CameraTrajectory& trajectory, double duration_s,
+                  std::uint64_t seed, Scene* scene) {
   Random movers(seed, 0), people(seed, 1);
   move_objects(options, &movers, scene);
   const double table_height_m = scene->desks.front().T_world_desk.t.z();

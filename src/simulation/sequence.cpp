@@ -19,7 +19,7 @@ constexpr double kMocapMarginS = 0.5;  ///< before the first and after the last 
 /// Whole microseconds, so that six decimals in a file are exact.
 std::int64_t stamp_at(double time_s) { return kFirstStampNs + 1000 * std::llround(1e6 * time_s); }
 
-StampedPoses sample(const Trajectory& trajectory, double begin_s, double rate_hz, std::size_t count) {
+StampedPoses sample(const CameraTrajectory& trajectory, double begin_s, double rate_hz, std::size_t count) {
   StampedPoses poses;
   poses.reserve(count);
   for (std::size_t i = 0; i < count; ++i) {
@@ -93,7 +93,7 @@ std::optional<SimulatedSequence> simulate(const SimulationOptions& options, cons
   SimulatedSequence sequence;
   sequence.camera = camera;
   sequence.scene = make_scene(options.scene, seed_of(options, kScene));
-  const std::unique_ptr<Trajectory> trajectory =
+  const std::unique_ptr<CameraTrajectory> trajectory =
       make_trajectory(sequence.scene, options.trajectory, seed_of(options, kTrajectory));
   const double duration_s = options.trajectory.duration_s;
   add_dynamics(options.dynamics, *trajectory, duration_s, seed_of(options, kDynamics), &sequence.scene);

@@ -52,7 +52,8 @@ double SmoothNoise::operator()(double time_s) const {
   return sum * std::sqrt(2.0 / static_cast<double>(waves_.size()));
 }
 
-std::unique_ptr<Trajectory> make_trajectory(const Scene& scene, const TrajectoryOptions& options, std::uint64_t seed) {
+std::unique_ptr<CameraTrajectory> make_trajectory(const Scene& scene, const TrajectoryOptions& options,
+                                                  std::uint64_t seed) {
   if (options.model == "robot") return std::make_unique<RobotTrajectory>(scene, options, seed);
   return std::make_unique<HandheldTrajectory>(scene, options, seed);
 }

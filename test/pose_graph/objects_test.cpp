@@ -142,7 +142,7 @@ TEST(ObjectTerms, DerivativesAgreeWithNumericOnes) {
     const SE3 T_world_camera = random_motion(&random, 2.0, 2.0);
     const Vec3 center = T_world_camera * Vec3(random.uniform(-0.4, 0.4), random.uniform(-0.3, 0.3), 2.0);
     const Ellipsoid ellipsoid{SE3(so3_exp(random.normal3()), center), Vec3(0.1, 0.2, 0.35)};
-    ObjectView view;
+    GraphObjectView view;
     view.intrinsics = {520.0, 500.0, 320.0, 240.0};
     view.box = {300.0, 200.0, 350.0, 260.0};
     view.truncated = trial % 2 == 0 ? 0 : kRight;
@@ -156,7 +156,7 @@ TEST(ObjectTerms, DerivativesAgreeWithNumericOnes) {
 
 TEST(ObjectTerms, ABoxOfTheEllipsoidItselfHasNoError) {
   const Ellipsoid ellipsoid{SE3(so3_exp(Vec3(0.3, 0.2, 0.1)), Vec3(0.1, 0.2, 2.0)), Vec3(0.1, 0.2, 0.3)};
-  ObjectView view;
+  GraphObjectView view;
   view.intrinsics = {520.0, 520.0, 320.0, 240.0};
   view.box = *project_box(ellipsoid, projection_matrix(kCamera, SE3()));
   EXPECT_LT(box_terms(view, SE3(), ellipsoid)->error.norm(), 1e-9);

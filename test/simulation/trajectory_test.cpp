@@ -195,7 +195,7 @@ TEST(RobotTrajectory, keeps_height_and_tilt_and_heads_where_it_drives) {
     TrajectoryOptions options;
     options.model = "robot";
     const Scene scene = make_scene(scene_options, seed);
-    const std::unique_ptr<Trajectory> trajectory = make_trajectory(scene, options, seed);
+    const std::unique_ptr<CameraTrajectory> trajectory = make_trajectory(scene, options, seed);
     double slowest = 1e9, fastest = 0.0, turn_standing = 0.0;
     for (double time_s = 0.0; time_s < 60.0; time_s += 1.0 / 30.0) {
       const SE3 T = trajectory->T_world_camera(time_s), next = trajectory->T_world_camera(time_s + 1e-3);

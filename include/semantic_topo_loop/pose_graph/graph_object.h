@@ -14,7 +14,7 @@ struct SurfaceDepth {
 };
 
 /// One box of an object in a keyframe.
-struct ObjectView {
+struct GraphObjectView {
   int vertex = -1;
   Vec4 intrinsics = Vec4::Zero();  ///< fx, fy, cx, cy, px
   Box box;                         ///< undistorted, px
@@ -28,7 +28,7 @@ struct GraphObject {
   int anchor = -1;                ///< vertex
   SE3 T_anchor_quadric;           ///< start
   Vec3 semi_axes = Vec3::Ones();  ///< start, m
-  std::vector<ObjectView> views;
+  std::vector<GraphObjectView> views;
 };
 
 /// What object observations count for.
@@ -45,7 +45,7 @@ struct GraphObjects {
 };
 
 /// P = K [R|t] of the view's image.
-Mat34 projection_matrix(const ObjectView& view, const SE3& T_world_camera);
+Mat34 projection_matrix(const GraphObjectView& view, const SE3& T_world_camera);
 
 /// What a view sees of an object: `n` figures and their derivatives.
 template <int n>
@@ -60,7 +60,8 @@ struct ObjectTerms {
 
 /// Edges of the box, px; those that the image border cuts are 0.
 /// @return nullopt if the camera cannot see the ellipsoid
-std::optional<ObjectTerms<4>> box_terms(const ObjectView& view, const SE3& T_world_camera, const Ellipsoid& ellipsoid);
+std::optional<ObjectTerms<4>> box_terms(const GraphObjectView& view, const SE3& T_world_camera,
+                                        const Ellipsoid& ellipsoid);
 /// Distance of the visible side along the ray, m: that of the centre less 0.7 of the ellipsoid's extent, which is the
 /// median over a hemisphere's outline.
 ObjectTerms<1> depth_terms(const SurfaceDepth& depth, const SE3& T_world_camera, const Ellipsoid& ellipsoid);

@@ -28,7 +28,7 @@ class ObjectMemory {
  private:
   struct Sighting {
     std::int64_t landmark_id = -1;  ///< as associated
-    ObjectView view;
+    GraphObjectView view;
   };
 
   std::int64_t resolve(std::int64_t id) const;

@@ -32,7 +32,7 @@ struct DynamicsOptions {
 ///   there is one, else at least half a metre away on the same. An object that finds no free place is not moved.
 ///
 /// @param trajectory of the camera, in the scene
-void add_dynamics(const DynamicsOptions& options, const Trajectory& trajectory, double duration_s, std::uint64_t seed,
-                  Scene* scene);
+void add_dynamics(const DynamicsOptions& options, const CameraTrajectory& trajectory, double duration_s,
+                  std::uint64_t seed, Scene* scene);
 
 }  // namespace semantic_topo_loop::core

@@ -55,15 +55,16 @@ class SmoothNoise {
 };
 
 /// How a camera moves through a scene. Continuous in time, so that any sensor can sample it.
-class Trajectory {
+class CameraTrajectory {
  public:
-  virtual ~Trajectory() = default;
+  virtual ~CameraTrajectory() = default;
   /// Pose of the camera's optical frame (x right, y down, z forward).
   virtual SE3 T_world_camera(double time_s) const = 0;
 };
 
 /// By TrajectoryOptions::model.
-std::unique_ptr<Trajectory> make_trajectory(const Scene& scene, const TrajectoryOptions& options, std::uint64_t seed);
+std::unique_ptr<CameraTrajectory> make_trajectory(const Scene& scene, const TrajectoryOptions& options,
+                                                  std::uint64_t seed);
 
 /// The lap that trajectories follow: an oval around the desks' middle line, without corners in the pace.
 class Lap {
@@ -94,7 +95,7 @@ class Lap {
 };
 
 /// A handheld camera that goes round the desks at a steady pace and looks at them, wandering and shaking.
-class HandheldTrajectory : public Trajectory {
+class HandheldTrajectory : public CameraTrajectory {
  public:
   HandheldTrajectory(const Scene& scene, const TrajectoryOptions& options, std::uint64_t seed);
 
@@ -113,7 +114,7 @@ class HandheldTrajectory : public Trajectory {
 
 /// A wheeled robot that drives round the desks: it heads where it goes, its camera keeps its height and its tilt and is
 /// mounted turned towards the desks. Every few seconds it stops and turns to and fro on the spot.
-class RobotTrajectory : public Trajectory {
+class RobotTrajectory : public CameraTrajectory {
  public:
   RobotTrajectory(const Scene& scene, const TrajectoryOptions& options, std::uint64_t seed);
 
