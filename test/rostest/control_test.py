@@ -11,7 +11,7 @@ import rospy
 import rostest
 from std_srvs.srv import Trigger
 
-from playback import PACKAGE, Launch, wait_until
+from playback import PACKAGE, demo, wait_until
 from semantic_topo_loop.msg import FrameDone
 
 
@@ -36,8 +36,7 @@ class ControlTest(unittest.TestCase):
 
     def test_pause_resume_reset(self):
         results = os.path.join(self.directory, 'results')
-        launch = Launch('demo.launch', rviz='false', duration='10', data=self.directory, lockstep='false',
-                        output=results)
+        launch = demo(duration='10', data=self.directory, lockstep='false', output=results)
         try:
             self.assertTrue(wait_until(lambda: len(self.done) > 30, 60), launch.output())
             self.call('pause')
@@ -62,7 +61,7 @@ class ControlTest(unittest.TestCase):
         config = os.path.join(self.directory, 'config.yaml')
         with open(config, 'w') as file:
             file.write('loop: {no_such_key: 1}\n')
-        launch = Launch('demo.launch', rviz='false', duration='4', data=self.directory, config=config)
+        launch = demo(duration='4', data=self.directory, config=config)
         error = "unknown parameter 'loop.no_such_key' = '1'"
         try:
             self.assertTrue(wait_until(lambda: error in launch.output(), 30), launch.output())
@@ -71,7 +70,7 @@ class ControlTest(unittest.TestCase):
             launch.stop()
         self.assertTrue(all('FATAL' in line for line in launch.lines if error in line))
         # Nothing of it is left for the next launch on the same master.
-        launch = Launch('demo.launch', rviz='false', duration='4', data=self.directory)
+        launch = demo(duration='4', data=self.directory)
         ended = launch.wait(60)
         launch.stop()
         self.assertTrue(ended and launch.player_finished(), launch.output())

@@ -13,7 +13,7 @@ from nav_msgs.msg import Path
 from tf2_msgs.msg import TFMessage
 from visualization_msgs.msg import MarkerArray
 
-from playback import PACKAGE, RESULT_FILES, Launch, differing_files, run_program, wait_until
+from playback import PACKAGE, RESULT_FILES, demo, differing_files, run_program, wait_until
 from semantic_topo_loop.msg import FrameDone, QuadricMap
 from semantic_topo_loop.srv import WhyLoop, WhyLoopResponse
 
@@ -56,8 +56,7 @@ class DemoTest(unittest.TestCase):
         cls.submaps = os.path.join(cls.directory, 'submaps.json')
         cls.heard = Heard()
         # It stays up at the end, so that what is published at intervals can be heard.
-        cls.launch = Launch('demo.launch', rviz='false', duration='16', data=cls.data, output=cls.results,
-                            exit_at_end='false', save_map=cls.submaps)
+        cls.launch = demo(duration='16', data=cls.data, output=cls.results, exit_at_end='false', save_map=cls.submaps)
         cls.status, cls.said = run_program('wait_for_player', '__ns:=/' + PACKAGE, timeout_s=90)
 
     @classmethod

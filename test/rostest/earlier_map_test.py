@@ -12,7 +12,7 @@ import rostest
 from geometry_msgs.msg import TransformStamped
 from std_srvs.srv import Trigger
 
-from playback import PACKAGE, Launch, run_program, wait_until
+from playback import PACKAGE, demo, run_program, wait_until
 
 
 class EarlierMapTest(unittest.TestCase):
@@ -27,8 +27,8 @@ class EarlierMapTest(unittest.TestCase):
 
     def play(self, name, **arguments):
         """Plays the room to its end; the nodes stay up."""
-        launch = Launch('demo.launch', rviz='false', duration='20', data=os.path.join(self.directory, name),
-                        output=os.path.join(self.directory, name, 'results'), exit_at_end='false', **arguments)
+        launch = demo(duration='20', data=os.path.join(self.directory, name),
+                      output=os.path.join(self.directory, name, 'results'), exit_at_end='false', **arguments)
         try:
             status, _ = run_program('wait_for_player', '__ns:=/' + PACKAGE, timeout_s=90)
             self.assertEqual(status, 0, launch.output())
@@ -75,8 +75,8 @@ class EarlierMapTest(unittest.TestCase):
         self.assertIn("parameter 'save_map_file' is empty", answer.message)
 
     def test_a_file_that_is_none_is_named(self):
-        launch = Launch('demo.launch', rviz='false', duration='4', data=os.path.join(self.directory, 'none'),
-                        map=os.path.join(self.directory, 'no_such_file.json'))
+        launch = demo(duration='4', data=os.path.join(self.directory, 'none'),
+                      map=os.path.join(self.directory, 'no_such_file.json'))
         try:
             self.assertTrue(wait_until(lambda: 'LoopDetection is not working' in launch.output(), 30), launch.output())
         finally:

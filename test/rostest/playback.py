@@ -64,6 +64,11 @@ class Launch:
         return 'player: finished' in text and 'exit code' not in text
 
 
+def demo(**arguments):
+    """The demo on its simulated odometry, without rviz."""
+    return Launch('demo.launch', rviz='false', images='false', **arguments)
+
+
 def run_program(name, *arguments, timeout_s=120):
     """A program of the package: (exit code, output)."""
     done = subprocess.run(['rosrun', PACKAGE, name] + list(arguments), stdout=subprocess.PIPE,

@@ -11,7 +11,7 @@ import rospy
 import rostest
 from diagnostic_msgs.msg import DiagnosticArray
 
-from playback import PACKAGE, Launch, wait_until
+from playback import PACKAGE, demo, wait_until
 from semantic_topo_loop.msg import AssociationArray, FrameDone
 
 
@@ -43,8 +43,7 @@ class UnloadTest(unittest.TestCase):
             self.alive |= {status.name.split(': ')[-1] for status in message.status}
 
     def test_unloaded_stage_is_named(self):
-        launch = Launch('demo.launch', rviz='false', duration='30', data=self.directory, lockstep='false',
-                        stall_timeout_s='4')
+        launch = demo(duration='30', data=self.directory, lockstep='false', stall_timeout_s='4')
         try:
             self.assertTrue(wait_until(lambda: self.done > 60, 60), launch.output())
             unloaded = subprocess.run(['rosrun', 'nodelet', 'nodelet', 'unload', '/%s/quadric_mapping' % PACKAGE,
