@@ -265,6 +265,19 @@ class PoseGraph::Impl {
     trajectory_.votes = consistency_.vote(trajectory_.edges, trajectory_.loops, eligible, knowledge_.kept);
     if (trajectory_.votes != knowledge_.kept && !classify()) return false;
     forget_false_loops(voted);
+    return judge_as_if_false_ones_never_came();
+  }
+
+  /// Where right loops lie at the border, what was rejected on the way there sways the verdict on them. So the last one
+  /// is made anew among those that are not far off.
+  bool judge_as_if_false_ones_never_came() {
+    constexpr double kFarOff = 10.0;  // times the bound
+    std::vector<bool> eligible;
+    for (const GraphLoop& loop : trajectory_.loops) eligible.push_back(chi2(loop) <= kFarOff * options_.robust_chi2);
+    const std::vector<bool> none(eligible.size(), false);
+    trajectory_.votes = consistency_.vote(trajectory_.edges, trajectory_.loops, eligible, none);
+    if (!classify()) return false;
+    forget_false_loops(eligible);
     return true;
   }
 

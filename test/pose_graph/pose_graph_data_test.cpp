@@ -255,7 +255,7 @@ TEST_F(PoseGraphData, RandomAndCoherentFalseLoopsAreAllRejected) {
       simulation.add_false_loops(options);
       const Result result = simulation.run();
       EXPECT_EQ(result.false_kept, 0) << name << " " << file << " clusters of " << cluster;
-      EXPECT_LE(result.ate_after_m, 1.05 * clean.ate_after_m) << name << " " << file << " clusters of " << cluster;
+      EXPECT_LE(result.ate_after_m, 1.01 * clean.ate_after_m) << name << " " << file << " clusters of " << cluster;
     }
   }
 }
