@@ -18,7 +18,7 @@ as_root() {
   if [ "$(id -u)" = 0 ]; then "$@"; else sudo "$@"; fi
 }
 
-common_packages="build-essential cmake ninja-build clang-format pkg-config xvfb libbenchmark-dev libboost-all-dev
+common_packages="build-essential cmake ninja-build clang-format curl pkg-config xvfb libbenchmark-dev libboost-all-dev
   libceres-dev libeigen3-dev libgtest-dev libopencv-dev libpcl-dev libyaml-cpp-dev nlohmann-json3-dev python3-numpy
   python3-matplotlib"
 
