@@ -4,18 +4,9 @@
 #include <sstream>
 #include <utility>
 
+#include "parameter_check.h"
+
 namespace semantic_topo_loop {
-namespace {
-
-template <class Value>
-bool fail(const char* key, const Value& value, const std::string& rule, std::string* error) {
-  std::ostringstream text;
-  text << "parameter '" << key << "' = '" << value << "' must be " << rule;
-  if (error != nullptr) *error = text.str();
-  return false;
-}
-
-}  // namespace
 
 bool PlayerParameters::is_valid(std::string* error) const {
   if (!StageParameters::is_valid(error)) return false;

@@ -1,20 +1,10 @@
 #include "semantic_topo_loop/ros/rgbd_frontend_parameters.h"
 
-#include <sstream>
 #include <utility>
 
+#include "parameter_check.h"
+
 namespace semantic_topo_loop {
-namespace {
-
-template <class Value>
-bool fail(const char* key, const Value& value, const char* rule, std::string* error) {
-  std::ostringstream text;
-  text << "parameter '" << key << "' = '" << value << "' must be " << rule;
-  if (error != nullptr) *error = text.str();
-  return false;
-}
-
-}  // namespace
 
 bool RgbdFrontendParameters::is_valid(std::string* error) const {
   if (!FrontendParameters::is_valid(error)) return false;
