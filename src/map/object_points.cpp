@@ -9,6 +9,8 @@
 #include <algorithm>
 #include <array>
 #include <cmath>
+#include <optional>
+#include <utility>
 
 #include "semantic_topo_loop/geometry/plane.h"
 
@@ -26,6 +28,9 @@ constexpr double kPlaneShare = 0.3;  // of the points around the box, from which
 constexpr double kMiddle = 0.8;      // of the box: the ellipse that a convex object fills
 constexpr double kFlatShare = 0.15;  // of the middle above the support, below which the object is flat
 constexpr int kSurfaceCells = 3;     // along each side of the box
+constexpr double kStrip_px = 10.0;   // along a side, inside of it: two or three points of a frame's grid
+constexpr std::size_t kStripPointsMax = 100;
+constexpr double kOccluderShare = 0.6;  // of what lies outside of a side in one plane, and inside of it behind that
 
 /// 0 in the middle of the box, 1 on the ellipse that touches its sides.
 double eccentricity(const Vec2& pixel, const Box& box) {
@@ -148,7 +153,51 @@ std::vector<Vec3> middle_cluster(const std::vector<SeenPoint>& seen, const Camer
   return points;
 }
 
+/// The strips along a side, inside and outside of the box.
+std::pair<Box, Box> strips(const Box& box, int side) {
+  const double in_x = kStrip_px, in_y = kStrip_px;
+  const double out_x = std::max(2.0 * kStrip_px, kRing * box.width());
+  const double out_y = std::max(2.0 * kStrip_px, kRing * box.height());
+  switch (side) {
+    case 0:
+      return {{box.x1, box.y1, box.x1 + in_x, box.y2}, {box.x1 - out_x, box.y1, box.x1, box.y2}};
+    case 1:
+      return {{box.x1, box.y1, box.x2, box.y1 + in_y}, {box.x1, box.y1 - out_y, box.x2, box.y1}};
+    case 2:
+      return {{box.x2 - in_x, box.y1, box.x2, box.y2}, {box.x2, box.y1, box.x2 + out_x, box.y2}};
+    default:
+      return {{box.x1, box.y2 - in_y, box.x2, box.y2}, {box.x1, box.y2, box.x2, box.y2 + out_y}};
+  }
+}
+
+/// Whether what is inside lies behind the plane of what is outside: a table that an object stands on, and a wall before
+/// which it stands, lie behind the object.
+bool is_behind(const std::vector<SeenPoint>& inside, const std::vector<SeenPoint>& outside) {
+  if (inside.size() < kMinPoints || outside.size() < 2 * kMinPoints) return false;
+  std::vector<Vec3> around;
+  around.reserve(outside.size());
+  for (const SeenPoint& p : outside) around.push_back(p.point_camera);
+  const std::optional<Plane> plane = dominant_plane(around, kHypotheses, kOccluderShare);
+  if (!plane) return false;
+  const auto behind = std::count_if(inside.begin(), inside.end(), [&](const SeenPoint& p) {
+    return plane->distance(p.point_camera) < -plane_tolerance_m(p.point_camera.z());
+  });
+  return static_cast<double>(behind) > kOccluderShare * static_cast<double>(inside.size());
+}
+
 }  // namespace
+
+std::uint8_t hidden_sides(const FramePoints& points, const Box& box) {
+  std::uint8_t hidden = 0;
+  if (!box.is_valid() || std::min(box.width(), box.height()) < 2.0 * kStrip_px) return hidden;
+  for (int side = 0; side < 4; ++side) {
+    const auto [inside, outside] = strips(box, side);
+    if (is_behind(points.in(inside, kStripPointsMax), points.in(outside, kStripPointsMax))) {
+      hidden |= static_cast<std::uint8_t>(1 << side);
+    }
+  }
+  return hidden;
+}
 
 std::vector<Vec3> object_points(const FramePoints& points, const Box& box) {
   if (!box.is_valid()) return {};

@@ -167,9 +167,10 @@ class QuadricMapper::Impl {
         surface = make_surface(object_points(*points, association.box), frame.camera, association.box);
       }
       if (surface && !landmark.state.ellipsoid) landmark.next_fit_at = 1;
+      const int hidden = points != nullptr ? hidden_sides(*points, association.box) : 0;
       landmark.observations.push_back({frame.frame_id, association.landmark_id, frame.keyframe_id, T_keyframe_camera,
-                                       association.box, association.truncated, association.class_id,
-                                       std::move(surface)});
+                                       association.box, static_cast<std::uint8_t>(association.truncated | hidden),
+                                       association.class_id, std::move(surface)});
       if (landmark.observations.size() > kObservationsMax) thin(&landmark.observations);
       landmark.state.class_id = association.landmark_class_id;
       landmark.state.observations += 1;

@@ -100,6 +100,46 @@ TEST(ObjectPoints, OfASheetOnATableAreItsPartOfTheTable) {
   for (const Vec3& p : points) EXPECT_NEAR((pose * p).z(), 0.0, 0.02);
 }
 
+TEST(HiddenSides, NoneOfWhatStandsOnTheTable) {
+  for (const Ellipsoid& object : {kCup, kKeyboard, kBottle}) {
+    for (const double angle : {0.0, 70.0, 140.0, 200.0, 300.0}) {
+      const SE3 pose = from_side(angle);
+      const FramePoints frame(DepthScene{{object}}.look(kCamera, pose), kCamera);
+      EXPECT_EQ(hidden_sides(frame, box_of(object, pose)), 0) << angle;
+    }
+  }
+}
+
+TEST(HiddenSides, TheLowerOneOfAChairBehindTheTable) {
+  const Ellipsoid chair{SE3(Quaternion::Identity(), Vec3(-1.4, 0.0, 0.0)), Vec3(0.25, 0.25, 0.5)};
+  const SE3 pose = look_at(Vec3(1.2, 0.0, 0.8), Vec3(-1.0, 0.0, 0.1));
+  const FramePoints frame(DepthScene{{chair}}.look(kCamera, pose), kCamera);
+  Box box = box_of(chair, pose);
+  const Vec3 edge = pose.inverse() * Vec3(-1.0, 0.0, 0.0);
+  box.y2 = kCamera.fy * edge.y() / edge.z() + kCamera.cy;
+  EXPECT_EQ(hidden_sides(frame, box), kBottom);
+}
+
+TEST(HiddenSides, TheOneAtWhichSomethingStandsInFront) {
+  const Ellipsoid screen = on_table(-0.5, 0.0, Vec3(0.05, 0.4, 0.25)),
+                  cylinder = on_table(0.0, 0.35, Vec3(0.1, 0.2, 0.4));
+  const SE3 pose = look_at(Vec3(1.2, 0.0, 0.5), Vec3(0.0, 0.0, 0.2));
+  const FramePoints frame(DepthScene{{screen, cylinder}}.look(kCamera, pose), kCamera);
+  Box box = box_of(screen, pose);
+  const Box front = box_of(cylinder, pose);
+  const bool is_right = front.center().x() > box.center().x();
+  (is_right ? box.x2 : box.x1) = is_right ? front.x1 : front.x2;
+  EXPECT_EQ(hidden_sides(frame, box) & (kLeft | kRight), is_right ? kRight : kLeft);
+}
+
+TEST(HiddenSides, BadInputHidesNothing) {
+  const FramePoints empty({}, kCamera);
+  EXPECT_EQ(hidden_sides(empty, {100.0, 100.0, 200.0, 200.0}), 0);
+  EXPECT_EQ(hidden_sides(empty, {200.0, 100.0, 100.0, 200.0}), 0);
+  const FramePoints same(std::vector<Vec3>(50, Vec3(0.0, 0.0, 1.0)), kCamera);
+  EXPECT_EQ(hidden_sides(same, {300.0, 220.0, 340.0, 260.0}), 0) << "one point many times";
+}
+
 TEST(ObjectPoints, BadInputGivesNone) {
   const FramePoints empty({}, kCamera);
   EXPECT_TRUE(object_points(empty, {100.0, 100.0, 200.0, 200.0}).empty());

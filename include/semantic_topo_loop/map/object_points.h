@@ -1,5 +1,6 @@
 #pragma once
 
+#include <cstdint>
 #include <memory>
 #include <vector>
 
@@ -15,6 +16,12 @@ namespace semantic_topo_loop::core {
 /// @param box undistorted, px
 /// @return camera frame, m; empty if too few points are left
 std::vector<Vec3> object_points(const FramePoints& points, const Box& box);
+
+/// The sides of a box at which something in front ends it, as Truncation bits: what lies just inside of them is behind
+/// the plane of what lies outside (RANSAC with a fixed seed). Of a chair behind a desk that is the lower side. The
+/// object goes on there, so that these sides bound nothing; what an object stands on, and walls behind it, hide none.
+/// @param box undistorted, px   @return 0 too where too few points are known
+std::uint8_t hidden_sides(const FramePoints& points, const Box& box);
 
 /// The near side of an object as the fit of its ellipsoid needs it: of each ninth of the box the point of median depth,
 /// where it lies in the ellipse that a convex object fills.
