@@ -1,7 +1,5 @@
 #pragma once
 
-#include <sys/wait.h>
-
 #include <cstdlib>
 #include <filesystem>
 #include <fstream>
@@ -39,22 +37,6 @@ inline std::string read_whole(const std::string& path) {
   std::ostringstream text;
   text << std::ifstream(path, std::ios::binary).rdbuf();
   return text.str();
-}
-
-/// What a program printed and how it ended.
-struct ProgramRun {
-  int status = -1;
-  std::string out, err;
-};
-
-/// @param arguments with "@" for the test's directory, which receives the outputs
-inline ProgramRun run_program(const std::string& program, std::string arguments, const TestDirectory& directory) {
-  for (std::size_t at = arguments.find('@'); at != std::string::npos; at = arguments.find('@', at)) {
-    arguments.replace(at, 1, directory.path(""));
-  }
-  const std::string out = directory.path("out"), err = directory.path("err");
-  const int status = std::system((program + " " + arguments + " >" + out + " 2>" + err).c_str());
-  return {WIFEXITED(status) ? WEXITSTATUS(status) : -1, read_whole(out), read_whole(err)};
 }
 
 /// A path in the shared recordings, or nullopt without them: GTEST_SKIP() then.

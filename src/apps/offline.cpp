@@ -154,9 +154,14 @@ struct Inputs {
   std::string save_map, points;
 };
 
-std::unique_ptr<RgbdReader> open_images(const Arguments& arguments, const Inputs& inputs, std::string* error) {
+/// @return what opens the recording of --bag or --rgbd; null with `error` set
+RgbdSource::Open image_opener(const Arguments& arguments, const Inputs& inputs, std::string* error) {
+  const Camera& camera = inputs.camera;
+  const DepthOptions& depth = inputs.options.depth;
   if (!arguments.bag.empty()) {
-    return semantic_topo_loop::open_tum_bag(arguments.bag, inputs.camera, inputs.options.depth, error);
+    return [bag = arguments.bag, camera, depth](std::string* why) {
+      return semantic_topo_loop::open_tum_bag(bag, camera, depth, why);
+    };
   }
   const std::string list =
       arguments.associations.empty() ? arguments.rgbd + "/associations.txt" : arguments.associations;
@@ -164,7 +169,7 @@ std::unique_ptr<RgbdReader> open_images(const Arguments& arguments, const Inputs
   std::optional<std::vector<RgbdFile>> files = read_associations(list, arguments.rgbd, &warning, error);
   if (!files) return nullptr;
   if (!warning.empty()) std::cerr << "offline: warning: " << warning << '\n';
-  return std::make_unique<RgbdFolder>(std::move(*files), inputs.camera, inputs.options.depth);
+  return [camera, depth, files = *files](std::string*) { return std::make_unique<RgbdFolder>(files, camera, depth); };
 }
 
 std::unique_ptr<SampleSource> open_source(const Arguments& arguments, const Inputs& inputs, std::string* error) {
@@ -173,9 +178,9 @@ std::unique_ptr<SampleSource> open_source(const Arguments& arguments, const Inpu
     if (!trajectory) return nullptr;
     return std::make_unique<TrajectorySource>(std::move(*trajectory));
   }
-  std::unique_ptr<RgbdReader> reader = open_images(arguments, inputs, error);
-  if (!reader) return nullptr;
-  return std::make_unique<RgbdSource>(std::move(reader), inputs.camera, inputs.options.frontend);
+  const RgbdSource::Open open_reader = image_opener(arguments, inputs, error);
+  if (!open_reader) return nullptr;
+  return RgbdSource::open(open_reader, inputs.camera, inputs.options.frontend, error);
 }
 
 bool load_detections(const std::string& path, const ClassTable& classes, std::vector<DetectionFrame>* frames,
@@ -336,7 +341,8 @@ bool has_input(const Inputs& inputs, const Counts& counts, std::string* error) {
   return false;
 }
 
-/// @return false with `error` set if the inputs have no frame in common, or the submaps cannot be written
+/// @return false with `error` set if the inputs have no frame in common, or the submaps cannot be written; and when the
+/// source needs to be rewound, without results
 bool run(const Inputs& inputs, RunRecorder* recorder, std::string* error) {
   ObjectSlam slam(inputs.options, inputs.classes);
   if (inputs.earlier_map) slam.set_earlier_map(*inputs.earlier_map);
@@ -365,7 +371,7 @@ bool run(const Inputs& inputs, RunRecorder* recorder, std::string* error) {
     counts.last_ns = frame->stamp_ns;
     progress.show(inputs.source->done());
   }
-  if (!has_input(inputs, counts, error)) return false;
+  if (inputs.source->needs_rewind() || !has_input(inputs, counts, error)) return false;
   const Frame end = builder.end();
   const FrameResult last = slam.process(end, none);
   point_map.apply(last.correction);
@@ -408,7 +414,13 @@ int main(int argc, char** argv) {
   const std::optional<Inputs> inputs = load(arguments, &error);
   if (inputs) {
     RunRecorder recorder(inputs->classes);
-    if (run(*inputs, &recorder, &error) && recorder.write(arguments.output, &error)) {
+    bool is_done = run(*inputs, &recorder, &error);
+    while (inputs->source->needs_rewind() && inputs->source->rewind(&error)) {
+      std::printf("the calibration was corrected: from the first image again\n");
+      recorder = RunRecorder(inputs->classes);
+      is_done = run(*inputs, &recorder, &error);
+    }
+    if (is_done && recorder.write(arguments.output, &error)) {
       if (inputs->earlier_map) print(recorder.relocalisation());
       error = inputs->source->fault();
       if (error.empty()) return 0;

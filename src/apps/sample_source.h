@@ -1,6 +1,7 @@
 #pragma once
 
 #include <cstddef>
+#include <functional>
 #include <map>
 #include <memory>
 #include <optional>
@@ -22,6 +23,10 @@ class SampleSource {
   virtual ~SampleSource() = default;
   /// The next image that has a pose, or nullopt at the end.
   virtual std::optional<core::PoseSample> next() = 0;
+  /// Whether the samples ended early because all of them should be found anew: the calibration was corrected.
+  virtual bool needs_rewind() const { return false; }
+  /// Back to the first image, with what was learned of the camera.   @return false with `error` set
+  virtual bool rewind(std::string* /*error*/) { return false; }
   /// What the point map keeps of the last image, where there are images.
   virtual std::shared_ptr<const core::KeyframePoints> keyframe_points(int /*semi_dense_max*/) const { return nullptr; }
   /// Images gone through so far, and of all.
@@ -62,15 +67,18 @@ class TrajectorySource : public SampleSource {
 /// Poses that the RGB-D front end finds in a recording's images, which are read while others are tracked.
 class RgbdSource : public SampleSource {
  public:
-  RgbdSource(std::unique_ptr<core::RgbdReader> reader, const core::Camera& camera,
-             const core::FrontendOptions& frontend)
-      : reader_(std::move(reader)),
-        total_(reader_->total()),
-        frontend_(frontend, camera),
-        readings_([this] { return reader_->next(&fault_); }, kReadAhead) {}
+  /// Opens the recording at its first image.   @return null with `error` set
+  using Open = std::function<std::unique_ptr<core::RgbdReader>(std::string* error)>;
+
+  /// @return null with `error` set
+  static std::unique_ptr<RgbdSource> open(Open open_reader, const core::Camera& camera,
+                                          const core::FrontendOptions& options, std::string* error) {
+    std::unique_ptr<RgbdSource> source(new RgbdSource(std::move(open_reader), core::RgbdFrontend(options, camera)));
+    return source->rewind(error) ? std::move(source) : nullptr;
+  }
 
   std::optional<core::PoseSample> next() override {
-    while (const std::optional<core::RgbdReading> reading = readings_.next()) {
+    while (const std::optional<core::RgbdReading> reading = readings_->next()) {
       ++done_;
       if (!reading->left_out.empty()) {
         left_out_.add(*reading);
@@ -82,6 +90,10 @@ class RgbdSource : public SampleSource {
       }
       depth_range_.add(reading->image->depth_range);
       core::TrackedImage tracked = frontend_.track(*reading->image);
+      if (tracked.is_recalibrated) {
+        needs_rewind_ = true;
+        return std::nullopt;
+      }
       last_image_ = *reading->image;
       report_.add(tracked);
       if (tracked.sample) return std::move(tracked.sample);
@@ -93,6 +105,23 @@ class RgbdSource : public SampleSource {
     return std::make_shared<const core::KeyframePoints>(core::KeyframePoints{
         frontend_.sparse_points(), core::semi_dense_points(last_image_, frontend_.camera(), semi_dense_max)});
   }
+  bool needs_rewind() const override { return needs_rewind_; }
+  bool rewind(std::string* error) override {
+    readings_.reset();
+    reader_ = open_reader_(error);
+    if (!reader_) return false;
+    if (needs_rewind_) frontend_.begin_anew();
+    total_ = reader_->total();
+    report_ = {};
+    left_out_ = {};
+    last_image_ = {};
+    done_ = 0;
+    fault_.clear();
+    needs_rewind_ = false;
+    readings_ =
+        std::make_unique<core::ReadAhead<core::RgbdReading>>([this] { return reader_->next(&fault_); }, kReadAhead);
+    return true;
+  }
   std::size_t done() const override { return done_; }
   std::size_t total() const override { return total_; }
   std::optional<core::Camera> camera() const override { return frontend_.camera(); }
@@ -103,6 +132,9 @@ class RgbdSource : public SampleSource {
 
  private:
   static constexpr std::size_t kReadAhead = 8;
+
+  RgbdSource(Open open_reader, core::RgbdFrontend frontend)
+      : open_reader_(std::move(open_reader)), frontend_(std::move(frontend)) {}
 
   /// Images that the recording itself does not count, by cause.
   class LeftOut {
@@ -127,8 +159,9 @@ class RgbdSource : public SampleSource {
     std::map<std::string, Cause> causes_;
   };
 
+  Open open_reader_;
   std::unique_ptr<core::RgbdReader> reader_;  ///< of the reading thread, once it runs
-  const std::size_t total_;
+  std::size_t total_ = 0;
   core::RgbdFrontend frontend_;
   core::TrackingReport report_;
   core::DepthRange depth_range_;
@@ -137,7 +170,8 @@ class RgbdSource : public SampleSource {
   std::size_t done_ = 0;
   std::string fault_;  ///< written before the reading thread ends the stream
   bool is_at_end_ = false;
-  core::ReadAhead<core::RgbdReading> readings_;  ///< last: its thread ends before what it uses
+  bool needs_rewind_ = false;
+  std::unique_ptr<core::ReadAhead<core::RgbdReading>> readings_;  ///< last: its thread ends before what it uses
 };
 
 }  // namespace semantic_topo_loop::apps

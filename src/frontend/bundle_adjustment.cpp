@@ -197,7 +197,7 @@ void solve(const Camera& camera, int iterations, bool with_focal, BundleProblem*
   options.linear_solver_ordering = ordering;
   options.num_threads = 1;
   options.max_num_iterations = iterations;
-  options.function_tolerance = 1e-4;
+  options.function_tolerance = with_focal ? 1e-6 : 1e-4;
   options.logging_type = ceres::SILENT;
   ceres::Solver::Summary summary;
   ceres::Solve(options, &problem, &summary);
@@ -219,9 +219,10 @@ void solve(const Camera& camera, int iterations, bool with_focal, BundleProblem*
   bundle->is_solved = true;
 }
 
-double check_focal_length(const Camera& camera, const BundleProblem& problem) {
-  constexpr int kIterations = 12;
-  constexpr double kMinChange = 0.02, kMinGain = 0.03, kLargestFactor = 1.3;
+double check_focal_length(const Camera& camera, const BundleProblem& problem, bool is_given) {
+  constexpr int kIterations = 20;
+  constexpr double kLargestFactor = 1.3, kMinGain = 0.01;
+  const double min_change = is_given ? 0.02 : 0.005;
   BundleProblem as_given = problem;
   // Fixed keyframes would hold on to the focal length that they were placed with.
   for (BundleProblem::Pose& pose : as_given.poses) pose.is_fixed = false;
@@ -230,7 +231,7 @@ double check_focal_length(const Camera& camera, const BundleProblem& problem) {
   solve(camera, kIterations, false, &as_given);
   solve(camera, kIterations, true, &corrected);
   const double factor = corrected.focal_factor;
-  if (!as_given.is_solved || !corrected.is_solved || std::abs(factor - 1.0) < kMinChange) return 1.0;
+  if (!as_given.is_solved || !corrected.is_solved || std::abs(factor - 1.0) < min_change) return 1.0;
   if (factor > kLargestFactor || factor < 1.0 / kLargestFactor) return 1.0;
   return corrected.cost_after < (1.0 - kMinGain) * as_given.cost_after ? factor : 1.0;
 }

@@ -41,7 +41,8 @@ BundleProblem local_bundle(const TrackingMap& map, std::int64_t keyframe, const 
 void solve(const Camera& camera, int iterations, bool with_focal, BundleProblem* problem);
 
 /// Factor by which the focal lengths are off, if that explains the views clearly better; else 1.
-double check_focal_length(const Camera& camera, const BundleProblem& problem);
+/// @param is_given the focal lengths are the user's, not found here: less readily corrected
+double check_focal_length(const Camera& camera, const BundleProblem& problem, bool is_given);
 
 /// Takes over what was refined, and takes views back that do not agree with it.
 void apply(const BundleProblem& problem, TrackingMap* map);

@@ -58,18 +58,30 @@ Mat6 rotated(const Mat6& covariance, const Mat3& R) {
   return turn * covariance * turn.transpose();
 }
 
+/// What is known of the camera. It outlives a new beginning.
+struct Calibration {
+  Camera camera;
+  DepthRegistration registration;
+  bool is_focal_given = true;  ///< not corrected here
+  int restarts = 0;            ///< advised so far
+};
+
 }  // namespace
 
 struct RgbdFrontend::Impl {
-  Impl(const FrontendOptions& frontend_options, const Camera& color_camera)
+  Impl(const FrontendOptions& frontend_options, Calibration known)
       : options(frontend_options),
-        extractor(options, color_camera),
-        tracker(options, color_camera),
-        builder(options, color_camera),
-        grid(color_camera, options.point_stride_px),
-        map(options, color_camera),
-        camera(color_camera) {
-    if (options.self_calibration) registration_estimator.emplace(camera);
+        calibration(std::move(known)),
+        extractor(options, calibration.camera),
+        tracker(options, calibration.camera),
+        builder(options, calibration.camera),
+        grid(calibration.camera, options.point_stride_px),
+        map(options, calibration.camera),
+        is_calibrated(!options.self_calibration) {
+    extractor.set_registration(calibration.registration);
+    if (options.self_calibration && calibration.registration.is_identity()) {
+      registration_estimator.emplace(calibration.camera);
+    }
   }
 
   TrackedImage track(const RgbdImage& image);
@@ -83,22 +95,26 @@ struct RgbdFrontend::Impl {
   void take_refinement();
   void look_for_registration(const RgbdImage& image);
   bool is_focal_check_due();
-  /// Begins the map anew at an image that has a pose, once the calibration turned out to be wrong.
-  void begin_calibrated_map(TrackedFeatures* image);
+  /// Begins the map anew at an image that has a pose, if the calibration turned out to be wrong.
+  /// @return whether every pose should be found anew
+  bool correct_calibration(TrackedFeatures* image);
 
   FrontendOptions options;
+  Calibration calibration;
   FeatureExtractor extractor;
   ImageTracker tracker;
   MapBuilder builder;
   PointGrid grid;
   TrackingMap map;
-  Camera camera;
-  DepthRegistration registration;
   std::optional<RegistrationEstimator> registration_estimator;  ///< until it has decided
   std::int64_t last_registration_ns = 0;                        ///< stamp of the last image it took
   bool has_new_registration = false;
-  double new_focal_factor = 1.0;          ///< to be applied
-  int next_focal_check = 6;               ///< keyframes of the map
+  double new_focal_factor = 1.0;  ///< to be applied
+  int next_focal_check = 6;       ///< keyframes of the map
+  bool checks_focal = false;      ///< in the refinement that runs
+  int passed_focal_checks = 0;
+  bool is_calibrated;  ///< no restart is advised any more
+  std::int64_t first_stamp_ns = 0;
   std::future<BundleProblem> refinement;  ///< of the map around the last image, a keyframe
   std::int64_t images = 0;
   std::int64_t starts = 0;              ///< maps begun: each counts its points from 0
@@ -124,7 +140,7 @@ bool RgbdFrontend::Impl::start(TrackedFeatures* image) {
   image->T_camera_map = last ? last->T_camera_map : SE3();
   image->inliers = image->matches = 0;
   image->points.assign(image->features.size(), -1);
-  map = TrackingMap(options, camera);
+  map = TrackingMap(options, calibration.camera);
   ++starts;
   return true;
 }
@@ -188,10 +204,12 @@ Mat6 RgbdFrontend::Impl::motion_covariance(const TrackedFeatures& image) const {
 void RgbdFrontend::Impl::add_keyframe(const TrackedFeatures& image) {
   const std::int64_t id = builder.add_keyframe(image, &map);
   if (map.keyframes().size() < 2) return;
-  const bool checks_focal = is_focal_check_due();
-  refinement = std::async(std::launch::async, [this, checks_focal, problem = local_bundle(map, id, options)]() mutable {
-    solve(camera, options.window_iterations, false, &problem);
-    if (checks_focal) problem.focal_factor = check_focal_length(camera, problem);
+  checks_focal = is_focal_check_due();
+  refinement = std::async(std::launch::async, [this, problem = local_bundle(map, id, options)]() mutable {
+    solve(calibration.camera, options.window_iterations, false, &problem);
+    if (checks_focal) {
+      problem.focal_factor = check_focal_length(calibration.camera, problem, calibration.is_focal_given);
+    }
     return std::move(problem);
   });
 }
@@ -201,6 +219,9 @@ void RgbdFrontend::Impl::take_refinement() {
   const BundleProblem problem = refinement.get();
   apply(problem, &map);
   new_focal_factor = problem.focal_factor;
+  // What a few images gave is looked at again with more of them.
+  const int needed = calibration.is_focal_given ? 1 : 2;
+  if (checks_focal && new_focal_factor == 1.0 && ++passed_focal_checks >= needed) is_calibrated = true;
   const TrackingKeyframe& newest = map.keyframes().rbegin()->second;
   last->T_camera_map = newest.T_camera_map;
   last->points = newest.points;
@@ -215,8 +236,8 @@ void RgbdFrontend::Impl::look_for_registration(const RgbdImage& image) {
   last_registration_ns = image.stamp_ns;
   if (registration_estimator->images() < kImages) return;
   if (const std::optional<DepthRegistration> found = registration_estimator->estimate()) {
-    registration = *found;
-    extractor.set_registration(registration);
+    calibration.registration = *found;
+    extractor.set_registration(calibration.registration);
     has_new_registration = true;
   }
   registration_estimator.reset();
@@ -230,7 +251,13 @@ bool RgbdFrontend::Impl::is_focal_check_due() {
   return true;
 }
 
-void RgbdFrontend::Impl::begin_calibrated_map(TrackedFeatures* image) {
+bool RgbdFrontend::Impl::correct_calibration(TrackedFeatures* image) {
+  constexpr std::int64_t kEarly_ns = 15'000'000'000;
+  constexpr int kMostRestarts = 4;
+  if (image->stamp_ns - first_stamp_ns > kEarly_ns || calibration.restarts == kMostRestarts) is_calibrated = true;
+  if (!has_new_registration && new_focal_factor == 1.0) return false;
+  if (new_focal_factor != 1.0) calibration.is_focal_given = false;
+  Camera& camera = calibration.camera;
   camera.fx *= new_focal_factor;
   camera.fy *= new_focal_factor;
   has_new_registration = false;
@@ -238,9 +265,13 @@ void RgbdFrontend::Impl::begin_calibrated_map(TrackedFeatures* image) {
   extractor.set_camera(camera);
   tracker.set_camera(camera);
   builder.set_camera(camera);
-  map = TrackingMap(options, camera);
+  grid = PointGrid(camera, options.point_stride_px);
+  map = TrackingMap(options, calibration.camera);
   ++starts;
   image->points.assign(image->features.size(), -1);
+  if (is_calibrated) return false;
+  ++calibration.restarts;
+  return true;
 }
 
 void RgbdFrontend::Impl::accept(TrackedFeatures image) {
@@ -255,6 +286,7 @@ TrackedImage RgbdFrontend::Impl::track(const RgbdImage& rgbd) {
   TrackedFeatures image;
   image.number = images;
   image.stamp_ns = rgbd.stamp_ns;
+  if (images == 0) first_stamp_ns = rgbd.stamp_ns;
   look_for_registration(rgbd);
   image.features = extractor.extract(rgbd);
   image.points.assign(image.features.size(), -1);
@@ -281,10 +313,10 @@ TrackedImage RgbdFrontend::Impl::track(const RgbdImage& rgbd) {
     sample.stamp_ns = image.stamp_ns;
     sample.T_odom_camera = image.T_camera_map.inverse();
     sample.is_break = is_break;
-    sample.points_camera = grid.points(rgbd.depth_m, registration, camera);
+    sample.points_camera = grid.points(rgbd.depth_m, calibration.registration, calibration.camera);
     if (last && !is_break) sample.covariance = motion_covariance(image);
     result.sample = std::move(sample);
-    if (has_new_registration || new_focal_factor != 1.0) begin_calibrated_map(&image);
+    result.is_recalibrated = correct_calibration(&image);
     if (map.keyframes().empty() || builder.needs_keyframe(image, map)) {
       add_keyframe(image);
       image.points = map.keyframes().rbegin()->second.points;
@@ -296,14 +328,18 @@ TrackedImage RgbdFrontend::Impl::track(const RgbdImage& rgbd) {
 }
 
 RgbdFrontend::RgbdFrontend(const FrontendOptions& options, const Camera& camera)
-    : impl_(std::make_unique<Impl>(options, camera)) {}
+    : impl_(std::make_unique<Impl>(options, Calibration{camera, {}, true, 0})) {}
 RgbdFrontend::~RgbdFrontend() = default;
 RgbdFrontend::RgbdFrontend(RgbdFrontend&&) noexcept = default;
 RgbdFrontend& RgbdFrontend::operator=(RgbdFrontend&&) noexcept = default;
 
 TrackedImage RgbdFrontend::track(const RgbdImage& image) { return impl_->track(image); }
 
-const Camera& RgbdFrontend::camera() const { return impl_->camera; }
+void RgbdFrontend::begin_anew() { impl_ = std::make_unique<Impl>(impl_->options, impl_->calibration); }
+
+bool RgbdFrontend::is_calibrated() const { return impl_->is_calibrated; }
+
+const Camera& RgbdFrontend::camera() const { return impl_->calibration.camera; }
 
 std::vector<SparsePoint> RgbdFrontend::sparse_points() const {
   constexpr int kPointBits = 40;

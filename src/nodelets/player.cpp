@@ -38,7 +38,7 @@ class PlayerNodelet : public Stage {
 
  private:
   using Clock = std::chrono::steady_clock;
-  enum class Wait { kReady, kStopped, kStalled };
+  enum class Wait { kReady, kRewind, kStopped, kStalled };
 
   void onInit() override;
   void watch();
@@ -52,15 +52,15 @@ class PlayerNodelet : public Stage {
   bool wait_for_stages();
   /// Topics connect at their own pace: an image that nobody hears yet would be awaited for ever.
   bool are_images_heard() const;
-  /// Plays every image. @return false if the player is to end here
-  bool play_images(PlayerSource* source, std::string* fault);
+  /// Plays every image, in lockstep until each has left the chain.
+  Wait play_images(PlayerSource* source, std::string* fault);
   bool play_end();
   Wait wait_for_turn(std::int64_t stamp_ns);
   template <class Predicate>
   Wait wait_until(Predicate predicate);
   bool is_stalled() const;
   void publish(const PlayerItem& item);
-  void report_stall();
+  void report_stall(const std::string& stage);
   void set_status(const std::string& status);
 
   core::Options options_;
@@ -156,16 +156,21 @@ void PlayerNodelet::watch() {
 
 void PlayerNodelet::play() {
   std::string fault;
-  const std::unique_ptr<PlayerSource> source = open_source(&fault);
-  if (!source) {
-    fail(fault);
-    set_status("failed: " + fault);
-    return;
+  Wait wait = Wait::kRewind;
+  while (wait == Wait::kRewind) {
+    fault.clear();
+    const std::unique_ptr<PlayerSource> source = open_source(&fault);
+    if (!source) {
+      fail(fault);
+      set_status("failed: " + fault);
+      return;
+    }
+    if (!wait_for_stages()) return;
+    NODELET_INFO("playing %zu images", source->size());
+    set_status("playing");
+    wait = play_images(source.get(), &fault);
   }
-  if (!wait_for_stages()) return;
-  NODELET_INFO("playing %zu images", source->size());
-  set_status("playing");
-  if (!play_images(source.get(), &fault)) return;
+  if (wait != Wait::kReady) return;
   if (!fault.empty()) NODELET_ERROR("the recording ends early: %s; what was mapped is kept", fault.c_str());
   if (!play_end()) return;
   set_status(fault.empty() ? "finished" : "failed: " + fault);
@@ -227,7 +232,7 @@ bool PlayerNodelet::are_images_heard() const {
          depth_publisher_.getNumSubscribers() > 0;
 }
 
-bool PlayerNodelet::play_images(PlayerSource* source, std::string* fault) {
+PlayerNodelet::Wait PlayerNodelet::play_images(PlayerSource* source, std::string* fault) {
   constexpr auto kReportPeriod = std::chrono::seconds(5);
   Clock::time_point reported = Clock::now();
   std::size_t played = 0;
@@ -237,8 +242,7 @@ bool PlayerNodelet::play_images(PlayerSource* source, std::string* fault) {
       continue;
     }
     const Wait wait = wait_for_turn(to_stamp_ns(item->camera_info.header.stamp));
-    if (wait == Wait::kStalled) report_stall();
-    if (wait != Wait::kReady) return false;
+    if (wait != Wait::kReady) return wait;
     publish(*item);
     ++played;
     if (Clock::now() - reported > kReportPeriod) {
@@ -246,23 +250,18 @@ bool PlayerNodelet::play_images(PlayerSource* source, std::string* fault) {
       NODELET_INFO("image %zu of %zu", played, source->size());
     }
   }
-  return true;
+  // The end of the stream must not overtake an image that still waits for its pose.
+  return wait_until([this] { return ledger_->in_flight() == 0; });
 }
 
 bool PlayerNodelet::play_end() {
-  // Every image first: the end must not overtake one that still waits for its pose.
-  Wait wait = wait_until([this] { return ledger_->in_flight() == 0; });
-  if (wait == Wait::kReady) {
-    {
-      const std::lock_guard<std::mutex> lock(mutex_);
-      last_progress_ = Clock::now();
-      ledger_->end_sent();
-    }
-    end_publisher_.publish(boost::make_shared<std_msgs::Empty>());
-    wait = wait_until([this] { return ledger_->is_end_done(); });
+  {
+    const std::lock_guard<std::mutex> lock(mutex_);
+    last_progress_ = Clock::now();
+    ledger_->end_sent();
   }
-  if (wait == Wait::kStalled) report_stall();
-  if (wait != Wait::kReady) return false;
+  end_publisher_.publish(boost::make_shared<std_msgs::Empty>());
+  if (wait_until([this] { return ledger_->is_end_done(); }) != Wait::kReady) return false;
   const std::lock_guard<std::mutex> lock(mutex_);
   const auto sent = static_cast<unsigned long>(ledger_->frames_sent());
   const auto done = static_cast<unsigned long>(ledger_->frames_done());
@@ -294,9 +293,16 @@ PlayerNodelet::Wait PlayerNodelet::wait_until(Predicate predicate) {
   std::unique_lock<std::mutex> lock(mutex_);
   while (true) {
     if (stop_) return Wait::kStopped;
+    // At a rate a recording goes on, as a camera does.
+    if (ledger_->take_rewind() && parameters_.lockstep) return Wait::kRewind;
     if (!ledger_->is_paused()) {
       if (predicate()) return Wait::kReady;
-      if (is_stalled()) return Wait::kStalled;
+      if (is_stalled()) {
+        const std::string stage = ledger_->silent_stage();
+        lock.unlock();
+        report_stall(stage);
+        return Wait::kStalled;
+      }
     } else {
       last_progress_ = Clock::now();
       rate_origin_.reset();
@@ -330,12 +336,7 @@ void PlayerNodelet::publish(const PlayerItem& item) {
   statistics().count("images played");
 }
 
-void PlayerNodelet::report_stall() {
-  std::string stage;
-  {
-    const std::lock_guard<std::mutex> lock(mutex_);
-    stage = ledger_->silent_stage();
-  }
+void PlayerNodelet::report_stall(const std::string& stage) {
   NODELET_FATAL("playback ends: stage %s has been silent for %.0f s", stage.c_str(), parameters_.stall_timeout_s);
   set_status("stalled: " + stage);
 }

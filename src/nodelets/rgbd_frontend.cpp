@@ -69,7 +69,7 @@ class RgbdFrontendNodelet : public FrontendStage {
   RgbdFrontendParameters parameters_;
   image_transport::SubscriberFilter color_, depth_;
   ros::Publisher report_publisher_;
-  std::optional<core::RgbdFrontend> frontend_;
+  std::optional<core::RgbdFrontend> frontend_;  ///< what it found out about the camera outlives the session
   std::optional<core::Camera> frontend_camera_;
   core::RgbdImage image_;  ///< the last one
   core::TrackingReport report_;
@@ -152,7 +152,7 @@ void RgbdFrontendNodelet::add_diagnostics(diagnostic_updater::DiagnosticStatusWr
 }
 
 void RgbdFrontendNodelet::forget() {
-  frontend_.reset();
+  if (frontend_) frontend_->begin_anew();
   image_ = {};
   report_ = {};
   depth_range_ = {};
@@ -212,7 +212,10 @@ bool RgbdFrontendNodelet::prepare(std::int64_t stamp_ns) {
     fail_image(stamp_ns, "images without a calibration", "neither camera_file nor a usable camera_info");
     return false;
   }
-  if (frontend_ && !is_same(*frontend_camera_, *camera())) begin_session("another calibration came");
+  if (frontend_ && !is_same(*frontend_camera_, *camera())) {
+    begin_session("another calibration came");
+    frontend_.reset();
+  }
   if (!frontend_) {
     frontend_camera_ = camera();
     frontend_.emplace(options_.frontend, *frontend_camera_);
@@ -223,6 +226,11 @@ bool RgbdFrontendNodelet::prepare(std::int64_t stamp_ns) {
 void RgbdFrontendNodelet::track(const core::RgbdImage& image) {
   image_ = image;
   const core::TrackedImage tracked = frontend_->track(image);
+  if (tracked.is_recalibrated) {
+    // The image is of the session that ends here, and has no answer.
+    const core::Camera& found = frontend_->camera();
+    return begin_session("self-calibration: depth registered anew, or fx = " + std::to_string(found.fx), true);
+  }
   report_.add(tracked);
   if (tracked.sample) return emit(*tracked.sample, frontend_->camera());
   const bool is_lost = tracked.state == core::TrackingState::kLost;

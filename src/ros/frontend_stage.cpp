@@ -78,15 +78,15 @@ void FrontendStage::advertise_services() {
   add_service("resume", "images are taken again", &FrontendStage::resume);
 }
 
-void FrontendStage::begin_session(const std::string& reason) {
+void FrontendStage::begin_session(const std::string& reason, bool rewind) {
   builder_.reset();
   forget();
   last_stamp_ns_.reset();
   is_paused_ = false;
-  control(SessionControl::COMMAND_START, reason);
+  control(SessionControl::COMMAND_START, reason, rewind);
 }
 
-void FrontendStage::control(std::uint8_t command, const std::string& reason) {
+void FrontendStage::control(std::uint8_t command, const std::string& reason, bool rewind) {
   auto message = boost::make_shared<SessionControl>();
   // Wall time: it tells sessions apart when this nodelet was loaded again, and is no stamp of data.
   const ros::WallTime now = ros::WallTime::now();
@@ -94,6 +94,7 @@ void FrontendStage::control(std::uint8_t command, const std::string& reason) {
   message->session_id = (control_ ? control_->session_id : 0) + (command == SessionControl::COMMAND_START ? 1 : 0);
   message->command = command;
   message->reason = reason;
+  message->rewind = rewind;
   NODELET_INFO("session %u: %s", message->session_id, reason.c_str());
   control_ = message;
   control_publisher_.publish(control_);

@@ -20,6 +20,10 @@ void PlayerLedger::take(const SessionControl& control) {
   if (control.session_id == session_id_ && (!is_start || control.header.stamp == session_stamp_)) return;
   session_id_ = control.session_id;
   if (is_start) session_stamp_ = control.header.stamp;
+  if (is_start && control.rewind && frames_sent_ > 0) {
+    wants_rewind_ = true;
+    frames_sent_ = frames_done_ = frames_without_pose_ = 0;
+  }
   in_flight_.clear();
   last_seen_.fill(0);
   end_frame_id_ = kUnknownFrame;

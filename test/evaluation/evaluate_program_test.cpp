@@ -2,15 +2,14 @@
 
 #include <nlohmann/json.hpp>
 
-#include "../test_files.h"
+#include "../program_test.h"
 
 namespace semantic_topo_loop::core {
 namespace {
 
-/// Runs the program `evaluate` on files of its own.
-class EvaluateProgram : public ::testing::Test {
+class EvaluateProgram : public ProgramTest {
  protected:
-  EvaluateProgram() {
+  EvaluateProgram() : ProgramTest(STL_EVALUATE_PROGRAM) {
     std::string poses;
     for (int i = 0; i < 10; ++i) {
       poses += std::to_string(100 + i) + ".000000 " + std::to_string(i) + " " + std::to_string(i * i) + " 0 0 0 0 1\n";
@@ -32,23 +31,7 @@ class EvaluateProgram : public ::testing::Test {
     directory_.write("run/associations.csv", "frame_id,detection_index,landmark_id,level\n0,0,7,new\n9,0,7,joint\n");
   }
 
-  /// @return the exit status; "@" in the arguments stands for the test's directory
-  int run(const std::string& arguments) {
-    const ProgramRun run = run_program(STL_EVALUATE_PROGRAM, arguments, directory_);
-    out_ = run.out;
-    err_ = run.err;
-    return run.status;
-  }
   nlohmann::json json() const { return nlohmann::json::parse(read_whole(directory_.path("out.json"))); }
-
-  void expect_one_line_error(const std::string& part) const {
-    EXPECT_TRUE(out_.empty()) << out_;
-    EXPECT_NE(err_.find(part), std::string::npos) << err_;
-    EXPECT_EQ(std::count(err_.begin(), err_.end(), '\n'), 1) << err_;
-  }
-
-  TestDirectory directory_;
-  std::string out_, err_;
 };
 
 TEST_F(EvaluateProgram, Help) {

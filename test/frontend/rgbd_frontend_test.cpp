@@ -48,6 +48,7 @@ TEST(RgbdFrontend, FollowsAWalk) {
     EXPECT_EQ(tracked.state, i == 0 ? TrackingState::kStarted : TrackingState::kTracked);
     EXPECT_EQ(tracked.sample->stamp_ns, stamp_of(i));
     EXPECT_FALSE(tracked.sample->is_break);
+    EXPECT_FALSE(tracked.is_recalibrated);
     EXPECT_LT(error_m(tracked, i), 0.012) << i;
     EXPECT_LT(degrees(rotation_angle(tracked.sample->T_odom_camera.q, true_motion(0, i).q)), 0.3) << i;
     EXPECT_EQ(tracked.sample->covariance.has_value(), i > 0);
@@ -57,6 +58,53 @@ TEST(RgbdFrontend, FollowsAWalk) {
     EXPECT_LT(eigen.eigenvalues().maxCoeff(), 1e-3);
   }
   EXPECT_EQ(frontend.camera().fx, kCamera.fx);
+}
+
+TEST(RgbdFrontend, BeginsAnewWithTheFocalLengthItFound) {
+  constexpr int kImages = 90;
+  Camera stated = kCamera;
+  stated.fx = stated.fy = kCamera.fx / 0.9;
+  // Turning about, which focal lengths are seen by: depth is known, so that shifts alone say nothing of them.
+  const auto pose = [](int image) {
+    const double t = kInterval_s * image;
+    return SE3(so3_exp(Vec3(0.2 * std::sin(1.1 * t), 0.8 * std::sin(1.5 * t), 0.0)), Vec3(0.6 * std::sin(t), 0.0, 0.3));
+  };
+  std::vector<RgbdImage> images;
+  for (int i = 0; i < kImages; ++i) images.push_back(kRoom.render(stamp_of(i), pose(i)));
+  const auto is_recalibrated = [&images](RgbdFrontend* frontend) {
+    for (const RgbdImage& image : images) {
+      if (frontend->is_calibrated()) break;
+      if (frontend->track(image).is_recalibrated) return true;
+    }
+    return false;
+  };
+  const auto rmse_m = [&](RgbdFrontend frontend) {
+    double sum = 0.0;
+    for (int i = 0; i < kImages; ++i) {
+      const TrackedImage tracked = frontend.track(images[static_cast<std::size_t>(i)]);
+      EXPECT_EQ(tracked.state, i == 0 ? TrackingState::kStarted : TrackingState::kTracked) << i;
+      EXPECT_FALSE(tracked.is_recalibrated);
+      if (tracked.sample) sum += (tracked.sample->T_odom_camera.t - (pose(0).inverse() * pose(i)).t).squaredNorm();
+    }
+    return std::sqrt(sum / kImages);
+  };
+  RgbdFrontend frontend({}, stated);
+  int restarts = 0;
+  for (; is_recalibrated(&frontend); ++restarts) frontend.begin_anew();
+  EXPECT_GE(restarts, 1);
+  EXPECT_LE(restarts, 4);
+  EXPECT_NEAR(frontend.camera().fx, kCamera.fx, 0.03 * kCamera.fx);
+  frontend.begin_anew();
+  FrontendOptions as_stated;
+  as_stated.self_calibration = false;
+  EXPECT_LT(rmse_m(std::move(frontend)), 0.4 * rmse_m(RgbdFrontend(as_stated, stated)));
+}
+
+TEST(RgbdFrontend, WithoutSelfCalibrationTheCameraIsAsGiven) {
+  FrontendOptions options;
+  options.self_calibration = false;
+  const RgbdFrontend frontend(options, kCamera);
+  EXPECT_TRUE(frontend.is_calibrated());
 }
 
 TEST(RgbdFrontend, PointsAreThoseOfTheDepthImageAndExactInFloat) {

@@ -7,10 +7,9 @@
 #include <set>
 #include <utility>
 
+#include "../package_config.h"
 #include "../test_files.h"
 #include "semantic_topo_loop/detection/detection_reader.h"
-#include "semantic_topo_loop/io/camera_yaml.h"
-#include "semantic_topo_loop/io/class_table_yaml.h"
 #include "semantic_topo_loop/io/tum_trajectory.h"
 #include "semantic_topo_loop/loop/local_map.h"
 #include "semantic_topo_loop/loop/loop_detector.h"
@@ -30,13 +29,6 @@ struct Step {
 };
 using Recording = std::vector<Step>;
 
-std::shared_ptr<const ClassTable> coco() {
-  std::string error;
-  const auto classes = read_class_table(STL_CONFIG_DIR "/classes_coco.yaml", &error);
-  EXPECT_TRUE(classes.has_value()) << error;
-  return std::make_shared<const ClassTable>(*classes);
-}
-
 /// Associates a sequence without closing loops.   @return empty without the shared data
 Recording record(const std::string& sequence, const std::string& trajectory, const std::string& detections,
                  const std::string& camera_file, std::size_t max_frames) {
@@ -44,7 +36,7 @@ Recording record(const std::string& sequence, const std::string& trajectory, con
   Recording steps;
   if (!root) return steps;
   std::string error;
-  const auto classes = coco();
+  const auto classes = shared_coco();
   const auto poses = read_tum_trajectory(*root + trajectory, &error);
   const auto camera = read_camera(STL_CONFIG_DIR "/camera/" + camera_file, &error);
   DetectionReport report;
@@ -76,7 +68,7 @@ const Recording& office() {
 }
 
 std::vector<LoopClosure> replay(const Recording& recording) {
-  LoopDetector detector(LoopOptions(), coco());
+  LoopDetector detector(LoopOptions(), shared_coco());
   std::vector<LoopClosure> loops;
   for (const Step& step : recording) {
     MapUpdate update;
@@ -206,7 +198,7 @@ TEST(LoopData, ARunInAnUnknownFrameIsPlacedInAnEarlierMap) {
   if (office().empty()) GTEST_SKIP() << "SEMANTIC_TOPO_LOOP_DATA is not set";
   const SE3 T_other_world(so3_exp(Vec3(-0.4, 1.3, 2.1)), Vec3(2.0, -3.0, 1.0));
   const auto middle = office().begin() + static_cast<std::ptrdiff_t>(office().size() / 2);
-  LoopDetector first(LoopOptions(), coco()), second(LoopOptions(), coco());
+  LoopDetector first(LoopOptions(), shared_coco()), second(LoopOptions(), shared_coco());
   for (auto step = office().begin(); step != middle; ++step) first.detect(step->frame, step->associations);
   second.set_earlier_map(first.submaps());
   for (auto step = middle; step != office().end(); ++step) {

@@ -8,6 +8,7 @@
 #include <string>
 #include <vector>
 
+#include "../look_at.h"
 #include "semantic_topo_loop/association/association.h"
 #include "semantic_topo_loop/detection/class_table.h"
 #include "semantic_topo_loop/loop/local_map.h"
@@ -77,15 +78,6 @@ inline Camera desk_camera() {
   return camera;
 }
 
-/// A camera at `position` that looks at `target`, level.
-inline SE3 look_at(const Vec3& position, const Vec3& target) {
-  const Vec3 z = (target - position).normalized();
-  const Vec3 x = z.cross(Vec3::UnitZ()).normalized();
-  Mat3 R;
-  R << x, z.cross(x), z;
-  return {R, position};
-}
-
 struct Visit {
   double begin_s, end_s;
   double begin_deg, end_deg;  ///< position on a circle around the desk
@@ -98,9 +90,9 @@ inline SE3 desk_pose(const std::vector<Visit>& visits, double time_s, const Vec3
     const double ratio = (time_s - visit.begin_s) / (visit.end_s - visit.begin_s);
     const double angle = radians(visit.begin_deg + ratio * (visit.end_deg - visit.begin_deg));
     const double height = 0.8 + 0.15 * std::sin(1.3 * time_s);
-    return look_at(middle + Vec3(1.7 * std::cos(angle), 1.7 * std::sin(angle), height), middle);
+    return testing::look_at(middle + Vec3(1.7 * std::cos(angle), 1.7 * std::sin(angle), height), middle);
   }
-  return look_at(middle + Vec3(-3.0, -3.0, 0.9), middle + Vec3(-8.0, -6.0 + 0.05 * time_s, 0.5));
+  return testing::look_at(middle + Vec3(-3.0, -3.0, 0.9), middle + Vec3(-8.0, -6.0 + 0.05 * time_s, 0.5));
 }
 
 /// The boxes of the desk's objects with 2 px of noise. Ids are `first_id` + index, as an association would give them.

@@ -3,32 +3,25 @@
 #include <cmath>
 #include <limits>
 
+#include "../look_at.h"
 #include "depth_scene.h"
+#include "mapper_fixture.h"
 #include "semantic_topo_loop/geometry/plane.h"
-#include "semantic_topo_loop/map/mapper_options.h"
 #include "semantic_topo_loop/map/object_points.h"
 #include "semantic_topo_loop/map/quadric_fit.h"
 #include "semantic_topo_loop/map/quadric_initialisation.h"
-#include "semantic_topo_loop/map/quadric_mapper.h"
 
 namespace semantic_topo_loop::core {
 namespace {
 
 using testing::DepthScene;
+using testing::look_at;
 using testing::on_table;
 
-const Camera kCamera{520.0, 520.0, 320.0, 240.0, 640, 480, {}};
+const Camera& kCamera = testing::kMapperCamera;
 const Ellipsoid kCup = on_table(0.05, -0.1, Vec3(0.045, 0.045, 0.06));
 const Ellipsoid kKeyboard = on_table(0.0, 0.0, Vec3(0.08, 0.22, 0.018), 0.3);
 const Ellipsoid kBottle = on_table(-0.1, 0.15, Vec3(0.035, 0.035, 0.12));
-
-SE3 look_at(const Vec3& position, const Vec3& target) {
-  const Vec3 z = (target - position).normalized();
-  const Vec3 x = z.cross(Vec3::UnitZ()).normalized();
-  Mat3 R;
-  R << x, z.cross(x), z;
-  return {R, position};
-}
 
 SE3 from_side(double angle_deg) {
   const double a = radians(angle_deg);
@@ -179,54 +172,14 @@ TEST(SurfaceFit, ViewsWithTheDepthOfSomethingElseDoNotMoveIt) {
   EXPECT_LT((fit->ellipsoid.center() - kCup.center()).norm(), 0.01);
 }
 
-class DepthMapperTest : public ::testing::Test {
+class DepthMapperTest : public testing::MapperFixture {
  protected:
-  DepthMapperTest() : mapper_(QuadricMapperOptions{}, classes()) {}
-
-  static std::shared_ptr<const ClassTable> classes() {
-    return std::make_shared<const ClassTable>(*ClassTable::create(
-        {{41, "cup", ClassRole::kMovable, "", 0.1}, {62, "tv", ClassRole::kStatic, "", 0.4}}, nullptr));
-  }
-
-  struct Seen {
-    std::int64_t id;
-    int class_id;
-    Ellipsoid ellipsoid;
-  };
+  DepthMapperTest()
+      : MapperFixture({{41, "cup", ClassRole::kMovable, "", 0.1}, {62, "tv", ClassRole::kStatic, "", 0.4}}) {}
 
   void step(const SE3& pose, const std::vector<Seen>& seen, const DepthScene& scene) {
-    Frame frame;
-    frame.points_camera = std::make_shared<const std::vector<Vec3>>(scene.look(kCamera, pose));
-    frame.frame_id = next_frame_;
-    frame.stamp_ns = next_frame_ * 33333333;
-    frame.is_keyframe = next_frame_ % 5 == 0;
-    frame.keyframe_id = next_frame_ / 5;
-    frame.T_odom_camera = pose;
-    frame.camera = kCamera;
-    ++next_frame_;
-    AssociationFrame associations;
-    associations.frame_id = frame.frame_id;
-    for (const Seen& object : seen) {
-      Association association;
-      association.landmark_id = object.id;
-      association.class_id = association.landmark_class_id = object.class_id;
-      association.box = box_of(object.ellipsoid, pose);
-      associations.associations.push_back(association);
-    }
-    mapper_.integrate(frame, associations);
+    MapperFixture::step(pose, seen, std::make_shared<const std::vector<Vec3>>(scene.look(kCamera, pose)));
   }
-
-  const Landmark* find(std::int64_t id) {
-    landmarks_ = mapper_.landmarks();
-    for (const Landmark& landmark : landmarks_) {
-      if (landmark.id == id) return &landmark;
-    }
-    return nullptr;
-  }
-
-  QuadricMapper mapper_;
-  std::vector<Landmark> landmarks_;
-  std::int64_t next_frame_ = 0;
 };
 
 TEST_F(DepthMapperTest, OneFrameGivesAnEllipsoidAndMoreMakeItExact) {

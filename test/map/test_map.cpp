@@ -4,25 +4,18 @@
 #include <limits>
 #include <random>
 
+#include "../look_at.h"
+#include "mapper_fixture.h"
 #include "semantic_topo_loop/geometry/sim3.h"
-#include "semantic_topo_loop/map/mapper_options.h"
 #include "semantic_topo_loop/map/quadric_fit.h"
 #include "semantic_topo_loop/map/quadric_initialisation.h"
-#include "semantic_topo_loop/map/quadric_mapper.h"
 
 namespace semantic_topo_loop::core {
 namespace {
 
-const Camera kCamera{520.0, 520.0, 320.0, 240.0, 640, 480, {}};
+using testing::look_at;
 
-/// A camera at `position` that looks at `target`, its y axis pointing down (world z up).
-SE3 look_at(const Vec3& position, const Vec3& target) {
-  const Vec3 z = (target - position).normalized();
-  const Vec3 x = z.cross(Vec3::UnitZ()).normalized();
-  Mat3 R;
-  R << x, z.cross(x), z;
-  return {R, position};
-}
+const Camera& kCamera = testing::kMapperCamera;
 
 /// n cameras on an arc around the origin, 1.5 m away and 0.8 m up.
 std::vector<SE3> arc(int n, double span_deg) {
@@ -138,49 +131,14 @@ TEST(QuadricFit, RefusesDegenerateInput) {
   EXPECT_FALSE(refine_quadric(kCamera, still, broken));
 }
 
-/// Feeds a mapper with the exact boxes of objects seen from an arc, under landmark ids of the test's choice.
-class MapperTest : public testing::Test {
+/// Objects seen from an arc.
+class MapperTest : public testing::MapperFixture {
  protected:
-  MapperTest() : mapper_(QuadricMapperOptions{}, classes()) {}
-
-  static std::shared_ptr<const ClassTable> classes() {
-    std::string error;
-    return std::make_shared<const ClassTable>(*ClassTable::create({{41, "cup", ClassRole::kMovable, "vessel", 0.1},
-                                                                   {75, "vase", ClassRole::kMovable, "vessel", 0.2},
-                                                                   {73, "book", ClassRole::kMovable, "", 0.2},
-                                                                   {62, "tv", ClassRole::kStatic, "", 0.2}},
-                                                                  &error));
-  }
-
-  struct Seen {
-    std::int64_t id;
-    int class_id;
-    Ellipsoid ellipsoid;
-  };
-
-  MapUpdate step(const SE3& pose, const std::vector<Seen>& seen,
-                 std::shared_ptr<const std::vector<Vec3>> points_camera = nullptr) {
-    Frame frame;
-    frame.points_camera = std::move(points_camera);
-    frame.frame_id = next_frame_;
-    frame.stamp_ns = next_frame_ * 33333333;
-    frame.is_keyframe = next_frame_ % 5 == 0;
-    frame.keyframe_id = next_frame_ / 5;
-    frame.T_odom_camera = pose;
-    frame.camera = kCamera;
-    ++next_frame_;
-    AssociationFrame associations;
-    associations.frame_id = frame.frame_id;
-    for (const Seen& object : seen) {
-      Association association;
-      association.landmark_id = object.id;
-      if (object.id < 0) association.level = AssociationLevel::kIgnored;
-      association.class_id = association.landmark_class_id = object.class_id;
-      association.box = *project_box(object.ellipsoid, projection_matrix(kCamera, pose));
-      associations.associations.push_back(association);
-    }
-    return mapper_.integrate(frame, associations);
-  }
+  MapperTest()
+      : MapperFixture({{41, "cup", ClassRole::kMovable, "vessel", 0.1},
+                       {75, "vase", ClassRole::kMovable, "vessel", 0.2},
+                       {73, "book", ClassRole::kMovable, "", 0.2},
+                       {62, "tv", ClassRole::kStatic, "", 0.2}}) {}
 
   MapUpdate end() {
     Frame frame;
@@ -191,18 +149,6 @@ class MapperTest : public testing::Test {
     correction.frame_id = frame.frame_id;
     return mapper_.apply(correction);
   }
-
-  const Landmark* find(std::int64_t id) {
-    landmarks_ = mapper_.landmarks();
-    for (const Landmark& landmark : landmarks_) {
-      if (landmark.id == id) return &landmark;
-    }
-    return nullptr;
-  }
-
-  QuadricMapper mapper_;
-  std::vector<Landmark> landmarks_;
-  std::int64_t next_frame_ = 0;
 };
 
 TEST_F(MapperTest, CandidateBecomesConfirmedWithViewsAndParallax) {
@@ -335,7 +281,7 @@ TEST_F(MapperTest, AnEllipsoidOfAnotherSizeThanItsClassIsRefused) {
 TEST_F(MapperTest, MergeIsUndoneWhenACorrectionPullsTheTwoApart) {
   QuadricMapperOptions options;
   options.maintenance_interval_s = 1e6;  // duplicates are looked for at the end only
-  mapper_ = QuadricMapper(options, classes());
+  mapper_ = QuadricMapper(options, classes_);
   const std::vector<SE3> poses = arc(60, 90.0);
   for (const SE3& pose : poses) step(pose, {{0, 41, kCup}});
   for (const SE3& pose : poses) step(pose, {{1, 41, kCup}});

@@ -2,8 +2,7 @@
 
 #include <algorithm>
 
-#include "semantic_topo_loop/io/camera_yaml.h"
-#include "semantic_topo_loop/io/class_table_yaml.h"
+#include "../simulation/test_fixtures.h"
 #include "semantic_topo_loop/pipeline/frame_builder.h"
 #include "semantic_topo_loop/pipeline/object_slam.h"
 #include "semantic_topo_loop/simulation/reference_objects.h"
@@ -16,28 +15,16 @@ constexpr double kSamePlaceM = 0.15;
 
 using Texts = std::map<std::string, std::string>;
 
-std::shared_ptr<const ClassTable> coco() {
-  std::string error;
-  auto classes = read_class_table(STL_CONFIG_DIR "/classes_coco.yaml", &error);
-  EXPECT_TRUE(classes) << error;
-  return std::make_shared<const ClassTable>(classes.value_or(ClassTable()));
-}
-
 /// Two laps around the desks with exact odometry in the world frame, so that the map can be compared with the truth as
 /// it is.
-std::optional<SimulatedSequence> simulate_laps(Texts texts, const ClassTable& classes) {
+SimulatedSequence simulate_laps(Texts texts, const ClassTable& classes) {
   texts.insert({{"trajectory.duration_s", "72"},
                 {"trajectory.lap_s", "36"},
                 {"trajectory.rate_hz", "20"},
                 {"simulation.odometry_frame", "world"},
                 {"drift.position_m", "0"},
                 {"drift.rotation_deg", "0"}});
-  std::string error;
-  const auto options = make_simulation_options(texts, &error);
-  const auto camera = read_camera(STL_CONFIG_DIR "/camera/tum_fr2.yaml", &error);
-  auto sequence = options && camera ? simulate(*options, *camera, classes, &error) : std::nullopt;
-  EXPECT_TRUE(sequence) << error;
-  return sequence;
+  return simulation_test::simulate_fr2(texts, classes);
 }
 
 std::vector<std::vector<Detection>> detections_of(const SimulatedSequence& sequence) {
@@ -96,20 +83,19 @@ Outcome run(const SimulatedSequence& sequence, const std::vector<std::vector<Det
 }
 
 TEST(WalkingPeople, BecomeNeitherLandmarksNorLoopNodes) {
-  const auto classes = coco();
+  const auto classes = shared_coco();
   const auto sequence = simulate_laps({{"dynamics.persons", "6"},
                                        {"trajectory.duration_s", "40"},
                                        {"trajectory.lap_s", "20"},
                                        {"trajectory.rate_hz", "10"}},
                                       *classes);
-  ASSERT_TRUE(sequence);
-  const auto all = detections_of(*sequence);
+  const auto all = detections_of(sequence);
   auto others = all;
   for (std::vector<Detection>& frame : others) {
     frame.erase(std::remove_if(frame.begin(), frame.end(), [](const Detection& d) { return d.class_id == kPerson; }),
                 frame.end());
   }
-  const Outcome with = run(*sequence, all, classes, true), without = run(*sequence, others, classes, true);
+  const Outcome with = run(sequence, all, classes, true), without = run(sequence, others, classes, true);
   EXPECT_GT(with.person_boxes, 30);
   EXPECT_EQ(with.person_boxes_associated, 0);
   for (const Landmark& landmark : with.landmarks) EXPECT_NE(landmark.class_id, kPerson) << landmark.id;
@@ -158,26 +144,25 @@ class MovedCup : public ::testing::TestWithParam<std::tuple<std::string, int>> {
                                          {"dynamics.moved_objects", "1"},
                                          {"dynamics.move_time_s", "36"}},
                                         *classes_);
-    ASSERT_TRUE(sequence);
-    const auto gone = gone_objects(*sequence);
+    const auto gone = gone_objects(sequence);
     ASSERT_EQ(gone.size(), 1u);
     // The sequence must show both places well, or it asks for what cannot be known.
     ASSERT_GT(gone[0].views, 60);
-    const auto references = reference_objects(*sequence);
+    const auto references = reference_objects(sequence);
     const auto moved = std::find_if(references.begin(), references.end(),
                                     [&gone](const SimulatedReference& r) { return r.object == gone[0].object; });
     ASSERT_TRUE(moved != references.end() && moved->certainty == Certainty::kCertain);
     result->old_place = gone[0].ellipsoid.center();
-    result->new_place = sequence->scene.objects[static_cast<std::size_t>(moved->object)].ellipsoid.center();
+    result->new_place = sequence.scene.objects[static_cast<std::size_t>(moved->object)].ellipsoid.center();
     for (const SimulatedReference& r : references) {
       if (r.certainty == Certainty::kCertain && r.object != moved->object) {
-        result->others.push_back(sequence->scene.objects[static_cast<std::size_t>(r.object)]);
+        result->others.push_back(sequence.scene.objects[static_cast<std::size_t>(r.object)]);
       }
     }
-    result->outcome = run(*sequence, detections_of(*sequence), classes_, false);
+    result->outcome = run(sequence, detections_of(sequence), classes_, false);
   }
 
-  std::shared_ptr<const ClassTable> classes_ = coco();
+  std::shared_ptr<const ClassTable> classes_ = shared_coco();
   const Result* result_ = nullptr;
 };
 

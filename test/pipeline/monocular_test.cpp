@@ -4,41 +4,27 @@
 #include <algorithm>
 #include <map>
 
+#include "../simulation/test_fixtures.h"
 #include "semantic_topo_loop/evaluation/trajectory_evaluation.h"
-#include "semantic_topo_loop/io/camera_yaml.h"
-#include "semantic_topo_loop/io/class_table_yaml.h"
 #include "semantic_topo_loop/pipeline/frame_builder.h"
 #include "semantic_topo_loop/pipeline/object_slam.h"
-#include "semantic_topo_loop/simulation/sequence.h"
 
 namespace semantic_topo_loop::core {
 namespace {
 
 constexpr double kSamePlaceM = 0.15;
 
-std::shared_ptr<const ClassTable> coco() {
-  std::string error;
-  auto classes = read_class_table(STL_CONFIG_DIR "/classes_coco.yaml", &error);
-  EXPECT_TRUE(classes) << error;
-  return std::make_shared<const ClassTable>(classes.value_or(ClassTable()));
-}
-
 /// Two laps; the scale drifts by 15 %, a metre is 0.8 units at first, and the poses drift a little besides.
-std::optional<SimulatedSequence> simulate_monocular(int seed, const ClassTable& classes) {
-  const std::map<std::string, std::string> texts = {{"simulation.seed", std::to_string(seed)},
-                                                    {"trajectory.duration_s", "60"},
-                                                    {"trajectory.lap_s", "30"},
-                                                    {"trajectory.rate_hz", "12"},
-                                                    {"drift.position_m", "0.1"},
-                                                    {"drift.rotation_deg", "2"},
-                                                    {"drift.scale_percent", "15"},
-                                                    {"drift.global_scale", "0.8"}};
-  std::string error;
-  const auto options = make_simulation_options(texts, &error);
-  const auto camera = read_camera(STL_CONFIG_DIR "/camera/tum_fr2.yaml", &error);
-  auto sequence = options && camera ? simulate(*options, *camera, classes, &error) : std::nullopt;
-  EXPECT_TRUE(sequence) << error;
-  return sequence;
+SimulatedSequence simulate_monocular(int seed, const ClassTable& classes) {
+  return simulation_test::simulate_fr2({{"simulation.seed", std::to_string(seed)},
+                                        {"trajectory.duration_s", "60"},
+                                        {"trajectory.lap_s", "30"},
+                                        {"trajectory.rate_hz", "12"},
+                                        {"drift.position_m", "0.1"},
+                                        {"drift.rotation_deg", "2"},
+                                        {"drift.scale_percent", "15"},
+                                        {"drift.global_scale", "0.8"}},
+                                       classes);
 }
 
 /// Keyframes at the end, and what was mapped.
@@ -82,12 +68,11 @@ TrajectoryEvaluation evaluate(const StampedPoses& estimate, const StampedPoses& 
 class Monocular : public ::testing::TestWithParam<int> {};
 
 TEST_P(Monocular, LoopsCorrectTheDriftOfTheScale) {
-  const std::shared_ptr<const ClassTable> classes = coco();
+  const std::shared_ptr<const ClassTable> classes = shared_coco();
   const auto sequence = simulate_monocular(GetParam(), *classes);
-  ASSERT_TRUE(sequence);
-  const Outcome outcome = run(*sequence, classes);
-  const TrajectoryEvaluation before = evaluate(sequence->odometry, sequence->truth);
-  const TrajectoryEvaluation after = evaluate(outcome.keyframes, sequence->truth);
+  const Outcome outcome = run(sequence, classes);
+  const TrajectoryEvaluation before = evaluate(sequence.odometry, sequence.truth);
+  const TrajectoryEvaluation after = evaluate(outcome.keyframes, sequence.truth);
   EXPECT_LT(3.0 * after.absolute_m.rmse, before.absolute_m.rmse);
   // Landmarks have followed their keyframes, in one unit of length.
   int mapped = 0;
@@ -99,7 +84,7 @@ TEST_P(Monocular, LoopsCorrectTheDriftOfTheScale) {
       return (object.ellipsoid.center() - center).norm() < kSamePlaceM &&
              classes->confusable(object.class_id, landmark.class_id);
     };
-    const bool is_right = std::any_of(sequence->scene.objects.begin(), sequence->scene.objects.end(), is_it);
+    const bool is_right = std::any_of(sequence.scene.objects.begin(), sequence.scene.objects.end(), is_it);
     mapped += is_right ? 1 : 0;
   }
   EXPECT_GE(mapped, 12);

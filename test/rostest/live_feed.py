@@ -3,14 +3,13 @@ import threading
 import unittest
 
 import rospy
-from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import TransformStamped
 from nav_msgs.msg import Odometry
 from sensor_msgs.msg import CameraInfo, PointCloud2
 from std_srvs.srv import Trigger
 from tf2_msgs.msg import TFMessage
 
-from playback import PACKAGE, Launch, wait_until
+from playback import PACKAGE, Diagnostics, Launch, wait_until
 from semantic_topo_loop.msg import Detection, DetectionArray, Frame, FrameDone, SessionControl
 
 START_S = 1000.0
@@ -59,8 +58,7 @@ class LiveFeed(unittest.TestCase):
         cls.joined = Topic('detections', DetectionArray)
         cls.done = Topic('frame_done', FrameDone)
         cls.control = Topic('session_control', SessionControl)
-        cls.counters = {}
-        rospy.Subscriber('/diagnostics', DiagnosticArray, cls.take_diagnostics)
+        cls.diagnostics = Diagnostics()
         extrinsics = cls.transform('/base_link', '/lens', 0.0, 0.0)
         cls.tf_static.publish(TFMessage([extrinsics]))
         publishers = [cls.tf, cls.tf_static, cls.camera_info, cls.detections]
@@ -72,12 +70,6 @@ class LiveFeed(unittest.TestCase):
     @classmethod
     def tearDownClass(cls):
         cls.launch.stop()
-
-    @classmethod
-    def take_diagnostics(cls, message):
-        for status in message.status:
-            for value in status.values:
-                cls.counters[status.name.split(': ')[-1], value.key] = value.value
 
     @staticmethod
     def transform(parent, child, time_s, x):
@@ -116,8 +108,8 @@ class LiveFeed(unittest.TestCase):
         self.assertEqual(answer.status, status, time_s)
 
     def assert_counted(self, stage, key, least=1):
-        self.assertTrue(wait_until(lambda: float(self.counters.get((stage, key), 0)) >= least, 10),
-                        '%s: %s is %s' % (stage, key, self.counters.get((stage, key))))
+        self.assertTrue(wait_until(lambda: self.diagnostics.count(stage, key) >= least, 10),
+                        '%s: %s is %g' % (stage, key, self.diagnostics.count(stage, key)))
 
     def call(self, service):
         name = '/%s/pose_frontend/%s' % (PACKAGE, service)

@@ -5,13 +5,12 @@ import unittest
 
 import rospy
 import rostest
-from diagnostic_msgs.msg import DiagnosticArray
 from sensor_msgs.msg import CameraInfo, Image
 from tf2_msgs.msg import TFMessage
 
 import wall
 from live_feed import START_S, Topic
-from playback import PACKAGE, Launch, wait_until
+from playback import PACKAGE, Diagnostics, Launch, wait_until
 from semantic_topo_loop.msg import Frame, FrameDone, SessionControl
 
 DEPTH_DELAY_S = 0.006
@@ -28,8 +27,8 @@ class LiveRgbdTest(unittest.TestCase):
         cls.info = rospy.Publisher('/info', CameraInfo, queue_size=100)
         cls.frames, cls.done = Topic('frames', Frame), Topic('frame_done', FrameDone)
         cls.control = Topic('session_control', SessionControl)
-        cls.counters, cls.summaries, cls.parents = {}, {}, {}
-        rospy.Subscriber('/diagnostics', DiagnosticArray, cls.take_diagnostics)
+        cls.parents = {}
+        cls.diagnostics = Diagnostics()
         rospy.Subscriber('/tf', TFMessage, cls.take_tf)
         publishers = (cls.color, cls.depth, cls.info)
         up = wait_until(lambda: cls.control.messages and all(p.get_num_connections() > 0 for p in publishers), 40)
@@ -39,14 +38,6 @@ class LiveRgbdTest(unittest.TestCase):
     @classmethod
     def tearDownClass(cls):
         cls.launch.stop()
-
-    @classmethod
-    def take_diagnostics(cls, message):
-        for status in message.status:
-            name = status.name.split(': ')[-1]
-            cls.summaries[name] = status.message
-            for value in status.values:
-                cls.counters[name, value.key] = value.value
 
     @classmethod
     def take_tf(cls, message):
@@ -65,13 +56,12 @@ class LiveRgbdTest(unittest.TestCase):
 
     def assert_status(self, time_s, status):
         answer = self.done.at(time_s)
-        self.assertIsNotNone(answer, 'no answer for %s: %s' % (time_s, self.counters))
+        self.assertIsNotNone(answer, 'no answer for %s: %s' % (time_s, self.diagnostics.values))
         self.assertEqual(answer.status, status, time_s)
 
     def assert_counted(self, key, least=1):
-        def count():
-            return float(self.counters.get(('RgbdFrontend', key), 0))
-        self.assertTrue(wait_until(lambda: count() >= least, 10), '%s: %s' % (key, self.counters))
+        self.assertTrue(wait_until(lambda: self.diagnostics.count('RgbdFrontend', key) >= least, 10),
+                        '%s: %s' % (key, self.diagnostics.values))
 
     def test_1_no_calibration(self):
         # All zero, as drivers without a calibration send it; the pair is known once the next image has come.
@@ -115,17 +105,17 @@ class LiveRgbdTest(unittest.TestCase):
     def test_5_silence_is_reported(self):
         begin = time.monotonic()
         i = 0
-        while '/depth' not in self.summaries.get('RgbdFrontend', '') and time.monotonic() - begin < 6.0:
+        while '/depth' not in self.diagnostics.summaries.get('RgbdFrontend', '') and time.monotonic() - begin < 6.0:
             self.see(3.0 + wall.PERIOD_S * i, with_depth=False)
             i += 1
-        summary = self.summaries.get('RgbdFrontend', '')
+        summary = self.diagnostics.summaries.get('RgbdFrontend', '')
         self.assertLess(time.monotonic() - begin, 5.5)
         self.assertIn("no images on '/depth'", summary)
         self.assertIn('gap between the last stamps', summary)
         self.assertIn("'/color': last image", summary)
         for i in range(4):
             self.see(13.0 + wall.PERIOD_S * i)
-        self.assertTrue(wait_until(lambda: self.summaries.get('RgbdFrontend') == 'working', 4), self.summaries)
+        self.assertTrue(wait_until(lambda: self.diagnostics.summaries.get('RgbdFrontend') == 'working', 4), self.diagnostics.summaries)
 
 
 if __name__ == '__main__':

@@ -6,6 +6,9 @@ import sys
 import threading
 import time
 
+import rospy
+from diagnostic_msgs.msg import DiagnosticArray
+
 PACKAGE = 'semantic_topo_loop'
 
 if os.environ.get('STL_DEVEL_PYTHON'):
@@ -62,6 +65,24 @@ class Launch:
         """Whether wait_for_player, which the launch files require, ended with 0 and as the first."""
         text = self.output()
         return 'player: finished' in text and 'exit code' not in text
+
+
+class Diagnostics:
+    """The last word of each stage on /diagnostics: summaries by stage, values by (stage, key)."""
+
+    def __init__(self):
+        self.summaries, self.values = {}, {}
+        rospy.Subscriber('/diagnostics', DiagnosticArray, self.take)
+
+    def take(self, message):
+        for status in message.status:
+            stage = status.name.split(': ')[-1]
+            self.summaries[stage] = status.message
+            for value in status.values:
+                self.values[stage, value.key] = value.value
+
+    def count(self, stage, key):
+        return float(self.values.get((stage, key), 0))
 
 
 def demo(**arguments):

@@ -9,7 +9,6 @@ import unittest
 import rosbag
 import rospy
 import rostest
-from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import TransformStamped
 from tf2_msgs.msg import TFMessage
 
@@ -60,33 +59,26 @@ class RgbdBagTest(unittest.TestCase):
         rospy.init_node('rgbd_bag_test')
         cls.directory = tempfile.mkdtemp(prefix='semantic_topo_loop_rgbd_')
         with open(cls.path('camera.yaml'), 'w') as file:
-            file.write(wall.CAMERA_YAML)
-        cls.counters = {}
-        rospy.Subscriber('/diagnostics', DiagnosticArray, cls.take_diagnostics)
+            file.write(wall.camera_yaml())
 
     @classmethod
     def tearDownClass(cls):
         shutil.rmtree(cls.directory)
 
     @classmethod
-    def take_diagnostics(cls, message):
-        for status in message.status:
-            for value in status.values:
-                cls.counters[status.name.split(': ')[-1], value.key] = value.value
-
-    @classmethod
     def path(cls, name):
         return os.path.join(cls.directory, name)
 
     def play(self, bag, output, **arguments):
-        launch = Launch('tum.launch', bag=bag, camera=self.path('camera.yaml'), output=self.path(output), **arguments)
+        arguments.setdefault('camera', self.path('camera.yaml'))
+        launch = Launch('tum.launch', bag=bag, output=self.path(output), **arguments)
         ended = launch.wait(90)
         launch.stop()
         self.assertTrue(ended, launch.output())
         return launch
 
-    def run_offline(self, bag, output, *arguments):
-        return run_program('offline', '--bag', bag, '--camera', self.path('camera.yaml'), '--output',
+    def run_offline(self, bag, output, *arguments, camera=None):
+        return run_program('offline', '--bag', bag, '--camera', camera or self.path('camera.yaml'), '--output',
                            self.path(output), *arguments)
 
     def summary(self, output):
@@ -120,6 +112,30 @@ class RgbdBagTest(unittest.TestCase):
         for value, expected in zip(moved, [wall.STEP_M * (FRAMES - 1), 0.0, 0.0]):
             self.assertAlmostEqual(value, expected, delta=0.02)
         self.assertEqual(self.summary('lockstep')['associations']['joint'] > 0, True)
+
+    def test_a_wrong_calibration_is_found_and_the_bag_played_again_from_its_start(self):
+        with open(self.path('true.yaml'), 'w') as file:
+            file.write(wall.camera_yaml(width=320, height=240, focal=262.5))
+        with open(self.path('stated.yaml'), 'w') as file:
+            file.write(wall.camera_yaml(width=320, height=240, focal=292.5))
+        status, text = run_program('simulate_bag', '--output', self.path('sim'), '--camera', self.path('true.yaml'),
+                                   '--layout', 'office', '--seed', '31', '--duration', '4',
+                                   '--set', 'trajectory.lap_s=12')
+        self.assertEqual(status, 0, text)
+        bag = self.path('sim/sequence.bag')
+        launch = self.play(bag, 'replayed', camera=self.path('stated.yaml'), detections=self.path('sim/detections.json'))
+        self.assertTrue(launch.player_finished(), launch.output())
+        self.assertIn('self-calibration', launch.output())
+        self.assertIn('with 120 of 120 images, 0 of them without a pose; 0 dropped', launch.output())
+        status, text = self.run_offline(bag, 'replayed_offline', '--detections', self.path('sim/detections.json'),
+                                        camera=self.path('stated.yaml'))
+        self.assertEqual(status, 0, text)
+        self.assertEqual(differing_files(self.path('replayed_offline'), self.path('replayed')), [])
+        status, text = run_program('evaluate', 'trajectory', self.path('replayed/trajectory_live.txt'),
+                                   self.path('sim/groundtruth.txt'), '--json', self.path('ate.json'))
+        self.assertEqual(status, 0, text)
+        with open(self.path('ate.json')) as file:
+            self.assertLess(json.load(file)['ate_m']['rmse'], 0.04)
 
     def test_bad_images_are_counted_and_the_chain_goes_on(self):
         bag = self.path('bad.bag')

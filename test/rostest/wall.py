@@ -7,10 +7,13 @@ WIDTH, HEIGHT, FOCAL = 320, 240, 300.0
 DISTANCE_M = 1.5
 STEP_PX = 3
 PERIOD_S = 1.0 / 30.0
-CAMERA_YAML = 'fx: %g\nfy: %g\ncx: %g\ncy: %g\nwidth: %d\nheight: %d\ndistortion: [0, 0, 0, 0, 0]\n' % (
-    FOCAL, FOCAL, WIDTH / 2.0, HEIGHT / 2.0, WIDTH, HEIGHT)
 FRAME = '/openni_rgb_optical_frame'
 STEP_M = STEP_PX * DISTANCE_M / FOCAL
+
+
+def camera_yaml(width=WIDTH, height=HEIGHT, focal=FOCAL):
+    return 'fx: %g\nfy: %g\ncx: %g\ncy: %g\nwidth: %d\nheight: %d\ndistortion: [0, 0, 0, 0, 0]\n' % (
+        focal, focal, width / 2.0, height / 2.0, width, height)
 
 
 def texture():

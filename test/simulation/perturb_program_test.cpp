@@ -2,17 +2,16 @@
 
 #include <algorithm>
 
-#include "../test_files.h"
+#include "../program_test.h"
 #include "semantic_topo_loop/evaluation/run_files.h"
 #include "semantic_topo_loop/io/loop_table.h"
 
 namespace semantic_topo_loop::core {
 namespace {
 
-/// Runs the program `perturb` on files of its own.
-class PerturbProgram : public ::testing::Test {
+class PerturbProgram : public ProgramTest {
  protected:
-  PerturbProgram() {
+  PerturbProgram() : ProgramTest(STL_PERTURB_PROGRAM) {
     directory_.write("boxes.json", R"([{"file_name": "1.500000.png", "detections": [
       {"category_id": 41, "detection_score": 0.5, "bbox": [10, 20, 30, 60]},
       {"category_id": 73, "detection_score": 0.25, "bbox": [100, 20, 130, 60]}]},
@@ -21,24 +20,9 @@ class PerturbProgram : public ::testing::Test {
     directory_.write("yolo/1.600000.txt", "");
   }
 
-  /// @return the exit status; "@" in the arguments stands for the test's directory
-  int run(const std::string& arguments) {
-    const ProgramRun run = run_program(STL_PERTURB_PROGRAM, arguments, directory_);
-    out_ = run.out;
-    err_ = run.err;
-    return run.status;
-  }
   int detections(const std::string& arguments) {
     return run("detections " + arguments + " --classes " STL_CONFIG_DIR "/classes_coco.yaml");
   }
-  void expect_one_line_error(const std::string& part) const {
-    EXPECT_TRUE(out_.empty()) << out_;
-    EXPECT_NE(err_.find(part), std::string::npos) << err_;
-    EXPECT_EQ(std::count(err_.begin(), err_.end(), '\n'), 1) << err_;
-  }
-
-  TestDirectory directory_;
-  std::string out_, err_;
 };
 
 TEST_F(PerturbProgram, WritesTheKindThatItReads) {

@@ -2,7 +2,7 @@
 
 #include <filesystem>
 
-#include "../test_files.h"
+#include "../program_test.h"
 
 namespace semantic_topo_loop::core {
 namespace {

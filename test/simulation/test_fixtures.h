@@ -4,26 +4,15 @@
 
 #include <map>
 #include <string>
+#include <utility>
 
-#include "semantic_topo_loop/io/camera_yaml.h"
-#include "semantic_topo_loop/io/class_table_yaml.h"
+#include "../package_config.h"
 #include "semantic_topo_loop/simulation/sequence.h"
 
 namespace semantic_topo_loop::core::simulation_test {
 
-inline Camera camera_fr2() {
-  std::string error;
-  const auto camera = read_camera(STL_CONFIG_DIR "/camera/tum_fr2.yaml", &error);
-  EXPECT_TRUE(camera) << error;
-  return camera.value_or(Camera());
-}
-
-inline ClassTable coco() {
-  std::string error;
-  const auto classes = read_class_table(STL_CONFIG_DIR "/classes_coco.yaml", &error);
-  EXPECT_TRUE(classes) << error;
-  return classes.value_or(ClassTable());
-}
+using core::camera_fr2;
+using core::coco;
 
 /// Options from texts, which must be valid.
 inline SimulationOptions options_of(const std::map<std::string, std::string>& texts) {
@@ -31,6 +20,14 @@ inline SimulationOptions options_of(const std::map<std::string, std::string>& te
   const auto options = make_simulation_options(texts, &error);
   EXPECT_TRUE(options) << error;
   return options.value_or(SimulationOptions());
+}
+
+/// Simulated from texts, which must be valid.
+inline SimulatedSequence simulate_fr2(const std::map<std::string, std::string>& texts, const ClassTable& classes) {
+  std::string error;
+  auto sequence = simulate(options_of(texts), camera_fr2(), classes, &error);
+  EXPECT_TRUE(sequence) << error;
+  return std::move(sequence).value_or(SimulatedSequence());
 }
 
 /// A detector without errors that sees every object.

@@ -26,6 +26,8 @@ struct TrackedImage {
   std::optional<PoseSample> sample;  ///< unless lost: T_odom_camera, covariance, break flag, points_camera
   int matches = 0;                   ///< map points found in the image
   int inliers = 0;                   ///< of these, how many the pose explains
+  /// The calibration was corrected so early that it pays to begin anew: every pose until now has the old one's error.
+  bool is_recalibrated = false;
 };
 
 /// Visual odometry of an RGB-D camera: ORB features, projection into a local map, pose refinement, local bundle
@@ -39,6 +41,11 @@ class RgbdFrontend {
 
   /// Images in time order, made by make_rgbd_image with the same camera.
   TrackedImage track(const RgbdImage& image);
+  /// Forgets images, poses and points, but keeps what self-calibration found: for the first image again, or for the
+  /// next recording of the same camera.
+  void begin_anew();
+  /// Whether no image to come is `is_recalibrated`. A correction found later begins a new map at the pose reached.
+  bool is_calibrated() const;
   /// The colour camera, with its focal lengths as self-calibration corrected them; else as given.
   const Camera& camera() const;
   /// The map points that the last image with a pose sees, in order of id. Ids are never used twice.

@@ -56,7 +56,8 @@ class FrontendStage : public Stage {
 
   /// @return whether an image is to be worked on; else it is answered. A jump back in time begins a session.
   bool accept(std::int64_t stamp_ns);
-  void begin_session(const std::string& reason);
+  /// @param rewind ask for the images of this session again, which a recording can give
+  void begin_session(const std::string& reason, bool rewind = false);
   /// @param camera of the frame; none: the image is answered by a failure
   void emit(const core::PoseSample& sample, const std::optional<core::Camera>& camera);
   void emit_end();
@@ -69,7 +70,7 @@ class FrontendStage : public Stage {
  private:
   void advertise_services();
   void add_service(const std::string& service, const std::string& answer, void (FrontendStage::*handler)());
-  void control(std::uint8_t command, const std::string& reason);
+  void control(std::uint8_t command, const std::string& reason, bool rewind = false);
   void reset() { begin_session("reset was called"); }
   void pause();
   void resume();

@@ -30,6 +30,8 @@ class PlayerLedger {
   /// A new session forgets the frames on their way: the stages have dropped them.
   void take(const SessionControl& control);
   void take(const SessionAck& ack);
+  /// Whether the front end wants the recording from its first image; asked once, it is granted.
+  bool take_rewind() { return std::exchange(wants_rewind_, false); }
   /// The front end if it has opened no session, else the stages that have not acknowledged it.
   std::vector<std::string> missing_stages() const;
   bool is_paused() const { return is_paused_; }
@@ -64,6 +66,7 @@ class PlayerLedger {
   std::uint32_t session_id_ = 0;  ///< 0: none yet
   ros::Time session_stamp_;       ///< of its START, which the front end may repeat
   bool is_paused_ = false;
+  bool wants_rewind_ = false;
   std::map<std::string, std::uint32_t> acknowledged_;  ///< last session_id by stage
   std::map<std::int64_t, std::int64_t> in_flight_;     ///< frame_id by stamp
   std::int64_t end_frame_id_ = kUnknownFrame;
