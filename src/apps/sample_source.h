@@ -113,6 +113,7 @@ class RgbdSource : public SampleSource {
     if (needs_rewind_) frontend_.begin_anew();
     total_ = reader_->total();
     report_ = {};
+    depth_range_ = {};
     left_out_ = {};
     last_image_ = {};
     done_ = 0;
