@@ -1,13 +1,26 @@
+// Tracking one image: on a painted wall, and, with --rgbd, on the images of a folder as `offline --rgbd` takes them.
+
 #include <benchmark/benchmark.h>
 
 #include <algorithm>
+#include <chrono>
 #include <cmath>
+#include <cstdio>
 #include <ctime>
+#include <map>
+#include <numeric>
 #include <opencv2/core.hpp>
 #include <opencv2/imgproc.hpp>
+#include <optional>
+#include <string>
+#include <utility>
 #include <vector>
 
 #include "semantic_topo_loop/frontend/rgbd_frontend.h"
+#include "semantic_topo_loop/frontend/tracking_report.h"
+#include "semantic_topo_loop/io/camera_yaml.h"
+#include "semantic_topo_loop/io/options_yaml.h"
+#include "semantic_topo_loop/io/rgbd_folder.h"
 
 namespace semantic_topo_loop::core {
 namespace {
@@ -55,26 +68,139 @@ double thread_ms() {
   return 1e3 * static_cast<double>(time.tv_sec) + 1e-6 * static_cast<double>(time.tv_nsec);
 }
 
-/// Processor time of the calling thread for one image; the bundle adjustment runs beside it.
-void track(benchmark::State& state) {
+double wall_ms() {
+  return std::chrono::duration<double, std::milli>(std::chrono::steady_clock::now().time_since_epoch()).count();
+}
+
+/// Times of images that were tracked one after the other.
+class Times {
+ public:
+  TrackedImage track(RgbdFrontend* frontend, const RgbdImage& image) {
+    const double thread_begin_ms = thread_ms(), wall_begin_ms = wall_ms();
+    TrackedImage tracked = frontend->track(image);
+    thread_ms_.push_back(thread_ms() - thread_begin_ms);
+    wall_ms_.push_back(wall_ms() - wall_begin_ms);
+    return tracked;
+  }
+  double last_wall_ms() const { return wall_ms_.back(); }
+  /// cpu: of the calling thread; wall: with its waiting for the local bundle adjustment, which runs beside it.
+  void report(benchmark::State* state) {
+    report("cpu_", &thread_ms_, state);
+    report("wall_", &wall_ms_, state);
+  }
+
+ private:
+  static void report(const std::string& name, std::vector<double>* times_ms, benchmark::State* state) {
+    std::sort(times_ms->begin(), times_ms->end());
+    const std::size_t count = times_ms->size();
+    const double sum_ms = std::accumulate(times_ms->begin(), times_ms->end(), 0.0);
+    state->counters[name + "mean"] = sum_ms / static_cast<double>(count);
+    state->counters[name + "p50"] = (*times_ms)[count / 2];
+    state->counters[name + "p99"] = (*times_ms)[count * 99 / 100];
+    state->counters[name + "max"] = times_ms->back();
+  }
+  std::vector<double> thread_ms_, wall_ms_;
+};
+
+void track_wall(benchmark::State& state) {
   std::vector<RgbdImage> sequence = images();
   RgbdFrontend frontend(FrontendOptions(), camera());
-  std::vector<double> times_ms;
+  Times times;
   std::int64_t number = 0;
   for (auto _ : state) {
     RgbdImage& image = sequence[static_cast<std::size_t>(number % kImages)];
     image.stamp_ns = number++ * 33333333;
-    const double begin_ms = thread_ms();
-    benchmark::DoNotOptimize(frontend.track(image).inliers);
-    times_ms.push_back(thread_ms() - begin_ms);
+    benchmark::DoNotOptimize(times.track(&frontend, image).inliers);
   }
-  std::sort(times_ms.begin(), times_ms.end());
-  state.counters["p50_ms"] = times_ms[times_ms.size() / 2];
-  state.counters["p99_ms"] = times_ms[times_ms.size() * 99 / 100];
+  times.report(&state);
 }
-BENCHMARK(track)->Iterations(2 * kImages)->Unit(benchmark::kMillisecond);
+BENCHMARK(track_wall)->Iterations(2 * kImages)->Unit(benchmark::kMillisecond);
+
+/// A recording with what it is read by.
+struct Recording {
+  std::vector<RgbdFile> files;
+  Camera camera;
+  Options options;
+};
+
+/// Every image once, read before the clock starts.
+void track_folder(benchmark::State& state, const Recording& recording) {
+  RgbdFolder folder(recording.files, recording.camera, recording.options.depth);
+  RgbdFrontend frontend(recording.options.frontend, recording.camera);
+  Times times;
+  TrackingReport report;
+  std::string fault;
+  for (auto _ : state) {
+    const std::optional<RgbdReading> reading = folder.next(&fault);
+    if (!reading || !reading->image) {
+      state.SkipWithError(reading ? reading->error.c_str() : "no image left");
+      return;
+    }
+    report.add(times.track(&frontend, *reading->image));
+    state.SetIterationTime(1e-3 * times.last_wall_ms());
+  }
+  times.report(&state);
+  state.counters["lost"] = static_cast<double>(report.lost + report.unusable);
+  state.counters["relocalised"] = static_cast<double>(report.relocalised);
+}
+
+/// @param assignments of parameters, "depth.scale=5000"
+std::optional<Recording> read(std::map<std::string, std::string> arguments, const std::vector<std::string>& assignments,
+                              std::string* error) {
+  Recording recording;
+  const std::string folder = arguments["--rgbd"];
+  const std::string camera_file = arguments.count("--camera") > 0 ? arguments["--camera"] : folder + "/camera.yaml";
+  const std::optional<Camera> camera = read_camera(camera_file, error);
+  if (!camera) return std::nullopt;
+  recording.camera = *camera;
+  const std::optional<Options> options = load_options("", assignments, error);
+  if (!options) return std::nullopt;
+  recording.options = *options;
+  const std::string list =
+      arguments.count("--associations") > 0 ? arguments["--associations"] : folder + "/associations.txt";
+  std::string warning;
+  std::optional<std::vector<RgbdFile>> files = read_associations(list, folder, &warning, error);
+  if (!files) return std::nullopt;
+  recording.files = std::move(*files);
+  return recording;
+}
+
+int run(int argc, char** argv) {
+  benchmark::Initialize(&argc, argv);
+  const char usage[] =
+      "usage: benchmark_frontend [--rgbd DIR [--camera YAML] [--associations FILE] [--set module.field=value ...]]\n"
+      "                          [--benchmark_...]\n";
+  std::map<std::string, std::string> arguments;
+  std::vector<std::string> assignments;
+  for (int i = 1; i < argc; i += 2) {
+    const std::string name = argv[i];
+    if (i + 1 == argc || (name != "--rgbd" && name != "--camera" && name != "--associations" && name != "--set")) {
+      std::fprintf(stderr, "%sargument '%s' is unknown or lacks its value\n", usage, argv[i]);
+      return 2;
+    }
+    if (name == "--set") {
+      assignments.emplace_back(argv[i + 1]);
+    } else {
+      arguments[name] = argv[i + 1];
+    }
+  }
+  if (arguments.count("--rgbd") > 0) {
+    std::string error;
+    const std::optional<Recording> recording = read(arguments, assignments, &error);
+    if (!recording) {
+      std::fprintf(stderr, "benchmark_frontend: error: %s\n", error.c_str());
+      return 1;
+    }
+    benchmark::RegisterBenchmark("track_folder", track_folder, *recording)
+        ->Iterations(static_cast<benchmark::IterationCount>(recording->files.size()))
+        ->UseManualTime()
+        ->Unit(benchmark::kMillisecond);
+  }
+  benchmark::RunSpecifiedBenchmarks();
+  return 0;
+}
 
 }  // namespace
 }  // namespace semantic_topo_loop::core
 
-BENCHMARK_MAIN();
+int main(int argc, char** argv) { return semantic_topo_loop::core::run(argc, argv); }

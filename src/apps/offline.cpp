@@ -320,6 +320,8 @@ void warn(const Inputs& inputs, const Counts& counts, std::size_t loops_left) {
   if (!inputs.source->warning().empty()) say(inputs.source->warning());
   const std::optional<TrackingReport> tracking = inputs.source->report();
   if (tracking && !tracking->warning().empty()) say(tracking->warning());
+  const std::string depth = inputs.source->depth_range().warning(inputs.options.depth);
+  if (!depth.empty()) say(depth);
 }
 
 /// @return whether there were frames, and detections that belong to them, if there are any; else `error` is set
@@ -327,7 +329,10 @@ bool has_input(const Inputs& inputs, const Counts& counts, std::string* error) {
   if (counts.frames == 0) {
     const std::optional<TrackingReport> tracking = inputs.source->report();
     *error = inputs.source->fault();
-    if (error->empty()) *error = "no image has a pose" + (tracking ? ": " + tracking->warning() : std::string());
+    if (!error->empty()) return false;
+    *error = "no image has a pose" + (tracking ? ": " + tracking->warning() : std::string());
+    const std::string depth = inputs.source->depth_range().warning(inputs.options.depth);
+    if (!depth.empty()) *error += "; " + depth;
     return false;
   }
   if (counts.with_detections > 0 || inputs.detections.empty()) return true;

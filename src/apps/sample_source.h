@@ -36,6 +36,8 @@ class SampleSource {
   virtual std::optional<core::Camera> camera() const { return std::nullopt; }
   /// What became of the images, where there are any.
   virtual std::optional<core::TrackingReport> report() const { return std::nullopt; }
+  /// Where the depth of the images lies, as far as they were read.
+  virtual core::DepthRange depth_range() const { return {}; }
   /// What was left out, once the end is reached; empty if nothing.
   virtual std::string warning() const { return {}; }
   /// Why the recording ended early, once the end is reached; empty if it did not.
@@ -86,6 +88,7 @@ class RgbdSource : public SampleSource {
         report_.add_unreadable(reading->error);
         continue;
       }
+      depth_range_.add(reading->image->depth_range);
       core::TrackedImage tracked = frontend_.track(*reading->image);
       if (tracked.is_recalibrated) {
         needs_rewind_ = true;
@@ -110,6 +113,7 @@ class RgbdSource : public SampleSource {
     if (needs_rewind_) frontend_.begin_anew();
     total_ = reader_->total();
     report_ = {};
+    depth_range_ = {};
     left_out_ = {};
     last_image_ = {};
     done_ = 0;
@@ -123,6 +127,7 @@ class RgbdSource : public SampleSource {
   std::size_t total() const override { return total_; }
   std::optional<core::Camera> camera() const override { return frontend_.camera(); }
   std::optional<core::TrackingReport> report() const override { return report_; }
+  core::DepthRange depth_range() const override { return depth_range_; }
   std::string warning() const override { return left_out_.text(); }
   std::string fault() const override { return is_at_end_ ? fault_ : std::string(); }
 
@@ -160,6 +165,7 @@ class RgbdSource : public SampleSource {
   std::size_t total_ = 0;
   core::RgbdFrontend frontend_;
   core::TrackingReport report_;
+  core::DepthRange depth_range_;
   LeftOut left_out_;
   core::RgbdImage last_image_;
   std::size_t done_ = 0;

@@ -144,26 +144,29 @@ bool collect_json_frame(const Json& json, const std::string& path, const std::st
 bool collect_json(const std::string& path, Collector* collector, std::string* error) {
   const std::optional<std::string> text = read_text_file(path, error);
   if (!text) return false;
-  Json root;
+  // Image by image, each forgotten as soon as it is read: the tree of a long recording takes ten times its file.
+  bool is_array = false;
+  std::size_t images = 0;
+  std::string problem;
+  const auto take = [&](int depth, Json::parse_event_t event, Json& parsed) {
+    if (depth == 0 && event == Json::parse_event_t::array_start) is_array = true;
+    const bool is_whole = event == Json::parse_event_t::object_end || event == Json::parse_event_t::array_end ||
+                          event == Json::parse_event_t::value;
+    if (!is_array || depth != 1 || !is_whole) return true;
+    const std::string field = "[" + std::to_string(images++) + "]";
+    if (problem.empty()) collect_json_frame(parsed, path, field, collector, &problem);
+    return false;
+  };
   try {
-    root = Json::parse(*text);
+    [[maybe_unused]] const Json emptied = Json::parse(*text, take);
   } catch (const Json::parse_error& exception) {
     const std::string what = exception.what();
     *error = path + ": " + (text->empty() ? "the file is empty" : what.substr(what.find("] ") + 2));
     return false;
   }
-  if (!root.is_array()) {
-    *error = path + ": must be an array of images";
-    return false;
-  }
-  for (std::size_t i = 0; i < root.size(); ++i) {
-    std::string problem;
-    if (!collect_json_frame(root[i], path, "[" + std::to_string(i) + "]", collector, &problem)) {
-      *error = path + ": " + problem;
-      return false;
-    }
-  }
-  return true;
+  if (!is_array) problem = "must be an array of images";
+  if (!problem.empty()) *error = path + ": " + problem;
+  return problem.empty();
 }
 
 // --- YOLO text files ----------------------------------------------------------------------------------------------

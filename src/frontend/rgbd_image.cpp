@@ -29,12 +29,32 @@ SE3 parse_pose(const std::vector<double>& v) {
   return {Quaternion(v[6], v[3], v[4], v[5]).normalized(), Vec3(v[0], v[1], v[2])};
 }
 
+/// Counts every kStride-th pixel of every kStride-th row.
+template <class Raw, class ToMetres>
+DepthRange count_range(const cv::Mat& depth, const DepthOptions& options, const ToMetres& to_metres) {
+  constexpr int kStride = 8;
+  constexpr float kNear_m = 0.3F;
+  DepthRange range;
+  for (int v = 0; v < depth.rows; v += kStride) {
+    for (int u = 0; u < depth.cols; u += kStride) {
+      const float z_m = to_metres(depth.at<Raw>(v, u));
+      if (!(z_m > 0.0F) || !std::isfinite(z_m)) continue;
+      ++range.pixels;
+      if (z_m > static_cast<float>(options.max_m)) ++range.far;
+      if (z_m < kNear_m) ++range.near;
+    }
+  }
+  return range;
+}
+
 /// The depth image in metres, 0 where there is none, in its own pixels.
-cv::Mat to_metres(const cv::Mat& depth, const DepthOptions& options) {
+cv::Mat to_metres(const cv::Mat& depth, const DepthOptions& options, DepthRange* range) {
   cv::Mat metres(depth.size(), CV_32FC1);
   const auto limited = [&options](float m) { return m > 0.0F && m <= static_cast<float>(options.max_m) ? m : 0.0F; };
   if (depth.type() == CV_32FC1) {
     const auto factor = static_cast<float>(options.scale_correction);
+    *range = count_range<float>(depth, options, [factor](float m) { return factor * m; });
+    range->is_in_metres = true;
     for (int v = 0; v < depth.rows; ++v) {
       const float* from = depth.ptr<float>(v);
       float* to = metres.ptr<float>(v);
@@ -45,10 +65,12 @@ cv::Mat to_metres(const cv::Mat& depth, const DepthOptions& options) {
   // One look-up a pixel: 65536 values are fewer than an image has pixels.
   std::vector<float> table(65536);
   for (std::size_t raw = 0; raw < table.size(); ++raw) {
-    table[raw] = limited(static_cast<float>(static_cast<double>(raw) * options.scale_correction / options.scale));
+    table[raw] = static_cast<float>(static_cast<double>(raw) * options.scale_correction / options.scale);
   }
   const std::vector<double> invalid = numbers(options.invalid_values).value_or(std::vector<double>());
   for (const double value : invalid) table[static_cast<std::size_t>(std::clamp(value, 0.0, 65535.0))] = 0.0F;
+  *range = count_range<std::uint16_t>(depth, options, [&table](std::uint16_t raw) { return table[raw]; });
+  std::transform(table.begin(), table.end(), table.begin(), limited);
   for (int v = 0; v < depth.rows; ++v) {
     const std::uint16_t* from = depth.ptr<std::uint16_t>(v);
     float* to = metres.ptr<float>(v);
@@ -87,6 +109,36 @@ std::string describe(const char* field, const cv::Mat& image) {
 }
 
 }  // namespace
+
+void DepthRange::add(const DepthRange& other) {
+  pixels += other.pixels;
+  far += other.far;
+  near += other.near;
+  is_in_metres = other.is_in_metres;
+}
+
+std::string DepthRange::warning(const DepthOptions& options) const {
+  constexpr std::int64_t kMinPixels = 40'000;  // of about ten images
+  constexpr double kMostShare = 0.2;
+  if (pixels < kMinPixels) return "";
+  const double all = static_cast<double>(pixels);
+  const double far_share = static_cast<double>(far) / all, near_share = static_cast<double>(near) / all;
+  std::ostringstream text;
+  if (far_share > kMostShare) {
+    text << std::lround(100.0 * far_share) << " % of the depth lies beyond depth.max_m = " << options.max_m
+         << " m and is left out";
+  } else if (near_share > kMostShare) {
+    text << std::lround(100.0 * near_share) << " % of the depth is nearer than 0.3 m, where few depth cameras measure";
+  } else {
+    return "";
+  }
+  if (is_in_metres) {
+    text << ": are the 32FC1 images in metres (depth.scale_correction = " << options.scale_correction << ")?";
+  } else {
+    text << ": is depth.scale = " << options.scale << " right (1000 for millimetres, 5000 in TUM's PNG files)?";
+  }
+  return text.str();
+}
 
 bool DepthOptions::is_valid(std::string* error) const {
   const auto fail = [error](const char* name, const auto& value, const char* rule) {
@@ -145,7 +197,7 @@ std::optional<RgbdImage> make_rgbd_image(std::int64_t stamp_ns, const cv::Mat& c
   } else {
     image.gray = color.clone();
   }
-  image.depth_m = to_metres(depth, options);
+  image.depth_m = to_metres(depth, options, &image.depth_range);
   if (is_registered) return image;
   Camera depth_camera = camera;
   depth_camera.distortion = {};

@@ -18,7 +18,7 @@ constexpr char kColumns[] =
 
 std::string loop_table_header() { return kColumns; }
 
-std::string loop_table_row(const LoopClosure& loop) {
+std::string loop_table_row(const LoopFigures& loop) {
   constexpr int kDecimals = 6;
   return CsvRow()
       .add(loop.query_frame)

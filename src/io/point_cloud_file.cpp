@@ -3,6 +3,7 @@
 #include <array>
 #include <cstdint>
 #include <cstring>
+#include <ostream>
 
 #include "semantic_topo_loop/io/text_file.h"
 
@@ -34,9 +35,12 @@ void append(float value, std::string* bytes) {
   for (int shift = 0; shift < 32; shift += 8) bytes->push_back(static_cast<char>((bits >> shift) & 0xff));
 }
 
-void append(const std::vector<Eigen::Vector3f>& points, float intensity, std::string* bytes) {
+void write(const std::vector<Eigen::Vector3f>& points, float intensity, std::ostream& file) {
+  std::string bytes;
   for (const Eigen::Vector3f& p : points) {
-    for (const float value : {p.x(), p.y(), p.z(), intensity}) append(value, bytes);
+    bytes.clear();
+    for (const float value : {p.x(), p.y(), p.z(), intensity}) append(value, &bytes);
+    file << bytes;
   }
 }
 
@@ -50,11 +54,12 @@ bool write_point_cloud(const std::string& path, const MapPoints& points, std::st
     return false;
   }
   const std::size_t count = points.sparse.size() + points.semi_dense.size();
-  std::string bytes = ends_with(path, ".ply") ? ply_header(count) : pcd_header(count);
-  bytes.reserve(bytes.size() + 16 * count);
-  append(points.sparse, 1.0F, &bytes);
-  append(points.semi_dense, 0.0F, &bytes);
-  return write_text_file(path, bytes, error);
+  const auto write_points = [&](std::ostream& file) {
+    file << (ends_with(path, ".ply") ? ply_header(count) : pcd_header(count));
+    write(points.sparse, 1.0F, file);
+    write(points.semi_dense, 0.0F, file);
+  };
+  return write_file(path, write_points, error);
 }
 
 }  // namespace semantic_topo_loop::core

@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <functional>
 #include <nlohmann/json.hpp>
 
 #include "csv_row.h"
@@ -70,15 +71,11 @@ nlohmann::json to_json(const std::optional<Relocalisation>& relocalisation) {
   return {{"earlier_map_from_odom", pose}, {"agreeing", relocalisation->agreeing}, {"accepted", relocalisation->total}};
 }
 
-bool has_scale(const LoopClosure& loop) { return loop.scale_covariance(6) > 0.0; }
-
 nlohmann::json to_json(const TrackingReport& tracking) {
   return {{"total", tracking.images},          {"tracked", tracking.tracked}, {"relocalised", tracking.relocalised},
           {"started_anew", tracking.restarts}, {"lost", tracking.lost},       {"unusable", tracking.unusable},
           {"unreadable", tracking.unreadable}};
 }
-
-bool is_in_earlier_map(const LoopClosure& loop) { return loop.T_earlier_match.has_value(); }
 
 }  // namespace
 
@@ -105,9 +102,22 @@ void RunRecorder::record(const MapUpdate& update) {
 
 void RunRecorder::record(std::int64_t frame_id, const std::vector<LoopClosure>& loops, double loop_us) {
   timing_[frame_id].loop_us = loop_us;
-  has_earlier_map_ = has_earlier_map_ || std::any_of(loops.begin(), loops.end(), is_in_earlier_map);
-  has_loop_scales_ = has_loop_scales_ || std::any_of(loops.begin(), loops.end(), has_scale);
-  if (!loops.empty()) loops_.insert_or_assign(frame_id, loops);
+  if (loops.empty()) return;
+  std::vector<LoopRow> rows;
+  rows.reserve(loops.size());
+  std::vector<LoopClosure> relocalising;
+  for (const LoopClosure& loop : loops) {
+    LoopRow row;
+    static_cast<LoopFigures&>(row) = loop;
+    row.log_scale_variance = loop.scale_covariance(6);
+    row.is_in_earlier_map = loop.T_earlier_match.has_value();
+    has_earlier_map_ = has_earlier_map_ || row.is_in_earlier_map;
+    has_loop_scales_ = has_loop_scales_ || row.log_scale_variance > 0.0;
+    if (row.is_in_earlier_map && loop.accepted) relocalising.push_back(loop);
+    rows.push_back(row);
+  }
+  loops_.insert_or_assign(frame_id, std::move(rows));
+  if (!relocalising.empty()) relocalising_.insert_or_assign(frame_id, std::move(relocalising));
 }
 
 void RunRecorder::record(const MapCorrection& correction) {
@@ -178,8 +188,8 @@ std::string RunRecorder::objects() const {
 std::string RunRecorder::loops(bool in_earlier_map) const {
   std::string text = loop_table_header();
   for (const auto& [frame_id, candidates] : loops_) {
-    for (const LoopClosure& loop : candidates) {
-      if (is_in_earlier_map(loop) == in_earlier_map) text += loop_table_row(loop);
+    for (const LoopRow& loop : candidates) {
+      if (loop.is_in_earlier_map == in_earlier_map) text += loop_table_row(loop);
     }
   }
   return text;
@@ -218,14 +228,14 @@ std::string RunRecorder::scales() const {
 std::string RunRecorder::loop_scales() const {
   std::string text = "query_frame,match_frame,accepted,scale,sigma_log\n";
   for (const auto& [frame_id, candidates] : loops_) {
-    for (const LoopClosure& loop : candidates) {
-      if (!has_scale(loop)) continue;
+    for (const LoopRow& loop : candidates) {
+      if (!(loop.log_scale_variance > 0.0)) continue;
       text += CsvRow()
                   .add(loop.query_frame)
                   .add(loop.match_frame)
                   .add(loop.accepted ? 1 : 0)
                   .add(loop.scale, kRatioDecimals)
-                  .add(std::sqrt(loop.scale_covariance(6)), kRatioDecimals)
+                  .add(std::sqrt(loop.log_scale_variance), kRatioDecimals)
                   .end();
     }
   }
@@ -274,7 +284,8 @@ std::string RunRecorder::summary() const {
   }
   for (const auto& [id, landmark] : landmarks_) ++states[to_string(landmark.state)];
   for (const auto& [frame_id, loops] : loops_) {
-    for (const LoopClosure& loop : own_loops(loops)) {
+    for (const LoopRow& loop : loops) {
+      if (loop.is_in_earlier_map) continue;
       ++candidates;
       ++reasons[to_string(loop.reason)];
       accepted += loop.accepted ? 1 : 0;
@@ -300,7 +311,7 @@ std::string RunRecorder::summary() const {
 
 std::optional<Relocalisation> RunRecorder::relocalisation() const {
   Relocaliser relocaliser;
-  for (const auto& [frame_id, loops] : loops_) {
+  for (const auto& [frame_id, loops] : relocalising_) {
     for (const LoopClosure& loop : loops) {
       const auto query = frames_.find(loop.query_frame);
       if (query != frames_.end()) relocaliser.add(loop, query->second.T_odom_camera);
@@ -310,23 +321,25 @@ std::optional<Relocalisation> RunRecorder::relocalisation() const {
 }
 
 bool RunRecorder::write(const std::string& directory, std::string* error) const {
-  std::vector<std::pair<const char*, std::string>> files = {{"trajectory_live.txt", trajectory(true)},
-                                                            {"trajectory.txt", trajectory(false)},
-                                                            {"keyframes.csv", keyframes()},
-                                                            {"objects.csv", objects()},
-                                                            {"loops.csv", loops(false)},
-                                                            {"loop_verdicts.csv", loop_verdicts()},
-                                                            {"associations.csv", associations()},
-                                                            {"timing.csv", timing()},
-                                                            {"summary.json", summary()}};
-  if (has_earlier_map_) files.emplace_back("relocalisations.csv", loops(true));
+  // One text at a time: that of the loops is as long as all others together.
+  std::vector<std::pair<const char*, std::function<std::string()>>> files = {
+      {"trajectory_live.txt", [this] { return trajectory(true); }},
+      {"trajectory.txt", [this] { return trajectory(false); }},
+      {"keyframes.csv", [this] { return keyframes(); }},
+      {"objects.csv", [this] { return objects(); }},
+      {"loops.csv", [this] { return loops(false); }},
+      {"loop_verdicts.csv", [this] { return loop_verdicts(); }},
+      {"associations.csv", [this] { return associations(); }},
+      {"timing.csv", [this] { return timing(); }},
+      {"summary.json", [this] { return summary(); }}};
+  if (has_earlier_map_) files.emplace_back("relocalisations.csv", [this] { return loops(true); });
   const bool has_scales = std::any_of(S_map_keyframe_.begin(), S_map_keyframe_.end(),
                                       [](const auto& keyframe) { return keyframe.second.scale != 1.0; });
-  if (has_scales) files.emplace_back("scales.csv", scales());
-  if (has_loop_scales_) files.emplace_back("loop_scales.csv", loop_scales());
+  if (has_scales) files.emplace_back("scales.csv", [this] { return scales(); });
+  if (has_loop_scales_) files.emplace_back("loop_scales.csv", [this] { return loop_scales(); });
   if (!make_directory(directory, error)) return false;
   for (const auto& [name, text] : files) {
-    if (!write_text_file(directory + "/" + name, text, error)) return false;
+    if (!write_text_file(directory + "/" + name, text(), error)) return false;
   }
   return true;
 }

@@ -47,9 +47,14 @@ std::optional<std::string> read_text_file(const std::string& path, std::string* 
 }
 
 bool write_text_file(const std::string& path, const std::string& text, std::string* error) {
+  return write_file(
+      path, [&text](std::ostream& file) { file << text; }, error);
+}
+
+bool write_file(const std::string& path, const std::function<void(std::ostream&)>& write, std::string* error) {
   const std::string temporary = path + ".tmp";
   std::ofstream file(temporary, std::ios::binary | std::ios::trunc);
-  file.write(text.data(), static_cast<std::streamsize>(text.size()));
+  write(file);
   file.close();
   if (!file) return fail(temporary + ": cannot write the file", error);
   std::error_code code;

@@ -111,7 +111,7 @@ class LoopDetector::Impl {
     if (query_id <= match_id) {
       return {PairStatus::kWrongOrder, "the query must be the later of the two keyframes", std::nullopt};
     }
-    if (const LoopClosure* loop = record_.find(query_id, match_id)) return verified(*loop);
+    if (const LoopFigures* loop = record_.find(query_id, match_id)) return verified(*loop);
     if (paper_mode_) {
       return {PairStatus::kNotAttempted, "paper mode judges the best candidate of each keyframe, which was another one",
               std::nullopt};
@@ -133,11 +133,13 @@ class LoopDetector::Impl {
     return text.str();
   }
 
-  LoopExplanation verified(const LoopClosure& loop) const {
+  LoopExplanation verified(const LoopFigures& loop) const {
     std::ostringstream text;
     text << "keyframes " << loop.query_keyframe_id << " and " << loop.match_keyframe_id << ' '
          << describe(loop, options_);
-    return {PairStatus::kVerified, text.str(), loop};
+    LoopClosure closure;
+    static_cast<LoopFigures&>(closure) = loop;
+    return {PairStatus::kVerified, text.str(), closure};
   }
 
   std::optional<std::size_t> submap_about(std::int64_t keyframe_id) const {
@@ -149,7 +151,7 @@ class LoopDetector::Impl {
   LoopExplanation explain_by_submaps(std::int64_t query_id, std::int64_t match_id) const {
     const std::optional<std::size_t> query = submap_about(query_id), match = submap_about(match_id);
     if (match) {
-      const LoopClosure* loop = record_.find(query_id, anchor(*match));
+      const LoopFigures* loop = record_.find(query_id, anchor(*match));
       if (loop == nullptr && query) loop = record_.find(anchor(*query), anchor(*match));
       if (loop != nullptr) return verified(*loop);
     }

@@ -42,7 +42,7 @@ const char* to_string(PairStatus status) {
   return "unknown";
 }
 
-std::string describe(const LoopClosure& loop, const LoopOptions& options) {
+std::string describe(const LoopFigures& loop, const LoopOptions& options) {
   Sentence sentence;
   sentence.stream().precision(3);
   sentence.stream() << (loop.accepted ? "accepted" : "rejected: ") << (loop.accepted ? "" : to_string(loop.reason));

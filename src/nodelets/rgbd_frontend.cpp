@@ -60,6 +60,8 @@ class RgbdFrontendNodelet : public FrontendStage {
   void on_pair(const ImageConstPtr& color, const ImageConstPtr& depth);
   /// The front end of this session's camera; null, and the image answered, while there is no calibration.
   bool prepare(std::int64_t stamp_ns);
+  /// Looks at where the depth lies. Worker thread.
+  void watch_depth(const core::RgbdImage& image);
   void fail_image(std::int64_t stamp_ns, const std::string& cause, const std::string& detail);
   void track(const core::RgbdImage& image);
 
@@ -71,10 +73,11 @@ class RgbdFrontendNodelet : public FrontendStage {
   std::optional<core::Camera> frontend_camera_;
   core::RgbdImage image_;  ///< the last one
   core::TrackingReport report_;
+  core::DepthRange depth_range_;
 
   std::mutex mutex_;  ///< guards all below, which callbacks, worker and diagnostics share; nothing else is locked in it
   std::unique_ptr<RgbdSynchronizer> synchronizer_;
-  std::string starvation_;
+  std::string starvation_, depth_warning_;
 };
 
 void RgbdFrontendNodelet::onInit() {
@@ -143,13 +146,18 @@ void RgbdFrontendNodelet::watch() {
 
 void RgbdFrontendNodelet::add_diagnostics(diagnostic_updater::DiagnosticStatusWrapper& status) {
   const std::lock_guard<std::mutex> lock(mutex_);
-  if (!starvation_.empty()) status.mergeSummary(diagnostic_msgs::DiagnosticStatus::WARN, starvation_);
+  for (const std::string& warning : {starvation_, depth_warning_}) {
+    if (!warning.empty()) status.mergeSummary(diagnostic_msgs::DiagnosticStatus::WARN, warning);
+  }
 }
 
 void RgbdFrontendNodelet::forget() {
   if (frontend_) frontend_->begin_anew();
   image_ = {};
   report_ = {};
+  depth_range_ = {};
+  const std::lock_guard<std::mutex> lock(mutex_);
+  depth_warning_.clear();
 }
 
 void RgbdFrontendNodelet::on_end() {
@@ -183,9 +191,20 @@ void RgbdFrontendNodelet::on_pair(const ImageConstPtr& color, const ImageConstPt
   std::string error;
   const std::optional<core::RgbdImage> image =
       make_rgbd_image(*color, *depth, *frontend_camera_, options_.depth, &error);
-  if (image) return track(*image);
+  if (image) {
+    watch_depth(*image);
+    return track(*image);
+  }
   report_.add_unreadable(error);
   fail_image(stamp_ns, "unusable images", error);
+}
+
+void RgbdFrontendNodelet::watch_depth(const core::RgbdImage& image) {
+  depth_range_.add(image.depth_range);
+  const std::string warning = depth_range_.warning(options_.depth);
+  const std::lock_guard<std::mutex> lock(mutex_);
+  if (depth_warning_.empty() && !warning.empty()) NODELET_WARN("%s", warning.c_str());
+  depth_warning_ = warning;
 }
 
 bool RgbdFrontendNodelet::prepare(std::int64_t stamp_ns) {

@@ -62,6 +62,47 @@ TEST(RgbdImage, InvalidAndFarValuesAreNoDepth) {
   EXPECT_EQ(b->depth_m.at<float>(0, 4), 1.0F);
 }
 
+/// What images are warned of, all of whose depths are one value.
+std::string range_warning(const cv::Mat& depth, const DepthOptions& options, int images = 100) {
+  DepthRange range;
+  for (int i = 0; i < images; ++i) {
+    const auto image = make_rgbd_image(i, gray(), depth, kCamera, options, nullptr);
+    if (image) range.add(image->depth_range);
+  }
+  return range.warning(options);
+}
+
+TEST(RgbdImage, WrongScaleOfDepthIsNamed) {
+  // TUM's PNG files, two metres: a fifth of a metre is a thousand.
+  cv::Mat raw(kCamera.height, kCamera.width, CV_16UC1, cv::Scalar(10000));
+  DepthOptions options;
+  const std::string far = range_warning(raw, options);
+  EXPECT_NE(far.find("100 % of the depth lies beyond depth.max_m = 8 m"), std::string::npos) << far;
+  EXPECT_NE(far.find("depth.scale = 1000"), std::string::npos) << far;
+  EXPECT_EQ(range_warning(raw, options, 1), "") << "one image says too little";
+  options.scale = 5000.0;
+  EXPECT_EQ(range_warning(raw, options), "");
+  raw.setTo(1400);
+  const std::string near = range_warning(raw, options);
+  EXPECT_NE(near.find("100 % of the depth is nearer than 0.3 m"), std::string::npos) << near;
+  EXPECT_NE(near.find("depth.scale = 5000"), std::string::npos) << near;
+  // Some far and some near depth is nothing unusual; pixels without depth do not count.
+  options.scale = 1000.0;
+  raw.rowRange(0, kCamera.height / 2).setTo(65535);
+  raw.rowRange(kCamera.height / 2, kCamera.height).setTo(310);
+  raw.rowRange(kCamera.height * 5 / 6, kCamera.height).setTo(9000);
+  EXPECT_NE(range_warning(raw, options).find("33 % of the depth lies beyond"), std::string::npos);
+  raw.rowRange(kCamera.height * 5 / 6, kCamera.height * 23 / 24).setTo(0);
+  EXPECT_EQ(range_warning(raw, options), "");
+}
+
+TEST(RgbdImage, FloatsInMillimetresAreNamed) {
+  cv::Mat millimetres(kCamera.height, kCamera.width, CV_32FC1, cv::Scalar(2000.0));
+  EXPECT_NE(range_warning(millimetres, {}).find("32FC1"), std::string::npos);
+  millimetres.setTo(std::numeric_limits<float>::infinity());
+  EXPECT_EQ(range_warning(millimetres, {}), "") << "no depth at all";
+}
+
 TEST(RgbdImage, ColourBecomesGray) {
   cv::Mat color(kCamera.height, kCamera.width, CV_8UC3, cv::Scalar(0, 0, 200));
   const cv::Mat depth(kCamera.height, kCamera.width, CV_32FC1, cv::Scalar(1.0));

@@ -70,6 +70,11 @@ class InProcessChain {
     load("pose_graph", "PoseGraph", {});
     load("quadric_mapping", "QuadricMapping", {});
   }
+  /// The points of the map alone; the test plays the front end and the pose graph.
+  void load_point_mapping(double rate_hz) {
+    set("point_mapping", "rate_hz", rate_hz);
+    load("point_mapping", "PointMapping", {});
+  }
   void load_player(const std::string& data, bool lockstep) {
     set("player", "mode", "files");
     set("player", "trajectory_file", data + "/odometry.txt");

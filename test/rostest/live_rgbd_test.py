@@ -117,6 +117,14 @@ class LiveRgbdTest(unittest.TestCase):
             self.see(13.0 + wall.PERIOD_S * i)
         self.assertTrue(wait_until(lambda: self.diagnostics.summaries.get('RgbdFrontend') == 'working', 4), self.diagnostics.summaries)
 
+    def test_6_depth_out_of_reach_is_reported(self):
+        # In millimetres, as floats, which are metres.
+        for i in range(45):
+            self.see(14.0 + wall.PERIOD_S * i, depth=lambda stamp: wall.depth(stamp, value=1000.0 * wall.DISTANCE_M))
+        summaries = self.diagnostics.summaries
+        self.assertTrue(wait_until(lambda: 'depth.max_m = 8 m' in summaries.get('RgbdFrontend', ''), 5), summaries)
+        self.assertIn('32FC1', summaries['RgbdFrontend'])
+
 
 if __name__ == '__main__':
     rostest.rosrun(PACKAGE, 'live_rgbd', LiveRgbdTest)

@@ -33,11 +33,24 @@ struct DepthOptions {
   bool is_valid(std::string* error) const;
 };
 
+/// Where the depth of images lies, by some of its pixels: a wrong scale puts it out of reach, or before one's nose.
+struct DepthRange {
+  std::int64_t pixels = 0;    ///< with a depth
+  std::int64_t far = 0;       ///< of these, beyond depth.max_m and therefore left out
+  std::int64_t near = 0;      ///< of these, nearer than 0.3 m, where few depth cameras measure
+  bool is_in_metres = false;  ///< 32FC1, which depth.scale does not concern
+
+  void add(const DepthRange& other);
+  /// Names the share of depth that is out of reach and the parameters to look at; empty if there is nothing unusual.
+  std::string warning(const DepthOptions& options) const;
+};
+
 /// A colour image with its depth, as the front end works on it.
 struct RgbdImage {
   std::int64_t stamp_ns = 0;
   cv::Mat gray;     ///< CV_8UC1, raw (distorted) pixels
   cv::Mat depth_m;  ///< CV_32FC1 of the same size: m along the colour camera's z axis; 0 where there is none
+  DepthRange depth_range;
 };
 
 /// Brings images as cameras send them into the front end's form.

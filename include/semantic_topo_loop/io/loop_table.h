@@ -9,7 +9,7 @@ namespace semantic_topo_loop::core {
 
 /// Lines of loops.csv (docs/files.md), with their end of line.
 std::string loop_table_header();
-std::string loop_table_row(const LoopClosure& loop);
+std::string loop_table_row(const LoopFigures& loop);
 
 /// Writes loops to be handed to the pose graph, as loops.csv; `sigma_m` and `sigma_deg` are what the covariance
 /// says of translation and rotation, the root of its trace.

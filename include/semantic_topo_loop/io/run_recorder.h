@@ -47,6 +47,12 @@ class RunRecorder {
     double association_us = 0.0, mapping_us = 0.0, loop_us = 0.0, optimise_us = 0.0;
   };
 
+  struct LoopRow : LoopFigures {
+    double log_scale_variance = 0.0;  ///< 0: the scale was not measured
+    bool is_in_earlier_map = false;
+  };
+  using LoopRows = std::map<std::int64_t, std::vector<LoopRow>>;
+
   /// T_map_odom before the frame's own correction: what a live user had.
   SE3 live_map_from_odom(std::int64_t frame_id) const;
   /// Pose after the last optimisation: hung on the frame's keyframe, or on the last T_map_odom without one.
@@ -64,16 +70,18 @@ class RunRecorder {
   std::string summary() const;
 
   std::shared_ptr<const ClassTable> classes_;
-  std::map<std::int64_t, Frame> frames_;                    ///< by frame_id, without the END frame
-  std::map<std::int64_t, std::int64_t> keyframe_frames_;    ///< keyframe_id to frame_id
-  std::map<std::int64_t, AssociationFrame> associations_;   ///< by frame_id
-  std::map<std::int64_t, SE3> T_map_odom_;                  ///< in effect after each frame
-  std::map<std::int64_t, Landmark> landmarks_;              ///< latest state of those that still exist
-  std::map<std::int64_t, std::vector<LoopClosure>> loops_;  ///< by frame_id
-  bool has_earlier_map_ = false;                            ///< there was a candidate in it
-  bool has_loop_scales_ = false;                            ///< a loop states one
-  std::map<std::int64_t, Sim3> S_map_keyframe_;             ///< of the last solution, by keyframe_id
-  MapCorrection correction_;                                ///< the last that changed something
+  std::map<std::int64_t, Frame> frames_;                   ///< by frame_id, without the END frame
+  std::map<std::int64_t, std::int64_t> keyframe_frames_;   ///< keyframe_id to frame_id
+  std::map<std::int64_t, AssociationFrame> associations_;  ///< by frame_id
+  std::map<std::int64_t, SE3> T_map_odom_;                 ///< in effect after each frame
+  std::map<std::int64_t, Landmark> landmarks_;             ///< latest state of those that still exist
+  LoopRows loops_;                                         ///< by frame_id
+  /// Accepted ones into an earlier run's map, by frame_id.
+  std::map<std::int64_t, std::vector<LoopClosure>> relocalising_;
+  bool has_earlier_map_ = false;                 ///< there was a candidate in it
+  bool has_loop_scales_ = false;                 ///< a loop states one
+  std::map<std::int64_t, Sim3> S_map_keyframe_;  ///< of the last solution, by keyframe_id
+  MapCorrection correction_;                     ///< the last that changed something
   std::map<std::int64_t, FrameTiming> timing_;
   std::optional<TrackingReport> tracking_;
   int merges_ = 0;

@@ -1,7 +1,9 @@
 #pragma once
 
 #include <cstdint>
+#include <functional>
 #include <optional>
+#include <ostream>
 #include <string>
 #include <string_view>
 #include <vector>
@@ -13,6 +15,8 @@ std::optional<std::string> read_text_file(const std::string& path, std::string* 
 
 /// Writes a temporary file beside `path` and renames it, so that a reader never sees half a file.
 bool write_text_file(const std::string& path, const std::string& text, std::string* error);
+/// The same with what `write` gives to the stream, for files that are better not held in memory as a whole.
+bool write_file(const std::string& path, const std::function<void(std::ostream&)>& write, std::string* error);
 
 /// @return false, with path and cause in `error`, if the directory neither exists nor can be made
 bool make_directory(const std::string& path, std::string* error);

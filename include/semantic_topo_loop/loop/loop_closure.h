@@ -33,9 +33,9 @@ struct ObjectMatch {
   std::int64_t match_landmark_id = -1;
 };
 
-/// A loop candidate that reached verification: two keyframes and how the later one (query) sees the earlier (match).
-/// Figures that are -1 were not computed, because an earlier test had failed.
-struct LoopClosure {
+/// What is told of a loop candidate that reached verification: two keyframes and how the later one (query) sees the
+/// earlier (match). Figures that are -1 were not computed, because an earlier test had failed. Long runs keep many.
+struct LoopFigures {
   std::int64_t query_keyframe_id = -1, match_keyframe_id = -1;
   std::int64_t query_frame = -1, match_frame = -1;  ///< frame_id of the two keyframes
   std::int64_t query_stamp_ns = 0, match_stamp_ns = 0;
@@ -57,11 +57,15 @@ struct LoopClosure {
   double sigma_m = -1.0;             ///< stated error of the translation: root of the covariance's trace
   double sigma_deg = -1.0;           ///< and of the rotation
   int inliers = 0;
-  int labels = 0;                      ///< different classes among the matched objects
-  SE3 T_match_query;                   ///< of the cameras at query_frame and match_frame
-  Mat6 covariance = Mat6::Identity();  ///< of T_match_query: (translation m, rotation rad), right
+  int labels = 0;     ///< different classes among the matched objects
+  SE3 T_match_query;  ///< of the cameras at query_frame and match_frame
   /// Of the match's unit of length over the query's: p_match = scale * (q * p_query) + t, with (q, t) = T_match_query.
   double scale = 1.0;
+};
+
+/// A loop candidate with what it takes to close it.
+struct LoopClosure : LoopFigures {
+  Mat6 covariance = Mat6::Identity();  ///< of T_match_query: (translation m, rotation rad), right
   /// Of log scale with (translation, rotation, log scale); zero if the scale was not measured.
   Vec7 scale_covariance = Vec7::Zero();
   std::vector<ObjectMatch> matches;

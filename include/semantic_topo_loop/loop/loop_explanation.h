@@ -27,12 +27,12 @@ const char* to_string(PairStatus status);
 struct LoopExplanation {
   PairStatus status = PairStatus::kUnknownKeyframe;
   std::string text;  ///< in words, with each figure beside its threshold
-  /// kVerified: what the run decided, without covariance and matches; otherwise what a comparison for this answer
+  /// kVerified: what the run decided, without covariances and matches; otherwise what a comparison for this answer
   /// gives, if there was one. Its keyframes are the anchors of the submaps that were compared.
   std::optional<LoopClosure> closure;
 };
 
 /// Decision and figures of a candidate of graph mode, each with the threshold that applies.
-std::string describe(const LoopClosure& loop, const LoopOptions& options);
+std::string describe(const LoopFigures& loop, const LoopOptions& options);
 
 }  // namespace semantic_topo_loop::core

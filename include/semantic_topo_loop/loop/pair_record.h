@@ -16,12 +16,12 @@ class PairRecord {
   explicit PairRecord(std::size_t capacity) : capacity_(capacity) {}
   /// Takes in candidates of the run itself.
   void add(const std::vector<LoopClosure>& loops);
-  /// @return null if the pair is not on record; covariance and matches are not kept
-  const LoopClosure* find(std::int64_t query_keyframe_id, std::int64_t match_keyframe_id) const;
+  /// @return null if the pair is not on record
+  const LoopFigures* find(std::int64_t query_keyframe_id, std::int64_t match_keyframe_id) const;
 
  private:
   std::size_t capacity_, size_ = 0;
-  std::map<std::int64_t, std::map<std::int64_t, LoopClosure>> decisions_;  ///< by query, then by match
+  std::map<std::int64_t, std::vector<LoopFigures>> decisions_;  ///< by query
 };
 
 }  // namespace semantic_topo_loop::core
