@@ -147,7 +147,7 @@ int run_program(const std::string& program, const std::string& usage, const std:
                 char** argv) {
   std::vector<std::string> words(argv + 1, argv + argc);
   if (asks_for_help(words)) {
-    std::cout << usage;
+    std::cout << usage << "Exit status: 0 done, 1 a file is missing or wrong, 2 wrong arguments.\n";
     return 0;
   }
   const std::string first = words.empty() ? "" : words.front();

@@ -32,7 +32,6 @@ constexpr const char* kUsage = R"(Judges the files of a run.
 
   --json FILE   also writes the figures as JSON
   --help        shows this text
-Exit status: 0 done, 1 a file is missing or wrong, 2 wrong arguments.
 )";
 
 struct Arguments {

@@ -46,7 +46,6 @@ constexpr char kUsage[] =
       --seed      of all random numbers (default 1)
 
   --help         shows this text
-Exit status: 0 done, 1 a file is missing or wrong, 2 wrong arguments.
 )";
 
 struct DetectionArguments {

@@ -1,4 +1,4 @@
-#include "command_line.h"
+#include "../../src/apps/command_line.h"
 
 #include <gtest/gtest.h>
 

@@ -19,6 +19,7 @@ class OfflineProgram : public ProgramTest {
 TEST_F(OfflineProgram, HelpAndParametersAreNoErrors) {
   EXPECT_EQ(run("--trajectory --help"), 0);
   EXPECT_EQ(out_.find("usage: offline --trajectory FILE"), 0u);
+  EXPECT_NE(out_.find("Exit status: 0 done"), std::string::npos);
   EXPECT_EQ(run("--list-parameters"), 0);
   EXPECT_NE(out_.find("| `loop.mode` | graph |"), std::string::npos);
   EXPECT_EQ(run("--list-parameters loop"), 2);
