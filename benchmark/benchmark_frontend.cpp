@@ -5,9 +5,7 @@
 #include <algorithm>
 #include <chrono>
 #include <cmath>
-#include <cstdio>
 #include <ctime>
-#include <map>
 #include <numeric>
 #include <opencv2/core.hpp>
 #include <opencv2/imgproc.hpp>
@@ -16,6 +14,7 @@
 #include <utility>
 #include <vector>
 
+#include "../src/apps/command_line.h"
 #include "semantic_topo_loop/frontend/rgbd_frontend.h"
 #include "semantic_topo_loop/frontend/tracking_report.h"
 #include "semantic_topo_loop/io/camera_yaml.h"
@@ -144,63 +143,55 @@ void track_folder(benchmark::State& state, const Recording& recording) {
   state.counters["relocalised"] = static_cast<double>(report.relocalised);
 }
 
-/// @param assignments of parameters, "depth.scale=5000"
-std::optional<Recording> read(std::map<std::string, std::string> arguments, const std::vector<std::string>& assignments,
-                              std::string* error) {
-  Recording recording;
-  const std::string folder = arguments["--rgbd"];
-  const std::string camera_file = arguments.count("--camera") > 0 ? arguments["--camera"] : folder + "/camera.yaml";
-  const std::optional<Camera> camera = read_camera(camera_file, error);
-  if (!camera) return std::nullopt;
-  recording.camera = *camera;
-  const std::optional<Options> options = load_options("", assignments, error);
-  if (!options) return std::nullopt;
-  recording.options = *options;
-  const std::string list =
-      arguments.count("--associations") > 0 ? arguments["--associations"] : folder + "/associations.txt";
-  std::string warning;
-  std::optional<std::vector<RgbdFile>> files = read_associations(list, folder, &warning, error);
-  if (!files) return std::nullopt;
-  recording.files = std::move(*files);
-  return recording;
+struct Arguments {
+  std::string rgbd, camera, associations;
+  OptionTexts options;
+};
+
+bool read_arguments(apps::CommandLine* line, Arguments* arguments, std::string* error) {
+  line->text("--rgbd", &arguments->rgbd);
+  line->text("--camera", &arguments->camera);
+  line->text("--associations", &arguments->associations);
+  line->assignments("--set", &arguments->options);
+  if (!line->read(error)) return false;
+  if (arguments->camera.empty()) arguments->camera = arguments->rgbd + "/camera.yaml";
+  if (arguments->associations.empty()) arguments->associations = arguments->rgbd + "/associations.txt";
+  return true;
 }
 
-int run(int argc, char** argv) {
-  benchmark::Initialize(&argc, argv);
-  const char usage[] =
-      "usage: benchmark_frontend [--rgbd DIR [--camera YAML] [--associations FILE] [--set module.field=value ...]]\n"
-      "                          [--benchmark_...]\n";
-  std::map<std::string, std::string> arguments;
-  std::vector<std::string> assignments;
-  for (int i = 1; i < argc; i += 2) {
-    const std::string name = argv[i];
-    if (i + 1 == argc || (name != "--rgbd" && name != "--camera" && name != "--associations" && name != "--set")) {
-      std::fprintf(stderr, "%sargument '%s' is unknown or lacks its value\n", usage, argv[i]);
-      return 2;
-    }
-    if (name == "--set") {
-      assignments.emplace_back(argv[i + 1]);
-    } else {
-      arguments[name] = argv[i + 1];
-    }
-  }
-  if (arguments.count("--rgbd") > 0) {
-    std::string error;
-    const std::optional<Recording> recording = read(arguments, assignments, &error);
-    if (!recording) {
-      std::fprintf(stderr, "benchmark_frontend: error: %s\n", error.c_str());
-      return 1;
-    }
+std::optional<Recording> open(const Arguments& arguments, std::string* error) {
+  const std::optional<Camera> camera = read_camera(arguments.camera, error);
+  const std::optional<Options> options = load_options("", arguments.options, error);
+  if (!camera || !options) return std::nullopt;
+  std::string warning;
+  std::optional<std::vector<RgbdFile>> files =
+      read_associations(arguments.associations, arguments.rgbd, &warning, error);
+  if (!files) return std::nullopt;
+  return Recording{std::move(*files), *camera, *options};
+}
+
+bool run(const Arguments& arguments, std::string* error) {
+  if (!arguments.rgbd.empty()) {
+    const std::optional<Recording> recording = open(arguments, error);
+    if (!recording) return false;
     benchmark::RegisterBenchmark("track_folder", track_folder, *recording)
         ->Iterations(static_cast<benchmark::IterationCount>(recording->files.size()))
         ->UseManualTime()
         ->Unit(benchmark::kMillisecond);
   }
   benchmark::RunSpecifiedBenchmarks();
-  return 0;
+  return true;
 }
 
 }  // namespace
 }  // namespace semantic_topo_loop::core
 
-int main(int argc, char** argv) { return semantic_topo_loop::core::run(argc, argv); }
+int main(int argc, char** argv) {
+  using namespace semantic_topo_loop;
+  benchmark::Initialize(&argc, argv);
+  return apps::run_program(
+      "benchmark_frontend",
+      "usage: benchmark_frontend [--rgbd DIR [--camera YAML] [--associations FILE] [--set module.field=value ...]]\n"
+      "                          [--benchmark_...]\n",
+      {apps::make_command("", core::read_arguments, core::run)}, argc, argv);
+}

@@ -1,10 +1,10 @@
 #include <cstdio>
-#include <cstring>
 #include <map>
 #include <nlohmann/json.hpp>
 #include <string>
 #include <vector>
 
+#include "command_line.h"
 #include "semantic_topo_loop/evaluation/loop_criteria.h"
 #include "semantic_topo_loop/evaluation/loop_evaluation.h"
 #include "semantic_topo_loop/evaluation/object_evaluation.h"
@@ -15,6 +15,7 @@
 
 namespace {
 
+using namespace semantic_topo_loop::apps;
 using namespace semantic_topo_loop::core;
 using Json = nlohmann::json;
 
@@ -31,11 +32,12 @@ constexpr const char* kUsage = R"(Judges the files of a run.
 
   --json FILE   also writes the figures as JSON
   --help        shows this text
-Exit status: 0 done, 1 a file is missing or wrong, 2 wrong arguments.
 )";
 
 struct Arguments {
-  std::vector<std::string> positional;
+  std::string run;        ///< directory of the run, or its trajectory
+  std::string truth;      ///< trajectory
+  std::string reference;  ///< objects
   std::string json, mocap, sightings, details;
   bool with_scale = false;
 };
@@ -88,7 +90,7 @@ std::optional<TrajectoryEvaluation> align_files(const std::string& estimate, con
 }
 
 std::optional<Report> report_trajectory(const Arguments& arguments, std::string* error) {
-  const auto e = align_files(arguments.positional[0], arguments.positional[1], arguments.with_scale, error);
+  const auto e = align_files(arguments.run, arguments.truth, arguments.with_scale, error);
   if (!e) return std::nullopt;
   Report report;
   report.table =
@@ -133,11 +135,11 @@ void list_objects(const ObjectEvaluation& evaluation, const std::vector<MappedOb
 }
 
 std::optional<Report> report_objects(const Arguments& arguments, std::string* error) {
-  const std::string& run = arguments.positional[0];
+  const std::string& run = arguments.run;
   const auto objects = read_objects(run + "/objects.csv", error);
-  const auto references = objects ? read_reference_objects(arguments.positional[2], error) : std::nullopt;
+  const auto references = objects ? read_reference_objects(arguments.reference, error) : std::nullopt;
   if (!references) return std::nullopt;
-  const auto trajectory = align_files(run + "/trajectory.txt", arguments.positional[1], false, error);
+  const auto trajectory = align_files(run + "/trajectory.txt", arguments.truth, false, error);
   if (!trajectory) return std::nullopt;
   const ObjectEvaluation e = evaluate_objects(*objects, *references, trajectory->alignment);
   char f[64];
@@ -168,14 +170,14 @@ struct LoopFiles {
 };
 
 std::optional<LoopFiles> read_loop_files(const Arguments& arguments, std::string* error) {
-  const std::string& run = arguments.positional[0];
+  const std::string& run = arguments.run;
   constexpr double kMaxMocapGapS = 0.1;
   const auto loops = read_loops(run + "/loops.csv", error);
   const auto frames = loops ? read_tum_trajectory(run + "/trajectory.txt", error) : std::nullopt;
   const auto keyframes = frames ? read_keyframe_stamps(run + "/keyframes.csv", error) : std::nullopt;
   const auto sightings =
       keyframes ? read_sightings(arguments.sightings.empty() ? run : arguments.sightings, error) : std::nullopt;
-  auto truth = sightings ? read_tum_ground_truth(arguments.positional[1], error) : std::nullopt;
+  auto truth = sightings ? read_tum_ground_truth(arguments.truth, error) : std::nullopt;
   const auto mocap = arguments.mocap.empty() ? StampedPoses() : read_tum_ground_truth(arguments.mocap, error);
   if (!truth || !mocap) return std::nullopt;
   LoopFiles files{{}, TruePoses(std::move(*truth), *mocap, kMaxMocapGapS), {*keyframes, {}}};
@@ -300,80 +302,46 @@ std::optional<Report> report_loops(const Arguments& arguments, std::string* erro
   return report;
 }
 
-struct Command {
-  const char* name;
-  std::size_t positional;
-  std::optional<Report> (*run)(const Arguments&, std::string*);
-};
-
-constexpr Command kCommands[] = {
-    {"trajectory", 2, report_trajectory}, {"objects", 3, report_objects}, {"loops", 2, report_loops}};
-
-/// Where the value of an option goes; null for an option that the command does not have.
-std::string* option_of(const std::string& name, const Command& command, Arguments* arguments) {
-  if (name == "--json") return &arguments->json;
-  if (command.run != report_loops) return nullptr;
-  if (name == "--mocap") return &arguments->mocap;
-  if (name == "--sightings") return &arguments->sightings;
-  return name == "--details" ? &arguments->details : nullptr;
+bool read_trajectory_arguments(CommandLine* line, Arguments* arguments, std::string* error) {
+  line->required("EST", &arguments->run);
+  line->required("GT", &arguments->truth);
+  line->flag("--scale", &arguments->with_scale);
+  line->text("--json", &arguments->json);
+  return line->read(error);
 }
 
-/// @return false with the problem in `error`
-bool parse_arguments(int argc, char** argv, const Command& command, Arguments* arguments, std::string* error) {
-  for (int i = 2; i < argc; ++i) {
-    const std::string argument = argv[i];
-    if (std::string* value = option_of(argument, command, arguments)) {
-      if (++i == argc) {
-        *error = argument + " needs a path";
-        return false;
-      }
-      *value = argv[i];
-    } else if (argument == "--scale" && command.run == report_trajectory) {
-      arguments->with_scale = true;
-    } else if (argument.rfind("--", 0) == 0) {
-      *error = "unknown option '" + argument + "' of evaluate " + command.name;
-      return false;
-    } else {
-      arguments->positional.push_back(argument);
-    }
-  }
-  if (arguments->positional.size() == command.positional) return true;
-  *error = std::string("evaluate ") + command.name + " takes " + std::to_string(command.positional) + " paths, not " +
-           std::to_string(arguments->positional.size());
-  return false;
+bool read_object_arguments(CommandLine* line, Arguments* arguments, std::string* error) {
+  line->required("RUN_DIR", &arguments->run);
+  line->required("GT", &arguments->truth);
+  line->required("REFERENCE", &arguments->reference);
+  line->text("--json", &arguments->json);
+  return line->read(error);
 }
 
-int fail(const std::string& error, int status) {
-  std::fprintf(stderr, "evaluate: %s\n", error.c_str());
-  return status;
+bool read_loop_arguments(CommandLine* line, Arguments* arguments, std::string* error) {
+  line->required("RUN_DIR", &arguments->run);
+  line->required("GT_FRAMES", &arguments->truth);
+  line->text("--mocap", &arguments->mocap);
+  line->text("--sightings", &arguments->sightings);
+  line->text("--details", &arguments->details);
+  line->text("--json", &arguments->json);
+  return line->read(error);
 }
 
-int run(int argc, char** argv, const Command& command) {
-  constexpr int kBadFile = 1, kBadArguments = 2;
-  Arguments arguments;
-  std::string error;
-  if (!parse_arguments(argc, argv, command, &arguments, &error)) return fail(error + " (see --help)", kBadArguments);
-  const std::optional<Report> report = command.run(arguments, &error);
-  if (!report) return fail(error, kBadFile);
+template <std::optional<Report> (*make_report)(const Arguments&, std::string*)>
+bool run(const Arguments& arguments, std::string* error) {
+  const std::optional<Report> report = make_report(arguments, error);
+  if (!report) return false;
   std::fputs(report->table.c_str(), stdout);
-  if (!arguments.json.empty() && !write_text_file(arguments.json, report->json.dump(2) + '\n', &error)) {
-    return fail(error, kBadFile);
-  }
-  return 0;
+  return arguments.json.empty() || write_text_file(arguments.json, report->json.dump(2) + '\n', error);
 }
 
 }  // namespace
 
 int main(int argc, char** argv) {
-  for (int i = 1; i < argc; ++i) {
-    if (std::strcmp(argv[i], "--help") == 0 || std::strcmp(argv[i], "-h") == 0) {
-      std::fputs(kUsage, stdout);
-      return 0;
-    }
-  }
-  for (const Command& command : kCommands) {
-    if (argc > 1 && std::strcmp(argv[1], command.name) == 0) return run(argc, argv, command);
-  }
-  std::fputs(kUsage, stderr);
-  return 2;
+  return run_program("evaluate", kUsage,
+                     {make_command("trajectory", read_trajectory_arguments, run<report_trajectory>),
+                      make_command("objects", read_object_arguments, run<report_objects>),
+                      make_command("loops", read_loop_arguments, run<report_loops>)},
+                     argc, argv);
 }

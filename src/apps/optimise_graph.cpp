@@ -2,12 +2,14 @@
 #include <iostream>
 #include <string>
 
+#include "command_line.h"
 #include "semantic_topo_loop/io/g2o.h"
 #include "semantic_topo_loop/pipeline/stopwatch.h"
 #include "semantic_topo_loop/pose_graph/graph_optimizer.h"
 
 namespace {
 
+using namespace semantic_topo_loop::apps;
 using namespace semantic_topo_loop::core;
 
 constexpr char kUsage[] =
@@ -23,29 +25,12 @@ struct Arguments {
   GraphOptimizerOptions options;
 };
 
-/// @return false with `error` set; an empty error means that help was asked for
-bool parse(int argc, char** argv, Arguments* arguments, std::string* error) {
-  for (int i = 1; i < argc; ++i) {
-    const std::string name = argv[i];
-    if (name == "--help" || name == "-h") return false;
-    if (name == "--robust" || name == "--initial") {
-      if (++i == argc) {
-        *error = "argument " + name + " lacks its value";
-        return false;
-      }
-      (name == "--robust" ? arguments->options.robust : arguments->options.initial) = argv[i];
-    } else if (name.rfind("--", 0) == 0 || !arguments->out.empty()) {
-      *error = "unknown argument '" + name + "'";
-      return false;
-    } else {
-      (arguments->in.empty() ? arguments->in : arguments->out) = name;
-    }
-  }
-  if (arguments->out.empty()) {
-    *error = "IN.g2o and OUT.g2o are needed";
-    return false;
-  }
-  return arguments->options.is_valid(error);
+bool read(CommandLine* line, Arguments* arguments, std::string* error) {
+  line->required("IN.g2o", &arguments->in);
+  line->required("OUT.g2o", &arguments->out);
+  line->text("--robust", &arguments->options.robust);
+  line->text("--initial", &arguments->options.initial);
+  return line->read(error) && arguments->options.is_valid(error);
 }
 
 bool run(const Arguments& arguments, std::string* error) {
@@ -72,17 +57,5 @@ bool run(const Arguments& arguments, std::string* error) {
 }  // namespace
 
 int main(int argc, char** argv) {
-  Arguments arguments;
-  std::string error;
-  if (!parse(argc, argv, &arguments, &error)) {
-    if (error.empty()) {
-      std::cout << kUsage;
-      return 0;
-    }
-    std::cerr << "optimise_graph: error: " << error << '\n' << kUsage;
-    return 2;
-  }
-  if (run(arguments, &error)) return 0;
-  std::cerr << "optimise_graph: error: " << error << '\n';
-  return 1;
+  return run_program("optimise_graph", kUsage, {make_command("", read, run)}, argc, argv);
 }

@@ -1,24 +1,24 @@
 #include <cmath>
 #include <cstdio>
-#include <cstring>
 #include <filesystem>
 #include <iostream>
 #include <map>
 #include <string>
 #include <vector>
 
+#include "command_line.h"
 #include "package_path.h"
 #include "semantic_topo_loop/detection/detection_reader.h"
 #include "semantic_topo_loop/detection/detection_writer.h"
 #include "semantic_topo_loop/evaluation/run_files.h"
 #include "semantic_topo_loop/io/class_table_yaml.h"
 #include "semantic_topo_loop/io/loop_table.h"
-#include "semantic_topo_loop/io/text_file.h"
 #include "semantic_topo_loop/simulation/detection_perturbation.h"
 #include "semantic_topo_loop/simulation/false_loops.h"
 
 namespace {
 
+using namespace semantic_topo_loop::apps;
 using namespace semantic_topo_loop::core;
 
 constexpr char kUsage[] =
@@ -46,41 +46,7 @@ constexpr char kUsage[] =
       --seed      of all random numbers (default 1)
 
   --help         shows this text
-Exit status: 0 done, 1 a file is missing or wrong, 2 wrong arguments.
 )";
-
-constexpr int kBadFile = 1, kBadArguments = 2;
-
-/// The words after the sub-command: `--name value` pairs and the rest.
-struct Arguments {
-  std::vector<std::string> positional;
-  std::vector<std::pair<std::string, std::string>> options;
-};
-
-struct Command {
-  const char* name;
-  /// @return the exit status, with the problem in `error` unless 0
-  int (*run)(const Arguments&, std::string* error);
-};
-
-bool to_number(const std::string& name, const std::string& value, double* number, std::string* error) {
-  const std::optional<double> parsed = parse_double(value);
-  if (parsed) *number = *parsed;
-  if (!parsed) *error = "argument " + name + " '" + value + "' is no number";
-  return parsed.has_value();
-}
-
-bool to_seed(const std::string& name, const std::string& value, std::uint64_t* seed, std::string* error) {
-  const std::optional<std::int64_t> parsed = parse_integer(value);
-  if (parsed && *parsed >= 0) {
-    *seed = static_cast<std::uint64_t>(*parsed);
-    return true;
-  }
-  *error = "argument " + name + " '" + value + "' is no integer >= 0";
-  return false;
-}
-
-// --- detections ---------------------------------------------------------------------------------------------------
 
 struct DetectionArguments {
   std::string input, output, classes;
@@ -88,115 +54,68 @@ struct DetectionArguments {
   PerturbationOptions options;
 };
 
-bool take(const std::string& name, const std::string& value, DetectionArguments* arguments, std::string* error) {
-  if (name == "--seed") return to_seed(name, value, &arguments->seed, error);
-  if (name == "--drop") return to_number(name, value, &arguments->options.drop, error);
-  if (name == "--relabel") return to_number(name, value, &arguments->options.relabel, error);
-  if (name == "--jitter") return to_number(name, value, &arguments->options.jitter, error);
-  if (name == "--classes") {
-    arguments->classes = value;
-    return true;
-  }
-  *error = "unknown argument '" + name + "' of perturb detections";
-  return false;
-}
-
-bool parse_detection_arguments(const Arguments& words, DetectionArguments* arguments, std::string* error) {
-  if (words.positional.size() != 2) {
-    *error = "perturb detections takes 2 paths, not " + std::to_string(words.positional.size());
-    return false;
-  }
-  arguments->input = words.positional[0];
-  arguments->output = words.positional[1];
-  for (const auto& [name, value] : words.options) {
-    if (!take(name, value, arguments, error)) return false;
-  }
-  if (!arguments->options.is_valid(error)) return false;
+bool read_detection_arguments(CommandLine* line, DetectionArguments* arguments, std::string* error) {
+  line->required("IN", &arguments->input);
+  line->required("OUT", &arguments->output);
+  line->integer("--seed", &arguments->seed, 0);
+  line->number("--drop", &arguments->options.drop);
+  line->number("--relabel", &arguments->options.relabel);
+  line->number("--jitter", &arguments->options.jitter);
+  line->text("--classes", &arguments->classes);
+  if (!line->read(error) || !arguments->options.is_valid(error)) return false;
   std::error_code unused;
   if (std::filesystem::equivalent(arguments->input, arguments->output, unused)) {
     *error = "'" + arguments->output + "' is the input itself";
     return false;
   }
-  if (arguments->classes.empty()) arguments->classes = semantic_topo_loop::apps::config_file("classes_coco.yaml");
-  if (!arguments->classes.empty()) return true;
-  *error = "the package is not on ROS_PACKAGE_PATH: pass --classes";
-  return false;
+  return default_to_package("classes_coco.yaml", "--classes", &arguments->classes, error);
 }
 
-int perturb_detection_files(const Arguments& words, std::string* error) {
-  DetectionArguments arguments;
-  if (!parse_detection_arguments(words, &arguments, error)) return kBadArguments;
+bool perturb_detection_files(const DetectionArguments& arguments, std::string* error) {
   const std::optional<ClassTable> classes = read_class_table(arguments.classes, error);
-  if (!classes) return kBadFile;
+  if (!classes) return false;
   DetectionReport report;
   const auto frames = read_detections(arguments.input, *classes, &report, error);
   for (const std::string& warning : report.warnings()) std::cerr << "perturb: warning: " << warning << '\n';
-  if (!frames) return kBadFile;
+  if (!frames) return false;
   PerturbationCounts counts;
   const std::vector<DetectionFrame> worse = perturb_detections(*frames, arguments.options, arguments.seed, &counts);
   const auto write = std::filesystem::is_directory(arguments.input) ? write_detections_yolo : write_detections_json;
-  if (!write(arguments.output, worse, error)) return kBadFile;
+  if (!write(arguments.output, worse, error)) return false;
   std::printf("%zu images, %d boxes: %d dropped, %d relabelled\n", worse.size(), counts.boxes, counts.dropped,
               counts.relabelled);
-  return 0;
+  return true;
 }
 
-// --- loops --------------------------------------------------------------------------------------------------------
-
 struct LoopArguments {
+  std::string run, out;
   std::uint64_t seed = 1;
   double share = 1.0;
   FalseLoopOptions options;
 };
 
-bool to_count(const std::string& name, const std::string& value, int* number, std::string* error) {
-  const std::optional<std::int64_t> parsed = parse_integer(value);
-  constexpr std::int64_t kMax = 1000000;
-  if (parsed && *parsed >= 0 && *parsed <= kMax) {
-    *number = static_cast<int>(*parsed);
-    return true;
-  }
-  *error = "argument " + name + " '" + value + "' is no integer in [0, 1000000]";
-  return false;
-}
-
-bool take(const std::string& name, const std::string& value, LoopArguments* arguments, std::string* error) {
+bool read_loop_arguments(CommandLine* line, LoopArguments* arguments, std::string* error) {
+  constexpr int kMaxCount = 1000000;
   FalseLoopOptions& options = arguments->options;
-  if (name == "--seed") return to_seed(name, value, &arguments->seed, error);
-  if (name == "--share") return to_number(name, value, &arguments->share, error);
-  if (name == "--cluster") return to_count(name, value, &options.cluster_size, error);
-  if (name == "--distance") return to_number(name, value, &options.distance_m, error);
-  if (name == "--rotation") return to_number(name, value, &options.rotation_deg, error);
-  if (name == "--sigma") return to_number(name, value, &options.sigma_m, error);
-  if (name == "--sigma-deg") return to_number(name, value, &options.sigma_deg, error);
-  if (name == "--gap") return to_count(name, value, &options.min_gap_keyframes, error);
-  if (name == "--window") return to_count(name, value, &options.window_frames, error);
-  *error = "unknown argument '" + name + "' of perturb loops";
-  return false;
+  line->required("RUN", &arguments->run);
+  line->required("OUT", &arguments->out);
+  line->integer("--seed", &arguments->seed, 0);
+  line->number("--share", &arguments->share, 0.0, 100.0);
+  line->integer("--cluster", &options.cluster_size, 0, kMaxCount);
+  line->number("--distance", &options.distance_m);
+  line->number("--rotation", &options.rotation_deg);
+  line->number("--sigma", &options.sigma_m);
+  line->number("--sigma-deg", &options.sigma_deg);
+  line->integer("--gap", &options.min_gap_keyframes, 0, kMaxCount);
+  line->integer("--window", &options.window_frames, 0, kMaxCount);
+  return line->read(error) && options.is_valid(error);
 }
 
-bool parse_loop_arguments(const Arguments& words, LoopArguments* arguments, std::string* error) {
-  if (words.positional.size() != 2) {
-    *error = "perturb loops takes 2 paths, not " + std::to_string(words.positional.size());
-    return false;
-  }
-  for (const auto& [name, value] : words.options) {
-    if (!take(name, value, arguments, error)) return false;
-  }
-  constexpr double kMaxShare = 100.0;
-  if (arguments->share >= 0.0 && arguments->share <= kMaxShare) return arguments->options.is_valid(error);
-  *error = "argument --share must be in [0, 100]";
-  return false;
-}
-
-int make_false_loop_file(const Arguments& words, std::string* error) {
-  LoopArguments arguments;
-  if (!parse_loop_arguments(words, &arguments, error)) return kBadArguments;
-  const std::string &run = words.positional[0], &out = words.positional[1];
-  const auto keyframes = read_keyframes(run + "/keyframes.csv", error);
-  if (!keyframes) return kBadFile;
-  const auto loops = read_loops(run + "/loops.csv", error);
-  if (!loops) return kBadFile;
+bool make_false_loop_file(const LoopArguments& arguments, std::string* error) {
+  const auto keyframes = read_keyframes(arguments.run + "/keyframes.csv", error);
+  if (!keyframes) return false;
+  const auto loops = read_loops(arguments.run + "/loops.csv", error);
+  if (!loops) return false;
   std::map<std::int64_t, std::int64_t> keyframe_of;
   for (const KeyframePose& keyframe : *keyframes) keyframe_of[keyframe.frame_id] = keyframe.keyframe_id;
   KeyframePairs taken;
@@ -207,55 +126,19 @@ int make_false_loop_file(const Arguments& words, std::string* error) {
     const auto query = keyframe_of.find(loop.query_frame), match = keyframe_of.find(loop.match_frame);
     if (query != keyframe_of.end() && match != keyframe_of.end()) taken.insert({query->second, match->second});
   }
-  arguments.options.count = static_cast<int>(std::lround(arguments.share * accepted));
-  const std::vector<LoopClosure> wrong = make_false_loops(*keyframes, arguments.options, arguments.seed, taken);
-  if (!write_given_loops(out, wrong, error)) return kBadFile;
+  FalseLoopOptions options = arguments.options;
+  options.count = static_cast<int>(std::lround(arguments.share * accepted));
+  const std::vector<LoopClosure> wrong = make_false_loops(*keyframes, options, arguments.seed, taken);
+  if (!write_given_loops(arguments.out, wrong, error)) return false;
   std::printf("%d accepted loops, %zu wrong ones written\n", accepted, wrong.size());
-  return 0;
-}
-
-// ------------------------------------------------------------------------------------------------------------------
-
-constexpr Command kCommands[] = {{"detections", perturb_detection_files}, {"loops", make_false_loop_file}};
-
-bool split_arguments(int argc, char** argv, Arguments* arguments, std::string* error) {
-  for (int i = 2; i < argc; ++i) {
-    const std::string word = argv[i];
-    if (word.rfind("--", 0) != 0) {
-      arguments->positional.push_back(word);
-    } else if (i + 1 < argc) {
-      arguments->options.emplace_back(word, argv[++i]);
-    } else {
-      *error = "argument '" + word + "' is unknown or lacks its value";
-      return false;
-    }
-  }
   return true;
-}
-
-int run(int argc, char** argv, std::string* error) {
-  for (const Command& command : kCommands) {
-    if (argc < 2 || std::strcmp(argv[1], command.name) != 0) continue;
-    Arguments arguments;
-    return split_arguments(argc, argv, &arguments, error) ? command.run(arguments, error) : kBadArguments;
-  }
-  *error = argc < 2 ? "the sub-command is missing" : "unknown sub-command '" + std::string(argv[1]) + "'";
-  return kBadArguments;
 }
 
 }  // namespace
 
 int main(int argc, char** argv) {
-  for (int i = 1; i < argc; ++i) {
-    if (std::strcmp(argv[i], "--help") == 0 || std::strcmp(argv[i], "-h") == 0) {
-      std::fputs(kUsage, stdout);
-      return 0;
-    }
-  }
-  std::string error;
-  const int status = run(argc, argv, &error);
-  if (status != 0) {
-    std::cerr << "perturb: error: " << error << (status == kBadArguments ? " (see --help)" : "") << '\n';
-  }
-  return status;
+  return run_program("perturb", kUsage,
+                     {make_command("detections", read_detection_arguments, perturb_detection_files),
+                      make_command("loops", read_loop_arguments, make_false_loop_file)},
+                     argc, argv);
 }

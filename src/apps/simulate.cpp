@@ -1,12 +1,11 @@
 #include <algorithm>
 #include <cstdio>
 #include <filesystem>
-#include <iostream>
-#include <map>
 #include <string>
 #include <thread>
 #include <vector>
 
+#include "command_line.h"
 #include "package_path.h"
 #include "semantic_topo_loop/io/camera_yaml.h"
 #include "semantic_topo_loop/io/class_table_yaml.h"
@@ -19,6 +18,7 @@
 
 namespace {
 
+using namespace semantic_topo_loop::apps;
 using namespace semantic_topo_loop::core;
 
 // simulate_bag is this program with images and a bag asked for.
@@ -50,10 +50,9 @@ constexpr char kUsage[] =
     "  --set         one of the parameters below; may be repeated\n";
 
 struct Arguments {
-  std::string output, camera, classes, bag;
-  std::string bag_images = "true";
-  std::string images = kWithImages ? "true" : "false";
-  std::string threads, bag_compression;
+  std::string output, camera, classes, bag, bag_compression;
+  bool has_images = kWithImages, has_bag_images = true;
+  int threads = std::max(1, static_cast<int>(std::thread::hardware_concurrency()));
   OptionTexts options;
 };
 
@@ -66,103 +65,53 @@ std::string usage() {
   return text;
 }
 
-/// "model:metres:degrees"
-bool set_drift(const std::string& value, OptionTexts* options, std::string* error) {
-  const std::size_t first = value.find(':');
-  const std::size_t second = first == std::string::npos ? first : value.find(':', first + 1);
-  if (second == std::string::npos) {
-    *error = "argument --drift '" + value + "' is not model:metres:degrees";
-    return false;
-  }
-  (*options)["drift.model"] = value.substr(0, first);
-  (*options)["drift.position_m"] = value.substr(first + 1, second - first - 1);
-  (*options)["drift.rotation_deg"] = value.substr(second + 1);
+/// @return false unless the value is "model:metres:degrees"
+bool set_drift(const std::string& value, OptionTexts* options) {
+  const std::vector<std::string_view> parts = split(value, ':');
+  if (parts.size() != 3) return false;
+  (*options)["drift.model"] = parts[0];
+  (*options)["drift.position_m"] = parts[1];
+  (*options)["drift.rotation_deg"] = parts[2];
   return true;
 }
 
-/// @return false with `error` set if the argument is unknown or its value of the wrong shape
-bool take(const std::string& name, const std::string& value, Arguments* arguments, std::string* error) {
-  const std::map<std::string, std::string*> paths = {
-      {"--output", &arguments->output},         {"--camera", &arguments->camera},
-      {"--classes", &arguments->classes},       {"--bag", &arguments->bag},
-      {"--bag-images", &arguments->bag_images}, {"--bag-compression", &arguments->bag_compression},
-      {"--images", &arguments->images},         {"--threads", &arguments->threads}};
-  const std::map<std::string, std::string> keys = {{"--seed", "simulation.seed"},
-                                                   {"--layout", "scene.layout"},
-                                                   {"--duration", "trajectory.duration_s"},
-                                                   {"--rate", "trajectory.rate_hz"}};
-  if (name == "--set") return set_option_text(value, &arguments->options, error);
-  if (name == "--drift") return set_drift(value, &arguments->options, error);
-  if (const auto path = paths.find(name); path != paths.end()) {
-    *path->second = value;
-    return true;
+/// Arguments that are short for --set.
+void add_options(CommandLine* line, OptionTexts* options) {
+  for (const auto& [name, key] :
+       {std::pair("--seed", "simulation.seed"), std::pair("--layout", "scene.layout"),
+        std::pair("--duration", "trajectory.duration_s"), std::pair("--rate", "trajectory.rate_hz")}) {
+    line->value(name, "a text", [options, key = key](const std::string& value) {
+      (*options)[key] = value;
+      return true;
+    });
   }
-  if (const auto key = keys.find(name); key != keys.end()) {
-    arguments->options[key->second] = value;
-    return true;
-  }
-  *error = "unknown argument '" + name + "'";
-  return false;
+  line->value("--drift", "model:metres:degrees",
+              [options](const std::string& value) { return set_drift(value, options); });
+  line->assignments("--set", options);
 }
 
-bool default_to_package(const std::string& file, const char* argument, std::string* path, std::string* error) {
-  if (path->empty()) *path = semantic_topo_loop::apps::config_file(file);
-  if (!path->empty()) return true;
-  *error = std::string("the package is not on ROS_PACKAGE_PATH: pass ") + argument;
-  return false;
-}
-
-bool one_of(const char* argument, const std::string& value, const std::vector<std::string>& values,
-            std::string* error) {
-  std::string listed;
-  for (const std::string& allowed : values) {
-    if (value == allowed) return true;
-    listed += (listed.empty() ? "" : allowed == values.back() ? " or " : ", ") + allowed;
-  }
-  *error = std::string("argument ") + argument + " '" + value + "' must be " + listed;
-  return false;
-}
-
-bool default_threads(std::string* threads, std::string* error) {
-  if (threads->empty()) *threads = std::to_string(std::max(1U, std::thread::hardware_concurrency()));
-  const std::optional<std::int64_t> count = parse_integer(*threads);
-  if (count && *count >= 1 && *count <= 256) return true;
-  *error = "argument --threads '" + *threads + "' must be a number in [1, 256]";
-  return false;
-}
-
-/// @return false with `error` set; an empty error means that help was asked for
-bool parse(int argc, char** argv, Arguments* arguments, std::string* error) {
-  for (int i = 1; i < argc; i += 2) {
-    const std::string name = argv[i];
-    if (name == "--help" || name == "-h") return false;
-    if (i + 1 == argc) {
-      *error = "argument '" + name + "' is unknown or lacks its value";
-      return false;
-    }
-    if (!take(name, argv[i + 1], arguments, error)) return false;
-  }
-  if (arguments->output.empty()) {
-    *error = "argument --output is missing";
-    return false;
-  }
-  if (!one_of("--bag-images", arguments->bag_images, {"true", "false"}, error) ||
-      !one_of("--images", arguments->images, {"true", "false"}, error) ||
-      !default_threads(&arguments->threads, error)) {
-    return false;
-  }
-  const bool has_images = arguments->images == "true";
-  if (arguments->bag_compression.empty()) arguments->bag_compression = has_images ? "lz4" : "bz2";
+bool read(CommandLine* line, Arguments* arguments, std::string* error) {
+  line->required("--output", &arguments->output);
+  line->text("--camera", &arguments->camera);
+  line->text("--classes", &arguments->classes);
+  line->boolean("--images", &arguments->has_images);
+  line->integer("--threads", &arguments->threads, 1, 256);
+  line->text("--bag", &arguments->bag);
+  line->boolean("--bag-images", &arguments->has_bag_images);
+  line->choice("--bag-compression", {"bz2", "lz4", "none"}, &arguments->bag_compression);
+  add_options(line, &arguments->options);
+  if (!line->read(error)) return false;
+  if (arguments->bag_compression.empty()) arguments->bag_compression = arguments->has_images ? "lz4" : "bz2";
   if (kWithImages && arguments->bag.empty()) arguments->bag = arguments->output + "/sequence.bag";
-  return one_of("--bag-compression", arguments->bag_compression, {"bz2", "lz4", "none"}, error) &&
-         default_to_package("camera/tum_fr2.yaml", "--camera", &arguments->camera, error) &&
+  return default_to_package("camera/tum_fr2.yaml", "--camera", &arguments->camera, error) &&
          default_to_package("classes_coco.yaml", "--classes", &arguments->classes, error);
 }
 
 /// What the arguments ask for, beside the options.
 std::string outputs(const Arguments& arguments) {
-  return "images=" + arguments.images + " bag=" + arguments.bag + " bag-images=" + arguments.bag_images +
-         " bag-compression=" + arguments.bag_compression;
+  const auto text = [](bool value) { return std::string(value ? "true" : "false"); };
+  return "images=" + text(arguments.has_images) + " bag=" + arguments.bag +
+         " bag-images=" + text(arguments.has_bag_images) + " bag-compression=" + arguments.bag_compression;
 }
 
 bool is_made(const Arguments& arguments, const std::string& manifest) {
@@ -172,17 +121,18 @@ bool is_made(const Arguments& arguments, const std::string& manifest) {
 
 bool write_files(const Arguments& arguments, const SimulationOptions& options, const Camera& camera,
                  const ClassTable& classes, std::string* error) {
-  const bool has_images = arguments.images == "true";
   std::optional<SimulatedSequence> sequence = simulate(options, camera, classes, error);
   if (!sequence) return false;
-  const int threads = std::stoi(arguments.threads);
-  if (has_images && !render_sequence(options, classes, threads, arguments.output, &*sequence, error)) return false;
+  if (arguments.has_images &&
+      !render_sequence(options, classes, arguments.threads, arguments.output, &*sequence, error)) {
+    return false;
+  }
   if (!write_sequence(*sequence, classes, arguments.output, error)) return false;
   semantic_topo_loop::TumBagOptions bag_options;
-  bag_options.with_images = arguments.bag_images == "true";
+  bag_options.with_images = arguments.has_bag_images;
   bag_options.compression = arguments.bag_compression;
   bag_options.rendering = options.rendering;
-  if (has_images) bag_options.image_directory = arguments.output;
+  if (arguments.has_images) bag_options.image_directory = arguments.output;
   if (!arguments.bag.empty() && !semantic_topo_loop::write_tum_bag(*sequence, arguments.bag, bag_options, error)) {
     return false;
   }
@@ -199,8 +149,7 @@ bool run(const Arguments& arguments, std::string* error) {
   const std::optional<std::string> class_text = classes ? read_text_file(arguments.classes, error) : std::nullopt;
   if (!class_text) return false;
   const std::string manifest = sequence_manifest(*options, *camera, *class_text, outputs(arguments));
-  const bool has_images = arguments.images == "true";
-  if (has_images && is_made(arguments, manifest)) {
+  if (arguments.has_images && is_made(arguments, manifest)) {
     std::printf("%s is up to date\n", arguments.output.c_str());
     return true;
   }
@@ -208,23 +157,9 @@ bool run(const Arguments& arguments, std::string* error) {
   std::error_code ignored;
   std::filesystem::remove(arguments.output + "/manifest.txt", ignored);
   if (!write_files(arguments, *options, *camera, *classes, error)) return false;
-  return !has_images || write_text_file(arguments.output + "/manifest.txt", manifest, error);
+  return !arguments.has_images || write_text_file(arguments.output + "/manifest.txt", manifest, error);
 }
 
 }  // namespace
 
-int main(int argc, char** argv) {
-  Arguments arguments;
-  std::string error;
-  if (!parse(argc, argv, &arguments, &error)) {
-    if (error.empty()) {
-      std::cout << usage();
-      return 0;
-    }
-    std::cerr << kName << ": error: " << error << " (try --help)\n";
-    return 2;
-  }
-  if (run(arguments, &error)) return 0;
-  std::cerr << kName << ": error: " << error << '\n';
-  return 1;
-}
+int main(int argc, char** argv) { return run_program(kName, usage(), {make_command("", read, run)}, argc, argv); }

@@ -55,26 +55,12 @@ std::optional<OptionTexts> read_option_texts(const std::string& path, std::strin
   return texts;
 }
 
-bool set_option_text(const std::string& assignment, OptionTexts* texts, std::string* error) {
-  const std::size_t equals = assignment.find('=');
-  if (equals == std::string::npos || equals == 0) {
-    if (error != nullptr) *error = "'" + assignment + "' must be <module>.<field>=<value>";
-    return false;
-  }
-  (*texts)[assignment.substr(0, equals)] = assignment.substr(equals + 1);
-  return true;
-}
-
-std::optional<Options> load_options(const std::string& path, const std::vector<std::string>& assignments,
-                                    std::string* error) {
-  OptionTexts texts;
+std::optional<Options> load_options(const std::string& path, const OptionTexts& assignments, std::string* error) {
+  OptionTexts texts = assignments;
   if (!path.empty()) {
-    std::optional<OptionTexts> from_file = read_option_texts(path, error);
+    const std::optional<OptionTexts> from_file = read_option_texts(path, error);
     if (!from_file) return std::nullopt;
-    texts = std::move(*from_file);
-  }
-  for (const std::string& assignment : assignments) {
-    if (!set_option_text(assignment, &texts, error)) return std::nullopt;
+    texts.insert(from_file->begin(), from_file->end());
   }
   return make_options(texts, error);
 }

@@ -96,15 +96,17 @@ TEST_F(EvaluateProgram, BadFilesEndWithOneErrorAndStatusOne) {
 
 TEST_F(EvaluateProgram, BadArgumentsEndWithStatusTwo) {
   EXPECT_EQ(run(""), 2);
+  expect_one_line_error("the sub-command is missing");
   EXPECT_EQ(run("everything @run"), 2);
+  expect_one_line_error("unknown sub-command 'everything'");
   EXPECT_EQ(run("trajectory @gt.txt"), 2);
-  expect_one_line_error("evaluate trajectory takes 2 paths, not 1");
+  expect_one_line_error("evaluate trajectory: error: argument GT is missing");
   EXPECT_EQ(run("trajectory @gt.txt @gt.txt --typo"), 2);
-  expect_one_line_error("unknown option '--typo'");
+  expect_one_line_error("unknown argument '--typo'");
   EXPECT_EQ(run("objects @run @gt.txt @reference.csv --mocap @gt.txt"), 2);
-  expect_one_line_error("unknown option '--mocap'");
+  expect_one_line_error("unknown argument '--mocap'");
   EXPECT_EQ(run("trajectory @gt.txt @gt.txt --json"), 2);
-  expect_one_line_error("--json needs a path");
+  expect_one_line_error("argument --json lacks its value");
 }
 
 }  // namespace

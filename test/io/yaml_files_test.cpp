@@ -146,7 +146,7 @@ TEST_F(YamlFiles, OptionErrors) {
 
 TEST_F(YamlFiles, AssignmentsOverrideTheFile) {
   const std::string path = write("association:\n  min_score: 0.5\n  border_px: 12\n");
-  const auto options = load_options(path, {"association.min_score=0.4", "loop.enabled=false"}, &error_);
+  const auto options = load_options(path, {{"association.min_score", "0.4"}, {"loop.enabled", "false"}}, &error_);
   ASSERT_TRUE(options) << error_;
   EXPECT_EQ(options->association.min_score, 0.4);
   EXPECT_EQ(options->association.border_px, 12.0);
@@ -155,12 +155,9 @@ TEST_F(YamlFiles, AssignmentsOverrideTheFile) {
 }
 
 TEST_F(YamlFiles, BadAssignments) {
-  EXPECT_FALSE(load_options("", {"association.min_score"}, &error_));
-  EXPECT_EQ(error_, "'association.min_score' must be <module>.<field>=<value>");
-  EXPECT_FALSE(load_options("", {"=3"}, &error_));
-  EXPECT_FALSE(load_options("", {"association.typo=3"}, &error_));
+  EXPECT_FALSE(load_options("", {{"association.typo", "3"}}, &error_));
   EXPECT_EQ(error_, "unknown parameter 'association.typo' = '3'");
-  EXPECT_FALSE(load_options("", {"keyframe.max_interval_s=-1"}, &error_));
+  EXPECT_FALSE(load_options("", {{"keyframe.max_interval_s", "-1"}}, &error_));
   EXPECT_EQ(error_, "parameter 'keyframe.max_interval_s' = -1 must be > 0");
 }
 

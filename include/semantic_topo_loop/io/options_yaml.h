@@ -3,7 +3,6 @@
 #include <map>
 #include <optional>
 #include <string>
-#include <vector>
 
 #include "semantic_topo_loop/pipeline/options.h"
 
@@ -17,12 +16,7 @@ using OptionTexts = std::map<std::string, std::string>;
 /// twice, unknown, or its value of the wrong type
 std::optional<OptionTexts> read_option_texts(const std::string& path, std::string* error);
 
-/// Takes in `key=value` of a command line, over what `texts` already holds for the key.
-/// @return false, with the text in `error`, if it is of another shape
-bool set_option_text(const std::string& assignment, OptionTexts* texts, std::string* error);
-
 /// The options of a program: defaults, then the file (unless the path is empty), then the assignments, strictly.
-std::optional<Options> load_options(const std::string& path, const std::vector<std::string>& assignments,
-                                    std::string* error);
+std::optional<Options> load_options(const std::string& path, const OptionTexts& assignments, std::string* error);
 
 }  // namespace semantic_topo_loop::core
