@@ -28,7 +28,8 @@ void MotionBursts::push(const StampedPose& pose, bool is_break, std::size_t sect
   last_ = pose;
   if (!last || is_break || pose.stamp_ns <= last->stamp_ns) return;
   const double dt_s = 1e-9 * static_cast<double>(pose.stamp_ns - last->stamp_ns);
-  window_.push_back({se3_log(last->T_world_camera.inverse() * pose.T_world_camera) / dt_s, dt_s, section});
+  window_.push_back({se3_log(last->T_world_camera.inverse() * pose.T_world_camera) / dt_s,
+                     pose.T_world_camera.q, dt_s, section});
   if (window_.size() > 2 * kReach + 1) window_.pop_front();
   if (window_.size() == 2 * kReach + 1) judge(kReach);
 }
@@ -43,21 +44,26 @@ void MotionBursts::judge(std::size_t index) {
   const Motion& motion = window_[index];
   const Vec6 excess = motion.rate - usual;
   const double translation = excess.head<3>().norm(), rotation = excess.tail<3>().norm();
-  if (suspects_.size() <= motion.section) suspects_.resize(motion.section + 1, Vec6::Zero());
+  if (suspects_.size() <= motion.section) suspects_.resize(motion.section + 1);
   if (translations_.size() >= kMinHistory) {
     constexpr double kTiny = 1e-9;
     const double ratio =
         std::max(translation / (median(translations_) + kTiny), rotation / (median(rotations_) + kTiny));
     const double share = std::clamp((ratio - kSuspicious) / (kCertain - kSuspicious), 0.0, 1.0);
-    suspects_[motion.section] += share * motion.dt_s * excess;
+    Suspect& suspect = suspects_[motion.section];
+    const double time = share * motion.dt_s;
+    suspect.motion.head<3>() += time * (motion.q_odom_camera * excess.head<3>());
+    suspect.motion.tail<3>() += time * (motion.q_odom_camera * excess.tail<3>());
+    suspect.error_m += time * median(translations_);
+    suspect.error_rad += time * median(rotations_);
   }
   remember(translation, next_, &translations_);
   remember(rotation, next_, &rotations_);
   ++next_;
 }
 
-Vec6 MotionBursts::suspect(std::size_t section) const {
-  return section < suspects_.size() ? suspects_[section] : Vec6(Vec6::Zero());
+MotionBursts::Suspect MotionBursts::suspect(std::size_t section) const {
+  return section < suspects_.size() ? suspects_[section] : Suspect();
 }
 
 }  // namespace semantic_topo_loop::core

@@ -28,8 +28,8 @@ Mat6 odometry_covariance(const OdometryEdge& edge, const OdometryNoise& noise) {
   return floor_covariance() +
          diagonal(noise.translation_m * noise.translation_m * edge.path_m,
                   noise.rotation_rad * noise.rotation_rad * edge.rotation_rad) +
-         diagonal(edge.suspect_translation_m * edge.suspect_translation_m,
-                  edge.suspect_rotation_rad * edge.suspect_rotation_rad);
+         diagonal(edge.suspect_error_m * edge.suspect_error_m, edge.suspect_error_rad * edge.suspect_error_rad) +
+         edge.suspect * edge.suspect.transpose();
 }
 
 void OdometryAccumulator::add(const Frame& frame) {

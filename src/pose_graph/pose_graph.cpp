@@ -125,6 +125,7 @@ class PoseGraph::Impl {
     log_scale_.push_back(log_scale_.empty() ? 0.0 : log_scale_.back());
     keyframes_.push_back({frame.keyframe_id, frame.frame_id, frame.stamp_ns, SE3()});
     T_odom_keyframe_ = frame.T_odom_camera;
+    q_camera_odom_.push_back(T_odom_keyframe_.q.conjugate());
     ++keyframes_since_;
   }
 
@@ -209,8 +210,12 @@ class PoseGraph::Impl {
     keyframes_since_ = 0;
     has_new_loops_ = is_upset_ = is_urgent_ = is_withdrawn_ = false;
     for (std::size_t i = 0; i < trajectory_.edges.size(); ++i) {
-      trajectory_.edges[i].suspect_translation_m = bursts_.suspect(i).head<3>().norm();
-      trajectory_.edges[i].suspect_rotation_rad = bursts_.suspect(i).tail<3>().norm();
+      const MotionBursts::Suspect suspect = bursts_.suspect(i);
+      OdometryEdge& edge = trajectory_.edges[i];
+      edge.suspect.head<3>() = q_camera_odom_[i + 1] * suspect.motion.head<3>();
+      edge.suspect.tail<3>() = q_camera_odom_[i + 1] * suspect.motion.tail<3>();
+      edge.suspect_error_m = suspect.error_m;
+      edge.suspect_error_rad = suspect.error_rad;
     }
     if (has_objects_ && is_end) trajectory_.objects.objects = objects_.objects();
     if (!(has_free_scale() ? optimize_similarities(effort) : optimize_poses(effort))) return false;
@@ -377,6 +382,7 @@ class PoseGraph::Impl {
   OdometryAccumulator accumulator_;
   MotionBursts bursts_;
   LoopConsistency consistency_;
+  std::vector<Quaternion> q_camera_odom_;  ///< of the keyframes
   SE3 T_odom_keyframe_;            ///< of the last keyframe
   SE3 T_odom_frame_;               ///< of the last frame
   std::vector<double> log_scale_;  ///< of the map's unit of length over the odometry's, one a vertex; 0 unless free

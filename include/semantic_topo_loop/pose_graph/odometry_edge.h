@@ -13,8 +13,10 @@ struct OdometryEdge {
   double rotation_rad = 0.0;       ///< sum of the rotation angles, frame by frame
   std::optional<Mat6> covariance;  ///< stated by the source: (translation m, rotation rad), right
   bool is_break = false;           ///< nothing is known about this motion
-  /// Motion that stands out of that before and after, see JumpMonitor: by so much the odometry may have jumped.
-  double suspect_translation_m = 0.0, suspect_rotation_rad = 0.0;
+  /// Motion that stands out of that before and after, see MotionBursts: the odometry may have jumped by it, or by a part
+  /// of it (translation m, rotation rad; right).
+  Vec6 suspect = Vec6::Zero();
+  double suspect_error_m = 0.0, suspect_error_rad = 0.0;  ///< and by so much more or less
 };
 
 /// Noise of an odometry whose source states none: a random walk, and errors that last.
