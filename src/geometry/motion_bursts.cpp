@@ -50,8 +50,8 @@ void MotionBursts::push(const StampedPose& pose, bool is_break, std::size_t sect
   last_ = pose;
   if (!last || is_break || pose.stamp_ns <= last->stamp_ns) return;
   const double dt_s = 1e-9 * static_cast<double>(pose.stamp_ns - last->stamp_ns);
-  window_.push_back({se3_log(last->T_world_camera.inverse() * pose.T_world_camera) / dt_s, pose.T_world_camera.q, dt_s,
-                     section});
+  window_.push_back(
+      {se3_log(last->T_world_camera.inverse() * pose.T_world_camera) / dt_s, pose.T_world_camera.q, dt_s, section});
   ++count_;
   if (window_.size() > kLengths.back() + 2 * kSide) window_.pop_front();
   Burst best;

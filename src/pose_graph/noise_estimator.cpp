@@ -19,8 +19,8 @@ constexpr double kLogSigmaLoop = 0.35;  // a loop's sigmas are trusted to about 
 constexpr double kMaxLogLoop = 1.0;
 
 std::array<double, kLoopIndex> values(const OdometryNoise& noise) {
-  return {noise.translation_m, noise.rotation_rad, noise.steady_translation, noise.steady_rotation_rad,
-          noise.scale,         noise.suspicion};
+  return {noise.translation_m,       noise.rotation_rad, noise.steady_translation,
+          noise.steady_rotation_rad, noise.scale,        noise.suspicion};
 }
 
 NoiseEstimate to_estimate(const LogFactors& x, const NoisePrior& prior, const std::vector<OdometryJump>& jumps) {
@@ -97,7 +97,7 @@ NoiseEstimate estimate_noise(const InnovationModel& model, const NoisePrior& pri
 }
 
 NoiseEstimate estimate_noise_and_jumps(InnovationModel* model, const NoisePrior& prior, const NoiseEstimate& start,
-                                       int max_new_jumps) {
+                                       int max_new_jumps, double* cost) {
   model->set_jumps(start.jumps);
   Fit best = fit_noise(*model, prior, start, kWide);
   best.cost += kJumpPrice * static_cast<double>(best.noise.jumps.size());
@@ -124,6 +124,7 @@ NoiseEstimate estimate_noise_and_jumps(InnovationModel* model, const NoisePrior&
     more.push_back(candidate->jump);
     if (!attempt(more)) break;
   }
+  if (cost != nullptr) *cost = best.cost;
   return best.noise;
 }
 

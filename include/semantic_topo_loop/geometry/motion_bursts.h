@@ -45,9 +45,9 @@ class MotionBursts {
     double sigma_m = 0.0, sigma_rad = 0.0;  ///< that is usual
   };
   struct Burst {
-    std::size_t begin = 0, end = 0;  ///< motions, counted from the first
-    double strength = 0.0;           ///< in sigmas of its length
-    double size = 0.0;               ///< what of it is sure, in sigmas of the shortest length
+    std::size_t begin = 0, end = 0;                         ///< motions, counted from the first
+    double strength = 0.0;                                  ///< in sigmas of its length
+    double size = 0.0;                                      ///< what of it is sure, in sigmas of the shortest length
     std::vector<std::pair<std::size_t, Suspect>> suspects;  ///< by section
   };
 
@@ -58,8 +58,8 @@ class MotionBursts {
   std::array<Length, 6> lengths_;
   std::optional<StampedPose> last_;
   std::deque<Motion> window_;
-  std::size_t count_ = 0;  ///< of motions
-  Burst greatest_;        ///< of those that overlap at the end
+  std::size_t count_ = 0;          ///< of motions
+  Burst greatest_;                 ///< of those that overlap at the end
   std::vector<Suspect> suspects_;  ///< by section, without those of greatest_
 };
 
