@@ -66,11 +66,20 @@ void MotionBursts::push(const StampedPose& pose, bool is_break, std::size_t sect
 /// What ends kSide frames ago.
 MotionBursts::Burst MotionBursts::judge(Length* length) const {
   const std::size_t end = window_.size() - kSide, begin = end - length->frames;
-  Vec6 foretold = Vec6::Zero();
-  for (std::size_t i = 0; i < kSide; ++i) foretold += window_[begin - 1 - i].rate + window_[end + i].rate;
-  foretold /= 2.0 * kSide;
+  Vec6 before = Vec6::Zero(), after = Vec6::Zero();
+  for (std::size_t i = 0; i < kSide; ++i) {
+    before += window_[begin - 1 - i].rate / kSide;
+    after += window_[end + i].rate / kSide;
+  }
+  const Vec6 foretold = 0.5 * (before + after);
   Vec6 sum = Vec6::Zero();
-  for (std::size_t i = begin; i < end; ++i) sum += window_[i].dt_s * (window_[i].rate - foretold);
+  double time = 0.0;
+  for (std::size_t i = begin; i < end; ++i) {
+    sum += window_[i].dt_s * window_[i].rate;
+    time += window_[i].dt_s;
+  }
+  const Vec6 excess_before = sum - time * before, excess_after = sum - time * after;
+  sum -= time * foretold;
   const double translation = sum.head<3>().norm(), rotation = sum.tail<3>().norm();
   Burst burst;
   if (length->translations.size() >= kMinHistory) {
@@ -78,7 +87,13 @@ MotionBursts::Burst MotionBursts::judge(Length* length) const {
       length->sigma_m = usual(length->translations);
       length->sigma_rad = usual(length->rotations);
     }
-    burst.strength = std::hypot(translation / length->sigma_m, rotation / length->sigma_rad);
+    const auto along = [length, &sum](const Vec6& motion) {
+      return motion.head<3>().dot(sum.head<3>()) / (length->sigma_m * length->sigma_m) +
+             motion.tail<3>().dot(sum.tail<3>()) / (length->sigma_rad * length->sigma_rad);
+    };
+    // What stands out of one side only is that side's burst.
+    const bool is_here = std::min(along(excess_before), along(excess_after)) > 0.5 * along(sum);
+    burst.strength = is_here ? std::sqrt(along(sum)) : 0.0;
     const Length& unit = lengths_.front();
     burst.size = (1.0 - kDoubt / std::max(burst.strength, kDoubt)) *
                  std::hypot(translation / unit.sigma_m, rotation / unit.sigma_rad);
