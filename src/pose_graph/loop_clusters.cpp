@@ -1,8 +1,11 @@
 #include "semantic_topo_loop/pose_graph/loop_clusters.h"
 
 #include <algorithm>
+#include <cmath>
+#include <utility>
 
 #include "semantic_topo_loop/pose_graph/noise_estimator.h"
+#include "semantic_topo_loop/pose_graph/path_noise.h"
 #include "semantic_topo_loop/pose_graph/relative_pose.h"
 
 namespace semantic_topo_loop::core {
@@ -74,6 +77,30 @@ double evidence(const std::vector<std::size_t>& cluster, const std::vector<doubl
   return sum;
 }
 
+using Cluster = std::vector<std::size_t>;
+
+const GraphLoop& middle(const Cluster& cluster, const Trajectory& trajectory) {
+  return trajectory.loops[cluster[cluster.size() / 2]];
+}
+
+/// Those that strain the odometry most: a place that looks like another does.
+std::vector<Cluster> strained(const Trajectory& trajectory, const std::vector<bool>& kept, const NoisePrior& prior) {
+  constexpr std::size_t kMaxDoubted = 8;  // each costs a solution of the graph
+  constexpr double kLittle = 10.0;        // times the least noise
+  const PathNoise path(trajectory.T_map_vertex, trajectory.edges);
+  const OdometryNoise least{prior.least.translation_m, prior.least.rotation_rad};
+  std::vector<std::pair<double, Cluster>> clusters;
+  for (Cluster& cluster : loop_clusters(trajectory.loops, kept)) {
+    const double factor = path.explaining_factor(middle(cluster, trajectory), least, prior.factor_max);
+    if (factor > kLittle) clusters.emplace_back(factor, std::move(cluster));
+  }
+  std::stable_sort(clusters.begin(), clusters.end(), [](const auto& a, const auto& b) { return a.first > b.first; });
+  if (clusters.size() > kMaxDoubted) clusters.resize(kMaxDoubted);
+  std::vector<Cluster> result;
+  for (auto& [factor, cluster] : clusters) result.push_back(std::move(cluster));
+  return result;
+}
+
 /// The cluster that is most likely false.
 class Suspicion {
  public:
@@ -85,7 +112,7 @@ class Suspicion {
     for (const std::size_t k : cluster) others.kept[k] = false;
     trajectory_->votes = others.kept;
     OptimizedTrajectory without = optimize_trajectory(*trajectory_, options_, others, Effort::kUpdate);
-    const GraphLoop& loop = trajectory_->loops[cluster[cluster.size() / 2]];
+    const GraphLoop& loop = middle(cluster, *trajectory_);
     if (!without.usable || chi2(loop, without.T_map_vertex) <= options_.robust_chi2) return;
     // Linear about the poses with and without the cluster: right loops behind large jumps are likely about the former.
     const std::vector<GraphLoop> rest = some_of(trajectory_->loops, without.knowledge.kept);
@@ -122,16 +149,19 @@ class Suspicion {
 
 std::vector<bool> without_surprising_clusters(Trajectory trajectory, const PoseGraphOptions& options,
                                               GraphKnowledge knowledge) {
-  while (true) {
-    const std::vector<std::vector<std::size_t>> clusters = loop_clusters(trajectory.loops, knowledge.kept);
-    if (clusters.size() < 2) return knowledge.kept;
+  trajectory.objects = {};
+  const NoisePrior prior = noise_prior(options);
+  while (loop_clusters(trajectory.loops, knowledge.kept).size() > 1) {
     const std::vector<double> copies = redundancy(trajectory.loops, knowledge.kept);
     Suspicion suspicion(&trajectory, options, knowledge);
-    for (const auto& cluster : clusters) suspicion.judge(cluster, evidence(cluster, copies));
-    if (!suspicion.found()) return knowledge.kept;
+    for (const Cluster& cluster : strained(trajectory, knowledge.kept, prior)) {
+      suspicion.judge(cluster, evidence(cluster, copies));
+    }
+    if (!suspicion.found()) break;
     knowledge.kept = suspicion.kept_without();
     trajectory.T_map_vertex = suspicion.T_map_vertex_without();
   }
+  return knowledge.kept;
 }
 
 }  // namespace semantic_topo_loop::core
