@@ -5,7 +5,7 @@ namespace {
 
 constexpr int kFramesPerSection = 15;
 constexpr double kMinTranslation = 0.05;  ///< m; less does not spoil a submap
-constexpr double kMinRotation = 0.03;     ///< rad
+constexpr double kMinRotation = 0.06;     ///< rad; as much at about a metre
 
 }  // namespace
 
