@@ -99,7 +99,10 @@ NoiseEstimate estimate_noise(const InnovationModel& model, const NoisePrior& pri
 NoiseEstimate estimate_noise_and_jumps(InnovationModel* model, const NoisePrior& prior, const NoiseEstimate& start,
                                        int max_new_jumps, double* cost) {
   model->set_jumps(start.jumps);
-  Fit best = fit_noise(*model, prior, start, kWide);
+  // Suspects come first: from next to no suspicion a step up may bring nothing where full suspicion does.
+  NoiseEstimate suspicious = start;
+  suspicious.odometry.suspicion = 1.0;
+  Fit best = fit_noise(*model, prior, suspicious, kWide);
   best.cost += kJumpPrice * static_cast<double>(best.noise.jumps.size());
   const auto attempt = [&](const std::vector<OdometryJump>& jumps) {
     model->set_jumps(jumps);

@@ -213,7 +213,7 @@ NoisePrior noise_prior(const PoseGraphOptions& options) {
   OdometryNoise least{options.translation_noise_m, radians(options.rotation_noise_deg)};
   least.steady_translation = least.scale = 0.1 * options.translation_noise_m;
   least.steady_rotation_rad = 0.1 * radians(options.rotation_noise_deg);
-  constexpr double kLeastSuspicion = 0.03;
+  constexpr double kLeastSuspicion = 0.003;
   if (options.estimate_noise) least.suspicion = kLeastSuspicion;
   return {least, options.noise_factor_max, options.noise_evidence};
 }
