@@ -1,7 +1,6 @@
 #include "semantic_topo_loop/pose_graph/loop_clusters.h"
 
 #include <algorithm>
-#include <cmath>
 #include <utility>
 
 #include "semantic_topo_loop/pose_graph/noise_estimator.h"
