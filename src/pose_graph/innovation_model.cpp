@@ -108,7 +108,8 @@ InnovationModel::InnovationModel(const std::vector<SE3>& T_world_vertex, const s
   accumulate_edges();
   const auto n = row(loops.size());
   innovation_.resize(n);
-  for (Eigen::MatrixXd* m : {&given_, &translation_, &rotation_, &loops_, &jumps_}) m->setZero(n, n);
+  suspected_jump_.resize(n);
+  for (Eigen::MatrixXd* m : {&given_, &translation_, &rotation_, &suspects_, &loops_, &jumps_}) m->setZero(n, n);
   steady_.setZero(n, kSteadyColumns);
   std::vector<Mat6> roots(loops.size());
   from_origin_.resize(loops.size());
@@ -118,6 +119,7 @@ InnovationModel::InnovationModel(const std::vector<SE3>& T_world_vertex, const s
     const Innovation innovation = path_.innovation(loop);
     from_origin_[k] = innovation.from_origin;
     innovation_.segment<6>(row(k)) = innovation.error;
+    suspected_jump_.segment<6>(row(k)) = innovation.jump;
     steady_.middleRows<6>(row(k)) = from_origin_[k] * (sum_steady_[to] - sum_steady_[from]);
     roots[k] = loop.covariance.llt().matrixL();
   }
@@ -134,6 +136,7 @@ InnovationModel::InnovationModel(const std::vector<SE3>& T_world_vertex, const s
       given_.block<6, 6>(row(k), row(l)) = between(path_.given());
       translation_.block<6, 6>(row(k), row(l)) = between(path_.translation());
       rotation_.block<6, 6>(row(k), row(l)) = between(path_.rotation());
+      suspects_.block<6, 6>(row(k), row(l)) = between(path_.suspects());
     }
   }
   const Eigen::MatrixXd turning = columns(steady_, 0, 3), moving = columns(steady_, 3, 6);
@@ -165,7 +168,7 @@ Eigen::MatrixXd InnovationModel::covariance(const OdometryNoise& noise, double l
   Eigen::MatrixXd sum = squared(loop_factor) * loops_ + given_ + jumps_;
   sum += squared(noise.translation_m) * translation_ + squared(noise.rotation_rad) * rotation_;
   sum += squared(noise.steady_translation) * steady_translation_ + squared(noise.scale) * scale_;
-  sum += squared(noise.steady_rotation_rad) * steady_rotation_;
+  sum += squared(noise.steady_rotation_rad) * steady_rotation_ + squared(noise.suspicion) * suspects_;
   return sum;
 }
 
@@ -173,7 +176,7 @@ double InnovationModel::cost(const OdometryNoise& noise, double loop_factor) con
   Eigen::MatrixXd covariance = this->covariance(noise, loop_factor);
   const Eigen::LLT<Eigen::Ref<Eigen::MatrixXd>, Eigen::Lower> factor(covariance);
   if (factor.info() != Eigen::Success) return std::numeric_limits<double>::infinity();
-  const Eigen::VectorXd whitened = factor.matrixL().solve(innovation_);
+  const Eigen::VectorXd whitened = factor.matrixL().solve(surprise(noise));
   return 0.5 * whitened.squaredNorm() + covariance.diagonal().array().log().sum();
 }
 
@@ -182,7 +185,7 @@ InnovationModel::Whitened InnovationModel::whiten(const NoiseEstimate& noise) co
   const Eigen::LLT<Eigen::MatrixXd, Eigen::Lower> factor(covariance);
   Whitened whitened;
   whitened.information = factor.solve(Eigen::MatrixXd::Identity(covariance.rows(), covariance.cols()));
-  whitened.pull = factor.solve(innovation_);
+  whitened.pull = factor.solve(surprise(noise.odometry));
   return whitened;
 }
 

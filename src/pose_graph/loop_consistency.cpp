@@ -61,8 +61,8 @@ void LoopConsistency::compare_all(const std::vector<OdometryEdge>& edges, const 
     next.T_first_vertex = next.T_first_vertex * edge.T_from_to;
     next.path_m += edge.path_m;
     next.turn_rad += edge.rotation_rad;
-    next.suspect_m2 += squared(edge.suspect_translation_m);
-    next.suspect_rad2 += squared(edge.suspect_rotation_rad);
+    next.suspect_m2 += edge.suspect.head<3>().squaredNorm();
+    next.suspect_rad2 += edge.suspect.tail<3>().squaredNorm();
     next.breaks += edge.is_break ? 1 : 0;
     progress_.push_back(next);
   }

@@ -7,9 +7,9 @@
 namespace semantic_topo_loop::core {
 namespace {
 
-/// Logarithms of the factors on the least noise (translation and rotation walk, steady translation and rotation, scale)
-/// and on the loops' sigmas.
-constexpr std::size_t kLoopIndex = 5;
+/// Logarithms of the factors on the least noise (translation and rotation walk, steady translation and rotation, scale,
+/// suspicion) and on the loops' sigmas.
+constexpr std::size_t kSuspicionIndex = 5, kLoopIndex = 6;
 using LogFactors = std::array<double, kLoopIndex + 1>;
 
 constexpr std::size_t kWalks = 2;
@@ -19,13 +19,14 @@ constexpr double kLogSigmaLoop = 0.35;  // a loop's sigmas are trusted to about 
 constexpr double kMaxLogLoop = 1.0;
 
 std::array<double, kLoopIndex> values(const OdometryNoise& noise) {
-  return {noise.translation_m, noise.rotation_rad, noise.steady_translation, noise.steady_rotation_rad, noise.scale};
+  return {noise.translation_m,       noise.rotation_rad, noise.steady_translation,
+          noise.steady_rotation_rad, noise.scale,        noise.suspicion};
 }
 
 NoiseEstimate to_estimate(const LogFactors& x, const NoisePrior& prior, const std::vector<OdometryJump>& jumps) {
   const auto least = values(prior.least);
   const auto at = [&](std::size_t i) { return least[i] * std::exp(x[i]); };
-  return {{at(0), at(1), at(2), at(3), at(4)}, std::exp(x[kLoopIndex]), jumps};
+  return {{at(0), at(1), at(2), at(3), at(4), at(kSuspicionIndex)}, std::exp(x[kLoopIndex]), jumps};
 }
 
 double penalty(const LogFactors& x, const NoisePrior& prior) {
@@ -56,6 +57,7 @@ Fit fit_noise(const InnovationModel& model, const NoisePrior& prior, const Noise
   const auto least = values(prior.least), first = values(start.odometry);
   for (std::size_t i = 0; i < kLoopIndex; ++i) {
     if (least[i] <= 0.0) highs[i] = 0.0;  // switched off
+    if (i == kSuspicionIndex) highs[i] = -std::log(std::max(least[i], 1e-9));
     best[i] = least[i] > 0.0 && first[i] > 0.0 ? std::log(first[i] / least[i]) : 0.0;
   }
   for (std::size_t i = 0; i < best.size(); ++i) best[i] = std::clamp(best[i], lows[i], highs[i]);
@@ -95,9 +97,12 @@ NoiseEstimate estimate_noise(const InnovationModel& model, const NoisePrior& pri
 }
 
 NoiseEstimate estimate_noise_and_jumps(InnovationModel* model, const NoisePrior& prior, const NoiseEstimate& start,
-                                       int max_new_jumps) {
+                                       int max_new_jumps, double* cost) {
   model->set_jumps(start.jumps);
-  Fit best = fit_noise(*model, prior, start, kWide);
+  // Suspects come first: from next to no suspicion a step up may bring nothing where full suspicion does.
+  NoiseEstimate suspicious = start;
+  suspicious.odometry.suspicion = 1.0;
+  Fit best = fit_noise(*model, prior, suspicious, kWide);
   best.cost += kJumpPrice * static_cast<double>(best.noise.jumps.size());
   const auto attempt = [&](const std::vector<OdometryJump>& jumps) {
     model->set_jumps(jumps);
@@ -122,6 +127,7 @@ NoiseEstimate estimate_noise_and_jumps(InnovationModel* model, const NoisePrior&
     more.push_back(candidate->jump);
     if (!attempt(more)) break;
   }
+  if (cost != nullptr) *cost = best.cost;
   return best.noise;
 }
 

@@ -18,7 +18,21 @@ Mat6 floor_covariance() {
   return diagonal(kMinEdgeTranslation_m * kMinEdgeTranslation_m, kMinEdgeRotation_rad * kMinEdgeRotation_rad);
 }
 
+/// A jump by all or nothing, each as likely, as a normal distribution.
+constexpr double kMeanJump = 0.5, kSigmaJump = 0.5;
+
+/// At full suspicion.
+Mat6 suspect_covariance(const OdometryEdge& edge) {
+  return kSigmaJump * kSigmaJump * edge.suspect * edge.suspect.transpose() +
+         diagonal(edge.suspect_error_m * edge.suspect_error_m, edge.suspect_error_rad * edge.suspect_error_rad);
+}
+
 }  // namespace
+
+Vec6 expected_jump(const OdometryEdge& edge, const OdometryNoise& noise) {
+  if (edge.is_break || edge.covariance) return Vec6::Zero();
+  return kMeanJump * noise.suspicion * edge.suspect;
+}
 
 Mat6 odometry_covariance(const OdometryEdge& edge, const OdometryNoise& noise) {
   if (edge.is_break) {
@@ -28,8 +42,7 @@ Mat6 odometry_covariance(const OdometryEdge& edge, const OdometryNoise& noise) {
   return floor_covariance() +
          diagonal(noise.translation_m * noise.translation_m * edge.path_m,
                   noise.rotation_rad * noise.rotation_rad * edge.rotation_rad) +
-         diagonal(edge.suspect_translation_m * edge.suspect_translation_m,
-                  edge.suspect_rotation_rad * edge.suspect_rotation_rad);
+         noise.suspicion * noise.suspicion * suspect_covariance(edge);
 }
 
 void OdometryAccumulator::add(const Frame& frame) {

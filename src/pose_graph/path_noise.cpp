@@ -17,20 +17,26 @@ Mat6 variances(double translation, double rotation) {
   return diagonal.asDiagonal();
 }
 
+constexpr OdometryNoise kNoNoise{0.0, 0.0, 0.0, 0.0, 0.0, 0.0}, kOnlySuspects{0.0, 0.0, 0.0, 0.0, 0.0, 1.0};
+
 }  // namespace
 
 PathNoise::PathNoise(const std::vector<SE3>& T_world_vertex, const std::vector<OdometryEdge>& edges)
     : vertices_(&T_world_vertex) {
   const std::size_t n = edges.size() + 1;
-  for (Sums* sums : {&given_, &translation_, &rotation_}) sums->assign(n, Mat6::Zero());
+  for (Sums* sums : {&given_, &translation_, &rotation_, &suspects_}) sums->assign(n, Mat6::Zero());
   residual_.assign(n, Vec6::Zero());
+  jump_.assign(n, Vec6::Zero());
   stated_.assign(n, 0);
   for (std::size_t i = 0; i + 1 < n; ++i) {
     const OdometryEdge& edge = edges[i];
     const Mat6 to_origin = transport(T_world_vertex[i + 1].inverse());
     to_origin_.push_back(to_origin);
     const auto carried = [&to_origin](const Mat6& m) { return Mat6(to_origin * m * to_origin.transpose()); };
-    given_[i + 1] = given_[i] + carried(odometry_covariance(edge, {0.0, 0.0}));
+    const Mat6 given = odometry_covariance(edge, kNoNoise);
+    given_[i + 1] = given_[i] + carried(given);
+    suspects_[i + 1] = suspects_[i] + carried(odometry_covariance(edge, kOnlySuspects) - given);
+    jump_[i + 1] = jump_[i] + to_origin * expected_jump(edge, kOnlySuspects);
     translation_[i + 1] = translation_[i];
     rotation_[i + 1] = rotation_[i];
     residual_[i + 1] = residual_[i];
@@ -52,6 +58,7 @@ Innovation PathNoise::innovation(const GraphLoop& loop) const {
   Innovation innovation;
   innovation.from_origin = by_motion * transport(T_world_to);
   innovation.error = e - innovation.from_origin * (residual_[index(loop.to)] - residual_[index(loop.from)]);
+  innovation.jump = innovation.from_origin * (jump_[index(loop.to)] - jump_[index(loop.from)]);
   return innovation;
 }
 
@@ -61,13 +68,13 @@ double PathNoise::explaining_factor(const GraphLoop& loop, const OdometryNoise& 
     const Mat6 difference = sums[index(loop.to)] - sums[index(loop.from)];
     return Mat6(innovation.from_origin * difference * innovation.from_origin.transpose());
   };
-  const Mat6 base = loop.covariance + along(given_);
+  const Mat6 base = loop.covariance + along(given_) + noise.suspicion * noise.suspicion * along(suspects_);
   const Mat6 noise_part = noise.translation_m * noise.translation_m * along(translation_) +
                           noise.rotation_rad * noise.rotation_rad * along(rotation_);
   // In the basis of V, V^T base V = 1 and V^T noise_part V is diagonal.
   const Eigen::GeneralizedSelfAdjointEigenSolver<Mat6> both(noise_part, base);
   if (both.info() != Eigen::Success) return std::numeric_limits<double>::infinity();
-  const Vec6 y = both.eigenvectors().transpose() * innovation.error;
+  const Vec6 y = both.eigenvectors().transpose() * (innovation.error - noise.suspicion * innovation.jump);
   const auto chi2 = [&](double factor) {
     return (y.array().square() / (1.0 + factor * factor * both.eigenvalues().array().max(0.0))).sum();
   };

@@ -12,6 +12,7 @@
 #include <utility>
 
 #include "semantic_topo_loop/geometry/motion_bursts.h"
+#include "semantic_topo_loop/pose_graph/loop_clusters.h"
 #include "semantic_topo_loop/pose_graph/loop_consistency.h"
 #include "semantic_topo_loop/pose_graph/object_memory.h"
 #include "semantic_topo_loop/pose_graph/relative_pose.h"
@@ -125,6 +126,7 @@ class PoseGraph::Impl {
     log_scale_.push_back(log_scale_.empty() ? 0.0 : log_scale_.back());
     keyframes_.push_back({frame.keyframe_id, frame.frame_id, frame.stamp_ns, SE3()});
     T_odom_keyframe_ = frame.T_odom_camera;
+    q_camera_odom_.push_back(T_odom_keyframe_.q.conjugate());
     ++keyframes_since_;
   }
 
@@ -209,8 +211,12 @@ class PoseGraph::Impl {
     keyframes_since_ = 0;
     has_new_loops_ = is_upset_ = is_urgent_ = is_withdrawn_ = false;
     for (std::size_t i = 0; i < trajectory_.edges.size(); ++i) {
-      trajectory_.edges[i].suspect_translation_m = bursts_.suspect(i).head<3>().norm();
-      trajectory_.edges[i].suspect_rotation_rad = bursts_.suspect(i).tail<3>().norm();
+      const MotionBursts::Suspect suspect = bursts_.suspect(i);
+      OdometryEdge& edge = trajectory_.edges[i];
+      edge.suspect.head<3>() = q_camera_odom_[i + 1] * suspect.motion.head<3>();
+      edge.suspect.tail<3>() = q_camera_odom_[i + 1] * suspect.motion.tail<3>();
+      edge.suspect_error_m = suspect.error_m;
+      edge.suspect_error_rad = suspect.error_rad;
     }
     if (has_objects_ && is_end) trajectory_.objects.objects = objects_.objects();
     if (!(has_free_scale() ? optimize_similarities(effort) : optimize_poses(effort))) return false;
@@ -265,15 +271,21 @@ class PoseGraph::Impl {
     trajectory_.votes = consistency_.vote(trajectory_.edges, trajectory_.loops, eligible, knowledge_.kept);
     if (trajectory_.votes != knowledge_.kept && !classify()) return false;
     forget_false_loops(voted);
-    return judge_as_if_false_ones_never_came();
+    if (!judge_as_if_false_ones_never_came({})) return false;
+    const std::vector<bool> unsurprising = without_surprising_clusters(trajectory_, options_, knowledge_);
+    return unsurprising == knowledge_.kept || judge_as_if_false_ones_never_came(unsurprising);
   }
 
   /// Where right loops lie at the border, what was rejected on the way there sways the verdict on them. So the last one
   /// is made anew among those that are not far off.
-  bool judge_as_if_false_ones_never_came() {
+  /// @param believed one a loop: those that were kept and are no more are false; empty: none is
+  bool judge_as_if_false_ones_never_came(const std::vector<bool>& believed) {
     constexpr double kFarOff = 10.0;  // times the bound
     std::vector<bool> eligible;
-    for (const GraphLoop& loop : trajectory_.loops) eligible.push_back(chi2(loop) <= kFarOff * options_.robust_chi2);
+    for (std::size_t k = 0; k < trajectory_.loops.size(); ++k) {
+      const bool is_false = !believed.empty() && knowledge_.kept[k] && !believed[k];
+      eligible.push_back(!is_false && chi2(trajectory_.loops[k]) <= kFarOff * options_.robust_chi2);
+    }
     const std::vector<bool> none(eligible.size(), false);
     trajectory_.votes = consistency_.vote(trajectory_.edges, trajectory_.loops, eligible, none);
     if (!classify()) return false;
@@ -377,8 +389,9 @@ class PoseGraph::Impl {
   OdometryAccumulator accumulator_;
   MotionBursts bursts_;
   LoopConsistency consistency_;
-  SE3 T_odom_keyframe_;            ///< of the last keyframe
-  SE3 T_odom_frame_;               ///< of the last frame
+  std::vector<Quaternion> q_camera_odom_;  ///< of the keyframes
+  SE3 T_odom_keyframe_;                    ///< of the last keyframe
+  SE3 T_odom_frame_;                       ///< of the last frame
   std::vector<double> log_scale_;  ///< of the map's unit of length over the odometry's, one a vertex; 0 unless free
   SE3 T_map_odom_;
   GraphKnowledge knowledge_;

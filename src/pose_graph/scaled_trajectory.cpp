@@ -70,7 +70,8 @@ GraphLoop in_unit(GraphLoop loop, double scale) {
 OdometryEdge in_unit(OdometryEdge edge, double scale) {
   edge.T_from_to.t *= scale;
   edge.path_m *= scale;
-  edge.suspect_translation_m *= scale;
+  edge.suspect.head<3>() *= scale;
+  edge.suspect_error_m *= scale;
   if (edge.covariance) {
     edge.covariance->topRows<3>() *= scale;
     edge.covariance->leftCols<3>() *= scale;

@@ -13,6 +13,7 @@ GraphLoss loss_of(const std::string& robust) {
   return robust == "cauchy" ? GraphLoss::kCauchy : GraphLoss::kNone;
 }
 
+/// The walk, and full suspicion.
 OdometryNoise scaled(const OdometryNoise& noise, double factor) {
   return {noise.translation_m * factor, noise.rotation_rad * factor};
 }
@@ -112,11 +113,12 @@ class TrajectoryOptimizer {
   void judge_strain() {
     const PathNoise path(result_.T_map_vertex, trajectory_.edges);
     const NoisePrior prior = noise_prior(options_);
+    const OdometryNoise least = scaled(prior.least, 1.0);
     std::vector<double> factors, weights;
     for (std::size_t k = 0; k < votes_.size(); ++k) {
       if (!votes_[k]) continue;
       factors.push_back(
-          std::min(path.explaining_factor(trajectory_.loops[k], prior.least, prior.factor_max), prior.factor_max));
+          std::min(path.explaining_factor(trajectory_.loops[k], least, prior.factor_max), prior.factor_max));
       weights.push_back(counts_[k] && factors.back() <= kMaxStrain ? 1.0 / redundancy_[k] : 0.0);
     }
     double& loose = result_.knowledge.loose_factor;
@@ -173,7 +175,8 @@ class TrajectoryOptimizer {
     for (const OdometryEdge& edge : trajectory_.edges) covariances.push_back(odometry_covariance(edge, noise.odometry));
     for (const OdometryJump& jump : noise.jumps) covariances[jump.edge] += jump_covariance(jump);
     for (std::size_t i = 0; i < trajectory_.edges.size(); ++i) {
-      SE3 T_from_to = trajectory_.edges[i].T_from_to;
+      SE3 T_from_to =
+          trajectory_.edges[i].T_from_to * se3_exp(expected_jump(trajectory_.edges[i], noise.odometry)).inverse();
       if (!steady_errors_.empty()) T_from_to = T_from_to * se3_exp(steady_errors_[i]);
       edges.push_back({static_cast<int>(i), static_cast<int>(i) + 1, T_from_to, square_root_information(covariances[i]),
                        1.0, false});
@@ -210,6 +213,8 @@ NoisePrior noise_prior(const PoseGraphOptions& options) {
   OdometryNoise least{options.translation_noise_m, radians(options.rotation_noise_deg)};
   least.steady_translation = least.scale = 0.1 * options.translation_noise_m;
   least.steady_rotation_rad = 0.1 * radians(options.rotation_noise_deg);
+  constexpr double kLeastSuspicion = 0.003;
+  if (options.estimate_noise) least.suspicion = kLeastSuspicion;
   return {least, options.noise_factor_max, options.noise_evidence};
 }
 

@@ -13,12 +13,8 @@ struct Case {
   std::vector<GraphLoop> loops;
 };
 
-/// @param noise of the odometry, as the model has it   @param loop_factor true over stated sigmas of the loops
-Case make_case(const OdometryNoise& noise, double loop_factor, std::uint64_t seed) {
-  SyntheticRun run;
-  const double step_m = (run.truth(1).t - run.truth(0).t).norm();
-  const double step_rad = rotation_angle(run.truth(1).q, run.truth(0).q);
-  run.drift(noise.translation_m * std::sqrt(step_m), noise.rotation_rad * std::sqrt(step_rad), seed);
+/// @param loop_factor true over stated sigmas of the loops
+Case make_case(const SyntheticRun& run, double loop_factor, std::uint64_t seed) {
   Case result;
   OdometryAccumulator accumulator;
   for (int k = 0; k < run.size(); ++k) {
@@ -34,6 +30,15 @@ Case make_case(const OdometryNoise& noise, double loop_factor, std::uint64_t see
         *make_graph_loop(run.loop(k, k - run.round(), error, kSigma_m, kSigma_rad, 2), k, k - run.round(), &why));
   }
   return result;
+}
+
+/// @param noise of the odometry, as the model has it
+Case make_case(const OdometryNoise& noise, double loop_factor, std::uint64_t seed) {
+  SyntheticRun run;
+  const double step_m = (run.truth(1).t - run.truth(0).t).norm();
+  const double step_rad = rotation_angle(run.truth(1).q, run.truth(0).q);
+  run.drift(noise.translation_m * std::sqrt(step_m), noise.rotation_rad * std::sqrt(step_rad), seed);
+  return make_case(run, loop_factor, seed);
 }
 
 NoiseEstimate estimate(const Case& data) {
@@ -53,6 +58,31 @@ TEST(NoiseEstimator, FindsTheNoiseThatMadeTheInnovations) {
   }
   EXPECT_NEAR(translation, truth.translation_m, 0.4 * truth.translation_m);
   EXPECT_NEAR(rotation, truth.rotation_rad, 0.4 * truth.rotation_rad);
+}
+
+TEST(NoiseEstimator, SuspectedJumpsCountWhereTheLoopsBearThemOut) {
+  const SE3 T_jump(so3_exp(Vec3(0.02, -0.06, 0.03)), Vec3(0.15, -0.2, 0.1));
+  constexpr int kJump = 60;
+  for (const bool has_jumped : {false, true}) {
+    SyntheticRun run;
+    run.drift(1e-4, 1e-5, 5);
+    const SE3 before = run.odometry(kJump);
+    const Vec6 suspect = se3_log(before.inverse() * T_jump * before);
+    if (has_jumped) run.restart(kJump, T_jump);
+    Case data = make_case(run, 1.0, 5);
+    data.edges[kJump - 1].suspect = suspect;
+    data.edges[kJump - 1].suspect_error_m = 0.01;
+    data.edges[kJump - 1].suspect_error_rad = 0.005;
+    NoisePrior prior{OdometryNoise(), 1000.0, 1.5};
+    prior.least.suspicion = 0.03;
+    const InnovationModel model(data.vertices, data.edges, data.loops);
+    const double suspicion = estimate_noise(model, prior, {prior.least, 1.0, {}}).odometry.suspicion;
+    if (has_jumped) {
+      EXPECT_GT(suspicion, 0.5);
+    } else {
+      EXPECT_LT(suspicion, 0.1);
+    }
+  }
 }
 
 TEST(NoiseEstimator, LoopNoiseIsNotTakenForOdometryNoise) {

@@ -1,7 +1,9 @@
 #include <gtest/gtest.h>
 
+#include <algorithm>
 #include <set>
 
+#include "semantic_topo_loop/pose_graph/loop_clusters.h"
 #include "semantic_topo_loop/pose_graph/loop_consistency.h"
 #include "semantic_topo_loop/simulation/false_loops.h"
 #include "synthetic_run.h"
@@ -149,6 +151,84 @@ TEST(PoseGraph, AJumpThatTheMotionDoesNotShowIsFound) {
   const double before = run.worst_odometry_error_m();
   ASSERT_GT(before, 0.2);
   EXPECT_LT(run.worst_error_m(finish(run, noisy_loops(run, 3, 2)).graph.keyframes()), 0.35 * before);
+}
+
+TEST(PoseGraph, JumpsThatTheMotionShowsAreTakenOut) {
+  // Two in one frame each, between which no loop tells where they were.
+  SyntheticRun run;
+  run.drift(0.0005, 0.0002, 3);
+  run.restart(80, SE3(so3_exp(Vec3(0.02, 0.05, -0.04)), Vec3(0.3, -0.1, 0.1)));
+  run.restart(130, SE3(so3_exp(Vec3(-0.05, 0.02, 0.03)), Vec3(-0.2, -0.25, 0.1)));
+  std::vector<LoopClosure> loops;
+  Random random(3);
+  for (int k = 165; k < 200; k += 3) {
+    loops.push_back(run.loop(k, k - 100, random_tangent(&random, kSigma_m, kSigma_rad), kSigma_m, kSigma_rad));
+  }
+  const double before = run.worst_odometry_error_m();
+  ASSERT_GT(before, 0.4);
+  EXPECT_LT(run.worst_error_m(finish(run, loops).graph.keyframes()), 0.15 * before);
+}
+
+/// A run that drifts steadily, with loops of one revisit, and a cluster at a place that looks like another.
+struct ClusterCase {
+  Trajectory trajectory;
+  GraphKnowledge knowledge;
+  std::size_t right = 0;  ///< loops; the false ones follow
+};
+
+ClusterCase make_cluster_case(const SE3& error) {
+  SyntheticRun run;
+  Vec6 bias;
+  bias << 0.004, 0.002, -0.003, 0.0005, -0.001, 0.001;
+  run.drift(0.0005, 0.0002, 7, bias);
+  ClusterCase result;
+  OdometryAccumulator accumulator;
+  for (int k = 0; k < run.size(); ++k) {
+    accumulator.add(run.frame(k));
+    result.trajectory.T_map_vertex.push_back(run.odometry(k));
+    if (k > 0) result.trajectory.edges.push_back(accumulator.finish(run.odometry(k - 1), run.odometry(k)));
+  }
+  Random random(7);
+  std::string why;
+  const auto add = [&](int query, int match, const SE3& T_off) {
+    LoopClosure loop = run.loop(query, match, random_tangent(&random, kSigma_m, kSigma_rad), kSigma_m, kSigma_rad, 20);
+    loop.T_match_query = run.truth(match).inverse() * run.truth(25) * T_off * run.truth(25).inverse() *
+                         run.truth(match) * loop.T_match_query;
+    result.trajectory.loops.push_back(*make_graph_loop(loop, query, match, &why));
+  };
+  for (int k = 150; k < 200; k += 5) add(k, k - 100, SE3());
+  result.right = result.trajectory.loops.size();
+  for (int k = 100; k < 120; k += 4) add(k, k - 80, error);
+  result.knowledge.kept.assign(result.trajectory.loops.size(), true);
+  PoseGraphOptions options;
+  options.robust = "none";
+  const OptimizedTrajectory all = optimize_trajectory(result.trajectory, options, result.knowledge, Effort::kFull);
+  result.trajectory.T_map_vertex = all.T_map_vertex;
+  result.knowledge = all.knowledge;
+  return result;
+}
+
+TEST(LoopClusters, AreLoopsThatShareEvidence) {
+  const ClusterCase data = make_cluster_case(SE3());
+  const auto clusters = loop_clusters(data.trajectory.loops, data.knowledge.kept);
+  ASSERT_EQ(clusters.size(), 2U);
+  EXPECT_EQ(clusters[0].size(), data.right);
+  EXPECT_EQ(clusters[1].front(), data.right);
+  std::vector<bool> some(data.trajectory.loops.size(), false);
+  some[1] = some[data.right] = true;
+  EXPECT_EQ(loop_clusters(data.trajectory.loops, some), (std::vector<std::vector<std::size_t>>{{1}, {data.right}}));
+}
+
+TEST(LoopClusters, OneThatTheOdometryDoesNotLetExpectGoes) {
+  const ClusterCase data = make_cluster_case(SE3(so3_exp(Vec3(0.3, -0.4, 0.2)), Vec3(0.8, -0.6, 0.4)));
+  std::vector<bool> right(data.trajectory.loops.size(), false);
+  std::fill_n(right.begin(), data.right, true);
+  EXPECT_EQ(without_surprising_clusters(data.trajectory, {}, data.knowledge), right);
+}
+
+TEST(LoopClusters, OnesThatDriftExplainsStay) {
+  const ClusterCase data = make_cluster_case(SE3());
+  EXPECT_EQ(without_surprising_clusters(data.trajectory, {}, data.knowledge), data.knowledge.kept);
 }
 
 TEST(LoopConsistency, ALoneWrongLoopHasNoVoteAndUnbrokenOnesDo) {

@@ -14,9 +14,9 @@ struct NoisePrior {
 /// `start` with the jumps it states, if they still explain the innovations, and others that do: the model's cost plus
 /// the price of each jump falls with each. An edge at which the motion stood out (suspicion) costs less. Then the most
 /// probable noise.
-/// @param max_new_jumps looked for in this call
+/// @param max_new_jumps looked for in this call   @param cost becomes that of the result
 NoiseEstimate estimate_noise_and_jumps(InnovationModel* model, const NoisePrior& prior, const NoiseEstimate& start,
-                                       int max_new_jumps);
+                                       int max_new_jumps, double* cost = nullptr);
 
 /// Most probable noise given the innovations. Innovations that the loops' own uncertainty explains leave the odometry
 /// at a small noise, so that loops then hardly move it.

@@ -13,8 +13,10 @@ struct OdometryEdge {
   double rotation_rad = 0.0;       ///< sum of the rotation angles, frame by frame
   std::optional<Mat6> covariance;  ///< stated by the source: (translation m, rotation rad), right
   bool is_break = false;           ///< nothing is known about this motion
-  /// Motion that stands out of that before and after, see JumpMonitor: by so much the odometry may have jumped.
-  double suspect_translation_m = 0.0, suspect_rotation_rad = 0.0;
+  /// Motion that stands out of that before and after, see MotionBursts: the odometry may have jumped by it, or not at
+  /// all (translation m, rotation rad; right).
+  Vec6 suspect = Vec6::Zero();
+  double suspect_error_m = 0.0, suspect_error_rad = 0.0;  ///< sigma of what a jump was more or less
 };
 
 /// Noise of an odometry whose source states none: a random walk, and errors that last.
@@ -24,12 +26,16 @@ struct OdometryNoise {
   double steady_translation = 0.0;   ///< sigma of the slowly varying drift, metres a metre of path
   double steady_rotation_rad = 0.0;  ///< the same of the rotation, radians a metre of path
   double scale = 0.0;                ///< sigma of a constant scale error
+  /// How far suspected jumps are to be reckoned with: 0 never, 1 where each is as likely as not.
+  double suspicion = 1.0;
 };
 
 /// What a standing camera's edge keeps, so that its information stays finite.
 constexpr double kMinEdgeTranslation_m = 2e-4;
 constexpr double kMinEdgeRotation_rad = 1e-4;
 
+/// What the odometry is expected to be off at suspected jumps: the measurement is the motion, and this behind it.
+Vec6 expected_jump(const OdometryEdge& edge, const OdometryNoise& noise);
 /// Covariance of an edge: the source's, or the noise model's, or next to no knowledge at a break.
 Mat6 odometry_covariance(const OdometryEdge& edge, const OdometryNoise& noise);
 

@@ -11,6 +11,7 @@ namespace semantic_topo_loop::core {
 struct Innovation {
   Mat6 from_origin;  ///< carries a small motion at the world's origin into the loop's error
   Vec6 error;        ///< how far loop and odometry disagree, as the loop's error
+  Vec6 jump;         ///< what of that suspected jumps let expect at full suspicion
 };
 
 /// The odometry's noise summed along a chain of vertices, carried to the world's origin: the difference of two sums is
@@ -32,13 +33,14 @@ class PathNoise {
   const Sums& given() const { return given_; }              ///< of edges whose covariance does not depend on the noise
   const Sums& translation() const { return translation_; }  ///< per square metre of noise
   const Sums& rotation() const { return rotation_; }        ///< per square radian of noise
+  const Sums& suspects() const { return suspects_; }        ///< per square of the suspicion
   /// Carries a small motion at the end of an edge to the world's origin.
   const Mat6& to_origin(std::size_t edge) const { return to_origin_[edge]; }
 
  private:
   const std::vector<SE3>* vertices_;
-  Sums given_, translation_, rotation_, to_origin_;
-  std::vector<Vec6> residual_;
+  Sums given_, translation_, rotation_, suspects_, to_origin_;
+  std::vector<Vec6> residual_, jump_;
   std::vector<int> stated_;
 };
 
