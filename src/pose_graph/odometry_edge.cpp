@@ -31,7 +31,7 @@ Mat6 suspect_covariance(const OdometryEdge& edge) {
 
 Vec6 expected_jump(const OdometryEdge& edge, const OdometryNoise& noise) {
   if (edge.is_break || edge.covariance) return Vec6::Zero();
-  return kMeanJump * noise.suspicion * edge.suspect;
+  return kMeanJump * noise.suspicion * noise.suspicion * edge.suspect;
 }
 
 Mat6 odometry_covariance(const OdometryEdge& edge, const OdometryNoise& noise) {

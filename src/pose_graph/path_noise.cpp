@@ -74,7 +74,8 @@ double PathNoise::explaining_factor(const GraphLoop& loop, const OdometryNoise& 
   // In the basis of V, V^T base V = 1 and V^T noise_part V is diagonal.
   const Eigen::GeneralizedSelfAdjointEigenSolver<Mat6> both(noise_part, base);
   if (both.info() != Eigen::Success) return std::numeric_limits<double>::infinity();
-  const Vec6 y = both.eigenvectors().transpose() * (innovation.error - noise.suspicion * innovation.jump);
+  const Vec6 y =
+      both.eigenvectors().transpose() * (innovation.error - noise.suspicion * noise.suspicion * innovation.jump);
   const auto chi2 = [&](double factor) {
     return (y.array().square() / (1.0 + factor * factor * both.eigenvalues().array().max(0.0))).sum();
   };

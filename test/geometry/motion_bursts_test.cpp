@@ -46,7 +46,9 @@ TEST(MotionBursts, FindsHowFarABurstJumpedAndNothingElse) {
     for (std::size_t i = 0; i <= kFrames / kFramesPerSection; ++i) {
       const MotionBursts::Suspect suspect = bursts.suspect(i);
       const bool is_within = i >= 147 / kFramesPerSection && i <= (150 + static_cast<std::size_t>(frames)) / 5;
-      if (!is_within) EXPECT_LT(suspect.motion.norm(), 0.003) << i;
+      if (!is_within) {
+        EXPECT_LT(suspect.motion.norm(), 0.003) << i;
+      }
       sum += suspect.motion;
       error_m += suspect.error_m;
       error_rad += suspect.error_rad;

@@ -24,7 +24,7 @@ struct NoiseEstimate {
 };
 
 /// The linear model of what the loops say about the odometry, y = (how far each loop disagrees with the odometry):
-///   y ~ N(u j, f^2 C + s_t^2 G_t + s_r^2 G_r + b_t^2 B_t + b_r^2 B_r + s^2 S + u^2 J + jumps + G_0)
+///   y ~ N(u^2 j, f^2 C + s_t^2 G_t + s_r^2 G_r + b_t^2 B_t + b_r^2 B_r + s^2 S + u^2 J + jumps + G_0)
 /// with C the loops' covariance (loops that share evidence are correlated), G_t and G_r the random walk per metre and
 /// per radian along the path between each loop's ends, B_t and B_r the drift that varies slowly (translation fixed to
 /// the camera or to the world), S the scale error, j and J what suspected jumps let expect and leave open, and G_0 of
@@ -65,7 +65,9 @@ class InnovationModel {
   void accumulate_edges();
   Basis steady_basis(std::size_t edge) const;
   Eigen::MatrixXd covariance(const OdometryNoise& noise, double loop_factor) const;
-  Eigen::VectorXd surprise(const OdometryNoise& noise) const { return innovation_ - noise.suspicion * suspected_jump_; }
+  Eigen::VectorXd surprise(const OdometryNoise& noise) const {
+    return innovation_ - noise.suspicion * noise.suspicion * suspected_jump_;
+  }
   Whitened whiten(const NoiseEstimate& noise) const;
   /// A jump of the size that explains most.
   Candidate judge_jump(std::size_t edge, const Whitened& whitened) const;

@@ -26,7 +26,7 @@ struct OdometryNoise {
   double steady_translation = 0.0;   ///< sigma of the slowly varying drift, metres a metre of path
   double steady_rotation_rad = 0.0;  ///< the same of the rotation, radians a metre of path
   double scale = 0.0;                ///< sigma of a constant scale error
-  /// How far suspected jumps are to be reckoned with: 0 never, 1 where each is as likely as not.
+  /// Root of twice the probability that a suspected jump is one: 0 never, 1 where each is as likely as not.
   double suspicion = 1.0;
 };
 
