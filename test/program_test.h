@@ -46,6 +46,11 @@ class ProgramTest : public ::testing::Test {
     EXPECT_EQ(std::count(err_.begin(), err_.end(), '\n'), 1) << err_;
   }
 
+  void expect_failure(const std::string& arguments, int status, const std::string& part) {
+    EXPECT_EQ(run(arguments), status) << arguments;
+    expect_one_line_error(part);
+  }
+
   std::string program_;
   TestDirectory directory_;
   std::string out_, err_;

@@ -126,4 +126,31 @@ std::vector<double> redundancy(const std::vector<GraphLoop>& loops, const std::v
   return sums;
 }
 
+std::vector<std::vector<std::size_t>> loop_clusters(const std::vector<GraphLoop>& loops,
+                                                    const std::vector<bool>& counts) {
+  std::vector<std::vector<std::size_t>> clusters;
+  std::vector<bool> is_left = counts;
+  for (std::size_t first = 0; first < loops.size(); ++first) {
+    if (!is_left[first]) continue;
+    std::vector<std::size_t> cluster{first};
+    is_left[first] = false;
+    for (std::size_t i = 0; i < cluster.size(); ++i) {
+      for (std::size_t other = 0; other < loops.size(); ++other) {
+        if (!is_left[other] || shared_evidence(loops[cluster[i]], loops[other]) <= 0.0) continue;
+        cluster.push_back(other);
+        is_left[other] = false;
+      }
+    }
+    std::sort(cluster.begin(), cluster.end());
+    clusters.push_back(std::move(cluster));
+  }
+  return clusters;
+}
+
+double chi_squared(const GraphLoop& loop, const std::vector<SE3>& T_map_vertex) {
+  const Vec6 e = relative_pose_residual(T_map_vertex[static_cast<std::size_t>(loop.from)],
+                                        T_map_vertex[static_cast<std::size_t>(loop.to)], loop.T_from_to);
+  return (square_root_information(loop.covariance) * e).squaredNorm();
+}
+
 }  // namespace semantic_topo_loop::core

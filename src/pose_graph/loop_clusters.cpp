@@ -5,10 +5,11 @@
 
 #include "semantic_topo_loop/pose_graph/noise_estimator.h"
 #include "semantic_topo_loop/pose_graph/path_noise.h"
-#include "semantic_topo_loop/pose_graph/relative_pose.h"
 
 namespace semantic_topo_loop::core {
 namespace {
+
+using Cluster = std::vector<std::size_t>;
 
 /// At most so many of those that are kept, evenly taken: the time of a fit grows with their cube.
 std::vector<GraphLoop> some_of(const std::vector<GraphLoop>& loops, const std::vector<bool>& kept) {
@@ -36,31 +37,6 @@ double cost(const std::vector<SE3>& T_map_vertex, const std::vector<OdometryEdge
   return cost;
 }
 
-}  // namespace
-
-std::vector<std::vector<std::size_t>> loop_clusters(const std::vector<GraphLoop>& loops,
-                                                    const std::vector<bool>& counts) {
-  std::vector<std::vector<std::size_t>> clusters;
-  std::vector<bool> is_left = counts;
-  for (std::size_t first = 0; first < loops.size(); ++first) {
-    if (!is_left[first]) continue;
-    std::vector<std::size_t> cluster{first};
-    is_left[first] = false;
-    for (std::size_t i = 0; i < cluster.size(); ++i) {
-      for (std::size_t other = 0; other < loops.size(); ++other) {
-        if (!is_left[other] || shared_evidence(loops[cluster[i]], loops[other]) <= 0.0) continue;
-        cluster.push_back(other);
-        is_left[other] = false;
-      }
-    }
-    std::sort(cluster.begin(), cluster.end());
-    clusters.push_back(std::move(cluster));
-  }
-  return clusters;
-}
-
-namespace {
-
 /// Minus the log likelihood of a loop given others, linear about the given poses.
 double surprise(const GraphLoop& loop, std::vector<GraphLoop> others, const std::vector<SE3>& T_map_vertex,
                 const std::vector<OdometryEdge>& edges, const NoisePrior& prior) {
@@ -70,13 +46,11 @@ double surprise(const GraphLoop& loop, std::vector<GraphLoop> others, const std:
   return cost(T_map_vertex, edges, others, prior) - alone + 0.5 * 6.0 * kLogTwoPi;
 }
 
-double evidence(const std::vector<std::size_t>& cluster, const std::vector<double>& redundancy) {
+double evidence(const Cluster& cluster, const std::vector<double>& redundancy) {
   double sum = 0.0;
   for (const std::size_t k : cluster) sum += 1.0 / redundancy[k];
   return sum;
 }
-
-using Cluster = std::vector<std::size_t>;
 
 const GraphLoop& middle(const Cluster& cluster, const Trajectory& trajectory) {
   return trajectory.loops[cluster[cluster.size() / 2]];
@@ -106,13 +80,13 @@ class Suspicion {
   Suspicion(Trajectory* trajectory, const PoseGraphOptions& options, const GraphKnowledge& knowledge)
       : trajectory_(trajectory), options_(options), knowledge_(knowledge) {}
 
-  void judge(const std::vector<std::size_t>& cluster, double evidence) {
+  void judge(const Cluster& cluster, double evidence) {
     GraphKnowledge others = knowledge_;
     for (const std::size_t k : cluster) others.kept[k] = false;
     trajectory_->votes = others.kept;
     OptimizedTrajectory without = optimize_trajectory(*trajectory_, options_, others, Effort::kUpdate);
     const GraphLoop& loop = middle(cluster, *trajectory_);
-    if (!without.usable || chi2(loop, without.T_map_vertex) <= options_.robust_chi2) return;
+    if (!without.usable || chi_squared(loop, without.T_map_vertex) <= options_.robust_chi2) return;
     // Linear about the poses with and without the cluster: right loops behind large jumps are likely about the former.
     const std::vector<GraphLoop> rest = some_of(trajectory_->loops, without.knowledge.kept);
     const NoisePrior prior = noise_prior(options_);
@@ -130,12 +104,6 @@ class Suspicion {
   const std::vector<SE3>& T_map_vertex_without() const { return T_map_vertex_; }
 
  private:
-  static double chi2(const GraphLoop& loop, const std::vector<SE3>& T_map_vertex) {
-    const Vec6 e = relative_pose_residual(T_map_vertex[static_cast<std::size_t>(loop.from)],
-                                          T_map_vertex[static_cast<std::size_t>(loop.to)], loop.T_from_to);
-    return (square_root_information(loop.covariance) * e).squaredNorm();
-  }
-
   Trajectory* trajectory_;
   const PoseGraphOptions& options_;
   const GraphKnowledge& knowledge_;

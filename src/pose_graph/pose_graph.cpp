@@ -15,7 +15,6 @@
 #include "semantic_topo_loop/pose_graph/loop_clusters.h"
 #include "semantic_topo_loop/pose_graph/loop_consistency.h"
 #include "semantic_topo_loop/pose_graph/object_memory.h"
-#include "semantic_topo_loop/pose_graph/relative_pose.h"
 #include "semantic_topo_loop/pose_graph/scaled_trajectory.h"
 #include "semantic_topo_loop/pose_graph/trajectory_optimizer.h"
 
@@ -177,9 +176,7 @@ class PoseGraph::Impl {
 
   double chi2(const GraphLoop& loop) const {
     if (has_free_scale()) return chi_squared(loop, trajectory_.T_map_vertex, log_scale_);
-    const Vec6 e = relative_pose_residual(trajectory_.T_map_vertex[static_cast<std::size_t>(loop.from)],
-                                          trajectory_.T_map_vertex[static_cast<std::size_t>(loop.to)], loop.T_from_to);
-    return (square_root_information(loop.covariance) * e).squaredNorm();
+    return chi_squared(loop, trajectory_.T_map_vertex);
   }
 
   int vertex(std::int64_t keyframe_id) const {

@@ -22,13 +22,11 @@ TEST_F(OfflineProgram, HelpAndParametersAreNoErrors) {
   EXPECT_NE(out_.find("Exit status: 0 done"), std::string::npos);
   EXPECT_EQ(run("--list-parameters"), 0);
   EXPECT_NE(out_.find("| `loop.mode` | graph |"), std::string::npos);
-  EXPECT_EQ(run("--list-parameters loop"), 2);
-  expect_one_line_error("unknown argument 'loop'");
+  expect_failure("--list-parameters loop", 2, "unknown argument 'loop'");
 }
 
 TEST_F(OfflineProgram, ArgumentsThatDoNotFitAreOneClearError) {
-  EXPECT_EQ(run(""), 2);
-  expect_one_line_error("argument --camera is missing");
+  expect_failure("", 2, "argument --camera is missing");
   const std::string no_source = "one of the arguments --trajectory, --rgbd and --bag is needed";
   expect_bad_arguments("", no_source);
   expect_bad_arguments("--rgbd @ --bag @b.bag", no_source);
@@ -39,8 +37,8 @@ TEST_F(OfflineProgram, ArgumentsThatDoNotFitAreOneClearError) {
 }
 
 TEST_F(OfflineProgram, FilesThatAreMissingAreOneClearError) {
-  EXPECT_EQ(run("--rgbd @ --camera @none.yaml --output @run --classes " STL_CONFIG_DIR "/classes_coco.yaml"), 1);
-  expect_one_line_error("none.yaml: cannot open the file");
+  expect_failure("--rgbd @ --camera @none.yaml --output @run --classes " STL_CONFIG_DIR "/classes_coco.yaml", 1,
+                 "none.yaml: cannot open the file");
   EXPECT_EQ(err_.find("--help"), std::string::npos);
 }
 
@@ -50,14 +48,10 @@ class OptimiseGraphProgram : public ProgramTest {
 };
 
 TEST_F(OptimiseGraphProgram, ArgumentsThatDoNotFitAreOneClearError) {
-  EXPECT_EQ(run("--robust gnc"), 2);
-  expect_one_line_error("argument IN.g2o is missing");
-  EXPECT_EQ(run("@in.g2o @out.g2o @more.g2o"), 2);
-  expect_one_line_error("unknown argument");
-  EXPECT_EQ(run("@in.g2o @out.g2o --robust always"), 2);
-  expect_one_line_error("'always'");
-  EXPECT_EQ(run("@in.g2o @out.g2o"), 1);
-  expect_one_line_error("in.g2o: cannot open the file");
+  expect_failure("--robust gnc", 2, "argument IN.g2o is missing");
+  expect_failure("@in.g2o @out.g2o @more.g2o", 2, "unknown argument");
+  expect_failure("@in.g2o @out.g2o --robust always", 2, "'always'");
+  expect_failure("@in.g2o @out.g2o", 1, "in.g2o: cannot open the file");
 }
 
 }  // namespace

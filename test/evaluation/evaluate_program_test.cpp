@@ -76,37 +76,25 @@ TEST_F(EvaluateProgram, DetailsOfLoops) {
 }
 
 TEST_F(EvaluateProgram, BadFilesEndWithOneErrorAndStatusOne) {
-  EXPECT_EQ(run("trajectory @none.txt @gt.txt"), 1);
-  expect_one_line_error("none.txt: cannot open the file");
-  EXPECT_EQ(run("objects @run @gt.txt @gt.txt"), 1);
-  expect_one_line_error("gt.txt");
-  EXPECT_EQ(run("loops @nowhere @gt.txt"), 1);
-  expect_one_line_error("nowhere/loops.csv: cannot open the file");
-  EXPECT_EQ(run("loops @run @gt.txt --sightings @nowhere"), 1);
-  expect_one_line_error("nowhere/objects.csv: cannot open the file");
+  expect_failure("trajectory @none.txt @gt.txt", 1, "none.txt: cannot open the file");
+  expect_failure("objects @run @gt.txt @gt.txt", 1, "gt.txt");
+  expect_failure("loops @nowhere @gt.txt", 1, "nowhere/loops.csv: cannot open the file");
+  expect_failure("loops @run @gt.txt --sightings @nowhere", 1, "nowhere/objects.csv: cannot open the file");
   directory_.write("bad.txt", "1 2 3\n");
-  EXPECT_EQ(run("loops @run @gt.txt --mocap @bad.txt"), 1);
-  expect_one_line_error("bad.txt:1: 3 columns instead of 8");
+  expect_failure("loops @run @gt.txt --mocap @bad.txt", 1, "bad.txt:1: 3 columns instead of 8");
   directory_.write("other.txt", "1 0 0 0 0 0 0 1\n");
-  EXPECT_EQ(run("trajectory @other.txt @gt.txt"), 1);
-  expect_one_line_error("other.txt: cannot align the trajectories");
+  expect_failure("trajectory @other.txt @gt.txt", 1, "other.txt: cannot align the trajectories");
   EXPECT_EQ(run("trajectory @gt.txt @gt.txt --json @none/out.json"), 1);
   EXPECT_NE(err_.find("none/out.json"), std::string::npos);
 }
 
 TEST_F(EvaluateProgram, BadArgumentsEndWithStatusTwo) {
-  EXPECT_EQ(run(""), 2);
-  expect_one_line_error("the sub-command is missing");
-  EXPECT_EQ(run("everything @run"), 2);
-  expect_one_line_error("unknown sub-command 'everything'");
-  EXPECT_EQ(run("trajectory @gt.txt"), 2);
-  expect_one_line_error("evaluate trajectory: error: argument GT is missing");
-  EXPECT_EQ(run("trajectory @gt.txt @gt.txt --typo"), 2);
-  expect_one_line_error("unknown argument '--typo'");
-  EXPECT_EQ(run("objects @run @gt.txt @reference.csv --mocap @gt.txt"), 2);
-  expect_one_line_error("unknown argument '--mocap'");
-  EXPECT_EQ(run("trajectory @gt.txt @gt.txt --json"), 2);
-  expect_one_line_error("argument --json lacks its value");
+  expect_failure("", 2, "the sub-command is missing");
+  expect_failure("everything @run", 2, "unknown sub-command 'everything'");
+  expect_failure("trajectory @gt.txt", 2, "evaluate trajectory: error: argument GT is missing");
+  expect_failure("trajectory @gt.txt @gt.txt --typo", 2, "unknown argument '--typo'");
+  expect_failure("objects @run @gt.txt @reference.csv --mocap @gt.txt", 2, "unknown argument '--mocap'");
+  expect_failure("trajectory @gt.txt @gt.txt --json", 2, "argument --json lacks its value");
 }
 
 }  // namespace

@@ -2,20 +2,17 @@
 """Objects in the last correction of a run with loops: the nodelets, told so by a file of parameters, and offline."""
 import json
 import os
-import shutil
-import tempfile
-import unittest
 
 import rospkg
 import rostest
 
-from playback import PACKAGE, demo, differing_files, run_program
+from playback import PACKAGE, DirectoryTest, demo, differing_files, run_program
 
 
-class GraphObjectsTest(unittest.TestCase):
+class GraphObjectsTest(DirectoryTest):
     @classmethod
     def setUpClass(cls):
-        cls.directory = tempfile.mkdtemp(prefix='semantic_topo_loop_graph_objects_')
+        super().setUpClass()
         cls.config = cls.path('with_loops.yaml')
         with open(os.path.join(rospkg.RosPack().get_path(PACKAGE), 'config/default.yaml')) as file:
             default = file.read()
@@ -26,14 +23,6 @@ class GraphObjectsTest(unittest.TestCase):
         cls.launch = demo(duration='32', data=cls.path('data'), output=cls.path('lockstep'), config=cls.config)
         cls.ended = cls.launch.wait(100)
         cls.launch.stop()
-
-    @classmethod
-    def tearDownClass(cls):
-        shutil.rmtree(cls.directory)
-
-    @classmethod
-    def path(cls, name):
-        return os.path.join(cls.directory, name)
 
     def run_offline(self, output, *arguments):
         data = self.path('data')

@@ -1,10 +1,13 @@
 """What the tests of whole launch files share."""
 import os
+import shutil
 import signal
 import subprocess
 import sys
+import tempfile
 import threading
 import time
+import unittest
 
 import rospy
 from diagnostic_msgs.msg import DiagnosticArray
@@ -65,6 +68,22 @@ class Launch:
         """Whether wait_for_player, which the launch files require, ended with 0 and as the first."""
         text = self.output()
         return 'player: finished' in text and 'exit code' not in text
+
+
+class DirectoryTest(unittest.TestCase):
+    """A test with a directory of its own, removed at its end."""
+
+    @classmethod
+    def setUpClass(cls):
+        cls.directory = tempfile.mkdtemp(prefix='semantic_topo_loop_')
+
+    @classmethod
+    def tearDownClass(cls):
+        shutil.rmtree(cls.directory)
+
+    @classmethod
+    def path(cls, name):
+        return os.path.join(cls.directory, name)
 
 
 class Diagnostics:

@@ -2,9 +2,6 @@
 """Bags with images in the TUM layout through tum.launch and through offline: poses found from the images."""
 import json
 import os
-import shutil
-import tempfile
-import unittest
 
 import rosbag
 import rospy
@@ -13,7 +10,7 @@ from geometry_msgs.msg import TransformStamped
 from tf2_msgs.msg import TFMessage
 
 import wall
-from playback import PACKAGE, Launch, differing_files, run_program
+from playback import PACKAGE, DirectoryTest, Launch, differing_files, run_program
 
 DEPTH_DELAY_S = 0.008
 FRAMES = 25
@@ -53,21 +50,13 @@ def read_rows(path):
         return [line.split() for line in file if line.strip() and not line.startswith('#')]
 
 
-class RgbdBagTest(unittest.TestCase):
+class RgbdBagTest(DirectoryTest):
     @classmethod
     def setUpClass(cls):
+        super().setUpClass()
         rospy.init_node('rgbd_bag_test')
-        cls.directory = tempfile.mkdtemp(prefix='semantic_topo_loop_rgbd_')
         with open(cls.path('camera.yaml'), 'w') as file:
             file.write(wall.camera_yaml())
-
-    @classmethod
-    def tearDownClass(cls):
-        shutil.rmtree(cls.directory)
-
-    @classmethod
-    def path(cls, name):
-        return os.path.join(cls.directory, name)
 
     def play(self, bag, output, **arguments):
         arguments.setdefault('camera', self.path('camera.yaml'))

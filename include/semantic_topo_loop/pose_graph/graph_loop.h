@@ -39,4 +39,13 @@ double shared_evidence(const GraphLoop& a, const GraphLoop& b);
 /// @param counts one a loop; empty: all do
 std::vector<double> redundancy(const std::vector<GraphLoop>& loops, const std::vector<bool>& counts = {});
 
+/// Loops that share evidence with each other, directly or through others: one visit of one place. In order of their
+/// first loop.
+/// @param counts one a loop: which of them are grouped
+std::vector<std::vector<std::size_t>> loop_clusters(const std::vector<GraphLoop>& loops,
+                                                    const std::vector<bool>& counts);
+
+/// Squared error of a loop at the given poses, in sigmas as it states them.
+double chi_squared(const GraphLoop& loop, const std::vector<SE3>& T_map_vertex);
+
 }  // namespace semantic_topo_loop::core

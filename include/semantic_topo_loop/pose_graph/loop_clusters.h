@@ -1,18 +1,11 @@
 #pragma once
 
-#include <cstddef>
 #include <vector>
 
 #include "semantic_topo_loop/pose_graph/pose_graph_options.h"
 #include "semantic_topo_loop/pose_graph/trajectory_optimizer.h"
 
 namespace semantic_topo_loop::core {
-
-/// Loops that share evidence with each other, directly or through others: one visit of one place. In order of their
-/// first loop.
-/// @param counts one a loop: which of them are grouped
-std::vector<std::vector<std::size_t>> loop_clusters(const std::vector<GraphLoop>& loops,
-                                                    const std::vector<bool>& counts);
 
 /// Which of the kept loops stay if the clusters that strain the odometry most are doubted: one goes if, given the other
 /// loops and an odometry as noisy, drifting or jumping as all of them together bear out best, it is less likely than
