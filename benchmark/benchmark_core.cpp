@@ -6,10 +6,12 @@
 #include <memory>
 #include <vector>
 
+#include "map/quadric_fit.h"
+#include "map/quadric_initialisation.h"
 #include "semantic_topo_loop/association/associator_options.h"
 #include "semantic_topo_loop/association/object_associator.h"
-#include "semantic_topo_loop/map/quadric_fit.h"
-#include "semantic_topo_loop/map/quadric_initialisation.h"
+#include "semantic_topo_loop/geometry/lie.h"
+#include "semantic_topo_loop/geometry/quadric.h"
 
 namespace semantic_topo_loop::core {
 namespace {

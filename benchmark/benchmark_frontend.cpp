@@ -14,7 +14,7 @@
 #include <utility>
 #include <vector>
 
-#include "../src/apps/command_line.h"
+#include "apps/command_line.h"
 #include "semantic_topo_loop/frontend/rgbd_frontend.h"
 #include "semantic_topo_loop/frontend/tracking_report.h"
 #include "semantic_topo_loop/io/camera_yaml.h"

@@ -9,8 +9,9 @@
 #include <random>
 #include <vector>
 
-#include "semantic_topo_loop/loop/graph_detector.h"
-#include "semantic_topo_loop/loop/graph_matcher.h"
+#include "loop/graph/graph_detector.h"
+#include "loop/graph/graph_matcher.h"
+#include "semantic_topo_loop/geometry/lie.h"
 
 namespace semantic_topo_loop::core {
 namespace {

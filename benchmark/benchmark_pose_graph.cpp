@@ -10,13 +10,15 @@
 #include <string>
 #include <vector>
 
-#include "semantic_topo_loop/io/g2o.h"
+#include "semantic_topo_loop/geometry/lie.h"
+#include "semantic_topo_loop/geometry/quadric.h"
 #include "semantic_topo_loop/map/mapper_options.h"
 #include "semantic_topo_loop/map/quadric_mapper.h"
-#include "semantic_topo_loop/pose_graph/graph_optimizer.h"
 #include "semantic_topo_loop/pose_graph/pose_graph.h"
 #include "semantic_topo_loop/pose_graph/pose_graph_options.h"
-#include "semantic_topo_loop/simulation/random.h"
+#include "tools/g2o/g2o.h"
+#include "tools/g2o/graph_optimizer.h"
+#include "tools/simulation/random.h"
 
 namespace semantic_topo_loop::core {
 namespace {

@@ -1,4 +1,4 @@
-#include "command_line.h"
+#include "apps/command_line.h"
 
 #include <algorithm>
 #include <iostream>

@@ -4,14 +4,14 @@
 #include <string>
 #include <vector>
 
-#include "command_line.h"
-#include "semantic_topo_loop/evaluation/loop_criteria.h"
-#include "semantic_topo_loop/evaluation/loop_evaluation.h"
-#include "semantic_topo_loop/evaluation/object_evaluation.h"
-#include "semantic_topo_loop/evaluation/run_files.h"
-#include "semantic_topo_loop/evaluation/trajectory_evaluation.h"
+#include "apps/command_line.h"
 #include "semantic_topo_loop/io/text_file.h"
 #include "semantic_topo_loop/io/tum_trajectory.h"
+#include "tools/evaluation/loop_criteria.h"
+#include "tools/evaluation/loop_evaluation.h"
+#include "tools/evaluation/object_evaluation.h"
+#include "tools/evaluation/run_files.h"
+#include "tools/evaluation/trajectory_evaluation.h"
 
 namespace {
 

@@ -4,19 +4,19 @@
 #include <string>
 #include <vector>
 
-#include "command_line.h"
-#include "offline_run.h"
-#include "package_path.h"
-#include "semantic_topo_loop/detection/detection_reader.h"
-#include "semantic_topo_loop/evaluation/run_files.h"
+#include "apps/command_line.h"
+#include "apps/offline_run.h"
+#include "apps/package_path.h"
+#include "ros/tum_bag_reader.h"
 #include "semantic_topo_loop/io/camera_yaml.h"
 #include "semantic_topo_loop/io/class_table_yaml.h"
+#include "semantic_topo_loop/io/detection_reader.h"
 #include "semantic_topo_loop/io/options_yaml.h"
 #include "semantic_topo_loop/io/point_cloud_file.h"
 #include "semantic_topo_loop/io/rgbd_folder.h"
 #include "semantic_topo_loop/io/submap_file.h"
 #include "semantic_topo_loop/io/tum_trajectory.h"
-#include "semantic_topo_loop/ros/tum_bag_reader.h"
+#include "tools/evaluation/run_files.h"
 
 namespace {
 

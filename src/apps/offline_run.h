@@ -5,10 +5,10 @@
 #include <string>
 #include <vector>
 
-#include "sample_source.h"
-#include "semantic_topo_loop/detection/detection_reader.h"
+#include "apps/sample_source.h"
+#include "loop/graph/local_map.h"
+#include "semantic_topo_loop/io/detection_reader.h"
 #include "semantic_topo_loop/io/run_recorder.h"
-#include "semantic_topo_loop/loop/local_map.h"
 #include "semantic_topo_loop/pipeline/options.h"
 
 namespace semantic_topo_loop::apps {

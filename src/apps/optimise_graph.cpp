@@ -2,10 +2,10 @@
 #include <iostream>
 #include <string>
 
-#include "command_line.h"
-#include "semantic_topo_loop/io/g2o.h"
-#include "semantic_topo_loop/pipeline/stopwatch.h"
-#include "semantic_topo_loop/pose_graph/graph_optimizer.h"
+#include "apps/command_line.h"
+#include "semantic_topo_loop/types/stopwatch.h"
+#include "tools/g2o/g2o.h"
+#include "tools/g2o/graph_optimizer.h"
 
 namespace {
 

@@ -6,15 +6,15 @@
 #include <string>
 #include <vector>
 
-#include "command_line.h"
-#include "package_path.h"
-#include "semantic_topo_loop/detection/detection_reader.h"
-#include "semantic_topo_loop/detection/detection_writer.h"
-#include "semantic_topo_loop/evaluation/run_files.h"
+#include "apps/command_line.h"
+#include "apps/package_path.h"
 #include "semantic_topo_loop/io/class_table_yaml.h"
+#include "semantic_topo_loop/io/detection_reader.h"
+#include "semantic_topo_loop/io/detection_writer.h"
 #include "semantic_topo_loop/io/loop_table.h"
-#include "semantic_topo_loop/simulation/detection_perturbation.h"
-#include "semantic_topo_loop/simulation/false_loops.h"
+#include "tools/evaluation/run_files.h"
+#include "tools/perturbation/detection_perturbation.h"
+#include "tools/perturbation/false_loops.h"
 
 namespace {
 

@@ -11,9 +11,9 @@
 #include "semantic_topo_loop/frontend/keyframe_points.h"
 #include "semantic_topo_loop/frontend/rgbd_frontend.h"
 #include "semantic_topo_loop/frontend/tracking_report.h"
-#include "semantic_topo_loop/geometry/stamped_pose.h"
 #include "semantic_topo_loop/io/rgbd_reader.h"
 #include "semantic_topo_loop/pipeline/read_ahead.h"
+#include "semantic_topo_loop/types/stamped_pose.h"
 
 namespace semantic_topo_loop::apps {
 

@@ -5,16 +5,16 @@
 #include <thread>
 #include <vector>
 
-#include "command_line.h"
-#include "package_path.h"
+#include "apps/command_line.h"
+#include "apps/package_path.h"
+#include "apps/tum_bag_writer.h"
 #include "semantic_topo_loop/io/camera_yaml.h"
 #include "semantic_topo_loop/io/class_table_yaml.h"
 #include "semantic_topo_loop/io/options_yaml.h"
 #include "semantic_topo_loop/io/text_file.h"
-#include "semantic_topo_loop/pipeline/option_visitor.h"
-#include "semantic_topo_loop/ros/tum_bag_writer.h"
-#include "semantic_topo_loop/simulation/rgbd_sequence.h"
-#include "semantic_topo_loop/simulation/sequence.h"
+#include "semantic_topo_loop/types/option_visitor.h"
+#include "tools/rendering/rgbd_sequence.h"
+#include "tools/simulation/sequence.h"
 
 namespace {
 

@@ -1,6 +1,6 @@
 #include <algorithm>
 
-#include "semantic_topo_loop/association/levels.h"
+#include "association/levels.h"
 
 namespace semantic_topo_loop::core {
 namespace {

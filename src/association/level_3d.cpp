@@ -1,4 +1,4 @@
-#include "semantic_topo_loop/association/levels.h"
+#include "association/levels.h"
 
 namespace semantic_topo_loop::core {
 

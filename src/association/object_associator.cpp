@@ -8,11 +8,12 @@
 #include <set>
 #include <sstream>
 
-#include "semantic_topo_loop/association/levels.h"
-#include "semantic_topo_loop/association/track_store.h"
-#include "semantic_topo_loop/geometry/assignment.h"
-#include "semantic_topo_loop/map/object_points.h"
-#include "semantic_topo_loop/pipeline/stopwatch.h"
+#include "association/levels.h"
+#include "association/track_store.h"
+#include "geometry/assignment.h"
+#include "map/object_points.h"
+#include "semantic_topo_loop/geometry/quadric.h"
+#include "semantic_topo_loop/types/stopwatch.h"
 
 namespace semantic_topo_loop::core {
 namespace {

@@ -1,4 +1,4 @@
-#include "semantic_topo_loop/association/track_store.h"
+#include "association/track_store.h"
 
 #include <cmath>
 

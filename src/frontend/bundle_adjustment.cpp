@@ -1,4 +1,4 @@
-#include "bundle_adjustment.h"
+#include "frontend/bundle_adjustment.h"
 
 #include <ceres/ceres.h>
 
@@ -6,6 +6,8 @@
 #include <array>
 #include <cmath>
 #include <map>
+
+#include "semantic_topo_loop/geometry/lie.h"
 
 namespace semantic_topo_loop::core {
 namespace {

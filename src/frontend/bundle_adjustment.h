@@ -3,8 +3,8 @@
 #include <cstdint>
 #include <vector>
 
-#include "pose_solver.h"
-#include "tracking_map.h"
+#include "frontend/pose_solver.h"
+#include "frontend/tracking_map.h"
 
 namespace semantic_topo_loop::core {
 

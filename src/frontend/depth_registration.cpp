@@ -1,4 +1,4 @@
-#include "depth_registration.h"
+#include "frontend/depth_registration.h"
 
 #include <algorithm>
 #include <array>

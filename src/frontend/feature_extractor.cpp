@@ -1,4 +1,4 @@
-#include "feature_extractor.h"
+#include "frontend/feature_extractor.h"
 
 #include <algorithm>
 #include <cmath>

@@ -2,8 +2,8 @@
 
 #include <vector>
 
-#include "depth_registration.h"
-#include "image_features.h"
+#include "frontend/depth_registration.h"
+#include "frontend/image_features.h"
 #include "semantic_topo_loop/frontend/frontend_options.h"
 #include "semantic_topo_loop/frontend/rgbd_image.h"
 

@@ -1,4 +1,4 @@
-#include "feature_matcher.h"
+#include "frontend/feature_matcher.h"
 
 #include <algorithm>
 #include <array>

@@ -3,7 +3,7 @@
 #include <cstdint>
 #include <vector>
 
-#include "image_features.h"
+#include "frontend/image_features.h"
 
 namespace semantic_topo_loop::core {
 

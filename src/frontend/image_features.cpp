@@ -1,4 +1,4 @@
-#include "image_features.h"
+#include "frontend/image_features.h"
 
 #include <algorithm>
 #include <cmath>

@@ -4,8 +4,8 @@
 #include <cstdint>
 #include <vector>
 
-#include "descriptor.h"
-#include "semantic_topo_loop/geometry/camera.h"
+#include "frontend/descriptor.h"
+#include "semantic_topo_loop/types/camera.h"
 
 namespace semantic_topo_loop::core {
 

@@ -1,4 +1,4 @@
-#include "image_tracker.h"
+#include "frontend/image_tracker.h"
 
 #include <algorithm>
 #include <cmath>

@@ -4,9 +4,9 @@
 #include <optional>
 #include <vector>
 
-#include "feature_matcher.h"
-#include "pose_solver.h"
-#include "tracking_map.h"
+#include "frontend/feature_matcher.h"
+#include "frontend/pose_solver.h"
+#include "frontend/tracking_map.h"
 
 namespace semantic_topo_loop::core {
 

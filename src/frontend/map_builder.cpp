@@ -1,4 +1,4 @@
-#include "map_builder.h"
+#include "frontend/map_builder.h"
 
 #include <algorithm>
 #include <cmath>

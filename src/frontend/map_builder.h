@@ -1,6 +1,6 @@
 #pragma once
 
-#include "image_tracker.h"
+#include "frontend/image_tracker.h"
 
 namespace semantic_topo_loop::core {
 

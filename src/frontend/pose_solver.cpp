@@ -1,4 +1,4 @@
-#include "pose_solver.h"
+#include "frontend/pose_solver.h"
 
 #include <Eigen/Cholesky>
 #include <algorithm>
@@ -7,6 +7,7 @@
 #include <random>
 
 #include "semantic_topo_loop/geometry/alignment.h"
+#include "semantic_topo_loop/geometry/lie.h"
 
 namespace semantic_topo_loop::core {
 namespace {

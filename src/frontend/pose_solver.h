@@ -4,7 +4,7 @@
 #include <optional>
 #include <vector>
 
-#include "semantic_topo_loop/geometry/camera.h"
+#include "semantic_topo_loop/types/camera.h"
 
 namespace semantic_topo_loop::core {
 

@@ -4,9 +4,10 @@
 #include <cmath>
 #include <future>
 
-#include "bundle_adjustment.h"
-#include "feature_extractor.h"
-#include "map_builder.h"
+#include "frontend/bundle_adjustment.h"
+#include "frontend/feature_extractor.h"
+#include "frontend/map_builder.h"
+#include "semantic_topo_loop/geometry/lie.h"
 
 namespace semantic_topo_loop::core {
 namespace {

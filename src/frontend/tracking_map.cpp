@@ -1,4 +1,4 @@
-#include "tracking_map.h"
+#include "frontend/tracking_map.h"
 
 #include <algorithm>
 #include <cmath>

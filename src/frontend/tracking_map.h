@@ -4,7 +4,7 @@
 #include <map>
 #include <vector>
 
-#include "image_features.h"
+#include "frontend/image_features.h"
 #include "semantic_topo_loop/frontend/frontend_options.h"
 
 namespace semantic_topo_loop::core {

@@ -1,4 +1,4 @@
-#include "semantic_topo_loop/geometry/assignment.h"
+#include "geometry/assignment.h"
 
 #include <algorithm>
 #include <cmath>

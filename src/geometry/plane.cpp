@@ -1,11 +1,11 @@
-#include "semantic_topo_loop/geometry/plane.h"
+#include "geometry/plane.h"
 
 #include <Eigen/Eigenvalues>
 #include <cmath>
 #include <cstdint>
 #include <random>
 
-#include "semantic_topo_loop/geometry/depth_noise.h"
+#include "geometry/depth_noise.h"
 
 namespace semantic_topo_loop::core {
 namespace {

@@ -19,17 +19,11 @@ constexpr double kMinDepthSquared = 1e-9;
 
 }  // namespace
 
-Mat3 Ellipsoid::shape() const {
-  const Mat3 R = T_world_quadric.rotation();
-  return R * semi_axes.cwiseAbs2().asDiagonal() * R.transpose();
-}
-
-Mat4 Ellipsoid::dual() const {
-  const Mat4 Z = T_world_quadric.matrix();
-  return Z *
-         Vec4(semi_axes.x() * semi_axes.x(), semi_axes.y() * semi_axes.y(), semi_axes.z() * semi_axes.z(), -1.0)
-             .asDiagonal() *
-         Z.transpose();
+Mat34 projection_matrix(const Camera& camera, const SE3& T_world_camera) {
+  const SE3 T_camera_world = T_world_camera.inverse();
+  Mat34 Rt;
+  Rt << T_camera_world.rotation(), T_camera_world.t;
+  return camera.intrinsics() * Rt;
 }
 
 std::optional<Conic> project(const Mat4& Q_dual_world, const Mat34& P_image_world) {

@@ -1,7 +1,7 @@
 #include "semantic_topo_loop/io/camera_yaml.h"
 
+#include "io/yaml.h"
 #include "semantic_topo_loop/io/text_file.h"
-#include "yaml.h"
 
 namespace semantic_topo_loop::core {
 namespace {

@@ -1,6 +1,6 @@
 #include "semantic_topo_loop/io/class_table_yaml.h"
 
-#include "yaml.h"
+#include "io/yaml.h"
 
 namespace semantic_topo_loop::core {
 namespace {

@@ -3,8 +3,8 @@
 #include <cstdint>
 #include <string>
 
-#include "semantic_topo_loop/geometry/se3.h"
 #include "semantic_topo_loop/io/text_file.h"
+#include "semantic_topo_loop/types/se3.h"
 
 namespace semantic_topo_loop::core {
 

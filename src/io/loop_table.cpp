@@ -2,9 +2,9 @@
 
 #include <cmath>
 
-#include "csv_row.h"
-#include "semantic_topo_loop/io/stamp.h"
+#include "io/csv_row.h"
 #include "semantic_topo_loop/io/text_file.h"
+#include "semantic_topo_loop/types/stamp.h"
 
 namespace semantic_topo_loop::core {
 namespace {

@@ -3,8 +3,8 @@
 #include <filesystem>
 #include <opencv2/imgcodecs.hpp>
 
-#include "semantic_topo_loop/io/stamp.h"
 #include "semantic_topo_loop/io/text_file.h"
+#include "semantic_topo_loop/types/stamp.h"
 
 namespace semantic_topo_loop::core {
 namespace {

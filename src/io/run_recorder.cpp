@@ -5,11 +5,12 @@
 #include <functional>
 #include <nlohmann/json.hpp>
 
-#include "csv_row.h"
+#include "io/csv_row.h"
+#include "loop/graph/relocalisation.h"
 #include "semantic_topo_loop/io/loop_table.h"
-#include "semantic_topo_loop/io/stamp.h"
 #include "semantic_topo_loop/io/text_file.h"
 #include "semantic_topo_loop/io/tum_trajectory.h"
+#include "semantic_topo_loop/types/stamp.h"
 
 namespace semantic_topo_loop::core {
 namespace {

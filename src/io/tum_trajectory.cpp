@@ -3,8 +3,8 @@
 #include <array>
 #include <cmath>
 
-#include "semantic_topo_loop/io/stamp.h"
 #include "semantic_topo_loop/io/text_file.h"
+#include "semantic_topo_loop/types/stamp.h"
 
 namespace semantic_topo_loop::core {
 namespace {

@@ -1,4 +1,4 @@
-#include "yaml.h"
+#include "io/yaml.h"
 
 #include <algorithm>
 #include <set>

@@ -7,15 +7,16 @@
 #include <optional>
 #include <sstream>
 
-#include "semantic_topo_loop/loop/burst_watch.h"
-#include "semantic_topo_loop/loop/graph_detector.h"
-#include "semantic_topo_loop/loop/local_map.h"
+#include "loop/graph/graph_detector.h"
+#include "loop/graph/local_map.h"
+#include "loop/graph/observation_window.h"
+#include "loop/graph/odometry_monitor.h"
+#include "loop/graph/relocalisation.h"
+#include "loop/graph/up_estimator.h"
+#include "loop/pair_record.h"
+#include "loop/paper/paper_detector.h"
+#include "odometry/burst_watch.h"
 #include "semantic_topo_loop/loop/loop_options.h"
-#include "semantic_topo_loop/loop/observation_window.h"
-#include "semantic_topo_loop/loop/odometry_monitor.h"
-#include "semantic_topo_loop/loop/pair_record.h"
-#include "semantic_topo_loop/loop/paper_detector.h"
-#include "semantic_topo_loop/loop/up_estimator.h"
 
 namespace semantic_topo_loop::core {
 namespace {

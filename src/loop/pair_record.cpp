@@ -1,4 +1,4 @@
-#include "semantic_topo_loop/loop/pair_record.h"
+#include "loop/pair_record.h"
 
 #include <algorithm>
 

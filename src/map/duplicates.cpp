@@ -1,8 +1,9 @@
-#include "duplicates.h"
+#include "map/duplicates.h"
 
 #include <algorithm>
 
-#include "semantic_topo_loop/geometry/statistics.h"
+#include "geometry/statistics.h"
+#include "semantic_topo_loop/geometry/quadric.h"
 
 namespace semantic_topo_loop::core {
 namespace {

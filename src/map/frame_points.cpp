@@ -1,4 +1,4 @@
-#include "semantic_topo_loop/map/frame_points.h"
+#include "map/frame_points.h"
 
 #include <algorithm>
 #include <cmath>

@@ -1,8 +1,8 @@
-#include "landmark_fitter.h"
+#include "map/landmark_fitter.h"
 
 #include <algorithm>
 
-#include "semantic_topo_loop/map/quadric_initialisation.h"
+#include "map/quadric_initialisation.h"
 
 namespace semantic_topo_loop::core {
 namespace {

@@ -3,9 +3,9 @@
 #include <optional>
 #include <vector>
 
-#include "mapped_landmark.h"
-#include "semantic_topo_loop/detection/class_table.h"
+#include "map/mapped_landmark.h"
 #include "semantic_topo_loop/map/mapper_options.h"
+#include "semantic_topo_loop/types/class_table.h"
 
 namespace semantic_topo_loop::core {
 

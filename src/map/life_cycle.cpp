@@ -1,4 +1,4 @@
-#include "life_cycle.h"
+#include "map/life_cycle.h"
 
 #include <algorithm>
 #include <cmath>

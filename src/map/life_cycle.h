@@ -1,6 +1,6 @@
 #pragma once
 
-#include "mapped_landmark.h"
+#include "map/mapped_landmark.h"
 #include "semantic_topo_loop/map/mapper_options.h"
 
 namespace semantic_topo_loop::core {

@@ -7,10 +7,10 @@
 #include <memory>
 #include <vector>
 
-#include "semantic_topo_loop/geometry/camera.h"
-#include "semantic_topo_loop/geometry/sim3.h"
-#include "semantic_topo_loop/map/landmark.h"
-#include "semantic_topo_loop/map/quadric_fit.h"
+#include "map/quadric_fit.h"
+#include "semantic_topo_loop/types/camera.h"
+#include "semantic_topo_loop/types/landmark.h"
+#include "semantic_topo_loop/types/sim3.h"
 
 namespace semantic_topo_loop::core {
 

@@ -1,4 +1,4 @@
-#include "merge_history.h"
+#include "map/merge_history.h"
 
 #include <algorithm>
 #include <iterator>

@@ -4,7 +4,7 @@
 #include <utility>
 #include <vector>
 
-#include "mapped_landmark.h"
+#include "map/mapped_landmark.h"
 
 namespace semantic_topo_loop::core {
 

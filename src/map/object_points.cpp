@@ -1,4 +1,4 @@
-#include "semantic_topo_loop/map/object_points.h"
+#include "map/object_points.h"
 
 #include <pcl/filters/statistical_outlier_removal.h>
 #include <pcl/point_cloud.h>
@@ -12,7 +12,7 @@
 #include <optional>
 #include <utility>
 
-#include "semantic_topo_loop/geometry/plane.h"
+#include "geometry/plane.h"
 
 namespace semantic_topo_loop::core {
 namespace {

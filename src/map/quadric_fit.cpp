@@ -1,4 +1,4 @@
-#include "semantic_topo_loop/map/quadric_fit.h"
+#include "map/quadric_fit.h"
 
 #include <ceres/ceres.h>
 
@@ -8,9 +8,10 @@
 #include <cmath>
 #include <deque>
 
-#include "semantic_topo_loop/geometry/ceres_compat.h"
-#include "semantic_topo_loop/geometry/statistics.h"
-#include "surface_cost.h"
+#include "geometry/ceres_compat.h"
+#include "geometry/statistics.h"
+#include "map/surface_cost.h"
+#include "semantic_topo_loop/geometry/quadric.h"
 
 namespace semantic_topo_loop::core {
 namespace {

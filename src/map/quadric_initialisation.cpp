@@ -1,4 +1,4 @@
-#include "semantic_topo_loop/map/quadric_initialisation.h"
+#include "map/quadric_initialisation.h"
 
 #include <Eigen/Cholesky>
 #include <Eigen/Eigenvalues>
@@ -6,7 +6,7 @@
 #include <array>
 #include <cmath>
 
-#include "semantic_topo_loop/geometry/statistics.h"
+#include "geometry/statistics.h"
 
 namespace semantic_topo_loop::core {
 namespace {

@@ -7,15 +7,15 @@
 #include <optional>
 #include <set>
 
-#include "duplicates.h"
-#include "landmark_fitter.h"
-#include "life_cycle.h"
-#include "mapped_landmark.h"
-#include "merge_history.h"
+#include "map/duplicates.h"
+#include "map/landmark_fitter.h"
+#include "map/life_cycle.h"
+#include "map/mapped_landmark.h"
+#include "map/merge_history.h"
+#include "map/object_points.h"
+#include "map/visibility.h"
 #include "semantic_topo_loop/map/mapper_options.h"
-#include "semantic_topo_loop/map/object_points.h"
-#include "semantic_topo_loop/pipeline/stopwatch.h"
-#include "visibility.h"
+#include "semantic_topo_loop/types/stopwatch.h"
 
 namespace semantic_topo_loop::core {
 namespace {

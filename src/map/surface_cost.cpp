@@ -1,8 +1,8 @@
-#include "surface_cost.h"
+#include "map/surface_cost.h"
 
 #include <cmath>
 
-#include "semantic_topo_loop/geometry/depth_noise.h"
+#include "geometry/depth_noise.h"
 
 namespace semantic_topo_loop::core {
 namespace {

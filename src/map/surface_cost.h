@@ -5,7 +5,7 @@
 #include <optional>
 #include <vector>
 
-#include "semantic_topo_loop/map/quadric_fit.h"
+#include "map/quadric_fit.h"
 
 namespace semantic_topo_loop::core {
 

@@ -1,9 +1,10 @@
-#include "visibility.h"
+#include "map/visibility.h"
 
 #include <algorithm>
 
-#include "semantic_topo_loop/geometry/depth_noise.h"
-#include "surface_cost.h"
+#include "geometry/depth_noise.h"
+#include "map/surface_cost.h"
+#include "semantic_topo_loop/geometry/quadric.h"
 
 namespace semantic_topo_loop::core {
 namespace {

@@ -3,10 +3,10 @@
 #include <map>
 #include <vector>
 
-#include "mapped_landmark.h"
-#include "semantic_topo_loop/association/association.h"
-#include "semantic_topo_loop/map/frame.h"
-#include "semantic_topo_loop/map/frame_points.h"
+#include "map/frame_points.h"
+#include "map/mapped_landmark.h"
+#include "semantic_topo_loop/types/association.h"
+#include "semantic_topo_loop/types/frame.h"
 
 namespace semantic_topo_loop::core {
 

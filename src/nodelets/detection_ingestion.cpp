@@ -5,15 +5,15 @@
 #include <string>
 #include <vector>
 
+#include "ros/detection_matcher.h"
+#include "ros/detection_parameters.h"
+#include "ros/pose_source.h"
+#include "ros/stage.h"
 #include "semantic_topo_loop/DetectionArray.h"
 #include "semantic_topo_loop/Frame.h"
-#include "semantic_topo_loop/detection/detection_reader.h"
-#include "semantic_topo_loop/geometry/stamped_pose.h"
+#include "semantic_topo_loop/io/detection_reader.h"
 #include "semantic_topo_loop/ros/conversions.h"
-#include "semantic_topo_loop/ros/detection_matcher.h"
-#include "semantic_topo_loop/ros/detection_parameters.h"
-#include "semantic_topo_loop/ros/pose_source.h"
-#include "semantic_topo_loop/ros/stage.h"
+#include "semantic_topo_loop/types/stamped_pose.h"
 
 namespace semantic_topo_loop {
 

@@ -8,14 +8,14 @@
 #include <optional>
 #include <pluginlib/class_list_macros.hpp>
 
+#include "ros/frame_joiner.h"
+#include "ros/stage.h"
 #include "semantic_topo_loop/WhyLoop.h"
 #include "semantic_topo_loop/io/submap_file.h"
 #include "semantic_topo_loop/loop/loop_detector.h"
 #include "semantic_topo_loop/pipeline/earlier_map.h"
-#include "semantic_topo_loop/pipeline/stopwatch.h"
 #include "semantic_topo_loop/ros/conversions.h"
-#include "semantic_topo_loop/ros/frame_joiner.h"
-#include "semantic_topo_loop/ros/stage.h"
+#include "semantic_topo_loop/types/stopwatch.h"
 
 namespace semantic_topo_loop {
 namespace {

@@ -4,12 +4,12 @@
 #include <pluginlib/class_list_macros.hpp>
 #include <set>
 
+#include "ros/frame_joiner.h"
+#include "ros/map_follower.h"
+#include "ros/stage.h"
 #include "semantic_topo_loop/FrameDone.h"
 #include "semantic_topo_loop/association/object_associator.h"
 #include "semantic_topo_loop/ros/conversions.h"
-#include "semantic_topo_loop/ros/frame_joiner.h"
-#include "semantic_topo_loop/ros/map_follower.h"
-#include "semantic_topo_loop/ros/stage.h"
 
 namespace semantic_topo_loop {
 

@@ -12,6 +12,11 @@
 #include <string>
 #include <thread>
 
+#include "ros/player_ledger.h"
+#include "ros/player_parameters.h"
+#include "ros/player_source.h"
+#include "ros/stage.h"
+#include "ros/tum_bag_source.h"
 #include "semantic_topo_loop/AssociationArray.h"
 #include "semantic_topo_loop/DetectionArray.h"
 #include "semantic_topo_loop/Frame.h"
@@ -21,11 +26,6 @@
 #include "semantic_topo_loop/io/camera_yaml.h"
 #include "semantic_topo_loop/io/tum_trajectory.h"
 #include "semantic_topo_loop/ros/conversions.h"
-#include "semantic_topo_loop/ros/player_ledger.h"
-#include "semantic_topo_loop/ros/player_parameters.h"
-#include "semantic_topo_loop/ros/player_source.h"
-#include "semantic_topo_loop/ros/stage.h"
-#include "semantic_topo_loop/ros/tum_bag_source.h"
 
 namespace semantic_topo_loop {
 

@@ -3,13 +3,13 @@
 #include <pluginlib/class_list_macros.hpp>
 #include <string>
 
+#include "ros/conversions_points.h"
+#include "ros/lazy_publisher.h"
+#include "ros/stage.h"
 #include "semantic_topo_loop/SavePoints.h"
 #include "semantic_topo_loop/io/point_cloud_file.h"
 #include "semantic_topo_loop/map/point_map.h"
 #include "semantic_topo_loop/ros/conversions.h"
-#include "semantic_topo_loop/ros/conversions_points.h"
-#include "semantic_topo_loop/ros/lazy_publisher.h"
-#include "semantic_topo_loop/ros/stage.h"
 
 namespace semantic_topo_loop {
 namespace {

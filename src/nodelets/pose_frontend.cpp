@@ -10,15 +10,15 @@
 #include <pluginlib/class_list_macros.hpp>
 #include <string>
 
+#include "ros/frontend_stage.h"
+#include "ros/pose_frontend_parameters.h"
+#include "ros/pose_odometry.h"
+#include "ros/pose_source.h"
+#include "ros/pose_tf.h"
 #include "semantic_topo_loop/DetectionArray.h"
 #include "semantic_topo_loop/FrameDone.h"
 #include "semantic_topo_loop/io/tum_trajectory.h"
 #include "semantic_topo_loop/ros/conversions.h"
-#include "semantic_topo_loop/ros/frontend_stage.h"
-#include "semantic_topo_loop/ros/pose_frontend_parameters.h"
-#include "semantic_topo_loop/ros/pose_odometry.h"
-#include "semantic_topo_loop/ros/pose_source.h"
-#include "semantic_topo_loop/ros/pose_tf.h"
 
 namespace semantic_topo_loop {
 

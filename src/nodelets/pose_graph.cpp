@@ -10,12 +10,12 @@
 #include <utility>
 #include <vector>
 
+#include "ros/frame_joiner.h"
+#include "ros/lazy_publisher.h"
+#include "ros/map_odom_sender.h"
+#include "ros/stage.h"
 #include "semantic_topo_loop/WithdrawLoop.h"
 #include "semantic_topo_loop/ros/conversions.h"
-#include "semantic_topo_loop/ros/frame_joiner.h"
-#include "semantic_topo_loop/ros/lazy_publisher.h"
-#include "semantic_topo_loop/ros/map_odom_sender.h"
-#include "semantic_topo_loop/ros/stage.h"
 
 namespace semantic_topo_loop {
 namespace {

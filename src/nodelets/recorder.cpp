@@ -6,10 +6,10 @@
 #include <mutex>
 #include <pluginlib/class_list_macros.hpp>
 
+#include "ros/frame_joiner.h"
+#include "ros/stage.h"
 #include "semantic_topo_loop/io/run_recorder.h"
 #include "semantic_topo_loop/ros/conversions.h"
-#include "semantic_topo_loop/ros/frame_joiner.h"
-#include "semantic_topo_loop/ros/stage.h"
 
 namespace semantic_topo_loop {
 namespace {

@@ -10,15 +10,15 @@
 #include <string>
 #include <tuple>
 
+#include "ros/frontend_stage.h"
+#include "ros/rgbd_conversion.h"
+#include "ros/rgbd_frontend_parameters.h"
+#include "ros/rgbd_synchronizer.h"
 #include "semantic_topo_loop/FrameDone.h"
 #include "semantic_topo_loop/TrackingReport.h"
 #include "semantic_topo_loop/frontend/keyframe_points.h"
 #include "semantic_topo_loop/frontend/tracking_report.h"
 #include "semantic_topo_loop/ros/conversions.h"
-#include "semantic_topo_loop/ros/frontend_stage.h"
-#include "semantic_topo_loop/ros/rgbd_conversion.h"
-#include "semantic_topo_loop/ros/rgbd_frontend_parameters.h"
-#include "semantic_topo_loop/ros/rgbd_synchronizer.h"
 
 namespace semantic_topo_loop {
 namespace {

@@ -6,11 +6,12 @@
 #include <string>
 #include <utility>
 
+#include "ros/lazy_publisher.h"
+#include "ros/map_follower.h"
+#include "ros/markers.h"
+#include "ros/stage.h"
+#include "semantic_topo_loop/geometry/lie.h"
 #include "semantic_topo_loop/ros/conversions.h"
-#include "semantic_topo_loop/ros/lazy_publisher.h"
-#include "semantic_topo_loop/ros/map_follower.h"
-#include "semantic_topo_loop/ros/markers.h"
-#include "semantic_topo_loop/ros/stage.h"
 
 namespace semantic_topo_loop {
 namespace {

@@ -2,6 +2,8 @@
 
 #include <sstream>
 
+#include "semantic_topo_loop/geometry/lie.h"
+
 namespace semantic_topo_loop::core {
 
 bool KeyframeOptions::is_valid(std::string* error) const {

@@ -3,6 +3,8 @@
 #include <cmath>
 #include <sstream>
 
+#include "semantic_topo_loop/geometry/lie.h"
+
 namespace semantic_topo_loop::core {
 namespace {
 

@@ -11,12 +11,12 @@
 #include <string>
 #include <utility>
 
-#include "semantic_topo_loop/geometry/motion_bursts.h"
-#include "semantic_topo_loop/pose_graph/loop_clusters.h"
-#include "semantic_topo_loop/pose_graph/loop_consistency.h"
-#include "semantic_topo_loop/pose_graph/object_memory.h"
-#include "semantic_topo_loop/pose_graph/scaled_trajectory.h"
-#include "semantic_topo_loop/pose_graph/trajectory_optimizer.h"
+#include "odometry/motion_bursts.h"
+#include "pose_graph/rejection/loop_clusters.h"
+#include "pose_graph/rejection/loop_consistency.h"
+#include "pose_graph/scale/scaled_trajectory.h"
+#include "pose_graph/solver/object_memory.h"
+#include "pose_graph/solver/trajectory_optimizer.h"
 
 namespace semantic_topo_loop::core {
 

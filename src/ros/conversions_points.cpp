@@ -1,4 +1,4 @@
-#include "semantic_topo_loop/ros/conversions_points.h"
+#include "ros/conversions_points.h"
 
 #include <sensor_msgs/point_cloud2_iterator.h>
 

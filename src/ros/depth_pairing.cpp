@@ -1,4 +1,4 @@
-#include "semantic_topo_loop/ros/depth_pairing.h"
+#include "ros/depth_pairing.h"
 
 #include <algorithm>
 #include <cstdlib>

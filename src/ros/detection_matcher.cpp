@@ -1,10 +1,10 @@
-#include "semantic_topo_loop/ros/detection_matcher.h"
+#include "ros/detection_matcher.h"
 
 #include <algorithm>
 #include <cstdlib>
 
+#include "ros/pose_source.h"
 #include "semantic_topo_loop/ros/conversions.h"
-#include "semantic_topo_loop/ros/pose_source.h"
 
 namespace semantic_topo_loop {
 namespace {

@@ -1,4 +1,4 @@
-#include "semantic_topo_loop/ros/detection_parameters.h"
+#include "ros/detection_parameters.h"
 
 #include <sstream>
 

@@ -1,15 +1,15 @@
-#include "semantic_topo_loop/ros/frontend_stage.h"
+#include "ros/frontend_stage.h"
 
 #include <std_srvs/Trigger.h>
 
 #include <utility>
 
+#include "ros/conversions_points.h"
 #include "semantic_topo_loop/Frame.h"
 #include "semantic_topo_loop/FrameDone.h"
 #include "semantic_topo_loop/Keyframe.h"
 #include "semantic_topo_loop/io/camera_yaml.h"
 #include "semantic_topo_loop/ros/conversions.h"
-#include "semantic_topo_loop/ros/conversions_points.h"
 
 namespace semantic_topo_loop {
 

@@ -1,4 +1,4 @@
-#include "semantic_topo_loop/ros/map_follower.h"
+#include "ros/map_follower.h"
 
 #include <utility>
 

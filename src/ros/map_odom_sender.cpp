@@ -1,4 +1,4 @@
-#include "semantic_topo_loop/ros/map_odom_sender.h"
+#include "ros/map_odom_sender.h"
 
 #include <algorithm>
 #include <cmath>

@@ -1,4 +1,4 @@
-#include "semantic_topo_loop/ros/map_view.h"
+#include "ros/map_view.h"
 
 #include <Eigen/Eigenvalues>
 #include <set>

@@ -1,4 +1,4 @@
-#include "semantic_topo_loop/ros/markers.h"
+#include "ros/markers.h"
 
 #include <algorithm>
 #include <array>

@@ -1,4 +1,4 @@
-#include "semantic_topo_loop/ros/params.h"
+#include "ros/params.h"
 
 #include <ros/param.h>
 

@@ -1,4 +1,4 @@
-#include "semantic_topo_loop/ros/player_ledger.h"
+#include "ros/player_ledger.h"
 
 #include <algorithm>
 

@@ -1,10 +1,10 @@
-#include "semantic_topo_loop/ros/player_parameters.h"
+#include "ros/player_parameters.h"
 
 #include <iterator>
 #include <sstream>
 #include <utility>
 
-#include "parameter_check.h"
+#include "ros/parameter_check.h"
 
 namespace semantic_topo_loop {
 

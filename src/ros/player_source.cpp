@@ -1,4 +1,4 @@
-#include "semantic_topo_loop/ros/player_source.h"
+#include "ros/player_source.h"
 
 #include "semantic_topo_loop/ros/conversions.h"
 

@@ -1,6 +1,6 @@
-#include "semantic_topo_loop/ros/pose_frontend_parameters.h"
+#include "ros/pose_frontend_parameters.h"
 
-#include "parameter_check.h"
+#include "ros/parameter_check.h"
 
 namespace semantic_topo_loop {
 

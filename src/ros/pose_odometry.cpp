@@ -1,8 +1,8 @@
-#include "semantic_topo_loop/ros/pose_odometry.h"
+#include "ros/pose_odometry.h"
 
 #include <utility>
 
-#include "semantic_topo_loop/pose_graph/relative_pose.h"
+#include "geometry/relative_pose.h"
 #include "semantic_topo_loop/ros/conversions.h"
 
 namespace semantic_topo_loop {

@@ -1,6 +1,6 @@
-#include "semantic_topo_loop/ros/pose_source.h"
+#include "ros/pose_source.h"
 
-#include "semantic_topo_loop/io/stamp.h"
+#include "semantic_topo_loop/types/stamp.h"
 
 namespace semantic_topo_loop {
 

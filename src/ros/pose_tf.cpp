@@ -1,11 +1,11 @@
-#include "semantic_topo_loop/ros/pose_tf.h"
+#include "ros/pose_tf.h"
 
 #include <tf2/exceptions.h>
 
 #include <utility>
 
-#include "semantic_topo_loop/io/stamp.h"
 #include "semantic_topo_loop/ros/conversions.h"
+#include "semantic_topo_loop/types/stamp.h"
 
 namespace semantic_topo_loop {
 namespace {

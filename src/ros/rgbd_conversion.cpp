@@ -1,4 +1,4 @@
-#include "semantic_topo_loop/ros/rgbd_conversion.h"
+#include "ros/rgbd_conversion.h"
 
 #include <cv_bridge/cv_bridge.h>
 #include <sensor_msgs/image_encodings.h>

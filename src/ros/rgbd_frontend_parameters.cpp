@@ -1,8 +1,8 @@
-#include "semantic_topo_loop/ros/rgbd_frontend_parameters.h"
+#include "ros/rgbd_frontend_parameters.h"
 
 #include <utility>
 
-#include "parameter_check.h"
+#include "ros/parameter_check.h"
 
 namespace semantic_topo_loop {
 

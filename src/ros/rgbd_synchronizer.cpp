@@ -1,11 +1,11 @@
-#include "semantic_topo_loop/ros/rgbd_synchronizer.h"
+#include "ros/rgbd_synchronizer.h"
 
 #include <boost/bind/bind.hpp>
 #include <cstdio>
 #include <utility>
 
-#include "semantic_topo_loop/io/stamp.h"
 #include "semantic_topo_loop/ros/conversions.h"
+#include "semantic_topo_loop/types/stamp.h"
 
 namespace semantic_topo_loop {
 namespace {

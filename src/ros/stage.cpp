@@ -1,4 +1,4 @@
-#include "semantic_topo_loop/ros/stage.h"
+#include "ros/stage.h"
 
 #include <atomic>
 

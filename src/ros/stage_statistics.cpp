@@ -1,4 +1,4 @@
-#include "semantic_topo_loop/ros/stage_statistics.h"
+#include "ros/stage_statistics.h"
 
 #include <algorithm>
 

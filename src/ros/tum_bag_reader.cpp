@@ -1,9 +1,9 @@
-#include "semantic_topo_loop/ros/tum_bag_reader.h"
+#include "ros/tum_bag_reader.h"
 
 #include <utility>
 
-#include "semantic_topo_loop/ros/rgbd_conversion.h"
-#include "semantic_topo_loop/ros/tum_bag_source.h"
+#include "ros/rgbd_conversion.h"
+#include "ros/tum_bag_source.h"
 
 namespace semantic_topo_loop {
 namespace {

@@ -1,4 +1,4 @@
-#include "semantic_topo_loop/ros/tum_bag_source.h"
+#include "ros/tum_bag_source.h"
 
 #include <rosbag/exceptions.h>
 #include <rosbag/query.h>
@@ -7,8 +7,8 @@
 #include <algorithm>
 #include <exception>
 
-#include "semantic_topo_loop/io/stamp.h"
 #include "semantic_topo_loop/ros/conversions.h"
+#include "semantic_topo_loop/types/stamp.h"
 
 namespace semantic_topo_loop {
 namespace {

@@ -1,4 +1,4 @@
-#include "semantic_topo_loop/ros/worker.h"
+#include "ros/worker.h"
 
 #include <algorithm>
 #include <exception>

@@ -1,4 +1,4 @@
-#include "../../src/apps/command_line.h"
+#include "apps/command_line.h"
 
 #include <gtest/gtest.h>
 

@@ -1,13 +1,13 @@
 #include <gtest/gtest.h>
 
-#include "../program_test.h"
+#include "support/program_test.h"
 
 namespace semantic_topo_loop::core {
 namespace {
 
 class OfflineProgram : public ProgramTest {
  protected:
-  OfflineProgram() : ProgramTest(STL_OFFLINE_PROGRAM) {}
+  OfflineProgram() : ProgramTest(STL_PROGRAM_DIR "/offline") {}
 
   void expect_bad_arguments(const std::string& arguments, const std::string& part) {
     EXPECT_EQ(run("--camera @camera.yaml --output @run --classes " STL_CONFIG_DIR "/classes_coco.yaml " + arguments),
@@ -44,7 +44,7 @@ TEST_F(OfflineProgram, FilesThatAreMissingAreOneClearError) {
 
 class OptimiseGraphProgram : public ProgramTest {
  protected:
-  OptimiseGraphProgram() : ProgramTest(STL_OPTIMISE_GRAPH_PROGRAM) {}
+  OptimiseGraphProgram() : ProgramTest(STL_PROGRAM_DIR "/optimise_graph") {}
 };
 
 TEST_F(OptimiseGraphProgram, ArgumentsThatDoNotFitAreOneClearError) {

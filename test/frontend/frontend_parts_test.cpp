@@ -4,10 +4,11 @@
 #include <opencv2/imgproc.hpp>
 #include <random>
 
-#include "../../src/frontend/bundle_adjustment.h"
-#include "../../src/frontend/depth_registration.h"
-#include "../../src/frontend/feature_matcher.h"
-#include "../../src/frontend/pose_solver.h"
+#include "frontend/bundle_adjustment.h"
+#include "frontend/depth_registration.h"
+#include "frontend/feature_matcher.h"
+#include "frontend/pose_solver.h"
+#include "semantic_topo_loop/geometry/lie.h"
 
 namespace semantic_topo_loop::core {
 namespace {

@@ -5,7 +5,8 @@
 #include <Eigen/Eigenvalues>
 
 #include "semantic_topo_loop/frontend/tracking_report.h"
-#include "synthetic_room.h"
+#include "semantic_topo_loop/geometry/lie.h"
+#include "support/synthetic_room.h"
 
 namespace semantic_topo_loop::core {
 namespace {

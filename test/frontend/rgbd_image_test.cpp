@@ -5,7 +5,7 @@
 #include <cmath>
 #include <limits>
 
-#include "synthetic_room.h"
+#include "support/synthetic_room.h"
 
 namespace semantic_topo_loop::core {
 namespace {

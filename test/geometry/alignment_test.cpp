@@ -2,7 +2,8 @@
 
 #include <gtest/gtest.h>
 
-#include "random_poses.h"
+#include "semantic_topo_loop/geometry/lie.h"
+#include "support/random_poses.h"
 
 namespace semantic_topo_loop::core {
 namespace {

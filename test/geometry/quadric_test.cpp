@@ -2,8 +2,8 @@
 
 #include <gtest/gtest.h>
 
-#include "random_poses.h"
-#include "semantic_topo_loop/geometry/camera.h"
+#include "semantic_topo_loop/types/camera.h"
+#include "support/random_poses.h"
 
 namespace semantic_topo_loop::core {
 namespace {

@@ -7,7 +7,7 @@
 #include <tuple>
 #include <vector>
 
-#include "../test_files.h"
+#include "support/test_files.h"
 
 namespace semantic_topo_loop::core {
 namespace {

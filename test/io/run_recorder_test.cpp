@@ -4,10 +4,11 @@
 
 #include <nlohmann/json.hpp>
 
-#include "../geometry/random_poses.h"
-#include "../test_files.h"
-#include "semantic_topo_loop/evaluation/run_files.h"
+#include "semantic_topo_loop/geometry/lie.h"
 #include "semantic_topo_loop/io/tum_trajectory.h"
+#include "support/random_poses.h"
+#include "support/test_files.h"
+#include "tools/evaluation/run_files.h"
 
 namespace semantic_topo_loop::core {
 namespace {

@@ -4,8 +4,8 @@
 
 #include <nlohmann/json.hpp>
 
-#include "../loop/synthetic_desk.h"
-#include "../test_files.h"
+#include "support/synthetic_desk.h"
+#include "support/test_files.h"
 
 namespace semantic_topo_loop::core {
 namespace {

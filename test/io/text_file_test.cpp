@@ -4,7 +4,7 @@
 
 #include <cmath>
 
-#include "../test_files.h"
+#include "support/test_files.h"
 
 namespace semantic_topo_loop::core {
 namespace {

@@ -2,8 +2,8 @@
 
 #include <gtest/gtest.h>
 
-#include "../geometry/random_poses.h"
-#include "../test_files.h"
+#include "support/random_poses.h"
+#include "support/test_files.h"
 
 namespace semantic_topo_loop::core {
 namespace {

@@ -2,10 +2,10 @@
 
 #include <set>
 
-#include "../test_files.h"
 #include "semantic_topo_loop/io/camera_yaml.h"
 #include "semantic_topo_loop/io/class_table_yaml.h"
 #include "semantic_topo_loop/io/options_yaml.h"
+#include "support/test_files.h"
 
 namespace semantic_topo_loop::core {
 namespace {

@@ -1,6 +1,8 @@
-#include "semantic_topo_loop/loop/box_tracker.h"
+#include "loop/graph/box_tracker.h"
 
 #include <gtest/gtest.h>
+
+#include "semantic_topo_loop/geometry/lie.h"
 
 namespace semantic_topo_loop::core {
 namespace {

@@ -1,4 +1,4 @@
-#include "semantic_topo_loop/loop/graph_matcher.h"
+#include "loop/graph/graph_matcher.h"
 
 #include <gtest/gtest.h>
 
@@ -6,8 +6,9 @@
 #include <cmath>
 #include <limits>
 
-#include "semantic_topo_loop/loop/clique_search.h"
-#include "synthetic_desk.h"
+#include "loop/graph/clique_search.h"
+#include "semantic_topo_loop/geometry/lie.h"
+#include "support/synthetic_desk.h"
 
 namespace semantic_topo_loop::core {
 namespace {

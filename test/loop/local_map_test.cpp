@@ -1,12 +1,13 @@
-#include "semantic_topo_loop/loop/local_map.h"
+#include "loop/graph/local_map.h"
 
 #include <gtest/gtest.h>
 
 #include <cmath>
 
-#include "semantic_topo_loop/loop/loop_verifier.h"
-#include "semantic_topo_loop/loop/submap_refiner.h"
-#include "synthetic_desk.h"
+#include "loop/graph/loop_verifier.h"
+#include "loop/graph/submap_refiner.h"
+#include "semantic_topo_loop/geometry/lie.h"
+#include "support/synthetic_desk.h"
 
 namespace semantic_topo_loop::core {
 namespace {

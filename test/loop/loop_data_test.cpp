@@ -7,15 +7,16 @@
 #include <set>
 #include <utility>
 
-#include "../package_config.h"
-#include "../test_files.h"
-#include "semantic_topo_loop/detection/detection_reader.h"
+#include "loop/graph/local_map.h"
+#include "semantic_topo_loop/geometry/lie.h"
+#include "semantic_topo_loop/io/detection_reader.h"
 #include "semantic_topo_loop/io/tum_trajectory.h"
-#include "semantic_topo_loop/loop/local_map.h"
 #include "semantic_topo_loop/loop/loop_detector.h"
 #include "semantic_topo_loop/loop/loop_options.h"
 #include "semantic_topo_loop/pipeline/frame_builder.h"
 #include "semantic_topo_loop/pipeline/object_slam.h"
+#include "support/package_config.h"
+#include "support/test_files.h"
 
 namespace semantic_topo_loop::core {
 namespace {

@@ -8,8 +8,9 @@
 #include <set>
 #include <utility>
 
+#include "semantic_topo_loop/geometry/lie.h"
 #include "semantic_topo_loop/pipeline/options.h"
-#include "synthetic_desk.h"
+#include "support/synthetic_desk.h"
 
 namespace semantic_topo_loop::core {
 namespace {

@@ -4,9 +4,9 @@
 
 #include <map>
 
-#include "semantic_topo_loop/loop/local_map.h"
-#include "semantic_topo_loop/loop/pair_record.h"
-#include "synthetic_desk.h"
+#include "loop/graph/local_map.h"
+#include "loop/pair_record.h"
+#include "support/synthetic_desk.h"
 
 namespace semantic_topo_loop::core {
 namespace {

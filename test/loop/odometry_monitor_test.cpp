@@ -1,12 +1,13 @@
-#include "semantic_topo_loop/loop/odometry_monitor.h"
+#include "loop/graph/odometry_monitor.h"
 
 #include <gtest/gtest.h>
 
 #include <algorithm>
 #include <cmath>
 
-#include "semantic_topo_loop/loop/submap_index.h"
-#include "synthetic_desk.h"
+#include "loop/graph/submap_index.h"
+#include "semantic_topo_loop/geometry/lie.h"
+#include "support/synthetic_desk.h"
 
 namespace semantic_topo_loop::core {
 namespace {

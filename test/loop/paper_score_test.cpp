@@ -1,4 +1,4 @@
-#include "semantic_topo_loop/loop/paper_score.h"
+#include "loop/paper/paper_score.h"
 
 #include <gtest/gtest.h>
 
@@ -6,8 +6,9 @@
 #include <cmath>
 #include <limits>
 
-#include "semantic_topo_loop/geometry/se3.h"
-#include "semantic_topo_loop/loop/keyframe_queue.h"
+#include "loop/paper/keyframe_queue.h"
+#include "semantic_topo_loop/geometry/lie.h"
+#include "semantic_topo_loop/types/se3.h"
 
 namespace semantic_topo_loop::core {
 namespace {

@@ -1,8 +1,9 @@
-#include "semantic_topo_loop/loop/relocalisation.h"
+#include "loop/graph/relocalisation.h"
 
 #include <gtest/gtest.h>
 
-#include "synthetic_desk.h"
+#include "semantic_topo_loop/geometry/lie.h"
+#include "support/synthetic_desk.h"
 
 namespace semantic_topo_loop::core {
 namespace {

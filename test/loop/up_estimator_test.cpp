@@ -1,11 +1,11 @@
-#include "semantic_topo_loop/loop/up_estimator.h"
+#include "loop/graph/up_estimator.h"
 
 #include <gtest/gtest.h>
 
 #include <cmath>
 #include <limits>
 
-#include "../map/depth_scene.h"
+#include "support/depth_scene.h"
 
 namespace semantic_topo_loop::core {
 namespace {

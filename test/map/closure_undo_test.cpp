@@ -1,11 +1,11 @@
 // Mapper and pose graph together: what a loop closure merges comes apart when the loop is withdrawn.
 #include <gtest/gtest.h>
 
-#include "../two_rounds.h"
 #include "semantic_topo_loop/map/mapper_options.h"
 #include "semantic_topo_loop/map/quadric_mapper.h"
 #include "semantic_topo_loop/pose_graph/pose_graph.h"
 #include "semantic_topo_loop/pose_graph/pose_graph_options.h"
+#include "support/two_rounds.h"
 
 namespace semantic_topo_loop::core {
 namespace {

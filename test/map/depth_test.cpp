@@ -3,13 +3,14 @@
 #include <cmath>
 #include <limits>
 
-#include "../look_at.h"
-#include "depth_scene.h"
-#include "mapper_fixture.h"
-#include "semantic_topo_loop/geometry/plane.h"
-#include "semantic_topo_loop/map/object_points.h"
-#include "semantic_topo_loop/map/quadric_fit.h"
-#include "semantic_topo_loop/map/quadric_initialisation.h"
+#include "geometry/plane.h"
+#include "map/object_points.h"
+#include "map/quadric_fit.h"
+#include "map/quadric_initialisation.h"
+#include "semantic_topo_loop/geometry/quadric.h"
+#include "support/depth_scene.h"
+#include "support/look_at.h"
+#include "support/mapper_fixture.h"
 
 namespace semantic_topo_loop::core {
 namespace {

@@ -5,6 +5,8 @@
 #include <cmath>
 #include <limits>
 
+#include "semantic_topo_loop/geometry/lie.h"
+
 namespace semantic_topo_loop::core {
 namespace {
 

@@ -2,10 +2,10 @@
 
 #include <algorithm>
 
-#include "../simulation/test_fixtures.h"
 #include "semantic_topo_loop/pipeline/frame_builder.h"
 #include "semantic_topo_loop/pipeline/object_slam.h"
-#include "semantic_topo_loop/simulation/reference_objects.h"
+#include "support/test_fixtures.h"
+#include "tools/simulation/reference_objects.h"
 
 namespace semantic_topo_loop::core {
 namespace {

@@ -4,10 +4,10 @@
 #include <algorithm>
 #include <map>
 
-#include "../simulation/test_fixtures.h"
-#include "semantic_topo_loop/evaluation/trajectory_evaluation.h"
 #include "semantic_topo_loop/pipeline/frame_builder.h"
 #include "semantic_topo_loop/pipeline/object_slam.h"
+#include "support/test_fixtures.h"
+#include "tools/evaluation/trajectory_evaluation.h"
 
 namespace semantic_topo_loop::core {
 namespace {

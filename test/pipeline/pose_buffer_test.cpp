@@ -4,6 +4,8 @@
 
 #include <limits>
 
+#include "semantic_topo_loop/geometry/lie.h"
+
 namespace semantic_topo_loop::core {
 namespace {
 

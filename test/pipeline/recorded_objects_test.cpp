@@ -3,16 +3,16 @@
 #include <algorithm>
 #include <cstdlib>
 
-#include "semantic_topo_loop/detection/detection_reader.h"
-#include "semantic_topo_loop/evaluation/object_evaluation.h"
-#include "semantic_topo_loop/evaluation/run_files.h"
-#include "semantic_topo_loop/evaluation/trajectory_evaluation.h"
 #include "semantic_topo_loop/io/camera_yaml.h"
 #include "semantic_topo_loop/io/class_table_yaml.h"
+#include "semantic_topo_loop/io/detection_reader.h"
 #include "semantic_topo_loop/io/tum_trajectory.h"
 #include "semantic_topo_loop/pipeline/frame_builder.h"
 #include "semantic_topo_loop/pipeline/object_slam.h"
-#include "semantic_topo_loop/simulation/detection_perturbation.h"
+#include "tools/evaluation/object_evaluation.h"
+#include "tools/evaluation/run_files.h"
+#include "tools/evaluation/trajectory_evaluation.h"
+#include "tools/perturbation/detection_perturbation.h"
 
 namespace semantic_topo_loop::core {
 namespace {

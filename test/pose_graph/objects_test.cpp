@@ -3,8 +3,10 @@
 #include <functional>
 #include <set>
 
-#include "semantic_topo_loop/pose_graph/graph_object.h"
-#include "synthetic_run.h"
+#include "pose_graph/solver/graph_object.h"
+#include "semantic_topo_loop/geometry/lie.h"
+#include "semantic_topo_loop/geometry/quadric.h"
+#include "support/synthetic_run.h"
 
 namespace semantic_topo_loop::core {
 namespace {

@@ -8,13 +8,14 @@
 #include <map>
 #include <optional>
 
-#include "random_poses.h"
-#include "semantic_topo_loop/evaluation/trajectory_evaluation.h"
+#include "semantic_topo_loop/geometry/lie.h"
 #include "semantic_topo_loop/io/tum_trajectory.h"
 #include "semantic_topo_loop/pipeline/frame_builder.h"
 #include "semantic_topo_loop/pose_graph/pose_graph.h"
 #include "semantic_topo_loop/pose_graph/pose_graph_options.h"
-#include "semantic_topo_loop/simulation/false_loops.h"
+#include "support/random_motions.h"
+#include "tools/evaluation/trajectory_evaluation.h"
+#include "tools/perturbation/false_loops.h"
 
 namespace semantic_topo_loop::core {
 namespace {

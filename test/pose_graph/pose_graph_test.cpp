@@ -6,10 +6,11 @@
 #include <limits>
 #include <string>
 
-#include "semantic_topo_loop/pose_graph/graph_solver.h"
-#include "semantic_topo_loop/pose_graph/odometry_edge.h"
-#include "semantic_topo_loop/pose_graph/relative_pose.h"
-#include "synthetic_run.h"
+#include "geometry/relative_pose.h"
+#include "odometry/odometry_edge.h"
+#include "pose_graph/solver/graph_solver.h"
+#include "semantic_topo_loop/geometry/lie.h"
+#include "support/synthetic_run.h"
 
 namespace semantic_topo_loop::core {
 namespace {

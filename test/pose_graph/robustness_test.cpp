@@ -3,10 +3,11 @@
 #include <algorithm>
 #include <set>
 
-#include "semantic_topo_loop/pose_graph/loop_clusters.h"
-#include "semantic_topo_loop/pose_graph/loop_consistency.h"
-#include "semantic_topo_loop/simulation/false_loops.h"
-#include "synthetic_run.h"
+#include "pose_graph/rejection/loop_clusters.h"
+#include "pose_graph/rejection/loop_consistency.h"
+#include "semantic_topo_loop/geometry/lie.h"
+#include "support/synthetic_run.h"
+#include "tools/perturbation/false_loops.h"
 
 namespace semantic_topo_loop::core {
 namespace {

@@ -4,10 +4,11 @@
 #include <functional>
 #include <limits>
 
-#include "semantic_topo_loop/pose_graph/relative_similarity.h"
-#include "semantic_topo_loop/pose_graph/scaled_trajectory.h"
-#include "semantic_topo_loop/pose_graph/similarity_solver.h"
-#include "synthetic_run.h"
+#include "pose_graph/scale/relative_similarity.h"
+#include "pose_graph/scale/scaled_trajectory.h"
+#include "pose_graph/scale/similarity_solver.h"
+#include "semantic_topo_loop/geometry/lie.h"
+#include "support/synthetic_run.h"
 
 namespace semantic_topo_loop::core {
 namespace {

@@ -8,7 +8,8 @@
 #include <limits>
 #include <random>
 
-#include "semantic_topo_loop/ros/conversions_points.h"
+#include "ros/conversions_points.h"
+#include "semantic_topo_loop/geometry/lie.h"
 
 namespace semantic_topo_loop {
 namespace {

@@ -1,4 +1,4 @@
-#include "semantic_topo_loop/ros/frame_joiner.h"
+#include "ros/frame_joiner.h"
 
 #include <gtest/gtest.h>
 

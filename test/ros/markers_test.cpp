@@ -1,10 +1,12 @@
-#include "semantic_topo_loop/ros/markers.h"
+#include "ros/markers.h"
 
 #include <gtest/gtest.h>
 
 #include <algorithm>
 #include <cmath>
 #include <random>
+
+#include "semantic_topo_loop/geometry/lie.h"
 
 namespace semantic_topo_loop {
 namespace {

@@ -1,8 +1,8 @@
-#include "semantic_topo_loop/ros/params.h"
+#include "ros/params.h"
 
 #include <gtest/gtest.h>
 
-#include "semantic_topo_loop/ros/stage.h"
+#include "ros/stage.h"
 
 namespace semantic_topo_loop {
 namespace {

@@ -6,12 +6,12 @@
 #include <limits>
 #include <vector>
 
+#include "ros/depth_pairing.h"
+#include "ros/params.h"
+#include "ros/rgbd_conversion.h"
+#include "ros/rgbd_frontend_parameters.h"
 #include "semantic_topo_loop/pipeline/read_ahead.h"
 #include "semantic_topo_loop/ros/conversions.h"
-#include "semantic_topo_loop/ros/depth_pairing.h"
-#include "semantic_topo_loop/ros/params.h"
-#include "semantic_topo_loop/ros/rgbd_conversion.h"
-#include "semantic_topo_loop/ros/rgbd_frontend_parameters.h"
 
 namespace semantic_topo_loop {
 namespace {

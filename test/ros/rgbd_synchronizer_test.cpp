@@ -1,4 +1,4 @@
-#include "semantic_topo_loop/ros/rgbd_synchronizer.h"
+#include "ros/rgbd_synchronizer.h"
 
 #include <gtest/gtest.h>
 

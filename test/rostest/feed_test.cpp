@@ -5,16 +5,16 @@
 #include <cmath>
 #include <limits>
 
-#include "../test_files.h"
+#include "ros/detection_matcher.h"
+#include "ros/player_ledger.h"
+#include "ros/player_parameters.h"
+#include "ros/player_source.h"
+#include "ros/pose_frontend_parameters.h"
+#include "ros/pose_odometry.h"
+#include "ros/pose_tf.h"
+#include "ros/tum_bag_source.h"
 #include "semantic_topo_loop/ros/conversions.h"
-#include "semantic_topo_loop/ros/detection_matcher.h"
-#include "semantic_topo_loop/ros/player_ledger.h"
-#include "semantic_topo_loop/ros/player_parameters.h"
-#include "semantic_topo_loop/ros/player_source.h"
-#include "semantic_topo_loop/ros/pose_frontend_parameters.h"
-#include "semantic_topo_loop/ros/pose_odometry.h"
-#include "semantic_topo_loop/ros/pose_tf.h"
-#include "semantic_topo_loop/ros/tum_bag_source.h"
+#include "support/test_files.h"
 
 namespace semantic_topo_loop {
 namespace {

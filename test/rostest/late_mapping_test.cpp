@@ -4,12 +4,12 @@
 #include <thread>
 #include <utility>
 
-#include "in_process_chain.h"
 #include "semantic_topo_loop/AssociationArray.h"
 #include "semantic_topo_loop/QuadricMapUpdate.h"
-#include "semantic_topo_loop/evaluation/run_files.h"
-#include "semantic_topo_loop/evaluation/trajectory_evaluation.h"
 #include "semantic_topo_loop/io/tum_trajectory.h"
+#include "support/in_process_chain.h"
+#include "tools/evaluation/run_files.h"
+#include "tools/evaluation/trajectory_evaluation.h"
 
 namespace semantic_topo_loop {
 namespace {

@@ -6,14 +6,14 @@
 #include <thread>
 #include <vector>
 
-#include "in_process_chain.h"
+#include "ros/conversions_points.h"
 #include "semantic_topo_loop/KeyframePoints.h"
 #include "semantic_topo_loop/MapCorrection.h"
 #include "semantic_topo_loop/SavePoints.h"
 #include "semantic_topo_loop/SessionAck.h"
 #include "semantic_topo_loop/SessionControl.h"
 #include "semantic_topo_loop/ros/conversions.h"
-#include "semantic_topo_loop/ros/conversions_points.h"
+#include "support/in_process_chain.h"
 
 namespace semantic_topo_loop {
 namespace {

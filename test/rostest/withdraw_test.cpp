@@ -3,8 +3,6 @@
 #include <utility>
 #include <vector>
 
-#include "../two_rounds.h"
-#include "in_process_chain.h"
 #include "semantic_topo_loop/AssociationArray.h"
 #include "semantic_topo_loop/Frame.h"
 #include "semantic_topo_loop/LoopClosureArray.h"
@@ -14,6 +12,8 @@
 #include "semantic_topo_loop/SessionControl.h"
 #include "semantic_topo_loop/WithdrawLoop.h"
 #include "semantic_topo_loop/ros/conversions.h"
+#include "support/in_process_chain.h"
+#include "support/two_rounds.h"
 
 namespace semantic_topo_loop {
 namespace {

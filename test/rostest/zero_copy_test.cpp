@@ -9,7 +9,6 @@
 #include <set>
 #include <vector>
 
-#include "in_process_chain.h"
 #include "semantic_topo_loop/AssociationArray.h"
 #include "semantic_topo_loop/DetectionArray.h"
 #include "semantic_topo_loop/Frame.h"
@@ -18,6 +17,7 @@
 #include "semantic_topo_loop/LoopClosureArray.h"
 #include "semantic_topo_loop/MapCorrection.h"
 #include "semantic_topo_loop/QuadricMapUpdate.h"
+#include "support/in_process_chain.h"
 
 namespace semantic_topo_loop {
 namespace {

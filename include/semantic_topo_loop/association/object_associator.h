@@ -3,11 +3,11 @@
 #include <memory>
 #include <string>
 
-#include "semantic_topo_loop/association/association.h"
-#include "semantic_topo_loop/detection/class_table.h"
-#include "semantic_topo_loop/detection/detection.h"
-#include "semantic_topo_loop/map/frame.h"
-#include "semantic_topo_loop/map/landmark.h"
+#include "semantic_topo_loop/types/association.h"
+#include "semantic_topo_loop/types/class_table.h"
+#include "semantic_topo_loop/types/detection.h"
+#include "semantic_topo_loop/types/frame.h"
+#include "semantic_topo_loop/types/landmark.h"
 
 namespace semantic_topo_loop::core {
 

@@ -7,8 +7,7 @@
 
 #include "semantic_topo_loop/frontend/frontend_options.h"
 #include "semantic_topo_loop/frontend/rgbd_image.h"
-#include "semantic_topo_loop/map/frame.h"
-#include "semantic_topo_loop/map/keyframe_points.h"
+#include "semantic_topo_loop/types/frame.h"
 
 namespace semantic_topo_loop::core {
 

@@ -5,7 +5,7 @@
 #include <optional>
 #include <string>
 
-#include "semantic_topo_loop/geometry/camera.h"
+#include "semantic_topo_loop/types/camera.h"
 
 namespace semantic_topo_loop::core {
 

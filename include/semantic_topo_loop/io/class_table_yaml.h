@@ -3,7 +3,7 @@
 #include <optional>
 #include <string>
 
-#include "semantic_topo_loop/detection/class_table.h"
+#include "semantic_topo_loop/types/class_table.h"
 
 namespace semantic_topo_loop::core {
 

@@ -3,7 +3,7 @@
 #include <string>
 #include <vector>
 
-#include "semantic_topo_loop/loop/loop_closure.h"
+#include "semantic_topo_loop/types/loop_closure.h"
 
 namespace semantic_topo_loop::core {
 

@@ -4,8 +4,8 @@
 #include <string>
 #include <vector>
 
-#include "semantic_topo_loop/detection/class_table.h"
-#include "semantic_topo_loop/loop/local_map.h"
+#include "semantic_topo_loop/types/class_table.h"
+#include "semantic_topo_loop/types/local_map.h"
 
 namespace semantic_topo_loop::core {
 

@@ -4,8 +4,8 @@
 #include <optional>
 #include <string>
 
-#include "semantic_topo_loop/loop/loop_closure.h"
 #include "semantic_topo_loop/loop/loop_options.h"
+#include "semantic_topo_loop/types/loop_closure.h"
 
 namespace semantic_topo_loop::core {
 

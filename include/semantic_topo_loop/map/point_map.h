@@ -4,11 +4,10 @@
 #include <map>
 #include <vector>
 
-#include "semantic_topo_loop/geometry/sim3.h"
-#include "semantic_topo_loop/map/frame.h"
-#include "semantic_topo_loop/map/keyframe_points.h"
 #include "semantic_topo_loop/map/point_map_options.h"
-#include "semantic_topo_loop/pose_graph/map_correction.h"
+#include "semantic_topo_loop/types/frame.h"
+#include "semantic_topo_loop/types/map_correction.h"
+#include "semantic_topo_loop/types/sim3.h"
 
 namespace semantic_topo_loop::core {
 

@@ -4,11 +4,11 @@
 #include <string>
 #include <vector>
 
-#include "semantic_topo_loop/association/association.h"
-#include "semantic_topo_loop/detection/class_table.h"
-#include "semantic_topo_loop/map/frame.h"
-#include "semantic_topo_loop/map/landmark.h"
-#include "semantic_topo_loop/pose_graph/map_correction.h"
+#include "semantic_topo_loop/types/association.h"
+#include "semantic_topo_loop/types/class_table.h"
+#include "semantic_topo_loop/types/frame.h"
+#include "semantic_topo_loop/types/landmark.h"
+#include "semantic_topo_loop/types/map_correction.h"
 
 namespace semantic_topo_loop::core {
 

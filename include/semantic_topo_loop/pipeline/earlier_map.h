@@ -2,8 +2,8 @@
 
 #include <vector>
 
-#include "semantic_topo_loop/loop/local_map.h"
-#include "semantic_topo_loop/pose_graph/map_correction.h"
+#include "semantic_topo_loop/types/local_map.h"
+#include "semantic_topo_loop/types/map_correction.h"
 
 namespace semantic_topo_loop::core {
 

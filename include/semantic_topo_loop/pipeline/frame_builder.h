@@ -3,7 +3,7 @@
 #include <optional>
 #include <string>
 
-#include "semantic_topo_loop/map/frame.h"
+#include "semantic_topo_loop/types/frame.h"
 
 namespace semantic_topo_loop::core {
 

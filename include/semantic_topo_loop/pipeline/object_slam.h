@@ -5,11 +5,11 @@
 #include <vector>
 
 #include "semantic_topo_loop/association/object_associator.h"
-#include "semantic_topo_loop/loop/local_map.h"
 #include "semantic_topo_loop/loop/loop_detector.h"
 #include "semantic_topo_loop/map/quadric_mapper.h"
 #include "semantic_topo_loop/pipeline/options.h"
 #include "semantic_topo_loop/pose_graph/pose_graph.h"
+#include "semantic_topo_loop/types/local_map.h"
 
 namespace semantic_topo_loop::core {
 

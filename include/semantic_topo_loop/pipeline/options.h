@@ -12,8 +12,8 @@
 #include "semantic_topo_loop/map/mapper_options.h"
 #include "semantic_topo_loop/map/point_map_options.h"
 #include "semantic_topo_loop/pipeline/frame_builder.h"
-#include "semantic_topo_loop/pipeline/option_visitor.h"
 #include "semantic_topo_loop/pose_graph/pose_graph_options.h"
+#include "semantic_topo_loop/types/option_visitor.h"
 
 namespace semantic_topo_loop::core {
 

@@ -3,11 +3,11 @@
 #include <memory>
 #include <vector>
 
-#include "semantic_topo_loop/association/association.h"
-#include "semantic_topo_loop/loop/loop_closure.h"
-#include "semantic_topo_loop/map/frame.h"
-#include "semantic_topo_loop/map/landmark.h"
-#include "semantic_topo_loop/pose_graph/map_correction.h"
+#include "semantic_topo_loop/types/association.h"
+#include "semantic_topo_loop/types/frame.h"
+#include "semantic_topo_loop/types/landmark.h"
+#include "semantic_topo_loop/types/loop_closure.h"
+#include "semantic_topo_loop/types/map_correction.h"
 
 namespace semantic_topo_loop::core {
 

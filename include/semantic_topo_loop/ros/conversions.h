@@ -20,13 +20,13 @@
 #include "semantic_topo_loop/QuadricMap.h"
 #include "semantic_topo_loop/QuadricMapUpdate.h"
 #include "semantic_topo_loop/TrackingReport.h"
-#include "semantic_topo_loop/association/association.h"
-#include "semantic_topo_loop/detection/detection.h"
 #include "semantic_topo_loop/frontend/tracking_report.h"
-#include "semantic_topo_loop/loop/loop_closure.h"
-#include "semantic_topo_loop/map/frame.h"
-#include "semantic_topo_loop/map/landmark.h"
-#include "semantic_topo_loop/pose_graph/map_correction.h"
+#include "semantic_topo_loop/types/association.h"
+#include "semantic_topo_loop/types/detection.h"
+#include "semantic_topo_loop/types/frame.h"
+#include "semantic_topo_loop/types/landmark.h"
+#include "semantic_topo_loop/types/loop_closure.h"
+#include "semantic_topo_loop/types/map_correction.h"
 
 /// Core types to messages and back, bit for bit: no number is rounded or normalised, so that the chain over topics
 /// computes the bytes of the chain in one process. `to_msg(value, message)` leaves the header and session_id to the

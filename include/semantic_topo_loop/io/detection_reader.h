@@ -1,0 +1,58 @@
+#pragma once
+
+#include <array>
+#include <optional>
+#include <string>
+#include <vector>
+
+#include "semantic_topo_loop/types/class_table.h"
+#include "semantic_topo_loop/types/detection.h"
+
+namespace semantic_topo_loop::core {
+
+/// Why a box, or a whole image of boxes, is left out.
+enum class DetectionProblem : std::uint8_t {
+  kUnknownClass = 0,     ///< the class table does not list the id
+  kBoxNotFinite = 1,     ///< a corner is NaN or infinite
+  kBoxInverted = 2,      ///< x2 <= x1 or y2 <= y1
+  kScoreOutOfRange = 3,  ///< the score is not in [0, 1]
+  kDuplicateStamp = 4,   ///< a second image with the stamp of an earlier one
+};
+constexpr std::size_t kDetectionProblemCount = 5;
+
+/// What the problem means, for a warning: "unknown class id".
+const char* to_string(DetectionProblem problem);
+
+/// What is wrong with a detection, the first cause in the order above; nullopt if nothing is.
+std::optional<DetectionProblem> validate(const Detection& detection, const ClassTable& classes);
+/// The offending field and its value, for a message: "class id 91".
+std::string describe(const Detection& detection, DetectionProblem problem);
+
+/// What was taken in and what was left out, by cause, each with the first place where it occurred.
+struct DetectionReport {
+  struct Cause {
+    int count = 0;
+    std::string first;  ///< file, line or field, and value
+  };
+  int frames = 0;      ///< images, with or without detections
+  int detections = 0;  ///< that were kept
+  std::array<Cause, kDetectionProblemCount> causes;
+
+  void add(DetectionProblem problem, const std::string& where);
+  const Cause& cause(DetectionProblem problem) const { return causes[static_cast<std::size_t>(problem)]; }
+  /// One line a cause that occurred: "12 boxes left out: unknown class id (first: boxes.json: ...)".
+  std::vector<std::string> warnings() const;
+};
+
+/// Reads recorded detections in order of stamps, without duplicates.
+/// - a file: OA-SLAM's JSON, `[{file_name: "<stamp>.png", detections: [{category_id, detection_score,
+///   bbox: [x1, y1, x2, y2]}]}]`
+/// - a directory: YOLO text files `<stamp>.txt` with a line `class x y w h score` a box, (x, y) the top-left corner
+///
+/// Single bad boxes are left out and counted in `report`.
+/// @return nullopt, with file, line or field, and value in `error`, if the path is missing, holds no image, or a text
+/// cannot be parsed
+std::optional<std::vector<DetectionFrame>> read_detections(const std::string& path, const ClassTable& classes,
+                                                           DetectionReport* report, std::string* error);
+
+}  // namespace semantic_topo_loop::core

@@ -1,0 +1,31 @@
+#pragma once
+
+#include <array>
+#include <string>
+
+#include "semantic_topo_loop/types/box.h"
+#include "semantic_topo_loop/types/se3.h"
+
+namespace semantic_topo_loop::core {
+
+/// Pinhole camera with plumb-bob distortion (k1, k2, p1, p2, k3), as in OpenCV and sensor_msgs/CameraInfo.
+struct Camera {
+  double fx = 0.0, fy = 0.0, cx = 0.0, cy = 0.0;  ///< px
+  int width = 0, height = 0;                      ///< px
+  std::array<double, 5> distortion{};
+
+  /// @return false, with the offending field and value in `error`, if no image can come from these values
+  bool is_valid(std::string* error) const;
+  bool has_distortion() const;
+  /// Pixel of the raw image to pixel of the undistorted image with the same intrinsics.
+  Vec2 undistort(const Vec2& pixel) const;
+  /// Inverse of undistort.
+  Vec2 distort(const Vec2& pixel) const;
+  /// Undistorts a detector's box by the middles of its four sides.
+  Box undistort(const Box& box) const;
+  /// Ray of an undistorted pixel in the camera frame, z = 1.
+  Vec3 ray(const Vec2& pixel) const { return {(pixel.x() - cx) / fx, (pixel.y() - cy) / fy, 1.0}; }
+  Mat3 intrinsics() const;
+};
+
+}  // namespace semantic_topo_loop::core

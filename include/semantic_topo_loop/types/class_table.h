@@ -1,0 +1,54 @@
+#pragma once
+
+#include <map>
+#include <optional>
+#include <string>
+#include <vector>
+
+namespace semantic_topo_loop::core {
+
+/// What a class may become: static and movable objects are landmarks and loop nodes, dynamic ones neither.
+enum class ClassRole { kStatic, kMovable, kDynamic, kIgnore };
+
+struct ObjectClass {
+  int id = -1;
+  std::string name;
+  ClassRole role = ClassRole::kStatic;
+  std::string group;          ///< classes a detector confuses share a group; empty: none
+  double size_prior_m = 0.3;  ///< typical diameter, m
+};
+
+/// The detector's classes by id, read from config/classes_*.yaml.
+class ClassTable {
+ public:
+  ClassTable() = default;
+  /// @return nullopt, with the duplicated id in `error`, if the classes are not unique
+  static std::optional<ClassTable> create(std::vector<ObjectClass> classes, std::string* error);
+
+  const ObjectClass* find(int id) const;
+  const ObjectClass* find(const std::string& name) const;
+  /// "class_<id>" for an unknown id.
+  std::string name(int id) const;
+  /// True for the same class and for two classes of one group.
+  bool confusable(int a, int b) const;
+  /// True if detections of this class become landmarks.
+  bool is_mappable(int id) const;
+  const std::map<int, ObjectClass>& classes() const { return classes_; }
+
+ private:
+  std::map<int, ObjectClass> classes_;
+  std::vector<int> mappable_;  ///< ids, ascending: asked for every detection
+};
+
+/// Gives all classes of a confusable group one label.
+class LabelTable {
+ public:
+  explicit LabelTable(const ClassTable& classes);
+  /// -1 for a class that does not become a landmark.
+  int label(int class_id) const;
+
+ private:
+  std::map<int, int> label_of_class_;
+};
+
+}  // namespace semantic_topo_loop::core

@@ -1,0 +1,48 @@
+#pragma once
+
+#include <cstdint>
+#include <memory>
+#include <optional>
+#include <vector>
+
+#include "semantic_topo_loop/types/camera.h"
+
+namespace semantic_topo_loop::core {
+
+/// A point of the front end's map, as a keyframe sees it.
+struct SparsePoint {
+  std::int64_t id = -1;                                    ///< of the point, the same in every keyframe that sees it
+  Eigen::Vector3f point_camera = Eigen::Vector3f::Zero();  ///< m
+};
+
+/// The points that a keyframe adds to the map. No image is kept.
+struct KeyframePoints {
+  std::vector<SparsePoint> sparse;          ///< in order of id
+  std::vector<Eigen::Vector3f> semi_dense;  ///< on edges of the image, camera frame, m
+};
+
+/// A camera pose of the odometry at the stamp of an image.
+struct PoseSample {
+  std::int64_t stamp_ns = 0;
+  SE3 T_odom_camera;
+  std::optional<Mat6> covariance;  ///< of the motion since the previous sample
+  bool is_break = false;           ///< as stated by the source
+  std::shared_ptr<const std::vector<Vec3>> points_camera;
+};
+
+/// What the odometry says about one image. Immutable once built; every stage reads the same one.
+struct Frame {
+  std::int64_t frame_id = -1;  ///< counts the frames that have a pose, from 0, in time order
+  std::int64_t stamp_ns = 0;
+  std::int64_t keyframe_id = -1;  ///< the keyframe this frame hangs on: itself, or the last one before it
+  bool is_keyframe = false;
+  bool is_break = false;  ///< the odometry may have jumped between the previous frame and this one
+  bool is_end = false;    ///< no image: the stream is over and every stage shall finish its work
+  SE3 T_odom_camera;
+  std::optional<Mat6> covariance;  ///< of the motion since the previous frame: (translation m, rotation rad)
+  Camera camera;
+  std::shared_ptr<const std::vector<Vec3>> points_camera;  ///< optional points seen by this frame, camera frame, m
+  std::shared_ptr<const KeyframePoints> keyframe_points;   ///< optional, of keyframes: what the point map keeps of it
+};
+
+}  // namespace semantic_topo_loop::core

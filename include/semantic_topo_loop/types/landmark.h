@@ -1,0 +1,55 @@
+#pragma once
+
+#include <cstdint>
+#include <optional>
+#include <utility>
+#include <vector>
+
+#include "semantic_topo_loop/types/ellipsoid.h"
+
+namespace semantic_topo_loop::core {
+
+enum class LandmarkState : std::uint8_t { kCandidate = 0, kConfirmed = 1, kRetired = 2 };
+
+const char* to_string(LandmarkState state);
+
+/// An object as the map publishes it.
+struct Landmark {
+  std::int64_t id = -1;
+  int class_id = -1;
+  LandmarkState state = LandmarkState::kCandidate;
+  std::optional<Ellipsoid> ellipsoid;     ///< in the map frame; none while too few views
+  Mat3 center_covariance = Mat3::Zero();  ///< m^2
+  std::int64_t anchor_keyframe_id = -1;   ///< the keyframe it moves with
+  int observations = 0;
+  double baseline_deg = 0.0;  ///< largest angle between two rays to the centre
+  double mean_iou = 0.0;      ///< of projected and detected boxes
+  double quality = 0.0;       ///< rho in [0, 1]
+};
+
+struct LandmarkMerge {
+  std::int64_t merged_id = -1;
+  std::int64_t survivor_id = -1;
+};
+
+/// Why a map version came about.
+enum class MapUpdatePhase : std::uint8_t {
+  kObservation = 0,  ///< a frame's associations were integrated
+  kCorrection = 1,   ///< the frame's pose-graph result was applied; the frame is complete
+};
+
+/// A delta between two versions of the quadric map.
+struct MapUpdate {
+  std::int64_t frame_id = -1;
+  MapUpdatePhase phase = MapUpdatePhase::kObservation;
+  std::uint64_t base_version = 0;
+  std::uint64_t map_version = 0;
+  SE3 T_map_odom;
+  std::vector<Landmark> changed;        ///< in order of id; retirement is a state
+  std::vector<std::int64_t> removed;    ///< candidates given up
+  std::vector<LandmarkMerge> unmerged;  ///< merges taken back, before `merged` is read; the last made comes first
+  std::vector<LandmarkMerge> merged;    ///< redirects, in the order they were made
+  double duration_us = 0.0;
+};
+
+}  // namespace semantic_topo_loop::core

@@ -1,0 +1,89 @@
+#pragma once
+
+#include <cmath>
+#include <cstdint>
+#include <vector>
+
+#include "semantic_topo_loop/types/box.h"
+#include "semantic_topo_loop/types/se3.h"
+
+namespace semantic_topo_loop::core {
+
+struct UpDirection {
+  Vec3 direction = Vec3(0.0, -1.0, 0.0);  ///< unit
+  bool certain = false;                   ///< good enough to compare two places by it
+};
+
+/// An ellipsoid of revolution about a given axis: the shape of an object in a submap. A box says little more, and two
+/// submaps that see an object from different sides agree on it (full ellipsoids brought nothing).
+struct Spheroid {
+  Vec3 center = Vec3::Zero();    ///< m
+  Vec2 log_axes = Vec2::Zero();  ///< log of the semi-axes (across, along the axis), log m
+
+  /// Of the sphere of the same volume, m.
+  double radius() const { return std::exp((2.0 * log_axes(0) + log_axes(1)) / 3.0); }
+};
+
+/// A detection of a mappable class, as loop detection keeps it.
+struct ObservedBox {
+  std::int64_t landmark_id = -1;
+  std::int64_t track_id = -1;  ///< of the object while it stays in view
+  int label = -1;              ///< one number for all classes of a group
+  int class_id = -1;           ///< of the track
+  Box box;                     ///< on the plane z = 1 of the camera (undistorted, without intrinsics)
+  std::uint8_t truncated = 0;  ///< Truncation bits
+};
+
+/// A camera of a submap. The submap's frame is its anchor camera, so that the odometry's world never matters.
+struct LocalFrame {
+  std::int64_t frame_id = -1;
+  Mat3 R_camera_local = Mat3::Identity();
+  Vec3 t_camera_local = Vec3::Zero();
+  Vec3 position = Vec3::Zero();  ///< of the camera, local frame, m
+  Vec2 focal_px = Vec2::Ones();
+  Box image;  ///< on the plane z = 1
+  std::vector<ObservedBox> boxes;
+
+  Vec3 to_camera(const Vec3& point) const { return R_camera_local * point + t_camera_local; }
+};
+
+/// A box that an object was fitted to.
+struct SubmapView {
+  int frame = -1;  ///< index in LocalMap::frames
+  Box box;         ///< on the plane z = 1
+};
+
+struct LocalObject {
+  std::int64_t landmark_id = -1;       ///< the one most of its boxes carry
+  int label = -1;                      ///< of the class group
+  int class_id = -1;                   ///< the one most of its boxes carry
+  Spheroid spheroid;                   ///< about LocalMap::up, local frame
+  Mat3 covariance = Mat3::Identity();  ///< of the centre, m^2
+  int frames_seen = 0;
+  double seen_share = 0.0;  ///< frames that detect it over frames that have it in view
+  double parallax_deg = 0.0;
+  std::vector<SubmapView> views;
+};
+
+/// Submap: the objects seen within a few seconds, placed by these frames alone.
+struct LocalMap {
+  std::int64_t keyframe_id = -1;  ///< the anchor, a keyframe near the middle
+  std::int64_t frame_id = -1;
+  std::int64_t stamp_ns = 0;
+  std::int64_t begin_frame = -1, end_frame = -1;
+  std::int64_t end_ns = 0;  ///< stamp of the last frame
+  double span_s = 0.0;
+  int segment = 0;                 ///< of the odometry, counted from break to break
+  double drift_rad_s = 0.0;        ///< apparent drift of the odometry at the time
+  bool is_earlier = false;         ///< of an earlier run, whose map is then what T_odom_anchor leads to
+  SE3 T_odom_anchor;               ///< for the comparison with frames that follow, not with other submaps
+  UpDirection up;                  ///< anchor camera frame
+  std::vector<LocalFrame> frames;  ///< those that views or checks refer to
+  std::vector<int> check_frames;   ///< indices of frames, spread evenly over the window
+  std::vector<LocalObject> objects;
+};
+
+/// The submap in a unit of length of which `scale` make one of the old; boxes on the plane z = 1 do not depend on it.
+LocalMap rescaled(LocalMap map, double scale);
+
+}  // namespace semantic_topo_loop::core

@@ -1,0 +1,87 @@
+#pragma once
+
+#include <cstdint>
+#include <optional>
+#include <vector>
+
+#include "semantic_topo_loop/types/sim3.h"
+
+namespace semantic_topo_loop::core {
+
+/// Why a candidate was accepted or rejected.
+enum class LoopReason : std::uint8_t {
+  kAccepted = 0,
+  kTooFewObjects = 1,  ///< a submap or the common set is too small
+  kTooFewInliers = 2,
+  kTooFewLabels = 3,
+  kDegenerate = 4,     ///< objects on a line or in a point
+  kResidual = 5,       ///< alignment error too large
+  kAmbiguous = 6,      ///< a second, different alignment or place explains nearly as much
+  kReprojection = 7,   ///< the matched objects do not reproject onto the detections
+  kMirrored = 8,       ///< the cameras lie on different sides of the objects' plane
+  kTilt = 9,           ///< the local up directions disagree
+  kRefinement = 10,    ///< the refinement on boxes failed or moved too far
+  kLowScore = 11,      ///< paper mode: below the score threshold
+  kInconsistent = 12,  ///< paper mode: not repeated over consecutive keyframes
+  kOutranked = 13,     ///< passed every test on the alignment, but a better candidate speaks for its place
+};
+
+const char* to_string(LoopReason reason);
+
+struct ObjectMatch {
+  std::int64_t query_landmark_id = -1;
+  std::int64_t match_landmark_id = -1;
+};
+
+/// What is told of a loop candidate that reached verification: two keyframes and how the later one (query) sees the
+/// earlier (match). Figures that are -1 were not computed, because an earlier test had failed. Long runs keep many.
+struct LoopFigures {
+  std::int64_t query_keyframe_id = -1, match_keyframe_id = -1;
+  std::int64_t query_frame = -1, match_frame = -1;  ///< frame_id of the two keyframes
+  std::int64_t query_stamp_ns = 0, match_stamp_ns = 0;
+  std::int64_t query_begin = -1, query_end = -1;  ///< first and last frame_id of the evidence
+  std::int64_t match_begin = -1, match_end = -1;
+  bool accepted = false;
+  LoopReason reason = LoopReason::kTooFewObjects;
+  double score = 0.0;
+  double second_score = 0.0;  ///< of the best distinct alternative
+  double rms_m = 0.0;
+  double spread_m = 0.0;             ///< second singular value of the matched objects' spread
+  double tilt_deg = -1.0;            ///< between the two up directions; 0 if one of them is uncertain
+  double reprojection_ratio = -1.0;  ///< matched over expected boxes, the worse of both ways, as the next two
+  int reprojected_objects = -1;      ///< objects that reproject onto detections
+  double explained_share = -1.0;     ///< of the detections
+  double refine_residual = -1.0;     ///< median box residual after refinement, standard deviations
+  double refine_shift_m = -1.0;      ///< how far the refinement moved the alignment
+  double refine_shift_deg = -1.0;    ///< and turned it
+  double sigma_m = -1.0;             ///< stated error of the translation: root of the covariance's trace
+  double sigma_deg = -1.0;           ///< and of the rotation
+  int inliers = 0;
+  int labels = 0;     ///< different classes among the matched objects
+  SE3 T_match_query;  ///< of the cameras at query_frame and match_frame
+  /// Of the match's unit of length over the query's: p_match = scale * (q * p_query) + t, with (q, t) = T_match_query.
+  double scale = 1.0;
+};
+
+/// A loop candidate with what it takes to close it.
+struct LoopClosure : LoopFigures {
+  Mat6 covariance = Mat6::Identity();  ///< of T_match_query: (translation m, rotation rad), right
+  /// Of log scale with (translation, rotation, log scale); zero if the scale was not measured.
+  Vec7 scale_covariance = Vec7::Zero();
+  std::vector<ObjectMatch> matches;
+  /// Set if the match is a submap of an earlier run, to which all match_ fields then refer: the pose of its anchor in
+  /// that run's map.
+  std::optional<SE3> T_earlier_match;
+};
+
+/// Where a run is in the map of an earlier one.
+struct Relocalisation {
+  SE3 T_earlier_odom;  ///< the run's odometry frame in the earlier run's map
+  int agreeing = 0;    ///< accepted loops into that map that say so
+  int total = 0;       ///< all accepted loops into that map
+};
+
+/// The loops within the run, without those into an earlier run's map.
+std::vector<LoopClosure> own_loops(const std::vector<LoopClosure>& loops);
+
+}  // namespace semantic_topo_loop::core

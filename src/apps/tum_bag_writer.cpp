@@ -1,0 +1,244 @@
+#include "apps/tum_bag_writer.h"
+
+#include <rosbag/bag.h>
+#include <sensor_msgs/CameraInfo.h>
+#include <sensor_msgs/Image.h>
+#include <sensor_msgs/image_encodings.h>
+#include <tf2_msgs/TFMessage.h>
+
+#include <opencv2/core.hpp>
+
+#include "semantic_topo_loop/geometry/lie.h"
+#include "semantic_topo_loop/ros/conversions.h"
+#include "tools/rendering/rgbd_sequence.h"
+
+namespace semantic_topo_loop {
+
+/// The message of the old tf package, which the official bags carry: tf2_msgs/TFMessage under its former name.
+struct TfMessage {
+  tf2_msgs::TFMessage message;
+};
+
+}  // namespace semantic_topo_loop
+
+namespace ros {
+namespace message_traits {
+
+template <>
+struct DataType<semantic_topo_loop::TfMessage> {
+  static const char* value() { return "tf/tfMessage"; }
+  static const char* value(const semantic_topo_loop::TfMessage&) { return value(); }
+};
+template <>
+struct MD5Sum<semantic_topo_loop::TfMessage> {
+  static const char* value() { return MD5Sum<tf2_msgs::TFMessage>::value(); }
+  static const char* value(const semantic_topo_loop::TfMessage&) { return value(); }
+};
+template <>
+struct Definition<semantic_topo_loop::TfMessage> {
+  static const char* value() { return Definition<tf2_msgs::TFMessage>::value(); }
+  static const char* value(const semantic_topo_loop::TfMessage&) { return value(); }
+};
+
+}  // namespace message_traits
+
+namespace serialization {
+
+template <>
+struct Serializer<semantic_topo_loop::TfMessage> {
+  template <class Stream>
+  static void write(Stream& stream, const semantic_topo_loop::TfMessage& m) {
+    Serializer<tf2_msgs::TFMessage>::write(stream, m.message);
+  }
+  static std::uint32_t serializedLength(const semantic_topo_loop::TfMessage& m) {
+    return Serializer<tf2_msgs::TFMessage>::serializedLength(m.message);
+  }
+};
+
+}  // namespace serialization
+}  // namespace ros
+
+namespace semantic_topo_loop {
+namespace {
+
+constexpr char kInfoTopic[] = "/camera/rgb/camera_info";
+constexpr char kImageTopic[] = "/camera/rgb/image_color";
+constexpr char kDepthInfoTopic[] = "/camera/depth/camera_info";
+constexpr char kDepthTopic[] = "/camera/depth/image";
+constexpr char kTfTopic[] = "/tf";
+constexpr char kCameraFrame[] = "/openni_camera";
+constexpr char kOpticalFrame[] = "/openni_rgb_optical_frame";
+constexpr char kDepthOpticalFrame[] = "/openni_depth_optical_frame";  ///< of depth that is not registered
+constexpr int kThumbnailWidth = 8, kThumbnailHeight = 6;
+constexpr std::size_t kChainPeriod = 10;  ///< mocap samples
+
+/// The camera as it hangs on the markers' rig: measured by nobody, but neither identity nor axis-aligned.
+core::SE3 kinect_from_camera() { return {core::so3_exp({0.03, -0.05, 0.02}), {-0.012, 0.035, -0.048}}; }
+core::SE3 camera_from_rgb() { return {core::Quaternion::Identity(), {0.0, -0.045, 0.0}}; }
+/// x forward, y left, z up to x right, y down, z forward.
+core::SE3 rgb_from_optical() { return {core::Quaternion(0.5, -0.5, 0.5, -0.5), core::Vec3::Zero()}; }
+
+geometry_msgs::TransformStamped transform(std::int64_t stamp_ns, const char* parent, const char* child,
+                                          const core::SE3& T_parent_child) {
+  geometry_msgs::TransformStamped message;
+  message.header.stamp = to_ros_time(stamp_ns);
+  message.header.frame_id = parent;
+  message.child_frame_id = child;
+  message.transform.translation = to_vector_msg(T_parent_child.t);
+  message.transform.rotation = to_msg(T_parent_child).orientation;
+  return message;
+}
+
+/// The driver's default: no calibration.
+sensor_msgs::CameraInfo camera_info(const core::Camera& camera, const char* frame) {
+  core::Camera driver;
+  driver.fx = driver.fy = 525.0;
+  driver.cx = 0.5 * (camera.width - 1);
+  driver.cy = 0.5 * (camera.height - 1);
+  driver.width = camera.width;
+  driver.height = camera.height;
+  sensor_msgs::CameraInfo message;
+  to_msg(driver, &message);
+  message.header.frame_id = frame;
+  return message;
+}
+
+/// @param image continuous
+sensor_msgs::Image image_message(const cv::Mat& image, const char* frame, const std::string& encoding) {
+  sensor_msgs::Image message;
+  message.header.frame_id = frame;
+  message.width = static_cast<std::uint32_t>(image.cols);
+  message.height = static_cast<std::uint32_t>(image.rows);
+  message.encoding = encoding;
+  message.step = static_cast<std::uint32_t>(image.cols * static_cast<int>(image.elemSize()));
+  message.data.assign(image.data, image.data + image.total() * image.elemSize());
+  return message;
+}
+
+/// The official bags hold rgb8.
+cv::Mat swap_blue_and_red(const cv::Mat& bgr) {
+  cv::Mat rgb(bgr.size(), CV_8UC3);
+  const int bgr_to_rgb[] = {0, 2, 1, 1, 2, 0};
+  cv::mixChannels(&bgr, 1, &rgb, 1, bgr_to_rgb, 3);
+  return rgb;
+}
+
+rosbag::compression::CompressionType compression_of(const std::string& name) {
+  if (name == "none") return rosbag::compression::Uncompressed;
+  return name == "lz4" ? rosbag::compression::LZ4 : rosbag::compression::BZ2;
+}
+
+class TumBag {
+ public:
+  TumBag(const std::string& path, const core::SimulatedSequence& sequence, const TumBagOptions& options)
+      : bag_(path, rosbag::bagmode::Write),
+        sequence_(sequence),
+        options_(options),
+        depth_frame_(options.rendering.depth_offset_m == 0.0 ? kOpticalFrame : kDepthOpticalFrame),
+        info_(camera_info(sequence.camera, kOpticalFrame)),
+        depth_info_(camera_info(sequence.camera, depth_frame_)) {
+    bag_.setCompression(compression_of(options.compression));
+  }
+
+  void write_mocap(const core::StampedPose& pose) {
+    const core::SE3 T_world_kinect = pose.T_world_camera * tum_kinect_from_optical().inverse();
+    TfMessage mocap;
+    mocap.message.transforms.push_back(transform(pose.stamp_ns, "/world", "/kinect", T_world_kinect));
+    bag_.write(kTfTopic, to_ros_time(pose.stamp_ns), mocap);
+    if (mocap_count_++ % kChainPeriod != 0) return;
+    TfMessage chain;
+    chain.message.transforms = {transform(pose.stamp_ns, "/kinect", kCameraFrame, kinect_from_camera()),
+                                transform(pose.stamp_ns, kCameraFrame, "/openni_rgb_frame", camera_from_rgb()),
+                                transform(pose.stamp_ns, "/openni_rgb_frame", kOpticalFrame, rgb_from_optical())};
+    if (depth_frame_ != kOpticalFrame) {
+      const core::SE3 T_rgb_depth =
+          rgb_from_optical() * core::color_from_depth(options_.rendering) * rgb_from_optical().inverse();
+      chain.message.transforms.push_back(
+          transform(pose.stamp_ns, kCameraFrame, "/openni_depth_frame", camera_from_rgb() * T_rgb_depth));
+      chain.message.transforms.push_back(
+          transform(pose.stamp_ns, "/openni_depth_frame", kDepthOpticalFrame, rgb_from_optical()));
+    }
+    bag_.write(kTfTopic, to_ros_time(pose.stamp_ns), chain);
+  }
+
+  /// @return false with `error` set if the frame's image cannot be read
+  bool write_colour(std::size_t frame, std::string* error) {
+    const std::int64_t stamp_ns = sequence_.truth[frame].stamp_ns;
+    write(kInfoTopic, frame, stamp_ns, &info_);
+    if (!options_.with_images) return true;
+    std::optional<cv::Mat> image(cv::Mat(kThumbnailHeight, kThumbnailWidth, CV_8UC3, cv::Scalar::all(128.0)));
+    if (has_rendered_images()) image = core::read_rendered_colour(sequence_, options_.image_directory, frame, error);
+    if (!image) return false;
+    sensor_msgs::Image message =
+        image_message(swap_blue_and_red(*image), kOpticalFrame, sensor_msgs::image_encodings::RGB8);
+    write(kImageTopic, frame, stamp_ns, &message);
+    return true;
+  }
+
+  bool write_depth(std::size_t frame, std::string* error) {
+    if (!has_rendered_images()) return true;
+    const std::int64_t stamp_ns = sequence_.depth[frame].stamp_ns;
+    const std::optional<cv::Mat> depth_m =
+        core::read_rendered_depth(sequence_, options_.rendering, options_.image_directory, frame, error);
+    if (!depth_m) return false;
+    write(kDepthInfoTopic, frame, stamp_ns, &depth_info_);
+    sensor_msgs::Image message = image_message(*depth_m, depth_frame_, sensor_msgs::image_encodings::TYPE_32FC1);
+    write(kDepthTopic, frame, stamp_ns, &message);
+    return true;
+  }
+
+  void close() { bag_.close(); }
+
+ private:
+  bool has_rendered_images() const { return options_.with_images && !options_.image_directory.empty(); }
+
+  template <class Message>
+  void write(const char* topic, std::size_t frame, std::int64_t stamp_ns, Message* message) {
+    message->header.stamp = to_ros_time(stamp_ns);
+    message->header.seq = static_cast<std::uint32_t>(frame);
+    bag_.write(topic, message->header.stamp, *message);
+  }
+
+  rosbag::Bag bag_;
+  const core::SimulatedSequence& sequence_;
+  const TumBagOptions& options_;
+  const char* depth_frame_;
+  sensor_msgs::CameraInfo info_, depth_info_;
+  std::size_t mocap_count_ = 0;
+};
+
+/// Everything in order of time.
+bool write_messages(const core::SimulatedSequence& sequence, TumBag* bag, std::string* error) {
+  std::size_t colour = 0, depth = 0;
+  for (const core::StampedPose& pose : sequence.mocap) {
+    for (;;) {
+      const bool has_colour = colour < sequence.truth.size() && sequence.truth[colour].stamp_ns <= pose.stamp_ns;
+      const bool has_depth = depth < sequence.depth.size() && sequence.depth[depth].stamp_ns <= pose.stamp_ns;
+      if (!has_colour && !has_depth) break;
+      const bool is_colour =
+          has_colour && (!has_depth || sequence.truth[colour].stamp_ns <= sequence.depth[depth].stamp_ns);
+      if (!(is_colour ? bag->write_colour(colour++, error) : bag->write_depth(depth++, error))) return false;
+    }
+    bag->write_mocap(pose);
+  }
+  return true;
+}
+
+}  // namespace
+
+core::SE3 tum_kinect_from_optical() { return kinect_from_camera() * camera_from_rgb() * rgb_from_optical(); }
+
+bool write_tum_bag(const core::SimulatedSequence& sequence, const std::string& path, const TumBagOptions& options,
+                   std::string* error) {
+  try {
+    TumBag bag(path, sequence, options);
+    if (!write_messages(sequence, &bag, error)) return false;
+    bag.close();
+  } catch (const std::exception& exception) {
+    if (error != nullptr) *error = path + ": cannot write the bag: " + exception.what();
+    return false;
+  }
+  return true;
+}
+
+}  // namespace semantic_topo_loop

@@ -1,0 +1,101 @@
+#include "geometry/relative_pose.h"
+
+#include <Eigen/Cholesky>
+#include <Eigen/Eigenvalues>
+#include <cmath>
+
+#include "semantic_topo_loop/geometry/lie.h"
+
+namespace semantic_topo_loop::core {
+
+Mat3 right_jacobian_inverse(const Vec3& rotation_vector) {
+  const double angle = rotation_vector.norm();
+  const Mat3 cross = hat(rotation_vector);
+  // 1/angle^2 - cot(angle/2)/(2 angle), by its series near zero; regular up to the cut at pi.
+  const double factor =
+      angle < 1e-3 ? 1.0 / 12.0 + angle * angle / 720.0 : 1.0 / (angle * angle) - 0.5 / (angle * std::tan(0.5 * angle));
+  return Mat3::Identity() + 0.5 * cross + factor * cross * cross;
+}
+
+Vec6 relative_pose_residual(const SE3& T_world_from, const SE3& T_world_to, const SE3& T_from_to_measured) {
+  return se3_log(T_from_to_measured.inverse() * (T_world_from.inverse() * T_world_to));
+}
+
+namespace {
+
+/// Fills in the derivatives. @param rotation_by_local of the rotation residual by a rotation of `to` in its own frame
+void differentiate(const SE3& T_world_from, const SE3& T_world_to, const SE3& T_from_to_measured,
+                   const Mat3& rotation_by_local, RelativePoseTerms* terms) {
+  const Mat3 R_measured_world = (T_world_from.q * T_from_to_measured.q).conjugate().normalized().toRotationMatrix();
+  const Mat3 by_rotation = rotation_by_local * T_world_to.q.conjugate().normalized().toRotationMatrix();
+  terms->J_from.setZero();
+  terms->J_to.setZero();
+  terms->J_to.topLeftCorner<3, 3>() = R_measured_world;
+  terms->J_to.bottomRightCorner<3, 3>() = by_rotation;
+  terms->J_from.topLeftCorner<3, 3>() = -R_measured_world;
+  terms->J_from.topRightCorner<3, 3>() = R_measured_world * hat(T_world_to.t - T_world_from.t);
+  terms->J_from.bottomRightCorner<3, 3>() = -by_rotation;
+}
+
+/// T_z^-1 T_from^-1 T_to with w >= 0.
+SE3 misfit(const SE3& T_world_from, const SE3& T_world_to, const SE3& T_from_to_measured) {
+  SE3 T = T_from_to_measured.inverse() * (T_world_from.inverse() * T_world_to);
+  if (T.q.w() < 0.0) T.q.coeffs() *= -1.0;
+  return T;
+}
+
+}  // namespace
+
+RelativePoseTerms relative_pose_terms(const SE3& T_world_from, const SE3& T_world_to, const SE3& T_from_to_measured) {
+  RelativePoseTerms terms;
+  terms.residual = relative_pose_residual(T_world_from, T_world_to, T_from_to_measured);
+  differentiate(T_world_from, T_world_to, T_from_to_measured, right_jacobian_inverse(terms.residual.tail<3>()), &terms);
+  return terms;
+}
+
+Vec6 quaternion_pose_residual(const SE3& T_world_from, const SE3& T_world_to, const SE3& T_from_to_measured) {
+  const SE3 T = misfit(T_world_from, T_world_to, T_from_to_measured);
+  Vec6 e;
+  e << T.t, T.q.vec();
+  return e;
+}
+
+RelativePoseTerms quaternion_pose_terms(const SE3& T_world_from, const SE3& T_world_to, const SE3& T_from_to_measured) {
+  const SE3 T = misfit(T_world_from, T_world_to, T_from_to_measured);
+  RelativePoseTerms terms;
+  terms.residual << T.t, T.q.vec();
+  differentiate(T_world_from, T_world_to, T_from_to_measured, 0.5 * (T.q.w() * Mat3::Identity() + hat(T.q.vec())),
+                &terms);
+  return terms;
+}
+
+Mat6 transport(const SE3& T) {
+  const Mat3 R_transposed = T.rotation().transpose();
+  Mat6 adjoint = Mat6::Zero();
+  adjoint.topLeftCorner<3, 3>() = R_transposed;
+  adjoint.topRightCorner<3, 3>() = -R_transposed * hat(T.t);
+  adjoint.bottomRightCorner<3, 3>() = R_transposed;
+  return adjoint;
+}
+
+Mat6 inverse_covariance(const SE3& T, const Mat6& covariance) {
+  // (T exp(d))^-1 = exp(-d) T^-1, and a sign does not change a covariance.
+  const Mat6 carry = transport(T.inverse());
+  return carry * covariance * carry.transpose();
+}
+
+bool is_covariance(const Mat6& covariance) {
+  if (!covariance.allFinite()) return false;
+  const double scale = covariance.cwiseAbs().maxCoeff();
+  if ((covariance - covariance.transpose()).cwiseAbs().maxCoeff() > 1e-6 * scale) return false;
+  const Eigen::SelfAdjointEigenSolver<Mat6> solver(covariance, Eigen::EigenvaluesOnly);
+  constexpr double kMinVariance = 1e-14;  // 0.1 um, 0.1 urad: below that nothing was measured
+  return solver.info() == Eigen::Success && solver.eigenvalues()(0) > std::max(kMinVariance, 1e-12 * scale);
+}
+
+Mat6 square_root_information(const Mat6& covariance) {
+  const Mat6 information = covariance.inverse();
+  return (0.5 * (information + information.transpose())).llt().matrixU();
+}
+
+}  // namespace semantic_topo_loop::core

@@ -1,0 +1,36 @@
+#pragma once
+
+#include "semantic_topo_loop/geometry/lie.h"
+#include "semantic_topo_loop/types/se3.h"
+
+namespace semantic_topo_loop::core {
+
+/// Residual of a relative pose and its derivatives; the poses are turned in the outer frame: R <- exp(rotation) R.
+struct RelativePoseTerms {
+  Vec6 residual;  ///< (translation m, rotation rad)
+  Mat6 J_from;    ///< by (translation of from, rotation of from)
+  Mat6 J_to;      ///< by (translation of to, rotation of to)
+};
+
+/// e = log(T_from_to_measured^-1 * T_world_from^-1 * T_world_to) = (R_z^T (t - t_z), log(R_z^T R)).
+Vec6 relative_pose_residual(const SE3& T_world_from, const SE3& T_world_to, const SE3& T_from_to_measured);
+/// The same with its analytic derivatives.
+RelativePoseTerms relative_pose_terms(const SE3& T_world_from, const SE3& T_world_to, const SE3& T_from_to_measured);
+
+/// The same with the vector part of the quaternion (w >= 0) for the rotation vector, as g2o has it.
+Vec6 quaternion_pose_residual(const SE3& T_world_from, const SE3& T_world_to, const SE3& T_from_to_measured);
+RelativePoseTerms quaternion_pose_terms(const SE3& T_world_from, const SE3& T_world_to, const SE3& T_from_to_measured);
+
+/// Inverse right Jacobian of the rotation group: log(exp(v) exp(d)) = v + right_jacobian_inverse(v) d + O(d^2).
+Mat3 right_jacobian_inverse(const Vec3& rotation_vector);
+/// Carries a small motion d made before T over to its end: se3_exp(d) * T = T * se3_exp(transport(T) d) + O(d^2).
+Mat6 transport(const SE3& T);
+/// Covariance of T^-1 from the covariance of T, both on the right: T * se3_exp(noise).
+Mat6 inverse_covariance(const SE3& T, const Mat6& covariance);
+
+/// Whether a covariance is finite, symmetric and positive definite enough to be inverted.
+bool is_covariance(const Mat6& covariance);
+/// U of |U e|^2 = e^T covariance^-1 e. @param covariance as accepted by is_covariance
+Mat6 square_root_information(const Mat6& covariance);
+
+}  // namespace semantic_topo_loop::core

@@ -1,0 +1,254 @@
+#include "loop/graph/graph_detector.h"
+
+#include <algorithm>
+#include <cmath>
+#include <iterator>
+#include <set>
+
+#include "loop/graph/loop_evidence.h"
+
+namespace semantic_topo_loop::core {
+namespace {
+
+constexpr int kMinCandidateInliers = 4;
+/// Of the shortest window: a submap shorter than that, after a break or at the start, is not kept.
+constexpr double kMinSpanShare = 0.8;
+/// Submaps that share more than this of their time tell of one place.
+constexpr double kSamePlace = 0.5;
+/// m; an odometry without a noticed break is at most this wrong over a short time, jumps that nobody saw included.
+constexpr double kMinDisagreement = 2.5;
+constexpr double kDriftDepth = 2.0;   ///< m; turns apparent drift into metres
+constexpr double kDriftFactor = 2.0;  ///< on the drift observed
+
+GraphMatcherOptions matcher_options(const LoopOptions& options) {
+  GraphMatcherOptions matcher;
+  matcher.size_ratio_log = options.size_ratio_log;
+  matcher.distance_tolerance_m = options.distance_tolerance_m;
+  matcher.distance_tolerance_share = options.distance_tolerance_share;
+  matcher.min_distance_m = options.min_distance_m;
+  matcher.inlier_distance_m = options.inlier_distance_m;
+  matcher.min_pairs = kMinCandidateInliers;
+  matcher.free_scale = options.scale == "free";
+  return matcher;
+}
+
+SubmapIndexOptions index_options(const LoopOptions& options) {
+  SubmapIndexOptions index;
+  index.distance_tolerance_m = options.distance_tolerance_m;
+  index.distance_tolerance_share = options.distance_tolerance_share;
+  index.min_distance_m = options.min_distance_m;
+  return index;
+}
+
+std::vector<LabelledPoint> graph_of(const LocalMap& map) {
+  std::vector<LabelledPoint> points;
+  for (const LocalObject& object : map.objects) {
+    points.push_back({object.spheroid.center, object.label, object.spheroid.radius(), object.class_id});
+  }
+  return points;
+}
+
+/// The query in the match's unit of length; `scaled` holds it if that is another one.
+const LocalMap& in_unit(const LocalMap& query, double scale, std::optional<LocalMap>* scaled) {
+  return scale == 1.0 ? query : scaled->emplace(rescaled(query, scale));
+}
+
+/// Share of the shorter window that two windows have in common.
+double overlap(const LocalMap& p, const LocalMap& q) {
+  const auto common = std::min(p.end_frame, q.end_frame) - std::max(p.begin_frame, q.begin_frame);
+  const auto shorter = std::min(p.end_frame - p.begin_frame, q.end_frame - q.begin_frame);
+  return static_cast<double>(common) / static_cast<double>(std::max<std::int64_t>(shorter, 1));
+}
+
+/// The query's pose in the odometry's world, had it not drifted since the match.
+SE3 implied_pose(const LocalMap& match, const GraphMatch& alignment) { return match.T_odom_anchor * alignment.T_a_b; }
+
+/// True if p and q are poses of the query by way of two submaps (or the query itself), between which the odometry
+/// cannot have drifted that far: then the two speak of different places.
+bool are_apart(const LocalMap& map_p, const SE3& p, const LocalMap& map_q, const SE3& q) {
+  if (map_p.segment != map_q.segment) return false;
+  const double time_s = 1e-9 * static_cast<double>(std::abs(map_p.stamp_ns - map_q.stamp_ns));
+  const double drift_m = std::max(map_p.drift_rad_s, map_q.drift_rad_s) * kDriftDepth * time_s;
+  return (p.t - q.t).norm() > kMinDisagreement + kDriftFactor * drift_m;
+}
+
+}  // namespace
+
+GraphDetector::GraphDetector(const LoopOptions& options)
+    : options_(options),
+      index_(index_options(options)),
+      matcher_(matcher_options(options)),
+      verifier_(options),
+      refiner_(options) {}
+
+int GraphDetector::old_enough(const LocalMap& query) const {
+  const auto recent = std::find_if(maps_.begin(), maps_.end(), [&](const StoredMap& stored) {
+    return static_cast<double>(query.stamp_ns - stored.map.stamp_ns) < 1e9 * options_.min_gap_s;
+  });
+  return static_cast<int>(recent - maps_.begin());
+}
+
+/// With a free scale the index is asked at every scale that its tolerance tells from the next.
+std::vector<int> GraphDetector::propose(const std::vector<LabelledPoint>& points, int end) const {
+  if (options_.scale != "free") return index_.query(points, end);
+  constexpr double kStep = 0.08;
+  const int steps = static_cast<int>(std::ceil(std::log(kMaxScale) / kStep));
+  std::set<int> numbers;
+  for (int k = -steps; k <= steps; ++k) {
+    std::vector<LabelledPoint> scaled = points;
+    for (LabelledPoint& point : scaled) point.position *= std::exp(k * kStep);
+    for (const int number : index_.query(scaled, end)) numbers.insert(number);
+  }
+  return {numbers.begin(), numbers.end()};
+}
+
+std::vector<LoopClosure> GraphDetector::detect(const LocalMap& query) {
+  const std::vector<LabelledPoint> points = graph_of(query);
+  std::vector<Candidate> candidates = examine(query, points, propose(points, old_enough(query)));
+  find_ambiguous(query, &candidates);
+  select(&candidates);
+  std::vector<LoopClosure> loops;
+  for (const Candidate& candidate : candidates) {
+    loops.push_back(finish(query, candidate));
+    if (loops.back().accepted) mark_closed(match_of(candidate), query.end_ns);
+  }
+  return loops;
+}
+
+void GraphDetector::store(LocalMap map) {
+  if (static_cast<int>(map.objects.size()) < kMinCandidateInliers) return;
+  if (map.span_s < kMinSpanShare * options_.min_window_s) return;
+  const bool due =
+      maps_.empty() || static_cast<double>(map.stamp_ns - maps_.back().map.stamp_ns) >= 1e9 * options_.store_interval_s;
+  if (due) insert(std::move(map));
+}
+
+void GraphDetector::insert(LocalMap map) {
+  std::vector<LabelledPoint> points = graph_of(map);
+  index_.insert(points);
+  maps_.push_back({std::move(map), std::move(points)});
+}
+
+std::optional<std::size_t> GraphDetector::submap_about(std::int64_t frame_id, std::int64_t stamp_ns) const {
+  std::optional<std::size_t> best;
+  for (std::size_t i = 0; i < maps_.size(); ++i) {
+    const LocalMap& map = maps_[i].map;
+    if (frame_id < map.begin_frame || frame_id > map.end_frame) continue;
+    if (!best || std::abs(map.stamp_ns - stamp_ns) < std::abs(maps_[*best].map.stamp_ns - stamp_ns)) best = i;
+  }
+  return best;
+}
+
+GraphDetector::Comparison GraphDetector::compare(std::size_t query, std::size_t match) const {
+  const StoredMap& stored = maps_[query];
+  const int number = static_cast<int>(match);
+  const int end = std::max(old_enough(stored.map), number + 1);
+  Comparison comparison;
+  comparison.agreeing_pairs = index_.agreeing_pairs(stored.points, end)[match];
+  std::vector<int> numbers = propose(stored.points, end);
+  comparison.proposed = std::binary_search(numbers.begin(), numbers.end(), number);
+  if (!comparison.proposed) numbers.push_back(number);
+  std::vector<Candidate> candidates = examine(stored.map, stored.points, numbers);
+  find_ambiguous(stored.map, &candidates);
+  for (const Candidate& candidate : candidates) {
+    if (candidate.stored == match) comparison.closure = finish(stored.map, candidate);
+  }
+  return comparison;
+}
+
+std::vector<GraphDetector::Candidate> GraphDetector::examine(const LocalMap& query,
+                                                             const std::vector<LabelledPoint>& points,
+                                                             const std::vector<int>& numbers) const {
+  std::vector<Candidate> candidates;
+  for (const int number : numbers) {
+    Candidate candidate;
+    candidate.stored = static_cast<std::size_t>(number);
+    std::vector<GraphMatch> matches = matcher_.match(maps_[candidate.stored].points, points);
+    if (matches.empty()) continue;
+    candidate.second_score = matches.size() > 1 ? matches[1].score : 0.0;
+    candidate.alignment = std::move(matches.front());
+    std::optional<LocalMap> scaled;
+    candidate.verdict = verifier_.verify(match_of(candidate), in_unit(query, candidate.alignment.scale, &scaled),
+                                         candidate.alignment, candidate.second_score);
+    candidates.push_back(std::move(candidate));
+  }
+  return candidates;
+}
+
+/// Abstains where two places look alike: two submaps that the query fits nearly as well, or the submap and the place
+/// where an unbroken odometry sees itself, too far apart for drift. The odometry decides nothing else.
+void GraphDetector::find_ambiguous(const LocalMap& query, std::vector<Candidate>* candidates) const {
+  std::vector<Candidate*> accepted;
+  for (Candidate& candidate : *candidates) {
+    if (candidate.verdict.reason == LoopReason::kAccepted) accepted.push_back(&candidate);
+  }
+  for (Candidate* candidate : accepted) {
+    const LocalMap& match = match_of(*candidate);
+    const SE3 pose = implied_pose(match, candidate->alignment);
+    bool ambiguous = are_apart(match, pose, query, query.T_odom_anchor);
+    for (const Candidate* other : accepted) {
+      if (options_.ambiguity_ratio * other->alignment.score < candidate->alignment.score) continue;
+      if (!are_apart(match, pose, match_of(*other), implied_pose(match_of(*other), other->alignment))) continue;
+      candidate->second_score = std::max(candidate->second_score, other->alignment.score);
+      ambiguous = true;
+    }
+    if (ambiguous) candidate->verdict.reason = LoopReason::kAmbiguous;
+  }
+}
+
+/// The best of every place: submaps that overlap in time tell of one place, accepted ones first, then by score. After
+/// the very best come the places that were closed least recently, since they say more than the same loop once more.
+/// Those beyond `max_candidates` and those of a place that has a better one are outranked, and come last.
+void GraphDetector::select(std::vector<Candidate>* candidates) const {
+  const auto is_accepted = [](const Candidate& candidate) { return candidate.verdict.reason == LoopReason::kAccepted; };
+  std::stable_sort(candidates->begin(), candidates->end(), [&](const Candidate& p, const Candidate& q) {
+    return is_accepted(p) != is_accepted(q) ? is_accepted(p) : p.alignment.score > q.alignment.score;
+  });
+  std::vector<Candidate> places, others;
+  for (Candidate& candidate : *candidates) {
+    const bool repeats = std::any_of(places.begin(), places.end(), [&](const Candidate& other) {
+      return overlap(match_of(candidate), match_of(other)) > kSamePlace;
+    });
+    (repeats ? others : places).push_back(std::move(candidate));
+  }
+  const auto rejected = std::find_if_not(places.begin(), places.end(), is_accepted);
+  if (rejected - places.begin() > 2) {
+    std::stable_sort(places.begin() + 1, rejected, [this](const Candidate& p, const Candidate& q) {
+      return maps_[p.stored].closed_ns < maps_[q.stored].closed_ns;
+    });
+  }
+  const std::size_t kept = std::min(places.size(), static_cast<std::size_t>(options_.max_candidates));
+  std::move(others.begin(), others.end(), std::back_inserter(places));
+  for (std::size_t i = kept; i < places.size(); ++i) {
+    if (is_accepted(places[i])) places[i].verdict.reason = LoopReason::kOutranked;
+  }
+  *candidates = std::move(places);
+}
+
+void GraphDetector::mark_closed(const LocalMap& match, std::int64_t query_ns) {
+  for (StoredMap& stored : maps_) {
+    if (overlap(stored.map, match) > kSamePlace) stored.closed_ns = query_ns;
+  }
+}
+
+LoopClosure GraphDetector::finish(const LocalMap& query, const Candidate& candidate) const {
+  LoopClosure loop = make_closure(match_of(candidate), query);
+  set_alignment(match_of(candidate), query, candidate.alignment, &loop);
+  loop.reason = candidate.verdict.reason;
+  loop.score = candidate.alignment.score;
+  loop.second_score = candidate.second_score;
+  loop.tilt_deg = candidate.verdict.tilt_deg;
+  if (const std::optional<Reprojection>& reprojection = candidate.verdict.reprojection) {
+    loop.reprojection_ratio = reprojection->ratio;
+    loop.reprojected_objects = reprojection->objects;
+    loop.explained_share = reprojection->explained;
+  }
+  if (loop.reason == LoopReason::kAccepted) {
+    std::optional<LocalMap> scaled;
+    refine_and_decide(match_of(candidate), in_unit(query, candidate.alignment.scale, &scaled), candidate.alignment,
+                      refiner_, options_, &loop);
+  }
+  return loop;
+}
+
+}  // namespace semantic_topo_loop::core

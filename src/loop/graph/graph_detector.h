@@ -1,0 +1,77 @@
+#pragma once
+
+#include <optional>
+#include <vector>
+
+#include "loop/graph/graph_matcher.h"
+#include "loop/graph/local_map.h"
+#include "loop/graph/loop_verifier.h"
+#include "loop/graph/submap_index.h"
+#include "loop/graph/submap_refiner.h"
+#include "semantic_topo_loop/loop/loop_options.h"
+#include "semantic_topo_loop/types/loop_closure.h"
+
+namespace semantic_topo_loop::core {
+
+/// Loops between the submap of the last seconds and all earlier ones, by their object graphs alone.
+class GraphDetector {
+ public:
+  explicit GraphDetector(const LoopOptions& options);
+
+  /// Matches the submap with those kept at least `min_gap_s` before it.
+  /// @return the best candidate, then those whose place was closed least recently, then all others
+  std::vector<LoopClosure> detect(const LocalMap& query);
+  /// Keeps the submap for later queries if it spans enough time and the last one kept is old enough.
+  void store(LocalMap map);
+  /// Keeps the submap in any case.
+  void insert(LocalMap map);
+
+  struct StoredMap {
+    LocalMap map;
+    std::vector<LabelledPoint> points;
+    std::int64_t closed_ns = -1;  ///< stamp of the last query that was closed with its place
+  };
+  /// Submaps kept, in the order they came.
+  const std::vector<StoredMap>& submaps() const { return maps_; }
+  /// The kept submap that tells best of a keyframe: it spans the frame, and its anchor is nearest in time.
+  /// @return its number, or nullopt if none spans the frame
+  std::optional<std::size_t> submap_about(std::int64_t frame_id, std::int64_t stamp_ns) const;
+
+  /// What detect() would have made of a pair of kept submaps.
+  struct Comparison {
+    int agreeing_pairs = 0;              ///< pairs of objects that agree in labels and distance
+    bool proposed = false;               ///< by the index
+    std::optional<LoopClosure> closure;  ///< none if no alignment of enough objects exists
+  };
+  /// Compares two kept submaps as if the later one had just come. Changes nothing.
+  Comparison compare(std::size_t query, std::size_t match) const;
+
+ private:
+  struct Candidate {
+    std::size_t stored = 0;
+    GraphMatch alignment;  ///< a: match, b: query
+    double second_score = 0.0;
+    Verdict verdict;
+  };
+  /// Number of submaps that are `min_gap_s` older than the query.
+  int old_enough(const LocalMap& query) const;
+  /// Submaps worth matching, of the numbers below `end`.
+  std::vector<int> propose(const std::vector<LabelledPoint>& points, int end) const;
+  const LocalMap& match_of(const Candidate& candidate) const { return maps_[candidate.stored].map; }
+  /// Aligns and verifies the query with the submaps of these numbers.
+  std::vector<Candidate> examine(const LocalMap& query, const std::vector<LabelledPoint>& points,
+                                 const std::vector<int>& numbers) const;
+  void find_ambiguous(const LocalMap& query, std::vector<Candidate>* candidates) const;
+  void select(std::vector<Candidate>* candidates) const;
+  void mark_closed(const LocalMap& match, std::int64_t query_ns);
+  LoopClosure finish(const LocalMap& query, const Candidate& candidate) const;
+
+  LoopOptions options_;
+  SubmapIndex index_;
+  GraphMatcher matcher_;
+  LoopVerifier verifier_;
+  SubmapRefiner refiner_;
+  std::vector<StoredMap> maps_;
+};
+
+}  // namespace semantic_topo_loop::core

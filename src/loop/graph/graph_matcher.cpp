@@ -1,0 +1,320 @@
+#include "loop/graph/graph_matcher.h"
+
+#include <Eigen/Core>
+#include <algorithm>
+#include <cmath>
+#include <map>
+#include <optional>
+#include <set>
+#include <utility>
+
+#include "loop/graph/clique_search.h"
+#include "semantic_topo_loop/geometry/alignment.h"
+#include "semantic_topo_loop/geometry/lie.h"
+
+namespace semantic_topo_loop::core {
+namespace {
+
+constexpr int kMaxCliqueSteps = 20000;
+constexpr int kRegrowRounds = 3;
+/// Residual at which an inlier's share of the score has fallen to exp(-1/2): half the usual inlier distance.
+constexpr double kScoreSigmaShare = 0.5;
+
+bool is_usable(const LabelledPoint& point) {
+  return point.label >= 0 && point.position.allFinite() && std::isfinite(point.size) && point.size > 0.0;
+}
+
+/// True if two matches put the graph's middle at different places, or turn it differently.
+bool are_distinct(const GraphMatcherOptions& options, const std::vector<LabelledPoint>& b, const GraphMatch& p,
+                  const GraphMatch& q) {
+  Vec3 middle = Vec3::Zero();
+  for (const NodePair& pair : p.pairs) {
+    middle += b[static_cast<std::size_t>(pair.b)].position / static_cast<double>(p.pairs.size());
+  }
+  return (p.T_a_b * (p.scale * middle) - q.T_a_b * (q.scale * middle)).norm() > options.distinct_m ||
+         rotation_angle(p.T_a_b.q, q.T_a_b.q) > options.distinct_rad;
+}
+
+class Matching {
+ public:
+  Matching(const GraphMatcherOptions& options, const std::vector<LabelledPoint>& a, const std::vector<LabelledPoint>& b)
+      : options_(options), a_(a), b_(b), distances_a_(distances(a)), distances_b_(distances(b)) {
+    for (int i = 0; i < static_cast<int>(a.size()); ++i) {
+      if (!is_usable(at(a_, i))) continue;
+      for (int j = 0; j < static_cast<int>(b.size()); ++j) {
+        if (is_usable(at(b_, j)) && may_correspond(at(a_, i), at(b_, j))) candidates_.push_back({i, j});
+      }
+    }
+  }
+
+  std::vector<GraphMatch> run() const {
+    std::vector<GraphMatch> matches;
+    if (static_cast<int>(candidates_.size()) < options_.min_pairs) return matches;
+    const BitGraph graph = consistency_graph();
+    const auto min_pairs = static_cast<std::size_t>(options_.min_pairs);
+    int aligned = 0;
+    for (const std::vector<int>& clique : cliques(graph)) {
+      if (aligned == options_.max_cliques) break;
+      if (is_covered(clique, matches)) continue;
+      ++aligned;
+      const std::size_t best = matches.empty() ? 0 : matches.front().pairs.size();
+      std::optional<GraphMatch> match = grow(clique, std::max(min_pairs, best / 3));
+      if (match) insert(std::move(*match), &matches);
+    }
+    if (static_cast<int>(matches.size()) > options_.max_matches) {
+      matches.resize(static_cast<std::size_t>(options_.max_matches));
+    }
+    return matches;
+  }
+
+ private:
+  static const LabelledPoint& at(const std::vector<LabelledPoint>& points, int i) {
+    return points[static_cast<std::size_t>(i)];
+  }
+  const NodePair& candidate(int i) const { return candidates_[static_cast<std::size_t>(i)]; }
+
+  bool may_correspond(const LabelledPoint& p, const LabelledPoint& q) const {
+    return p.label == q.label && std::abs(std::log(p.size / q.size)) < options_.size_ratio_log;
+  }
+
+  static Eigen::MatrixXd distances(const std::vector<LabelledPoint>& points) {
+    const int n = static_cast<int>(points.size());
+    Eigen::MatrixXd result(n, n);
+    for (int i = 0; i < n; ++i) {
+      for (int j = 0; j < n; ++j) result(i, j) = (at(points, i).position - at(points, j).position).norm();
+    }
+    return result;
+  }
+
+  bool is_consistent(const NodePair& p, const NodePair& q) const {
+    if (p.a == q.a || p.b == q.b) return false;
+    const double d_a = distances_a_(p.a, q.a), d_b = distances_b_(p.b, q.b);
+    const double tolerance = options_.distance_tolerance_m + options_.distance_tolerance_share * std::max(d_a, d_b);
+    return std::min(d_a, d_b) > options_.min_distance_m && std::abs(d_a - d_b) < tolerance;
+  }
+
+  BitGraph consistency_graph() const {
+    const int n = static_cast<int>(candidates_.size());
+    BitGraph graph(n);
+    for (int i = 0; i < n; ++i) {
+      for (int j = i + 1; j < n; ++j) {
+        if (is_consistent(candidate(i), candidate(j))) graph.connect(i, j);
+      }
+    }
+    return graph;
+  }
+
+  /// A largest clique and a greedy one about every correspondence, largest first, each once.
+  std::vector<std::vector<int>> cliques(const BitGraph& graph) const {
+    std::set<std::vector<int>> found;
+    const auto keep = [&](std::vector<int> clique) {
+      if (static_cast<int>(clique.size()) >= options_.min_pairs) found.insert(std::move(clique));
+    };
+    keep(largest_clique(graph, kMaxCliqueSteps));
+    for (int i = 0; i < graph.size(); ++i) {
+      if (graph.degree(i) + 1 >= options_.min_pairs) keep(greedy_clique(graph, i));
+    }
+    std::vector<std::vector<int>> sorted(found.begin(), found.end());
+    std::stable_sort(sorted.begin(), sorted.end(), [](const auto& p, const auto& q) { return p.size() > q.size(); });
+    return sorted;
+  }
+
+  /// True if most of the clique already agrees with a match found, so that it would grow into the same.
+  bool is_covered(const std::vector<int>& clique, const std::vector<GraphMatch>& matches) const {
+    return std::any_of(matches.begin(), matches.end(), [&](const GraphMatch& match) {
+      const Mat3 R = match.T_a_b.rotation();
+      const auto agrees = [&](int i) { return residual(R, match.T_a_b.t, candidate(i)) < options_.inlier_distance_m; };
+      const auto agreeing = std::count_if(clique.begin(), clique.end(), agrees);
+      return 4 * static_cast<std::size_t>(agreeing) > 3 * clique.size();
+    });
+  }
+
+  double residual(const Mat3& R_a_b, const Vec3& t_a_b, const NodePair& pair) const {
+    return (at(a_, pair.a).position - R_a_b * at(b_, pair.b).position - t_a_b).norm();
+  }
+
+  std::optional<Alignment> align(const std::vector<NodePair>& pairs) const {
+    std::vector<Vec3> points_a, points_b;
+    for (const NodePair& pair : pairs) {
+      points_a.push_back(at(a_, pair.a).position);
+      points_b.push_back(at(b_, pair.b).position);
+    }
+    return align_points(points_a, points_b);
+  }
+
+  /// One-to-one, closest first.
+  std::vector<NodePair> inliers(const SE3& T_a_b) const {
+    const Mat3 R = T_a_b.rotation();
+    std::vector<std::pair<double, int>> near;
+    for (int i = 0; i < static_cast<int>(candidates_.size()); ++i) {
+      const double distance = residual(R, T_a_b.t, candidate(i));
+      if (distance < options_.inlier_distance_m) near.emplace_back(distance, i);
+    }
+    std::sort(near.begin(), near.end());
+    std::vector<bool> used_a(a_.size(), false), used_b(b_.size(), false);
+    std::vector<NodePair> pairs;
+    for (const auto& [distance, i] : near) {
+      const NodePair pair = candidate(i);
+      if (used_a[static_cast<std::size_t>(pair.a)] || used_b[static_cast<std::size_t>(pair.b)]) continue;
+      used_a[static_cast<std::size_t>(pair.a)] = used_b[static_cast<std::size_t>(pair.b)] = true;
+      pairs.push_back(pair);
+    }
+    std::sort(pairs.begin(), pairs.end(), [](const NodePair& p, const NodePair& q) { return p.a < q.a; });
+    return pairs;
+  }
+
+  /// @param min_pairs below which the clique is given up, for it would say nothing against the best match
+  std::optional<GraphMatch> grow(const std::vector<int>& clique, std::size_t min_pairs) const {
+    GraphMatch match;
+    for (const int i : clique) match.pairs.push_back(candidate(i));
+    std::optional<Alignment> alignment = align(match.pairs);
+    for (int round = 0; round < kRegrowRounds && alignment; ++round) {
+      std::vector<NodePair> pairs = inliers(alignment->T_a_b);
+      const bool settled = round > 0 && pairs == match.pairs;
+      match.pairs = std::move(pairs);
+      if (settled) break;
+      if (match.pairs.size() < min_pairs) return std::nullopt;
+      alignment = align(match.pairs);
+    }
+    if (!alignment) return std::nullopt;
+    match.T_a_b = alignment->T_a_b;
+    match.rms_m = alignment->rms_m;
+    match.spread_m = alignment->spread_m;
+    assess(&match);
+    return match;
+  }
+
+  void assess(GraphMatch* match) const {
+    std::set<int> classes_a, classes_b;
+    const Mat3 R = match->T_a_b.rotation();
+    for (const NodePair& pair : match->pairs) {
+      const double z = residual(R, match->T_a_b.t, pair) / (kScoreSigmaShare * options_.inlier_distance_m);
+      match->score += std::exp(-0.5 * z * z);
+      classes_a.insert(at(a_, pair.a).class_id);
+      classes_b.insert(at(b_, pair.b).class_id);
+    }
+    match->classes = static_cast<int>(std::min(classes_a.size(), classes_b.size()));
+  }
+
+  /// Keeps the list sorted by score and free of near copies.
+  void insert(GraphMatch match, std::vector<GraphMatch>* matches) const {
+    const auto same = std::find_if(matches->begin(), matches->end(),
+                                   [&](const GraphMatch& other) { return !are_distinct(options_, b_, match, other); });
+    if (same != matches->end()) {
+      if (same->score >= match.score) return;
+      matches->erase(same);
+    }
+    const auto position = std::find_if(matches->begin(), matches->end(),
+                                       [&](const GraphMatch& other) { return other.score < match.score; });
+    matches->insert(position, std::move(match));
+  }
+
+  const GraphMatcherOptions& options_;
+  const std::vector<LabelledPoint>& a_;
+  const std::vector<LabelledPoint>& b_;
+  Eigen::MatrixXd distances_a_, distances_b_;
+  std::vector<NodePair> candidates_;
+};
+
+std::vector<LabelledPoint> rescaled(std::vector<LabelledPoint> points, double scale) {
+  for (LabelledPoint& point : points) {
+    point.position *= scale;
+    point.size *= scale;
+  }
+  return points;
+}
+
+/// Pairs of points by their labels, with the log of their distances.
+std::map<std::pair<int, int>, std::vector<double>> log_distances(const std::vector<LabelledPoint>& points,
+                                                                 double min_distance_m) {
+  std::map<std::pair<int, int>, std::vector<double>> distances;
+  for (std::size_t i = 0; i < points.size(); ++i) {
+    for (std::size_t j = i + 1; j < points.size(); ++j) {
+      const double distance = (points[i].position - points[j].position).norm();
+      if (!is_usable(points[i]) || !is_usable(points[j]) || !(distance > min_distance_m)) continue;
+      distances[std::minmax({points[i].label, points[j].label})].push_back(std::log(distance));
+    }
+  }
+  return distances;
+}
+
+/// The scales that most pairs of equal labels vote for, best first: peaks of a histogram of log(d_a / d_b).
+std::vector<double> vote_scales(const std::vector<LabelledPoint>& a, const std::vector<LabelledPoint>& b,
+                                double min_distance_m) {
+  constexpr double kBin = 0.02;
+  constexpr int kSpread = 4;  ///< bins to either side that a vote also supports: the error of two distances
+  constexpr int kMaxPeaks = 3;
+  const int half = static_cast<int>(std::ceil(std::log(kMaxScale) / kBin));
+  std::vector<double> votes(static_cast<std::size_t>(2 * half + 1), 0.0);
+  const auto of_b = log_distances(b, min_distance_m);
+  for (const auto& [labels, logs_a] : log_distances(a, min_distance_m)) {
+    const auto logs_b = of_b.find(labels);
+    if (logs_b == of_b.end()) continue;
+    for (const double log_a : logs_a) {
+      for (const double log_b : logs_b->second) {
+        const int middle = half + static_cast<int>(std::lround((log_a - log_b) / kBin));
+        for (int k = -kSpread; k <= kSpread; ++k) {
+          if (middle + k < 0 || middle + k > 2 * half) continue;
+          votes[static_cast<std::size_t>(middle + k)] += 1.0 - std::abs(k) / (kSpread + 1.0);
+        }
+      }
+    }
+  }
+  std::vector<double> scales;
+  for (int peak = 0; peak < kMaxPeaks; ++peak) {
+    const auto best = std::max_element(votes.begin(), votes.end());
+    if (!(*best > 0.0)) break;
+    const int bin = static_cast<int>(best - votes.begin());
+    scales.push_back(std::exp((bin - half) * kBin));
+    for (int k = std::max(bin - 2 * kSpread, 0); k <= std::min(bin + 2 * kSpread, 2 * half); ++k) {
+      votes[static_cast<std::size_t>(k)] = 0.0;
+    }
+  }
+  return scales;
+}
+
+}  // namespace
+
+std::vector<GraphMatch> GraphMatcher::match(const std::vector<LabelledPoint>& a,
+                                            const std::vector<LabelledPoint>& b) const {
+  if (!options_.free_scale) return Matching(options_, a, b).run();
+  std::vector<GraphMatch> matches;
+  for (const double scale : vote_scales(a, b, options_.min_distance_m)) {
+    for (GraphMatch& match : match_scaled(a, b, scale)) matches.push_back(std::move(match));
+  }
+  std::stable_sort(matches.begin(), matches.end(),
+                   [](const GraphMatch& p, const GraphMatch& q) { return p.score > q.score; });
+  std::vector<GraphMatch> distinct;
+  for (GraphMatch& match : matches) {
+    const bool known = std::any_of(distinct.begin(), distinct.end(),
+                                   [&](const GraphMatch& better) { return !are_distinct(options_, b, match, better); });
+    if (!known) distinct.push_back(std::move(match));
+  }
+  if (static_cast<int>(distinct.size()) > options_.max_matches) {
+    distinct.resize(static_cast<std::size_t>(options_.max_matches));
+  }
+  return distinct;
+}
+
+/// Matches at a voted scale, then once more at the scale that the best match's inliers have.
+std::vector<GraphMatch> GraphMatcher::match_scaled(const std::vector<LabelledPoint>& a,
+                                                   const std::vector<LabelledPoint>& b, double scale) const {
+  std::vector<LabelledPoint> scaled = rescaled(b, scale);
+  std::vector<GraphMatch> matches = Matching(options_, a, scaled).run();
+  if (matches.empty()) return matches;
+  std::vector<Vec3> points_a, points_b;
+  for (const NodePair& pair : matches.front().pairs) {
+    points_a.push_back(a[static_cast<std::size_t>(pair.a)].position);
+    points_b.push_back(b[static_cast<std::size_t>(pair.b)].position);
+  }
+  const std::optional<Alignment> alignment = align_points(points_a, points_b, true);
+  if (alignment && std::abs(std::log(alignment->scale)) < std::log(kMaxScale)) {
+    scale = alignment->scale;
+    scaled = rescaled(b, scale);
+    matches = Matching(options_, a, scaled).run();
+  }
+  for (GraphMatch& match : matches) match.scale = scale;
+  return matches;
+}
+
+}  // namespace semantic_topo_loop::core

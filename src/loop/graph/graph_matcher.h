@@ -1,0 +1,70 @@
+#pragma once
+
+#include <vector>
+
+#include "semantic_topo_loop/types/se3.h"
+
+namespace semantic_topo_loop::core {
+
+/// A node of an object graph.
+struct LabelledPoint {
+  Vec3 position = Vec3::Zero();  ///< m
+  int label = -1;
+  double size = 0.0;  ///< radius, m
+  int class_id = -1;  ///< counts towards GraphMatch::classes; points of different classes may share a label
+};
+
+struct NodePair {
+  int a = -1, b = -1;
+
+  bool operator==(const NodePair& other) const { return a == other.a && b == other.b; }
+};
+
+/// One way to lay graph b over graph a: p_a = T_a_b * (scale * p_b).
+struct GraphMatch {
+  SE3 T_a_b;
+  double scale = 1.0;           ///< of a's unit of length over b's; 1 unless the scale is free
+  std::vector<NodePair> pairs;  ///< inliers, one-to-one, ascending in a
+  int classes = 0;              ///< different classes among them, on the side that has fewer
+  double score = 0.0;           ///< sum of exp(-(residual / sigma)^2 / 2)
+  double rms_m = 0.0;
+  Vec3 spread_m = Vec3::Zero();  ///< singular values of the inliers' spread, descending
+};
+
+constexpr double kMaxScale = 1.6;  ///< between two submaps, with a free scale
+
+struct GraphMatcherOptions {
+  double size_ratio_log = 0.7;
+  double distance_tolerance_m = 0.06;
+  double distance_tolerance_share = 0.03;
+  double min_distance_m = 0.05;
+  bool free_scale = false;  ///< the two sets may differ in scale by up to kMaxScale either way
+  double inlier_distance_m = 0.12;
+  int min_pairs = 4;
+  int max_matches = 4;         ///< distinct alternatives returned
+  int max_cliques = 24;        ///< cliques aligned at most
+  double distinct_m = 0.3;     ///< two alignments differ if the graph's middle moves farther
+  double distinct_rad = 0.26;  ///< or turns more
+};
+
+/// Matches two labelled point sets: correspondences of equal label and similar size, an edge between two of them whose
+/// distances agree, cliques of that graph (largest one exactly, others greedily), rigid alignment, regrown inliers.
+/// A pure function of its input; the same input gives the same matches.
+///
+/// With a free scale, pairs of points of equal labels first vote for the log ratio of their distances; each of the best
+/// scales is matched like that, with set b rescaled (all tolerances are in a's unit), and made exact by its inliers.
+class GraphMatcher {
+ public:
+  explicit GraphMatcher(const GraphMatcherOptions& options) : options_(options) {}
+  /// @return distinct matches, best score first; empty if there is none of at least `min_pairs`.
+  ///         Non-finite points are left out.
+  std::vector<GraphMatch> match(const std::vector<LabelledPoint>& a, const std::vector<LabelledPoint>& b) const;
+
+ private:
+  std::vector<GraphMatch> match_scaled(const std::vector<LabelledPoint>& a, const std::vector<LabelledPoint>& b,
+                                       double scale) const;
+
+  GraphMatcherOptions options_;
+};
+
+}  // namespace semantic_topo_loop::core

@@ -1,0 +1,134 @@
+#include "loop/graph/loop_verifier.h"
+
+#include <Eigen/Eigenvalues>
+#include <algorithm>
+#include <cmath>
+
+namespace semantic_topo_loop::core {
+namespace {
+
+constexpr double kObjectSeenShare = 0.3;
+constexpr int kMinExpected = 2;
+
+const LocalObject& object(const LocalMap& map, int i) { return map.objects[static_cast<std::size_t>(i)]; }
+
+/// The best overlap of a projected box with a detection of the label; marks the detection if it is enough.
+bool find_detection(const LocalFrame& frame, const Box& projected, int label, double min_iou,
+                    std::vector<bool>* explained) {
+  double best = 0.0;
+  std::size_t best_index = 0;
+  const Box visible{std::max(projected.x1, frame.image.x1), std::max(projected.y1, frame.image.y1),
+                    std::min(projected.x2, frame.image.x2), std::min(projected.y2, frame.image.y2)};
+  for (std::size_t k = 0; k < frame.boxes.size(); ++k) {
+    if (frame.boxes[k].label != label) continue;
+    const double overlap = iou(visible, frame.boxes[k].box);
+    if (overlap > best) {
+      best = overlap;
+      best_index = k;
+    }
+  }
+  if (best <= min_iou) return false;
+  (*explained)[best_index] = true;
+  return true;
+}
+
+Vec3 mean_position(const LocalMap& map) {
+  Vec3 mean = Vec3::Zero();
+  for (const LocalFrame& frame : map.frames) mean += frame.position / static_cast<double>(map.frames.size());
+  return mean;
+}
+
+}  // namespace
+
+Verdict LoopVerifier::verify(const LocalMap& a, const LocalMap& b, const GraphMatch& match, double second_score) const {
+  Verdict verdict;
+  verdict.reason = check_alignment(match, second_score);
+  verdict.tilt_deg = degrees(tilt(a, b, match.T_a_b));
+  if (verdict.reason != LoopReason::kAccepted) return verdict;
+  if (is_mirrored(a, b, match)) {
+    verdict.reason = LoopReason::kMirrored;
+  } else if (verdict.tilt_deg > options_.max_tilt_deg) {
+    verdict.reason = LoopReason::kTilt;
+  } else {
+    verdict.reprojection = reproject_both(a, b, match.T_a_b);
+    const bool explains = verdict.reprojection->ratio > options_.min_reprojection_ratio &&
+                          verdict.reprojection->objects >= options_.min_reprojected_objects &&
+                          verdict.reprojection->explained > options_.min_explained_share;
+    if (!explains) verdict.reason = LoopReason::kReprojection;
+  }
+  return verdict;
+}
+
+LoopReason LoopVerifier::check_alignment(const GraphMatch& match, double second_score) const {
+  if (static_cast<int>(match.pairs.size()) < options_.min_inliers) return LoopReason::kTooFewInliers;
+  if (match.classes < options_.min_labels) return LoopReason::kTooFewLabels;
+  if (match.spread_m(1) < options_.min_spread_m) return LoopReason::kDegenerate;
+  if (match.rms_m > options_.max_rms_m) return LoopReason::kResidual;
+  if (match.score < options_.ambiguity_ratio * second_score) return LoopReason::kAmbiguous;
+  return LoopReason::kAccepted;
+}
+
+Reprojection LoopVerifier::reproject(const LocalMap& a, const LocalMap& b, const SE3& T_a_b) const {
+  const Mat3 R_a_b = T_a_b.rotation();
+  std::vector<std::vector<bool>> explained;
+  for (const int f : a.check_frames) {
+    explained.emplace_back(a.frames[static_cast<std::size_t>(f)].boxes.size(), false);
+  }
+  Reprojection result;
+  double expected_total = 0.0, matched_total = 0.0;
+  for (const LocalObject& object : b.objects) {
+    const Vec3 center = R_a_b * object.spheroid.center + T_a_b.t;
+    const Vec3 axis = R_a_b * b.up.direction;
+    int expected = 0, matched = 0;
+    for (std::size_t k = 0; k < a.check_frames.size(); ++k) {
+      const LocalFrame& frame = a.frames[static_cast<std::size_t>(a.check_frames[k])];
+      if (!in_view(frame, center, options_.max_depth_m)) continue;
+      const auto box = spheroid_box(frame.to_camera(center), frame.R_camera_local * axis, object.spheroid.log_axes);
+      if (!box) continue;
+      ++expected;
+      if (find_detection(frame, *box, object.label, options_.reprojection_iou, &explained[k])) ++matched;
+    }
+    if (expected < kMinExpected) continue;
+    expected_total += expected * object.seen_share;
+    matched_total += matched;
+    if (matched > kObjectSeenShare * expected) ++result.objects;
+  }
+  std::size_t detections = 0, explained_detections = 0;
+  for (const std::vector<bool>& flags : explained) {
+    detections += flags.size();
+    explained_detections += static_cast<std::size_t>(std::count(flags.begin(), flags.end(), true));
+  }
+  if (expected_total > 0.0) result.ratio = matched_total / expected_total;
+  if (detections > 0) result.explained = static_cast<double>(explained_detections) / static_cast<double>(detections);
+  return result;
+}
+
+Reprojection LoopVerifier::reproject_both(const LocalMap& a, const LocalMap& b, const SE3& T_a_b) const {
+  const Reprojection there = reproject(a, b, T_a_b);
+  const Reprojection back = reproject(b, a, T_a_b.inverse());
+  return {std::min(there.ratio, back.ratio), std::min(there.objects, back.objects),
+          std::min(there.explained, back.explained)};
+}
+
+bool LoopVerifier::is_mirrored(const LocalMap& a, const LocalMap& b, const GraphMatch& match) {
+  Vec3 middle = Vec3::Zero();
+  std::vector<Vec3> points;
+  for (const NodePair& pair : match.pairs) {
+    points.push_back(object(a, pair.a).spheroid.center);
+    points.push_back(match.T_a_b * object(b, pair.b).spheroid.center);
+  }
+  for (const Vec3& point : points) middle += point / static_cast<double>(points.size());
+  Mat3 scatter = Mat3::Zero();
+  for (const Vec3& point : points) scatter += (point - middle) * (point - middle).transpose();
+  const Vec3 normal = Eigen::SelfAdjointEigenSolver<Mat3>(scatter).eigenvectors().col(0);
+  const double side_a = normal.dot(mean_position(a) - middle);
+  const double side_b = normal.dot(match.T_a_b * mean_position(b) - middle);
+  return side_a * side_b < 0.0;
+}
+
+double LoopVerifier::tilt(const LocalMap& a, const LocalMap& b, const SE3& T_a_b) {
+  if (!a.up.certain || !b.up.certain) return 0.0;
+  return std::acos(std::clamp(a.up.direction.dot(T_a_b.q * b.up.direction), -1.0, 1.0));
+}
+
+}  // namespace semantic_topo_loop::core

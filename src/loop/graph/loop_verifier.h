@@ -1,0 +1,48 @@
+#pragma once
+
+#include <optional>
+
+#include "loop/graph/graph_matcher.h"
+#include "loop/graph/local_map.h"
+#include "semantic_topo_loop/loop/loop_options.h"
+#include "semantic_topo_loop/types/loop_closure.h"
+
+namespace semantic_topo_loop::core {
+
+/// How well one submap's objects, moved by an alignment, explain the other submap's detections.
+struct Reprojection {
+  double ratio = 0.0;  ///< matched over expected boxes; expected ones are weighed by how often the object is detected
+  int objects = 0;     ///< objects matched in more than 30 % of the frames that should see them
+  double explained = 0.0;  ///< share of the detections that an object explains
+};
+
+struct Verdict {
+  LoopReason reason = LoopReason::kAccepted;
+  double tilt_deg = 0.0;                     ///< between the two up directions, 0 if one of them is uncertain
+  std::optional<Reprojection> reprojection;  ///< each figure the worse of both ways; none if a test before it failed
+};
+
+/// The acceptance tests of design.md section 5, steps 4 and 6.
+class LoopVerifier {
+ public:
+  explicit LoopVerifier(const LoopOptions& options) : options_(options) {}
+
+  /// @param second_score of the best distinct alternative   @return the first test that fails, or kAccepted
+  Verdict verify(const LocalMap& a, const LocalMap& b, const GraphMatch& match, double second_score) const;
+  /// Projects b's objects into a's check frames.
+  Reprojection reproject(const LocalMap& a, const LocalMap& b, const SE3& T_a_b) const;
+  /// Both ways, each figure the worse.
+  Reprojection reproject_both(const LocalMap& a, const LocalMap& b, const SE3& T_a_b) const;
+  /// True if the two submaps' cameras lie on different sides of the plane through the matched objects: then one is the
+  /// mirror image of the other, which no residual shows.
+  static bool is_mirrored(const LocalMap& a, const LocalMap& b, const GraphMatch& match);
+  /// Angle between the two up directions, rad; 0 if one of them is uncertain.
+  static double tilt(const LocalMap& a, const LocalMap& b, const SE3& T_a_b);
+
+ private:
+  LoopReason check_alignment(const GraphMatch& match, double second_score) const;
+
+  LoopOptions options_;
+};
+
+}  // namespace semantic_topo_loop::core

@@ -1,0 +1,104 @@
+#include "loop/graph/odometry_monitor.h"
+
+#include <algorithm>
+#include <cmath>
+
+#include "geometry/statistics.h"
+
+namespace semantic_topo_loop::core {
+namespace {
+
+constexpr double kTolerance = 0.025;    ///< rad; boxes this close moved alike
+constexpr double kMinJump = 0.045;      ///< rad; less does not spoil a submap
+constexpr double kJumpFactor = 4.0;     ///< a jump exceeds the usual drift over the same time by it
+constexpr double kMaxOffset = 0.6;      ///< rad
+constexpr double kMaxSizeRatio = 1.6;   ///< of detected and predicted box
+constexpr double kMaxDepth = 6.0;       ///< m
+constexpr int kMinSupport = 3;          ///< objects that a shift is told by
+constexpr int kJumpFrames = 2;          ///< consecutive frames that show a jump
+constexpr std::size_t kMaxRates = 200;  ///< some 20 s of frames
+constexpr std::size_t kMinRates = 20;
+
+struct Prediction {
+  int label;
+  Vec2 center;
+  double size;
+};
+
+/// True if a detection of the label lies at the predicted place, moved by the offset.
+bool is_supported(const Prediction& prediction, const Vec2& offset, const ObservedFrame& frame) {
+  return std::any_of(frame.boxes.begin(), frame.boxes.end(), [&](const ObservedBox& box) {
+    return box.label == prediction.label && (box.box.center() - prediction.center - offset).norm() < kTolerance;
+  });
+}
+
+int support(const std::vector<Prediction>& predictions, const Vec2& offset, const ObservedFrame& frame) {
+  return static_cast<int>(std::count_if(predictions.begin(), predictions.end(),
+                                        [&](const Prediction& p) { return is_supported(p, offset, frame); }));
+}
+
+}  // namespace
+
+void OdometryMonitor::set_reference(const LocalMap& map) {
+  nodes_.clear();
+  for (const LocalObject& object : map.objects) {
+    nodes_.push_back({object.label, map.T_odom_anchor * object.spheroid.center, object.spheroid.radius()});
+  }
+  reference_ns_ = map.end_ns - std::llround(0.5e9 * map.span_s);
+}
+
+void OdometryMonitor::restart() {
+  nodes_.clear();
+  jumped_frames_ = 0;
+}
+
+bool OdometryMonitor::push(const ObservedFrame& frame) {
+  const Shift shift = common_shift(frame);
+  const double age_s = 1e-9 * static_cast<double>(frame.stamp_ns - reference_ns_);
+  if (shift.support < kMinSupport || !(age_s > 0.0)) return false;
+  const double usual = drift_rad_s().value_or(0.0) * age_s;
+  const bool jumped =
+      shift.support > 2 * shift.in_place && shift.offset.norm() > std::max(kMinJump, kJumpFactor * usual);
+  jumped_frames_ = jumped ? jumped_frames_ + 1 : 0;
+  if (jumped_frames_ >= kJumpFrames) {
+    restart();
+    return true;
+  }
+  if (!jumped) rates_.push_back(shift.offset.norm() / age_s);
+  if (rates_.size() > kMaxRates) rates_.pop_front();
+  return false;
+}
+
+std::optional<double> OdometryMonitor::drift_rad_s() const {
+  if (rates_.size() < kMinRates) return std::nullopt;
+  return median({rates_.begin(), rates_.end()});
+}
+
+/// The offset between predicted and detected boxes of one label that most objects share; the smallest on ties.
+OdometryMonitor::Shift OdometryMonitor::common_shift(const ObservedFrame& frame) const {
+  const SE3 T_camera_odom = frame.T_odom_camera.inverse();
+  std::vector<Prediction> predictions;
+  for (const Node& node : nodes_) {
+    const Vec3 p = T_camera_odom * node.center;
+    if (!(p.z() > node.radius) || p.z() > kMaxDepth) continue;
+    predictions.push_back({node.label, Vec2(p.x(), p.y()) / p.z(), 2.0 * node.radius / p.z()});
+  }
+  Shift best;
+  for (const Prediction& prediction : predictions) {
+    for (const ObservedBox& box : frame.boxes) {
+      const Vec2 offset = box.box.center() - prediction.center;
+      const double ratio = box.box.size() / prediction.size;
+      if (box.label != prediction.label || box.truncated != 0 || !(offset.norm() < kMaxOffset)) continue;
+      if (ratio > kMaxSizeRatio || ratio < 1.0 / kMaxSizeRatio) continue;
+      const int votes = support(predictions, offset, frame);
+      if (votes > best.support || (votes == best.support && offset.norm() < best.offset.norm())) {
+        best.offset = offset;
+        best.support = votes;
+      }
+    }
+  }
+  best.in_place = support(predictions, Vec2::Zero(), frame);
+  return best;
+}
+
+}  // namespace semantic_topo_loop::core

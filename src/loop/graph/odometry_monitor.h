@@ -1,0 +1,47 @@
+#pragma once
+
+#include <cstdint>
+#include <deque>
+#include <optional>
+#include <vector>
+
+#include "loop/graph/local_map.h"
+#include "loop/graph/observation_window.h"
+
+namespace semantic_topo_loop::core {
+
+/// Judges the odometry by the detections: the objects of the last submap should appear where the odometry puts them.
+/// Their common shift in the image tells how fast the odometry drifts, and a sudden large one that it has jumped.
+class OdometryMonitor {
+ public:
+  /// The submap that the next frames are compared with.
+  void set_reference(const LocalMap& map);
+  /// @return true if the odometry has jumped since the reference, which is then dropped
+  bool push(const ObservedFrame& frame);
+  /// Forgets the reference, at a break.
+  void restart();
+  /// Apparent drift, rad/s: the median of recent frames. It holds the noise of the boxes, so that it never is zero.
+  /// @return nullopt while there are few frames to judge by
+  std::optional<double> drift_rad_s() const;
+
+ private:
+  struct Node {
+    int label;
+    Vec3 center;  ///< odometry's world, m
+    double radius;
+  };
+  struct Shift {
+    Vec2 offset = Vec2::Zero();  ///< on the plane z = 1, detected - predicted
+    int support = 0;             ///< objects that moved by it
+    int in_place = 0;            ///< objects that are where they should be
+  };
+
+  Shift common_shift(const ObservedFrame& frame) const;
+
+  std::vector<Node> nodes_;
+  std::int64_t reference_ns_ = 0;  ///< mean time of the reference's frames
+  int jumped_frames_ = 0;
+  std::deque<double> rates_;
+};
+
+}  // namespace semantic_topo_loop::core

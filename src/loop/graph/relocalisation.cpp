@@ -1,0 +1,84 @@
+#include "loop/graph/relocalisation.h"
+
+#include <Eigen/Cholesky>
+
+#include "semantic_topo_loop/geometry/lie.h"
+
+namespace semantic_topo_loop::core {
+namespace {
+
+constexpr double kAgreement_m = 0.5;
+constexpr double kAgreement_rad = 0.26;
+constexpr std::size_t kMinAgreeing = 3;
+constexpr std::size_t kMaxVotes = 1000;
+constexpr std::size_t kMaxHypotheses = 50;  ///< votes whose supporters are counted, spread evenly
+constexpr int kRounds = 3;
+constexpr int kIterations = 5;
+
+}  // namespace
+
+void Relocaliser::add(const LoopClosure& loop, const SE3& T_odom_query) {
+  if (!loop.accepted || !loop.T_earlier_match || !T_odom_query.is_finite()) return;
+  if (!loop.covariance.allFinite()) return;
+  const Eigen::LDLT<Mat6> ldlt(loop.covariance);
+  if (ldlt.info() != Eigen::Success || !ldlt.isPositive()) return;
+  const Mat6 information = ldlt.solve(Mat6::Identity());
+  if (!information.allFinite()) return;
+  votes_.push_back({*loop.T_earlier_match * loop.T_match_query, T_odom_query, information});
+  if (votes_.size() > kMaxVotes) votes_.pop_front();
+}
+
+std::vector<const Relocaliser::Vote*> Relocaliser::supporters(const SE3& T_earlier_odom) const {
+  std::vector<const Vote*> agreeing;
+  for (const Vote& vote : votes_) {
+    const SE3 T_earlier_query = T_earlier_odom * vote.T_odom_query;
+    if ((T_earlier_query.t - vote.T_earlier_query.t).norm() < kAgreement_m &&
+        rotation_angle(T_earlier_query.q, vote.T_earlier_query.q) < kAgreement_rad) {
+      agreeing.push_back(&vote);
+    }
+  }
+  return agreeing;
+}
+
+/// Gauss-Newton on r_i = (R_i^T (p - p_i), log(R_i^T R)), where (R, p) = T_earlier_odom T_odom_query_i.
+SE3 Relocaliser::fit(const std::vector<const Vote*>& votes, SE3 T_earlier_odom) {
+  for (int i = 0; i < kIterations; ++i) {
+    Mat6 H = Mat6::Zero();
+    Vec6 g = Vec6::Zero();
+    for (const Vote* vote : votes) {
+      const Vec6 r = se3_log(vote->T_earlier_query.inverse() * (T_earlier_odom * vote->T_odom_query));
+      Mat6 J = Mat6::Zero();
+      J.topLeftCorner<3, 3>() = vote->T_earlier_query.rotation().transpose() * T_earlier_odom.rotation();
+      J.topRightCorner<3, 3>() = -J.topLeftCorner<3, 3>() * hat(vote->T_odom_query.t);
+      J.bottomRightCorner<3, 3>() = vote->T_odom_query.rotation().transpose();
+      const double weight = 1.0 / (1.0 + r.dot(vote->information * r));  // Cauchy
+      H += weight * J.transpose() * vote->information * J;
+      g += weight * J.transpose() * vote->information * r;
+    }
+    const Vec6 step = -H.ldlt().solve(g);
+    if (!step.allFinite()) break;
+    T_earlier_odom = T_earlier_odom * se3_exp(step);
+  }
+  return T_earlier_odom;
+}
+
+std::optional<Relocalisation> Relocaliser::estimate() const {
+  std::vector<const Vote*> best;
+  const std::size_t stride = 1 + votes_.size() / kMaxHypotheses;
+  SE3 T_earlier_odom;
+  for (std::size_t i = 0; i < votes_.size(); i += stride) {
+    const SE3 hypothesis = votes_[i].T_earlier_query * votes_[i].T_odom_query.inverse();
+    std::vector<const Vote*> agreeing = supporters(hypothesis);
+    if (agreeing.size() <= best.size()) continue;
+    best = std::move(agreeing);
+    T_earlier_odom = hypothesis;
+  }
+  for (int round = 0; round < kRounds && best.size() >= kMinAgreeing; ++round) {
+    T_earlier_odom = fit(best, T_earlier_odom);
+    best = supporters(T_earlier_odom);
+  }
+  if (best.size() < kMinAgreeing || 2 * best.size() <= votes_.size()) return std::nullopt;
+  return Relocalisation{T_earlier_odom, static_cast<int>(best.size()), static_cast<int>(votes_.size())};
+}
+
+}  // namespace semantic_topo_loop::core

@@ -1,0 +1,32 @@
+#pragma once
+
+#include <deque>
+#include <optional>
+#include <vector>
+
+#include "semantic_topo_loop/types/loop_closure.h"
+
+namespace semantic_topo_loop::core {
+
+/// Consensus of loops into an earlier run's map: the largest group that agrees on where its cameras are, and the pose
+/// that fits the group best, weighed by the loops' covariances. The last thousand loops count, since odometry drifts.
+class Relocaliser {
+ public:
+  /// Takes in an accepted loop with T_earlier_match; others are ignored.
+  /// @param T_odom_query pose of the camera at the loop's query_frame
+  void add(const LoopClosure& loop, const SE3& T_odom_query);
+  /// @return nullopt until three loops agree and outnumber the others
+  std::optional<Relocalisation> estimate() const;
+
+ private:
+  struct Vote {
+    SE3 T_earlier_query, T_odom_query;
+    Mat6 information;  ///< of T_earlier_query: (translation m, rotation rad), right
+  };
+  std::vector<const Vote*> supporters(const SE3& T_earlier_odom) const;
+  static SE3 fit(const std::vector<const Vote*>& votes, SE3 T_earlier_odom);
+
+  std::deque<Vote> votes_;
+};
+
+}  // namespace semantic_topo_loop::core

@@ -1,0 +1,24 @@
+#pragma once
+
+#include <optional>
+
+#include "semantic_topo_loop/types/local_map.h"
+
+namespace semantic_topo_loop::core {
+
+/// Box edges (x1, y1, x2, y2) of a projected spheroid on the plane z = 1, with derivatives.
+struct SpheroidProjection {
+  Vec4 edges;
+  Eigen::Matrix<double, 4, 3> d_center;  ///< by the centre in the camera frame
+  Eigen::Matrix<double, 4, 3> d_axis;    ///< by the axis in the camera frame
+  Eigen::Matrix<double, 4, 2> d_log_axes;
+};
+
+/// Projects with C* = M - c c^T, M = a^2 I + (b^2 - a^2) w w^T (the dual conic of a spheroid in the camera frame).
+/// @param axis_camera unit   @return nullopt if the spheroid touches or lies behind the plane z = 0
+std::optional<SpheroidProjection> project_spheroid(const Vec3& center_camera, const Vec3& axis_camera,
+                                                   const Vec2& log_axes);
+/// The box alone.
+std::optional<Box> spheroid_box(const Vec3& center_camera, const Vec3& axis_camera, const Vec2& log_axes);
+
+}  // namespace semantic_topo_loop::core

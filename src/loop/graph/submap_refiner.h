@@ -1,0 +1,41 @@
+#pragma once
+
+#include <optional>
+#include <vector>
+
+#include "loop/graph/graph_matcher.h"
+#include "loop/graph/local_map.h"
+#include "semantic_topo_loop/loop/loop_options.h"
+#include "semantic_topo_loop/types/sim3.h"
+
+namespace semantic_topo_loop::core {
+
+struct Refinement {
+  SE3 T_a_b;
+  Mat6 covariance = Mat6::Identity();    ///< of T_a_b: (translation m, rotation rad), right perturbation
+  double scale = 1.0;                    ///< factor on b's unit of length, 1 unless the scale is free
+  Vec7 scale_covariance = Vec7::Zero();  ///< of log scale with (translation, rotation, log scale), zero unless free
+  double median_residual = 0.0;          ///< of the box edges, standard deviations
+};
+
+/// Bundle adjustment over two submaps: their relative pose and one spheroid for each pair of matched objects, from the
+/// boxes of both sides; with a free scale also the scale of b. The poses within a submap stay as the odometry gave
+/// them.
+class SubmapRefiner {
+ public:
+  explicit SubmapRefiner(const LoopOptions& options);
+  /// @return nullopt if the problem cannot be solved or the pose is not determined
+  std::optional<Refinement> refine(const LocalMap& a, const LocalMap& b, const SE3& T_a_b,
+                                   const std::vector<NodePair>& pairs) const;
+
+ private:
+  template <int kUnknowns>
+  std::optional<Refinement> refine_with(const LocalMap& a, const LocalMap& b, const SE3& T_a_b,
+                                        const std::vector<NodePair>& pairs) const;
+
+  bool free_scale_;
+  int views_;
+  double sigma_px_, sigma_share_, inflation_;
+};
+
+}  // namespace semantic_topo_loop::core

@@ -1,0 +1,32 @@
+#pragma once
+
+#include <cstdint>
+#include <memory>
+#include <vector>
+
+#include "map/frame_points.h"
+#include "map/surface.h"
+
+namespace semantic_topo_loop::core {
+
+/// The points of one object: those inside its box, without the planes that go on around the box (the table it stands
+/// on, the wall behind it: RANSAC with a fixed seed), without outliers (PCL statistical removal), and of what is left
+/// the cluster that fills the middle of the box (PCL Euclidean clustering). What hardly rises above its support, a
+/// sheet of paper, is given as the part of the support that its box shows.
+/// @param box undistorted, px
+/// @return camera frame, m; empty if too few points are left
+std::vector<Vec3> object_points(const FramePoints& points, const Box& box);
+
+/// The sides of a box at which something in front ends it, as Truncation bits: what lies just inside of them is behind
+/// the plane of what lies outside (RANSAC with a fixed seed). Of a chair behind a desk that is the lower side. The
+/// object goes on there, so that these sides bound nothing; what an object stands on, and walls behind it, hide none.
+/// @param box undistorted, px   @return 0 too where too few points are known
+std::uint8_t hidden_sides(const FramePoints& points, const Box& box);
+
+/// The near side of an object as the fit of its ellipsoid needs it: of each ninth of the box the point of median depth,
+/// where it lies in the ellipse that a convex object fills.
+/// @param object_points_camera as object_points gives them   @return null if there are none
+std::shared_ptr<const Surface> make_surface(const std::vector<Vec3>& object_points_camera, const Camera& camera,
+                                            const Box& box);
+
+}  // namespace semantic_topo_loop::core

@@ -1,0 +1,61 @@
+#pragma once
+
+#include <memory>
+#include <optional>
+#include <vector>
+
+#include "map/surface.h"
+#include "semantic_topo_loop/geometry/quadric.h"
+#include "semantic_topo_loop/types/camera.h"
+
+namespace semantic_topo_loop::core {
+
+/// One box of an object and the camera that saw it.
+struct BoxView {
+  SE3 T_world_camera;
+  Box box;                                 ///< undistorted, px
+  std::uint8_t truncated = 0;              ///< Truncation bits: these sides bound nothing
+  std::shared_ptr<const Surface> surface;  ///< what depth there was inside the box; null without
+
+  double depth(const Vec3& point_world) const {
+    return (T_world_camera.q.conjugate() * (point_world - T_world_camera.t)).z();
+  }
+};
+
+struct QuadricFitOptions {
+  int max_iterations = 12;
+  double sigma_px = 3.0;  ///< noise of a box edge: sigma_px + sigma_share * box size
+  double sigma_share = 0.1;
+  double roundness_weight = 0.01;  ///< pull of the three log axes to their common start, per view
+  double min_depth_m = 0.2;
+  double surface_sigma_m = 0.01;  ///< of depth against the ellipsoid, beside the camera's noise: no object is one
+  double surface_share = 0.15;    ///< the same, as a share of the ellipsoid's radius
+};
+
+/// An ellipsoid with the evidence of its fit.
+struct QuadricFit {
+  Ellipsoid ellipsoid;
+  Mat3 center_covariance = Mat3::Zero();  ///< m^2
+  double mean_iou = 0.0;                  ///< of projected and detected boxes, clipped to the image
+  double median_depth_m = 0.0;
+};
+
+/// Refines all nine parameters on the box edges: residual (projected edge - detected edge) / sigma, soft-L1 loss a
+/// view, sides cut by the image border left out (Ceres, Levenberg-Marquardt). Where a view has a surface, also on its
+/// depth: residual (depth of the ellipsoid along the ray - measured depth) / sigma, Cauchy loss a view; the points of
+/// one view share one error, that of the shape, and count as one measurement.
+/// @return nullopt if the solver finds no usable solution
+std::optional<QuadricFit> refine_quadric(const Camera& camera, const std::vector<BoxView>& views,
+                                         const Ellipsoid& initial, const QuadricFitOptions& options = {});
+
+/// Derivatives of the four box edges (x1, y1, x2, y2) of a projected ellipsoid.
+struct BoxJacobian {
+  Eigen::Matrix<double, 4, 3> center;    ///< by the centre, px/m
+  Eigen::Matrix<double, 4, 3> rotation;  ///< by a left rotation vector of the ellipsoid in the world, px/rad
+  Eigen::Matrix<double, 4, 3> log_axes;  ///< by the logarithms of the semi-axes, px
+};
+
+/// project_box with its derivatives, by implicit differentiation of the tangent plane condition pi^T Q* pi = 0.
+std::optional<Box> project_box(const Ellipsoid& ellipsoid, const Mat34& P_image_world, BoxJacobian* jacobian);
+
+}  // namespace semantic_topo_loop::core

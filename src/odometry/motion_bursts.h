@@ -1,0 +1,66 @@
+#pragma once
+
+#include <array>
+#include <cstddef>
+#include <deque>
+#include <optional>
+#include <utility>
+#include <vector>
+
+#include "semantic_topo_loop/types/stamped_pose.h"
+
+namespace semantic_topo_loop::core {
+
+/// Looks for bursts in which an odometry moves as no hand or robot does: the motion within one to a dozen frames is
+/// compared with what the frames before and after foretell, and what exceeds the usual difference by far counts as a
+/// suspected jump.
+class MotionBursts {
+ public:
+  MotionBursts();
+  /// Takes in the next pose of the odometry; the motion to a pose after a break, or one that is not later, is left out.
+  /// @param section of the path that the motion belongs to, not falling
+  void push(const StampedPose& pose, bool is_break, std::size_t section);
+
+  /// What stood out in a section: by so much the odometry may have jumped.
+  struct Suspect {
+    Vec6 motion = Vec6::Zero();  ///< (m, rad), in the axes of the odometry
+    /// 1 sigma of how far motions usually are from what is foretold: so far the jump, if it was one, may be off.
+    double error_m = 0.0, error_rad = 0.0;
+  };
+  /// The last few frames have not been compared yet.
+  Suspect suspect(std::size_t section) const;
+
+ private:
+  struct Motion {
+    Vec6 rate;
+    Quaternion q_odom_camera;
+    double dt_s = 0.0;
+    std::size_t section = 0;
+  };
+  /// How far the motion of so many frames in a row was from what was foretold.
+  struct Length {
+    std::size_t frames = 1;
+    std::vector<double> translations, rotations;  ///< the last ones, in no order
+    std::size_t next = 0;
+    double sigma_m = 0.0, sigma_rad = 0.0;  ///< that is usual
+  };
+  struct Burst {
+    std::size_t begin = 0, end = 0;                         ///< motions, counted from the first
+    double strength = 0.0;                                  ///< in sigmas of its length
+    double size = 0.0;                                      ///< what of it is sure, in sigmas of the shortest length
+    std::vector<std::pair<std::size_t, Suspect>> suspects;  ///< by section
+  };
+
+  Burst judge(Length* length) const;
+  void remember(const Burst& burst);
+  void settle();
+
+  std::array<Length, 6> lengths_;
+  std::optional<StampedPose> last_;
+  std::deque<Motion> window_;
+  std::size_t count_ = 0;          ///< of motions
+  Burst greatest_;                 ///< of those that overlap at the end
+  std::vector<Suspect> suspects_;  ///< by section, without those of greatest_
+};
+
+}  // namespace semantic_topo_loop::core

@@ -1,0 +1,227 @@
+#include "pose_graph/solver/trajectory_optimizer.h"
+
+#include <algorithm>
+
+#include "geometry/relative_pose.h"
+#include "pose_graph/rejection/loop_classifier.h"
+#include "semantic_topo_loop/geometry/lie.h"
+
+namespace semantic_topo_loop::core {
+namespace {
+
+GraphLoss loss_of(const std::string& robust) {
+  if (robust == "huber") return GraphLoss::kHuber;
+  return robust == "cauchy" ? GraphLoss::kCauchy : GraphLoss::kNone;
+}
+
+/// The walk, and full suspicion.
+OdometryNoise scaled(const OdometryNoise& noise, double factor) {
+  return {noise.translation_m * factor, noise.rotation_rad * factor};
+}
+
+/// At most `count` loops, evenly taken from their order of acceptance.
+std::vector<GraphLoop> thinned(const std::vector<GraphLoop>& loops, std::size_t count) {
+  if (loops.size() <= count) return loops;
+  std::vector<GraphLoop> some;
+  for (std::size_t i = 0; i < count; ++i) some.push_back(loops[i * loops.size() / count]);
+  return some;
+}
+
+/// Factors on the least noise that a loop may need, over the usual and in all. A single burst may stand behind some
+/// loops and not behind most: 15 cm after one metre is always granted. 40 cm are no odometry's: a loop that asks for
+/// more has no say in what is usual either.
+constexpr double kStrain = 2.5, kLeastStrain = 150.0, kMaxStrain = 400.0;
+
+constexpr int kFewJumps = 2, kManyJumps = 8;  // that are looked for in one go
+
+Mat6 jump_covariance(const OdometryJump& jump) {
+  Vec6 sigmas;
+  sigmas << Vec3::Constant(jump.translation_m), Vec3::Constant(jump.rotation_rad);
+  return sigmas.cwiseAbs2().asDiagonal();
+}
+
+class TrajectoryOptimizer {
+ public:
+  TrajectoryOptimizer(const Trajectory& trajectory, const PoseGraphOptions& options, const GraphKnowledge& knowledge,
+                      Effort effort)
+      : trajectory_(trajectory), options_(options), effort_(effort), votes_(trajectory.votes) {
+    if (votes_.empty()) votes_.assign(trajectory.loops.size(), true);
+    counts_ = votes_;
+    for (std::size_t k = 0; k < knowledge.kept.size() && effort == Effort::kSettle; ++k) {
+      counts_[k] = counts_[k] && knowledge.kept[k];
+    }
+    redundancy_ = redundancy(trajectory.loops, counts_);
+    result_.T_map_vertex = trajectory.T_map_vertex;
+    result_.knowledge = knowledge;
+    // What is learnt last must not depend on what was believed on the way.
+    if (starts_afresh() && options.estimate_noise) result_.knowledge.noise = {noise_prior(options).least, 1.0, {}};
+    solver_options_.loss = loss_of(options.robust);
+    solver_options_.loss_chi2 = options.robust_chi2;
+    solver_options_.max_iterations = options.max_iterations;
+  }
+
+  OptimizedTrajectory run() {
+    if (!classify()) return result_;
+    if (effort_ == Effort::kClassify) {
+      result_.usable = true;
+      return result_;
+    }
+    if (options_.estimate_noise) learn_noise();
+    result_.usable = solve();
+    if (result_.usable && !trajectory_.objects.objects.empty()) solve_with_objects();
+    return result_;
+  }
+
+ private:
+  bool starts_afresh() const { return effort_ != Effort::kUpdate && effort_ != Effort::kLearn; }
+  bool doubts_all() const { return effort_ == Effort::kFull || effort_ == Effort::kClassify; }
+
+  bool classify() {
+    std::vector<bool>& kept = result_.knowledge.kept;
+    kept.resize(trajectory_.loops.size(), true);
+    if (options_.robust == "none") return true;
+    judge_strain();
+    for (std::size_t k = 0; k < kept.size(); ++k) kept[k] = kept[k] && votes_[k];
+    const GraphKnowledge& known = result_.knowledge;
+    const std::vector<GraphEdge> edges =
+        graph({scaled(noise_prior(options_).least, known.loose_factor), 1.0, known.noise.jumps}, false);
+    if (options_.robust != "gnc") {
+      if (!report(solve_graph(edges, solver_options_, &result_.T_map_vertex))) return false;
+      for (std::size_t k = 0; k < kept.size(); ++k) {
+        kept[k] =
+            votes_[k] && chi_squared(edges[trajectory_.edges.size() + k], result_.T_map_vertex) <= options_.robust_chi2;
+      }
+      return true;
+    }
+    std::vector<bool> guess;
+    for (std::size_t k = 0; k < kept.size() && !doubts_all(); ++k) {
+      if (votes_[k]) guess.push_back(kept[k]);
+    }
+    const LoopClassification classes =
+        classify_loops(edges, options_.robust_chi2, solver_options_, result_.T_map_vertex, guess);
+    if (!classes.usable) {
+      result_.message = "the loops could not be classified";
+      return false;
+    }
+    std::size_t voter = 0;
+    for (std::size_t k = 0; k < kept.size(); ++k) kept[k] = votes_[k] && classes.kept[voter++];
+    result_.T_map_vertex = classes.T_world_vertex;
+    return true;
+  }
+
+  /// Finds the odometry's noise that the loops bear out, and takes the vote from those that would need many times as
+  /// much: a place that looks like another contradicts the odometry by any amount, a right loop by what the others do.
+  void judge_strain() {
+    const PathNoise path(result_.T_map_vertex, trajectory_.edges);
+    const NoisePrior prior = noise_prior(options_);
+    const OdometryNoise least = scaled(prior.least, 1.0);
+    std::vector<double> factors, weights;
+    for (std::size_t k = 0; k < votes_.size(); ++k) {
+      if (!votes_[k]) continue;
+      factors.push_back(
+          std::min(path.explaining_factor(trajectory_.loops[k], least, prior.factor_max), prior.factor_max));
+      weights.push_back(counts_[k] && factors.back() <= kMaxStrain ? 1.0 / redundancy_[k] : 0.0);
+    }
+    double& loose = result_.knowledge.loose_factor;
+    if (loose <= 0.0 || effort_ != Effort::kUpdate) {
+      constexpr double kLeastFactor = 10.0;  // 1 cm after one metre: less room is of no use to right loops
+      loose = kLeastFactor;
+      if (options_.estimate_noise) {
+        loose = std::max(loose, options_.gnc_loosening * robust_noise_factor(factors, weights));
+      }
+    }
+    if (options_.robust != "gnc") return;
+    const double limit = std::clamp(kStrain * loose / options_.gnc_loosening, kLeastStrain, kMaxStrain);
+    std::size_t voter = 0;
+    for (std::size_t k = 0; k < votes_.size(); ++k) {
+      if (!votes_[k]) continue;
+      votes_[k] = factors[voter++] <= limit || path.has_stated(trajectory_.loops[k]);
+    }
+  }
+
+  void learn_noise() {
+    // As many as can be afforded: the cost grows with their cube.
+    const std::size_t max_loops = starts_afresh() ? 60 : 24;
+    std::vector<GraphLoop> loops;
+    for (std::size_t k = 0; k < trajectory_.loops.size(); ++k) {
+      if (result_.knowledge.kept[k]) loops.push_back(trajectory_.loops[k]);
+    }
+    const std::vector<GraphLoop> some = thinned(loops, max_loops);
+    InnovationModel model(result_.T_map_vertex, trajectory_.edges, some);
+    NoiseEstimate& noise = result_.knowledge.noise;
+    const int max_new_jumps = starts_afresh() ? kManyJumps : kFewJumps;
+    if (effort_ != Effort::kUpdate) {
+      noise = estimate_noise_and_jumps(&model, noise_prior(options_), noise, max_new_jumps);
+    }
+    model.set_jumps(noise.jumps);
+    steady_errors_ = model.steady_errors(noise);
+  }
+
+  bool solve() {
+    const bool has_loss = solver_options_.loss != GraphLoss::kNone;
+    result_.edges = graph(result_.knowledge.noise, !has_loss);
+    return report(solve_graph(result_.edges, solver_options_, &result_.T_map_vertex));
+  }
+
+  /// From the solution without them, which stays where this finds none.
+  void solve_with_objects() {
+    const bool has_loss = solver_options_.loss != GraphLoss::kNone;
+    solve_graph(graph(result_.knowledge.noise, !has_loss), solver_options_, &result_.T_map_vertex,
+                well_seen(trajectory_.objects, result_.T_map_vertex, options_.object_views));
+  }
+
+  std::vector<GraphEdge> graph(const NoiseEstimate& noise, bool only_kept) const {
+    std::vector<GraphEdge> edges;
+    std::vector<Mat6> covariances;
+    for (const OdometryEdge& edge : trajectory_.edges) covariances.push_back(odometry_covariance(edge, noise.odometry));
+    for (const OdometryJump& jump : noise.jumps) covariances[jump.edge] += jump_covariance(jump);
+    for (std::size_t i = 0; i < trajectory_.edges.size(); ++i) {
+      SE3 T_from_to =
+          trajectory_.edges[i].T_from_to * se3_exp(expected_jump(trajectory_.edges[i], noise.odometry)).inverse();
+      if (!steady_errors_.empty()) T_from_to = T_from_to * se3_exp(steady_errors_[i]);
+      edges.push_back({static_cast<int>(i), static_cast<int>(i) + 1, T_from_to, square_root_information(covariances[i]),
+                       1.0, false});
+    }
+    for (std::size_t k = 0; k < trajectory_.loops.size(); ++k) {
+      const GraphLoop& loop = trajectory_.loops[k];
+      const bool counts = votes_[k] && (!only_kept || result_.knowledge.kept[k]);
+      const double weight = counts ? 1.0 / redundancy_[k] : 0.0;
+      edges.push_back({loop.from, loop.to, loop.T_from_to, square_root_information(loop.covariance) / noise.loop_factor,
+                       weight, votes_[k]});
+    }
+    return edges;
+  }
+
+  bool report(const GraphSolution& solution) {
+    if (!solution.usable) result_.message = solution.message;
+    return solution.usable;
+  }
+
+  const Trajectory& trajectory_;
+  const PoseGraphOptions& options_;
+  Effort effort_;
+  std::vector<bool> votes_;   ///< which loops may be kept
+  std::vector<bool> counts_;  ///< which of them say how noisy the odometry is, and share evidence
+  std::vector<double> redundancy_;
+  std::vector<Vec6> steady_errors_;  ///< of each edge; empty before they are known
+  GraphSolverOptions solver_options_;
+  OptimizedTrajectory result_;
+};
+
+}  // namespace
+
+NoisePrior noise_prior(const PoseGraphOptions& options) {
+  OdometryNoise least{options.translation_noise_m, radians(options.rotation_noise_deg)};
+  least.steady_translation = least.scale = 0.1 * options.translation_noise_m;
+  least.steady_rotation_rad = 0.1 * radians(options.rotation_noise_deg);
+  constexpr double kLeastSuspicion = 0.003;
+  if (options.estimate_noise) least.suspicion = kLeastSuspicion;
+  return {least, options.noise_factor_max, options.noise_evidence};
+}
+
+OptimizedTrajectory optimize_trajectory(const Trajectory& trajectory, const PoseGraphOptions& options,
+                                        const GraphKnowledge& knowledge, Effort effort) {
+  return TrajectoryOptimizer(trajectory, options, knowledge, effort).run();
+}
+
+}  // namespace semantic_topo_loop::core

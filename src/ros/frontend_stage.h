@@ -1,0 +1,104 @@
+#pragma once
+
+#include <sensor_msgs/CameraInfo.h>
+#include <std_msgs/Empty.h>
+#include <tf2_msgs/TFMessage.h>
+#include <tf2_ros/transform_broadcaster.h>
+
+#include <cstdint>
+#include <memory>
+#include <optional>
+#include <string>
+
+#include "ros/frontend_parameters.h"
+#include "ros/pose_tf.h"
+#include "ros/stage.h"
+#include "semantic_topo_loop/pipeline/frame_builder.h"
+
+namespace semantic_topo_loop {
+
+/// What the front ends share: the session, which a front end alone starts, pauses and resumes, the order of images,
+/// the calibration, and the frames, keyframes and tf that come of a pose. Every image is answered, by a frame or by a
+/// FrameDone that says why there is none.
+///
+/// A derived class calls Stage::start, `open`, makes its own subscriptions, then calls `follow_stream`.
+class FrontendStage : public Stage {
+ protected:
+  explicit FrontendStage(std::string name) : Stage(std::move(name)) {}
+
+  /// Reads the calibration and advertises.
+  /// @param transforms filled from tf; null if tf is not needed   @return false after fail()
+  bool open(const core::KeyframeOptions& options, const FrontendParameters& parameters,
+            std::shared_ptr<TfPoses> transforms);
+  /// Follows tf, camera_info and the end of the stream, and opens the session: who hears of it takes this nodelet for
+  /// ready.
+  void follow_stream();
+  template <class Message, class Derived>
+  void listen(const std::string& topic, std::uint32_t queue_size, void (Derived::*handler)(const Message&)) {
+    using ConstPtr = boost::shared_ptr<const Message>;
+    const boost::function<void(const ConstPtr&)> callback = [this, topic, handler](const ConstPtr& message) {
+      push(topic, Keep::kAlways, [this, handler, message] { (static_cast<Derived*>(this)->*handler)(*message); });
+    };
+    keep_subscriber(getNodeHandle().template subscribe<Message>(topic, queue_size, callback));
+  }
+
+  /// A new session begins: forget the images that wait.
+  virtual void forget() = 0;
+  /// A camera_info came; its calibration is taken already.
+  virtual void on_camera_stamp(std::int64_t /*stamp_ns*/) {}
+  /// tf knows more than before.
+  virtual void on_more_transforms() {}
+  /// What the point map keeps of the keyframe that `emit` has just made; null: nothing. Asked for only if somebody
+  /// listens.
+  virtual std::shared_ptr<const core::KeyframePoints> keyframe_points() { return nullptr; }
+  /// The stream has ended: call `emit_end` once every image is answered.
+  virtual void on_end() = 0;
+
+  /// @return whether an image is to be worked on; else it is answered. A jump back in time begins a session.
+  bool accept(std::int64_t stamp_ns);
+  /// @param rewind ask for the images of this session again, which a recording can give
+  void begin_session(const std::string& reason, bool rewind = false);
+  /// @param camera of the frame; none: the image is answered by a failure
+  void emit(const core::PoseSample& sample, const std::optional<core::Camera>& camera);
+  void emit_end();
+  /// Answers an image that gives no frame.
+  void publish_done(std::int64_t stamp_ns, std::uint8_t status);
+  const std::optional<core::Camera>& camera() const { return camera_; }
+  const std::string& camera_frame() const { return camera_frame_; }
+  std::uint32_t current_session() const { return control_->session_id; }
+
+ private:
+  void advertise_services();
+  void add_service(const std::string& service, const std::string& answer, void (FrontendStage::*handler)());
+  void control(std::uint8_t command, const std::string& reason, bool rewind = false);
+  void reset() { begin_session("reset was called"); }
+  void pause();
+  void resume();
+  bool is_in_order(std::int64_t stamp_ns);
+
+  /// Somebody came late: repeats the last command, for the stages to acknowledge it once more.
+  void on_query(const std_msgs::Empty& /*message*/) { control_publisher_.publish(control_); }
+  void on_stream_end(const std_msgs::Empty& /*message*/) { on_end(); }
+  void on_camera_info(const sensor_msgs::CameraInfo& message);
+  void on_transforms(const tf2_msgs::TFMessage& message) { take_transforms(message, false); }
+  void on_static_transforms(const tf2_msgs::TFMessage& message) { take_transforms(message, true); }
+  void take_transforms(const tf2_msgs::TFMessage& message, bool is_static);
+
+  void publish_frame(const core::Frame& frame);
+  void publish_odom_tf(const core::Frame& frame);
+
+  core::KeyframeOptions keyframe_options_;
+  FrontendParameters parameters_;
+  std::shared_ptr<TfPoses> transforms_;  ///< if tf is read
+  std::optional<core::FrameBuilder> builder_;
+  std::optional<core::Camera> camera_;
+  bool has_camera_file_ = false;
+  std::string camera_frame_;
+  std::optional<std::int64_t> last_stamp_ns_;
+  bool is_paused_ = false;
+  SessionControlPtr control_;  ///< the last command
+  std::unique_ptr<tf2_ros::TransformBroadcaster> broadcaster_;
+  ros::Publisher control_publisher_, frame_publisher_, keyframe_publisher_, points_publisher_, done_publisher_;
+};
+
+}  // namespace semantic_topo_loop

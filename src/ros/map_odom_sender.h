@@ -1,0 +1,35 @@
+#pragma once
+
+#include <ros/time.h>
+#include <tf2_ros/transform_broadcaster.h>
+
+#include <cstdint>
+#include <mutex>
+#include <string>
+
+#include "semantic_topo_loop/types/se3.h"
+
+namespace semantic_topo_loop {
+
+/// Sends map -> odom at a fixed rate, whatever the pose graph is doing. Thread-safe.
+class MapOdomSender {
+ public:
+  /// @param tolerance_s how far the transform is dated ahead of the last pose, so that listeners need not wait
+  MapOdomSender(std::string map_frame, double tolerance_s);
+
+  void update(const core::SE3& T_map_odom, const ros::Time& stamp, const std::string& odom_frame);
+  /// Call at the wanted rate. Nothing is sent before the first pose.
+  void send();
+
+ private:
+  const std::string map_frame_;
+  const std::int64_t tolerance_ns_;
+  tf2_ros::TransformBroadcaster broadcaster_;
+  std::mutex mutex_;  ///< guards all below
+  core::SE3 T_map_odom_;
+  std::string odom_frame_;
+  std::int64_t pose_stamp_ns_ = -1;
+  std::int64_t sent_stamp_ns_ = -1;
+};
+
+}  // namespace semantic_topo_loop

@@ -1,0 +1,60 @@
+#pragma once
+
+#include <cstdint>
+#include <map>
+#include <optional>
+#include <utility>
+#include <vector>
+
+#include "semantic_topo_loop/types/association.h"
+#include "semantic_topo_loop/types/frame.h"
+#include "semantic_topo_loop/types/landmark.h"
+#include "semantic_topo_loop/types/loop_closure.h"
+#include "semantic_topo_loop/types/map_correction.h"
+
+namespace semantic_topo_loop {
+
+/// What there is to show, put together from the stages' deltas. Everything in the map frame. Not thread-safe.
+class MapView {
+ public:
+  struct Keyframe {
+    core::SE3 T_odom_camera, T_map_camera;
+  };
+  struct LoopEnds {
+    std::int64_t query_keyframe_id, match_keyframe_id;
+    bool kept;  ///< false once the optimiser rejects it
+  };
+
+  void apply(const core::MapUpdate& update);
+  void apply(const core::MapCorrection& correction);
+  void add_keyframe(std::int64_t keyframe_id, const core::SE3& T_odom_camera);
+  /// Accepted loops only; a loop counts as kept until a correction says otherwise.
+  void add_loops(const std::vector<core::LoopClosure>& loops);
+  void set_frame(const core::Frame& frame) { frame_ = frame; }
+  /// A frame without detections leaves the view as it is.
+  void set_view(const core::AssociationFrame& associations);
+
+  const std::map<std::int64_t, core::Landmark>& landmarks() const { return landmarks_; }
+  const std::map<std::int64_t, Keyframe>& keyframes() const { return keyframes_; }
+  const std::vector<LoopEnds>& loops() const { return loops_; }
+  const std::optional<core::Frame>& frame() const { return frame_; }
+  const core::SE3& T_map_odom() const { return T_map_odom_; }
+  /// Objects of the last frame with detections that have an ellipsoid and are not retired, in order of id, each once.
+  std::vector<const core::Landmark*> objects_in_view() const;
+  /// The vertical, as the cameras were held: across the keyframes' x axes, on the side of image-up, since nothing says
+  /// that the world is z-up. Unit; -y before the first keyframe.
+  core::Vec3 up() const;
+  /// A z-up frame at the first keyframe, x ahead of its camera; none before it.
+  std::optional<core::SE3> T_map_upright() const;
+
+ private:
+  std::map<std::int64_t, core::Landmark> landmarks_;
+  std::map<std::int64_t, std::int64_t> redirects_;  ///< merged id to survivor
+  std::map<std::int64_t, Keyframe> keyframes_;
+  std::vector<LoopEnds> loops_;
+  std::optional<core::Frame> frame_;
+  std::vector<std::int64_t> in_view_;
+  core::SE3 T_map_odom_;
+};
+
+}  // namespace semantic_topo_loop

@@ -1,0 +1,40 @@
+#pragma once
+
+#include <std_msgs/ColorRGBA.h>
+#include <visualization_msgs/MarkerArray.h>
+
+#include <boost/make_shared.hpp>
+
+#include "ros/map_view.h"
+#include "semantic_topo_loop/types/class_table.h"
+
+/// MarkerArrays of the map for rviz. Each begins with DELETEALL; ids are those of landmarks, so a marker keeps its id.
+namespace semantic_topo_loop {
+
+/// Sizes in metres of what has none of its own.
+struct MarkerSizes {
+  double label_m = 0.08;   ///< height of a capital letter
+  double line_m = 0.008;   ///< width of lines
+  double camera_m = 0.06;  ///< depth of a keyframe's frustum; the current camera's is twice as deep
+};
+
+/// The same colour for a class in every run, neighbours in id far apart in hue.
+std_msgs::ColorRGBA class_color(int class_id, double alpha);
+
+/// Ellipsoids: confirmed ones in namespace "quadrics", more opaque with quality; candidates faint in "candidates".
+visualization_msgs::MarkerArrayPtr make_quadric_markers(const MapView& view, const std_msgs::Header& header);
+/// Class names above the confirmed objects, namespace "labels".
+visualization_msgs::MarkerArrayPtr make_label_markers(const MapView& view, const std_msgs::Header& header,
+                                                      const core::ClassTable& classes, const MarkerSizes& sizes);
+/// Lines between neighbours among the objects of the current view, namespace "topology".
+visualization_msgs::MarkerArrayPtr make_topology_markers(const MapView& view, const std_msgs::Header& header,
+                                                         const MarkerSizes& sizes);
+/// Lines between the keyframes of accepted loops, namespace "loops": green, or thick and red where the optimiser
+/// rejected it. Of loops whose ends lie together one is drawn.
+visualization_msgs::MarkerArrayPtr make_loop_markers(const MapView& view, const std_msgs::Header& header,
+                                                     const MarkerSizes& sizes);
+/// Frusta of the keyframes and, in another colour, of the current camera, namespace "keyframes".
+visualization_msgs::MarkerArrayPtr make_keyframe_markers(const MapView& view, const std_msgs::Header& header,
+                                                         const MarkerSizes& sizes);
+
+}  // namespace semantic_topo_loop

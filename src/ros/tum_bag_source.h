@@ -1,0 +1,77 @@
+#pragma once
+
+#include <rosbag/bag.h>
+#include <rosbag/view.h>
+
+#include <cstdint>
+#include <deque>
+#include <memory>
+#include <optional>
+#include <string>
+#include <vector>
+
+#include "ros/depth_pairing.h"
+#include "ros/player_source.h"
+
+namespace semantic_topo_loop {
+
+/// How a bag in the layout of the official TUM RGB-D bags is read.
+struct TumBagPlayback {
+  std::string file;
+  std::string stamps = "image";  ///< of the images: image or camera_info
+  bool with_images = false;      ///< colour and depth themselves; needs stamps image
+  double max_depth_delay_s = 0.02;
+  std::string mocap_tf = "drop";  ///< the motion capture's edge in /tf: drop, or odom (its parent becomes odom_frame)
+  std::string odom_frame = "odom";
+  double lookahead_s = 0.3;  ///< transforms recorded up to this long after an image go before it
+};
+
+/// Reads a bag in the official TUM layout, in one pass, without a master: `/camera/rgb/image_color`,
+/// `/camera/depth/image`, `/camera/rgb/camera_info` and `/tf` with `/world -> /kinect` from the motion capture and the
+/// camera's chain below `/kinect`. Only the motion capture's edge is changed, so that `kinect` has one parent. Leading
+/// slashes of frame ids are stripped. Images out of order, and colour images without depth where both are wanted, are
+/// left out and said to be.
+class TumBagSource : public PlayerSource {
+ public:
+  /// @param calibration replaces the recorded camera_info, which holds the driver's defaults
+  /// @return null, with the file and cause in `error`, if it cannot be played
+  static std::unique_ptr<TumBagSource> open(const TumBagPlayback& options,
+                                            const std::optional<sensor_msgs::CameraInfo>& calibration,
+                                            std::string* error);
+  std::optional<PlayerItem> next(std::string* error) override;
+  std::size_t size() const override { return size_; }
+
+ private:
+  struct Image {
+    ros::Time received;
+    std_msgs::Header header;
+    sensor_msgs::ImagePtr color, depth;
+  };
+
+  explicit TumBagSource(const TumBagPlayback& options) : options_(options), pairing_(options.max_depth_delay_s) {}
+  void open_bag();
+  std::size_t count(const std::string& topic) const;
+  std::string what_is_missing() const;
+  bool is_due() const;
+  void read_message(const rosbag::MessageInstance& message);
+  void take_color(const ros::Time& received, const sensor_msgs::ImagePtr& image);
+  void take_pairs();
+  void take_transforms(const tf2_msgs::TFMessage& message);
+  PlayerItem make_item(const Image& image);
+  bool is_in_order(const std_msgs::Header& header, PlayerItem* item);
+
+  const TumBagPlayback options_;
+  std::optional<sensor_msgs::CameraInfo> calibration_;
+  rosbag::Bag bag_;
+  std::unique_ptr<rosbag::View> view_;
+  rosbag::View::iterator position_;
+  ros::Time read_to_;  ///< time of recording of the last message read
+  std::size_t size_ = 0;
+  DepthPairing pairing_;
+  std::deque<Image> images_;
+  std::optional<ros::Time> last_stamp_;  ///< of the images given
+  std::vector<tf2_msgs::TFMessage> transforms_;
+  std::string fault_;  ///< that ended the reading; what was read before it is still played
+};
+
+}  // namespace semantic_topo_loop

@@ -1,0 +1,73 @@
+#include "tools/evaluation/csv_table.h"
+
+#include <cmath>
+
+#include "semantic_topo_loop/io/text_file.h"
+#include "semantic_topo_loop/types/stamp.h"
+
+namespace semantic_topo_loop::core {
+
+std::optional<CsvTable> CsvTable::read(const std::string& path, std::string* error) {
+  const std::optional<std::string> text = read_text_file(path, error);
+  if (!text) return std::nullopt;
+  const std::vector<TextLine> lines = content_lines(*text);
+  if (lines.empty()) {
+    *error = path + ": the file is empty";
+    return std::nullopt;
+  }
+  CsvTable table;
+  table.path_ = path;
+  for (const std::string_view name : split(lines.front().text, ',')) {
+    const std::size_t column = table.columns_.size();
+    if (table.columns_.emplace(name, column).second) continue;
+    *error = at_line(path, lines.front().number, "column '" + std::string(name) + "' is there twice");
+    return std::nullopt;
+  }
+  for (std::size_t i = 1; i < lines.size(); ++i) {
+    const std::vector<std::string_view> fields = split(lines[i].text, ',');
+    if (fields.size() != table.columns_.size()) {
+      *error = at_line(path, lines[i].number,
+                       std::to_string(fields.size()) + " fields instead of " + std::to_string(table.columns_.size()));
+      return std::nullopt;
+    }
+    table.rows_.push_back({lines[i].number, std::vector<std::string>(fields.begin(), fields.end())});
+  }
+  return table;
+}
+
+std::string CsvTable::text(const std::string& column) {
+  const auto it = columns_.find(column);
+  if (it != columns_.end()) return rows_[row_].fields[it->second];
+  if (error_.empty()) error_ = path_ + ": column '" + column + "' is missing";
+  return {};
+}
+
+void CsvTable::reject(const std::string& column, const std::string& rule) {
+  const std::string value = text(column);
+  if (error_.empty()) error_ = at_line(path_, rows_[row_].line, column + " = '" + value + "' " + rule);
+}
+
+double CsvTable::number(const std::string& column) {
+  const std::optional<double> value = parse_double(text(column));
+  if (value && std::isfinite(*value)) return *value;
+  reject(column, "is no finite number");
+  return 0.0;
+}
+
+std::int64_t CsvTable::integer(const std::string& column) {
+  const std::optional<std::int64_t> value = parse_integer(text(column));
+  if (!value) reject(column, "is no integer");
+  return value.value_or(0);
+}
+
+std::int64_t CsvTable::stamp_ns(const std::string& column) {
+  const std::optional<std::int64_t> value = parse_stamp(text(column));
+  if (!value) reject(column, "is no stamp in seconds");
+  return value.value_or(0);
+}
+
+Vec3 CsvTable::vector(const std::string& x, const std::string& y, const std::string& z) {
+  return {number(x), number(y), number(z)};
+}
+
+}  // namespace semantic_topo_loop::core

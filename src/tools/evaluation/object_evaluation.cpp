@@ -1,0 +1,131 @@
+#include "tools/evaluation/object_evaluation.h"
+
+#include <algorithm>
+
+#include "geometry/assignment.h"
+
+namespace semantic_topo_loop::core {
+namespace {
+
+/// Confirmed objects in the reference frame and what they were matched with.
+struct Candidate {
+  const MappedObject* object = nullptr;
+  Vec3 center = Vec3::Zero();
+  double scale = 1.0;
+  const ReferenceObject* reference = nullptr;
+  double distance_m = 0.0;
+};
+
+/// Matches what is still free with the references of one certainty.
+/// @return number of matches
+int match(Certainty certainty, const std::vector<ReferenceObject>& references, std::vector<Candidate>* candidates) {
+  std::vector<Candidate*> rows;
+  std::vector<const ReferenceObject*> columns;
+  for (Candidate& candidate : *candidates) {
+    if (candidate.reference == nullptr) rows.push_back(&candidate);
+  }
+  for (const ReferenceObject& reference : references) {
+    if (reference.certainty == certainty) columns.push_back(&reference);
+  }
+  const auto n = static_cast<Eigen::Index>(rows.size()), m = static_cast<Eigen::Index>(columns.size());
+  const auto row = [&rows](Eigen::Index i) { return rows[static_cast<std::size_t>(i)]; };
+  const auto column = [&columns](Eigen::Index j) { return columns[static_cast<std::size_t>(j)]; };
+  const auto distance = [&](Eigen::Index i, Eigen::Index j) { return (row(i)->center - column(j)->center).norm(); };
+  // Every pair is worth 1 and all bonuses for closeness together less than 1: most pairs first, then the closest.
+  const double bonus = 1.0 / static_cast<double>(std::min(n, m) + 1);
+  Eigen::MatrixXd score = Eigen::MatrixXd::Zero(n, m);
+  for (Eigen::Index i = 0; i < n; ++i) {
+    for (Eigen::Index j = 0; j < m; ++j) {
+      const double radius = match_radius_m(column(j)->semi_axes);
+      if (row(i)->object->class_id != column(j)->class_id || distance(i, j) > radius) continue;
+      score(i, j) = 1.0 + bonus * (1.0 - distance(i, j) / radius);
+    }
+  }
+  int matched = 0;
+  const std::vector<int> assignment = assign_max(score);
+  for (Eigen::Index i = 0; i < n; ++i) {
+    const int j = assignment[static_cast<std::size_t>(i)];
+    if (j < 0) continue;
+    row(i)->reference = column(j);
+    row(i)->distance_m = distance(i, j);
+    ++matched;
+  }
+  return matched;
+}
+
+/// True if no other constructed object lies within the object's match radius.
+bool is_undisputed(const Candidate& candidate, const std::vector<Candidate>& all) {
+  const double radius = match_radius_m(candidate.scale * candidate.object->semi_axes);
+  return std::none_of(all.begin(), all.end(), [&](const Candidate& other) {
+    return &other != &candidate && (other.center - candidate.center).norm() <= radius;
+  });
+}
+
+int count(const std::vector<ReferenceObject>& references, Certainty certainty) {
+  return static_cast<int>(std::count_if(references.begin(), references.end(),
+                                        [&](const ReferenceObject& r) { return r.certainty == certainty; }));
+}
+
+void list_matches(const std::vector<Candidate>& candidates, const std::vector<ReferenceObject>& references,
+                  ObjectEvaluation* result) {
+  std::vector<double> distances;
+  for (const Candidate& candidate : candidates) {
+    const ReferenceObject* reference = candidate.reference;
+    result->matches.push_back({candidate.object->id, reference == nullptr ? -1 : reference->id, candidate.distance_m});
+    if (reference != nullptr && reference->certainty == Certainty::kCertain) {
+      distances.push_back(candidate.distance_m);
+    }
+  }
+  for (const ReferenceObject& reference : references) {
+    const bool found = std::any_of(candidates.begin(), candidates.end(),
+                                   [&](const Candidate& candidate) { return candidate.reference == &reference; });
+    if (!found && reference.certainty == Certainty::kCertain) result->matches.push_back({-1, reference.id, 0.0});
+  }
+  result->center_m = error_statistics(std::move(distances));
+}
+
+}  // namespace
+
+double Detectability::f() const {
+  const double p = precision.value(), r = recall.value();
+  return p + r > 0.0 ? 2.0 * p * r / (p + r) : 0.0;
+}
+
+double match_radius_m(const Vec3& semi_axes) {
+  constexpr double kMinRadius = 0.15;
+  return std::max(kMinRadius, 0.5 * semi_axes.maxCoeff());
+}
+
+ObjectEvaluation evaluate_objects(const std::vector<MappedObject>& objects,
+                                  const std::vector<ReferenceObject>& references, const Alignment& alignment) {
+  std::vector<Candidate> candidates;
+  for (const MappedObject& object : objects) {
+    if (object.state != "confirmed") continue;
+    Candidate candidate;
+    candidate.object = &object;
+    candidate.center = alignment.scale * (alignment.T_a_b.q * object.center) + alignment.T_a_b.t;
+    candidate.scale = alignment.scale;
+    candidates.push_back(candidate);
+  }
+  ObjectEvaluation result;
+  result.matched_certain = match(Certainty::kCertain, references, &candidates);
+  result.matched_probable = match(Certainty::kProbable, references, &candidates);
+  result.matched_marginal = match(Certainty::kMarginal, references, &candidates);
+
+  const int confirmed = static_cast<int>(candidates.size());
+  const int certain = count(references, Certainty::kCertain);
+  const int wrong = confirmed - result.matched_certain - result.matched_probable - result.matched_marginal;
+  result.certain.precision = {result.matched_certain, result.matched_certain + wrong};
+  result.certain.recall = {result.matched_certain, certain};
+  const int strictly_right = result.matched_certain + result.matched_probable;
+  result.strict.precision = {strictly_right, confirmed};
+  result.strict.recall = {strictly_right, certain + count(references, Certainty::kProbable)};
+  for (const Candidate& candidate : candidates) {
+    result.undisputed.right += is_undisputed(candidate, candidates) ? 1 : 0;
+  }
+  result.undisputed.total = confirmed;
+  list_matches(candidates, references, &result);
+  return result;
+}
+
+}  // namespace semantic_topo_loop::core

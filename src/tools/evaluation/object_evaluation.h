@@ -1,0 +1,65 @@
+#pragma once
+
+#include <cstdint>
+#include <string>
+#include <vector>
+
+#include "semantic_topo_loop/geometry/alignment.h"
+#include "tools/evaluation/statistics.h"
+
+namespace semantic_topo_loop::core {
+
+/// How sure we are that the object is there: certain ones must be found, the others may be.
+enum class Certainty { kCertain, kProbable, kMarginal };
+
+struct ReferenceObject {
+  int id = -1;
+  int class_id = -1;
+  std::string label;
+  Vec3 center = Vec3::Zero();     ///< reference frame, m
+  Vec3 semi_axes = Vec3::Ones();  ///< m
+  Certainty certainty = Certainty::kCertain;
+};
+
+/// An object of a run: a row of objects.csv.
+struct MappedObject {
+  std::int64_t id = -1;
+  int class_id = -1;
+  std::string label;
+  Vec3 center = Vec3::Zero();     ///< map frame, m
+  Vec3 semi_axes = Vec3::Ones();  ///< m
+  std::string state;              ///< candidate, confirmed or retired
+  int observations = 0;
+};
+
+/// Precision and recall with their counts.
+struct Detectability {
+  Ratio precision, recall;
+  double f() const;  ///< harmonic mean, 0 if either is 0
+};
+
+struct ObjectMatchResult {
+  std::int64_t object_id = -1;  ///< of the run, -1: missed
+  int reference_id = -1;        ///< -1: false
+  double distance_m = 0.0;
+};
+
+struct ObjectEvaluation {
+  Detectability certain;     ///< probable and marginal objects are neither right nor wrong
+  Detectability strict;      ///< probable ones required too, everything else unmatched wrong
+  Ratio undisputed;          ///< the paper's rule: constructed objects with no other one nearby
+  ErrorStatistics center_m;  ///< distances of the objects matched with certain references
+  int matched_certain = 0, matched_probable = 0, matched_marginal = 0;
+  std::vector<ObjectMatchResult> matches;  ///< every confirmed object and every missed certain reference
+};
+
+/// Distance up to which an object counts as the reference: max(0.15 m, half the largest semi-axis).
+double match_radius_m(const Vec3& semi_axes);
+
+/// Matches the confirmed objects with the reference: same class, centre within match_radius_m of the reference,
+/// one to one with the most pairs and then the least distance; certain references first, then probable, then marginal.
+/// @param alignment takes the map frame to the reference frame
+ObjectEvaluation evaluate_objects(const std::vector<MappedObject>& objects,
+                                  const std::vector<ReferenceObject>& references, const Alignment& alignment);
+
+}  // namespace semantic_topo_loop::core

@@ -1,0 +1,173 @@
+#include "tools/evaluation/run_files.h"
+
+#include <cmath>
+#include <functional>
+
+#include "semantic_topo_loop/io/tum_trajectory.h"
+#include "tools/evaluation/csv_table.h"
+
+namespace semantic_topo_loop::core {
+namespace {
+
+/// Reads every row through `read_row`; the first failure of any becomes the error.
+template <class T>
+std::optional<std::vector<T>> read_rows(const std::string& path, const std::function<T(CsvTable&)>& read_row,
+                                        std::string* error) {
+  std::string problem;
+  std::optional<CsvTable> table = CsvTable::read(path, &problem);
+  std::vector<T> rows;
+  for (std::size_t i = 0; table && i < table->size() && problem.empty(); ++i) {
+    table->select(i);
+    rows.push_back(read_row(*table));
+    problem = table->error();
+  }
+  if (problem.empty()) return rows;
+  if (error != nullptr) *error = problem;
+  return std::nullopt;
+}
+
+Quaternion read_rotation(CsvTable& table) {
+  const Quaternion q(table.number("qw"), table.number("qx"), table.number("qy"), table.number("qz"));
+  constexpr double kMaxNormError = 0.01;
+  if (!(std::abs(q.norm() - 1.0) <= kMaxNormError)) table.reject("qw", "is part of a quaternion that is no rotation");
+  return q.normalized();
+}
+
+MappedObject read_object(CsvTable& table) {
+  MappedObject object;
+  object.id = table.integer("id");
+  object.class_id = static_cast<int>(table.integer("class_id"));
+  object.label = table.text("label");
+  object.center = table.vector("x", "y", "z");
+  object.semi_axes = table.vector("a", "b", "c");
+  object.state = table.text("state");
+  object.observations = static_cast<int>(table.integer("observations"));
+  if (object.state != "candidate" && object.state != "confirmed" && object.state != "retired") {
+    table.reject("state", "must be candidate, confirmed or retired");
+  }
+  return object;
+}
+
+LoopRecord read_loop(CsvTable& table) {
+  LoopRecord loop;
+  loop.query_frame = table.integer("query_frame");
+  loop.match_frame = table.integer("match_frame");
+  loop.query_stamp_ns = table.stamp_ns("query_stamp");
+  loop.match_stamp_ns = table.stamp_ns("match_stamp");
+  loop.query_begin = table.integer("query_begin");
+  loop.query_end = table.integer("query_end");
+  loop.match_begin = table.integer("match_begin");
+  loop.match_end = table.integer("match_end");
+  loop.accepted = table.integer("accepted") == 1;
+  loop.reason = table.text("reason");
+  loop.score = table.number("score");
+  loop.T_match_query = SE3(read_rotation(table), table.vector("x", "y", "z"));
+  if (!loop.accepted && table.text("accepted") != "0") table.reject("accepted", "must be 0 or 1");
+  return loop;
+}
+
+double sigma(CsvTable& table, const std::string& column, double usual) {
+  constexpr double kNotComputed = -1.0;
+  const double value = table.has(column) ? table.number(column) : kNotComputed;
+  if (value == kNotComputed) return usual;
+  if (!(value > 0.0)) table.reject(column, "must be > 0");
+  return value;
+}
+
+LoopClosure read_given_loop(CsvTable& table) {
+  const LoopRecord record = read_loop(table);
+  LoopClosure loop;
+  loop.query_frame = record.query_frame;
+  loop.match_frame = record.match_frame;
+  loop.query_stamp_ns = record.query_stamp_ns;
+  loop.match_stamp_ns = record.match_stamp_ns;
+  loop.query_begin = record.query_begin;
+  loop.query_end = record.query_end;
+  loop.match_begin = record.match_begin;
+  loop.match_end = record.match_end;
+  loop.accepted = record.accepted;
+  loop.reason = record.accepted ? LoopReason::kAccepted : LoopReason::kTooFewObjects;
+  loop.T_match_query = record.T_match_query;
+  constexpr double kSigma_m = 0.05, kSigma_deg = 1.7;
+  const double sigma_m = sigma(table, "sigma_m", kSigma_m), sigma_rad = radians(sigma(table, "sigma_deg", kSigma_deg));
+  Vec6 variances;
+  variances << Vec3::Constant(sigma_m * sigma_m / 3.0), Vec3::Constant(sigma_rad * sigma_rad / 3.0);
+  loop.covariance = variances.asDiagonal();
+  return loop;
+}
+
+KeyframePose read_keyframe(CsvTable& table) {
+  KeyframePose keyframe;
+  keyframe.keyframe_id = table.integer("keyframe_id");
+  keyframe.frame_id = table.integer("frame_id");
+  keyframe.stamp_ns = table.stamp_ns("stamp");
+  keyframe.T_map_camera = SE3(read_rotation(table), table.vector("x", "y", "z"));
+  return keyframe;
+}
+
+ReferenceObject read_reference(CsvTable& table) {
+  ReferenceObject object;
+  object.id = static_cast<int>(table.integer("id"));
+  object.class_id = static_cast<int>(table.integer("label_id"));
+  object.label = table.text("label");
+  object.center = table.vector("x", "y", "z");
+  object.semi_axes = table.vector("a", "b", "c");
+  const std::string certainty = table.text("certainty");
+  if (certainty == "probable") {
+    object.certainty = Certainty::kProbable;
+  } else if (certainty == "marginal") {
+    object.certainty = Certainty::kMarginal;
+  } else if (certainty != "certain") {
+    table.reject("certainty", "must be certain, probable or marginal");
+  }
+  return object;
+}
+
+}  // namespace
+
+std::optional<std::vector<MappedObject>> read_objects(const std::string& path, std::string* error) {
+  return read_rows<MappedObject>(path, read_object, error);
+}
+
+std::optional<std::vector<LoopRecord>> read_loops(const std::string& path, std::string* error) {
+  return read_rows<LoopRecord>(path, read_loop, error);
+}
+
+std::optional<std::vector<LoopClosure>> read_given_loops(const std::string& path, std::string* error) {
+  return read_rows<LoopClosure>(path, read_given_loop, error);
+}
+
+std::optional<std::vector<KeyframePose>> read_keyframes(const std::string& path, std::string* error) {
+  return read_rows<KeyframePose>(path, read_keyframe, error);
+}
+
+std::optional<std::vector<ReferenceObject>> read_reference_objects(const std::string& path, std::string* error) {
+  return read_rows<ReferenceObject>(path, read_reference, error);
+}
+
+std::optional<std::vector<std::int64_t>> read_keyframe_stamps(const std::string& path, std::string* error) {
+  return read_rows<std::int64_t>(
+      path, [](CsvTable& table) { return table.stamp_ns("stamp"); }, error);
+}
+
+std::optional<Sightings> read_sightings(const std::string& directory, std::string* error) {
+  const auto objects = read_objects(directory + "/objects.csv", error);
+  const auto frames = objects ? read_tum_trajectory(directory + "/trajectory.txt", error) : std::nullopt;
+  if (!frames) return std::nullopt;
+  std::set<std::int64_t> confirmed;
+  for (const MappedObject& object : *objects) {
+    if (object.state == "confirmed") confirmed.insert(object.id);
+  }
+  Sightings sightings;
+  const auto read_row = [&](CsvTable& table) {
+    const std::int64_t frame = table.integer("frame_id"), id = table.integer("landmark_id");
+    const bool is_known = frame >= 0 && frame < static_cast<std::int64_t>(frames->size());
+    if (!is_known) table.reject("frame_id", "is no frame of trajectory.txt");
+    if (is_known && confirmed.count(id) > 0) sightings[(*frames)[static_cast<std::size_t>(frame)].stamp_ns].insert(id);
+    return id;
+  };
+  if (!read_rows<std::int64_t>(directory + "/associations.csv", read_row, error)) return std::nullopt;
+  return sightings;
+}
+
+}  // namespace semantic_topo_loop::core

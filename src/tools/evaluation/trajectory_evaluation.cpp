@@ -1,0 +1,79 @@
+#include "tools/evaluation/trajectory_evaluation.h"
+
+#include <cmath>
+
+#include "semantic_topo_loop/geometry/lie.h"
+
+namespace semantic_topo_loop::core {
+namespace {
+
+using IndexPairs = std::vector<std::pair<std::size_t, std::size_t>>;
+
+std::int64_t to_ns(double seconds) { return static_cast<std::int64_t>(std::llround(seconds * 1e9)); }
+
+/// Relative errors between each pair and the first one at least the interval later, unless that is much later.
+void relative_errors(const StampedPoses& estimate, const StampedPoses& reference, const IndexPairs& pairs, double scale,
+                     double interval_s, TrajectoryEvaluation* result) {
+  std::vector<double> translations, rotations;
+  const std::int64_t interval_ns = to_ns(interval_s);
+  std::size_t later = 0;
+  for (const auto& [i, j] : pairs) {
+    while (later < pairs.size() && estimate[pairs[later].first].stamp_ns < estimate[i].stamp_ns + interval_ns) ++later;
+    if (later == pairs.size()) break;
+    const auto& [i2, j2] = pairs[later];
+    if (estimate[i2].stamp_ns > estimate[i].stamp_ns + interval_ns + interval_ns / 2) continue;
+    SE3 motion = estimate[i].T_world_camera.inverse() * estimate[i2].T_world_camera;
+    motion.t *= scale;
+    const SE3 true_motion = reference[j].T_world_camera.inverse() * reference[j2].T_world_camera;
+    const SE3 error = true_motion.inverse() * motion;
+    translations.push_back(error.t.norm());
+    rotations.push_back(degrees(rotation_angle(error.q, Quaternion::Identity())));
+  }
+  result->relative_m = error_statistics(std::move(translations));
+  result->relative_deg = error_statistics(std::move(rotations));
+}
+
+}  // namespace
+
+IndexPairs associate_stamps(const StampedPoses& estimate, const StampedPoses& reference, double max_difference_s) {
+  IndexPairs pairs;
+  for (std::size_t i = 0; i < estimate.size(); ++i) {
+    const StampedPose* nearest = find_stamp(reference, estimate[i].stamp_ns, to_ns(max_difference_s) - 1);
+    if (nearest != nullptr) pairs.emplace_back(i, static_cast<std::size_t>(nearest - reference.data()));
+  }
+  return pairs;
+}
+
+std::optional<TrajectoryEvaluation> evaluate_trajectory(const StampedPoses& estimate, const StampedPoses& reference,
+                                                        const TrajectoryEvaluationOptions& options,
+                                                        std::string* error) {
+  const IndexPairs pairs = associate_stamps(estimate, reference, options.max_stamp_difference_s);
+  std::vector<Vec3> points_reference, points_estimate;
+  for (const auto& [i, j] : pairs) {
+    points_estimate.push_back(estimate[i].T_world_camera.t);
+    points_reference.push_back(reference[j].T_world_camera.t);
+  }
+  const std::optional<Alignment> alignment = align_points(points_reference, points_estimate, options.with_scale);
+  if (!alignment) {
+    if (error != nullptr) {
+      *error = "cannot align the trajectories: " + std::to_string(pairs.size()) +
+               " poses have a partner in time (3 that are not on a line are needed)";
+    }
+    return std::nullopt;
+  }
+  TrajectoryEvaluation result;
+  result.estimated = estimate.size();
+  result.reference = reference.size();
+  result.pairs = pairs.size();
+  result.alignment = *alignment;
+  std::vector<double> distances;
+  for (std::size_t k = 0; k < pairs.size(); ++k) {
+    const Vec3 aligned = alignment->scale * (alignment->T_a_b.q * points_estimate[k]) + alignment->T_a_b.t;
+    distances.push_back((aligned - points_reference[k]).norm());
+  }
+  result.absolute_m = error_statistics(std::move(distances));
+  relative_errors(estimate, reference, pairs, alignment->scale, options.relative_interval_s, &result);
+  return result;
+}
+
+}  // namespace semantic_topo_loop::core

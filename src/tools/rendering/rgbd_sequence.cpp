@@ -1,0 +1,226 @@
+#include "tools/rendering/rgbd_sequence.h"
+
+#include <algorithm>
+#include <filesystem>
+#include <limits>
+#include <opencv2/imgcodecs.hpp>
+#include <thread>
+
+#include "semantic_topo_loop/io/camera_yaml.h"
+#include "semantic_topo_loop/io/text_file.h"
+#include "semantic_topo_loop/types/option_visitor.h"
+#include "semantic_topo_loop/types/stamp.h"
+#include "tools/rendering/kinect_model.h"
+#include "tools/rendering/scene_renderer.h"
+#include "tools/simulation/seed_stream.h"
+
+namespace semantic_topo_loop::core {
+namespace {
+
+/// Raised whenever the same options give other images.
+constexpr int kGeneratorVersion = 1;
+constexpr int kPngCompression = 1;  ///< the images' noise leaves little to gain
+
+std::string colour_name(const SimulatedSequence& sequence, std::size_t frame) {
+  return "rgb/" + format_stamp(sequence.truth[frame].stamp_ns) + ".png";
+}
+
+std::string depth_name(const SimulatedSequence& sequence, std::size_t frame) {
+  return "depth/" + format_stamp(sequence.depth[frame].stamp_ns) + ".png";
+}
+
+/// 16-bit depth.
+cv::Mat quantised(const cv::Mat& depth_m, const RenderingOptions& options) {
+  constexpr double kLargest = 65534.0;
+  cv::Mat result(depth_m.size(), CV_16UC1);
+  const auto far_value = static_cast<std::uint16_t>(options.far_value);
+  for (int y = 0; y < depth_m.rows; ++y) {
+    const float* in = depth_m.ptr<float>(y);
+    std::uint16_t* out = result.ptr<std::uint16_t>(y);
+    for (int x = 0; x < depth_m.cols; ++x) {
+      const double units = std::isinf(in[x]) ? kLargest + 1.0 : options.depth_scale * static_cast<double>(in[x]) + 0.5;
+      out[x] = std::isnan(in[x]) ? std::uint16_t{0} : units < kLargest ? static_cast<std::uint16_t>(units) : far_value;
+    }
+  }
+  return result;
+}
+
+bool write_image(const std::string& path, const cv::Mat& image, std::string* error) {
+  bool written = false;
+  try {
+    written = cv::imwrite(path, image, {cv::IMWRITE_PNG_COMPRESSION, kPngCompression});
+  } catch (const cv::Exception&) {
+    written = false;
+  }
+  if (!written && error != nullptr) *error = path + ": cannot write the image";
+  return written;
+}
+
+std::optional<cv::Mat> read_image(const std::string& path, int type, const Camera& camera, std::string* error) {
+  cv::Mat image;
+  try {
+    // imread would print about a missing file.
+    std::error_code ignored;
+    if (std::filesystem::exists(path, ignored)) image = cv::imread(path, cv::IMREAD_UNCHANGED);
+  } catch (const cv::Exception&) {
+    image.release();
+  }
+  if (image.type() == type && image.cols == camera.width && image.rows == camera.height) return image;
+  if (error != nullptr) *error = path + ": cannot read an image of the sequence";
+  return std::nullopt;
+}
+
+/// Renders single frames; const, so that threads may share it.
+class FrameWriter {
+ public:
+  FrameWriter(const SimulationOptions& options, const SimulatedSequence& sequence, const std::string& directory)
+      : options_(options),
+        sequence_(sequence),
+        directory_(directory),
+        rays_(sequence.camera),
+        renderer_(sequence.scene, room_around(sequence.scene, sequence.mocap), seed_of(options, kTextures)) {}
+
+  using Views = std::vector<std::optional<ObjectView>>;
+
+  /// Writes one frame's images.
+  /// @return what the colour image shows; nullopt with `error` set
+  std::optional<Views> write(std::size_t frame, std::string* error) const {
+    const double time_s = sequence_.time_s(frame);
+    RenderedImage image = renderer_.render(rays_, sequence_.truth[frame].T_world_camera, time_s);
+    const std::uint64_t seed = 2 * (seed_of(options_, kImageNoise) + 16 * static_cast<std::uint64_t>(frame) * 0x10001);
+    const cv::Mat colour = options_.rendering.noise ? kinect_colour(image.colour, seed) : image.colour;
+    Views views = std::move(image.objects);
+    if (!write_image(directory_ + "/" + colour_name(sequence_, frame), colour, error)) return std::nullopt;
+    const RenderedImage depth = is_same_view() ? std::move(image) : depth_view(frame, time_s);
+    const cv::Mat measured = options_.rendering.noise ? kinect_depth(depth, rays_, seed + 1) : depth.depth_m;
+    if (!write_image(directory_ + "/" + depth_name(sequence_, frame), quantised(measured, options_.rendering), error)) {
+      return std::nullopt;
+    }
+    return views;
+  }
+
+ private:
+  bool is_same_view() const {
+    return options_.rendering.depth_delay_s == 0.0 && options_.rendering.depth_offset_m == 0.0;
+  }
+  RenderedImage depth_view(std::size_t frame, double time_s) const {
+    const SE3 T_world_depth = sequence_.depth[frame].T_world_camera * color_from_depth(options_.rendering);
+    return renderer_.render(rays_, T_world_depth, time_s + options_.rendering.depth_delay_s, false);
+  }
+
+  const SimulationOptions& options_;
+  const SimulatedSequence& sequence_;
+  std::string directory_;
+  PixelRays rays_;
+  SceneRenderer renderer_;
+};
+
+/// The frames [begin, end), one thread each.
+bool write_batch(const FrameWriter& writer, std::size_t begin, std::size_t end,
+                 std::vector<std::optional<FrameWriter::Views>>* views, std::string* error) {
+  const std::size_t count = end - begin;
+  views->assign(count, std::nullopt);
+  std::vector<std::string> errors(count);
+  std::vector<std::thread> threads;
+  for (std::size_t i = 1; i < count; ++i) {
+    threads.emplace_back([&, i] { (*views)[i] = writer.write(begin + i, &errors[i]); });
+  }
+  (*views)[0] = writer.write(begin, &errors[0]);
+  for (std::thread& thread : threads) thread.join();
+  for (std::size_t i = 0; i < count; ++i) {
+    if ((*views)[i]) continue;
+    if (error != nullptr) *error = errors[i];
+    return false;
+  }
+  return true;
+}
+
+bool write_lists(const SimulatedSequence& sequence, const std::string& directory, std::string* error) {
+  std::string colours = "# colour images: timestamp filename\n", depths = "# depth images: timestamp filename\n", pairs;
+  for (std::size_t i = 0; i < sequence.truth.size(); ++i) {
+    const std::string colour = format_stamp(sequence.truth[i].stamp_ns) + " " + colour_name(sequence, i);
+    const std::string depth = format_stamp(sequence.depth[i].stamp_ns) + " " + depth_name(sequence, i);
+    colours += colour + "\n";
+    depths += depth + "\n";
+    pairs += colour + " " + depth + "\n";
+  }
+  return write_text_file(directory + "/rgb.txt", colours, error) &&
+         write_text_file(directory + "/depth.txt", depths, error) &&
+         write_text_file(directory + "/associations.txt", pairs, error);
+}
+
+/// Fowler-Noll-Vo hash.
+std::uint64_t fnv1a(const std::string& text) {
+  std::uint64_t hash = 0xcbf29ce484222325ULL;
+  for (const char c : text) hash = (hash ^ static_cast<unsigned char>(c)) * 0x100000001b3ULL;
+  return hash;
+}
+
+/// Empty image directories, so that no image of another sequence stays.
+bool clear_images(const std::string& directory, std::string* error) {
+  for (const char* name : {"rgb", "depth"}) {
+    std::error_code code;
+    std::filesystem::remove_all(directory + "/" + name, code);
+    if (!make_directory(directory + "/" + name, error)) return false;
+  }
+  return true;
+}
+
+}  // namespace
+
+SE3 color_from_depth(const RenderingOptions& options) {
+  return {Quaternion::Identity(), {options.depth_offset_m, 0.0, 0.0}};
+}
+
+bool render_sequence(const SimulationOptions& options, const ClassTable& classes, int threads,
+                     const std::string& directory, SimulatedSequence* sequence, std::string* error) {
+  if (!make_directory(directory, error) || !clear_images(directory, error)) return false;
+  const FrameWriter writer(options, *sequence, directory);
+  DetectorModel detector(sequence->scene, sequence->camera, classes, options.detector, options.trajectory.rate_hz,
+                         seed_of(options, kDetector));
+  const auto batch = static_cast<std::size_t>(std::max(1, threads));
+  std::vector<std::optional<FrameWriter::Views>> views;
+  for (std::size_t begin = 0; begin < sequence->truth.size(); begin += batch) {
+    const std::size_t end = std::min(begin + batch, sequence->truth.size());
+    if (!write_batch(writer, begin, end, &views, error)) return false;
+    for (std::size_t i = begin; i < end; ++i) {
+      sequence->detections[i] = detector.detect(sequence->truth[i].T_world_camera, *views[i - begin]);
+    }
+  }
+  return write_lists(*sequence, directory, error);
+}
+
+std::optional<cv::Mat> read_rendered_colour(const SimulatedSequence& sequence, const std::string& directory,
+                                            std::size_t frame, std::string* error) {
+  return read_image(directory + "/" + colour_name(sequence, frame), CV_8UC3, sequence.camera, error);
+}
+
+std::optional<cv::Mat> read_rendered_depth(const SimulatedSequence& sequence, const RenderingOptions& rendering,
+                                           const std::string& directory, std::size_t frame, std::string* error) {
+  const std::optional<cv::Mat> units =
+      read_image(directory + "/" + depth_name(sequence, frame), CV_16UC1, sequence.camera, error);
+  if (!units) return std::nullopt;
+  cv::Mat depth_m(units->size(), CV_32FC1);
+  for (int y = 0; y < units->rows; ++y) {
+    const auto* in = units->ptr<std::uint16_t>(y);
+    float* out = depth_m.ptr<float>(y);
+    for (int x = 0; x < units->cols; ++x) {
+      const bool has_depth = in[x] != 0 && in[x] != rendering.far_value;
+      out[x] = has_depth ? static_cast<float>(in[x] / rendering.depth_scale) : std::numeric_limits<float>::quiet_NaN();
+    }
+  }
+  return depth_m;
+}
+
+std::string sequence_manifest(const SimulationOptions& options, const Camera& camera, const std::string& class_table,
+                              const std::string& outputs) {
+  SimulationOptions copy = options;
+  OptionLister lister;
+  copy.visit(lister);
+  std::string text = "# What this directory was made from.\ngenerator " + std::to_string(kGeneratorVersion) +
+                     "\noutputs " + outputs + "\nclasses " + std::to_string(fnv1a(class_table)) + "\n";
+  for (const OptionLister::Row& row : lister.rows) text += row.key + " " + row.value + "\n";
+  return text + format_camera(camera);
+}
+
+}  // namespace semantic_topo_loop::core

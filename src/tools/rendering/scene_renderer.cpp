@@ -1,0 +1,320 @@
+#include "tools/rendering/scene_renderer.h"
+
+#include <algorithm>
+
+#include "tools/rendering/painted_shape.h"
+#include "tools/rendering/ray_caster.h"
+
+namespace semantic_topo_loop::core {
+namespace {
+
+constexpr int kTilePx = 16;
+constexpr float kAmbient = 0.62F;  ///< share of the light that comes from everywhere
+
+/// Towards the lamp, in the room.
+Vec3 lamp_direction() { return Vec3(0.35, 0.55, 0.76).normalized(); }
+
+Box pixel_ray_bounds(const cv::Mat& rays, const cv::Rect& tile) {
+  Box bounds{1e6, 1e6, -1e6, -1e6};
+  for (int y = tile.y; y < tile.y + tile.height; ++y) {
+    const auto* row = rays.ptr<cv::Vec2f>(y);
+    for (int x = tile.x; x < tile.x + tile.width; ++x) {
+      const auto u = static_cast<double>(row[x][0]), v = static_cast<double>(row[x][1]);
+      bounds = {std::min(bounds.x1, u), std::min(bounds.y1, v), std::max(bounds.x2, u), std::max(bounds.y2, v)};
+    }
+  }
+  return bounds;
+}
+
+bool overlap(const Box& a, const Box& b, double margin) {
+  return a.x1 <= b.x2 + margin && b.x1 <= a.x2 + margin && a.y1 <= b.y2 + margin && b.y1 <= a.y2 + margin;
+}
+
+/// What one ray meets first; cast -1 is the room.
+struct Hit {
+  float depth = kMiss;
+  int cast = -1;
+};
+
+/// What is seen along a ray.
+struct Look {
+  Colour colour;
+  float cosine = 1.0F;  ///< of the angle between ray and normal
+  int surface = 0;      ///< a number for each face of a box and for each ellipsoid
+};
+
+/// Pixels of one object: all that it covers, and those that nothing hides.
+struct Coverage {
+  int covered = 0, seen = 0;
+  int last_pixel = -1;  ///< an object of several shapes counts once a pixel
+  cv::Rect extent;
+
+  void see(int x, int y) {
+    ++seen;
+    extent |= cv::Rect(x, y, 1, 1);
+  }
+};
+
+}  // namespace
+
+PixelRays::PixelRays(const Camera& camera) : camera_(camera), rays_(camera.height, camera.width, CV_32FC2) {
+  for (int y = 0; y < camera.height; ++y) {
+    for (int x = 0; x < camera.width; ++x) {
+      const Vec3 ray = camera.ray(camera.undistort(Vec2(x, y)));
+      rays_.at<cv::Vec2f>(y, x) = {static_cast<float>(ray.x()), static_cast<float>(ray.y())};
+    }
+  }
+}
+
+struct SceneRenderer::Impl {
+  Scene scene;
+  Room room;
+  std::vector<PaintedShape> shapes;
+  std::vector<PaintedShape> walls;  ///< one: the room
+};
+
+namespace {
+
+/// One image in the making.
+class Picture {
+ public:
+  Picture(const std::vector<PaintedShape>& shapes, const PaintedShape& walls, const Scene& scene, const Room& room,
+          const PixelRays& rays, const SE3& T_world_camera, double time_s)
+      : shapes_(shapes), walls_(walls), rays_(rays), coverage_(scene.objects.size()) {
+    const SE3 T_camera_world = T_world_camera.inverse();
+    std::vector<std::optional<SE3>> T_camera_object;
+    for (const SceneObject& object : scene.objects) {
+      const std::optional<Ellipsoid> now = object.at(time_s);
+      T_camera_object.push_back(now ? std::optional<SE3>(T_camera_world * now->T_world_quadric) : std::nullopt);
+    }
+    for (std::size_t i = 0; i < shapes.size(); ++i) {
+      const DrawnShape& shape = shapes[i].shape();
+      const std::optional<SE3> T_camera_base = shape.object < 0
+                                                   ? std::optional<SE3>(T_camera_world)
+                                                   : T_camera_object[static_cast<std::size_t>(shape.object)];
+      if (!T_camera_base) continue;
+      const std::optional<CastShape> cast = cast_shape(shape, *T_camera_base * shape.T_base_shape, static_cast<int>(i));
+      if (cast) casts_.push_back(*cast);
+    }
+    const SE3 T_camera_room = T_camera_world * room.T_world_room;
+    room_ = *cast_shape(walls.shape(), T_camera_room, -1);
+    lamp_ = (T_camera_room.rotation() * lamp_direction()).cast<float>();
+    focal_px_ = static_cast<float>(std::min(rays.camera().fx, rays.camera().fy));
+  }
+
+  RenderedImage render(bool with_colour) {
+    const cv::Size size = rays_.rays().size();
+    image_.depth_m.create(size, CV_32FC1);
+    image_.cosine.create(size, CV_32FC1);
+    surfaces_.create(size, CV_32SC1);
+    if (with_colour) image_.colour.create(size, CV_8UC3);
+    for (int y = 0; y < size.height; y += kTilePx) {
+      for (int x = 0; x < size.width; x += kTilePx) {
+        render_tile({x, y, std::min(kTilePx, size.width - x), std::min(kTilePx, size.height - y)}, with_colour);
+      }
+    }
+    if (with_colour) smooth_edges();
+    measure_objects();
+    return std::move(image_);
+  }
+
+ private:
+  Eigen::Vector3f ray(int x, int y) const {
+    const auto& p = rays_.rays().at<cv::Vec2f>(y, x);
+    return {p[0], p[1], 1.0F};
+  }
+  const CastShape& cast_of(const Hit& hit) const {
+    return hit.cast < 0 ? room_ : casts_[static_cast<std::size_t>(hit.cast)];
+  }
+
+  void find_candidates(const cv::Rect& tile) {
+    const Box bounds = pixel_ray_bounds(rays_.rays(), tile);
+    candidates_.clear();
+    // A pixel's margin, for the rays between pixels too.
+    for (std::size_t i = 0; i < casts_.size(); ++i) {
+      if (overlap(casts_[i].bounds, bounds, 1.0 / static_cast<double>(focal_px_))) {
+        candidates_.push_back(static_cast<int>(i));
+      }
+    }
+  }
+
+  Hit cast(const Eigen::Vector3f& direction) const {
+    Hit hit{depth_of_exit(room_, direction), -1};
+    for (const int i : candidates_) {
+      const float depth = depth_of_entry(casts_[static_cast<std::size_t>(i)], direction);
+      if (depth < hit.depth) hit = {depth, i};
+    }
+    return hit;
+  }
+
+  /// The same, counting what the pixel's ray meets.
+  Hit cast_pixel(int x, int y) {
+    const Eigen::Vector3f direction = ray(x, y);
+    const int pixel = y * rays_.rays().cols + x;
+    Hit hit{depth_of_exit(room_, direction), -1};
+    for (const int i : candidates_) {
+      const CastShape& shape = casts_[static_cast<std::size_t>(i)];
+      const float depth = depth_of_entry(shape, direction);
+      if (depth == kMiss) continue;
+      if (depth < hit.depth) hit = {depth, i};
+      if (shape.object < 0) continue;
+      Coverage& coverage = coverage_[static_cast<std::size_t>(shape.object)];
+      if (coverage.last_pixel != pixel) ++coverage.covered;
+      coverage.last_pixel = pixel;
+    }
+    const int object = cast_of(hit).object;
+    if (object >= 0) coverage_[static_cast<std::size_t>(object)].see(x, y);
+    return hit;
+  }
+
+  void render_tile(const cv::Rect& tile, bool with_colour) {
+    find_candidates(tile);
+    for (int y = tile.y; y < tile.y + tile.height; ++y) {
+      for (int x = tile.x; x < tile.x + tile.width; ++x) {
+        const Hit hit = cast_pixel(x, y);
+        const Look seen = look(ray(x, y), hit, with_colour);
+        image_.depth_m.at<float>(y, x) = hit.depth;
+        image_.cosine.at<float>(y, x) = seen.cosine;
+        surfaces_.at<int>(y, x) = seen.surface;
+        if (with_colour) image_.colour.at<cv::Vec3b>(y, x) = to_pixel(seen.colour);
+      }
+    }
+  }
+
+  static cv::Vec3b to_pixel(const Colour& c) {
+    return {cv::saturate_cast<std::uint8_t>(c.b), cv::saturate_cast<std::uint8_t>(c.g),
+            cv::saturate_cast<std::uint8_t>(c.r)};
+  }
+
+  Look look(const Eigen::Vector3f& direction, const Hit& hit, bool with_colour) const {
+    const CastShape& shape = cast_of(hit);
+    const Eigen::Vector3f point = shape.point(direction, hit.depth);
+    const Face face = face_of(point);
+    const Eigen::Vector3f outward = shape.normal(point, face);
+    const Eigen::Vector3f normal = hit.cast < 0 ? Eigen::Vector3f(-outward) : outward;
+    Look seen;
+    seen.cosine = std::max(1e-3F, -normal.dot(direction) / direction.norm());
+    seen.surface = kFaces * hit.cast + (shape.is_box ? face : 0);
+    if (!with_colour) return seen;
+    // Between the footprint's width across and along the slope.
+    const float footprint_m = hit.depth / (focal_px_ * std::sqrt(seen.cosine));
+    const PaintedShape& painted = hit.cast < 0 ? walls_ : shapes_[static_cast<std::size_t>(shape.shape)];
+    const Colour colour = painted.colour(point, face, footprint_m);
+    const float light = kAmbient + (1.0F - kAmbient) * std::max(0.0F, normal.dot(lamp_));
+    seen.colour = {light * colour.b, light * colour.g, light * colour.r};
+    return seen;
+  }
+
+  /// Several rays a pixel where a neighbour shows another surface.
+  void smooth_edges() {
+    const cv::Size size = surfaces_.size();
+    cv::Mat is_edge = cv::Mat::zeros(size, CV_8UC1);
+    for (int y = 0; y < size.height; ++y) {
+      for (int x = 0; x < size.width; ++x) {
+        for (const cv::Point& next : {cv::Point(x + 1, y), cv::Point(x, y + 1)}) {
+          if (next.x >= size.width || next.y >= size.height) continue;
+          if (surfaces_.at<int>(y, x) == surfaces_.at<int>(next)) continue;
+          is_edge.at<std::uint8_t>(y, x) = is_edge.at<std::uint8_t>(next) = 1;
+        }
+      }
+    }
+    for (int y = 0; y < size.height; y += kTilePx) {
+      for (int x = 0; x < size.width; x += kTilePx) smooth_tile(is_edge, {x, y, kTilePx, kTilePx});
+    }
+  }
+
+  void smooth_tile(const cv::Mat& is_edge, const cv::Rect& whole) {
+    const cv::Rect tile = whole & cv::Rect(0, 0, rays_.rays().cols, rays_.rays().rows);
+    bool has_candidates = false;
+    for (int y = tile.y; y < tile.y + tile.height; ++y) {
+      for (int x = tile.x; x < tile.x + tile.width; ++x) {
+        if (is_edge.at<std::uint8_t>(y, x) == 0) continue;
+        if (!has_candidates) find_candidates(tile);
+        has_candidates = true;
+        image_.colour.at<cv::Vec3b>(y, x) = to_pixel(average_colour(x, y));
+      }
+    }
+  }
+
+  Colour average_colour(int x, int y) const {
+    const float step = 0.25F / focal_px_;
+    Colour sum;
+    for (const auto& [dx, dy] :
+         {std::pair(-0.5F, -1.0F), std::pair(1.0F, -0.5F), std::pair(0.5F, 1.0F), std::pair(-1.0F, 0.5F)}) {
+      const Eigen::Vector3f direction = ray(x, y) + Eigen::Vector3f(dx * step, dy * step, 0.0F);
+      const Colour c = look(direction, cast(direction), true).colour;
+      sum = {sum.b + 0.25F * c.b, sum.g + 0.25F * c.g, sum.r + 0.25F * c.r};
+    }
+    return sum;
+  }
+
+  /// Undistorted pixels around all shapes of an object, not clipped.
+  Box pinhole_box(int object) const {
+    Box bounds{1e6, 1e6, -1e6, -1e6};
+    for (const CastShape& shape : casts_) {
+      if (shape.object != object) continue;
+      bounds = {std::min(bounds.x1, shape.bounds.x1), std::min(bounds.y1, shape.bounds.y1),
+                std::max(bounds.x2, shape.bounds.x2), std::max(bounds.y2, shape.bounds.y2)};
+    }
+    const Camera& camera = rays_.camera();
+    return {camera.fx * bounds.x1 + camera.cx, camera.fy * bounds.y1 + camera.cy, camera.fx * bounds.x2 + camera.cx,
+            camera.fy * bounds.y2 + camera.cy};
+  }
+
+  void measure_objects() {
+    const Camera& camera = rays_.camera();
+    image_.objects.resize(coverage_.size());
+    for (std::size_t i = 0; i < coverage_.size(); ++i) {
+      const Coverage& coverage = coverage_[i];
+      if (coverage.seen == 0) continue;
+      const cv::Rect& extent = coverage.extent;
+      ObjectView view;
+      view.whole = pinhole_box(static_cast<int>(i));
+      // A pixel's coordinates are those of its middle.
+      view.box = clip({extent.x - 0.5, extent.y - 0.5, extent.x + extent.width - 0.5, extent.y + extent.height - 0.5},
+                      camera.width, camera.height);
+      const Box image = camera.undistort(Box{0.0, 0.0, camera.width + 0.0, camera.height + 0.0});
+      view.inside = std::clamp(intersection_area(view.whole, image) / view.whole.area(), 0.0, 1.0);
+      view.visible = static_cast<double>(coverage.seen) / coverage.covered;
+      image_.objects[i] = view;
+    }
+  }
+
+  const std::vector<PaintedShape>& shapes_;
+  const PaintedShape& walls_;
+  const PixelRays& rays_;
+  std::vector<CastShape> casts_;
+  CastShape room_;
+  Eigen::Vector3f lamp_ = Eigen::Vector3f::UnitZ();
+  float focal_px_ = 1.0F;
+  std::vector<int> candidates_;
+  cv::Mat surfaces_;  ///< CV_32SC1, see Look
+  std::vector<Coverage> coverage_;
+  RenderedImage image_;
+};
+
+}  // namespace
+
+SceneRenderer::SceneRenderer(const Scene& scene, const Room& room, std::uint64_t seed)
+    : impl_(std::make_unique<Impl>()) {
+  impl_->scene = scene;
+  impl_->room = room;
+  DrawnShape box;
+  box.half = room.half;
+  box.paint = Paint::kWalls;
+  impl_->walls.emplace_back(box, true, seed, 0);
+  const std::vector<DrawnShape> shapes = drawn_shapes(scene);
+  for (std::size_t i = 0; i < shapes.size(); ++i) impl_->shapes.emplace_back(shapes[i], false, seed, 1 + i);
+}
+
+SceneRenderer::~SceneRenderer() = default;
+SceneRenderer::SceneRenderer(SceneRenderer&&) noexcept = default;
+SceneRenderer& SceneRenderer::operator=(SceneRenderer&&) noexcept = default;
+
+RenderedImage SceneRenderer::render(const PixelRays& rays, const SE3& T_world_camera, double time_s,
+                                    bool with_colour) const {
+  return Picture(impl_->shapes, impl_->walls.front(), impl_->scene, impl_->room, rays, T_world_camera, time_s)
+      .render(with_colour);
+}
+
+}  // namespace semantic_topo_loop::core

@@ -1,0 +1,249 @@
+#include "tools/simulation/scene.h"
+
+#include <algorithm>
+#include <array>
+
+#include "tools/rendering/footprint.h"
+#include "tools/simulation/option_check.h"
+#include "tools/simulation/random.h"
+
+namespace semantic_topo_loop::core {
+namespace {
+
+constexpr double kTableHeightM = 0.74;
+constexpr int kMaxTries = 300;
+constexpr double kDeskPitchM = 2.2;  ///< office: between the middles of two desks
+
+// COCO class ids of the objects that a desk may carry.
+enum Class : int {
+  kBottle = 39,
+  kCup = 41,
+  kBowl = 45,
+  kApple = 47,
+  kOrange = 49,
+  kChair = 56,
+  kPottedPlant = 58,
+  kTv = 62,
+  kLaptop = 63,
+  kMouse = 64,
+  kRemote = 65,
+  kKeyboard = 66,
+  kCellPhone = 67,
+  kBook = 73,
+  kClock = 74,
+  kVase = 75,
+  kTeddyBear = 77
+};
+
+/// Range of semi-axes (x depth, y width, z height), m.
+struct Shape {
+  int class_id;
+  Vec3 low, high;
+  bool round;  ///< x = y, turned on a wheel
+};
+
+const Shape& shape_of(int class_id) {
+  static const std::array<Shape, 17> kShapes{{
+      {kBottle, {0.032, 0.032, 0.090}, {0.042, 0.042, 0.140}, true},
+      {kCup, {0.040, 0.040, 0.045}, {0.052, 0.052, 0.065}, true},
+      {kBowl, {0.070, 0.070, 0.032}, {0.090, 0.090, 0.048}, true},
+      {kApple, {0.034, 0.034, 0.032}, {0.042, 0.042, 0.040}, true},
+      {kOrange, {0.034, 0.034, 0.034}, {0.042, 0.042, 0.042}, true},
+      {kChair, {0.240, 0.230, 0.400}, {0.290, 0.270, 0.470}, false},
+      {kPottedPlant, {0.170, 0.170, 0.300}, {0.260, 0.260, 0.480}, true},
+      {kTv, {0.065, 0.210, 0.180}, {0.085, 0.270, 0.235}, false},
+      {kLaptop, {0.120, 0.160, 0.100}, {0.150, 0.190, 0.130}, false},
+      {kMouse, {0.054, 0.032, 0.018}, {0.062, 0.037, 0.024}, false},
+      {kRemote, {0.080, 0.022, 0.010}, {0.100, 0.028, 0.014}, false},
+      {kKeyboard, {0.075, 0.200, 0.016}, {0.090, 0.240, 0.025}, false},
+      {kCellPhone, {0.070, 0.036, 0.008}, {0.080, 0.042, 0.012}, false},
+      {kBook, {0.085, 0.110, 0.012}, {0.115, 0.150, 0.035}, false},
+      {kClock, {0.030, 0.060, 0.060}, {0.040, 0.080, 0.080}, false},
+      {kVase, {0.048, 0.048, 0.075}, {0.068, 0.068, 0.140}, true},
+      {kTeddyBear, {0.140, 0.140, 0.160}, {0.220, 0.200, 0.250}, false},
+  }};
+  return *std::find_if(kShapes.begin(), kShapes.end(), [class_id](const Shape& s) { return s.class_id == class_id; });
+}
+
+/// How many objects of a class a desk carries, and where: shares of the desk's half depth and half width.
+struct Item {
+  int class_id;
+  int low, high;
+  double x_low = -1.0, x_high = 1.0, y_low = -1.0, y_high = 1.0;
+  double yaw_deg = 180.0;  ///< largest turn from facing the front
+};
+
+const std::vector<Item>& desk_items() {
+  static const std::vector<Item> kItems = {{kTv, 1, 1, -0.7, -0.2, -0.5, 0.5, 20.0},
+                                           {kKeyboard, 1, 1, 0.2, 0.8, -0.4, 0.4, 15.0},
+                                           {kMouse, 1, 1, 0.2, 0.9, 0.3, 0.9, 30.0},
+                                           {kLaptop, 0, 1, -0.8, 0.6, -0.9, 0.9, 180.0},
+                                           {kBook, 4, 6},
+                                           {kBottle, 2, 4},
+                                           {kCup, 2, 3},
+                                           {kBowl, 0, 1},
+                                           {kVase, 0, 1},
+                                           {kRemote, 0, 1},
+                                           {kApple, 0, 1},
+                                           {kCellPhone, 1, 1},
+                                           {kClock, 0, 1},
+                                           {kOrange, 0, 1}};
+  return kItems;
+}
+
+const std::vector<Item>& office_items() {
+  static const std::vector<Item> kItems = {{kTv, 1, 1, -0.6, 0.0, -0.4, 0.4, 15.0},
+                                           {kKeyboard, 1, 1, 0.3, 0.9, -0.3, 0.3, 15.0},
+                                           {kMouse, 1, 1, 0.3, 0.9, 0.3, 0.7, 30.0},
+                                           {kLaptop, 0, 1, -0.6, 0.6, -0.9, 0.9, 180.0},
+                                           {kBook, 2, 4},
+                                           {kBottle, 1, 3},
+                                           {kCup, 1, 2},
+                                           {kBowl, 0, 1},
+                                           {kVase, 0, 1},
+                                           {kRemote, 0, 1},
+                                           {kCellPhone, 0, 1},
+                                           {kClock, 0, 1},
+                                           {kApple, 0, 1},
+                                           {kOrange, 0, 1}};
+  return kItems;
+}
+
+Vec3 draw_semi_axes(int class_id, Random* random) {
+  const Shape& shape = shape_of(class_id);
+  Vec3 axes;
+  for (int i = 0; i < 3; ++i) axes[i] = random->uniform(shape.low[i], shape.high[i]);
+  if (shape.round) axes.y() = axes.x();
+  return axes;
+}
+
+class Builder {
+ public:
+  Scene build(const SceneOptions& options, std::uint64_t seed);
+
+ private:
+  void add_desks(const SceneOptions& options, Random* random);
+  void fill_desk(const Desk& desk, const std::vector<Item>& items, Random* random);
+  void place_on_desk(const Desk& desk, const Item& item, Random* random);
+  void place_on_floor(const Desk& desk, int class_id, bool at_front, Random* random);
+  bool add_if_free(int class_id, const SE3& T_world_object, const Vec3& axes, const Footprint& print);
+
+  Scene scene_;
+  std::vector<Footprint> taken_;  ///< of desks, then objects; a desk's own objects ignore the desks
+};
+
+Scene Builder::build(const SceneOptions& options, std::uint64_t seed) {
+  Random room(seed);
+  add_desks(options, &room);
+  const bool office = options.layout == "office";
+  for (std::size_t i = 0; i < scene_.desks.size(); ++i) {
+    Random random(seed, options.identical_desks ? 1 : 1 + i);
+    fill_desk(scene_.desks[i], office ? office_items() : desk_items(), &random);
+  }
+  for (const Desk& desk : scene_.desks) {
+    place_on_floor(desk, kChair, true, &room);
+    if (!office) place_on_floor(desk, kTeddyBear, false, &room);
+    if (room.chance(office ? 0.5 : 1.0)) place_on_floor(desk, kPottedPlant, false, &room);
+  }
+  return std::move(scene_);
+}
+
+void Builder::add_desks(const SceneOptions& options, Random* random) {
+  const bool office = options.layout == "office";
+  const int count = office ? options.desks : 1;
+  const double room_yaw = random->uniform(-kPi, kPi);
+  Vec3 room_origin(0.0, 0.0, kTableHeightM);
+  for (int i = 0; i < 2; ++i) room_origin[i] = random->uniform(-2.0, 2.0);
+  const SE3 T_world_room = upright_pose(room_origin, room_yaw);
+  for (int i = 0; i < count; ++i) {
+    const double y = (i - 0.5 * (count - 1)) * kDeskPitchM;
+    const double yaw = office ? random->uniform(-0.08, 0.08) : 0.0;
+    Desk desk;
+    desk.T_world_desk = T_world_room * upright_pose({0.0, y, 0.0}, yaw);
+    desk.half_depth_m = office ? 0.40 : 0.65;
+    desk.half_width_m = 0.80;
+    scene_.desks.push_back(desk);
+    taken_.push_back(footprint(desk.T_world_desk, desk.half_depth_m, desk.half_width_m));
+  }
+}
+
+void Builder::fill_desk(const Desk& desk, const std::vector<Item>& items, Random* random) {
+  for (const Item& item : items) {
+    const int count = random->integer(item.low, item.high);
+    for (int i = 0; i < count; ++i) place_on_desk(desk, item, random);
+  }
+}
+
+void Builder::place_on_desk(const Desk& desk, const Item& item, Random* random) {
+  const Vec3 axes = draw_semi_axes(item.class_id, random);
+  for (int i = 0; i < kMaxTries; ++i) {
+    const double yaw = radians(random->uniform(-item.yaw_deg, item.yaw_deg));
+    const double x = random->uniform(item.x_low, item.x_high) * desk.half_depth_m;
+    const double y = random->uniform(item.y_low, item.y_high) * desk.half_width_m;
+    const SE3 T_desk_object = upright_pose({x, y, axes.z()}, yaw);
+    if (!stands_on(desk, T_desk_object, axes)) continue;
+    const SE3 T_world_object = desk.T_world_desk * T_desk_object;
+    if (add_if_free(item.class_id, T_world_object, axes, footprint(T_world_object, axes.x(), axes.y()))) {
+      return;
+    }
+  }
+}
+
+void Builder::place_on_floor(const Desk& desk, int class_id, bool at_front, Random* random) {
+  const Vec3 axes = draw_semi_axes(class_id, random);
+  for (int i = 0; i < kMaxTries; ++i) {
+    const double spread = at_front ? 0.4 : kPi;
+    const double angle = random->uniform(-spread, spread);
+    const double distance = random->uniform(0.0, 0.35) + std::max(desk.half_depth_m, desk.half_width_m * !at_front) +
+                            axes.head<2>().maxCoeff();
+    const Vec3 position(distance * std::cos(angle), distance * std::sin(angle), axes.z() - kTableHeightM);
+    const SE3 T_world_object = desk.T_world_desk * upright_pose(position, random->uniform(-kPi, kPi));
+    const Footprint print = footprint(T_world_object, axes.x(), axes.y());
+    const auto desks_end = taken_.begin() + static_cast<std::ptrdiff_t>(scene_.desks.size());
+    const bool off_desks =
+        std::all_of(taken_.begin(), desks_end, [&print](const Footprint& other) { return disjoint(print, other); });
+    if (off_desks && add_if_free(class_id, T_world_object, axes, print)) return;
+  }
+}
+
+bool Builder::add_if_free(int class_id, const SE3& T_world_object, const Vec3& axes, const Footprint& print) {
+  for (std::size_t i = scene_.desks.size(); i < taken_.size(); ++i) {
+    if (!disjoint(print, taken_[i])) return false;
+  }
+  SceneObject object;
+  object.class_id = class_id;
+  object.ellipsoid.T_world_quadric = T_world_object;
+  object.ellipsoid.semi_axes = axes;
+  scene_.objects.push_back(object);
+  taken_.push_back(print);
+  return true;
+}
+
+}  // namespace
+
+std::optional<Ellipsoid> SceneObject::at(double time_s) const {
+  if (phases.empty()) return ellipsoid;
+  const auto next = std::upper_bound(phases.begin(), phases.end(), time_s,
+                                     [](double time, const ObjectPhase& phase) { return time < phase.begin_s; });
+  const ObjectPhase& phase = next == phases.begin() ? phases.front() : *(next - 1);
+  if (!phase.is_present) return std::nullopt;
+  Ellipsoid result = ellipsoid;
+  result.T_world_quadric = phase.T_world_object;
+  result.T_world_quadric.t += (time_s - phase.begin_s) * phase.velocity;
+  return result;
+}
+
+bool SceneObject::stays() const {
+  return phases.empty() || (phases.back().is_present && phases.back().velocity.isZero());
+}
+
+bool SceneOptions::is_valid(std::string* error) const {
+  OptionCheck check(error);
+  check.require(layout == "desk" || layout == "office", "scene.layout", layout, "desk or office");
+  check.require(desks >= 1 && desks <= 50, "scene.desks", desks, "in [1, 50]");
+  return check.ok();
+}
+
+Scene make_scene(const SceneOptions& options, std::uint64_t seed) { return Builder().build(options, seed); }
+
+}  // namespace semantic_topo_loop::core

@@ -1,0 +1,165 @@
+#include "tools/simulation/trajectory.h"
+
+#include "semantic_topo_loop/geometry/lie.h"
+#include "tools/simulation/option_check.h"
+
+namespace semantic_topo_loop::core {
+namespace {
+
+// The robot.
+constexpr double kStopPeriodS = 11.0;
+constexpr double kScanDeg = 35.0;
+constexpr double kMountDeg = 55.0;  ///< of the camera, from the way it drives towards the desks
+constexpr double kTiltDeg = 18.0;   ///< of the camera, downwards
+
+/// Rotation of a level camera's optical frame.
+Mat3 looking(const Vec3& direction) {
+  const Vec3 forward = direction.normalized();
+  const Vec3 right = forward.cross(Vec3::UnitZ()).normalized();
+  Mat3 R_world_camera;
+  R_world_camera << right, forward.cross(right), forward;
+  return R_world_camera;
+}
+
+}  // namespace
+
+bool TrajectoryOptions::is_valid(std::string* error) const {
+  OptionCheck check(error);
+  check.require(model == "handheld" || model == "robot", "trajectory.model", model, "handheld or robot");
+  check.positive("trajectory.duration_s", duration_s);
+  check.positive("trajectory.rate_hz", rate_hz);
+  check.require(duration_s * rate_hz >= 2.0 && duration_s * rate_hz < 1e6, "trajectory.duration_s", duration_s,
+                "long enough for 2 and short enough for 1e6 images");
+  check.positive("trajectory.lap_s", lap_s);
+  check.require(arc_deg > 0.0 && arc_deg <= 360.0, "trajectory.arc_deg", arc_deg, "in (0, 360]");
+  check.require(distance_m >= 0.5, "trajectory.distance_m", distance_m, ">= 0.5");
+  check.require(height_m >= 0.9 && height_m < 10.0, "trajectory.height_m", height_m, "in [0.9, 10)");
+  check.require(wander_m >= 0.0 && wander_m <= 0.3, "trajectory.wander_m", wander_m, "in [0, 0.3]");
+  check.require(shake_m >= 0.0 && shake_m <= 0.1, "trajectory.shake_m", shake_m, "in [0, 0.1]");
+  check.require(shake_deg >= 0.0 && shake_deg <= 10.0, "trajectory.shake_deg", shake_deg, "in [0, 10]");
+  return check.ok();
+}
+
+SmoothNoise::SmoothNoise(double low_hz, double high_hz, Random* random) {
+  for (Wave& wave : waves_) {
+    wave.hz = random->uniform(low_hz, high_hz);
+    wave.phase = random->uniform(0.0, 2.0 * kPi);
+  }
+}
+
+double SmoothNoise::operator()(double time_s) const {
+  double sum = 0.0;
+  for (const Wave& wave : waves_) sum += std::sin(2.0 * kPi * wave.hz * time_s + wave.phase);
+  return sum * std::sqrt(2.0 / static_cast<double>(waves_.size()));
+}
+
+std::unique_ptr<CameraTrajectory> make_trajectory(const Scene& scene, const TrajectoryOptions& options,
+                                                  std::uint64_t seed) {
+  if (options.model == "robot") return std::make_unique<RobotTrajectory>(scene, options, seed);
+  return std::make_unique<HandheldTrajectory>(scene, options, seed);
+}
+
+Lap::Lap(const Scene& scene, double distance_m) : distance_m_(distance_m) {
+  line_start_ = scene.desks.front().T_world_desk.t;
+  const Vec3 line = scene.desks.back().T_world_desk.t - line_start_;
+  line_length_m_ = line.norm();
+  // A single desk is circled; any direction serves as its middle line.
+  line_direction_ = line_length_m_ > 1e-6 ? Vec3(line / line_length_m_) : Vec3::UnitX();
+}
+
+Lap::Station Lap::station(double laps) const {
+  const double whole = std::floor(laps);
+  const double arc = kPi * distance_m_;
+  const double way = (laps - whole) * 2.0 * (line_length_m_ + arc);
+  const double turns = 2.0 * kPi * whole;
+  if (way < line_length_m_) return {way, turns};
+  if (way < line_length_m_ + arc) return {line_length_m_, turns + (way - line_length_m_) / distance_m_};
+  if (way < 2.0 * line_length_m_ + arc) return {2.0 * line_length_m_ + arc - way, turns + kPi};
+  return {0.0, turns + kPi + (way - 2.0 * line_length_m_ - arc) / distance_m_};
+}
+
+Lap::Station Lap::smooth_station(double laps) const {
+  // A moving average rounds the corners of the pace, where straight meets arc.
+  constexpr int kSamples = 16;
+  constexpr double kWindowLaps = 0.1;
+  Station mean;
+  for (int i = 0; i < kSamples; ++i) {
+    const Station s = station(laps + kWindowLaps * ((i + 0.5) / kSamples - 0.5));
+    mean.along_m += s.along_m / kSamples;
+    mean.angle += s.angle / kSamples;
+  }
+  return mean;
+}
+
+Lap::Place Lap::at(double laps) const {
+  const Station s = smooth_station(laps);
+  const Vec3 side(line_direction_.y(), -line_direction_.x(), 0.0);
+  return {line_start_ + s.along_m * line_direction_, std::cos(s.angle) * side + std::sin(s.angle) * line_direction_};
+}
+
+HandheldTrajectory::HandheldTrajectory(const Scene& scene, const TrajectoryOptions& options, std::uint64_t seed)
+    : options_(options), lap_(scene, options.distance_m) {
+  Random random(seed);
+  first_lap_ = random.uniform();
+  sense_ = random.chance(0.5) ? 1.0 : -1.0;
+  for (SmoothNoise& noise : wander_) noise = SmoothNoise(0.03, 0.15, &random);
+  for (SmoothNoise& noise : shake_) noise = SmoothNoise(0.8, 5.0, &random);
+}
+
+double HandheldTrajectory::laps(double time_s) const {
+  const double steady = time_s / options_.lap_s;
+  if (options_.arc_deg == 360.0) return first_lap_ + sense_ * steady;
+  return first_lap_ + sense_ * 0.5 * options_.arc_deg / 360.0 * std::sin(2.0 * kPi * steady);
+}
+
+SE3 HandheldTrajectory::T_world_camera(double time_s) const {
+  const auto [line_point, outward] = lap_.at(laps(time_s));
+
+  std::array<double, 5> wander;
+  for (std::size_t i = 0; i < wander.size(); ++i) wander[i] = options_.wander_m * wander_[i](time_s);
+  Vec3 position = line_point + (options_.distance_m + wander[0]) * outward;
+  position.z() = options_.height_m + wander[1];
+  const Vec3 target = line_point + Vec3(wander[2], wander[3], 0.5 * wander[4]);
+
+  Vec6 shake;
+  for (int i = 0; i < 6; ++i) {
+    const double amplitude = i < 3 ? options_.shake_m : radians(options_.shake_deg);
+    shake[i] = amplitude * shake_[static_cast<std::size_t>(i)](time_s);
+  }
+  return SE3(looking(target - position), position) * se3_exp(shake);
+}
+
+RobotTrajectory::RobotTrajectory(const Scene& scene, const TrajectoryOptions& options, std::uint64_t seed)
+    : options_(options), lap_(scene, options.distance_m) {
+  Random random(seed);
+  first_lap_ = random.uniform();
+  sense_ = random.chance(0.5) ? 1.0 : -1.0;
+  first_stop_ = random.uniform(0.0, 2.0 * kPi);
+  wander_ = SmoothNoise(0.02, 0.08, &random);
+}
+
+Vec3 RobotTrajectory::position(double laps) const {
+  const auto [line_point, outward] = lap_.at(laps);
+  Vec3 position = line_point + (options_.distance_m + options_.wander_m * wander_(laps * options_.lap_s)) * outward;
+  position.z() = options_.height_m;
+  return position;
+}
+
+SE3 RobotTrajectory::T_world_camera(double time_s) const {
+  // Speed 1 - cos(phase) of the mean: it stands where the phase is a whole turn, and turns on the spot around then.
+  const double phase = 2.0 * kPi * time_s / kStopPeriodS + first_stop_;
+  const double way_s = time_s - kStopPeriodS / (2.0 * kPi) * (std::sin(phase) - std::sin(first_stop_));
+  const double laps = first_lap_ + sense_ * way_s / options_.lap_s;
+  const double standing = std::max(0.0, std::cos(phase));
+  const double scan = radians(kScanDeg) * standing * standing * standing * std::sin(2.0 * phase);
+
+  // Over 2 % of a lap, so that the heading turns as smoothly as the place moves.
+  constexpr double kStep = 0.01;
+  const Vec3 heading = sense_ * (position(laps + kStep) - position(laps - kStep));
+  const double inward = sense_ * radians(kMountDeg);
+  const Vec3 level = Quaternion(Eigen::AngleAxisd(inward + scan, Vec3::UnitZ())) * heading.normalized();
+  const double tilt = radians(kTiltDeg);
+  return {looking(std::cos(tilt) * level - std::sin(tilt) * Vec3::UnitZ()), position(laps)};
+}
+
+}  // namespace semantic_topo_loop::core

@@ -1,0 +1,134 @@
+#pragma once
+
+#include <array>
+#include <memory>
+#include <string>
+#include <vector>
+
+#include "tools/simulation/random.h"
+#include "tools/simulation/scene.h"
+
+namespace semantic_topo_loop::core {
+
+struct TrajectoryOptions {
+  std::string model = "handheld";
+  double duration_s = 60.0;
+  double rate_hz = 30.0;
+  double lap_s = 36.0;
+  double arc_deg = 360.0;
+  double distance_m = 1.6;
+  double height_m = 1.45;
+  double wander_m = 0.15;
+  double shake_m = 0.003;
+  double shake_deg = 0.4;
+
+  template <class Visitor>
+  void visit(Visitor& visitor) {
+    visitor("trajectory.model", model,
+            "handheld (looks at the desks, wanders and shakes) or robot (wheels, a fixed camera that looks ahead and "
+            "aside; stops to look around)");
+    visitor("trajectory.duration_s", duration_s, "length of the sequence");
+    visitor("trajectory.rate_hz", rate_hz, "images per second");
+    visitor("trajectory.lap_s", lap_s, "time of one lap around the desks; what comes later revisits");
+    visitor("trajectory.arc_deg", arc_deg, "handheld: less than 360 swings to and fro over that share of a lap");
+    visitor("trajectory.distance_m", distance_m, "horizontal distance from the desks' middle line");
+    visitor("trajectory.height_m", height_m, "mean height of the camera above the floor");
+    visitor("trajectory.wander_m", wander_m, "slow deviation of position and of the point looked at");
+    visitor("trajectory.shake_m", shake_m, "shake of the hand, standard deviation in position");
+    visitor("trajectory.shake_deg", shake_deg, "shake of the hand, standard deviation in rotation");
+  }
+  bool is_valid(std::string* error) const;
+};
+
+/// A smooth random function of time with zero mean and unit standard deviation: a sum of sinusoids.
+class SmoothNoise {
+ public:
+  SmoothNoise() = default;
+  SmoothNoise(double low_hz, double high_hz, Random* random);
+  double operator()(double time_s) const;
+
+ private:
+  struct Wave {
+    double hz = 0.0, phase = 0.0;
+  };
+  std::array<Wave, 4> waves_;
+};
+
+/// How a camera moves through a scene. Continuous in time, so that any sensor can sample it.
+class CameraTrajectory {
+ public:
+  virtual ~CameraTrajectory() = default;
+  /// Pose of the camera's optical frame (x right, y down, z forward).
+  virtual SE3 T_world_camera(double time_s) const = 0;
+};
+
+/// By TrajectoryOptions::model.
+std::unique_ptr<CameraTrajectory> make_trajectory(const Scene& scene, const TrajectoryOptions& options,
+                                                  std::uint64_t seed);
+
+/// The lap that trajectories follow: an oval around the desks' middle line, without corners in the pace.
+class Lap {
+ public:
+  Lap(const Scene& scene, double distance_m);
+
+  /// A place of the lap, at table height.
+  struct Place {
+    Vec3 line_point;  ///< the nearest point of the middle line
+    Vec3 outward;     ///< unit
+  };
+  /// @param laps whole laps repeat
+  Place at(double laps) const;
+
+ private:
+  /// How far along the desks' middle line, and on which side of it.
+  struct Station {
+    double along_m = 0.0, angle = 0.0;
+  };
+
+  Station station(double laps) const;
+  Station smooth_station(double laps) const;
+
+  double distance_m_;
+  Vec3 line_start_ = Vec3::Zero();
+  Vec3 line_direction_ = Vec3::UnitX();
+  double line_length_m_ = 0.0;
+};
+
+/// A handheld camera that goes round the desks at a steady pace and looks at them, wandering and shaking.
+class HandheldTrajectory : public CameraTrajectory {
+ public:
+  HandheldTrajectory(const Scene& scene, const TrajectoryOptions& options, std::uint64_t seed);
+
+  SE3 T_world_camera(double time_s) const override;
+
+ private:
+  double laps(double time_s) const;
+
+  TrajectoryOptions options_;
+  Lap lap_;
+  double first_lap_ = 0.0;
+  double sense_ = 1.0;
+  std::array<SmoothNoise, 5> wander_;
+  std::array<SmoothNoise, 6> shake_;
+};
+
+/// A wheeled robot that drives round the desks: it heads where it goes, its camera keeps its height and its tilt and is
+/// mounted turned towards the desks. Every few seconds it stops and turns to and fro on the spot.
+class RobotTrajectory : public CameraTrajectory {
+ public:
+  RobotTrajectory(const Scene& scene, const TrajectoryOptions& options, std::uint64_t seed);
+
+  SE3 T_world_camera(double time_s) const override;
+
+ private:
+  Vec3 position(double laps) const;
+
+  TrajectoryOptions options_;
+  Lap lap_;
+  double first_lap_ = 0.0;
+  double sense_ = 1.0;
+  double first_stop_ = 0.0;  ///< phase, rad
+  SmoothNoise wander_;
+};
+
+}  // namespace semantic_topo_loop::core

@@ -1,0 +1,90 @@
+#include "semantic_topo_loop/types/camera.h"
+
+#include <sstream>
+
+namespace semantic_topo_loop::core {
+namespace {
+
+/// Displacement that the lens adds to a normalised image point, and its Jacobian.
+inline void distort_normalised(const std::array<double, 5>& d, const Vec2& p, Vec2* distorted,
+                               Eigen::Matrix2d* jacobian) {
+  const double x = p.x(), y = p.y();
+  const double r2 = x * x + y * y;
+  const double radial = 1.0 + r2 * (d[0] + r2 * (d[1] + r2 * d[4]));
+  const double radial_r2 = d[0] + r2 * (2.0 * d[1] + 3.0 * d[4] * r2);
+  *distorted << x * radial + 2.0 * d[2] * x * y + d[3] * (r2 + 2.0 * x * x),
+      y * radial + d[2] * (r2 + 2.0 * y * y) + 2.0 * d[3] * x * y;
+  const double cross = 2.0 * x * y * radial_r2 + 2.0 * d[2] * x + 2.0 * d[3] * y;
+  *jacobian << radial + 2.0 * x * x * radial_r2 + 2.0 * d[2] * y + 6.0 * d[3] * x, cross, cross,
+      radial + 2.0 * y * y * radial_r2 + 6.0 * d[2] * y + 2.0 * d[3] * x;
+}
+
+Vec2 undistort_pixel(const Camera& camera, const Vec2& pixel) {
+  const Vec2 target((pixel.x() - camera.cx) / camera.fx, (pixel.y() - camera.cy) / camera.fy);
+  Vec2 p = target;
+  constexpr int kMaxIterations = 20;
+  for (int i = 0; i < kMaxIterations; ++i) {
+    Vec2 distorted;
+    Eigen::Matrix2d jacobian;
+    distort_normalised(camera.distortion, p, &distorted, &jacobian);
+    if (std::abs(jacobian.determinant()) < 1e-6) break;  // outside the lens model's range
+    const Vec2 step = jacobian.inverse() * (target - distorted);
+    p += step;
+    if (step.squaredNorm() < 1e-14) break;  // converges quadratically: the next step would be 1e-14
+  }
+  return {p.x() * camera.fx + camera.cx, p.y() * camera.fy + camera.cy};
+}
+
+}  // namespace
+
+bool Camera::is_valid(std::string* error) const {
+  const auto fail = [error](const char* field, double value, const char* rule) {
+    std::ostringstream message;
+    message << field << " = " << value << " " << rule;
+    if (error != nullptr) *error = message.str();
+    return false;
+  };
+  if (!(std::isfinite(fx) && fx > 0.0)) return fail("fx", fx, "must be > 0");
+  if (!(std::isfinite(fy) && fy > 0.0)) return fail("fy", fy, "must be > 0");
+  if (!std::isfinite(cx)) return fail("cx", cx, "must be finite");
+  if (!std::isfinite(cy)) return fail("cy", cy, "must be finite");
+  if (width <= 0) return fail("width", width, "must be > 0");
+  if (height <= 0) return fail("height", height, "must be > 0");
+  for (const double value : distortion) {
+    if (!std::isfinite(value)) return fail("distortion", value, "must be finite");
+  }
+  return true;
+}
+
+bool Camera::has_distortion() const {
+  for (const double value : distortion) {
+    if (value != 0.0) return true;
+  }
+  return false;
+}
+
+Vec2 Camera::undistort(const Vec2& pixel) const { return has_distortion() ? undistort_pixel(*this, pixel) : pixel; }
+
+Vec2 Camera::distort(const Vec2& pixel) const {
+  if (!has_distortion()) return pixel;
+  Vec2 distorted;
+  Eigen::Matrix2d jacobian;
+  distort_normalised(distortion, {(pixel.x() - cx) / fx, (pixel.y() - cy) / fy}, &distorted, &jacobian);
+  return {distorted.x() * fx + cx, distorted.y() * fy + cy};
+}
+
+Box Camera::undistort(const Box& box) const {
+  if (!has_distortion()) return box;
+  const Vec2 c = box.center();
+  const auto x = [this, &c](double side) { return undistort_pixel(*this, {side, c.y()}).x(); };
+  const auto y = [this, &c](double side) { return undistort_pixel(*this, {c.x(), side}).y(); };
+  return {x(box.x1), y(box.y1), x(box.x2), y(box.y2)};
+}
+
+Mat3 Camera::intrinsics() const {
+  Mat3 K;
+  K << fx, 0.0, cx, 0.0, fy, cy, 0.0, 0.0, 1.0;
+  return K;
+}
+
+}  // namespace semantic_topo_loop::core

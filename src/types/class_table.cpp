@@ -1,0 +1,63 @@
+#include "semantic_topo_loop/types/class_table.h"
+
+#include <algorithm>
+
+namespace semantic_topo_loop::core {
+
+std::optional<ClassTable> ClassTable::create(std::vector<ObjectClass> classes, std::string* error) {
+  ClassTable table;
+  for (ObjectClass& object_class : classes) {
+    const int id = object_class.id;
+    if (!table.classes_.emplace(id, std::move(object_class)).second) {
+      if (error != nullptr) *error = "class id " + std::to_string(id) + " is listed twice";
+      return std::nullopt;
+    }
+  }
+  for (const auto& [id, object_class] : table.classes_) {
+    const bool is_mappable = object_class.role == ClassRole::kStatic || object_class.role == ClassRole::kMovable;
+    if (is_mappable) table.mappable_.push_back(id);
+  }
+  return table;
+}
+
+const ObjectClass* ClassTable::find(int id) const {
+  const auto it = classes_.find(id);
+  return it == classes_.end() ? nullptr : &it->second;
+}
+
+const ObjectClass* ClassTable::find(const std::string& name) const {
+  for (const auto& [id, object_class] : classes_) {
+    if (object_class.name == name) return &object_class;
+  }
+  return nullptr;
+}
+
+std::string ClassTable::name(int id) const {
+  const ObjectClass* object_class = find(id);
+  return object_class != nullptr ? object_class->name : "class_" + std::to_string(id);
+}
+
+bool ClassTable::confusable(int a, int b) const {
+  if (a == b) return true;
+  const ObjectClass* class_a = find(a);
+  const ObjectClass* class_b = find(b);
+  return class_a != nullptr && class_b != nullptr && !class_a->group.empty() && class_a->group == class_b->group;
+}
+
+bool ClassTable::is_mappable(int id) const { return std::binary_search(mappable_.begin(), mappable_.end(), id); }
+
+LabelTable::LabelTable(const ClassTable& classes) {
+  std::map<std::string, int> label_of_group;
+  for (const auto& [id, object_class] : classes.classes()) {
+    if (!classes.is_mappable(id)) continue;
+    const bool grouped = !object_class.group.empty();
+    label_of_class_[id] = grouped ? label_of_group.emplace(object_class.group, id).first->second : id;
+  }
+}
+
+int LabelTable::label(int class_id) const {
+  const auto it = label_of_class_.find(class_id);
+  return it == label_of_class_.end() ? -1 : it->second;
+}
+
+}  // namespace semantic_topo_loop::core

@@ -1,0 +1,307 @@
+#include <gtest/gtest.h>
+
+#include <random>
+
+#include "association/levels.h"
+#include "association/track_store.h"
+#include "semantic_topo_loop/association/associator_options.h"
+#include "semantic_topo_loop/association/object_associator.h"
+#include "semantic_topo_loop/geometry/lie.h"
+#include "semantic_topo_loop/geometry/quadric.h"
+
+namespace semantic_topo_loop::core {
+namespace {
+
+const Camera kCamera{500.0, 500.0, 320.0, 240.0, 640, 480, {}};
+constexpr int kPerson = 0, kCup = 41, kVase = 75, kBook = 73, kIgnored = 99;
+
+std::shared_ptr<const ClassTable> classes() {
+  std::string error;
+  return std::make_shared<const ClassTable>(*ClassTable::create({{kPerson, "person", ClassRole::kDynamic, "", 1.6},
+                                                                 {kCup, "cup", ClassRole::kMovable, "vessel", 0.1},
+                                                                 {kVase, "vase", ClassRole::kMovable, "vessel", 0.2},
+                                                                 {kBook, "book", ClassRole::kMovable, "", 0.2},
+                                                                 {kIgnored, "noise", ClassRole::kIgnore, "", 0.2}},
+                                                                &error));
+}
+
+Frame frame_at(std::int64_t id) {
+  Frame frame;
+  frame.frame_id = id;
+  frame.stamp_ns = id * 33333333;
+  frame.keyframe_id = id / 5;
+  frame.is_keyframe = id % 5 == 0;
+  frame.camera = kCamera;
+  return frame;
+}
+
+Box box_at(double x, double y, double size = 60.0) { return {x - size / 2, y - size / 2, x + size / 2, y + size / 2}; }
+
+/// What a mapper would say: landmark `id` is a sphere whose projection in the identity camera is around `box`.
+MapUpdate sphere_update(const ObjectAssociator& associator, std::int64_t id, int class_id, const Box& box) {
+  constexpr double kDepth_m = 2.0;
+  Landmark landmark;
+  landmark.id = id;
+  landmark.class_id = class_id;
+  landmark.observations = 40;
+  landmark.mean_iou = 0.8;
+  landmark.ellipsoid = Ellipsoid{SE3(Quaternion::Identity(), kDepth_m * kCamera.ray(box.center())),
+                                 Vec3::Constant(0.5 * box.size() * kDepth_m / kCamera.fx)};
+  MapUpdate update;
+  update.base_version = associator.map_version();
+  update.map_version = associator.map_version() + 1;
+  update.changed.push_back(landmark);
+  return update;
+}
+
+AssociatorOptions options(const std::string& mode, const std::string& levels = "2d,pro,3d") {
+  AssociatorOptions result;
+  result.mode = mode;
+  result.levels = levels;
+  return result;
+}
+
+class EveryMode : public testing::TestWithParam<std::string> {};
+INSTANTIATE_TEST_SUITE_P(Modes, EveryMode, testing::Values("joint", "cascade", "jda"));
+
+TEST_P(EveryMode, TracksAMovingBoxAndStartsANewLandmarkForAnotherObject) {
+  ObjectAssociator associator(options(GetParam()), classes());
+  std::int64_t id = -1;
+  for (int k = 0; k < 20; ++k) {
+    const AssociationFrame result = associator.associate(frame_at(k), {{kCup, 0.9, box_at(200.0 + 6.0 * k, 200.0)}});
+    ASSERT_EQ(result.associations.size(), 1U);
+    if (k == 0) {
+      EXPECT_EQ(result.associations[0].level, AssociationLevel::kNew);
+      id = result.associations[0].landmark_id;
+    } else {
+      EXPECT_NE(result.associations[0].level, AssociationLevel::kNew);
+    }
+    EXPECT_EQ(result.associations[0].landmark_id, id);
+    EXPECT_EQ(result.associations[0].landmark_class_id, kCup);
+  }
+  const AssociationFrame other = associator.associate(frame_at(20), {{kBook, 0.9, box_at(500.0, 100.0)}});
+  EXPECT_EQ(other.associations[0].level, AssociationLevel::kNew);
+  EXPECT_NE(other.associations[0].landmark_id, id);
+}
+
+TEST_P(EveryMode, QuadricBringsALandmarkBackAfterALongAbsence) {
+  ObjectAssociator associator(options(GetParam()), classes());
+  const Box box = box_at(300.0, 220.0);
+  const std::int64_t id = associator.associate(frame_at(0), {{kCup, 0.9, box}}).associations[0].landmark_id;
+  ASSERT_TRUE(associator.apply(sphere_update(associator, id, kCup, box)));
+  const AssociationFrame result = associator.associate(frame_at(200), {{kCup, 0.9, box_at(306.0, 222.0)}});
+  EXPECT_EQ(result.associations[0].landmark_id, id);
+  EXPECT_EQ(result.map_version, associator.map_version());
+}
+
+TEST_P(EveryMode, LeavesOutDynamicIgnoredLowAndCoveredBoxes) {
+  ObjectAssociator associator(options(GetParam()), classes());
+  const AssociationFrame result = associator.associate(frame_at(0), {{kPerson, 0.9, box_at(100.0, 100.0)},
+                                                                     {kIgnored, 0.9, box_at(200.0, 100.0)},
+                                                                     {kCup, 0.1, box_at(300.0, 100.0)},
+                                                                     {kVase, 0.5, box_at(400.0, 101.0)},
+                                                                     {kCup, 0.8, box_at(400.0, 100.0)}});
+  ASSERT_EQ(result.associations.size(), 5U);
+  EXPECT_EQ(result.associations[0].level, AssociationLevel::kIgnored);
+  EXPECT_EQ(result.associations[1].level, AssociationLevel::kIgnored);
+  EXPECT_EQ(result.associations[2].level, AssociationLevel::kLowScore);
+  EXPECT_EQ(result.associations[3].level, AssociationLevel::kSuppressed);
+  EXPECT_EQ(result.associations[4].level, AssociationLevel::kNew);
+  for (int i = 0; i < 4; ++i) EXPECT_EQ(result.associations[static_cast<std::size_t>(i)].landmark_id, -1);
+  for (int i = 0; i < 5; ++i) EXPECT_EQ(result.associations[static_cast<std::size_t>(i)].detection_index, i);
+}
+
+TEST(ObjectAssociator, JointGivesEachLandmarkOneBoxWhereTheCascadeGivesTwo) {
+  for (const bool joint : {true, false}) {
+    ObjectAssociator associator(options(joint ? "joint" : "cascade"), classes());
+    associator.associate(frame_at(0), {{kCup, 0.9, box_at(300.0, 200.0, 80.0)}});
+    const AssociationFrame result = associator.associate(
+        frame_at(1), {{kCup, 0.9, box_at(300.0, 200.0, 80.0)}, {kCup, 0.8, box_at(310.0, 200.0, 66.0)}});
+    const bool shared = result.associations[0].landmark_id == result.associations[1].landmark_id;
+    EXPECT_EQ(shared, !joint);
+  }
+}
+
+TEST(ObjectAssociator, JointSurvivesMissedFramesAndAWrongLabel) {
+  ObjectAssociator associator(options("joint"), classes());
+  const std::int64_t id =
+      associator.associate(frame_at(0), {{kCup, 0.9, box_at(300.0, 200.0)}}).associations[0].landmark_id;
+  for (int k = 1; k < 5; ++k) associator.associate(frame_at(k), {});
+  const AssociationFrame missed = associator.associate(frame_at(5), {{kCup, 0.9, box_at(304.0, 200.0)}});
+  EXPECT_EQ(missed.associations[0].landmark_id, id);
+  const AssociationFrame renamed = associator.associate(frame_at(6), {{kVase, 0.9, box_at(305.0, 200.0)}});
+  EXPECT_EQ(renamed.associations[0].landmark_id, id);
+  EXPECT_EQ(renamed.associations[0].landmark_class_id, kCup);
+  const AssociationFrame unrelated = associator.associate(frame_at(7), {{kBook, 0.9, box_at(305.0, 200.0)}});
+  EXPECT_NE(unrelated.associations[0].landmark_id, id);
+}
+
+TEST(ObjectAssociator, LevelsCanBeSwitchedOff) {
+  const auto level_of_second = [](const std::string& levels) {
+    ObjectAssociator associator(options("cascade", levels), classes());
+    const Box box = box_at(300.0, 220.0);
+    const std::int64_t id = associator.associate(frame_at(0), {{kCup, 0.9, box}}).associations[0].landmark_id;
+    associator.apply(sphere_update(associator, id, kCup, box));
+    return associator.associate(frame_at(1), {{kCup, 0.9, box_at(302.0, 221.0)}}).associations[0].level;
+  };
+  EXPECT_EQ(level_of_second("2d"), AssociationLevel::k2d);
+  EXPECT_EQ(level_of_second("pro"), AssociationLevel::kPosterior);
+  EXPECT_EQ(level_of_second("3d"), AssociationLevel::k3d);
+  EXPECT_EQ(level_of_second("2d,pro,3d"), AssociationLevel::k2d);
+}
+
+TEST(ObjectAssociator, PosteriorPrefersTheNearerOfTwoLandmarksWhateverTheirCounts) {
+  ObjectAssociator associator(options("cascade", "pro"), classes());
+  for (int k = 0; k < 200; ++k) associator.associate(frame_at(k), {{kCup, 0.9, box_at(200.0, 200.0)}});
+  const AssociationFrame both =
+      associator.associate(frame_at(200), {{kCup, 0.9, box_at(200.0, 200.0)}, {kCup, 0.9, box_at(300.0, 200.0)}});
+  ASSERT_NE(both.associations[0].landmark_id, both.associations[1].landmark_id);
+  const AssociationFrame next = associator.associate(frame_at(201), {{kCup, 0.9, box_at(265.0, 200.0)}});
+  EXPECT_EQ(next.associations[0].landmark_id, both.associations[1].landmark_id);
+}
+
+TEST(ObjectAssociator, PointsStandInForAMissingQuadric) {
+  ObjectAssociator associator(options("cascade", "3d"), classes());
+  auto points = std::make_shared<std::vector<Vec3>>();
+  for (int i = -4; i <= 4; ++i) {
+    for (int j = -4; j <= 4; ++j) points->push_back({0.02 * i, 0.02 * j, 2.0});
+  }
+  Frame frame = frame_at(0);
+  frame.points_camera = points;
+  const std::int64_t id =
+      associator.associate(frame, {{kCup, 0.9, box_at(320.0, 240.0, 70.0)}}).associations[0].landmark_id;
+  Frame moved = frame_at(30);
+  moved.T_odom_camera.t = Vec3(0.2, 0.0, 0.0);  // the object is now 50 px to the left
+  const AssociationFrame result = associator.associate(moved, {{kCup, 0.9, box_at(270.0, 240.0, 70.0)}});
+  EXPECT_EQ(result.associations[0].landmark_id, id);
+  EXPECT_EQ(result.associations[0].level, AssociationLevel::k3d);
+}
+
+TEST(ObjectAssociator, MergeRemovalRetirementAndVersionGap) {
+  ObjectAssociator associator(options("joint"), classes());
+  const AssociationFrame first = associator.associate(
+      frame_at(0),
+      {{kCup, 0.9, box_at(100.0, 200.0)}, {kCup, 0.9, box_at(300.0, 200.0)}, {kBook, 0.9, box_at(500.0, 200.0)}});
+  const std::int64_t a = first.associations[0].landmark_id, b = first.associations[1].landmark_id,
+                     c = first.associations[2].landmark_id;
+  MapUpdate update;
+  update.map_version = 1;
+  update.merged.push_back({b, a});
+  update.removed.push_back(c);
+  ASSERT_TRUE(associator.apply(update));
+  // The survivor was last seen where both were: at its own or at the merged one's box.
+  const AssociationFrame second =
+      associator.associate(frame_at(1), {{kCup, 0.9, box_at(100.0, 200.0)}, {kBook, 0.9, box_at(500.0, 200.0)}});
+  EXPECT_EQ(second.associations[0].landmark_id, a);
+  EXPECT_GT(second.associations[1].landmark_id, c);  // ids are never used twice
+
+  MapUpdate gap;
+  gap.base_version = 7;
+  gap.map_version = 8;
+  EXPECT_FALSE(associator.apply(gap));
+  EXPECT_EQ(associator.map_version(), 1U);
+
+  const Box box = box_at(320.0, 400.0);
+  const std::int64_t d = associator.associate(frame_at(2), {{kBook, 0.9, box}}).associations[0].landmark_id;
+  MapUpdate retire = sphere_update(associator, d, kBook, box);
+  retire.changed[0].state = LandmarkState::kRetired;
+  ASSERT_TRUE(associator.apply(retire));
+  EXPECT_NE(associator.associate(frame_at(3), {{kBook, 0.9, box}}).associations[0].landmark_id, d);
+}
+
+TEST(ObjectAssociator, AMergeTakenBackGivesBothTracksTheirOwn) {
+  ObjectAssociator associator(options("joint"), classes());
+  const Box left = box_at(150.0, 240.0), right = box_at(450.0, 240.0);
+  const AssociationFrame first = associator.associate(frame_at(0), {{kCup, 0.9, left}, {kVase, 0.9, right}});
+  const std::int64_t a = first.associations[0].landmark_id, b = first.associations[1].landmark_id;
+  MapUpdate merge;
+  merge.map_version = 1;
+  merge.merged.push_back({b, a});
+  ASSERT_TRUE(associator.apply(merge));
+  MapUpdate undo;
+  undo.base_version = 1;
+  undo.map_version = 2;
+  undo.unmerged.push_back({b, a});
+  ASSERT_TRUE(associator.apply(undo));
+  const AssociationFrame next = associator.associate(frame_at(1), {{kCup, 0.9, left}, {kVase, 0.9, right}});
+  EXPECT_EQ(next.associations[0].landmark_id, a);
+  EXPECT_EQ(next.associations[0].landmark_class_id, kCup);
+  EXPECT_EQ(next.associations[1].landmark_id, b);
+  EXPECT_EQ(next.associations[1].landmark_class_id, kVase);
+}
+
+/// The grid may return more than what is in view, never less, and each track once, in order.
+TEST(TrackStore, FindsWhatALinearScanFindsAsLandmarksComeMoveAndGo) {
+  std::mt19937_64 random(3);
+  std::uniform_real_distribution<double> place(-25.0, 25.0), size(0.05, 1.5), angle(-3.0, 3.0), unit(0.0, 1.0);
+  const auto scatter = [&](Track* track) {
+    track->has_ellipsoid = true;
+    track->center_map = Vec3(place(random), place(random), place(random));
+    track->shape_map = std::pow(size(random), 2) * Mat3::Identity();
+  };
+  TrackStore store;
+  std::vector<std::int64_t> ids;
+  constexpr double kRange_m = 10.0;
+  std::size_t in_view = 0;
+  for (std::int64_t id = 0; id < 3000; ++id) {
+    Track& track = store.create(id);
+    scatter(&track);
+    store.place(&track);
+    ids.push_back(id);
+    const std::int64_t other = ids[static_cast<std::size_t>(unit(random) * static_cast<double>(ids.size()))];
+    if (Track* moved = store.find(other)) {
+      if (unit(random) < 0.3) {
+        store.erase(other);
+      } else {
+        scatter(moved);
+        store.place(moved);
+      }
+    }
+    if (id % 50 != 0) continue;
+    const SE3 T_map_camera(so3_exp(Vec3(angle(random), angle(random), angle(random))),
+                           Vec3(place(random), place(random), place(random)));
+    const Mat34 P = projection_matrix(kCamera, T_map_camera);
+    const auto found = store.near(kCamera, T_map_camera, kRange_m, [](const Track&) { return false; });
+    EXPECT_TRUE(std::is_sorted(found.begin(), found.end(), [](auto* a, auto* b) { return a->id <= b->id; }));
+    for (const Track* candidate : store.all()) {
+      const auto box = project_box(candidate->center_map, candidate->shape_map, P);
+      const double radius = std::sqrt(candidate->shape_map(0, 0));
+      if (!box || clip(*box, kCamera.width, kCamera.height).area() <= 0.0) continue;
+      if ((candidate->center_map - T_map_camera.t).norm() + radius > kRange_m) continue;
+      ++in_view;
+      EXPECT_NE(std::find(found.begin(), found.end(), candidate), found.end()) << candidate->id;
+    }
+  }
+  EXPECT_GT(in_view, 100U);
+}
+
+TEST(ObjectAssociator, MarksSidesAtTheBorderAndUndistorts) {
+  ObjectAssociator associator(options("joint"), classes());
+  Frame frame = frame_at(0);
+  frame.camera.distortion = {0.2, -0.7, 0.0, 0.0, 0.9};
+  const AssociationFrame result = associator.associate(frame, {{kCup, 0.9, {0.0, 100.0, 80.0, 479.0}}});
+  EXPECT_EQ(result.associations[0].truncated, kLeft | kBottom);
+  const Box expected = frame.camera.undistort(Box{0.0, 100.0, 80.0, 479.0});
+  EXPECT_EQ(result.associations[0].box.edges(), expected.edges());
+  EXPECT_NE(result.associations[0].box.x1, 0.0);
+}
+
+TEST(AssociatorOptions, RejectsByNameAndValue) {
+  std::string error;
+  AssociatorOptions bad_mode;
+  bad_mode.mode = "magic";
+  EXPECT_FALSE(bad_mode.is_valid(&error));
+  EXPECT_NE(error.find("association.mode"), std::string::npos);
+  EXPECT_NE(error.find("magic"), std::string::npos);
+  AssociatorOptions bad_levels;
+  bad_levels.levels = "2d,4d";
+  EXPECT_FALSE(bad_levels.is_valid(&error));
+  EXPECT_NE(error.find("association.levels"), std::string::npos);
+  AssociatorOptions bad_gate;
+  bad_gate.iou_3d_min = -0.1;
+  EXPECT_FALSE(bad_gate.is_valid(&error));
+  EXPECT_NE(error.find("association.iou_3d_min"), std::string::npos);
+}
+
+}  // namespace
+}  // namespace semantic_topo_loop::core

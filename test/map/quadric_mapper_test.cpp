@@ -1,0 +1,383 @@
+#include <gtest/gtest.h>
+
+#include <cmath>
+#include <limits>
+#include <random>
+
+#include "map/quadric_fit.h"
+#include "map/quadric_initialisation.h"
+#include "semantic_topo_loop/geometry/lie.h"
+#include "semantic_topo_loop/geometry/quadric.h"
+#include "semantic_topo_loop/types/sim3.h"
+#include "support/look_at.h"
+#include "support/mapper_fixture.h"
+
+namespace semantic_topo_loop::core {
+namespace {
+
+using testing::look_at;
+
+const Camera& kCamera = testing::kMapperCamera;
+
+/// n cameras on an arc around the origin, 1.5 m away and 0.8 m up.
+std::vector<SE3> arc(int n, double span_deg) {
+  std::vector<SE3> poses;
+  for (int i = 0; i < n; ++i) {
+    const double angle = radians(span_deg) * i / (n - 1);
+    poses.push_back(look_at(Vec3(1.5 * std::cos(angle), 1.5 * std::sin(angle), 0.8), Vec3::Zero()));
+  }
+  return poses;
+}
+
+std::vector<BoxView> views_of(const Ellipsoid& ellipsoid, const std::vector<SE3>& poses, double noise_px = 0.0) {
+  std::mt19937_64 random(7);
+  std::normal_distribution<double> noise(0.0, 1.0);
+  std::vector<BoxView> views;
+  for (const SE3& pose : poses) {
+    Box box = *project_box(ellipsoid, projection_matrix(kCamera, pose));
+    for (double* edge : {&box.x1, &box.y1, &box.x2, &box.y2}) *edge += noise_px * noise(random);
+    views.push_back({pose, box, 0, nullptr});
+  }
+  return views;
+}
+
+const Ellipsoid kCup{SE3(so3_exp(Vec3(0.0, 0.0, 0.4)), Vec3(0.05, -0.1, 0.02)), Vec3(0.05, 0.04, 0.08)};
+
+TEST(QuadricFit, BoxJacobianEqualsNumericDerivative) {
+  const Mat34 P = projection_matrix(kCamera, arc(5, 90.0)[1]);
+  const Ellipsoid ellipsoid{SE3(so3_exp(Vec3(0.3, -0.2, 0.5)), Vec3(0.1, 0.0, 0.05)), Vec3(0.1, 0.05, 0.2)};
+  BoxJacobian J;
+  ASSERT_TRUE(project_box(ellipsoid, P, &J));
+  constexpr double kStep = 1e-6;
+  for (int k = 0; k < 3; ++k) {
+    const Vec3 d = kStep * Vec3::Unit(k);
+    const auto derivative = [&](const Ellipsoid& plus, const Ellipsoid& minus) {
+      return Vec4((project_box(plus, P)->edges() - project_box(minus, P)->edges()) / (2.0 * kStep));
+    };
+    Ellipsoid plus = ellipsoid, minus = ellipsoid;
+    plus.T_world_quadric.t += d;
+    minus.T_world_quadric.t -= d;
+    EXPECT_LT((derivative(plus, minus) - J.center.col(k)).norm(), 1e-3);
+    plus = minus = ellipsoid;
+    plus.T_world_quadric.q = so3_exp(d) * ellipsoid.T_world_quadric.q;
+    minus.T_world_quadric.q = so3_exp(-d) * ellipsoid.T_world_quadric.q;
+    EXPECT_LT((derivative(plus, minus) - J.rotation.col(k)).norm(), 1e-3);
+    plus = minus = ellipsoid;
+    plus.semi_axes(k) *= std::exp(kStep);
+    minus.semi_axes(k) *= std::exp(-kStep);
+    EXPECT_LT((derivative(plus, minus) - J.log_axes.col(k)).norm(), 1e-3);
+  }
+}
+
+TEST(QuadricFit, RecoversAnEllipsoidFromExactBoxes) {
+  const std::vector<BoxView> views = views_of(kCup, arc(20, 150.0));
+  const std::optional<Ellipsoid> sphere = initialise_sphere(kCamera, views);
+  ASSERT_TRUE(sphere);
+  EXPECT_LT((sphere->center() - kCup.center()).norm(), 0.02);
+  QuadricFitOptions options;
+  options.max_iterations = 50;
+  options.roundness_weight = 1e-6;
+  const std::optional<QuadricFit> fit = refine_quadric(kCamera, views, *sphere, options);
+  ASSERT_TRUE(fit);
+  EXPECT_LT((fit->ellipsoid.center() - kCup.center()).norm(), 0.003);
+  EXPECT_GT(fit->mean_iou, 0.97);
+  EXPECT_LT((fit->ellipsoid.shape() - kCup.shape()).norm(), 0.3 * kCup.shape().norm());
+}
+
+TEST(QuadricFit, CovarianceCoversTheErrorAndShrinksWithViews) {
+  const auto covariance = [](int n) {
+    const std::vector<BoxView> views = views_of(kCup, arc(n, 60.0), 2.0);
+    const std::optional<QuadricFit> fit = refine_quadric(kCamera, views, *initialise_sphere(kCamera, views));
+    EXPECT_TRUE(fit);
+    EXPECT_LT((fit->ellipsoid.center() - kCup.center()).norm(), 5.0 * std::sqrt(fit->center_covariance.trace()));
+    return fit->center_covariance.trace();
+  };
+  EXPECT_LT(covariance(40), 0.6 * covariance(10));
+}
+
+TEST(QuadricFit, LeavesOutSidesCutByTheBorder) {
+  std::vector<BoxView> views = views_of(kCup, arc(20, 120.0));
+  for (std::size_t i = 0; i < views.size(); i += 2) {
+    views[i].box.x1 += 30.0;  // what a border does to the left side
+    views[i].truncated = kLeft;
+  }
+  const std::optional<QuadricFit> fit = refine_quadric(kCamera, views, kCup);
+  ASSERT_TRUE(fit);
+  EXPECT_LT((fit->ellipsoid.center() - kCup.center()).norm(), 0.005);
+}
+
+/// A chair seen from so near that no image shows it whole: only left, right and top sides bound it.
+TEST(QuadricInitialisation, BoxesThatTheBorderCutsStillGiveTheSphere) {
+  const Ellipsoid chair{SE3(Quaternion::Identity(), Vec3(0.1, 0.0, 0.0)), Vec3::Constant(0.4)};
+  std::vector<BoxView> views = views_of(chair, arc(30, 60.0));
+  for (std::size_t i = 0; i < views.size(); ++i) {
+    views[i].box.y2 -= 80.0;
+    views[i].truncated = kBottom;
+    if (i % 3 != 0) continue;
+    views[i].box.x1 += 50.0;
+    views[i].truncated |= kLeft;
+  }
+  const std::optional<Ellipsoid> sphere = initialise_sphere(kCamera, views);
+  ASSERT_TRUE(sphere);
+  EXPECT_LT((sphere->center() - chair.center()).norm(), 0.03);
+  EXPECT_NEAR(sphere->semi_axes.x(), 0.4, 0.03);
+}
+
+TEST(QuadricFit, RefusesDegenerateInput) {
+  const std::vector<BoxView> still(5, views_of(kCup, {arc(5, 90.0)[0]})[0]);
+  EXPECT_FALSE(initialise_sphere(kCamera, still));
+  EXPECT_FALSE(initialise_sphere(kCamera, {}));
+  EXPECT_FALSE(refine_quadric(kCamera, {}, kCup));
+  Ellipsoid broken = kCup;
+  broken.T_world_quadric.t.x() = std::numeric_limits<double>::quiet_NaN();
+  EXPECT_FALSE(refine_quadric(kCamera, still, broken));
+}
+
+/// Objects seen from an arc.
+class MapperTest : public testing::MapperFixture {
+ protected:
+  MapperTest()
+      : MapperFixture({{41, "cup", ClassRole::kMovable, "vessel", 0.1},
+                       {75, "vase", ClassRole::kMovable, "vessel", 0.2},
+                       {73, "book", ClassRole::kMovable, "", 0.2},
+                       {62, "tv", ClassRole::kStatic, "", 0.2}}) {}
+
+  MapUpdate end() {
+    Frame frame;
+    frame.frame_id = next_frame_;
+    frame.is_end = true;
+    mapper_.integrate(frame, {});
+    MapCorrection correction;
+    correction.frame_id = frame.frame_id;
+    return mapper_.apply(correction);
+  }
+};
+
+TEST_F(MapperTest, CandidateBecomesConfirmedWithViewsAndParallax) {
+  const std::vector<SE3> poses = arc(60, 90.0);
+  step(poses[0], {{0, 41, kCup}});
+  ASSERT_NE(find(0), nullptr);
+  EXPECT_EQ(find(0)->state, LandmarkState::kCandidate);
+  EXPECT_FALSE(find(0)->ellipsoid);
+  for (std::size_t i = 1; i < poses.size(); ++i) step(poses[i], {{0, 41, kCup}});
+  ASSERT_TRUE(find(0)->ellipsoid);
+  EXPECT_EQ(find(0)->state, LandmarkState::kConfirmed);
+  EXPECT_LT((find(0)->ellipsoid->center() - kCup.center()).norm(), 0.01);
+  EXPECT_GT(find(0)->quality, 0.5);
+  EXPECT_LE(find(0)->quality, 1.0);
+}
+
+TEST_F(MapperTest, ObjectWithoutParallaxStaysACandidate) {
+  for (int i = 0; i < 60; ++i) step(arc(60, 1.0)[static_cast<std::size_t>(i)], {{0, 41, kCup}});
+  EXPECT_EQ(find(0)->state, LandmarkState::kCandidate);
+  EXPECT_FALSE(find(0)->ellipsoid);
+}
+
+TEST_F(MapperTest, DuplicatesOfOneObjectMerge) {
+  const std::vector<SE3> poses = arc(120, 120.0);
+  std::vector<LandmarkMerge> merges;
+  for (std::size_t i = 0; i < poses.size(); ++i) {
+    const MapUpdate update = step(poses[i], {{i < 60 ? 0 : 1, 41, kCup}});
+    merges.insert(merges.end(), update.merged.begin(), update.merged.end());
+  }
+  const MapUpdate last = end();
+  merges.insert(merges.end(), last.merged.begin(), last.merged.end());
+  ASSERT_EQ(merges.size(), 1U);
+  ASSERT_NE(find(merges[0].survivor_id), nullptr);
+  EXPECT_EQ(find(merges[0].merged_id), nullptr);
+  EXPECT_EQ(find(merges[0].survivor_id)->observations, 120);
+}
+
+TEST_F(MapperTest, ObjectsSeenSideBySideDoNotMerge) {
+  Ellipsoid neighbour = kCup;
+  neighbour.T_world_quadric.t += Vec3(0.0, 0.11, 0.0);
+  for (const SE3& pose : arc(120, 120.0)) step(pose, {{0, 41, kCup}, {1, 41, neighbour}});
+  end();
+  EXPECT_NE(find(0), nullptr);
+  EXPECT_NE(find(1), nullptr);
+}
+
+TEST_F(MapperTest, StaleCandidateIsGivenUp) {
+  step(arc(2, 1.0)[0], {{0, 41, kCup}});
+  std::vector<std::int64_t> removed;
+  for (const SE3& pose : arc(120, 120.0)) {
+    const MapUpdate update = step(pose, {{1, 73, kCup}});
+    removed.insert(removed.end(), update.removed.begin(), update.removed.end());
+  }
+  EXPECT_EQ(removed, std::vector<std::int64_t>{0});
+}
+
+TEST_F(MapperTest, NeverSeenAgainWhereExpectedIsRetired) {
+  const std::vector<SE3> poses = arc(60, 90.0);
+  for (int i = 0; i < 11; ++i) step(poses[static_cast<std::size_t>(i) * 5], {{0, 41, kCup}});
+  ASSERT_TRUE(find(0)->ellipsoid);
+  Ellipsoid book = kCup;
+  book.T_world_quadric.t += Vec3(0.4, 0.4, 0.0);
+  for (int i = 0; i < 900; ++i) step(poses[static_cast<std::size_t>(i % 60)], {{1, 73, book}});
+  EXPECT_EQ(find(0)->state, LandmarkState::kRetired);
+  EXPECT_EQ(find(1)->state, LandmarkState::kConfirmed);
+}
+
+TEST_F(MapperTest, WhatWasMovedIsRetiredWhereItWasAndWhatIsFixedIsNot) {
+  const std::vector<SE3> poses = arc(120, 120.0);
+  Ellipsoid tv = kCup, moved = kCup;
+  tv.T_world_quadric.t += Vec3(-0.3, 0.3, 0.0);
+  moved.T_world_quadric.t += Vec3(0.3, -0.3, 0.0);
+  for (const SE3& pose : poses) step(pose, {{0, 41, kCup}, {1, 62, tv}});
+  ASSERT_EQ(find(0)->state, LandmarkState::kConfirmed);
+  ASSERT_EQ(find(1)->state, LandmarkState::kConfirmed);
+  for (int i = 0; i < 600; ++i) step(poses[static_cast<std::size_t>(i % 120)], {{2, 41, moved}});
+  end();
+  EXPECT_EQ(find(0)->state, LandmarkState::kRetired);
+  EXPECT_EQ(find(1)->state, LandmarkState::kConfirmed);
+  ASSERT_NE(find(2), nullptr);
+  EXPECT_EQ(find(2)->state, LandmarkState::kConfirmed);
+  EXPECT_LT((find(2)->ellipsoid->center() - moved.center()).norm(), 0.01);
+}
+
+TEST_F(MapperTest, WhatIsNotDetectedFromBehindOrWhileHiddenHasNotGone) {
+  const std::vector<SE3> poses = arc(120, 60.0);
+  Ellipsoid book = kCup;
+  book.T_world_quadric.t += Vec3(0.3, -0.3, 0.0);
+  for (const SE3& pose : poses) step(pose, {{0, 41, kCup}});
+  for (int i = 0; i < 600; ++i) {
+    const double angle = radians(180.0 + 0.1 * i);
+    step(look_at(Vec3(1.5 * std::cos(angle), 1.5 * std::sin(angle), 0.8), Vec3::Zero()), {{1, 73, book}});
+  }
+  EXPECT_EQ(find(0)->state, LandmarkState::kConfirmed) << "from behind";
+  Ellipsoid person = kCup;  // stands between the cup and every camera
+  person.semi_axes *= 3.0;
+  for (int i = 0; i < 600; ++i) {
+    const SE3& pose = poses[static_cast<std::size_t>(i % 120)];
+    person.T_world_quadric.t = kCup.center() + 0.5 * (pose.t - kCup.center());
+    step(pose, {{-1, 0, person}, {1, 73, book}});
+  }
+  EXPECT_EQ(find(0)->state, LandmarkState::kConfirmed) << "hidden";
+}
+
+TEST_F(MapperTest, WhatDepthShowsToBeHiddenHasNotGone) {
+  const std::vector<SE3> poses = arc(120, 60.0);
+  Ellipsoid book = kCup;
+  book.T_world_quadric.t += Vec3(0.3, -0.3, 0.0);
+  for (const SE3& pose : poses) step(pose, {{0, 41, kCup}});
+  for (int i = 0; i < 600; ++i) {
+    const SE3& pose = poses[static_cast<std::size_t>(i % 120)];
+    const Vec3 cup_camera = pose.inverse() * kCup.center();
+    auto screen = std::make_shared<std::vector<Vec3>>();  // halfway, over the whole cup
+    for (int k = 0; k < 100; ++k) {
+      screen->push_back(0.5 * cup_camera + Vec3(0.006 * (k % 10 - 5), 0.01 * (k / 10 - 5), 0.0));
+    }
+    step(pose, {{1, 73, book}}, screen);
+  }
+  EXPECT_EQ(find(0)->state, LandmarkState::kConfirmed);
+}
+
+TEST_F(MapperTest, AnEllipsoidOfAnotherSizeThanItsClassIsRefused) {
+  Ellipsoid huge = kCup;
+  huge.semi_axes *= 8.0;
+  for (const SE3& pose : arc(60, 90.0)) step(pose, {{0, 41, huge}});
+  EXPECT_FALSE(find(0)->ellipsoid);
+}
+
+/// A wrong loop closure lays one cup upon another; when it is taken back, so is the merge.
+TEST_F(MapperTest, MergeIsUndoneWhenACorrectionPullsTheTwoApart) {
+  QuadricMapperOptions options;
+  options.maintenance_interval_s = 1e6;  // duplicates are looked for at the end only
+  mapper_ = QuadricMapper(options, classes_);
+  const std::vector<SE3> poses = arc(60, 90.0);
+  for (const SE3& pose : poses) step(pose, {{0, 41, kCup}});
+  for (const SE3& pose : poses) step(pose, {{1, 41, kCup}});
+  const Landmark first = *find(0);
+  ASSERT_NE(find(1), nullptr);
+  const Landmark second = *find(1);
+  const MapUpdate merge = end();
+  ASSERT_EQ(merge.merged.size(), 1U);
+  ASSERT_EQ(mapper_.landmarks().size(), 1U);
+
+  const SE3 T_new_old(Quaternion::Identity(), Vec3(1.0, 0.0, 0.0));
+  MapCorrection correction;
+  correction.frame_id = next_frame_;
+  correction.changed = true;
+  correction.T_map_odom = T_new_old;
+  correction.valid_to_keyframe_id = 23;
+  for (std::int64_t id = 12; id <= 23; ++id) {
+    correction.keyframes.push_back({id, id * 5, 0, T_new_old * poses[static_cast<std::size_t>(id - 12) * 5]});
+  }
+  const MapUpdate update = mapper_.apply(correction);
+  ASSERT_EQ(update.unmerged.size(), 1U);
+  EXPECT_EQ(update.unmerged[0].merged_id, merge.merged[0].merged_id);
+  ASSERT_NE(find(0), nullptr);
+  ASSERT_NE(find(1), nullptr);
+  EXPECT_EQ(find(0)->observations, first.observations);
+  EXPECT_EQ(find(1)->observations, second.observations);
+  EXPECT_EQ(find(0)->state, LandmarkState::kConfirmed);
+  EXPECT_EQ(find(1)->state, LandmarkState::kConfirmed);
+  EXPECT_LT((find(0)->ellipsoid->center() - kCup.center()).norm(), 0.01);
+  EXPECT_LT((find(1)->ellipsoid->center() - T_new_old * kCup.center()).norm(), 0.01);
+}
+
+TEST_F(MapperTest, LandmarksMoveWithTheirKeyframesAndVersionsChain) {
+  std::uint64_t version = mapper_.map_version();
+  const std::vector<SE3> poses = arc(60, 90.0);
+  for (const SE3& pose : poses) {
+    const MapUpdate update = step(pose, {{0, 41, kCup}});
+    EXPECT_EQ(update.base_version, version);
+    version = update.map_version;
+  }
+  const SE3 T_new_old(so3_exp(Vec3(0.0, 0.1, 0.3)), Vec3(1.0, -2.0, 0.5));
+  MapCorrection correction;
+  correction.frame_id = next_frame_ - 1;
+  correction.changed = true;
+  correction.T_map_odom = T_new_old;
+  correction.valid_to_keyframe_id = 9;  // the last two keyframes are newer than the solution
+  for (std::int64_t id = 0; id <= 9; ++id) {
+    correction.keyframes.push_back({id, id * 5, 0, T_new_old * poses[static_cast<std::size_t>(id) * 5]});
+  }
+  const Vec3 before = find(0)->ellipsoid->center();
+  const MapUpdate update = mapper_.apply(correction);
+  EXPECT_EQ(update.base_version, version);
+  EXPECT_GT(update.map_version, version);
+  EXPECT_LT((find(0)->ellipsoid->center() - T_new_old * before).norm(), 1e-9);
+  // Frames after the correction see the object where it now is.
+  step(poses[0], {{0, 41, kCup}});
+  end();
+  EXPECT_LT((find(0)->ellipsoid->center() - T_new_old * kCup.center()).norm(), 0.01);
+}
+
+/// A camera that came to count in a unit of half the length has mapped everything twice as large.
+TEST_F(MapperTest, LandmarksGrowWithTheScaleOfTheirKeyframes) {
+  const std::vector<SE3> poses = arc(60, 90.0);
+  for (const SE3& pose : poses) step(pose, {{0, 41, kCup}});
+  const Ellipsoid before = *find(0)->ellipsoid;
+  constexpr double kScale = 0.5;
+  const Sim3 S_new_old(SE3(so3_exp(Vec3(0.0, 0.1, 0.3)), Vec3(1.0, -2.0, 0.5)), kScale);
+  const auto corrected = [&](const SE3& T_odom_camera) { return S_new_old.pose(T_odom_camera); };
+  MapCorrection correction;
+  correction.frame_id = next_frame_ - 1;
+  correction.changed = true;
+  correction.scale = kScale;
+  correction.T_map_odom = corrected(poses.back()) * poses.back().inverse();
+  correction.valid_to_keyframe_id = 11;
+  for (std::int64_t id = 0; id <= 11; ++id) {
+    correction.keyframes.push_back({id, id * 5, 0, corrected(poses[static_cast<std::size_t>(id) * 5]), kScale});
+  }
+  mapper_.apply(correction);
+  EXPECT_LT((find(0)->ellipsoid->center() - S_new_old * before.center()).norm(), 1e-9);
+  EXPECT_LT((find(0)->ellipsoid->semi_axes - kScale * before.semi_axes).norm(), 1e-12);
+  // The fit from the views, which hang on the keyframes in the odometry's unit, says the same.
+  end();
+  EXPECT_LT((find(0)->ellipsoid->center() - S_new_old * kCup.center()).norm(), 0.01);
+  EXPECT_LT((find(0)->ellipsoid->semi_axes - kScale * before.semi_axes).norm(), 0.005);
+}
+
+TEST(QuadricMapperOptions, RejectsValuesOutOfRangeByName) {
+  QuadricMapperOptions options;
+  options.merge_iou = 1.5;
+  std::string error;
+  EXPECT_FALSE(options.is_valid(&error));
+  EXPECT_NE(error.find("mapping.merge_iou"), std::string::npos);
+  EXPECT_NE(error.find("1.5"), std::string::npos);
+}
+
+}  // namespace
+}  // namespace semantic_topo_loop::core

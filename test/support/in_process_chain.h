@@ -1,0 +1,117 @@
+#pragma once
+
+#include <gtest/gtest.h>
+#include <nodelet/loader.h>
+#include <ros/ros.h>
+#include <std_msgs/String.h>
+
+#include <chrono>
+#include <condition_variable>
+#include <map>
+#include <mutex>
+#include <string>
+
+#include "semantic_topo_loop/io/camera_yaml.h"
+#include "semantic_topo_loop/io/class_table_yaml.h"
+#include "support/test_files.h"
+#include "tools/simulation/sequence.h"
+
+namespace semantic_topo_loop {
+
+/// Simulates a sequence into a directory, as the simulate program does.
+inline void write_simulation(const std::map<std::string, std::string>& options, const std::string& directory) {
+  std::string error;
+  const auto parsed = core::make_simulation_options(options, &error);
+  ASSERT_TRUE(parsed) << error;
+  const auto camera = core::read_camera(STL_CONFIG_DIR "/camera/tum_fr2.yaml", &error);
+  ASSERT_TRUE(camera) << error;
+  const auto classes = core::read_class_table(STL_CONFIG_DIR "/classes_coco.yaml", &error);
+  ASSERT_TRUE(classes) << error;
+  const auto sequence = core::simulate(*parsed, *camera, *classes, &error);
+  ASSERT_TRUE(sequence) << error;
+  ASSERT_TRUE(core::write_sequence(*sequence, *classes, directory, &error)) << error;
+}
+
+/// The whole chain in this process, which plays the nodelet manager, so that a test sees what the stages exchange.
+class InProcessChain {
+ public:
+  using Remappings = std::map<std::string, std::string>;
+
+  InProcessChain() : loader_(false) {
+    status_ = node_.subscribe<std_msgs::String>("player_status", 10, &InProcessChain::take_status, this);
+  }
+
+  template <class Value>
+  void set(const std::string& nodelet, const std::string& key, const Value& value) {
+    ros::param::set("/" + nodelet + "/" + key, value);
+  }
+  /// Everything but the player, on the files of a simulation.
+  void load_stages(const std::string& data, const std::string& output, const Remappings& mapping_remappings = {}) {
+    set("pose_frontend", "pose_source", "file");
+    set("pose_frontend", "trajectory_file", data + "/odometry.txt");
+    set("detection_ingestion", "source", "file");
+    set("detection_ingestion", "detections_file", data + "/detections.json");
+    set("recorder", "output_dir", output);
+    for (const char* nodelet :
+         {"detection_ingestion", "object_association", "quadric_mapping", "loop_detection", "recorder"}) {
+      set(nodelet, "class_table", STL_CONFIG_DIR "/classes_coco.yaml");
+    }
+    load("recorder", "Recorder", {});
+    load("pose_graph", "PoseGraph", {});
+    load("loop_detection", "LoopDetection", {});
+    load("quadric_mapping", "QuadricMapping", mapping_remappings);
+    load("object_association", "ObjectAssociation", {});
+    load("detection_ingestion", "DetectionIngestion", {});
+    load("pose_frontend", "PoseFrontend", {});
+  }
+  /// The pose graph and the map that follows it; the test plays the other stages.
+  void load_correction() {
+    set("quadric_mapping", "class_table", STL_CONFIG_DIR "/classes_coco.yaml");
+    load("pose_graph", "PoseGraph", {});
+    load("quadric_mapping", "QuadricMapping", {});
+  }
+  /// The points of the map alone; the test plays the front end and the pose graph.
+  void load_point_mapping(double rate_hz) {
+    set("point_mapping", "rate_hz", rate_hz);
+    load("point_mapping", "PointMapping", {});
+  }
+  void load_player(const std::string& data, bool lockstep) {
+    set("player", "mode", "files");
+    set("player", "trajectory_file", data + "/odometry.txt");
+    set("player", "camera_file", data + "/camera.yaml");
+    set("player", "lockstep", lockstep);
+    set("player", "await_results", true);
+    set("player", "stages", "DetectionIngestion ObjectAssociation QuadricMapping LoopDetection PoseGraph Recorder");
+    load("player", "Player", {});
+  }
+  void unload_all() { loader_.clear(); }
+
+  /// What the player said at its end; empty if it did not end in time.
+  std::string wait_for_end(double timeout_s) {
+    std::unique_lock<std::mutex> lock(mutex_);
+    changed_.wait_for(lock, std::chrono::duration<double>(timeout_s), [this] { return !end_.empty(); });
+    return end_;
+  }
+
+ private:
+  void load(const std::string& name, const std::string& type, Remappings remappings) {
+    for (auto& [from, to] : remappings) to = ros::names::resolve(to);
+    Remappings resolved;
+    for (const auto& [from, to] : remappings) resolved[ros::names::resolve(from)] = to;
+    ASSERT_TRUE(loader_.load("/" + name, "semantic_topo_loop/" + type, resolved, {})) << name;
+  }
+  void take_status(const std_msgs::String::ConstPtr& status) {
+    const std::lock_guard<std::mutex> lock(mutex_);
+    if (status->data != "playing") end_ = status->data;
+    changed_.notify_all();
+  }
+
+  ros::NodeHandle node_;
+  nodelet::Loader loader_;
+  ros::Subscriber status_;
+  std::mutex mutex_;  ///< guards end_
+  std::condition_variable changed_;
+  std::string end_;
+};
+
+}  // namespace semantic_topo_loop

@@ -1,0 +1,68 @@
+#pragma once
+
+#include <gtest/gtest.h>
+
+#include <memory>
+#include <utility>
+#include <vector>
+
+#include "semantic_topo_loop/geometry/quadric.h"
+#include "semantic_topo_loop/map/mapper_options.h"
+#include "semantic_topo_loop/map/quadric_mapper.h"
+
+namespace semantic_topo_loop::core::testing {
+
+inline const Camera kMapperCamera{520.0, 520.0, 320.0, 240.0, 640, 480, {}};
+
+/// Feeds a mapper with the exact boxes of objects, under landmark ids of the test's choice.
+class MapperFixture : public ::testing::Test {
+ protected:
+  explicit MapperFixture(std::vector<ObjectClass> classes)
+      : classes_(std::make_shared<const ClassTable>(*ClassTable::create(std::move(classes), nullptr))),
+        mapper_(QuadricMapperOptions{}, classes_) {}
+
+  struct Seen {
+    std::int64_t id;
+    int class_id;
+    Ellipsoid ellipsoid;
+  };
+
+  MapUpdate step(const SE3& pose, const std::vector<Seen>& seen,
+                 std::shared_ptr<const std::vector<Vec3>> points_camera = nullptr) {
+    Frame frame;
+    frame.points_camera = std::move(points_camera);
+    frame.frame_id = next_frame_;
+    frame.stamp_ns = next_frame_ * 33333333;
+    frame.is_keyframe = next_frame_ % 5 == 0;
+    frame.keyframe_id = next_frame_ / 5;
+    frame.T_odom_camera = pose;
+    frame.camera = kMapperCamera;
+    ++next_frame_;
+    AssociationFrame associations;
+    associations.frame_id = frame.frame_id;
+    for (const Seen& object : seen) {
+      Association association;
+      association.landmark_id = object.id;
+      if (object.id < 0) association.level = AssociationLevel::kIgnored;
+      association.class_id = association.landmark_class_id = object.class_id;
+      association.box = *project_box(object.ellipsoid, projection_matrix(kMapperCamera, pose));
+      associations.associations.push_back(association);
+    }
+    return mapper_.integrate(frame, associations);
+  }
+
+  const Landmark* find(std::int64_t id) {
+    landmarks_ = mapper_.landmarks();
+    for (const Landmark& landmark : landmarks_) {
+      if (landmark.id == id) return &landmark;
+    }
+    return nullptr;
+  }
+
+  std::shared_ptr<const ClassTable> classes_;
+  QuadricMapper mapper_;
+  std::vector<Landmark> landmarks_;
+  std::int64_t next_frame_ = 0;
+};
+
+}  // namespace semantic_topo_loop::core::testing

@@ -1,0 +1,42 @@
+#pragma once
+
+#include <gtest/gtest.h>
+
+#include <map>
+#include <string>
+#include <utility>
+
+#include "support/package_config.h"
+#include "tools/simulation/sequence.h"
+
+namespace semantic_topo_loop::core::simulation_test {
+
+using core::camera_fr2;
+using core::coco;
+
+/// Options from texts, which must be valid.
+inline SimulationOptions options_of(const std::map<std::string, std::string>& texts) {
+  std::string error;
+  const auto options = make_simulation_options(texts, &error);
+  EXPECT_TRUE(options) << error;
+  return options.value_or(SimulationOptions());
+}
+
+/// Simulated from texts, which must be valid.
+inline SimulatedSequence simulate_fr2(const std::map<std::string, std::string>& texts, const ClassTable& classes) {
+  std::string error;
+  auto sequence = simulate(options_of(texts), camera_fr2(), classes, &error);
+  EXPECT_TRUE(sequence) << error;
+  return std::move(sequence).value_or(SimulatedSequence());
+}
+
+/// A detector without errors that sees every object.
+inline DetectorOptions perfect_detector() {
+  DetectorOptions options;
+  options.miss_rate = options.small_box_px = options.mislabel_rate = options.false_rate = 0.0;
+  options.jitter_px = options.jitter_ratio = options.persistence_s = 0.0;
+  options.min_visible = options.min_inside = 0.0;
+  return options;
+}
+
+}  // namespace semantic_topo_loop::core::simulation_test

@@ -1,0 +1,179 @@
+#include "tools/perturbation/detection_perturbation.h"
+
+#include <gtest/gtest.h>
+
+#include <cmath>
+#include <limits>
+
+#include "semantic_topo_loop/io/detection_reader.h"
+#include "semantic_topo_loop/io/detection_writer.h"
+#include "support/test_files.h"
+#include "support/test_fixtures.h"
+
+namespace semantic_topo_loop::core {
+namespace {
+
+using simulation_test::coco;
+
+constexpr int kFrames = 400, kBoxesPerFrame = 25;
+constexpr int kBoxes = kFrames * kBoxesPerFrame;
+
+/// Boxes of 40 x 80 px of the given classes in turn; the score numbers the box, so that it can be found again.
+std::vector<DetectionFrame> recording(const std::vector<int>& classes = {39, 41, 73}) {
+  std::vector<DetectionFrame> frames;
+  for (int i = 0; i < kFrames; ++i) {
+    DetectionFrame frame{1000000000LL * (i + 1), {}};
+    for (int k = 0; k < kBoxesPerFrame; ++k) {
+      const int n = i * kBoxesPerFrame + k;
+      const double x = 20.0 * k, y = 5.0 * k;
+      frame.detections.push_back(
+          {classes[static_cast<std::size_t>(n) % classes.size()], n / (1.0 + kBoxes), {x, y, x + 40.0, y + 80.0}});
+    }
+    frames.push_back(frame);
+  }
+  return frames;
+}
+
+std::vector<DetectionFrame> perturb(const PerturbationOptions& options, std::uint64_t seed,
+                                    const std::vector<DetectionFrame>& frames = recording()) {
+  PerturbationCounts counts;
+  return perturb_detections(frames, options, seed, &counts);
+}
+
+std::string to_json(const TestDirectory& directory, const std::vector<DetectionFrame>& frames) {
+  std::string error;
+  EXPECT_TRUE(write_detections_json(directory.path("out.json"), frames, &error)) << error;
+  return read_whole(directory.path("out.json"));
+}
+
+/// The boxes by their number.
+std::map<int, Detection> by_number(const std::vector<DetectionFrame>& frames) {
+  std::map<int, Detection> boxes;
+  for (const DetectionFrame& frame : frames) {
+    for (const Detection& d : frame.detections) boxes[static_cast<int>(std::lround(d.score * (1.0 + kBoxes)))] = d;
+  }
+  return boxes;
+}
+
+TEST(DetectionPerturbation, ZeroSharesChangeNothing) {
+  const TestDirectory directory;
+  EXPECT_EQ(to_json(directory, perturb({}, 1)), to_json(directory, recording()));
+}
+
+TEST(DetectionPerturbation, SameSeedSameBytesAndAnotherSeedOthers) {
+  const TestDirectory directory;
+  const PerturbationOptions options{0.3, 0.1, 0.03};
+  EXPECT_EQ(to_json(directory, perturb(options, 7)), to_json(directory, perturb(options, 7)));
+  EXPECT_NE(to_json(directory, perturb(options, 7)), to_json(directory, perturb(options, 8)));
+}
+
+TEST(DetectionPerturbation, SharesAreThoseAskedForAndCounted) {
+  PerturbationCounts counts;
+  const auto frames = recording();
+  const auto worse = perturb_detections(frames, {0.3, 0.1, 0.0}, 3, &counts);
+  ASSERT_EQ(worse.size(), frames.size());
+  const auto kept = by_number(worse), before = by_number(frames);
+  int relabelled = 0;
+  for (const auto& [number, detection] : kept) {
+    relabelled += detection.class_id != before.at(number).class_id ? 1 : 0;
+    EXPECT_EQ(detection.box.edges(), before.at(number).box.edges());
+  }
+  EXPECT_EQ(counts.boxes, kBoxes);
+  EXPECT_EQ(counts.dropped, kBoxes - static_cast<int>(kept.size()));
+  EXPECT_EQ(counts.relabelled, relabelled);
+  // Five standard deviations.
+  EXPECT_NEAR(counts.dropped / static_cast<double>(kBoxes), 0.3, 5.0 * std::sqrt(0.21 / kBoxes));
+  EXPECT_NEAR(relabelled / static_cast<double>(kept.size()), 0.1, 5.0 * std::sqrt(0.09 / (0.7 * kBoxes)));
+}
+
+TEST(DetectionPerturbation, OtherClassesAreThoseOfTheFileAndEquallyOften) {
+  const std::vector<int> classes = {39, 41, 73, 77};
+  std::map<std::pair<int, int>, int> changes;
+  const auto before = by_number(recording(classes));
+  for (const auto& [number, detection] : by_number(perturb({0.0, 1.0, 0.0}, 5, recording(classes)))) {
+    ++changes[{before.at(number).class_id, detection.class_id}];
+  }
+  ASSERT_EQ(changes.size(), 12u);
+  const double expected = kBoxes / 12.0;
+  for (const auto& [change, count] : changes) {
+    EXPECT_NE(change.first, change.second);
+    EXPECT_NEAR(count, expected, 5.0 * std::sqrt(expected)) << change.first << " -> " << change.second;
+  }
+}
+
+TEST(DetectionPerturbation, TheOnlyClassStays) {
+  for (const auto& [number, detection] : by_number(perturb({0.0, 1.0, 0.0}, 5, recording({41})))) {
+    EXPECT_EQ(detection.class_id, 41) << number;
+  }
+}
+
+TEST(DetectionPerturbation, CornersScatterWithWidthAndHeight) {
+  const auto before = by_number(recording());
+  Vec4 sum = Vec4::Zero(), squares = Vec4::Zero();
+  double x1_times_x2 = 0.0;
+  for (const auto& [number, detection] : by_number(perturb({0.0, 0.0, 0.03}, 11))) {
+    const Vec4 e = detection.box.edges() - before.at(number).box.edges();
+    sum += e;
+    squares += e.cwiseAbs2();
+    x1_times_x2 += e[0] * e[2];
+  }
+  for (int i = 0; i < 4; ++i) {
+    const double sigma = 0.03 * (i % 2 == 0 ? 40.0 : 80.0);
+    EXPECT_NEAR(sum[i] / kBoxes, 0.0, 5.0 * sigma / std::sqrt(kBoxes));
+    EXPECT_NEAR(std::sqrt(squares[i] / kBoxes), sigma, 5.0 * sigma / std::sqrt(2.0 * kBoxes));
+  }
+  EXPECT_NEAR(x1_times_x2 / kBoxes / (1.2 * 1.2), 0.0, 5.0 / std::sqrt(kBoxes));
+}
+
+TEST(DetectionPerturbation, BoxesStayBoxesUnderAnyJitter) {
+  for (const DetectionFrame& frame : perturb({0.0, 0.0, 1.0}, 2)) {
+    for (const Detection& detection : frame.detections) EXPECT_TRUE(detection.box.is_valid());
+  }
+}
+
+TEST(DetectionPerturbation, AnOptionLeavesTheEffectsOfTheOthers) {
+  const auto few = by_number(perturb({0.5, 0.1, 0.03}, 9));
+  const auto most = by_number(perturb({0.2, 0.1, 0.03}, 9));
+  const auto unlabelled = by_number(perturb({0.2, 0.0, 0.03}, 9));
+  EXPECT_LT(few.size(), most.size());
+  for (const auto& [number, detection] : few) {
+    ASSERT_TRUE(most.count(number)) << number;
+    EXPECT_EQ(most.at(number).class_id, detection.class_id);
+    EXPECT_EQ(most.at(number).box.edges(), detection.box.edges());
+    EXPECT_EQ(unlabelled.at(number).box.edges(), detection.box.edges());
+  }
+}
+
+TEST(DetectionPerturbation, ValuesOutOfRangeAreNamed) {
+  const double nan = std::numeric_limits<double>::quiet_NaN();
+  for (const auto& [options, part] : {std::pair(PerturbationOptions{1.1, 0.0, 0.0}, "'drop' = '1.1'"),
+                                      std::pair(PerturbationOptions{0.0, -0.1, 0.0}, "'relabel' = '-0.1'"),
+                                      std::pair(PerturbationOptions{0.0, 0.0, 2.0}, "'jitter' = '2'"),
+                                      std::pair(PerturbationOptions{0.0, 0.0, nan}, "'jitter' = 'nan'")}) {
+    std::string error;
+    EXPECT_FALSE(options.is_valid(&error));
+    EXPECT_NE(error.find(part), std::string::npos) << error;
+  }
+}
+
+TEST(DetectionPerturbation, RealDetectionsKeepTheirImages) {
+  const auto path = shared_data("tum/fr2_desk/detections_yolov5.json");
+  if (!path) GTEST_SKIP() << "SEMANTIC_TOPO_LOOP_DATA is not set";
+  std::string error;
+  DetectionReport report;
+  const ClassTable classes = coco();
+  const auto frames = read_detections(*path, classes, &report, &error);
+  ASSERT_TRUE(frames) << error;
+  PerturbationCounts counts;
+  const auto worse = perturb_detections(*frames, {0.3, 0.1, 0.03}, 1, &counts);
+  ASSERT_EQ(worse.size(), frames->size());
+  for (std::size_t i = 0; i < worse.size(); ++i) EXPECT_EQ(worse[i].stamp_ns, (*frames)[i].stamp_ns);
+  for (const DetectionFrame& frame : worse) {
+    for (const Detection& detection : frame.detections) EXPECT_FALSE(validate(detection, classes));
+  }
+  EXPECT_EQ(counts.boxes, report.detections);
+  EXPECT_NEAR(counts.dropped / static_cast<double>(counts.boxes), 0.3, 0.02);
+}
+
+}  // namespace
+}  // namespace semantic_topo_loop::core

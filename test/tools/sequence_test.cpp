@@ -1,0 +1,203 @@
+#include "tools/simulation/sequence.h"
+
+#include <cstdlib>
+#include <filesystem>
+
+#include "semantic_topo_loop/geometry/lie.h"
+#include "semantic_topo_loop/io/detection_reader.h"
+#include "semantic_topo_loop/io/text_file.h"
+#include "semantic_topo_loop/io/tum_trajectory.h"
+#include "support/test_fixtures.h"
+#include "tools/simulation/reference_objects.h"
+
+namespace semantic_topo_loop::core {
+namespace {
+
+using simulation_test::camera_fr2;
+using simulation_test::coco;
+using simulation_test::options_of;
+
+constexpr const char* kFiles[] = {"groundtruth.txt", "groundtruth_frames.txt", "odometry.txt",
+                                  "detections.json", "reference_objects.csv",  "camera.yaml"};
+
+class SequenceTest : public ::testing::Test {
+ protected:
+  void SetUp() override {
+    std::string name = (std::filesystem::temp_directory_path() / "stl_simulation_XXXXXX").string();
+    ASSERT_NE(mkdtemp(name.data()), nullptr);
+    directory_ = name;
+  }
+  void TearDown() override { std::filesystem::remove_all(directory_); }
+
+  std::string write(const std::string& name, const SimulationOptions& options) {
+    std::string error;
+    const auto sequence = simulate(options, camera_fr2(), coco(), &error);
+    EXPECT_TRUE(sequence) << error;
+    const std::string path = directory_ + "/" + name;
+    EXPECT_TRUE(sequence && write_sequence(*sequence, coco(), path, &error)) << error;
+    return path;
+  }
+  static std::string text(const std::string& path) {
+    std::string error;
+    const auto content = read_text_file(path, &error);
+    EXPECT_TRUE(content) << error;
+    return content.value_or("");
+  }
+
+  std::string directory_;
+};
+
+TEST_F(SequenceTest, same_seed_same_bytes) {
+  for (const char* layout : {"desk", "office"}) {
+    const auto options = options_of({{"scene.layout", layout}, {"trajectory.duration_s", "6"}});
+    const std::string a = write("a", options), b = write("b", options);
+    for (const char* file : kFiles) EXPECT_EQ(text(a + "/" + file), text(b + "/" + file)) << file;
+  }
+}
+
+TEST_F(SequenceTest, another_seed_other_bytes) {
+  const std::string a = write("a", options_of({{"trajectory.duration_s", "3"}}));
+  const std::string b = write("b", options_of({{"trajectory.duration_s", "3"}, {"simulation.seed", "2"}}));
+  for (const char* file : {"groundtruth.txt", "odometry.txt", "detections.json", "reference_objects.csv"}) {
+    EXPECT_NE(text(a + "/" + file), text(b + "/" + file)) << file;
+  }
+}
+
+TEST_F(SequenceTest, detector_options_leave_the_scene_and_the_motion) {
+  const std::string a = write("a", options_of({{"trajectory.duration_s", "3"}}));
+  const std::string b = write("b", options_of({{"trajectory.duration_s", "3"}, {"detector.miss_rate", "0.5"}}));
+  EXPECT_EQ(text(a + "/groundtruth.txt"), text(b + "/groundtruth.txt"));
+  EXPECT_EQ(text(a + "/odometry.txt"), text(b + "/odometry.txt"));
+  EXPECT_NE(text(a + "/detections.json"), text(b + "/detections.json"));
+}
+
+TEST_F(SequenceTest, files_read_back) {
+  const auto options = options_of({{"trajectory.duration_s", "3"}});
+  const auto sequence = simulate(options, camera_fr2(), coco(), nullptr);
+  const std::string path = write("a", options);
+  std::string error;
+  const auto odometry = read_tum_trajectory(path + "/odometry.txt", &error);
+  ASSERT_TRUE(odometry) << error;
+  ASSERT_EQ(odometry->size(), 90u);
+  EXPECT_EQ(odometry->back().stamp_ns, sequence->odometry.back().stamp_ns);
+  EXPECT_LT((odometry->back().T_world_camera.t - sequence->odometry.back().T_world_camera.t).norm(), 1e-8);
+  const auto mocap = read_tum_trajectory(path + "/groundtruth.txt", &error);
+  ASSERT_TRUE(mocap) << error;
+  EXPECT_EQ((*mocap)[1].stamp_ns - (*mocap)[0].stamp_ns, 10000000);
+  EXPECT_LT(mocap->front().stamp_ns, odometry->front().stamp_ns);
+  EXPECT_GT(mocap->back().stamp_ns, odometry->back().stamp_ns);
+  const auto camera = read_camera(path + "/camera.yaml", &error);
+  ASSERT_TRUE(camera) << error;
+  EXPECT_EQ(camera->fx, sequence->camera.fx);
+  EXPECT_EQ(camera->distortion, sequence->camera.distortion);
+
+  DetectionReport report;
+  const auto detections = read_detections(path + "/detections.json", coco(), &report, &error);
+  ASSERT_TRUE(detections) << error;
+  EXPECT_TRUE(report.warnings().empty());
+  ASSERT_EQ(detections->size(), 90u);
+  for (std::size_t i = 0; i < detections->size(); ++i) {
+    EXPECT_EQ((*detections)[i].stamp_ns, sequence->truth[i].stamp_ns);
+    ASSERT_EQ((*detections)[i].detections.size(), sequence->detections[i].size());
+    for (std::size_t k = 0; k < sequence->detections[i].size(); ++k) {
+      const Detection& expected = sequence->detections[i][k].detection;
+      EXPECT_EQ((*detections)[i].detections[k].class_id, expected.class_id);
+      EXPECT_LT(((*detections)[i].detections[k].box.edges() - expected.box.edges()).norm(), 1e-3);
+    }
+  }
+}
+
+TEST_F(SequenceTest, an_unwritable_directory_is_an_error_with_its_path) {
+  const auto sequence = simulate(options_of({{"trajectory.duration_s", "1"}}), camera_fr2(), coco(), nullptr);
+  ASSERT_TRUE(sequence);
+  std::string error;
+  EXPECT_FALSE(write_sequence(*sequence, coco(), "/dev/null/here", &error));
+  EXPECT_NE(error.find("/dev/null/here"), std::string::npos) << error;
+}
+
+TEST(Sequence, odometry_frames) {
+  const auto run = [](const char* frame) {
+    return simulate(options_of({{"trajectory.duration_s", "2"}, {"simulation.odometry_frame", frame}}), camera_fr2(),
+                    coco(), nullptr);
+  };
+  const auto first = run("first_camera"), world = run("world"), random = run("random");
+  ASSERT_TRUE(first && world && random);
+  EXPECT_LT(se3_log(first->odometry[0].T_world_camera).norm(), 1e-12);
+  EXPECT_LT(se3_log(world->odometry[0].T_world_camera.inverse() * world->truth[0].T_world_camera).norm(), 1e-12);
+  const SE3 motion_a = first->odometry.front().T_world_camera.inverse() * first->odometry.back().T_world_camera;
+  const SE3 motion_b = random->odometry.front().T_world_camera.inverse() * random->odometry.back().T_world_camera;
+  EXPECT_LT(se3_log(motion_a.inverse() * motion_b).norm(), 1e-9);
+  EXPECT_GT(se3_log(random->odometry[0].T_world_camera).norm(), 0.1);
+}
+
+TEST(Sequence, detections_are_about_as_many_as_yolo_gives) {
+  const auto sequence = simulate(options_of({{"trajectory.duration_s", "20"}}), camera_fr2(), coco(), nullptr);
+  ASSERT_TRUE(sequence);
+  double boxes = 0.0;
+  for (const auto& frame : sequence->detections) boxes += static_cast<double>(frame.size());
+  boxes /= static_cast<double>(sequence->detections.size());
+  EXPECT_GT(boxes, 7.0);
+  EXPECT_LT(boxes, 18.0);
+}
+
+TEST(Sequence, most_objects_of_a_whole_lap_are_certain) {
+  for (const char* layout : {"desk", "office"}) {
+    const auto sequence = simulate(options_of({{"scene.layout", layout}}), camera_fr2(), coco(), nullptr);
+    ASSERT_TRUE(sequence);
+    const std::vector<SimulatedReference> references = reference_objects(*sequence);
+    double certain = 0.0;
+    for (const SimulatedReference& r : references) {
+      certain += r.certainty == Certainty::kCertain ? 1.0 : 0.0;
+      EXPECT_GE(r.views, 1);
+      EXPECT_LE(r.mean_iou, 1.0);
+      if (r.certainty != Certainty::kCertain) continue;
+      EXPECT_GE(r.views, 90);
+      EXPECT_GE(r.baseline_deg, 20.0);
+      EXPECT_GT(r.mean_iou, 0.6);
+    }
+    EXPECT_GT(certain / static_cast<double>(sequence->scene.objects.size()), 0.7) << layout;
+  }
+}
+
+TEST(Sequence, a_few_views_do_not_make_an_object_certain) {
+  const auto sequence = simulate(options_of({{"trajectory.duration_s", "2"}}), camera_fr2(), coco(), nullptr);
+  ASSERT_TRUE(sequence);
+  for (const SimulatedReference& r : reference_objects(*sequence)) EXPECT_NE(r.certainty, Certainty::kCertain);
+}
+
+TEST(SimulationOptions, bad_values_are_named) {
+  const std::vector<std::pair<std::string, std::string>> bad = {
+      {"simulation.seed", "-1"},        {"simulation.odometry_frame", "mars"},
+      {"scene.layout", "kitchen"},      {"scene.desks", "0"},
+      {"trajectory.duration_s", "-5"},  {"trajectory.duration_s", "0.01"},
+      {"trajectory.rate_hz", "0"},      {"trajectory.lap_s", "0"},
+      {"trajectory.distance_m", "0"},   {"trajectory.height_m", "0.5"},
+      {"trajectory.wander_m", "1"},     {"trajectory.shake_m", "-1"},
+      {"trajectory.shake_deg", "90"},   {"drift.model", "walk"},
+      {"drift.position_m", "-1"},       {"drift.rotation_deg", "200"},
+      {"detector.miss_rate", "1.5"},    {"detector.small_box_px", "-1"},
+      {"detector.mislabel_rate", "2"},  {"detector.false_rate", "-0.1"},
+      {"detector.jitter_px", "-1"},     {"detector.jitter_ratio", "2"},
+      {"detector.persistence_s", "-1"}, {"detector.min_visible", "2"},
+      {"detector.min_inside", "-1"},    {"detector.min_score", "1"},
+      {"detector.colour", "red"},       {"detector.miss_rate", "nan"},
+      {"trajectory.rate_hz", "fast"},
+  };
+  for (const auto& [key, value] : bad) {
+    std::string error;
+    EXPECT_FALSE(make_simulation_options({{key, value}}, &error)) << key << " = " << value;
+    EXPECT_NE(error.find("'" + key + "'"), std::string::npos) << error;
+    EXPECT_NE(error.find("'" + value + "'"), std::string::npos) << key << ": " << error;
+  }
+}
+
+TEST(SimulationOptions, an_invalid_camera_is_an_error) {
+  Camera camera = camera_fr2();
+  camera.fx = 0.0;
+  std::string error;
+  EXPECT_FALSE(simulate({}, camera, coco(), &error));
+  EXPECT_NE(error.find("fx"), std::string::npos) << error;
+}
+
+}  // namespace
+}  // namespace semantic_topo_loop::core

@@ -1,0 +1,129 @@
+#include "tools/evaluation/trajectory_evaluation.h"
+
+#include <gtest/gtest.h>
+
+#include "semantic_topo_loop/geometry/lie.h"
+#include "semantic_topo_loop/io/tum_trajectory.h"
+#include "support/random_poses.h"
+#include "support/test_files.h"
+
+namespace semantic_topo_loop::core {
+namespace {
+
+constexpr std::int64_t kMs = 1000000;
+
+/// A curved path sampled at 30 Hz.
+StampedPoses make_path(int n) {
+  StampedPoses poses;
+  for (int i = 0; i < n; ++i) {
+    const double s = 0.03 * i;
+    poses.push_back({1000000000000 + i * 33 * kMs, SE3(so3_exp(Vec3(0.1 * s, 0.2, 0.3 * s)),
+                                                       Vec3(std::cos(s), std::sin(s), 0.2 * std::sin(2.0 * s)))});
+  }
+  return poses;
+}
+
+TEST(ErrorStatistics, OfKnownErrors) {
+  const ErrorStatistics e = error_statistics({3.0, 1.0, 2.0, 4.0});
+  EXPECT_EQ(e.count, 4u);
+  EXPECT_EQ(e.mean, 2.5);
+  EXPECT_EQ(e.median, 2.5);
+  EXPECT_EQ(e.max, 4.0);
+  EXPECT_NEAR(e.rmse, std::sqrt(7.5), 1e-15);
+  EXPECT_EQ(error_statistics({5.0, 1.0, 2.0}).median, 2.0);
+  EXPECT_EQ(error_statistics({}).count, 0u);
+}
+
+TEST(TrajectoryEvaluation, AssociatesTheNearestStampWithinTheLimit) {
+  StampedPoses estimate(3), reference(3);
+  estimate[0].stamp_ns = 100 * kMs;
+  estimate[1].stamp_ns = 200 * kMs;
+  estimate[2].stamp_ns = 300 * kMs;
+  reference[0].stamp_ns = 119 * kMs;
+  reference[1].stamp_ns = 195 * kMs;
+  reference[2].stamp_ns = 320 * kMs;  // exactly 20 ms away is too far
+  using Pairs = std::vector<std::pair<std::size_t, std::size_t>>;
+  EXPECT_EQ(associate_stamps(estimate, reference, 0.02), (Pairs{{0, 0}, {1, 1}}));
+}
+
+TEST(TrajectoryEvaluation, ARigidlyMovedTrajectoryHasNoError) {
+  RandomPoses random(41);
+  const StampedPoses reference = make_path(200);
+  const SE3 T = random.pose(5.0);
+  StampedPoses estimate = reference;
+  for (StampedPose& pose : estimate) pose.T_world_camera = T * pose.T_world_camera;
+  const auto e = evaluate_trajectory(estimate, reference, {}, nullptr);
+  ASSERT_TRUE(e);
+  EXPECT_EQ(e->pairs, 200u);
+  EXPECT_NEAR(e->absolute_m.max, 0.0, 1e-9);
+  EXPECT_NEAR(e->relative_m.max, 0.0, 1e-9);
+  EXPECT_NEAR(e->relative_deg.max, 0.0, 1e-6);
+  EXPECT_NEAR((e->alignment.T_a_b.matrix() - T.inverse().matrix()).norm(), 0.0, 1e-9);
+}
+
+TEST(TrajectoryEvaluation, ScaleIsAnErrorUnlessAligned) {
+  const StampedPoses reference = make_path(200);
+  StampedPoses estimate = reference;
+  for (StampedPose& pose : estimate) pose.T_world_camera.t *= 0.5;
+  EXPECT_GT(evaluate_trajectory(estimate, reference, {}, nullptr)->absolute_m.rmse, 0.1);
+  TrajectoryEvaluationOptions options;
+  options.with_scale = true;
+  const auto e = evaluate_trajectory(estimate, reference, options, nullptr);
+  EXPECT_NEAR(e->alignment.scale, 2.0, 1e-9);
+  EXPECT_NEAR(e->absolute_m.max, 0.0, 1e-9);
+  EXPECT_NEAR(e->relative_m.max, 0.0, 1e-9);
+}
+
+TEST(TrajectoryEvaluation, RelativeErrorOfASteadyDrift) {
+  // The estimate yaws 2 deg/s too much and creeps 1 cm/s along its own z axis.
+  StampedPoses reference, estimate;
+  SE3 T_true, T_estimated;
+  for (int i = 0; i < 100; ++i) {
+    reference.push_back({i * 50 * kMs, T_true});
+    estimate.push_back({i * 50 * kMs, T_estimated});
+    const SE3 step(so3_exp(Vec3(0.01, 0.03, 0.0)), Vec3(0.02, 0.0, 0.01));
+    T_true = T_true * step;
+    T_estimated = T_estimated * step * SE3(so3_exp(Vec3(0.0, radians(0.1), 0.0)), Vec3(0.0, 0.0, 0.0005));
+  }
+  const auto e = evaluate_trajectory(estimate, reference, {}, nullptr);
+  ASSERT_TRUE(e);
+  EXPECT_EQ(e->relative_deg.count, 80u);
+  EXPECT_NEAR(e->relative_deg.mean, 2.0, 0.1);
+  EXPECT_NEAR(e->relative_m.mean, 0.01, 0.01);
+}
+
+TEST(TrajectoryEvaluation, NoRelativeErrorAcrossAGap) {
+  StampedPoses reference = make_path(40);
+  for (std::size_t i = 20; i < 40; ++i) reference[i].stamp_ns += 5000 * kMs;
+  const auto e = evaluate_trajectory(reference, reference, {}, nullptr);
+  ASSERT_TRUE(e);
+  EXPECT_EQ(e->pairs, 40u);
+  EXPECT_EQ(e->relative_m.count, 0u);
+}
+
+TEST(TrajectoryEvaluation, TooFewPairsAreAnError) {
+  std::string error;
+  StampedPoses late = make_path(50);
+  for (StampedPose& pose : late) pose.stamp_ns += 1000000 * kMs;
+  EXPECT_FALSE(evaluate_trajectory(late, make_path(50), {}, &error));
+  EXPECT_NE(error.find("0 poses have a partner"), std::string::npos);
+  EXPECT_FALSE(evaluate_trajectory(make_path(2), make_path(50), {}, &error));
+  EXPECT_NE(error.find("2 poses"), std::string::npos);
+}
+
+TEST(TrajectoryEvaluation, OrbSlam2OnFr2Desk) {
+  const auto estimate_path = shared_data("tum/fr2_desk/orbslam2_rgbd_trajectory.txt");
+  const auto truth_path = shared_data("tum/fr2_desk/groundtruth.txt");
+  if (!estimate_path || !truth_path) GTEST_SKIP() << "SEMANTIC_TOPO_LOOP_DATA is not set";
+  std::string error;
+  const auto estimate = read_tum_trajectory(*estimate_path, &error);
+  const auto truth = read_tum_ground_truth(*truth_path, &error);
+  ASSERT_TRUE(estimate && truth) << error;
+  const auto e = evaluate_trajectory(*estimate, *truth, {}, &error);
+  ASSERT_TRUE(e) << error;
+  EXPECT_EQ(e->pairs, 2225u);
+  EXPECT_NEAR(e->absolute_m.rmse, 0.0081, 0.00005);
+}
+
+}  // namespace
+}  // namespace semantic_topo_loop::core

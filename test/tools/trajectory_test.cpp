@@ -1,0 +1,225 @@
+#include <algorithm>
+
+#include "semantic_topo_loop/geometry/lie.h"
+#include "support/test_fixtures.h"
+#include "tools/perturbation/drift.h"
+
+namespace semantic_topo_loop::core {
+namespace {
+
+using simulation_test::options_of;
+
+std::vector<SE3> poses(const std::string& layout, std::uint64_t seed, double duration_s = 60.0) {
+  SceneOptions scene_options;
+  scene_options.layout = layout;
+  TrajectoryOptions options;
+  options.duration_s = duration_s;
+  const HandheldTrajectory trajectory(make_scene(scene_options, seed), options, seed);
+  std::vector<SE3> result;
+  for (double i = 0.0; i < duration_s * options.rate_hz; i += 1.0) {
+    result.push_back(trajectory.T_world_camera(i / options.rate_hz));
+  }
+  return result;
+}
+
+class TrajectoryTest : public ::testing::TestWithParam<std::string> {};
+
+TEST_P(TrajectoryTest, looks_at_a_desk_from_above_with_the_image_upright) {
+  for (std::uint64_t seed = 0; seed < 10; ++seed) {
+    SceneOptions scene_options;
+    scene_options.layout = GetParam();
+    const Scene scene = make_scene(scene_options, seed);
+    for (const SE3& T : poses(GetParam(), seed)) {
+      EXPECT_GT(T.t.z(), 0.9);
+      EXPECT_LT((T.q * Vec3::UnitY()).z(), -0.5) << "y points down";
+      double nearest_deg = 180.0;
+      for (const Desk& desk : scene.desks) {
+        const Vec3 seen = T.inverse() * desk.T_world_desk.t;
+        nearest_deg = std::min(nearest_deg, degrees(std::atan2(seen.head<2>().norm(), seen.z())));
+      }
+      EXPECT_LT(nearest_deg, 45.0);
+    }
+  }
+}
+
+TEST_P(TrajectoryTest, moves_as_smoothly_as_a_hand) {
+  for (std::uint64_t seed = 0; seed < 10; ++seed) {
+    const std::vector<SE3> T = poses(GetParam(), seed);
+    for (std::size_t i = 2; i < T.size(); ++i) {
+      EXPECT_LT((T[i].t - T[i - 1].t).norm() * 30.0, 1.5) << "m/s, seed " << seed << ", frame " << i;
+      EXPECT_LT(degrees(rotation_angle(T[i].q, T[i - 1].q)) * 30.0, 90.0) << "deg/s, seed " << seed << ", frame " << i;
+      const Vec3 acceleration = (T[i].t - 2.0 * T[i - 1].t + T[i - 2].t) * 900.0;
+      EXPECT_LT(acceleration.norm(), 15.0) << "m/s^2, seed " << seed << ", frame " << i;
+    }
+  }
+}
+
+TEST_P(TrajectoryTest, revisits_after_more_than_a_thousand_frames) {
+  for (std::uint64_t seed = 0; seed < 10; ++seed) {
+    const std::vector<SE3> T = poses(GetParam(), seed);
+    int revisits = 0;
+    for (std::size_t i = 1001; i < T.size(); ++i) {
+      const bool revisit =
+          std::any_of(T.begin(), T.begin() + static_cast<std::ptrdiff_t>(i - 1000), [&](const SE3& old) {
+            const double angle = std::acos(std::clamp((T[i].q * Vec3::UnitZ()).dot(old.q * Vec3::UnitZ()), -1.0, 1.0));
+            return (T[i].t - old.t).norm() < 0.8 && degrees(angle) < 25.0;
+          });
+      revisits += revisit ? 1 : 0;
+    }
+    EXPECT_GT(revisits, 400) << "seed " << seed;
+  }
+}
+
+INSTANTIATE_TEST_SUITE_P(Layouts, TrajectoryTest, ::testing::Values("desk", "office"));
+
+struct Level {
+  std::string model;
+  double position_m, rotation_deg;
+};
+
+class DriftTest : public ::testing::TestWithParam<Level> {};
+
+TEST_P(DriftTest, reaches_the_level_exactly) {
+  for (std::uint64_t seed = 0; seed < 6; ++seed) {
+    const std::vector<SE3> truth = poses(seed % 2 == 0 ? "desk" : "office", seed);
+    DriftOptions options;
+    options.model = GetParam().model;
+    options.position_m = GetParam().position_m;
+    options.rotation_deg = GetParam().rotation_deg;
+    std::string error;
+    const auto drifted = drift_poses(truth, options, seed, &error);
+    ASSERT_TRUE(drifted) << error;
+    ASSERT_EQ(drifted->size(), truth.size());
+    EXPECT_EQ(drifted->front().t, truth.front().t);
+    double position_m = 0.0, rotation_deg = 0.0;
+    for (std::size_t i = 0; i < truth.size(); ++i) {
+      position_m = std::max(position_m, ((*drifted)[i].t - truth[i].t).norm());
+      rotation_deg = std::max(rotation_deg, degrees(rotation_angle((*drifted)[i].q, truth[i].q)));
+    }
+    EXPECT_NEAR(position_m, options.position_m, 1e-3 * options.position_m + 1e-9);
+    EXPECT_NEAR(rotation_deg, options.rotation_deg, 1e-3 * options.rotation_deg + 1e-9);
+  }
+}
+
+INSTANTIATE_TEST_SUITE_P(Levels, DriftTest,
+                         ::testing::Values(Level{"smooth", 0.3, 5.0}, Level{"smooth", 1.0, 15.0},
+                                           Level{"smooth", 2.0, 30.0}, Level{"smooth", 0.5, 0.0},
+                                           Level{"jump", 0.3, 5.0}, Level{"jump", 1.0, 15.0},
+                                           Level{"jump", 2.0, 30.0}));
+
+TEST(Drift, level_zero_is_exact) {
+  const std::vector<SE3> truth = poses("desk", 1, 5.0);
+  for (const char* model : {"smooth", "jump"}) {
+    DriftOptions options;
+    options.model = model;
+    options.position_m = options.rotation_deg = 0.0;
+    const auto drifted = drift_poses(truth, options, 1, nullptr);
+    ASSERT_TRUE(drifted);
+    for (std::size_t i = 0; i < truth.size(); ++i) {
+      EXPECT_EQ((*drifted)[i].t, truth[i].t);
+      EXPECT_EQ((*drifted)[i].q.coeffs(), truth[i].q.coeffs());
+    }
+  }
+}
+
+/// Error of the motion over one frame.
+double step_error_m(const std::vector<SE3>& truth, const std::vector<SE3>& drifted, std::size_t i) {
+  return ((drifted[i].inverse() * drifted[i + 1]).t - (truth[i].inverse() * truth[i + 1]).t).norm();
+}
+
+TEST(Drift, jump_is_good_but_for_three_bursts) {
+  const std::vector<SE3> truth = poses("desk", 2);
+  DriftOptions options;
+  options.model = "jump";
+  options.position_m = 1.0;
+  options.rotation_deg = 15.0;
+  const auto drifted = drift_poses(truth, options, 7, nullptr);
+  ASSERT_TRUE(drifted);
+  int bad = 0;
+  for (std::size_t i = 0; i + 1 < truth.size(); ++i) bad += step_error_m(truth, *drifted, i) > 0.005 ? 1 : 0;
+  EXPECT_GT(bad, 0);
+  EXPECT_LE(bad, 24);
+}
+
+TEST(Drift, the_scale_walks_as_far_as_it_is_told_and_the_rotation_stays) {
+  const std::vector<SE3> truth = poses("desk", 3);
+  DriftOptions options;
+  options.scale_percent = 20.0;
+  options.global_scale = 0.5;
+  for (std::uint64_t seed = 0; seed < 4; ++seed) {
+    const std::vector<SE3> drifted = drift_scale(truth, options, seed);
+    ASSERT_EQ(drifted.size(), truth.size());
+    double largest = 0.0;
+    for (std::size_t i = 1; i < truth.size(); ++i) {
+      const double true_m = (truth[i].t - truth[i - 1].t).norm(), step = (drifted[i].t - drifted[i - 1].t).norm();
+      if (true_m > 1e-6) largest = std::max(largest, std::abs(std::log(step / (0.5 * true_m))));
+      EXPECT_LT(rotation_angle(drifted[i].q, truth[i].q), 1e-6);
+    }
+    EXPECT_NEAR(largest, std::log(1.2), 1e-3);
+  }
+  EXPECT_NE(drift_scale(truth, options, 1).back().t, drift_scale(truth, options, 2).back().t);
+  EXPECT_EQ(drift_scale(truth, {}, 1).back().t, truth.back().t) << "none unless it is asked for";
+}
+
+TEST(Drift, a_level_that_cannot_be_met_is_an_error_with_both_values) {
+  DriftOptions options;
+  options.position_m = 0.001;
+  options.rotation_deg = 60.0;
+  std::string error;
+  EXPECT_FALSE(drift_poses(poses("desk", 1), options, 1, &error));
+  EXPECT_NE(error.find("'drift.position_m' = '0.001'"), std::string::npos) << error;
+  EXPECT_NE(error.find("'60'"), std::string::npos) << error;
+}
+
+TEST(HandheldTrajectory, an_arc_swings_to_and_fro) {
+  const Scene scene = make_scene({}, 2);
+  TrajectoryOptions options;
+  options.arc_deg = 90.0;
+  options.wander_m = 0.0;
+  const HandheldTrajectory trajectory(scene, options, 2);
+  const Vec3& center = scene.desks[0].T_world_desk.t;
+  const auto direction = [&](double time_s) {
+    return Vec2((trajectory.T_world_camera(time_s).t - center).head<2>().normalized());
+  };
+  double widest_deg = 0.0;
+  for (double time_s = 0.0; time_s < 36.0; time_s += 0.5) {
+    widest_deg = std::max(widest_deg, degrees(std::acos(std::min(1.0, direction(0.0).dot(direction(time_s))))));
+  }
+  EXPECT_NEAR(widest_deg, 45.0, 2.0) << "half the arc to either side of the first place";
+  EXPECT_GT(direction(0.0).dot(direction(18.0)), std::cos(radians(2.0))) << "back after half a period";
+}
+
+TEST(RobotTrajectory, keeps_height_and_tilt_and_heads_where_it_drives) {
+  for (std::uint64_t seed = 0; seed < 6; ++seed) {
+    SceneOptions scene_options;
+    scene_options.layout = seed % 2 == 0 ? "desk" : "office";
+    TrajectoryOptions options;
+    options.model = "robot";
+    const Scene scene = make_scene(scene_options, seed);
+    const std::unique_ptr<CameraTrajectory> trajectory = make_trajectory(scene, options, seed);
+    double slowest = 1e9, fastest = 0.0, turn_standing = 0.0;
+    for (double time_s = 0.0; time_s < 60.0; time_s += 1.0 / 30.0) {
+      const SE3 T = trajectory->T_world_camera(time_s), next = trajectory->T_world_camera(time_s + 1e-3);
+      EXPECT_EQ(T.t.z(), options.height_m);
+      EXPECT_NEAR((T.q * Vec3::UnitX()).z(), 0.0, 1e-9) << "no roll";
+      EXPECT_NEAR((T.q * Vec3::UnitZ()).z(), -std::sin(radians(18.0)), 1e-9) << "constant tilt";
+      const Vec3 velocity = (next.t - T.t) * 1e3;
+      const double turn = degrees(rotation_angle(T.q, next.q)) * 1e3;
+      EXPECT_LT(turn, 90.0);
+      slowest = std::min(slowest, velocity.norm());
+      fastest = std::max(fastest, velocity.norm());
+      if (velocity.norm() < 0.02) turn_standing = std::max(turn_standing, turn);
+      if (velocity.norm() < 0.05) continue;
+      const Vec3 ahead = (T.q * Vec3::UnitZ()).cwiseProduct(Vec3(1.0, 1.0, 0.0)).normalized();
+      const double aside_deg = degrees(std::acos(std::clamp(ahead.dot(velocity.normalized()), -1.0, 1.0)));
+      EXPECT_NEAR(aside_deg, 55.0, 36.0) << "the camera's mount, and the turns at stops";
+    }
+    EXPECT_LT(slowest, 0.02) << "it stops";
+    EXPECT_LT(fastest, 1.5);
+    EXPECT_GT(fastest, 0.3);
+    EXPECT_GT(turn_standing, 15.0) << "and turns on the spot";
+  }
+}
+
+}  // namespace
+}  // namespace semantic_topo_loop::core

@@ -1,0 +1,98 @@
+#include "semantic_topo_loop/types/camera.h"
+
+#include <gtest/gtest.h>
+
+#include "semantic_topo_loop/geometry/quadric.h"
+#include "semantic_topo_loop/io/camera_yaml.h"
+#include "support/random_poses.h"
+
+namespace semantic_topo_loop::core {
+namespace {
+
+Camera tum_camera(const std::string& name) {
+  std::string error;
+  const std::optional<Camera> camera =
+      read_camera(std::string(STL_CONFIG_DIR) + "/camera/tum_" + name + ".yaml", &error);
+  EXPECT_TRUE(camera) << error;
+  return camera.value_or(Camera());
+}
+
+class TumCamera : public ::testing::TestWithParam<const char*> {};
+
+TEST_P(TumCamera, UndistortThenDistortGivesThePixelBack) {
+  const Camera camera = tum_camera(GetParam());
+  for (int u = 0; u <= camera.width; u += 20) {
+    for (int v = 0; v <= camera.height; v += 20) {
+      const Vec2 raw(u, v);
+      EXPECT_NEAR((camera.distort(camera.undistort(raw)) - raw).norm(), 0.0, 1e-6) << raw.transpose();
+    }
+  }
+}
+
+TEST_P(TumCamera, KeepsThePrincipalPoint) {
+  const Camera camera = tum_camera(GetParam());
+  const Vec2 center(camera.cx, camera.cy);
+  EXPECT_NEAR((camera.undistort(center) - center).norm(), 0.0, 1e-9);
+}
+
+INSTANTIATE_TEST_SUITE_P(All, TumCamera, ::testing::Values("fr1", "fr2", "fr3"));
+
+TEST(Camera, DistortsByThePlumbBobFormula) {
+  Camera camera{500.0, 400.0, 320.0, 240.0, 640, 480, {0.1, -0.2, 0.01, -0.02, 0.3}};
+  const double x = 0.2, y = -0.1, r2 = x * x + y * y;
+  const double radial = 1.0 + 0.1 * r2 - 0.2 * r2 * r2 + 0.3 * r2 * r2 * r2;
+  const double xd = x * radial + 2.0 * 0.01 * x * y - 0.02 * (r2 + 2.0 * x * x);
+  const double yd = y * radial + 0.01 * (r2 + 2.0 * y * y) + 2.0 * -0.02 * x * y;
+  const Vec2 expected(500.0 * xd + 320.0, 400.0 * yd + 240.0);
+  EXPECT_NEAR((camera.distort({500.0 * x + 320.0, 400.0 * y + 240.0}) - expected).norm(), 0.0, 1e-10);
+}
+
+TEST(Camera, WithoutDistortionPixelsStay) {
+  const Camera camera = tum_camera("fr3");
+  EXPECT_FALSE(camera.has_distortion());
+  EXPECT_EQ(camera.undistort(Vec2(12.0, 470.0)), Vec2(12.0, 470.0));
+  EXPECT_EQ(camera.undistort(Box{1.0, 2.0, 3.0, 4.0}).edges(), Vec4(1.0, 2.0, 3.0, 4.0));
+}
+
+TEST(Camera, UndistortsABoxByTheMiddlesOfItsSides) {
+  const Camera camera = tum_camera("fr2");
+  const Box raw{40.0, 60.0, 200.0, 140.0};
+  const Box box = camera.undistort(raw);
+  EXPECT_EQ(box.x1, camera.undistort(Vec2(40.0, 100.0)).x());
+  EXPECT_EQ(box.x2, camera.undistort(Vec2(200.0, 100.0)).x());
+  EXPECT_EQ(box.y1, camera.undistort(Vec2(120.0, 60.0)).y());
+  EXPECT_EQ(box.y2, camera.undistort(Vec2(120.0, 140.0)).y());
+}
+
+TEST(Camera, ProjectsPointsOfTheWorld) {
+  RandomPoses random(5);
+  const Camera camera = tum_camera("fr3");
+  for (int i = 0; i < 50; ++i) {
+    const SE3 T_world_camera = random.pose(3.0);
+    const Vec3 point_camera(random.uniform(-1.0, 1.0), random.uniform(-1.0, 1.0), random.uniform(0.5, 4.0));
+    const Vec3 image = projection_matrix(camera, T_world_camera) * (T_world_camera * point_camera).homogeneous();
+    const Vec2 pixel = image.hnormalized();
+    EXPECT_NEAR((camera.ray(pixel) * point_camera.z() - point_camera).norm(), 0.0, 1e-9);
+  }
+}
+
+TEST(Camera, NamesTheBadField) {
+  const Camera good = tum_camera("fr1");
+  std::string error;
+  EXPECT_TRUE(good.is_valid(&error)) << error;
+  Camera bad = good;
+  bad.fy = -3.0;
+  EXPECT_FALSE(bad.is_valid(&error));
+  EXPECT_EQ(error, "fy = -3 must be > 0");
+  bad = good;
+  bad.width = 0;
+  EXPECT_FALSE(bad.is_valid(&error));
+  EXPECT_NE(error.find("width"), std::string::npos);
+  bad = good;
+  bad.distortion[3] = std::nan("");
+  EXPECT_FALSE(bad.is_valid(&error));
+  EXPECT_NE(error.find("distortion"), std::string::npos);
+}
+
+}  // namespace
+}  // namespace semantic_topo_loop::core
