@@ -33,20 +33,6 @@ TEST(Sim3, ProductInverseAndPointsAgreeWithMatrices) {
   }
 }
 
-TEST(Sim3, LogarithmInvertsTheExponential) {
-  RandomPoses random(2);
-  for (const double angle : {0.0, 1e-9, 1e-4, 1.0, 3.1}) {
-    for (int i = 0; i < 10; ++i) {
-      Vec7 tangent;
-      tangent << random.vector(2.0), angle * random.vector(1.0).normalized(), random.uniform(-2.0, 2.0);
-      EXPECT_NEAR((sim3_log(sim3_exp(tangent)) - tangent).norm(), 0.0, 1e-9) << angle;
-      const Sim3 S = random_similarity(&random);
-      EXPECT_NEAR((matrix(sim3_exp(sim3_log(S))) - matrix(S)).norm(), 0.0, 1e-11);
-    }
-  }
-  EXPECT_EQ(sim3_log(Sim3()), Vec7::Zero());
-}
-
 /// What keeps every run with a fixed scale as it was.
 TEST(Sim3, WithScaleOneItIsTheRigidTransformToTheLastBit) {
   RandomPoses random(3);
