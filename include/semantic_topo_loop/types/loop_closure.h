@@ -2,6 +2,7 @@
 
 #include <cstdint>
 #include <optional>
+#include <type_traits>
 #include <vector>
 
 #include "semantic_topo_loop/types/sim3.h"
@@ -73,6 +74,49 @@ struct LoopClosure : LoopFigures {
   /// that run's map.
   std::optional<SE3> T_earlier_match;
 };
+
+/// Calls `visit(name, field)` for every field, by the names and in the order of LoopClosure.msg: the one list of them
+/// for messages and files.
+/// @param loop LoopFigures, or LoopClosure with the fields that only it has; const or not
+template <class Loop, class Visitor>
+void visit_fields(Loop& loop, Visitor&& visit) {
+  constexpr bool kIsWhole = std::is_base_of_v<LoopClosure, std::remove_const_t<Loop>>;
+  visit("query_keyframe_id", loop.query_keyframe_id);
+  visit("match_keyframe_id", loop.match_keyframe_id);
+  visit("query_frame", loop.query_frame);
+  visit("match_frame", loop.match_frame);
+  visit("query_stamp_ns", loop.query_stamp_ns);
+  visit("match_stamp_ns", loop.match_stamp_ns);
+  visit("query_begin", loop.query_begin);
+  visit("query_end", loop.query_end);
+  visit("match_begin", loop.match_begin);
+  visit("match_end", loop.match_end);
+  visit("accepted", loop.accepted);
+  visit("reason", loop.reason);
+  visit("score", loop.score);
+  visit("second_score", loop.second_score);
+  visit("rms_m", loop.rms_m);
+  visit("spread_m", loop.spread_m);
+  visit("tilt_deg", loop.tilt_deg);
+  visit("reprojection_ratio", loop.reprojection_ratio);
+  visit("reprojected_objects", loop.reprojected_objects);
+  visit("explained_share", loop.explained_share);
+  visit("refine_residual", loop.refine_residual);
+  visit("refine_shift_m", loop.refine_shift_m);
+  visit("refine_shift_deg", loop.refine_shift_deg);
+  visit("sigma_m", loop.sigma_m);
+  visit("sigma_deg", loop.sigma_deg);
+  visit("inliers", loop.inliers);
+  visit("labels", loop.labels);
+  visit("match_from_query", loop.T_match_query);
+  if constexpr (kIsWhole) visit("covariance", loop.covariance);
+  visit("scale", loop.scale);
+  if constexpr (kIsWhole) {
+    visit("scale_covariance", loop.scale_covariance);
+    visit("matches", loop.matches);
+    visit("earlier_map_from_match", loop.T_earlier_match);
+  }
+}
 
 /// Where a run is in the map of an earlier one.
 struct Relocalisation {
