@@ -3,7 +3,7 @@
 #include <string>
 
 #include "apps/command_line.h"
-#include "semantic_topo_loop/types/stopwatch.h"
+#include "semantic_topo_loop/types/stamp.h"
 #include "tools/g2o/g2o.h"
 #include "tools/g2o/graph_optimizer.h"
 

@@ -13,7 +13,7 @@
 #include "semantic_topo_loop/frontend/tracking_report.h"
 #include "semantic_topo_loop/io/rgbd_reader.h"
 #include "semantic_topo_loop/pipeline/read_ahead.h"
-#include "semantic_topo_loop/types/stamped_pose.h"
+#include "semantic_topo_loop/types/stamp.h"
 
 namespace semantic_topo_loop::apps {
 

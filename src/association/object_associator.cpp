@@ -13,7 +13,7 @@
 #include "geometry/assignment.h"
 #include "map/object_points.h"
 #include "semantic_topo_loop/geometry/quadric.h"
-#include "semantic_topo_loop/types/stopwatch.h"
+#include "semantic_topo_loop/types/stamp.h"
 
 namespace semantic_topo_loop::core {
 namespace {

@@ -1,7 +1,7 @@
 #pragma once
 
 #include "semantic_topo_loop/geometry/lie.h"
-#include "semantic_topo_loop/types/se3.h"
+#include "semantic_topo_loop/types/transform.h"
 
 namespace semantic_topo_loop::core {
 

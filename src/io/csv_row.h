@@ -4,7 +4,7 @@
 #include <string>
 
 #include "semantic_topo_loop/io/text_file.h"
-#include "semantic_topo_loop/types/se3.h"
+#include "semantic_topo_loop/types/transform.h"
 
 namespace semantic_topo_loop::core {
 

@@ -10,7 +10,7 @@
 #include "map/quadric_fit.h"
 #include "semantic_topo_loop/types/camera.h"
 #include "semantic_topo_loop/types/landmark.h"
-#include "semantic_topo_loop/types/sim3.h"
+#include "semantic_topo_loop/types/transform.h"
 
 namespace semantic_topo_loop::core {
 

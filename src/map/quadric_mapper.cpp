@@ -15,7 +15,7 @@
 #include "map/object_points.h"
 #include "map/visibility.h"
 #include "semantic_topo_loop/map/mapper_options.h"
-#include "semantic_topo_loop/types/stopwatch.h"
+#include "semantic_topo_loop/types/stamp.h"
 
 namespace semantic_topo_loop::core {
 namespace {

@@ -5,7 +5,7 @@
 
 #include "map/frame_points.h"
 #include "map/mapped_landmark.h"
-#include "semantic_topo_loop/types/association.h"
+#include "semantic_topo_loop/types/detection.h"
 #include "semantic_topo_loop/types/frame.h"
 
 namespace semantic_topo_loop::core {

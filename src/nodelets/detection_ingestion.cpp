@@ -13,7 +13,7 @@
 #include "semantic_topo_loop/Frame.h"
 #include "semantic_topo_loop/io/detection_reader.h"
 #include "semantic_topo_loop/ros/conversions.h"
-#include "semantic_topo_loop/types/stamped_pose.h"
+#include "semantic_topo_loop/types/stamp.h"
 
 namespace semantic_topo_loop {
 

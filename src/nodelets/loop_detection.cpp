@@ -15,7 +15,7 @@
 #include "semantic_topo_loop/loop/loop_detector.h"
 #include "semantic_topo_loop/pipeline/earlier_map.h"
 #include "semantic_topo_loop/ros/conversions.h"
-#include "semantic_topo_loop/types/stopwatch.h"
+#include "semantic_topo_loop/types/stamp.h"
 
 namespace semantic_topo_loop {
 namespace {

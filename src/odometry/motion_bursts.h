@@ -7,7 +7,7 @@
 #include <utility>
 #include <vector>
 
-#include "semantic_topo_loop/types/stamped_pose.h"
+#include "semantic_topo_loop/types/stamp.h"
 
 namespace semantic_topo_loop::core {
 

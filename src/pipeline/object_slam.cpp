@@ -1,7 +1,7 @@
 #include "semantic_topo_loop/pipeline/object_slam.h"
 
 #include "semantic_topo_loop/pipeline/earlier_map.h"
-#include "semantic_topo_loop/types/stopwatch.h"
+#include "semantic_topo_loop/types/stamp.h"
 
 namespace semantic_topo_loop::core {
 

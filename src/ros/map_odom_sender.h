@@ -7,7 +7,7 @@
 #include <mutex>
 #include <string>
 
-#include "semantic_topo_loop/types/se3.h"
+#include "semantic_topo_loop/types/transform.h"
 
 namespace semantic_topo_loop {
 

@@ -12,7 +12,7 @@
 #include <vector>
 
 #include "semantic_topo_loop/pipeline/read_ahead.h"
-#include "semantic_topo_loop/types/stamped_pose.h"
+#include "semantic_topo_loop/types/stamp.h"
 
 namespace semantic_topo_loop {
 

@@ -5,7 +5,7 @@
 #include <utility>
 
 #include "semantic_topo_loop/pipeline/frame_builder.h"
-#include "semantic_topo_loop/types/stamped_pose.h"
+#include "semantic_topo_loop/types/stamp.h"
 
 namespace semantic_topo_loop {
 

@@ -9,7 +9,7 @@
 
 #include "ros/pose_source.h"
 #include "semantic_topo_loop/pipeline/pose_buffer.h"
-#include "semantic_topo_loop/types/se3.h"
+#include "semantic_topo_loop/types/transform.h"
 
 namespace semantic_topo_loop {
 

@@ -8,7 +8,7 @@
 #include "map/quadric_initialisation.h"
 #include "semantic_topo_loop/geometry/lie.h"
 #include "semantic_topo_loop/geometry/quadric.h"
-#include "semantic_topo_loop/types/sim3.h"
+#include "semantic_topo_loop/types/transform.h"
 #include "support/look_at.h"
 #include "support/mapper_fixture.h"
 

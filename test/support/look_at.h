@@ -1,6 +1,6 @@
 #pragma once
 
-#include "semantic_topo_loop/types/se3.h"
+#include "semantic_topo_loop/types/transform.h"
 
 namespace semantic_topo_loop::core::testing {
 

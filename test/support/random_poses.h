@@ -2,7 +2,7 @@
 
 #include <random>
 
-#include "semantic_topo_loop/types/se3.h"
+#include "semantic_topo_loop/types/transform.h"
 
 namespace semantic_topo_loop::core {
 

@@ -13,8 +13,8 @@
 #include "semantic_topo_loop/loop/loop_detector.h"
 #include "semantic_topo_loop/loop/loop_options.h"
 #include "semantic_topo_loop/pipeline/frame_builder.h"
-#include "semantic_topo_loop/types/association.h"
 #include "semantic_topo_loop/types/class_table.h"
+#include "semantic_topo_loop/types/detection.h"
 #include "semantic_topo_loop/types/frame.h"
 #include "support/look_at.h"
 

@@ -8,7 +8,7 @@
 
 #include "semantic_topo_loop/frontend/rgbd_image.h"
 #include "semantic_topo_loop/geometry/lie.h"
-#include "semantic_topo_loop/types/se3.h"
+#include "semantic_topo_loop/types/transform.h"
 
 namespace semantic_topo_loop::core {
 

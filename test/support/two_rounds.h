@@ -9,8 +9,8 @@
 #include "map/quadric_fit.h"
 #include "semantic_topo_loop/geometry/lie.h"
 #include "semantic_topo_loop/geometry/quadric.h"
-#include "semantic_topo_loop/types/association.h"
 #include "semantic_topo_loop/types/class_table.h"
+#include "semantic_topo_loop/types/detection.h"
 #include "semantic_topo_loop/types/frame.h"
 #include "semantic_topo_loop/types/loop_closure.h"
 

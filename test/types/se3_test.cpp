@@ -1,8 +1,7 @@
-#include "semantic_topo_loop/types/se3.h"
-
 #include <gtest/gtest.h>
 
 #include "semantic_topo_loop/geometry/lie.h"
+#include "semantic_topo_loop/types/transform.h"
 #include "support/random_poses.h"
 
 namespace semantic_topo_loop::core {

@@ -1,11 +1,10 @@
-#include "semantic_topo_loop/types/sim3.h"
-
 #include <gtest/gtest.h>
 
 #include <Eigen/LU>
 #include <cmath>
 
 #include "semantic_topo_loop/geometry/lie.h"
+#include "semantic_topo_loop/types/transform.h"
 #include "support/random_poses.h"
 
 namespace semantic_topo_loop::core {

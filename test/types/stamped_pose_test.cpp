@@ -1,6 +1,6 @@
-#include "semantic_topo_loop/types/stamped_pose.h"
-
 #include <gtest/gtest.h>
+
+#include "semantic_topo_loop/types/stamp.h"
 
 namespace semantic_topo_loop::core {
 namespace {

@@ -3,7 +3,6 @@
 #include <memory>
 #include <string>
 
-#include "semantic_topo_loop/types/association.h"
 #include "semantic_topo_loop/types/class_table.h"
 #include "semantic_topo_loop/types/detection.h"
 #include "semantic_topo_loop/types/frame.h"

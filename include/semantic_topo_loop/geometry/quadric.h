@@ -3,7 +3,7 @@
 #include <optional>
 
 #include "semantic_topo_loop/types/camera.h"
-#include "semantic_topo_loop/types/ellipsoid.h"
+#include "semantic_topo_loop/types/landmark.h"
 
 namespace semantic_topo_loop::core {
 

@@ -3,7 +3,7 @@
 #include <optional>
 #include <string>
 
-#include "semantic_topo_loop/types/stamped_pose.h"
+#include "semantic_topo_loop/types/stamp.h"
 
 namespace semantic_topo_loop::core {
 

@@ -5,8 +5,8 @@
 #include <vector>
 
 #include "semantic_topo_loop/loop/loop_explanation.h"
-#include "semantic_topo_loop/types/association.h"
 #include "semantic_topo_loop/types/class_table.h"
+#include "semantic_topo_loop/types/detection.h"
 #include "semantic_topo_loop/types/frame.h"
 #include "semantic_topo_loop/types/landmark.h"
 #include "semantic_topo_loop/types/loop_closure.h"

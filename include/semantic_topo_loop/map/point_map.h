@@ -7,7 +7,7 @@
 #include "semantic_topo_loop/map/point_map_options.h"
 #include "semantic_topo_loop/types/frame.h"
 #include "semantic_topo_loop/types/map_correction.h"
-#include "semantic_topo_loop/types/sim3.h"
+#include "semantic_topo_loop/types/transform.h"
 
 namespace semantic_topo_loop::core {
 

@@ -4,7 +4,7 @@
 #include <map>
 #include <string>
 
-#include "semantic_topo_loop/types/se3.h"
+#include "semantic_topo_loop/types/transform.h"
 
 namespace semantic_topo_loop::core {
 

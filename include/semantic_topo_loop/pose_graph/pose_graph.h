@@ -3,7 +3,7 @@
 #include <memory>
 #include <vector>
 
-#include "semantic_topo_loop/types/association.h"
+#include "semantic_topo_loop/types/detection.h"
 #include "semantic_topo_loop/types/frame.h"
 #include "semantic_topo_loop/types/landmark.h"
 #include "semantic_topo_loop/types/loop_closure.h"

@@ -21,7 +21,6 @@
 #include "semantic_topo_loop/QuadricMapUpdate.h"
 #include "semantic_topo_loop/TrackingReport.h"
 #include "semantic_topo_loop/frontend/tracking_report.h"
-#include "semantic_topo_loop/types/association.h"
 #include "semantic_topo_loop/types/detection.h"
 #include "semantic_topo_loop/types/frame.h"
 #include "semantic_topo_loop/types/landmark.h"

@@ -20,4 +20,36 @@ struct DetectionFrame {
   std::vector<Detection> detections;
 };
 
+/// How a detection came to its landmark, or why it has none.
+enum class AssociationLevel : std::uint8_t {
+  kNew = 0,         ///< starts a landmark
+  k2d = 1,          ///< level 1: box overlap with a recent frame
+  kPosterior = 2,   ///< level 2: label posterior
+  k3d = 3,          ///< level 3: quadric or map points
+  kJoint = 4,       ///< joint one-to-one assignment over all levels
+  kJda = 5,         ///< baseline: one Hungarian assignment over all landmarks
+  kIgnored = 6,     ///< class role dynamic or ignore
+  kSuppressed = 7,  ///< another box of higher score covers it
+  kLowScore = 8,    ///< below the score gate
+};
+
+/// One detection with its landmark.
+struct Association {
+  std::int32_t detection_index = 0;  ///< in the detections of the frame
+  std::int64_t landmark_id = -1;     ///< -1: none
+  AssociationLevel level = AssociationLevel::kNew;
+  int class_id = -1;           ///< as detected
+  double score = 0.0;          ///< of the detector
+  Box box;                     ///< undistorted, px
+  std::uint8_t truncated = 0;  ///< Truncation bits
+  int landmark_class_id = -1;  ///< most frequent class of the landmark, this detection included
+};
+
+struct AssociationFrame {
+  std::int64_t frame_id = -1;
+  std::uint64_t map_version = 0;          ///< of the quadric map that was associated against
+  std::vector<Association> associations;  ///< in order of detection_index, every detection once
+  double duration_us = 0.0;
+};
+
 }  // namespace semantic_topo_loop::core

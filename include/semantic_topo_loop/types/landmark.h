@@ -1,13 +1,28 @@
 #pragma once
 
+#include <cmath>
 #include <cstdint>
 #include <optional>
 #include <utility>
 #include <vector>
 
-#include "semantic_topo_loop/types/ellipsoid.h"
+#include "semantic_topo_loop/types/transform.h"
 
 namespace semantic_topo_loop::core {
+
+/// An ellipsoid: pose of its axes in the world and its semi-axes.
+struct Ellipsoid {
+  SE3 T_world_quadric;
+  Vec3 semi_axes = Vec3::Ones();  ///< m, > 0
+
+  const Vec3& center() const { return T_world_quadric.t; }
+  /// Radius of the sphere of the same volume, m.
+  double radius() const { return std::cbrt(semi_axes.prod()); }
+  /// R diag(a^2) R^T, m^2.
+  Mat3 shape() const;
+  /// Q* = Z diag(a^2, b^2, c^2, -1) Z^T with Z = T_world_quadric (SemanticTopoLoop, quadric representation).
+  Mat4 dual() const;
+};
 
 enum class LandmarkState : std::uint8_t { kCandidate = 0, kConfirmed = 1, kRetired = 2 };
 

@@ -5,7 +5,7 @@
 #include <vector>
 
 #include "semantic_topo_loop/types/box.h"
-#include "semantic_topo_loop/types/se3.h"
+#include "semantic_topo_loop/types/transform.h"
 
 namespace semantic_topo_loop::core {
 

@@ -5,7 +5,7 @@
 #include <type_traits>
 #include <vector>
 
-#include "semantic_topo_loop/types/sim3.h"
+#include "semantic_topo_loop/types/transform.h"
 
 namespace semantic_topo_loop::core {
 

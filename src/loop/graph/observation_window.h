@@ -7,8 +7,8 @@
 #include <vector>
 
 #include "loop/graph/box_tracker.h"
-#include "semantic_topo_loop/types/association.h"
 #include "semantic_topo_loop/types/class_table.h"
+#include "semantic_topo_loop/types/detection.h"
 #include "semantic_topo_loop/types/frame.h"
 #include "semantic_topo_loop/types/landmark.h"
 #include "semantic_topo_loop/types/local_map.h"

@@ -6,7 +6,7 @@
 #include "loop/graph/graph_matcher.h"
 #include "loop/graph/local_map.h"
 #include "semantic_topo_loop/loop/loop_options.h"
-#include "semantic_topo_loop/types/sim3.h"
+#include "semantic_topo_loop/types/transform.h"
 
 namespace semantic_topo_loop::core {
 

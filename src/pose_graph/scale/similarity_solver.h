@@ -3,7 +3,7 @@
 #include <vector>
 
 #include "pose_graph/solver/graph_solver.h"
-#include "semantic_topo_loop/types/sim3.h"
+#include "semantic_topo_loop/types/transform.h"
 
 namespace semantic_topo_loop::core {
 

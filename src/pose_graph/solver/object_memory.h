@@ -5,7 +5,7 @@
 #include <vector>
 
 #include "pose_graph/solver/graph_object.h"
-#include "semantic_topo_loop/types/association.h"
+#include "semantic_topo_loop/types/detection.h"
 #include "semantic_topo_loop/types/frame.h"
 #include "semantic_topo_loop/types/landmark.h"
 

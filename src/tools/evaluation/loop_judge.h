@@ -6,7 +6,7 @@
 #include <string>
 #include <vector>
 
-#include "semantic_topo_loop/types/stamped_pose.h"
+#include "semantic_topo_loop/types/stamp.h"
 #include "tools/evaluation/statistics.h"
 
 namespace semantic_topo_loop::core {

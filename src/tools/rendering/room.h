@@ -1,6 +1,6 @@
 #pragma once
 
-#include "semantic_topo_loop/types/stamped_pose.h"
+#include "semantic_topo_loop/types/stamp.h"
 #include "tools/simulation/scene.h"
 
 namespace semantic_topo_loop::core {

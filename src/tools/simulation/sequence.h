@@ -7,7 +7,7 @@
 
 #include "semantic_topo_loop/types/camera.h"
 #include "semantic_topo_loop/types/class_table.h"
-#include "semantic_topo_loop/types/stamped_pose.h"
+#include "semantic_topo_loop/types/stamp.h"
 #include "tools/perturbation/drift.h"
 #include "tools/rendering/rendering_options.h"
 #include "tools/simulation/detector.h"
