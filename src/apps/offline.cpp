@@ -191,7 +191,7 @@ bool run(const Arguments& arguments, std::string* error) {
 int list_parameters(CommandLine* line, std::string* error) {
   if (!line->read(error)) return kBadArguments;
   std::cout << "| parameter | default | meaning |\n| --- | --- | --- |\n";
-  for (const OptionLister::Row& row : list_options()) {
+  for (const OptionRow& row : list_options<Options>()) {
     std::cout << "| `" << row.key << "` | " << row.value << " | " << row.doc << " |\n";
   }
   return 0;

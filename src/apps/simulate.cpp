@@ -57,11 +57,9 @@ struct Arguments {
 };
 
 std::string usage() {
-  SimulationOptions defaults;
-  OptionLister lister;
-  defaults.visit(lister);
   std::string text = std::string("usage: ") + kName + kUsage;
-  for (const OptionLister::Row& row : lister.rows) text += "    " + row.key + "=" + row.value + "  " + row.doc + "\n";
+  for (const OptionRow& row : list_options<SimulationOptions>())
+    text += "    " + row.key + "=" + row.value + "  " + row.doc + "\n";
   return text;
 }
 

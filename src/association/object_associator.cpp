@@ -36,35 +36,7 @@ std::optional<std::set<std::string>> parse_levels(const std::string& text) {
 
 }  // namespace
 
-bool AssociatorOptions::is_valid(std::string* error) const {
-  const auto fail = [error](const std::string& name, const std::string& value, const std::string& rule) {
-    if (error != nullptr) *error = "parameter 'association." + name + "' = " + value + " must be " + rule;
-    return false;
-  };
-  if (mode != "joint" && mode != "cascade" && mode != "jda") {
-    return fail("mode", "'" + mode + "'", "joint, cascade or jda");
-  }
-  if (!parse_levels(levels)) return fail("levels", "'" + levels + "'", "a comma-separated list of 2d, pro, 3d");
-  if (pro_new_object != "uniform" && pro_new_object != "paper") {
-    return fail("pro_new_object", "'" + pro_new_object + "'", "uniform or paper");
-  }
-  for (const auto& [name, value] :
-       {std::pair("min_score", min_score), std::pair("iou_2d_min", iou_2d_min), std::pair("iou_3d_min", iou_3d_min),
-        std::pair("points_in_box_min", points_in_box_min), std::pair("iou_joint_2d_min", iou_joint_2d_min),
-        std::pair("suppression_iou", suppression_iou)}) {
-    if (!(value >= 0.0 && value <= 1.0)) return fail(name, std::to_string(value), "in [0, 1]");
-  }
-  if (!(border_px >= 0.0)) return fail("border_px", std::to_string(border_px), ">= 0");
-  if (!(memory_s >= 0.0)) return fail("memory_s", std::to_string(memory_s), ">= 0");
-  if (window_keyframes < 1) return fail("window_keyframes", std::to_string(window_keyframes), ">= 1");
-  if (!(posterior_alpha > 0.0)) return fail("posterior_alpha", std::to_string(posterior_alpha), "> 0");
-  if (!(range_m > 0.0)) return fail("range_m", std::to_string(range_m), "> 0");
-  if (!(jda_distance_max > 0.0 && jda_distance_max <= 3.0)) {
-    return fail("jda_distance_max", std::to_string(jda_distance_max), "in (0, 3]");
-  }
-  if (!(posterior_count_max >= 1.0)) return fail("posterior_count_max", std::to_string(posterior_count_max), ">= 1");
-  return true;
-}
+bool AssociatorOptions::is_level_list(const std::string& text) { return parse_levels(text).has_value(); }
 
 class ObjectAssociator::Impl {
  public:

@@ -140,36 +140,26 @@ std::string DepthRange::warning(const DepthOptions& options) const {
   return text.str();
 }
 
-bool DepthOptions::is_valid(std::string* error) const {
-  const auto fail = [error](const char* name, const auto& value, const char* rule) {
-    std::ostringstream message;
-    message << "parameter 'depth." << name << "' = '" << value << "' must be " << rule;
-    if (error != nullptr) *error = message.str();
-    return false;
-  };
-  if (!(scale > 0.0)) return fail("scale", scale, "> 0");
-  if (!(max_m > 0.0)) return fail("max_m", max_m, "> 0");
-  if (!(scale_correction > 0.0)) return fail("scale_correction", scale_correction, "> 0");
-  const std::optional<std::vector<double>> invalid = numbers(invalid_values);
-  const bool are_raw = invalid && std::all_of(invalid->begin(), invalid->end(), [](double value) {
-                         return value >= 0.0 && value <= 65535.0 && value == std::floor(value);
-                       });
-  if (!are_raw) return fail("invalid_values", invalid_values, "whole numbers in [0, 65535]");
-  const std::optional<std::vector<double>> pose = numbers(color_from_depth);
-  constexpr double kNormTolerance = 0.01;
-  if (!pose ||
-      (!pose->empty() && (pose->size() != 7 || std::abs(Vec4(pose->data() + 3).norm() - 1.0) > kNormTolerance))) {
-    return fail("color_from_depth", color_from_depth, "empty or 'x y z qx qy qz qw' with a unit quaternion");
-  }
-  const std::optional<std::vector<double>> pinhole = numbers(intrinsics);
-  if (!pinhole || (!pinhole->empty() && (pinhole->size() != 4 || !((*pinhole)[0] > 0.0 && (*pinhole)[1] > 0.0)))) {
-    return fail("intrinsics", intrinsics, "empty or 'fx fy cx cy' with fx, fy > 0");
-  }
-  if (!pinhole->empty() && pose->empty()) {
-    return fail("intrinsics", intrinsics, "empty where depth.color_from_depth is");
-  }
-  return true;
+bool DepthOptions::are_raw_values(const std::string& text) {
+  const std::optional<std::vector<double>> values = numbers(text);
+  return values && std::all_of(values->begin(), values->end(), [](double value) {
+           return value >= 0.0 && value <= 65535.0 && value == std::floor(value);
+         });
 }
+
+bool DepthOptions::is_pose_or_empty(const std::string& text) {
+  constexpr double kNormTolerance = 0.01;  // of a quaternion written with three digits
+  const std::optional<std::vector<double>> pose = numbers(text);
+  return pose &&
+         (pose->empty() || (pose->size() == 7 && std::abs(Vec4(pose->data() + 3).norm() - 1.0) <= kNormTolerance));
+}
+
+bool DepthOptions::is_pinhole_or_empty(const std::string& text) {
+  const std::optional<std::vector<double>> pinhole = numbers(text);
+  return pinhole && (pinhole->empty() || (pinhole->size() == 4 && (*pinhole)[0] > 0.0 && (*pinhole)[1] > 0.0));
+}
+
+bool DepthOptions::is_blank(const std::string& text) { return numbers(text).value_or(std::vector<double>()).empty(); }
 
 std::optional<RgbdImage> make_rgbd_image(std::int64_t stamp_ns, const cv::Mat& color, const cv::Mat& depth,
                                          const Camera& camera, const DepthOptions& options, std::string* error) {

@@ -8,9 +8,9 @@ namespace {
 /// Why an option on its own cannot be taken, or an empty text.
 std::string option_problem(const std::string& key, const std::string& value) {
   Options options;
-  OptionSetter setter(OptionTexts{{key, value}});
-  options.visit(setter);
-  return setter.error();
+  OptionVisitor visitor;
+  options.visit(visitor);
+  return visitor.set({{key, value}}).message();
 }
 
 bool parse_module(const std::string& path, const std::string& module, const YAML::Node& fields, OptionTexts* texts,
@@ -62,7 +62,10 @@ std::optional<Options> load_options(const std::string& path, const OptionTexts& 
     if (!from_file) return std::nullopt;
     texts.insert(from_file->begin(), from_file->end());
   }
-  return make_options(texts, error);
+  Result<Options> options = make_options<Options>(texts);
+  if (options) return *std::move(options);
+  if (error != nullptr) *error = options.message();
+  return std::nullopt;
 }
 
 }  // namespace semantic_topo_loop::core

@@ -49,17 +49,6 @@ void halve(std::vector<T>* values) {
 
 }  // namespace
 
-bool PointMapOptions::is_valid(std::string* error) const {
-  const auto fail = [error](const std::string& name, const std::string& value) {
-    if (error != nullptr) *error = "parameter 'point_map." + name + "' = " + value + " must be > 0";
-    return false;
-  };
-  if (!(voxel_m > 0.0)) return fail("voxel_m", std::to_string(voxel_m));
-  if (semi_dense_max < 1) return fail("semi_dense_max", std::to_string(semi_dense_max));
-  if (points_max < 1) return fail("points_max", std::to_string(points_max));
-  return true;
-}
-
 void PointMap::add(const Frame& frame) {
   if (!frame.is_keyframe || !frame.keyframe_points || keyframes_.count(frame.keyframe_id) != 0) return;
   Keyframe keyframe;

@@ -1,26 +1,8 @@
 #include "semantic_topo_loop/pipeline/frame_builder.h"
 
-#include <sstream>
-
 #include "semantic_topo_loop/geometry/lie.h"
 
 namespace semantic_topo_loop::core {
-
-bool KeyframeOptions::is_valid(std::string* error) const {
-  for (const auto& [name, value] :
-       {std::pair("keyframe.min_translation_m", min_translation_m),
-        std::pair("keyframe.min_rotation_deg", min_rotation_deg), std::pair("keyframe.max_interval_s", max_interval_s),
-        std::pair("keyframe.break_speed_m_s", break_speed_m_s),
-        std::pair("keyframe.break_rate_deg_s", break_rate_deg_s), std::pair("keyframe.break_gap_s", break_gap_s)}) {
-    if (!(value > 0.0)) {
-      std::ostringstream message;
-      message << "parameter '" << name << "' = " << value << " must be > 0";
-      if (error != nullptr) *error = message.str();
-      return false;
-    }
-  }
-  return true;
-}
 
 std::optional<Frame> FrameBuilder::build(const PoseSample& sample, std::string* error) {
   if (!sample.T_odom_camera.is_finite()) {

@@ -35,23 +35,23 @@ struct NodeletParameters {
 template <class Own>
 std::optional<NodeletParameters<Own>> make_nodelet_parameters(ParameterTexts texts, std::string* error) {
   NodeletParameters<Own> result;
-  core::OptionLister lister;
-  result.own.visit(lister);
+  core::OptionVisitor own;
+  result.own.visit(own);
   ParameterTexts own_texts;
-  for (const core::OptionLister::Row& row : lister.rows) {
+  for (const core::OptionRow& row : own.rows()) {
     const auto it = texts.find(row.key);
     if (it == texts.end()) continue;
     own_texts.insert(*it);
     texts.erase(it);
   }
-  const std::optional<core::Options> options = core::make_options(texts, error);
-  if (!options) return std::nullopt;
+  const core::Result<core::Options> options = core::make_options<core::Options>(texts);
+  if (!options) {
+    if (error != nullptr) *error = options.message();
+    return std::nullopt;
+  }
   result.options = *options;
-  core::OptionSetter setter(own_texts);
-  result.own.visit(setter);
-  const std::string problem = setter.error();
-  if (!problem.empty()) {
-    if (error != nullptr) *error = problem;
+  if (const core::Status status = own.set(own_texts); !status) {
+    if (error != nullptr) *error = status.message();
     return std::nullopt;
   }
   if (!result.own.is_valid(error)) return std::nullopt;

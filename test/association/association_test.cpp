@@ -287,20 +287,16 @@ TEST(ObjectAssociator, MarksSidesAtTheBorderAndUndistorts) {
 }
 
 TEST(AssociatorOptions, RejectsByNameAndValue) {
-  std::string error;
   AssociatorOptions bad_mode;
   bad_mode.mode = "magic";
-  EXPECT_FALSE(bad_mode.is_valid(&error));
-  EXPECT_NE(error.find("association.mode"), std::string::npos);
-  EXPECT_NE(error.find("magic"), std::string::npos);
+  EXPECT_EQ(validate(bad_mode).message(), "parameter 'association.mode' = 'magic' must be joint, cascade or jda");
   AssociatorOptions bad_levels;
   bad_levels.levels = "2d,4d";
-  EXPECT_FALSE(bad_levels.is_valid(&error));
-  EXPECT_NE(error.find("association.levels"), std::string::npos);
+  EXPECT_EQ(validate(bad_levels).message(),
+            "parameter 'association.levels' = '2d,4d' must be a comma-separated list of 2d, pro, 3d");
   AssociatorOptions bad_gate;
   bad_gate.iou_3d_min = -0.1;
-  EXPECT_FALSE(bad_gate.is_valid(&error));
-  EXPECT_NE(error.find("association.iou_3d_min"), std::string::npos);
+  EXPECT_EQ(validate(bad_gate).message(), "parameter 'association.iou_3d_min' = '-0.1' must be in [0, 1]");
 }
 
 }  // namespace

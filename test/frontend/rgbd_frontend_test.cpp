@@ -250,15 +250,13 @@ TEST(TrackingReport, CountsAndNames) {
 
 TEST(FrontendOptions, BadValuesAreNamed) {
   FrontendOptions options;
-  std::string error;
-  EXPECT_TRUE(options.is_valid(&error)) << error;
+  EXPECT_TRUE(validate(options)) << validate(options).message();
   options.scale_factor = 1.0;
-  EXPECT_FALSE(options.is_valid(&error));
-  EXPECT_NE(error.find("frontend.scale_factor"), std::string::npos);
+  EXPECT_EQ(validate(options).message(), "parameter 'frontend.scale_factor' = '1' must be in (1, 2]");
   options = {};
   options.max_keyframes = 3;
-  EXPECT_FALSE(options.is_valid(&error));
-  EXPECT_NE(error.find("frontend.max_keyframes"), std::string::npos);
+  EXPECT_EQ(validate(options).message(),
+            "parameter 'frontend.max_keyframes' = '3' must be >= 2 frontend.window_keyframes");
 }
 
 }  // namespace

@@ -166,9 +166,9 @@ TEST(DepthOptions, BadValuesAreNamed) {
   const auto error_of = [](auto change) {
     DepthOptions options;
     change(&options);
-    std::string error;
-    EXPECT_FALSE(options.is_valid(&error));
-    return error;
+    const Status status = validate(options);
+    EXPECT_FALSE(status);
+    return status.message();
   };
   EXPECT_NE(error_of([](DepthOptions* o) { o->scale = 0.0; }).find("depth.scale"), std::string::npos);
   EXPECT_NE(error_of([](DepthOptions* o) { o->invalid_values = "0 x"; }).find("'0 x'"), std::string::npos);
@@ -178,8 +178,7 @@ TEST(DepthOptions, BadValuesAreNamed) {
   EXPECT_NE(error_of([](DepthOptions* o) { o->color_from_depth = "0 0 0 1 1 0 0"; }).find("color_from_depth"),
             std::string::npos);
   EXPECT_NE(error_of([](DepthOptions* o) { o->intrinsics = "500 500 320 240"; }).find("intrinsics"), std::string::npos);
-  std::string error;
-  EXPECT_TRUE(DepthOptions().is_valid(&error)) << error;
+  EXPECT_TRUE(validate(DepthOptions())) << validate(DepthOptions()).message();
 }
 
 }  // namespace

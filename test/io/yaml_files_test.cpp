@@ -158,7 +158,7 @@ TEST_F(YamlFiles, BadAssignments) {
   EXPECT_FALSE(load_options("", {{"association.typo", "3"}}, &error_));
   EXPECT_EQ(error_, "unknown parameter 'association.typo' = '3'");
   EXPECT_FALSE(load_options("", {{"keyframe.max_interval_s", "-1"}}, &error_));
-  EXPECT_EQ(error_, "parameter 'keyframe.max_interval_s' = -1 must be > 0");
+  EXPECT_EQ(error_, "parameter 'keyframe.max_interval_s' = '-1' must be > 0");
 }
 
 }  // namespace

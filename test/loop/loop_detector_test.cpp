@@ -335,8 +335,7 @@ TEST(LoopDetector, BrokenBoxesAndPosesAreSurvived) {
 }
 
 TEST(LoopOptions, NamesTheBadParameter) {
-  std::string error;
-  EXPECT_TRUE(LoopOptions().is_valid(&error)) << error;
+  EXPECT_TRUE(validate(LoopOptions())) << validate(LoopOptions()).message();
   for (const auto& [key, value] : std::map<std::string, std::string>{{"loop.mode", "fast"},
                                                                      {"loop.score", "best"},
                                                                      {"loop.scale", "some"},
@@ -344,10 +343,9 @@ TEST(LoopOptions, NamesTheBadParameter) {
                                                                      {"loop.min_seen_share", "1.5"},
                                                                      {"loop.min_inliers", "2"},
                                                                      {"loop.ambiguity_ratio", "0.5"}}) {
-    error.clear();
-    EXPECT_FALSE(make_options({{key, value}}, &error).has_value());
-    EXPECT_NE(error.find(key), std::string::npos) << error;
-    EXPECT_NE(error.find(value), std::string::npos) << error;
+    const auto options = make_options<LoopOptions>({{key, value}});
+    EXPECT_FALSE(options);
+    EXPECT_NE(options.message().find("'" + key + "' = '" + value + "'"), std::string::npos) << options.message();
   }
 }
 

@@ -117,15 +117,13 @@ TEST(PointMap, StaysWithinItsBoundAndThinsTheOldestFirst) {
 }
 
 TEST(PointMapOptions, RefusesWhatIsNotPositiveByName) {
-  std::string error;
   PointMapOptions options;
-  EXPECT_TRUE(options.is_valid(&error));
+  EXPECT_TRUE(validate(options));
   options.voxel_m = 0.0;
-  EXPECT_FALSE(options.is_valid(&error));
-  EXPECT_NE(error.find("point_map.voxel_m"), std::string::npos);
+  EXPECT_EQ(validate(options).message(), "parameter 'point_map.voxel_m' = '0' must be > 0");
   options = {};
   options.points_max = 0;
-  EXPECT_FALSE(options.is_valid(&error));
+  EXPECT_FALSE(validate(options));
 }
 
 }  // namespace

@@ -373,10 +373,7 @@ TEST_F(MapperTest, LandmarksGrowWithTheScaleOfTheirKeyframes) {
 TEST(QuadricMapperOptions, RejectsValuesOutOfRangeByName) {
   QuadricMapperOptions options;
   options.merge_iou = 1.5;
-  std::string error;
-  EXPECT_FALSE(options.is_valid(&error));
-  EXPECT_NE(error.find("mapping.merge_iou"), std::string::npos);
-  EXPECT_NE(error.find("1.5"), std::string::npos);
+  EXPECT_EQ(validate(options).message(), "parameter 'mapping.merge_iou' = '1.5' must be in [0, 1]");
 }
 
 }  // namespace

@@ -21,24 +21,24 @@ std::string file_text(const std::string& path) {
 }
 
 TEST(Options, DefaultsAreValid) {
-  std::string error;
-  EXPECT_TRUE(make_options({}, &error)) << error;
+  const auto options = make_options<Options>({});
+  EXPECT_TRUE(options) << options.message();
 }
 
 TEST(Options, EveryFieldCanBeSetByItsKey) {
-  for (const OptionLister::Row& row : list_options()) {
-    std::string error;
-    EXPECT_TRUE(make_options({{row.key, row.value}}, &error)) << error;
-    EXPECT_FALSE(row.doc.empty()) << row.key;
+  for (const OptionRow& row : list_options<Options>()) {
+    const auto options = make_options<Options>({{row.key, row.value}});
+    EXPECT_TRUE(options) << options.message();
+    EXPECT_FALSE(row.meaning.empty()) << row.key;
   }
 }
 
 TEST(Options, UnknownKeyWrongTypeAndRangeAreErrorsThatNameThem) {
   const auto error_of = [](const std::string& key, const std::string& value) {
-    std::string error;
-    EXPECT_FALSE(make_options({{key, value}}, &error)) << key;
-    EXPECT_NE(error.find(key), std::string::npos) << error;
-    return error;
+    const auto options = make_options<Options>({{key, value}});
+    EXPECT_FALSE(options) << key;
+    EXPECT_NE(options.message().find(key), std::string::npos) << options.message();
+    return options.message();
   };
   EXPECT_NE(error_of("association.iou_2d_mni", "0.5").find("unknown"), std::string::npos);
   EXPECT_NE(error_of("association.iou_2d_min", "half").find("half"), std::string::npos);
@@ -54,10 +54,10 @@ TEST(Options, DefaultFileEqualsTheCode) {
   std::string error;
   const auto texts = read_option_texts(STL_CONFIG_DIR "/default.yaml", &error);
   ASSERT_TRUE(texts) << error;
-  ASSERT_TRUE(make_options(*texts, &error)) << error;
-  const std::vector<OptionLister::Row> rows = list_options();
+  EXPECT_TRUE(make_options<Options>(*texts)) << make_options<Options>(*texts).message();
+  const std::vector<OptionRow> rows = list_options<Options>();
   EXPECT_EQ(texts->size(), rows.size());
-  for (const OptionLister::Row& row : rows) {
+  for (const OptionRow& row : rows) {
     const auto text = texts->find(row.key);
     ASSERT_NE(text, texts->end()) << row.key;
     EXPECT_EQ(text->second, row.value) << row.key;
@@ -66,8 +66,9 @@ TEST(Options, DefaultFileEqualsTheCode) {
 
 TEST(Options, DocumentationListsEveryParameterWithItsDefault) {
   const std::string page = file_text(STL_CONFIG_DIR "/../docs/parameters.md");
-  for (const OptionLister::Row& row : list_options()) {
-    EXPECT_NE(page.find("| `" + row.key + "` | " + row.value + " | " + row.doc + " |"), std::string::npos) << row.key;
+  for (const OptionRow& row : list_options<Options>()) {
+    EXPECT_NE(page.find("| `" + row.key + "` | " + row.value + " | " + row.meaning + " |"), std::string::npos)
+        << row.key;
   }
 }
 

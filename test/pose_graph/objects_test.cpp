@@ -190,11 +190,9 @@ TEST(ObjectsInThePoseGraph, WithLoopsMeansThatOdometryWithoutLoopsIsLeftAlone) {
   PoseGraphOptions options = with_objects();
   options.objects = "with_loops";
   EXPECT_EQ(largest_difference_m(observer.finish(options), finish(observer.run, {}).graph.keyframes()), 0.0);
-  std::string error;
-  EXPECT_TRUE(options.is_valid(&error)) << error;
+  EXPECT_TRUE(validate(options)) << validate(options).message();
   options.objects = "always";
-  EXPECT_FALSE(options.is_valid(&error));
-  EXPECT_NE(error.find("pose_graph.objects"), std::string::npos);
+  EXPECT_EQ(validate(options).message(), "parameter 'pose_graph.objects' = 'always' must be off, with_loops or on");
 }
 
 TEST(ObjectsInThePoseGraph, AnObjectOfOneViewIsLeftOut) {

@@ -424,15 +424,12 @@ TEST(PoseGraph, NothingAtAllIsFine) {
 
 TEST(PoseGraphOptions, WrongValuesAreNamed) {
   PoseGraphOptions options;
-  std::string error;
-  EXPECT_TRUE(options.is_valid(&error));
+  EXPECT_TRUE(validate(options));
   options.robust = "maybe";
-  EXPECT_FALSE(options.is_valid(&error));
-  EXPECT_EQ(error, "parameter 'pose_graph.robust' = 'maybe' must be gnc, cauchy, huber or none");
+  EXPECT_EQ(validate(options).message(), "parameter 'pose_graph.robust' = 'maybe' must be gnc, cauchy, huber or none");
   options = {};
   options.translation_noise_m = std::numeric_limits<double>::quiet_NaN();
-  EXPECT_FALSE(options.is_valid(&error));
-  EXPECT_NE(error.find("pose_graph.translation_noise_m"), std::string::npos);
+  EXPECT_EQ(validate(options).message(), "parameter 'pose_graph.translation_noise_m' = 'nan' must be > 0");
 }
 
 }  // namespace

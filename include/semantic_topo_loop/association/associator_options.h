@@ -2,6 +2,8 @@
 
 #include <string>
 
+#include "semantic_topo_loop/types/option_visitor.h"
+
 namespace semantic_topo_loop::core {
 
 struct AssociatorOptions {
@@ -22,31 +24,37 @@ struct AssociatorOptions {
   double range_m = 10.0;
   double jda_distance_max = 1.6;
 
-  template <class Visitor>
-  void visit(Visitor& visitor) {
-    visitor("association.mode", mode,
+  void visit(OptionVisitor& visitor) {
+    visitor("association.mode", mode, one_of({"joint", "cascade", "jda"}),
             "joint (one-to-one over all levels), cascade (the paper's three levels) or jda (the paper's baseline)");
-    visitor("association.levels", levels, "levels in use, comma separated: 2d, pro, 3d");
-    visitor("association.pro_new_object", pro_new_object,
+    visitor("association.levels", levels, {is_level_list, "a comma-separated list of 2d, pro, 3d"},
+            "levels in use, comma separated: 2d, pro, 3d");
+    visitor("association.pro_new_object", pro_new_object, one_of({"uniform", "paper"}),
             "level 2's prior of a new object: uniform (over labels and image) or paper (as printed)");
-    visitor("association.min_score", min_score, "detections below this score are left out");
-    visitor("association.iou_2d_min", iou_2d_min, "level 1 gate delta1: box overlap with the previous frame");
-    visitor("association.iou_3d_min", iou_3d_min, "level 3 gate delta2: box overlap with the projected quadric");
-    visitor("association.points_in_box_min", points_in_box_min, "level 3 gate delta3: share of map points in the box");
-    visitor("association.iou_joint_2d_min", iou_joint_2d_min,
+    visitor("association.min_score", min_score, share(), "detections below this score are left out");
+    visitor("association.iou_2d_min", iou_2d_min, share(), "level 1 gate delta1: box overlap with the previous frame");
+    visitor("association.iou_3d_min", iou_3d_min, share(),
+            "level 3 gate delta2: box overlap with the projected quadric");
+    visitor("association.points_in_box_min", points_in_box_min, share(),
+            "level 3 gate delta3: share of map points in the box");
+    visitor("association.iou_joint_2d_min", iou_joint_2d_min, share(),
             "joint mode: overlap gate for landmarks without a quadric");
-    visitor("association.suppression_iou", suppression_iou,
+    visitor("association.suppression_iou", suppression_iou, share(),
             "of two boxes that overlap more, the lower score is left out");
-    visitor("association.border_px", border_px, "sides this close to the image border count as cut");
-    visitor("association.memory_s", memory_s, "joint mode: how long a box remains a track's last position");
-    visitor("association.window_keyframes", window_keyframes,
+    visitor("association.border_px", border_px, not_negative(), "sides this close to the image border count as cut");
+    visitor("association.memory_s", memory_s, not_negative(),
+            "joint mode: how long a box remains a track's last position");
+    visitor("association.window_keyframes", window_keyframes, at_least(1),
             "level 3: landmarks seen in this many last keyframes (all in view in joint mode)");
-    visitor("association.posterior_alpha", posterior_alpha, "level 2: concentration of the Dirichlet process");
-    visitor("association.posterior_count_max", posterior_count_max, "level 2: cap on a landmark's observation count");
-    visitor("association.range_m", range_m, "landmarks farther from the camera are not looked for");
-    visitor("association.jda_distance_max", jda_distance_max, "jda mode: largest summed distance of a pair (0 to 3)");
+    visitor("association.posterior_alpha", posterior_alpha, positive(),
+            "level 2: concentration of the Dirichlet process");
+    visitor("association.posterior_count_max", posterior_count_max, at_least(1),
+            "level 2: cap on a landmark's observation count");
+    visitor("association.range_m", range_m, positive(), "landmarks farther from the camera are not looked for");
+    visitor("association.jda_distance_max", jda_distance_max, above(0).at_most(3),
+            "jda mode: largest summed distance of a pair");
   }
-  bool is_valid(std::string* error) const;
+  static bool is_level_list(const std::string& text);
 };
 
 }  // namespace semantic_topo_loop::core

@@ -6,6 +6,7 @@
 #include <string>
 
 #include "semantic_topo_loop/types/camera.h"
+#include "semantic_topo_loop/types/option_visitor.h"
 
 namespace semantic_topo_loop::core {
 
@@ -18,19 +19,25 @@ struct DepthOptions {
   std::string color_from_depth;
   std::string intrinsics;
 
-  template <class Visitor>
-  void visit(Visitor& visitor) {
-    visitor("depth.scale", scale, "16UC1: units a metre; 1000 for millimetres, 5000 in TUM's PNG files");
-    visitor("depth.invalid_values", invalid_values,
+  void visit(OptionVisitor& visitor) {
+    visitor("depth.scale", scale, positive(), "16UC1: units a metre; 1000 for millimetres, 5000 in TUM's PNG files");
+    visitor("depth.invalid_values", invalid_values, {are_raw_values, "whole numbers in [0, 65535]"},
             "16UC1: values that mean no depth, apart from each other by blanks");
-    visitor("depth.max_m", max_m, "farther depth is left out: its noise grows with the square");
-    visitor("depth.scale_correction", scale_correction, "factor on every depth; TUM's freiburg2 needs 0.96");
+    visitor("depth.max_m", max_m, positive(), "farther depth is left out: its noise grows with the square");
+    visitor("depth.scale_correction", scale_correction, positive(),
+            "factor on every depth; TUM's freiburg2 needs 0.96");
     visitor("depth.color_from_depth", color_from_depth,
-            "T_color_depth, 'x y z qx qy qz qw', m, of depth that is not registered to the colour camera; else empty");
-    visitor("depth.intrinsics", intrinsics,
-            "'fx fy cx cy', px, of the depth camera where color_from_depth is given; empty: the colour camera's");
+            {is_pose_or_empty, "empty or 'x y z qx qy qz qw' with a unit quaternion"},
+            "T_color_depth, 'x y z qx qy qz qw', m, of depth that is not registered to the color camera; else empty");
+    visitor("depth.intrinsics", intrinsics, {is_pinhole_or_empty, "empty or 'fx fy cx cy' with fx, fy > 0"},
+            "'fx fy cx cy', px, of the depth camera where color_from_depth is given; empty: the color camera's");
+    visitor.require("depth.intrinsics", is_blank(intrinsics) || !is_blank(color_from_depth),
+                    "empty where depth.color_from_depth is");
   }
-  bool is_valid(std::string* error) const;
+  static bool are_raw_values(const std::string& text);
+  static bool is_pose_or_empty(const std::string& text);
+  static bool is_pinhole_or_empty(const std::string& text);
+  static bool is_blank(const std::string& text);
 };
 
 /// Where the depth of images lies, by some of its pixels: a wrong scale puts it out of reach, or before one's nose.
@@ -45,17 +52,17 @@ struct DepthRange {
   std::string warning(const DepthOptions& options) const;
 };
 
-/// A colour image with its depth, as the front end works on it.
+/// A color image with its depth, as the front end works on it.
 struct RgbdImage {
   std::int64_t stamp_ns = 0;
   cv::Mat gray;     ///< CV_8UC1, raw (distorted) pixels
-  cv::Mat depth_m;  ///< CV_32FC1 of the same size: m along the colour camera's z axis; 0 where there is none
+  cv::Mat depth_m;  ///< CV_32FC1 of the same size: m along the color camera's z axis; 0 where there is none
   DepthRange depth_range;
 };
 
 /// Brings images as cameras send them into the front end's form.
 /// @param color CV_8UC1, or CV_8UC3 as BGR   @param depth CV_16UC1 in units of `scale`, or CV_32FC1 in metres, NaN or
-/// <= 0 where there is none   @param camera the colour camera
+/// <= 0 where there is none   @param camera the color camera
 /// @return nullopt, with stamp, field and value in `error`, for an empty image, one of another size than the camera's,
 /// or one of another type
 std::optional<RgbdImage> make_rgbd_image(std::int64_t stamp_ns, const cv::Mat& color, const cv::Mat& depth,

@@ -1,15 +1,11 @@
 #pragma once
 
-#include <map>
 #include <optional>
 #include <string>
 
 #include "semantic_topo_loop/pipeline/options.h"
 
 namespace semantic_topo_loop::core {
-
-/// Options as text, `<module>.<field>` to value, for make_options.
-using OptionTexts = std::map<std::string, std::string>;
 
 /// Reads a YAML file `module: {field: value}` such as config/default.yaml.
 /// @return nullopt, with file, line and key in `error`, if the file is missing or of another shape, if a key is given

@@ -4,12 +4,28 @@
 #include <map>
 #include <vector>
 
-#include "semantic_topo_loop/map/point_map_options.h"
 #include "semantic_topo_loop/types/frame.h"
 #include "semantic_topo_loop/types/map_correction.h"
+#include "semantic_topo_loop/types/option_visitor.h"
 #include "semantic_topo_loop/types/transform.h"
 
 namespace semantic_topo_loop::core {
+
+/// What the point map takes in and keeps.
+struct PointMapOptions {
+  int semi_dense_max = 3000;
+  double voxel_m = 0.02;
+  int points_max = 2000000;
+
+  void visit(OptionVisitor& visitor) {
+    visitor("point_map.semi_dense_max", semi_dense_max, at_least(1),
+            "points taken from the edges of a keyframe's image, about");
+    visitor("point_map.voxel_m", voxel_m, positive(),
+            "of the semi-dense points of a keyframe, one is kept in a cube of this size");
+    visitor("point_map.points_max", points_max, at_least(1),
+            "points kept; beyond, those of the oldest keyframes are thinned, again and again");
+  }
+};
 
 /// The points of a map, in the map frame, m.
 struct MapPoints {

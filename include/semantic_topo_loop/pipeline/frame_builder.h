@@ -4,6 +4,7 @@
 #include <string>
 
 #include "semantic_topo_loop/types/frame.h"
+#include "semantic_topo_loop/types/option_visitor.h"
 
 namespace semantic_topo_loop::core {
 
@@ -16,16 +17,17 @@ struct KeyframeOptions {
   double break_rate_deg_s = 600.0;
   double break_gap_s = 1.0;
 
-  template <class Visitor>
-  void visit(Visitor& visitor) {
-    visitor("keyframe.min_translation_m", min_translation_m, "a keyframe after this motion since the last one");
-    visitor("keyframe.min_rotation_deg", min_rotation_deg, "a keyframe after this rotation since the last one");
-    visitor("keyframe.max_interval_s", max_interval_s, "a keyframe after this time at the latest");
-    visitor("keyframe.break_speed_m_s", break_speed_m_s, "faster motion between two frames is a break of the odometry");
-    visitor("keyframe.break_rate_deg_s", break_rate_deg_s, "faster rotation between two frames is a break");
-    visitor("keyframe.break_gap_s", break_gap_s, "a longer time between two poses is a break");
+  void visit(OptionVisitor& visitor) {
+    visitor("keyframe.min_translation_m", min_translation_m, positive(),
+            "a keyframe after this motion since the last one");
+    visitor("keyframe.min_rotation_deg", min_rotation_deg, positive(),
+            "a keyframe after this rotation since the last one");
+    visitor("keyframe.max_interval_s", max_interval_s, positive(), "a keyframe after this time at the latest");
+    visitor("keyframe.break_speed_m_s", break_speed_m_s, positive(),
+            "faster motion between two frames is a break of the odometry");
+    visitor("keyframe.break_rate_deg_s", break_rate_deg_s, positive(), "faster rotation between two frames is a break");
+    visitor("keyframe.break_gap_s", break_gap_s, positive(), "a longer time between two poses is a break");
   }
-  bool is_valid(std::string* error) const;
 };
 
 /// Turns camera poses into frames: numbers them, selects keyframes, flags breaks.

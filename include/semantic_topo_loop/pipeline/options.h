@@ -1,16 +1,11 @@
 #pragma once
 
-#include <map>
-#include <optional>
-#include <string>
-#include <vector>
-
 #include "semantic_topo_loop/association/associator_options.h"
 #include "semantic_topo_loop/frontend/frontend_options.h"
 #include "semantic_topo_loop/frontend/rgbd_image.h"
 #include "semantic_topo_loop/loop/loop_options.h"
 #include "semantic_topo_loop/map/mapper_options.h"
-#include "semantic_topo_loop/map/point_map_options.h"
+#include "semantic_topo_loop/map/point_map.h"
 #include "semantic_topo_loop/pipeline/frame_builder.h"
 #include "semantic_topo_loop/pose_graph/pose_graph_options.h"
 #include "semantic_topo_loop/types/option_visitor.h"
@@ -28,8 +23,7 @@ struct Options {
   LoopOptions loop;
   PoseGraphOptions pose_graph;
 
-  template <class Visitor>
-  void visit(Visitor& visitor) {
+  void visit(OptionVisitor& visitor) {
     depth.visit(visitor);
     frontend.visit(visitor);
     keyframe.visit(visitor);
@@ -39,14 +33,6 @@ struct Options {
     loop.visit(visitor);
     pose_graph.visit(visitor);
   }
-  bool is_valid(std::string* error) const;
 };
-
-/// Strict: an unknown key, a text of the wrong type or a value out of range is an error that names key and value.
-/// @param values `<module>.<field>` to text   @return nullopt with `error` set
-std::optional<Options> make_options(const std::map<std::string, std::string>& values, std::string* error);
-
-/// Key, default and meaning of every parameter.
-std::vector<OptionLister::Row> list_options();
 
 }  // namespace semantic_topo_loop::core

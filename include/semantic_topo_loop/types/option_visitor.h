@@ -1,48 +1,131 @@
 #pragma once
 
-#include <cstdint>
-#include <functional>
+#include <limits>
 #include <map>
-#include <optional>
 #include <string>
+#include <variant>
 #include <vector>
+
+#include "semantic_topo_loop/types/result.h"
 
 namespace semantic_topo_loop::core {
 
-/// Assigns texts to the fields that an options struct shows through its `visit(visitor, prefix)`; the one way by which
-/// YAML files, ROS parameters and `--set` reach a field. Fields are named `<module>.<field>`.
-class OptionSetter {
+/// Which values an option may have: numbers between two bounds, or texts. NaN and infinity never are.
+class Range {
  public:
-  explicit OptionSetter(std::map<std::string, std::string> values) : values_(std::move(values)) {}
+  using IsGood = bool (*)(const std::string& text);
 
-  void operator()(const std::string& key, double& field, const char* doc);
-  void operator()(const std::string& key, int& field, const char* doc);
-  void operator()(const std::string& key, bool& field, const char* doc);
-  void operator()(const std::string& key, std::string& field, const char* doc);
+  /// Anything.
+  Range() = default;
+  /// Texts, by a function and what it asks for in words.
+  Range(IsGood is_good, std::string rule) : is_good_(is_good), text_rule_(std::move(rule)) {}
+  explicit Range(std::vector<std::string> choices) : choices_(std::move(choices)) {}
+  Range(double low, bool has_low) : low_(low), has_low_(has_low) {}
 
-  /// Empty if every value met a field of its type; else one message that names key and value.
-  std::string error() const;
+  Range at_most(double high) const;
+  Range below(double high) const;
+
+  bool holds(double value) const;
+  bool holds(const std::string& text) const;
+  /// What a value must be, such as "> 0", "in [0, 1]", "fixed or free"; empty for anything.
+  std::string rule() const;
 
  private:
-  const std::string* take(const std::string& key);
-  void reject(const std::string& key, const std::string& value, const char* expected);
-
-  std::map<std::string, std::string> values_;
-  std::string error_;
+  double low_ = -std::numeric_limits<double>::infinity(), high_ = std::numeric_limits<double>::infinity();
+  bool has_low_ = false, has_high_ = false;  ///< whether the bound itself is in the range
+  std::vector<std::string> choices_;
+  IsGood is_good_ = nullptr;
+  std::string text_rule_;
 };
 
-/// Lists fields as `key, value, doc`, for the parameter table of the documentation and for tests.
-class OptionLister {
+inline Range any() { return {}; }
+inline Range above(double low) { return {low, false}; }
+inline Range at_least(double low) { return {low, true}; }
+inline Range between(double low, double high) { return at_least(low).at_most(high); }
+inline Range positive() { return above(0.0); }
+inline Range not_negative() { return at_least(0.0); }
+inline Range share() { return between(0.0, 1.0); }
+inline Range one_of(std::vector<std::string> choices) { return Range(std::move(choices)); }
+/// A text that is not empty.
+inline Range given() {
+  return {[](const std::string& text) { return !text.empty(); }, "given"};
+}
+
+/// Options as text: `<module>.<field>` to value.
+using OptionTexts = std::map<std::string, std::string>;
+
+/// What a field of an options struct is, for documents.
+struct OptionRow {
+  std::string key, value, unit, rule, meaning;
+  bool is_text = false;
+};
+
+/// What an options struct says about its fields. A struct has `void visit(OptionVisitor& visitor)`, which shows each
+/// field with its key, its range and a sentence on what it means, and states the rules between fields; it is the one
+/// place that does. Setting, checking and listing work on that. A key is `<module>.<field>`, and a number's unit is the
+/// end of its name: `loop.min_gap_s`.
+class OptionVisitor {
  public:
-  struct Row {
-    std::string key, value, doc;
-  };
-  void operator()(const std::string& key, double& field, const char* doc);
-  void operator()(const std::string& key, int& field, const char* doc);
-  void operator()(const std::string& key, bool& field, const char* doc);
-  void operator()(const std::string& key, std::string& field, const char* doc);
+  template <class Field>
+  void operator()(std::string key, Field& field, Range range, const char* meaning) {
+    options_.push_back({std::move(key), &field, std::move(range), meaning, {}});
+  }
+  void operator()(std::string key, bool& field, const char* meaning) {
+    options_.push_back({std::move(key), &field, any(), meaning, {}});
+  }
+  /// For fields whose range is anything.
+  template <class Field>
+  void operator()(std::string key, Field& field, const char* meaning) {
+    options_.push_back({std::move(key), &field, any(), meaning, {}});
+  }
+  /// States a rule between fields, about one that was shown.
+  void require(const std::string& key, bool is_kept, const std::string& rule);
 
-  std::vector<Row> rows;
+  /// Sets the fields that texts are given for. An error for a text of the wrong type or an unknown key.
+  Status set(const OptionTexts& texts) const;
+  /// An error for the first field out of its range or, if there is none, the first broken rule between fields.
+  Status check() const;
+  std::vector<OptionRow> rows() const;
+
+ private:
+  struct Option {
+    std::string key;
+    std::variant<double*, int*, bool*, std::string*> field;
+    Range range;
+    const char* meaning;
+    std::string relation;  ///< to other fields
+  };
+
+  std::vector<Option> options_;
+  Status rules_;
 };
+
+/// An error that names key and value for the first rule of its `visit` that a struct breaks.
+template <class Struct>
+Status validate(Struct options) {
+  OptionVisitor visitor;
+  options.visit(visitor);
+  return visitor.check();
+}
+
+/// Key, value, unit, range and meaning of every field.
+template <class Struct>
+std::vector<OptionRow> list_options(Struct options = {}) {
+  OptionVisitor visitor;
+  options.visit(visitor);
+  return visitor.rows();
+}
+
+/// The defaults but for what texts are given; the one way by which YAML files, ROS parameters and `--set` reach a
+/// field. Strict: an unknown key, a text of the wrong type or a value out of range is an error that names both.
+template <class Struct>
+Result<Struct> make_options(const OptionTexts& texts) {
+  Struct options;
+  OptionVisitor visitor;
+  options.visit(visitor);
+  if (const Status status = visitor.set(texts); !status) return status.error();
+  if (const Status status = validate(options); !status) return status.error();
+  return options;
+}
 
 }  // namespace semantic_topo_loop::core

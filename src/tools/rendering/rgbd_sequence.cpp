@@ -214,12 +214,9 @@ std::optional<cv::Mat> read_rendered_depth(const SimulatedSequence& sequence, co
 
 std::string sequence_manifest(const SimulationOptions& options, const Camera& camera, const std::string& class_table,
                               const std::string& outputs) {
-  SimulationOptions copy = options;
-  OptionLister lister;
-  copy.visit(lister);
   std::string text = "# What this directory was made from.\ngenerator " + std::to_string(kGeneratorVersion) +
                      "\noutputs " + outputs + "\nclasses " + std::to_string(fnv1a(class_table)) + "\n";
-  for (const OptionLister::Row& row : lister.rows) text += row.key + " " + row.value + "\n";
+  for (const OptionRow& row : list_options(options)) text += row.key + " " + row.value + "\n";
   return text + format_camera(camera);
 }
 

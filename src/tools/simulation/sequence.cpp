@@ -77,10 +77,10 @@ bool SimulationOptions::is_valid(std::string* error) const {
 std::optional<SimulationOptions> make_simulation_options(const std::map<std::string, std::string>& values,
                                                          std::string* error) {
   SimulationOptions options;
-  OptionSetter setter(values);
-  options.visit(setter);
-  if (!setter.error().empty()) {
-    if (error != nullptr) *error = setter.error();
+  OptionVisitor visitor;
+  options.visit(visitor);
+  if (const Status status = visitor.set(values); !status) {
+    if (error != nullptr) *error = status.message();
     return std::nullopt;
   }
   if (!options.is_valid(error)) return std::nullopt;
