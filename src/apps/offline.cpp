@@ -46,7 +46,9 @@ constexpr char kUsage[] =
     "  --save-map    file for this run's submaps, for later runs\n"
     "  --points      with --rgbd: file for the map's points, .ply or .pcd\n"
     "       offline --list-parameters\n"
-    "Prints every parameter with its default, as a Markdown table.\n";
+    "Prints every parameter with its default, as a Markdown table.\n"
+    "       offline --default-config\n"
+    "Prints the defaults as a file for --config.\n";
 
 struct Arguments {
   std::string trajectory, rgbd, bag, associations, detections, camera, classes, config, extra_loops, output, map,
@@ -190,16 +192,21 @@ bool run(const Arguments& arguments, std::string* error) {
 
 int list_parameters(CommandLine* line, std::string* error) {
   if (!line->read(error)) return kBadArguments;
-  std::cout << "| parameter | default | meaning |\n| --- | --- | --- |\n";
-  for (const OptionRow& row : list_options<Options>()) {
-    std::cout << "| `" << row.key << "` | " << row.value << " | " << row.doc << " |\n";
-  }
+  std::cout << format_options_table(list_options<Options>());
+  return 0;
+}
+
+int print_default_config(CommandLine* line, std::string* error) {
+  if (!line->read(error)) return kBadArguments;
+  std::cout << format_options_yaml(list_options<Options>());
   return 0;
 }
 
 }  // namespace
 
 int main(int argc, char** argv) {
-  return run_program("offline", kUsage, {{"--list-parameters", list_parameters}, make_command("", read, run)}, argc,
-                     argv);
+  return run_program(
+      "offline", kUsage,
+      {{"--list-parameters", list_parameters}, {"--default-config", print_default_config}, make_command("", read, run)},
+      argc, argv);
 }

@@ -59,7 +59,7 @@ struct Arguments {
 std::string usage() {
   std::string text = std::string("usage: ") + kName + kUsage;
   for (const OptionRow& row : list_options<SimulationOptions>())
-    text += "    " + row.key + "=" + row.value + "  " + row.doc + "\n";
+    text += "    " + row.key + "=" + row.value + "  " + row.meaning + "\n";
   return text;
 }
 

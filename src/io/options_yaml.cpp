@@ -1,5 +1,7 @@
 #include "semantic_topo_loop/io/options_yaml.h"
 
+#include <sstream>
+
 #include "io/yaml.h"
 
 namespace semantic_topo_loop::core {
@@ -66,6 +68,31 @@ std::optional<Options> load_options(const std::string& path, const OptionTexts& 
   if (options) return *std::move(options);
   if (error != nullptr) *error = options.message();
   return std::nullopt;
+}
+
+std::string format_options_yaml(const std::vector<OptionRow>& rows) {
+  std::ostringstream text;
+  std::string module;
+  for (const OptionRow& row : rows) {
+    const std::size_t dot = row.key.find('.');
+    if (row.key.substr(0, dot) != module) {
+      module = row.key.substr(0, dot);
+      text << module << ":\n";
+    }
+    const char* quote = row.is_text ? "\"" : "";
+    text << "  " << row.key.substr(dot + 1) << ": " << quote << row.value << quote << "\n";
+  }
+  return text.str();
+}
+
+std::string format_options_table(const std::vector<OptionRow>& rows) {
+  std::ostringstream text;
+  text << "| parameter | default | unit | range | meaning |\n| --- | --- | --- | --- | --- |\n";
+  for (const OptionRow& row : rows) {
+    text << "| `" << row.key << "` | " << row.value << " | " << row.unit << " | " << row.rule << " | " << row.meaning
+         << " |\n";
+  }
+  return text.str();
 }
 
 }  // namespace semantic_topo_loop::core

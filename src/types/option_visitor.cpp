@@ -156,7 +156,7 @@ std::vector<OptionRow> OptionVisitor::rows() const {
   for (const Option& option : options_) {
     const bool is_text = std::holds_alternative<std::string*>(option.field);
     const bool is_number = !is_text && !std::holds_alternative<bool*>(option.field);
-    const std::string rule = option.range.rule(), between = rule.empty() || option.relation.empty() ? "" : ", ";
+    const std::string rule = option.range.rule(), between = rule.empty() || option.relation.empty() ? "" : "; ";
     rows.push_back({option.key, std::visit([](const auto* field) { return to_text(*field); }, option.field),
                     is_number ? unit_of(option.key) : "", rule + between + option.relation, option.meaning, is_text});
   }

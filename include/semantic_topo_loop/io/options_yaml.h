@@ -2,6 +2,7 @@
 
 #include <optional>
 #include <string>
+#include <vector>
 
 #include "semantic_topo_loop/pipeline/options.h"
 
@@ -14,5 +15,11 @@ std::optional<OptionTexts> read_option_texts(const std::string& path, std::strin
 
 /// The options of a program: defaults, then the file (unless the path is empty), then the assignments, strictly.
 std::optional<Options> load_options(const std::string& path, const OptionTexts& assignments, std::string* error);
+
+/// Rows as a file that read_option_texts reads.
+std::string format_options_yaml(const std::vector<OptionRow>& rows);
+
+/// Rows as a Markdown table.
+std::string format_options_table(const std::vector<OptionRow>& rows);
 
 }  // namespace semantic_topo_loop::core
