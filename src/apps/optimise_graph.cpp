@@ -30,7 +30,10 @@ bool read(CommandLine* line, Arguments* arguments, std::string* error) {
   line->required("OUT.g2o", &arguments->out);
   line->text("--robust", &arguments->options.robust);
   line->text("--initial", &arguments->options.initial);
-  return line->read(error) && arguments->options.is_valid(error);
+  if (!line->read(error)) return false;
+  const Status status = validate(arguments->options);
+  *error = status.message();
+  return static_cast<bool>(status);
 }
 
 bool run(const Arguments& arguments, std::string* error) {

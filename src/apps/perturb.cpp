@@ -48,6 +48,13 @@ constexpr char kUsage[] =
   --help         shows this text
 )";
 
+template <class Options>
+bool is_valid(const Options& options, std::string* error) {
+  const Status status = validate(options);
+  if (!status) *error = status.message();
+  return static_cast<bool>(status);
+}
+
 struct DetectionArguments {
   std::string input, output, classes;
   std::uint64_t seed = 1;
@@ -62,7 +69,7 @@ bool read_detection_arguments(CommandLine* line, DetectionArguments* arguments, 
   line->number("--relabel", &arguments->options.relabel);
   line->number("--jitter", &arguments->options.jitter);
   line->text("--classes", &arguments->classes);
-  if (!line->read(error) || !arguments->options.is_valid(error)) return false;
+  if (!line->read(error) || !is_valid(arguments->options, error)) return false;
   std::error_code unused;
   if (std::filesystem::equivalent(arguments->input, arguments->output, unused)) {
     *error = "'" + arguments->output + "' is the input itself";
@@ -108,7 +115,7 @@ bool read_loop_arguments(CommandLine* line, LoopArguments* arguments, std::strin
   line->number("--sigma-deg", &options.sigma_deg);
   line->integer("--gap", &options.min_gap_keyframes, 0, kMaxCount);
   line->integer("--window", &options.window_frames, 0, kMaxCount);
-  return line->read(error) && options.is_valid(error);
+  return line->read(error) && is_valid(options, error);
 }
 
 bool make_false_loop_file(const LoopArguments& arguments, std::string* error) {

@@ -139,8 +139,11 @@ bool write_files(const Arguments& arguments, const SimulationOptions& options, c
 }
 
 bool run(const Arguments& arguments, std::string* error) {
-  const std::optional<SimulationOptions> options = make_simulation_options(arguments.options, error);
-  if (!options) return false;
+  const Result<SimulationOptions> options = make_options<SimulationOptions>(arguments.options);
+  if (!options) {
+    *error = options.message();
+    return false;
+  }
   const std::optional<Camera> camera = read_camera(arguments.camera, error);
   if (!camera) return false;
   const std::optional<ClassTable> classes = read_class_table(arguments.classes, error);

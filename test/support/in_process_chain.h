@@ -20,9 +20,9 @@ namespace semantic_topo_loop {
 
 /// Simulates a sequence into a directory, as the simulate program does.
 inline void write_simulation(const std::map<std::string, std::string>& options, const std::string& directory) {
+  const auto parsed = core::make_options<core::SimulationOptions>(options);
+  ASSERT_TRUE(parsed) << parsed.message();
   std::string error;
-  const auto parsed = core::make_simulation_options(options, &error);
-  ASSERT_TRUE(parsed) << error;
   const auto camera = core::read_camera(STL_CONFIG_DIR "/camera/tum_fr2.yaml", &error);
   ASSERT_TRUE(camera) << error;
   const auto classes = core::read_class_table(STL_CONFIG_DIR "/classes_coco.yaml", &error);

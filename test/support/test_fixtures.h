@@ -16,10 +16,9 @@ using core::coco;
 
 /// Options from texts, which must be valid.
 inline SimulationOptions options_of(const std::map<std::string, std::string>& texts) {
-  std::string error;
-  const auto options = make_simulation_options(texts, &error);
-  EXPECT_TRUE(options) << error;
-  return options.value_or(SimulationOptions());
+  const Result<SimulationOptions> options = make_options<SimulationOptions>(texts);
+  EXPECT_TRUE(options) << options.message();
+  return options ? *options : SimulationOptions();
 }
 
 /// Simulated from texts, which must be valid.

@@ -150,8 +150,7 @@ TEST(DetectionPerturbation, ValuesOutOfRangeAreNamed) {
                                       std::pair(PerturbationOptions{0.0, -0.1, 0.0}, "'relabel' = '-0.1'"),
                                       std::pair(PerturbationOptions{0.0, 0.0, 2.0}, "'jitter' = '2'"),
                                       std::pair(PerturbationOptions{0.0, 0.0, nan}, "'jitter' = 'nan'")}) {
-    std::string error;
-    EXPECT_FALSE(options.is_valid(&error));
+    const std::string error = validate(options).message();
     EXPECT_NE(error.find(part), std::string::npos) << error;
   }
 }

@@ -231,8 +231,7 @@ TEST(Dynamics, files_say_what_is_gone) {
 TEST(Dynamics, values_out_of_range_are_named) {
   for (const auto& [key, value] : {std::pair("dynamics.persons", "-1"), std::pair("dynamics.moved_objects", "-2"),
                                    std::pair("dynamics.move_time_s", "0")}) {
-    std::string error;
-    EXPECT_FALSE(make_simulation_options({{key, value}}, &error));
+    const std::string error = make_options<SimulationOptions>({{key, value}}).message();
     EXPECT_NE(error.find("'" + std::string(key) + "' = '" + value + "'"), std::string::npos) << error;
   }
 }

@@ -291,7 +291,7 @@ TEST(OptimizeGraph, WrongOptionsAreNamed) {
   GraphOptimizerReport report;
   std::string error;
   EXPECT_FALSE(optimize_graph(&graph, options, &report, &error));
-  EXPECT_EQ(error, "'initial' = 'guess' must be file, odometry, spanning_tree or chordal");
+  EXPECT_EQ(error, "parameter 'initial' = 'guess' must be file, odometry, spanning_tree or chordal");
 }
 
 TEST(OptimizeGraph, KnownMinimaOfPublicGraphs) {

@@ -184,8 +184,7 @@ TEST(SimulationOptions, bad_values_are_named) {
       {"trajectory.rate_hz", "fast"},
   };
   for (const auto& [key, value] : bad) {
-    std::string error;
-    EXPECT_FALSE(make_simulation_options({{key, value}}, &error)) << key << " = " << value;
+    const std::string error = make_options<SimulationOptions>({{key, value}}).message();
     EXPECT_NE(error.find("'" + key + "'"), std::string::npos) << error;
     EXPECT_NE(error.find("'" + value + "'"), std::string::npos) << key << ": " << error;
   }

@@ -249,8 +249,7 @@ TEST(RenderingOptions, values_out_of_range_are_named) {
       {"rendering.depth_delay_s", "1"}, {"rendering.depth_offset_m", "-3"}, {"rendering.noise", "much"},
       {"trajectory.model", "drone"},    {"trajectory.arc_deg", "0"}};
   for (const auto& [key, value] : bad) {
-    std::string error;
-    EXPECT_FALSE(make_simulation_options({{key, value}}, &error)) << key;
+    const std::string error = make_options<SimulationOptions>({{key, value}}).message();
     EXPECT_NE(error.find(key), std::string::npos) << error;
     EXPECT_NE(error.find(value), std::string::npos) << error;
   }

@@ -199,25 +199,13 @@ class GraphOptimizer {
   GraphOptimizerReport report_;
 };
 
-bool is_one_of(const std::string& value, const char* key, const std::vector<std::string>& known, std::string* error) {
-  if (std::find(known.begin(), known.end(), value) != known.end()) return true;
-  std::string list;
-  for (const std::string& word : known) list += (list.empty() ? "" : word == known.back() ? " or " : ", ") + word;
-  if (error != nullptr) *error = std::string("'") + key + "' = '" + value + "' must be " + list;
-  return false;
-}
-
 }  // namespace
-
-bool GraphOptimizerOptions::is_valid(std::string* error) const {
-  return is_one_of(robust, "robust", {"gnc", "none", "huber", "cauchy"}, error) &&
-         is_one_of(initial, "initial", {"file", "odometry", "spanning_tree", "chordal"}, error);
-}
 
 bool optimize_graph(G2oGraph* graph, const GraphOptimizerOptions& options, GraphOptimizerReport* report,
                     std::string* error) {
-  std::string problem;
-  const bool is_solved = options.is_valid(&problem) && GraphOptimizer(*graph, options).run(graph, report, &problem);
+  const Status status = validate(options);
+  std::string problem = status.message();
+  const bool is_solved = status && GraphOptimizer(*graph, options).run(graph, report, &problem);
   if (!is_solved && error != nullptr) *error = problem;
   return is_solved;
 }

@@ -3,15 +3,22 @@
 #include <string>
 #include <vector>
 
+#include "semantic_topo_loop/types/option_visitor.h"
 #include "tools/g2o/g2o.h"
 
 namespace semantic_topo_loop::core {
 
 struct GraphOptimizerOptions {
-  std::string robust = "none";   ///< gnc, none, huber or cauchy; for the edges that do not join consecutive ids
-  std::string initial = "file";  ///< file, odometry, spanning_tree or chordal
+  std::string robust = "none";
+  std::string initial = "file";
   int max_iterations = 100;
-  bool is_valid(std::string* error) const;
+
+  void visit(OptionVisitor& visitor) {
+    visitor("robust", robust, one_of({"gnc", "none", "huber", "cauchy"}),
+            "how false edges are kept out, of those that do not join consecutive ids");
+    visitor("initial", initial, one_of({"file", "odometry", "spanning_tree", "chordal"}), "first guess of the poses");
+    visitor("max_iterations", max_iterations, any(), "of one solve");
+  }
 };
 
 struct GraphOptimizerReport {

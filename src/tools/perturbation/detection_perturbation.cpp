@@ -3,7 +3,6 @@
 #include <algorithm>
 #include <set>
 
-#include "tools/simulation/option_check.h"
 #include "tools/simulation/random.h"
 
 namespace semantic_topo_loop::core {
@@ -39,14 +38,6 @@ Box jittered(const Box& box, const Vec4& errors, double sigma) {
 }
 
 }  // namespace
-
-bool PerturbationOptions::is_valid(std::string* error) const {
-  OptionCheck check(error);
-  check.share("drop", drop);
-  check.share("relabel", relabel);
-  check.share("jitter", jitter);
-  return check.ok();
-}
 
 std::vector<DetectionFrame> perturb_detections(const std::vector<DetectionFrame>& frames,
                                                const PerturbationOptions& options, std::uint64_t seed,

@@ -5,17 +5,21 @@
 #include <vector>
 
 #include "semantic_topo_loop/types/detection.h"
+#include "semantic_topo_loop/types/option_visitor.h"
 
 namespace semantic_topo_loop::core {
 
 /// How recorded detections are made worse, to measure what a detector's errors cost.
 struct PerturbationOptions {
-  double drop = 0.0;     ///< share of boxes left out, [0, 1]
-  double relabel = 0.0;  ///< share of boxes that get another class, [0, 1]
-  double jitter = 0.0;   ///< standard deviation of a corner, share of the box's width (x) and height (y), [0, 1]
+  double drop = 0.0;
+  double relabel = 0.0;
+  double jitter = 0.0;
 
-  /// @return false, with option and value in `error`, for a value out of range
-  bool is_valid(std::string* error) const;
+  void visit(OptionVisitor& visitor) {
+    visitor("drop", drop, share(), "share of boxes left out");
+    visitor("relabel", relabel, share(), "share of boxes that get another class");
+    visitor("jitter", jitter, share(), "standard deviation of a corner, share of the box's width (x) and height (y)");
+  }
 };
 
 struct PerturbationCounts {

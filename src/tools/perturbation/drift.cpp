@@ -6,7 +6,6 @@
 #include <sstream>
 
 #include "semantic_topo_loop/geometry/lie.h"
-#include "tools/simulation/option_check.h"
 #include "tools/simulation/random.h"
 
 namespace semantic_topo_loop::core {
@@ -238,16 +237,6 @@ std::optional<std::vector<SE3>> scale_errors(const Replay& replay, const std::ve
 }
 
 }  // namespace
-
-bool DriftOptions::is_valid(std::string* error) const {
-  OptionCheck check(error);
-  check.require(model == "smooth" || model == "jump", "drift.model", model, "smooth or jump");
-  check.not_negative("drift.position_m", position_m);
-  check.require(rotation_deg >= 0.0 && rotation_deg < 170.0, "drift.rotation_deg", rotation_deg, "in [0, 170)");
-  check.not_negative("drift.scale_percent", scale_percent);
-  check.require(global_scale > 0.0, "drift.global_scale", global_scale, "> 0");
-  return check.ok();
-}
 
 std::optional<std::vector<SE3>> drift_poses(const std::vector<SE3>& T_world_camera, const DriftOptions& options,
                                             std::uint64_t seed, std::string* error) {

@@ -5,6 +5,7 @@
 #include <string>
 #include <vector>
 
+#include "semantic_topo_loop/types/option_visitor.h"
 #include "semantic_topo_loop/types/transform.h"
 
 namespace semantic_topo_loop::core {
@@ -16,16 +17,17 @@ struct DriftOptions {
   double scale_percent = 0.0;
   double global_scale = 1.0;
 
-  template <class Visitor>
-  void visit(Visitor& visitor) {
-    visitor("drift.model", model, "smooth (steady drift) or jump (good locally, with three bursts of 8 frames)");
-    visitor("drift.position_m", position_m, "largest position error of the odometry; both 0: exact odometry");
-    visitor("drift.rotation_deg", rotation_deg, "largest rotation error of the odometry");
-    visitor("drift.scale_percent", scale_percent,
+  void visit(OptionVisitor& visitor) {
+    visitor("drift.model", model, one_of({"smooth", "jump"}),
+            "smooth (steady drift) or jump (good locally, with three bursts of 8 frames)");
+    visitor("drift.position_m", position_m, not_negative(),
+            "largest position error of the odometry; both 0: exact odometry");
+    visitor("drift.rotation_deg", rotation_deg, at_least(0).below(170), "largest rotation error of the odometry");
+    visitor("drift.scale_percent", scale_percent, not_negative(),
             "monocular odometry: largest change of its scale since the first pose, by a random walk");
-    visitor("drift.global_scale", global_scale, "monocular odometry: its units of length in a metre, at first");
+    visitor("drift.global_scale", global_scale, positive(),
+            "monocular odometry: its units of length in a metre, at first");
   }
-  bool is_valid(std::string* error) const;
 };
 
 /// Replays the motion between consecutive poses with an error, so that the poses drift as an odometry's do: `smooth`

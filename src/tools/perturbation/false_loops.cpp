@@ -3,7 +3,6 @@
 #include <algorithm>
 
 #include "semantic_topo_loop/geometry/lie.h"
-#include "tools/simulation/option_check.h"
 #include "tools/simulation/random.h"
 
 namespace semantic_topo_loop::core {
@@ -82,19 +81,6 @@ class FalseLoops {
 };
 
 }  // namespace
-
-bool FalseLoopOptions::is_valid(std::string* error) const {
-  OptionCheck check(error);
-  check.require(count >= 0, "count", count, ">= 0");
-  check.require(cluster_size >= 1, "cluster", cluster_size, ">= 1");
-  check.require(min_gap_keyframes >= 1, "gap", min_gap_keyframes, ">= 1");
-  check.require(window_frames >= 0, "window", window_frames, ">= 0");
-  check.not_negative("distance", distance_m);
-  check.not_negative("rotation", rotation_deg);
-  check.positive("sigma", sigma_m);
-  check.positive("sigma_deg", sigma_deg);
-  return check.ok();
-}
 
 std::vector<LoopClosure> make_false_loops(const std::vector<KeyframePose>& keyframes, const FalseLoopOptions& options,
                                           std::uint64_t seed, KeyframePairs taken) {

@@ -8,20 +8,29 @@
 
 #include "semantic_topo_loop/types/loop_closure.h"
 #include "semantic_topo_loop/types/map_correction.h"
+#include "semantic_topo_loop/types/option_visitor.h"
 
 namespace semantic_topo_loop::core {
 
 struct FalseLoopOptions {
   int count = 10;
-  /// Loops of neighbouring keyframes that agree with each other, as aliased places give them; 1: each by itself.
   int cluster_size = 1;
-  int min_gap_keyframes = 15;  ///< between query and match
-  int window_frames = 200;     ///< of the evidence on either side
-  /// How far a loop contradicts the odometry: a translation in a random direction by 1 to 2 times `distance_m`, and a
-  /// rotation about a random axis by 1 to 2 times `rotation_deg`.
+  int min_gap_keyframes = 15;
+  int window_frames = 200;
   double distance_m = 1.0, rotation_deg = 30.0;
-  double sigma_m = 0.03, sigma_deg = 1.0;  ///< that the loops state, of each axis
-  bool is_valid(std::string* error) const;
+  double sigma_m = 0.03, sigma_deg = 1.0;
+
+  void visit(OptionVisitor& visitor) {
+    visitor("count", count, not_negative(), "loops");
+    visitor("cluster", cluster_size, at_least(1),
+            "loops of neighbouring keyframes that agree with each other, as aliased places give them");
+    visitor("gap", min_gap_keyframes, at_least(1), "keyframes between query and match, at least");
+    visitor("window", window_frames, not_negative(), "frames of the evidence on either side");
+    visitor("distance", distance_m, not_negative(), "a loop contradicts the odometry by 1 to 2 times this, m");
+    visitor("rotation", rotation_deg, not_negative(), "and by 1 to 2 times this angle about a random axis, degrees");
+    visitor("sigma", sigma_m, positive(), "standard deviation that the loops state, of each axis, m");
+    visitor("sigma_deg", sigma_deg, positive(), "the same of the rotation");
+  }
 };
 
 /// Keyframe ids of query and match.

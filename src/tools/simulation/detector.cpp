@@ -2,8 +2,6 @@
 
 #include <algorithm>
 
-#include "tools/simulation/option_check.h"
-
 namespace semantic_topo_loop::core {
 namespace {
 
@@ -32,21 +30,6 @@ double memory_over(double time_s, double persistence_s) {
 }
 
 }  // namespace
-
-bool DetectorOptions::is_valid(std::string* error) const {
-  OptionCheck check(error);
-  check.share("detector.miss_rate", miss_rate);
-  check.not_negative("detector.small_box_px", small_box_px);
-  check.share("detector.mislabel_rate", mislabel_rate);
-  check.require(false_rate >= 0.0 && false_rate <= 100.0, "detector.false_rate", false_rate, "in [0, 100]");
-  check.not_negative("detector.jitter_px", jitter_px);
-  check.share("detector.jitter_ratio", jitter_ratio);
-  check.not_negative("detector.persistence_s", persistence_s);
-  check.share("detector.min_visible", min_visible);
-  check.share("detector.min_inside", min_inside);
-  check.require(min_score >= 0.0 && min_score <= 0.9, "detector.min_score", min_score, "in [0, 0.9]");
-  return check.ok();
-}
 
 DetectorModel::DetectorModel(const Scene& scene, const Camera& camera, const ClassTable& classes,
                              const DetectorOptions& options, double rate_hz, std::uint64_t seed)

@@ -6,6 +6,7 @@
 
 #include "semantic_topo_loop/types/class_table.h"
 #include "semantic_topo_loop/types/detection.h"
+#include "semantic_topo_loop/types/option_visitor.h"
 #include "tools/simulation/random.h"
 #include "tools/simulation/scene_projector.h"
 
@@ -27,20 +28,23 @@ struct DetectorOptions {
   double min_inside = 0.3;
   double min_score = 0.25;
 
-  template <class Visitor>
-  void visit(Visitor& visitor) {
-    visitor("detector.miss_rate", miss_rate, "share of large, unoccluded objects missed");
-    visitor("detector.small_box_px", small_box_px, "box size at which half of the objects are missed");
-    visitor("detector.mislabel_rate", mislabel_rate, "share of boxes with another class of the same group");
-    visitor("detector.false_rate", false_rate, "mean number of boxes a frame that belong to no object");
-    visitor("detector.jitter_px", jitter_px, "standard deviation of box edges from frame to frame");
-    visitor("detector.jitter_ratio", jitter_ratio, "standard deviation of slow edge errors, share of the box size");
-    visitor("detector.persistence_s", persistence_s, "time in which misses, labels and slow errors change");
-    visitor("detector.min_visible", min_visible, "objects of which less than this share is unoccluded are missed");
-    visitor("detector.min_inside", min_inside, "objects of which less than this share is in the image are missed");
-    visitor("detector.min_score", min_score, "lowest score written");
+  void visit(OptionVisitor& visitor) {
+    visitor("detector.miss_rate", miss_rate, share(), "share of large, unoccluded objects missed");
+    visitor("detector.small_box_px", small_box_px, not_negative(), "box size at which half of the objects are missed");
+    visitor("detector.mislabel_rate", mislabel_rate, share(), "share of boxes with another class of the same group");
+    visitor("detector.false_rate", false_rate, between(0, 100),
+            "mean number of boxes a frame that belong to no object");
+    visitor("detector.jitter_px", jitter_px, not_negative(), "standard deviation of box edges from frame to frame");
+    visitor("detector.jitter_ratio", jitter_ratio, share(),
+            "standard deviation of slow edge errors, share of the box size");
+    visitor("detector.persistence_s", persistence_s, not_negative(),
+            "time in which misses, labels and slow errors change");
+    visitor("detector.min_visible", min_visible, share(),
+            "objects of which less than this share is unoccluded are missed");
+    visitor("detector.min_inside", min_inside, share(),
+            "objects of which less than this share is in the image are missed");
+    visitor("detector.min_score", min_score, between(0, 0.9), "lowest score written");
   }
-  bool is_valid(std::string* error) const;
 };
 
 /// A box with the truth about it.

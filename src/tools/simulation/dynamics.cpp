@@ -3,7 +3,6 @@
 #include <algorithm>
 
 #include "tools/rendering/footprint.h"
-#include "tools/simulation/option_check.h"
 #include "tools/simulation/random.h"
 
 namespace semantic_topo_loop::core {
@@ -114,14 +113,6 @@ void move_objects(const DynamicsOptions& options, Random* random, Scene* scene) 
 }
 
 }  // namespace
-
-bool DynamicsOptions::is_valid(std::string* error) const {
-  OptionCheck check(error);
-  check.require(persons >= 0 && persons <= 100, "dynamics.persons", persons, "in [0, 100]");
-  check.require(moved_objects >= 0, "dynamics.moved_objects", moved_objects, ">= 0");
-  check.positive("dynamics.move_time_s", move_time_s);
-  return check.ok();
-}
 
 void add_dynamics(const DynamicsOptions& options, const CameraTrajectory& trajectory, double duration_s,
                   std::uint64_t seed, Scene* scene) {

@@ -3,6 +3,7 @@
 #include <cstdint>
 #include <string>
 
+#include "semantic_topo_loop/types/option_visitor.h"
 #include "tools/simulation/scene.h"
 #include "tools/simulation/trajectory.h"
 
@@ -14,13 +15,12 @@ struct DynamicsOptions {
   int moved_objects = 0;
   double move_time_s = 36.0;
 
-  template <class Visitor>
-  void visit(Visitor& visitor) {
-    visitor("dynamics.persons", persons, "people who walk through the view, one after the other");
-    visitor("dynamics.moved_objects", moved_objects, "small objects, cups first, that are moved to another place");
-    visitor("dynamics.move_time_s", move_time_s, "when they are moved");
+  void visit(OptionVisitor& visitor) {
+    visitor("dynamics.persons", persons, between(0, 100), "people who walk through the view, one after the other");
+    visitor("dynamics.moved_objects", moved_objects, not_negative(),
+            "small objects, cups first, that are moved to another place");
+    visitor("dynamics.move_time_s", move_time_s, positive(), "when they are moved");
   }
-  bool is_valid(std::string* error) const;
 };
 
 /// Adds motion to a scene at rest.

@@ -4,7 +4,6 @@
 #include <array>
 
 #include "tools/rendering/footprint.h"
-#include "tools/simulation/option_check.h"
 #include "tools/simulation/random.h"
 
 namespace semantic_topo_loop::core {
@@ -235,13 +234,6 @@ std::optional<Ellipsoid> SceneObject::at(double time_s) const {
 
 bool SceneObject::stays() const {
   return phases.empty() || (phases.back().is_present && phases.back().velocity.isZero());
-}
-
-bool SceneOptions::is_valid(std::string* error) const {
-  OptionCheck check(error);
-  check.require(layout == "desk" || layout == "office", "scene.layout", layout, "desk or office");
-  check.require(desks >= 1 && desks <= 50, "scene.desks", desks, "in [1, 50]");
-  return check.ok();
 }
 
 Scene make_scene(const SceneOptions& options, std::uint64_t seed) { return Builder().build(options, seed); }

@@ -5,6 +5,7 @@
 #include <vector>
 
 #include "semantic_topo_loop/geometry/quadric.h"
+#include "semantic_topo_loop/types/option_visitor.h"
 
 namespace semantic_topo_loop::core {
 
@@ -13,13 +14,11 @@ struct SceneOptions {
   int desks = 3;
   bool identical_desks = false;
 
-  template <class Visitor>
-  void visit(Visitor& visitor) {
-    visitor("scene.layout", layout, "desk (one large desk) or office (a row of desks)");
-    visitor("scene.desks", desks, "office: number of desks");
+  void visit(OptionVisitor& visitor) {
+    visitor("scene.layout", layout, one_of({"desk", "office"}), "desk (one large desk) or office (a row of desks)");
+    visitor("scene.desks", desks, between(1, 50), "office: number of desks");
     visitor("scene.identical_desks", identical_desks, "office: every desk carries the same objects at the same places");
   }
-  bool is_valid(std::string* error) const;
 };
 
 /// A stretch of an object's life; it ends when the next one begins.

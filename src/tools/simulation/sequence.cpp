@@ -5,7 +5,6 @@
 #include "semantic_topo_loop/io/text_file.h"
 #include "semantic_topo_loop/io/tum_trajectory.h"
 #include "semantic_topo_loop/types/option_visitor.h"
-#include "tools/simulation/option_check.h"
 #include "tools/simulation/reference_objects.h"
 #include "tools/simulation/seed_stream.h"
 
@@ -65,31 +64,13 @@ double SimulatedSequence::time_s(std::size_t frame) const {
   return 1e-9 * static_cast<double>(truth[frame].stamp_ns - truth.front().stamp_ns);
 }
 
-bool SimulationOptions::is_valid(std::string* error) const {
-  OptionCheck check(error);
-  check.require(seed >= 0, "simulation.seed", seed, ">= 0");
-  check.require(odometry_frame == "first_camera" || odometry_frame == "random" || odometry_frame == "world",
-                "simulation.odometry_frame", odometry_frame, "first_camera, random or world");
-  return check.ok() && scene.is_valid(error) && trajectory.is_valid(error) && drift.is_valid(error) &&
-         dynamics.is_valid(error) && detector.is_valid(error) && rendering.is_valid(error);
-}
-
-std::optional<SimulationOptions> make_simulation_options(const std::map<std::string, std::string>& values,
-                                                         std::string* error) {
-  SimulationOptions options;
-  OptionVisitor visitor;
-  options.visit(visitor);
-  if (const Status status = visitor.set(values); !status) {
+std::optional<SimulatedSequence> simulate(const SimulationOptions& options, const Camera& camera,
+                                          const ClassTable& classes, std::string* error) {
+  if (const Status status = validate(options); !status) {
     if (error != nullptr) *error = status.message();
     return std::nullopt;
   }
-  if (!options.is_valid(error)) return std::nullopt;
-  return options;
-}
-
-std::optional<SimulatedSequence> simulate(const SimulationOptions& options, const Camera& camera,
-                                          const ClassTable& classes, std::string* error) {
-  if (!options.is_valid(error) || !camera.is_valid(error)) return std::nullopt;
+  if (!camera.is_valid(error)) return std::nullopt;
   SimulatedSequence sequence;
   sequence.camera = camera;
   sequence.scene = make_scene(options.scene, seed_of(options, kScene));

@@ -7,6 +7,7 @@
 
 #include "semantic_topo_loop/types/camera.h"
 #include "semantic_topo_loop/types/class_table.h"
+#include "semantic_topo_loop/types/option_visitor.h"
 #include "semantic_topo_loop/types/stamp.h"
 #include "tools/perturbation/drift.h"
 #include "tools/rendering/rendering_options.h"
@@ -27,10 +28,9 @@ struct SimulationOptions {
   DetectorOptions detector;
   RenderingOptions rendering;
 
-  template <class Visitor>
-  void visit(Visitor& visitor) {
-    visitor("simulation.seed", seed, "of everything that is random");
-    visitor("simulation.odometry_frame", odometry_frame,
+  void visit(OptionVisitor& visitor) {
+    visitor("simulation.seed", seed, not_negative(), "of everything that is random");
+    visitor("simulation.odometry_frame", odometry_frame, one_of({"first_camera", "random", "world"}),
             "world of the odometry: first_camera (its first pose is the identity), random, or world (as the truth)");
     scene.visit(visitor);
     trajectory.visit(visitor);
@@ -39,12 +39,7 @@ struct SimulationOptions {
     detector.visit(visitor);
     rendering.visit(visitor);
   }
-  bool is_valid(std::string* error) const;
 };
-
-/// Strict: an unknown key, a text of the wrong type or a value out of range is an error that names key and value.
-std::optional<SimulationOptions> make_simulation_options(const std::map<std::string, std::string>& values,
-                                                         std::string* error);
 
 /// What a recorded sequence has, with the truth.
 struct SimulatedSequence {

@@ -1,7 +1,6 @@
 #include "tools/simulation/trajectory.h"
 
 #include "semantic_topo_loop/geometry/lie.h"
-#include "tools/simulation/option_check.h"
 
 namespace semantic_topo_loop::core {
 namespace {
@@ -22,23 +21,6 @@ Mat3 looking(const Vec3& direction) {
 }
 
 }  // namespace
-
-bool TrajectoryOptions::is_valid(std::string* error) const {
-  OptionCheck check(error);
-  check.require(model == "handheld" || model == "robot", "trajectory.model", model, "handheld or robot");
-  check.positive("trajectory.duration_s", duration_s);
-  check.positive("trajectory.rate_hz", rate_hz);
-  check.require(duration_s * rate_hz >= 2.0 && duration_s * rate_hz < 1e6, "trajectory.duration_s", duration_s,
-                "long enough for 2 and short enough for 1e6 images");
-  check.positive("trajectory.lap_s", lap_s);
-  check.require(arc_deg > 0.0 && arc_deg <= 360.0, "trajectory.arc_deg", arc_deg, "in (0, 360]");
-  check.require(distance_m >= 0.5, "trajectory.distance_m", distance_m, ">= 0.5");
-  check.require(height_m >= 0.9 && height_m < 10.0, "trajectory.height_m", height_m, "in [0.9, 10)");
-  check.require(wander_m >= 0.0 && wander_m <= 0.3, "trajectory.wander_m", wander_m, "in [0, 0.3]");
-  check.require(shake_m >= 0.0 && shake_m <= 0.1, "trajectory.shake_m", shake_m, "in [0, 0.1]");
-  check.require(shake_deg >= 0.0 && shake_deg <= 10.0, "trajectory.shake_deg", shake_deg, "in [0, 10]");
-  return check.ok();
-}
 
 SmoothNoise::SmoothNoise(double low_hz, double high_hz, Random* random) {
   for (Wave& wave : waves_) {

@@ -5,6 +5,7 @@
 #include <string>
 #include <vector>
 
+#include "semantic_topo_loop/types/option_visitor.h"
 #include "tools/simulation/random.h"
 #include "tools/simulation/scene.h"
 
@@ -22,22 +23,23 @@ struct TrajectoryOptions {
   double shake_m = 0.003;
   double shake_deg = 0.4;
 
-  template <class Visitor>
-  void visit(Visitor& visitor) {
-    visitor("trajectory.model", model,
+  void visit(OptionVisitor& visitor) {
+    visitor("trajectory.model", model, one_of({"handheld", "robot"}),
             "handheld (looks at the desks, wanders and shakes) or robot (wheels, a fixed camera that looks ahead and "
             "aside; stops to look around)");
-    visitor("trajectory.duration_s", duration_s, "length of the sequence");
-    visitor("trajectory.rate_hz", rate_hz, "images per second");
-    visitor("trajectory.lap_s", lap_s, "time of one lap around the desks; what comes later revisits");
-    visitor("trajectory.arc_deg", arc_deg, "handheld: less than 360 swings to and fro over that share of a lap");
-    visitor("trajectory.distance_m", distance_m, "horizontal distance from the desks' middle line");
-    visitor("trajectory.height_m", height_m, "mean height of the camera above the floor");
-    visitor("trajectory.wander_m", wander_m, "slow deviation of position and of the point looked at");
-    visitor("trajectory.shake_m", shake_m, "shake of the hand, standard deviation in position");
-    visitor("trajectory.shake_deg", shake_deg, "shake of the hand, standard deviation in rotation");
+    visitor("trajectory.duration_s", duration_s, positive(), "length of the sequence");
+    visitor("trajectory.rate_hz", rate_hz, positive(), "images per second");
+    visitor("trajectory.lap_s", lap_s, positive(), "time of one lap around the desks; what comes later revisits");
+    visitor("trajectory.arc_deg", arc_deg, above(0).at_most(360),
+            "handheld: less than 360 swings to and fro over that share of a lap");
+    visitor("trajectory.distance_m", distance_m, at_least(0.5), "horizontal distance from the desks' middle line");
+    visitor("trajectory.height_m", height_m, at_least(0.9).below(10), "mean height of the camera above the floor");
+    visitor("trajectory.wander_m", wander_m, between(0, 0.3), "slow deviation of position and of the point looked at");
+    visitor("trajectory.shake_m", shake_m, between(0, 0.1), "shake of the hand, standard deviation in position");
+    visitor("trajectory.shake_deg", shake_deg, between(0, 10), "shake of the hand, standard deviation in rotation");
+    visitor.require("trajectory.duration_s", duration_s * rate_hz >= 2.0 && duration_s * rate_hz < 1e6,
+                    "long enough for 2 and short enough for 1e6 images");
   }
-  bool is_valid(std::string* error) const;
 };
 
 /// A smooth random function of time with zero mean and unit standard deviation: a sum of sinusoids.
