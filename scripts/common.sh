@@ -5,6 +5,7 @@ package_dir=$(cd "$(dirname "${BASH_SOURCE[0]}")/.." && pwd)
 # Not `build`: rosrun of Debian passes over programs below a directory of that name in the package.
 build_dir=${SEMANTIC_TOPO_LOOP_BUILD:-$package_dir/build-catkin}
 jobs=${SEMANTIC_TOPO_LOOP_JOBS:-$(nproc)}
+# SEMANTIC_TOPO_LOOP_WERROR=ON makes warnings errors; compilers to come warn of more, so that only .ci/run sets it.
 
 # ROS's Python is the system's, which another one earlier in PATH would shadow.
 export PATH=/usr/bin:$PATH
@@ -18,9 +19,12 @@ as_root() {
   if [ "$(id -u)" = 0 ]; then "$@"; else sudo "$@"; fi
 }
 
-common_packages="build-essential cmake ninja-build clang-format curl pkg-config xvfb libbenchmark-dev libboost-all-dev
+common_packages="build-essential cmake ninja-build curl pkg-config xvfb libbenchmark-dev libboost-all-dev
   libceres-dev libeigen3-dev libgtest-dev libopencv-dev libpcl-dev libyaml-cpp-dev nlohmann-json3-dev python3-numpy
   python3-matplotlib"
+
+# For .ci/run.
+ci_packages="catkin-lint clang-format clang-tidy"
 
 debian_packages="catkin libcv-bridge-dev libdiagnostic-msgs-dev libdiagnostic-updater-dev libgeometry-msgs-dev
   libimage-transport-dev libmessage-filters-dev libnav-msgs-dev libnodelet-dev libros-rosgraph-msgs-dev librosbag-dev
@@ -50,10 +54,11 @@ required_packages() {
   esac
 }
 
+# install_dependencies [further packages...]
 install_dependencies() {
   local missing=() package packages
   packages=$(required_packages)
-  for package in $packages; do
+  for package in $packages "$@"; do
     dpkg-query -W -f '${Status}' "$package" 2>/dev/null | grep -q 'install ok installed' || missing+=("$package")
   done
   if [ ${#missing[@]} -gt 0 ]; then
@@ -77,8 +82,12 @@ build() {
   shift
   source_ros
   say "building in $build_dir"
+  # The libraries are compiled alike with and without tests. rosrun looks for programs in the whole package but for
+  # `build`: installed elsewhere they would be there twice.
   cmake -S "$package_dir" -B "$build_dir" -G Ninja -DCMAKE_BUILD_TYPE=RelWithDebInfo \
-    -DPYTHON_EXECUTABLE=/usr/bin/python3 -DCATKIN_ENABLE_TESTING="$testing" "$@" > "$build_dir/configure.log" 2>&1 \
+    -DCMAKE_INSTALL_PREFIX="$package_dir/build/install" -DPYTHON_EXECUTABLE=/usr/bin/python3 \
+    -DCATKIN_ENABLE_TESTING="$testing" -DSTL_WERROR="${SEMANTIC_TOPO_LOOP_WERROR:-OFF}" "$@" \
+    > "$build_dir/configure.log" 2>&1 \
     || { cat "$build_dir/configure.log" >&2; return 1; }
   # catkin leaves tests out of the default target.
   ninja -C "$build_dir" -j "$jobs" all $([ "$testing" = OFF ] || echo tests)

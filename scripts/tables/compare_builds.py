@@ -14,10 +14,9 @@ import time
 
 from inputs import restarted
 from robustness_table import corrupted
-from runs import JOINT, Failure, Programs, find_sequences
+from runs import JOINT, Failure, Programs, find_sequences, package_folder
 
-PACKAGE = os.path.dirname(os.path.dirname(os.path.dirname(os.path.abspath(__file__))))
-CONFIG = os.path.join(PACKAGE, "config")
+CONFIG = os.path.join(package_folder(), "config")
 # Of every sequence, one that drifts steadily and one that jumps.
 DRIFTED = ("smooth_1m_15deg_s1.txt", "jump_1m_15deg_s2.txt")
 RENDERED_S = 20
@@ -30,7 +29,7 @@ class Context:
     def __init__(self, build, output):
         self.inputs = os.path.join(output, "inputs")
         os.makedirs(self.inputs, exist_ok=True)
-        self.programs = Programs(programs_of(build), PACKAGE, output)
+        self.programs = Programs(programs_of(build), output)
 
 
 def programs_of(build):
@@ -132,7 +131,7 @@ def parse_arguments():
     parser.add_argument("first", help="build directory of the version that is taken as right")
     parser.add_argument("second", help="build directory of the version that is judged")
     parser.add_argument("--data", default=os.environ.get("SEMANTIC_TOPO_LOOP_DATA")
-                        or os.path.join(os.path.dirname(PACKAGE), "shared"), help="folder of tum/")
+                        or os.path.join(os.path.dirname(package_folder()), "shared"), help="folder of tum/")
     parser.add_argument("--output", default="/tmp/semantic_topo_loop_comparison", metavar="DIR",
                         help="folder for inputs and results (default: %(default)s)")
     parser.add_argument("--only", default="", metavar="TEXT", help="only the runs whose name contains it")

@@ -9,9 +9,9 @@ import loop_table
 import robustness_table
 import trajectory_table
 from association_tables import FULL
-from runs import JDA, JOINT, Failure, Programs, cascade, find_sequences
+from runs import JDA, JOINT, Failure, Programs, cascade, find_sequences, package_folder
 
-PACKAGE = os.path.dirname(os.path.dirname(os.path.dirname(os.path.abspath(__file__))))
+PACKAGE = package_folder()
 
 # Name on the command line -> function of the context that gives Markdown.
 TABLES = {
@@ -30,7 +30,7 @@ class Context:
     """What a table needs: the programs, the sequences and a folder for inputs of its own."""
 
     def __init__(self, arguments):
-        self.programs = Programs(arguments.programs, PACKAGE, arguments.output)
+        self.programs = Programs(arguments.programs, arguments.output)
         self.sequences = find_sequences(arguments.data, arguments.reference)
         self.output = arguments.output  # for pictures and curves
         self.pictures = not arguments.no_pictures
@@ -41,6 +41,12 @@ def default_data():
     return os.environ.get("SEMANTIC_TOPO_LOOP_DATA") or os.path.join(os.path.dirname(PACKAGE), "shared")
 
 
+def default_output():
+    """Beside a checkout's build; below the current folder if the package is installed."""
+    build = os.path.join(PACKAGE, "build-catkin")
+    return os.path.join(build if os.path.isdir(build) else os.getcwd(), "paper_tables")
+
+
 def parse_arguments():
     parser = argparse.ArgumentParser(prog="paper_tables", description=__doc__)
     parser.add_argument("--programs", default=os.path.join(PACKAGE, "build-catkin/devel/lib/semantic_topo_loop"),
@@ -48,7 +54,7 @@ def parse_arguments():
     parser.add_argument("--data", default=default_data(),
                         help="folder of tum/fr2_desk, tum/fr3_office (default: SEMANTIC_TOPO_LOOP_DATA, ../shared)")
     parser.add_argument("--reference", default="", metavar="FILE", help="reference objects of fr3_office, CSV")
-    parser.add_argument("--output", default=os.path.join(PACKAGE, "build-catkin/paper_tables"), metavar="DIR",
+    parser.add_argument("--output", default=default_output(), metavar="DIR",
                         help="folder for the runs, the pictures and tables.md (default: %(default)s)")
     parser.add_argument("--tables", default=",".join(TABLES), metavar="LIST",
                         help="comma-separated choice (default: %(default)s)")

@@ -109,13 +109,20 @@ def find_sequences(data, fr3_reference):
     return found
 
 
+def package_folder():
+    """Where config/ is: the checkout, or what is installed of it in share/."""
+    above = os.path.dirname(os.path.dirname(os.path.dirname(os.path.abspath(__file__))))
+    installed = os.path.join(os.path.dirname(above), "share/semantic_topo_loop")
+    return above if os.path.exists(os.path.join(above, "package.xml")) else installed
+
+
 class Programs:
     """Calls the package's programs and keeps the results, so that two tables share a run."""
 
-    def __init__(self, programs, package, output):
+    def __init__(self, programs, output):
         self._programs = programs
-        self._cameras = os.path.join(package, "config/camera")
-        self._classes = os.path.join(package, "config/classes_coco.yaml")
+        self._cameras = os.path.join(package_folder(), "config/camera")
+        self._classes = os.path.join(package_folder(), "config/classes_coco.yaml")
         self._output = output
         self._runs = {}
         self._loops = {}
