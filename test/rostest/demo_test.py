@@ -1,21 +1,27 @@
 #!/usr/bin/env python3
-"""demo.launch from end to end: it says what it must on its topics, and leaves offline's files."""
+"""demo.launch on its simulated odometry, from end to end: what it says on its topics, offline's files, objects in the
+last correction, and a run that finds its place in the map of an earlier one."""
 import csv
+import json
 import os
-import shutil
-import tempfile
 import threading
-import unittest
 
+import rospkg
 import rospy
 import rostest
+from geometry_msgs.msg import TransformStamped
 from nav_msgs.msg import Path
+from std_srvs.srv import Trigger
 from tf2_msgs.msg import TFMessage
 from visualization_msgs.msg import MarkerArray
 
-from playback import PACKAGE, RESULT_FILES, demo, differing_files, run_program, wait_until
+from playback import PACKAGE, RESULT_FILES, DirectoryTest, demo, differing_files, run_program, wait_until
 from semantic_topo_loop.msg import FrameDone, QuadricMap
 from semantic_topo_loop.srv import WhyLoop, WhyLoopResponse
+
+
+def setUpModule():
+    rospy.init_node('demo_test')
 
 
 class Heard:
@@ -46,14 +52,19 @@ class Heard:
             self.last[topic] = message
 
 
-class DemoTest(unittest.TestCase):
+def run_offline(test, data, output, *arguments):
+    """offline on the demo's files."""
+    status, text = run_program('offline', '--trajectory', os.path.join(data, 'odometry.txt'), '--detections',
+                               os.path.join(data, 'detections.json'), '--camera', os.path.join(data, 'camera.yaml'),
+                               '--output', output, *arguments)
+    test.assertEqual(status, 0, text)
+
+
+class DemoTest(DirectoryTest):
     @classmethod
     def setUpClass(cls):
-        rospy.init_node('demo_test')
-        cls.directory = tempfile.mkdtemp(prefix='semantic_topo_loop_demo_')
-        cls.data = os.path.join(cls.directory, 'data')
-        cls.results = os.path.join(cls.directory, 'results')
-        cls.submaps = os.path.join(cls.directory, 'submaps.json')
+        super().setUpClass()
+        cls.data, cls.results, cls.submaps = cls.path('data'), cls.path('results'), cls.path('submaps.json')
         cls.heard = Heard()
         # It stays up at the end, so that what is published at intervals can be heard.
         cls.launch = demo(duration='16', data=cls.data, output=cls.results, exit_at_end='false', save_map=cls.submaps)
@@ -62,7 +73,7 @@ class DemoTest(unittest.TestCase):
     @classmethod
     def tearDownClass(cls):
         cls.launch.stop()
-        shutil.rmtree(cls.directory)
+        super().tearDownClass()
 
     def test_plays_to_the_end_and_leaves_every_file(self):
         self.assertEqual(self.status, 0, self.launch.output())
@@ -110,17 +121,103 @@ class DemoTest(unittest.TestCase):
         self.assertGreaterEqual(too_recent[0].closure.inliers, 4)
 
     def test_lockstep_is_offline_byte_for_byte(self):
-        offline, submaps = (os.path.join(self.directory, name) for name in ('offline', 'offline_submaps.json'))
-        status, output = run_program('offline', '--trajectory', os.path.join(self.data, 'odometry.txt'),
-                                     '--detections', os.path.join(self.data, 'detections.json'),
-                                     '--camera', os.path.join(self.data, 'camera.yaml'), '--output', offline,
-                                     '--save-map', submaps)
-        self.assertEqual(status, 0, output)
+        offline, submaps = self.path('offline'), self.path('offline_submaps.json')
+        run_offline(self, self.data, offline, '--save-map', submaps)
         self.assertEqual(differing_files(offline, self.results), [])
         self.assertTrue(wait_until(lambda: os.path.exists(self.submaps), 10), self.launch.output())
         with open(submaps, 'rb') as ours, open(self.submaps, 'rb') as theirs:
             self.assertEqual(ours.read(), theirs.read())
 
 
+class GraphObjectsTest(DirectoryTest):
+    """Objects in the last correction of a run with loops, told so by a file of parameters."""
+
+    @classmethod
+    def setUpClass(cls):
+        super().setUpClass()
+        cls.config = cls.path('with_loops.yaml')
+        with open(os.path.join(rospkg.RosPack().get_path(PACKAGE), 'config/default.yaml')) as file:
+            default = file.read()
+        assert default.count('objects: "off"') == 1
+        with open(cls.config, 'w') as file:
+            file.write(default.replace('objects: "off"', 'objects: "with_loops"'))
+        # Into the second lap, in which loops are closed.
+        cls.launch = demo(duration='32', data=cls.path('data'), output=cls.path('lockstep'), config=cls.config)
+        cls.ended = cls.launch.wait(100)
+        cls.launch.stop()
+
+    def test_lockstep_is_offline_byte_for_byte(self):
+        self.assertTrue(self.ended and self.launch.player_finished(), self.launch.output())
+        run_offline(self, self.path('data'), self.path('offline'), '--config', self.config)
+        self.assertEqual(differing_files(self.path('offline'), self.path('lockstep')), [])
+        with open(self.path('lockstep/summary.json')) as file:
+            self.assertGreater(json.load(file)['loops']['kept'], 5)
+        run_offline(self, self.path('data'), self.path('without'))
+        differing = differing_files(self.path('without'), self.path('lockstep'))
+        self.assertIn('trajectory.txt', differing, 'the objects took part')
+        self.assertNotIn('trajectory_live.txt', differing, 'only at the end')
+
+
+class EarlierMapTest(DirectoryTest):
+    """A run's submaps, saved by service, and a later run that finds its place among them."""
+
+    def play(self, name, **arguments):
+        """Plays the room to its end; the nodes stay up."""
+        launch = demo(duration='20', data=self.path(name), output=self.path(name + '/results'), exit_at_end='false',
+                      **arguments)
+        try:
+            status, _ = run_program('wait_for_player', '__ns:=/' + PACKAGE, timeout_s=90)
+            self.assertEqual(status, 0, launch.output())
+        except BaseException:
+            launch.stop()
+            raise
+        return launch
+
+    def test_a_later_run_finds_its_place(self):
+        submaps = self.path('submaps.json')
+        # A relative path is one below the nodes' working directory.
+        launch = self.play('first', save_map=os.path.relpath(submaps, os.path.realpath(rospkg.get_ros_home())))
+        try:
+            self.assertTrue(wait_until(lambda: os.path.exists(submaps), 10), launch.output())
+            with open(submaps, 'rb') as file:
+                at_end = file.read()
+            os.remove(submaps)
+            answer = rospy.ServiceProxy('/%s/loop_detection/save_map' % PACKAGE, Trigger)()
+            self.assertTrue(answer.success, answer.message)
+            self.assertEqual(os.path.realpath(answer.message), os.path.realpath(submaps))
+            self.assertTrue(os.path.isabs(answer.message), answer.message)
+            with open(submaps, 'rb') as file:
+                self.assertEqual(file.read(), at_end)
+        finally:
+            launch.stop()
+        self.assertGreater(len(json.loads(at_end.decode())['submaps']), 1)
+
+        launch = self.play('second', map=submaps)
+        try:
+            transform = rospy.wait_for_message('/%s/earlier_map_from_odom' % PACKAGE, TransformStamped, 10)
+            answer = rospy.ServiceProxy('/%s/loop_detection/save_map' % PACKAGE, Trigger)()
+        finally:
+            launch.stop()
+        # The same odometry twice: both runs begin at the origin of their maps.
+        translation = transform.transform.translation
+        self.assertLess(max(abs(translation.x), abs(translation.y), abs(translation.z)), 0.15, transform)
+        self.assertGreater(abs(transform.transform.rotation.w), 0.999, transform)
+        self.assertEqual((transform.header.frame_id, transform.child_frame_id), ('earlier_map', 'odom'))
+        results = self.path('second/results')
+        self.assertTrue(wait_until(lambda: os.path.exists(os.path.join(results, 'relocalisations.csv')), 10))
+        with open(os.path.join(results, 'summary.json')) as file:
+            self.assertGreaterEqual(json.load(file)['relocalisation']['agreeing'], 3)
+        self.assertFalse(answer.success)
+        self.assertIn("parameter 'save_map_file' is empty", answer.message)
+
+    def test_a_file_that_is_none_is_named(self):
+        launch = demo(duration='4', data=self.path('none'), map=self.path('no_such_file.json'))
+        try:
+            self.assertTrue(wait_until(lambda: 'LoopDetection is not working' in launch.output(), 30), launch.output())
+        finally:
+            launch.stop()
+        self.assertTrue(any('no_such_file.json' in line and 'FATAL' in line for line in launch.lines), launch.output())
+
+
 if __name__ == '__main__':
-    rostest.rosrun(PACKAGE, 'demo', DemoTest)
+    rostest.rosrun(PACKAGE, 'demo', 'demo_test')

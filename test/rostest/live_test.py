@@ -1,16 +1,149 @@
 #!/usr/bin/env python3
-"""slam.launch on live topics: tf, camera_info and detections that come from other processes, good ones and bad ones."""
+"""slam.launch on live topics that come from other processes, good ones and bad ones: tf with camera_info, odometry with
+clouds, and an RGB-D camera alone."""
 import math
+import struct
+import threading
+import time
+import unittest
 
+import rospy
 import rostest
+from geometry_msgs.msg import TransformStamped
+from nav_msgs.msg import Odometry
+from sensor_msgs.msg import CameraInfo, Image, PointCloud2, PointField
+from std_srvs.srv import Trigger
 from tf2_msgs.msg import TFMessage
 
-from live_feed import LiveFeed
-from playback import PACKAGE, wait_until
-from semantic_topo_loop.msg import FrameDone, SessionControl
+import wall
+from playback import PACKAGE, Diagnostics, Launch, wait_until
+from semantic_topo_loop.msg import Detection, DetectionArray, Frame, FrameDone, SessionControl
+
+START_S = 1000.0
+CUP = 41
+DEPTH_DELAY_S = 0.006
 
 
-class LiveTest(LiveFeed):
+def setUpModule():
+    rospy.init_node('live_test')
+
+
+class Topic:
+    """Every message of a topic, in order."""
+
+    def __init__(self, name, kind):
+        self.messages = []
+        self.lock = threading.Lock()
+        self.subscriber = rospy.Subscriber('/%s/%s' % (PACKAGE, name), kind, self.take, queue_size=1000)
+
+    def take(self, message):
+        with self.lock:
+            self.messages.append(message)
+
+    def at(self, time_s):
+        """The last message with this stamp, waited for (topics arrive in no order among each other), or None."""
+        stamp = rospy.Time.from_sec(START_S + time_s)
+
+        def found():
+            with self.lock:
+                return [m for m in self.messages if m.header.stamp == stamp]
+
+        return found()[-1] if wait_until(found, 10) else None
+
+
+class LiveTest(unittest.TestCase):
+    """Base of the tests: slam.launch, what it says, and topics to publish on, none of them left for the next one."""
+
+    @classmethod
+    def start(cls, **arguments):
+        cls.launch = Launch('slam.launch', **arguments)
+        cls.frames, cls.joined = Topic('frames', Frame), Topic('detections', DetectionArray)
+        cls.done, cls.control = Topic('frame_done', FrameDone), Topic('session_control', SessionControl)
+        cls.diagnostics = Diagnostics()
+        cls.publishers = []
+
+    @classmethod
+    def publisher(cls, topic, kind, latch=False):
+        cls.publishers.append(rospy.Publisher(topic, kind, queue_size=1000, latch=latch))
+        return cls.publishers[-1]
+
+    @classmethod
+    def wait_until_up(cls):
+        up = wait_until(lambda: cls.control.messages and all(p.get_num_connections() > 0 for p in cls.publishers), 40)
+        assert up, cls.launch.output()
+
+    @classmethod
+    def tearDownClass(cls):
+        cls.launch.stop()
+        for topic in (cls.frames, cls.joined, cls.done, cls.control, cls.diagnostics):
+            topic.subscriber.unregister()
+        for publisher in cls.publishers:
+            publisher.unregister()
+
+    def assert_status(self, time_s, status):
+        answer = self.done.at(time_s)
+        self.assertIsNotNone(answer, 'no answer for %s: %s' % (time_s, self.diagnostics.values))
+        self.assertEqual(answer.status, status, time_s)
+
+    def assert_counted(self, stage, key, least=1):
+        self.assertTrue(wait_until(lambda: self.diagnostics.count(stage, key) >= least, 10),
+                        '%s: %s: %s' % (stage, key, self.diagnostics.values))
+
+
+class DetectorTest(LiveTest):
+    """A camera whose images are known by their camera_info, with a detector, on a base that moves."""
+
+    @classmethod
+    def start(cls, **arguments):
+        super().start(camera_info='/camera_info', detections='/detector', odometry='/odometry', points='/cloud',
+                      detection_timeout_s='0.4', pose_timeout_s='0.4', **arguments)
+        cls.tf, cls.tf_static = cls.publisher('/tf', TFMessage), cls.publisher('/tf_static', TFMessage, latch=True)
+        cls.camera_info = cls.publisher('/camera_info', CameraInfo)
+        cls.detections = cls.publisher('/detector', DetectionArray)
+        cls.tf_static.publish(TFMessage([cls.transform('/base_link', '/lens', 0.0, 0.0)]))
+
+    @staticmethod
+    def transform(parent, child, time_s, x):
+        message = TransformStamped()
+        message.header.frame_id = parent
+        message.header.stamp = rospy.Time.from_sec(START_S + time_s)
+        message.child_frame_id = child
+        message.transform.translation.x = x
+        message.transform.rotation.w = 1.0
+        return message
+
+    def move(self, begin_s, end_s):
+        """1 m/s along x, sampled at 50 Hz."""
+        for i in range(round(50 * begin_s), round(50 * end_s) + 1):
+            self.tf.publish(TFMessage([self.transform('/odom', '/base_link', i / 50.0, i / 50.0)]))
+
+    def see(self, time_s, with_detections=True, boxes=((100, 100, 200, 200),), focal_length=500.0):
+        info = CameraInfo(width=640, height=480, distortion_model='plumb_bob', D=[0.0] * 5)
+        info.header.frame_id = '/lens'
+        info.header.stamp = rospy.Time.from_sec(START_S + time_s)
+        info.K = [focal_length, 0.0, 320.0, 0.0, focal_length, 240.0, 0.0, 0.0, 1.0]
+        self.camera_info.publish(info)
+        if not with_detections:
+            return
+        message = DetectionArray()
+        message.header.stamp = info.header.stamp
+        for x1, y1, x2, y2 in boxes:
+            detection = Detection(class_id=CUP, score=0.9)
+            detection.box.x1, detection.box.y1, detection.box.x2, detection.box.y2 = x1, y1, x2, y2
+            message.detections.append(detection)
+        self.detections.publish(message)
+
+    def call(self, service):
+        name = '/%s/pose_frontend/%s' % (PACKAGE, service)
+        self.assertTrue(rospy.ServiceProxy(name, Trigger)().success)
+
+
+class TfTest(DetectorTest):
+    @classmethod
+    def setUpClass(cls):
+        cls.start()
+        cls.wait_until_up()
+
     def test_1_poses_are_interpolated_and_detections_joined(self):
         self.move(0.0, 1.0)
         for i in range(1, 10):
@@ -84,5 +217,159 @@ class LiveTest(LiveFeed):
         self.assertEqual(self.frames.at(1.507).frame_id, 0)
 
 
+class OdometryTest(DetectorTest):
+    """nav_msgs/Odometry, frames made by the detector's stamps, and a cloud with each image."""
+
+    @classmethod
+    def setUpClass(cls):
+        cls.start(pose_source='odometry', trigger='detections', use_points='true')
+        cls.odometry, cls.cloud = cls.publisher('/odometry', Odometry), cls.publisher('/cloud', PointCloud2)
+        cls.wait_until_up()
+
+    def drive(self, begin_s, end_s):
+        """1 m/s along x at 50 Hz, with a tenth of a m/s and rad/s of noise."""
+        for i in range(round(50 * begin_s), round(50 * end_s) + 1):
+            message = Odometry()
+            message.header.frame_id = '/odom'
+            message.header.stamp = rospy.Time.from_sec(START_S + i / 50.0)
+            message.child_frame_id = '/base_link'
+            message.pose.pose.position.x = i / 50.0
+            message.pose.pose.orientation.w = 1.0
+            for k in range(6):
+                message.twist.covariance[7 * k] = 0.01
+            self.odometry.publish(message)
+
+    def show_points(self, time_s, frame_id='/lens'):
+        points = [(0.0, 0.0, 1.0), (0.1, 0.2, 2.0), (float('nan'), 0.0, 1.0)]
+        message = PointCloud2(height=1, width=len(points), point_step=12, row_step=12 * len(points), is_dense=False)
+        message.header.frame_id = frame_id
+        message.header.stamp = rospy.Time.from_sec(START_S + time_s)
+        message.fields = [PointField(name, 4 * i, PointField.FLOAT32, 1) for i, name in enumerate('xyz')]
+        message.data = b''.join(struct.pack('<fff', *point) for point in points)
+        self.cloud.publish(message)
+
+    def test_poses_covariance_and_points_reach_the_frame(self):
+        self.tf_static.publish(TFMessage([self.transform('base_link', 'lens', 0.0, 0.5)]))
+        self.drive(0.0, 1.0)
+        for time_s in (0.107, 0.207, 0.307):
+            self.show_points(time_s)
+            self.see(time_s)
+            self.assert_status(time_s, FrameDone.STATUS_PROCESSED)
+        frame = self.frames.at(0.307)
+        self.assertAlmostEqual(frame.odom_from_camera.position.x, 0.807, places=6)
+        self.assertTrue(frame.has_covariance)
+        self.assertAlmostEqual(frame.covariance[0], 0.01 * 0.1 ** 2, places=7)
+        self.assertTrue(frame.has_points)
+        self.assertEqual((frame.points.width, frame.points.header.frame_id), (2, 'lens'))
+
+    def test_unusable_points_are_counted(self):
+        self.drive(1.0, 2.0)
+        self.show_points(1.107, '/somewhere_else')
+        self.see(1.107)
+        self.assert_status(1.107, FrameDone.STATUS_PROCESSED)
+        self.assertFalse(self.frames.at(1.107).has_points)
+        self.assert_counted('PoseFrontend', 'unusable points')
+        self.see(1.207)
+        self.assert_status(1.207, FrameDone.STATUS_PROCESSED)
+        self.assert_counted('PoseFrontend', 'images without points')
+
+
+class RgbdTest(LiveTest):
+    """Frames, what bad images are answered with, and topics that fall silent."""
+
+    @classmethod
+    def setUpClass(cls):
+        cls.start(pose_source='rgbd', color='/color', depth='/depth', camera_info='/info', use_detections='false')
+        cls.color, cls.depth = cls.publisher('/color', Image), cls.publisher('/depth', Image)
+        cls.info = cls.publisher('/info', CameraInfo)
+        cls.parents = {}
+        cls.tf_listener = rospy.Subscriber('/tf', TFMessage, cls.take_tf)
+        cls.wait_until_up()
+        cls.index = 0
+
+    @classmethod
+    def tearDownClass(cls):
+        super().tearDownClass()
+        cls.tf_listener.unregister()
+
+    @classmethod
+    def take_tf(cls, message):
+        for transform in message.transforms:
+            cls.parents[transform.child_frame_id] = transform.header.frame_id
+
+    def see(self, time_s, focal=wall.FOCAL, depth=None, with_depth=True):
+        stamp = rospy.Time.from_sec(START_S + time_s)
+        self.info.publish(wall.camera_info(stamp, focal))
+        self.color.publish(wall.color(stamp, self.index))
+        type(self).index += 1
+        if with_depth:
+            late = rospy.Time.from_sec(START_S + time_s + DEPTH_DELAY_S)
+            self.depth.publish(depth(late) if depth else wall.depth(late))
+        time.sleep(wall.PERIOD_S)
+
+    def test_1_no_calibration(self):
+        # All zero, as drivers without a calibration send it; the pair is known once the next image has come.
+        for i in range(3):
+            self.see(0.1 * i, focal=0.0)
+        self.assert_status(0.0, FrameDone.STATUS_FAILED)
+        self.assert_counted('RgbdFrontend', 'images without a calibration')
+        self.assert_counted('RgbdFrontend', 'camera_info without a usable calibration')
+
+    def test_2_frames_and_tf(self):
+        for i in range(12):
+            self.see(1.0 + wall.PERIOD_S * i)
+        self.assert_status(1.0, FrameDone.STATUS_PROCESSED)
+        first, last = self.frames.at(1.0), self.frames.at(1.0 + wall.PERIOD_S * 10)
+        self.assertIsNotNone(last)
+        moved = last.odom_from_camera.position.x - first.odom_from_camera.position.x
+        self.assertAlmostEqual(moved, 10 * wall.STEP_M, delta=0.02)
+        self.assertTrue(wait_until(lambda: self.parents.get(wall.FRAME[1:]) == 'odom', 10), self.parents)
+        self.assertEqual(self.parents.get('odom'), 'map')
+
+    def test_3_bad_images(self):
+        self.see(2.0, with_depth=False)
+        self.see(2.0 + wall.PERIOD_S)
+        self.see(2.0 + 2 * wall.PERIOD_S, depth=lambda stamp: wall.depth(stamp, width=100, height=100))
+        self.see(2.0 + 3 * wall.PERIOD_S)
+        self.see(2.0 + 4 * wall.PERIOD_S)
+        self.assert_status(2.0, FrameDone.STATUS_FAILED)
+        self.assert_status(2.0 + 2 * wall.PERIOD_S, FrameDone.STATUS_FAILED)
+        self.assert_status(2.0 + 3 * wall.PERIOD_S, FrameDone.STATUS_PROCESSED)
+        self.assert_counted('RgbdFrontend', 'colour images without depth')
+        self.assert_counted('RgbdFrontend', 'unusable images')
+
+    def test_4_a_jump_back_is_a_new_session(self):
+        before = self.control.messages[-1].session_id
+        for i in range(4):
+            self.see(0.5 + wall.PERIOD_S * i)
+        self.assert_status(0.5, FrameDone.STATUS_PROCESSED)
+        self.assertEqual(self.control.messages[-1].session_id, before + 1)
+        self.assertEqual(self.frames.at(0.5).frame_id, 0)
+
+    def test_5_silence_is_reported(self):
+        begin = time.monotonic()
+        i = 0
+        while '/depth' not in self.diagnostics.summaries.get('RgbdFrontend', '') and time.monotonic() - begin < 6.0:
+            self.see(3.0 + wall.PERIOD_S * i, with_depth=False)
+            i += 1
+        summary = self.diagnostics.summaries.get('RgbdFrontend', '')
+        self.assertLess(time.monotonic() - begin, 5.5)
+        self.assertIn("no images on '/depth'", summary)
+        self.assertIn('gap between the last stamps', summary)
+        self.assertIn("'/color': last image", summary)
+        for i in range(4):
+            self.see(13.0 + wall.PERIOD_S * i)
+        self.assertTrue(wait_until(lambda: self.diagnostics.summaries.get('RgbdFrontend') == 'working', 4),
+                        self.diagnostics.summaries)
+
+    def test_6_depth_out_of_reach_is_reported(self):
+        # In millimetres, as floats, which are metres.
+        for i in range(45):
+            self.see(14.0 + wall.PERIOD_S * i, depth=lambda stamp: wall.depth(stamp, value=1000.0 * wall.DISTANCE_M))
+        summaries = self.diagnostics.summaries
+        self.assertTrue(wait_until(lambda: 'depth.max_m = 8 m' in summaries.get('RgbdFrontend', ''), 5), summaries)
+        self.assertIn('32FC1', summaries['RgbdFrontend'])
+
+
 if __name__ == '__main__':
-    rostest.rosrun(PACKAGE, 'live', LiveTest)
+    rostest.rosrun(PACKAGE, 'live', 'live_test')

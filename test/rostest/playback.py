@@ -91,7 +91,7 @@ class Diagnostics:
 
     def __init__(self):
         self.summaries, self.values = {}, {}
-        rospy.Subscriber('/diagnostics', DiagnosticArray, self.take)
+        self.subscriber = rospy.Subscriber('/diagnostics', DiagnosticArray, self.take)
 
     def take(self, message):
         for status in message.status:

@@ -1,0 +1,131 @@
+#!/usr/bin/env python3
+"""What happens to the chain in mid-stream: the session's services, a parameter that nobody knows, an unloaded stage."""
+import os
+import subprocess
+import threading
+import time
+
+import rospy
+import rostest
+from diagnostic_msgs.msg import DiagnosticArray
+from std_srvs.srv import Trigger
+
+from playback import PACKAGE, DirectoryTest, demo, wait_until
+from semantic_topo_loop.msg import AssociationArray, FrameDone
+
+
+def setUpModule():
+    rospy.init_node('session_test')
+
+
+class ControlTest(DirectoryTest):
+    """The session's services during playback, and a parameter that nobody knows."""
+
+    def setUp(self):
+        self.lock = threading.Lock()
+        self.done = []
+        self.subscriber = rospy.Subscriber('/%s/frame_done' % PACKAGE, FrameDone, self.take_done, queue_size=10000)
+
+    def tearDown(self):
+        self.subscriber.unregister()
+
+    def take_done(self, message):
+        with self.lock:
+            self.done.append(message)
+
+    def call(self, service):
+        self.assertTrue(rospy.ServiceProxy('/%s/pose_frontend/%s' % (PACKAGE, service), Trigger)().success)
+
+    def test_pause_resume_reset(self):
+        results = self.path('results')
+        launch = demo(duration='10', data=self.path('paused'), lockstep='false', output=results)
+        try:
+            self.assertTrue(wait_until(lambda: len(self.done) > 30, 60), launch.output())
+            self.call('pause')
+            time.sleep(0.5)
+            paused_at = len(self.done)
+            time.sleep(1.0)
+            self.assertEqual(len(self.done), paused_at, 'the player waits while the session is paused')
+            self.call('resume')
+            self.assertTrue(wait_until(lambda: len(self.done) > paused_at + 30, 10))
+            self.assertEqual({message.session_id for message in self.done}, {1})
+            self.call('reset')
+            self.assertTrue(launch.wait(40), launch.output())
+        finally:
+            launch.stop()
+        self.assertTrue(launch.player_finished(), launch.output())
+        second = [message.frame_id for message in self.done if message.session_id == 2]
+        self.assertEqual(second, list(range(len(second))), 'a session counts its own frames')
+        with open(os.path.join(results, 'trajectory.txt')) as file:
+            self.assertEqual(sum(1 for _ in file), len(second) - 1, 'the files are those of the last session')
+
+    def test_an_unknown_parameter_is_named(self):
+        config = self.path('config.yaml')
+        with open(config, 'w') as file:
+            file.write('loop: {no_such_key: 1}\n')
+        launch = demo(duration='4', data=self.path('data'), config=config)
+        error = "unknown parameter 'loop.no_such_key' = '1'"
+        try:
+            self.assertTrue(wait_until(lambda: error in launch.output(), 30), launch.output())
+            self.assertIsNone(launch.process.poll(), 'the manager lives')
+        finally:
+            launch.stop()
+        self.assertTrue(all('FATAL' in line for line in launch.lines if error in line))
+        # Nothing of it is left for the next launch on the same master.
+        launch = demo(duration='4', data=self.path('data'))
+        ended = launch.wait(60)
+        launch.stop()
+        self.assertTrue(ended and launch.player_finished(), launch.output())
+
+
+class UnloadTest(DirectoryTest):
+    """A stage that is unloaded in mid-stream: the others live on, and the player ends and names it."""
+
+    def setUp(self):
+        self.lock = threading.Lock()
+        self.done = 0
+        self.associations = 0
+        self.alive = set()
+        rospy.Subscriber('/%s/frame_done' % PACKAGE, FrameDone, self.take_done)
+        rospy.Subscriber('/%s/associations' % PACKAGE, AssociationArray, self.take_associations)
+        rospy.Subscriber('/diagnostics', DiagnosticArray, self.take_diagnostics)
+
+    def take_done(self, _):
+        with self.lock:
+            self.done += 1
+
+    def take_associations(self, _):
+        with self.lock:
+            self.associations += 1
+
+    def take_diagnostics(self, message):
+        with self.lock:
+            self.alive |= {status.name.split(': ')[-1] for status in message.status}
+
+    def test_unloaded_stage_is_named(self):
+        launch = demo(duration='30', data=self.path('data'), lockstep='false', stall_timeout_s='4')
+        try:
+            self.assertTrue(wait_until(lambda: self.done > 60, 60), launch.output())
+            unloaded = subprocess.run(['rosrun', 'nodelet', 'nodelet', 'unload', '/%s/quadric_mapping' % PACKAGE,
+                                       '/%s/manager' % PACKAGE], stdout=subprocess.DEVNULL, timeout=20)
+            self.assertEqual(unloaded.returncode, 0)
+            with self.lock:
+                self.alive.clear()
+                before = self.associations
+            others = {'PoseFrontend', 'DetectionIngestion', 'ObjectAssociation', 'LoopDetection', 'PoseGraph',
+                      'Recorder', 'Visualization', 'Player'}
+            self.assertTrue(wait_until(lambda: others <= self.alive, 3.5), self.alive)
+            self.assertNotIn('QuadricMapping', self.alive)
+            self.assertGreater(self.associations, before)
+            self.assertTrue(launch.wait(40), launch.output())
+        finally:
+            launch.stop()
+        fatal = [line for line in launch.lines if 'FATAL' in line]
+        self.assertEqual(len(fatal), 1, fatal)
+        self.assertIn('QuadricMapping', fatal[0])
+        self.assertIn('player: stalled: QuadricMapping', launch.output())
+        self.assertIn('exit code 1', launch.output())
+
+
+if __name__ == '__main__':
+    rostest.rosrun(PACKAGE, 'session', 'session_test')
