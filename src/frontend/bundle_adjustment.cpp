@@ -16,15 +16,6 @@ constexpr double kPixelGate2 = 5.991;  ///< chi square of two values, 95 %
 constexpr double kDepthGate = 3.0;     ///< sigmas; farther off, a depth is taken to be another surface's
 constexpr double kMinDepth_m = 0.05;
 
-/// The derivative of exp(w) by w, from the right: exp(w + d) = exp(w) exp(J d).
-Mat3 right_jacobian(const Vec3& w) {
-  const double angle2 = w.squaredNorm();
-  const Mat3 W = hat(w);
-  if (angle2 < 1e-10) return Mat3::Identity() - 0.5 * W;
-  const double angle = std::sqrt(angle2);
-  return Mat3::Identity() - (1.0 - std::cos(angle)) / angle2 * W + (angle - std::sin(angle)) / (angle2 * angle) * W * W;
-}
-
 /// Reprojection error, and depth error where there is a depth, in sigmas:
 ///   r = [(s f p.xy / p.z + c - pixel) / sigma_px; (p.z - depth) / sigma_m],  p = exp(d) (T_camera_map x)
 /// by the pose's change d = (translation, rotation), the point x and the factor s of the focal lengths f.

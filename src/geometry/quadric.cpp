@@ -64,4 +64,29 @@ std::optional<Box> project_box(const Ellipsoid& ellipsoid, const Mat34& P_image_
   return project_box(ellipsoid.center(), ellipsoid.shape(), P_image_world);
 }
 
+std::optional<Box> project_box(const Ellipsoid& ellipsoid, const Mat34& P, BoxJacobian* jacobian) {
+  const Mat3 R = ellipsoid.T_world_quadric.rotation();
+  const Vec3 squared_axes = ellipsoid.semi_axes.cwiseAbs2();
+  const Mat3 M = R * squared_axes.asDiagonal() * R.transpose();
+  const Vec3& c = ellipsoid.center();
+  const std::optional<Box> box = project_box(c, M, P);
+  if (!box || jacobian == nullptr) return box;
+  const Vec4 edges = box->edges();
+  const Vec3 n2 = P.row(2).head<3>().transpose();
+  for (int k = 0; k < 4; ++k) {
+    // The plane through the edge, pi = (n, d) = row_axis - u row_2, touches the ellipsoid: F = n'Mn - (n'c + d)^2 = 0.
+    const double u = edges(k);
+    const Eigen::RowVector4d plane = P.row(k % 2) - u * P.row(2);
+    const Vec3 n = plane.head<3>().transpose();
+    const double s = n.dot(c) + plane(3);
+    const Vec3 Mn = M * n;
+    const double F_u = -2.0 * Mn.dot(n2) + 2.0 * s * (n2.dot(c) + P(2, 3));
+    const Vec3 m = R.transpose() * n;
+    jacobian->center.row(k) = (2.0 * s / F_u) * n.transpose();
+    jacobian->rotation.row(k) = (-2.0 / F_u) * Mn.cross(n).transpose();
+    jacobian->log_axes.row(k) = (-2.0 / F_u) * squared_axes.cwiseProduct(m.cwiseAbs2()).transpose();
+  }
+  return box;
+}
+
 }  // namespace semantic_topo_loop::core

@@ -8,15 +8,6 @@
 
 namespace semantic_topo_loop::core {
 
-Mat3 right_jacobian_inverse(const Vec3& rotation_vector) {
-  const double angle = rotation_vector.norm();
-  const Mat3 cross = hat(rotation_vector);
-  // 1/angle^2 - cot(angle/2)/(2 angle), by its series near zero; regular up to the cut at pi.
-  const double factor =
-      angle < 1e-3 ? 1.0 / 12.0 + angle * angle / 720.0 : 1.0 / (angle * angle) - 0.5 / (angle * std::tan(0.5 * angle));
-  return Mat3::Identity() + 0.5 * cross + factor * cross * cross;
-}
-
 Vec6 relative_pose_residual(const SE3& T_world_from, const SE3& T_world_to, const SE3& T_from_to_measured) {
   return se3_log(T_from_to_measured.inverse() * (T_world_from.inverse() * T_world_to));
 }

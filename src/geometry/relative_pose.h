@@ -21,8 +21,6 @@ RelativePoseTerms relative_pose_terms(const SE3& T_world_from, const SE3& T_worl
 Vec6 quaternion_pose_residual(const SE3& T_world_from, const SE3& T_world_to, const SE3& T_from_to_measured);
 RelativePoseTerms quaternion_pose_terms(const SE3& T_world_from, const SE3& T_world_to, const SE3& T_from_to_measured);
 
-/// Inverse right Jacobian of the rotation group: log(exp(v) exp(d)) = v + right_jacobian_inverse(v) d + O(d^2).
-Mat3 right_jacobian_inverse(const Vec3& rotation_vector);
 /// Carries a small motion d made before T over to its end: se3_exp(d) * T = T * se3_exp(transport(T) d) + O(d^2).
 Mat6 transport(const SE3& T);
 /// Covariance of T^-1 from the covariance of T, both on the right: T * se3_exp(noise).

@@ -11,6 +11,7 @@
 #include "geometry/ceres_compat.h"
 #include "geometry/statistics.h"
 #include "map/surface_cost.h"
+#include "semantic_topo_loop/geometry/lie.h"
 #include "semantic_topo_loop/geometry/quadric.h"
 
 namespace semantic_topo_loop::core {
@@ -47,7 +48,7 @@ class BoxEdgeCost final : public ceres::SizedCostFunction<4, 3, 4, 3> {
     };
     if (jacobians[0] != nullptr) write(jacobians[0], (weights_.asDiagonal() * J.center).eval());
     if (jacobians[1] != nullptr) {
-      const Eigen::Matrix<double, 4, 3> plus = quaternion_plus(Quaternion(rotation));
+      const Eigen::Matrix<double, 4, 3> plus = quaternion_by_rotation(Quaternion(rotation));
       write(jacobians[1], (weights_.asDiagonal() * (2.0 * J.rotation) * plus.transpose()).eval());
     }
     if (jacobians[2] != nullptr) write(jacobians[2], (weights_.asDiagonal() * J.log_axes).eval());
@@ -107,31 +108,6 @@ Mat3 center_covariance(const std::vector<Mat34>& projections, const std::vector<
 }
 
 }  // namespace
-
-std::optional<Box> project_box(const Ellipsoid& ellipsoid, const Mat34& P, BoxJacobian* jacobian) {
-  const Mat3 R = ellipsoid.T_world_quadric.rotation();
-  const Vec3 squared_axes = ellipsoid.semi_axes.cwiseAbs2();
-  const Mat3 M = R * squared_axes.asDiagonal() * R.transpose();
-  const Vec3& c = ellipsoid.center();
-  const std::optional<Box> box = project_box(c, M, P);
-  if (!box || jacobian == nullptr) return box;
-  const Vec4 edges = box->edges();
-  const Vec3 n2 = P.row(2).head<3>().transpose();
-  for (int k = 0; k < 4; ++k) {
-    // The plane through the edge, pi = (n, d) = row_axis - u row_2, touches the ellipsoid: F = n'Mn - (n'c + d)^2 = 0.
-    const double u = edges(k);
-    const Eigen::RowVector4d plane = P.row(k % 2) - u * P.row(2);
-    const Vec3 n = plane.head<3>().transpose();
-    const double s = n.dot(c) + plane(3);
-    const Vec3 Mn = M * n;
-    const double F_u = -2.0 * Mn.dot(n2) + 2.0 * s * (n2.dot(c) + P(2, 3));
-    const Vec3 m = R.transpose() * n;
-    jacobian->center.row(k) = (2.0 * s / F_u) * n.transpose();
-    jacobian->rotation.row(k) = (-2.0 / F_u) * Mn.cross(n).transpose();
-    jacobian->log_axes.row(k) = (-2.0 / F_u) * squared_axes.cwiseProduct(m.cwiseAbs2()).transpose();
-  }
-  return box;
-}
 
 std::optional<QuadricFit> refine_quadric(const Camera& camera, const std::vector<BoxView>& views,
                                          const Ellipsoid& initial, const QuadricFitOptions& options) {

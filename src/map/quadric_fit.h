@@ -4,7 +4,7 @@
 #include <optional>
 #include <vector>
 
-#include "map/surface.h"
+#include "geometry/object_points.h"
 #include "semantic_topo_loop/geometry/quadric.h"
 #include "semantic_topo_loop/types/camera.h"
 
@@ -47,15 +47,5 @@ struct QuadricFit {
 /// @return nullopt if the solver finds no usable solution
 std::optional<QuadricFit> refine_quadric(const Camera& camera, const std::vector<BoxView>& views,
                                          const Ellipsoid& initial, const QuadricFitOptions& options = {});
-
-/// Derivatives of the four box edges (x1, y1, x2, y2) of a projected ellipsoid.
-struct BoxJacobian {
-  Eigen::Matrix<double, 4, 3> center;    ///< by the centre, px/m
-  Eigen::Matrix<double, 4, 3> rotation;  ///< by a left rotation vector of the ellipsoid in the world, px/rad
-  Eigen::Matrix<double, 4, 3> log_axes;  ///< by the logarithms of the semi-axes, px
-};
-
-/// project_box with its derivatives, by implicit differentiation of the tangent plane condition pi^T Q* pi = 0.
-std::optional<Box> project_box(const Ellipsoid& ellipsoid, const Mat34& P_image_world, BoxJacobian* jacobian);
 
 }  // namespace semantic_topo_loop::core

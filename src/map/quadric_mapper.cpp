@@ -7,12 +7,12 @@
 #include <optional>
 #include <set>
 
+#include "geometry/object_points.h"
 #include "map/duplicates.h"
 #include "map/landmark_fitter.h"
 #include "map/life_cycle.h"
 #include "map/mapped_landmark.h"
 #include "map/merge_history.h"
-#include "map/object_points.h"
 #include "map/visibility.h"
 #include "semantic_topo_loop/map/mapper_options.h"
 #include "semantic_topo_loop/types/stamp.h"

@@ -3,6 +3,7 @@
 #include <cmath>
 
 #include "geometry/depth_noise.h"
+#include "semantic_topo_loop/geometry/lie.h"
 
 namespace semantic_topo_loop::core {
 namespace {
@@ -67,7 +68,7 @@ bool SurfaceCost::Evaluate(double const* const* parameters, double* residuals, d
   const Eigen::Map<const Quaternion> rotation(parameters[1]);
   const Eigen::Map<const Vec3> log_axes(parameters[2]);
   const Ellipsoid ellipsoid{SE3(Quaternion(rotation), Vec3(center)), log_axes.array().exp()};
-  const Eigen::Matrix<double, 3, 4> lift = 2.0 * quaternion_plus(Quaternion(rotation)).transpose();
+  const Eigen::Matrix<double, 3, 4> lift = 2.0 * quaternion_by_rotation(Quaternion(rotation)).transpose();
   const auto write = [&](int block, std::size_t row, const auto& value) {
     constexpr Eigen::Index kColumns = std::decay_t<decltype(value)>::ColsAtCompileTime;
     if (jacobians == nullptr || jacobians[block] == nullptr) return;
@@ -83,12 +84,6 @@ bool SurfaceCost::Evaluate(double const* const* parameters, double* residuals, d
     write(2, i, Eigen::RowVector3d(weight_ * s.by_log_axes.transpose()));
   }
   return true;
-}
-
-Eigen::Matrix<double, 4, 3> quaternion_plus(const Quaternion& q) {
-  Eigen::Matrix<double, 4, 3> plus;
-  plus << q.w(), q.z(), -q.y(), -q.z(), q.w(), q.x(), q.y(), -q.x(), q.w(), -q.x(), -q.y(), -q.z();
-  return plus;
 }
 
 }  // namespace semantic_topo_loop::core

@@ -41,8 +41,4 @@ class SurfaceCost final : public ceres::CostFunction {
   double weight_;
 };
 
-/// Twice the derivatives of an Eigen quaternion's coefficients by a left rotation vector. The derivatives of a function
-/// by the coefficients are, on the tangent space, those by the vector times 2 plus^T.
-Eigen::Matrix<double, 4, 3> quaternion_plus(const Quaternion& rotation);
-
 }  // namespace semantic_topo_loop::core

@@ -3,7 +3,7 @@
 #include <map>
 #include <vector>
 
-#include "map/frame_points.h"
+#include "geometry/object_points.h"
 #include "map/mapped_landmark.h"
 #include "semantic_topo_loop/types/detection.h"
 #include "semantic_topo_loop/types/frame.h"

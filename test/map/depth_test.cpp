@@ -3,8 +3,8 @@
 #include <cmath>
 #include <limits>
 
+#include "geometry/object_points.h"
 #include "geometry/plane.h"
-#include "map/object_points.h"
 #include "map/quadric_fit.h"
 #include "map/quadric_initialisation.h"
 #include "semantic_topo_loop/geometry/quadric.h"

@@ -23,4 +23,14 @@ std::optional<Box> project_box(const Ellipsoid& ellipsoid, const Mat34& P_image_
 /// The same from centre and shape matrix, for callers that keep them.
 std::optional<Box> project_box(const Vec3& center_world, const Mat3& shape_world, const Mat34& P_image_world);
 
+/// Derivatives of the four box edges (x1, y1, x2, y2) of a projected ellipsoid.
+struct BoxJacobian {
+  Eigen::Matrix<double, 4, 3> center;    ///< by the centre, px/m
+  Eigen::Matrix<double, 4, 3> rotation;  ///< by a left rotation vector of the ellipsoid in the world, px/rad
+  Eigen::Matrix<double, 4, 3> log_axes;  ///< by the logarithms of the semi-axes, px
+};
+
+/// project_box with its derivatives, by implicit differentiation of the tangent plane condition pi^T Q* pi = 0.
+std::optional<Box> project_box(const Ellipsoid& ellipsoid, const Mat34& P_image_world, BoxJacobian* jacobian);
+
 }  // namespace semantic_topo_loop::core

@@ -23,15 +23,6 @@ constexpr double kMinDecrease = 1e-6;  ///< of the cost, relative; less ends the
 constexpr double kMaxDamping = 1e6;
 constexpr double kMinInformation = 1e-6;
 
-/// Derivative of exp: exp(w + dw) = exp(w) exp(J dw) to first order.
-Mat3 right_jacobian(const Vec3& w) {
-  const double angle = w.norm();
-  const Mat3 W = hat(w);
-  if (angle < 1e-5) return Mat3::Identity() - 0.5 * W + W * W / 6.0;
-  const double angle2 = angle * angle;
-  return Mat3::Identity() - (1.0 - std::cos(angle)) / angle2 * W + (angle - std::sin(angle)) / (angle2 * angle) * W * W;
-}
-
 /// One box of a matched object, on either side.
 struct BoxMeasurement {
   Mat3 R_camera_local;

@@ -6,6 +6,7 @@
 #include "geometry/ceres_compat.h"
 #include "pose_graph/scale/relative_similarity.h"
 #include "pose_graph/solver/graph_problem.h"
+#include "semantic_topo_loop/geometry/lie.h"
 
 namespace semantic_topo_loop::core {
 namespace {

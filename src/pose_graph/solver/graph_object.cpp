@@ -3,7 +3,6 @@
 #include <cmath>
 #include <utility>
 
-#include "map/quadric_fit.h"
 #include "semantic_topo_loop/geometry/lie.h"
 #include "semantic_topo_loop/geometry/quadric.h"
 

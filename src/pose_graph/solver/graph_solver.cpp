@@ -108,13 +108,6 @@ std::string fault(const std::vector<GraphEdge>& edges, const std::vector<int>& f
 
 }  // namespace
 
-Eigen::Matrix<double, 4, 3> quaternion_by_rotation(const Quaternion& q) {
-  Eigen::Matrix<double, 4, 3> jacobian;
-  jacobian.topRows<3>() = q.w() * Mat3::Identity() - hat(q.vec());
-  jacobian.bottomRows<1>() = -q.vec().transpose();
-  return jacobian;
-}
-
 ceres::Solver::Options ceres_options(const GraphSolverOptions& options) {
   ceres::Solver::Options result;
   result.linear_solver_type = ceres::SPARSE_NORMAL_CHOLESKY;

@@ -2,7 +2,7 @@
 
 #include <cmath>
 
-#include "pose_graph/solver/graph_problem.h"
+#include "semantic_topo_loop/geometry/lie.h"
 
 namespace semantic_topo_loop::core {
 namespace {

@@ -3,8 +3,8 @@
 #include <algorithm>
 #include <optional>
 
+#include "geometry/object_points.h"
 #include "geometry/statistics.h"
-#include "map/object_points.h"
 
 namespace semantic_topo_loop::core {
 namespace {
