@@ -14,7 +14,7 @@ import time
 
 from inputs import restarted
 from robustness_table import corrupted
-from runs import JOINT, Failure, Programs, find_sequences, package_folder
+from runs import Failure, Programs, find_sequences, package_folder
 
 CONFIG = os.path.join(package_folder(), "config")
 # Of every sequence, one that drifts steadily and one that jumps.

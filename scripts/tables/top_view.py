@@ -11,7 +11,7 @@ import numpy as np
 from matplotlib.lines import Line2D
 from matplotlib.patches import Ellipse, Patch
 
-from poses import align
+from trajectory_pictures import align
 
 MARGIN_M = 0.2
 PATH_COLOR = "0.75"
