@@ -32,7 +32,7 @@ say "the demo from $prefix"
 cp -r "$package_dir/test/rostest" "$prefix/share/semantic_topo_loop/rostest"
 cd "$prefix/share/semantic_topo_loop"
 [ "$(rospack find semantic_topo_loop)" = "$PWD" ] || { echo "rospack finds another package" >&2; exit 1; }
-rostest --results-base-dir "$temporary" --results-filename demo.xml rostest/python.test name:=demo
+rostest --results-base-dir "$temporary" --results-filename demo.xml rostest/run.test name:=demo
 rosrun semantic_topo_loop paper_tables --help > /dev/null
 rosrun semantic_topo_loop fetch_data --help > /dev/null
 say "the install space is complete"

@@ -25,13 +25,13 @@ int main() {
   frame.camera.width = 640;
   frame.camera.height = 480;
   for (int i = 0; i < 10; ++i) {
-    const double x = 0.05 * i;
+    const double x = 0.01 * i;
     frame.frame_id = frame.keyframe_id = i;
     frame.is_keyframe = true;
     frame.stamp_ns = 1'000'000'000 + i * 100'000'000;
     frame.T_odom_camera.t = {x, 0.0, 0.0};
     // The cup is 1 m ahead of the middle of the way, 0.1 m wide.
-    const double u = 320.0 + 500.0 * (0.225 - x);
+    const double u = 320.0 + 500.0 * (0.045 - x);
     core::Detection detection;
     detection.class_id = kCup;
     detection.score = 0.9;
