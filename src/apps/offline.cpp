@@ -7,6 +7,7 @@
 #include "apps/command_line.h"
 #include "apps/offline_run.h"
 #include "apps/package_path.h"
+#include "ros/parameters.h"
 #include "ros/tum_bag_reader.h"
 #include "semantic_topo_loop/io/camera_yaml.h"
 #include "semantic_topo_loop/io/class_table_yaml.h"
@@ -48,7 +49,9 @@ constexpr char kUsage[] =
     "       offline --list-parameters\n"
     "Prints every parameter with its default, as a Markdown table.\n"
     "       offline --default-config\n"
-    "Prints the defaults as a file for --config.\n";
+    "Prints the defaults as a file for --config.\n"
+    "       offline --list-nodelet-parameters\n"
+    "Prints what the nodelets have beside these.\n";
 
 struct Arguments {
   std::string trajectory, rgbd, bag, associations, detections, camera, classes, config, extra_loops, output, map,
@@ -190,16 +193,19 @@ bool run(const Arguments& arguments, std::string* error) {
   return fault.empty();
 }
 
-int list_parameters(CommandLine* line, std::string* error) {
-  if (!line->read(error)) return kBadArguments;
-  std::cout << format_options_table(list_options<Options>());
-  return 0;
+/// Prints a text that needs no other argument.
+Command make_printer(std::string name, std::string (*text)()) {
+  return {std::move(name), [text](CommandLine* line, std::string* error) {
+            if (!line->read(error)) return kBadArguments;
+            std::cout << text();
+            return 0;
+          }};
 }
 
-int print_default_config(CommandLine* line, std::string* error) {
-  if (!line->read(error)) return kBadArguments;
-  std::cout << format_options_yaml(list_options<Options>());
-  return 0;
+std::string parameter_table() { return format_options_table(list_options<Options>()); }
+std::string default_config() { return format_options_yaml(list_options<Options>()); }
+std::string nodelet_parameter_table() {
+  return format_options_table(semantic_topo_loop::list_nodelet_parameters(), "nodelet");
 }
 
 }  // namespace
@@ -207,6 +213,7 @@ int print_default_config(CommandLine* line, std::string* error) {
 int main(int argc, char** argv) {
   return run_program(
       "offline", kUsage,
-      {{"--list-parameters", list_parameters}, {"--default-config", print_default_config}, make_command("", read, run)},
+      {make_printer("--list-parameters", parameter_table), make_printer("--default-config", default_config),
+       make_printer("--list-nodelet-parameters", nodelet_parameter_table), make_command("", read, run)},
       argc, argv);
 }

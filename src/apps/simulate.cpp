@@ -1,6 +1,7 @@
 #include <algorithm>
 #include <cstdio>
 #include <filesystem>
+#include <iostream>
 #include <string>
 #include <thread>
 #include <vector>
@@ -47,7 +48,8 @@ constexpr char kUsage[] =
     "                images (simulate_bag: DIR/sequence.bag); --bag-images false: camera_info only\n"
     "  --bag-compression  of its chunks (default: bz2 as the official bags; with images lz4, which is 20 times "
     "faster)\n"
-    "  --set         one of the parameters below; may be repeated\n";
+    "  --set         one of the parameters below; may be repeated\n"
+    "With --list-parameters alone, a table of these with their ranges is printed.\n";
 
 struct Arguments {
   std::string output, camera, classes, bag, bag_compression;
@@ -161,6 +163,14 @@ bool run(const Arguments& arguments, std::string* error) {
   return !arguments.has_images || write_text_file(arguments.output + "/manifest.txt", manifest, error);
 }
 
+int list_parameters(CommandLine* line, std::string* error) {
+  if (!line->read(error)) return kBadArguments;
+  std::cout << format_options_table(list_options<SimulationOptions>());
+  return 0;
+}
+
 }  // namespace
 
-int main(int argc, char** argv) { return run_program(kName, usage(), {make_command("", read, run)}, argc, argv); }
+int main(int argc, char** argv) {
+  return run_program(kName, usage(), {{"--list-parameters", list_parameters}, make_command("", read, run)}, argc, argv);
+}

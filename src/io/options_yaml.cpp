@@ -85,12 +85,14 @@ std::string format_options_yaml(const std::vector<OptionRow>& rows) {
   return text.str();
 }
 
-std::string format_options_table(const std::vector<OptionRow>& rows) {
+std::string format_options_table(const std::vector<OptionRow>& rows, const std::string& owners) {
+  const bool has_owners = !owners.empty();
   std::ostringstream text;
-  text << "| parameter | default | unit | range | meaning |\n| --- | --- | --- | --- | --- |\n";
+  text << (has_owners ? "| " + owners + " " : "") << "| parameter | default | unit | range | meaning |\n"
+       << (has_owners ? "| --- " : "") << "| --- | --- | --- | --- | --- |\n";
   for (const OptionRow& row : rows) {
-    text << "| `" << row.key << "` | " << row.value << " | " << row.unit << " | " << row.rule << " | " << row.meaning
-         << " |\n";
+    text << (has_owners ? "| " + row.owner + " " : "") << "| `" << row.key << "` | " << row.value << " | " << row.unit
+         << " | " << row.rule << " | " << row.meaning << " |\n";
   }
   return text.str();
 }

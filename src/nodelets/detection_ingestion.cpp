@@ -6,7 +6,7 @@
 #include <vector>
 
 #include "ros/detection_matcher.h"
-#include "ros/detection_parameters.h"
+#include "ros/parameters.h"
 #include "ros/pose_source.h"
 #include "ros/stage.h"
 #include "semantic_topo_loop/DetectionArray.h"

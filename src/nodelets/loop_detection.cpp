@@ -9,6 +9,7 @@
 #include <pluginlib/class_list_macros.hpp>
 
 #include "ros/frame_joiner.h"
+#include "ros/parameters.h"
 #include "ros/stage.h"
 #include "semantic_topo_loop/WhyLoop.h"
 #include "semantic_topo_loop/io/submap_file.h"
@@ -18,24 +19,6 @@
 #include "semantic_topo_loop/types/stamp.h"
 
 namespace semantic_topo_loop {
-namespace {
-
-struct Parameters : ClassStageParameters {
-  std::string map_file, save_map_file;
-  std::string earlier_map_frame = "earlier_map";
-
-  template <class Visitor>
-  void visit(Visitor& visitor) {
-    ClassStageParameters::visit(visitor);
-    visitor("map_file", map_file, "submaps of an earlier run, in which the run's place is looked for; empty: none");
-    visitor("save_map_file", save_map_file,
-            "where the run's submaps go at its end or by ~save_map; empty: they are not kept");
-    visitor("earlier_map_frame", earlier_map_frame, "name of the earlier run's map frame in earlier_map_from_odom");
-  }
-};
-
-}  // namespace
-
 /// Looks for loops in each frame once its observation update is there; loop closing can be switched at run time.
 class LoopDetectionNodelet : public Stage {
  public:
@@ -236,7 +219,7 @@ class LoopDetectionNodelet : public Stage {
   }
 
   core::Options options_;
-  Parameters parameters_;
+  LoopDetectionParameters parameters_;
   std::shared_ptr<const core::ClassTable> classes_;
   std::optional<bool> enabled_;  ///< as set by the service; none: as configured
   std::vector<core::LocalMap> earlier_map_;

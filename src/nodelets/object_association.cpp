@@ -21,7 +21,6 @@ class ObjectAssociationNodelet : public Stage {
   ~ObjectAssociationNodelet() override { stop(); }
 
  private:
-  using Parameters = ClassStageParameters;
   /// A frame that the end of the chain has not answered yet.
   struct Open {
     ros::Time stamp;
@@ -30,7 +29,7 @@ class ObjectAssociationNodelet : public Stage {
   };
 
   void onInit() override {
-    Parameters parameters;
+    ClassStageParameters parameters;
     if (!start(&options_, &parameters, 2)) return;
     classes_ = load_classes(parameters.class_table);
     if (!classes_) return;

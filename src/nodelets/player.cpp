@@ -12,8 +12,8 @@
 #include <string>
 #include <thread>
 
+#include "ros/parameters.h"
 #include "ros/player_ledger.h"
-#include "ros/player_parameters.h"
 #include "ros/player_source.h"
 #include "ros/stage.h"
 #include "ros/tum_bag_source.h"

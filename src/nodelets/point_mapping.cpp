@@ -5,6 +5,7 @@
 
 #include "ros/conversions_points.h"
 #include "ros/lazy_publisher.h"
+#include "ros/parameters.h"
 #include "ros/stage.h"
 #include "semantic_topo_loop/SavePoints.h"
 #include "semantic_topo_loop/io/point_cloud_file.h"
@@ -12,28 +13,6 @@
 #include "semantic_topo_loop/ros/conversions.h"
 
 namespace semantic_topo_loop {
-namespace {
-
-struct Parameters : StageParameters {
-  std::string map_frame = "map";
-  double rate_hz = 1.0;
-
-  template <class Visitor>
-  void visit(Visitor& visitor) {
-    StageParameters::visit(visitor);
-    visitor("map_frame", map_frame, "frame of the corrected map");
-    visitor("rate_hz", rate_hz, "most often that the points are published (wall time)");
-  }
-  bool is_valid(std::string* error) const {
-    if (!StageParameters::is_valid(error)) return false;
-    if (rate_hz > 0.0) return true;
-    if (error != nullptr) *error = "parameter 'rate_hz' = " + std::to_string(rate_hz) + " must be > 0";
-    return false;
-  }
-};
-
-}  // namespace
-
 /// Keeps the points of the keyframes, which move with the map's corrections. Publishes them only while somebody
 /// listens.
 class PointMappingNodelet : public Stage {
@@ -123,7 +102,7 @@ class PointMappingNodelet : public Stage {
   }
 
   core::Options options_;
-  Parameters parameters_;
+  PointMappingParameters parameters_;
   LazyPublisher sparse_, semi_dense_;  ///< worker thread only
   ros::Time stamp_;
   std::mutex mutex_;  ///< guards map_, which the worker fills and the service reads

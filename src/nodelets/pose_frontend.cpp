@@ -11,7 +11,7 @@
 #include <string>
 
 #include "ros/frontend_stage.h"
-#include "ros/pose_frontend_parameters.h"
+#include "ros/parameters.h"
 #include "ros/pose_odometry.h"
 #include "ros/pose_source.h"
 #include "ros/pose_tf.h"

@@ -13,40 +13,12 @@
 #include "ros/frame_joiner.h"
 #include "ros/lazy_publisher.h"
 #include "ros/map_odom_sender.h"
+#include "ros/parameters.h"
 #include "ros/stage.h"
 #include "semantic_topo_loop/WithdrawLoop.h"
 #include "semantic_topo_loop/ros/conversions.h"
 
 namespace semantic_topo_loop {
-namespace {
-
-struct Parameters : StageParameters {
-  std::string map_frame = "map";
-  bool publish_tf = true;
-  double tf_rate_hz = 20.0;
-  double tf_tolerance_s = 0.1;
-
-  template <class Visitor>
-  void visit(Visitor& visitor) {
-    StageParameters::visit(visitor);
-    visitor("map_frame", map_frame, "frame of the corrected map");
-    visitor("publish_tf", publish_tf, "send the transform from map_frame to the odometry's frame");
-    visitor("tf_rate_hz", tf_rate_hz, "rate of that transform (wall time)");
-    visitor("tf_tolerance_s", tf_tolerance_s, "how far the transform is dated ahead of the last pose");
-  }
-  bool is_valid(std::string* error) const {
-    if (!StageParameters::is_valid(error)) return false;
-    const bool good = tf_rate_hz > 0.0 && tf_tolerance_s >= 0.0;
-    if (!good && error != nullptr) {
-      *error = tf_rate_hz > 0.0 ? "parameter 'tf_tolerance_s' = " + std::to_string(tf_tolerance_s) + " must be >= 0"
-                                : "parameter 'tf_rate_hz' = " + std::to_string(tf_rate_hz) + " must be > 0";
-    }
-    return good;
-  }
-};
-
-}  // namespace
-
 /// Owns the keyframe poses: optimises them with the loops, and with the objects if they take part, publishes
 /// corrections, paths and the transform from map to odometry.
 class PoseGraphNodelet : public Stage {
@@ -202,7 +174,7 @@ class PoseGraphNodelet : public Stage {
   void on_tf_timer(const ros::WallTimerEvent&) { tf_sender_->send(); }
 
   core::Options options_;
-  Parameters parameters_;
+  PoseGraphParameters parameters_;
   ros::Publisher correction_publisher_;
   LazyPublisher odometry_path_, corrected_path_;
   std::unique_ptr<MapOdomSender> tf_sender_;

@@ -2,25 +2,12 @@
 #include <pluginlib/class_list_macros.hpp>
 
 #include "ros/frame_joiner.h"
+#include "ros/parameters.h"
 #include "ros/stage.h"
 #include "semantic_topo_loop/map/quadric_mapper.h"
 #include "semantic_topo_loop/ros/conversions.h"
 
 namespace semantic_topo_loop {
-namespace {
-
-struct Parameters : ClassStageParameters {
-  std::string map_frame = "map";
-
-  template <class Visitor>
-  void visit(Visitor& visitor) {
-    ClassStageParameters::visit(visitor);
-    visitor("map_frame", map_frame, "frame of the corrected map");
-  }
-};
-
-}  // namespace
-
 /// Keeps the quadric map and publishes its deltas, and the whole of it now and then for late listeners.
 class QuadricMappingNodelet : public Stage {
  public:
@@ -96,7 +83,7 @@ class QuadricMappingNodelet : public Stage {
   }
 
   core::Options options_;
-  Parameters parameters_;
+  QuadricMappingParameters parameters_;
   std::shared_ptr<const core::ClassTable> classes_;
   ros::Publisher update_publisher_, map_publisher_;
   std::unique_ptr<Joiner> joiner_;

@@ -7,25 +7,12 @@
 #include <pluginlib/class_list_macros.hpp>
 
 #include "ros/frame_joiner.h"
+#include "ros/parameters.h"
 #include "ros/stage.h"
 #include "semantic_topo_loop/io/run_recorder.h"
 #include "semantic_topo_loop/ros/conversions.h"
 
 namespace semantic_topo_loop {
-namespace {
-
-struct Parameters : ClassStageParameters {
-  std::string output_dir;
-
-  template <class Visitor>
-  void visit(Visitor& visitor) {
-    ClassStageParameters::visit(visitor);
-    visitor("output_dir", output_dir, "where a run's files go at its end or by ~save_results; empty: nothing is kept");
-  }
-};
-
-}  // namespace
-
 /// Collects what the stages say and writes the files of the offline program.
 class RecorderNodelet : public Stage {
  public:
@@ -147,7 +134,7 @@ class RecorderNodelet : public Stage {
     }
   }
 
-  Parameters parameters_;
+  RecorderParameters parameters_;
   std::shared_ptr<const core::ClassTable> classes_;
   ros::Publisher written_publisher_;
   std::unique_ptr<Joiner> joiner_;

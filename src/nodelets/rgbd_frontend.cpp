@@ -11,8 +11,8 @@
 #include <tuple>
 
 #include "ros/frontend_stage.h"
+#include "ros/parameters.h"
 #include "ros/rgbd_conversion.h"
-#include "ros/rgbd_frontend_parameters.h"
 #include "ros/rgbd_synchronizer.h"
 #include "semantic_topo_loop/FrameDone.h"
 #include "semantic_topo_loop/TrackingReport.h"

@@ -9,45 +9,12 @@
 #include "ros/lazy_publisher.h"
 #include "ros/map_follower.h"
 #include "ros/markers.h"
+#include "ros/parameters.h"
 #include "ros/stage.h"
 #include "semantic_topo_loop/geometry/lie.h"
 #include "semantic_topo_loop/ros/conversions.h"
 
 namespace semantic_topo_loop {
-namespace {
-
-struct Parameters : ClassStageParameters {
-  std::string map_frame = "map";
-  std::string upright_frame = "map_upright";
-  double rate_hz = 5.0;
-  MarkerSizes sizes;
-
-  template <class Visitor>
-  void visit(Visitor& visitor) {
-    ClassStageParameters::visit(visitor);
-    visitor("map_frame", map_frame, "frame of the corrected map");
-    visitor("upright_frame", upright_frame,
-            "z-up child frame of map_frame at the first camera, for viewers; empty: none");
-    visitor("rate_hz", rate_hz, "most often that markers are published (wall time)");
-    visitor("label_size_m", sizes.label_m, "height of the labels' letters");
-    visitor("line_width_m", sizes.line_m, "width of the lines of topology and loops");
-    visitor("camera_size_m", sizes.camera_m, "depth of the keyframes' frusta");
-  }
-  bool is_valid(std::string* error) const {
-    if (!ClassStageParameters::is_valid(error)) return false;
-    for (const auto& [key, value] :
-         {std::pair("rate_hz", rate_hz), std::pair("label_size_m", sizes.label_m),
-          std::pair("line_width_m", sizes.line_m), std::pair("camera_size_m", sizes.camera_m)}) {
-      if (value > 0.0) continue;
-      if (error != nullptr) *error = "parameter '" + std::string(key) + "' = " + std::to_string(value) + " must be > 0";
-      return false;
-    }
-    return true;
-  }
-};
-
-}  // namespace
-
 /// Shows the map in rviz. Follows the deltas at all times, since a late listener wants the whole, but reads frames and
 /// associations, and makes markers, only while somebody listens.
 class VisualizationNodelet : public Stage {
@@ -165,7 +132,7 @@ class VisualizationNodelet : public Stage {
     if (!wanted && *subscriber) subscriber->shutdown();
   }
 
-  Parameters parameters_;
+  VisualizationParameters parameters_;
   std::shared_ptr<const core::ClassTable> classes_;
   LazyPublisher quadrics_, labels_, topology_, loops_, keyframes_;
   ros::Subscriber frame_subscriber_, association_subscriber_, full_map_subscriber_;

@@ -13,13 +13,6 @@
 
 namespace semantic_topo_loop {
 
-bool FrontendParameters::is_valid(std::string* error) const {
-  if (!StageParameters::is_valid(error)) return false;
-  if (!odom_frame.empty()) return true;
-  if (error != nullptr) *error = "parameter 'odom_frame' = '' must be given";
-  return false;
-}
-
 bool FrontendStage::open(const core::KeyframeOptions& options, const FrontendParameters& parameters,
                          std::shared_ptr<TfPoses> transforms) {
   keyframe_options_ = options;

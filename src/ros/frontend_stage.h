@@ -10,7 +10,7 @@
 #include <optional>
 #include <string>
 
-#include "ros/frontend_parameters.h"
+#include "ros/parameters.h"
 #include "ros/pose_tf.h"
 #include "ros/stage.h"
 #include "semantic_topo_loop/pipeline/frame_builder.h"

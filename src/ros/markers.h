@@ -6,17 +6,11 @@
 #include <boost/make_shared.hpp>
 
 #include "ros/map_view.h"
+#include "ros/parameters.h"
 #include "semantic_topo_loop/types/class_table.h"
 
 /// MarkerArrays of the map for rviz. Each begins with DELETEALL; ids are those of landmarks, so a marker keeps its id.
 namespace semantic_topo_loop {
-
-/// Sizes in metres of what has none of its own.
-struct MarkerSizes {
-  double label_m = 0.08;   ///< height of a capital letter
-  double line_m = 0.008;   ///< width of lines
-  double camera_m = 0.06;  ///< depth of a keyframe's frustum; the current camera's is twice as deep
-};
 
 /// The same colour for a class in every run, neighbours in id far apart in hue.
 std_msgs::ColorRGBA class_color(int class_id, double alpha);

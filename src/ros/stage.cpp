@@ -15,19 +15,6 @@ constexpr double kErrorLogPeriodS = 5.0;
 
 }  // namespace
 
-bool StageParameters::is_valid(std::string* error) const {
-  if (queue_size >= 2) return true;
-  if (error != nullptr) *error = "parameter 'queue_size' = " + std::to_string(queue_size) + " must be at least 2";
-  return false;
-}
-
-bool ClassStageParameters::is_valid(std::string* error) const {
-  if (!StageParameters::is_valid(error)) return false;
-  if (!class_table.empty()) return true;
-  if (error != nullptr) *error = "parameter 'class_table' = '' must name a class table file";
-  return false;
-}
-
 void Stage::fail(const std::string& error) {
   NODELET_FATAL("%s is not working: %s", name_.c_str(), error.c_str());
   statistics_.set_failure(error);

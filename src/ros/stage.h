@@ -11,7 +11,7 @@
 #include <string>
 #include <vector>
 
-#include "ros/params.h"
+#include "ros/parameters.h"
 #include "ros/stage_statistics.h"
 #include "ros/worker.h"
 #include "semantic_topo_loop/SessionAck.h"
@@ -19,30 +19,6 @@
 #include "semantic_topo_loop/types/class_table.h"
 
 namespace semantic_topo_loop {
-
-/// Parameters that every stage has; a stage's own struct inherits it.
-struct StageParameters {
-  int queue_size = 30;
-
-  template <class Visitor>
-  void visit(Visitor& visitor) {
-    visitor("queue_size", queue_size,
-            "frames held before the oldest is dropped; more than the player's credit, so that it loses none");
-  }
-  bool is_valid(std::string* error) const;
-};
-
-/// The same for stages that need the detector's classes.
-struct ClassStageParameters : StageParameters {
-  std::string class_table;
-
-  template <class Visitor>
-  void visit(Visitor& visitor) {
-    StageParameters::visit(visitor);
-    visitor("class_table", class_table, "file with the detector's classes, config/classes_*.yaml (required)");
-  }
-  bool is_valid(std::string* error) const;
-};
 
 /// The header of what a stage says about a frame.
 inline std_msgs::Header make_header(const ros::Time& stamp, const std::string& frame_id) {
@@ -69,11 +45,10 @@ class Stage : public nodelet::Nodelet {
   /// @param inputs messages a frame brings to this stage
   template <class Own>
   bool start(core::Options* options, Own* own, std::size_t inputs) {
-    std::string error;
-    const std::optional<NodeletParameters<Own>> parameters = load_parameters<Own>(getPrivateNodeHandle(), &error);
+    const core::Result<NodeletParameters<Own>> parameters = load_parameters<Own>(getPrivateNodeHandle());
     start_diagnostics();
     if (!parameters) {
-      fail(error);
+      fail(parameters.message());
       return false;
     }
     *options = parameters->options;

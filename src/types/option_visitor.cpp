@@ -157,8 +157,13 @@ std::vector<OptionRow> OptionVisitor::rows() const {
     const bool is_text = std::holds_alternative<std::string*>(option.field);
     const bool is_number = !is_text && !std::holds_alternative<bool*>(option.field);
     const std::string rule = option.range.rule(), between = rule.empty() || option.relation.empty() ? "" : "; ";
-    rows.push_back({option.key, std::visit([](const auto* field) { return to_text(*field); }, option.field),
-                    is_number ? unit_of(option.key) : "", rule + between + option.relation, option.meaning, is_text});
+    rows.push_back({option.key,
+                    std::visit([](const auto* field) { return to_text(*field); }, option.field),
+                    is_number ? unit_of(option.key) : "",
+                    rule + between + option.relation,
+                    option.meaning,
+                    is_text,
+                    {}});
   }
   return rows;
 }

@@ -2,22 +2,13 @@
 
 #include <gtest/gtest.h>
 
-#include <fstream>
-#include <sstream>
-
 #include "semantic_topo_loop/io/camera_yaml.h"
 #include "semantic_topo_loop/io/class_table_yaml.h"
 #include "semantic_topo_loop/io/options_yaml.h"
+#include "support/test_files.h"
 
 namespace semantic_topo_loop::core {
 namespace {
-
-std::string file_text(const std::string& path) {
-  std::ifstream file(path);
-  std::ostringstream text;
-  text << file.rdbuf();
-  return text.str();
-}
 
 TEST(Options, DefaultsAreValid) {
   const auto options = make_options<Options>({});
@@ -49,16 +40,8 @@ TEST(Options, UnknownKeyWrongTypeAndRangeAreErrorsThatNameThem) {
   EXPECT_NE(error_of("pose_graph.robust", "hope").find("hope"), std::string::npos);
 }
 
-/// What stands in the documentation between the markers of what prints it.
-std::string generated_part(const std::string& file, const std::string& command) {
-  const std::string text = file_text(file), begin = "<!-- begin " + command + " -->\n";
-  const std::size_t from = text.find(begin), to = text.find("<!-- end " + command + " -->");
-  if (from == std::string::npos || to == std::string::npos) return "no part of " + command;
-  return text.substr(from + begin.size(), to - from - begin.size());
-}
-
 TEST(Options, DefaultFileIsWhatTheCodeSays) {
-  const std::string text = file_text(STL_CONFIG_DIR "/default.yaml"), options = text.substr(text.find("depth:"));
+  const std::string text = read_whole(STL_CONFIG_DIR "/default.yaml"), options = text.substr(text.find("depth:"));
   EXPECT_EQ(options, format_options_yaml(list_options<Options>())) << "scripts/generate_parameters writes it";
   std::string error;
   EXPECT_TRUE(load_options(STL_CONFIG_DIR "/default.yaml", {}, &error)) << error;

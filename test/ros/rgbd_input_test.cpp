@@ -7,9 +7,8 @@
 #include <vector>
 
 #include "ros/depth_pairing.h"
-#include "ros/params.h"
+#include "ros/parameters.h"
 #include "ros/rgbd_conversion.h"
-#include "ros/rgbd_frontend_parameters.h"
 #include "semantic_topo_loop/pipeline/read_ahead.h"
 #include "semantic_topo_loop/ros/conversions.h"
 
@@ -175,13 +174,12 @@ TEST(ReadAhead, CanBeLeftInTheMiddle) {
 }
 
 TEST(RgbdFrontendParameters, AreStrict) {
-  std::string error;
-  const auto good = make_nodelet_parameters<RgbdFrontendParameters>({{"depth.scale_correction", "0.96"}}, &error);
-  ASSERT_TRUE(good) << error;
+  const auto good = make_nodelet_parameters<RgbdFrontendParameters>({{"depth.scale_correction", "0.96"}});
+  ASSERT_TRUE(good) << good.message();
   EXPECT_EQ(good->options.depth.scale_correction, 0.96);
-  EXPECT_FALSE(make_nodelet_parameters<RgbdFrontendParameters>({{"sync_queue_size", "0"}}, &error));
-  EXPECT_NE(error.find("sync_queue_size"), std::string::npos) << error;
-  EXPECT_FALSE(make_nodelet_parameters<RgbdFrontendParameters>({{"odom_frame", ""}}, &error));
+  EXPECT_EQ(make_nodelet_parameters<RgbdFrontendParameters>({{"sync_queue_size", "0"}}).message(),
+            "parameter 'sync_queue_size' = '0' must be >= 1");
+  EXPECT_FALSE(make_nodelet_parameters<RgbdFrontendParameters>({{"odom_frame", ""}}));
 }
 
 }  // namespace

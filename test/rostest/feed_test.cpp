@@ -7,11 +7,10 @@
 
 #include "ros/detection_matcher.h"
 #include "ros/player_ledger.h"
-#include "ros/player_parameters.h"
 #include "ros/player_source.h"
-#include "ros/pose_frontend_parameters.h"
 #include "ros/pose_odometry.h"
 #include "ros/pose_tf.h"
+#include "ros/stage.h"
 #include "ros/tum_bag_source.h"
 #include "semantic_topo_loop/ros/conversions.h"
 #include "support/test_files.h"
@@ -262,31 +261,6 @@ TEST(PlayerLedger, NamesTheFirstStageThatHasNotShownTheFrame) {
   EXPECT_EQ(ledger.silent_stage(), "Recorder");
   ledger.results_written();
   EXPECT_TRUE(ledger.is_end_done());
-}
-
-TEST(Parameters, BadValuesAreNamed) {
-  std::string error;
-  PlayerParameters player;
-  player.mode = "film";
-  EXPECT_FALSE(player.is_valid(&error));
-  EXPECT_EQ(error, "parameter 'mode' = 'film' must be files or bag");
-  player.mode = "bag";
-  player.bag_file = "a.bag";
-  player.rate = -1.0;
-  EXPECT_FALSE(player.is_valid(&error));
-  EXPECT_EQ(error, "parameter 'rate' = '-1' must be > 0");
-  player.rate = 1.0;
-  player.credit = player.queue_size;
-  EXPECT_FALSE(player.is_valid(&error)) << "so many would be dropped";
-
-  PoseFrontendParameters frontend;
-  EXPECT_TRUE(frontend.is_valid(&error)) << error;
-  frontend.pose_source = "file";
-  EXPECT_FALSE(frontend.is_valid(&error));
-  EXPECT_NE(error.find("trajectory_file"), std::string::npos) << error;
-  frontend.pose_source = "gps";
-  EXPECT_FALSE(frontend.is_valid(&error));
-  EXPECT_EQ(error, "parameter 'pose_source' = 'gps' must be file, tf or odometry");
 }
 
 /// A bag as the TUM ones, with an image each 100 ms and the motion capture each 20 ms.

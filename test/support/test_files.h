@@ -39,6 +39,14 @@ inline std::string read_whole(const std::string& path) {
   return text.str();
 }
 
+/// What stands in a page of the documentation between the lines that name the command that prints it.
+inline std::string generated_part(const std::string& page, const std::string& command) {
+  const std::string text = read_whole(page), begin = "<!-- begin " + command + " -->\n";
+  const std::size_t from = text.find(begin), to = text.find("<!-- end " + command + " -->");
+  if (from == std::string::npos || to == std::string::npos) return page + " has no part of " + command;
+  return text.substr(from + begin.size(), to - from - begin.size());
+}
+
 /// A path in the shared recordings, or nullopt without them: GTEST_SKIP() then.
 inline std::optional<std::string> shared_data(const std::string& name) {
   const char* root = std::getenv("SEMANTIC_TOPO_LOOP_DATA");

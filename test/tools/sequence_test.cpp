@@ -5,8 +5,10 @@
 
 #include "semantic_topo_loop/geometry/lie.h"
 #include "semantic_topo_loop/io/detection_reader.h"
+#include "semantic_topo_loop/io/options_yaml.h"
 #include "semantic_topo_loop/io/text_file.h"
 #include "semantic_topo_loop/io/tum_trajectory.h"
+#include "support/test_files.h"
 #include "support/test_fixtures.h"
 #include "tools/simulation/reference_objects.h"
 
@@ -188,6 +190,12 @@ TEST(SimulationOptions, bad_values_are_named) {
     EXPECT_NE(error.find("'" + key + "'"), std::string::npos) << error;
     EXPECT_NE(error.find("'" + value + "'"), std::string::npos) << key << ": " << error;
   }
+}
+
+TEST(SimulationOptions, documentation_is_what_the_code_says) {
+  EXPECT_EQ(generated_part(STL_SOURCE_DIR "/docs/parameters.md", "simulate --list-parameters"),
+            format_options_table(list_options<SimulationOptions>()))
+      << "scripts/generate_parameters writes it";
 }
 
 TEST(SimulationOptions, an_invalid_camera_is_an_error) {

@@ -19,7 +19,7 @@ std::optional<Options> load_options(const std::string& path, const OptionTexts& 
 /// Rows as a file that read_option_texts reads.
 std::string format_options_yaml(const std::vector<OptionRow>& rows);
 
-/// Rows as a Markdown table.
-std::string format_options_table(const std::vector<OptionRow>& rows);
+/// Rows as a Markdown table.   @param owners heading of a first column that says who has a parameter; empty: none
+std::string format_options_table(const std::vector<OptionRow>& rows, const std::string& owners = "");
 
 }  // namespace semantic_topo_loop::core

@@ -58,6 +58,7 @@ using OptionTexts = std::map<std::string, std::string>;
 struct OptionRow {
   std::string key, value, unit, rule, meaning;
   bool is_text = false;
+  std::string owner;  ///< who has it, where the key does not say
 };
 
 /// What an options struct says about its fields. A struct has `void visit(OptionVisitor& visitor)`, which shows each
