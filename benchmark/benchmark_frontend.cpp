@@ -16,7 +16,6 @@
 
 #include "apps/command_line.h"
 #include "semantic_topo_loop/frontend/rgbd_frontend.h"
-#include "semantic_topo_loop/frontend/tracking_report.h"
 #include "semantic_topo_loop/io/camera_yaml.h"
 #include "semantic_topo_loop/io/options_yaml.h"
 #include "semantic_topo_loop/io/rgbd_folder.h"

@@ -162,12 +162,12 @@ class TumBag {
   }
 
   /// @return false with `error` set if the frame's image cannot be read
-  bool write_colour(std::size_t frame, std::string* error) {
+  bool write_color(std::size_t frame, std::string* error) {
     const std::int64_t stamp_ns = sequence_.truth[frame].stamp_ns;
     write(kInfoTopic, frame, stamp_ns, &info_);
     if (!options_.with_images) return true;
     std::optional<cv::Mat> image(cv::Mat(kThumbnailHeight, kThumbnailWidth, CV_8UC3, cv::Scalar::all(128.0)));
-    if (has_rendered_images()) image = core::read_rendered_colour(sequence_, options_.image_directory, frame, error);
+    if (has_rendered_images()) image = core::read_rendered_color(sequence_, options_.image_directory, frame, error);
     if (!image) return false;
     sensor_msgs::Image message =
         image_message(swap_blue_and_red(*image), kOpticalFrame, sensor_msgs::image_encodings::RGB8);
@@ -209,15 +209,15 @@ class TumBag {
 
 /// Everything in order of time.
 bool write_messages(const core::SimulatedSequence& sequence, TumBag* bag, std::string* error) {
-  std::size_t colour = 0, depth = 0;
+  std::size_t color = 0, depth = 0;
   for (const core::StampedPose& pose : sequence.mocap) {
     for (;;) {
-      const bool has_colour = colour < sequence.truth.size() && sequence.truth[colour].stamp_ns <= pose.stamp_ns;
+      const bool has_color = color < sequence.truth.size() && sequence.truth[color].stamp_ns <= pose.stamp_ns;
       const bool has_depth = depth < sequence.depth.size() && sequence.depth[depth].stamp_ns <= pose.stamp_ns;
-      if (!has_colour && !has_depth) break;
-      const bool is_colour =
-          has_colour && (!has_depth || sequence.truth[colour].stamp_ns <= sequence.depth[depth].stamp_ns);
-      if (!(is_colour ? bag->write_colour(colour++, error) : bag->write_depth(depth++, error))) return false;
+      if (!has_color && !has_depth) break;
+      const bool is_color =
+          has_color && (!has_depth || sequence.truth[color].stamp_ns <= sequence.depth[depth].stamp_ns);
+      if (!(is_color ? bag->write_color(color++, error) : bag->write_depth(depth++, error))) return false;
     }
     bag->write_mocap(pose);
   }

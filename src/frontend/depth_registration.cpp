@@ -8,15 +8,16 @@
 namespace semantic_topo_loop::core {
 namespace {
 
-constexpr int kSharp = 0, kBlurred = 1;
-constexpr std::size_t kRimsPerImage = 500;
+constexpr int kSharp = 0, kBlurred = 1;          ///< indices of Gradients
+constexpr std::size_t kRimsPerImage = 500;       ///< about, of each axis: bounds the time of the search
+constexpr std::size_t kMinRims = kRimsPerImage;  ///< in all; those of one image hardly tell the five parameters
 
 /// Strength of edges across an axis, cut off where more contrast says no more.
 cv::Mat edge_strength(const cv::Mat& gray, int axis) {
   cv::Mat smooth, gradient, magnitude;
   cv::GaussianBlur(gray, smooth, cv::Size(5, 5), 1.2);
   cv::Sobel(smooth, gradient, CV_16S, axis == 0 ? 1 : 0, axis == 0 ? 0 : 1, 3);
-  constexpr double kSaturation = 120.0;
+  constexpr double kSaturation = 120.0;  // of Sobel's filter: a step of about 50 grey levels
   cv::convertScaleAbs(gradient, magnitude, 255.0 / kSaturation);
   return magnitude;
 }
@@ -24,9 +25,9 @@ cv::Mat edge_strength(const cv::Mat& gray, int axis) {
 }  // namespace
 
 void RegistrationEstimator::add_rims(const cv::Mat& depth_m, int axis) {
-  constexpr int kReach_px = 12;  // over the shadow beside a surface, in which there is no depth
-  constexpr float kStep = 1.15F;
-  constexpr int kRow = 2;  // every second line
+  constexpr int kReach_px = 12;   // over the shadow beside a surface, in which there is no depth
+  constexpr float kStep = 1.15F;  // ratio of the depths: farther apart than any slope's within the reach
+  constexpr int kRow = 2;         // every second line
   const int lines = axis == 0 ? depth_m.rows : depth_m.cols, length = axis == 0 ? depth_m.cols : depth_m.rows;
   const auto at = [&](int line, int i) { return axis == 0 ? depth_m.at<float>(line, i) : depth_m.at<float>(i, line); };
   std::vector<Rim> found;
@@ -51,10 +52,11 @@ void RegistrationEstimator::add_rims(const cv::Mat& depth_m, int axis) {
 }
 
 void RegistrationEstimator::add(const RgbdImage& image) {
+  constexpr double kBlur_px = 4.0;  // sigma: edges are felt as far as calibrations are wrong, some 10 px
   Gradients gradients;
   for (const int axis : {0, 1}) {
     gradients.of_axis[axis][kSharp] = edge_strength(image.gray, axis);
-    cv::GaussianBlur(gradients.of_axis[axis][kSharp], gradients.of_axis[axis][kBlurred], cv::Size(0, 0), 4.0);
+    cv::GaussianBlur(gradients.of_axis[axis][kSharp], gradients.of_axis[axis][kBlurred], cv::Size(0, 0), kBlur_px);
   }
   gradients_.push_back(gradients);
   add_rims(image.depth_m, 0);
@@ -72,21 +74,23 @@ double RegistrationEstimator::score(const DepthRegistration& registration, int b
   double sum = 0.0;
   for (const Rim& rim : rims_) sum += score(registration, rim, blur);
   // Shifts beyond those of a camera's housing need reasons.
-  constexpr double kShiftSigma_px = 15.0, kParallaxSigma = 25.0, kPriorWeight = 0.01;
+  constexpr double kShiftSigma_px = 15.0;       // of the optical centres, between two lenses of one kind
+  constexpr double kParallaxSigma_px_m = 25.0;  // 5 cm at a focal length of 525 px
+  constexpr double kPriorWeight = 0.01;         // a hundredth of the strongest edges a square sigma
   const double prior = registration.shift_px.squaredNorm() / (kShiftSigma_px * kShiftSigma_px) +
-                       registration.parallax_px_m.squaredNorm() / (kParallaxSigma * kParallaxSigma);
+                       registration.parallax_px_m.squaredNorm() / (kParallaxSigma_px_m * kParallaxSigma_px_m);
   return sum / static_cast<double>(rims_.size()) - kPriorWeight * prior;
 }
 
-DepthRegistration RegistrationEstimator::climb(DepthRegistration best, int blur, double step) const {
-  constexpr int kRounds = 40;
-  constexpr double kSmallest = 0.25;
+DepthRegistration RegistrationEstimator::climb(DepthRegistration best, int blur, double step_px) const {
+  constexpr int kRounds = 40;            // 8 px of step in every direction are 320 px: more than any search needs
+  constexpr double kSmallest_px = 0.25;  // outlines are known to no better than half a pixel
   double highest = score(best, blur);
   const double half_width_px = 0.5 * camera_.width;
-  for (int round = 0; round < kRounds && step >= kSmallest; ++round) {
+  for (int round = 0; round < kRounds && step_px >= kSmallest_px; ++round) {
     bool is_better = false;
     for (int parameter = 0; parameter < 5; ++parameter) {
-      for (const double change : {-step, step}) {
+      for (const double change : {-step_px, step_px}) {
         DepthRegistration next = best;
         switch (parameter) {  // each moves the rims by about as many pixels
           case 0:
@@ -111,7 +115,7 @@ DepthRegistration RegistrationEstimator::climb(DepthRegistration best, int blur,
         is_better = true;
       }
     }
-    if (!is_better) step *= 0.5;
+    if (!is_better) step_px *= 0.5;
   }
   return best;
 }
@@ -126,28 +130,31 @@ bool RegistrationEstimator::is_clearly_better(const DepthRegistration& registrat
     moved_px += (registration.to_color(camera_, rim.pixel, rim.z_m) - rim.pixel).norm();
   }
   const auto n = static_cast<double>(rims_.size());
-  // Neighbouring rims tell the same, so that only some of them count as independent.
-  constexpr double kIndependentShare = 0.02, kMinSigmas = 4.0, kMinMotion_px = 3.0, kMinGain = 0.03;
+  constexpr double kIndependentShare = 0.02;  // one of 50: rims of one outline tell the same
+  constexpr double kMinSigmas = 4.0;
+  constexpr double kMinMotion_px = 3.0;  // registered depth moves by 1 px (fr3_cabinet's)
+  constexpr double kMinGain = 0.03;      // of the strongest edges
   const double mean = sum / n;
   const double sigma = std::sqrt(std::max(squares / n - mean * mean, 1e-9) / (kIndependentShare * n));
   return mean > kMinSigmas * sigma && mean > kMinGain && moved_px / n > kMinMotion_px;
 }
 
 std::optional<DepthRegistration> RegistrationEstimator::estimate() const {
-  constexpr std::size_t kMinRims = 500;
   if (rims_.size() < kMinRims) return std::nullopt;
   DepthRegistration best;
   double highest = -1.0;
+  // Where a climb ends depends on where it begins. A Kinect's focal lengths, 525 and 585 px, differ by a tenth.
+  constexpr double kCoarseStep_px = 8.0, kFineStep_px = 2.0;  // twice the blur's sigma, and half of it
   for (const double scale : {1.0, 0.95, 1.05, 0.9, 1.1}) {
     DepthRegistration start;
     start.scale = scale;
-    const DepthRegistration coarse = climb(start, kBlurred, 8.0);
+    const DepthRegistration coarse = climb(start, kBlurred, kCoarseStep_px);
     const double value = score(coarse, kBlurred);
     if (value <= highest) continue;
     highest = value;
     best = coarse;
   }
-  best = climb(best, kSharp, 2.0);
+  best = climb(best, kSharp, kFineStep_px);
   if (!is_clearly_better(best)) return std::nullopt;
   return best;
 }

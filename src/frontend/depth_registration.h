@@ -8,7 +8,7 @@
 
 namespace semantic_topo_loop::core {
 
-/// Where a colour image shows what a depth image shows, for depth that is not registered to it: the two cameras look
+/// Where a color image shows what a depth image shows, for depth that is not registered to it: the two cameras look
 /// the same way from places beside each other, with focal lengths of their own.
 ///   pixel_color = c + scale (pixel_depth - c) + shift_px + parallax_px_m / z
 struct DepthRegistration {
@@ -27,7 +27,7 @@ struct DepthRegistration {
   }
 };
 
-/// Finds the registration from images: outlines in depth should lie on edges in colour.
+/// Finds the registration from images: outlines in depth should lie on edges in color.
 class RegistrationEstimator {
  public:
   explicit RegistrationEstimator(const Camera& camera) : camera_(camera) {}
@@ -48,7 +48,7 @@ class RegistrationEstimator {
   void add_rims(const cv::Mat& depth_m, int axis);
   double score(const DepthRegistration& registration, const Rim& rim, int blur) const;
   double score(const DepthRegistration& registration, int blur) const;
-  DepthRegistration climb(DepthRegistration start, int blur, double step) const;
+  DepthRegistration climb(DepthRegistration start, int blur, double step_px) const;
   bool is_clearly_better(const DepthRegistration& registration) const;
 
   Camera camera_;

@@ -6,11 +6,15 @@
 #include <opencv2/features2d.hpp>
 #include <opencv2/imgproc.hpp>
 
+#include "geometry/depth_noise.h"
+
 namespace semantic_topo_loop::core {
 namespace {
 
+// ORB (Rublee, Rabaud, Konolige and Bradski 2011).
 constexpr int kPatchRadius_px = 15;  ///< of orientation and descriptor
-constexpr int kBorder_px = 19;       ///< a rotated descriptor reaches this far
+constexpr int kBorder_px = 19;       ///< a descriptor's pairs of pixels lie within +-13 px, turned within 13 sqrt(2)
+constexpr int kFastRadius_px = 3;    ///< of the circle that a corner is found by
 
 /// Half width of each row of the round patch.
 std::array<int, kPatchRadius_px + 1> circle_rows() {
@@ -67,7 +71,6 @@ void FeatureExtractor::extract_level(const cv::Mat& image, int level, int wanted
   const double scale_x = static_cast<double>(camera_.width) / image.cols;
   const double scale_y = static_cast<double>(camera_.height) / image.rows;
   if (image.cols <= 2 * kBorder_px || image.rows <= 2 * kBorder_px) return;
-  constexpr int kFastRadius_px = 3;
   const int margin = kBorder_px - kFastRadius_px;
   const cv::Rect inner(margin, margin, image.cols - 2 * margin, image.rows - 2 * margin);
   std::vector<cv::KeyPoint> corners;
@@ -103,8 +106,8 @@ Vec2 FeatureExtractor::depth_pixel(const cv::Mat& depth_m, const cv::Vec2f& raw_
   const Vec2 pixel(raw_pixel[0], raw_pixel[1]);
   if (registration_.is_identity()) return pixel;
   // The place depends on the depth, which is read at the place.
-  constexpr int kIterations = 4;
-  constexpr double kFirstGuess_m = 2.0;
+  constexpr int kIterations = 4;  // each error is a hundredth of the one before: the cameras are centimetres apart
+  constexpr double kFirstGuess_m = 2.0;  // indoors
   double z_m = kFirstGuess_m;
   Vec2 found = pixel;
   for (int i = 0; i < kIterations; ++i) {
@@ -117,8 +120,11 @@ Vec2 FeatureExtractor::depth_pixel(const cv::Mat& depth_m, const cv::Vec2f& raw_
 }
 
 void FeatureExtractor::measure_depth(const cv::Mat& depth_m, const cv::Vec2f& raw_pixel, ImageFeature* feature) const {
-  constexpr int kMinValues = 13;       // half of the grid
-  constexpr double kStepShare = 0.06;  // of the depth: a wider spread is a step, not a slope
+  constexpr int kMinValues = 13;        // half of the grid
+  constexpr double kStepShare = 0.06;   // of the depth: 8 px wide, a slope of more than 75 deg, or a step
+  constexpr double kRounding_m = 1e-3;  // of depth in whole millimetres, and what calibration leaves
+  constexpr double kNoiseRange = 4.0;   // the range of 25 values is four sigmas
+  constexpr double kSlopeShare = 0.25;  // sigma of a uniform distribution over the range: 1 / sqrt(12), and a bit less
   const int reach = std::max(options_.registration_px, 1);
   const Vec2 center = depth_pixel(depth_m, raw_pixel);
   const int u0 = static_cast<int>(std::lround(center.x())), v0 = static_cast<int>(std::lround(center.y()));
@@ -139,10 +145,9 @@ void FeatureExtractor::measure_depth(const cv::Mat& depth_m, const cv::Vec2f& ra
   const auto [lowest, highest] =
       std::minmax_element(values.begin(), values.begin() + static_cast<std::ptrdiff_t>(count));
   const double spread_m = *highest - *lowest;
-  const double noise_m = depth_noise_m(z);
-  constexpr double kNoiseRange = 4.0;  // the range of 25 values is four sigmas
+  const double noise_m = depth_sigma_m(z) + kRounding_m;
   if (spread_m > kStepShare * z + kNoiseRange * noise_m) return;
-  const double slope_m = 0.25 * std::max(0.0, spread_m - kNoiseRange * noise_m);
+  const double slope_m = kSlopeShare * std::max(0.0, spread_m - kNoiseRange * noise_m);
   feature->depth_m = z;
   feature->depth_sigma_m = std::hypot(noise_m, slope_m);
 }

@@ -9,10 +9,6 @@
 
 namespace semantic_topo_loop::core {
 
-/// Standard deviation of a depth of a structured-light camera: grows with the square of the distance (Khoshelham and
-/// Oude Elberink, "Accuracy and resolution of Kinect depth data", Sensors 2012).
-inline double depth_noise_m(double z_m) { return 1.4e-3 * z_m * z_m + 1e-3; }
-
 /// Finds ORB features, spread evenly over the image, with the depth around each.
 class FeatureExtractor {
  public:
@@ -27,7 +23,7 @@ class FeatureExtractor {
   /// Depth around a raw pixel: none where the surroundings, as wide as the registration may be off, are no one surface.
   void measure_depth(const cv::Mat& depth_m, const cv::Vec2f& raw_pixel, ImageFeature* feature) const;
 
-  /// The pixel of the depth image that shows what a pixel of the colour image shows.
+  /// The pixel of the depth image that shows what a pixel of the color image shows.
   Vec2 depth_pixel(const cv::Mat& depth_m, const cv::Vec2f& raw_pixel) const;
 
   FrontendOptions options_;

@@ -1,13 +1,33 @@
 #pragma once
 
+#include <array>
 #include <cmath>
 #include <cstdint>
 #include <vector>
 
-#include "frontend/descriptor.h"
 #include "semantic_topo_loop/types/camera.h"
 
 namespace semantic_topo_loop::core {
+
+/// 256 bits of an ORB feature.
+using Descriptor = std::array<std::uint64_t, 4>;
+
+/// Number of bits that differ.
+inline int hamming(const Descriptor& a, const Descriptor& b) {
+  // Bits are counted in parallel within each word; four words' counts of nibbles fit in the bytes of one.
+  constexpr std::uint64_t k1 = 0x5555555555555555ULL, k2 = 0x3333333333333333ULL, k4 = 0x0f0f0f0f0f0f0f0fULL;
+  std::uint64_t bytes = 0;
+  for (std::size_t i = 0; i < a.size(); ++i) {
+    std::uint64_t x = a[i] ^ b[i];
+    x -= (x >> 1) & k1;
+    x = (x & k2) + ((x >> 2) & k2);
+    bytes += (x + (x >> 4)) & k4;
+  }
+  // Bytes hold up to 32 each, so their sum of up to 256 needs more than eight bits.
+  constexpr std::uint64_t kEven = 0x00ff00ff00ff00ffULL;
+  const std::uint64_t pairs = (bytes & kEven) + ((bytes >> 8) & kEven);
+  return static_cast<int>((pairs * 0x0001000100010001ULL) >> 48);
+}
 
 struct ImageFeature {
   Vec2 pixel = Vec2::Zero();  ///< undistorted
@@ -32,11 +52,36 @@ struct ImageFeatures {
   std::size_t size() const { return features.size(); }
 
  private:
-  static constexpr int kCell_px = 20;
+  static constexpr int kCell_px = 20;  ///< about the radius of a search: few cells to visit, and few features in vain
   int cell_of(double coordinate, int cells) const;
   int columns_ = 0, rows_ = 0;
   std::vector<int> begin_;  ///< of each cell in sorted_, row by row
   std::vector<int> sorted_;
 };
+
+/// Bits out of 256 by which two views of one point differ at most: ORB-SLAM's thresholds (Mur-Artal, Montiel and Tardos
+/// 2015). Unrelated features differ by 128 in the mean.
+constexpr int kMatchBits = 100;   ///< where the place in the image is known
+constexpr int kSimilarBits = 50;  ///< where a mistake would last: it joins two points of the map
+
+/// Where something is looked for in an image.
+struct SearchItem {
+  Descriptor descriptor{};
+  Vec2 pixel = Vec2::Zero();
+  double radius_px = 0.0;
+  int level = 0;            ///< expected; one more or less is accepted
+  float angle_deg = -1.0F;  ///< of the feature it was seen at before; < 0: not known
+};
+
+/// For each item the index of its feature, or -1: the most similar one within the radius, where the second best is
+/// clearly less similar, each feature once.
+/// @param is_taken features that are out of question
+/// @param max_bits largest difference of descriptors   @param ratio best to second best, of about the same level
+std::vector<int> search(const std::vector<SearchItem>& items, const ImageFeatures& image,
+                        const std::vector<bool>& is_taken, int max_bits, double ratio);
+
+/// For each feature of `a` (only those that are `wanted`) its match in `b`, or -1, up to 240 pixels away:
+/// mutually most similar, clearly more than the second best, and turned like most others.
+std::vector<int> match_anywhere(const ImageFeatures& a, const std::vector<bool>& wanted, const ImageFeatures& b);
 
 }  // namespace semantic_topo_loop::core

@@ -7,32 +7,11 @@
 namespace semantic_topo_loop::core {
 namespace {
 
-constexpr double kMinDepth_m = 0.1;
-
 int count(const std::vector<std::int64_t>& points) {
   return static_cast<int>(std::count_if(points.begin(), points.end(), [](std::int64_t id) { return id >= 0; }));
 }
 
 }  // namespace
-
-PoseObservation ImageTracker::observation(const ImageFeature& feature, const MapPoint& point) const {
-  PoseObservation o;
-  o.point_map = point.position;
-  o.pixel = feature.pixel;
-  o.pixel_sigma = feature.pixel_sigma(options_.scale_factor);
-  o.depth_m = feature.depth_m;
-  o.depth_sigma_m = feature.depth_sigma_m;
-  return o;
-}
-
-std::optional<Vec2> ImageTracker::project(const Vec3& p) const {
-  if (p.z() < kMinDepth_m) return std::nullopt;
-  const Vec2 pixel(camera_.fx * p.x() / p.z() + camera_.cx, camera_.fy * p.y() / p.z() + camera_.cy);
-  if (!(pixel.x() >= 0.0 && pixel.y() >= 0.0 && pixel.x() < camera_.width && pixel.y() < camera_.height)) {
-    return std::nullopt;
-  }
-  return pixel;
-}
 
 bool ImageTracker::fit(const SE3& T_camera_map, TrackingMap* map, TrackedFeatures* image) const {
   std::vector<PoseObservation> observations;
@@ -40,7 +19,7 @@ bool ImageTracker::fit(const SE3& T_camera_map, TrackingMap* map, TrackedFeature
   for (std::size_t i = 0; i < image->points.size(); ++i) {
     const MapPoint* point = map->point(image->points[i]);
     if (point == nullptr) continue;
-    observations.push_back(observation(image->features.features[i], *point));
+    observations.push_back(observation(image->features.features[i], *point, options_.scale_factor));
     features.push_back(i);
   }
   image->matches = static_cast<int>(features.size());
@@ -58,14 +37,17 @@ bool ImageTracker::fit(const SE3& T_camera_map, TrackingMap* map, TrackedFeature
 
 bool ImageTracker::follow(const TrackedFeatures& last, const SE3& T_camera_map, TrackingMap* map,
                           TrackedFeatures* image) const {
-  constexpr double kRadius_px = 15.0;
-  for (const double factor : {1.0, 2.5}) {
+  constexpr double kRadius_px =
+      15.0;                       // on level 0, as in ORB-SLAM: a turn that changes by 50 deg/s from image to image
+  constexpr double kWider = 2.5;  // times, before the place is given up
+  constexpr double kRatio = 0.9;  // of the best to the second best, as in ORB-SLAM
+  for (const double factor : {1.0, kWider}) {
     std::vector<SearchItem> items;
     std::vector<std::int64_t> ids;
     for (std::size_t i = 0; i < last.points.size(); ++i) {
       const MapPoint* point = map->point(last.points[i]);
       if (point == nullptr) continue;
-      const std::optional<Vec2> pixel = project(T_camera_map * point->position);
+      const std::optional<Vec2> pixel = pixel_in_view(camera_, T_camera_map * point->position);
       if (!pixel) continue;
       const ImageFeature& feature = last.features.features[i];
       SearchItem item;
@@ -78,12 +60,13 @@ bool ImageTracker::follow(const TrackedFeatures& last, const SE3& T_camera_map, 
       ids.push_back(point->id);
     }
     const std::vector<int> found =
-        search(items, image->features, std::vector<bool>(image->features.size(), false), kMatchBits, 0.9);
+        search(items, image->features, std::vector<bool>(image->features.size(), false), kMatchBits, kRatio);
     image->points.assign(image->features.size(), -1);
     for (std::size_t k = 0; k < items.size(); ++k) {
       if (found[k] >= 0) image->points[static_cast<std::size_t>(found[k])] = ids[k];
     }
     if (count(image->points) < options_.min_inliers) continue;
+    // Enough to look for the rest of the map from there, which then must give min_inliers.
     if (fit(T_camera_map, map, image) && image->inliers >= options_.min_inliers / 2 &&
         3 * image->inliers >= image->matches) {
       return true;
@@ -103,7 +86,7 @@ bool ImageTracker::find(const TrackingKeyframe& keyframe, TrackingMap* map, Trac
     if (matches[i] < 0) continue;
     const auto feature = static_cast<std::size_t>(matches[i]);
     const MapPoint* point = map->point(keyframe.points[i]);
-    observations.push_back(observation(image->features.features[feature], *point));
+    observations.push_back(observation(image->features.features[feature], *point, options_.scale_factor));
     pairs.emplace_back(feature, point->id);
   }
   const std::optional<PoseEstimate> estimate = find_pose(camera_, observations, options_.min_inliers / 2);
@@ -117,8 +100,8 @@ bool ImageTracker::find(const TrackingKeyframe& keyframe, TrackingMap* map, Trac
 }
 
 std::vector<std::int64_t> ImageTracker::local_keyframes(const TrackingMap& map, const TrackedFeatures& image) const {
-  constexpr std::size_t kCovisible = 25, kMax = 45;
-  constexpr double kNear_m = 1.0, kMinCosine = 0.7;
+  constexpr std::size_t kCovisible = 25, kMax = 45;  // bound the time of an image; 80 in ORB-SLAM
+  constexpr double kNear_m = 1.0, kMinCosine = 0.7;  // 45 deg: half of what is seen from there is seen from here
   std::vector<std::int64_t> ids;
   for (const auto& [id, shared] : map.covisible(image.points)) {
     if (ids.size() < kCovisible) ids.push_back(id);
@@ -142,15 +125,18 @@ std::vector<std::int64_t> ImageTracker::local_keyframes(const TrackingMap& map, 
 
 std::optional<SearchItem> ImageTracker::expect(const TrackingMap& map, const MapPoint& point,
                                                const SE3& T_camera_map) const {
-  constexpr double kMinCosine = 0.5, kRadius_px = 8.0;
+  constexpr double kMinCosine = 0.5;  // 60 deg, beyond which ORB's descriptor is another one (as in ORB-SLAM)
+  constexpr double kRadius_px = 8.0;  // on level 0: ORB-SLAM2's for RGB-D are 7.5 to 12
+  constexpr double kFarther = 1.3;    // than level 0 shows it alike: a level and a half of the pyramid
+  constexpr int kNearerLevels = 2;    // as much nearer than the last one does, and a bit
   const Vec3 p = T_camera_map * point.position;
-  const std::optional<Vec2> pixel = project(p);
+  const std::optional<Vec2> pixel = pixel_in_view(camera_, p);
   if (!pixel) return std::nullopt;
   const double distance_m = p.norm();
   if ((T_camera_map.q * point.direction).dot(p) < kMinCosine * distance_m) return std::nullopt;
   // Nearer or farther than any level of the pyramid shows it alike.
-  const double farthest_m = 1.3 * point.level_0_distance_m;
-  const double nearest_m = farthest_m / std::pow(options_.scale_factor, options_.levels + 2);
+  const double farthest_m = kFarther * point.level_0_distance_m;
+  const double nearest_m = farthest_m / std::pow(options_.scale_factor, options_.levels + kNearerLevels);
   if (distance_m > farthest_m || distance_m < nearest_m) return std::nullopt;
   SearchItem item;
   item.descriptor = point.descriptor;
@@ -179,7 +165,8 @@ void ImageTracker::match_points(const std::vector<MapPoint*>& points, const Trac
     items.push_back(*item);
     ids.push_back(point->id);
   }
-  const std::vector<int> found = search(items, image->features, is_taken, kMatchBits, 0.8);
+  constexpr double kRatio = 0.8;  // stricter than for the last image's points, as in ORB-SLAM: there are more of them
+  const std::vector<int> found = search(items, image->features, is_taken, kMatchBits, kRatio);
   for (std::size_t k = 0; k < items.size(); ++k) {
     if (found[k] >= 0) image->points[static_cast<std::size_t>(found[k])] = ids[k];
   }

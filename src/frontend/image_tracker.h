@@ -4,23 +4,9 @@
 #include <optional>
 #include <vector>
 
-#include "frontend/feature_matcher.h"
-#include "frontend/pose_solver.h"
 #include "frontend/tracking_map.h"
 
 namespace semantic_topo_loop::core {
-
-/// An image on its way through the tracker.
-struct TrackedFeatures {
-  std::int64_t number = -1;  ///< counts images
-  std::int64_t stamp_ns = 0;
-  ImageFeatures features;
-  std::vector<std::int64_t> points;  ///< map point of each feature; -1: none
-  SE3 T_camera_map;
-  Mat6 covariance = Mat6::Zero();  ///< of the pose, camera frame
-  int matches = 0;
-  int inliers = 0;
-};
 
 /// Finds an image's pose in the map.
 class ImageTracker {
@@ -36,13 +22,11 @@ class ImageTracker {
   bool track_local_map(TrackingMap* map, TrackedFeatures* image) const;
 
  private:
-  PoseObservation observation(const ImageFeature& feature, const MapPoint& point) const;
   /// Fits the pose from `T_camera_map`; features that do not agree lose their point.
   bool fit(const SE3& T_camera_map, TrackingMap* map, TrackedFeatures* image) const;
   /// Looks for points in view that the image has not been matched with.
   void match_points(const std::vector<MapPoint*>& points, const TrackingMap& map, TrackedFeatures* image) const;
   std::vector<std::int64_t> local_keyframes(const TrackingMap& map, const TrackedFeatures& image) const;
-  std::optional<Vec2> project(const Vec3& point_camera) const;
   /// Where a point should be seen; nullopt if it is out of view.
   std::optional<SearchItem> expect(const TrackingMap& map, const MapPoint& point, const SE3& T_camera_map) const;
 

@@ -12,9 +12,8 @@
 namespace semantic_topo_loop::core {
 namespace {
 
-constexpr double kPixelGate2 = 5.991;  ///< chi square of two values, 95 %
-constexpr double kDepthGate2 = 3.841;  ///< of one value
-constexpr double kMinDepth_m = 0.05;
+constexpr double kDepthGate2 = 3.841;  ///< chi square of one value, 95 %
+constexpr int kMinObservations = 6;    ///< three points determine a pose; as many again to tell whether they are right
 
 /// Errors of one observation in units of their sigmas, and their derivatives by a small motion (translation, rotation)
 /// of the camera frame, applied from the left.
@@ -28,8 +27,7 @@ struct Linearised {
 bool errors(const Camera& camera, const SE3& T_camera_map, const PoseObservation& o, Vec3* p, Linearised* out) {
   *p = T_camera_map * o.point_map;
   if (p->z() < kMinDepth_m) return false;
-  const Vec2 projected(camera.fx * p->x() / p->z() + camera.cx, camera.fy * p->y() / p->z() + camera.cy);
-  out->pixel_error = (projected - o.pixel) / o.pixel_sigma;
+  out->pixel_error = (pinhole(camera, *p) - o.pixel) / o.pixel_sigma;
   out->depth_error = o.depth_m > 0.0 ? (p->z() - o.depth_m) / o.depth_sigma_m : 0.0;
   return true;
 }
@@ -83,11 +81,12 @@ NormalEquations accumulate(const Camera& camera, const SE3& T, const std::vector
 /// @return false if the equations are singular
 bool iterate(const Camera& camera, const std::vector<PoseObservation>& observations, const std::vector<bool>& used,
              bool is_robust, int iterations, SE3* T) {
-  constexpr double kConverged = 1e-6;
+  constexpr double kConverged = 1e-6;  // m and rad: a thousandth of a pixel
+  constexpr double kSingular = 1e-6;   // pivot, 1/m^2 and 1/rad^2: a sigma of 1 km says nothing
   for (int i = 0; i < iterations; ++i) {
     const NormalEquations n = accumulate(camera, *T, observations, used, is_robust);
     const Eigen::LDLT<Mat6> factor(n.hessian);
-    if (factor.info() != Eigen::Success || !(factor.vectorD().minCoeff() > 1e-6)) return false;
+    if (factor.info() != Eigen::Success || !(factor.vectorD().minCoeff() > kSingular)) return false;
     const Vec6 step = factor.solve(-n.gradient);
     if (!step.allFinite()) return false;
     *T = SE3(so3_exp(step.tail<3>()), step.head<3>()) * *T;
@@ -115,7 +114,9 @@ Vec3 measured_point(const Camera& camera, const PoseObservation& o) { return o.d
 bool same_distance(const Camera& camera, const PoseObservation& a, const PoseObservation& b) {
   const double in_map = (a.point_map - b.point_map).norm();
   const double measured = (measured_point(camera, a) - measured_point(camera, b)).norm();
-  constexpr double kGateSigmas = 3.0, kMinDistance_m = 0.05, kShare = 0.1;
+  constexpr double kGateSigmas = 3.0;
+  constexpr double kShare = 0.1;           // what the sigmas, which are those along the rays, leave out
+  constexpr double kMinDistance_m = 0.05;  // points close together give no rotation: 1 cm of noise turns them by 11 deg
   const double sigma = std::hypot(a.depth_sigma_m, b.depth_sigma_m);
   return in_map > kMinDistance_m && std::abs(in_map - measured) < kGateSigmas * sigma + kShare * in_map;
 }
@@ -123,14 +124,14 @@ bool same_distance(const Camera& camera, const PoseObservation& a, const PoseObs
 /// refine_pose, which begins with the observations that are `used`.
 std::optional<PoseEstimate> refine(const Camera& camera, const SE3& T_camera_map,
                                    const std::vector<PoseObservation>& observations, std::vector<bool> used) {
-  constexpr int kMinObservations = 6, kIterations = 6;
+  constexpr int kIterations = 6;  // Gauss-Newton converges in 3 to 4 from a motion's guess; twice that while robust
   if (observations.size() < kMinObservations) return std::nullopt;
   PoseEstimate estimate;
   estimate.T_camera_map = T_camera_map;
   estimate.is_inlier = std::move(used);
   SE3* T = &estimate.T_camera_map;
   if (!iterate(camera, observations, estimate.is_inlier, true, 2 * kIterations, T)) return std::nullopt;
-  constexpr int kRounds = 2;
+  constexpr int kRounds = 2;  // the second looks again at what the first, with other inliers, left out
   for (int round = 0; round < kRounds; ++round) {
     estimate.inliers = classify(camera, *T, observations, kPixelGate2, &estimate.is_inlier);
     if (estimate.inliers < kMinObservations) return std::nullopt;
@@ -160,9 +161,12 @@ std::optional<PoseEstimate> find_pose(const Camera& camera, const std::vector<Po
     if (observations[i].depth_m > 0.0) with_depth.push_back(i);
   }
   if (with_depth.size() < 3) return std::nullopt;
-  constexpr int kDraws = 2000, kMaxTested = 300, kLocalRounds = 2;
-  constexpr double kWideGate2 = 36.0;  // three points give a rough pose
-  constexpr std::uint64_t kSeed = 20231108;
+  // Of 300 triples one is free of wrong matches with 99 % if a quarter of the matches is right: (1 - 0.25^3)^300 = 0.9
+  // %. Triples of other distances than in the map are drawn in vain, and cost little.
+  constexpr int kMaxTested = 300, kDraws = 2000;
+  constexpr int kLocalRounds = 2, kLocalIterations = 3;
+  constexpr double kWideGate2 = 36.0;        // 6 px: three points give a rough pose
+  constexpr std::uint64_t kSeed = 20231108;  // any: the same input gives the same pose
   std::mt19937_64 generator(kSeed);
   std::vector<bool> is_inlier(observations.size());
   int best_inliers = 0;
@@ -180,9 +184,9 @@ std::optional<PoseEstimate> find_pose(const Camera& camera, const std::vector<Po
     SE3 candidate = alignment->T_a_b;
     int inliers = classify(camera, candidate, observations, kWideGate2, &is_inlier);
     // A rough pose that is at all good is polished before it is judged.
-    for (int round = 0; round < kLocalRounds && inliers >= 6 && 2 * inliers > best_inliers; ++round) {
+    for (int round = 0; round < kLocalRounds && inliers >= kMinObservations && 2 * inliers > best_inliers; ++round) {
       SE3 polished = candidate;
-      if (!iterate(camera, observations, is_inlier, true, 3, &polished)) break;
+      if (!iterate(camera, observations, is_inlier, true, kLocalIterations, &polished)) break;
       const int now = classify(camera, polished, observations, kWideGate2, &is_inlier);
       if (now < inliers) break;
       candidate = polished;

@@ -3,16 +3,17 @@
 #include <algorithm>
 #include <cmath>
 #include <future>
+#include <utility>
 
 #include "frontend/bundle_adjustment.h"
 #include "frontend/feature_extractor.h"
-#include "frontend/map_builder.h"
+#include "frontend/image_tracker.h"
 #include "semantic_topo_loop/geometry/lie.h"
 
 namespace semantic_topo_loop::core {
 namespace {
 
-constexpr double kMaxGuess_s = 0.5;  ///< motion is not carried on for longer
+constexpr double kMaxGuess_s = 0.5;  ///< motion is not carried on for longer: a hand turns back within a second
 
 /// Camera-frame points of an even grid of depth pixels.
 class PointGrid {
@@ -111,7 +112,7 @@ struct RgbdFrontend::Impl {
   std::int64_t last_registration_ns = 0;                        ///< stamp of the last image it took
   bool has_new_registration = false;
   double new_focal_factor = 1.0;  ///< to be applied
-  int next_focal_check = 6;       ///< keyframes of the map
+  int next_focal_check = 6;       ///< keyframes of the map; fewer have not turned enough to tell a focal length
   bool checks_focal = false;      ///< in the refinement that runs
   int passed_focal_checks = 0;
   bool is_calibrated;  ///< no restart is advised any more
@@ -148,7 +149,7 @@ bool RgbdFrontend::Impl::start(TrackedFeatures* image) {
 
 bool RgbdFrontend::Impl::follow(TrackedFeatures* image) {
   if (last_tracked_image != images - 1) return false;
-  const int strong = 3 * options.min_inliers;
+  const int strong = strong_inliers(options);
   TrackedFeatures followed = *image;
   const bool is_followed =
       tracker.follow(*last, guess(image->stamp_ns), &map, &followed) && tracker.track_local_map(&map, &followed);
@@ -163,6 +164,7 @@ bool RgbdFrontend::Impl::follow(TrackedFeatures* image) {
 }
 
 bool RgbdFrontend::Impl::find_again(TrackedFeatures* image) {
+  // Bounds the time of a lost image; with the images that follow, every keyframe has its turn.
   constexpr std::size_t kNewest = 3, kOthers = 3;
   std::vector<std::int64_t> ids;
   for (auto it = map.keyframes().rbegin(); it != map.keyframes().rend(); ++it) ids.push_back(it->first);
@@ -172,7 +174,7 @@ bool RgbdFrontend::Impl::find_again(TrackedFeatures* image) {
     tried.push_back(ids[kNewest + next_candidate++ % (ids.size() - kNewest)]);
   }
   // The pose that explains most: a wrong one is seldom that.
-  const int strong = 3 * options.min_inliers;
+  const int strong = strong_inliers(options);
   std::optional<TrackedFeatures> best;
   for (const std::int64_t id : tried) {
     TrackedFeatures candidate = *image;
@@ -187,7 +189,9 @@ bool RgbdFrontend::Impl::find_again(TrackedFeatures* image) {
 }
 
 Mat6 RgbdFrontend::Impl::motion_covariance(const TrackedFeatures& image) const {
-  constexpr double kFloor_m = 5e-4, kFloor_rad = 2e-4, kShare = 0.01, kMost_m = 0.2, kMost_rad = 0.2;
+  constexpr double kShare = 0.01;  // of the motion: what the points' common errors, as of the focal length, give
+  constexpr double kFloor_m = 5e-4, kFloor_rad = 2e-4;  // a tenth of a pixel: 0.1 / 525, and at 2.5 m
+  constexpr double kMost_m = 0.2, kMost_rad = 0.2;      // of an image's motion: more than it ever is
   const SE3 motion = image.T_camera_map * last->T_camera_map.inverse();
   Mat6 covariance = image.covariance + rotated(last->covariance, motion.rotation());
   // A trace beyond the bound says that hardly anything is known; it is scaled down to be of use in a graph.
@@ -229,7 +233,7 @@ void RgbdFrontend::Impl::take_refinement() {
 }
 
 void RgbdFrontend::Impl::look_for_registration(const RgbdImage& image) {
-  constexpr std::int64_t kInterval_ns = 150'000'000;
+  constexpr std::int64_t kInterval_ns = 150'000'000;  // six images of the first second
   constexpr int kImages = 6;
   if (!registration_estimator) return;
   if (registration_estimator->images() > 0 && image.stamp_ns - last_registration_ns < kInterval_ns) return;
@@ -248,13 +252,13 @@ bool RgbdFrontend::Impl::is_focal_check_due() {
   if (!options.self_calibration || registration_estimator) return false;
   const auto keyframes = static_cast<int>(map.keyframes().size());
   if (keyframes < next_focal_check) return false;
-  next_focal_check = keyframes + keyframes / 2;
+  next_focal_check = keyframes + keyframes / 2;  // of half as much again: 6, 9, 13, ...
   return true;
 }
 
 bool RgbdFrontend::Impl::correct_calibration(TrackedFeatures* image) {
-  constexpr std::int64_t kEarly_ns = 15'000'000'000;
-  constexpr int kMostRestarts = 4;
+  constexpr std::int64_t kEarly_ns = 15'000'000'000;  // so much of a recording is read twice, or lost of a live session
+  constexpr int kMostRestarts = 4;                    // registration, then focal lengths that converge
   if (image->stamp_ns - first_stamp_ns > kEarly_ns || calibration.restarts == kMostRestarts) is_calibrated = true;
   if (!has_new_registration && new_focal_factor == 1.0) return false;
   if (new_focal_factor != 1.0) calibration.is_focal_given = false;
@@ -343,7 +347,7 @@ bool RgbdFrontend::is_calibrated() const { return impl_->is_calibrated; }
 const Camera& RgbdFrontend::camera() const { return impl_->calibration.camera; }
 
 std::vector<SparsePoint> RgbdFrontend::sparse_points() const {
-  constexpr int kPointBits = 40;
+  constexpr int kPointBits = 40;  // of an id within its map: a year of 1000 new points an image; leaves 2^23 maps
   std::vector<SparsePoint> points;
   if (!impl_->last) return points;
   for (const std::int64_t id : impl_->last->points) {
@@ -354,6 +358,47 @@ std::vector<SparsePoint> RgbdFrontend::sparse_points() const {
   const auto by_id = [](const SparsePoint& a, const SparsePoint& b) { return a.id < b.id; };
   std::sort(points.begin(), points.end(), by_id);
   return points;
+}
+
+void TrackingReport::add(const TrackedImage& image) {
+  ++images;
+  switch (image.state) {
+    case TrackingState::kStarted:
+      if (image.sample && image.sample->is_break) ++restarts;
+      break;
+    case TrackingState::kTracked:
+      ++tracked;
+      break;
+    case TrackingState::kRelocalised:
+      ++relocalised;
+      break;
+    case TrackingState::kLost:
+      ++lost;
+      break;
+    case TrackingState::kUnusable:
+      ++unusable;
+      break;
+  }
+}
+
+void TrackingReport::add_unreadable(const std::string& problem) {
+  ++images;
+  if (++unreadable == 1) first_unreadable = problem;
+}
+
+std::string TrackingReport::warning() const {
+  if (lost + unusable + unreadable + restarts == 0) return "";
+  std::string text = "of " + std::to_string(images) + " images:";
+  const char* separator = " ";
+  for (const auto& [count, what] :
+       {std::pair(lost, "lost"), std::pair(unusable, "with nothing to follow"), std::pair(unreadable, "unreadable"),
+        std::pair(relocalised, "found again after a loss"), std::pair(restarts, "starts anew")}) {
+    if (count == 0) continue;
+    text += separator + std::to_string(count) + " " + what;
+    separator = ", ";
+  }
+  if (unreadable > 0) text += " (first unreadable: " + first_unreadable + ")";
+  return text;
 }
 
 }  // namespace semantic_topo_loop::core

@@ -29,14 +29,15 @@ SE3 parse_pose(const std::vector<double>& v) {
   return {Quaternion(v[6], v[3], v[4], v[5]).normalized(), Vec3(v[0], v[1], v[2])};
 }
 
-/// Counts every kStride-th pixel of every kStride-th row.
+constexpr float kNear_m = 0.3F;  ///< few depth cameras measure what is nearer: Kinects begin at 0.4 m
+constexpr int kRangeStride_px = 8;
+
+/// Counts every kRangeStride_px-th pixel of every such row, 4800 of a 640 x 480 image.
 template <class Raw, class ToMetres>
 DepthRange count_range(const cv::Mat& depth, const DepthOptions& options, const ToMetres& to_metres) {
-  constexpr int kStride = 8;
-  constexpr float kNear_m = 0.3F;
   DepthRange range;
-  for (int v = 0; v < depth.rows; v += kStride) {
-    for (int u = 0; u < depth.cols; u += kStride) {
+  for (int v = 0; v < depth.rows; v += kRangeStride_px) {
+    for (int u = 0; u < depth.cols; u += kRangeStride_px) {
       const float z_m = to_metres(depth.at<Raw>(v, u));
       if (!(z_m > 0.0F) || !std::isfinite(z_m)) continue;
       ++range.pixels;
@@ -79,7 +80,7 @@ cv::Mat to_metres(const cv::Mat& depth, const DepthOptions& options, DepthRange*
   return metres;
 }
 
-/// Depth seen by another camera, as the colour camera would see it: nearest surface first, each value drawn on the
+/// Depth seen by another camera, as the color camera would see it: nearest surface first, each value drawn on the
 /// four pixels around its place so that no holes open between neighbours.
 cv::Mat registered(const cv::Mat& depth_m, const Camera& color, const Camera& depth, const SE3& T_color_depth) {
   cv::Mat result = cv::Mat::zeros(color.height, color.width, CV_32FC1);
@@ -108,6 +109,31 @@ std::string describe(const char* field, const cv::Mat& image) {
          " pixels of OpenCV type " + std::to_string(image.type());
 }
 
+constexpr int kMinSteepness = 60;       // sum of both Sobel derivatives' magnitudes: about 8 grey levels a pixel
+constexpr int kReach_px = 1;            // around, whose nearest depth is taken: edges in both images lie that close
+constexpr float kSurfaceShare = 0.05F;  // depths that differ by less are of one surface: noise and slope of a pixel
+
+/// Of the pixel, or of the nearest surface that begins beside it; 0 if there is none.
+float depth_at(const cv::Mat& depth_m, int u, int v) {
+  float nearest = 0.0F;
+  for (int y = std::max(0, v - kReach_px); y <= std::min(depth_m.rows - 1, v + kReach_px); ++y) {
+    for (int x = std::max(0, u - kReach_px); x <= std::min(depth_m.cols - 1, u + kReach_px); ++x) {
+      const float z = depth_m.at<float>(y, x);
+      if (z > 0.0F && (nearest == 0.0F || z < nearest)) nearest = z;
+    }
+  }
+  const float own = depth_m.at<float>(v, u);
+  return own > 0.0F && own < (1.0F + kSurfaceShare) * nearest ? own : nearest;
+}
+
+cv::Mat steepness(const cv::Mat& gray) {
+  cv::Mat dx, dy, sum;
+  cv::Sobel(gray, dx, CV_16S, 1, 0);
+  cv::Sobel(gray, dy, CV_16S, 0, 1);
+  cv::add(cv::abs(dx), cv::abs(dy), sum);
+  return sum;
+}
+
 }  // namespace
 
 void DepthRange::add(const DepthRange& other) {
@@ -119,7 +145,7 @@ void DepthRange::add(const DepthRange& other) {
 
 std::string DepthRange::warning(const DepthOptions& options) const {
   constexpr std::int64_t kMinPixels = 40'000;  // of about ten images
-  constexpr double kMostShare = 0.2;
+  constexpr double kMostShare = 0.2;           // a hall's end or a hand before the camera are less
   if (pixels < kMinPixels) return "";
   const double all = static_cast<double>(pixels);
   const double far_share = static_cast<double>(far) / all, near_share = static_cast<double>(near) / all;
@@ -128,7 +154,8 @@ std::string DepthRange::warning(const DepthOptions& options) const {
     text << std::lround(100.0 * far_share) << " % of the depth lies beyond depth.max_m = " << options.max_m
          << " m and is left out";
   } else if (near_share > kMostShare) {
-    text << std::lround(100.0 * near_share) << " % of the depth is nearer than 0.3 m, where few depth cameras measure";
+    text << std::lround(100.0 * near_share) << " % of the depth is nearer than " << kNear_m
+         << " m, where few depth cameras measure";
   } else {
     return "";
   }
@@ -161,11 +188,10 @@ bool DepthOptions::is_pinhole_or_empty(const std::string& text) {
 
 bool DepthOptions::is_blank(const std::string& text) { return numbers(text).value_or(std::vector<double>()).empty(); }
 
-std::optional<RgbdImage> make_rgbd_image(std::int64_t stamp_ns, const cv::Mat& color, const cv::Mat& depth,
-                                         const Camera& camera, const DepthOptions& options, std::string* error) {
-  const auto fail = [stamp_ns, error](const std::string& message) {
-    if (error != nullptr) *error = "stamp " + std::to_string(stamp_ns) + " ns: " + message;
-    return std::nullopt;
+Result<RgbdImage> make_rgbd_image(std::int64_t stamp_ns, const cv::Mat& color, const cv::Mat& depth,
+                                  const Camera& camera, const DepthOptions& options) {
+  const auto fail = [stamp_ns](const std::string& message) {
+    return Error{"stamp " + std::to_string(stamp_ns) + " ns: " + message};
   };
   const std::string wanted = std::to_string(camera.width) + " x " + std::to_string(camera.height);
   if (color.cols != camera.width || color.rows != camera.height || color.empty()) {
@@ -198,6 +224,28 @@ std::optional<RgbdImage> make_rgbd_image(std::int64_t stamp_ns, const cv::Mat& c
   }
   image.depth_m = registered(image.depth_m, camera, depth_camera, parse_pose(*pose));
   return image;
+}
+
+std::vector<Eigen::Vector3f> semi_dense_points(const RgbdImage& image, const Camera& camera, int count_max) {
+  std::vector<Eigen::Vector3f> points;
+  if (image.gray.empty() || image.depth_m.size() != image.gray.size() || count_max < 1) return points;
+  const cv::Mat steep = steepness(image.gray);
+  const double pixels = static_cast<double>(steep.total());
+  const int cell = std::max(1, static_cast<int>(std::ceil(std::sqrt(pixels / count_max))));
+  for (int top = 0; top < steep.rows; top += cell) {
+    for (int left = 0; left < steep.cols; left += cell) {
+      const cv::Rect area = cv::Rect(left, top, cell, cell) & cv::Rect(0, 0, steep.cols, steep.rows);
+      double most = 0.0;
+      cv::Point at;
+      cv::minMaxLoc(steep(area), nullptr, &most, nullptr, &at);
+      if (most < kMinSteepness) continue;
+      const int u = left + at.x, v = top + at.y;
+      const float z = depth_at(image.depth_m, u, v);
+      if (!(z > 0.0F)) continue;
+      points.push_back((static_cast<double>(z) * camera.ray(camera.undistort(Vec2(u, v)))).cast<float>());
+    }
+  }
+  return points;
 }
 
 }  // namespace semantic_topo_loop::core

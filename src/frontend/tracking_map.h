@@ -2,9 +2,11 @@
 
 #include <cstdint>
 #include <map>
+#include <optional>
 #include <vector>
 
 #include "frontend/image_features.h"
+#include "frontend/pose_solver.h"
 #include "semantic_topo_loop/frontend/frontend_options.h"
 
 namespace semantic_topo_loop::core {
@@ -33,6 +35,26 @@ struct TrackingKeyframe {
   std::vector<std::int64_t> points;  ///< of each feature; -1: none
   Vec3 center() const { return T_camera_map.inverse().t; }
 };
+
+/// An image on its way through the tracker.
+struct TrackedFeatures {
+  std::int64_t number = -1;  ///< counts images
+  std::int64_t stamp_ns = 0;
+  ImageFeatures features;
+  std::vector<std::int64_t> points;  ///< map point of each feature; -1: none
+  SE3 T_camera_map;
+  Mat6 covariance = Mat6::Zero();  ///< of the pose, camera frame
+  int matches = 0;
+  int inliers = 0;
+};
+
+/// Inliers that leave no doubt of a pose; with fewer, other ways to it are tried, and the map is built on.
+inline int strong_inliers(const FrontendOptions& options) { return 3 * options.min_inliers; }
+
+PoseObservation observation(const ImageFeature& feature, const MapPoint& point, double scale_factor);
+
+/// Undistorted pixel of a point in the camera frame; nullopt if it is out of view.
+std::optional<Vec2> pixel_in_view(const Camera& camera, const Vec3& point_camera);
 
 /// Keyframes and the points they see.
 class TrackingMap {
@@ -70,6 +92,30 @@ class TrackingMap {
   std::map<std::int64_t, MapPoint> points_;
   std::int64_t next_point_ = 0;
   std::int64_t next_search_ = 0;
+};
+
+/// Decides which images the map is built from, and builds it.
+class MapBuilder {
+ public:
+  MapBuilder(const FrontendOptions& options, const Camera& camera) : options_(options), camera_(camera) {}
+
+  void set_camera(const Camera& camera) { camera_ = camera; }
+  /// Whether the image shows enough that the map does not have.
+  bool needs_keyframe(const TrackedFeatures& image, const TrackingMap& map) const;
+  /// Adds the image as a keyframe, with new points from its depths, and tidies up around it.
+  /// @return id of the keyframe
+  std::int64_t add_keyframe(const TrackedFeatures& image, TrackingMap* map) const;
+
+ private:
+  void add_points(std::int64_t keyframe, TrackingMap* map) const;
+  /// One point where two keyframes made two.
+  void fuse(std::int64_t keyframe, TrackingMap* map) const;
+  void fuse_into(const std::vector<std::int64_t>& points, std::int64_t keyframe, TrackingMap* map) const;
+  void drop_points(std::int64_t newest, TrackingMap* map) const;
+  void drop_keyframes(std::int64_t newest, TrackingMap* map) const;
+
+  FrontendOptions options_;
+  Camera camera_;
 };
 
 }  // namespace semantic_topo_loop::core

@@ -78,9 +78,10 @@ std::optional<RgbdImage> read_rgbd_image(const RgbdFile& file, const Camera& cam
   if (!color) return std::nullopt;
   const std::optional<cv::Mat> depth = read_image(file.depth, cv::IMREAD_UNCHANGED, error);
   if (!depth) return std::nullopt;
-  std::optional<RgbdImage> image = make_rgbd_image(file.stamp_ns, *color, *depth, camera, options, error);
-  if (!image && error != nullptr) *error = file.color + ", " + file.depth + ": " + *error;
-  return image;
+  Result<RgbdImage> image = make_rgbd_image(file.stamp_ns, *color, *depth, camera, options);
+  if (image) return *std::move(image);
+  if (error != nullptr) *error = file.color + ", " + file.depth + ": " + image.message();
+  return std::nullopt;
 }
 
 std::optional<RgbdReading> RgbdFolder::next(std::string* /*fault*/) {

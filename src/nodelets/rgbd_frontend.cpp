@@ -16,8 +16,7 @@
 #include "ros/rgbd_synchronizer.h"
 #include "semantic_topo_loop/FrameDone.h"
 #include "semantic_topo_loop/TrackingReport.h"
-#include "semantic_topo_loop/frontend/keyframe_points.h"
-#include "semantic_topo_loop/frontend/tracking_report.h"
+#include "semantic_topo_loop/frontend/rgbd_image.h"
 #include "semantic_topo_loop/ros/conversions.h"
 
 namespace semantic_topo_loop {

@@ -41,7 +41,11 @@ std::optional<core::RgbdImage> make_rgbd_image(const sensor_msgs::Image& color, 
   }
   const std::optional<cv::Mat> distance = to_mat(depth, depth.encoding, "depth", error);
   if (!distance) return std::nullopt;
-  return core::make_rgbd_image(to_stamp_ns(color.header.stamp), *gray, *distance, camera, options, error);
+  core::Result<core::RgbdImage> image =
+      core::make_rgbd_image(to_stamp_ns(color.header.stamp), *gray, *distance, camera, options);
+  if (image) return *std::move(image);
+  if (error != nullptr) *error = image.message();
+  return std::nullopt;
 }
 
 }  // namespace semantic_topo_loop

@@ -6,7 +6,7 @@
 
 #include "frontend/bundle_adjustment.h"
 #include "frontend/depth_registration.h"
-#include "frontend/feature_matcher.h"
+#include "frontend/image_features.h"
 #include "frontend/pose_solver.h"
 #include "semantic_topo_loop/geometry/lie.h"
 
@@ -170,7 +170,7 @@ TEST(BundleAdjustment, FindsAWrongFocalLengthAndLeavesARightOne) {
   EXPECT_EQ(check_focal_length(kinect(), bundle(kinect(), &noise), true), 1.0);
 }
 
-/// Rectangles in front of a wall, seen in depth and, by another camera beside it, in colour.
+/// Rectangles in front of a wall, seen in depth and, by another camera beside it, in color.
 RgbdImage rectangles(const Camera& camera, const DepthRegistration& registration, Noise* noise) {
   RgbdImage image;
   image.gray = cv::Mat(camera.height, camera.width, CV_8UC1, cv::Scalar(120));

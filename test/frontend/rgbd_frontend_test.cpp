@@ -4,7 +4,6 @@
 
 #include <Eigen/Eigenvalues>
 
-#include "semantic_topo_loop/frontend/tracking_report.h"
 #include "semantic_topo_loop/geometry/lie.h"
 #include "support/synthetic_room.h"
 

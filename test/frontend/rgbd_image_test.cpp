@@ -19,10 +19,9 @@ TEST(RgbdImage, MillimetresAndMetresGiveTheSameDepthWithCorrection) {
   options.scale_correction = 0.96;
   cv::Mat raw(kCamera.height, kCamera.width, CV_16UC1, cv::Scalar(2500));
   cv::Mat metres(kCamera.height, kCamera.width, CV_32FC1, cv::Scalar(2.5));
-  std::string error;
-  const auto from_raw = make_rgbd_image(7, gray(), raw, kCamera, options, &error);
-  const auto from_metres = make_rgbd_image(7, gray(), metres, kCamera, options, &error);
-  ASSERT_TRUE(from_raw && from_metres) << error;
+  const auto from_raw = make_rgbd_image(7, gray(), raw, kCamera, options);
+  const auto from_metres = make_rgbd_image(7, gray(), metres, kCamera, options);
+  ASSERT_TRUE(from_raw && from_metres) << from_raw.message() << from_metres.message();
   EXPECT_EQ(from_raw->stamp_ns, 7);
   EXPECT_NEAR(from_raw->depth_m.at<float>(10, 20), 2.4, 1e-6);
   EXPECT_NEAR(from_metres->depth_m.at<float>(10, 20), 2.4, 1e-6);
@@ -32,7 +31,7 @@ TEST(RgbdImage, TumScale) {
   DepthOptions options;
   options.scale = 5000.0;
   const cv::Mat raw(kCamera.height, kCamera.width, CV_16UC1, cv::Scalar(7500));
-  const auto image = make_rgbd_image(0, gray(), raw, kCamera, options, nullptr);
+  const auto image = make_rgbd_image(0, gray(), raw, kCamera, options);
   ASSERT_TRUE(image);
   EXPECT_NEAR(image->depth_m.at<float>(0, 0), 1.5, 1e-6);
 }
@@ -46,13 +45,13 @@ TEST(RgbdImage, InvalidAndFarValuesAreNoDepth) {
   raw.at<std::uint16_t>(0, 1) = 65535;
   raw.at<std::uint16_t>(0, 2) = 1234;
   raw.at<std::uint16_t>(0, 3) = 3001;
-  const auto a = make_rgbd_image(0, gray(), raw, kCamera, options, nullptr);
+  const auto a = make_rgbd_image(0, gray(), raw, kCamera, options);
   cv::Mat metres(kCamera.height, kCamera.width, CV_32FC1, cv::Scalar(1.0));
   metres.at<float>(0, 0) = std::numeric_limits<float>::quiet_NaN();
   metres.at<float>(0, 1) = std::numeric_limits<float>::infinity();
   metres.at<float>(0, 2) = -1.0F;
   metres.at<float>(0, 3) = 3.001F;
-  const auto b = make_rgbd_image(0, gray(), metres, kCamera, options, nullptr);
+  const auto b = make_rgbd_image(0, gray(), metres, kCamera, options);
   ASSERT_TRUE(a && b);
   for (int u = 0; u < 4; ++u) {
     EXPECT_EQ(a->depth_m.at<float>(0, u), 0.0F) << u;
@@ -66,7 +65,7 @@ TEST(RgbdImage, InvalidAndFarValuesAreNoDepth) {
 std::string range_warning(const cv::Mat& depth, const DepthOptions& options, int images = 100) {
   DepthRange range;
   for (int i = 0; i < images; ++i) {
-    const auto image = make_rgbd_image(i, gray(), depth, kCamera, options, nullptr);
+    const auto image = make_rgbd_image(i, gray(), depth, kCamera, options);
     if (image) range.add(image->depth_range);
   }
   return range.warning(options);
@@ -103,25 +102,24 @@ TEST(RgbdImage, FloatsInMillimetresAreNamed) {
   EXPECT_EQ(range_warning(millimetres, {}), "") << "no depth at all";
 }
 
-TEST(RgbdImage, ColourBecomesGray) {
+TEST(RgbdImage, ColorBecomesGray) {
   cv::Mat color(kCamera.height, kCamera.width, CV_8UC3, cv::Scalar(0, 0, 200));
   const cv::Mat depth(kCamera.height, kCamera.width, CV_32FC1, cv::Scalar(1.0));
-  const auto image = make_rgbd_image(0, color, depth, kCamera, {}, nullptr);
+  const auto image = make_rgbd_image(0, color, depth, kCamera, {});
   ASSERT_TRUE(image);
   EXPECT_EQ(image->gray.type(), CV_8UC1);
   EXPECT_NEAR(image->gray.at<std::uint8_t>(5, 5), 0.299 * 200, 1.0);  // red in BGR
 }
 
 /// A wall 2 m before both cameras, the depth camera 10 cm to the left: what it sees at u moves by f b / z to the left.
-TEST(RgbdImage, UnregisteredDepthIsSeenByTheColourCamera) {
+TEST(RgbdImage, UnregisteredDepthIsSeenByTheColorCamera) {
   DepthOptions options;
   options.color_from_depth = "-0.1 0 0.5 0 0 0 1";
   options.intrinsics = "300 300 100 80";
   cv::Mat depth = cv::Mat::zeros(160, 200, CV_16UC1);
   depth.at<std::uint16_t>(80, 100) = 1500;
-  std::string error;
-  const auto image = make_rgbd_image(0, gray(), depth, kCamera, options, &error);
-  ASSERT_TRUE(image) << error;
+  const auto image = make_rgbd_image(0, gray(), depth, kCamera, options);
+  ASSERT_TRUE(image) << image.message();
   const Vec2 expected(kCamera.fx * -0.1 / 2.0 + kCamera.cx, kCamera.cy);
   EXPECT_EQ(cv::countNonZero(image->depth_m), 4);
   EXPECT_NEAR(image->depth_m.at<float>(static_cast<int>(expected.y()), static_cast<int>(expected.x())), 2.0, 1e-6);
@@ -135,7 +133,7 @@ TEST(RgbdImage, NearerSurfaceWinsWhereTwoMeet) {
   const auto u_of = [](double x, double z) { return static_cast<int>(std::lround(kCamera.fx * x / z + kCamera.cx)); };
   depth.at<float>(100, u_of(0.0, 3.0)) = 3.0F;
   depth.at<float>(100, u_of(-0.2, 1.0)) = 1.0F;
-  const auto image = make_rgbd_image(0, gray(), depth, kCamera, options, nullptr);
+  const auto image = make_rgbd_image(0, gray(), depth, kCamera, options);
   ASSERT_TRUE(image);
   const int u = static_cast<int>(kCamera.fx * 0.1 + kCamera.cx);
   float nearest = 9.0F;
@@ -150,9 +148,7 @@ TEST(RgbdImage, WrongImagesAreNamed) {
   const cv::Mat small(10, 20, CV_16UC1, cv::Scalar(1000)), bytes(kCamera.height, kCamera.width, CV_8UC1, cv::Scalar(1));
   const cv::Mat doubles(kCamera.height, kCamera.width, CV_64FC1, cv::Scalar(1.0));
   const auto error_of = [](const cv::Mat& color, const cv::Mat& d) {
-    std::string error;
-    EXPECT_FALSE(make_rgbd_image(42, color, d, kCamera, {}, &error));
-    return error;
+    return make_rgbd_image(42, color, d, kCamera, {}).message();
   };
   EXPECT_NE(error_of(gray(), small).find("depth image of 20 x 10"), std::string::npos);
   EXPECT_NE(error_of(gray(), small).find("42 ns"), std::string::npos);
@@ -179,6 +175,56 @@ TEST(DepthOptions, BadValuesAreNamed) {
             std::string::npos);
   EXPECT_NE(error_of([](DepthOptions* o) { o->intrinsics = "500 500 320 240"; }).find("intrinsics"), std::string::npos);
   EXPECT_TRUE(validate(DepthOptions())) << validate(DepthOptions()).message();
+}
+
+const Camera kVga{500.0, 500.0, 320.0, 240.0, 640, 480, {}};
+
+/// A light square, 1 m away, before a dark wall at 3 m.
+RgbdImage square_before_wall() {
+  RgbdImage image;
+  image.gray = cv::Mat(480, 640, CV_8UC1, cv::Scalar(40));
+  image.depth_m = cv::Mat(480, 640, CV_32FC1, cv::Scalar(3.0F));
+  const cv::Rect square(200, 150, 200, 160);
+  image.gray(square).setTo(200);
+  image.depth_m(square).setTo(1.0F);
+  return image;
+}
+
+TEST(SemiDensePoints, LieOnTheOutlineOfWhatIsInFront) {
+  const std::vector<Eigen::Vector3f> points = semi_dense_points(square_before_wall(), kVga, 3000);
+  ASSERT_GT(points.size(), 40U);
+  for (const Eigen::Vector3f& p : points) {
+    EXPECT_FLOAT_EQ(p.z(), 1.0F);
+    const double u = 500.0 * static_cast<double>(p.x() / p.z()) + 320.0,
+                 v = 500.0 * static_cast<double>(p.y() / p.z()) + 240.0;
+    const double outside = std::max({200.0 - u, u - 399.0, 150.0 - v, v - 309.0});
+    EXPECT_LT(std::abs(outside), 2.0) << u << ' ' << v;
+  }
+  EXPECT_EQ(points, semi_dense_points(square_before_wall(), kVga, 3000));
+}
+
+TEST(SemiDensePoints, AreNoMoreThanAskedForEvenOnNoise) {
+  RgbdImage image = square_before_wall();
+  cv::RNG random(1);
+  random.fill(image.gray, cv::RNG::UNIFORM, 0, 255);
+  for (const int count : {1, 100, 3000}) {
+    const std::size_t points = semi_dense_points(image, kVga, count).size();
+    EXPECT_GT(points, 0U);
+    EXPECT_LE(points, static_cast<std::size_t>(1.2 * count) + 2U);
+  }
+}
+
+TEST(SemiDensePoints, OfBadImagesThereAreNone) {
+  RgbdImage image = square_before_wall();
+  image.depth_m.setTo(0.0F);
+  EXPECT_TRUE(semi_dense_points(image, kVga, 3000).empty()) << "no depth";
+  image = square_before_wall();
+  image.gray.setTo(0);
+  EXPECT_TRUE(semi_dense_points(image, kVga, 3000).empty()) << "black";
+  image = square_before_wall();
+  image.depth_m = image.depth_m(cv::Rect(0, 0, 320, 240));
+  EXPECT_TRUE(semi_dense_points(image, kVga, 3000).empty()) << "depth of another size";
+  EXPECT_TRUE(semi_dense_points({}, kVga, 3000).empty());
 }
 
 }  // namespace

@@ -5,7 +5,7 @@
 #include "semantic_topo_loop/pipeline/frame_builder.h"
 #include "semantic_topo_loop/pipeline/object_slam.h"
 #include "support/test_fixtures.h"
-#include "tools/simulation/reference_objects.h"
+#include "tools/simulation/sequence.h"
 
 namespace semantic_topo_loop::core {
 namespace {

@@ -5,7 +5,7 @@
 
 #include "support/test_files.h"
 #include "support/test_fixtures.h"
-#include "tools/simulation/reference_objects.h"
+#include "tools/simulation/sequence.h"
 
 namespace semantic_topo_loop::core {
 namespace {

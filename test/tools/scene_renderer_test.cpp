@@ -71,7 +71,7 @@ TEST(SceneRenderer, walls_have_their_exact_depth) {
   for (int i = 0; i < 3; ++i) {
     SE3 T_world_camera(random.rotation(), {0.5, -0.4, 1.5});
     const RenderedImage image = renderer.render(rays, T_world_camera, 0.0, false);
-    EXPECT_TRUE(image.colour.empty());
+    EXPECT_TRUE(image.color.empty());
     for (int y = 0; y < camera.height; y += 37) {
       for (int x = 0; x < camera.width; x += 41) {
         const Vec3 ray = camera.ray(camera.undistort(Vec2(x, y)));
@@ -208,9 +208,9 @@ TEST(SceneRenderer, textures_stay_on_their_surfaces) {
       const Vec2 pixel = camera.distort((camera.intrinsics() * seen).hnormalized());
       const int u = static_cast<int>(std::lround(pixel.x())), v = static_cast<int>(std::lround(pixel.y()));
       if (u < 0 || v < 0 || u >= camera.width || v >= camera.height) continue;
-      const double green_a = image_a.colour.at<cv::Vec3b>(y, x)[1], green_b = image_b.colour.at<cv::Vec3b>(v, u)[1];
+      const double green_a = image_a.color.at<cv::Vec3b>(y, x)[1], green_b = image_b.color.at<cv::Vec3b>(v, u)[1];
       difference += std::abs(green_a - green_b);
-      spread += std::abs(green_a - image_b.colour.at<cv::Vec3b>(y, x)[1]);
+      spread += std::abs(green_a - image_b.color.at<cv::Vec3b>(y, x)[1]);
       ++count;
     }
   }
@@ -227,9 +227,9 @@ TEST(SceneRenderer, same_seed_same_picture) {
     return SceneRenderer(scene, room, seed).render(PixelRays(camera_fr2()), trajectory.T_world_camera(0.0));
   };
   const RenderedImage first = picture(1), again = picture(1), other = picture(2);
-  EXPECT_EQ(cv::norm(first.colour, again.colour, cv::NORM_INF), 0.0);
+  EXPECT_EQ(cv::norm(first.color, again.color, cv::NORM_INF), 0.0);
   EXPECT_EQ(cv::norm(first.depth_m, again.depth_m, cv::NORM_INF), 0.0);
-  EXPECT_GT(cv::norm(first.colour, other.colour, cv::NORM_INF), 50.0);
+  EXPECT_GT(cv::norm(first.color, other.color, cv::NORM_INF), 50.0);
   EXPECT_EQ(cv::norm(first.depth_m, other.depth_m, cv::NORM_INF), 0.0);
 }
 

@@ -10,7 +10,6 @@
 #include "semantic_topo_loop/io/tum_trajectory.h"
 #include "support/test_files.h"
 #include "support/test_fixtures.h"
-#include "tools/simulation/reference_objects.h"
 
 namespace semantic_topo_loop::core {
 namespace {
@@ -182,7 +181,7 @@ TEST(SimulationOptions, bad_values_are_named) {
       {"detector.jitter_px", "-1"},     {"detector.jitter_ratio", "2"},
       {"detector.persistence_s", "-1"}, {"detector.min_visible", "2"},
       {"detector.min_inside", "-1"},    {"detector.min_score", "1"},
-      {"detector.colour", "red"},       {"detector.miss_rate", "nan"},
+      {"detector.color", "red"},       {"detector.miss_rate", "nan"},
       {"trajectory.rate_hz", "fast"},
   };
   for (const auto& [key, value] : bad) {

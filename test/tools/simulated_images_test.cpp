@@ -127,13 +127,13 @@ TEST(KinectModel, seeds_of_noise) {
   EXPECT_EQ(differ(kinect_depth(ideal, rays, 7), kinect_depth(ideal, rays, 7)), 0);
   EXPECT_GT(differ(kinect_depth(ideal, rays, 7), kinect_depth(ideal, rays, 8)), 5000);
   const cv::Mat grey(120, 160, CV_8UC3, cv::Scalar::all(128));
-  EXPECT_EQ(cv::norm(kinect_colour(grey, 1), kinect_colour(grey, 1), cv::NORM_INF), 0.0);
-  EXPECT_GT(cv::norm(kinect_colour(grey, 1), kinect_colour(grey, 2), cv::NORM_INF), 0.0);
+  EXPECT_EQ(cv::norm(kinect_color(grey, 1), kinect_color(grey, 1), cv::NORM_INF), 0.0);
+  EXPECT_GT(cv::norm(kinect_color(grey, 1), kinect_color(grey, 2), cv::NORM_INF), 0.0);
 }
 
-TEST(KinectModel, colour_noise) {
+TEST(KinectModel, color_noise) {
   const cv::Mat grey(240, 320, CV_8UC3, cv::Scalar::all(128));
-  const cv::Mat noisy = kinect_colour(grey, 3);
+  const cv::Mat noisy = kinect_color(grey, 3);
   cv::Scalar mean, deviation;
   cv::meanStdDev(noisy(cv::Rect(140, 100, 40, 40)), mean, deviation);
   EXPECT_NEAR(mean[0], 128.0, 1.0);
@@ -196,14 +196,14 @@ TEST_F(RenderedSequenceTest, images_read_back) {
   const SimulatedSequence sequence = render(
       "a", {{"rendering.noise", "false"}, {"rendering.depth_scale", "1000"}, {"rendering.depth_delay_s", "0"}}, 1);
   std::string error;
-  const auto colour = read_rendered_colour(sequence, directory_.path("a"), 2, &error);
+  const auto color = read_rendered_color(sequence, directory_.path("a"), 2, &error);
   const auto depth = read_rendered_depth(sequence, options_.rendering, directory_.path("a"), 2, &error);
-  ASSERT_TRUE(colour && depth) << error;
+  ASSERT_TRUE(color && depth) << error;
   const SceneRenderer renderer(sequence.scene, room_around(sequence.scene, sequence.mocap), 1);
   const RenderedImage ideal = renderer.render(PixelRays(sequence.camera), sequence.truth[2].T_world_camera, 0.2);
   EXPECT_LT(cv::norm(*depth, ideal.depth_m, cv::NORM_INF), 0.51e-3);
   std::filesystem::remove_all(directory_.path("a/rgb"));
-  EXPECT_FALSE(read_rendered_colour(sequence, directory_.path("a"), 2, &error));
+  EXPECT_FALSE(read_rendered_color(sequence, directory_.path("a"), 2, &error));
   EXPECT_NE(error.find("rgb/1400000000.200000.png"), std::string::npos) << error;
 }
 

@@ -215,28 +215,28 @@ class RenderedBagTest : public TumBagTest {
 TEST_F(RenderedBagTest, images_are_those_of_the_folder) {
   ASSERT_NO_FATAL_FAILURE(render({}));
   ASSERT_NO_FATAL_FAILURE(write(options_));
-  const auto colours = messages<sensor_msgs::Image>("/camera/rgb/image_color");
+  const auto colors = messages<sensor_msgs::Image>("/camera/rgb/image_color");
   const auto depths = messages<sensor_msgs::Image>("/camera/depth/image");
   const auto infos = messages<sensor_msgs::CameraInfo>("/camera/depth/camera_info");
-  ASSERT_EQ(colours.size(), 6u);
+  ASSERT_EQ(colors.size(), 6u);
   ASSERT_EQ(depths.size(), 6u);
   ASSERT_EQ(infos.size(), 6u);
   for (std::size_t i = 0; i < 6; ++i) {
-    EXPECT_EQ(to_stamp_ns(colours[i]->header.stamp), sequence_.truth[i].stamp_ns);
+    EXPECT_EQ(to_stamp_ns(colors[i]->header.stamp), sequence_.truth[i].stamp_ns);
     EXPECT_EQ(to_stamp_ns(depths[i]->header.stamp), sequence_.truth[i].stamp_ns + 8000000);
     EXPECT_EQ(infos[i]->header.stamp, depths[i]->header.stamp);
     EXPECT_EQ(infos[i]->K[0], 525.0);
-    EXPECT_EQ(colours[i]->encoding, "rgb8");
+    EXPECT_EQ(colors[i]->encoding, "rgb8");
     EXPECT_EQ(depths[i]->encoding, "32FC1");
     EXPECT_EQ(depths[i]->header.frame_id, "/openni_rgb_optical_frame");
     EXPECT_EQ(depths[i]->step, 4u * 128u);
-    const auto colour = core::read_rendered_colour(sequence_, directory_, i, nullptr);
+    const auto color = core::read_rendered_color(sequence_, directory_, i, nullptr);
     const auto depth = core::read_rendered_depth(sequence_, options_.rendering, directory_, i, nullptr);
-    ASSERT_TRUE(colour && depth);
+    ASSERT_TRUE(color && depth);
     for (int k = 0; k < 128 * 96; ++k) {
       const auto at = static_cast<std::size_t>(k);
-      ASSERT_EQ(colours[i]->data[3 * at], colour->ptr()[3 * k + 2]) << "red comes first";
-      ASSERT_EQ(colours[i]->data[3 * at + 2], colour->ptr()[3 * k]);
+      ASSERT_EQ(colors[i]->data[3 * at], color->ptr()[3 * k + 2]) << "red comes first";
+      ASSERT_EQ(colors[i]->data[3 * at + 2], color->ptr()[3 * k]);
     }
     EXPECT_EQ(std::memcmp(depths[i]->data.data(), depth->data, depths[i]->data.size()), 0);
   }
@@ -250,9 +250,9 @@ TEST_F(RenderedBagTest, unregistered_depth_has_its_own_frame) {
   const auto edges = read_tf(bag).edges;
   const core::SE3 T_kinect_depth =
       kinect_from("/openni_depth_optical_frame", {"/openni_depth_frame", "/openni_camera", "/kinect"}, edges);
-  const core::SE3 T_colour_depth = tum_kinect_from_optical().inverse() * T_kinect_depth;
-  EXPECT_LT((T_colour_depth.t - core::Vec3(0.025, 0.0, 0.0)).norm(), 1e-9);
-  EXPECT_LT(core::so3_log(T_colour_depth.q).norm(), 1e-9);
+  const core::SE3 T_color_depth = tum_kinect_from_optical().inverse() * T_kinect_depth;
+  EXPECT_LT((T_color_depth.t - core::Vec3(0.025, 0.0, 0.0)).norm(), 1e-9);
+  EXPECT_LT(core::so3_log(T_color_depth.q).norm(), 1e-9);
 }
 
 }  // namespace

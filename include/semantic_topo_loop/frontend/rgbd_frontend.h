@@ -1,5 +1,6 @@
 #pragma once
 
+#include <cstdint>
 #include <memory>
 #include <optional>
 #include <string>
@@ -45,7 +46,7 @@ class RgbdFrontend {
   void begin_anew();
   /// Whether no image to come is `is_recalibrated`. A correction found later begins a new map at the pose reached.
   bool is_calibrated() const;
-  /// The colour camera, with its focal lengths as self-calibration corrected them; else as given.
+  /// The color camera, with its focal lengths as self-calibration corrected them; else as given.
   const Camera& camera() const;
   /// The map points that the last image with a pose sees, in order of id. Ids are never used twice.
   std::vector<SparsePoint> sparse_points() const;
@@ -53,6 +54,23 @@ class RgbdFrontend {
  private:
   struct Impl;
   std::unique_ptr<Impl> impl_;
+};
+
+/// What became of the images of a run.
+struct TrackingReport {
+  std::int64_t images = 0;  ///< all of them
+  std::int64_t tracked = 0;
+  std::int64_t relocalised = 0;
+  std::int64_t restarts = 0;    ///< odometries begun anew after a loss
+  std::int64_t lost = 0;        ///< without a pose
+  std::int64_t unusable = 0;    ///< without a pose, as there was nothing to follow
+  std::int64_t unreadable = 0;  ///< missing, broken, of the wrong size or type
+  std::string first_unreadable;
+
+  void add(const TrackedImage& image);
+  void add_unreadable(const std::string& problem);
+  /// "3 of 58 images lost, ..."; empty if every image has a pose without a restart.
+  std::string warning() const;
 };
 
 }  // namespace semantic_topo_loop::core

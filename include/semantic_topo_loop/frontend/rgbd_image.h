@@ -4,9 +4,11 @@
 #include <opencv2/core.hpp>
 #include <optional>
 #include <string>
+#include <vector>
 
 #include "semantic_topo_loop/types/camera.h"
 #include "semantic_topo_loop/types/option_visitor.h"
+#include "semantic_topo_loop/types/result.h"
 
 namespace semantic_topo_loop::core {
 
@@ -63,9 +65,14 @@ struct RgbdImage {
 /// Brings images as cameras send them into the front end's form.
 /// @param color CV_8UC1, or CV_8UC3 as BGR   @param depth CV_16UC1 in units of `scale`, or CV_32FC1 in metres, NaN or
 /// <= 0 where there is none   @param camera the color camera
-/// @return nullopt, with stamp, field and value in `error`, for an empty image, one of another size than the camera's,
-/// or one of another type
-std::optional<RgbdImage> make_rgbd_image(std::int64_t stamp_ns, const cv::Mat& color, const cv::Mat& depth,
-                                         const Camera& camera, const DepthOptions& options, std::string* error);
+/// @return an error that names stamp, field and value for an empty image, one of another size than the camera's, or one
+/// of another type
+Result<RgbdImage> make_rgbd_image(std::int64_t stamp_ns, const cv::Mat& color, const cv::Mat& depth,
+                                  const Camera& camera, const DepthOptions& options);
+
+/// Points on the edges of an image: in each cell of an even grid the pixel of the steepest grey level, if it is steep
+/// and has a depth. Where depth jumps, the nearer side is taken: an outline belongs to what is in front.
+/// @param count_max about so many at most, by the size of the cells   @return camera frame, m, row by row
+std::vector<Eigen::Vector3f> semi_dense_points(const RgbdImage& image, const Camera& camera, int count_max);
 
 }  // namespace semantic_topo_loop::core

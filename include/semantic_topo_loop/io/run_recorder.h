@@ -7,7 +7,7 @@
 #include <utility>
 #include <vector>
 
-#include "semantic_topo_loop/frontend/tracking_report.h"
+#include "semantic_topo_loop/frontend/rgbd_frontend.h"
 #include "semantic_topo_loop/types/class_table.h"
 #include "semantic_topo_loop/types/detection.h"
 #include "semantic_topo_loop/types/frame.h"

@@ -20,7 +20,7 @@
 #include "semantic_topo_loop/QuadricMap.h"
 #include "semantic_topo_loop/QuadricMapUpdate.h"
 #include "semantic_topo_loop/TrackingReport.h"
-#include "semantic_topo_loop/frontend/tracking_report.h"
+#include "semantic_topo_loop/frontend/rgbd_frontend.h"
 #include "semantic_topo_loop/types/detection.h"
 #include "semantic_topo_loop/types/frame.h"
 #include "semantic_topo_loop/types/landmark.h"

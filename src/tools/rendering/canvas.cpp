@@ -33,9 +33,8 @@ std::string word(Random* random) {
 
 }  // namespace
 
-cv::Scalar shade(const cv::Scalar& colour, double factor) {
-  return {std::min(255.0, colour[0] * factor), std::min(255.0, colour[1] * factor),
-          std::min(255.0, colour[2] * factor)};
+cv::Scalar shade(const cv::Scalar& color, double factor) {
+  return {std::min(255.0, color[0] * factor), std::min(255.0, color[1] * factor), std::min(255.0, color[2] * factor)};
 }
 
 Canvas::Canvas(const cv::Size& size, float texels_per_m, const cv::Scalar& background, Random* random)
@@ -50,24 +49,24 @@ cv::Rect Canvas::rect(const Area& area) const {
   return cv::Rect(px(area.x), px(area.y), std::max(1, px(area.width)), std::max(1, px(area.height))) & whole;
 }
 
-void Canvas::fill(const Area& area, const cv::Scalar& colour) { image_(rect(area)).setTo(colour); }
+void Canvas::fill(const Area& area, const cv::Scalar& color) { image_(rect(area)).setTo(color); }
 
-void Canvas::frame(const Area& area, double line_m, const cv::Scalar& colour) {
-  cv::rectangle(image_, rect(area), colour, std::max(1, px(line_m)));
+void Canvas::frame(const Area& area, double line_m, const cv::Scalar& color) {
+  cv::rectangle(image_, rect(area), color, std::max(1, px(line_m)));
 }
 
-void Canvas::disc(double x, double y, double radius, const cv::Scalar& colour) {
-  cv::circle(image_, {px(x), px(y)}, std::max(1, px(radius)), colour, cv::FILLED, cv::LINE_AA);
+void Canvas::disc(double x, double y, double radius, const cv::Scalar& color) {
+  cv::circle(image_, {px(x), px(y)}, std::max(1, px(radius)), color, cv::FILLED, cv::LINE_AA);
 }
 
-void Canvas::line(double x1, double y1, double x2, double y2, double line_m, const cv::Scalar& colour) {
-  cv::line(image_, {px(x1), px(y1)}, {px(x2), px(y2)}, colour, std::max(1, px(line_m)), cv::LINE_AA);
+void Canvas::line(double x1, double y1, double x2, double y2, double line_m, const cv::Scalar& color) {
+  cv::line(image_, {px(x1), px(y1)}, {px(x2), px(y2)}, color, std::max(1, px(line_m)), cv::LINE_AA);
 }
 
-cv::Scalar Canvas::any_colour() {
-  cv::Scalar colour;
-  for (int i = 0; i < 3; ++i) colour[i] = random_->uniform(20.0, 240.0);
-  return colour;
+cv::Scalar Canvas::any_color() {
+  cv::Scalar color;
+  for (int i = 0; i < 3; ++i) color[i] = random_->uniform(20.0, 240.0);
+  return color;
 }
 
 void Canvas::patches(const Area& area, int count, double largest_m) {
@@ -79,9 +78,9 @@ void Canvas::patches(const Area& area, int count, double largest_m) {
     const cv::Point2d center(random_->uniform() * part.cols, random_->uniform() * part.rows);
     const double turn = random_->uniform(0.0, 2.0 * kPi), slim = random_->uniform(0.25, 1.0);
     const int corners = random_->integer(3, 5);
-    const cv::Scalar colour = any_colour();
+    const cv::Scalar color = any_color();
     if (corners == 5) {
-      cv::circle(part, center, static_cast<int>(0.6 * radius) + 1, colour, cv::FILLED, cv::LINE_AA);
+      cv::circle(part, center, static_cast<int>(0.6 * radius) + 1, color, cv::FILLED, cv::LINE_AA);
       continue;
     }
     std::vector<cv::Point> outline;
@@ -91,12 +90,12 @@ void Canvas::patches(const Area& area, int count, double largest_m) {
       outline.emplace_back(static_cast<int>(center.x + x * std::cos(turn) - y * std::sin(turn)),
                            static_cast<int>(center.y + x * std::sin(turn) + y * std::cos(turn)));
     }
-    cv::fillConvexPoly(part, outline, colour, cv::LINE_AA);
+    cv::fillConvexPoly(part, outline, color, cv::LINE_AA);
   }
 }
 
 void Canvas::mosaic(const Area& area, double cell_m) {
-  const cv::Scalar first = any_colour(), second = any_colour();
+  const cv::Scalar first = any_color(), second = any_color();
   for (double y = 0.0; y < area.height; y += cell_m) {
     for (double x = 0.0; x < area.width; x += cell_m) {
       const Area cell{area.x + x, area.y + y, std::min(cell_m, area.width - x), std::min(cell_m, area.height - y)};
@@ -105,7 +104,7 @@ void Canvas::mosaic(const Area& area, double cell_m) {
   }
 }
 
-void Canvas::text(const Area& area, double line_m, const cv::Scalar& colour) {
+void Canvas::text(const Area& area, double line_m, const cv::Scalar& color) {
   cv::Mat part = image_(rect(area));
   if (part.empty()) return;
   // Hershey's capitals are about 22 px high at scale 1.
@@ -116,19 +115,19 @@ void Canvas::text(const Area& area, double line_m, const cv::Scalar& colour) {
     std::string words = word(random_);
     const int count = std::max(1, static_cast<int>(random_->uniform(0.4, 1.0) * area.width / (3.0 * line_m)));
     for (int i = 1; i < count; ++i) words += " " + word(random_);
-    cv::putText(part, words, {indent, y}, cv::FONT_HERSHEY_SIMPLEX, scale, colour, thickness, cv::LINE_AA);
+    cv::putText(part, words, {indent, y}, cv::FONT_HERSHEY_SIMPLEX, scale, color, thickness, cv::LINE_AA);
   }
 }
 
 void Canvas::poster(const Area& area) {
   const int kind = random_->index(4);
-  const cv::Scalar ground = kind == 0 ? cv::Scalar(235, 238, 240) : any_colour();
+  const cv::Scalar ground = kind == 0 ? cv::Scalar(235, 238, 240) : any_color();
   fill(area, ground);
   const double margin = 0.06 * std::min(area.width, area.height);
   const Area inner{area.x + margin, area.y + margin, area.width - 2.0 * margin, area.height - 2.0 * margin};
   const double size = std::min(inner.width, inner.height);
   if (kind == 0) {
-    text({inner.x, inner.y, inner.width, 0.25 * inner.height}, 0.12 * size, any_colour());
+    text({inner.x, inner.y, inner.width, 0.25 * inner.height}, 0.12 * size, any_color());
     text({inner.x, inner.y + 0.3 * inner.height, 0.5 * inner.width, 0.7 * inner.height}, 0.05 * size, {40, 40, 40});
     patches({inner.x + 0.55 * inner.width, inner.y + 0.3 * inner.height, 0.45 * inner.width, 0.6 * inner.height}, 25,
             0.2 * size);
@@ -137,9 +136,9 @@ void Canvas::poster(const Area& area) {
     patches(inner, 12, 0.15 * size);
   } else {
     patches(inner, kind == 2 ? 120 : 40, (kind == 2 ? 0.12 : 0.35) * size);
-    text({inner.x, inner.y + 0.82 * inner.height, inner.width, 0.15 * inner.height}, 0.1 * size, any_colour());
+    text({inner.x, inner.y + 0.82 * inner.height, inner.width, 0.15 * inner.height}, 0.1 * size, any_color());
   }
-  frame(area, 0.015, shade(any_colour(), 0.5));
+  frame(area, 0.015, shade(any_color(), 0.5));
 }
 
 void Canvas::roughen(double largest_cell_m, double share) {

@@ -16,23 +16,23 @@ class Canvas {
     double x = 0.0, y = 0.0, width = 0.0, height = 0.0;
   };
   Area all() const;
-  void fill(const Area& area, const cv::Scalar& colour);
-  void frame(const Area& area, double line_m, const cv::Scalar& colour);
-  void disc(double x, double y, double radius, const cv::Scalar& colour);
-  void line(double x1, double y1, double x2, double y2, double line_m, const cv::Scalar& colour);
-  /// Turned rectangles, triangles and discs of random colours and sizes up to `largest_m`.
+  void fill(const Area& area, const cv::Scalar& color);
+  void frame(const Area& area, double line_m, const cv::Scalar& color);
+  void disc(double x, double y, double radius, const cv::Scalar& color);
+  void line(double x1, double y1, double x2, double y2, double line_m, const cv::Scalar& color);
+  /// Turned rectangles, triangles and discs of random colors and sizes up to `largest_m`.
   void patches(const Area& area, int count, double largest_m);
   /// Rectangles of a board of `cell_m`, each of its own shade.
   void mosaic(const Area& area, double cell_m);
   /// Lines of words.
-  void text(const Area& area, double line_m, const cv::Scalar& colour);
+  void text(const Area& area, double line_m, const cv::Scalar& color);
   /// One of several kinds of pictures with a border.
   void poster(const Area& area);
   /// Brightens and darkens by noise at every scale from the largest cell down to two texels.
   /// @param share of the brightness, standard deviation at each scale
   void roughen(double largest_cell_m, double share);
 
-  cv::Scalar any_colour();
+  cv::Scalar any_color();
   Random& random() { return *random_; }
   const cv::Mat& image() const { return image_; }
 
@@ -45,6 +45,6 @@ class Canvas {
   Random* random_;
 };
 
-cv::Scalar shade(const cv::Scalar& colour, double factor);
+cv::Scalar shade(const cv::Scalar& color, double factor);
 
 }  // namespace semantic_topo_loop::core

@@ -1,25 +1,38 @@
 #include "tools/rendering/drawn_shape.h"
 
+#include <algorithm>
+#include <cmath>
+
 namespace semantic_topo_loop::core {
 namespace {
 
-constexpr double kTableThicknessM = 0.03;
-constexpr double kLegM = 0.025;
+constexpr double kFurnitureGap_m = 0.15;
+constexpr double kCameraGap_m = 0.7;
+constexpr double kMinHeight_m = 2.6;
+
+/// Grows the box [low, high] so that it holds a disc.
+void include(const Vec3& center, double radius, Vec3* low, Vec3* high) {
+  *low = low->cwiseMin((center.array() - radius).matrix());
+  *high = high->cwiseMax((center.array() + radius).matrix());
+}
+
+constexpr double kTableThickness_m = 0.03;
+constexpr double kLeg_m = 0.025;
 
 SE3 at(double x, double y, double z) { return {Quaternion::Identity(), {x, y, z}}; }
 
 class Shapes {
  public:
   void add_desk(const Desk& desk) {
-    add_box(-1, desk.T_world_desk * at(0.0, 0.0, -0.5 * kTableThicknessM),
-            {desk.half_depth_m, desk.half_width_m, 0.5 * kTableThicknessM}, Paint::kTableTop);
-    const double leg_half = 0.5 * (desk.T_world_desk.t.z() - kTableThicknessM);
+    add_box(-1, desk.T_world_desk * at(0.0, 0.0, -0.5 * kTableThickness_m),
+            {desk.half_depth_m, desk.half_width_m, 0.5 * kTableThickness_m}, Paint::kTableTop);
+    const double leg_half = 0.5 * (desk.T_world_desk.t.z() - kTableThickness_m);
     for (const double x : {-1.0, 1.0}) {
       for (const double y : {-1.0, 1.0}) {
         add_box(-1,
                 desk.T_world_desk *
-                    at(x * (desk.half_depth_m - 0.05), y * (desk.half_width_m - 0.05), -kTableThicknessM - leg_half),
-                {kLegM, kLegM, leg_half}, Paint::kDarkMetal);
+                    at(x * (desk.half_depth_m - 0.05), y * (desk.half_width_m - 0.05), -kTableThickness_m - leg_half),
+                {kLeg_m, kLeg_m, leg_half}, Paint::kDarkMetal);
       }
     }
   }
@@ -75,16 +88,16 @@ class Shapes {
 
   /// Seat, back at -x, legs.
   void add_chair(int object, const Vec3& box) {
-    constexpr double kPlateM = 0.03;
+    constexpr double kPlate_m = 0.03;
     const double seat = -0.05 * box.z();
-    add_box(object, at(0.0, 0.0, seat), {box.x(), box.y(), kPlateM}, Paint::kCloth);
+    add_box(object, at(0.0, 0.0, seat), {box.x(), box.y(), kPlate_m}, Paint::kCloth);
     const double back_half = 0.5 * (box.z() - seat);
-    add_box(object, at(kPlateM - box.x(), 0.0, seat + back_half), {kPlateM, box.y(), back_half}, Paint::kCloth);
+    add_box(object, at(kPlate_m - box.x(), 0.0, seat + back_half), {kPlate_m, box.y(), back_half}, Paint::kCloth);
     const double leg_half = 0.5 * (seat + box.z());
     for (const double x : {-1.0, 1.0}) {
       for (const double y : {-1.0, 1.0}) {
-        add_box(object, at(x * (box.x() - kLegM), y * (box.y() - kLegM), leg_half - box.z()), {kLegM, kLegM, leg_half},
-                Paint::kDarkMetal);
+        add_box(object, at(x * (box.x() - kLeg_m), y * (box.y() - kLeg_m), leg_half - box.z()),
+                {kLeg_m, kLeg_m, leg_half}, Paint::kDarkMetal);
       }
     }
   }
@@ -99,9 +112,9 @@ class Shapes {
 
   /// Keys on the table, a screen upright at -x.
   void add_laptop(int object, const Vec3& box) {
-    constexpr double kPlateM = 0.010;
-    add_box(object, at(0.0, 0.0, kPlateM - box.z()), {box.x(), box.y(), kPlateM}, Paint::kKeys);
-    add_box(object, at(kPlateM - box.x(), 0.0, 0.0), {kPlateM, box.y(), box.z()}, Paint::kScreen);
+    constexpr double kPlate_m = 0.010;
+    add_box(object, at(0.0, 0.0, kPlate_m - box.z()), {box.x(), box.y(), kPlate_m}, Paint::kKeys);
+    add_box(object, at(kPlate_m - box.x(), 0.0, 0.0), {kPlate_m, box.y(), box.z()}, Paint::kScreen);
   }
 
   /// Leaves over a pot, both within the ellipsoid's height.
@@ -115,13 +128,122 @@ class Shapes {
   std::vector<DrawnShape> shapes_;
 };
 
+constexpr double kNear_m = 0.02;
+
+const Box kEverywhere{-1e6, -1e6, 1e6, 1e6};
+
+/// Around the corners; everywhere if the box reaches behind the camera; none if it is wholly behind.
+std::optional<Box> box_bounds(const SE3& T_camera_shape, const Vec3& half) {
+  Box bounds{1e6, 1e6, -1e6, -1e6};
+  int behind = 0;
+  for (int i = 0; i < 8; ++i) {
+    const Vec3 corner((i & 1) != 0 ? half.x() : -half.x(), (i & 2) != 0 ? half.y() : -half.y(),
+                      (i & 4) != 0 ? half.z() : -half.z());
+    const Vec3 p = T_camera_shape * corner;
+    if (p.z() < kNear_m) {
+      ++behind;
+      continue;
+    }
+    const Vec2 q = p.hnormalized();
+    bounds = {std::min(bounds.x1, q.x()), std::min(bounds.y1, q.y()), std::max(bounds.x2, q.x()),
+              std::max(bounds.y2, q.y())};
+  }
+  if (behind == 8) return std::nullopt;
+  return behind > 0 ? kEverywhere : bounds;
+}
+
+std::optional<Box> ellipsoid_bounds(const SE3& T_camera_shape, const Vec3& half) {
+  Mat34 P = Mat34::Identity();
+  const std::optional<Box> bounds = project_box(Ellipsoid{T_camera_shape, half}, P);
+  if (bounds) return bounds;
+  return T_camera_shape.t.z() + half.maxCoeff() < kNear_m ? std::nullopt : std::optional<Box>(kEverywhere);
+}
+
+float enter_box(const Eigen::Vector3f& o, const Eigen::Vector3f& d) {
+  float entry = -kMiss, exit = kMiss;
+  for (int i = 0; i < 3; ++i) {
+    const float inverse = 1.0F / d[i];
+    const float a = (-1.0F - o[i]) * inverse, b = (1.0F - o[i]) * inverse;
+    // A ray within a face gives 0 * infinity, which these comparisons ignore.
+    entry = std::max(entry, std::min(a, b));
+    exit = std::min(exit, std::max(a, b));
+  }
+  return entry <= exit && entry > 0.0F ? entry : kMiss;
+}
+
+float enter_sphere(const Eigen::Vector3f& o, const Eigen::Vector3f& d) {
+  // By the point nearest to the centre: b^2 - a c would lose all digits of a small sphere far away.
+  const float a = d.squaredNorm();
+  const float middle = -o.dot(d) / a;
+  const float rest = 1.0F - (o + middle * d).squaredNorm();
+  if (rest <= 0.0F) return kMiss;
+  const float depth = middle - std::sqrt(rest / a);
+  return depth > 0.0F ? depth : kMiss;
+}
+
 }  // namespace
+
+Room room_around(const Scene& scene, const StampedPoses& camera_path) {
+  const SE3& T_world_desk = scene.desks.front().T_world_desk;
+  const SE3 T_axes_world = SE3(T_world_desk.q, Vec3::Zero()).inverse();
+  Vec3 low = Vec3::Constant(std::numeric_limits<double>::max()), high = -low;
+  for (const Desk& desk : scene.desks) {
+    include(T_axes_world * desk.T_world_desk.t, std::max(desk.half_depth_m, desk.half_width_m) + kFurnitureGap_m, &low,
+            &high);
+  }
+  for (const SceneObject& object : scene.objects) {
+    // Who walks through may come out of a wall.
+    if (!object.stays()) continue;
+    include(T_axes_world * object.ellipsoid.center(), object.ellipsoid.semi_axes.head<2>().maxCoeff() + kFurnitureGap_m,
+            &low, &high);
+  }
+  for (const StampedPose& pose : camera_path) include(T_axes_world * pose.T_world_camera.t, kCameraGap_m, &low, &high);
+  low.z() = 0.0;
+  high.z() = std::max(high.z(), kMinHeight_m);
+  Room room;
+  room.T_world_room = T_axes_world.inverse() * SE3(Quaternion::Identity(), 0.5 * (low + high));
+  room.half = 0.5 * (high - low);
+  return room;
+}
 
 std::vector<DrawnShape> drawn_shapes(const Scene& scene) {
   Shapes shapes;
   for (const Desk& desk : scene.desks) shapes.add_desk(desk);
   for (std::size_t i = 0; i < scene.objects.size(); ++i) shapes.add_object(static_cast<int>(i), scene.objects[i]);
   return shapes.take();
+}
+
+std::optional<CastShape> cast_shape(const DrawnShape& shape, const SE3& T_camera_shape, int index) {
+  const std::optional<Box> bounds =
+      shape.is_box ? box_bounds(T_camera_shape, shape.half) : ellipsoid_bounds(T_camera_shape, shape.half);
+  if (!bounds) return std::nullopt;
+  const Vec3 inverse_half = shape.half.cwiseInverse();
+  const SE3 T_shape_camera = T_camera_shape.inverse();
+  CastShape cast;
+  cast.scale = (inverse_half.asDiagonal() * T_shape_camera.rotation()).cast<float>();
+  cast.origin = inverse_half.cwiseProduct(T_shape_camera.t).cast<float>();
+  cast.R_camera_shape = T_camera_shape.rotation().cast<float>();
+  cast.inverse_half = inverse_half.cast<float>();
+  cast.is_box = shape.is_box;
+  cast.shape = index;
+  cast.object = shape.object;
+  cast.bounds = *bounds;
+  return cast;
+}
+
+float depth_of_entry(const CastShape& shape, const Eigen::Vector3f& ray) {
+  const Eigen::Vector3f direction = shape.scale * ray;
+  return shape.is_box ? enter_box(shape.origin, direction) : enter_sphere(shape.origin, direction);
+}
+
+float depth_of_exit(const CastShape& shape, const Eigen::Vector3f& ray) {
+  const Eigen::Vector3f direction = shape.scale * ray;
+  float exit = kMiss;
+  for (int i = 0; i < 3; ++i) {
+    if (direction[i] == 0.0F) continue;
+    exit = std::min(exit, ((direction[i] > 0.0F ? 1.0F : -1.0F) - shape.origin[i]) / direction[i]);
+  }
+  return exit;
 }
 
 }  // namespace semantic_topo_loop::core

@@ -11,15 +11,15 @@ namespace {
 
 constexpr float kNone = std::numeric_limits<float>::quiet_NaN();
 constexpr float kFar = std::numeric_limits<float>::infinity();
-constexpr float kBaselineM = 0.075F;                ///< from the camera to the projector, along +x
-constexpr float kDisparityM = 580.0F * kBaselineM;  ///< disparity (px) times range
-constexpr float kDisparityNoisePx = 0.05F;
-constexpr float kDisparityStepPx = 0.125F;
-constexpr float kNearM = 0.4F;
-constexpr float kSurelySeenM = 4.5F, kNeverSeenM = 6.0F;
+constexpr float kBaseline_m = 0.075F;                    ///< from the camera to the projector, along +x
+constexpr float kDisparity_px_m = 580.0F * kBaseline_m;  ///< disparity (px) times range
+constexpr float kDisparityNoise_px = 0.05F;
+constexpr float kDisparityStep_px = 0.125F;
+constexpr float kNear_m = 0.4F;
+constexpr float kSurelySeen_m = 4.5F, kNeverSeen_m = 6.0F;
 constexpr float kGrazingCosine = 0.10F, kSafeCosine = 0.22F;
 constexpr float kLostShare = 0.002F;
-constexpr float kColourNoise = 2.2F;  ///< grey levels
+constexpr float kColorNoise = 2.2F;   ///< grey levels
 constexpr float kVignetting = 0.22F;  ///< lost in the corners
 
 /// Many numbers quickly (xorshift64*, Marsaglia 2003; Vigna 2016), one generator a row.
@@ -58,22 +58,22 @@ void find_shadows(const cv::Vec2f* rays, const float* depth, std::vector<std::ui
   const float margin = 0.33F * std::abs(rays[width - 1][0] - rays[0][0]) / static_cast<float>(width);
   float leftmost = std::numeric_limits<float>::infinity();
   for (int x = width - 1; x >= 0; --x) {
-    const float from_projector = rays[x][0] - kBaselineM / depth[x];
+    const float from_projector = rays[x][0] - kBaseline_m / depth[x];
     (*shadowed)[static_cast<std::size_t>(x)] = from_projector > leftmost + margin ? 1 : 0;
     leftmost = std::min(leftmost, from_projector);
   }
 }
 
 float measured(float depth, FastRandom* random) {
-  if (random->uniform() < (depth - kSurelySeenM) / (kNeverSeenM - kSurelySeenM)) return kFar;
-  const float disparity = kDisparityM / depth + kDisparityNoisePx * random->normal();
-  const float step = std::round(disparity / kDisparityStepPx) * kDisparityStepPx;
-  return step > 0.0F ? kDisparityM / step : kFar;
+  if (random->uniform() < (depth - kSurelySeen_m) / (kNeverSeen_m - kSurelySeen_m)) return kFar;
+  const float disparity = kDisparity_px_m / depth + kDisparityNoise_px * random->normal();
+  const float step = std::round(disparity / kDisparityStep_px) * kDisparityStep_px;
+  return step > 0.0F ? kDisparity_px_m / step : kFar;
 }
 
 /// Does this surface return light?
 bool returns(float depth, float cosine, FastRandom* random) {
-  if (depth < kNearM || random->uniform() < kLostShare) return false;
+  if (depth < kNear_m || random->uniform() < kLostShare) return false;
   return cosine > kGrazingCosine + (kSafeCosine - kGrazingCosine) * random->uniform();
 }
 
@@ -110,7 +110,7 @@ cv::Mat kinect_depth(const RenderedImage& ideal, const PixelRays& rays, std::uin
   return result;
 }
 
-cv::Mat kinect_colour(const cv::Mat& ideal, std::uint64_t seed) {
+cv::Mat kinect_color(const cv::Mat& ideal, std::uint64_t seed) {
   cv::Mat result;
   cv::GaussianBlur(ideal, result, {3, 3}, 0.6);
   const float half_width = 0.5F * static_cast<float>(ideal.cols), half_height = 0.5F * static_cast<float>(ideal.rows);
@@ -123,7 +123,7 @@ cv::Mat kinect_colour(const cv::Mat& ideal, std::uint64_t seed) {
       const float dx = static_cast<float>(x) - half_width;
       const float light = 1.0F - kVignetting * (dx * dx + dy * dy) / corner2;
       for (int i = 0; i < 3; ++i) {
-        p[i] = cv::saturate_cast<std::uint8_t>(light * static_cast<float>(p[i]) + kColourNoise * random.normal());
+        p[i] = cv::saturate_cast<std::uint8_t>(light * static_cast<float>(p[i]) + kColorNoise * random.normal());
       }
     }
   }

@@ -16,8 +16,8 @@ namespace semantic_topo_loop::core {
 /// @param seed of this image   @return CV_32FC1, m
 cv::Mat kinect_depth(const RenderedImage& ideal, const PixelRays& rays, std::uint64_t seed);
 
-/// A colour image with the softness of its lens, darker corners and noise.
+/// A color image with the softness of its lens, darker corners and noise.
 /// @param seed of this image   @return CV_8UC3
-cv::Mat kinect_colour(const cv::Mat& ideal, std::uint64_t seed);
+cv::Mat kinect_color(const cv::Mat& ideal, std::uint64_t seed);
 
 }  // namespace semantic_topo_loop::core

@@ -1,9 +1,263 @@
 #include "tools/rendering/painted_shape.h"
 
 #include <algorithm>
+#include <cmath>
+#include <opencv2/imgproc.hpp>
+
+#include "tools/rendering/canvas.h"
 
 namespace semantic_topo_loop::core {
 namespace {
+
+using Area = Canvas::Area;
+
+const cv::Scalar kDark(38, 36, 35);
+const cv::Scalar kPaper(232, 236, 238);
+
+cv::Scalar tinted(double b, double g, double r, double spread, Random* random) {
+  return shade({b, g, r}, random->uniform(1.0 - spread, 1.0 + spread));
+}
+
+/// Posters and boards side by side at different heights, a skirting board below.
+void paint_wall(Canvas* canvas) {
+  Random& random = canvas->random();
+  const Area all = canvas->all();
+  canvas->roughen(1.2, 0.022);
+  for (double x = random.uniform(0.05, 0.4); x < all.width - 0.3;) {
+    const double width = std::min(random.uniform(0.35, 1.0), all.width - x - 0.05);
+    const double height = random.uniform(0.4, 0.9);
+    canvas->poster({x, random.uniform(0.35, 0.95), width, height});
+    // Some hang lower down, as shelves and sockets do.
+    if (random.chance(0.7))
+      canvas->poster({x + random.uniform(0.0, 0.2), all.height - random.uniform(0.7, 0.95), 0.3, 0.4});
+    x += width + random.uniform(0.1, 0.5);
+  }
+  canvas->fill({0.0, all.height - 0.09, all.width, 0.09}, {90, 105, 120});
+  canvas->roughen(0.03, 0.02);
+}
+
+/// Boards of different shades with a rug.
+void paint_floor(Canvas* canvas) {
+  Random& random = canvas->random();
+  const Area all = canvas->all();
+  const double board_m = 0.14;
+  for (double y = 0.0; y < all.height; y += board_m) {
+    for (double x = -random.uniform(0.0, 1.2); x < all.width;) {
+      const double length = random.uniform(0.5, 1.4);
+      const Area board{std::max(x, 0.0), y, x + length - std::max(x, 0.0), board_m};
+      canvas->fill(board, tinted(95, 130, 165, 0.25, &random));
+      canvas->frame(board, 0.004, {45, 60, 80});
+      x += length;
+    }
+  }
+  for (int i = 0; i < static_cast<int>(all.width * all.height / 6.0) + 1; ++i) {
+    const double width = random.uniform(0.6, 1.4), height = random.uniform(0.5, 1.0);
+    const Area rug{random.uniform(0.0, std::max(0.1, all.width - width)),
+                   random.uniform(0.0, std::max(0.1, all.height - height)), width, height};
+    canvas->poster(rug);
+  }
+  canvas->roughen(0.3, 0.045);
+}
+
+void paint_ceiling(Canvas* canvas) {
+  Random& random = canvas->random();
+  const Area all = canvas->all();
+  canvas->roughen(0.8, 0.015);
+  for (double x = 0.6; x < all.width; x += 0.6) canvas->line(x, 0.0, x, all.height, 0.01, {150, 150, 150});
+  for (double y = 0.6; y < all.height; y += 0.6) canvas->line(0.0, y, all.width, y, 0.01, {150, 150, 150});
+  for (int i = 0; i < static_cast<int>(all.width * all.height / 4.0) + 1; ++i) {
+    canvas->fill({random.uniform(0.0, all.width), random.uniform(0.0, all.height), 0.6, 0.3}, {252, 254, 255});
+  }
+}
+
+/// Wood with papers, notes and stains.
+void paint_table_top(Canvas* canvas) {
+  Random& random = canvas->random();
+  const Area all = canvas->all();
+  for (double x = 0.0; x < all.width; x += 0.03) {
+    canvas->fill({x, 0.0, 0.03, all.height}, tinted(110, 150, 185, 0.07, &random));
+  }
+  const int papers = static_cast<int>(6.0 * all.width * all.height) + 2;
+  for (int i = 0; i < papers; ++i) {
+    const double width = random.uniform(0.10, 0.25), height = random.uniform(0.10, 0.30);
+    const Area paper{random.uniform(0.0, all.width), random.uniform(0.0, all.height), width, height};
+    canvas->fill(paper, random.chance(0.6) ? kPaper : shade(canvas->any_color(), 1.2));
+    const Area inner{paper.x + 0.01, paper.y + 0.01, width - 0.02, height - 0.02};
+    if (random.chance(0.7))
+      canvas->text(inner, random.uniform(0.008, 0.025), {50, 45, 45});
+    else
+      canvas->patches(inner, 15, 0.06);
+  }
+  canvas->patches(all, static_cast<int>(30.0 * all.width * all.height), 0.02);
+  canvas->roughen(0.2, 0.035);
+}
+
+void paint_cover(Canvas* canvas) {
+  Random& random = canvas->random();
+  const Area all = canvas->all();
+  const double size = std::min(all.width, all.height);
+  canvas->patches(all, random.integer(4, 14), 0.35 * size);
+  canvas->text({0.08 * all.width, 0.05 * all.height, 0.84 * all.width, 0.4 * all.height}, 0.14 * size,
+               canvas->any_color());
+  canvas->frame(all, 0.01 * size + 0.001, canvas->any_color());
+  canvas->roughen(0.03, 0.03);
+}
+
+void paint_screen(Canvas* canvas) {
+  Random& random = canvas->random();
+  const Area all = canvas->all();
+  const double rim = 0.015;
+  const Area screen{rim, rim, all.width - 2.0 * rim, all.height - 2.0 * rim};
+  canvas->fill(screen, canvas->any_color());
+  canvas->patches(screen, 30, 0.15);
+  for (int i = 0; i < 3; ++i) {
+    const Area window{rim + random.uniform(0.0, 0.5) * screen.width, rim + random.uniform(0.0, 0.5) * screen.height,
+                      0.45 * screen.width, 0.45 * screen.height};
+    canvas->fill(window, kPaper);
+    canvas->text({window.x + 0.01, window.y + 0.01, window.width - 0.02, window.height - 0.02}, 0.018, kDark);
+  }
+}
+
+void paint_keys(Canvas* canvas) {
+  const Area all = canvas->all();
+  constexpr double kKey_m = 0.019;
+  for (double y = 0.008; y + kKey_m < all.height; y += kKey_m) {
+    for (double x = 0.008; x + kKey_m < all.width; x += kKey_m) {
+      const double wide = canvas->random().chance(0.12) ? 2.0 : 1.0;
+      canvas->fill({x, y, wide * kKey_m - 0.003, kKey_m - 0.003}, tinted(75, 72, 70, 0.5, &canvas->random()));
+      canvas->text({x + 0.004, y, 0.012, kKey_m}, 0.011, kPaper);
+      x += (wide - 1.0) * kKey_m;
+    }
+  }
+}
+
+void paint_dial(Canvas* canvas) {
+  const Area all = canvas->all();
+  const double radius = 0.45 * std::min(all.width, all.height);
+  const double x = 0.5 * all.width, y = 0.5 * all.height;
+  canvas->disc(x, y, radius, kPaper);
+  for (int i = 0; i < 12; ++i) {
+    const double a = 2.0 * kPi * i / 12.0;
+    canvas->disc(x + 0.8 * radius * std::cos(a), y + 0.8 * radius * std::sin(a), i % 3 == 0 ? 0.006 : 0.003, kDark);
+  }
+  for (const double length : {0.5, 0.75}) {
+    const double a = canvas->random().uniform(0.0, 2.0 * kPi);
+    canvas->line(x, y, x + length * radius * std::cos(a), y + length * radius * std::sin(a), 0.004, kDark);
+  }
+}
+
+void paint_label(Canvas* canvas) {
+  const Area all = canvas->all();
+  const Area label{0.0, 0.3 * all.height, all.width, 0.4 * all.height};
+  canvas->fill(label, canvas->any_color());
+  canvas->patches(label, 6, 0.02);
+  canvas->text({0.1 * all.width, label.y, 0.8 * all.width, label.height}, 0.022, kPaper);
+}
+
+void paint_glaze(Canvas* canvas) {
+  const Area all = canvas->all();
+  const double stripe = 0.12 * all.height;
+  for (double y = 0.2 * all.height; y < 0.8 * all.height; y += 2.0 * stripe) {
+    canvas->mosaic({0.0, y, all.width, stripe}, 0.8 * stripe);
+  }
+  canvas->patches(all, 5, 0.02);
+  canvas->roughen(0.03, 0.03);
+}
+
+/// Shapes of similar shades at the scale of leaves, tufts or folds.
+void paint_tufts(Canvas* canvas, const cv::Scalar& base, double size_m, double spread) {
+  Random& random = canvas->random();
+  const Area all = canvas->all();
+  const int count = std::min(3000, static_cast<int>(3.0 * all.width * all.height / (size_m * size_m)));
+  for (int i = 0; i < count; ++i) {
+    const double x = random.uniform(0.0, all.width), y = random.uniform(0.0, all.height);
+    const double a = random.uniform(0.0, 2.0 * kPi), length = random.uniform(0.5, 1.5) * size_m;
+    canvas->line(x, y, x + length * std::cos(a), y + length * std::sin(a), random.uniform(0.15, 0.4) * size_m,
+                 shade(base, random.uniform(1.0 - spread, 1.0 + spread)));
+  }
+  canvas->roughen(size_m, 0.05);
+}
+
+/// Color that the faces of one shape share, BGR.
+cv::Scalar base_color(Paint paint, Random* random) {
+  switch (paint) {
+    case Paint::kWalls:
+      return tinted(190, 200, 205, 0.1, random);
+    case Paint::kTableTop:
+      return {70, 100, 130};
+    case Paint::kDarkMetal:
+    case Paint::kScreen:
+    case Paint::kDisplay:
+      return tinted(45, 42, 40, 0.3, random);
+    case Paint::kKeys:
+      return tinted(60, 58, 56, 0.4, random);
+    case Paint::kPeel:
+      return {random->uniform(20, 60), random->uniform(60, 150), random->uniform(190, 240)};
+    case Paint::kLeaves:
+      return tinted(45, 120, 60, 0.2, random);
+    case Paint::kFur:
+      return tinted(60, 100, 150, 0.2, random);
+    default:
+      return {random->uniform(40, 220), random->uniform(40, 220), random->uniform(40, 220)};
+  }
+}
+
+/// What one face shows, CV_8UC3: up in the picture is +z on the sides. No two calls with the same generator give the
+/// same picture.
+/// @param size px   @param texels_per_m of the picture   @param base see base_color
+cv::Mat paint_face(Paint paint, Face face, const cv::Size& size, float texels_per_m, const cv::Scalar& base,
+                   Random* random) {
+  Canvas canvas(size, texels_per_m, base, random);
+  const bool is_side = face != kTopFace && face != kBottomFace;
+  switch (paint) {
+    case Paint::kWalls:
+      // A room is seen from inside: its bottom is the floor.
+      face == kBottomFace ? paint_floor(&canvas) : face == kTopFace ? paint_ceiling(&canvas) : paint_wall(&canvas);
+      break;
+    case Paint::kTableTop:
+      face == kTopFace ? paint_table_top(&canvas) : canvas.roughen(0.05, 0.06);
+      break;
+    case Paint::kCover:
+      is_side ? canvas.roughen(0.01, 0.1) : paint_cover(&canvas);
+      break;
+    case Paint::kScreen:
+      face == kFront ? paint_screen(&canvas) : canvas.patches(canvas.all(), is_side ? 5 : 0, 0.03);
+      break;
+    case Paint::kDisplay:
+      if (face == kTopFace) canvas.patches(canvas.all(), 18, 0.02);
+      break;
+    case Paint::kKeys:
+      if (face == kTopFace) paint_keys(&canvas);
+      break;
+    case Paint::kDial:
+      if (is_side) paint_dial(&canvas);
+      break;
+    case Paint::kLabel:
+      if (is_side) paint_label(&canvas);
+      break;
+    case Paint::kGlaze:
+      paint_glaze(&canvas);
+      break;
+    case Paint::kPeel:
+      canvas.roughen(0.03, 0.05);
+      canvas.patches(canvas.all(), 3, 0.008);
+      break;
+    case Paint::kLeaves:
+      paint_tufts(&canvas, base, 0.05, 0.6);
+      break;
+    case Paint::kFur:
+      paint_tufts(&canvas, base, 0.02, 0.3);
+      break;
+    case Paint::kCloth:
+      paint_tufts(&canvas, base, 0.04, 0.35);
+      canvas.patches(canvas.all(), 6, 0.08);
+      break;
+    case Paint::kDarkMetal:
+      canvas.roughen(0.03, 0.05);
+      break;
+  }
+  return canvas.image();
+}
 
 /// Enough for the nearest view of each: a pixel at 1 m shows 2 mm.
 float texels_per_m(Paint paint) {
@@ -44,12 +298,58 @@ Eigen::Vector2f face_coordinates(Face face, const Eigen::Vector3f& p) {
   }
 }
 
+using Texel = std::uint32_t;  ///< BGRX
+
+/// Mixes the four bytes two at a time. This is where rendering spends most of its time.
+/// @param weight of b, [0, 256]
+Texel mix(Texel a, Texel b, Texel weight) {
+  constexpr Texel kEven = 0x00ff00ff;
+  const Texel even = ((a & kEven) * (256 - weight) + (b & kEven) * weight) >> 8;
+  const Texel odd = ((a >> 8) & kEven) * (256 - weight) + ((b >> 8) & kEven) * weight;
+  return (even & kEven) | (odd & ~kEven);
+}
+
+Texel bilinear(const cv::Mat& image, float u, float v) {
+  const float x = std::clamp(u * static_cast<float>(image.cols) - 0.5F, 0.0F, static_cast<float>(image.cols - 1));
+  const float y = std::clamp(v * static_cast<float>(image.rows) - 0.5F, 0.0F, static_cast<float>(image.rows - 1));
+  const auto x8 = static_cast<int>(256.0F * x), y8 = static_cast<int>(256.0F * y);
+  const int x0 = x8 >> 8, y0 = y8 >> 8;
+  const int right = x0 + 1 < image.cols ? 1 : 0;
+  const Texel* top = image.ptr<Texel>(y0) + x0;
+  const Texel* bottom = y0 + 1 < image.rows ? image.ptr<Texel>(y0 + 1) + x0 : top;
+  const auto wx = static_cast<Texel>(x8 & 255), wy = static_cast<Texel>(y8 & 255);
+  return mix(mix(top[0], top[right], wx), mix(bottom[0], bottom[right], wx), wy);
+}
+
 }  // namespace
+
+SurfaceTexture::SurfaceTexture(const cv::Mat& image, float texels_per_m) : texels_per_m_(texels_per_m) {
+  cv::Mat four_bytes;
+  cv::cvtColor(image, four_bytes, cv::COLOR_BGR2BGRA);
+  levels_.push_back(four_bytes);
+  while (std::max(levels_.back().cols, levels_.back().rows) > 1) {
+    const cv::Size half(std::max(1, levels_.back().cols / 2), std::max(1, levels_.back().rows / 2));
+    cv::Mat next;
+    cv::resize(levels_.back(), next, half, 0.0, 0.0, cv::INTER_AREA);
+    levels_.push_back(next);
+  }
+}
+
+Color SurfaceTexture::sample(float u, float v, float footprint_m) const {
+  const auto top = static_cast<float>(levels_.size() - 1);
+  const float level = std::clamp(std::log2(std::max(footprint_m * texels_per_m_, 1.0F)), 0.0F, top);
+  const auto level8 = static_cast<Texel>(256.0F * level);
+  const std::size_t lower = level8 >> 8;
+  Texel texel = bilinear(levels_[lower], u, v);
+  if ((level8 & 255) != 0) texel = mix(texel, bilinear(levels_[lower + 1], u, v), level8 & 255);
+  return {static_cast<float>(texel & 255), static_cast<float>((texel >> 8) & 255),
+          static_cast<float>((texel >> 16) & 255)};
+}
 
 PaintedShape::PaintedShape(const DrawnShape& shape, bool inside, std::uint64_t seed, std::uint64_t index)
     : shape_(shape), inside_(inside) {
   Random random(seed, index);
-  const cv::Scalar base = base_colour(shape.paint, &random);
+  const cv::Scalar base = base_color(shape.paint, &random);
   const float resolution = texels_per_m(shape.paint);
   for (int i = 0; i < kFaces; ++i) {
     const auto face = static_cast<Face>(i);
@@ -60,7 +360,7 @@ PaintedShape::PaintedShape(const DrawnShape& shape, bool inside, std::uint64_t s
   }
 }
 
-Colour PaintedShape::colour(const Eigen::Vector3f& p, Face face, float footprint_m) const {
+Color PaintedShape::color(const Eigen::Vector3f& p, Face face, float footprint_m) const {
   const Eigen::Vector2f at = face_coordinates(face, p);
   const float across = inside_ ? -at.x() : at.x();
   return textures_[static_cast<std::size_t>(face)].sample(0.5F + 0.5F * across, 0.5F + 0.5F * at.y(), footprint_m);

@@ -12,7 +12,7 @@
 #include "semantic_topo_loop/types/stamp.h"
 #include "tools/rendering/kinect_model.h"
 #include "tools/rendering/scene_renderer.h"
-#include "tools/simulation/seed_stream.h"
+#include "tools/simulation/sequence.h"
 
 namespace semantic_topo_loop::core {
 namespace {
@@ -21,7 +21,7 @@ namespace {
 constexpr int kGeneratorVersion = 1;
 constexpr int kPngCompression = 1;  ///< the images' noise leaves little to gain
 
-std::string colour_name(const SimulatedSequence& sequence, std::size_t frame) {
+std::string color_name(const SimulatedSequence& sequence, std::size_t frame) {
   return "rgb/" + format_stamp(sequence.truth[frame].stamp_ns) + ".png";
 }
 
@@ -78,19 +78,21 @@ class FrameWriter {
         sequence_(sequence),
         directory_(directory),
         rays_(sequence.camera),
-        renderer_(sequence.scene, room_around(sequence.scene, sequence.mocap), seed_of(options, kTextures)) {}
+        renderer_(sequence.scene, room_around(sequence.scene, sequence.mocap),
+                  seed_of(options, SeedStream::kTextures)) {}
 
   using Views = std::vector<std::optional<ObjectView>>;
 
   /// Writes one frame's images.
-  /// @return what the colour image shows; nullopt with `error` set
+  /// @return what the color image shows; nullopt with `error` set
   std::optional<Views> write(std::size_t frame, std::string* error) const {
     const double time_s = sequence_.time_s(frame);
     RenderedImage image = renderer_.render(rays_, sequence_.truth[frame].T_world_camera, time_s);
-    const std::uint64_t seed = 2 * (seed_of(options_, kImageNoise) + 16 * static_cast<std::uint64_t>(frame) * 0x10001);
-    const cv::Mat colour = options_.rendering.noise ? kinect_colour(image.colour, seed) : image.colour;
+    const std::uint64_t seed =
+        2 * (seed_of(options_, SeedStream::kImageNoise) + 16 * static_cast<std::uint64_t>(frame) * 0x10001);
+    const cv::Mat color = options_.rendering.noise ? kinect_color(image.color, seed) : image.color;
     Views views = std::move(image.objects);
-    if (!write_image(directory_ + "/" + colour_name(sequence_, frame), colour, error)) return std::nullopt;
+    if (!write_image(directory_ + "/" + color_name(sequence_, frame), color, error)) return std::nullopt;
     const RenderedImage depth = is_same_view() ? std::move(image) : depth_view(frame, time_s);
     const cv::Mat measured = options_.rendering.noise ? kinect_depth(depth, rays_, seed + 1) : depth.depth_m;
     if (!write_image(directory_ + "/" + depth_name(sequence_, frame), quantised(measured, options_.rendering), error)) {
@@ -136,15 +138,15 @@ bool write_batch(const FrameWriter& writer, std::size_t begin, std::size_t end,
 }
 
 bool write_lists(const SimulatedSequence& sequence, const std::string& directory, std::string* error) {
-  std::string colours = "# colour images: timestamp filename\n", depths = "# depth images: timestamp filename\n", pairs;
+  std::string colors = "# colour images: timestamp filename\n", depths = "# depth images: timestamp filename\n", pairs;
   for (std::size_t i = 0; i < sequence.truth.size(); ++i) {
-    const std::string colour = format_stamp(sequence.truth[i].stamp_ns) + " " + colour_name(sequence, i);
+    const std::string color = format_stamp(sequence.truth[i].stamp_ns) + " " + color_name(sequence, i);
     const std::string depth = format_stamp(sequence.depth[i].stamp_ns) + " " + depth_name(sequence, i);
-    colours += colour + "\n";
+    colors += color + "\n";
     depths += depth + "\n";
-    pairs += colour + " " + depth + "\n";
+    pairs += color + " " + depth + "\n";
   }
-  return write_text_file(directory + "/rgb.txt", colours, error) &&
+  return write_text_file(directory + "/rgb.txt", colors, error) &&
          write_text_file(directory + "/depth.txt", depths, error) &&
          write_text_file(directory + "/associations.txt", pairs, error);
 }
@@ -177,7 +179,7 @@ bool render_sequence(const SimulationOptions& options, const ClassTable& classes
   if (!make_directory(directory, error) || !clear_images(directory, error)) return false;
   const FrameWriter writer(options, *sequence, directory);
   DetectorModel detector(sequence->scene, sequence->camera, classes, options.detector, options.trajectory.rate_hz,
-                         seed_of(options, kDetector));
+                         seed_of(options, SeedStream::kDetector));
   const auto batch = static_cast<std::size_t>(std::max(1, threads));
   std::vector<std::optional<FrameWriter::Views>> views;
   for (std::size_t begin = 0; begin < sequence->truth.size(); begin += batch) {
@@ -190,9 +192,9 @@ bool render_sequence(const SimulationOptions& options, const ClassTable& classes
   return write_lists(*sequence, directory, error);
 }
 
-std::optional<cv::Mat> read_rendered_colour(const SimulatedSequence& sequence, const std::string& directory,
-                                            std::size_t frame, std::string* error) {
-  return read_image(directory + "/" + colour_name(sequence, frame), CV_8UC3, sequence.camera, error);
+std::optional<cv::Mat> read_rendered_color(const SimulatedSequence& sequence, const std::string& directory,
+                                           std::size_t frame, std::string* error) {
+  return read_image(directory + "/" + color_name(sequence, frame), CV_8UC3, sequence.camera, error);
 }
 
 std::optional<cv::Mat> read_rendered_depth(const SimulatedSequence& sequence, const RenderingOptions& rendering,

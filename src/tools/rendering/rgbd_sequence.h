@@ -9,7 +9,7 @@
 
 namespace semantic_topo_loop::core {
 
-/// Pose of the depth camera in the colour camera.
+/// Pose of the depth camera in the color camera.
 SE3 color_from_depth(const RenderingOptions& options);
 
 /// Renders the images of a sequence into a directory, as the TUM benchmark lays them out: rgb/<stamp>.png (8 bit),
@@ -22,8 +22,8 @@ bool render_sequence(const SimulationOptions& options, const ClassTable& classes
 
 /// Images that render_sequence wrote: CV_8UC3 as BGR, and CV_32FC1 in metres, NaN where there is no depth.
 /// @return nullopt, with path and cause in `error`, if the file is missing or no such image
-std::optional<cv::Mat> read_rendered_colour(const SimulatedSequence& sequence, const std::string& directory,
-                                            std::size_t frame, std::string* error);
+std::optional<cv::Mat> read_rendered_color(const SimulatedSequence& sequence, const std::string& directory,
+                                           std::size_t frame, std::string* error);
 std::optional<cv::Mat> read_rendered_depth(const SimulatedSequence& sequence, const RenderingOptions& rendering,
                                            const std::string& directory, std::size_t frame, std::string* error);
 

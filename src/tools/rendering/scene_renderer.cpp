@@ -3,12 +3,11 @@
 #include <algorithm>
 
 #include "tools/rendering/painted_shape.h"
-#include "tools/rendering/ray_caster.h"
 
 namespace semantic_topo_loop::core {
 namespace {
 
-constexpr int kTilePx = 16;
+constexpr int kTile_px = 16;
 constexpr float kAmbient = 0.62F;  ///< share of the light that comes from everywhere
 
 /// Towards the lamp, in the room.
@@ -38,7 +37,7 @@ struct Hit {
 
 /// What is seen along a ray.
 struct Look {
-  Colour colour;
+  Color color;
   float cosine = 1.0F;  ///< of the angle between ray and normal
   int surface = 0;      ///< a number for each face of a box and for each ellipsoid
 };
@@ -102,18 +101,18 @@ class Picture {
     focal_px_ = static_cast<float>(std::min(rays.camera().fx, rays.camera().fy));
   }
 
-  RenderedImage render(bool with_colour) {
+  RenderedImage render(bool with_color) {
     const cv::Size size = rays_.rays().size();
     image_.depth_m.create(size, CV_32FC1);
     image_.cosine.create(size, CV_32FC1);
     surfaces_.create(size, CV_32SC1);
-    if (with_colour) image_.colour.create(size, CV_8UC3);
-    for (int y = 0; y < size.height; y += kTilePx) {
-      for (int x = 0; x < size.width; x += kTilePx) {
-        render_tile({x, y, std::min(kTilePx, size.width - x), std::min(kTilePx, size.height - y)}, with_colour);
+    if (with_color) image_.color.create(size, CV_8UC3);
+    for (int y = 0; y < size.height; y += kTile_px) {
+      for (int x = 0; x < size.width; x += kTile_px) {
+        render_tile({x, y, std::min(kTile_px, size.width - x), std::min(kTile_px, size.height - y)}, with_color);
       }
     }
-    if (with_colour) smooth_edges();
+    if (with_color) smooth_edges();
     measure_objects();
     return std::move(image_);
   }
@@ -167,26 +166,26 @@ class Picture {
     return hit;
   }
 
-  void render_tile(const cv::Rect& tile, bool with_colour) {
+  void render_tile(const cv::Rect& tile, bool with_color) {
     find_candidates(tile);
     for (int y = tile.y; y < tile.y + tile.height; ++y) {
       for (int x = tile.x; x < tile.x + tile.width; ++x) {
         const Hit hit = cast_pixel(x, y);
-        const Look seen = look(ray(x, y), hit, with_colour);
+        const Look seen = look(ray(x, y), hit, with_color);
         image_.depth_m.at<float>(y, x) = hit.depth;
         image_.cosine.at<float>(y, x) = seen.cosine;
         surfaces_.at<int>(y, x) = seen.surface;
-        if (with_colour) image_.colour.at<cv::Vec3b>(y, x) = to_pixel(seen.colour);
+        if (with_color) image_.color.at<cv::Vec3b>(y, x) = to_pixel(seen.color);
       }
     }
   }
 
-  static cv::Vec3b to_pixel(const Colour& c) {
+  static cv::Vec3b to_pixel(const Color& c) {
     return {cv::saturate_cast<std::uint8_t>(c.b), cv::saturate_cast<std::uint8_t>(c.g),
             cv::saturate_cast<std::uint8_t>(c.r)};
   }
 
-  Look look(const Eigen::Vector3f& direction, const Hit& hit, bool with_colour) const {
+  Look look(const Eigen::Vector3f& direction, const Hit& hit, bool with_color) const {
     const CastShape& shape = cast_of(hit);
     const Eigen::Vector3f point = shape.point(direction, hit.depth);
     const Face face = face_of(point);
@@ -195,13 +194,13 @@ class Picture {
     Look seen;
     seen.cosine = std::max(1e-3F, -normal.dot(direction) / direction.norm());
     seen.surface = kFaces * hit.cast + (shape.is_box ? face : 0);
-    if (!with_colour) return seen;
+    if (!with_color) return seen;
     // Between the footprint's width across and along the slope.
     const float footprint_m = hit.depth / (focal_px_ * std::sqrt(seen.cosine));
     const PaintedShape& painted = hit.cast < 0 ? walls_ : shapes_[static_cast<std::size_t>(shape.shape)];
-    const Colour colour = painted.colour(point, face, footprint_m);
+    const Color color = painted.color(point, face, footprint_m);
     const float light = kAmbient + (1.0F - kAmbient) * std::max(0.0F, normal.dot(lamp_));
-    seen.colour = {light * colour.b, light * colour.g, light * colour.r};
+    seen.color = {light * color.b, light * color.g, light * color.r};
     return seen;
   }
 
@@ -218,8 +217,8 @@ class Picture {
         }
       }
     }
-    for (int y = 0; y < size.height; y += kTilePx) {
-      for (int x = 0; x < size.width; x += kTilePx) smooth_tile(is_edge, {x, y, kTilePx, kTilePx});
+    for (int y = 0; y < size.height; y += kTile_px) {
+      for (int x = 0; x < size.width; x += kTile_px) smooth_tile(is_edge, {x, y, kTile_px, kTile_px});
     }
   }
 
@@ -231,18 +230,18 @@ class Picture {
         if (is_edge.at<std::uint8_t>(y, x) == 0) continue;
         if (!has_candidates) find_candidates(tile);
         has_candidates = true;
-        image_.colour.at<cv::Vec3b>(y, x) = to_pixel(average_colour(x, y));
+        image_.color.at<cv::Vec3b>(y, x) = to_pixel(average_color(x, y));
       }
     }
   }
 
-  Colour average_colour(int x, int y) const {
+  Color average_color(int x, int y) const {
     const float step = 0.25F / focal_px_;
-    Colour sum;
+    Color sum;
     for (const auto& [dx, dy] :
          {std::pair(-0.5F, -1.0F), std::pair(1.0F, -0.5F), std::pair(0.5F, 1.0F), std::pair(-1.0F, 0.5F)}) {
       const Eigen::Vector3f direction = ray(x, y) + Eigen::Vector3f(dx * step, dy * step, 0.0F);
-      const Colour c = look(direction, cast(direction), true).colour;
+      const Color c = look(direction, cast(direction), true).color;
       sum = {sum.b + 0.25F * c.b, sum.g + 0.25F * c.g, sum.r + 0.25F * c.r};
     }
     return sum;
@@ -312,9 +311,9 @@ SceneRenderer::SceneRenderer(SceneRenderer&&) noexcept = default;
 SceneRenderer& SceneRenderer::operator=(SceneRenderer&&) noexcept = default;
 
 RenderedImage SceneRenderer::render(const PixelRays& rays, const SE3& T_world_camera, double time_s,
-                                    bool with_colour) const {
+                                    bool with_color) const {
   return Picture(impl_->shapes, impl_->walls.front(), impl_->scene, impl_->room, rays, T_world_camera, time_s)
-      .render(with_colour);
+      .render(with_color);
 }
 
 }  // namespace semantic_topo_loop::core

@@ -6,9 +6,8 @@
 #include <vector>
 
 #include "semantic_topo_loop/types/camera.h"
-#include "tools/rendering/room.h"
+#include "tools/rendering/drawn_shape.h"
 #include "tools/simulation/scene.h"
-#include "tools/simulation/scene_projector.h"
 
 namespace semantic_topo_loop::core {
 
@@ -28,7 +27,7 @@ class PixelRays {
 
 /// What an ideal camera sees at one moment (global shutter).
 struct RenderedImage {
-  cv::Mat colour;   ///< CV_8UC3, BGR; empty if not asked for
+  cv::Mat color;    ///< CV_8UC3, BGR; empty if not asked for
   cv::Mat depth_m;  ///< CV_32FC1, along the camera's z axis
   cv::Mat cosine;   ///< CV_32FC1, of the angle between the ray and the surface's normal, (0, 1]
   /// Of the shapes drawn, one an object in order of Scene::objects; none if no pixel shows it. `whole` is in pixels of
@@ -45,9 +44,9 @@ class SceneRenderer {
   SceneRenderer(SceneRenderer&&) noexcept;
   SceneRenderer& operator=(SceneRenderer&&) noexcept;
 
-  /// @param time_s from the first image   @param with_colour false: depth, cosine and objects only
+  /// @param time_s from the first image   @param with_color false: depth, cosine and objects only
   RenderedImage render(const PixelRays& rays, const SE3& T_world_camera, double time_s = 0.0,
-                       bool with_colour = true) const;
+                       bool with_color = true) const;
 
  private:
   struct Impl;

@@ -8,7 +8,7 @@ namespace {
 constexpr double kFullyVisible = 0.8;   ///< unoccluded share from which occlusion costs no detection
 constexpr double kSizeSlope = 0.2;      ///< width of the transition around small_box_px, share of it
 constexpr double kPhantomLife = 0.125;  ///< of persistence_s: false boxes flicker
-constexpr double kMinBoxSidePx = 2.0;
+constexpr double kMinBoxSide_px = 2.0;
 
 double normal_cdf(double x) { return 0.5 * std::erfc(-x / std::sqrt(2.0)); }
 
@@ -67,7 +67,7 @@ std::vector<SimulatedDetection> DetectorModel::detect(const SE3& T_world_camera,
     const std::optional<Box> box = projector_.raw_box(phantom.ellipsoid, T_world_camera);
     if (!box) continue;
     const Box clipped = clip(*box, camera_.width, camera_.height);
-    if (clipped.width() < kMinBoxSidePx || clipped.height() < kMinBoxSidePx) continue;
+    if (clipped.width() < kMinBoxSide_px || clipped.height() < kMinBoxSide_px) continue;
     const double score = options_.min_score + 0.5 * std::pow(random_.uniform(), 2.0);
     detections.push_back({{phantom.class_id, std::min(score, 1.0), clipped}, -1});
   }
@@ -122,7 +122,7 @@ std::optional<Detection> DetectorModel::detect_object(std::size_t object, const 
   Detection detection;
   detection.class_id = label(object);
   detection.box = jitter(view, mood.edges);
-  if (detection.box.width() < kMinBoxSidePx || detection.box.height() < kMinBoxSidePx) return std::nullopt;
+  if (detection.box.width() < kMinBoxSide_px || detection.box.height() < kMinBoxSide_px) return std::nullopt;
   // Median scores of YOLOv5 on fr2_desk: 0.67 at 25 px, 0.80 at 50 px, 0.85 from 120 px.
   double score = 0.88 - (small > 0.0 ? 0.6 * std::exp(-size / small) : 0.0) - 0.3 * (1.0 - view.visible);
   if (detection.class_id != scene_->objects[object].class_id) score -= 0.25;

@@ -8,7 +8,7 @@
 #include "semantic_topo_loop/types/detection.h"
 #include "semantic_topo_loop/types/option_visitor.h"
 #include "tools/simulation/random.h"
-#include "tools/simulation/scene_projector.h"
+#include "tools/simulation/scene.h"
 
 namespace semantic_topo_loop::core {
 

@@ -2,19 +2,19 @@
 
 #include <algorithm>
 
-#include "tools/rendering/footprint.h"
 #include "tools/simulation/random.h"
+#include "tools/simulation/scene.h"
 
 namespace semantic_topo_loop::core {
 namespace {
 
 constexpr int kPerson = 0;
-constexpr double kWalkSpeed = 1.2;     ///< m/s
-constexpr double kWalkS = 6.0;         ///< long enough to begin and end outside the view
-constexpr double kNearShare = 0.55;    ///< of the way from what the camera looks at to the camera
-constexpr double kFarM = 1.2;          ///< behind what the camera looks at
-constexpr double kWalkTiltDeg = 20.0;  ///< largest angle between a walk and the image plane
-constexpr double kMinMoveM = 0.5;
+constexpr double kWalkSpeed_m_s = 1.2;  ///< m/s
+constexpr double kWalk_s = 6.0;         ///< long enough to begin and end outside the view
+constexpr double kNearShare = 0.55;     ///< of the way from what the camera looks at to the camera
+constexpr double kFar_m = 1.2;          ///< behind what the camera looks at
+constexpr double kWalkTilt_deg = 20.0;  ///< largest angle between a walk and the image plane
+constexpr double kMinMove_m = 0.5;
 constexpr int kMaxTries = 300;
 
 /// COCO ids of what people carry about, in the order in which it is moved: cup, bottle, bowl, vase, apple, orange,
@@ -25,11 +25,11 @@ Vec3 horizontal(const Vec3& v) { return {v.x(), v.y(), 0.0}; }
 
 /// Where the camera's axis meets the height of the table tops; a point far ahead if it does not look down.
 Vec3 looked_at(const SE3& T_world_camera, double table_height_m) {
-  constexpr double kFarAheadM = 3.0;
+  constexpr double kFarAhead_m = 3.0;
   const Vec3 forward = T_world_camera.rotation().col(2);
   const double drop = T_world_camera.t.z() - table_height_m;
-  const double range = forward.z() < 0.0 && drop > 0.0 ? drop / -forward.z() : kFarAheadM;
-  return T_world_camera.t + std::min(range, kFarAheadM) * forward;
+  const double range = forward.z() < 0.0 && drop > 0.0 ? drop / -forward.z() : kFarAhead_m;
+  return T_world_camera.t + std::min(range, kFarAhead_m) * forward;
 }
 
 /// A person whose walk is half over at a time.
@@ -39,24 +39,24 @@ SceneObject make_person(const SE3& T_world_camera, double table_height_m, double
   const Vec3 to_camera = horizontal(T_world_camera.t - target);
   const Vec3 outward = to_camera.normalized();
   const Vec3 semi_axes(random->uniform(0.14, 0.18), random->uniform(0.22, 0.27), random->uniform(0.80, 0.92));
-  Vec3 crossing = horizontal(target) + (is_near ? kNearShare * to_camera.norm() : -kFarM) * outward;
+  Vec3 crossing = horizontal(target) + (is_near ? kNearShare * to_camera.norm() : -kFar_m) * outward;
   crossing.z() = semi_axes.z();
   const double side = random->chance(0.5) ? 90.0 : -90.0;
   const double yaw =
-      std::atan2(outward.y(), outward.x()) + radians(side + random->uniform(-kWalkTiltDeg, kWalkTiltDeg));
+      std::atan2(outward.y(), outward.x()) + radians(side + random->uniform(-kWalkTilt_deg, kWalkTilt_deg));
 
   SceneObject person;
   person.class_id = kPerson;
   person.ellipsoid.semi_axes = semi_axes;
   ObjectPhase absent, walk;
   absent.is_present = false;
-  walk.begin_s = middle_s - 0.5 * kWalkS;
-  walk.velocity = kWalkSpeed * Vec3(std::cos(yaw), std::sin(yaw), 0.0);
-  walk.T_world_object = upright_pose(crossing - 0.5 * kWalkS * walk.velocity, yaw);
-  person.ellipsoid.T_world_quadric = upright_pose(crossing + 0.5 * kWalkS * walk.velocity, yaw);
-  absent.begin_s = std::min(0.0, walk.begin_s - kWalkS);
+  walk.begin_s = middle_s - 0.5 * kWalk_s;
+  walk.velocity = kWalkSpeed_m_s * Vec3(std::cos(yaw), std::sin(yaw), 0.0);
+  walk.T_world_object = upright_pose(crossing - 0.5 * kWalk_s * walk.velocity, yaw);
+  person.ellipsoid.T_world_quadric = upright_pose(crossing + 0.5 * kWalk_s * walk.velocity, yaw);
+  absent.begin_s = std::min(0.0, walk.begin_s - kWalk_s);
   person.phases = {absent, walk, absent};
-  person.phases.back().begin_s = walk.begin_s + kWalkS;
+  person.phases.back().begin_s = walk.begin_s + kWalk_s;
   return person;
 }
 
@@ -79,7 +79,7 @@ std::optional<SE3> free_place(const Scene& scene, const SceneObject& object, con
     const SE3 T_desk_object = upright_pose({x, y, axes.z()}, random->uniform(-kPi, kPi));
     const SE3 T_world_object = desk.T_world_desk * T_desk_object;
     const bool is_same = &desk == &from;
-    if (is_same && (scene.desks.size() > 1 || (T_world_object.t - object.ellipsoid.center()).norm() < kMinMoveM)) {
+    if (is_same && (scene.desks.size() > 1 || (T_world_object.t - object.ellipsoid.center()).norm() < kMinMove_m)) {
       continue;
     }
     const Footprint print = footprint(T_world_object, axes.x(), axes.y());

@@ -1,10 +1,12 @@
 #pragma once
 
+#include <cmath>
 #include <optional>
 #include <string>
 #include <vector>
 
 #include "semantic_topo_loop/geometry/quadric.h"
+#include "semantic_topo_loop/types/camera.h"
 #include "semantic_topo_loop/types/option_visitor.h"
 
 namespace semantic_topo_loop::core {
@@ -57,5 +59,86 @@ struct Scene {
 /// Lays out desks and fills them with objects of plausible sizes. Every object rests on a table top or on the floor,
 /// and no two overlap (their footprints keep a gap); an object that finds no free place is left out.
 Scene make_scene(const SceneOptions& options, std::uint64_t seed);
+
+constexpr double kFootprintGap_m = 0.02;  ///< kept between footprints
+
+/// Upright box around an object, seen from above.
+struct Footprint {
+  Vec2 center;
+  Vec2 x_axis, y_axis;  ///< unit
+  Vec2 half;
+
+  double reach(const Vec2& direction) const {
+    return half.x() * std::abs(x_axis.dot(direction)) + half.y() * std::abs(y_axis.dot(direction));
+  }
+};
+
+/// With half the gap around it.
+inline Footprint footprint(const SE3& T_world_box, double half_x, double half_y) {
+  const Mat3 R = T_world_box.rotation();
+  constexpr double kMargin = 0.5 * kFootprintGap_m;
+  return {T_world_box.t.head<2>(), R.col(0).head<2>(), R.col(1).head<2>(), {half_x + kMargin, half_y + kMargin}};
+}
+
+inline Footprint footprint(const Ellipsoid& ellipsoid) {
+  return footprint(ellipsoid.T_world_quadric, ellipsoid.semi_axes.x(), ellipsoid.semi_axes.y());
+}
+
+/// Separating axes of two rectangles.
+inline bool disjoint(const Footprint& a, const Footprint& b) {
+  const Vec2 offset = b.center - a.center;
+  for (const Vec2& axis : {a.x_axis, a.y_axis, b.x_axis, b.y_axis}) {
+    if (std::abs(offset.dot(axis)) > a.reach(axis) + b.reach(axis)) return true;
+  }
+  return false;
+}
+
+/// True if an object of these semi-axes stands wholly on the table top.
+inline bool stands_on(const Desk& desk, const SE3& T_desk_object, const Vec3& axes) {
+  const Footprint print = footprint(T_desk_object, axes.x(), axes.y());
+  return std::abs(print.center.x()) + print.reach(Vec2::UnitX()) <= desk.half_depth_m &&
+         std::abs(print.center.y()) + print.reach(Vec2::UnitY()) <= desk.half_width_m;
+}
+
+inline SE3 upright_pose(const Vec3& position, double yaw) {
+  return {Quaternion(Eigen::AngleAxisd(yaw, Vec3::UnitZ())), position};
+}
+
+/// What a camera sees of an ellipsoid without a detector's errors.
+struct ObjectView {
+  Box whole;             ///< raw (distorted) pixels, not clipped; far outside the image only roughly right
+  Box box;               ///< the same around the unoccluded part, clipped to the image
+  double visible = 0.0;  ///< share of the outline's area inside the image that nothing nearer hides, [0, 1]
+  double inside = 0.0;   ///< share of `whole` that lies in the image, [0, 1]
+};
+
+/// Projects ellipsoids with occlusion by other ellipsoids and table tops.
+class SceneProjector {
+ public:
+  /// @param scene must outlive the projector
+  SceneProjector(const Scene& scene, const Camera& camera);
+
+  /// @param time_s from the first image; where nothing moves, any
+  /// @return one view an object, in order of Scene::objects; none if the object is behind or outside the image, or not
+  ///         in the room
+  std::vector<std::optional<ObjectView>> project(const SE3& T_world_camera, double time_s = 0.0) const;
+  /// The raw box around an ellipsoid, not clipped and not occluded.
+  std::optional<Box> raw_box(const Ellipsoid& ellipsoid, const SE3& T_world_camera) const;
+
+ private:
+  struct Caster;
+
+  ObjectView view(const Box& whole, std::size_t object, const std::vector<Caster>& casters,
+                  const SE3& T_world_camera) const;
+  static std::vector<const Caster*> possible_hiders(std::size_t object, const std::vector<Caster>& casters);
+  static bool is_hidden(const Vec3& ray, double range, const std::vector<const Caster*>& hiders);
+  bool is_below_table(const Ellipsoid& ellipsoid) const;
+  bool is_under_table(const Vec3& point_camera, const SE3& T_world_camera) const;
+  Vec2 distort(const Vec2& pixel) const;
+
+  const Scene* scene_;
+  Camera camera_;
+  Box undistorted_image_;  ///< where the lens model is known to hold
+};
 
 }  // namespace semantic_topo_loop::core

@@ -1,22 +1,22 @@
 #include "tools/simulation/sequence.h"
 
+#include <algorithm>
+
 #include "semantic_topo_loop/io/camera_yaml.h"
 #include "semantic_topo_loop/io/detection_writer.h"
 #include "semantic_topo_loop/io/text_file.h"
 #include "semantic_topo_loop/io/tum_trajectory.h"
 #include "semantic_topo_loop/types/option_visitor.h"
-#include "tools/simulation/reference_objects.h"
-#include "tools/simulation/seed_stream.h"
 
 namespace semantic_topo_loop::core {
 namespace {
 
-constexpr std::int64_t kFirstStampNs = 1400000000000000000;
-constexpr double kMocapRateHz = 100.0;
-constexpr double kMocapMarginS = 0.5;  ///< before the first and after the last image
+constexpr std::int64_t kFirstStamp_ns = 1400000000000000000;
+constexpr double kMocapRate_hz = 100.0;
+constexpr double kMocapMargin_s = 0.5;  ///< before the first and after the last image
 
 /// Whole microseconds, so that six decimals in a file are exact.
-std::int64_t stamp_at(double time_s) { return kFirstStampNs + 1000 * std::llround(1e6 * time_s); }
+std::int64_t stamp_at(double time_s) { return kFirstStamp_ns + 1000 * std::llround(1e6 * time_s); }
 
 StampedPoses sample(const CameraTrajectory& trajectory, double begin_s, double rate_hz, std::size_t count) {
   StampedPoses poses;
@@ -31,7 +31,7 @@ StampedPoses sample(const CameraTrajectory& trajectory, double begin_s, double r
 SE3 odometry_frame(const SimulationOptions& options, const SE3& T_world_camera0) {
   if (options.odometry_frame == "world") return SE3();
   if (options.odometry_frame == "first_camera") return T_world_camera0.inverse();
-  Random random(seed_of(options, kOdometryFrame));
+  Random random(seed_of(options, SeedStream::kOdometryFrame));
   const Quaternion rotation = random.rotation();
   return {rotation, 5.0 * random.normal3()};
 }
@@ -39,9 +39,9 @@ SE3 odometry_frame(const SimulationOptions& options, const SE3& T_world_camera0)
 std::optional<StampedPoses> odometry(const SimulationOptions& options, const StampedPoses& truth, std::string* error) {
   std::vector<SE3> T_world_camera;
   for (const StampedPose& pose : truth) T_world_camera.push_back(pose.T_world_camera);
-  auto drifted = drift_poses(T_world_camera, options.drift, seed_of(options, kDrift), error);
+  auto drifted = drift_poses(T_world_camera, options.drift, seed_of(options, SeedStream::kDrift), error);
   if (!drifted) return std::nullopt;
-  *drifted = drift_scale(*drifted, options.drift, seed_of(options, kScaleDrift));
+  *drifted = drift_scale(*drifted, options.drift, seed_of(options, SeedStream::kScaleDrift));
   const SE3 T_odom_world = odometry_frame(options, T_world_camera.front());
   StampedPoses poses;
   for (std::size_t i = 0; i < truth.size(); ++i) poses.push_back({truth[i].stamp_ns, T_odom_world * (*drifted)[i]});
@@ -56,6 +56,126 @@ std::vector<DetectionFrame> detection_frames(const SimulatedSequence& sequence) 
     frames.push_back(std::move(frame));
   }
   return frames;
+}
+
+/// The boxes of one object, collected frame by frame.
+struct Evidence {
+  SimulatedReference reference;
+  std::vector<double> ious;
+  std::vector<Vec3> rays;  ///< unit, world frame, at least kRayStep apart
+};
+
+constexpr double kRayStepCosine = 0.99985;  ///< 1 deg
+
+void add_ray(const Vec3& ray, std::vector<Vec3>* rays) {
+  const bool is_new =
+      std::all_of(rays->begin(), rays->end(), [&ray](const Vec3& r) { return r.dot(ray) < kRayStepCosine; });
+  if (is_new) rays->push_back(ray);
+}
+
+double largest_angle_deg(const std::vector<Vec3>& rays) {
+  double smallest_cosine = 1.0;
+  for (const Vec3& a : rays) {
+    for (const Vec3& b : rays) smallest_cosine = std::min(smallest_cosine, a.dot(b));
+  }
+  return degrees(std::acos(std::clamp(smallest_cosine, -1.0, 1.0)));
+}
+
+Certainty certainty_of(const SimulatedReference& object, double rate_hz) {
+  const auto lasts = [rate_hz](int frames, double seconds) { return frames >= seconds * rate_hz; };
+  if (lasts(object.views, 3.0) && lasts(object.whole_frames, 1.0) && object.baseline_deg >= 20.0) {
+    return Certainty::kCertain;
+  }
+  return lasts(object.views, 1.0) && object.baseline_deg >= 10.0 ? Certainty::kProbable : Certainty::kMarginal;
+}
+
+void summarise(double rate_hz, Evidence* evidence) {
+  SimulatedReference& r = evidence->reference;
+  std::vector<double>& ious = evidence->ious;
+  std::sort(ious.begin(), ious.end());
+  for (const double value : ious) {
+    r.mean_iou += value / static_cast<double>(ious.size());
+    r.share_iou_above_half += (value > 0.5 ? 1.0 : 0.0) / static_cast<double>(ious.size());
+  }
+  r.median_iou = ious[ious.size() / 2];
+  r.baseline_deg = largest_angle_deg(evidence->rays);
+  r.certainty = certainty_of(r, rate_hz);
+}
+
+/// From when on an object is where it stays; nullopt if it does not.
+std::optional<double> settled_from_s(const SceneObject& object) {
+  if (!object.stays()) return std::nullopt;
+  return object.phases.empty() ? 0.0 : object.phases.back().begin_s;
+}
+
+void collect(const SimulatedSequence& sequence, std::size_t frame, const SceneProjector& projector,
+             std::vector<Evidence>* evidence) {
+  const SE3& T_world_camera = sequence.truth[frame].T_world_camera;
+  const double time_s = sequence.time_s(frame);
+  const auto is_settled = [&](std::size_t object) {
+    const std::optional<double> from_s = settled_from_s(sequence.scene.objects[object]);
+    return from_s && time_s >= *from_s;
+  };
+  const double width = sequence.camera.width, height = sequence.camera.height;
+  std::vector<std::optional<Box>> true_boxes;
+  for (std::size_t i = 0; i < sequence.scene.objects.size(); ++i) {
+    true_boxes.push_back(projector.raw_box(sequence.scene.objects[i].ellipsoid, T_world_camera));
+    const std::optional<Box>& box = true_boxes.back();
+    if (box && is_settled(i) && truncated_sides(*box, width, height, 0.0) == 0) ++(*evidence)[i].reference.whole_frames;
+  }
+  for (const SimulatedDetection& d : sequence.detections[frame]) {
+    const auto i = static_cast<std::size_t>(d.object);
+    if (d.object < 0 || !is_settled(i)) continue;
+    const SceneObject& object = sequence.scene.objects[i];
+    Evidence& e = (*evidence)[i];
+    ++e.reference.views;
+    if (e.reference.first_frame < 0) e.reference.first_frame = static_cast<int>(frame);
+    e.reference.last_frame = static_cast<int>(frame);
+    if (d.detection.class_id != object.class_id) ++e.reference.other_classes[d.detection.class_id];
+    e.ious.push_back(true_boxes[i] ? iou(clip(*true_boxes[i], width, height), d.detection.box) : 0.0);
+    add_ray((object.ellipsoid.center() - T_world_camera.t).normalized(), &e.rays);
+  }
+}
+
+/// `id,label_id,label,x,y,z,a,b,c,yaw`.
+std::string format_place(std::size_t id, int class_id, const Ellipsoid& ellipsoid, const ClassTable& classes) {
+  std::string row = std::to_string(id) + "," + std::to_string(class_id) + "," + classes.name(class_id);
+  const Quaternion& q = ellipsoid.T_world_quadric.q;
+  const Vec3& center = ellipsoid.center();
+  const Vec3& axes = ellipsoid.semi_axes;
+  const double yaw = 2.0 * std::atan2(q.z(), q.w());
+  for (const double value : {center.x(), center.y(), center.z(), axes.x(), axes.y(), axes.z(), yaw}) {
+    row += "," + format_fixed(value, 4);
+  }
+  return row;
+}
+
+std::string format_row(std::size_t id, const SimulatedReference& r, const SceneObject& object,
+                       const ClassTable& classes) {
+  std::string row = format_place(id, object.class_id, object.ellipsoid, classes);
+  row += "," + std::to_string(r.views) + "," + std::to_string(r.whole_frames);
+  for (const double value : {r.baseline_deg, r.mean_iou, r.median_iou, r.share_iou_above_half}) {
+    row += "," + format_fixed(value, 4);
+  }
+  row += "," + std::to_string(r.first_frame) + "," + std::to_string(r.last_frame) + ",";
+  std::string others;
+  for (const auto& [class_id, count] : r.other_classes) {
+    others += (others.empty() ? "" : ";") + classes.name(class_id) + ":" + std::to_string(count);
+  }
+  return row + others + "," + to_string(r.certainty) + "\n";
+}
+
+/// Adds the boxes that show an object at a place that it leaves.
+void count_views(const SimulatedSequence& sequence, double from_s, double to_s, GoneObject* gone) {
+  for (std::size_t frame = 0; frame < sequence.detections.size(); ++frame) {
+    const double time_s = sequence.time_s(frame);
+    if (time_s < from_s || time_s >= to_s) continue;
+    for (const SimulatedDetection& d : sequence.detections[frame]) {
+      if (d.object != gone->object) continue;
+      ++gone->views;
+      gone->last_frame = static_cast<int>(frame);
+    }
+  }
 }
 
 }  // namespace
@@ -73,25 +193,104 @@ std::optional<SimulatedSequence> simulate(const SimulationOptions& options, cons
   if (!camera.is_valid(error)) return std::nullopt;
   SimulatedSequence sequence;
   sequence.camera = camera;
-  sequence.scene = make_scene(options.scene, seed_of(options, kScene));
+  sequence.scene = make_scene(options.scene, seed_of(options, SeedStream::kScene));
   const std::unique_ptr<CameraTrajectory> trajectory =
-      make_trajectory(sequence.scene, options.trajectory, seed_of(options, kTrajectory));
+      make_trajectory(sequence.scene, options.trajectory, seed_of(options, SeedStream::kTrajectory));
   const double duration_s = options.trajectory.duration_s;
-  add_dynamics(options.dynamics, *trajectory, duration_s, seed_of(options, kDynamics), &sequence.scene);
+  add_dynamics(options.dynamics, *trajectory, duration_s, seed_of(options, SeedStream::kDynamics), &sequence.scene);
   const double rate_hz = options.trajectory.rate_hz;
   const auto count = static_cast<std::size_t>(std::llround(duration_s * rate_hz));
   sequence.truth = sample(*trajectory, 0.0, rate_hz, count);
   sequence.depth = sample(*trajectory, options.rendering.depth_delay_s, rate_hz, count);
-  sequence.mocap = sample(*trajectory, -kMocapMarginS, kMocapRateHz,
-                          static_cast<std::size_t>((duration_s + 2.0 * kMocapMarginS) * kMocapRateHz) + 1);
+  sequence.mocap = sample(*trajectory, -kMocapMargin_s, kMocapRate_hz,
+                          static_cast<std::size_t>((duration_s + 2.0 * kMocapMargin_s) * kMocapRate_hz) + 1);
   std::optional<StampedPoses> drifted = odometry(options, sequence.truth, error);
   if (!drifted) return std::nullopt;
   sequence.odometry = std::move(*drifted);
-  DetectorModel detector(sequence.scene, camera, classes, options.detector, rate_hz, seed_of(options, kDetector));
+  DetectorModel detector(sequence.scene, camera, classes, options.detector, rate_hz,
+                         seed_of(options, SeedStream::kDetector));
   for (std::size_t i = 0; i < sequence.truth.size(); ++i) {
     sequence.detections.push_back(detector.detect(sequence.truth[i].T_world_camera, sequence.time_s(i)));
   }
   return sequence;
+}
+
+const char* to_string(Certainty certainty) {
+  switch (certainty) {
+    case Certainty::kCertain:
+      return "certain";
+    case Certainty::kProbable:
+      return "probable";
+    case Certainty::kMarginal:
+      break;
+  }
+  return "marginal";
+}
+
+std::vector<SimulatedReference> reference_objects(const SimulatedSequence& sequence) {
+  if (sequence.truth.size() < 2) return {};
+  std::vector<Evidence> evidence(sequence.scene.objects.size());
+  const SceneProjector projector(sequence.scene, sequence.camera);
+  for (std::size_t i = 0; i < sequence.truth.size(); ++i) collect(sequence, i, projector, &evidence);
+
+  const double duration_s =
+      1e-9 * static_cast<double>(sequence.truth.back().stamp_ns - sequence.truth.front().stamp_ns);
+  const double rate_hz = static_cast<double>(sequence.truth.size() - 1) / duration_s;
+  std::vector<SimulatedReference> references;
+  for (std::size_t i = 0; i < evidence.size(); ++i) {
+    evidence[i].reference.object = static_cast<int>(i);
+    if (evidence[i].ious.empty()) continue;
+    summarise(rate_hz, &evidence[i]);
+    references.push_back(evidence[i].reference);
+  }
+  std::stable_sort(references.begin(), references.end(),
+                   [](const SimulatedReference& a, const SimulatedReference& b) { return a.views > b.views; });
+  return references;
+}
+
+std::string format_reference_objects(const SimulatedSequence& sequence, const ClassTable& classes) {
+  std::string text =
+      "id,label_id,label,x,y,z,a,b,c,yaw,views,fullvis_frames,baseline_deg,mean_iou,median_iou,iou_gt_05,first,last,"
+      "alt_labels,certainty\n";
+  const std::vector<SimulatedReference> references = reference_objects(sequence);
+  for (std::size_t i = 0; i < references.size(); ++i) {
+    const auto object = static_cast<std::size_t>(references[i].object);
+    text += format_row(i, references[i], sequence.scene.objects[object], classes);
+  }
+  return text;
+}
+
+std::vector<GoneObject> gone_objects(const SimulatedSequence& sequence) {
+  std::vector<GoneObject> places;
+  for (std::size_t i = 0; i < sequence.scene.objects.size(); ++i) {
+    const std::vector<ObjectPhase>& phases = sequence.scene.objects[i].phases;
+    for (std::size_t k = 0; k + 1 < phases.size(); ++k) {
+      if (!phases[k].is_present || !phases[k].velocity.isZero()) continue;
+      GoneObject gone;
+      gone.object = static_cast<int>(i);
+      gone.ellipsoid = sequence.scene.objects[i].ellipsoid;
+      gone.ellipsoid.T_world_quadric = phases[k].T_world_object;
+      count_views(sequence, phases[k].begin_s, phases[k + 1].begin_s, &gone);
+      places.push_back(gone);
+    }
+  }
+  return places;
+}
+
+std::string format_gone_objects(const SimulatedSequence& sequence, const ClassTable& classes) {
+  std::string text = "id,label_id,label,x,y,z,a,b,c,yaw,views,last,reference_id\n";
+  const std::vector<SimulatedReference> references = reference_objects(sequence);
+  const std::vector<GoneObject> places = gone_objects(sequence);
+  for (std::size_t i = 0; i < places.size(); ++i) {
+    const GoneObject& gone = places[i];
+    const auto reference = std::find_if(references.begin(), references.end(),
+                                        [&gone](const SimulatedReference& r) { return r.object == gone.object; });
+    const auto reference_id = reference == references.end() ? -1 : reference - references.begin();
+    const int class_id = sequence.scene.objects[static_cast<std::size_t>(gone.object)].class_id;
+    text += format_place(i, class_id, gone.ellipsoid, classes) + "," + std::to_string(gone.views) + "," +
+            std::to_string(gone.last_frame) + "," + std::to_string(reference_id) + "\n";
+  }
+  return text;
 }
 
 bool write_sequence(const SimulatedSequence& sequence, const ClassTable& classes, const std::string& directory,

@@ -6,10 +6,10 @@ namespace semantic_topo_loop::core {
 namespace {
 
 // The robot.
-constexpr double kStopPeriodS = 11.0;
-constexpr double kScanDeg = 35.0;
-constexpr double kMountDeg = 55.0;  ///< of the camera, from the way it drives towards the desks
-constexpr double kTiltDeg = 18.0;   ///< of the camera, downwards
+constexpr double kStopPeriod_s = 11.0;
+constexpr double kScan_deg = 35.0;
+constexpr double kMount_deg = 55.0;  ///< of the camera, from the way it drives towards the desks
+constexpr double kTilt_deg = 18.0;   ///< of the camera, downwards
 
 /// Rotation of a level camera's optical frame.
 Mat3 looking(const Vec3& direction) {
@@ -129,18 +129,18 @@ Vec3 RobotTrajectory::position(double laps) const {
 
 SE3 RobotTrajectory::T_world_camera(double time_s) const {
   // Speed 1 - cos(phase) of the mean: it stands where the phase is a whole turn, and turns on the spot around then.
-  const double phase = 2.0 * kPi * time_s / kStopPeriodS + first_stop_;
-  const double way_s = time_s - kStopPeriodS / (2.0 * kPi) * (std::sin(phase) - std::sin(first_stop_));
+  const double phase = 2.0 * kPi * time_s / kStopPeriod_s + first_stop_;
+  const double way_s = time_s - kStopPeriod_s / (2.0 * kPi) * (std::sin(phase) - std::sin(first_stop_));
   const double laps = first_lap_ + sense_ * way_s / options_.lap_s;
   const double standing = std::max(0.0, std::cos(phase));
-  const double scan = radians(kScanDeg) * standing * standing * standing * std::sin(2.0 * phase);
+  const double scan = radians(kScan_deg) * standing * standing * standing * std::sin(2.0 * phase);
 
   // Over 2 % of a lap, so that the heading turns as smoothly as the place moves.
   constexpr double kStep = 0.01;
   const Vec3 heading = sense_ * (position(laps + kStep) - position(laps - kStep));
-  const double inward = sense_ * radians(kMountDeg);
+  const double inward = sense_ * radians(kMount_deg);
   const Vec3 level = Quaternion(Eigen::AngleAxisd(inward + scan, Vec3::UnitZ())) * heading.normalized();
-  const double tilt = radians(kTiltDeg);
+  const double tilt = radians(kTilt_deg);
   return {looking(std::cos(tilt) * level - std::sin(tilt) * Vec3::UnitZ()), position(laps)};
 }
 
