@@ -92,22 +92,9 @@ DepthRegistration RegistrationEstimator::climb(DepthRegistration best, int blur,
     for (int parameter = 0; parameter < 5; ++parameter) {
       for (const double change : {-step_px, step_px}) {
         DepthRegistration next = best;
-        switch (parameter) {  // each moves the rims by about as many pixels
-          case 0:
-            next.scale += change / half_width_px;
-            break;
-          case 1:
-            next.shift_px.x() += change;
-            break;
-          case 2:
-            next.shift_px.y() += change;
-            break;
-          case 3:
-            next.parallax_px_m.x() += change;
-            break;
-          default:
-            next.parallax_px_m.y() += change;
-        }
+        double* const parameters[] = {&next.scale, &next.shift_px.x(), &next.shift_px.y(), &next.parallax_px_m.x(),
+                                      &next.parallax_px_m.y()};
+        *parameters[parameter] += parameter == 0 ? change / half_width_px : change;  // each moves rims by about as much
         const double value = score(next, blur);
         if (value <= highest) continue;
         highest = value;

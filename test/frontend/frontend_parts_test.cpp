@@ -13,15 +13,7 @@
 namespace semantic_topo_loop::core {
 namespace {
 
-Camera kinect() {
-  Camera camera;
-  camera.fx = camera.fy = 525.0;
-  camera.cx = 319.5;
-  camera.cy = 239.5;
-  camera.width = 640;
-  camera.height = 480;
-  return camera;
-}
+const Camera kKinect{525.0, 525.0, 319.5, 239.5, 640, 480, {}};
 
 class Noise {
  public:
@@ -36,11 +28,11 @@ class Noise {
 };
 
 /// A point in the image, measured with errors of one sigma.
-PoseObservation observe(const Camera& camera, const SE3& T_camera_map, Noise* noise) {
+PoseObservation observe(const SE3& T_camera_map, Noise* noise) {
   const double z = noise->uniform(0.8, 4.0);
   const Vec2 pixel(noise->uniform(20.0, 620.0), noise->uniform(20.0, 460.0));
   PoseObservation o;
-  o.point_map = T_camera_map.inverse() * Vec3(z * camera.ray(pixel));
+  o.point_map = T_camera_map.inverse() * Vec3(z * kKinect.ray(pixel));
   o.depth_sigma_m = 0.002 * z * z;
   o.depth_m = z + o.depth_sigma_m * noise->normal();
   o.pixel_sigma = 1.3;
@@ -66,15 +58,14 @@ TEST(Descriptor, HammingCountsBits) {
 
 /// The squared error in units of the stated covariance is on average the number of degrees of freedom.
 TEST(PoseSolver, CovarianceIsThatOfTheErrors) {
-  const Camera camera = kinect();
   Noise noise;
   double sum = 0.0;
   constexpr int kRuns = 200;
   for (int run = 0; run < kRuns; ++run) {
     std::vector<PoseObservation> observations;
-    for (int i = 0; i < 60; ++i) observations.push_back(observe(camera, kPose, &noise));
+    for (int i = 0; i < 60; ++i) observations.push_back(observe(kPose, &noise));
     const SE3 guess(kPose.q * so3_exp(Vec3(0.02, 0.01, -0.02)), kPose.t + Vec3(0.02, -0.03, 0.02));
-    const std::optional<PoseEstimate> estimate = refine_pose(camera, guess, observations);
+    const std::optional<PoseEstimate> estimate = refine_pose(kKinect, guess, observations);
     ASSERT_TRUE(estimate);
     const Vec6 error = se3_log(kPose * estimate->T_camera_map.inverse());
     sum += error.dot(estimate->covariance.ldlt().solve(error));
@@ -85,30 +76,28 @@ TEST(PoseSolver, CovarianceIsThatOfTheErrors) {
 }
 
 TEST(PoseSolver, FindsAPoseAmongWrongMatches) {
-  const Camera camera = kinect();
   Noise noise;
   std::vector<PoseObservation> observations;
   for (int i = 0; i < 100; ++i) {
-    observations.push_back(observe(camera, kPose, &noise));
+    observations.push_back(observe(kPose, &noise));
     if (i % 5 >= 2) observations.back().point_map = Vec3(noise.normal(), noise.normal(), noise.normal());
   }
-  const std::optional<PoseEstimate> estimate = find_pose(camera, observations, 20);
+  const std::optional<PoseEstimate> estimate = find_pose(kKinect, observations, 20);
   ASSERT_TRUE(estimate);
   EXPECT_LT((estimate->T_camera_map.t - kPose.t).norm(), 0.01);
   EXPECT_GE(estimate->inliers, 34);
   EXPECT_LE(estimate->inliers, 44);
-  const std::optional<PoseEstimate> again = find_pose(camera, observations, 20);
+  const std::optional<PoseEstimate> again = find_pose(kKinect, observations, 20);
   EXPECT_EQ(again->T_camera_map.t, estimate->T_camera_map.t);
-  EXPECT_FALSE(find_pose(camera, observations, 60));
+  EXPECT_FALSE(find_pose(kKinect, observations, 60));
 }
 
 TEST(PoseSolver, TooFewObservationsAreNoPose) {
-  const Camera camera = kinect();
   Noise noise;
   std::vector<PoseObservation> observations;
-  for (int i = 0; i < 5; ++i) observations.push_back(observe(camera, kPose, &noise));
-  EXPECT_FALSE(refine_pose(camera, kPose, observations));
-  EXPECT_FALSE(find_pose(camera, {}, 6));
+  for (int i = 0; i < 5; ++i) observations.push_back(observe(kPose, &noise));
+  EXPECT_FALSE(refine_pose(kKinect, kPose, observations));
+  EXPECT_FALSE(find_pose(kKinect, {}, 6));
 }
 
 /// A camera that goes around points, with errors in the start values.
@@ -142,7 +131,7 @@ BundleProblem bundle(const Camera& seen_with, Noise* noise) {
 
 TEST(BundleAdjustment, RecoversPosesAndPoints) {
   Noise noise;
-  const BundleProblem truth = bundle(kinect(), &noise);
+  const BundleProblem truth = bundle(kKinect, &noise);
   BundleProblem problem = truth;
   for (BundleProblem::Pose& pose : problem.poses) {
     if (!pose.is_fixed) pose.T_camera_map.t += 0.02 * Vec3(noise.normal(), noise.normal(), noise.normal());
@@ -151,7 +140,7 @@ TEST(BundleAdjustment, RecoversPosesAndPoints) {
     point.position += 0.02 * Vec3(noise.normal(), noise.normal(), noise.normal());
   }
   problem.views[37].observation.pixel += Vec2(40.0, 0.0);
-  solve(kinect(), 15, false, &problem);
+  solve(kKinect, 15, false, &problem);
   ASSERT_TRUE(problem.is_solved);
   for (std::size_t i = 0; i < problem.poses.size(); ++i) {
     EXPECT_LT((problem.poses[i].T_camera_map.t - truth.poses[i].T_camera_map.t).norm(), 0.003) << i;
@@ -163,18 +152,18 @@ TEST(BundleAdjustment, RecoversPosesAndPoints) {
 
 TEST(BundleAdjustment, FindsAWrongFocalLengthAndLeavesARightOne) {
   Noise noise;
-  Camera wide = kinect();
+  Camera wide = kKinect;
   wide.fx *= 0.9;
   wide.fy *= 0.9;
-  EXPECT_NEAR(check_focal_length(kinect(), bundle(wide, &noise), true), 0.9, 0.01);
-  EXPECT_EQ(check_focal_length(kinect(), bundle(kinect(), &noise), true), 1.0);
+  EXPECT_NEAR(check_focal_length(kKinect, bundle(wide, &noise), true), 0.9, 0.01);
+  EXPECT_EQ(check_focal_length(kKinect, bundle(kKinect, &noise), true), 1.0);
 }
 
 /// Rectangles in front of a wall, seen in depth and, by another camera beside it, in color.
-RgbdImage rectangles(const Camera& camera, const DepthRegistration& registration, Noise* noise) {
+RgbdImage rectangles(const DepthRegistration& registration, Noise* noise) {
   RgbdImage image;
-  image.gray = cv::Mat(camera.height, camera.width, CV_8UC1, cv::Scalar(120));
-  image.depth_m = cv::Mat(camera.height, camera.width, CV_32FC1, cv::Scalar(3.5));
+  image.gray = cv::Mat(kKinect.height, kKinect.width, CV_8UC1, cv::Scalar(120));
+  image.depth_m = cv::Mat(kKinect.height, kKinect.width, CV_32FC1, cv::Scalar(3.5));
   for (int i = 0; i < 14; ++i) {
     const double z = 3.0 - 0.15 * i;  // the nearer ones are drawn over the others
     const Vec2 corner(noise->uniform(10.0, 560.0), noise->uniform(10.0, 420.0));
@@ -185,51 +174,47 @@ RgbdImage rectangles(const Camera& camera, const DepthRegistration& registration
                     cv::Scalar(value), cv::FILLED);
     };
     draw(&image.depth_m, corner, corner + size, z);
-    draw(&image.gray, registration.to_color(camera, corner, z), registration.to_color(camera, corner + size, z),
+    draw(&image.gray, registration.to_color(kKinect, corner, z), registration.to_color(kKinect, corner + size, z),
          i % 2 == 0 ? noise->uniform(0.0, 80.0) : noise->uniform(160.0, 255.0));
   }
   return image;
 }
 
 TEST(DepthRegistration, IsFoundFromOutlines) {
-  const Camera camera = kinect();
   DepthRegistration truth;
   truth.scale = 0.92;
   truth.shift_px = Vec2(2.0, -3.0);
   truth.parallax_px_m = Vec2(13.0, 0.0);
-  RegistrationEstimator estimator(camera);
+  RegistrationEstimator estimator(kKinect);
   Noise noise;
-  for (int i = 0; i < 4; ++i) estimator.add(rectangles(camera, truth, &noise));
+  for (int i = 0; i < 4; ++i) estimator.add(rectangles(truth, &noise));
   const std::optional<DepthRegistration> found = estimator.estimate();
   ASSERT_TRUE(found);
   for (const Vec2& pixel : {Vec2(50, 60), Vec2(600, 100), Vec2(320, 400)}) {
     for (const double z : {1.0, 3.0}) {
-      EXPECT_LT((found->to_color(camera, pixel, z) - truth.to_color(camera, pixel, z)).norm(), 3.0);
-      EXPECT_LT((found->to_depth(camera, found->to_color(camera, pixel, z), z) - pixel).norm(), 1e-9);
+      EXPECT_LT((found->to_color(kKinect, pixel, z) - truth.to_color(kKinect, pixel, z)).norm(), 3.0);
+      EXPECT_LT((found->to_depth(kKinect, found->to_color(kKinect, pixel, z), z) - pixel).norm(), 1e-9);
     }
   }
 }
 
 TEST(DepthRegistration, RegisteredDepthIsLeftAlone) {
-  const Camera camera = kinect();
-  RegistrationEstimator estimator(camera);
+  RegistrationEstimator estimator(kKinect);
   Noise noise;
-  for (int i = 0; i < 4; ++i) estimator.add(rectangles(camera, {}, &noise));
+  for (int i = 0; i < 4; ++i) estimator.add(rectangles({}, &noise));
   EXPECT_FALSE(estimator.estimate());
 }
 
 TEST(DepthRegistration, NoOutlinesSayNothing) {
-  const Camera camera = kinect();
-  RegistrationEstimator estimator(camera);
+  RegistrationEstimator estimator(kKinect);
   RgbdImage image;
-  image.gray = cv::Mat(camera.height, camera.width, CV_8UC1, cv::Scalar(120));
-  image.depth_m = cv::Mat(camera.height, camera.width, CV_32FC1, cv::Scalar(2.0));
+  image.gray = cv::Mat(kKinect.height, kKinect.width, CV_8UC1, cv::Scalar(120));
+  image.depth_m = cv::Mat(kKinect.height, kKinect.width, CV_32FC1, cv::Scalar(2.0));
   estimator.add(image);
   EXPECT_FALSE(estimator.estimate());
 }
 
 TEST(FeatureMatcher, FindsWhatIsNearAndAlike) {
-  const Camera camera = kinect();
   Noise noise;
   ImageFeatures image;
   std::vector<SearchItem> items;
@@ -248,7 +233,7 @@ TEST(FeatureMatcher, FindsWhatIsNearAndAlike) {
     item.level = i == 5 ? feature.level + 2 : feature.level;
     items.push_back(item);
   }
-  image.index(camera);
+  image.index(kKinect);
   std::vector<bool> is_taken(image.size(), false);
   is_taken[8] = true;
   const std::vector<int> found = search(items, image, is_taken, kMatchBits, 0.9);

@@ -17,15 +17,7 @@ class SyntheticRoom {
  public:
   explicit SyntheticRoom(const Camera& camera) : camera_(camera) {}
 
-  static Camera small_camera() {
-    Camera camera;
-    camera.fx = camera.fy = 270.0;
-    camera.cx = 159.5;
-    camera.cy = 119.5;
-    camera.width = 320;
-    camera.height = 240;
-    return camera;
-  }
+  static Camera small_camera() { return {270.0, 270.0, 159.5, 119.5, 320, 240, {}}; }
 
   /// What the camera sees: brightness of the middle of four quarters of each pixel, depth of its own middle.
   RgbdImage render(std::int64_t stamp_ns, const SE3& T_world_camera) const {

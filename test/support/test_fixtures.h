@@ -11,9 +11,6 @@
 
 namespace semantic_topo_loop::core::simulation_test {
 
-using core::camera_fr2;
-using core::coco;
-
 /// Options from texts, which must be valid.
 inline SimulationOptions options_of(const std::map<std::string, std::string>& texts) {
   const Result<SimulationOptions> options = make_options<SimulationOptions>(texts);
@@ -22,11 +19,28 @@ inline SimulationOptions options_of(const std::map<std::string, std::string>& te
 }
 
 /// Simulated from texts, which must be valid.
-inline SimulatedSequence simulate_fr2(const std::map<std::string, std::string>& texts, const ClassTable& classes) {
+inline SimulatedSequence simulate_fr2(const std::map<std::string, std::string>& texts,
+                                      const ClassTable& classes = coco()) {
   std::string error;
   auto sequence = simulate(options_of(texts), camera_fr2(), classes, &error);
   EXPECT_TRUE(sequence) << error;
   return std::move(sequence).value_or(SimulatedSequence());
+}
+
+/// A camera in a z-up world that looks along +x.
+inline SE3 looking_along_x(const Vec3& position) {
+  Mat3 R;
+  R << 0, 0, 1, -1, 0, 0, 0, -1, 0;
+  return {R, position};
+}
+
+/// An object that is turned about its vertical axis.
+inline SceneObject turned_object(int class_id, const Vec3& center, const Vec3& semi_axes) {
+  SceneObject object;
+  object.class_id = class_id;
+  object.ellipsoid.T_world_quadric = SE3(Quaternion(Eigen::AngleAxisd(0.7, Vec3::UnitZ())), center);
+  object.ellipsoid.semi_axes = semi_axes;
+  return object;
 }
 
 /// A detector without errors that sees every object.

@@ -13,8 +13,6 @@
 namespace semantic_topo_loop::core {
 namespace {
 
-using simulation_test::coco;
-
 constexpr int kFrames = 400, kBoxesPerFrame = 25;
 constexpr int kBoxes = kFrames * kBoxesPerFrame;
 

@@ -1,12 +1,8 @@
 #include "tools/simulation/sequence.h"
 
-#include <cstdlib>
-#include <filesystem>
-
 #include "semantic_topo_loop/geometry/lie.h"
 #include "semantic_topo_loop/io/detection_reader.h"
 #include "semantic_topo_loop/io/options_yaml.h"
-#include "semantic_topo_loop/io/text_file.h"
 #include "semantic_topo_loop/io/tum_trajectory.h"
 #include "support/test_files.h"
 #include "support/test_fixtures.h"
@@ -14,74 +10,55 @@
 namespace semantic_topo_loop::core {
 namespace {
 
-using simulation_test::camera_fr2;
-using simulation_test::coco;
-using simulation_test::options_of;
+using simulation_test::simulate_fr2;
 
 constexpr const char* kFiles[] = {"groundtruth.txt", "groundtruth_frames.txt", "odometry.txt",
                                   "detections.json", "reference_objects.csv",  "camera.yaml"};
 
 class SequenceTest : public ::testing::Test {
  protected:
-  void SetUp() override {
-    std::string name = (std::filesystem::temp_directory_path() / "stl_simulation_XXXXXX").string();
-    ASSERT_NE(mkdtemp(name.data()), nullptr);
-    directory_ = name;
-  }
-  void TearDown() override { std::filesystem::remove_all(directory_); }
-
-  std::string write(const std::string& name, const SimulationOptions& options) {
+  std::string write(const std::string& name, const std::map<std::string, std::string>& texts) {
     std::string error;
-    const auto sequence = simulate(options, camera_fr2(), coco(), &error);
-    EXPECT_TRUE(sequence) << error;
-    const std::string path = directory_ + "/" + name;
-    EXPECT_TRUE(sequence && write_sequence(*sequence, coco(), path, &error)) << error;
-    return path;
-  }
-  static std::string text(const std::string& path) {
-    std::string error;
-    const auto content = read_text_file(path, &error);
-    EXPECT_TRUE(content) << error;
-    return content.value_or("");
+    EXPECT_TRUE(write_sequence(simulate_fr2(texts), coco(), directory_.path(name), &error)) << error;
+    return directory_.path(name);
   }
 
-  std::string directory_;
+  const TestDirectory directory_;
 };
 
 TEST_F(SequenceTest, same_seed_same_bytes) {
   for (const char* layout : {"desk", "office"}) {
-    const auto options = options_of({{"scene.layout", layout}, {"trajectory.duration_s", "6"}});
-    const std::string a = write("a", options), b = write("b", options);
-    for (const char* file : kFiles) EXPECT_EQ(text(a + "/" + file), text(b + "/" + file)) << file;
+    const std::map<std::string, std::string> texts = {{"scene.layout", layout}, {"trajectory.duration_s", "6"}};
+    const std::string a = write("a", texts), b = write("b", texts);
+    for (const char* file : kFiles) EXPECT_EQ(read_whole(a + "/" + file), read_whole(b + "/" + file)) << file;
   }
 }
 
 TEST_F(SequenceTest, another_seed_other_bytes) {
-  const std::string a = write("a", options_of({{"trajectory.duration_s", "3"}}));
-  const std::string b = write("b", options_of({{"trajectory.duration_s", "3"}, {"simulation.seed", "2"}}));
+  const std::string a = write("a", {{"trajectory.duration_s", "3"}});
+  const std::string b = write("b", {{"trajectory.duration_s", "3"}, {"simulation.seed", "2"}});
   for (const char* file : {"groundtruth.txt", "odometry.txt", "detections.json", "reference_objects.csv"}) {
-    EXPECT_NE(text(a + "/" + file), text(b + "/" + file)) << file;
+    EXPECT_NE(read_whole(a + "/" + file), read_whole(b + "/" + file)) << file;
   }
 }
 
 TEST_F(SequenceTest, detector_options_leave_the_scene_and_the_motion) {
-  const std::string a = write("a", options_of({{"trajectory.duration_s", "3"}}));
-  const std::string b = write("b", options_of({{"trajectory.duration_s", "3"}, {"detector.miss_rate", "0.5"}}));
-  EXPECT_EQ(text(a + "/groundtruth.txt"), text(b + "/groundtruth.txt"));
-  EXPECT_EQ(text(a + "/odometry.txt"), text(b + "/odometry.txt"));
-  EXPECT_NE(text(a + "/detections.json"), text(b + "/detections.json"));
+  const std::string a = write("a", {{"trajectory.duration_s", "3"}});
+  const std::string b = write("b", {{"trajectory.duration_s", "3"}, {"detector.miss_rate", "0.5"}});
+  EXPECT_EQ(read_whole(a + "/groundtruth.txt"), read_whole(b + "/groundtruth.txt"));
+  EXPECT_EQ(read_whole(a + "/odometry.txt"), read_whole(b + "/odometry.txt"));
+  EXPECT_NE(read_whole(a + "/detections.json"), read_whole(b + "/detections.json"));
 }
 
 TEST_F(SequenceTest, files_read_back) {
-  const auto options = options_of({{"trajectory.duration_s", "3"}});
-  const auto sequence = simulate(options, camera_fr2(), coco(), nullptr);
-  const std::string path = write("a", options);
+  const SimulatedSequence sequence = simulate_fr2({{"trajectory.duration_s", "3"}});
+  const std::string path = write("a", {{"trajectory.duration_s", "3"}});
   std::string error;
   const auto odometry = read_tum_trajectory(path + "/odometry.txt", &error);
   ASSERT_TRUE(odometry) << error;
   ASSERT_EQ(odometry->size(), 90u);
-  EXPECT_EQ(odometry->back().stamp_ns, sequence->odometry.back().stamp_ns);
-  EXPECT_LT((odometry->back().T_world_camera.t - sequence->odometry.back().T_world_camera.t).norm(), 1e-8);
+  EXPECT_EQ(odometry->back().stamp_ns, sequence.odometry.back().stamp_ns);
+  EXPECT_LT((odometry->back().T_world_camera.t - sequence.odometry.back().T_world_camera.t).norm(), 1e-8);
   const auto mocap = read_tum_trajectory(path + "/groundtruth.txt", &error);
   ASSERT_TRUE(mocap) << error;
   EXPECT_EQ((*mocap)[1].stamp_ns - (*mocap)[0].stamp_ns, 10000000);
@@ -89,8 +66,8 @@ TEST_F(SequenceTest, files_read_back) {
   EXPECT_GT(mocap->back().stamp_ns, odometry->back().stamp_ns);
   const auto camera = read_camera(path + "/camera.yaml", &error);
   ASSERT_TRUE(camera) << error;
-  EXPECT_EQ(camera->fx, sequence->camera.fx);
-  EXPECT_EQ(camera->distortion, sequence->camera.distortion);
+  EXPECT_EQ(camera->fx, sequence.camera.fx);
+  EXPECT_EQ(camera->distortion, sequence.camera.distortion);
 
   DetectionReport report;
   const auto detections = read_detections(path + "/detections.json", coco(), &report, &error);
@@ -98,10 +75,10 @@ TEST_F(SequenceTest, files_read_back) {
   EXPECT_TRUE(report.warnings().empty());
   ASSERT_EQ(detections->size(), 90u);
   for (std::size_t i = 0; i < detections->size(); ++i) {
-    EXPECT_EQ((*detections)[i].stamp_ns, sequence->truth[i].stamp_ns);
-    ASSERT_EQ((*detections)[i].detections.size(), sequence->detections[i].size());
-    for (std::size_t k = 0; k < sequence->detections[i].size(); ++k) {
-      const Detection& expected = sequence->detections[i][k].detection;
+    EXPECT_EQ((*detections)[i].stamp_ns, sequence.truth[i].stamp_ns);
+    ASSERT_EQ((*detections)[i].detections.size(), sequence.detections[i].size());
+    for (std::size_t k = 0; k < sequence.detections[i].size(); ++k) {
+      const Detection& expected = sequence.detections[i][k].detection;
       EXPECT_EQ((*detections)[i].detections[k].class_id, expected.class_id);
       EXPECT_LT(((*detections)[i].detections[k].box.edges() - expected.box.edges()).norm(), 1e-3);
     }
@@ -109,43 +86,38 @@ TEST_F(SequenceTest, files_read_back) {
 }
 
 TEST_F(SequenceTest, an_unwritable_directory_is_an_error_with_its_path) {
-  const auto sequence = simulate(options_of({{"trajectory.duration_s", "1"}}), camera_fr2(), coco(), nullptr);
-  ASSERT_TRUE(sequence);
+  const SimulatedSequence sequence = simulate_fr2({{"trajectory.duration_s", "1"}});
   std::string error;
-  EXPECT_FALSE(write_sequence(*sequence, coco(), "/dev/null/here", &error));
+  EXPECT_FALSE(write_sequence(sequence, coco(), "/dev/null/here", &error));
   EXPECT_NE(error.find("/dev/null/here"), std::string::npos) << error;
 }
 
 TEST(Sequence, odometry_frames) {
   const auto run = [](const char* frame) {
-    return simulate(options_of({{"trajectory.duration_s", "2"}, {"simulation.odometry_frame", frame}}), camera_fr2(),
-                    coco(), nullptr);
+    return simulate_fr2({{"trajectory.duration_s", "2"}, {"simulation.odometry_frame", frame}});
   };
-  const auto first = run("first_camera"), world = run("world"), random = run("random");
-  ASSERT_TRUE(first && world && random);
-  EXPECT_LT(se3_log(first->odometry[0].T_world_camera).norm(), 1e-12);
-  EXPECT_LT(se3_log(world->odometry[0].T_world_camera.inverse() * world->truth[0].T_world_camera).norm(), 1e-12);
-  const SE3 motion_a = first->odometry.front().T_world_camera.inverse() * first->odometry.back().T_world_camera;
-  const SE3 motion_b = random->odometry.front().T_world_camera.inverse() * random->odometry.back().T_world_camera;
+  const SimulatedSequence first = run("first_camera"), world = run("world"), random = run("random");
+  EXPECT_LT(se3_log(first.odometry[0].T_world_camera).norm(), 1e-12);
+  EXPECT_LT(se3_log(world.odometry[0].T_world_camera.inverse() * world.truth[0].T_world_camera).norm(), 1e-12);
+  const SE3 motion_a = first.odometry.front().T_world_camera.inverse() * first.odometry.back().T_world_camera;
+  const SE3 motion_b = random.odometry.front().T_world_camera.inverse() * random.odometry.back().T_world_camera;
   EXPECT_LT(se3_log(motion_a.inverse() * motion_b).norm(), 1e-9);
-  EXPECT_GT(se3_log(random->odometry[0].T_world_camera).norm(), 0.1);
+  EXPECT_GT(se3_log(random.odometry[0].T_world_camera).norm(), 0.1);
 }
 
 TEST(Sequence, detections_are_about_as_many_as_yolo_gives) {
-  const auto sequence = simulate(options_of({{"trajectory.duration_s", "20"}}), camera_fr2(), coco(), nullptr);
-  ASSERT_TRUE(sequence);
+  const SimulatedSequence sequence = simulate_fr2({{"trajectory.duration_s", "20"}});
   double boxes = 0.0;
-  for (const auto& frame : sequence->detections) boxes += static_cast<double>(frame.size());
-  boxes /= static_cast<double>(sequence->detections.size());
+  for (const auto& frame : sequence.detections) boxes += static_cast<double>(frame.size());
+  boxes /= static_cast<double>(sequence.detections.size());
   EXPECT_GT(boxes, 7.0);
   EXPECT_LT(boxes, 18.0);
 }
 
 TEST(Sequence, most_objects_of_a_whole_lap_are_certain) {
   for (const char* layout : {"desk", "office"}) {
-    const auto sequence = simulate(options_of({{"scene.layout", layout}}), camera_fr2(), coco(), nullptr);
-    ASSERT_TRUE(sequence);
-    const std::vector<SimulatedReference> references = reference_objects(*sequence);
+    const SimulatedSequence sequence = simulate_fr2({{"scene.layout", layout}});
+    const std::vector<SimulatedReference> references = reference_objects(sequence);
     double certain = 0.0;
     for (const SimulatedReference& r : references) {
       certain += r.certainty == Certainty::kCertain ? 1.0 : 0.0;
@@ -156,14 +128,13 @@ TEST(Sequence, most_objects_of_a_whole_lap_are_certain) {
       EXPECT_GE(r.baseline_deg, 20.0);
       EXPECT_GT(r.mean_iou, 0.6);
     }
-    EXPECT_GT(certain / static_cast<double>(sequence->scene.objects.size()), 0.7) << layout;
+    EXPECT_GT(certain / static_cast<double>(sequence.scene.objects.size()), 0.7) << layout;
   }
 }
 
 TEST(Sequence, a_few_views_do_not_make_an_object_certain) {
-  const auto sequence = simulate(options_of({{"trajectory.duration_s", "2"}}), camera_fr2(), coco(), nullptr);
-  ASSERT_TRUE(sequence);
-  for (const SimulatedReference& r : reference_objects(*sequence)) EXPECT_NE(r.certainty, Certainty::kCertain);
+  const SimulatedSequence sequence = simulate_fr2({{"trajectory.duration_s", "2"}});
+  for (const SimulatedReference& r : reference_objects(sequence)) EXPECT_NE(r.certainty, Certainty::kCertain);
 }
 
 TEST(SimulationOptions, bad_values_are_named) {
@@ -181,8 +152,14 @@ TEST(SimulationOptions, bad_values_are_named) {
       {"detector.jitter_px", "-1"},     {"detector.jitter_ratio", "2"},
       {"detector.persistence_s", "-1"}, {"detector.min_visible", "2"},
       {"detector.min_inside", "-1"},    {"detector.min_score", "1"},
-      {"detector.color", "red"},       {"detector.miss_rate", "nan"},
+      {"detector.color", "red"},        {"detector.miss_rate", "nan"},
       {"trajectory.rate_hz", "fast"},
+      {"trajectory.model", "drone"},    {"trajectory.arc_deg", "0"},
+      {"dynamics.persons", "-1"},       {"dynamics.moved_objects", "-2"},
+      {"dynamics.move_time_s", "0"},    {"rendering.depth_scale", "0"},
+      {"rendering.depth_scale", "nan"}, {"rendering.far_value", "7"},
+      {"rendering.depth_delay_s", "1"}, {"rendering.depth_offset_m", "-3"},
+      {"rendering.noise", "much"},
   };
   for (const auto& [key, value] : bad) {
     const std::string error = make_options<SimulationOptions>({{key, value}}).message();

@@ -77,7 +77,7 @@ class TumBagTest : public ::testing::Test {
     path_ = directory_ + "/a.bag";
     std::string error;
     auto sequence =
-        core::simulate(test::options_of({{"trajectory.duration_s", "2"}}), test::camera_fr2(), test::coco(), &error);
+        core::simulate(test::options_of({{"trajectory.duration_s", "2"}}), core::camera_fr2(), core::coco(), &error);
     ASSERT_TRUE(sequence) << error;
     sequence_ = std::move(*sequence);
   }
@@ -181,18 +181,13 @@ class RenderedBagTest : public TumBagTest {
  protected:
   void render(std::map<std::string, std::string> texts) {
     texts.insert({{"trajectory.duration_s", "0.3"}, {"trajectory.rate_hz", "20"}});
-    core::Camera camera;
-    camera.fx = camera.fy = 100.0;
-    camera.cx = 64.0;
-    camera.cy = 48.0;
-    camera.width = 128;
-    camera.height = 96;
+    const core::Camera camera{100.0, 100.0, 64.0, 48.0, 128, 96, {}};
     std::string error;
     const core::SimulationOptions simulation = test::options_of(texts);
-    auto sequence = core::simulate(simulation, camera, test::coco(), &error);
+    auto sequence = core::simulate(simulation, camera, core::coco(), &error);
     ASSERT_TRUE(sequence) << error;
     sequence_ = std::move(*sequence);
-    ASSERT_TRUE(core::render_sequence(simulation, test::coco(), 1, directory_, &sequence_, &error)) << error;
+    ASSERT_TRUE(core::render_sequence(simulation, core::coco(), 1, directory_, &sequence_, &error)) << error;
     options_.image_directory = directory_;
     options_.rendering = simulation.rendering;
     options_.compression = "lz4";
