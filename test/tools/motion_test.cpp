@@ -89,9 +89,8 @@ TEST_P(DriftTest, reaches_the_level_exactly) {
     options.model = GetParam().model;
     options.position_m = GetParam().position_m;
     options.rotation_deg = GetParam().rotation_deg;
-    std::string error;
-    const auto drifted = drift_poses(truth, options, seed, &error);
-    ASSERT_TRUE(drifted) << error;
+    const auto drifted = drift_poses(truth, options, seed);
+    ASSERT_TRUE(drifted) << drifted.message();
     ASSERT_EQ(drifted->size(), truth.size());
     EXPECT_EQ(drifted->front().t, truth.front().t);
     double position_m = 0.0, rotation_deg = 0.0;
@@ -116,7 +115,7 @@ TEST(Drift, level_zero_is_exact) {
     DriftOptions options;
     options.model = model;
     options.position_m = options.rotation_deg = 0.0;
-    const auto drifted = drift_poses(truth, options, 1, nullptr);
+    const auto drifted = drift_poses(truth, options, 1);
     ASSERT_TRUE(drifted);
     for (std::size_t i = 0; i < truth.size(); ++i) {
       EXPECT_EQ((*drifted)[i].t, truth[i].t);
@@ -136,7 +135,7 @@ TEST(Drift, jump_is_good_but_for_three_bursts) {
   options.model = "jump";
   options.position_m = 1.0;
   options.rotation_deg = 15.0;
-  const auto drifted = drift_poses(truth, options, 7, nullptr);
+  const auto drifted = drift_poses(truth, options, 7);
   ASSERT_TRUE(drifted);
   int bad = 0;
   for (std::size_t i = 0; i + 1 < truth.size(); ++i) bad += step_error_m(truth, *drifted, i) > 0.005 ? 1 : 0;
@@ -168,8 +167,7 @@ TEST(Drift, a_level_that_cannot_be_met_is_an_error_with_both_values) {
   DriftOptions options;
   options.position_m = 0.001;
   options.rotation_deg = 60.0;
-  std::string error;
-  EXPECT_FALSE(drift_poses(poses("desk", 1), options, 1, &error));
+  const std::string error = drift_poses(poses("desk", 1), options, 1).message();
   EXPECT_NE(error.find("'drift.position_m' = '0.001'"), std::string::npos) << error;
   EXPECT_NE(error.find("'60'"), std::string::npos) << error;
 }

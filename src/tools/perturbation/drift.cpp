@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <array>
 #include <cmath>
+#include <optional>
 #include <sstream>
 
 #include "semantic_topo_loop/geometry/lie.h"
@@ -238,8 +239,8 @@ std::optional<std::vector<SE3>> scale_errors(const Replay& replay, const std::ve
 
 }  // namespace
 
-std::optional<std::vector<SE3>> drift_poses(const std::vector<SE3>& T_world_camera, const DriftOptions& options,
-                                            std::uint64_t seed, std::string* error) {
+Result<std::vector<SE3>> drift_poses(const std::vector<SE3>& T_world_camera, const DriftOptions& options,
+                                     std::uint64_t seed) {
   if (T_world_camera.size() < 2 || (options.position_m == 0.0 && options.rotation_deg == 0.0)) return T_world_camera;
   const Replay replay(T_world_camera);
   Random random(seed);
@@ -247,16 +248,13 @@ std::optional<std::vector<SE3>> drift_poses(const std::vector<SE3>& T_world_came
   for (int i = 0; i < kMaxDraws; ++i) {
     const std::vector<StepError> errors =
         options.model == "jump" ? jump_errors(replay, options, &random) : smooth_errors(replay, &random);
-    if (auto poses = scale_errors(replay, errors, options)) return poses;
+    if (auto poses = scale_errors(replay, errors, options)) return *std::move(poses);
   }
-  if (error != nullptr) {
-    std::ostringstream message;
-    message << "parameter 'drift.position_m' = '" << options.position_m
-            << "' cannot be met: a rotation drift of 'drift.rotation_deg' = '" << options.rotation_deg
-            << "' always moves the camera farther";
-    *error = message.str();
-  }
-  return std::nullopt;
+  std::ostringstream message;
+  message << "parameter 'drift.position_m' = '" << options.position_m
+          << "' cannot be met: a rotation drift of 'drift.rotation_deg' = '" << options.rotation_deg
+          << "' always moves the camera farther";
+  return Error{message.str()};
 }
 
 std::vector<SE3> drift_scale(const std::vector<SE3>& T_world_camera, const DriftOptions& options, std::uint64_t seed) {

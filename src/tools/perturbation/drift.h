@@ -1,11 +1,11 @@
 #pragma once
 
 #include <cstdint>
-#include <optional>
 #include <string>
 #include <vector>
 
 #include "semantic_topo_loop/types/option_visitor.h"
+#include "semantic_topo_loop/types/result.h"
 #include "semantic_topo_loop/types/transform.h"
 
 namespace semantic_topo_loop::core {
@@ -34,10 +34,10 @@ struct DriftOptions {
 /// with a slowly varying rate, a scale error and noise, growing with motion; `jump` with little of that but three
 /// bursts of 8 frames. The errors are scaled until the largest distance and angle from the truth are those asked for.
 /// @param T_world_camera true poses, in time order
-/// @return drifted poses in the same world, the first one exact; nullopt, with the values in `error`, if no drawn error
-///         meets both levels (a rotation that alone moves the camera farther than the position level allows)
-std::optional<std::vector<SE3>> drift_poses(const std::vector<SE3>& T_world_camera, const DriftOptions& options,
-                                            std::uint64_t seed, std::string* error);
+/// @return drifted poses in the same world, the first one exact; an error that names both levels if no drawn error
+/// meets them (a rotation that alone moves the camera farther than the position level allows)
+Result<std::vector<SE3>> drift_poses(const std::vector<SE3>& T_world_camera, const DriftOptions& options,
+                                     std::uint64_t seed);
 
 /// Replays the motion in a unit of length that is `global_scale` at first and then drifts as a monocular odometry's
 /// does: a random walk of its logarithm along the path, whose largest change is log(1 + scale_percent / 100).

@@ -36,11 +36,11 @@ SE3 odometry_frame(const SimulationOptions& options, const SE3& T_world_camera0)
   return {rotation, 5.0 * random.normal3()};
 }
 
-std::optional<StampedPoses> odometry(const SimulationOptions& options, const StampedPoses& truth, std::string* error) {
+Result<StampedPoses> odometry(const SimulationOptions& options, const StampedPoses& truth) {
   std::vector<SE3> T_world_camera;
   for (const StampedPose& pose : truth) T_world_camera.push_back(pose.T_world_camera);
-  auto drifted = drift_poses(T_world_camera, options.drift, seed_of(options, SeedStream::kDrift), error);
-  if (!drifted) return std::nullopt;
+  auto drifted = drift_poses(T_world_camera, options.drift, seed_of(options, SeedStream::kDrift));
+  if (!drifted) return drifted.error();
   *drifted = drift_scale(*drifted, options.drift, seed_of(options, SeedStream::kScaleDrift));
   const SE3 T_odom_world = odometry_frame(options, T_world_camera.front());
   StampedPoses poses;
@@ -204,9 +204,12 @@ std::optional<SimulatedSequence> simulate(const SimulationOptions& options, cons
   sequence.depth = sample(*trajectory, options.rendering.depth_delay_s, rate_hz, count);
   sequence.mocap = sample(*trajectory, -kMocapMargin_s, kMocapRate_hz,
                           static_cast<std::size_t>((duration_s + 2.0 * kMocapMargin_s) * kMocapRate_hz) + 1);
-  std::optional<StampedPoses> drifted = odometry(options, sequence.truth, error);
-  if (!drifted) return std::nullopt;
-  sequence.odometry = std::move(*drifted);
+  Result<StampedPoses> drifted = odometry(options, sequence.truth);
+  if (!drifted) {
+    if (error != nullptr) *error = drifted.message();
+    return std::nullopt;
+  }
+  sequence.odometry = *std::move(drifted);
   DetectorModel detector(sequence.scene, camera, classes, options.detector, rate_hz,
                          seed_of(options, SeedStream::kDetector));
   for (std::size_t i = 0; i < sequence.truth.size(); ++i) {
