@@ -13,8 +13,7 @@
 #include "semantic_topo_loop/io/detection_writer.h"
 #include "semantic_topo_loop/io/loop_table.h"
 #include "tools/evaluation/run_files.h"
-#include "tools/perturbation/detection_perturbation.h"
-#include "tools/perturbation/false_loops.h"
+#include "tools/perturbation/perturbation.h"
 
 namespace {
 

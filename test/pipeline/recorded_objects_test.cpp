@@ -12,7 +12,7 @@
 #include "tools/evaluation/object_evaluation.h"
 #include "tools/evaluation/run_files.h"
 #include "tools/evaluation/trajectory_evaluation.h"
-#include "tools/perturbation/detection_perturbation.h"
+#include "tools/perturbation/perturbation.h"
 
 namespace semantic_topo_loop::core {
 namespace {

@@ -15,7 +15,7 @@
 #include "semantic_topo_loop/pose_graph/pose_graph_options.h"
 #include "support/random_motions.h"
 #include "tools/evaluation/trajectory_evaluation.h"
-#include "tools/perturbation/false_loops.h"
+#include "tools/perturbation/perturbation.h"
 
 namespace semantic_topo_loop::core {
 namespace {

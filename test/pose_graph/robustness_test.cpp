@@ -7,7 +7,7 @@
 #include "pose_graph/rejection/loop_consistency.h"
 #include "semantic_topo_loop/geometry/lie.h"
 #include "support/synthetic_run.h"
-#include "tools/perturbation/false_loops.h"
+#include "tools/perturbation/perturbation.h"
 
 namespace semantic_topo_loop::core {
 namespace {

@@ -1,4 +1,4 @@
-#include "tools/perturbation/detection_perturbation.h"
+#include "tools/perturbation/perturbation.h"
 
 #include <gtest/gtest.h>
 

@@ -5,7 +5,7 @@
 #include "support/test_files.h"
 #include "support/test_fixtures.h"
 #include "tools/perturbation/drift.h"
-#include "tools/simulation/dynamics.h"
+#include "tools/simulation/motion.h"
 
 namespace semantic_topo_loop::core {
 namespace {
