@@ -362,23 +362,12 @@ std::vector<SparsePoint> RgbdFrontend::sparse_points() const {
 
 void TrackingReport::add(const TrackedImage& image) {
   ++images;
-  switch (image.state) {
-    case TrackingState::kStarted:
-      if (image.sample && image.sample->is_break) ++restarts;
-      break;
-    case TrackingState::kTracked:
-      ++tracked;
-      break;
-    case TrackingState::kRelocalised:
-      ++relocalised;
-      break;
-    case TrackingState::kLost:
-      ++lost;
-      break;
-    case TrackingState::kUnusable:
-      ++unusable;
-      break;
-  }
+  const auto is = [&image](TrackingState state) { return image.state == state ? 1 : 0; };
+  tracked += is(TrackingState::kTracked);
+  relocalised += is(TrackingState::kRelocalised);
+  lost += is(TrackingState::kLost);
+  unusable += is(TrackingState::kUnusable);
+  if (image.sample && image.sample->is_break) ++restarts;
 }
 
 void TrackingReport::add_unreadable(const std::string& problem) {

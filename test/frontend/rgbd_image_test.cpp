@@ -12,15 +12,19 @@ namespace {
 
 const Camera kCamera = SyntheticRoom::small_camera();
 
-cv::Mat gray(std::uint8_t value = 100) { return {kCamera.height, kCamera.width, CV_8UC1, cv::Scalar(value)}; }
+/// An image of one value.
+cv::Mat even(int type, const cv::Scalar& value) { return {kCamera.height, kCamera.width, type, value}; }
+cv::Mat gray() { return even(CV_8UC1, 100.0); }
+
+Result<RgbdImage> image_of(const cv::Mat& depth, const DepthOptions& options = {}) {
+  return make_rgbd_image(7, gray(), depth, kCamera, options);
+}
 
 TEST(RgbdImage, MillimetresAndMetresGiveTheSameDepthWithCorrection) {
   DepthOptions options;
   options.scale_correction = 0.96;
-  cv::Mat raw(kCamera.height, kCamera.width, CV_16UC1, cv::Scalar(2500));
-  cv::Mat metres(kCamera.height, kCamera.width, CV_32FC1, cv::Scalar(2.5));
-  const auto from_raw = make_rgbd_image(7, gray(), raw, kCamera, options);
-  const auto from_metres = make_rgbd_image(7, gray(), metres, kCamera, options);
+  const auto from_raw = image_of(even(CV_16UC1, 2500.0), options);
+  const auto from_metres = image_of(even(CV_32FC1, 2.5), options);
   ASSERT_TRUE(from_raw && from_metres) << from_raw.message() << from_metres.message();
   EXPECT_EQ(from_raw->stamp_ns, 7);
   EXPECT_NEAR(from_raw->depth_m.at<float>(10, 20), 2.4, 1e-6);
@@ -30,8 +34,7 @@ TEST(RgbdImage, MillimetresAndMetresGiveTheSameDepthWithCorrection) {
 TEST(RgbdImage, TumScale) {
   DepthOptions options;
   options.scale = 5000.0;
-  const cv::Mat raw(kCamera.height, kCamera.width, CV_16UC1, cv::Scalar(7500));
-  const auto image = make_rgbd_image(0, gray(), raw, kCamera, options);
+  const auto image = image_of(even(CV_16UC1, 7500.0), options);
   ASSERT_TRUE(image);
   EXPECT_NEAR(image->depth_m.at<float>(0, 0), 1.5, 1e-6);
 }
@@ -40,18 +43,18 @@ TEST(RgbdImage, InvalidAndFarValuesAreNoDepth) {
   DepthOptions options;
   options.invalid_values = "0 65535 1234";
   options.max_m = 3.0;
-  cv::Mat raw(kCamera.height, kCamera.width, CV_16UC1, cv::Scalar(1000));
+  cv::Mat raw = even(CV_16UC1, {1000});
   raw.at<std::uint16_t>(0, 0) = 0;
   raw.at<std::uint16_t>(0, 1) = 65535;
   raw.at<std::uint16_t>(0, 2) = 1234;
   raw.at<std::uint16_t>(0, 3) = 3001;
-  const auto a = make_rgbd_image(0, gray(), raw, kCamera, options);
-  cv::Mat metres(kCamera.height, kCamera.width, CV_32FC1, cv::Scalar(1.0));
+  const auto a = image_of(raw, options);
+  cv::Mat metres = even(CV_32FC1, {1.0});
   metres.at<float>(0, 0) = std::numeric_limits<float>::quiet_NaN();
   metres.at<float>(0, 1) = std::numeric_limits<float>::infinity();
   metres.at<float>(0, 2) = -1.0F;
   metres.at<float>(0, 3) = 3.001F;
-  const auto b = make_rgbd_image(0, gray(), metres, kCamera, options);
+  const auto b = image_of(metres, options);
   ASSERT_TRUE(a && b);
   for (int u = 0; u < 4; ++u) {
     EXPECT_EQ(a->depth_m.at<float>(0, u), 0.0F) << u;
@@ -65,7 +68,7 @@ TEST(RgbdImage, InvalidAndFarValuesAreNoDepth) {
 std::string range_warning(const cv::Mat& depth, const DepthOptions& options, int images = 100) {
   DepthRange range;
   for (int i = 0; i < images; ++i) {
-    const auto image = make_rgbd_image(i, gray(), depth, kCamera, options);
+    const auto image = image_of(depth, options);
     if (image) range.add(image->depth_range);
   }
   return range.warning(options);
@@ -73,7 +76,7 @@ std::string range_warning(const cv::Mat& depth, const DepthOptions& options, int
 
 TEST(RgbdImage, WrongScaleOfDepthIsNamed) {
   // TUM's PNG files, two metres: a fifth of a metre is a thousand.
-  cv::Mat raw(kCamera.height, kCamera.width, CV_16UC1, cv::Scalar(10000));
+  cv::Mat raw = even(CV_16UC1, {10000});
   DepthOptions options;
   const std::string far = range_warning(raw, options);
   EXPECT_NE(far.find("100 % of the depth lies beyond depth.max_m = 8 m"), std::string::npos) << far;
@@ -96,15 +99,15 @@ TEST(RgbdImage, WrongScaleOfDepthIsNamed) {
 }
 
 TEST(RgbdImage, FloatsInMillimetresAreNamed) {
-  cv::Mat millimetres(kCamera.height, kCamera.width, CV_32FC1, cv::Scalar(2000.0));
+  cv::Mat millimetres = even(CV_32FC1, {2000.0});
   EXPECT_NE(range_warning(millimetres, {}).find("32FC1"), std::string::npos);
   millimetres.setTo(std::numeric_limits<float>::infinity());
   EXPECT_EQ(range_warning(millimetres, {}), "") << "no depth at all";
 }
 
 TEST(RgbdImage, ColorBecomesGray) {
-  cv::Mat color(kCamera.height, kCamera.width, CV_8UC3, cv::Scalar(0, 0, 200));
-  const cv::Mat depth(kCamera.height, kCamera.width, CV_32FC1, cv::Scalar(1.0));
+  cv::Mat color = even(CV_8UC3, {0, 0, 200});
+  const cv::Mat depth = even(CV_32FC1, {1.0});
   const auto image = make_rgbd_image(0, color, depth, kCamera, {});
   ASSERT_TRUE(image);
   EXPECT_EQ(image->gray.type(), CV_8UC1);
@@ -118,7 +121,7 @@ TEST(RgbdImage, UnregisteredDepthIsSeenByTheColorCamera) {
   options.intrinsics = "300 300 100 80";
   cv::Mat depth = cv::Mat::zeros(160, 200, CV_16UC1);
   depth.at<std::uint16_t>(80, 100) = 1500;
-  const auto image = make_rgbd_image(0, gray(), depth, kCamera, options);
+  const auto image = image_of(depth, options);
   ASSERT_TRUE(image) << image.message();
   const Vec2 expected(kCamera.fx * -0.1 / 2.0 + kCamera.cx, kCamera.cy);
   EXPECT_EQ(cv::countNonZero(image->depth_m), 4);
@@ -133,7 +136,7 @@ TEST(RgbdImage, NearerSurfaceWinsWhereTwoMeet) {
   const auto u_of = [](double x, double z) { return static_cast<int>(std::lround(kCamera.fx * x / z + kCamera.cx)); };
   depth.at<float>(100, u_of(0.0, 3.0)) = 3.0F;
   depth.at<float>(100, u_of(-0.2, 1.0)) = 1.0F;
-  const auto image = make_rgbd_image(0, gray(), depth, kCamera, options);
+  const auto image = image_of(depth, options);
   ASSERT_TRUE(image);
   const int u = static_cast<int>(kCamera.fx * 0.1 + kCamera.cx);
   float nearest = 9.0F;
@@ -144,9 +147,9 @@ TEST(RgbdImage, NearerSurfaceWinsWhereTwoMeet) {
 }
 
 TEST(RgbdImage, WrongImagesAreNamed) {
-  const cv::Mat depth(kCamera.height, kCamera.width, CV_16UC1, cv::Scalar(1000));
+  const cv::Mat depth = even(CV_16UC1, {1000});
   const cv::Mat small(10, 20, CV_16UC1, cv::Scalar(1000)), bytes(kCamera.height, kCamera.width, CV_8UC1, cv::Scalar(1));
-  const cv::Mat doubles(kCamera.height, kCamera.width, CV_64FC1, cv::Scalar(1.0));
+  const cv::Mat doubles = even(CV_64FC1, {1.0});
   const auto error_of = [](const cv::Mat& color, const cv::Mat& d) {
     return make_rgbd_image(42, color, d, kCamera, {}).message();
   };
