@@ -67,7 +67,7 @@ class Rounds {
   }
 
   static std::shared_ptr<const ClassTable> classes() {
-    return std::make_shared<ClassTable>(*ClassTable::create({{41, "cup", ClassRole::kMovable, "", 0.1}}, nullptr));
+    return std::make_shared<ClassTable>(*ClassTable::create({{41, "cup", ClassRole::kMovable, "", 0.1}}));
   }
 
   SE3 truth(int k) const {

@@ -34,9 +34,8 @@ std::optional<Camera> parse_camera(const std::string& path, std::string* error) 
   if (!height || !parse_distortion(path, (*root)["distortion"], &camera, error)) return std::nullopt;
   camera.width = *width;
   camera.height = *height;
-  std::string problem;
-  if (!camera.is_valid(&problem)) {
-    *error = path + ": " + problem;
+  if (const Status status = camera.check(); !status) {
+    *error = path + ": " + status.message();
     return std::nullopt;
   }
   return camera;

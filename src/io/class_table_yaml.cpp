@@ -72,9 +72,10 @@ std::optional<ClassTable> parse_class_table(const std::string& path, std::string
     if (!object_class) return std::nullopt;
     classes.push_back(std::move(*object_class));
   }
-  std::optional<ClassTable> table = ClassTable::create(std::move(classes), error);
-  if (!table) *error = path + ": " + *error;
-  return table;
+  Result<ClassTable> table = ClassTable::create(std::move(classes));
+  if (table) return *std::move(table);
+  *error = path + ": " + table.message();
+  return std::nullopt;
 }
 
 }  // namespace

@@ -217,8 +217,9 @@ std::optional<core::Camera> checked_camera(const sensor_msgs::CameraInfo& messag
     return std::nullopt;
   }
   const core::Camera camera = from_msg(message);
-  if (camera.is_valid(error)) return camera;
-  if (error != nullptr) *error = "camera_info " + *error;
+  const core::Status status = camera.check();
+  if (status) return camera;
+  if (error != nullptr) *error = "camera_info " + status.message();
   return std::nullopt;
 }
 

@@ -37,12 +37,11 @@ Vec2 undistort_pixel(const Camera& camera, const Vec2& pixel) {
 
 }  // namespace
 
-bool Camera::is_valid(std::string* error) const {
-  const auto fail = [error](const char* field, double value, const char* rule) {
+Status Camera::check() const {
+  const auto fail = [](const char* field, double value, const char* rule) {
     std::ostringstream message;
     message << field << " = " << value << " " << rule;
-    if (error != nullptr) *error = message.str();
-    return false;
+    return Error{message.str()};
   };
   if (!(std::isfinite(fx) && fx > 0.0)) return fail("fx", fx, "must be > 0");
   if (!(std::isfinite(fy) && fy > 0.0)) return fail("fy", fy, "must be > 0");
@@ -53,7 +52,7 @@ bool Camera::is_valid(std::string* error) const {
   for (const double value : distortion) {
     if (!std::isfinite(value)) return fail("distortion", value, "must be finite");
   }
-  return true;
+  return {};
 }
 
 bool Camera::has_distortion() const {

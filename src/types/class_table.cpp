@@ -4,13 +4,12 @@
 
 namespace semantic_topo_loop::core {
 
-std::optional<ClassTable> ClassTable::create(std::vector<ObjectClass> classes, std::string* error) {
+Result<ClassTable> ClassTable::create(std::vector<ObjectClass> classes) {
   ClassTable table;
   for (ObjectClass& object_class : classes) {
     const int id = object_class.id;
     if (!table.classes_.emplace(id, std::move(object_class)).second) {
-      if (error != nullptr) *error = "class id " + std::to_string(id) + " is listed twice";
-      return std::nullopt;
+      return Error{"class id " + std::to_string(id) + " is listed twice"};
     }
   }
   for (const auto& [id, object_class] : table.classes_) {

@@ -16,13 +16,11 @@ const Camera kCamera{500.0, 500.0, 320.0, 240.0, 640, 480, {}};
 constexpr int kPerson = 0, kCup = 41, kVase = 75, kBook = 73, kIgnored = 99;
 
 std::shared_ptr<const ClassTable> classes() {
-  std::string error;
   return std::make_shared<const ClassTable>(*ClassTable::create({{kPerson, "person", ClassRole::kDynamic, "", 1.6},
                                                                  {kCup, "cup", ClassRole::kMovable, "vessel", 0.1},
                                                                  {kVase, "vase", ClassRole::kMovable, "vessel", 0.2},
                                                                  {kBook, "book", ClassRole::kMovable, "", 0.2},
-                                                                 {kIgnored, "noise", ClassRole::kIgnore, "", 0.2}},
-                                                                &error));
+                                                                 {kIgnored, "noise", ClassRole::kIgnore, "", 0.2}}));
 }
 
 Frame frame_at(std::int64_t id) {

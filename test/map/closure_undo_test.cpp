@@ -27,7 +27,7 @@ class MappedRounds : public TwoRounds {
 
  private:
   static std::shared_ptr<const ClassTable> classes() {
-    return std::make_shared<ClassTable>(*ClassTable::create({{kCup, "cup", ClassRole::kMovable, "", 0.1}}, nullptr));
+    return std::make_shared<ClassTable>(*ClassTable::create({{kCup, "cup", ClassRole::kMovable, "", 0.1}}));
   }
   void process(const Frame& frame, const AssociationFrame& associations, const std::vector<LoopClosure>& loops) {
     count(mapper_.integrate(frame, associations));

@@ -18,7 +18,7 @@ inline const Camera kMapperCamera{520.0, 520.0, 320.0, 240.0, 640, 480, {}};
 class MapperFixture : public ::testing::Test {
  protected:
   explicit MapperFixture(std::vector<ObjectClass> classes)
-      : classes_(std::make_shared<const ClassTable>(*ClassTable::create(std::move(classes), nullptr))),
+      : classes_(std::make_shared<const ClassTable>(*ClassTable::create(std::move(classes)))),
         mapper_(QuadricMapperOptions{}, classes_) {}
 
   struct Seen {

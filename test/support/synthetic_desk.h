@@ -41,7 +41,7 @@ inline std::shared_ptr<const ClassTable> desk_classes() {
     object_class.role = id == 7 ? ClassRole::kDynamic : ClassRole::kMovable;
     classes.push_back(object_class);
   }
-  return std::make_shared<const ClassTable>(*ClassTable::create(classes, nullptr));
+  return std::make_shared<const ClassTable>(*ClassTable::create(classes));
 }
 
 struct DeskObject {

@@ -1,9 +1,9 @@
 #pragma once
 
 #include <array>
-#include <string>
 
 #include "semantic_topo_loop/types/box.h"
+#include "semantic_topo_loop/types/result.h"
 #include "semantic_topo_loop/types/transform.h"
 
 namespace semantic_topo_loop::core {
@@ -14,8 +14,8 @@ struct Camera {
   int width = 0, height = 0;                      ///< px
   std::array<double, 5> distortion{};
 
-  /// @return false, with the offending field and value in `error`, if no image can come from these values
-  bool is_valid(std::string* error) const;
+  /// @return an error that names field and value if no image can come from these values
+  Status check() const;
   bool has_distortion() const;
   /// Pixel of the raw image to pixel of the undistorted image with the same intrinsics.
   Vec2 undistort(const Vec2& pixel) const;

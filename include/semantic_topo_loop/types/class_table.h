@@ -1,9 +1,10 @@
 #pragma once
 
 #include <map>
-#include <optional>
 #include <string>
 #include <vector>
+
+#include "semantic_topo_loop/types/result.h"
 
 namespace semantic_topo_loop::core {
 
@@ -22,8 +23,8 @@ struct ObjectClass {
 class ClassTable {
  public:
   ClassTable() = default;
-  /// @return nullopt, with the duplicated id in `error`, if the classes are not unique
-  static std::optional<ClassTable> create(std::vector<ObjectClass> classes, std::string* error);
+  /// @return an error that names the duplicated id if the classes are not unique
+  static Result<ClassTable> create(std::vector<ObjectClass> classes);
 
   const ObjectClass* find(int id) const;
   const ObjectClass* find(const std::string& name) const;

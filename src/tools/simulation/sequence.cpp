@@ -190,7 +190,10 @@ std::optional<SimulatedSequence> simulate(const SimulationOptions& options, cons
     if (error != nullptr) *error = status.message();
     return std::nullopt;
   }
-  if (!camera.is_valid(error)) return std::nullopt;
+  if (const Status status = camera.check(); !status) {
+    if (error != nullptr) *error = status.message();
+    return std::nullopt;
+  }
   SimulatedSequence sequence;
   sequence.camera = camera;
   sequence.scene = make_scene(options.scene, seed_of(options, SeedStream::kScene));
