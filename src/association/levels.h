@@ -1,91 +1,65 @@
 #pragma once
 
-#include "association/track.h"
+#include <optional>
+#include <vector>
+
+#include "association/track_store.h"
 #include "semantic_topo_loop/association/associator_options.h"
 #include "semantic_topo_loop/types/class_table.h"
+#include "semantic_topo_loop/types/detection.h"
+#include "semantic_topo_loop/types/frame.h"
 
 namespace semantic_topo_loop::core {
 
-/// A level of the MLV-ODA cascade (SemanticTopoLoop, multi-level verification for object data association): how well a
-/// detection fits a track, 0 where the level does not join them.
-class AssociationLevelScorer {
- public:
-  virtual ~AssociationLevelScorer() = default;
-  virtual AssociationLevel level() const = 0;
-  virtual double score(const AssociationContext& context, const TrackInFrame& candidate,
-                       const PreparedDetection& detection) const = 0;
+/// A detection ready to be associated.
+struct PreparedDetection : Association {
+  Box visible;  ///< the box, clipped to the image
 };
 
-/// 2D level: IoU with the box of the previous frame, same label, above delta1.
-class Level2d final : public AssociationLevelScorer {
- public:
-  explicit Level2d(const AssociatorOptions& options) : iou_min_(options.iou_2d_min) {}
-  AssociationLevel level() const override { return AssociationLevel::k2d; }
-  double score(const AssociationContext& context, const TrackInFrame& candidate,
-               const PreparedDetection& detection) const override;
-
- private:
-  double iou_min_;
+/// A track that this frame may see, with what its prediction needs.
+struct TrackInFrame {
+  const Track* track = nullptr;
+  std::optional<Box> projection;  ///< box of its quadric, clipped to the image; none without quadric or out of view
+  bool is_recent = false;         ///< its last box still tells where it may be
 };
 
-/// Label posterior over the landmarks of the previous frame, after Mu et al. 2016: an existing landmark i has
+/// What every level looks at.
+struct AssociationContext {
+  const AssociatorOptions& options;
+  const ClassTable& classes;
+  const Frame* frame = nullptr;
+  double interval_s = 0.0;  ///< since the frame before
+  Mat34 P_image_map = Mat34::Zero();
+  std::vector<PreparedDetection> detections = {};
+  std::vector<TrackInFrame> tracks = {};
+};
+
+/// How well a detection fits a track; 0 where it does not.
+using AssociationScore = double (*)(const AssociationContext& context, const TrackInFrame& candidate,
+                                    const PreparedDetection& detection);
+
+/// Level 1 of the MLV-ODA cascade (SemanticTopoLoop, multi-level verification for object data association): IoU with
+/// the box of the previous frame, same label, above delta1.
+double score_2d(const AssociationContext& context, const TrackInFrame& candidate, const PreparedDetection& detection);
+
+/// Level 2: label posterior over the landmarks of the previous frame, after Mu et al. 2016: an existing landmark i has
 /// n_i / (N + alpha) p(label|i) p(z|i), a new one alpha / (N + alpha) p0(label) p0(z). The score is the log ratio of
-/// the two, plus one, where positive. `paper` leaves p0 out, as the paper prints it.
-class LevelPosterior final : public AssociationLevelScorer {
- public:
-  LevelPosterior(const AssociatorOptions& options, std::size_t class_count)
-      : options_(options), class_count_(static_cast<double>(class_count)) {}
-  AssociationLevel level() const override { return AssociationLevel::kPosterior; }
-  double score(const AssociationContext& context, const TrackInFrame& candidate,
-               const PreparedDetection& detection) const override;
+/// the two, plus one, where positive. With `pro_new_object = paper` p0 is left out, as the paper prints it.
+double score_posterior(const AssociationContext& context, const TrackInFrame& candidate,
+                       const PreparedDetection& detection);
 
- private:
-  AssociatorOptions options_;
-  double class_count_;
-};
-
-/// 3D level over the landmarks of the last M keyframes: IoU with the projected quadric above delta2; for landmarks
+/// Level 3 over the landmarks of the last M keyframes: IoU with the projected quadric above delta2; for landmarks
 /// without a quadric the share of their map points inside the box above delta3.
-class Level3d final : public AssociationLevelScorer {
- public:
-  explicit Level3d(const AssociatorOptions& options) : options_(options) {}
-  AssociationLevel level() const override { return AssociationLevel::k3d; }
-  double score(const AssociationContext& context, const TrackInFrame& candidate,
-               const PreparedDetection& detection) const override;
-
- private:
-  AssociatorOptions options_;
-};
+double score_3d(const AssociationContext& context, const TrackInFrame& candidate, const PreparedDetection& detection);
 
 /// Score of the joint one-to-one assignment: box overlap (quadric or last box) times label agreement, above the gates
 /// of the levels. Measured far more robust to missed and mislabelled boxes than the cascade (docs/algorithms.md).
-class JointScorer {
- public:
-  JointScorer(const AssociatorOptions& options, const ClassTable& classes) : options_(options), classes_(classes) {}
-  double score(const AssociationContext& context, const TrackInFrame& candidate,
-               const PreparedDetection& detection) const;
-
- private:
-  double label_agreement(const Track& track, int class_id) const;
-
-  AssociatorOptions options_;
-  const ClassTable& classes_;
-};
+double score_joint(const AssociationContext& context, const TrackInFrame& candidate,
+                   const PreparedDetection& detection);
 
 /// JDA, the baseline that the paper compares with: the distances of all cues added up, (1 - IoU with the box of the
 /// previous frame) + (1 - IoU with the projected quadric) + (0 for the same label, else 1), in one assignment over all
 /// landmarks. The score is how far the sum stays below the gate.
-class JdaScorer {
- public:
-  explicit JdaScorer(const AssociatorOptions& options) : distance_max_(options.jda_distance_max) {}
-  double score(const AssociationContext& context, const TrackInFrame& candidate,
-               const PreparedDetection& detection) const;
-
- private:
-  double distance_max_;
-};
-
-/// Share of the points (map frame, m) that project into the box.
-double share_of_points_in_box(const std::vector<Vec3>& points_map, const Mat34& P_image_map, const Box& box);
+double score_jda(const AssociationContext& context, const TrackInFrame& candidate, const PreparedDetection& detection);
 
 }  // namespace semantic_topo_loop::core

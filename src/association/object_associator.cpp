@@ -18,8 +18,8 @@
 namespace semantic_topo_loop::core {
 namespace {
 
-constexpr double kMinProjectionPx = 2.0;
-constexpr int kNoTrack = -1;
+constexpr double kMinProjection_px = 2.0;  // of either side: what is smaller, a rounded box does not overlap reliably
+constexpr int kNoTrack = -1;               // as assign_max has it
 constexpr double kProvisionalBaseline_deg = 3.0;  // with less parallax, boxes cannot have corrected a wrong depth
 
 /// Splits "2d,pro,3d"; nullopt for a name that is no level.
@@ -41,14 +41,11 @@ bool AssociatorOptions::is_level_list(const std::string& text) { return parse_le
 class ObjectAssociator::Impl {
  public:
   Impl(const AssociatorOptions& options, std::shared_ptr<const ClassTable> classes)
-      : options_(options), classes_(std::move(classes)), joint_(options_, *classes_), jda_(options_) {
+      : options_(options), classes_(std::move(classes)) {
     const std::set<std::string> names = parse_levels(options_.levels).value_or(std::set<std::string>{});
-    if (names.count("2d") != 0) levels_.push_back(std::make_unique<Level2d>(options_));
-    if (names.count("pro") != 0) {
-      levels_.push_back(
-          std::make_unique<LevelPosterior>(options_, std::max<std::size_t>(1, classes_->classes().size())));
-    }
-    if (names.count("3d") != 0) levels_.push_back(std::make_unique<Level3d>(options_));
+    if (names.count("2d") != 0) levels_.emplace_back(AssociationLevel::k2d, score_2d);
+    if (names.count("pro") != 0) levels_.emplace_back(AssociationLevel::kPosterior, score_posterior);
+    if (names.count("3d") != 0) levels_.emplace_back(AssociationLevel::k3d, score_3d);
   }
 
   AssociationFrame associate(const Frame& frame, const std::vector<Detection>& detections) {
@@ -182,8 +179,7 @@ class ObjectAssociator::Impl {
       } else if (detection.score < options_.min_score) {
         association.level = AssociationLevel::kLowScore;
       } else {
-        gated_.push_back({association.detection_index, detection.class_id, detection.score, association.box,
-                          clip(association.box, camera.width, camera.height), association.truncated});
+        gated_.push_back({association, clip(association.box, camera.width, camera.height)});
       }
     }
     suppress(result);
@@ -206,7 +202,7 @@ class ObjectAssociator::Impl {
       if (is_kept_[i]) {
         context_.detections.push_back(gated_[i]);
       } else {
-        result->associations[static_cast<std::size_t>(gated_[i].index)].level = AssociationLevel::kSuppressed;
+        result->associations[static_cast<std::size_t>(gated_[i].detection_index)].level = AssociationLevel::kSuppressed;
       }
     }
   }
@@ -216,7 +212,7 @@ class ObjectAssociator::Impl {
     const std::optional<Box> box = project_box(track.center_map, track.shape_map, context.P_image_map);
     if (!box) return std::nullopt;
     const Box visible = clip(*box, context.frame->camera.width, context.frame->camera.height);
-    if (visible.width() <= kMinProjectionPx || visible.height() <= kMinProjectionPx) return std::nullopt;
+    if (visible.width() <= kMinProjection_px || visible.height() <= kMinProjection_px) return std::nullopt;
     return visible;
   }
 
@@ -227,20 +223,17 @@ class ObjectAssociator::Impl {
 
   /// Indices into context.tracks by detection, kNoTrack for those that start a track.
   std::vector<int> assign(const AssociationContext& context, AssociationFrame* result) {
-    if (options_.mode == "joint") return assign_one_to_one(context, joint_);
-    if (options_.mode == "jda") return assign_one_to_one(context, jda_);
+    if (options_.mode == "joint") return assign_one_to_one(context, score_joint);
+    if (options_.mode == "jda") return assign_one_to_one(context, score_jda);
     return cascade(context, result);
   }
 
-  template <class Scorer>
-  std::vector<int> assign_one_to_one(const AssociationContext& context, const Scorer& scorer) {
+  std::vector<int> assign_one_to_one(const AssociationContext& context, AssociationScore score) {
     const auto rows = static_cast<Eigen::Index>(context.detections.size());
     const auto columns = static_cast<Eigen::Index>(context.tracks.size());
     scores_.clear();
     for (const TrackInFrame& track : context.tracks) {
-      for (const PreparedDetection& detection : context.detections) {
-        scores_.push_back(scorer.score(context, track, detection));
-      }
+      for (const PreparedDetection& detection : context.detections) scores_.push_back(score(context, track, detection));
     }
     return assign_max(Eigen::Map<const Eigen::MatrixXd>(scores_.data(), rows, columns));
   }
@@ -248,19 +241,19 @@ class ObjectAssociator::Impl {
   /// The paper's cascade: each level gives the boxes that the levels before it left over to their best landmark.
   std::vector<int> cascade(const AssociationContext& context, AssociationFrame* result) const {
     std::vector<int> assigned(context.detections.size(), kNoTrack);
-    for (const auto& level : levels_) {
+    for (const auto& [level, score_of_level] : levels_) {
       for (std::size_t i = 0; i < context.detections.size(); ++i) {
         if (assigned[i] != kNoTrack) continue;
         double best = 0.0;
         for (std::size_t j = 0; j < context.tracks.size(); ++j) {
-          const double score = level->score(context, context.tracks[j], context.detections[i]);
+          const double score = score_of_level(context, context.tracks[j], context.detections[i]);
           if (score > best) {
             best = score;
             assigned[i] = static_cast<int>(j);
           }
         }
         if (assigned[i] != kNoTrack) {
-          result->associations[static_cast<std::size_t>(context.detections[i].index)].level = level->level();
+          result->associations[static_cast<std::size_t>(context.detections[i].detection_index)].level = level;
         }
       }
     }
@@ -270,7 +263,7 @@ class ObjectAssociator::Impl {
   void update_tracks(const AssociationContext& context, const std::vector<int>& assigned, AssociationFrame* result) {
     for (std::size_t i = 0; i < assigned.size(); ++i) {
       const PreparedDetection& detection = context.detections[i];
-      Association& association = result->associations[static_cast<std::size_t>(detection.index)];
+      Association& association = result->associations[static_cast<std::size_t>(detection.detection_index)];
       Track* track = nullptr;
       if (assigned[i] == kNoTrack) {
         track = &tracks_.create(next_id_++);
@@ -309,9 +302,7 @@ class ObjectAssociator::Impl {
 
   AssociatorOptions options_;
   std::shared_ptr<const ClassTable> classes_;
-  JointScorer joint_;
-  JdaScorer jda_;
-  std::vector<std::unique_ptr<AssociationLevelScorer>> levels_;
+  std::vector<std::pair<AssociationLevel, AssociationScore>> levels_;  ///< of the cascade, in order
   TrackStore tracks_;
   std::map<std::int64_t, Track> merged_tracks_;  ///< as they were when they were merged, by id
   std::int64_t next_id_ = 0;
@@ -322,7 +313,7 @@ class ObjectAssociator::Impl {
   double update_us_ = 0.0;                     ///< spent on map updates since then
 
   // Of the frame at hand; kept, so that a frame hardly allocates.
-  AssociationContext context_;
+  AssociationContext context_{options_, *classes_};
   std::vector<PreparedDetection> gated_;  ///< before suppression
   std::vector<std::size_t> by_score_;     ///< indices of them
   std::vector<bool> is_kept_;

@@ -54,7 +54,8 @@ std::string set_field(const std::string& text, std::string* field) {
 
 /// The unit in which a number of that name is; empty if it has none.
 std::string unit_of(const std::string& key) {
-  static const std::array<std::pair<const char*, const char*>, 10> kUnits = {{{"_m_s", "m/s"},
+  static const std::array<std::pair<const char*, const char*>, 11> kUnits = {{{"_m_s", "m/s"},
+                                                                              {"_per_s", "1/s"},
                                                                               {"_deg_s", "deg/s"},
                                                                               {"_s", "s"},
                                                                               {"_m", "m"},

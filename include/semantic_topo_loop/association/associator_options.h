@@ -18,6 +18,16 @@ struct AssociatorOptions {
   double suppression_iou = 0.85;
   double border_px = 8.0;
   double memory_s = 0.3;
+  double memory_decay_per_s = 1.8;
+  double memory_decay_max = 0.36;
+  double memory_weight = 0.9;
+  double memory_iou_3d_min = 0.1;
+  double iou_other_label_min = 0.5;
+  double label_agreement_confusable = 0.5;
+  double label_agreement_history = 0.8;
+  double label_history_min_share = 0.1;
+  double mature_observations = 30.0;
+  double mature_bonus = 0.15;
   int window_keyframes = 100;
   double posterior_alpha = 1.0;
   double posterior_count_max = 30.0;
@@ -44,6 +54,25 @@ struct AssociatorOptions {
     visitor("association.border_px", border_px, not_negative(), "sides this close to the image border count as cut");
     visitor("association.memory_s", memory_s, not_negative(),
             "joint mode: how long a box remains a track's last position");
+    visitor("association.memory_decay_per_s", memory_decay_per_s, not_negative(),
+            "joint mode: share of its overlap that a last box loses in each second without the object");
+    visitor("association.memory_decay_max", memory_decay_max, share(), "joint mode: the most that it loses");
+    visitor("association.memory_weight", memory_weight, share(),
+            "joint mode: weight of the overlap with the last box where there is a quadric, whose overlap has 1");
+    visitor("association.memory_iou_3d_min", memory_iou_3d_min, share(),
+            "joint mode: where there is a quadric, the last box counts only if the quadric overlaps at least so much");
+    visitor("association.iou_other_label_min", iou_other_label_min, share(),
+            "joint mode: overlap gate for a box of another label than the landmark's");
+    visitor("association.label_agreement_confusable", label_agreement_confusable, share(),
+            "joint mode: agreement of a label with another one of its group (1 with itself, 0 with others)");
+    visitor("association.label_agreement_history", label_agreement_history, share(),
+            "joint mode: agreement with a label that the landmark has often had");
+    visitor("association.label_history_min_share", label_history_min_share, share(),
+            "joint mode: share of a landmark's summed scores from which on it has had a label often");
+    visitor("association.mature_observations", mature_observations, positive(),
+            "joint mode: boxes from which on a landmark is fully established (30 are a second at 30 Hz)");
+    visitor("association.mature_bonus", mature_bonus, not_negative(),
+            "joint mode: share by which the score of an established landmark is higher");
     visitor("association.window_keyframes", window_keyframes, at_least(1),
             "level 3: landmarks seen in this many last keyframes (all in view in joint mode)");
     visitor("association.posterior_alpha", posterior_alpha, positive(),
