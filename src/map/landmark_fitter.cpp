@@ -54,7 +54,7 @@ std::vector<BoxView> LandmarkFitter::fit_views(const ViewSource& source, const M
   std::vector<Observation> with_depth, whole, cut;
   for (const Observation& observation : landmark.observations) {
     if (!classes_.confusable(observation.class_id, landmark.state.class_id)) continue;
-    (observation.surface ? with_depth : observation.truncated == 0 ? whole : cut).push_back(observation);
+    (observation.view.surface ? with_depth : observation.view.truncated == 0 ? whole : cut).push_back(observation);
   }
   const auto wanted = static_cast<std::size_t>(options_.fit_views_max);
   std::vector<BoxView> views = source.views(spread(with_depth, std::min(wanted, kSurfaceViews)));

@@ -22,11 +22,8 @@ struct Observation {
   std::int64_t frame_id = -1;
   std::int64_t source_id = -1;  ///< the landmark that association named; another than the holder's after a merge
   std::int64_t keyframe_id = -1;
-  SE3 T_keyframe_camera;
-  Box box;
-  std::uint8_t truncated = 0;
   int class_id = -1;
-  std::shared_ptr<const Surface> surface;  ///< what depth there was inside the box; null without
+  BoxView view;  ///< with the keyframe for a world, in the odometry's unit of length
 };
 
 /// How long a landmark was seen and should have been. Time, not counts, so that 6 Hz and 30 Hz behave alike.
@@ -119,8 +116,9 @@ class ViewSource {
   const Camera& camera() const { return camera_; }
   BoxView view(const Observation& observation) const {
     const Sim3& S_map_keyframe = S_map_keyframe_.at(observation.keyframe_id);
-    return {S_map_keyframe.pose(observation.T_keyframe_camera), observation.box, observation.truncated,
-            scaled(observation.surface, S_map_keyframe.scale)};
+    const BoxView& view = observation.view;
+    return {S_map_keyframe.pose(view.T_world_camera), view.box, view.truncated,
+            scaled(view.surface, S_map_keyframe.scale)};
   }
   std::vector<BoxView> views(const std::vector<Observation>& observations) const {
     std::vector<BoxView> result;

@@ -8,11 +8,10 @@
 #include <set>
 
 #include "geometry/object_points.h"
-#include "map/duplicates.h"
 #include "map/landmark_fitter.h"
 #include "map/life_cycle.h"
 #include "map/mapped_landmark.h"
-#include "map/merge_history.h"
+#include "map/merging.h"
 #include "map/visibility.h"
 #include "semantic_topo_loop/map/mapper_options.h"
 #include "semantic_topo_loop/types/stamp.h"
@@ -20,11 +19,11 @@
 namespace semantic_topo_loop::core {
 namespace {
 
-constexpr std::size_t kObservationsMax = 1200;
-constexpr double kSeparateBoxesIou = 0.6;  // two boxes that overlap less show two things
-constexpr int kRefitsPerFrame = 4;         // after a correction, so that no frame is held up
-constexpr double kStepMax_s = 0.2;
-constexpr double kUndoReach = 1.5;  // of the distance up to which two landmarks may merge
+constexpr std::size_t kObservationsMax = 1200;  // of a landmark: 0.2 MB; a fit takes mapping.fit_views_max of them
+constexpr double kSeparateBoxesIou = 0.6;       // two boxes that overlap less show two things
+constexpr int kRefitsPerFrame = 4;              // after a correction, so that no frame is held up
+constexpr double kStepMax_s = 0.2;              // the time that a frame stands for at most: a slow detector's interval
+constexpr double kUndoReach = 1.5;              // of the distance up to which two landmarks may merge
 
 }  // namespace
 
@@ -41,7 +40,7 @@ class QuadricMapper::Impl {
     const Stopwatch stopwatch;
     MapUpdate update = begin_update(frame.frame_id, MapUpdatePhase::kObservation);
     if (frame.is_end) {
-      finishing_ = true;  // the last correction comes first
+      end_frame_id_ = frame.frame_id;
     } else {
       camera_ = frame.camera;
       begin_step(frame.stamp_ns);
@@ -81,7 +80,7 @@ class QuadricMapper::Impl {
       // The map's frame moved even if no landmark did.
       update.map_version = ++map_version_;
     }
-    if (finishing_) finish(&update);
+    if (correction.frame_id == end_frame_id_) finish(&update);
     end_update(&update);
     update.duration_us = stopwatch.elapsed_us();
     return update;
@@ -168,9 +167,12 @@ class QuadricMapper::Impl {
       }
       if (surface && !landmark.state.ellipsoid) landmark.next_fit_at = 1;
       const int hidden = points != nullptr ? hidden_sides(*points, association.box) : 0;
-      landmark.observations.push_back({frame.frame_id, association.landmark_id, frame.keyframe_id, T_keyframe_camera,
-                                       association.box, static_cast<std::uint8_t>(association.truncated | hidden),
-                                       association.class_id, std::move(surface)});
+      const auto truncated = static_cast<std::uint8_t>(association.truncated | hidden);
+      landmark.observations.push_back({frame.frame_id,
+                                       association.landmark_id,
+                                       frame.keyframe_id,
+                                       association.class_id,
+                                       {T_keyframe_camera, association.box, truncated, std::move(surface)}});
       if (landmark.observations.size() > kObservationsMax) thin(&landmark.observations);
       landmark.state.class_id = association.landmark_class_id;
       landmark.state.observations += 1;
@@ -362,9 +364,9 @@ class QuadricMapper::Impl {
   std::int64_t last_maintenance_ns_ = 0;
   double step_s_ = 0.0;  ///< the time that this frame stands for
   std::uint64_t map_version_ = 0;
-  bool finishing_ = false;          ///< the end frame has been seen
-  std::set<std::int64_t> changed_;  ///< by the update being made: to be published
-  std::set<std::int64_t> touched_;  ///< to be published if the state changed
+  std::optional<std::int64_t> end_frame_id_;  ///< of the end frame, whose correction finishes the map
+  std::set<std::int64_t> changed_;            ///< by the update being made: to be published
+  std::set<std::int64_t> touched_;            ///< to be published if the state changed
 };
 
 QuadricMapper::QuadricMapper(const QuadricMapperOptions& options, std::shared_ptr<const ClassTable> classes)

@@ -22,9 +22,11 @@ class QuadricMapper {
   QuadricMapper(QuadricMapper&&) noexcept;
   QuadricMapper& operator=(QuadricMapper&&) noexcept;
 
-  /// Takes in a frame's associations; initialises, refines, merges, confirms and retires landmarks.
+  /// Takes in a frame's associations; initialises, refines, merges, confirms and retires landmarks. The end frame
+  /// changes nothing as yet: the correction of that frame comes first.
   MapUpdate integrate(const Frame& frame, const AssociationFrame& associations);
   /// Moves landmarks with their keyframes and takes over map_from_odom, in one version; ends the frame.
+  /// The correction of the end frame finishes the map: all landmarks are fitted on all views, duplicates and parts go.
   MapUpdate apply(const MapCorrection& correction);
   /// Every landmark that has not been merged away or given up, in order of id.
   std::vector<Landmark> landmarks() const;
