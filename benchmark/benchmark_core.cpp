@@ -6,8 +6,8 @@
 #include <memory>
 #include <vector>
 
+#include "map/landmark_fitter.h"
 #include "map/quadric_fit.h"
-#include "map/quadric_initialisation.h"
 #include "semantic_topo_loop/association/associator_options.h"
 #include "semantic_topo_loop/association/object_associator.h"
 #include "semantic_topo_loop/geometry/lie.h"

@@ -9,6 +9,19 @@
 
 namespace semantic_topo_loop::core {
 
+/// Largest angle between two of the lines from the cameras to the point, deg.
+double parallax_deg(const std::vector<BoxView>& views, const Vec3& point_world);
+/// A sphere from several boxes. Each side of a box that the image border does not cut is the trace of a plane through
+/// the camera that touches the object: n'(X - camera) = r, linear in the centre X and in the half-width and half-height
+/// r, solved by least squares with Cauchy weights. A box that is cut still counts with its other sides.
+/// @return nullopt for fewer than 2 views, views without parallax, or a centre behind many of the cameras
+std::optional<Ellipsoid> initialise_sphere(const Camera& camera, const std::vector<BoxView>& views);
+/// An ellipsoid from one whole box with a surface. The surface is that of the near side; what lies behind it is
+/// guessed: two axes along the image from the box, the third such that the object is as deep as it is wide and high in
+/// the mean, drawn halfway towards the volume of its class's typical size where that is known.
+/// @param size_prior_m typical diameter, 0 if unknown   @return nullopt without a surface, or if the box is cut
+std::optional<Ellipsoid> initialise_from_surface(const Camera& camera, const BoxView& view, double size_prior_m);
+
 /// Gives a landmark its ellipsoid from its boxes.
 class LandmarkFitter {
  public:

@@ -48,4 +48,15 @@ struct QuadricFit {
 std::optional<QuadricFit> refine_quadric(const Camera& camera, const std::vector<BoxView>& views,
                                          const Ellipsoid& initial, const QuadricFitOptions& options = {});
 
+/// Depth at which a ray meets an ellipsoid, with its derivatives as in BoxJacobian.
+struct RayDepth {
+  double depth = 0.0;  ///< in lengths of the ray's direction
+  Vec3 by_center = Vec3::Zero(), by_rotation = Vec3::Zero(), by_log_axes = Vec3::Zero();
+};
+
+/// A ray that passes near the outline or misses it is taken to end a little before its closest approach to the centre,
+/// so that the depth goes on smoothly.
+/// @return nullopt if the ellipsoid is behind the origin of the ray or around it
+std::optional<RayDepth> surface_depth(const Ellipsoid& ellipsoid, const Vec3& origin, const Vec3& direction);
+
 }  // namespace semantic_topo_loop::core

@@ -12,7 +12,6 @@
 #include "map/life_cycle.h"
 #include "map/mapped_landmark.h"
 #include "map/merging.h"
-#include "map/visibility.h"
 #include "semantic_topo_loop/map/mapper_options.h"
 #include "semantic_topo_loop/types/stamp.h"
 

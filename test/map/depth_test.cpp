@@ -5,8 +5,8 @@
 
 #include "geometry/object_points.h"
 #include "geometry/plane.h"
+#include "map/landmark_fitter.h"
 #include "map/quadric_fit.h"
-#include "map/quadric_initialisation.h"
 #include "semantic_topo_loop/geometry/quadric.h"
 #include "support/depth_scene.h"
 #include "support/look_at.h"

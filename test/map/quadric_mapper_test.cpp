@@ -4,8 +4,8 @@
 #include <limits>
 #include <random>
 
+#include "map/landmark_fitter.h"
 #include "map/quadric_fit.h"
-#include "map/quadric_initialisation.h"
 #include "semantic_topo_loop/geometry/lie.h"
 #include "semantic_topo_loop/geometry/quadric.h"
 #include "semantic_topo_loop/types/transform.h"
