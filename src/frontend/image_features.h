@@ -5,6 +5,7 @@
 #include <cstdint>
 #include <vector>
 
+#include "geometry/point_grid.h"
 #include "semantic_topo_loop/types/camera.h"
 
 namespace semantic_topo_loop::core {
@@ -52,11 +53,7 @@ struct ImageFeatures {
   std::size_t size() const { return features.size(); }
 
  private:
-  static constexpr int kCell_px = 20;  ///< about the radius of a search: few cells to visit, and few features in vain
-  int cell_of(double coordinate, int cells) const;
-  int columns_ = 0, rows_ = 0;
-  std::vector<int> begin_;  ///< of each cell in sorted_, row by row
-  std::vector<int> sorted_;
+  PointGrid grid_;
 };
 
 /// Bits out of 256 by which two views of one point differ at most: ORB-SLAM's thresholds (Mur-Artal, Montiel and Tardos

@@ -5,6 +5,7 @@
 #include <memory>
 #include <vector>
 
+#include "geometry/point_grid.h"
 #include "semantic_topo_loop/types/box.h"
 #include "semantic_topo_loop/types/camera.h"
 
@@ -28,18 +29,9 @@ class FramePoints {
   std::vector<SeenPoint> in(const Box& box, std::size_t count_max) const;
 
  private:
-  struct Cells {
-    int first_column, last_column, first_row, last_row;
-  };
-
-  int column(double u) const;
-  int row(double v) const;
-  Cells cells(const Box& box) const { return {column(box.x1), column(box.x2), row(box.y1), row(box.y2)}; }
-
   Camera camera_;
-  int columns_, rows_;
-  std::vector<std::uint32_t> cell_begin_;  ///< by cell, row by row; one more at the end
-  std::vector<SeenPoint> points_;          ///< by cell, within one in the order given
+  PointGrid grid_;
+  std::vector<SeenPoint> points_;  ///< in the order of the grid
 };
 
 /// What a frame saw of an object's near side: a few points spread over the middle of its box, camera frame, m.
