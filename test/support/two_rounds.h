@@ -6,7 +6,6 @@
 #include <utility>
 #include <vector>
 
-#include "map/quadric_fit.h"
 #include "semantic_topo_loop/geometry/lie.h"
 #include "semantic_topo_loop/geometry/quadric.h"
 #include "semantic_topo_loop/types/class_table.h"
