@@ -18,8 +18,8 @@
 namespace semantic_topo_loop::core {
 namespace {
 
-constexpr double kMinProjection_px = 2.0;  // of either side: what is smaller, a rounded box does not overlap reliably
-constexpr int kNoTrack = -1;               // as assign_max has it
+constexpr double kMinProjection_px = 2.0;         // of either side: no detector boxes what is smaller
+constexpr int kNoTrack = -1;                      // as assign_max has it
 constexpr double kProvisionalBaseline_deg = 3.0;  // with less parallax, boxes cannot have corrected a wrong depth
 
 /// Splits "2d,pro,3d"; nullopt for a name that is no level.
@@ -217,7 +217,8 @@ class ObjectAssociator::Impl {
   }
 
   bool is_recent(const Track& track, const Frame& frame) const {
-    return frame.frame_id - track.last_frame_id <= 2 ||
+    constexpr std::int64_t kFrames = 2;  // one frame missed, however slow the detector
+    return frame.frame_id - track.last_frame_id <= kFrames ||
            frame.stamp_ns - track.last_stamp_ns <= static_cast<std::int64_t>(options_.memory_s * 1e9);
   }
 

@@ -5,11 +5,11 @@
 namespace semantic_topo_loop::core {
 namespace {
 
-constexpr double kCell_m = 2.0;
-constexpr int kCellsMax = 5;  // along one side of an object, so that a broken size cannot fill the grid
+constexpr double kCell_m = 2.0;  // a desk: some hundred cells in a view of 10 m, and few landmarks in each
+constexpr int kCellsMax = 5;     // along one side of an object, so that a broken size cannot fill the grid
 
 std::int32_t cell_of(double coordinate) {
-  constexpr double kLimit = 1e6;
+  constexpr double kLimit = 1e6;  // in cells: 21 bits of a key hold them with their sign
   return static_cast<std::int32_t>(std::floor(std::clamp(coordinate / kCell_m, -kLimit, kLimit)));
 }
 

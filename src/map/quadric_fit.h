@@ -23,13 +23,12 @@ struct BoxView {
 };
 
 struct QuadricFitOptions {
-  int max_iterations = 12;
-  double sigma_px = 3.0;  ///< noise of a box edge: sigma_px + sigma_share * box size
+  int max_iterations = 12;  ///< of a fit that is repeated as views come in
+  double sigma_px = 3.0;    ///< noise of a box edge: sigma_px + sigma_share * box size
   double sigma_share = 0.1;
   double roundness_weight = 0.01;  ///< pull of the three log axes to their common start, per view
-  double min_depth_m = 0.2;
-  double surface_sigma_m = 0.01;  ///< of depth against the ellipsoid, beside the camera's noise: no object is one
-  double surface_share = 0.15;    ///< the same, as a share of the ellipsoid's radius
+  double surface_sigma_m = 0.01;   ///< of depth against the ellipsoid, beside the camera's noise: no object is one
+  double surface_share = 0.15;     ///< the same, as a share of the ellipsoid's radius
 };
 
 /// An ellipsoid with the evidence of its fit.
