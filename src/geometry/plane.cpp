@@ -10,9 +10,9 @@
 namespace semantic_topo_loop::core {
 namespace {
 
-constexpr std::uint64_t kSeed = 1;
-constexpr std::size_t kMinInliers = 6;
-constexpr double kMinSpread = 1e-6;  // of the inliers' second direction, m^2: three points in a row are no plane
+constexpr std::uint64_t kSeed = 1;      // any: the same points give the same plane
+constexpr std::size_t kMinInliers = 6;  // three that define it and as many that agree
+constexpr double kMinSpread = 1e-6;     // of the inliers' second direction, m^2: three points in a row are no plane
 
 std::optional<Plane> through(const Vec3& a, const Vec3& b, const Vec3& c) {
   const Vec3 normal = (b - a).cross(c - a);
@@ -53,7 +53,7 @@ std::optional<Plane> least_squares(const std::vector<Vec3>& points, const std::v
 }  // namespace
 
 double plane_tolerance_m(double depth_m) {
-  constexpr double kUneven_m = 0.005;
+  constexpr double kUneven_m = 0.005;  // of table tops and walls, with what lies flat on them
   return kUneven_m + 2.5 * depth_sigma_m(depth_m);
 }
 

@@ -15,6 +15,8 @@ bool tangents(double C_ii, double C_i2, double C_22, double* low, double* high) 
   return true;
 }
 
+/// m^2, of the centre's squared depth less that of the extent along the axis: with less the camera touches the surface,
+/// and the conic's outline is lost in rounding.
 constexpr double kMinDepthSquared = 1e-9;
 
 }  // namespace

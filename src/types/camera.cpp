@@ -22,7 +22,7 @@ inline void distort_normalised(const std::array<double, 5>& d, const Vec2& p, Ve
 Vec2 undistort_pixel(const Camera& camera, const Vec2& pixel) {
   const Vec2 target((pixel.x() - camera.cx) / camera.fx, (pixel.y() - camera.cy) / camera.fy);
   Vec2 p = target;
-  constexpr int kMaxIterations = 20;
+  constexpr int kMaxIterations = 20;  // TUM's lenses take up to 4; the rest is for stronger ones
   for (int i = 0; i < kMaxIterations; ++i) {
     Vec2 distorted;
     Eigen::Matrix2d jacobian;

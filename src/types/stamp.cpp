@@ -22,7 +22,7 @@ std::optional<long> parse_exponent(std::string_view text) {
   text.remove_prefix(1);
   const bool negative = !text.empty() && text.front() == '-';
   if (!text.empty() && (text.front() == '-' || text.front() == '+')) text.remove_prefix(1);
-  constexpr std::size_t kMaxDigits = 4;
+  constexpr std::size_t kMaxDigits = 4;  // more than doubles have, and no overflow below
   if (text.empty() || text.size() > kMaxDigits || !std::all_of(text.begin(), text.end(), is_digit)) return std::nullopt;
   long exponent = 0;
   for (const char c : text) exponent = 10 * exponent + (c - '0');

@@ -13,7 +13,7 @@ namespace semantic_topo_loop::core {
 namespace {
 
 constexpr int kBursts = 3;
-constexpr std::size_t kBurstFrames = 8;
+constexpr std::size_t kBurstFrames = 8;  // 0.3 s at 30 Hz: blur, or a person who walks through the view
 
 /// The error of one step in the camera frame: `scaled` parts are multiplied until the level is met, `fixed` ones are
 /// not.
@@ -195,7 +195,7 @@ class PositionError {
   }
 
  private:
-  static constexpr int kIterations = 60;
+  static constexpr int kIterations = 60;  ///< (2/3)^60 of the interval: below rounding in the files
 
   /// In [-bound, bound], by ternary search.
   double minimiser(double bound) const {
@@ -228,7 +228,7 @@ std::optional<std::vector<SE3>> scale_errors(const Replay& replay, const std::ve
                                              const DriftOptions& options) {
   const auto rotation_error = [&](double s) { return replay.rotation_error(replay.integrate(errors, s, 0.0)); };
   const double level_rad = radians(options.rotation_deg);
-  constexpr double kRounding = 1e-6;
+  constexpr double kRounding = 1e-6;  // rad
   if (rotation_error(0.0) > level_rad + kRounding) return std::nullopt;
   const double rotation_scale = scale_to_level(rotation_error, level_rad);
   const std::optional<double> translation_scale =
@@ -244,7 +244,7 @@ Result<std::vector<SE3>> drift_poses(const std::vector<SE3>& T_world_camera, con
   if (T_world_camera.size() < 2 || (options.position_m == 0.0 && options.rotation_deg == 0.0)) return T_world_camera;
   const Replay replay(T_world_camera);
   Random random(seed);
-  constexpr int kMaxDraws = 50;
+  constexpr int kMaxDraws = 50;  // of errors; if none of so many meets both levels, these contradict each other
   for (int i = 0; i < kMaxDraws; ++i) {
     const std::vector<StepError> errors =
         options.model == "jump" ? jump_errors(replay, options, &random) : smooth_errors(replay, &random);

@@ -46,7 +46,7 @@ class FalseLoops {
   std::vector<LoopClosure> make() {
     const int last = static_cast<int>(keyframes_.size()) - 1, gap = std::max(1, options_.min_gap_keyframes);
     if (last < gap) return {};
-    constexpr int kAttempts = 20;
+    constexpr int kAttempts = 20;  // a loop: most pairs are free unless nearly all are taken
     for (int i = 0; i < kAttempts * options_.count && missing() > 0; ++i) {
       const int query = random_.integer(gap, last), match = random_.integer(0, query - gap);
       add_cluster(query, match);
@@ -68,7 +68,7 @@ class FalseLoops {
     int q = query, m = match;
     for (int i = 0; i < members; ++i) {
       add(q, m, motion(m, match) * T_match_query * motion(query, q));
-      constexpr int kMaxStep = 2;
+      constexpr int kMaxStep = 2;  // keyframes: neighbouring, as a place seen for a while gives them
       q = std::min(q + random_.integer(1, kMaxStep), static_cast<int>(keyframes_.size()) - 1);
       m = std::min(m + random_.integer(0, kMaxStep), q - std::max(1, options_.min_gap_keyframes));
     }
@@ -76,7 +76,7 @@ class FalseLoops {
 
   SE3 error() {
     const Vec3 t = options_.distance_m * random_.uniform(1.0, 2.0) * random_.direction();
-    constexpr double kMaxAngle_deg = 180.0;
+    constexpr double kMaxAngle_deg = 180.0;  // beyond, the rotation is less again
     const double angle_deg = std::min(options_.rotation_deg * random_.uniform(1.0, 2.0), kMaxAngle_deg);
     return {so3_exp(radians(angle_deg) * random_.direction()), t};
   }
