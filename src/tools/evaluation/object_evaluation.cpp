@@ -92,7 +92,7 @@ double Detectability::f() const {
 }
 
 double match_radius_m(const Vec3& semi_axes) {
-  constexpr double kMinRadius = 0.15;
+  constexpr double kMinRadius = 0.15;  // m: a cup's length, so that small objects need not be placed to centimetres
   return std::max(kMinRadius, 0.5 * semi_axes.maxCoeff());
 }
 

@@ -67,7 +67,7 @@ LoopRecord read_loop(CsvTable& table) {
 }
 
 double sigma(CsvTable& table, const std::string& column, double usual) {
-  constexpr double kNotComputed = -1.0;
+  constexpr double kNotComputed = -1.0;  // as loops.csv has it
   const double value = table.has(column) ? table.number(column) : kNotComputed;
   if (value == kNotComputed) return usual;
   if (!(value > 0.0)) table.reject(column, "must be > 0");
@@ -88,7 +88,7 @@ LoopClosure read_given_loop(CsvTable& table) {
   loop.accepted = record.accepted;
   loop.reason = record.accepted ? LoopReason::kAccepted : LoopReason::kTooFewObjects;
   loop.T_match_query = record.T_match_query;
-  constexpr double kSigma_m = 0.05, kSigma_deg = 1.7;
+  constexpr double kSigma_m = 0.05, kSigma_deg = 1.7;  // of a usual loop, where the file states none
   const double sigma_m = sigma(table, "sigma_m", kSigma_m), sigma_rad = radians(sigma(table, "sigma_deg", kSigma_deg));
   Vec6 variances;
   variances << Vec3::Constant(sigma_m * sigma_m / 3.0), Vec3::Constant(sigma_rad * sigma_rad / 3.0);

@@ -6,6 +6,7 @@
 namespace semantic_topo_loop::core {
 namespace {
 
+// The room: its walls stand clear of the furniture and of the camera's way, which keeps near depth out of the images.
 constexpr double kFurnitureGap_m = 0.15;
 constexpr double kCameraGap_m = 0.7;
 constexpr double kMinHeight_m = 2.6;
@@ -17,7 +18,7 @@ void include(const Vec3& center, double radius, Vec3* low, Vec3* high) {
 }
 
 constexpr double kTableThickness_m = 0.03;
-constexpr double kLeg_m = 0.025;
+constexpr double kLeg_m = 0.025;  ///< half a side
 
 SE3 at(double x, double y, double z) { return {Quaternion::Identity(), {x, y, z}}; }
 
@@ -128,7 +129,7 @@ class Shapes {
   std::vector<DrawnShape> shapes_;
 };
 
-constexpr double kNear_m = 0.02;
+constexpr double kNear_m = 0.02;  ///< nearer corners count as behind the camera
 
 const Box kEverywhere{-1e6, -1e6, 1e6, 1e6};
 

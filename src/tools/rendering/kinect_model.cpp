@@ -13,14 +13,15 @@ constexpr float kNone = std::numeric_limits<float>::quiet_NaN();
 constexpr float kFar = std::numeric_limits<float>::infinity();
 constexpr float kBaseline_m = 0.075F;                    ///< from the camera to the projector, along +x
 constexpr float kDisparity_px_m = 580.0F * kBaseline_m;  ///< disparity (px) times range
+// Khoshelham and Elberink, Sensors 2012: disparity in eighths of a pixel, f = 580 px.
 constexpr float kDisparityNoise_px = 0.05F;
 constexpr float kDisparityStep_px = 0.125F;
-constexpr float kNear_m = 0.4F;
-constexpr float kSurelySeen_m = 4.5F, kNeverSeen_m = 6.0F;
-constexpr float kGrazingCosine = 0.10F, kSafeCosine = 0.22F;
-constexpr float kLostShare = 0.002F;
-constexpr float kColorNoise = 2.2F;   ///< grey levels
-constexpr float kVignetting = 0.22F;  ///< lost in the corners
+constexpr float kNear_m = 0.4F;                               ///< nothing is seen nearer
+constexpr float kSurelySeen_m = 4.5F, kNeverSeen_m = 6.0F;    ///< between these, ever less
+constexpr float kGrazingCosine = 0.10F, kSafeCosine = 0.22F;  ///< of the angle of incidence: no depth, all depth
+constexpr float kLostShare = 0.002F;                          ///< of the other pixels, at random
+constexpr float kColorNoise = 2.2F;                           ///< grey levels
+constexpr float kVignetting = 0.22F;                          ///< lost in the corners
 
 /// Many numbers quickly (xorshift64*, Marsaglia 2003; Vigna 2016), one generator a row.
 class FastRandom {

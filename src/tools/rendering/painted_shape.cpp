@@ -120,7 +120,7 @@ void paint_screen(Canvas* canvas) {
 
 void paint_keys(Canvas* canvas) {
   const Area all = canvas->all();
-  constexpr double kKey_m = 0.019;
+  constexpr double kKey_m = 0.019;  // from key to key (ISO 9995)
   for (double y = 0.008; y + kKey_m < all.height; y += kKey_m) {
     for (double x = 0.008; x + kKey_m < all.width; x += kKey_m) {
       const double wide = canvas->random().chance(0.12) ? 2.0 : 1.0;
@@ -303,7 +303,7 @@ using Texel = std::uint32_t;  ///< BGRX
 /// Mixes the four bytes two at a time. This is where rendering spends most of its time.
 /// @param weight of b, [0, 256]
 Texel mix(Texel a, Texel b, Texel weight) {
-  constexpr Texel kEven = 0x00ff00ff;
+  constexpr Texel kEven = 0x00ff00ff;  // the bytes in even places
   const Texel even = ((a & kEven) * (256 - weight) + (b & kEven) * weight) >> 8;
   const Texel odd = ((a >> 8) & kEven) * (256 - weight) + ((b >> 8) & kEven) * weight;
   return (even & kEven) | (odd & ~kEven);

@@ -31,7 +31,7 @@ std::string depth_name(const SimulatedSequence& sequence, std::size_t frame) {
 
 /// 16-bit depth.
 cv::Mat quantised(const cv::Mat& depth_m, const RenderingOptions& options) {
-  constexpr double kLargest = 65534.0;
+  constexpr double kLargest = 65534.0;  // 65535 may mean "out of range"
   cv::Mat result(depth_m.size(), CV_16UC1);
   const auto far_value = static_cast<std::uint16_t>(options.far_value);
   for (int y = 0; y < depth_m.rows; ++y) {

@@ -7,7 +7,7 @@
 namespace semantic_topo_loop::core {
 namespace {
 
-constexpr int kTile_px = 16;
+constexpr int kTile_px = 16;       ///< side of the squares for which the shapes in reach are collected
 constexpr float kAmbient = 0.62F;  ///< share of the light that comes from everywhere
 
 /// Towards the lamp, in the room.

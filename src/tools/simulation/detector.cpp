@@ -8,7 +8,7 @@ namespace {
 constexpr double kFullyVisible = 0.8;   ///< unoccluded share from which occlusion costs no detection
 constexpr double kSizeSlope = 0.2;      ///< width of the transition around small_box_px, share of it
 constexpr double kPhantomLife = 0.125;  ///< of persistence_s: false boxes flicker
-constexpr double kMinBoxSide_px = 2.0;
+constexpr double kMinBoxSide_px = 2.0;  ///< smaller ones are not written
 
 double normal_cdf(double x) { return 0.5 * std::erfc(-x / std::sqrt(2.0)); }
 

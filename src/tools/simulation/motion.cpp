@@ -8,10 +8,10 @@ namespace semantic_topo_loop::core {
 namespace {
 
 // The robot.
-constexpr double kStopPeriod_s = 11.0;
-constexpr double kScan_deg = 35.0;
-constexpr double kMount_deg = 55.0;  ///< of the camera, from the way it drives towards the desks
-constexpr double kTilt_deg = 18.0;   ///< of the camera, downwards
+constexpr double kStopPeriod_s = 11.0;  ///< three or four stops a lap
+constexpr double kScan_deg = 35.0;      ///< of the look around at a stop: 20 deg to either side, as it dies away
+constexpr double kMount_deg = 55.0;     ///< of the camera, from the way it drives towards the desks
+constexpr double kTilt_deg = 18.0;      ///< of the camera, downwards
 
 /// Rotation of a level camera's optical frame.
 Mat3 looking(const Vec3& direction) {
@@ -22,14 +22,14 @@ Mat3 looking(const Vec3& direction) {
   return R_world_camera;
 }
 
-constexpr int kPerson = 0;
-constexpr double kWalkSpeed_m_s = 1.2;  ///< m/s
+constexpr int kPerson = 0;              ///< COCO
+constexpr double kWalkSpeed_m_s = 1.2;  ///< an unhurried walk
 constexpr double kWalk_s = 6.0;         ///< long enough to begin and end outside the view
 constexpr double kNearShare = 0.55;     ///< of the way from what the camera looks at to the camera
 constexpr double kFar_m = 1.2;          ///< behind what the camera looks at
 constexpr double kWalkTilt_deg = 20.0;  ///< largest angle between a walk and the image plane
-constexpr double kMinMove_m = 0.5;
-constexpr int kMaxTries = 300;
+constexpr double kMinMove_m = 0.5;      ///< on the same desk: several times the size of what is moved
+constexpr int kMaxTries = 300;          ///< for a free place; without one an object stays
 
 /// COCO ids of what people carry about, in the order in which it is moved: cup, bottle, bowl, vase, apple, orange,
 /// clock, remote, cell phone, book.
@@ -39,7 +39,7 @@ Vec3 horizontal(const Vec3& v) { return {v.x(), v.y(), 0.0}; }
 
 /// Where the camera's axis meets the height of the table tops; a point far ahead if it does not look down.
 Vec3 looked_at(const SE3& T_world_camera, double table_height_m) {
-  constexpr double kFarAhead_m = 3.0;
+  constexpr double kFarAhead_m = 3.0;  // about the far side of a desk
   const Vec3 forward = T_world_camera.rotation().col(2);
   const double drop = T_world_camera.t.z() - table_height_m;
   const double range = forward.z() < 0.0 && drop > 0.0 ? drop / -forward.z() : kFarAhead_m;
@@ -168,7 +168,7 @@ Lap::Station Lap::station(double laps) const {
 
 Lap::Station Lap::smooth_station(double laps) const {
   // A moving average rounds the corners of the pace, where straight meets arc.
-  constexpr int kSamples = 16;
+  constexpr int kSamples = 16;  // so that a step of the average is below a hundredth of a lap
   constexpr double kWindowLaps = 0.1;
   Station mean;
   for (int i = 0; i < kSamples; ++i) {

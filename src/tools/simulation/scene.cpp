@@ -8,9 +8,9 @@
 namespace semantic_topo_loop::core {
 namespace {
 
-constexpr double kTableHeight_m = 0.74;
-constexpr int kMaxTries = 300;
-constexpr double kDeskPitch_m = 2.2;  ///< office: between the middles of two desks
+constexpr double kTableHeight_m = 0.74;  ///< of office desks (EN 527)
+constexpr int kMaxTries = 300;           ///< for a free place; without one an object is left out
+constexpr double kDeskPitch_m = 2.2;     ///< office: between the middles of two desks
 
 // COCO class ids of the objects that a desk may carry.
 enum Class : int {
@@ -221,7 +221,7 @@ constexpr int kGrid = 14;  ///< samples a side with which occlusion is measured
 
 /// Where the lens model is trusted: the undistorted image with a margin. Farther out the polynomial may fold back.
 Box undistorted_bounds(const Camera& camera) {
-  constexpr int kSteps = 8;
+  constexpr int kSteps = 8;  // along each side of the image, whose undistorted outline is smooth
   const double w = camera.width, h = camera.height;
   Box bounds{0.0, 0.0, w, h};
   for (int i = 0; i <= kSteps; ++i) {

@@ -11,9 +11,9 @@
 namespace semantic_topo_loop::core {
 namespace {
 
-constexpr std::int64_t kFirstStamp_ns = 1400000000000000000;
-constexpr double kMocapRate_hz = 100.0;
-constexpr double kMocapMargin_s = 0.5;  ///< before the first and after the last image
+constexpr std::int64_t kFirstStamp_ns = 1400000000000000000;  ///< any: ten digits of seconds as in recordings
+constexpr double kMocapRate_hz = 100.0;                       ///< of the TUM RGB-D benchmark's motion capture
+constexpr double kMocapMargin_s = 0.5;                        ///< before the first and after the last image
 
 /// Whole microseconds, so that six decimals in a file are exact.
 std::int64_t stamp_at(double time_s) { return kFirstStamp_ns + 1000 * std::llround(1e6 * time_s); }
