@@ -10,7 +10,7 @@
 #include <vector>
 
 #include "loop/graph/graph_detector.h"
-#include "loop/graph/graph_matcher.h"
+#include "loop/submap/graph_matcher.h"
 #include "semantic_topo_loop/geometry/lie.h"
 
 namespace semantic_topo_loop::core {

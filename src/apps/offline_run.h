@@ -6,7 +6,7 @@
 #include <vector>
 
 #include "apps/sample_source.h"
-#include "loop/graph/local_map.h"
+#include "loop/submap/submap_builder.h"
 #include "semantic_topo_loop/io/detection_reader.h"
 #include "semantic_topo_loop/io/run_recorder.h"
 #include "semantic_topo_loop/pipeline/options.h"

@@ -11,7 +11,7 @@
 #include "association/levels.h"
 #include "association/track_store.h"
 #include "geometry/assignment.h"
-#include "geometry/object_points.h"
+#include "geometry/depth_points.h"
 #include "semantic_topo_loop/geometry/quadric.h"
 #include "semantic_topo_loop/types/stamp.h"
 

@@ -6,7 +6,7 @@
 #include <opencv2/features2d.hpp>
 #include <opencv2/imgproc.hpp>
 
-#include "geometry/depth_noise.h"
+#include "geometry/depth_points.h"
 
 namespace semantic_topo_loop::core {
 namespace {

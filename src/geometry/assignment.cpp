@@ -21,7 +21,7 @@ class MinCostAssignment {
   const std::vector<int>& row_of_column() const { return row_of_column_; }
 
  private:
-  static constexpr int kFree = -1;
+  static constexpr int kFree = -1;  ///< in place of a row or column
 
   void augment(int start_row) {
     const auto n = static_cast<std::size_t>(cost_.cols());
@@ -102,7 +102,7 @@ struct Component {
 
 /// Pairs of a row and a column that have no other choice, which is most of what there is.
 std::vector<int> lone_pairs(const Scores& score) {
-  constexpr int kNone = -1, kSeveral = -2;
+  constexpr int kNone = -1, kSeveral = -2;  // in place of a column
   std::vector<int> column_of_row(static_cast<std::size_t>(score.rows()), kNone);
   std::vector<bool> is_shared(static_cast<std::size_t>(score.cols()), false);
   for (int j = 0; j < score.cols(); ++j) {

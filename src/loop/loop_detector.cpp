@@ -8,21 +8,21 @@
 #include <sstream>
 
 #include "loop/graph/graph_detector.h"
-#include "loop/graph/local_map.h"
-#include "loop/graph/observation_window.h"
 #include "loop/graph/odometry_monitor.h"
 #include "loop/graph/relocalisation.h"
-#include "loop/graph/up_estimator.h"
 #include "loop/pair_record.h"
 #include "loop/paper/paper_detector.h"
+#include "loop/submap/observation_window.h"
+#include "loop/submap/submap_builder.h"
+#include "loop/submap/up_estimator.h"
 #include "odometry/burst_watch.h"
 #include "semantic_topo_loop/loop/loop_options.h"
 
 namespace semantic_topo_loop::core {
 namespace {
 
-constexpr std::int64_t kSettleNs = 300'000'000;  ///< a jump may take several frames
-constexpr std::size_t kRecordCapacity = 50'000;  ///< decisions that can be explained without a new comparison
+constexpr std::int64_t kSettle_ns = 300'000'000;  ///< a jump may take several frames
+constexpr std::size_t kRecordCapacity = 50'000;   ///< decisions that are explained without a new comparison: some 10 MB
 
 /// The submaps of an earlier run are never too recent, whatever its clock said.
 LoopOptions without_gap(LoopOptions options) {
@@ -215,7 +215,7 @@ class LoopDetector::Impl {
     // apart.
     if (has_shift) {
       ++segment_;
-      settled_ns_ = frame.stamp_ns + kSettleNs;
+      settled_ns_ = frame.stamp_ns + kSettle_ns;
     }
     const std::optional<double> drift = monitor_.drift_rad_s();
     if (drift) window_.set_span(std::clamp(window_drift_rad_ / std::max(*drift, 1e-9), min_window_s_, window_s_));

@@ -3,7 +3,7 @@
 #include <map>
 #include <vector>
 
-#include "geometry/object_points.h"
+#include "geometry/depth_points.h"
 #include "map/mapped_landmark.h"
 #include "semantic_topo_loop/map/mapper_options.h"
 #include "semantic_topo_loop/types/detection.h"

@@ -9,7 +9,7 @@
 #include <deque>
 
 #include "geometry/ceres_compat.h"
-#include "geometry/depth_noise.h"
+#include "geometry/depth_points.h"
 #include "geometry/statistics.h"
 #include "semantic_topo_loop/geometry/lie.h"
 #include "semantic_topo_loop/geometry/quadric.h"

@@ -4,7 +4,7 @@
 #include <optional>
 #include <vector>
 
-#include "geometry/object_points.h"
+#include "geometry/depth_points.h"
 #include "semantic_topo_loop/geometry/quadric.h"
 #include "semantic_topo_loop/types/camera.h"
 

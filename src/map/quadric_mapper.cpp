@@ -7,7 +7,7 @@
 #include <optional>
 #include <set>
 
-#include "geometry/object_points.h"
+#include "geometry/depth_points.h"
 #include "map/landmark_fitter.h"
 #include "map/life_cycle.h"
 #include "map/mapped_landmark.h"

@@ -1,4 +1,4 @@
-#include "loop/graph/graph_matcher.h"
+#include "loop/submap/graph_matcher.h"
 
 #include <gtest/gtest.h>
 
@@ -6,7 +6,7 @@
 #include <cmath>
 #include <limits>
 
-#include "loop/graph/clique_search.h"
+#include "loop/graph/graph_detector.h"
 #include "semantic_topo_loop/geometry/lie.h"
 #include "support/synthetic_desk.h"
 
@@ -248,6 +248,57 @@ TEST(CliqueSearch, FindsAPlantedClique) {
 TEST(CliqueSearch, HandlesEmptyAndLooseGraphs) {
   EXPECT_TRUE(largest_clique(BitGraph(0), 100).empty());
   EXPECT_EQ(largest_clique(BitGraph(5), 100).size(), 1u);
+}
+
+std::vector<LabelledPoint> random_points(std::mt19937_64& random, int count) {
+  std::vector<LabelledPoint> points;
+  for (int i = 0; i < count; ++i) {
+    LabelledPoint point;
+    point.position = Vec3(uniform(random, -1, 1), uniform(random, -1, 1), uniform(random, 0, 0.5));
+    point.label = static_cast<int>(uniform(random, 0, 8));
+    point.size = 0.1;
+    points.push_back(point);
+  }
+  return points;
+}
+
+TEST(SubmapIndex, FindsTheSubmapThatSharesObjects) {
+  std::mt19937_64 random(1);
+  SubmapIndexOptions options;
+  options.max_candidates = 5;
+  SubmapIndex index(options);
+  std::vector<std::vector<LabelledPoint>> maps;
+  for (int i = 0; i < 200; ++i) {
+    maps.push_back(random_points(random, 12));
+    index.insert(maps.back());
+  }
+  ASSERT_EQ(index.size(), 200);
+  const SE3 T_query_map(so3_exp(Vec3(0.4, -1.0, 2.0)), Vec3(3.0, 1.0, -2.0));
+  for (int i = 0; i < 200; i += 10) {
+    std::vector<LabelledPoint> query(maps[static_cast<std::size_t>(i)].begin(),
+                                     maps[static_cast<std::size_t>(i)].begin() + 8);
+    for (LabelledPoint& point : query) point.position = T_query_map * point.position;
+    const std::vector<int> candidates = index.query(query, 200);
+    EXPECT_LE(candidates.size(), 5u);
+    EXPECT_TRUE(std::is_sorted(candidates.begin(), candidates.end()));
+    EXPECT_TRUE(std::count(candidates.begin(), candidates.end(), i) == 1) << i;
+    const std::vector<int> before = index.query(query, i);
+    EXPECT_TRUE(before.empty() || before.back() < i) << "submaps from `end` on are left out";
+  }
+}
+
+TEST(SubmapIndex, BadPointsAreLeftOut) {
+  std::mt19937_64 random(2);
+  SubmapIndex index{SubmapIndexOptions()};
+  std::vector<LabelledPoint> points = random_points(random, 8);
+  points[0].position.x() = std::nan("");
+  points[1].label = -1;
+  points[2].position = points[3].position;
+  points[4].position.y() = 1e300;
+  index.insert(points);
+  index.insert({});
+  EXPECT_EQ(index.query({}, 2).size(), 0u);
+  for (const int candidate : index.query(points, 2)) EXPECT_EQ(candidate, 0);
 }
 
 }  // namespace

@@ -7,7 +7,7 @@
 #include <set>
 #include <utility>
 
-#include "loop/graph/local_map.h"
+#include "loop/submap/submap_builder.h"
 #include "semantic_topo_loop/geometry/lie.h"
 #include "semantic_topo_loop/io/detection_reader.h"
 #include "semantic_topo_loop/io/tum_trajectory.h"

@@ -3,8 +3,7 @@
 #include <cmath>
 #include <limits>
 
-#include "geometry/object_points.h"
-#include "geometry/plane.h"
+#include "geometry/depth_points.h"
 #include "map/landmark_fitter.h"
 #include "map/quadric_fit.h"
 #include "semantic_topo_loop/geometry/quadric.h"

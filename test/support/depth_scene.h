@@ -6,7 +6,7 @@
 #include <random>
 #include <vector>
 
-#include "geometry/depth_noise.h"
+#include "geometry/depth_points.h"
 #include "semantic_topo_loop/geometry/quadric.h"
 #include "semantic_topo_loop/types/camera.h"
 

@@ -8,8 +8,8 @@
 #include <string>
 #include <vector>
 
-#include "loop/graph/local_map.h"
-#include "loop/graph/spheroid.h"
+#include "loop/submap/spheroid.h"
+#include "loop/submap/submap_builder.h"
 #include "semantic_topo_loop/loop/loop_detector.h"
 #include "semantic_topo_loop/loop/loop_options.h"
 #include "semantic_topo_loop/pipeline/frame_builder.h"

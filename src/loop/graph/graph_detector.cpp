@@ -5,20 +5,34 @@
 #include <iterator>
 #include <set>
 
-#include "loop/graph/loop_evidence.h"
+#include "loop/submap/submap_refiner.h"
 
 namespace semantic_topo_loop::core {
 namespace {
 
+/// Calls f(label, label, distance) for every pair of usable points.
+template <class F>
+void for_each_pair(const std::vector<LabelledPoint>& points, double min_distance_m, F f) {
+  for (std::size_t i = 0; i < points.size(); ++i) {
+    if (points[i].label < 0) continue;
+    for (std::size_t j = i + 1; j < points.size(); ++j) {
+      const double distance = (points[i].position - points[j].position).norm();
+      if (points[j].label < 0 || !(distance > min_distance_m) || !std::isfinite(distance)) continue;
+      f(points[i].label, points[j].label, distance);
+    }
+  }
+}
+
+/// Objects of an alignment worth a verdict, and of a submap worth keeping: three fit somewhere in most places.
 constexpr int kMinCandidateInliers = 4;
 /// Of the shortest window: a submap shorter than that, after a break or at the start, is not kept.
 constexpr double kMinSpanShare = 0.8;
 /// Submaps that share more than this of their time tell of one place.
 constexpr double kSamePlace = 0.5;
-/// m; an odometry without a noticed break is at most this wrong over a short time, jumps that nobody saw included.
-constexpr double kMinDisagreement = 2.5;
-constexpr double kDriftDepth = 2.0;   ///< m; turns apparent drift into metres
-constexpr double kDriftFactor = 2.0;  ///< on the drift observed
+/// An odometry without a noticed break is at most this wrong over a short time, jumps that nobody saw included.
+constexpr double kMinDisagreement_m = 2.5;
+constexpr double kDriftDepth_m = 2.0;  ///< of the usual object: turns apparent drift, an angle, into metres
+constexpr double kDriftFactor = 2.0;   ///< on the drift observed
 
 GraphMatcherOptions matcher_options(const LoopOptions& options) {
   GraphMatcherOptions matcher;
@@ -68,11 +82,67 @@ SE3 implied_pose(const LocalMap& match, const GraphMatch& alignment) { return ma
 bool are_apart(const LocalMap& map_p, const SE3& p, const LocalMap& map_q, const SE3& q) {
   if (map_p.segment != map_q.segment) return false;
   const double time_s = 1e-9 * static_cast<double>(std::abs(map_p.stamp_ns - map_q.stamp_ns));
-  const double drift_m = std::max(map_p.drift_rad_s, map_q.drift_rad_s) * kDriftDepth * time_s;
-  return (p.t - q.t).norm() > kMinDisagreement + kDriftFactor * drift_m;
+  const double drift_m = std::max(map_p.drift_rad_s, map_q.drift_rad_s) * kDriftDepth_m * time_s;
+  return (p.t - q.t).norm() > kMinDisagreement_m + kDriftFactor * drift_m;
 }
 
 }  // namespace
+
+SubmapIndex::Key SubmapIndex::key(int label_p, int label_q, int bin) {
+  const auto low = static_cast<Key>(std::min(label_p, label_q)), high = static_cast<Key>(std::max(label_p, label_q));
+  return low << 40 | high << 20 | static_cast<Key>(bin);
+}
+
+int SubmapIndex::bin(double distance_m) const {
+  constexpr double kMaxBin = 1e6;  // fits the 20 bits that a key has for it
+  return static_cast<int>(std::min(std::max(distance_m, 0.0) / options_.distance_tolerance_m, kMaxBin));
+}
+
+void SubmapIndex::insert(const std::vector<LabelledPoint>& points) {
+  for_each_pair(points, options_.min_distance_m, [this](int p, int q, double distance) {
+    std::vector<int>& submaps = submaps_of_[key(p, q, bin(distance))];
+    if (submaps.empty() || submaps.back() != size_) submaps.push_back(size_);
+  });
+  ++size_;
+}
+
+std::vector<int> SubmapIndex::agreeing_pairs(const std::vector<LabelledPoint>& points, int end) const {
+  std::vector<int> edges(static_cast<std::size_t>(std::max(end, 0)), 0);
+  std::vector<int> last_pair(edges.size(), -1);
+  int pair = 0;
+  for_each_pair(points, options_.min_distance_m, [&](int p, int q, double distance) {
+    const double tolerance = options_.distance_tolerance_m + options_.distance_tolerance_share * distance;
+    for (int b = bin(distance - tolerance); b <= bin(distance + tolerance); ++b) {
+      const auto entry = submaps_of_.find(key(p, q, b));
+      if (entry == submaps_of_.end()) continue;
+      for (const int submap : entry->second) {
+        if (submap >= end) break;
+        int& last = last_pair[static_cast<std::size_t>(submap)];
+        if (last == pair) continue;
+        last = pair;
+        ++edges[static_cast<std::size_t>(submap)];
+      }
+    }
+    ++pair;
+  });
+  return edges;
+}
+
+std::vector<int> SubmapIndex::query(const std::vector<LabelledPoint>& points, int end) const {
+  const std::vector<int> edges = agreeing_pairs(points, end);
+  std::vector<int> candidates;
+  for (int submap = 0; submap < end; ++submap) {
+    if (edges[static_cast<std::size_t>(submap)] >= options_.min_edges) candidates.push_back(submap);
+  }
+  if (static_cast<int>(candidates.size()) > options_.max_candidates) {
+    std::stable_sort(candidates.begin(), candidates.end(), [&edges](int p, int q) {
+      return edges[static_cast<std::size_t>(p)] > edges[static_cast<std::size_t>(q)];
+    });
+    candidates.resize(static_cast<std::size_t>(options_.max_candidates));
+    std::sort(candidates.begin(), candidates.end());
+  }
+  return candidates;
+}
 
 GraphDetector::GraphDetector(const LoopOptions& options)
     : options_(options),
@@ -91,6 +161,7 @@ int GraphDetector::old_enough(const LocalMap& query) const {
 /// With a free scale the index is asked at every scale that its tolerance tells from the next.
 std::vector<int> GraphDetector::propose(const std::vector<LabelledPoint>& points, int end) const {
   if (options_.scale != "free") return index_.query(points, end);
+  // Of log scale: at a distance of a metre the tolerances of 0.06 m + 0.03 cover 9 %, so that no scale falls between.
   constexpr double kStep = 0.08;
   const int steps = static_cast<int>(std::ceil(std::log(kMaxScale) / kStep));
   std::set<int> numbers;

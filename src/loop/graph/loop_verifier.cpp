@@ -7,8 +7,8 @@
 namespace semantic_topo_loop::core {
 namespace {
 
-constexpr double kObjectSeenShare = 0.3;
-constexpr int kMinExpected = 2;
+constexpr double kObjectSeenShare = 0.3;  ///< of the frames that should see an object: detectors miss it in many
+constexpr int kMinExpected = 2;           ///< frames that should see it; one alone may be hidden or cut
 
 const LocalObject& object(const LocalMap& map, int i) { return map.objects[static_cast<std::size_t>(i)]; }
 

@@ -2,8 +2,8 @@
 
 #include <optional>
 
-#include "loop/graph/graph_matcher.h"
-#include "loop/graph/local_map.h"
+#include "loop/submap/graph_matcher.h"
+#include "loop/submap/submap_builder.h"
 #include "semantic_topo_loop/loop/loop_options.h"
 #include "semantic_topo_loop/types/loop_closure.h"
 
@@ -22,7 +22,9 @@ struct Verdict {
   std::optional<Reprojection> reprojection;  ///< each figure the worse of both ways; none if a test before it failed
 };
 
-/// The acceptance tests of design.md section 5, steps 4 and 6.
+/// The acceptance tests of an alignment between two submaps: enough objects and classes, spread out and well aligned,
+/// no alternative nearly as good, not mirrored, upright, and each side's detections explained by the other side's
+/// objects.
 class LoopVerifier {
  public:
   explicit LoopVerifier(const LoopOptions& options) : options_(options) {}

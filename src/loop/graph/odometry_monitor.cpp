@@ -11,13 +11,13 @@ namespace {
 constexpr double kTolerance = 0.025;    ///< rad; boxes this close moved alike
 constexpr double kMinJump = 0.045;      ///< rad; less does not spoil a submap
 constexpr double kJumpFactor = 4.0;     ///< a jump exceeds the usual drift over the same time by it
-constexpr double kMaxOffset = 0.6;      ///< rad
+constexpr double kMaxOffset = 0.6;      ///< rad; what moved farther is another object
 constexpr double kMaxSizeRatio = 1.6;   ///< of detected and predicted box
-constexpr double kMaxDepth = 6.0;       ///< m
+constexpr double kMaxDepth_m = 6.0;     ///< the default of loop.max_depth_m
 constexpr int kMinSupport = 3;          ///< objects that a shift is told by
 constexpr int kJumpFrames = 2;          ///< consecutive frames that show a jump
-constexpr std::size_t kMaxRates = 200;  ///< some 20 s of frames
-constexpr std::size_t kMinRates = 20;
+constexpr std::size_t kMaxRates = 200;  ///< some 20 s of frames at the default of loop.frame_interval_s
+constexpr std::size_t kMinRates = 20;   ///< some 2 s
 
 struct Prediction {
   int label;
@@ -80,7 +80,7 @@ OdometryMonitor::Shift OdometryMonitor::common_shift(const ObservedFrame& frame)
   std::vector<Prediction> predictions;
   for (const Node& node : nodes_) {
     const Vec3 p = T_camera_odom * node.center;
-    if (!(p.z() > node.radius) || p.z() > kMaxDepth) continue;
+    if (!(p.z() > node.radius) || p.z() > kMaxDepth_m) continue;
     predictions.push_back({node.label, Vec2(p.x(), p.y()) / p.z(), 2.0 * node.radius / p.z()});
   }
   Shift best;

@@ -5,8 +5,8 @@
 #include <optional>
 #include <vector>
 
-#include "loop/graph/local_map.h"
-#include "loop/graph/observation_window.h"
+#include "loop/submap/observation_window.h"
+#include "loop/submap/submap_builder.h"
 
 namespace semantic_topo_loop::core {
 

@@ -7,13 +7,13 @@
 namespace semantic_topo_loop::core {
 namespace {
 
-constexpr double kAgreement_m = 0.5;
-constexpr double kAgreement_rad = 0.26;
-constexpr std::size_t kMinAgreeing = 3;
-constexpr std::size_t kMaxVotes = 1000;
+constexpr double kAgreement_m = 0.5;        ///< three times the largest sigma of an accepted loop (loop.max_sigma_m)
+constexpr double kAgreement_rad = 0.26;     ///< 15 deg, three times loop.max_sigma_deg
+constexpr std::size_t kMinAgreeing = 3;     ///< two may be one mistake made twice
+constexpr std::size_t kMaxVotes = 1000;     ///< the latest: the odometry drifts away from the earlier ones
 constexpr std::size_t kMaxHypotheses = 50;  ///< votes whose supporters are counted, spread evenly
-constexpr int kRounds = 3;
-constexpr int kIterations = 5;
+constexpr int kRounds = 3;                  ///< of fit and supporters
+constexpr int kIterations = 5;              ///< of Gauss-Newton, which starts from a loop that most agree with
 
 }  // namespace
 

@@ -2,11 +2,32 @@
 
 #include <algorithm>
 #include <cmath>
+#include <set>
 
-#include "loop/graph/loop_evidence.h"
+#include "loop/submap/submap_refiner.h"
+#include "semantic_topo_loop/geometry/lie.h"
+#include "semantic_topo_loop/types/transform.h"
 
 namespace semantic_topo_loop::core {
 namespace {
+
+constexpr double kMinVector = 1e-6;  ///< m; two nodes in one place have no direction
+
+bool is_usable(const CommonNode& start, const CommonNode& end) {
+  const double query = (end.center_query - start.center_query).norm();
+  const double match = (end.center_match - start.center_match).norm();
+  return query > kMinVector && match > kMinVector;  // false for NaN as well
+}
+
+/// Calls f(transform, rho) for every ordered pair of nodes; rho is that of the starting node.
+template <class F>
+void for_each_vector(const std::vector<CommonNode>& nodes, F f) {
+  for (const CommonNode& start : nodes) {
+    for (const CommonNode& end : nodes) {
+      if (&start != &end && is_usable(start, end)) f(vector_transform(start, end), start.quality);
+    }
+  }
+}
 
 /// Matches of consecutive keyframes belong together if they are this close in time.
 constexpr std::int64_t kStreakSpanNs = 4'000'000'000;
@@ -26,7 +47,7 @@ GraphMatcherOptions matcher_options(const LoopOptions& options) {
 /// Few common nodes determine the pose poorly; shared landmarks say that the place is right all the same, so the edge
 /// is kept with its wide covariance.
 LoopOptions with_vague_edges(LoopOptions options) {
-  constexpr double kVagueness = 3.0;
+  constexpr double kVagueness = 3.0;  // three common nodes for the six that graph mode asks for
   options.max_sigma_m *= kVagueness;
   options.max_sigma_deg *= kVagueness;
   return options;
@@ -35,6 +56,78 @@ LoopOptions with_vague_edges(LoopOptions options) {
 const LocalObject& object(const LocalMap& map, int i) { return map.objects[static_cast<std::size_t>(i)]; }
 
 }  // namespace
+
+Mat3 rotation_between(const Vec3& from, const Vec3& to) {
+  const Vec3 a = from.normalized(), b = to.normalized();
+  const Vec3 cross = a.cross(b);
+  const double sine = cross.norm(), cosine = a.dot(b);
+  if (sine > 1e-9) {
+    const Mat3 K = hat(cross / sine);
+    return Mat3::Identity() + sine * K + (1.0 - cosine) * K * K;
+  }
+  if (cosine > 0.0) return Mat3::Identity();
+  int least = 0;
+  a.cwiseAbs().minCoeff(&least);
+  const Vec3 axis = a.cross(Vec3::Unit(least)).normalized();
+  return 2.0 * axis * axis.transpose() - Mat3::Identity();
+}
+
+VectorTransform vector_transform(const CommonNode& start, const CommonNode& end) {
+  const Vec3 query = end.center_query - start.center_query;
+  const Vec3 match = end.center_match - start.center_match;
+  VectorTransform transform;
+  transform.R = rotation_between(query, match);
+  transform.scale = match.norm() / query.norm();
+  transform.angle_rad = std::atan2(query.cross(match).norm(), query.dot(match));
+  transform.t = start.center_match - transform.scale * transform.R * start.center_query;
+  return transform;
+}
+
+double printed_score(const std::vector<CommonNode>& nodes) {
+  constexpr double kRotationNorm = 1.0;  // spectral norm of any rotation
+  double sum = 0.0;
+  for_each_vector(nodes, [&sum](const VectorTransform& vector, double rho) {
+    sum += rho * std::exp(-0.5 * std::abs(vector.scale * kRotationNorm + vector.t.norm() - 1.0));
+  });
+  return sum;
+}
+
+double corrected_score(const std::vector<CommonNode>& nodes) {
+  double sum = 0.0;
+  int vectors = 0;
+  for_each_vector(nodes, [&](const VectorTransform& vector, double rho) {
+    sum += rho * std::exp(-0.5 * (std::abs(1.0 - vector.scale) + vector.angle_rad + vector.t.norm()));
+    ++vectors;
+  });
+  return vectors > 0 ? sum / vectors : 0.0;
+}
+
+void ObjectIndex::insert(int keyframe, const std::vector<std::int64_t>& landmark_ids) {
+  for (const std::int64_t id : landmark_ids) {
+    std::vector<int>& keyframes = keyframes_of_[id];
+    if (keyframes.empty() || keyframes.back() != keyframe) keyframes.push_back(keyframe);
+  }
+}
+
+std::vector<KeyframeCandidate> ObjectIndex::query(const std::vector<std::int64_t>& landmark_ids,
+                                                  const LandmarkRedirects& redirects, int min_common) const {
+  std::set<std::int64_t> landmarks;
+  for (const std::int64_t id : landmark_ids) landmarks.insert(redirects.resolve(id));
+  std::map<int, int> common;
+  for (const std::int64_t landmark : landmarks) {
+    std::set<int> keyframes;
+    for (const std::int64_t id : redirects.aliases(landmark)) {
+      const auto it = keyframes_of_.find(id);
+      if (it != keyframes_of_.end()) keyframes.insert(it->second.begin(), it->second.end());
+    }
+    for (const int keyframe : keyframes) ++common[keyframe];
+  }
+  std::vector<KeyframeCandidate> candidates;
+  for (const auto& [keyframe, count] : common) {
+    if (count >= min_common) candidates.push_back({keyframe, count});
+  }
+  return candidates;
+}
 
 PaperDetector::PaperDetector(const LoopOptions& options)
     : options_(with_vague_edges(options)), matcher_(matcher_options(options)), refiner_(options) {}

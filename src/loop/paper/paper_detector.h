@@ -1,19 +1,73 @@
 #pragma once
 
+#include <cstdint>
 #include <map>
 #include <optional>
+#include <string>
 #include <vector>
 
-#include "loop/graph/graph_matcher.h"
-#include "loop/graph/local_map.h"
-#include "loop/graph/submap_refiner.h"
-#include "loop/paper/keyframe_queue.h"
-#include "loop/paper/paper_score.h"
+#include "loop/submap/graph_matcher.h"
+#include "loop/submap/observation_window.h"
+#include "loop/submap/submap_builder.h"
+#include "loop/submap/submap_refiner.h"
 #include "semantic_topo_loop/loop/loop_options.h"
+#include "semantic_topo_loop/types/eigen.h"
 #include "semantic_topo_loop/types/landmark.h"
 #include "semantic_topo_loop/types/loop_closure.h"
 
 namespace semantic_topo_loop::core {
+
+/// A landmark that two keyframes share: its centre in each camera frame, estimated by each keyframe for itself.
+struct CommonNode {
+  Vec3 center_query = Vec3::Zero();
+  Vec3 center_match = Vec3::Zero();
+  double quality = 1.0;  ///< rho in [0, 1]
+};
+
+/// How one semantic vector (from node i to node j) of the query lies in the match:
+/// c_match = scale * R * c_query + t for both ends, with R the least rotation between the two vectors.
+struct VectorTransform {
+  Mat3 R = Mat3::Identity();
+  double scale = 1.0;
+  double angle_rad = 0.0;  ///< of R, [0, pi]
+  Vec3 t = Vec3::Zero();   ///< m
+};
+
+/// The least rotation that turns the direction of `from` into that of `to`, by Rodrigues' formula with the unit axis;
+/// exact at angle 0, and at pi about an arbitrary but fixed perpendicular axis.
+Mat3 rotation_between(const Vec3& from, const Vec3& to);
+
+/// R, s, t of the semantic vector from `start` to `end` (SemanticTopoLoop, QLT-SLC).
+VectorTransform vector_transform(const CommonNode& start, const CommonNode& end);
+
+/// The score as it is described in the paper: the sum over the pairs of nodes of
+/// rho exp(-|s ||R|| + ||t|| - 1| / 2) with the spectral norm of R. It is kept for the record: ||R|| is 1 for every
+/// rotation, so that none is measured; s = 0.5 with ||t|| = 0.5 m scores like identity; and the sum grows with n^2.
+double printed_score(const std::vector<CommonNode>& nodes);
+
+/// Mean over the pairs of nodes of rho exp(-(|1 - s| + theta + ||t||) / 2), in [0, 1]; 1 for identity and rho = 1.
+double corrected_score(const std::vector<CommonNode>& nodes);
+
+/// A keyframe that shares landmarks with the query.
+struct KeyframeCandidate {
+  int keyframe = -1;  ///< index given at insertion
+  int common = 0;
+};
+
+/// ObjectIndex and KeyFrameQueue of QLT-SLC: which keyframes saw a landmark. A query visits the lists of its own
+/// landmarks; pairs of keyframes are never compared.
+class ObjectIndex {
+ public:
+  /// @param keyframe ascending from call to call
+  void insert(int keyframe, const std::vector<std::int64_t>& landmark_ids);
+  /// Keyframes with at least `min_common` of the landmarks, ascending.
+  /// @param redirects say which ids stand for one landmark
+  std::vector<KeyframeCandidate> query(const std::vector<std::int64_t>& landmark_ids,
+                                       const LandmarkRedirects& redirects, int min_common) const;
+
+ private:
+  std::map<std::int64_t, std::vector<int>> keyframes_of_;
+};
 
 /// QLT-SLC as in the paper: candidates by shared landmark ids, a score over semantic vectors, consistency over
 /// consecutive keyframes. Every keyframe estimates its node centres itself, from the boxes of a window around it, so

@@ -3,7 +3,7 @@
 #include <algorithm>
 #include <optional>
 
-#include "geometry/object_points.h"
+#include "geometry/depth_points.h"
 #include "geometry/statistics.h"
 
 namespace semantic_topo_loop::core {

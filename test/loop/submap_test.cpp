@@ -1,20 +1,27 @@
-#include "loop/graph/local_map.h"
-
 #include <gtest/gtest.h>
 
+#include <algorithm>
 #include <cmath>
+#include <limits>
 
 #include "loop/graph/loop_verifier.h"
-#include "loop/graph/submap_refiner.h"
+#include "loop/graph/odometry_monitor.h"
+#include "loop/submap/observation_window.h"
+#include "loop/submap/submap_builder.h"
+#include "loop/submap/submap_refiner.h"
+#include "loop/submap/up_estimator.h"
 #include "semantic_topo_loop/geometry/lie.h"
+#include "support/depth_scene.h"
 #include "support/synthetic_desk.h"
 
 namespace semantic_topo_loop::core {
 namespace {
 
+using testing::DepthScene;
 using testing::desk_camera;
 using testing::desk_classes;
 using testing::DeskObject;
+using testing::on_table;
 using testing::random_desk;
 using testing::uniform;
 
@@ -270,6 +277,205 @@ TEST(LoopVerifier, ComparesUpDirectionsOnlyWhenCertain) {
   EXPECT_NEAR(LoopVerifier::tilt(a, b, SE3()), kPi / 2, 1e-9);
   b.up.certain = false;
   EXPECT_EQ(LoopVerifier::tilt(a, b, SE3()), 0.0);
+}
+
+constexpr std::int64_t kFrameNs = 33'000'000;
+
+TrackedBox box_at(double x, double y, int class_id = 1, double size = 0.1) {
+  return {{x - 0.5 * size, y - 0.5 * size, x + 0.5 * size, y + 0.5 * size}, class_id, 0.9};
+}
+
+/// A box about the direction of a point, seen by a camera of that rotation.
+TrackedBox box_of(const Vec3& point, const Quaternion& q_world_camera, int class_id = 1) {
+  const Vec3 p = q_world_camera.conjugate() * point;
+  return box_at(p.x() / p.z(), p.y() / p.z(), class_id);
+}
+
+TEST(BoxTracker, FollowsThroughTurnsAndGaps) {
+  BoxTracker tracker;
+  std::int64_t first = -1, second = -1;
+  for (int k = 0; k < 40; ++k) {
+    const Quaternion q = so3_exp(Vec3(0.01 * k, -0.03 * k, 0.0));  // 50 deg a second: half a box from frame to frame
+    std::vector<TrackedBox> boxes = {box_of(Vec3(-0.5, 0.0, 2.0), q), box_of(Vec3(0.4, 0.1, 2.0), q, 2)};
+    if (k % 10 >= 4 && k % 10 < 8) boxes.pop_back();
+    tracker.follow(k * kFrameNs, q, &boxes);
+    if (k == 0) first = boxes[0].track_id;
+    if (k == 0) second = boxes[1].track_id;
+    EXPECT_EQ(boxes[0].track_id, first) << k;
+    if (boxes.size() > 1) {
+      EXPECT_EQ(boxes[1].track_id, second) << k;
+    }
+  }
+  EXPECT_NE(first, second);
+}
+
+TEST(BoxTracker, TheCommonestClassIsTheTracks) {
+  BoxTracker tracker;
+  std::vector<TrackedBox> boxes;
+  for (int k = 0; k < 10; ++k) {
+    boxes = {box_at(0.0, 0.0, k % 3 == 2 ? 5 : 7)};
+    tracker.follow(k * kFrameNs, Quaternion::Identity(), &boxes);
+    EXPECT_EQ(boxes[0].track_id, 0);
+    EXPECT_EQ(boxes[0].track_class_id, 7);
+  }
+}
+
+TEST(BoxTracker, TakesTheBoxThatOverlapsMost) {
+  BoxTracker tracker;
+  std::vector<TrackedBox> boxes = {box_at(0.0, 0.0), box_at(0.07, 0.0)};
+  tracker.follow(0, Quaternion::Identity(), &boxes);
+  std::vector<TrackedBox> next = {box_at(0.075, 0.0), box_at(0.005, 0.0)};
+  tracker.follow(kFrameNs, Quaternion::Identity(), &next);
+  EXPECT_EQ(next[0].track_id, boxes[1].track_id);
+  EXPECT_EQ(next[1].track_id, boxes[0].track_id);
+}
+
+TEST(BoxTracker, EndsTracksAfterAWhileAndWhenTold) {
+  BoxTracker tracker;
+  std::vector<TrackedBox> boxes = {box_at(0.0, 0.0)}, later = boxes, last = boxes;
+  tracker.follow(0, Quaternion::Identity(), &boxes);
+  tracker.follow(1'000'000'000, Quaternion::Identity(), &later);
+  EXPECT_NE(later[0].track_id, boxes[0].track_id);
+  tracker.clear();
+  tracker.follow(1'000'000'000 + kFrameNs, Quaternion::Identity(), &last);
+  EXPECT_NE(last[0].track_id, later[0].track_id);
+  std::vector<TrackedBox> none;
+  tracker.follow(2'000'000'000, Quaternion::Identity(), &none);
+  EXPECT_TRUE(none.empty());
+}
+
+const Camera kCamera{525.0, 525.0, 320.0, 240.0, 640, 480, {}};
+
+/// A camera 0.8 m over the table that looks down by `pitch_deg` and rolls by `roll_deg`.
+SE3 pose_at(double yaw_deg, double pitch_deg, double roll_deg) {
+  const auto turn = [](double deg, const Vec3& axis) { return Quaternion(Eigen::AngleAxisd(radians(deg), axis)); };
+  Mat3 level;  // x right, y down, z forward, of a camera that looks along the world's x
+  level << 0.0, 0.0, 1.0, -1.0, 0.0, 0.0, 0.0, -1.0, 0.0;
+  const Quaternion q = turn(yaw_deg, Vec3::UnitZ()) * Quaternion(level) * turn(-pitch_deg, Vec3::UnitX()) *
+                       turn(roll_deg, Vec3::UnitZ());
+  return {q, Vec3(-0.9, 0.1, 0.8)};
+}
+
+Frame frame_at(int k, const SE3& pose, std::shared_ptr<const std::vector<Vec3>> points) {
+  Frame frame;
+  frame.frame_id = k;
+  frame.stamp_ns = k * 100'000'000LL;
+  frame.T_odom_camera = pose;
+  frame.camera = kCamera;
+  frame.points_camera = std::move(points);
+  return frame;
+}
+
+double error_deg(const UpDirection& up, const SE3& pose) {
+  return degrees(std::acos(std::min(1.0, (pose.q * up.direction).z())));
+}
+
+TEST(UpEstimator, ATableTellsUpToACameraThatHardlyTurnsAndIsHeldAskew) {
+  const DepthScene scene{{on_table(0.0, 0.0, Vec3(0.1, 0.1, 0.1)), on_table(0.2, 0.3, Vec3(0.06, 0.2, 0.18))}};
+  UpEstimator with_points(33.0), without(33.0);
+  SE3 pose;
+  for (int k = 0; k < 12; ++k) {
+    pose = pose_at(k % 3, 40.0 + k % 4, 6.0);
+    const auto points = std::make_shared<const std::vector<Vec3>>(scene.look(kCamera, pose, 1 + k));
+    with_points.push(frame_at(k, pose, points));
+    without.push(frame_at(k, pose, nullptr));
+  }
+  const UpDirection up = with_points.estimate(pose.q);
+  EXPECT_TRUE(up.certain);
+  EXPECT_LT(error_deg(up, pose), 1.0);
+  EXPECT_FALSE(without.estimate(pose.q).certain);
+  Frame broken = frame_at(13, pose, nullptr);
+  broken.is_break = true;
+  with_points.push(broken);
+  EXPECT_FALSE(with_points.estimate(pose.q).certain) << "what was before a break is of another frame";
+}
+
+TEST(UpEstimator, AWallIsNotTakenForAFloor) {
+  UpEstimator up(33.0);
+  auto wall = std::make_shared<std::vector<Vec3>>();
+  for (int i = -20; i <= 20; ++i) {
+    for (int j = -15; j <= 15; ++j) wall->push_back({0.05 * i, 0.05 * j, 2.0});
+  }
+  const SE3 pose = pose_at(0.0, 0.0, 0.0);
+  for (int k = 0; k < 12; ++k) up.push(frame_at(k, pose, wall));
+  EXPECT_FALSE(up.estimate(pose.q).certain);
+}
+
+TEST(UpEstimator, WithoutUsefulPointsItIsAsWithoutPoints) {
+  const double nan = std::numeric_limits<double>::quiet_NaN();
+  UpEstimator with_points(33.0), without(33.0);
+  SE3 pose;
+  for (int k = 0; k < 200; ++k) {
+    pose = pose_at(0.6 * k, 30.0, 3.0 * std::sin(k));
+    const std::vector<Vec3> points(k % 2 == 0 ? 0 : 30, k % 3 == 0 ? Vec3(nan, nan, nan) : Vec3(0.0, 0.0, -1.0));
+    with_points.push(frame_at(k, pose, std::make_shared<const std::vector<Vec3>>(points)));
+    without.push(frame_at(k, pose, nullptr));
+  }
+  EXPECT_EQ(with_points.estimate(pose.q).certain, without.estimate(pose.q).certain);
+  EXPECT_EQ(with_points.estimate(pose.q).direction, without.estimate(pose.q).direction);
+}
+
+/// Feeds a sweep around a desk to a monitor whose reference is the submap of the last window.
+struct Watch {
+  double drift_deg_s = 0.0;  ///< the odometry tilts
+  SE3 jump;                  ///< of the odometry at 14 s
+  std::optional<double> drift_rad_s;
+  std::vector<double> jumps_s;
+
+  void run() {
+    const LoopOptions options;
+    const auto desk = testing::random_desk(3, 12);
+    ObservationWindow window(8.0, options.frame_interval_s, LabelTable(*testing::desk_classes()));
+    UpEstimator up(options.up_window_s);
+    const LocalMapBuilder map_builder(options);
+    FrameBuilder builder(KeyframeOptions(), testing::desk_camera());
+    OdometryMonitor monitor;
+    std::mt19937_64 random(5);
+    for (std::int64_t k = 0; k < 200; ++k) {
+      const double time_s = 0.1 * static_cast<double>(k);
+      const SE3 pose = testing::desk_pose({{0.0, 20.0, 0.0, 120.0}}, time_s);
+      PoseSample sample;
+      sample.stamp_ns = k * 100'000'000;
+      const SE3 turn(so3_exp(Vec3(radians(drift_deg_s * time_s), 0.0, 0.0)), Vec3::Zero());
+      sample.T_odom_camera = (time_s < 14.0 ? SE3() : jump) * turn * pose;
+      const auto frame = builder.build(sample, nullptr);
+      window.push(*frame, testing::observe(desk, *frame, pose, 0, random));
+      up.push(*frame);
+      if (monitor.push(window.frames().back())) {
+        jumps_s.push_back(time_s);
+        window.clear();
+      }
+      const auto map = k % 3 == 0 ? map_builder.build(window.frames(), LandmarkRedirects(), up) : std::nullopt;
+      if (map) monitor.set_reference(*map);
+    }
+    drift_rad_s = monitor.drift_rad_s();
+  }
+};
+
+TEST(OdometryMonitor, MeasuresDrift) {
+  Watch good, poor;
+  poor.drift_deg_s = 0.6;
+  good.run();
+  poor.run();
+  ASSERT_TRUE(good.drift_rad_s && poor.drift_rad_s);
+  EXPECT_TRUE(good.jumps_s.empty());
+  EXPECT_TRUE(poor.jumps_s.empty());
+  EXPECT_LT(*good.drift_rad_s, 0.002);
+  EXPECT_GT(*poor.drift_rad_s, 2.0 * *good.drift_rad_s);
+}
+
+TEST(OdometryMonitor, NoticesAJump) {
+  Watch watch;
+  watch.jump = SE3(so3_exp(Vec3(0.0, 0.0, radians(8.0))), Vec3(0.1, 0.0, 0.0));
+  watch.run();
+  ASSERT_EQ(watch.jumps_s.size(), 1u);
+  EXPECT_NEAR(watch.jumps_s.front(), 14.2, 0.3);
+}
+
+TEST(OdometryMonitor, SaysNothingWithoutAReference) {
+  OdometryMonitor monitor;
+  EXPECT_FALSE(monitor.push(ObservedFrame()));
+  EXPECT_FALSE(monitor.drift_rad_s().has_value());
 }
 
 }  // namespace

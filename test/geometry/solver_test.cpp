@@ -1,12 +1,15 @@
-#include "geometry/assignment.h"
-
 #include <gtest/gtest.h>
 
+#include <Eigen/LU>
 #include <algorithm>
+#include <cmath>
 #include <limits>
 #include <numeric>
 #include <random>
 #include <set>
+
+#include "geometry/assignment.h"
+#include "geometry/least_squares.h"
 
 namespace semantic_topo_loop::core {
 namespace {
@@ -96,6 +99,70 @@ TEST(Assignment, TransposedScoresGiveTheInverseAssignment) {
     ASSERT_GE(columns[i], 0);
     EXPECT_EQ(rows[static_cast<std::size_t>(columns[i])], static_cast<int>(i));
   }
+}
+
+/// Residuals a_i x + y_k - m_i of two shared unknowns x and one of three blocks y_k, each with a weak prior: linear, so
+/// that one step of hardly any damping solves it.
+TEST(LeastSquares, EliminatesTheBlocks) {
+  using Equations = ArrowEquations<2, 1>;
+  using Unknowns = ArrowUnknowns<2, 1>;
+  std::mt19937_64 random(4);
+  std::normal_distribution<double> normal;
+  Eigen::MatrixXd J = Eigen::MatrixXd::Zero(30, 5);
+  Eigen::VectorXd m(30);
+  for (int i = 0; i < 30; ++i) {
+    J.row(i).head<2>() << normal(random), normal(random);
+    J(i, 2 + i % 3) = 1.0;
+    m(i) = normal(random);
+  }
+  const auto linearise = [&](const Unknowns& unknowns, Equations* equations) {
+    *equations = Equations(3);
+    for (int i = 0; i < 30; ++i) {
+      const auto k = static_cast<std::size_t>(i % 3);
+      const Eigen::RowVector2d a = J.row(i).head<2>();
+      const double r = a.dot(unknowns.shared) + unknowns.blocks[k](0) - m(i);
+      equations->cost += r * r;
+      equations->H_shared += a.transpose() * a;
+      equations->H_shared_block[k] += a.transpose();
+      equations->H_block[k](0, 0) += 1.0;
+      equations->g_shared += r * a.transpose();
+      equations->g_block[k](0) += r;
+    }
+    return true;
+  };
+  Unknowns unknowns;
+  unknowns.blocks.assign(3, Equations::VecB::Zero());
+  Equations equations;
+  ASSERT_TRUE(minimise({20, 1e-8, 1e-14}, linearise, &unknowns, &equations));
+  const Eigen::MatrixXd H = J.transpose() * J;
+  const Eigen::VectorXd solution = H.ldlt().solve(J.transpose() * m);
+  EXPECT_LT((unknowns.shared - solution.head<2>()).norm(), 1e-6);
+  for (std::size_t k = 0; k < 3; ++k) EXPECT_NEAR(unknowns.blocks[k](0), solution(2 + static_cast<int>(k)), 1e-6);
+  const Eigen::Matrix2d covariance = equations.reduce(0.0, unknowns, nullptr).inverse();
+  EXPECT_LT((covariance - H.inverse().topLeftCorner<2, 2>()).norm(), 1e-6);
+}
+
+/// Rosenbrock's valley, r = (10 (y - x^2), 1 - x), from the usual start.
+TEST(LeastSquares, FollowsACurvedValleyAndRefusesWhatHasNoCost) {
+  using Equations = ArrowEquations<2, 1>;
+  using Unknowns = ArrowUnknowns<2, 1>;
+  const auto linearise = [](const Unknowns& unknowns, Equations* equations) {
+    const double x = unknowns.shared(0), y = unknowns.shared(1);
+    const Eigen::Vector2d r(10.0 * (y - x * x), 1.0 - x);
+    Eigen::Matrix2d J;
+    J << -20.0 * x, 10.0, -1.0, 0.0;
+    equations->H_shared = J.transpose() * J;
+    equations->g_shared = J.transpose() * r;
+    equations->cost = r.squaredNorm();
+    return std::isfinite(equations->cost);
+  };
+  Unknowns unknowns;
+  unknowns.shared << -1.2, 1.0;
+  Equations equations;
+  ASSERT_TRUE(minimise({100, 1e-3, 1e-12}, linearise, &unknowns, &equations));
+  EXPECT_LT((unknowns.shared - Eigen::Vector2d::Ones()).norm(), 1e-4);
+  unknowns.shared(0) = std::numeric_limits<double>::quiet_NaN();
+  EXPECT_FALSE(minimise({100, 1e-3, 1e-12}, linearise, &unknowns, &equations));
 }
 
 }  // namespace

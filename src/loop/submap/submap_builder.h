@@ -4,9 +4,9 @@
 #include <optional>
 #include <vector>
 
-#include "loop/graph/observation_window.h"
-#include "loop/graph/spheroid.h"
-#include "loop/graph/up_estimator.h"
+#include "loop/submap/observation_window.h"
+#include "loop/submap/spheroid.h"
+#include "loop/submap/up_estimator.h"
 
 namespace semantic_topo_loop::core {
 

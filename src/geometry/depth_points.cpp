@@ -1,4 +1,4 @@
-#include "geometry/object_points.h"
+#include "geometry/depth_points.h"
 
 #include <pcl/filters/statistical_outlier_removal.h>
 #include <pcl/point_cloud.h>
@@ -6,16 +6,57 @@
 #include <pcl/search/kdtree.h>
 #include <pcl/segmentation/extract_clusters.h>
 
+#include <Eigen/Eigenvalues>
 #include <algorithm>
 #include <array>
 #include <cmath>
+#include <cstdint>
 #include <optional>
+#include <random>
 #include <utility>
-
-#include "geometry/plane.h"
 
 namespace semantic_topo_loop::core {
 namespace {
+
+constexpr std::uint64_t kSeed = 1;      // any: the same points give the same plane
+constexpr std::size_t kMinInliers = 6;  // three that define it and as many that agree
+constexpr double kMinSpread = 1e-6;     // of the inliers' second direction, m^2: three points in a row are no plane
+
+std::optional<Plane> through(const Vec3& a, const Vec3& b, const Vec3& c) {
+  const Vec3 normal = (b - a).cross(c - a);
+  const double length = normal.norm();
+  if (!(length > kMinSpread)) return std::nullopt;
+  Plane plane{normal / length, 0.0};
+  plane.offset = -plane.normal.dot(a);
+  return plane;
+}
+
+/// The camera is at the origin.
+Plane facing_camera(Plane plane) {
+  if (plane.offset < 0.0) plane = {-plane.normal, -plane.offset};
+  return plane;
+}
+
+std::optional<Plane> least_squares(const std::vector<Vec3>& points, const std::vector<double>& tolerances,
+                                   const Plane& start) {
+  Vec3 sum = Vec3::Zero();
+  Mat3 products = Mat3::Zero();
+  std::size_t count = 0;
+  for (std::size_t i = 0; i < points.size(); ++i) {
+    if (std::abs(start.distance(points[i])) > tolerances[i]) continue;
+    sum += points[i];
+    products += points[i] * points[i].transpose();
+    ++count;
+  }
+  if (count < kMinInliers) return std::nullopt;
+  const double n = static_cast<double>(count);
+  const Vec3 mean = sum / n;
+  const Eigen::SelfAdjointEigenSolver<Mat3> solver(products / n - mean * mean.transpose());
+  if (!(solver.eigenvalues()(1) > kMinSpread)) return std::nullopt;
+  Plane plane{solver.eigenvectors().col(0), 0.0};
+  plane.offset = -plane.normal.dot(mean);
+  return plane;
+}
 
 constexpr int kCell_px = 16;  // a few points of a depth image in steps of 4 to 8 px
 
@@ -27,17 +68,17 @@ bool contains(const Box& box, const Vec2& pixel) {
 
 using Cloud = pcl::PointCloud<pcl::PointXYZ>;
 
-constexpr std::size_t kMinPoints = 5;
+constexpr std::size_t kMinPoints = 5;    // of an object or a cluster: fewer are noise or a rim
 constexpr std::size_t kPointsMax = 400;  // around a box: more make nothing better and every step slower
 constexpr double kRing = 0.25;           // of the box's sides, on each side: what lies around the object
 constexpr int kPlanesMax = 2;            // table and wall
-constexpr int kHypotheses = 40;
-constexpr double kPlaneShare = 0.3;  // of the points around the box, from which on a plane is the object's support
-constexpr double kMiddle = 0.8;      // of the box: the ellipse that a convex object fills
-constexpr double kFlatShare = 0.15;  // of the middle above the support, below which the object is flat
-constexpr int kSurfaceCells = 3;     // along each side of the box
-constexpr double kStrip_px = 10.0;   // along a side, inside of it: two or three points of a frame's grid
-constexpr std::size_t kStripPointsMax = 100;
+constexpr int kHypotheses = 40;          // finds a plane of half of the points in 99.5 % of all cases
+constexpr double kPlaneShare = 0.3;      // of the points around the box, from which on a plane is the object's support
+constexpr double kMiddle = 0.8;          // of the box: the ellipse that a convex object fills
+constexpr double kFlatShare = 0.15;      // of the middle above the support, below which the object is flat
+constexpr int kSurfaceCells = 3;         // along each side of the box
+constexpr double kStrip_px = 10.0;       // along a side, inside of it: two or three points of a frame's grid
+constexpr std::size_t kStripPointsMax = 100;  // twenty times those that it takes
 constexpr double kOccluderShare = 0.6;  // of what lies outside of a side in one plane, and inside of it behind that
 
 /// 0 in the middle of the box, 1 on the ellipse that touches its sides.
@@ -192,6 +233,42 @@ bool is_behind(const std::vector<SeenPoint>& inside, const std::vector<SeenPoint
 }
 
 }  // namespace
+
+double plane_tolerance_m(double depth_m) {
+  constexpr double kUneven_m = 0.005;  // of table tops and walls, with what lies flat on them
+  return kUneven_m + 2.5 * depth_sigma_m(depth_m);
+}
+
+std::optional<Plane> dominant_plane(const std::vector<Vec3>& points, int hypotheses, double min_share) {
+  if (points.size() < kMinInliers) return std::nullopt;
+  std::vector<double> tolerances;
+  tolerances.reserve(points.size());
+  for (const Vec3& point : points) tolerances.push_back(plane_tolerance_m(point.z()));
+  std::mt19937_64 engine(kSeed);
+  const auto draw = [&]() -> const Vec3& { return points[engine() % points.size()]; };
+  const auto inliers = [&](const Plane& plane) {
+    std::size_t count = 0;
+    for (std::size_t i = 0; i < points.size(); ++i) {
+      count += std::abs(plane.distance(points[i])) <= tolerances[i] ? 1 : 0;
+    }
+    return count;
+  };
+  std::optional<Plane> best;
+  std::size_t most = 0;
+  for (int i = 0; i < hypotheses; ++i) {
+    const Vec3 &a = draw(), &b = draw(), &c = draw();
+    const std::optional<Plane> plane = through(a, b, c);
+    const std::size_t count = plane ? inliers(*plane) : 0;
+    if (count <= most) continue;
+    most = count;
+    best = plane;
+  }
+  for (int i = 0; i < 2 && best; ++i) best = least_squares(points, tolerances, *best);
+  if (!best || static_cast<double>(inliers(*best)) < min_share * static_cast<double>(points.size())) {
+    return std::nullopt;
+  }
+  return facing_camera(*best);
+}
 
 FramePoints::FramePoints(const std::vector<Vec3>& points_camera, const Camera& camera)
     : camera_(camera), grid_(cells(camera.width), cells(camera.height), kCell_px) {

@@ -1,6 +1,7 @@
 #pragma once
 
 #include <optional>
+#include <vector>
 
 #include "semantic_topo_loop/types/local_map.h"
 
@@ -20,5 +21,14 @@ std::optional<SpheroidProjection> project_spheroid(const Vec3& center_camera, co
                                                    const Vec2& log_axes);
 /// The box alone.
 std::optional<Box> spheroid_box(const Vec3& center_camera, const Vec3& axis_camera, const Vec2& log_axes);
+
+struct SpheroidFit {
+  Spheroid spheroid;
+  Mat3 center_covariance = Mat3::Identity();  ///< m^2
+};
+
+/// Fits a spheroid about the submap's up direction to the boxes of an object, from a centre near its own.
+/// @return nullopt if a view cannot see it or the fit fails
+std::optional<SpheroidFit> fit_spheroid(const LocalMap& map, const std::vector<SubmapView>& views, const Vec3& center);
 
 }  // namespace semantic_topo_loop::core

@@ -1,26 +1,27 @@
-#include "loop/graph/submap_refiner.h"
+#include "loop/submap/submap_refiner.h"
 
 #include <Eigen/Cholesky>
 #include <algorithm>
 #include <cmath>
 #include <utility>
 
+#include "geometry/least_squares.h"
 #include "geometry/statistics.h"
+#include "loop/submap/spheroid.h"
 #include "semantic_topo_loop/geometry/lie.h"
 
 namespace semantic_topo_loop::core {
 namespace {
 
 using Vec5 = Eigen::Matrix<double, 5, 1>;
-using Mat5 = Eigen::Matrix<double, 5, 5>;
 using Mat45 = Eigen::Matrix<double, 4, 5>;
 
 /// Of the transform: its pose alone, or with the scale.
 constexpr int kPose = 6, kPoseAndScale = 7;
 
-constexpr int kMaxIterations = 15;
-constexpr double kMinDecrease = 1e-6;  ///< of the cost, relative; less ends the iteration
-constexpr double kMaxDamping = 1e6;
+/// The start is an alignment good to some centimetres; the limit keeps a bad one from costing an attempt its time.
+constexpr LeastSquaresOptions kSolver{15, 1e-4, 1e-6};
+/// Smallest pivot, 1/m^2 or 1/rad^2: with less the boxes leave a direction of the pose free (sigma above 1 km).
 constexpr double kMinInformation = 1e-6;
 
 /// One box of a matched object, on either side.
@@ -33,13 +34,12 @@ struct BoxMeasurement {
   bool in_b;
 };
 
-/// The unknowns: T_a_b = T_0 * exp(delta), with a free scale its logarithm, and centre and log axes of each object in
-/// a's frame.
+/// The unknowns. Shared: delta of T_a_b = T_0 * exp(delta), with a free scale its logarithm; a block: centre and log
+/// axes of an object in a's frame.
 template <int kUnknowns>
-struct State {
-  Eigen::Matrix<double, kUnknowns, 1> delta = Eigen::Matrix<double, kUnknowns, 1>::Zero();
-  std::vector<Vec5> objects;
-};
+using State = ArrowUnknowns<kUnknowns, 5>;
+template <int kUnknowns>
+using Equations = ArrowEquations<kUnknowns, 5>;
 
 /// Residual: (box edges of the projected spheroid - measured edges) / sigma.
 template <int kUnknowns>
@@ -95,60 +95,6 @@ bool evaluate(const BoxMeasurement& m, const Side& side, const Vec3& axis_a, con
   return true;
 }
 
-/// Normal equations of the pose and the objects, which do not meet each other.
-template <int kUnknowns>
-struct NormalEquations {
-  using MatP = Eigen::Matrix<double, kUnknowns, kUnknowns>;
-  using VecP = Eigen::Matrix<double, kUnknowns, 1>;
-  using MatP5 = Eigen::Matrix<double, kUnknowns, 5>;
-
-  explicit NormalEquations(std::size_t objects)
-      : H_pose_object(objects, MatP5::Zero()), H_object(objects, Mat5::Zero()), g_object(objects, Vec5::Zero()) {}
-
-  MatP H_pose = MatP::Zero();
-  VecP g_pose = VecP::Zero();
-  std::vector<MatP5> H_pose_object;
-  std::vector<Mat5> H_object;
-  std::vector<Vec5> g_object;
-  double cost = 0.0;
-
-  void add(const BoxMeasurement& m, const BoxResidual<kUnknowns>& residual) {
-    const double root = std::sqrt(1.0 + residual.r.squaredNorm());  // soft L1: 2 (sqrt(1 + |r|^2) - 1)
-    const double weight = 1.0 / root;
-    cost += 2.0 * (root - 1.0);
-    H_object[m.object].noalias() += weight * residual.d_object.transpose() * residual.d_object;
-    g_object[m.object].noalias() += weight * residual.d_object.transpose() * residual.r;
-    if (!m.in_b) return;
-    H_pose.noalias() += weight * residual.d_delta.transpose() * residual.d_delta;
-    g_pose.noalias() += weight * residual.d_delta.transpose() * residual.r;
-    H_pose_object[m.object].noalias() += weight * residual.d_delta.transpose() * residual.d_object;
-  }
-
-  /// Information of the pose once the objects are eliminated, and the step; `damping` scales the diagonals.
-  MatP reduce(double damping, const State<kUnknowns>& state, State<kUnknowns>* next) const {
-    MatP S = H_pose;
-    S.diagonal() *= 1.0 + damping;
-    VecP b = g_pose;
-    std::vector<Eigen::LDLT<Mat5>> factors;
-    for (std::size_t k = 0; k < H_object.size(); ++k) {
-      Mat5 H = H_object[k];
-      H.diagonal() *= 1.0 + damping;
-      H.diagonal().array() += kMinInformation;
-      factors.emplace_back(H);
-      S -= H_pose_object[k] * factors.back().solve(H_pose_object[k].transpose());
-      b -= H_pose_object[k] * factors.back().solve(g_object[k]);
-    }
-    if (next == nullptr) return S;
-    const VecP step = -S.ldlt().solve(b);
-    *next = state;
-    next->delta += step;
-    for (std::size_t k = 0; k < H_object.size(); ++k) {
-      next->objects[k] -= factors[k].solve(g_object[k] + H_pose_object[k].transpose() * step);
-    }
-    return S;
-  }
-};
-
 /// The up direction of both submaps in a's frame.
 Vec3 common_axis(const LocalMap& a, const LocalMap& b, const SE3& T_a_b) {
   const Vec3 up_b = T_a_b.q * b.up.direction;
@@ -168,7 +114,7 @@ class RefinementProblem {
       const Spheroid& s_b = b.objects[static_cast<std::size_t>(pair.b)].spheroid;
       Vec5 object;
       object << 0.5 * (s_a.center + T_0 * s_b.center), 0.5 * (s_a.log_axes + s_b.log_axes);
-      state_.objects.push_back(object);
+      state_.blocks.push_back(object);
     }
   }
 
@@ -179,40 +125,29 @@ class RefinementProblem {
     }
   }
 
-  /// Levenberg-Marquardt.   @return false if the start cannot be projected or the steps are not finite
+  /// @return false if the start cannot be projected or the steps are not finite
   bool solve() {
-    Equations equations(state_.objects.size()), next_equations(state_.objects.size());
-    if (!linearise(state_, &equations, nullptr)) return false;
-    double damping = 1e-4;
-    for (int i = 0; i < kMaxIterations && damping < kMaxDamping; ++i) {
-      State<kUnknowns> next;
-      equations.reduce(damping, state_, &next);
-      if (!next.delta.allFinite()) return false;
-      const bool better = linearise(next, &next_equations, nullptr) && next_equations.cost < equations.cost;
-      damping *= better ? 0.1 : 10.0;
-      if (!better) continue;
-      const bool settled = equations.cost - next_equations.cost < kMinDecrease * equations.cost;
-      state_ = std::move(next);
-      std::swap(equations, next_equations);
-      if (settled) break;
-    }
-    return true;
+    Equations<kUnknowns> equations(state_.blocks.size());
+    const auto linearise = [this](const State<kUnknowns>& state, Equations<kUnknowns>* at) {
+      return this->linearise(state, at, nullptr);
+    };
+    return minimise(kSolver, linearise, &state_, &equations);
   }
 
-  SE3 T_a_b() const { return T_0_ * se3_exp(state_.delta.template head<6>()); }
-  double scale() const { return side_b<kUnknowns>(T_0_, state_.delta).scale; }
+  SE3 T_a_b() const { return T_0_ * se3_exp(state_.shared.template head<6>()); }
+  double scale() const { return side_b<kUnknowns>(T_0_, state_.shared).scale; }
 
   /// Marginal covariance of the pose by the Schur complement, and the median residual.
   /// @return false if the pose is not determined
   bool assess(double inflation, Refinement* refinement) const {
-    Equations equations(state_.objects.size());
+    Equations<kUnknowns> equations(state_.blocks.size());
     std::vector<double> residuals;
     if (!linearise(state_, &equations, &residuals)) return false;
     const MatP H = equations.reduce(0.0, state_, nullptr);
     const Eigen::LDLT<MatP> ldlt(H);
     if (!H.allFinite() || !(ldlt.vectorD().minCoeff() > kMinInformation)) return false;
     // From a change of delta to a right perturbation of the result.
-    const Side side = side_b<kUnknowns>(T_0_, state_.delta);
+    const Side side = side_b<kUnknowns>(T_0_, state_.shared);
     MatP J = MatP::Identity();
     J.template topLeftCorner<3, 3>() = side.R_delta_inverse;
     J.template block<3, 3>(3, 3) = side.J_right;
@@ -225,17 +160,28 @@ class RefinementProblem {
   }
 
  private:
-  using Equations = NormalEquations<kUnknowns>;
-  using MatP = typename Equations::MatP;
+  using MatP = Eigen::Matrix<double, kUnknowns, kUnknowns>;
+
+  static void add(const BoxMeasurement& m, const BoxResidual<kUnknowns>& residual, Equations<kUnknowns>* equations) {
+    const double root = std::sqrt(1.0 + residual.r.squaredNorm());  // soft L1: 2 (sqrt(1 + |r|^2) - 1)
+    const double weight = 1.0 / root;
+    equations->cost += 2.0 * (root - 1.0);
+    equations->H_block[m.object].noalias() += weight * residual.d_object.transpose() * residual.d_object;
+    equations->g_block[m.object].noalias() += weight * residual.d_object.transpose() * residual.r;
+    if (!m.in_b) return;
+    equations->H_shared.noalias() += weight * residual.d_delta.transpose() * residual.d_delta;
+    equations->g_shared.noalias() += weight * residual.d_delta.transpose() * residual.r;
+    equations->H_shared_block[m.object].noalias() += weight * residual.d_delta.transpose() * residual.d_object;
+  }
 
   /// @return false if a box cannot see its object
-  bool linearise(const State<kUnknowns>& state, Equations* equations, std::vector<double>* residuals) const {
-    *equations = Equations(state.objects.size());
-    const Side in_a, in_b = side_b<kUnknowns>(T_0_, state.delta);
+  bool linearise(const State<kUnknowns>& state, Equations<kUnknowns>* equations, std::vector<double>* residuals) const {
+    *equations = Equations<kUnknowns>(state.blocks.size());
+    const Side in_a, in_b = side_b<kUnknowns>(T_0_, state.shared);
     BoxResidual<kUnknowns> residual;
     for (const BoxMeasurement& m : measurements_) {
-      if (!evaluate(m, m.in_b ? in_b : in_a, axis_, state.objects[m.object], &residual)) return false;
-      equations->add(m, residual);
+      if (!evaluate(m, m.in_b ? in_b : in_a, axis_, state.blocks[m.object], &residual)) return false;
+      add(m, residual, equations);
       for (int i = 0; residuals != nullptr && i < 4; ++i) residuals->push_back(std::abs(residual.r(i)));
     }
     return std::isfinite(equations->cost);
@@ -291,6 +237,59 @@ std::optional<Refinement> SubmapRefiner::refine_with(const LocalMap& a, const Lo
   refinement.scale = problem.scale();
   if (!problem.assess(inflation_, &refinement)) return std::nullopt;
   return refinement;
+}
+
+LoopClosure make_closure(const LocalMap& match, const LocalMap& query) {
+  LoopClosure loop;
+  loop.query_keyframe_id = query.keyframe_id;
+  loop.match_keyframe_id = match.keyframe_id;
+  loop.query_frame = query.frame_id;
+  loop.match_frame = match.frame_id;
+  loop.query_stamp_ns = query.stamp_ns;
+  loop.match_stamp_ns = match.stamp_ns;
+  loop.query_begin = query.begin_frame;
+  loop.query_end = query.end_frame;
+  loop.match_begin = match.begin_frame;
+  loop.match_end = match.end_frame;
+  if (match.is_earlier) loop.T_earlier_match = match.T_odom_anchor;
+  return loop;
+}
+
+void set_alignment(const LocalMap& match, const LocalMap& query, const GraphMatch& alignment, LoopClosure* loop) {
+  loop->rms_m = alignment.rms_m;
+  loop->spread_m = alignment.spread_m(1);
+  loop->inliers = static_cast<int>(alignment.pairs.size());
+  loop->labels = alignment.classes;
+  loop->T_match_query = alignment.T_a_b;
+  loop->scale = alignment.scale;
+  loop->matches.clear();
+  for (const NodePair& pair : alignment.pairs) {
+    loop->matches.push_back({query.objects[static_cast<std::size_t>(pair.b)].landmark_id,
+                             match.objects[static_cast<std::size_t>(pair.a)].landmark_id});
+  }
+}
+
+void refine_and_decide(const LocalMap& match, const LocalMap& query, const GraphMatch& alignment,
+                       const SubmapRefiner& refiner, const LoopOptions& options, LoopClosure* loop) {
+  loop->reason = LoopReason::kRefinement;
+  const std::optional<Refinement> refined = refiner.refine(match, query, alignment.T_a_b, alignment.pairs);
+  if (!refined) return;
+  loop->refine_residual = refined->median_residual;
+  loop->refine_shift_m = (alignment.T_a_b.inverse() * refined->T_a_b).t.norm();
+  loop->refine_shift_deg = degrees(rotation_angle(alignment.T_a_b.q, refined->T_a_b.q));
+  loop->sigma_m = std::sqrt(refined->covariance.topLeftCorner<3, 3>().trace());
+  loop->sigma_deg = degrees(std::sqrt(refined->covariance.bottomRightCorner<3, 3>().trace()));
+  if (loop->refine_residual > options.refine_max_residual || loop->refine_shift_m > options.refine_max_shift_m ||
+      loop->refine_shift_deg > options.refine_max_shift_deg) {
+    return;
+  }
+  loop->T_match_query = refined->T_a_b;
+  loop->covariance = refined->covariance;
+  loop->scale *= refined->scale;
+  loop->scale_covariance = refined->scale_covariance;
+  if (loop->sigma_m > options.max_sigma_m || loop->sigma_deg > options.max_sigma_deg) return;
+  loop->reason = LoopReason::kAccepted;
+  loop->accepted = true;
 }
 
 }  // namespace semantic_topo_loop::core

@@ -1,4 +1,4 @@
-#include "loop/paper/paper_score.h"
+#include "loop/paper/paper_detector.h"
 
 #include <gtest/gtest.h>
 
@@ -6,7 +6,6 @@
 #include <cmath>
 #include <limits>
 
-#include "loop/paper/keyframe_queue.h"
 #include "semantic_topo_loop/geometry/lie.h"
 #include "semantic_topo_loop/types/transform.h"
 

@@ -1,0 +1,445 @@
+#include "loop/submap/submap_builder.h"
+
+#include <Eigen/Cholesky>
+#include <Eigen/LU>
+#include <algorithm>
+#include <cmath>
+#include <cstdint>
+#include <limits>
+#include <map>
+#include <optional>
+#include <set>
+#include <utility>
+#include <vector>
+
+#include "geometry/statistics.h"
+#include "semantic_topo_loop/loop/loop_options.h"
+
+namespace semantic_topo_loop::core {
+namespace {
+
+constexpr int kCheckFrames = 10;  ///< in which another submap's objects are looked for: one in 1.5 s of the longest
+constexpr double kMaxFitShift_m = 0.2;   ///< a fit that leaves its rays this far is refused
+constexpr double kDuplicateShare = 0.6;  ///< of the mean radius, between two objects' centres
+constexpr double kMinRadius_m = 0.03;    ///< for that: the centres of small objects are not known better
+constexpr double kViewMargin = 0.1;      ///< of the image, in which an object does not count as in view
+constexpr double kMinVisibleDepth_m = 0.3;
+
+/// A box of a submap as a ray with an extent.
+struct BoxRay {
+  int frame = -1;  ///< index in LocalMap::frames
+  std::int64_t landmark_id = -1;
+  std::int64_t track_id = -1;
+  int class_id = -1;
+  Box box;                         ///< on the plane z = 1
+  bool full = false;               ///< no side is cut
+  Vec3 direction = Vec3::UnitZ();  ///< unit, local frame
+};
+
+struct RayCluster {
+  Vec3 center = Vec3::Zero();  ///< local frame, m
+  std::vector<int> rays;       ///< at most one a frame, ascending
+  double parallax_rad = 0.0;   ///< largest angle between two of its full rays
+};
+
+struct RayClusterOptions {
+  int min_views = 6;
+  double min_parallax_rad = 0.09;
+  double max_depth_m = 6.0;
+};
+
+constexpr double kMinDepth_m = 0.2;     ///< no object is nearer to a camera that sees it whole
+constexpr double kVoteOffset = 0.3;     ///< of the box size, between its centre and the projected point
+constexpr double kMemberOffset = 0.35;  ///< the same for a box that joins: the point is better known by then
+constexpr double kMemberSizeLog = 0.7;  ///< of z * box size against the cluster's median
+constexpr int kRefineRounds = 4;        ///< of choosing the boxes and meeting their rays
+constexpr int kPairsPerGroup = 32;  ///< of a track's boxes; with half of them on one object, a quarter of the pairs is
+constexpr int kGroupRounds = 3;     ///< objects looked for on one track
+constexpr int kAnyPairs = 64;       ///< of all boxes of a label, which hold several objects
+constexpr double kMinPairAngle = 0.05;  ///< rad, 3 deg: below it the depth of the meeting point is anyone's guess
+
+/// Finds the points at which the boxes of one label meet. Tracks propose points; the boxes decide: a track that
+/// holds two objects is split, and boxes of one object on several tracks are gathered.
+class Clustering {
+ public:
+  Clustering(const std::vector<BoxRay>& rays, const std::vector<LocalFrame>& frames, const RayClusterOptions& options)
+      : rays_(rays), frames_(frames), options_(options), used_(rays.size(), false) {}
+
+  std::vector<RayCluster> run() {
+    std::vector<Vec3> points;
+    std::map<std::int64_t, std::vector<int>> groups;
+    for (const int i : unused()) groups[ray(i).track_id].push_back(i);
+    for (const auto& [track, members] : groups) propose(members, &points);
+    // Tracks end when an object leaves the view, or join two objects; pairs of any boxes find what they miss.
+    for (const Vec3& point : pair_points(unused(), kAnyPairs)) points.push_back(point);
+    gather(std::move(points));
+    gather(pair_points(unused(), kAnyPairs));
+    return std::move(clusters_);
+  }
+
+ private:
+  const BoxRay& ray(int i) const { return rays_[static_cast<std::size_t>(i)]; }
+  const LocalFrame& frame_of(int i) const { return frames_[static_cast<std::size_t>(ray(i).frame)]; }
+  bool is_used(int i) const { return used_[static_cast<std::size_t>(i)]; }
+
+  /// The boxes without cut sides that belong to no cluster yet.
+  std::vector<int> unused() const {
+    std::vector<int> indices;
+    for (int i = 0; i < static_cast<int>(rays_.size()); ++i) {
+      if (ray(i).full && !is_used(i)) indices.push_back(i);
+    }
+    return indices;
+  }
+
+  struct Offset {
+    double share;  ///< of the box size; infinite behind the camera
+    double depth;
+  };
+  Offset offset(const Vec3& point, int i) const {
+    const Vec3 p = frame_of(i).to_camera(point);
+    if (p.z() < kMinDepth_m) return {std::numeric_limits<double>::infinity(), p.z()};
+    const Box& box = ray(i).box;
+    const double du = std::abs(p.x() / p.z() - 0.5 * (box.x1 + box.x2)) / box.width();
+    const double dv = std::abs(p.y() / p.z() - 0.5 * (box.y1 + box.y2)) / box.height();
+    return {std::max(du, dv), p.z()};
+  }
+
+  /// Middle of the shortest segment between two rays, if it lies before both cameras.
+  std::optional<Vec3> meet(int i, int j) const {
+    const Vec3 &o1 = frame_of(i).position, &o2 = frame_of(j).position;
+    const Vec3 &d1 = ray(i).direction, &d2 = ray(j).direction;
+    const double cosine = d1.dot(d2);
+    if (cosine > std::cos(kMinPairAngle)) return std::nullopt;
+    const Vec3 baseline = o2 - o1;
+    const double denominator = 1.0 - cosine * cosine;
+    const double s1 = (baseline.dot(d1) - cosine * baseline.dot(d2)) / denominator;
+    const double s2 = (cosine * baseline.dot(d1) - baseline.dot(d2)) / denominator;
+    if (s1 < kMinDepth_m || s2 < kMinDepth_m || s1 > options_.max_depth_m || s2 > options_.max_depth_m)
+      return std::nullopt;
+    return 0.5 * (o1 + s1 * d1 + o2 + s2 * d2);
+  }
+
+  /// Points from pairs that lie far apart in time, spread over the members.
+  std::vector<Vec3> pair_points(const std::vector<int>& members, int count) const {
+    std::vector<Vec3> points;
+    const int n = static_cast<int>(members.size());
+    for (int k = 0; n >= 2 && k < count; ++k) {
+      const int first = k * n / count;
+      // Separations of a half, a third, a quarter ... of the members, in turn.
+      const int second = (first + std::max(1, n / (2 + k % 4))) % n;
+      if (second == first) continue;
+      const auto point = meet(members[static_cast<std::size_t>(first)], members[static_cast<std::size_t>(second)]);
+      if (point) points.push_back(*point);
+    }
+    return points;
+  }
+
+  /// The points that most of a track's boxes agree on.
+  void propose(std::vector<int> members, std::vector<Vec3>* points) const {
+    for (int round = 0; round < kGroupRounds && members.size() >= 3; ++round) {
+      std::size_t best_votes = 0;
+      Vec3 best = Vec3::Zero();
+      for (const Vec3& point : pair_points(members, kPairsPerGroup)) {
+        const auto votes = static_cast<std::size_t>(
+            std::count_if(members.begin(), members.end(), [&](int i) { return offset(point, i).share < kVoteOffset; }));
+        if (votes > best_votes) {
+          best_votes = votes;
+          best = point;
+        }
+      }
+      if (best_votes < 3) return;
+      points->push_back(best);
+      members.erase(
+          std::remove_if(members.begin(), members.end(), [&](int i) { return offset(best, i).share < kMemberOffset; }),
+          members.end());
+    }
+  }
+
+  int votes(const Vec3& point) const {
+    int votes = 0, last_frame = -1;
+    for (int i = 0; i < static_cast<int>(rays_.size()); ++i) {
+      if (is_used(i) || ray(i).frame == last_frame || offset(point, i).share >= kVoteOffset) continue;
+      last_frame = ray(i).frame;
+      ++votes;
+    }
+    return votes;
+  }
+
+  /// Turns points into clusters, the best supported first; each box belongs to one cluster.
+  void gather(std::vector<Vec3> points) {
+    // Votes only fall as boxes are used up, so that an old count bounds the new one from above.
+    std::vector<int> bounds(points.size(), std::numeric_limits<int>::max());
+    while (!points.empty()) {
+      const auto best = static_cast<std::size_t>(std::max_element(bounds.begin(), bounds.end()) - bounds.begin());
+      const int best_votes = votes(points[best]);
+      if (best_votes < bounds[best]) {
+        bounds[best] = best_votes;
+        continue;
+      }
+      if (best_votes < options_.min_views) return;
+      const std::optional<RayCluster> cluster = refine(points[best]);
+      points.erase(points.begin() + static_cast<std::ptrdiff_t>(best));
+      bounds.erase(bounds.begin() + static_cast<std::ptrdiff_t>(best));
+      if (!cluster) continue;
+      for (const int i : cluster->rays) used_[static_cast<std::size_t>(i)] = true;
+      if (cluster->parallax_rad >= options_.min_parallax_rad) clusters_.push_back(*cluster);
+    }
+  }
+
+  std::optional<RayCluster> refine(const Vec3& start) const {
+    RayCluster cluster;
+    cluster.center = start;
+    for (int round = 0; round < kRefineRounds; ++round) {
+      cluster.rays = members(cluster.center);
+      const std::optional<Vec3> center = triangulate(cluster);
+      if (!center) return std::nullopt;
+      cluster.center = *center;
+    }
+    cluster.parallax_rad = parallax(cluster);
+    return cluster;
+  }
+
+  /// The best box of every frame among those that fit the point in place and size.
+  std::vector<int> members(const Vec3& point) const {
+    std::vector<double> sizes;
+    std::vector<std::pair<int, Offset>> near;
+    for (int i = 0; i < static_cast<int>(rays_.size()); ++i) {
+      if (is_used(i)) continue;
+      const Offset o = offset(point, i);
+      if (o.share >= kMemberOffset) continue;
+      near.emplace_back(i, o);
+      sizes.push_back(o.depth * ray(i).box.size());
+    }
+    if (near.empty()) return {};
+    const double usual = median(std::move(sizes));
+    std::map<int, std::pair<double, int>> best_of_frame;
+    for (const auto& [i, o] : near) {
+      if (std::abs(std::log(o.depth * ray(i).box.size() / usual)) >= kMemberSizeLog) continue;
+      const auto [it, inserted] = best_of_frame.emplace(ray(i).frame, std::pair(o.share, i));
+      if (!inserted) it->second = std::min(it->second, std::pair(o.share, i));
+    }
+    std::vector<int> result;
+    for (const auto& [frame, best] : best_of_frame) result.push_back(best.second);
+    return result;
+  }
+
+  /// Least squares of the distances to the full rays, over depth.
+  std::optional<Vec3> triangulate(const RayCluster& cluster) const {
+    Mat3 A = Mat3::Zero();
+    Vec3 b = Vec3::Zero();
+    int views = 0;
+    for (const int i : cluster.rays) {
+      if (!ray(i).full) continue;
+      const double depth = std::max(frame_of(i).to_camera(cluster.center).z(), kMinVisibleDepth_m);
+      const Mat3 across = (Mat3::Identity() - ray(i).direction * ray(i).direction.transpose()) / (depth * depth);
+      A += across;
+      b += across * frame_of(i).position;
+      ++views;
+    }
+    if (views < options_.min_views) return std::nullopt;
+    const Vec3 center = A.ldlt().solve(b);
+    if (!center.allFinite()) return std::nullopt;
+    return center;
+  }
+
+  double parallax(const RayCluster& cluster) const {
+    double smallest_cosine = 1.0;
+    for (std::size_t p = 0; p < cluster.rays.size(); ++p) {
+      if (!ray(cluster.rays[p]).full) continue;
+      for (std::size_t q = p + 1; q < cluster.rays.size(); ++q) {
+        if (!ray(cluster.rays[q]).full) continue;
+        smallest_cosine = std::min(smallest_cosine, ray(cluster.rays[p]).direction.dot(ray(cluster.rays[q]).direction));
+      }
+    }
+    return std::acos(std::clamp(smallest_cosine, -1.0, 1.0));
+  }
+
+  const std::vector<BoxRay>& rays_;
+  const std::vector<LocalFrame>& frames_;
+  const RayClusterOptions& options_;
+  std::vector<bool> used_;
+  std::vector<RayCluster> clusters_;
+};
+
+const ObservedFrame* middle_keyframe(const std::deque<ObservedFrame>& window) {
+  const std::int64_t middle = window.front().stamp_ns + (window.back().stamp_ns - window.front().stamp_ns) / 2;
+  const ObservedFrame* best = nullptr;
+  for (const ObservedFrame& frame : window) {
+    if (!frame.is_keyframe) continue;
+    if (best == nullptr || std::abs(frame.stamp_ns - middle) < std::abs(best->stamp_ns - middle)) best = &frame;
+  }
+  return best;
+}
+
+LocalFrame make_frame(const ObservedFrame& observed, const SE3& T_anchor_odom) {
+  const SE3 T_local_camera = T_anchor_odom * observed.T_odom_camera;
+  LocalFrame frame;
+  frame.frame_id = observed.frame_id;
+  frame.R_camera_local = T_local_camera.rotation().transpose();
+  frame.position = T_local_camera.t;
+  frame.t_camera_local = -frame.R_camera_local * frame.position;
+  frame.focal_px = observed.focal_px;
+  frame.image = observed.image;
+  frame.boxes = observed.boxes;
+  return frame;
+}
+
+/// Indices of `count` of n items, spread evenly, ends included.
+std::vector<int> spread(int n, int count) {
+  std::vector<int> indices;
+  if (n <= count) {
+    for (int i = 0; i < n; ++i) indices.push_back(i);
+  } else {
+    for (int k = 0; k < count; ++k) indices.push_back(k * (n - 1) / (count - 1));
+  }
+  return indices;
+}
+
+std::map<int, std::vector<BoxRay>> rays_by_label(const std::vector<LocalFrame>& frames,
+                                                 const LandmarkRedirects& redirects) {
+  std::map<int, std::vector<BoxRay>> rays;
+  for (std::size_t f = 0; f < frames.size(); ++f) {
+    for (const ObservedBox& box : frames[f].boxes) {
+      const Vec2 center = box.box.center();
+      const Vec3 direction = frames[f].R_camera_local.transpose() * Vec3(center.x(), center.y(), 1.0).normalized();
+      rays[box.label].push_back({static_cast<int>(f), redirects.resolve(box.landmark_id), box.track_id, box.class_id,
+                                 box.box, box.truncated == 0, direction});
+    }
+  }
+  return rays;
+}
+
+/// The value that most of a cluster's boxes have in a field, the lowest on ties.
+template <class Value>
+Value commonest(const std::vector<BoxRay>& rays, const RayCluster& cluster, Value BoxRay::*field) {
+  std::map<Value, int> counts;
+  for (const int i : cluster.rays) ++counts[rays[static_cast<std::size_t>(i)].*field];
+  return std::max_element(counts.begin(), counts.end(),
+                          [](const auto& p, const auto& q) { return p.second < q.second; })
+      ->first;
+}
+
+/// Of two objects of one label in one place, the better seen one stays.
+void remove_duplicates(std::vector<LocalObject>* objects) {
+  std::stable_sort(objects->begin(), objects->end(),
+                   [](const LocalObject& p, const LocalObject& q) { return p.frames_seen > q.frames_seen; });
+  std::vector<LocalObject> kept;
+  for (LocalObject& object : *objects) {
+    const bool duplicate = std::any_of(kept.begin(), kept.end(), [&](const LocalObject& other) {
+      const double radius = 0.5 * (object.spheroid.radius() + other.spheroid.radius());
+      return object.label == other.label &&
+             (object.spheroid.center - other.spheroid.center).norm() < kDuplicateShare * std::max(kMinRadius_m, radius);
+    });
+    if (!duplicate) kept.push_back(std::move(object));
+  }
+  *objects = std::move(kept);
+}
+
+/// Drops the frames that nothing refers to.
+void compact(LocalMap* map) {
+  std::set<int> needed(map->check_frames.begin(), map->check_frames.end());
+  for (const LocalObject& object : map->objects) {
+    for (const SubmapView& view : object.views) needed.insert(view.frame);
+  }
+  std::map<int, int> renumbered;
+  std::vector<LocalFrame> frames;
+  for (const int i : needed) {
+    renumbered[i] = static_cast<int>(frames.size());
+    frames.push_back(std::move(map->frames[static_cast<std::size_t>(i)]));
+  }
+  map->frames = std::move(frames);
+  for (int& i : map->check_frames) i = renumbered[i];
+  for (LocalObject& object : map->objects) {
+    for (SubmapView& view : object.views) view.frame = renumbered[view.frame];
+  }
+}
+
+}  // namespace
+
+bool in_view(const LocalFrame& frame, const Vec3& point, double max_depth_m) {
+  const Vec3 p = frame.to_camera(point);
+  if (p.z() < kMinVisibleDepth_m || p.z() > max_depth_m) return false;
+  const double mx = kViewMargin * frame.image.width(), my = kViewMargin * frame.image.height();
+  const double u = p.x() / p.z(), v = p.y() / p.z();
+  return u > frame.image.x1 + mx && u < frame.image.x2 - mx && v > frame.image.y1 + my && v < frame.image.y2 - my;
+}
+
+LocalMapBuilder::LocalMapBuilder(const LoopOptions& options)
+    : min_views_(options.min_views),
+      fit_views_(options.fit_views),
+      min_parallax_rad_(radians(options.min_parallax_deg)),
+      min_seen_share_(options.min_seen_share),
+      max_depth_m_(options.max_depth_m),
+      max_radius_m_(options.max_radius_m) {}
+
+std::optional<LocalMap> LocalMapBuilder::build(const std::deque<ObservedFrame>& window,
+                                               const LandmarkRedirects& redirects, const UpEstimator& up) const {
+  if (window.empty()) return std::nullopt;
+  const ObservedFrame* anchor = middle_keyframe(window);
+  if (anchor == nullptr) return std::nullopt;
+  LocalMap map;
+  map.keyframe_id = anchor->keyframe_id;
+  map.frame_id = anchor->frame_id;
+  map.stamp_ns = anchor->stamp_ns;
+  map.begin_frame = window.front().frame_id;
+  map.end_frame = window.back().frame_id;
+  map.end_ns = window.back().stamp_ns;
+  map.T_odom_anchor = anchor->T_odom_camera;
+  map.span_s = 1e-9 * static_cast<double>(window.back().stamp_ns - window.front().stamp_ns);
+  map.up = up.estimate(anchor->T_odom_camera.q);
+  const SE3 T_anchor_odom = anchor->T_odom_camera.inverse();
+  for (const ObservedFrame& observed : window) map.frames.push_back(make_frame(observed, T_anchor_odom));
+  map.check_frames = spread(static_cast<int>(map.frames.size()), kCheckFrames);
+  map.objects = find_objects(map, redirects);
+  compact(&map);
+  return map;
+}
+
+std::vector<LocalObject> LocalMapBuilder::find_objects(const LocalMap& map, const LandmarkRedirects& redirects) const {
+  const RayClusterOptions cluster_options{min_views_, min_parallax_rad_, max_depth_m_};
+  std::vector<LocalObject> objects;
+  for (const auto& [label, rays] : rays_by_label(map.frames, redirects)) {
+    for (const RayCluster& cluster : Clustering(rays, map.frames, cluster_options).run()) {
+      const auto visible = std::count_if(map.frames.begin(), map.frames.end(), [&](const LocalFrame& frame) {
+        return in_view(frame, cluster.center, max_depth_m_);
+      });
+      const double seen_share =
+          static_cast<double>(cluster.rays.size()) / std::max<double>(static_cast<double>(visible), 1.0);
+      if (seen_share < min_seen_share_) continue;
+      std::vector<SubmapView> views;
+      for (const int i : cluster.rays) {
+        const BoxRay& ray = rays[static_cast<std::size_t>(i)];
+        if (ray.full) views.push_back({ray.frame, ray.box});
+      }
+      std::optional<LocalObject> object = fit(map, std::move(views), cluster.center);
+      if (!object) continue;
+      object->landmark_id = commonest(rays, cluster, &BoxRay::landmark_id);
+      object->label = label;
+      object->class_id = commonest(rays, cluster, &BoxRay::class_id);
+      object->frames_seen = static_cast<int>(cluster.rays.size());
+      object->seen_share = std::min(seen_share, 1.0);
+      object->parallax_deg = degrees(cluster.parallax_rad);
+      objects.push_back(std::move(*object));
+    }
+  }
+  remove_duplicates(&objects);
+  return objects;
+}
+
+std::optional<LocalObject> LocalMapBuilder::fit(const LocalMap& map, std::vector<SubmapView> views,
+                                                const Vec3& center) const {
+  LocalObject object;
+  for (const int i : spread(static_cast<int>(views.size()), fit_views_)) {
+    object.views.push_back(views[static_cast<std::size_t>(i)]);
+  }
+  const std::optional<SpheroidFit> fit = fit_spheroid(map, object.views, center);
+  if (!fit) return std::nullopt;
+  object.spheroid = fit->spheroid;
+  object.covariance = fit->center_covariance;
+  if ((object.spheroid.center - center).norm() > kMaxFitShift_m || object.spheroid.radius() > max_radius_m_) {
+    return std::nullopt;
+  }
+  return object;
+}
+
+}  // namespace semantic_topo_loop::core
