@@ -16,9 +16,9 @@ namespace {
 constexpr double kMaxGuess_s = 0.5;  ///< motion is not carried on for longer: a hand turns back within a second
 
 /// Camera-frame points of an even grid of depth pixels.
-class PointGrid {
+class DepthGrid {
  public:
-  PointGrid(const Camera& camera, int stride_px) {
+  DepthGrid(const Camera& camera, int stride_px) {
     for (int v = stride_px / 2; v < camera.height; v += stride_px) {
       for (int u = stride_px / 2; u < camera.width; u += stride_px) {
         pixels_.push_back({u, v, camera.ray(camera.undistort(Vec2(u, v))).cast<float>()});
@@ -106,7 +106,7 @@ struct RgbdFrontend::Impl {
   FeatureExtractor extractor;
   ImageTracker tracker;
   MapBuilder builder;
-  PointGrid grid;
+  DepthGrid grid;
   TrackingMap map;
   std::optional<RegistrationEstimator> registration_estimator;  ///< until it has decided
   std::int64_t last_registration_ns = 0;                        ///< stamp of the last image it took
@@ -270,7 +270,7 @@ bool RgbdFrontend::Impl::correct_calibration(TrackedFeatures* image) {
   extractor.set_camera(camera);
   tracker.set_camera(camera);
   builder.set_camera(camera);
-  grid = PointGrid(camera, options.point_stride_px);
+  grid = DepthGrid(camera, options.point_stride_px);
   map = TrackingMap(options, calibration.camera);
   ++starts;
   image->points.assign(image->features.size(), -1);
