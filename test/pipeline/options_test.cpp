@@ -2,6 +2,8 @@
 
 #include <gtest/gtest.h>
 
+#include <limits>
+
 #include "semantic_topo_loop/io/camera_yaml.h"
 #include "semantic_topo_loop/io/class_table_yaml.h"
 #include "semantic_topo_loop/io/options_yaml.h"
@@ -9,6 +11,37 @@
 
 namespace semantic_topo_loop::core {
 namespace {
+
+TEST(Range, HoldsWhatItsRuleSays) {
+  const double nan = std::numeric_limits<double>::quiet_NaN(), infinity = std::numeric_limits<double>::infinity();
+  struct Case {
+    Range range;
+    std::string rule;
+    std::vector<double> in, out;
+  };
+  for (const Case& one :
+       {Case{any(), "", {-1e9, 1e9}, {nan, infinity}}, Case{positive(), "> 0", {1e-9, 1e9}, {0.0, -1.0, nan, infinity}},
+        Case{not_negative(), ">= 0", {0.0, 1e9}, {-1e-9, nan}}, Case{at_least(3), ">= 3", {3.0}, {2.0, nan}},
+        Case{share(), "in [0, 1]", {0.0, 1.0}, {-0.1, 1.1, nan}},
+        Case{above(1).at_most(2), "in (1, 2]", {1.1, 2.0}, {1.0, 2.1, nan}},
+        Case{at_least(0).below(180), "in [0, 180)", {0.0, 179.0}, {-1.0, 180.0, nan}}}) {
+    EXPECT_EQ(one.range.rule(), one.rule);
+    for (const double value : one.in) EXPECT_TRUE(one.range.holds(value)) << value << " must be " << one.rule;
+    for (const double value : one.out) EXPECT_FALSE(one.range.holds(value)) << value << " must be " << one.rule;
+  }
+  EXPECT_EQ(one_of({"a", "b", "c"}).rule(), "a, b or c");
+  EXPECT_TRUE(one_of({"a", "b"}).holds("b"));
+  EXPECT_FALSE(one_of({"a", "b"}).holds("c"));
+  EXPECT_FALSE(given().holds(""));
+}
+
+TEST(Options, RulesBetweenFieldsAreChecked) {
+  for (const auto& [key, rule] : {std::pair("frontend.max_keyframes", ">= 2 frontend.window_keyframes"),
+                                  std::pair("mapping.fit_views_max", ">= mapping.min_views")}) {
+    EXPECT_EQ(make_options<Options>({{key, "5"}}).message(),
+              "parameter '" + std::string(key) + "' = '5' must be " + rule);
+  }
+}
 
 TEST(Options, DefaultsAreValid) {
   const auto options = make_options<Options>({});

@@ -3,6 +3,7 @@
 #include <limits>
 #include <map>
 #include <string>
+#include <utility>
 #include <variant>
 #include <vector>
 
@@ -72,11 +73,6 @@ class OptionVisitor {
     options_.push_back({std::move(key), &field, std::move(range), meaning, {}});
   }
   void operator()(std::string key, bool& field, const char* meaning) {
-    options_.push_back({std::move(key), &field, any(), meaning, {}});
-  }
-  /// For fields whose range is anything.
-  template <class Field>
-  void operator()(std::string key, Field& field, const char* meaning) {
     options_.push_back({std::move(key), &field, any(), meaning, {}});
   }
   /// States a rule between fields, about one that was shown.
