@@ -14,4 +14,13 @@ inline double median(std::vector<double> values) {
   return *middle;
 }
 
+/// At most `count` of the items, evenly taken, in their order.
+template <class Item>
+std::vector<Item> evenly_taken(std::vector<Item> items, std::size_t count) {
+  if (items.size() <= count) return items;
+  std::vector<Item> some;
+  for (std::size_t i = 0; i < count; ++i) some.push_back(items[i * items.size() / count]);
+  return some;
+}
+
 }  // namespace semantic_topo_loop::core

@@ -15,7 +15,7 @@
 #include "loop/submap/observation_window.h"
 #include "loop/submap/submap_builder.h"
 #include "loop/submap/up_estimator.h"
-#include "odometry/burst_watch.h"
+#include "odometry/motion_bursts.h"
 #include "semantic_topo_loop/loop/loop_options.h"
 
 namespace semantic_topo_loop::core {

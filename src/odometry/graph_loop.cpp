@@ -4,6 +4,7 @@
 #include <Eigen/LU>
 #include <algorithm>
 #include <cmath>
+#include <string>
 #include <utility>
 
 #include "geometry/relative_pose.h"
@@ -37,7 +38,7 @@ const char* fault(const LoopClosure& closure, int query_vertex, int match_vertex
   if (match_vertex < 0) return "its match keyframe is unknown";
   if (query_vertex == match_vertex) return "its keyframes are the same";
   if (!closure.T_match_query.is_finite()) return "its pose is not finite";
-  constexpr double kMaxNormError = 1e-3;
+  constexpr double kMaxNormError = 1e-3;  // rounding of a text file leaves far less: such a quaternion is a mistake
   if (std::abs(closure.T_match_query.q.norm() - 1.0) > kMaxNormError) return "its quaternion is not of unit length";
   if (!is_covariance(closure.covariance)) return "its covariance is not positive definite";
   if (!std::isfinite(closure.scale) || closure.scale <= 0.0) return "its scale is not positive";
@@ -81,12 +82,10 @@ Mat7 similarity_sqrt_info(const GraphLoop& loop) {
   return (0.5 * (information + information.transpose())).llt().matrixU();
 }
 
-std::optional<GraphLoop> make_graph_loop(const LoopClosure& closure, int query_vertex, int match_vertex,
-                                         std::string* error) {
+Result<GraphLoop> make_graph_loop(const LoopClosure& closure, int query_vertex, int match_vertex) {
   if (const char* why = fault(closure, query_vertex, match_vertex)) {
-    *error = "loop of keyframes " + std::to_string(closure.query_keyframe_id) + " and " +
-             std::to_string(closure.match_keyframe_id) + " refused: " + why;
-    return std::nullopt;
+    return Error{"loop of keyframes " + std::to_string(closure.query_keyframe_id) + " and " +
+                 std::to_string(closure.match_keyframe_id) + " refused: " + why};
   }
   GraphLoop loop;
   loop.query_keyframe_id = closure.query_keyframe_id;

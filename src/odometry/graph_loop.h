@@ -1,10 +1,9 @@
 #pragma once
 
-#include <optional>
-#include <string>
 #include <vector>
 
 #include "semantic_topo_loop/types/loop_closure.h"
+#include "semantic_topo_loop/types/result.h"
 
 namespace semantic_topo_loop::core {
 
@@ -22,13 +21,12 @@ struct GraphLoop {
   Sim3 S_from_to() const { return Sim3(T_from_to, scale); }
 };
 
-/// U of |U e|^2 with e of relative_similarity.h; its last row is zero if the scale was not measured.
+/// U of |U e|^2 with e of relative_similarity_residual; its last row is zero if the scale was not measured.
 Mat7 similarity_sqrt_info(const GraphLoop& loop);
 
 /// @param query_vertex, match_vertex vertices of the two keyframes
-/// @return nullopt, naming the loop and the fault in `error`, if it cannot be an edge
-std::optional<GraphLoop> make_graph_loop(const LoopClosure& closure, int query_vertex, int match_vertex,
-                                         std::string* error);
+/// @return an error that names the loop and the fault if it cannot be an edge
+Result<GraphLoop> make_graph_loop(const LoopClosure& closure, int query_vertex, int match_vertex);
 
 /// How much two loops rest on the same evidence: the overlap of their query windows times that of their match windows,
 /// each as intersection over union, in [0, 1].

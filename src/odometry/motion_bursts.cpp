@@ -8,22 +8,25 @@
 namespace semantic_topo_loop::core {
 namespace {
 
-constexpr std::array<std::size_t, 6> kLengths{1, 2, 4, 6, 8, 11};  // frames
-constexpr std::size_t kSide = 5;         // frames before and as many after, whose mean foretells
-constexpr std::size_t kHistory = 600;    // frames that say what is usual
-constexpr std::size_t kMinHistory = 60;  // before that nothing is
-constexpr std::size_t kRefresh = 16;     // frames after which it is asked again
-constexpr double kSuspicious = 6.0;      // times the usual difference: few motions of a hand-held camera are beyond
-constexpr double kCertain = 10.0;
-constexpr double kDoubt = 3.0;  // times the usual difference: so much of a burst's size may be none of it
+// All counts of frames below stand for times at 30 Hz, the rate of the recordings on which they were chosen.
+constexpr std::array<std::size_t, 6> kLengths{1, 2, 4, 6, 8, 11};  // frames: bursts of up to 0.4 s
+constexpr std::size_t kSide = 5;         // frames before and as many after, whose mean foretells: a sixth of a second
+constexpr std::size_t kHistory = 600;    // frames that say what is usual: 20 s
+constexpr std::size_t kMinHistory = 60;  // frames before which nothing is usual: 2 s
+constexpr std::size_t kRefresh = 16;     // frames after which it is asked again: half a second, to save time
+/// Times the usual difference: few motions of a hand-held camera are beyond the first, and a burst counts by a share
+/// that grows from there to the second, so that what is learnt does not hang on one frame. Chosen on the drifted
+/// recordings.
+constexpr double kMinSigmas = 6.0, kCertainSigmas = 10.0;
+constexpr double kDoubt = 3.0;  // times the usual difference: so much of a burst's size may be none of it (3 sigmas)
 
 /// Sigma of each axis, by what nine of ten differences stay below: the worst tenth may be jumps or a shaky odometry's
 /// own.
 double usual(std::vector<double> norms) {
-  constexpr double kNinthTenth = 2.5;  // of the norm of three, in sigmas
+  constexpr double kNinthTenth = 2.5;  // of the norm of three, in sigmas: root of the 90 % quantile of chi^2, 6.25
   const auto at = norms.begin() + static_cast<std::ptrdiff_t>(norms.size() * 9 / 10);
   std::nth_element(norms.begin(), at, norms.end());
-  constexpr double kTiny = 1e-9;
+  constexpr double kTiny = 1e-9;  // m or rad: a camera that stands still is no division by zero
   return *at / kNinthTenth + kTiny;
 }
 
@@ -35,7 +38,7 @@ void put(double value, std::size_t turn, std::vector<double>* history) {
   }
 }
 
-void add(const MotionBursts::Suspect& more, MotionBursts::Suspect* sum) {
+void add(const MotionBursts::SuspectedJump& more, MotionBursts::SuspectedJump* sum) {
   sum->motion += more.motion;
   sum->error_m += more.error_m;
   sum->error_rad += more.error_rad;
@@ -47,20 +50,20 @@ MotionBursts::MotionBursts() {
   for (std::size_t i = 0; i < kLengths.size(); ++i) lengths_[i].frames = kLengths[i];
 }
 
-void MotionBursts::push(const StampedPose& pose, bool is_break, std::size_t section) {
-  const std::optional<StampedPose> last = last_;
-  last_ = pose;
-  if (!last || is_break || pose.stamp_ns <= last->stamp_ns) return;
-  const double dt_s = 1e-9 * static_cast<double>(pose.stamp_ns - last->stamp_ns);
-  window_.push_back(
-      {se3_log(last->T_world_camera.inverse() * pose.T_world_camera) / dt_s, pose.T_world_camera.q, dt_s, section});
+void MotionBursts::push(const Frame& frame, std::size_t section) {
+  const SE3& T_odom_camera = frame.T_odom_camera;
+  const std::optional<SE3> T_odom_last = std::exchange(T_odom_last_, T_odom_camera);
+  const std::int64_t elapsed_ns = frame.stamp_ns - std::exchange(last_stamp_ns_, frame.stamp_ns);
+  if (!T_odom_last || frame.is_break || elapsed_ns <= 0) return;
+  const double dt_s = 1e-9 * static_cast<double>(elapsed_ns);
+  window_.push_back({se3_log(T_odom_last->inverse() * T_odom_camera) / dt_s, T_odom_camera.q, dt_s, section});
   ++count_;
   if (window_.size() > kLengths.back() + 2 * kSide) window_.pop_front();
   Burst best;
   for (Length& length : lengths_) {
     if (window_.size() < length.frames + 2 * kSide) continue;
     Burst burst = judge(&length);
-    if (burst.strength > kSuspicious && burst.size > best.size) best = std::move(burst);
+    if (burst.strength > kMinSigmas && burst.size > best.size) best = std::move(burst);
   }
   if (best.size > 0.0) remember(best);
 }
@@ -103,18 +106,18 @@ MotionBursts::Burst MotionBursts::judge(Length* length) const {
   put(translation, length->next, &length->translations);
   put(rotation, length->next, &length->rotations);
   ++length->next;
-  if (burst.strength <= kSuspicious) return burst;
+  if (burst.strength <= kMinSigmas) return burst;
   burst.begin = count_ - window_.size() + begin;
   burst.end = count_ - window_.size() + end;
-  const double share = std::min(1.0, (burst.strength - kSuspicious) / (kCertain - kSuspicious));
+  const double share = std::min(1.0, (burst.strength - kMinSigmas) / (kCertainSigmas - kMinSigmas));
   for (std::size_t i = begin; i < end; ++i) {
     const Motion& motion = window_[i];
     const Vec6 excess = share * motion.dt_s * (motion.rate - foretold);
-    Suspect suspect;
-    suspect.motion << motion.q_odom_camera * excess.head<3>(), motion.q_odom_camera * excess.tail<3>();
-    suspect.error_m = share * length->sigma_m / static_cast<double>(length->frames);
-    suspect.error_rad = share * length->sigma_rad / static_cast<double>(length->frames);
-    burst.suspects.emplace_back(motion.section, suspect);
+    SuspectedJump jump;
+    jump.motion << motion.q_odom_camera * excess.head<3>(), motion.q_odom_camera * excess.tail<3>();
+    jump.error_m = share * length->sigma_m / static_cast<double>(length->frames);
+    jump.error_rad = share * length->sigma_rad / static_cast<double>(length->frames);
+    burst.jumps.emplace_back(motion.section, jump);
   }
   return burst;
 }
@@ -126,19 +129,36 @@ void MotionBursts::remember(const Burst& burst) {
 }
 
 void MotionBursts::settle() {
-  for (const auto& [section, suspect] : greatest_.suspects) {
-    if (suspects_.size() <= section) suspects_.resize(section + 1);
-    add(suspect, &suspects_[section]);
+  for (const auto& [section, jump] : greatest_.jumps) {
+    if (jumps_.size() <= section) jumps_.resize(section + 1);
+    add(jump, &jumps_[section]);
   }
   greatest_ = Burst();
 }
 
-MotionBursts::Suspect MotionBursts::suspect(std::size_t section) const {
-  Suspect sum = section < suspects_.size() ? suspects_[section] : Suspect();
-  for (const auto& [of_section, suspect] : greatest_.suspects) {
-    if (of_section == section) add(suspect, &sum);
+MotionBursts::SuspectedJump MotionBursts::suspected_jump(std::size_t section) const {
+  SuspectedJump sum = section < jumps_.size() ? jumps_[section] : SuspectedJump();
+  for (const auto& [of_section, jump] : greatest_.jumps) {
+    if (of_section == section) add(jump, &sum);
   }
   return sum;
+}
+
+bool BurstWatch::push(const Frame& frame) {
+  constexpr int kFramesPerSection = 15;       // longer than any burst; half a second at 30 Hz
+  constexpr double kMinTranslation_m = 0.05;  // less does not spoil a submap; finds the bursts of drifted recordings
+  constexpr double kMinRotation_rad = 0.06;   // as much at about a metre
+  bursts_.push(frame, section_);
+  // A burst may lie across the border of two sections.
+  Vec6 jump = bursts_.suspected_jump(section_).motion;
+  if (section_ > 0) jump += bursts_.suspected_jump(section_ - 1).motion;
+  const bool jumped = jump.head<3>().norm() > kMinTranslation_m || jump.tail<3>().norm() > kMinRotation_rad;
+  constexpr std::size_t kBeyond = 2;  // what is still to come of this burst belongs to the old sections
+  if (jumped || ++frames_ == kFramesPerSection) {
+    section_ += jumped ? kBeyond : 1;
+    frames_ = 0;
+  }
+  return jumped;
 }
 
 }  // namespace semantic_topo_loop::core

@@ -7,7 +7,7 @@
 #include <utility>
 #include <vector>
 
-#include "semantic_topo_loop/types/stamp.h"
+#include "semantic_topo_loop/types/frame.h"
 
 namespace semantic_topo_loop::core {
 
@@ -17,18 +17,18 @@ namespace semantic_topo_loop::core {
 class MotionBursts {
  public:
   MotionBursts();
-  /// Takes in the next pose of the odometry; the motion to a pose after a break, or one that is not later, is left out.
+  /// Takes in the next frame's pose; the motion to a pose after a break, or one that is not later, is left out.
   /// @param section of the path that the motion belongs to, not falling
-  void push(const StampedPose& pose, bool is_break, std::size_t section);
+  void push(const Frame& frame, std::size_t section);
 
   /// What stood out in a section: by so much the odometry may have jumped.
-  struct Suspect {
+  struct SuspectedJump {
     Vec6 motion = Vec6::Zero();  ///< (m, rad), in the axes of the odometry
     /// 1 sigma of how far motions usually are from what is foretold: so far the jump, if it was one, may be off.
     double error_m = 0.0, error_rad = 0.0;
   };
   /// The last few frames have not been compared yet.
-  Suspect suspect(std::size_t section) const;
+  SuspectedJump suspected_jump(std::size_t section) const;
 
  private:
   struct Motion {
@@ -45,10 +45,10 @@ class MotionBursts {
     double sigma_m = 0.0, sigma_rad = 0.0;  ///< that is usual
   };
   struct Burst {
-    std::size_t begin = 0, end = 0;                         ///< motions, counted from the first
-    double strength = 0.0;                                  ///< in sigmas of its length
-    double size = 0.0;                                      ///< what of it is sure, in sigmas of the shortest length
-    std::vector<std::pair<std::size_t, Suspect>> suspects;  ///< by section
+    std::size_t begin = 0, end = 0;                            ///< motions, counted from the first
+    double strength = 0.0;                                     ///< in sigmas of its length
+    double size = 0.0;                                         ///< what of it is sure, in sigmas of the shortest length
+    std::vector<std::pair<std::size_t, SuspectedJump>> jumps;  ///< by section
   };
 
   Burst judge(Length* length) const;
@@ -56,11 +56,24 @@ class MotionBursts {
   void settle();
 
   std::array<Length, 6> lengths_;
-  std::optional<StampedPose> last_;
+  std::optional<SE3> T_odom_last_;
+  std::int64_t last_stamp_ns_ = 0;
   std::deque<Motion> window_;
-  std::size_t count_ = 0;          ///< of motions
-  Burst greatest_;                 ///< of those that overlap at the end
-  std::vector<Suspect> suspects_;  ///< by section, without those of greatest_
+  std::size_t count_ = 0;             ///< of motions
+  Burst greatest_;                    ///< of those that overlap at the end
+  std::vector<SuspectedJump> jumps_;  ///< by section, without those of greatest_
+};
+
+/// Tells jumps of the odometry by its motion alone, five frames after their end.
+class BurstWatch {
+ public:
+  /// @return true if a jump that spoils a submap has just been noticed
+  bool push(const Frame& frame);
+
+ private:
+  MotionBursts bursts_;
+  std::size_t section_ = 0;
+  int frames_ = 0;  ///< in the section
 };
 
 }  // namespace semantic_topo_loop::core

@@ -1,32 +1,279 @@
 #include "odometry/noise_estimator.h"
 
+#include <Eigen/Cholesky>
+#include <Eigen/LU>
 #include <algorithm>
 #include <array>
 #include <cmath>
+#include <limits>
+
+#include "geometry/relative_pose.h"
 
 namespace semantic_topo_loop::core {
 namespace {
 
-/// Logarithms of the factors on the least noise (translation and rotation walk, steady translation and rotation, scale,
-/// suspicion) and on the loops' sigmas.
-constexpr std::size_t kSuspicionIndex = 5, kLoopIndex = 6;
+/// Two loops from the same windows still differ a little: their keyframes do.
+constexpr double kMaxCorrelation = 0.95;
+
+/// The steady errors are linear between this many knots, which share most of their variance.
+constexpr int kKnots = 5;              // a drift that changes a few times in a run, at a cost that stays small
+constexpr double kKnotVariance = 0.2;  // of each knot by itself, over that of their common part
+/// Columns of a knot: rotation, translation fixed to the camera, translation fixed to the world; the scale is the last.
+constexpr int kKnotColumns = 9, kSteadyColumns = kKnots * kKnotColumns + 1;
+
+Eigen::Index row(std::size_t loop) { return 6 * static_cast<Eigen::Index>(loop); }
+
+double squared(double x) { return x * x; }
+
+using KnotMatrix = Eigen::Matrix<double, kKnots, kKnots>;
+
+/// Root of the knots' covariance.
+KnotMatrix knot_root() {
+  const KnotMatrix covariance = (KnotMatrix::Ones() + kKnotVariance * KnotMatrix::Identity()) / (1.0 + kKnotVariance);
+  return covariance.llt().matrixL();
+}
+
+/// Columns of one kind of steady error: `offset` within the knot, `width` columns.
+Eigen::MatrixXd columns(const Eigen::MatrixXd& steady, int offset, int width) {
+  Eigen::MatrixXd result(steady.rows(), kKnots * width);
+  for (int knot = 0; knot < kKnots; ++knot) {
+    result.middleCols(knot * width, width) = steady.middleCols(knot * kKnotColumns + offset, width);
+  }
+  return result;
+}
+
+}  // namespace
+
+InnovationModel::Basis InnovationModel::steady_basis(std::size_t edge) const {
+  static const KnotMatrix kRoot = knot_root();
+  const double way = progress_[edge + 1] - progress_[edge];
+  const double share = (progress_[edge] + 0.5 * way) / std::max(progress_.back(), 1e-9);
+  const double x = share * (kKnots - 1);
+  const int knot = std::clamp(static_cast<int>(x), 0, kKnots - 2);
+  const Eigen::Matrix<double, 1, kKnots> at = (1.0 - (x - knot)) * kRoot.row(knot) + (x - knot) * kRoot.row(knot + 1);
+  const Mat3 R_vertex_world = (*vertices_)[edge + 1].q.conjugate().normalized().toRotationMatrix();
+  Basis basis = Basis::Zero(6, kSteadyColumns);
+  for (int k = 0; k < kKnots; ++k) {
+    basis.block<3, 3>(3, k * kKnotColumns) = way * at(k) * Mat3::Identity();
+    basis.block<3, 3>(0, k * kKnotColumns + 3) = way * at(k) * Mat3::Identity();
+    basis.block<3, 3>(0, k * kKnotColumns + 6) = way * at(k) * R_vertex_world;
+  }
+  const SE3& T_from_to = (*edges_)[edge].T_from_to;
+  basis.col(kSteadyColumns - 1).head<3>() = T_from_to.q.conjugate() * T_from_to.t;
+  return basis;
+}
+
+InnovationModel::MotionBound InnovationModel::usual_motion(const std::vector<OdometryEdge>& edges) {
+  if (edges.empty()) return {};
+  std::vector<double> paths, turns;
+  for (const OdometryEdge& edge : edges) {
+    paths.push_back(edge.path_m);
+    turns.push_back(edge.rotation_rad);
+  }
+  const auto middle = static_cast<std::ptrdiff_t>(edges.size() / 2);
+  std::nth_element(paths.begin(), paths.begin() + middle, paths.end());
+  std::nth_element(turns.begin(), turns.begin() + middle, turns.end());
+  return {paths[edges.size() / 2], turns[edges.size() / 2]};
+}
+
+void InnovationModel::accumulate_edges() {
+  const std::size_t n = edges_->size() + 1;
+  double path = 0.0, turn = 0.0;
+  for (const OdometryEdge& edge : *edges_) {
+    path += edge.path_m;
+    turn += edge.rotation_rad;
+  }
+  usual_motion_ = usual_motion(*edges_);
+  metres_per_radian_ = turn > 0.0 ? path / turn : 0.0;
+  progress_.assign(n, 0.0);
+  for (std::size_t i = 0; i + 1 < n; ++i) {
+    progress_[i + 1] = progress_[i] + 0.5 * ((*edges_)[i].path_m + metres_per_radian_ * (*edges_)[i].rotation_rad);
+  }
+  sum_steady_.assign(n, Basis::Zero(6, kSteadyColumns));
+  for (std::size_t i = 0; i + 1 < n; ++i) {
+    sum_steady_[i + 1] = sum_steady_[i];
+    const OdometryEdge& edge = (*edges_)[i];
+    if (!edge.is_break && !edge.covariance) sum_steady_[i + 1] += path_.to_origin(i) * steady_basis(i);
+  }
+}
+
+InnovationModel::InnovationModel(const std::vector<SE3>& T_world_vertex, const std::vector<OdometryEdge>& edges,
+                                 const std::vector<GraphLoop>& loops)
+    : vertices_(&T_world_vertex), edges_(&edges), graph_loops_(&loops), path_(T_world_vertex, edges) {
+  accumulate_edges();
+  const auto n = row(loops.size());
+  misfit_.resize(n);
+  expected_jump_.resize(n);
+  for (Eigen::MatrixXd* m : {&given_, &translation_, &rotation_, &suspected_jumps_, &loops_, &jumps_}) m->setZero(n, n);
+  steady_.setZero(n, kSteadyColumns);
+  std::vector<Mat6> roots(loops.size());
+  from_origin_.resize(loops.size());
+  for (std::size_t k = 0; k < loops.size(); ++k) {
+    const GraphLoop& loop = loops[k];
+    const auto from = static_cast<std::size_t>(loop.from), to = static_cast<std::size_t>(loop.to);
+    const Innovation innovation = path_.innovation(loop);
+    from_origin_[k] = innovation.from_origin;
+    misfit_.segment<6>(row(k)) = innovation.error;
+    expected_jump_.segment<6>(row(k)) = innovation.jump;
+    steady_.middleRows<6>(row(k)) = from_origin_[k] * (sum_steady_[to] - sum_steady_[from]);
+    roots[k] = loop.covariance.llt().matrixL();
+  }
+  for (std::size_t k = 0; k < loops.size(); ++k) {
+    for (std::size_t l = 0; l <= k; ++l) {
+      const auto begin = static_cast<std::size_t>(std::max(loops[k].from, loops[l].from));
+      const auto end = static_cast<std::size_t>(std::min(loops[k].to, loops[l].to));
+      const double shared = k == l ? 1.0 : std::min(kMaxCorrelation, shared_evidence(loops[k], loops[l]));
+      loops_.block<6, 6>(row(k), row(l)) = shared * roots[k] * roots[l].transpose();
+      if (begin >= end) continue;
+      const auto between = [&](const PathNoise::Sums& sums) {
+        return Mat6(from_origin_[k] * (sums[end] - sums[begin]) * from_origin_[l].transpose());
+      };
+      given_.block<6, 6>(row(k), row(l)) = between(path_.given());
+      translation_.block<6, 6>(row(k), row(l)) = between(path_.translation());
+      rotation_.block<6, 6>(row(k), row(l)) = between(path_.rotation());
+      suspected_jumps_.block<6, 6>(row(k), row(l)) = between(path_.suspected_jumps());
+    }
+  }
+  const Eigen::MatrixXd turning = columns(steady_, 0, 3), moving = columns(steady_, 3, 6);
+  steady_rotation_ = turning * turning.transpose();
+  steady_translation_ = moving * moving.transpose();
+  scale_ = steady_.rightCols<1>() * steady_.rightCols<1>().transpose();
+}
+
+Eigen::MatrixXd InnovationModel::effect(std::size_t edge) const {
+  Eigen::MatrixXd result = Eigen::MatrixXd::Zero(misfit_.size(), 6);
+  for (std::size_t k = 0; k < graph_loops_->size(); ++k) {
+    const GraphLoop& loop = (*graph_loops_)[k];
+    const int i = static_cast<int>(edge);
+    if (loop.from <= i && i < loop.to) result.middleRows<6>(row(k)) = from_origin_[k] * path_.to_origin(edge);
+  }
+  return result;
+}
+
+void InnovationModel::set_jumps(const std::vector<OdometryJump>& jumps) {
+  jumps_.setZero();
+  for (const OdometryJump& jump : jumps) {
+    const Eigen::MatrixXd by_error = effect(jump.edge);
+    jumps_ +=
+        by_error * isotropic_covariance(squared(jump.translation_m), squared(jump.rotation_rad)) * by_error.transpose();
+  }
+}
+
+/// Only the lower triangle is meant.
+Eigen::MatrixXd InnovationModel::covariance(const OdometryNoise& noise, double loop_factor) const {
+  Eigen::MatrixXd sum = squared(loop_factor) * loops_ + given_ + jumps_;
+  sum += squared(noise.translation_m) * translation_ + squared(noise.rotation_rad) * rotation_;
+  sum += squared(noise.steady_translation) * steady_translation_ + squared(noise.scale) * scale_;
+  sum += squared(noise.steady_rotation_rad) * steady_rotation_ + squared(noise.jump_prior) * suspected_jumps_;
+  return sum;
+}
+
+double InnovationModel::cost(const OdometryNoise& noise, double loop_factor) const {
+  Eigen::MatrixXd covariance = this->covariance(noise, loop_factor);
+  const Eigen::LLT<Eigen::Ref<Eigen::MatrixXd>, Eigen::Lower> factor(covariance);
+  if (factor.info() != Eigen::Success) return std::numeric_limits<double>::infinity();
+  const Eigen::VectorXd whitened = factor.matrixL().solve(innovation(noise));
+  return 0.5 * whitened.squaredNorm() + covariance.diagonal().array().log().sum();
+}
+
+InnovationModel::Whitened InnovationModel::whiten(const NoiseEstimate& noise) const {
+  const Eigen::MatrixXd covariance = this->covariance(noise.odometry, noise.loop_factor);
+  const Eigen::LLT<Eigen::MatrixXd, Eigen::Lower> factor(covariance);
+  Whitened whitened;
+  whitened.information = factor.solve(Eigen::MatrixXd::Identity(covariance.rows(), covariance.cols()));
+  whitened.pull = factor.solve(innovation(noise.odometry));
+  return whitened;
+}
+
+std::vector<Vec6> InnovationModel::steady_errors(const NoiseEstimate& noise) const {
+  const Eigen::VectorXd pull = whiten(noise).pull;
+  Eigen::VectorXd weights = -(steady_.transpose() * pull);
+  for (int knot = 0; knot < kKnots; ++knot) {
+    weights.segment<3>(knot * kKnotColumns) *= squared(noise.odometry.steady_rotation_rad);
+    weights.segment<6>(knot * kKnotColumns + 3) *= squared(noise.odometry.steady_translation);
+  }
+  weights(kSteadyColumns - 1) *= squared(noise.odometry.scale);
+  std::vector<Vec6> errors(edges_->size(), Vec6::Zero());
+  for (std::size_t i = 0; i < errors.size(); ++i) {
+    if (!(*edges_)[i].is_break && !(*edges_)[i].covariance) errors[i] = steady_basis(i) * weights;
+  }
+  return errors;
+}
+
+std::size_t InnovationModel::stride() const {
+  constexpr std::size_t kMaxCandidates =
+      250;  // bounds the time of a search in long runs; neighbours tell nearly the same
+  return 1 + edges_->size() / kMaxCandidates;
+}
+
+InnovationModel::MotionBound InnovationModel::motion_bound(std::size_t edge) const {
+  const std::size_t reach = stride() - 1;  // a jump stands for those of its neighbours too
+  const std::size_t first = edge - std::min(edge, reach), last = std::min(edges_->size() - 1, edge + reach);
+  MotionBound bound;
+  for (std::size_t i = first; i <= last; ++i) {
+    bound.translation_m = std::max(bound.translation_m, (*edges_)[i].path_m);
+    bound.rotation_rad = std::max(bound.rotation_rad, (*edges_)[i].rotation_rad);
+  }
+  constexpr double kTrueMotion = 2.0;  // times the usual one: what the camera itself may have done meanwhile
+  bound.translation_m += kTrueMotion * usual_motion_.translation_m;
+  bound.rotation_rad += kTrueMotion * usual_motion_.rotation_rad;
+  return bound;
+}
+
+InnovationModel::Candidate InnovationModel::judge_jump(std::size_t edge, const Whitened& whitened) const {
+  const Eigen::MatrixXd by_error = effect(edge);
+  const Mat6 information = by_error.transpose() * whitened.information * by_error;
+  const Vec6 pull = by_error.transpose() * whitened.pull;
+  const MotionBound bound = motion_bound(edge);
+  // Sigmas by fixed point: the estimate under a wide prior, then the prior that fits the estimate.
+  Candidate candidate{{edge, 1.0, 1.0}, 0.0};
+  constexpr int kRounds = 3;  // few: they only have to rank the edges and to set a prior
+  for (int round = 0;; ++round) {
+    const Mat6 prior =
+        isotropic_covariance(squared(candidate.jump.translation_m), squared(candidate.jump.rotation_rad));
+    const Mat6 inner = Mat6::Identity() + prior * information;
+    const Vec6 estimate = inner.partialPivLu().solve(prior * pull);
+    candidate.gain = 0.5 * pull.dot(estimate) - 0.5 * std::log(std::max(inner.determinant(), 1.0));
+    if (round == kRounds) return candidate;
+    constexpr double kRootThree = 1.7320508;  // from the norm of three axes to one
+    candidate.jump.translation_m = std::min(estimate.head<3>().norm(), bound.translation_m) / kRootThree;
+    candidate.jump.rotation_rad = std::min(estimate.tail<3>().norm(), bound.rotation_rad) / kRootThree;
+  }
+}
+
+std::optional<InnovationModel::Candidate> InnovationModel::best_jump(const NoiseEstimate& noise,
+                                                                     double least_gain) const {
+  const Whitened whitened = whiten(noise);
+  std::optional<Candidate> best;
+  for (std::size_t edge = 0; edge < edges_->size(); edge += stride()) {
+    if ((*edges_)[edge].is_break || (*edges_)[edge].covariance) continue;
+    const Candidate candidate = judge_jump(edge, whitened);
+    if (candidate.gain > (best ? best->gain : least_gain)) best = candidate;
+  }
+  return best;
+}
+
+namespace {
+
+/// Logarithms of the factors on the least noise (first kWalks: translation and rotation walk; then steady translation
+/// and rotation, scale, prior of suspected jumps) and on the loops' sigmas.
+constexpr std::size_t kWalks = 2, kJumpPriorIndex = 5, kLoopIndex = 6;
 using LogFactors = std::array<double, kLoopIndex + 1>;
 
-constexpr std::size_t kWalks = 2;
-constexpr double kSteadyShare =
-    0.3;  // of the evidence asked for: every odometry drifts, and the least is next to nothing
+/// Of the evidence asked for: every odometry drifts, and the least is next to nothing.
+constexpr double kSteadyShare = 0.3;
 constexpr double kLogSigmaLoop = 0.35;  // a loop's sigmas are trusted to about 40 %
-constexpr double kMaxLogLoop = 1.0;
+constexpr double kMaxLogLoop = 1.0;     // and to a factor of e at most: three sigmas of that
 
 std::array<double, kLoopIndex> values(const OdometryNoise& noise) {
   return {noise.translation_m,       noise.rotation_rad, noise.steady_translation,
-          noise.steady_rotation_rad, noise.scale,        noise.suspicion};
+          noise.steady_rotation_rad, noise.scale,        noise.jump_prior};
 }
 
 NoiseEstimate to_estimate(const LogFactors& x, const NoisePrior& prior, const std::vector<OdometryJump>& jumps) {
   const auto least = values(prior.least);
   const auto at = [&](std::size_t i) { return least[i] * std::exp(x[i]); };
-  return {{at(0), at(1), at(2), at(3), at(4), at(kSuspicionIndex)}, std::exp(x[kLoopIndex]), jumps};
+  return {{at(0), at(1), at(2), at(3), at(4), at(kJumpPriorIndex)}, std::exp(x[kLoopIndex]), jumps};
 }
 
 double penalty(const LogFactors& x, const NoisePrior& prior) {
@@ -34,11 +281,6 @@ double penalty(const LogFactors& x, const NoisePrior& prior) {
   for (std::size_t i = 0; i < kLoopIndex; ++i) sum += prior.evidence * x[i] * (i < kWalks ? 1.0 : kSteadyShare);
   return sum;
 }
-
-struct Fit {
-  NoiseEstimate noise;
-  double cost = 0.0;
-};
 
 /// The walks are doubted step by step only: coherent errors of a few loops look like a restless odometry from afar. A
 /// steady drift shows only from afar.
@@ -49,7 +291,8 @@ struct Steps {
 };
 constexpr Steps kWide{3.2, 0.1}, kNear{0.8, 0.15};  ///< of the logarithms
 
-Fit fit_noise(const InnovationModel& model, const NoisePrior& prior, const NoiseEstimate& start, const Steps& steps) {
+NoiseFit fit_noise(const InnovationModel& model, const NoisePrior& prior, const NoiseEstimate& start,
+                   const Steps& steps) {
   LogFactors lows{}, highs{}, best{};
   highs.fill(std::log(prior.factor_max));
   highs[kLoopIndex] = kMaxLogLoop;
@@ -57,7 +300,7 @@ Fit fit_noise(const InnovationModel& model, const NoisePrior& prior, const Noise
   const auto least = values(prior.least), first = values(start.odometry);
   for (std::size_t i = 0; i < kLoopIndex; ++i) {
     if (least[i] <= 0.0) highs[i] = 0.0;  // switched off
-    if (i == kSuspicionIndex) highs[i] = -std::log(std::max(least[i], 1e-9));
+    if (i == kJumpPriorIndex) highs[i] = -std::log(std::max(least[i], 1e-9));
     best[i] = least[i] > 0.0 && first[i] > 0.0 ? std::log(first[i] / least[i]) : 0.0;
   }
   for (std::size_t i = 0; i < best.size(); ++i) best[i] = std::clamp(best[i], lows[i], highs[i]);
@@ -87,28 +330,25 @@ Fit fit_noise(const InnovationModel& model, const NoisePrior& prior, const Noise
   return {to_estimate(best, prior, start.jumps), best_cost};
 }
 
-/// Log likelihood that a jump must bring: where and how far it is are free.
+/// Log likelihood that a jump must bring, since where (one in some hundred edges: 5 to 6) and how far on six axes (1
+/// each) it is are free.
 constexpr double kJumpPrice = 12.0;
 
 }  // namespace
 
-NoiseEstimate estimate_noise(const InnovationModel& model, const NoisePrior& prior, const NoiseEstimate& start) {
-  return fit_noise(model, prior, start, kWide).noise;
-}
-
-NoiseEstimate estimate_noise_and_jumps(InnovationModel* model, const NoisePrior& prior, const NoiseEstimate& start,
-                                       int max_new_jumps, double* cost) {
+NoiseFit estimate_noise_and_jumps(InnovationModel* model, const NoisePrior& prior, const NoiseEstimate& start,
+                                  int max_new_jumps) {
   model->set_jumps(start.jumps);
-  // Suspects come first: from next to no suspicion a step up may bring nothing where full suspicion does.
-  NoiseEstimate suspicious = start;
-  suspicious.odometry.suspicion = 1.0;
-  Fit best = fit_noise(*model, prior, suspicious, kWide);
+  // Suspected jumps come first: from a prior of next to nothing a step up may bring nothing where a prior of 1 does.
+  NoiseEstimate doubtful = start;
+  doubtful.odometry.jump_prior = 1.0;
+  NoiseFit best = fit_noise(*model, prior, doubtful, kWide);
   best.cost += kJumpPrice * static_cast<double>(best.noise.jumps.size());
   const auto attempt = [&](const std::vector<OdometryJump>& jumps) {
     model->set_jumps(jumps);
     NoiseEstimate next = best.noise;
     next.jumps = jumps;
-    Fit fit = fit_noise(*model, prior, next, kNear);
+    NoiseFit fit = fit_noise(*model, prior, next, kNear);
     fit.cost += kJumpPrice * static_cast<double>(jumps.size());
     const bool is_better = fit.cost < best.cost;
     if (is_better) best = std::move(fit);
@@ -127,8 +367,7 @@ NoiseEstimate estimate_noise_and_jumps(InnovationModel* model, const NoisePrior&
     more.push_back(candidate->jump);
     if (!attempt(more)) break;
   }
-  if (cost != nullptr) *cost = best.cost;
-  return best.noise;
+  return best;
 }
 
 double robust_noise_factor(const std::vector<double>& explaining_factors, const std::vector<double>& weights) {

@@ -1,8 +1,95 @@
 #pragma once
 
-#include "odometry/innovation_model.h"
+#include <Eigen/Core>
+#include <optional>
+#include <vector>
+
+#include "odometry/graph_loop.h"
+#include "odometry/odometry_edge.h"
 
 namespace semantic_topo_loop::core {
+
+/// An edge at which the odometry is taken to have jumped: sigmas of what it is off, added to its noise.
+struct OdometryJump {
+  std::size_t edge = 0;
+  double translation_m = 0.0, rotation_rad = 0.0;
+};
+
+/// What the odometry's errors are taken to be.
+struct NoiseEstimate {
+  OdometryNoise odometry;
+  double loop_factor = 1.0;  ///< on the sigmas that the loops state
+  std::vector<OdometryJump> jumps;
+};
+
+/// The linear model of what the loops say about the odometry, y = (how far each loop disagrees with the odometry):
+///   y ~ N(u^2 j, f^2 C + s_t^2 G_t + s_r^2 G_r + b_t^2 B_t + b_r^2 B_r + s^2 S + u^2 J + jumps + G_0)
+/// with C the loops' covariance (loops that share evidence are correlated), G_t and G_r the random walk per metre and
+/// per radian along the path between each loop's ends, B_t and B_r the drift that varies slowly (translation fixed to
+/// the camera or to the world), S the scale error, j and J what suspected jumps let expect and leave open, and G_0 of
+/// the edges whose covariance is given.
+class InnovationModel {
+ public:
+  /// Linearises about the given poses, which need not be those of the odometry.
+  InnovationModel(const std::vector<SE3>& T_world_vertex, const std::vector<OdometryEdge>& edges,
+                  const std::vector<GraphLoop>& loops);
+
+  /// Minus the log likelihood of the innovations, up to a constant.
+  double cost(const OdometryNoise& noise, double loop_factor) const;
+  /// The jumps that `cost` and the functions below reckon with.
+  void set_jumps(const std::vector<OdometryJump>& jumps);
+  /// What each edge's lasting errors most probably are, given the innovations, to be put behind its measurement.
+  std::vector<Vec6> steady_errors(const NoiseEstimate& noise) const;
+  /// The jump that brings most log likelihood, if it is more than `least_gain`.
+  struct Candidate {
+    OdometryJump jump;
+    double gain = 0.0;
+  };
+  std::optional<Candidate> best_jump(const NoiseEstimate& noise, double least_gain) const;
+
+ private:
+  using Basis = Eigen::Matrix<double, 6, Eigen::Dynamic>;
+  struct Whitened {
+    Eigen::MatrixXd information;
+    Eigen::VectorXd pull;  ///< information * innovation
+  };
+
+  /// What the odometry may be off by within an edge: it measured a jump as motion, or missed what the camera did.
+  struct MotionBound {
+    double translation_m = 0.0, rotation_rad = 0.0;
+  };
+  static MotionBound usual_motion(const std::vector<OdometryEdge>& edges);
+  MotionBound motion_bound(std::size_t edge) const;
+
+  void accumulate_edges();
+  Basis steady_basis(std::size_t edge) const;
+  Eigen::MatrixXd covariance(const OdometryNoise& noise, double loop_factor) const;
+  /// What of the misfit suspected jumps do not let expect.
+  Eigen::VectorXd innovation(const OdometryNoise& noise) const {
+    return misfit_ - noise.jump_prior * noise.jump_prior * expected_jump_;
+  }
+  Whitened whiten(const NoiseEstimate& noise) const;
+  /// A jump of the size that explains most.
+  Candidate judge_jump(std::size_t edge, const Whitened& whitened) const;
+  /// How a motion error of the edge shows in each innovation.
+  Eigen::MatrixXd effect(std::size_t edge) const;
+  std::size_t stride() const;
+
+  const std::vector<SE3>* vertices_;
+  const std::vector<OdometryEdge>* edges_;
+  const std::vector<GraphLoop>* graph_loops_;
+  std::vector<double> progress_;  ///< path and rotation so far, in metres
+  double metres_per_radian_ = 0.0;
+  MotionBound usual_motion_;  ///< median over the edges
+  PathNoise path_;
+  std::vector<Basis> sum_steady_;  ///< one a vertex, carried to the world's origin
+  std::vector<Mat6> from_origin_;  ///< one a loop
+  Eigen::VectorXd misfit_;         ///< how far each loop and the odometry disagree, six rows a loop
+  Eigen::VectorXd expected_jump_;  ///< with a prior of 1
+  Eigen::MatrixXd given_, translation_, rotation_, suspected_jumps_, loops_, jumps_;
+  Eigen::MatrixXd steady_;  ///< how the steady errors show in the innovations
+  Eigen::MatrixXd steady_translation_, steady_rotation_, scale_;
+};
 
 /// What is expected before any loop is seen, and how far an estimate may go from it.
 struct NoisePrior {
@@ -11,16 +98,18 @@ struct NoisePrior {
   double evidence = 1.5;       ///< log likelihood to offer for each e-fold above the least
 };
 
-/// `start` with the jumps it states, if they still explain the innovations, and others that do: the model's cost plus
-/// the price of each jump falls with each. An edge at which the motion stood out (suspicion) costs less. Then the most
-/// probable noise.
-/// @param max_new_jumps looked for in this call   @param cost becomes that of the result
-NoiseEstimate estimate_noise_and_jumps(InnovationModel* model, const NoisePrior& prior, const NoiseEstimate& start,
-                                       int max_new_jumps, double* cost = nullptr);
+struct NoiseFit {
+  NoiseEstimate noise;
+  double cost =
+      0.0;  ///< minus the log posterior, up to a constant: the model's cost, the prior's, and the jumps' price
+};
 
-/// Most probable noise given the innovations. Innovations that the loops' own uncertainty explains leave the odometry
-/// at a small noise, so that loops then hardly move it.
-NoiseEstimate estimate_noise(const InnovationModel& model, const NoisePrior& prior, const NoiseEstimate& start);
+/// Most probable noise given the innovations, with the jumps that `start` states, if they still explain them, and
+/// others that do: the cost falls with each. Innovations that the loops' own uncertainty explains leave the odometry at
+/// a small noise, so that loops then hardly move it.
+/// @param max_new_jumps looked for in this call
+NoiseFit estimate_noise_and_jumps(InnovationModel* model, const NoisePrior& prior, const NoiseEstimate& start,
+                                  int max_new_jumps);
 
 /// A factor on the least noise at which most loops are likely, robust against a minority of false ones: the weighted
 /// median over the loops, and one voice for the least noise itself.

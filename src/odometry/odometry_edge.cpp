@@ -1,49 +1,61 @@
 #include "odometry/odometry_edge.h"
 
+#include <Eigen/Eigenvalues>
+#include <cmath>
+#include <limits>
+
 #include "geometry/relative_pose.h"
 #include "semantic_topo_loop/geometry/lie.h"
 
 namespace semantic_topo_loop::core {
 namespace {
 
-constexpr double kBreakTranslation_m = 30.0;
-constexpr double kBreakRotation_rad = 3.0;
+/// Next to no knowledge: wider than any room, and all but half a turn.
+constexpr double kBreakTranslation_m = 30.0, kBreakRotation_rad = 3.0;
+/// What a standing camera's edge keeps, so that its information stays finite: well below what any odometry resolves.
+constexpr double kMinEdgeTranslation_m = 2e-4, kMinEdgeRotation_rad = 1e-4;
 
-Mat6 diagonal(double translation_variance, double rotation_variance) {
+Mat6 floor_covariance() {
+  return isotropic_covariance(kMinEdgeTranslation_m * kMinEdgeTranslation_m,
+                              kMinEdgeRotation_rad * kMinEdgeRotation_rad);
+}
+
+/// Mean and sigma of a jump by all or nothing, each as likely, as shares of it.
+constexpr double kMeanJump = 0.5, kSigmaJump = 0.5;
+
+/// With a prior of 1.
+Mat6 suspected_jump_covariance(const OdometryEdge& edge) {
+  return kSigmaJump * kSigmaJump * edge.suspected_jump * edge.suspected_jump.transpose() +
+         isotropic_covariance(edge.jump_error_m * edge.jump_error_m, edge.jump_error_rad * edge.jump_error_rad);
+}
+
+std::size_t index(int vertex) { return static_cast<std::size_t>(vertex); }
+
+/// To take the parts of an edge's covariance asunder: what no noise changes, and what suspected jumps add.
+constexpr OdometryNoise kNoNoise{0.0, 0.0, 0.0, 0.0, 0.0, 0.0}, kOnlyJumps{0.0, 0.0, 0.0, 0.0, 0.0, 1.0};
+
+}  // namespace
+
+Mat6 isotropic_covariance(double translation_variance, double rotation_variance) {
   Vec6 variances;
   variances << Vec3::Constant(translation_variance), Vec3::Constant(rotation_variance);
   return variances.asDiagonal();
 }
 
-Mat6 floor_covariance() {
-  return diagonal(kMinEdgeTranslation_m * kMinEdgeTranslation_m, kMinEdgeRotation_rad * kMinEdgeRotation_rad);
-}
-
-/// A jump by all or nothing, each as likely, as a normal distribution.
-constexpr double kMeanJump = 0.5, kSigmaJump = 0.5;
-
-/// At full suspicion.
-Mat6 suspect_covariance(const OdometryEdge& edge) {
-  return kSigmaJump * kSigmaJump * edge.suspect * edge.suspect.transpose() +
-         diagonal(edge.suspect_error_m * edge.suspect_error_m, edge.suspect_error_rad * edge.suspect_error_rad);
-}
-
-}  // namespace
-
 Vec6 expected_jump(const OdometryEdge& edge, const OdometryNoise& noise) {
   if (edge.is_break || edge.covariance) return Vec6::Zero();
-  return kMeanJump * noise.suspicion * noise.suspicion * edge.suspect;
+  return kMeanJump * noise.jump_prior * noise.jump_prior * edge.suspected_jump;
 }
 
 Mat6 odometry_covariance(const OdometryEdge& edge, const OdometryNoise& noise) {
   if (edge.is_break) {
-    return diagonal(kBreakTranslation_m * kBreakTranslation_m, kBreakRotation_rad * kBreakRotation_rad);
+    return isotropic_covariance(kBreakTranslation_m * kBreakTranslation_m, kBreakRotation_rad * kBreakRotation_rad);
   }
   if (edge.covariance) return *edge.covariance;
   return floor_covariance() +
-         diagonal(noise.translation_m * noise.translation_m * edge.path_m,
-                  noise.rotation_rad * noise.rotation_rad * edge.rotation_rad) +
-         noise.suspicion * noise.suspicion * suspect_covariance(edge);
+         isotropic_covariance(noise.translation_m * noise.translation_m * edge.path_m,
+                              noise.rotation_rad * noise.rotation_rad * edge.rotation_rad) +
+         noise.jump_prior * noise.jump_prior * suspected_jump_covariance(edge);
 }
 
 void OdometryAccumulator::add(const Frame& frame) {
@@ -72,5 +84,77 @@ OdometryEdge OdometryAccumulator::finish(const SE3& T_odom_from, const SE3& T_od
   covariance_.setZero();
   return edge;
 }
+
+PathNoise::PathNoise(const std::vector<SE3>& T_world_vertex, const std::vector<OdometryEdge>& edges)
+    : vertices_(&T_world_vertex) {
+  const std::size_t n = edges.size() + 1;
+  for (Sums* sums : {&given_, &translation_, &rotation_, &suspected_jumps_}) sums->assign(n, Mat6::Zero());
+  residual_.assign(n, Vec6::Zero());
+  jump_.assign(n, Vec6::Zero());
+  stated_.assign(n, 0);
+  for (std::size_t i = 0; i + 1 < n; ++i) {
+    const OdometryEdge& edge = edges[i];
+    const Mat6 to_origin = transport(T_world_vertex[i + 1].inverse());
+    to_origin_.push_back(to_origin);
+    const auto carried = [&to_origin](const Mat6& m) { return Mat6(to_origin * m * to_origin.transpose()); };
+    const Mat6 given = odometry_covariance(edge, kNoNoise);
+    given_[i + 1] = given_[i] + carried(given);
+    suspected_jumps_[i + 1] = suspected_jumps_[i] + carried(odometry_covariance(edge, kOnlyJumps) - given);
+    jump_[i + 1] = jump_[i] + to_origin * expected_jump(edge, kOnlyJumps);
+    translation_[i + 1] = translation_[i];
+    rotation_[i + 1] = rotation_[i];
+    residual_[i + 1] = residual_[i];
+    stated_[i + 1] = stated_[i] + (edge.covariance ? 1 : 0);
+    if (edge.is_break) continue;
+    residual_[i + 1] += to_origin * relative_pose_residual(T_world_vertex[i], T_world_vertex[i + 1], edge.T_from_to);
+    if (edge.covariance) continue;
+    translation_[i + 1] += carried(isotropic_covariance(edge.path_m, 0.0));
+    rotation_[i + 1] += carried(isotropic_covariance(0.0, edge.rotation_rad));
+  }
+}
+
+Innovation PathNoise::innovation(const GraphLoop& loop) const {
+  const SE3 &T_world_from = (*vertices_)[index(loop.from)], &T_world_to = (*vertices_)[index(loop.to)];
+  const Vec6 e = relative_pose_residual(T_world_from, T_world_to, loop.T_from_to);
+  Mat6 by_motion = Mat6::Zero();
+  by_motion.topLeftCorner<3, 3>() = so3_exp(e.tail<3>()).toRotationMatrix();
+  by_motion.bottomRightCorner<3, 3>() = right_jacobian_inverse(e.tail<3>());
+  Innovation innovation;
+  innovation.from_origin = by_motion * transport(T_world_to);
+  innovation.error = e - innovation.from_origin * (residual_[index(loop.to)] - residual_[index(loop.from)]);
+  innovation.jump = innovation.from_origin * (jump_[index(loop.to)] - jump_[index(loop.from)]);
+  return innovation;
+}
+
+double PathNoise::explaining_factor(const GraphLoop& loop, const OdometryNoise& noise, double max_factor) const {
+  const Innovation innovation = this->innovation(loop);
+  const auto along = [&](const Sums& sums) {
+    const Mat6 difference = sums[index(loop.to)] - sums[index(loop.from)];
+    return Mat6(innovation.from_origin * difference * innovation.from_origin.transpose());
+  };
+  const Mat6 base = loop.covariance + along(given_) + noise.jump_prior * noise.jump_prior * along(suspected_jumps_);
+  const Mat6 noise_part = noise.translation_m * noise.translation_m * along(translation_) +
+                          noise.rotation_rad * noise.rotation_rad * along(rotation_);
+  // In the basis of V, V^T base V = 1 and V^T noise_part V is diagonal.
+  const Eigen::GeneralizedSelfAdjointEigenSolver<Mat6> both(noise_part, base);
+  if (both.info() != Eigen::Success) return std::numeric_limits<double>::infinity();
+  const Vec6 y =
+      both.eigenvectors().transpose() * (innovation.error - noise.jump_prior * noise.jump_prior * innovation.jump);
+  const auto chi2 = [&](double factor) {
+    return (y.array().square() / (1.0 + factor * factor * both.eigenvalues().array().max(0.0))).sum();
+  };
+  constexpr double kMedianChi2 = 5.348;  // of six degrees of freedom
+  if (chi2(0.0) <= kMedianChi2) return 0.0;
+  if (!(chi2(max_factor) <= kMedianChi2)) return std::numeric_limits<double>::infinity();
+  double low = 0.0, high = max_factor;
+  constexpr int kBisections = 30;  // to a billionth of max_factor
+  for (int i = 0; i < kBisections; ++i) {
+    const double middle = 0.5 * (low + high);
+    (chi2(middle) <= kMedianChi2 ? high : low) = middle;
+  }
+  return high;
+}
+
+bool PathNoise::has_stated(const GraphLoop& loop) const { return stated_[index(loop.to)] != stated_[index(loop.from)]; }
 
 }  // namespace semantic_topo_loop::core

@@ -1,10 +1,22 @@
 #pragma once
 
 #include <optional>
+#include <vector>
 
+#include "odometry/graph_loop.h"
 #include "semantic_topo_loop/types/frame.h"
 
 namespace semantic_topo_loop::core {
+
+// How good is this odometry, and where did it break? As things are:
+//   1. OdometryAccumulator makes an edge of the frames between two keyframes, with the breaks and the covariances that
+//      the source states;
+//   2. MotionBursts (motion_bursts.h) suspects jumps in the motion alone; the loop detector asks BurstWatch;
+//   3. PathNoise asks of one loop how noisy the odometry would have to be to explain it, see Innovation;
+//   4. InnovationModel and estimate_noise_and_jumps (noise_estimator.h) learn the noise from all loops that are
+//      believed, and find the jumps that the motion does not show.
+// A loop is a measurement of the odometry between its ends, which is why GraphLoop (graph_loop.h) stands here and not
+// in the pose graph above.
 
 /// The odometry between two consecutive keyframes.
 struct OdometryEdge {
@@ -15,8 +27,8 @@ struct OdometryEdge {
   bool is_break = false;           ///< nothing is known about this motion
   /// Motion that stands out of that before and after, see MotionBursts: the odometry may have jumped by it, or not at
   /// all (translation m, rotation rad; right).
-  Vec6 suspect = Vec6::Zero();
-  double suspect_error_m = 0.0, suspect_error_rad = 0.0;  ///< sigma of what a jump was more or less
+  Vec6 suspected_jump = Vec6::Zero();
+  double jump_error_m = 0.0, jump_error_rad = 0.0;  ///< sigma of what a jump was more or less
 };
 
 /// Noise of an odometry whose source states none: a random walk, and errors that last.
@@ -26,14 +38,12 @@ struct OdometryNoise {
   double steady_translation = 0.0;   ///< sigma of the slowly varying drift, metres a metre of path
   double steady_rotation_rad = 0.0;  ///< the same of the rotation, radians a metre of path
   double scale = 0.0;                ///< sigma of a constant scale error
-  /// Root of twice the probability that a suspected jump is one: 0 never, 1 where each is as likely as not.
-  double suspicion = 1.0;
+  /// Prior of suspected jumps, the root of twice the probability that one is real: 0 never, 1 as likely as not.
+  double jump_prior = 1.0;
 };
 
-/// What a standing camera's edge keeps, so that its information stays finite.
-constexpr double kMinEdgeTranslation_m = 2e-4;
-constexpr double kMinEdgeRotation_rad = 1e-4;
-
+/// Covariance of (translation, rotation) without correlations, the same on all axes. @param ..._variance m^2, rad^2
+Mat6 isotropic_covariance(double translation_variance, double rotation_variance);
 /// What the odometry is expected to be off at suspected jumps: the measurement is the motion, and this behind it.
 Vec6 expected_jump(const OdometryEdge& edge, const OdometryNoise& noise);
 /// Covariance of an edge: the source's, or the noise model's, or next to no knowledge at a break.
@@ -52,6 +62,43 @@ class OdometryAccumulator {
   OdometryEdge edge_;
   bool all_stated_ = true;
   Mat6 covariance_ = Mat6::Zero();
+};
+
+/// What a loop says about the odometry between its ends.
+struct Innovation {
+  Mat6 from_origin;  ///< carries a small motion at the world's origin into the loop's error
+  Vec6 error;        ///< how far loop and odometry disagree, as the loop's error
+  Vec6 jump;         ///< what of that suspected jumps let expect with a prior of 1
+};
+
+/// The odometry's noise summed along a chain of vertices, carried to the world's origin: the difference of two sums is
+/// the noise of the stretch between two vertices. Linear about the given poses, which need not be the odometry's.
+class PathNoise {
+ public:
+  using Sums = std::vector<Mat6>;  ///< one a vertex
+
+  /// @param edges edges[i] joins vertices i and i + 1; both must outlive this
+  PathNoise(const std::vector<SE3>& T_world_vertex, const std::vector<OdometryEdge>& edges);
+
+  Innovation innovation(const GraphLoop& loop) const;
+  /// Smallest factor on the noise at which a loop is as likely as a typical one (its chi^2 at the median); 0 if it is
+  /// so without any odometry noise, infinity if even `max_factor` does not do.
+  double explaining_factor(const GraphLoop& loop, const OdometryNoise& noise, double max_factor) const;
+  /// Whether the source states a covariance somewhere between the loop's ends.
+  bool has_stated(const GraphLoop& loop) const;
+
+  const Sums& given() const { return given_; }              ///< of edges whose covariance does not depend on the noise
+  const Sums& translation() const { return translation_; }  ///< per square metre of noise
+  const Sums& rotation() const { return rotation_; }        ///< per square radian of noise
+  const Sums& suspected_jumps() const { return suspected_jumps_; }  ///< per square of their prior
+  /// Carries a small motion at the end of an edge to the world's origin.
+  const Mat6& to_origin(std::size_t edge) const { return to_origin_[edge]; }
+
+ private:
+  const std::vector<SE3>* vertices_;
+  Sums given_, translation_, rotation_, suspected_jumps_, to_origin_;
+  std::vector<Vec6> residual_, jump_;
+  std::vector<int> stated_;
 };
 
 }  // namespace semantic_topo_loop::core

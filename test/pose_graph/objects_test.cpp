@@ -3,7 +3,7 @@
 #include <functional>
 #include <set>
 
-#include "pose_graph/solver/graph_object.h"
+#include "pose_graph/solver/graph_objects.h"
 #include "semantic_topo_loop/geometry/lie.h"
 #include "semantic_topo_loop/geometry/quadric.h"
 #include "support/synthetic_run.h"

@@ -7,7 +7,6 @@
 #include <string>
 
 #include "geometry/relative_pose.h"
-#include "odometry/odometry_edge.h"
 #include "pose_graph/solver/graph_solver.h"
 #include "semantic_topo_loop/geometry/lie.h"
 #include "support/synthetic_run.h"
@@ -244,43 +243,6 @@ TEST(PoseGraph, TheSourcesCovarianceIsUsed) {
   EXPECT_LT(run.worst_error_m(graph.keyframes()), 0.005);
 }
 
-TEST(PoseGraph, CovariancesAddUpBetweenKeyframes) {
-  SyntheticRun run;
-  OdometryAccumulator accumulator;
-  Random random(10);
-  Mat6 sampled = Mat6::Zero();
-  constexpr double kStep_m = 0.002, kStep_rad = 0.004;
-  Vec6 variances;
-  variances << Vec3::Constant(kStep_m * kStep_m), Vec3::Constant(kStep_rad * kStep_rad);
-  for (int k = 0; k <= 20; ++k) {
-    Frame frame = run.frame(k);
-    frame.covariance = variances.asDiagonal();
-    accumulator.add(frame);
-  }
-  const OdometryEdge edge = accumulator.finish(run.odometry(0), run.odometry(20));
-  ASSERT_TRUE(edge.covariance);
-  constexpr int kSamples = 4000;
-  for (int i = 0; i < kSamples; ++i) {
-    SE3 T;
-    for (int k = 1; k <= 20; ++k)
-      T = T * (run.truth(k - 1).inverse() * run.truth(k) * random_motion(&random, kStep_m, kStep_rad));
-    const Vec6 e = se3_log(edge.T_from_to.inverse() * T);
-    sampled += e * e.transpose() / kSamples;
-  }
-  EXPECT_LT((sampled - *edge.covariance).cwiseAbs().maxCoeff(), 0.1 * edge.covariance->cwiseAbs().maxCoeff());
-}
-
-TEST(PoseGraph, AFrameWithoutCovarianceMakesTheEdgeUseTheModel) {
-  SyntheticRun run;
-  OdometryAccumulator accumulator;
-  for (int k = 0; k <= 3; ++k) {
-    Frame frame = run.frame(k);
-    if (k != 2) frame.covariance = Mat6::Identity();
-    accumulator.add(frame);
-  }
-  EXPECT_FALSE(accumulator.finish(run.odometry(0), run.odometry(3)).covariance);
-}
-
 TEST(PoseGraph, BadLoopsAreRefusedAndTheRestIsOptimised) {
   SyntheticRun run;
   run.drift(0.005, 0.002, 2);
@@ -379,11 +341,7 @@ TEST(PoseGraph, CorrectionsAreConsistentAndTheFirstKeyframeStays) {
   SE3 T_map_odom;
   int changes = 0;
   for (int k = 0; k < run.size(); ++k) {
-    std::vector<LoopClosure> now;
-    for (const LoopClosure& loop : loops) {
-      if (loop.query_frame == k) now.push_back(loop);
-    }
-    const MapCorrection correction = graph.process(run.frame(k), now);
+    const MapCorrection correction = graph.process(run.frame(k), loops_at(k, loops));
     EXPECT_EQ(correction.frame_id, k);
     EXPECT_EQ(correction.T_map_odom_old.t, T_map_odom.t);
     T_map_odom = correction.T_map_odom;

@@ -4,9 +4,7 @@
 #include <functional>
 #include <limits>
 
-#include "pose_graph/scale/relative_similarity.h"
 #include "pose_graph/scale/scaled_trajectory.h"
-#include "pose_graph/scale/similarity_solver.h"
 #include "semantic_topo_loop/geometry/lie.h"
 #include "support/synthetic_run.h"
 
@@ -190,11 +188,7 @@ TEST(FreeScale, MapFromOdometryPlacesEveryNewFrame) {
   PoseGraph graph(free_scale());
   bool has_changed = false;
   for (int k = 0; k < run.size(); ++k) {
-    std::vector<LoopClosure> now;
-    for (const LoopClosure& loop : loops) {
-      if (loop.query_frame == k) now.push_back(loop);
-    }
-    const MapCorrection correction = graph.process(run.frame(k), now);
+    const MapCorrection correction = graph.process(run.frame(k), loops_at(k, loops));
     has_changed = has_changed || correction.changed;
     const SE3 placed = correction.T_map_odom * run.odometry(k);
     EXPECT_LT((placed.t - graph.keyframes().back().T_map_camera.t).norm(), 1e-9) << k;
@@ -208,10 +202,9 @@ TEST(FreeScale, ALoopTheOtherWayRoundSaysTheSame) {
   Random random(17);
   LoopClosure closure = run.in_units(run.loop(150, 40, Vec6::Zero(), 0.03, 0.02));
   closure.scale_covariance << 2e-4, -1e-4, 1e-4, 5e-5, 0.0, -5e-5, 4e-4;
-  std::string error;
-  const auto forward = make_graph_loop(closure, 1, 0, &error);
-  const auto backward = make_graph_loop(closure, 0, 1, &error);  // the query's vertex is the earlier one
-  ASSERT_TRUE(forward && backward) << error;
+  const auto forward = make_graph_loop(closure, 1, 0);
+  const auto backward = make_graph_loop(closure, 0, 1);  // the query's vertex is the earlier one
+  ASSERT_TRUE(forward && backward) << forward.message() << backward.message();
   EXPECT_EQ(backward->from, 0);
   EXPECT_NEAR(forward->scale * backward->scale, 1.0, 1e-12);
   const Sim3 S_world_match = random_similarity(&random, 1.0, 1.0);
@@ -234,8 +227,7 @@ TEST(FreeScale, LoopsWithAnImpossibleScaleAreRefusedByName) {
   for (const double scale : {0.0, -1.0, std::numeric_limits<double>::quiet_NaN()}) {
     LoopClosure bad = good;
     bad.scale = scale;
-    std::string error;
-    EXPECT_FALSE(make_graph_loop(bad, 5, 2, &error));
+    const std::string error = make_graph_loop(bad, 5, 2).message();
     EXPECT_NE(error.find(std::to_string(good.query_keyframe_id)), std::string::npos) << error;
     EXPECT_NE(error.find("its scale is not positive"), std::string::npos) << error;
   }
@@ -243,8 +235,7 @@ TEST(FreeScale, LoopsWithAnImpossibleScaleAreRefusedByName) {
                                  Vec7(Vec7::Constant(0.1)), Vec7(-Vec7::Unit(6))}) {
     LoopClosure bad = good;
     bad.scale_covariance = covariance;
-    std::string error;
-    EXPECT_FALSE(make_graph_loop(bad, 5, 2, &error));
+    const std::string error = make_graph_loop(bad, 5, 2).message();
     EXPECT_NE(error.find("the covariance of its scale"), std::string::npos) << error;
   }
 }

@@ -2,8 +2,10 @@
 
 #include <algorithm>
 #include <cmath>
+#include <iterator>
 #include <vector>
 
+#include "odometry/odometry_edge.h"
 #include "semantic_topo_loop/geometry/lie.h"
 #include "semantic_topo_loop/pose_graph/pose_graph.h"
 #include "semantic_topo_loop/pose_graph/pose_graph_options.h"
@@ -28,6 +30,17 @@ class SyntheticRun {
   int size() const { return 2 * round_; }
   const SE3& truth(int k) const { return truth_[static_cast<std::size_t>(k)]; }
   const SE3& odometry(int k) const { return odometry_[static_cast<std::size_t>(k)]; }
+  const std::vector<SE3>& odometry() const { return odometry_; }
+  /// The odometry between the frames.
+  std::vector<OdometryEdge> edges() const {
+    std::vector<OdometryEdge> edges;
+    OdometryAccumulator accumulator;
+    for (int k = 0; k < size(); ++k) {
+      accumulator.add(frame(k));
+      if (k > 0) edges.push_back(accumulator.finish(odometry(k - 1), odometry(k)));
+    }
+    return edges;
+  }
 
   /// Odometry whose motions carry noise on the right and, between first and last, a constant motion more.
   void drift(double translation_m, double rotation_rad, std::uint64_t seed, const Vec6& bias = Vec6::Zero(),
@@ -136,6 +149,20 @@ inline std::vector<LoopClosure> noisy_loops(const SyntheticRun& run, std::uint64
   return loops;
 }
 
+/// The loop between the vertices that are its keyframes.
+inline GraphLoop graph_loop(const LoopClosure& closure) {
+  return *make_graph_loop(closure, static_cast<int>(closure.query_keyframe_id),
+                          static_cast<int>(closure.match_keyframe_id));
+}
+
+/// Those of which a frame is the query.
+inline std::vector<LoopClosure> loops_at(int frame, const std::vector<LoopClosure>& loops) {
+  std::vector<LoopClosure> result;
+  std::copy_if(loops.begin(), loops.end(), std::back_inserter(result),
+               [frame](const LoopClosure& loop) { return loop.query_frame == frame; });
+  return result;
+}
+
 /// A pose graph that was fed a whole run, and what it said last.
 struct FinishedRun {
   PoseGraph graph;
@@ -148,13 +175,9 @@ inline FinishedRun finish(const SyntheticRun& run, const std::vector<LoopClosure
                           const PoseGraphOptions& options = {}, const std::vector<int>& breaks = {}) {
   FinishedRun finished{PoseGraph(options), {}, 0};
   for (int k = 0; k < run.size(); ++k) {
-    std::vector<LoopClosure> now;
-    for (const LoopClosure& loop : loops) {
-      if (loop.query_frame == k) now.push_back(loop);
-    }
     Frame frame = run.frame(k);
     frame.is_break = std::find(breaks.begin(), breaks.end(), k) != breaks.end();
-    finished.changes += finished.graph.process(frame, now).changed ? 1 : 0;
+    finished.changes += finished.graph.process(frame, loops_at(k, loops)).changed ? 1 : 0;
   }
   finished.end = finished.graph.process(run.end_frame(), {});
   finished.changes += finished.end.changed ? 1 : 0;

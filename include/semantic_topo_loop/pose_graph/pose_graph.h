@@ -13,7 +13,14 @@ namespace semantic_topo_loop::core {
 
 struct PoseGraphOptions;
 
-/// Owns the keyframe poses and map_from_odom: takes in odometry and loops, optimises, and says what moved.
+/// Owns the keyframe poses and map_from_odom: takes in odometry and loops, optimises, and says what moved. As things
+/// are:
+///   1. frames become vertices and odometry edges, with the jumps that their motion lets suspect (src/odometry);
+///   2. loops are rejected (src/pose_graph/rejection): pairwise consistency, robust solve, final audit;
+///   3. the odometry's noise is learnt from the loops that are kept, and poses are solved for at that noise
+///      (src/pose_graph/solver); at the end of a run once more with the objects;
+///   4. where the odometry's unit of length drifts, 2 and 3 work in the map's unit, and poses and scales are solved for
+///      together (src/pose_graph/scale).
 class PoseGraph {
  public:
   explicit PoseGraph(const PoseGraphOptions& options);

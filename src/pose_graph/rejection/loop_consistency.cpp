@@ -8,12 +8,13 @@
 namespace semantic_topo_loop::core {
 namespace {
 
-// Drift that is allowed between loops: a tenth of the way and some degrees a metre and a radian.
+// Drift that is allowed between loops, 1 sigma: a tenth of the way, and 2 deg a metre and 3 deg a radian, beside 2 cm
+// and 1 deg; no odometry worth the name drifts more.
 constexpr double kDrift = 0.1, kDrift_m = 0.02;
 constexpr double kTurnPerMetre = 0.035, kTurnPerRadian = 0.05, kTurn_rad = 0.02;
 constexpr double kLoopFactor = 2.0;  // loops may overstate their precision
-constexpr double kSigmas = 3.5;
-// Beyond these sigmas agreement says nothing.
+constexpr double kSigmas = 3.5;      // of position and angle each: a right pair exceeds neither 99 times in a hundred
+// Beyond these sigmas agreement says nothing: any two loops of one room would agree.
 constexpr double kTelling_m = 0.3, kTelling_rad = 0.35;
 
 double squared(double x) { return x * x; }
@@ -31,8 +32,8 @@ LoopConsistency::Stretch LoopConsistency::stretch(int from, int to) const {
   const SE3 T = a.T_first_vertex.inverse() * b.T_first_vertex;
   stretch.T = from <= to ? T : T.inverse();
   stretch.sigma_rad = std::sqrt(squared(kTurn_rad + kTurnPerMetre * path + kTurnPerRadian * turn) +
-                                std::max(0.0, b.suspect_rad2 - a.suspect_rad2));
-  stretch.sigma_m = std::sqrt(squared(kDrift_m + kDrift * path) + std::max(0.0, b.suspect_m2 - a.suspect_m2));
+                                std::max(0.0, b.jump_rad2 - a.jump_rad2));
+  stretch.sigma_m = std::sqrt(squared(kDrift_m + kDrift * path) + std::max(0.0, b.jump_m2 - a.jump_m2));
   stretch.is_broken = b.breaks != a.breaks;
   return stretch;
 }
@@ -63,8 +64,8 @@ void LoopConsistency::compare_all(const std::vector<OdometryEdge>& edges, const 
     next.T_first_vertex = next.T_first_vertex * edge.T_from_to;
     next.path_m += edge.path_m;
     next.turn_rad += edge.rotation_rad;
-    next.suspect_m2 += edge.suspect.head<3>().squaredNorm();
-    next.suspect_rad2 += edge.suspect.tail<3>().squaredNorm();
+    next.jump_m2 += edge.suspected_jump.head<3>().squaredNorm();
+    next.jump_rad2 += edge.suspected_jump.tail<3>().squaredNorm();
     next.breaks += edge.is_break ? 1 : 0;
     progress_.push_back(next);
   }

@@ -29,7 +29,7 @@ class LoopConsistency {
   struct Progress {
     SE3 T_first_vertex;
     double path_m = 0.0, turn_rad = 0.0;
-    double suspect_m2 = 0.0, suspect_rad2 = 0.0;  ///< squared sums of suspected jumps
+    double jump_m2 = 0.0, jump_rad2 = 0.0;  ///< squared sums of suspected jumps
     int breaks = 0;
   };
   struct Stretch {

@@ -6,7 +6,6 @@
 #include "geometry/ceres_compat.h"
 #include "geometry/relative_pose.h"
 #include "pose_graph/solver/graph_problem.h"
-#include "pose_graph/solver/object_blocks.h"
 #include "semantic_topo_loop/geometry/lie.h"
 
 namespace semantic_topo_loop::core {
@@ -84,50 +83,37 @@ void add_vertices(const std::vector<int>& fixed, std::vector<SE3>* vertices, cer
   }
 }
 
-bool all_finite(const std::vector<SE3>& vertices) {
-  return std::all_of(vertices.begin(), vertices.end(), [](const SE3& T) { return T.is_finite(); });
-}
-
-/// @return the first fault that would make every residual meaningless, or an empty text
-std::string fault(const std::vector<GraphEdge>& edges, const std::vector<int>& fixed,
-                  const std::vector<SE3>& vertices) {
-  if (vertices.empty()) return "no vertex";
-  if (fixed.empty()) return "no vertex is fixed";
-  if (!all_finite(vertices)) return "a vertex is not finite";
-  const int n = static_cast<int>(vertices.size());
-  if (std::any_of(fixed.begin(), fixed.end(), [n](int v) { return v < 0 || v >= n; }))
-    return "a fixed vertex is unknown";
-  for (const GraphEdge& edge : edges) {
-    const bool is_joined = edge.from >= 0 && edge.to >= 0 && edge.from < n && edge.to < n && edge.from != edge.to;
-    if (is_joined && edge.T_from_to.is_finite() && edge.sqrt_info.allFinite() && edge.weight >= 0.0) continue;
-    return "edge " + std::to_string(edge.from) + " to " + std::to_string(edge.to) +
-           " is not finite or joins no two vertices";
-  }
-  return {};
-}
-
 }  // namespace
 
-ceres::Solver::Options ceres_options(const GraphSolverOptions& options) {
-  ceres::Solver::Options result;
-  result.linear_solver_type = ceres::SPARSE_NORMAL_CHOLESKY;
-  result.num_threads = 1;
+GraphSolution solve_problem(const GraphSolverOptions& options, ceres::Problem* problem) {
+  ceres::Solver::Options ceres_options;
+  ceres_options.linear_solver_type = ceres::SPARSE_NORMAL_CHOLESKY;
+  ceres_options.num_threads = 1;
   // SuiteSparse starts threads of its own, to no use for a chain with some loops.
   if (!options.has_fill && ceres::IsSparseLinearAlgebraLibraryTypeAvailable(ceres::EIGEN_SPARSE)) {
-    result.sparse_linear_algebra_library_type = ceres::EIGEN_SPARSE;
+    ceres_options.sparse_linear_algebra_library_type = ceres::EIGEN_SPARSE;
   }
-  result.max_num_iterations = options.max_iterations;
-  result.function_tolerance = options.function_tolerance;
-  result.max_solver_time_in_seconds = 1e9;
-  result.initial_trust_region_radius = 1e13;  // nearly Gauss-Newton: the start is good, or the solver backs off
-  result.logging_type = ceres::SILENT;
-  return result;
+  ceres_options.max_num_iterations = options.max_iterations;
+  ceres_options.function_tolerance = options.function_tolerance;
+  ceres_options.max_solver_time_in_seconds = 1e9;
+  ceres_options.initial_trust_region_radius = 1e13;  // nearly Gauss-Newton: the start is good, or the solver backs off
+  ceres_options.logging_type = ceres::SILENT;
+  ceres::Solver::Summary summary;
+  ceres::Solve(ceres_options, problem, &summary);
+  GraphSolution solution;
+  solution.usable = summary.IsSolutionUsable();
+  solution.converged = summary.termination_type == ceres::CONVERGENCE;
+  solution.initial_cost = summary.initial_cost;
+  solution.final_cost = summary.final_cost;
+  solution.iterations = static_cast<int>(summary.iterations.size());
+  solution.message = summary.message;
+  return solution;
 }
 
 GraphSolution solve_graph(const std::vector<GraphEdge>& edges, const GraphSolverOptions& options,
                           std::vector<SE3>* T_world_vertex, const GraphObjects& objects) {
   GraphSolution solution;
-  solution.message = fault(edges, options.fixed, *T_world_vertex);
+  solution.message = graph_fault(edges, options.fixed, *T_world_vertex);
   if (!solution.message.empty()) return solution;
   std::vector<SE3> vertices = *T_world_vertex;
   for (SE3& T : vertices) T.q.normalize();
@@ -141,20 +127,11 @@ GraphSolution solve_graph(const std::vector<GraphEdge>& edges, const GraphSolver
                              from.t.data(), from.q.coeffs().data(), to.t.data(), to.q.coeffs().data());
   }
   const ObjectBlocks object_blocks(objects, &vertices, &problem);
-  ceres::Solver::Summary summary;
-  ceres::Solve(ceres_options(options), &problem, &summary);
-  solution.initial_cost = summary.initial_cost;
-  solution.final_cost = summary.final_cost;
-  solution.iterations = static_cast<int>(summary.iterations.size());
-  solution.usable = summary.IsSolutionUsable() && all_finite(vertices);
-  solution.converged = summary.termination_type == ceres::CONVERGENCE;
-  solution.message = summary.message;
+  solution = solve_problem(options, &problem);
+  solution.usable = solution.usable && all_finite(vertices);
   if (!solution.usable) return solution;
   for (SE3& T : vertices) T.q.normalize();
-  for (const int v : options.fixed) {  // not even their rounding changes
-    vertices[static_cast<std::size_t>(v)] = (*T_world_vertex)[static_cast<std::size_t>(v)];
-  }
-  *T_world_vertex = std::move(vertices);
+  accept(std::move(vertices), options.fixed, T_world_vertex);
   return solution;
 }
 
@@ -162,6 +139,117 @@ double chi_squared(const GraphEdge& edge, const std::vector<SE3>& T_world_vertex
   const Vec6 e = residual(T_world_vertex[static_cast<std::size_t>(edge.from)],
                           T_world_vertex[static_cast<std::size_t>(edge.to)], edge.T_from_to, error);
   return (edge.sqrt_info * e).squaredNorm();
+}
+
+namespace {
+
+constexpr double kMuGrowth = 1.6;  // of the control parameter a round; Yang et al. take 1.4 and a full solve in each
+constexpr int kMaxRounds = 40;     // grow it by 1.6^40 = 1e8: from where no loop is doubted to where each is in or out
+constexpr int kRoundIterations = 3;  // each round starts at the solution of the one before
+
+/// Weight of truncated least squares at control parameter mu: 1 for small errors, 0 for large ones, between them the
+/// minimiser of w r^2 + mu (1 - w) / (mu + w) chi2.
+double truncated_weight(double r2, double chi2, double mu) {
+  if (r2 <= mu / (mu + 1.0) * chi2) return 1.0;
+  if (r2 >= (mu + 1.0) / mu * chi2) return 0.0;
+  return std::clamp(std::sqrt(chi2 * mu * (mu + 1.0) / r2) - mu, 0.0, 1.0);
+}
+
+class GraduatedNonConvexity {
+ public:
+  GraduatedNonConvexity(const std::vector<GraphEdge>& edges, double chi2, const GraphSolverOptions& options,
+                        const std::vector<SE3>& T_world_vertex)
+      : edges_(edges), chi2_(chi2), options_(options) {
+    result_.T_world_vertex = T_world_vertex;
+    for (std::size_t i = 0; i < edges.size(); ++i) {
+      if (!edges[i].robust) continue;
+      loops_.push_back(i);
+      base_weights_.push_back(edges[i].weight);
+    }
+  }
+
+  LoopClassification run(const std::vector<bool>& guess) {
+    if (!guess.empty() && confirm(guess)) {
+      result_.usable = true;
+      return result_;
+    }
+    for (std::size_t k = 0; k < loops_.size(); ++k) edges_[loops_[k]].weight = base_weights_[k];
+    if (!solve()) return result_;
+    double worst = 0.0;
+    for (const std::size_t i : loops_)
+      worst = std::max(worst, chi_squared(edges_[i], result_.T_world_vertex, options_.error));
+    double mu = chi2_ / std::max(2.0 * worst - chi2_, 1e-9);
+    for (int round = 0; round < kMaxRounds && worst > chi2_; ++round, mu *= kMuGrowth) {
+      const bool decided = reweigh(mu);
+      if (!solve_round()) return result_;
+      if (decided) break;
+    }
+    result_.usable = true;
+    judge();
+    return result_;
+  }
+
+ private:
+  /// Solves with the guessed loops; a few of them may turn out false, or others right.
+  bool confirm(std::vector<bool> guess) {
+    constexpr int kAttempts = 3;  // together cheaper than judging all anew, which takes some ten solves
+    const std::size_t tolerated = 2 + loops_.size() / 20;  // changes: a few, or one loop in twenty
+    for (int attempt = 0; attempt < kAttempts; ++attempt) {
+      for (std::size_t k = 0; k < loops_.size(); ++k) edges_[loops_[k]].weight = guess[k] ? base_weights_[k] : 0.0;
+      if (!solve()) return false;
+      judge();
+      std::size_t changed = 0;
+      for (std::size_t k = 0; k < guess.size(); ++k) changed += guess[k] != result_.kept[k] ? 1 : 0;
+      if (changed == 0) return true;
+      if (changed > tolerated) return false;
+      guess = result_.kept;
+    }
+    return false;
+  }
+
+  void judge() {
+    result_.kept.clear();
+    for (const std::size_t i : loops_)
+      result_.kept.push_back(chi_squared(edges_[i], result_.T_world_vertex, options_.error) <= chi2_);
+  }
+  bool solve() {
+    ++result_.solves;
+    return solve_graph(edges_, options_, &result_.T_world_vertex).usable;
+  }
+  /// A few iterations, or as many as it takes where these were lost on steps that led uphill.
+  bool solve_round() {
+    GraphSolverOptions few = options_;
+    few.max_iterations = std::min(options_.max_iterations, kRoundIterations);
+    ++result_.solves;
+    const GraphSolution solution = solve_graph(edges_, few, &result_.T_world_vertex);
+    const bool is_stuck = !solution.converged && solution.final_cost >= solution.initial_cost;
+    return is_stuck ? solve() : solution.usable;
+  }
+  /// @return whether every loop is in or out
+  bool reweigh(double mu) {
+    bool decided = true;
+    for (std::size_t k = 0; k < loops_.size(); ++k) {
+      GraphEdge& edge = edges_[loops_[k]];
+      const double weight = truncated_weight(chi_squared(edge, result_.T_world_vertex, options_.error), chi2_, mu);
+      decided = decided && (weight < 1e-3 || weight > 0.999);
+      edge.weight = weight * base_weights_[k];
+    }
+    return decided;
+  }
+
+  std::vector<GraphEdge> edges_;
+  std::vector<std::size_t> loops_;
+  std::vector<double> base_weights_;
+  double chi2_;
+  GraphSolverOptions options_;
+  LoopClassification result_;
+};
+
+}  // namespace
+
+LoopClassification classify_loops(const std::vector<GraphEdge>& edges, double chi2, const GraphSolverOptions& options,
+                                  const std::vector<SE3>& T_world_vertex, const std::vector<bool>& guess) {
+  return GraduatedNonConvexity(edges, chi2, options, T_world_vertex).run(guess);
 }
 
 }  // namespace semantic_topo_loop::core

@@ -3,7 +3,7 @@
 #include <string>
 #include <vector>
 
-#include "pose_graph/solver/graph_object.h"
+#include "pose_graph/solver/graph_objects.h"
 #include "semantic_topo_loop/types/transform.h"
 
 namespace semantic_topo_loop::core {
@@ -15,6 +15,8 @@ struct GraphEdge {
   Mat6 sqrt_info = Mat6::Identity();  ///< U of |U e|^2 = e^T covariance^-1 e, e as in relative_pose.h
   double weight = 1.0;                ///< factor on |U e|^2, >= 0; an edge of weight 0 is left out
   bool robust = false;                ///< whether the loss applies to it
+
+  bool is_finite() const { return T_from_to.is_finite(); }
 };
 
 enum class GraphLoss { kNone, kHuber, kCauchy };
@@ -51,5 +53,20 @@ GraphSolution solve_graph(const std::vector<GraphEdge>& edges, const GraphSolver
 
 /// |U e|^2 of an edge, without its weight.
 double chi_squared(const GraphEdge& edge, const std::vector<SE3>& T_world_vertex, GraphError error = GraphError::kLog);
+
+struct LoopClassification {
+  bool usable = false;
+  std::vector<bool> kept;           ///< one a loop edge, in their order
+  std::vector<SE3> T_world_vertex;  ///< the poses at which it was decided
+  int solves = 0;
+};
+
+/// Tells right loops from false ones by graduated non-convexity with truncated least squares (Yang et al. 2020): the
+/// cost min(|U e|^2, chi2) of each loop, reached from its convex surrogate through a series of weighted solves.
+/// @param edges odometry edges and loop edges; those flagged robust are classified, their weight is a factor
+/// @param guess of each loop edge: if a solve with the guessed ones alone bears it out, it stands. Without a guess, or
+///        if it fails, all are judged anew
+LoopClassification classify_loops(const std::vector<GraphEdge>& edges, double chi2, const GraphSolverOptions& options,
+                                  const std::vector<SE3>& T_world_vertex, const std::vector<bool>& guess = {});
 
 }  // namespace semantic_topo_loop::core

@@ -3,7 +3,7 @@
 #include <algorithm>
 
 #include "geometry/relative_pose.h"
-#include "pose_graph/rejection/loop_classifier.h"
+#include "geometry/statistics.h"
 #include "semantic_topo_loop/geometry/lie.h"
 
 namespace semantic_topo_loop::core {
@@ -14,17 +14,9 @@ GraphLoss loss_of(const std::string& robust) {
   return robust == "cauchy" ? GraphLoss::kCauchy : GraphLoss::kNone;
 }
 
-/// The walk, and full suspicion.
+/// The walk, and a prior of 1 for suspected jumps.
 OdometryNoise scaled(const OdometryNoise& noise, double factor) {
   return {noise.translation_m * factor, noise.rotation_rad * factor};
-}
-
-/// At most `count` loops, evenly taken from their order of acceptance.
-std::vector<GraphLoop> thinned(const std::vector<GraphLoop>& loops, std::size_t count) {
-  if (loops.size() <= count) return loops;
-  std::vector<GraphLoop> some;
-  for (std::size_t i = 0; i < count; ++i) some.push_back(loops[i * loops.size() / count]);
-  return some;
 }
 
 /// Factors on the least noise that a loop may need, over the usual and in all. A single burst may stand behind some
@@ -32,12 +24,10 @@ std::vector<GraphLoop> thinned(const std::vector<GraphLoop>& loops, std::size_t 
 /// more has no say in what is usual either.
 constexpr double kStrain = 2.5, kLeastStrain = 150.0, kMaxStrain = 400.0;
 
-constexpr int kFewJumps = 2, kManyJumps = 8;  // that are looked for in one go
+constexpr int kFewJumps = 2, kManyJumps = 8;  // that are looked for in one go: in a run and at its end, for time
 
 Mat6 jump_covariance(const OdometryJump& jump) {
-  Vec6 sigmas;
-  sigmas << Vec3::Constant(jump.translation_m), Vec3::Constant(jump.rotation_rad);
-  return sigmas.cwiseAbs2().asDiagonal();
+  return isotropic_covariance(jump.translation_m * jump.translation_m, jump.rotation_rad * jump.rotation_rad);
 }
 
 class TrajectoryOptimizer {
@@ -80,7 +70,7 @@ class TrajectoryOptimizer {
     std::vector<bool>& kept = result_.knowledge.kept;
     kept.resize(trajectory_.loops.size(), true);
     if (options_.robust == "none") return true;
-    judge_strain();
+    vote_by_noise();
     for (std::size_t k = 0; k < kept.size(); ++k) kept[k] = kept[k] && votes_[k];
     const GraphKnowledge& known = result_.knowledge;
     const std::vector<GraphEdge> edges =
@@ -111,7 +101,7 @@ class TrajectoryOptimizer {
 
   /// Finds the odometry's noise that the loops bear out, and takes the vote from those that would need many times as
   /// much: a place that looks like another contradicts the odometry by any amount, a right loop by what the others do.
-  void judge_strain() {
+  void vote_by_noise() {
     const PathNoise path(result_.T_map_vertex, trajectory_.edges);
     const NoisePrior prior = noise_prior(options_);
     const OdometryNoise least = scaled(prior.least, 1.0);
@@ -140,18 +130,19 @@ class TrajectoryOptimizer {
   }
 
   void learn_noise() {
-    // As many as can be afforded: the cost grows with their cube.
-    const std::size_t max_loops = starts_afresh() ? 60 : 24;
+    // As many as can be afforded, at the end of a run and in it: the cost grows with their cube.
+    constexpr std::size_t kManyLoops = 60, kFewLoops = 24;
+    const std::size_t max_loops = starts_afresh() ? kManyLoops : kFewLoops;
     std::vector<GraphLoop> loops;
     for (std::size_t k = 0; k < trajectory_.loops.size(); ++k) {
       if (result_.knowledge.kept[k]) loops.push_back(trajectory_.loops[k]);
     }
-    const std::vector<GraphLoop> some = thinned(loops, max_loops);
+    const std::vector<GraphLoop> some = evenly_taken(std::move(loops), max_loops);
     InnovationModel model(result_.T_map_vertex, trajectory_.edges, some);
     NoiseEstimate& noise = result_.knowledge.noise;
     const int max_new_jumps = starts_afresh() ? kManyJumps : kFewJumps;
     if (effort_ != Effort::kUpdate) {
-      noise = estimate_noise_and_jumps(&model, noise_prior(options_), noise, max_new_jumps);
+      noise = estimate_noise_and_jumps(&model, noise_prior(options_), noise, max_new_jumps).noise;
     }
     model.set_jumps(noise.jumps);
     steady_errors_ = model.steady_errors(noise);
@@ -211,11 +202,12 @@ class TrajectoryOptimizer {
 }  // namespace
 
 NoisePrior noise_prior(const PoseGraphOptions& options) {
+  constexpr double kSteadyShare = 0.1;  // of the walk's figures: shows only after a hundred metres
   OdometryNoise least{options.translation_noise_m, radians(options.rotation_noise_deg)};
-  least.steady_translation = least.scale = 0.1 * options.translation_noise_m;
-  least.steady_rotation_rad = 0.1 * radians(options.rotation_noise_deg);
-  constexpr double kLeastSuspicion = 0.003;
-  if (options.estimate_noise) least.suspicion = kLeastSuspicion;
+  least.steady_translation = least.scale = kSteadyShare * options.translation_noise_m;
+  least.steady_rotation_rad = kSteadyShare * radians(options.rotation_noise_deg);
+  constexpr double kLeastJumpPrior = 0.003;  // next to none: without loops the odometry stays as it is
+  if (options.estimate_noise) least.jump_prior = kLeastJumpPrior;
   return {least, options.noise_factor_max, options.noise_evidence};
 }
 

@@ -6,7 +6,7 @@
 #include "odometry/graph_loop.h"
 #include "odometry/noise_estimator.h"
 #include "odometry/odometry_edge.h"
-#include "pose_graph/solver/graph_object.h"
+#include "pose_graph/solver/graph_objects.h"
 #include "pose_graph/solver/graph_solver.h"
 #include "semantic_topo_loop/pose_graph/pose_graph_options.h"
 
@@ -37,7 +37,7 @@ struct OptimizedTrajectory {
 };
 
 enum class Effort {
-  kUpdate,    ///< trusts what is known: two solves, unless new loops upset it
+  kUpdate,    ///< trusts what is known: two solves, unless new loops contradict it
   kLearn,     ///< learns the odometry's noise anew
   kFull,      ///< and doubts every loop anew
   kClassify,  ///< doubts every loop anew, and does no more

@@ -5,9 +5,8 @@
 #include <map>
 #include <numeric>
 
-#include "pose_graph/rejection/loop_classifier.h"
-#include "pose_graph/solver/graph_initialisation.h"
 #include "pose_graph/solver/graph_solver.h"
+#include "tools/g2o/graph_initialisation.h"
 
 namespace semantic_topo_loop::core {
 namespace {

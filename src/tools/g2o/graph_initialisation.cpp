@@ -1,4 +1,4 @@
-#include "pose_graph/solver/graph_initialisation.h"
+#include "tools/g2o/graph_initialisation.h"
 
 #include <Eigen/SVD>
 #include <Eigen/SparseCholesky>

@@ -1,0 +1,287 @@
+#include "pose_graph/rejection/loop_rejection.h"
+
+#include <algorithm>
+#include <iomanip>
+#include <sstream>
+#include <utility>
+
+#include "geometry/statistics.h"
+#include "odometry/noise_estimator.h"
+
+namespace semantic_topo_loop::core {
+const GraphLoop* LoopRejection::add(const LoopClosure& closure, int query_vertex, int match_vertex, bool is_extra) {
+  const Result<GraphLoop> loop = make_graph_loop(closure, query_vertex, match_vertex);
+  Entry entry;
+  entry.query_keyframe_id = closure.query_keyframe_id;
+  entry.match_keyframe_id = closure.match_keyframe_id;
+  entry.is_extra = is_extra;
+  entry.refusal = loop.message();
+  if (loop) entry.loop = *loop;
+  entry.is_in_graph = loop && !is_repetition(*loop, entries_.size());
+  entries_.push_back(std::move(entry));
+  return entries_.back().is_in_graph ? &*entries_.back().loop : nullptr;
+}
+
+bool LoopRejection::withdraw(std::int64_t query_keyframe_id, std::int64_t match_keyframe_id) {
+  const auto rest = std::remove_if(entries_.begin(), entries_.end(), [=](const Entry& entry) {
+    return entry.query_keyframe_id == query_keyframe_id && entry.match_keyframe_id == match_keyframe_id;
+  });
+  if (rest == entries_.end()) return false;
+  entries_.erase(rest, entries_.end());
+  consistency_.clear();
+  return true;
+}
+
+std::size_t LoopRejection::size() const {
+  return static_cast<std::size_t>(std::count_if(entries_.begin(), entries_.end(), is_in_graph));
+}
+
+bool LoopRejection::empty() const { return std::none_of(entries_.begin(), entries_.end(), is_in_graph); }
+
+/// Whether the graph has the evidence of a loop often enough, in loops before `end` that are believed. The more of them
+/// it holds the sooner it has, so that the time of a solve hardly grows.
+bool LoopRejection::is_repetition(const GraphLoop& loop, std::size_t end) const {
+  constexpr double kMany = 400.0;  // loops: beyond, each place has room for fewer
+  constexpr double kCopy = 0.99;   // shared evidence of one loop that is given twice, up to rounding
+  double sum = 0.0, loops = 0.0;
+  for (std::size_t i = 0; i < end; ++i) {
+    const Entry& entry = entries_[i];
+    if (!entry.is_in_graph || !entry.kept) continue;
+    const double shared = shared_evidence(loop, *entry.loop);
+    if (shared > kCopy) return true;
+    sum += shared;
+    loops += 1.0;
+  }
+  return sum >= options_.max_redundancy * std::min(1.0, kMany / std::max(loops, 1.0));
+}
+
+void LoopRejection::hand_over(Trajectory* trajectory, GraphKnowledge* knowledge) const {
+  trajectory->loops.clear();
+  trajectory->votes.clear();
+  knowledge->kept.clear();
+  for (const Entry& entry : entries_) {
+    if (!entry.is_in_graph) continue;
+    trajectory->loops.push_back(*entry.loop);
+    trajectory->votes.push_back(entry.may_vote);
+    knowledge->kept.push_back(entry.kept);
+  }
+}
+
+void LoopRejection::take_back(const Trajectory& trajectory, const GraphKnowledge& knowledge) {
+  std::size_t k = 0;
+  for (Entry& entry : entries_) {
+    if (!entry.is_in_graph) continue;
+    entry.may_vote = trajectory.votes[k];
+    entry.kept = knowledge.kept[k];
+    ++k;
+  }
+}
+
+std::vector<bool> LoopRejection::vote(const Trajectory& trajectory, bool has_moved) {
+  if (has_moved) consistency_.clear();
+  return consistency_.vote(trajectory.edges, trajectory.loops);
+}
+
+bool LoopRejection::reject_outliers(Trajectory* trajectory, GraphKnowledge* knowledge) {
+  const std::vector<bool> voted = trajectory->votes;
+  if (!classify(trajectory, knowledge)) return false;
+  // Loops that were outvoted by outliers get another chance.
+  std::vector<bool> eligible = knowledge->kept;
+  for (std::size_t k = 0; k < voted.size(); ++k) eligible[k] = eligible[k] || !voted[k];
+  trajectory->votes = consistency_.vote(trajectory->edges, trajectory->loops, eligible, knowledge->kept);
+  if (trajectory->votes != knowledge->kept && !classify(trajectory, knowledge)) return false;
+  drop_outliers(voted, trajectory, knowledge);
+  if (!judge_anew({}, trajectory, knowledge)) return false;
+  const std::vector<bool> believed = audit_clusters(*trajectory, options_, *knowledge);
+  return believed == knowledge->kept || judge_anew(believed, trajectory, knowledge);
+}
+
+/// Where right loops lie at the border, what was rejected on the way there sways the verdict on them. So the last one
+/// is made anew among those that are not far off.
+/// @param believed one a loop: those that were kept and are no more are outliers; empty: none is
+bool LoopRejection::judge_anew(const std::vector<bool>& believed, Trajectory* trajectory, GraphKnowledge* knowledge) {
+  constexpr double kFarOff = 10.0;  // times the bound on chi^2: beyond three times the sigmas that are allowed
+  std::vector<bool> eligible;
+  for (std::size_t k = 0; k < trajectory->loops.size(); ++k) {
+    const bool is_outlier = !believed.empty() && knowledge->kept[k] && !believed[k];
+    const double chi2 = chi_squared(trajectory->loops[k], trajectory->T_map_vertex);
+    eligible.push_back(!is_outlier && chi2 <= kFarOff * options_.robust_chi2);
+  }
+  const std::vector<bool> none(eligible.size(), false);
+  trajectory->votes = consistency_.vote(trajectory->edges, trajectory->loops, eligible, none);
+  if (!classify(trajectory, knowledge)) return false;
+  drop_outliers(eligible, trajectory, knowledge);
+  return true;
+}
+
+bool LoopRejection::classify(Trajectory* trajectory, GraphKnowledge* knowledge) const {
+  OptimizedTrajectory result = optimize_trajectory(*trajectory, options_, *knowledge, Effort::kClassify);
+  if (!result.usable) return false;
+  trajectory->T_map_vertex = std::move(result.T_map_vertex);
+  *knowledge = std::move(result.knowledge);
+  return true;
+}
+
+/// An outlier shall leave no trace: which loops repeat others follows from those that fit.
+/// @param had_vote in the first round, one a loop of the graph: says why a loop is not kept
+void LoopRejection::drop_outliers(const std::vector<bool>& had_vote, Trajectory* trajectory,
+                                  GraphKnowledge* knowledge) {
+  std::size_t k = 0;
+  for (std::size_t i = 0; i < entries_.size(); ++i) {
+    Entry& entry = entries_[i];
+    if (!entry.loop) continue;
+    const bool was_in_graph = entry.is_in_graph;
+    entry.kept =
+        was_in_graph ? knowledge->kept[k] : chi_squared(*entry.loop, trajectory->T_map_vertex) <= options_.robust_chi2;
+    entry.may_vote = entry.kept || !was_in_graph || had_vote[k];
+    entry.is_in_graph = !entry.kept || !is_repetition(*entry.loop, i);
+    k += was_in_graph ? 1 : 0;
+  }
+  hand_over(trajectory, knowledge);
+  consistency_.clear();
+}
+
+LoopVerdict LoopRejection::verdict(const Entry& entry, const Chi2& chi2, double loop_factor) const {
+  LoopVerdict verdict{entry.query_keyframe_id, entry.match_keyframe_id, false, entry.refusal, entry.is_extra};
+  if (!entry.loop) return verdict;
+  const double disagreement = chi2(*entry.loop) / (loop_factor * loop_factor);
+  verdict.kept = entry.is_in_graph ? entry.kept : disagreement <= options_.robust_chi2;
+  if (entry.is_in_graph && !entry.may_vote) {
+    verdict.reason = "no other loop agrees with it or more disagree";
+  } else if (!verdict.kept) {
+    std::ostringstream reason;
+    reason << "disagrees with the odometry and the other loops: squared error " << std::setprecision(3) << disagreement
+           << " sigma^2";
+    verdict.reason = reason.str();
+  } else if (!entry.is_in_graph) {
+    verdict.reason = "repeats the evidence of other loops";
+  }
+  return verdict;
+}
+
+std::vector<LoopVerdict> LoopRejection::verdicts(const Chi2& chi2, double loop_factor) const {
+  std::vector<LoopVerdict> verdicts;
+  for (const Entry& entry : entries_) verdicts.push_back(verdict(entry, chi2, loop_factor));
+  return verdicts;
+}
+
+namespace {
+
+using Cluster = std::vector<std::size_t>;
+
+/// At most so many of those that are kept: the time of a fit grows with their cube, and each cluster needs four.
+std::vector<GraphLoop> some_of(const std::vector<GraphLoop>& loops, const std::vector<bool>& kept) {
+  constexpr std::size_t kMaxLoops = 16;
+  std::vector<GraphLoop> all;
+  for (std::size_t k = 0; k < loops.size(); ++k) {
+    if (kept[k]) all.push_back(loops[k]);
+  }
+  return evenly_taken(std::move(all), kMaxLoops);
+}
+
+/// A false loop may state any pose within some ten metres: logarithm of (10 m)^3 times all rotations, 8 pi^2.
+constexpr double kLogPlaces = 11.3;
+/// A piece of evidence is false once in ten times: logarithm of 10.
+constexpr double kLogRare = 2.3;
+
+double cost(const std::vector<SE3>& T_map_vertex, const std::vector<OdometryEdge>& edges,
+            const std::vector<GraphLoop>& loops, const NoisePrior& prior) {
+  constexpr int kJumps = 2;  // that may stand behind the cluster, beside those that the motion shows
+  InnovationModel model(T_map_vertex, edges, loops);
+  return estimate_noise_and_jumps(&model, prior, {prior.least, 1.0, {}}, kJumps).cost;
+}
+
+/// Minus the log likelihood of a loop given others, linear about the given poses.
+double unlikelihood(const GraphLoop& loop, std::vector<GraphLoop> others, const std::vector<SE3>& T_map_vertex,
+                    const std::vector<OdometryEdge>& edges, const NoisePrior& prior) {
+  const double alone = cost(T_map_vertex, edges, others, prior);
+  others.push_back(loop);
+  constexpr double kLogTwoPi = 1.8378771;  // of the normal distribution, for each of six dimensions
+  return cost(T_map_vertex, edges, others, prior) - alone + 0.5 * 6.0 * kLogTwoPi;
+}
+
+double evidence(const Cluster& cluster, const std::vector<double>& redundancy) {
+  double sum = 0.0;
+  for (const std::size_t k : cluster) sum += 1.0 / redundancy[k];
+  return sum;
+}
+
+const GraphLoop& middle(const Cluster& cluster, const Trajectory& trajectory) {
+  return trajectory.loops[cluster[cluster.size() / 2]];
+}
+
+/// Those that strain the odometry most: a place that looks like another does.
+std::vector<Cluster> strained(const Trajectory& trajectory, const std::vector<bool>& kept, const NoisePrior& prior) {
+  constexpr std::size_t kMaxDoubted = 8;  // each costs a solution of the graph
+  constexpr double kLittle = 10.0;        // times the least noise, 1 cm after one metre: any odometry may drift so
+  const PathNoise path(trajectory.T_map_vertex, trajectory.edges);
+  const OdometryNoise least{prior.least.translation_m, prior.least.rotation_rad};
+  std::vector<std::pair<double, Cluster>> clusters;
+  for (Cluster& cluster : loop_clusters(trajectory.loops, kept)) {
+    const double factor = path.explaining_factor(middle(cluster, trajectory), least, prior.factor_max);
+    if (factor > kLittle) clusters.emplace_back(factor, std::move(cluster));
+  }
+  std::stable_sort(clusters.begin(), clusters.end(), [](const auto& a, const auto& b) { return a.first > b.first; });
+  if (clusters.size() > kMaxDoubted) clusters.resize(kMaxDoubted);
+  std::vector<Cluster> result;
+  for (auto& [factor, cluster] : clusters) result.push_back(std::move(cluster));
+  return result;
+}
+
+/// The cluster that is most likely false.
+class OutlierSearch {
+ public:
+  OutlierSearch(Trajectory* trajectory, const PoseGraphOptions& options, const GraphKnowledge& knowledge)
+      : trajectory_(trajectory), options_(options), knowledge_(knowledge) {}
+
+  void judge(const Cluster& cluster, double evidence) {
+    GraphKnowledge others = knowledge_;
+    for (const std::size_t k : cluster) others.kept[k] = false;
+    trajectory_->votes = others.kept;
+    OptimizedTrajectory without = optimize_trajectory(*trajectory_, options_, others, Effort::kUpdate);
+    const GraphLoop& loop = middle(cluster, *trajectory_);
+    if (!without.usable || chi_squared(loop, without.T_map_vertex) <= options_.robust_chi2) return;
+    // Linear about the poses with and without the cluster: right loops behind large jumps are likely about the former.
+    const std::vector<GraphLoop> rest = some_of(trajectory_->loops, without.knowledge.kept);
+    const NoisePrior prior = noise_prior(options_);
+    const double least = std::min(unlikelihood(loop, rest, without.T_map_vertex, trajectory_->edges, prior),
+                                  unlikelihood(loop, rest, trajectory_->T_map_vertex, trajectory_->edges, prior));
+    const double odds = least - kLogPlaces - kLogRare * evidence;
+    if (odds <= odds_) return;
+    odds_ = odds;
+    kept_ = others.kept;
+    T_map_vertex_ = std::move(without.T_map_vertex);
+  }
+
+  bool found() const { return odds_ > 0.0; }
+  const std::vector<bool>& kept_without() const { return kept_; }
+  const std::vector<SE3>& T_map_vertex_without() const { return T_map_vertex_; }
+
+ private:
+  Trajectory* trajectory_;
+  const PoseGraphOptions& options_;
+  const GraphKnowledge& knowledge_;
+  double odds_ = 0.0;  ///< logarithm of those that it is false
+  std::vector<bool> kept_;
+  std::vector<SE3> T_map_vertex_;
+};
+
+}  // namespace
+
+std::vector<bool> audit_clusters(Trajectory trajectory, const PoseGraphOptions& options, GraphKnowledge knowledge) {
+  trajectory.objects = {};
+  const NoisePrior prior = noise_prior(options);
+  while (loop_clusters(trajectory.loops, knowledge.kept).size() > 1) {
+    const std::vector<double> copies = redundancy(trajectory.loops, knowledge.kept);
+    OutlierSearch search(&trajectory, options, knowledge);
+    for (const Cluster& cluster : strained(trajectory, knowledge.kept, prior)) {
+      search.judge(cluster, evidence(cluster, copies));
+    }
+    if (!search.found()) break;
+    knowledge.kept = search.kept_without();
+    trajectory.T_map_vertex = search.T_map_vertex_without();
+  }
+  return knowledge.kept;
+}
+
+}  // namespace semantic_topo_loop::core

@@ -1,0 +1,83 @@
+#pragma once
+
+#include <cstdint>
+#include <functional>
+#include <optional>
+#include <string>
+#include <vector>
+
+#include "pose_graph/rejection/loop_consistency.h"
+#include "pose_graph/solver/trajectory_optimizer.h"
+#include "semantic_topo_loop/pose_graph/pose_graph_options.h"
+#include "semantic_topo_loop/types/loop_closure.h"
+#include "semantic_topo_loop/types/map_correction.h"
+
+namespace semantic_topo_loop::core {
+
+/// The loops that the detector accepted, and which of them are believed. As things are:
+///   0. a loop that cannot be an edge is refused; one that repeats what the graph holds stays out of it (`add`);
+///   1. consistency among loops (`vote`): pairwise consistency takes the vote from loops that disagree with many;
+///   2. robust solve (optimize_trajectory): a loop that would need a much noisier odometry than the others loses its
+///      vote, the rest are classified by graduated non-convexity;
+///   3. final audit, at the end of a run and after a withdrawal (`reject_outliers`): 1 and 2 once more with what only
+///      outliers had outvoted, and once as if loops far off had never come; then audit_clusters, and 1 and 2 without
+///      the clusters that it finds.
+class LoopRejection {
+ public:
+  using Chi2 = std::function<double(const GraphLoop&)>;
+
+  explicit LoopRejection(const PoseGraphOptions& options) : options_(options) {}
+
+  /// @return the loop, until the next call, if it went into the graph; null if it was refused or repeats others
+  const GraphLoop* add(const LoopClosure& closure, int query_vertex, int match_vertex, bool is_extra);
+  /// Forgets the loops between two keyframes. @return false if there is none
+  bool withdraw(std::int64_t query_keyframe_id, std::int64_t match_keyframe_id);
+  /// How many loops are in the graph.
+  std::size_t size() const;
+  bool empty() const;
+
+  /// Sets the loops of the graph, with what was believed of them.
+  void hand_over(Trajectory* trajectory, GraphKnowledge* knowledge) const;
+  /// Remembers what is believed of them now.
+  void take_back(const Trajectory& trajectory, const GraphKnowledge& knowledge);
+
+  /// Whether each loop may vote. @param has_moved whether those of the last call are not what they were
+  std::vector<bool> vote(const Trajectory& trajectory, bool has_moved = false);
+  /// Doubts every loop anew and drops the outliers from the graph: they leave no trace.
+  /// @param trajectory, knowledge handed over, and voted on   @return false if there is no solution
+  bool reject_outliers(Trajectory* trajectory, GraphKnowledge* knowledge);
+
+  /// On every loop, in order of acceptance.
+  /// @param chi2 of a loop at the poses found   @param loop_factor on the sigmas that the loops state
+  std::vector<LoopVerdict> verdicts(const Chi2& chi2, double loop_factor) const;
+
+ private:
+  struct Entry {
+    std::int64_t query_keyframe_id = -1, match_keyframe_id = -1;
+    bool is_extra = false;          ///< given from outside
+    std::optional<GraphLoop> loop;  ///< none if it was refused
+    std::string refusal;
+    bool is_in_graph = false;           ///< not if it was refused or repeats others
+    bool may_vote = true, kept = true;  ///< of those in the graph
+  };
+  static bool is_in_graph(const Entry& entry) { return entry.is_in_graph; }
+
+  bool is_repetition(const GraphLoop& loop, std::size_t end) const;
+  bool classify(Trajectory* trajectory, GraphKnowledge* knowledge) const;
+  bool judge_anew(const std::vector<bool>& believed, Trajectory* trajectory, GraphKnowledge* knowledge);
+  void drop_outliers(const std::vector<bool>& had_vote, Trajectory* trajectory, GraphKnowledge* knowledge);
+  LoopVerdict verdict(const Entry& entry, const Chi2& chi2, double loop_factor) const;
+
+  const PoseGraphOptions& options_;
+  LoopConsistency consistency_;
+  std::vector<Entry> entries_;  ///< in order of acceptance; those in the graph are its loops, in this order
+};
+
+/// Which of the kept loops stay if the clusters that strain the odometry most are doubted: one goes if, given the other
+/// loops and an odometry as noisy, drifting or jumping as all of them together bear out best, it is less likely than
+/// false loops that may state any pose. Agreement among its own loops helps it only as far as they are evidence of
+/// their own. The worst goes first.
+/// @param knowledge of the last optimisation of this trajectory
+std::vector<bool> audit_clusters(Trajectory trajectory, const PoseGraphOptions& options, GraphKnowledge knowledge);
+
+}  // namespace semantic_topo_loop::core

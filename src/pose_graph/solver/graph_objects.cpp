@@ -1,0 +1,270 @@
+#include "pose_graph/solver/graph_objects.h"
+
+#include <algorithm>
+#include <cmath>
+#include <utility>
+
+#include "geometry/depth_points.h"
+#include "geometry/statistics.h"
+#include "pose_graph/solver/graph_problem.h"
+#include "semantic_topo_loop/geometry/lie.h"
+
+namespace semantic_topo_loop::core {
+namespace {
+
+constexpr std::size_t kMinViews = 4;  // sixteen edges for the six unknowns of an object, and some to spare for outliers
+constexpr double kMinOverlap = 0.1;   // IoU: less shows something else, by more than any pose is off
+constexpr double kVisibleShare = 0.7;  // of the extent: at the median over a hemisphere's outline it is 1 / sqrt(2)
+
+/// A side that the image border cuts bounds nothing: the projection's counts there.
+bool overlaps(const GraphObjectView& view, const Box& projected) {
+  Vec4 edges = view.box.edges();
+  for (int i = 0; i < 4; ++i) {
+    if ((view.truncated & (1 << i)) != 0) edges(i) = projected.edges()(i);
+  }
+  return iou({edges(0), edges(1), edges(2), edges(3)}, projected) > kMinOverlap;
+}
+
+/// @return none where the frame has too few points on the object, or only a part of it is in the image
+std::optional<SurfaceDepth> surface_depth(const std::optional<FramePoints>& frame_points,
+                                          const Association& association) {
+  if (!frame_points || association.truncated != 0) return std::nullopt;
+  const std::vector<Vec3> points = object_points(*frame_points, association.box);
+  if (points.empty()) return std::nullopt;
+  SurfaceDepth depth;
+  depth.ray_camera = frame_points->camera().ray(association.box.center()).normalized();
+  std::vector<double> distances;
+  for (const Vec3& point : points) distances.push_back(depth.ray_camera.dot(point));
+  depth.distance_m = median(std::move(distances));
+  return depth;
+}
+
+}  // namespace
+
+Mat34 projection_matrix(const GraphObjectView& view, const SE3& T_world_camera) {
+  Mat3 K = Mat3::Identity();
+  K(0, 0) = view.intrinsics(0);
+  K(1, 1) = view.intrinsics(1);
+  K.col(2).head<2>() = view.intrinsics.tail<2>();
+  const Mat3 R_camera_world = T_world_camera.q.normalized().toRotationMatrix().transpose();
+  Mat34 P;
+  P << K * R_camera_world, -(K * (R_camera_world * T_world_camera.t));
+  return P;
+}
+
+std::optional<ObjectTerms<4>> box_terms(const GraphObjectView& view, const SE3& T_world_camera,
+                                        const Ellipsoid& ellipsoid) {
+  BoxJacobian J;
+  const std::optional<Box> box = project_box(ellipsoid, projection_matrix(view, T_world_camera), &J);
+  if (!box) return std::nullopt;
+  ObjectTerms<4> terms;
+  terms.error = box->edges() - view.box.edges();
+  terms.center = J.center;
+  terms.log_axes = J.log_axes;
+  // What the camera does, the ellipsoid does the other way round.
+  terms.camera_t = -J.center;
+  terms.camera_rotation = J.center * hat(ellipsoid.center() - T_world_camera.t) - J.rotation;
+  for (int i = 0; i < 4; ++i) {
+    if ((view.truncated & (1 << i)) == 0) continue;
+    terms.error(i) = 0.0;
+    for (ObjectTerms<4>::Jacobian* jacobian :
+         {&terms.camera_t, &terms.camera_rotation, &terms.center, &terms.log_axes}) {
+      jacobian->row(i).setZero();
+    }
+  }
+  return terms;
+}
+
+ObjectTerms<1> depth_terms(const SurfaceDepth& depth, const SE3& T_world_camera, const Ellipsoid& ellipsoid) {
+  const Vec3 ray = T_world_camera.q.normalized() * depth.ray_camera;
+  const Vec3 shape_ray = ellipsoid.shape() * ray;
+  const double extent = std::sqrt(ray.dot(shape_ray));
+  const Vec3 to_center = ellipsoid.center() - T_world_camera.t;
+  const Vec3 along = ellipsoid.T_world_quadric.q.conjugate() * ray;
+  ObjectTerms<1> terms;
+  terms.error(0) = ray.dot(to_center) - kVisibleShare * extent - depth.distance_m;
+  terms.camera_t = -ray.transpose();
+  terms.camera_rotation = (ray.cross(to_center) - kVisibleShare / extent * ray.cross(shape_ray)).transpose();
+  terms.center = ray.transpose();
+  terms.log_axes = -kVisibleShare / extent * ellipsoid.semi_axes.cwiseProduct(along).cwiseAbs2().transpose();
+  return terms;
+}
+
+GraphObjects well_seen(const GraphObjects& objects, const std::vector<SE3>& T_world_vertex, int max_views) {
+  const auto pose = [&T_world_vertex](int vertex) { return T_world_vertex[static_cast<std::size_t>(vertex)]; };
+  GraphObjects result{objects.noise, {}};
+  for (const GraphObject& object : objects.objects) {
+    const Ellipsoid ellipsoid{pose(object.anchor) * object.T_anchor_quadric, object.semi_axes};
+    std::vector<GraphObjectView> views;
+    for (const GraphObjectView& view : object.views) {
+      const std::optional<Box> box = project_box(ellipsoid, projection_matrix(view, pose(view.vertex)));
+      if (box && overlaps(view, *box)) views.push_back(view);
+    }
+    if (views.size() < kMinViews) continue;
+    views = evenly_taken(std::move(views), static_cast<std::size_t>(max_views));
+    result.objects.push_back({object.anchor, object.T_anchor_quadric, object.semi_axes, std::move(views)});
+  }
+  return result;
+}
+
+void ObjectMemory::add(int vertex, const Frame& frame, const AssociationFrame& associations) {
+  const Camera& camera = frame.camera;
+  std::optional<FramePoints> points;
+  if (frame.points_camera) points.emplace(*frame.points_camera, camera);
+  for (const Association& association : associations.associations) {
+    if (association.landmark_id < 0) continue;
+    sightings_.push_back({association.landmark_id,
+                          {vertex, Vec4(camera.fx, camera.fy, camera.cx, camera.cy), association.box,
+                           association.truncated, surface_depth(points, association)}});
+  }
+}
+
+void ObjectMemory::apply(const MapUpdate& update, const std::map<std::int64_t, int>& vertex_of,
+                         const std::vector<SE3>& T_map_vertex) {
+  for (const LandmarkMerge& merge : update.unmerged) survivor_of_.erase(merge.merged_id);
+  for (const LandmarkMerge& merge : update.merged) {
+    survivor_of_[merge.merged_id] = merge.survivor_id;
+    landmarks_.erase(merge.merged_id);
+  }
+  for (const std::int64_t id : update.removed) landmarks_.erase(id);
+  for (const Landmark& landmark : update.changed) {
+    if (landmark.state != LandmarkState::kConfirmed || !landmark.ellipsoid) {
+      landmarks_.erase(landmark.id);
+      continue;
+    }
+    const auto anchor = vertex_of.find(landmark.anchor_keyframe_id);
+    if (anchor == vertex_of.end()) continue;
+    const SE3& T_map_anchor = T_map_vertex[static_cast<std::size_t>(anchor->second)];
+    landmarks_[landmark.id] = {anchor->second,
+                               T_map_anchor.inverse() * landmark.ellipsoid->T_world_quadric,
+                               landmark.ellipsoid->semi_axes,
+                               {}};
+  }
+}
+
+std::vector<GraphObject> ObjectMemory::objects() const {
+  std::map<std::int64_t, GraphObject> objects = landmarks_;
+  for (const Sighting& sighting : sightings_) {
+    const auto object = objects.find(resolve(sighting.landmark_id));
+    if (object != objects.end()) object->second.views.push_back(sighting.view);
+  }
+  std::vector<GraphObject> result;
+  for (auto& [id, object] : objects) result.push_back(std::move(object));
+  return result;
+}
+
+std::int64_t ObjectMemory::resolve(std::int64_t id) const {
+  for (auto it = survivor_of_.find(id); it != survivor_of_.end(); it = survivor_of_.find(id)) id = it->second;
+  return id;
+}
+
+namespace {
+
+constexpr double kUnseenResidual = 20.0;  // sigmas, far outside the noise: no view may vanish to lower the cost
+constexpr double kLossScale = 3.08;       // root of the 95 % quantile of chi^2 with four degrees of freedom
+constexpr double kAxesSigma = 0.5;        // of the logarithms of the semi-axes: the map's are right to about half
+
+template <int n>
+void write(const Eigen::Matrix<double, n, 3>& J, double* target) {
+  for (int row = 0; row < n; ++row) {
+    for (int column = 0; column < 3; ++column) target[3 * row + column] = J(row, column);
+  }
+}
+
+/// Derivative by the quaternion (x, y, z, w) from that by a small rotation of the outer frame.
+template <int n>
+void write(const Eigen::Matrix<double, n, 3>& J, const Quaternion& q, double* target) {
+  const Eigen::Matrix<double, n, 4> by_quaternion = 2.0 * J * quaternion_by_rotation(q).transpose();
+  for (int row = 0; row < n; ++row) {
+    for (int column = 0; column < 4; ++column) target[4 * row + column] = by_quaternion(row, column);
+  }
+}
+
+/// Errors / sigma of one view over (t, q, centre, log axes).
+template <int n>
+class ViewCost : public ceres::SizedCostFunction<n, 3, 4, 3, 3> {
+ public:
+  ViewCost(const GraphObjectView& view, const Quaternion& axes, double sigma)
+      : view_(view), axes_(axes), sigma_(sigma) {}
+
+  bool Evaluate(double const* const* blocks, double* residuals, double** jacobians) const override {
+    const SE3 T_world_camera{Quaternion(blocks[1]), Vec3(blocks[0])};
+    const Ellipsoid ellipsoid{SE3(axes_, Vec3(blocks[2])), Vec3(blocks[3]).array().exp()};
+    const ObjectTerms<n> terms = this->terms(T_world_camera, ellipsoid);
+    for (int i = 0; i < n; ++i) residuals[i] = terms.error(i) / sigma_;
+    if (jacobians == nullptr) return true;
+    if (jacobians[0] != nullptr) write<n>(terms.camera_t / sigma_, jacobians[0]);
+    if (jacobians[1] != nullptr) write<n>(terms.camera_rotation / sigma_, T_world_camera.q, jacobians[1]);
+    if (jacobians[2] != nullptr) write<n>(terms.center / sigma_, jacobians[2]);
+    if (jacobians[3] != nullptr) write<n>(terms.log_axes / sigma_, jacobians[3]);
+    return true;
+  }
+
+ private:
+  ObjectTerms<n> terms(const SE3& T_world_camera, const Ellipsoid& ellipsoid) const {
+    if constexpr (n == 1) {
+      return depth_terms(*view_.depth, T_world_camera, ellipsoid);
+    } else {
+      if (const auto terms = box_terms(view_, T_world_camera, ellipsoid)) return *terms;
+      ObjectTerms<n> unseen;
+      unseen.error.setConstant(kUnseenResidual * sigma_);
+      return unseen;
+    }
+  }
+
+  GraphObjectView view_;
+  Quaternion axes_;
+  double sigma_;
+};
+
+/// Keeps the logarithms of the semi-axes near their start.
+class AxesCost final : public ceres::SizedCostFunction<3, 3> {
+ public:
+  explicit AxesCost(const Vec3& log_axes) : log_axes_(log_axes) {}
+  bool Evaluate(double const* const* blocks, double* residuals, double** jacobians) const override {
+    for (int i = 0; i < 3; ++i) residuals[i] = (blocks[0][i] - log_axes_(i)) / kAxesSigma;
+    if (jacobians != nullptr && jacobians[0] != nullptr) write<3>(Mat3::Identity() / kAxesSigma, jacobians[0]);
+    return true;
+  }
+
+ private:
+  Vec3 log_axes_;
+};
+
+/// What is in doubt of the distance of an object's visible side: a quarter of its radius, since no object is an
+/// ellipsoid, and what a Kinect adds. The camera's part is twice that of geometry/depth_noise.h, and 1 cm more: it
+/// stands for a median over points that share the calibration's error, which does not average out.
+double visible_side_sigma_m(const GraphObject& object, double distance_m) {
+  constexpr double kShapeShare = 0.25, kCalibration_m = 0.01, kNoisePerSquareMetre = 0.003;
+  const double radius = std::cbrt(object.semi_axes.prod());
+  return kShapeShare * radius + kCalibration_m + kNoisePerSquareMetre * distance_m * distance_m;
+}
+
+ceres::LossFunction* make_loss(double weight) {
+  return new ceres::ScaledLoss(new ceres::CauchyLoss(kLossScale), weight, ceres::TAKE_OWNERSHIP);
+}
+
+}  // namespace
+
+ObjectBlocks::ObjectBlocks(const GraphObjects& objects, std::vector<SE3>* T_world_vertex, ceres::Problem* problem) {
+  const ObjectNoise& noise = objects.noise;
+  for (const GraphObject& object : objects.objects) {
+    const SE3 T_world_quadric = (*T_world_vertex)[static_cast<std::size_t>(object.anchor)] * object.T_anchor_quadric;
+    unknowns_.push_back({T_world_quadric.t, object.semi_axes.array().log()});
+    Unknowns& unknowns = unknowns_.back();
+    problem->AddResidualBlock(new AxesCost(unknowns.log_axes), nullptr, unknowns.log_axes.data());
+    for (const GraphObjectView& view : object.views) {
+      SE3& T_world_camera = (*T_world_vertex)[static_cast<std::size_t>(view.vertex)];
+      const auto add = [&](ceres::CostFunction* cost) {
+        problem->AddResidualBlock(cost, make_loss(noise.weight), T_world_camera.t.data(),
+                                  T_world_camera.q.coeffs().data(), unknowns.center.data(), unknowns.log_axes.data());
+      };
+      const double sigma_px = noise.sigma_px + noise.sigma_share * view.box.size();
+      add(new ViewCost<4>(view, T_world_quadric.q, sigma_px));
+      if (view.depth)
+        add(new ViewCost<1>(view, T_world_quadric.q, visible_side_sigma_m(object, view.depth->distance_m)));
+    }
+  }
+}
+
+}  // namespace semantic_topo_loop::core
