@@ -82,9 +82,11 @@ build() {
   shift
   source_ros
   say "building in $build_dir"
-  # The libraries are compiled alike with and without tests. rosrun looks for programs in the whole package but for
+  # The libraries are compiled alike with and without tests; -g1 keeps the lines of a backtrace and takes two thirds of
+  # the time of -g. rosrun looks for programs in the whole package but for
   # `build`: installed elsewhere they would be there twice.
   cmake -S "$package_dir" -B "$build_dir" -G Ninja -DCMAKE_BUILD_TYPE=RelWithDebInfo \
+    -DCMAKE_CXX_FLAGS_RELWITHDEBINFO="-O2 -g1 -DNDEBUG" \
     -DCMAKE_INSTALL_PREFIX="$package_dir/build/install" -DPYTHON_EXECUTABLE=/usr/bin/python3 \
     -DCATKIN_ENABLE_TESTING="$testing" -DSTL_WERROR="${SEMANTIC_TOPO_LOOP_WERROR:-OFF}" "$@" \
     > "$build_dir/configure.log" 2>&1 \
