@@ -14,11 +14,10 @@
 #include <utility>
 #include <vector>
 
-#include "apps/command_line.h"
+#include "apps/program.h"
 #include "semantic_topo_loop/frontend/rgbd_frontend.h"
-#include "semantic_topo_loop/io/camera_yaml.h"
-#include "semantic_topo_loop/io/options_yaml.h"
-#include "semantic_topo_loop/io/rgbd_folder.h"
+#include "semantic_topo_loop/io/rgbd_recording.h"
+#include "semantic_topo_loop/io/yaml_files.h"
 
 namespace semantic_topo_loop::core {
 namespace {
@@ -119,14 +118,13 @@ void track_folder(benchmark::State& state, const Recording& recording) {
   RgbdFrontend frontend(recording.options.frontend, recording.camera);
   Times times;
   TrackingReport report;
-  std::string fault;
   for (auto _ : state) {
-    const std::optional<RgbdReading> reading = folder.next(&fault);
-    if (!reading || !reading->image) {
-      state.SkipWithError(reading ? reading->error.c_str() : "no image left");
+    const Result<std::optional<RgbdReading>> reading = folder.next();
+    if (!reading || !*reading || !(*reading)->image) {
+      state.SkipWithError(reading && *reading ? (*reading)->image.message().c_str() : "no image left");
       return;
     }
-    report.add(times.track(&frontend, *reading->image));
+    report.add(times.track(&frontend, *(*reading)->image));
     state.SetIterationTime(1e-3 * times.last_wall_ms());
   }
   times.report(&state);
@@ -139,39 +137,30 @@ struct Arguments {
   OptionTexts options;
 };
 
-bool read_arguments(apps::CommandLine* line, Arguments* arguments, std::string* error) {
-  line->text("--rgbd", &arguments->rgbd);
-  line->text("--camera", &arguments->camera);
-  line->text("--associations", &arguments->associations);
-  line->assignments("--set", &arguments->options);
-  if (!line->read(error)) return false;
-  if (arguments->camera.empty()) arguments->camera = arguments->rgbd + "/camera.yaml";
-  if (arguments->associations.empty()) arguments->associations = arguments->rgbd + "/associations.txt";
-  return true;
+Result<Recording> open(const Arguments& arguments) {
+  const std::string camera_file = arguments.camera.empty() ? arguments.rgbd + "/camera.yaml" : arguments.camera;
+  const Result<Camera> camera = read_camera(camera_file);
+  if (!camera) return camera.error();
+  const Result<Options> options = load_options("", arguments.options);
+  if (!options) return options.error();
+  const std::string list =
+      arguments.associations.empty() ? arguments.rgbd + "/associations.txt" : arguments.associations;
+  const Result<RgbdFiles> read = read_associations(list, arguments.rgbd);
+  if (!read) return read.error();
+  return Recording{read->files, *camera, *options};
 }
 
-std::optional<Recording> open(const Arguments& arguments, std::string* error) {
-  const std::optional<Camera> camera = read_camera(arguments.camera, error);
-  const std::optional<Options> options = load_options("", arguments.options, error);
-  if (!camera || !options) return std::nullopt;
-  std::string warning;
-  std::optional<std::vector<RgbdFile>> files =
-      read_associations(arguments.associations, arguments.rgbd, &warning, error);
-  if (!files) return std::nullopt;
-  return Recording{std::move(*files), *camera, *options};
-}
-
-bool run(const Arguments& arguments, std::string* error) {
+Status run(const Arguments& arguments) {
   if (!arguments.rgbd.empty()) {
-    const std::optional<Recording> recording = open(arguments, error);
-    if (!recording) return false;
+    const Result<Recording> recording = open(arguments);
+    if (!recording) return recording.error();
     benchmark::RegisterBenchmark("track_folder", track_folder, *recording)
         ->Iterations(static_cast<benchmark::IterationCount>(recording->files.size()))
         ->UseManualTime()
         ->Unit(benchmark::kMillisecond);
   }
   benchmark::RunSpecifiedBenchmarks();
-  return true;
+  return {};
 }
 
 }  // namespace
@@ -180,9 +169,13 @@ bool run(const Arguments& arguments, std::string* error) {
 int main(int argc, char** argv) {
   using namespace semantic_topo_loop;
   benchmark::Initialize(&argc, argv);
-  return apps::run_program(
-      "benchmark_frontend",
-      "usage: benchmark_frontend [--rgbd DIR [--camera YAML] [--associations FILE] [--set module.field=value ...]]\n"
-      "                          [--benchmark_...]\n",
-      {apps::make_command("", core::read_arguments, core::run)}, argc, argv);
+  core::Arguments arguments;
+  apps::Command command(
+      "", "[--rgbd DIR [--camera YAML] [--associations FILE] [--set module.field=value ...]] [--benchmark_...]", "");
+  command.option("rgbd", apps::text(&arguments.rgbd), "folder of color and depth images that is tracked")
+      .option("camera", apps::text(&arguments.camera), "its calibration (default: camera.yaml of the folder)")
+      .option("associations", apps::text(&arguments.associations), "its list (default: associations.txt of the folder)")
+      .option("set", apps::assignments(&arguments.options), "one parameter; may be repeated");
+  command.run = [&arguments] { return core::run(arguments); };
+  return apps::run_program("benchmark_frontend", {command}, argc, argv);
 }

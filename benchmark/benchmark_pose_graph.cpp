@@ -17,7 +17,6 @@
 #include "semantic_topo_loop/pose_graph/pose_graph.h"
 #include "semantic_topo_loop/pose_graph/pose_graph_options.h"
 #include "tools/g2o/g2o.h"
-#include "tools/g2o/graph_optimizer.h"
 #include "tools/simulation/random.h"
 
 namespace semantic_topo_loop::core {
@@ -179,19 +178,24 @@ BENCHMARK_CAPTURE(finish_run, on, std::string("on"))->UseManualTime()->Iteration
 
 void public_graph(benchmark::State& state, const std::string& name) {
   const char* data = std::getenv("SEMANTIC_TOPO_LOOP_DATA");
-  std::string error = "set SEMANTIC_TOPO_LOOP_DATA to the shared data";
-  std::optional<G2oGraph> graph;
-  if (data != nullptr) graph = read_g2o(std::string(data) + "/pose_graphs/" + name + ".g2o", nullptr, &error);
-  if (!graph) {
-    state.SkipWithError(error.c_str());
+  if (data == nullptr) {
+    state.SkipWithError("set SEMANTIC_TOPO_LOOP_DATA to the shared data");
     return;
   }
-  GraphOptimizerReport report;
+  const Result<G2oGraph> graph = read_g2o(std::string(data) + "/pose_graphs/" + name + ".g2o", nullptr);
+  if (!graph) {
+    state.SkipWithError(graph.message().c_str());
+    return;
+  }
   for (auto _ : state) {
     G2oGraph solved = *graph;
-    if (!optimize_graph(&solved, {}, &report, &error)) state.SkipWithError(error.c_str());
+    const Result<GraphOptimizerReport> report = optimize_graph(&solved, {});
+    if (!report) {
+      state.SkipWithError(report.message().c_str());
+      return;
+    }
+    state.counters["chi2"] = report->final_chi2;
   }
-  state.counters["chi2"] = report.final_chi2;
 }
 BENCHMARK_CAPTURE(public_graph, sphere2500, std::string("sphere2500"))->Unit(benchmark::kMillisecond);
 BENCHMARK_CAPTURE(public_graph, parking_garage, std::string("parking-garage"))->Unit(benchmark::kMillisecond);

@@ -4,7 +4,7 @@
 #include <string>
 #include <vector>
 
-#include "apps/command_line.h"
+#include "apps/program.h"
 #include "semantic_topo_loop/io/text_file.h"
 #include "semantic_topo_loop/io/tum_trajectory.h"
 #include "tools/evaluation/loop_criteria.h"
@@ -18,21 +18,6 @@ namespace {
 using namespace semantic_topo_loop::apps;
 using namespace semantic_topo_loop::core;
 using Json = nlohmann::json;
-
-constexpr const char* kUsage = R"(Judges the files of a run.
-
-  evaluate trajectory EST GT [--scale]         absolute (ATE) and relative (RPE over 1 s) errors of a TUM trajectory
-  evaluate objects RUN_DIR GT REFERENCE        objects.csv against reference objects, aligned by trajectory.txt and GT
-  evaluate loops RUN_DIR GT_FRAMES [--mocap F] [--sightings RUN_DIR] [--details DIR]
-                                               loops.csv against a true pose for every image; --mocap names the motion
-                                               capture's own file, in whose holes nothing is judged; --sightings names
-                                               the run that tells which objects two keyframes see in common (default:
-                                               the run itself); --details writes judged_loops.csv, reference_pairs.csv
-                                               and precision_recall.csv there
-
-  --json FILE   also writes the figures as JSON
-  --help        shows this text
-)";
 
 struct Arguments {
   std::string run;        ///< directory of the run, or its trajectory
@@ -77,21 +62,21 @@ Json to_json(const Detectability& d) {
   return {{"precision", to_json(d.precision)}, {"recall", to_json(d.recall)}, {"f", d.f()}};
 }
 
-std::optional<TrajectoryEvaluation> align_files(const std::string& estimate, const std::string& reference,
-                                                bool with_scale, std::string* error) {
-  const auto estimated = read_tum_trajectory(estimate, error);
-  const auto truth = estimated ? read_tum_ground_truth(reference, error) : std::nullopt;
-  if (!truth) return std::nullopt;
+Result<TrajectoryEvaluation> align_files(const std::string& estimate, const std::string& reference, bool with_scale) {
+  const auto estimated = read_tum_trajectory(estimate);
+  if (!estimated) return estimated.error();
+  const auto truth = read_tum_ground_truth(reference);
+  if (!truth) return truth.error();
   TrajectoryEvaluationOptions options;
   options.with_scale = with_scale;
-  auto evaluation = evaluate_trajectory(*estimated, *truth, options, error);
-  if (!evaluation) *error = estimate + ": " + *error;
+  auto evaluation = evaluate_trajectory(*estimated, *truth, options);
+  if (!evaluation) return Error{estimate + ": " + evaluation.message()};
   return evaluation;
 }
 
-std::optional<Report> report_trajectory(const Arguments& arguments, std::string* error) {
-  const auto e = align_files(arguments.run, arguments.truth, arguments.with_scale, error);
-  if (!e) return std::nullopt;
+Result<Report> report_trajectory(const Arguments& arguments) {
+  const auto e = align_files(arguments.run, arguments.truth, arguments.with_scale);
+  if (!e) return e.error();
   Report report;
   report.table =
       line("poses (estimate, ground truth)", std::to_string(e->estimated) + ", " + std::to_string(e->reference)) +
@@ -134,13 +119,14 @@ void list_objects(const ObjectEvaluation& evaluation, const std::vector<MappedOb
   report->json["matches"] = rows;
 }
 
-std::optional<Report> report_objects(const Arguments& arguments, std::string* error) {
+Result<Report> report_objects(const Arguments& arguments) {
   const std::string& run = arguments.run;
-  const auto objects = read_objects(run + "/objects.csv", error);
-  const auto references = objects ? read_reference_objects(arguments.reference, error) : std::nullopt;
-  if (!references) return std::nullopt;
-  const auto trajectory = align_files(run + "/trajectory.txt", arguments.truth, false, error);
-  if (!trajectory) return std::nullopt;
+  const auto objects = read_objects(run + "/objects.csv");
+  if (!objects) return objects.error();
+  const auto references = read_reference_objects(arguments.reference);
+  if (!references) return references.error();
+  const auto trajectory = align_files(run + "/trajectory.txt", arguments.truth, false);
+  if (!trajectory) return trajectory.error();
   const ObjectEvaluation e = evaluate_objects(*objects, *references, trajectory->alignment);
   char f[64];
   Report report;
@@ -169,24 +155,25 @@ struct LoopFiles {
   KeyframeViews keyframes;
 };
 
-std::optional<LoopFiles> read_loop_files(const Arguments& arguments, std::string* error) {
+Result<LoopFiles> read_loop_files(const Arguments& arguments) {
   const std::string& run = arguments.run;
-  constexpr double kMaxMocapGapS = 0.1;
-  const auto loops = read_loops(run + "/loops.csv", error);
-  const auto frames = loops ? read_tum_trajectory(run + "/trajectory.txt", error) : std::nullopt;
-  const auto keyframes = frames ? read_keyframe_stamps(run + "/keyframes.csv", error) : std::nullopt;
-  const auto sightings =
-      keyframes ? read_sightings(arguments.sightings.empty() ? run : arguments.sightings, error) : std::nullopt;
-  auto truth = sightings ? read_tum_ground_truth(arguments.truth, error) : std::nullopt;
-  const auto mocap = arguments.mocap.empty() ? StampedPoses() : read_tum_ground_truth(arguments.mocap, error);
-  if (!truth || !mocap) return std::nullopt;
-  LoopFiles files{{}, TruePoses(std::move(*truth), *mocap, kMaxMocapGapS), {*keyframes, {}}};
-  auto judged = judge_loops(*loops, *frames, files.truth, error);
-  if (!judged) {
-    *error = run + "/loops.csv: " + *error;
-    return std::nullopt;
-  }
-  files.loops = std::move(*judged);
+  const auto loops = read_loops(run + "/loops.csv");
+  if (!loops) return loops.error();
+  const auto frames = read_tum_trajectory(run + "/trajectory.txt");
+  if (!frames) return frames.error();
+  const auto keyframes = read_keyframe_stamps(run + "/keyframes.csv");
+  if (!keyframes) return keyframes.error();
+  const auto sightings = read_sightings(arguments.sightings.empty() ? run : arguments.sightings);
+  if (!sightings) return sightings.error();
+  auto truth = read_tum_ground_truth(arguments.truth);
+  if (!truth) return truth.error();
+  const auto mocap = arguments.mocap.empty() ? StampedPoses() : read_tum_ground_truth(arguments.mocap);
+  if (!mocap) return mocap.error();
+  constexpr double kMaxMocapGap_s = 0.1;  // ten samples of a motion capture at 100 Hz
+  LoopFiles files{{}, TruePoses(*std::move(truth), *mocap, kMaxMocapGap_s), {*keyframes, {}}};
+  auto judged = judge_loops(*loops, *frames, files.truth);
+  if (!judged) return Error{run + "/loops.csv: " + judged.message()};
+  files.loops = *std::move(judged);
   files.keyframes.objects.resize(static_cast<std::size_t>(files.truth.size()));
   for (const auto& [stamp_ns, ids] : *sightings) {
     const int image = files.truth.find(stamp_ns);
@@ -277,71 +264,71 @@ void add_table(const std::vector<CriterionCounts>& rows, Report* report) {
   }
 }
 
-bool write_details(const LoopFiles& files, const std::string& directory, std::string* error) {
+Status write_details(const LoopFiles& files, const std::string& directory) {
+  if (const Status made = make_directory(directory); !made) return made;
   const std::pair<const char*, std::string> texts[] = {
       {"judged_loops.csv", judged_loops_csv(files.loops, files.truth)},
       {"reference_pairs.csv", reference_pairs_csv(reference_pairs(files.truth, files.keyframes), files.truth)},
       {"precision_recall.csv",
        loop_curve_csv(loop_curve(files.loops, files.truth, files.keyframes, LoopEvaluationOptions()))}};
-  if (!make_directory(directory, error)) return false;
   for (const auto& [name, text] : texts) {
-    if (!write_text_file(directory + "/" + name, text, error)) return false;
+    if (const Status written = write_text_file(directory + "/" + name, text); !written) return written;
   }
-  return true;
+  return {};
 }
 
-std::optional<Report> report_loops(const Arguments& arguments, std::string* error) {
-  const std::optional<LoopFiles> files = read_loop_files(arguments, error);
-  if (!files) return std::nullopt;
+Result<Report> report_loops(const Arguments& arguments) {
+  const Result<LoopFiles> files = read_loop_files(arguments);
+  if (!files) return files.error();
   const LoopEvaluation e = evaluate_loops(files->loops, files->truth, LoopEvaluationOptions());
   Report report = report_geometry(e);
   add_revisits(e, files->truth, &report);
   add_viewpoints(e, &report);
   add_table(count_by_criterion(files->loops, files->truth, files->keyframes, LoopEvaluationOptions()), &report);
-  if (!arguments.details.empty() && !write_details(*files, arguments.details, error)) return std::nullopt;
+  if (arguments.details.empty()) return report;
+  const Status written = write_details(*files, arguments.details);
+  if (!written) return written.error();
   return report;
 }
 
-bool read_trajectory_arguments(CommandLine* line, Arguments* arguments, std::string* error) {
-  line->required("EST", &arguments->run);
-  line->required("GT", &arguments->truth);
-  line->flag("--scale", &arguments->with_scale);
-  line->text("--json", &arguments->json);
-  return line->read(error);
-}
-
-bool read_object_arguments(CommandLine* line, Arguments* arguments, std::string* error) {
-  line->required("RUN_DIR", &arguments->run);
-  line->required("GT", &arguments->truth);
-  line->required("REFERENCE", &arguments->reference);
-  line->text("--json", &arguments->json);
-  return line->read(error);
-}
-
-bool read_loop_arguments(CommandLine* line, Arguments* arguments, std::string* error) {
-  line->required("RUN_DIR", &arguments->run);
-  line->required("GT_FRAMES", &arguments->truth);
-  line->text("--mocap", &arguments->mocap);
-  line->text("--sightings", &arguments->sightings);
-  line->text("--details", &arguments->details);
-  line->text("--json", &arguments->json);
-  return line->read(error);
-}
-
-template <std::optional<Report> (*make_report)(const Arguments&, std::string*)>
-bool run(const Arguments& arguments, std::string* error) {
-  const std::optional<Report> report = make_report(arguments, error);
-  if (!report) return false;
-  std::fputs(report->table.c_str(), stdout);
-  return arguments.json.empty() || write_text_file(arguments.json, report->json.dump(2) + '\n', error);
+/// The command that makes a report; `arguments` must live as long as it.
+Command make_command(const char* name, const char* usage, const char* purpose,
+                     Result<Report> (*make_report)(const Arguments&), Arguments* arguments) {
+  Command command(name, usage, purpose);
+  command.option("json", text(&arguments->json), "file for the figures as JSON");
+  command.run = [make_report, arguments]() -> Status {
+    const Result<Report> report = make_report(*arguments);
+    if (!report) return report.error();
+    std::fputs(report->table.c_str(), stdout);
+    return arguments->json.empty() ? Status() : write_text_file(arguments->json, report->json.dump(2) + '\n');
+  };
+  return command;
 }
 
 }  // namespace
 
+/// Judges the files of a run.
 int main(int argc, char** argv) {
-  return run_program("evaluate", kUsage,
-                     {make_command("trajectory", read_trajectory_arguments, run<report_trajectory>),
-                      make_command("objects", read_object_arguments, run<report_objects>),
-                      make_command("loops", read_loop_arguments, run<report_loops>)},
-                     argc, argv);
+  Arguments arguments;
+  Command trajectory = make_command("trajectory", "EST GT [--scale] [--json FILE]",
+                                    "Absolute (ATE) and relative (RPE over 1 s) errors of a TUM trajectory.\n",
+                                    report_trajectory, &arguments);
+  trajectory.word("EST", &arguments.run)
+      .word("GT", &arguments.truth)
+      .option("scale", flag(&arguments.with_scale), "align by a similarity (monocular odometry)");
+  Command objects = make_command("objects", "RUN_DIR GT REFERENCE [--json FILE]",
+                                 "objects.csv against reference objects, aligned by trajectory.txt and GT.\n",
+                                 report_objects, &arguments);
+  objects.word("RUN_DIR", &arguments.run).word("GT", &arguments.truth).word("REFERENCE", &arguments.reference);
+  Command loops =
+      make_command("loops", "RUN_DIR GT_FRAMES [--mocap F] [--sightings RUN_DIR] [--details DIR] [--json FILE]",
+                   "loops.csv against a true pose for every image.\n", report_loops, &arguments);
+  loops.word("RUN_DIR", &arguments.run)
+      .word("GT_FRAMES", &arguments.truth)
+      .option("mocap", text(&arguments.mocap), "the motion capture's own file, in whose holes nothing is judged")
+      .option("sightings", text(&arguments.sightings),
+              "run that tells which objects two keyframes see in common (default: the run itself)")
+      .option("details", text(&arguments.details),
+              "directory for judged_loops.csv, reference_pairs.csv and precision_recall.csv");
+  return run_program("evaluate", {trajectory, objects, loops}, argc, argv);
 }

@@ -1,22 +1,28 @@
+#include <unistd.h>
+
 #include <cstdio>
 #include <iostream>
+#include <map>
 #include <memory>
+#include <optional>
 #include <string>
+#include <utility>
 #include <vector>
 
-#include "apps/command_line.h"
-#include "apps/offline_run.h"
-#include "apps/package_path.h"
+#include "apps/program.h"
+#include "apps/sample_source.h"
 #include "ros/parameters.h"
 #include "ros/tum_bag_reader.h"
-#include "semantic_topo_loop/io/camera_yaml.h"
-#include "semantic_topo_loop/io/class_table_yaml.h"
-#include "semantic_topo_loop/io/detection_reader.h"
-#include "semantic_topo_loop/io/options_yaml.h"
+#include "semantic_topo_loop/io/detection_file.h"
 #include "semantic_topo_loop/io/point_cloud_file.h"
-#include "semantic_topo_loop/io/rgbd_folder.h"
+#include "semantic_topo_loop/io/run_recorder.h"
 #include "semantic_topo_loop/io/submap_file.h"
 #include "semantic_topo_loop/io/tum_trajectory.h"
+#include "semantic_topo_loop/io/yaml_files.h"
+#include "semantic_topo_loop/map/point_map.h"
+#include "semantic_topo_loop/pipeline/frame_builder.h"
+#include "semantic_topo_loop/pipeline/object_slam.h"
+#include "semantic_topo_loop/types/stamp.h"
 #include "tools/evaluation/run_files.h"
 
 namespace {
@@ -24,152 +30,274 @@ namespace {
 using namespace semantic_topo_loop::apps;
 using namespace semantic_topo_loop::core;
 
-constexpr char kUsage[] =
-    "usage: offline --trajectory FILE --detections FILE_OR_DIR --camera YAML --output DIR\n"
-    "               [--classes YAML] [--config YAML] [--set module.field=value ...]\n"
-    "               [--extra-loops CSV] [--map FILE] [--save-map FILE] [--points FILE]\n"
-    "       offline --rgbd DIR --camera YAML --output DIR [--associations FILE] [--detections FILE_OR_DIR] ...\n"
-    "       offline --bag FILE --camera YAML --output DIR [--detections FILE_OR_DIR] ...\n"
-    "Runs the whole chain on recorded files, without a ROS master.\n"
-    "  --trajectory  camera poses of the odometry, TUM format; one frame a pose\n"
-    "  --rgbd        folder of colour and depth images: the odometry is found from them; see depth.* and frontend.*\n"
-    "  --bag         the same from a bag in the layout of the TUM RGB-D bags\n"
-    "  --associations which depth belongs to which colour image (default: associations.txt of the folder)\n"
-    "  --detections  OA-SLAM JSON file, or directory of YOLO text files <stamp>.txt; with --rgbd and --bag they\n"
-    "                may be left out: odometry only\n"
-    "  --camera      calibration, see config/camera\n"
-    "  --classes     class table (default: config/classes_coco.yaml of the package)\n"
-    "  --config      parameters (default: the built-in ones, those of config/default.yaml)\n"
-    "  --set         one parameter, over --config; may be repeated\n"
-    "  --extra-loops loops for the pose graph beside those that are found, as loops.csv, see docs/files.md\n"
-    "  --output      directory of the results, made if missing\n"
-    "  --map         submaps that an earlier run saved: the run's place in its map is looked for\n"
-    "  --save-map    file for this run's submaps, for later runs\n"
-    "  --points      with --rgbd: file for the map's points, .ply or .pcd\n"
-    "       offline --list-parameters\n"
-    "Prints every parameter with its default, as a Markdown table.\n"
-    "       offline --default-config\n"
-    "Prints the defaults as a file for --config.\n"
-    "       offline --list-nodelet-parameters\n"
-    "Prints what the nodelets have beside these.\n";
-
 struct Arguments {
   std::string trajectory, rgbd, bag, associations, detections, camera, classes, config, extra_loops, output, map,
       save_map, points;
   OptionTexts assignments;
 };
 
-/// Whether the arguments that belong together are there.
-bool are_complete(const Arguments& arguments, std::string* error) {
-  const int sources = !arguments.trajectory.empty() + !arguments.rgbd.empty() + !arguments.bag.empty();
-  if (sources != 1) {
-    *error = "one of the arguments --trajectory, --rgbd and --bag is needed";
-  } else if (arguments.detections.empty() && !arguments.trajectory.empty()) {
-    *error = "argument --detections is missing";
-  } else if (!arguments.associations.empty() && arguments.rgbd.empty()) {
-    *error = "argument --associations needs --rgbd";
-  } else if (!arguments.points.empty() && arguments.rgbd.empty()) {
-    *error = "argument --points needs --rgbd";
-  } else {
-    return true;
-  }
-  return false;
-}
+// --- inputs -------------------------------------------------------------------------------------------------------
 
-bool read(CommandLine* line, Arguments* arguments, std::string* error) {
-  line->text("--trajectory", &arguments->trajectory);
-  line->text("--rgbd", &arguments->rgbd);
-  line->text("--bag", &arguments->bag);
-  line->text("--associations", &arguments->associations);
-  line->text("--detections", &arguments->detections);
-  line->required("--camera", &arguments->camera);
-  line->text("--classes", &arguments->classes);
-  line->text("--config", &arguments->config);
-  line->assignments("--set", &arguments->assignments);
-  line->text("--extra-loops", &arguments->extra_loops);
-  line->required("--output", &arguments->output);
-  line->text("--map", &arguments->map);
-  line->text("--save-map", &arguments->save_map);
-  line->value("--points", "a path that ends in .ply or .pcd", [arguments](const std::string& value) {
-    arguments->points = value;
-    return value.empty() || is_point_cloud_path(value);
-  });
-  return line->read(error) && are_complete(*arguments, error) &&
-         default_to_package("classes_coco.yaml", "--classes", &arguments->classes, error);
-}
+/// What a run works on.
+struct RunInputs {
+  Options options;
+  Camera camera;
+  std::shared_ptr<const ClassTable> classes;
+  std::unique_ptr<SampleSource> source;
+  std::vector<DetectionFrame> detections;
+  std::vector<LoopClosure> extra_loops;
+  std::optional<std::vector<LocalMap>> earlier_map;
+  std::string save_map, points;
+};
 
-/// @return what opens the recording of --bag or --rgbd; null with `error` set
-RgbdSource::Open image_opener(const Arguments& arguments, const RunInputs& inputs, std::string* error) {
+/// @return what opens the recording of --bag or --rgbd
+Result<RgbdSource::Open> image_opener(const Arguments& arguments, const RunInputs& inputs) {
   const Camera& camera = inputs.camera;
   const DepthOptions& depth = inputs.options.depth;
+  using Opened = Result<std::unique_ptr<RgbdRecording>>;
   if (!arguments.bag.empty()) {
-    return [bag = arguments.bag, camera, depth](std::string* why) {
-      return semantic_topo_loop::open_tum_bag(bag, camera, depth, why);
-    };
+    return RgbdSource::Open([bag = arguments.bag, camera, depth]() -> Opened {
+      std::string problem;
+      std::unique_ptr<RgbdRecording> recording = semantic_topo_loop::open_tum_bag(bag, camera, depth, &problem);
+      if (!recording) return Error{problem};
+      return Opened(std::move(recording));
+    });
   }
   const std::string list =
       arguments.associations.empty() ? arguments.rgbd + "/associations.txt" : arguments.associations;
-  std::string warning;
-  std::optional<std::vector<RgbdFile>> files = read_associations(list, arguments.rgbd, &warning, error);
-  if (!files) return nullptr;
-  if (!warning.empty()) std::cerr << "offline: warning: " << warning << '\n';
-  return [camera, depth, files = *files](std::string*) { return std::make_unique<RgbdFolder>(files, camera, depth); };
+  const Result<RgbdFiles> read = read_associations(list, arguments.rgbd);
+  if (!read) return read.error();
+  if (!read->warning.empty()) std::cerr << "offline: warning: " << read->warning << '\n';
+  return RgbdSource::Open([camera, depth, files = read->files]() -> Opened {
+    return std::unique_ptr<RgbdRecording>(std::make_unique<RgbdFolder>(files, camera, depth));
+  });
 }
 
-std::unique_ptr<SampleSource> open_source(const Arguments& arguments, const RunInputs& inputs, std::string* error) {
+Result<std::unique_ptr<SampleSource>> open_source(const Arguments& arguments, const RunInputs& inputs) {
   if (!arguments.trajectory.empty()) {
-    std::optional<StampedPoses> trajectory = read_tum_trajectory(arguments.trajectory, error);
-    if (!trajectory) return nullptr;
-    return std::make_unique<TrajectorySource>(std::move(*trajectory));
+    Result<StampedPoses> trajectory = read_tum_trajectory(arguments.trajectory);
+    if (!trajectory) return trajectory.error();
+    return std::unique_ptr<SampleSource>(std::make_unique<TrajectorySource>(*std::move(trajectory)));
   }
-  const RgbdSource::Open open_reader = image_opener(arguments, inputs, error);
-  if (!open_reader) return nullptr;
-  return RgbdSource::open(open_reader, inputs.camera, inputs.options.frontend, error);
-}
-
-std::optional<std::vector<DetectionFrame>> load_detections(const std::string& path, const ClassTable& classes,
-                                                           std::string* error) {
-  DetectionReport report;
-  std::optional<std::vector<DetectionFrame>> detections = read_detections(path, classes, &report, error);
-  for (const std::string& warning : report.warnings()) std::cerr << "offline: warning: " << warning << '\n';
-  return detections;
-}
-
-template <class T>
-bool take(std::optional<T> read, T* value) {
-  if (read) *value = std::move(*read);
-  return read.has_value();
+  const Result<RgbdSource::Open> open_recording = image_opener(arguments, inputs);
+  if (!open_recording) return open_recording.error();
+  return RgbdSource::open(*open_recording, inputs.camera, inputs.options.frontend);
 }
 
 /// Reads what may be left out.
-bool load_optional(const Arguments& arguments, RunInputs* inputs, std::string* error) {
-  const ClassTable& classes = *inputs->classes;
-  const std::string &detections = arguments.detections, &loops = arguments.extra_loops;
-  if (!detections.empty() && !take(load_detections(detections, classes, error), &inputs->detections)) return false;
-  if (!loops.empty() && !take(read_given_loops(loops, error), &inputs->extra_loops)) return false;
-  if (arguments.map.empty()) return true;
-  if (inputs->options.loop.mode != "graph") {
-    *error = "argument --map = '" + arguments.map + "' needs loop.mode = graph";
-    return false;
+Status load_optional(const Arguments& arguments, RunInputs* inputs) {
+  if (!arguments.detections.empty()) {
+    Result<DetectionRecording> recording = read_detections(arguments.detections, *inputs->classes);
+    if (!recording) return recording.error();
+    for (const std::string& warning : recording->report.warnings()) {
+      std::cerr << "offline: warning: " << warning << '\n';
+    }
+    inputs->detections = std::move(recording->frames);
   }
-  inputs->earlier_map = read_submaps(arguments.map, classes, error);
-  return inputs->earlier_map.has_value();
+  if (!arguments.extra_loops.empty()) {
+    Result<std::vector<LoopClosure>> loops = read_given_loops(arguments.extra_loops);
+    if (!loops) return loops.error();
+    inputs->extra_loops = *std::move(loops);
+  }
+  if (!arguments.map.empty()) {
+    if (inputs->options.loop.mode != "graph") {
+      return Error{"argument --map = '" + arguments.map + "' needs loop.mode = graph"};
+    }
+    Result<std::vector<LocalMap>> submaps = read_submaps(arguments.map, *inputs->classes);
+    if (!submaps) return submaps.error();
+    inputs->earlier_map = *std::move(submaps);
+  }
+  return {};
 }
 
-std::optional<RunInputs> load(const Arguments& arguments, std::string* error) {
+Result<RunInputs> load(const Arguments& arguments) {
+  const Result<Options> options = load_options(arguments.config, arguments.assignments);
+  if (!options) return options.error();
+  const Result<Camera> camera = read_camera(arguments.camera);
+  if (!camera) return camera.error();
+  const Result<ClassTable> classes = read_class_table(arguments.classes);
+  if (!classes) return classes.error();
   RunInputs inputs;
-  if (!take(load_options(arguments.config, arguments.assignments, error), &inputs.options) ||
-      !take(read_camera(arguments.camera, error), &inputs.camera)) {
-    return std::nullopt;
-  }
-  std::optional<ClassTable> classes = read_class_table(arguments.classes, error);
-  if (!classes) return std::nullopt;
-  inputs.classes = std::make_shared<const ClassTable>(std::move(*classes));
+  inputs.options = *options;
+  inputs.camera = *camera;
+  inputs.classes = std::make_shared<const ClassTable>(*classes);
   inputs.save_map = arguments.save_map;
   inputs.points = arguments.points;
-  inputs.source = open_source(arguments, inputs, error);
-  if (!inputs.source || !load_optional(arguments, &inputs, error)) return std::nullopt;
-  return inputs;
+  Result<std::unique_ptr<SampleSource>> source = open_source(arguments, inputs);
+  if (!source) return source.error();
+  inputs.source = *std::move(source);
+  if (const Status loaded = load_optional(arguments, &inputs); !loaded) return loaded.error();
+  return Result<RunInputs>(std::move(inputs));
+}
+
+// --- the run ------------------------------------------------------------------------------------------------------
+
+constexpr std::int64_t kStampTolerance_ns = 1000;  ///< stamps of files have microseconds
+
+class Progress {
+ public:
+  explicit Progress(std::size_t total) : total_(total), is_terminal_(isatty(STDERR_FILENO) != 0) {}
+  void show(std::size_t done) {
+    const int percent = static_cast<int>(100 * done / total_);
+    if (!is_terminal_ || percent == percent_) return;
+    percent_ = percent;
+    constexpr int kWidth = 50;
+    const std::string bar(static_cast<std::size_t>(percent * kWidth / 100), '#');
+    std::fprintf(stderr, "\r[%-*s] %3d %%%s", kWidth, bar.c_str(), percent, done == total_ ? "\n" : "");
+  }
+
+ private:
+  std::size_t total_;
+  bool is_terminal_;
+  int percent_ = -1;
+};
+
+/// Hands loops out at their query frames.
+class ExtraLoops {
+ public:
+  explicit ExtraLoops(const std::vector<LoopClosure>& loops) {
+    for (const LoopClosure& loop : loops) loops_[loop.query_frame].push_back(loop);
+  }
+  std::vector<LoopClosure> at(const Frame& frame) {
+    if (frame.is_keyframe) keyframe_of_[frame.frame_id] = frame.keyframe_id;
+    std::vector<LoopClosure> due = std::move(loops_[frame.frame_id]);
+    loops_.erase(frame.frame_id);
+    for (LoopClosure& loop : due) {
+      loop.query_keyframe_id = keyframe(loop.query_frame);
+      loop.match_keyframe_id = keyframe(loop.match_frame);
+    }
+    return due;
+  }
+  /// Those whose query frame never came.
+  std::size_t left() const {
+    std::size_t count = 0;
+    for (const auto& [frame, loops] : loops_) count += loops.size();
+    return count;
+  }
+
+ private:
+  /// -1 where there is none: the pose graph refuses such a loop.
+  std::int64_t keyframe(std::int64_t frame_id) const {
+    const auto found = keyframe_of_.find(frame_id);
+    return found == keyframe_of_.end() ? -1 : found->second;
+  }
+  std::map<std::int64_t, std::vector<LoopClosure>> loops_;
+  std::map<std::int64_t, std::int64_t> keyframe_of_;
+};
+
+void record(const Frame& frame, const FrameResult& result, RunRecorder* recorder) {
+  recorder->record(frame);
+  recorder->record(result.associations);
+  recorder->record(result.observation);
+  recorder->record(frame.frame_id, result.loops, result.loop_us);
+  recorder->record(result.correction);
+  recorder->record(result.completion);
+}
+
+/// What a run went through.
+struct Counts {
+  std::size_t frames = 0;
+  std::size_t with_detections = 0;
+  std::int64_t first_ns = 0, last_ns = 0;
+};
+
+void warn(const RunInputs& inputs, const Counts& counts, std::size_t loops_left) {
+  const auto say = [](const std::string& text) { std::cerr << "offline: warning: " << text << '\n'; };
+  const std::size_t images = inputs.detections.size();
+  if (images > 0 && counts.with_detections < counts.frames) {
+    say(std::to_string(counts.frames - counts.with_detections) + " of " + std::to_string(counts.frames) +
+        " frames have no detections");
+  }
+  if (loops_left > 0) say(std::to_string(loops_left) + " extra loops have a query frame that never came");
+  if (counts.with_detections < images) {
+    say(std::to_string(images - counts.with_detections) + " of " + std::to_string(images) +
+        " images with detections have no pose and were left out");
+  }
+  if (!inputs.source->warning().empty()) say(inputs.source->warning());
+  const std::optional<TrackingReport> tracking = inputs.source->report();
+  if (tracking && !tracking->warning().empty()) say(tracking->warning());
+  const std::string depth = inputs.source->depth_range().warning(inputs.options.depth);
+  if (!depth.empty()) say(depth);
+}
+
+/// An error if there were no frames, or no detections that belong to them although there are some.
+Status check_input(const RunInputs& inputs, const Counts& counts) {
+  if (counts.frames == 0) {
+    if (const std::string fault = inputs.source->fault(); !fault.empty()) return Error{fault};
+    const std::optional<TrackingReport> tracking = inputs.source->report();
+    const std::string depth = inputs.source->depth_range().warning(inputs.options.depth);
+    return Error{"no image has a pose" + (tracking ? ": " + tracking->warning() : std::string()) +
+                 (depth.empty() ? "" : "; " + depth)};
+  }
+  if (counts.with_detections > 0 || inputs.detections.empty()) return {};
+  return Error{"no detection has the stamp of a pose: the first of each are " + std::to_string(counts.first_ns) +
+               " ns (pose) and " + std::to_string(inputs.detections.front().stamp_ns) + " ns (detection)"};
+}
+
+/// Puts every image of the source through the chain.
+/// @return an error if the inputs have no frame in common or a file cannot be written. If the source needs to be
+/// rewound the result means nothing
+Status run_once(const RunInputs& inputs, RunRecorder* recorder) {
+  ObjectSlam slam(inputs.options, inputs.classes);
+  if (inputs.earlier_map) slam.set_earlier_map(*inputs.earlier_map);
+  FrameBuilder builder(inputs.options.keyframe, inputs.camera);
+  PointMap point_map(inputs.options.point_map);
+  ExtraLoops extra_loops(inputs.extra_loops);
+  Progress progress(inputs.source->total());
+  Counts counts;
+  const std::vector<Detection> none;
+  const Stopwatch stopwatch;
+  while (const std::optional<PoseSample> sample = inputs.source->next()) {
+    if (const std::optional<Camera> camera = inputs.source->camera()) builder.set_camera(*camera);
+    Result<Frame> frame = builder.build(*sample);
+    if (!frame) return frame.error();
+    if (frame->is_keyframe && !inputs.points.empty()) {
+      frame->keyframe_points = inputs.source->keyframe_points(inputs.options.point_map.semi_dense_max);
+    }
+    const DetectionFrame* detections = find_stamp(inputs.detections, frame->stamp_ns, kStampTolerance_ns);
+    if (detections != nullptr) ++counts.with_detections;
+    const std::vector<Detection>& boxes = detections != nullptr ? detections->detections : none;
+    const FrameResult result = slam.process(*frame, boxes, extra_loops.at(*frame));
+    point_map.add(*frame);
+    point_map.apply(result.correction);
+    record(*frame, result, recorder);
+    if (counts.frames++ == 0) counts.first_ns = frame->stamp_ns;
+    counts.last_ns = frame->stamp_ns;
+    progress.show(inputs.source->done());
+  }
+  if (inputs.source->needs_rewind()) return {};
+  if (const Status checked = check_input(inputs, counts); !checked) return checked;
+  const Frame end = builder.end();
+  const FrameResult last = slam.process(end, none);
+  point_map.apply(last.correction);
+  record(end, last, recorder);
+  if (const std::optional<TrackingReport> tracking = inputs.source->report()) recorder->record(*tracking);
+  if (!inputs.points.empty()) {
+    if (const Status written = write_point_cloud(inputs.points, point_map.points()); !written) return written;
+  }
+  if (!inputs.save_map.empty()) {
+    if (const Status written = write_submaps(inputs.save_map, slam.submaps_in_map()); !written) return written;
+  }
+
+  const double seconds = 1e-6 * stopwatch.elapsed_us();
+  const double recorded = 1e-9 * static_cast<double>(counts.last_ns - counts.first_ns);
+  warn(inputs, counts, extra_loops.left());
+  std::printf("%zu frames in %.2f s, %.1f x real time\n", counts.frames, seconds, recorded / seconds);
+  return {};
+}
+
+/// From the first image again if the source corrects its calibration.
+Result<RunRecorder> run_chain(const RunInputs& inputs) {
+  for (;;) {
+    RunRecorder recorder(inputs.classes);
+    const Status done = run_once(inputs, &recorder);
+    if (!inputs.source->needs_rewind()) {
+      if (!done) return done.error();
+      return recorder;
+    }
+    if (const Status rewound = inputs.source->rewind(); !rewound) return rewound.error();
+    std::printf("the calibration was corrected: from the first image again\n");
+  }
 }
 
 void print(const std::optional<Relocalisation>& found) {
@@ -182,38 +310,86 @@ void print(const std::optional<Relocalisation>& found) {
               T.t.z(), T.q.x(), T.q.y(), T.q.z(), T.q.w(), found->agreeing, found->total);
 }
 
-bool run(const Arguments& arguments, std::string* error) {
-  const std::optional<RunInputs> inputs = load(arguments, error);
-  if (!inputs) return false;
-  const std::optional<RunRecorder> recorder = run_chain(*inputs, error);
-  if (!recorder || !recorder->write(arguments.output, error)) return false;
+Status run(const Arguments& arguments) {
+  const Result<RunInputs> inputs = load(arguments);
+  if (!inputs) return inputs.error();
+  const Result<RunRecorder> recorder = run_chain(*inputs);
+  if (!recorder) return recorder.error();
+  if (const Status written = recorder->write(arguments.output); !written) return written;
   if (inputs->earlier_map) print(recorder->relocalisation());
   const std::string fault = inputs->source->fault();
-  if (!fault.empty()) *error = "the recording ends early: " + fault + "; what was mapped is kept";
-  return fault.empty();
+  if (fault.empty()) return {};
+  return Error{"the recording ends early: " + fault + "; what was mapped is kept"};
 }
 
-/// Prints a text that needs no other argument.
-Command make_printer(std::string name, std::string (*text)()) {
-  return {std::move(name), [text](CommandLine* line, std::string* error) {
-            if (!line->read(error)) return kBadArguments;
-            std::cout << text();
-            return 0;
-          }};
+// --- command line -------------------------------------------------------------------------------------------------
+
+/// Whether the arguments that belong together are there.
+Status check(Arguments* arguments) {
+  const int sources = !arguments->trajectory.empty() + !arguments->rgbd.empty() + !arguments->bag.empty();
+  if (sources != 1) return Error{"one of the arguments --trajectory, --rgbd and --bag is needed"};
+  if (arguments->detections.empty() && !arguments->trajectory.empty()) {
+    return Error{"argument --detections is missing"};
+  }
+  if (!arguments->associations.empty() && arguments->rgbd.empty()) return Error{"argument --associations needs --rgbd"};
+  if (!arguments->points.empty() && arguments->rgbd.empty()) return Error{"argument --points needs --rgbd"};
+  return default_to_package("classes_coco.yaml", "--classes", &arguments->classes);
 }
 
-std::string parameter_table() { return format_options_table(list_options<Options>()); }
-std::string default_config() { return format_options_yaml(list_options<Options>()); }
-std::string nodelet_parameter_table() {
-  return format_options_table(semantic_topo_loop::list_nodelet_parameters(), "nodelet");
+Command run_command(Arguments* arguments) {
+  Command command(
+      "",
+      "--trajectory FILE --detections FILE_OR_DIR --camera YAML --output DIR\n"
+      "               [--classes YAML] [--config YAML] [--set module.field=value ...]\n"
+      "               [--extra-loops CSV] [--map FILE] [--save-map FILE] [--points FILE]\n"
+      "       offline --rgbd DIR --camera YAML --output DIR [--associations FILE] [--detections FILE_OR_DIR] "
+      "...\n"
+      "       offline --bag FILE --camera YAML --output DIR [--detections FILE_OR_DIR] ...",
+      "Runs the whole chain on recorded files, without a ROS master.\n");
+  const auto take_points = [arguments](const std::string& given) {
+    arguments->points = given;
+    return given.empty() || is_point_cloud_path(given);
+  };
+  command
+      .option("trajectory", text(&arguments->trajectory), "camera poses of the odometry, TUM format; one frame a pose")
+      .option("rgbd", text(&arguments->rgbd),
+              "folder of color and depth images: the odometry is found from them; see depth.* and frontend.*")
+      .option("bag", text(&arguments->bag), "the same from a bag in the layout of the TUM RGB-D bags")
+      .option("associations", text(&arguments->associations),
+              "which depth belongs to which color image (default: associations.txt of the folder)")
+      .option("detections", text(&arguments->detections),
+              "OA-SLAM JSON file, or directory of YOLO text files <stamp>.txt; with --rgbd and --bag they may be left "
+              "out: odometry only")
+      .option("camera", path(&arguments->camera)->required(), "calibration, see config/camera")
+      .option("classes", text(&arguments->classes), "class table (default: config/classes_coco.yaml of the package)")
+      .option("config", text(&arguments->config),
+              "parameters (default: the built-in ones, those of config/default.yaml)")
+      .option("set", assignments(&arguments->assignments), "one parameter, over --config; may be repeated")
+      .option("extra-loops", text(&arguments->extra_loops),
+              "loops for the pose graph beside those that are found, as loops.csv, see docs/files.md")
+      .option("output", path(&arguments->output)->required(), "directory of the results, made if missing")
+      .option("map", text(&arguments->map),
+              "submaps that an earlier run saved: the run's place in its map is looked for")
+      .option("save-map", text(&arguments->save_map), "file for this run's submaps, for later runs")
+      .option("points", new Argument("a path that ends in .ply or .pcd", take_points),
+              "with --rgbd: file for the map's points");
+  command.check = [arguments] { return check(arguments); };
+  command.run = [arguments] { return run(*arguments); };
+  return command;
 }
 
 }  // namespace
 
 int main(int argc, char** argv) {
+  Arguments arguments;
   return run_program(
-      "offline", kUsage,
-      {make_printer("--list-parameters", parameter_table), make_printer("--default-config", default_config),
-       make_printer("--list-nodelet-parameters", nodelet_parameter_table), make_command("", read, run)},
+      "offline",
+      {run_command(&arguments),
+       print_command("--list-parameters", "Prints every parameter with its default, as a Markdown table.\n",
+                     [] { return format_options_table(list_options<Options>()); }),
+       print_command("--default-config", "Prints the defaults as a file for --config.\n",
+                     [] { return format_options_yaml(list_options<Options>()); }),
+       print_command("--list-nodelet-parameters", "Prints what the nodelets have beside these.\n",
+                     [] { return format_options_table(semantic_topo_loop::list_nodelet_parameters(), "nodelet"); })},
       argc, argv);
 }

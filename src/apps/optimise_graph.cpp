@@ -2,48 +2,29 @@
 #include <iostream>
 #include <string>
 
-#include "apps/command_line.h"
+#include "apps/program.h"
 #include "semantic_topo_loop/types/stamp.h"
 #include "tools/g2o/g2o.h"
-#include "tools/g2o/graph_optimizer.h"
 
 namespace {
 
 using namespace semantic_topo_loop::apps;
 using namespace semantic_topo_loop::core;
 
-constexpr char kUsage[] =
-    "usage: optimise_graph IN.g2o OUT.g2o [--robust gnc|none|huber|cauchy]\n"
-    "                      [--initial file|odometry|spanning_tree|chordal]\n"
-    "Optimises a pose graph (SE2 or SE3) and prints its cost before and after.\n"
-    "  --robust   how wrong loops are kept out (default: none)\n"
-    "  --initial  first guess (default: file, the vertices of IN); the chordal one is tried as well\n"
-    "Lines that cannot be used are named and left out.\n";
-
 struct Arguments {
   std::string in, out;
   GraphOptimizerOptions options;
 };
 
-bool read(CommandLine* line, Arguments* arguments, std::string* error) {
-  line->required("IN.g2o", &arguments->in);
-  line->required("OUT.g2o", &arguments->out);
-  line->text("--robust", &arguments->options.robust);
-  line->text("--initial", &arguments->options.initial);
-  if (!line->read(error)) return false;
-  const Status status = validate(arguments->options);
-  *error = status.message();
-  return static_cast<bool>(status);
-}
-
-bool run(const Arguments& arguments, std::string* error) {
+Status run(const Arguments& arguments) {
   G2oRefusals refusals;
-  std::optional<G2oGraph> graph = read_g2o(arguments.in, &refusals, error);
+  Result<G2oGraph> graph = read_g2o(arguments.in, &refusals);
   for (const std::string& refusal : refusals) std::cerr << "optimise_graph: refused: " << refusal << '\n';
-  if (!graph) return false;
-  GraphOptimizerReport report;
+  if (!graph) return graph.error();
   const Stopwatch stopwatch;
-  if (!optimize_graph(&*graph, arguments.options, &report, error)) return false;
+  const Result<GraphOptimizerReport> optimized = optimize_graph(&*graph, arguments.options);
+  if (!optimized) return optimized.error();
+  const GraphOptimizerReport& report = *optimized;
   const double seconds = 1e-6 * stopwatch.elapsed_us();
   for (const G2oEdge* edge : report.outliers) {
     std::cerr << "optimise_graph: outlier: edge " << edge->from << ' ' << edge->to << '\n';
@@ -54,11 +35,23 @@ bool run(const Arguments& arguments, std::string* error) {
   std::printf("initial cost  %.9g\nfinal cost    %.9g\ninitial chi2  %.9g\nfinal chi2    %.9g\n", report.initial_cost,
               report.final_cost, report.initial_chi2, report.final_chi2);
   std::printf("iterations    %d\nseconds       %.3f\n", report.iterations, seconds);
-  return write_g2o(arguments.out, *graph, error);
+  return write_g2o(arguments.out, *graph);
 }
 
 }  // namespace
 
 int main(int argc, char** argv) {
-  return run_program("optimise_graph", kUsage, {make_command("", read, run)}, argc, argv);
+  Arguments arguments;
+  Command command(
+      "", "IN.g2o OUT.g2o [--robust ...] [--initial ...]",
+      "Optimises a pose graph (SE2 or SE3) and prints its cost before and after. Lines that cannot be used are\n"
+      "named and left out.\n");
+  command.word("IN.g2o", &arguments.in)
+      .word("OUT.g2o", &arguments.out)
+      .option("robust", choice(&arguments.options.robust, GraphOptimizerOptions::robust_choices()),
+              "how wrong loops are kept out (default: none)")
+      .option("initial", choice(&arguments.options.initial, GraphOptimizerOptions::initial_choices()),
+              "first guess (default: file, the vertices of IN); the chordal one is tried as well");
+  command.run = [&arguments] { return run(arguments); };
+  return run_program("optimise_graph", {command}, argc, argv);
 }

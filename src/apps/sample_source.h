@@ -10,7 +10,7 @@
 
 #include "semantic_topo_loop/frontend/rgbd_image.h"
 #include "semantic_topo_loop/frontend/rgbd_frontend.h"
-#include "semantic_topo_loop/io/rgbd_reader.h"
+#include "semantic_topo_loop/io/rgbd_recording.h"
 #include "semantic_topo_loop/pipeline/read_ahead.h"
 #include "semantic_topo_loop/types/stamp.h"
 
@@ -24,8 +24,8 @@ class SampleSource {
   virtual std::optional<core::PoseSample> next() = 0;
   /// Whether the samples ended early because all of them should be found anew: the calibration was corrected.
   virtual bool needs_rewind() const { return false; }
-  /// Back to the first image, with what was learned of the camera.   @return false with `error` set
-  virtual bool rewind(std::string* /*error*/) { return false; }
+  /// Back to the first image, with what was learned of the camera.
+  virtual core::Status rewind() { return core::Error{"the source cannot be rewound"}; }
   /// What the point map keeps of the last image, where there are images.
   virtual std::shared_ptr<const core::KeyframePoints> keyframe_points(int /*semi_dense_max*/) const { return nullptr; }
   /// Images gone through so far, and of all.
@@ -66,14 +66,15 @@ class TrajectorySource : public SampleSource {
 /// Poses that the RGB-D front end finds in a recording's images, which are read while others are tracked.
 class RgbdSource : public SampleSource {
  public:
-  /// Opens the recording at its first image.   @return null with `error` set
-  using Open = std::function<std::unique_ptr<core::RgbdReader>(std::string* error)>;
+  /// Opens the recording at its first image.
+  using Open = std::function<core::Result<std::unique_ptr<core::RgbdRecording>>()>;
 
-  /// @return null with `error` set
-  static std::unique_ptr<RgbdSource> open(Open open_reader, const core::Camera& camera,
-                                          const core::FrontendOptions& options, std::string* error) {
-    std::unique_ptr<RgbdSource> source(new RgbdSource(std::move(open_reader), core::RgbdFrontend(options, camera)));
-    return source->rewind(error) ? std::move(source) : nullptr;
+  static core::Result<std::unique_ptr<SampleSource>> open(Open open_recording, const core::Camera& camera,
+                                                          const core::FrontendOptions& options) {
+    std::unique_ptr<SampleSource> source(
+        new RgbdSource(std::move(open_recording), core::RgbdFrontend(options, camera)));
+    if (const core::Status opened = source->rewind(); !opened) return opened.error();
+    return core::Result<std::unique_ptr<SampleSource>>(std::move(source));
   }
 
   std::optional<core::PoseSample> next() override {
@@ -84,7 +85,7 @@ class RgbdSource : public SampleSource {
         continue;
       }
       if (!reading->image) {
-        report_.add_unreadable(reading->error);
+        report_.add_unreadable(reading->image.message());
         continue;
       }
       depth_range_.add(reading->image->depth_range);
@@ -105,12 +106,13 @@ class RgbdSource : public SampleSource {
         frontend_.sparse_points(), core::semi_dense_points(last_image_, frontend_.camera(), semi_dense_max)});
   }
   bool needs_rewind() const override { return needs_rewind_; }
-  bool rewind(std::string* error) override {
+  core::Status rewind() override {
     readings_.reset();
-    reader_ = open_reader_(error);
-    if (!reader_) return false;
+    core::Result<std::unique_ptr<core::RgbdRecording>> opened = open_recording_();
+    if (!opened) return opened.error();
+    recording_ = *std::move(opened);
     if (needs_rewind_) frontend_.begin_anew();
-    total_ = reader_->total();
+    total_ = recording_->total();
     report_ = {};
     depth_range_ = {};
     left_out_ = {};
@@ -118,9 +120,8 @@ class RgbdSource : public SampleSource {
     done_ = 0;
     fault_.clear();
     needs_rewind_ = false;
-    readings_ =
-        std::make_unique<core::ReadAhead<core::RgbdReading>>([this] { return reader_->next(&fault_); }, kReadAhead);
-    return true;
+    readings_ = std::make_unique<core::ReadAhead<core::RgbdReading>>([this] { return read(); }, kReadAhead);
+    return {};
   }
   std::size_t done() const override { return done_; }
   std::size_t total() const override { return total_; }
@@ -133,15 +134,22 @@ class RgbdSource : public SampleSource {
  private:
   static constexpr std::size_t kReadAhead = 8;
 
-  RgbdSource(Open open_reader, core::RgbdFrontend frontend)
-      : open_reader_(std::move(open_reader)), frontend_(std::move(frontend)) {}
+  RgbdSource(Open open_recording, core::RgbdFrontend frontend)
+      : open_recording_(std::move(open_recording)), frontend_(std::move(frontend)) {}
+
+  /// On the reading thread.
+  std::optional<core::RgbdReading> read() {
+    core::Result<std::optional<core::RgbdReading>> reading = recording_->next();
+    fault_ = reading.message();
+    return reading ? *std::move(reading) : std::nullopt;
+  }
 
   /// Images that the recording itself does not count, by cause.
   class LeftOut {
    public:
     void add(const core::RgbdReading& reading) {
       Cause& cause = causes_[reading.left_out];
-      if (cause.count++ == 0) cause.first = reading.error;
+      if (cause.count++ == 0) cause.first = reading.image.message();
     }
     std::string text() const {
       std::string text;
@@ -159,8 +167,8 @@ class RgbdSource : public SampleSource {
     std::map<std::string, Cause> causes_;
   };
 
-  Open open_reader_;
-  std::unique_ptr<core::RgbdReader> reader_;  ///< of the reading thread, once it runs
+  Open open_recording_;
+  std::unique_ptr<core::RgbdRecording> recording_;  ///< of the reading thread, once it runs
   std::size_t total_ = 0;
   core::RgbdFrontend frontend_;
   core::TrackingReport report_;

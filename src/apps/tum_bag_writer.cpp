@@ -161,30 +161,32 @@ class TumBag {
     bag_.write(kTfTopic, to_ros_time(pose.stamp_ns), chain);
   }
 
-  /// @return false with `error` set if the frame's image cannot be read
-  bool write_color(std::size_t frame, std::string* error) {
+  /// @return an error if the frame's image cannot be read
+  core::Status write_color(std::size_t frame) {
     const std::int64_t stamp_ns = sequence_.truth[frame].stamp_ns;
     write(kInfoTopic, frame, stamp_ns, &info_);
-    if (!options_.with_images) return true;
+    if (!options_.with_images) return {};
+    std::string problem;
     std::optional<cv::Mat> image(cv::Mat(kThumbnailHeight, kThumbnailWidth, CV_8UC3, cv::Scalar::all(128.0)));
-    if (has_rendered_images()) image = core::read_rendered_color(sequence_, options_.image_directory, frame, error);
-    if (!image) return false;
+    if (has_rendered_images()) image = core::read_rendered_color(sequence_, options_.image_directory, frame, &problem);
+    if (!image) return core::Error{problem};
     sensor_msgs::Image message =
         image_message(swap_blue_and_red(*image), kOpticalFrame, sensor_msgs::image_encodings::RGB8);
     write(kImageTopic, frame, stamp_ns, &message);
-    return true;
+    return {};
   }
 
-  bool write_depth(std::size_t frame, std::string* error) {
-    if (!has_rendered_images()) return true;
+  core::Status write_depth(std::size_t frame) {
+    if (!has_rendered_images()) return {};
     const std::int64_t stamp_ns = sequence_.depth[frame].stamp_ns;
+    std::string problem;
     const std::optional<cv::Mat> depth_m =
-        core::read_rendered_depth(sequence_, options_.rendering, options_.image_directory, frame, error);
-    if (!depth_m) return false;
+        core::read_rendered_depth(sequence_, options_.rendering, options_.image_directory, frame, &problem);
+    if (!depth_m) return core::Error{problem};
     write(kDepthInfoTopic, frame, stamp_ns, &depth_info_);
     sensor_msgs::Image message = image_message(*depth_m, depth_frame_, sensor_msgs::image_encodings::TYPE_32FC1);
     write(kDepthTopic, frame, stamp_ns, &message);
-    return true;
+    return {};
   }
 
   void close() { bag_.close(); }
@@ -208,7 +210,7 @@ class TumBag {
 };
 
 /// Everything in order of time.
-bool write_messages(const core::SimulatedSequence& sequence, TumBag* bag, std::string* error) {
+core::Status write_messages(const core::SimulatedSequence& sequence, TumBag* bag) {
   std::size_t color = 0, depth = 0;
   for (const core::StampedPose& pose : sequence.mocap) {
     for (;;) {
@@ -217,28 +219,28 @@ bool write_messages(const core::SimulatedSequence& sequence, TumBag* bag, std::s
       if (!has_color && !has_depth) break;
       const bool is_color =
           has_color && (!has_depth || sequence.truth[color].stamp_ns <= sequence.depth[depth].stamp_ns);
-      if (!(is_color ? bag->write_color(color++, error) : bag->write_depth(depth++, error))) return false;
+      const core::Status written = is_color ? bag->write_color(color++) : bag->write_depth(depth++);
+      if (!written) return written;
     }
     bag->write_mocap(pose);
   }
-  return true;
+  return {};
 }
 
 }  // namespace
 
 core::SE3 tum_kinect_from_optical() { return kinect_from_camera() * camera_from_rgb() * rgb_from_optical(); }
 
-bool write_tum_bag(const core::SimulatedSequence& sequence, const std::string& path, const TumBagOptions& options,
-                   std::string* error) {
+core::Status write_tum_bag(const core::SimulatedSequence& sequence, const std::string& path,
+                           const TumBagOptions& options) {
   try {
     TumBag bag(path, sequence, options);
-    if (!write_messages(sequence, &bag, error)) return false;
-    bag.close();
+    const core::Status written = write_messages(sequence, &bag);
+    if (written) bag.close();
+    return written;
   } catch (const std::exception& exception) {
-    if (error != nullptr) *error = path + ": cannot write the bag: " + exception.what();
-    return false;
+    return core::Error{path + ": cannot write the bag: " + exception.what()};
   }
-  return true;
 }
 
 }  // namespace semantic_topo_loop

@@ -8,7 +8,7 @@ namespace semantic_topo_loop {
 
 struct TumBagOptions {
   bool with_images = true;  ///< /camera/rgb/image_color; else camera_info only
-  /// Of render_sequence: its color images, with their depth as /camera/depth/image. Empty: tiny grey images, no depth.
+  /// Of render_sequence: its color images, with their depth as /camera/depth/image. Empty: tiny gray images, no depth.
   std::string image_directory;
   core::RenderingOptions rendering;  ///< that these images were rendered with
   std::string compression = "bz2";   ///< of chunks: bz2 as the official bags, lz4 or none
@@ -23,8 +23,8 @@ core::SE3 tum_kinect_from_optical();
 /// -> /openni_rgb_optical_frame at a tenth of it. With rendered images also /camera/depth/camera_info and
 /// /camera/depth/image (32FC1, metres, NaN where there is none), in the color camera's frame, or in
 /// /openni_depth_optical_frame with its place in the chain if depth is not registered.
-/// @return false, with path and cause in `error`, if the file cannot be written or an image not be read
-bool write_tum_bag(const core::SimulatedSequence& sequence, const std::string& path, const TumBagOptions& options,
-                   std::string* error);
+/// @return an error, with path and cause, if the file cannot be written or an image not be read
+core::Status write_tum_bag(const core::SimulatedSequence& sequence, const std::string& path,
+                           const TumBagOptions& options);
 
 }  // namespace semantic_topo_loop

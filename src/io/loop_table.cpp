@@ -50,7 +50,7 @@ std::string loop_table_row(const LoopFigures& loop) {
       .end();
 }
 
-bool write_given_loops(const std::string& path, const std::vector<LoopClosure>& loops, std::string* error) {
+Status write_given_loops(const std::string& path, const std::vector<LoopClosure>& loops) {
   std::string text = loop_table_header();
   for (LoopClosure loop : loops) {
     const Vec6 variances = loop.covariance.diagonal();
@@ -58,7 +58,7 @@ bool write_given_loops(const std::string& path, const std::vector<LoopClosure>& 
     loop.sigma_deg = degrees(std::sqrt(variances.tail<3>().sum()));
     text += loop_table_row(loop);
   }
-  return write_text_file(path, text, error);
+  return write_text_file(path, text);
 }
 
 }  // namespace semantic_topo_loop::core

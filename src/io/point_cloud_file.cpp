@@ -48,18 +48,15 @@ void write(const std::vector<Eigen::Vector3f>& points, float intensity, std::ost
 
 bool is_point_cloud_path(const std::string& path) { return ends_with(path, ".ply") || ends_with(path, ".pcd"); }
 
-bool write_point_cloud(const std::string& path, const MapPoints& points, std::string* error) {
-  if (!is_point_cloud_path(path)) {
-    if (error != nullptr) *error = "'" + path + "' ends neither in .ply nor in .pcd";
-    return false;
-  }
+Status write_point_cloud(const std::string& path, const MapPoints& points) {
+  if (!is_point_cloud_path(path)) return Error{"'" + path + "' ends neither in .ply nor in .pcd"};
   const std::size_t count = points.sparse.size() + points.semi_dense.size();
   const auto write_points = [&](std::ostream& file) {
     file << (ends_with(path, ".ply") ? ply_header(count) : pcd_header(count));
     write(points.sparse, 1.0F, file);
     write(points.semi_dense, 0.0F, file);
   };
-  return write_file(path, write_points, error);
+  return write_file(path, write_points);
 }
 
 }  // namespace semantic_topo_loop::core

@@ -321,7 +321,7 @@ std::optional<Relocalisation> RunRecorder::relocalisation() const {
   return relocaliser.estimate();
 }
 
-bool RunRecorder::write(const std::string& directory, std::string* error) const {
+Status RunRecorder::write(const std::string& directory) const {
   // One text at a time: that of the loops is as long as all others together.
   std::vector<std::pair<const char*, std::function<std::string()>>> files = {
       {"trajectory_live.txt", [this] { return trajectory(true); }},
@@ -338,11 +338,11 @@ bool RunRecorder::write(const std::string& directory, std::string* error) const 
                                       [](const auto& keyframe) { return keyframe.second.scale != 1.0; });
   if (has_scales) files.emplace_back("scales.csv", [this] { return scales(); });
   if (has_loop_scales_) files.emplace_back("loop_scales.csv", [this] { return loop_scales(); });
-  if (!make_directory(directory, error)) return false;
+  if (const Status made = make_directory(directory); !made) return made;
   for (const auto& [name, text] : files) {
-    if (!write_text_file(directory + "/" + name, text(), error)) return false;
+    if (const Status written = write_text_file(directory + "/" + name, text()); !written) return written;
   }
-  return true;
+  return {};
 }
 
 }  // namespace semantic_topo_loop::core

@@ -273,17 +273,16 @@ class SubmapReader {
 
 }  // namespace
 
-bool write_submaps(const std::string& path, const std::vector<LocalMap>& submaps, std::string* error) {
+Status write_submaps(const std::string& path, const std::vector<LocalMap>& submaps) {
   Json rows = Json::array();
   for (const LocalMap& submap : submaps) rows.push_back(to_json(submap));
   const Json file = {{"format", kFormat}, {"submaps", std::move(rows)}};
-  return write_text_file(path, file.dump() + '\n', error);
+  return write_text_file(path, file.dump() + '\n');
 }
 
-std::optional<std::vector<LocalMap>> read_submaps(const std::string& path, const ClassTable& classes,
-                                                  std::string* error) {
-  const std::optional<std::string> text = read_text_file(path, error);
-  if (!text) return std::nullopt;
+Result<std::vector<LocalMap>> read_submaps(const std::string& path, const ClassTable& classes) {
+  const Result<std::string> text = read_text_file(path);
+  if (!text) return text.error();
   std::string problem;
   std::vector<LocalMap> submaps;
   try {
@@ -303,9 +302,8 @@ std::optional<std::vector<LocalMap>> read_submaps(const std::string& path, const
     const std::string what = exception.what();
     problem = text->empty() ? "the file is empty" : what.substr(what.find("] ") + 2);
   }
-  if (problem.empty()) return submaps;
-  if (error != nullptr) *error = path + ": " + problem;
-  return std::nullopt;
+  if (!problem.empty()) return Error{path + ": " + problem};
+  return submaps;
 }
 
 }  // namespace semantic_topo_loop::core

@@ -13,11 +13,6 @@ namespace {
 
 constexpr std::string_view kBlanks = " \t\r";
 
-bool fail(const std::string& message, std::string* error) {
-  if (error != nullptr) *error = message;
-  return false;
-}
-
 std::string_view trim(std::string_view text) {
   const std::size_t begin = text.find_first_not_of(kBlanks);
   if (begin == std::string_view::npos) return {};
@@ -26,48 +21,38 @@ std::string_view trim(std::string_view text) {
 
 }  // namespace
 
-std::optional<std::string> read_text_file(const std::string& path, std::string* error) {
+Result<std::string> read_text_file(const std::string& path) {
   std::error_code code;
-  if (std::filesystem::is_directory(path, code)) {
-    fail(path + ": is a directory, not a file", error);
-    return std::nullopt;
-  }
+  if (std::filesystem::is_directory(path, code)) return Error{path + ": is a directory, not a file"};
   std::ifstream file(path, std::ios::binary);
-  if (!file) {
-    fail(path + ": cannot open the file", error);
-    return std::nullopt;
-  }
+  if (!file) return Error{path + ": cannot open the file"};
   std::ostringstream text;
   text << file.rdbuf();
-  if (file.bad()) {
-    fail(path + ": cannot read the file", error);
-    return std::nullopt;
-  }
+  if (file.bad()) return Error{path + ": cannot read the file"};
   return text.str();
 }
 
-bool write_text_file(const std::string& path, const std::string& text, std::string* error) {
-  return write_file(
-      path, [&text](std::ostream& file) { file << text; }, error);
+Status write_text_file(const std::string& path, const std::string& text) {
+  return write_file(path, [&text](std::ostream& file) { file << text; });
 }
 
-bool write_file(const std::string& path, const std::function<void(std::ostream&)>& write, std::string* error) {
+Status write_file(const std::string& path, const std::function<void(std::ostream&)>& write) {
   const std::string temporary = path + ".tmp";
   std::ofstream file(temporary, std::ios::binary | std::ios::trunc);
   write(file);
   file.close();
-  if (!file) return fail(temporary + ": cannot write the file", error);
+  if (!file) return Error{temporary + ": cannot write the file"};
   std::error_code code;
   std::filesystem::rename(temporary, path, code);
-  if (code) return fail(path + ": cannot rename the temporary file: " + code.message(), error);
-  return true;
+  if (code) return Error{path + ": cannot rename the temporary file: " + code.message()};
+  return {};
 }
 
-bool make_directory(const std::string& path, std::string* error) {
+Status make_directory(const std::string& path) {
   std::error_code code;
   std::filesystem::create_directories(path, code);
-  if (!std::filesystem::is_directory(path)) return fail(path + ": cannot make the directory", error);
-  return true;
+  if (!std::filesystem::is_directory(path)) return Error{path + ": cannot make the directory"};
+  return {};
 }
 
 std::vector<TextLine> content_lines(std::string_view text) {

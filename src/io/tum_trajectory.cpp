@@ -13,70 +13,55 @@ constexpr std::size_t kColumns = 8;
 constexpr std::array<const char*, kColumns> kNames = {"stamp", "tx", "ty", "tz", "qx", "qy", "qz", "qw"};
 constexpr double kMaxNormError = 0.01;
 
-/// @return nullopt with the message, without file and line, in `error`
-std::optional<StampedPose> parse_pose(std::string_view line, std::string* error) {
+/// The error is without file and line.
+Result<StampedPose> parse_pose(std::string_view line) {
   const std::vector<std::string_view> fields = split_blanks(line);
   if (fields.size() != kColumns) {
-    *error = std::to_string(fields.size()) + " columns instead of 8 (stamp tx ty tz qx qy qz qw)";
-    return std::nullopt;
+    return Error{std::to_string(fields.size()) + " columns instead of 8 (stamp tx ty tz qx qy qz qw)"};
   }
   const std::optional<std::int64_t> stamp_ns = parse_stamp(fields[0]);
-  if (!stamp_ns) {
-    *error = "stamp '" + std::string(fields[0]) + "' is no decimal number of seconds";
-    return std::nullopt;
-  }
+  if (!stamp_ns) return Error{"stamp '" + std::string(fields[0]) + "' is no decimal number of seconds"};
   std::array<double, kColumns> v{};
   for (std::size_t i = 1; i < kColumns; ++i) {
     const std::optional<double> value = parse_double(fields[i]);
     if (!value || !std::isfinite(*value)) {
-      *error = std::string(kNames[i]) + " '" + std::string(fields[i]) + "' is no finite number";
-      return std::nullopt;
+      return Error{std::string(kNames[i]) + " '" + std::string(fields[i]) + "' is no finite number"};
     }
     v[i] = *value;
   }
   const Quaternion q(v[7], v[4], v[5], v[6]);
   if (!(std::abs(q.norm() - 1.0) <= kMaxNormError)) {
-    *error = "quaternion of norm " + format_general(q.norm(), 6) + " is no rotation";
-    return std::nullopt;
+    return Error{"quaternion of norm " + format_general(q.norm(), 6) + " is no rotation"};
   }
   return StampedPose{*stamp_ns, SE3(q.normalized(), Vec3(v[1], v[2], v[3]))};
 }
 
-std::optional<StampedPoses> read_poses(const std::string& path, bool allow_repeated_stamps, std::string* error) {
-  const auto fail = [error](const std::string& message) {
-    if (error != nullptr) *error = message;
-    return std::nullopt;
-  };
-  std::string problem;
-  const std::optional<std::string> text = read_text_file(path, &problem);
-  if (!text) return fail(problem);
+Result<StampedPoses> read_poses(const std::string& path, bool allow_repeated_stamps) {
+  const Result<std::string> text = read_text_file(path);
+  if (!text) return text.error();
   StampedPoses trajectory;
   for (const TextLine& line : content_lines(*text)) {
-    const std::optional<StampedPose> pose = parse_pose(line.text, &problem);
-    if (!pose) return fail(at_line(path, line.number, problem));
+    const Result<StampedPose> pose = parse_pose(line.text);
+    if (!pose) return Error{at_line(path, line.number, pose.message())};
     if (allow_repeated_stamps && !trajectory.empty() && pose->stamp_ns == trajectory.back().stamp_ns) {
       trajectory.pop_back();
     }
     if (!trajectory.empty() && pose->stamp_ns <= trajectory.back().stamp_ns) {
-      return fail(at_line(path, line.number,
-                          "stamp " + format_stamp(pose->stamp_ns) + " is not after the one before, " +
-                              format_stamp(trajectory.back().stamp_ns)));
+      return Error{at_line(path, line.number,
+                           "stamp " + format_stamp(pose->stamp_ns) + " is not after the one before, " +
+                               format_stamp(trajectory.back().stamp_ns))};
     }
     trajectory.push_back(*pose);
   }
-  if (trajectory.empty()) return fail(path + ": contains no pose");
+  if (trajectory.empty()) return Error{path + ": contains no pose"};
   return trajectory;
 }
 
 }  // namespace
 
-std::optional<StampedPoses> read_tum_trajectory(const std::string& path, std::string* error) {
-  return read_poses(path, false, error);
-}
+Result<StampedPoses> read_tum_trajectory(const std::string& path) { return read_poses(path, false); }
 
-std::optional<StampedPoses> read_tum_ground_truth(const std::string& path, std::string* error) {
-  return read_poses(path, true, error);
-}
+Result<StampedPoses> read_tum_ground_truth(const std::string& path) { return read_poses(path, true); }
 
 std::string format_tum_pose(const StampedPose& pose) {
   std::string line = format_stamp(pose.stamp_ns);
@@ -89,10 +74,10 @@ std::string format_tum_pose(const StampedPose& pose) {
   return line;
 }
 
-bool write_tum_trajectory(const std::string& path, const StampedPoses& trajectory, std::string* error) {
+Status write_tum_trajectory(const std::string& path, const StampedPoses& trajectory) {
   std::string text;
   for (const StampedPose& pose : trajectory) text += format_tum_pose(pose) + '\n';
-  return write_text_file(path, text, error);
+  return write_text_file(path, text);
 }
 
 }  // namespace semantic_topo_loop::core

@@ -11,7 +11,7 @@
 #include "ros/stage.h"
 #include "semantic_topo_loop/DetectionArray.h"
 #include "semantic_topo_loop/Frame.h"
-#include "semantic_topo_loop/io/detection_reader.h"
+#include "semantic_topo_loop/io/detection_file.h"
 #include "semantic_topo_loop/ros/conversions.h"
 #include "semantic_topo_loop/types/stamp.h"
 
@@ -80,20 +80,19 @@ void DetectionIngestionNodelet::onInit() {
 }
 
 bool DetectionIngestionNodelet::load_file() {
-  core::DetectionReport report;
-  std::string error;
-  auto detections = core::read_detections(parameters_.detections_file, *classes_, &report, &error);
+  core::Result<core::DetectionRecording> detections = core::read_detections(parameters_.detections_file, *classes_);
+  if (!detections) {
+    fail(detections.message());
+    return false;
+  }
+  const core::DetectionReport& report = detections->report;
   for (const std::string& warning : report.warnings()) NODELET_WARN("%s", warning.c_str());
   for (std::size_t i = 0; i < core::kDetectionProblemCount; ++i) {
     const auto problem = static_cast<core::DetectionProblem>(i);
     const int count = report.cause(problem).count;
     if (count > 0) statistics().count(core::to_string(problem), static_cast<std::uint64_t>(count));
   }
-  if (!detections) {
-    fail(error);
-    return false;
-  }
-  file_ = std::move(*detections);
+  file_ = std::move(detections->frames);
   return true;
 }
 

@@ -14,7 +14,7 @@
 #include "semantic_topo_loop/WhyLoop.h"
 #include "semantic_topo_loop/io/submap_file.h"
 #include "semantic_topo_loop/loop/loop_detector.h"
-#include "semantic_topo_loop/pipeline/earlier_map.h"
+#include "semantic_topo_loop/pipeline/object_slam.h"
 #include "semantic_topo_loop/ros/conversions.h"
 #include "semantic_topo_loop/types/stamp.h"
 
@@ -67,15 +67,13 @@ class LoopDetectionNodelet : public Stage {
   /// @return false after fail()
   bool load_earlier_map() {
     if (parameters_.map_file.empty()) return true;
-    std::string error;
-    std::optional<std::vector<core::LocalMap>> submaps;
-    if (options_.loop.mode == "graph") {
-      submaps = core::read_submaps(parameters_.map_file, *classes_, &error);
-    } else {
-      error = "parameter 'map_file' = '" + parameters_.map_file + "' needs loop/mode graph";
+    if (options_.loop.mode != "graph") {
+      fail("parameter 'map_file' = '" + parameters_.map_file + "' needs loop/mode graph");
+      return false;
     }
+    core::Result<std::vector<core::LocalMap>> submaps = core::read_submaps(parameters_.map_file, *classes_);
     if (!submaps) {
-      fail(error);
+      fail(submaps.message());
       return false;
     }
     earlier_map_ = std::move(*submaps);
@@ -118,9 +116,9 @@ class LoopDetectionNodelet : public Stage {
       submaps = detector_->submaps();
       core::move_to_map(keyframes_, T_map_odom_, &submaps);
     }
-    if (!core::write_submaps(file.string(), submaps, answer)) return false;
-    *answer = file.lexically_normal().string();
-    return true;
+    const core::Status written = core::write_submaps(file.string(), submaps);
+    *answer = written ? file.lexically_normal().string() : written.message();
+    return static_cast<bool>(written);
   }
 
   void on_correction(const MapCorrection::ConstPtr& message) {

@@ -23,7 +23,7 @@
 #include "semantic_topo_loop/LoopClosureArray.h"
 #include "semantic_topo_loop/MapCorrection.h"
 #include "semantic_topo_loop/QuadricMapUpdate.h"
-#include "semantic_topo_loop/io/camera_yaml.h"
+#include "semantic_topo_loop/io/yaml_files.h"
 #include "semantic_topo_loop/io/tum_trajectory.h"
 #include "semantic_topo_loop/ros/conversions.h"
 
@@ -179,8 +179,11 @@ void PlayerNodelet::play() {
 std::unique_ptr<PlayerSource> PlayerNodelet::open_source(std::string* error) const {
   std::optional<sensor_msgs::CameraInfo> calibration;
   if (!parameters_.camera_file.empty()) {
-    const std::optional<core::Camera> camera = core::read_camera(parameters_.camera_file, error);
-    if (!camera) return nullptr;
+    const core::Result<core::Camera> camera = core::read_camera(parameters_.camera_file);
+    if (!camera) {
+      *error = camera.message();
+      return nullptr;
+    }
     calibration.emplace();
     to_msg(*camera, &*calibration);
     calibration->header.frame_id = parameters_.camera_frame;
@@ -198,8 +201,11 @@ std::unique_ptr<PlayerSource> PlayerNodelet::open_source(std::string* error) con
     std::unique_ptr<PlayerSource> source = TumBagSource::open(bag, calibration, error);
     return source ? std::make_unique<ReadAheadSource>(std::move(source)) : nullptr;
   }
-  std::optional<core::StampedPoses> trajectory = core::read_tum_trajectory(parameters_.trajectory_file, error);
-  if (!trajectory) return nullptr;
+  core::Result<core::StampedPoses> trajectory = core::read_tum_trajectory(parameters_.trajectory_file);
+  if (!trajectory) {
+    *error = trajectory.message();
+    return nullptr;
+  }
   return std::make_unique<FileStamps>(std::move(*trajectory), *calibration);
 }
 

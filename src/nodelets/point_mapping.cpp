@@ -70,9 +70,9 @@ class PointMappingNodelet : public Stage {
       return true;
     }
     const core::MapPoints points = snapshot();
-    const bool is_written = core::write_point_cloud(path.string(), points, &response.message);
-    response.success = is_written ? 1 : 0;
-    if (is_written) response.message = path.lexically_normal().string();
+    const core::Status written = core::write_point_cloud(path.string(), points);
+    response.success = written ? 1 : 0;
+    response.message = written ? path.lexically_normal().string() : written.message();
     return true;
   }
 

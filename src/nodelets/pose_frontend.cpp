@@ -76,10 +76,9 @@ void PoseFrontendNodelet::onInit() {
 
 bool PoseFrontendNodelet::open_source() {
   if (parameters_.pose_source == "file") {
-    std::string error;
-    std::optional<core::StampedPoses> trajectory = core::read_tum_trajectory(parameters_.trajectory_file, &error);
+    core::Result<core::StampedPoses> trajectory = core::read_tum_trajectory(parameters_.trajectory_file);
     if (!trajectory) {
-      fail(error);
+      fail(trajectory.message());
       return false;
     }
     source_ = std::make_shared<FilePoses>(std::move(*trajectory));

@@ -69,9 +69,9 @@ class RecorderNodelet : public Stage {
       return false;
     }
     const std::lock_guard<std::mutex> lock(mutex_);
-    if (!recorder_->write(directory.string(), answer)) return false;
-    *answer = directory.lexically_normal().string();
-    return true;
+    const core::Status written = recorder_->write(directory.string());
+    *answer = written ? directory.lexically_normal().string() : written.message();
+    return static_cast<bool>(written);
   }
 
   void on_frame(const Frame::ConstPtr& frame) {

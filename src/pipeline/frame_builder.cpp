@@ -4,17 +4,13 @@
 
 namespace semantic_topo_loop::core {
 
-std::optional<Frame> FrameBuilder::build(const PoseSample& sample, std::string* error) {
+Result<Frame> FrameBuilder::build(const PoseSample& sample) {
   if (!sample.T_odom_camera.is_finite()) {
-    if (error != nullptr) *error = "pose at stamp " + std::to_string(sample.stamp_ns) + " ns is not finite";
-    return std::nullopt;
+    return Error{"pose at stamp " + std::to_string(sample.stamp_ns) + " ns is not finite"};
   }
   if (last_ && sample.stamp_ns <= last_->stamp_ns) {
-    if (error != nullptr) {
-      *error =
-          "stamp " + std::to_string(sample.stamp_ns) + " ns is not after " + std::to_string(last_->stamp_ns) + " ns";
-    }
-    return std::nullopt;
+    return Error{"stamp " + std::to_string(sample.stamp_ns) + " ns is not after " + std::to_string(last_->stamp_ns) +
+                 " ns"};
   }
   Frame frame;
   frame.frame_id = last_ ? last_->frame_id + 1 : 0;

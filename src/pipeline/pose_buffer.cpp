@@ -30,18 +30,15 @@ std::string find_fault(const SE3& pose) {
 PoseBuffer::PoseBuffer(double max_gap_s, double keep_s)
     : max_gap_ns_(to_nanoseconds(max_gap_s)), keep_ns_(to_nanoseconds(keep_s)) {}
 
-bool PoseBuffer::add(std::int64_t stamp_ns, const SE3& pose, std::string* error) {
+Result<void> PoseBuffer::add(std::int64_t stamp_ns, const SE3& pose) {
   std::string fault = find_fault(pose);
   if (fault.empty() && !samples_.empty() && stamp_ns < newest_ns() - keep_ns_) fault = "is older than what is kept";
   if (fault.empty() && !samples_.try_emplace(stamp_ns, pose.q.normalized(), pose.t).second) {
     fault = "has a stamp that is there already";
   }
-  if (!fault.empty()) {
-    if (error != nullptr) *error = "pose at stamp " + std::to_string(stamp_ns) + " ns: " + fault;
-    return false;
-  }
+  if (!fault.empty()) return Error{"pose at stamp " + std::to_string(stamp_ns) + " ns: " + fault};
   samples_.erase(samples_.begin(), samples_.lower_bound(newest_ns() - keep_ns_));
-  return true;
+  return {};
 }
 
 PoseBuffer::Answer PoseBuffer::at(std::int64_t stamp_ns) const {

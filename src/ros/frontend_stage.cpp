@@ -8,7 +8,7 @@
 #include "semantic_topo_loop/Frame.h"
 #include "semantic_topo_loop/FrameDone.h"
 #include "semantic_topo_loop/Keyframe.h"
-#include "semantic_topo_loop/io/camera_yaml.h"
+#include "semantic_topo_loop/io/yaml_files.h"
 #include "semantic_topo_loop/ros/conversions.h"
 
 namespace semantic_topo_loop {
@@ -20,12 +20,12 @@ bool FrontendStage::open(const core::KeyframeOptions& options, const FrontendPar
   transforms_ = std::move(transforms);
   camera_frame_ = parameters_.camera_frame;
   if (!parameters_.camera_file.empty()) {
-    std::string error;
-    camera_ = core::read_camera(parameters_.camera_file, &error);
-    if (!camera_) {
-      fail(error);
+    const core::Result<core::Camera> camera = core::read_camera(parameters_.camera_file);
+    if (!camera) {
+      fail(camera.message());
       return false;
     }
+    camera_ = *camera;
     has_camera_file_ = true;
   }
   frame_publisher_ = advertise<Frame>("frames");
@@ -155,10 +155,9 @@ void FrontendStage::emit(const core::PoseSample& sample, const std::optional<cor
   }
   if (!builder_) builder_.emplace(keyframe_options_, *camera);
   builder_->set_camera(*camera);
-  std::string error;
-  std::optional<core::Frame> frame = builder_->build(sample, &error);
+  core::Result<core::Frame> frame = builder_->build(sample);
   if (!frame) {
-    complain("images left out", error);
+    complain("images left out", frame.message());
     publish_done(sample.stamp_ns, FrameDone::STATUS_FAILED);
     return;
   }

@@ -32,7 +32,10 @@ bool OdometryPoses::add(const nav_msgs::Odometry& message, std::string* error) {
     poses_.clear();
     twist_covariances_.clear();
   }
-  if (!poses_.add(stamp_ns, *pose, error)) return false;
+  if (const core::Status added = poses_.add(stamp_ns, *pose); !added) {
+    if (error != nullptr) *error = added.message();
+    return false;
+  }
   base_frame_ = strip_leading_slash(message.child_frame_id);
   if (const std::optional<core::Mat6> covariance = to_covariance(message.twist.covariance)) {
     twist_covariances_[stamp_ns] = *covariance;

@@ -49,8 +49,8 @@ bool TfPoses::add(const geometry_msgs::TransformStamped& transform, bool is_stat
     const std::int64_t stamp_ns = to_stamp_ns(transform.header.stamp);
     core::PoseBuffer& samples = moving_samples(stripped.child_frame_id, stamp_ns);
     if (samples.has(stamp_ns)) return true;  // robots publish the same transform again and again
-    if (!samples.add(stamp_ns, *pose, error)) {
-      if (error != nullptr) *error = name + ": " + *error;
+    if (const core::Status added = samples.add(stamp_ns, *pose); !added) {
+      if (error != nullptr) *error = name + ": " + added.message();
       return false;
     }
   }

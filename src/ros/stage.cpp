@@ -2,7 +2,7 @@
 
 #include <atomic>
 
-#include "semantic_topo_loop/io/class_table_yaml.h"
+#include "semantic_topo_loop/io/yaml_files.h"
 
 namespace semantic_topo_loop {
 namespace {
@@ -21,10 +21,9 @@ void Stage::fail(const std::string& error) {
 }
 
 std::shared_ptr<const core::ClassTable> Stage::load_classes(const std::string& path) {
-  std::string error;
-  std::optional<core::ClassTable> classes = core::read_class_table(path, &error);
+  core::Result<core::ClassTable> classes = core::read_class_table(path);
   if (classes) return std::make_shared<const core::ClassTable>(std::move(*classes));
-  fail(error);
+  fail(classes.message());
   return nullptr;
 }
 

@@ -8,22 +8,22 @@
 namespace semantic_topo_loop {
 namespace {
 
-class TumBagReader : public core::RgbdReader {
+class TumBagReader : public core::RgbdRecording {
  public:
   TumBagReader(std::unique_ptr<TumBagSource> source, const core::Camera& camera, core::DepthOptions options)
       : source_(std::move(source)), camera_(camera), options_(std::move(options)) {}
 
-  std::optional<core::RgbdReading> next(std::string* fault) override {
-    const std::optional<PlayerItem> item = source_->next(fault);
-    if (!item) return std::nullopt;
-    core::RgbdReading reading;
+  core::Result<std::optional<core::RgbdReading>> next() override {
+    std::string problem;
+    const std::optional<PlayerItem> item = source_->next(&problem);
+    if (!item && !problem.empty()) return core::Error{problem};
+    if (!item) return std::optional<core::RgbdReading>();
     if (!item->left_out.empty()) {
-      reading.left_out = item->left_out;
-      reading.error = item->detail;
-    } else {
-      reading.image = make_rgbd_image(*item->color, *item->depth, camera_, options_, &reading.error);
+      return std::optional<core::RgbdReading>({core::Error{item->detail}, item->left_out});
     }
-    return reading;
+    std::optional<core::RgbdImage> image = make_rgbd_image(*item->color, *item->depth, camera_, options_, &problem);
+    if (!image) return std::optional<core::RgbdReading>({core::Error{problem}, ""});
+    return std::optional<core::RgbdReading>({std::move(*image), ""});
   }
   std::size_t total() const override { return source_->size(); }
 
@@ -35,7 +35,7 @@ class TumBagReader : public core::RgbdReader {
 
 }  // namespace
 
-std::unique_ptr<core::RgbdReader> open_tum_bag(const std::string& file, const core::Camera& camera,
+std::unique_ptr<core::RgbdRecording> open_tum_bag(const std::string& file, const core::Camera& camera,
                                                const core::DepthOptions& options, std::string* error) {
   TumBagPlayback playback;
   playback.file = file;

@@ -1,16 +1,14 @@
-#include "semantic_topo_loop/io/detection_reader.h"
-
 #include <gtest/gtest.h>
 
-#include "semantic_topo_loop/io/class_table_yaml.h"
-#include "semantic_topo_loop/io/detection_writer.h"
+#include "semantic_topo_loop/io/detection_file.h"
+#include "semantic_topo_loop/io/yaml_files.h"
 #include "support/test_files.h"
 
 namespace semantic_topo_loop::core {
 namespace {
 
 const ClassTable& coco() {
-  static const ClassTable table = *read_class_table(std::string(STL_CONFIG_DIR) + "/classes_coco.yaml", nullptr);
+  static const ClassTable table = *read_class_table(std::string(STL_CONFIG_DIR) + "/classes_coco.yaml");
   return table;
 }
 
@@ -20,10 +18,11 @@ class DetectionReader : public ::testing::Test {
   bool read(const std::string& text) { return read_path(directory_.write("boxes.json", text)); }
 
   bool read_path(const std::string& path) {
-    error_.clear();
-    const auto frames = read_detections(path, coco(), &report_, &error_);
-    frames_ = frames.value_or(std::vector<DetectionFrame>());
-    return frames.has_value();
+    const auto recording = read_detections(path, coco());
+    error_ = recording.message();
+    frames_ = recording ? recording->frames : std::vector<DetectionFrame>();
+    report_ = recording ? recording->report : DetectionReport();
+    return static_cast<bool>(recording);
   }
 
   /// One image with one box, whose members are given as JSON.
@@ -191,8 +190,8 @@ TEST_F(DetectionReader, ReadsWhatTheWritersWrite) {
     for (int k = 0; k < static_cast<int>(i); ++k)
       frames[i].detections.push_back({39 + k, 0.125, {1.5, 2.25, 30.125, 40.0}});
   }
-  ASSERT_TRUE(write_detections_json(directory_.path("out.json"), frames, &error_)) << error_;
-  ASSERT_TRUE(write_detections_yolo(directory_.path("out"), frames, &error_)) << error_;
+  ASSERT_EQ(write_detections_json(directory_.path("out.json"), frames).message(), "");
+  ASSERT_EQ(write_detections_yolo(directory_.path("out"), frames).message(), "");
   for (const char* name : {"out.json", "out"}) {
     ASSERT_TRUE(read_path(directory_.path(name))) << error_;
     ASSERT_EQ(frames_.size(), frames.size());
@@ -206,8 +205,8 @@ TEST_F(DetectionReader, ReadsWhatTheWritersWrite) {
       }
     }
   }
-  EXPECT_FALSE(write_detections_json(directory_.path("none/out.json"), frames, &error_));
-  EXPECT_NE(error_.find("none/out.json"), std::string::npos);
+  EXPECT_NE(write_detections_json(directory_.path("none/out.json"), frames).message().find("none/out.json"),
+            std::string::npos);
 }
 
 TEST_F(DetectionReader, ReadsTheSharedRecordings) {

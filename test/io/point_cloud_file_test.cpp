@@ -28,26 +28,23 @@ TEST(PointCloudFile, PlyAndPcdHoldEveryPointBitForBit) {
   const TestDirectory directory;
   for (const auto& [name, header_end, count] : {std::tuple("map.ply", "end_header\n", "element vertex 3\n"),
                                                 std::tuple("map.pcd", "DATA binary\n", "POINTS 3\n")}) {
-    std::string error;
     const std::string path = directory.path(name);
-    ASSERT_TRUE(write_point_cloud(path, kPoints, &error)) << error;
+    ASSERT_EQ(write_point_cloud(path, kPoints).message(), "");
     EXPECT_NE(read_whole(path).find(count), std::string::npos);
     const std::vector<std::array<float, 4>> rows = read_back(path, header_end);
     ASSERT_EQ(rows.size(), 3U);
     EXPECT_EQ(rows[0], (std::array<float, 4>{1.0F, -2.0F, 3.5F, 1.0F}));
     EXPECT_EQ(rows[1], (std::array<float, 4>{0.25F, 0.5F, 0.75F, 0.0F}));
     EXPECT_EQ(rows[2], (std::array<float, 4>{-1.0F, 1e-3F, 1e4F, 0.0F}));
-    ASSERT_TRUE(write_point_cloud(path, {}, &error)) << error;
+    ASSERT_EQ(write_point_cloud(path, {}).message(), "");
     EXPECT_TRUE(read_back(path, header_end).empty());
   }
 }
 
 TEST(PointCloudFile, SaysWhatIsWrongWithThePath) {
-  std::string error;
-  EXPECT_FALSE(write_point_cloud("map.xyz", kPoints, &error));
-  EXPECT_NE(error.find("map.xyz"), std::string::npos);
-  EXPECT_FALSE(write_point_cloud("/nowhere/at/all/map.ply", kPoints, &error));
-  EXPECT_NE(error.find("/nowhere/at/all/map.ply"), std::string::npos);
+  EXPECT_NE(write_point_cloud("map.xyz", kPoints).message().find("map.xyz"), std::string::npos);
+  EXPECT_NE(write_point_cloud("/nowhere/at/all/map.ply", kPoints).message().find("/nowhere/at/all/map.ply"),
+            std::string::npos);
 }
 
 }  // namespace

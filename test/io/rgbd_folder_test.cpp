@@ -1,9 +1,9 @@
-#include "semantic_topo_loop/io/rgbd_folder.h"
-
 #include <gtest/gtest.h>
 
 #include <fstream>
 #include <opencv2/imgcodecs.hpp>
+
+#include "semantic_topo_loop/io/rgbd_recording.h"
 
 namespace semantic_topo_loop::core {
 namespace {
@@ -28,63 +28,56 @@ class RgbdFolder : public ::testing::Test {
   }
   std::string path(const std::string& name) const { return directory_ + name; }
   void write(const std::string& name, const std::string& text) const { std::ofstream(path(name)) << text; }
-  std::optional<std::vector<RgbdFile>> read(const std::string& text) {
+  Result<RgbdFiles> read(const std::string& text) {
     write("associations.txt", text);
-    return read_associations(path("associations.txt"), directory_, &warning_, &error_);
+    return read_associations(path("associations.txt"), directory_);
   }
-  std::optional<RgbdImage> read(const std::string& color, const std::string& depth) {
+  Result<RgbdImage> read(const std::string& color, const std::string& depth) {
     DepthOptions options;
     options.scale = 5000.0;
-    return read_rgbd_image({123, path(color), path(depth)}, small_camera(), options, &error_);
+    return read_rgbd_image({123, path(color), path(depth)}, small_camera(), options);
   }
 
   std::string directory_ = ::testing::TempDir() + "rgbd_folder_";
-  std::string warning_, error_;
 };
 
 TEST_F(RgbdFolder, ReadsFourColumnsAndMore) {
   const auto files =
       read("# stamp rgb stamp depth\n1.000000001 rgb/a.png 1.01 depth/a.png\n2.5 rgb/b.png 2.5 depth/b.png 7\n");
-  ASSERT_TRUE(files) << error_;
-  ASSERT_EQ(files->size(), 2u);
-  EXPECT_EQ((*files)[0].stamp_ns, 1000000001);
-  EXPECT_EQ((*files)[1].stamp_ns, 2500000000);
-  EXPECT_NE((*files)[1].depth.find("depth/b.png"), std::string::npos);
-  EXPECT_EQ(warning_, "");
+  ASSERT_TRUE(files) << files.message();
+  ASSERT_EQ(files->files.size(), 2u);
+  EXPECT_EQ(files->files[0].stamp_ns, 1000000001);
+  EXPECT_EQ(files->files[1].stamp_ns, 2500000000);
+  EXPECT_NE(files->files[1].depth.find("depth/b.png"), std::string::npos);
+  EXPECT_EQ(files->warning, "");
 }
 
 TEST_F(RgbdFolder, StampsThatGoBackAreLeftOutAndNamed) {
   const auto files = read("2.0 a 2.0 a\n1.0 b 1.0 b\n2.0 c 2.0 c\n3.0 d 3.0 d\n");
   ASSERT_TRUE(files);
-  EXPECT_EQ(files->size(), 2u);
-  EXPECT_NE(warning_.find("2 images left out"), std::string::npos) << warning_;
-  EXPECT_NE(warning_.find("associations.txt:2"), std::string::npos) << warning_;
+  EXPECT_EQ(files->files.size(), 2u);
+  EXPECT_NE(files->warning.find("2 images left out"), std::string::npos) << files->warning;
+  EXPECT_NE(files->warning.find("associations.txt:2"), std::string::npos) << files->warning;
 }
 
 TEST_F(RgbdFolder, BadListsAreNamed) {
-  EXPECT_FALSE(read("1.0 a 1.0\n"));
-  EXPECT_NE(error_.find("associations.txt:1: 3 columns"), std::string::npos) << error_;
-  EXPECT_FALSE(read("1.0 a x d\n"));
-  EXPECT_NE(error_.find("'x' is no stamp"), std::string::npos) << error_;
-  EXPECT_FALSE(read("# nothing\n"));
-  EXPECT_NE(error_.find("no images"), std::string::npos) << error_;
+  EXPECT_NE(read("1.0 a 1.0\n").message().find("associations.txt:1: 3 columns"), std::string::npos);
+  EXPECT_NE(read("1.0 a x d\n").message().find("'x' is no stamp"), std::string::npos);
+  EXPECT_NE(read("# nothing\n").message().find("no images"), std::string::npos);
 }
 
 TEST_F(RgbdFolder, ReadsAnImage) {
   const auto image = read("color.png", "depth.png");
-  ASSERT_TRUE(image) << error_;
+  ASSERT_TRUE(image) << image.message();
   EXPECT_EQ(image->stamp_ns, 123);
   EXPECT_FLOAT_EQ(image->depth_m.at<float>(3, 4), 2.0F);
   EXPECT_EQ(image->gray.at<std::uint8_t>(3, 4), 50);
 }
 
 TEST_F(RgbdFolder, BadImagesAreNamed) {
-  EXPECT_FALSE(read("color.png", "missing.png"));
-  EXPECT_NE(error_.find("missing.png: no such file"), std::string::npos) << error_;
-  EXPECT_FALSE(read("broken.png", "depth.png"));
-  EXPECT_NE(error_.find("broken.png: not an image"), std::string::npos) << error_;
-  EXPECT_FALSE(read("color.png", "small.png"));
-  EXPECT_NE(error_.find("depth image of 16 x 12"), std::string::npos) << error_;
+  EXPECT_NE(read("color.png", "missing.png").message().find("missing.png: no such file"), std::string::npos);
+  EXPECT_NE(read("broken.png", "depth.png").message().find("broken.png: not an image"), std::string::npos);
+  EXPECT_NE(read("color.png", "small.png").message().find("depth image of 16 x 12"), std::string::npos);
 }
 
 }  // namespace

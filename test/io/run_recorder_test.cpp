@@ -62,13 +62,10 @@ class RunRecorderTest : public ::testing::Test {
     }
   }
 
-  void write() {
-    std::string error;
-    ASSERT_TRUE(recorder_.write(directory_.path("run"), &error)) << error;
-  }
+  void write() { ASSERT_EQ(recorder_.write(directory_.path("run")).message(), ""); }
   std::string text(const std::string& name) const { return read_whole(directory_.path("run/" + name)); }
   StampedPoses poses(const std::string& name) const {
-    return read_tum_trajectory(directory_.path("run/" + name), nullptr).value_or(StampedPoses());
+    return checked(read_tum_trajectory(directory_.path("run/" + name)));
   }
   static void expect_pose(const SE3& actual, const SE3& expected) {
     EXPECT_NEAR((actual.matrix() - expected.matrix()).norm(), 0.0, 1e-7);
@@ -181,7 +178,7 @@ TEST_F(RunRecorderTest, ObjectsAreTheLastStatesWithAnEllipsoid) {
             "0.100000000,0.200000000,0.300000000,confirmed,12,30.500000,0.750000,0.500000\n"
             "9,41,cup,9.000000000,0.000000000,1.000000000,0.000000000,0.000000000,0.000000000,1.000000000,"
             "0.100000000,0.200000000,0.300000000,retired,12,30.500000,0.750000,0.500000\n");
-  const auto objects = read_objects(directory_.path("run/objects.csv"), nullptr);
+  const auto objects = read_objects(directory_.path("run/objects.csv"));
   ASSERT_TRUE(objects);
   EXPECT_EQ(objects->at(1).id, 9);
 }
@@ -210,7 +207,7 @@ TEST_F(RunRecorderTest, LoopsInOrderOfFrameAndPosition) {
   recorder_.record(5, {make_loop(5, false)}, 10.0);
   recorder_.record(6, {}, 10.0);
   write();
-  const auto loops = read_loops(directory_.path("run/loops.csv"), nullptr);
+  const auto loops = read_loops(directory_.path("run/loops.csv"));
   ASSERT_TRUE(loops);
   ASSERT_EQ(loops->size(), 3u);
   EXPECT_EQ(loops->at(0).query_frame, 5);
@@ -234,8 +231,8 @@ TEST_F(RunRecorderTest, LoopsIntoAnEarlierMapAreKeptApart) {
     recorder_.record(k, {make_loop(k, true), loop}, 10.0);
   }
   write();
-  EXPECT_EQ(read_loops(directory_.path("run/loops.csv"), nullptr)->size(), 4u);
-  EXPECT_EQ(read_loops(directory_.path("run/relocalisations.csv"), nullptr)->size(), 4u);
+  EXPECT_EQ(read_loops(directory_.path("run/loops.csv"))->size(), 4u);
+  EXPECT_EQ(read_loops(directory_.path("run/relocalisations.csv"))->size(), 4u);
   const nlohmann::json summary = nlohmann::json::parse(text("summary.json"));
   EXPECT_EQ(summary["loops"]["accepted"], 4);
   EXPECT_EQ(summary["relocalisation"]["agreeing"], 4);
@@ -355,9 +352,7 @@ TEST_F(RunRecorderTest, AnEmptyRunStillWritesEveryFile) {
 
 TEST_F(RunRecorderTest, AnUnwritableDirectoryIsAnError) {
   directory_.write("file", "");
-  std::string error;
-  EXPECT_FALSE(recorder_.write(directory_.path("file"), &error));
-  EXPECT_NE(error.find(directory_.path("file")), std::string::npos);
+  EXPECT_NE(recorder_.write(directory_.path("file")).message().find(directory_.path("file")), std::string::npos);
 }
 
 }  // namespace

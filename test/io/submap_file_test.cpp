@@ -24,15 +24,13 @@ class SubmapFile : public ::testing::Test {
  protected:
   void SetUp() override {
     const std::vector<LocalMap> submaps = desk_submaps();
-    std::string error;
-    ASSERT_TRUE(write_submaps(path_, submaps, &error)) << error;
+    ASSERT_EQ(write_submaps(path_, submaps).message(), "");
   }
   nlohmann::json json() const { return nlohmann::json::parse(read_whole(path_)); }
   /// The error that a changed file gives.
   std::string error_of(const std::string& text) const {
-    std::string error;
     const std::string path = directory_.write("bad.json", text);
-    EXPECT_FALSE(read_submaps(path, *testing::desk_classes(), &error).has_value()) << text.substr(0, 80);
+    const std::string error = read_submaps(path, *testing::desk_classes()).message();
     EXPECT_EQ(error.find(path), 0u) << error;
     EXPECT_EQ(error.find('\n'), std::string::npos) << error;
     return error.substr(std::min(error.size(), path.size() + 2));
@@ -45,9 +43,8 @@ class SubmapFile : public ::testing::Test {
 
 TEST_F(SubmapFile, KeepsWhatMatchingNeeds) {
   const std::vector<LocalMap> submaps = desk_submaps();
-  std::string error;
-  const auto read = read_submaps(path_, *testing::desk_classes(), &error);
-  ASSERT_TRUE(read.has_value()) << error;
+  const auto read = read_submaps(path_, *testing::desk_classes());
+  ASSERT_TRUE(read) << read.message();
   ASSERT_EQ(read->size(), submaps.size());
   constexpr double kRounding = 2e-6;
   for (std::size_t i = 0; i < submaps.size(); ++i) {
@@ -82,9 +79,9 @@ TEST_F(SubmapFile, KeepsWhatMatchingNeeds) {
 }
 
 TEST_F(SubmapFile, IsTheSameBytesAgain) {
-  const auto read = read_submaps(path_, *testing::desk_classes(), nullptr);
-  ASSERT_TRUE(read.has_value());
-  ASSERT_TRUE(write_submaps(directory_.path("again.json"), desk_submaps(), nullptr));
+  const auto read = read_submaps(path_, *testing::desk_classes());
+  ASSERT_TRUE(read);
+  ASSERT_TRUE(write_submaps(directory_.path("again.json"), desk_submaps()));
   EXPECT_EQ(read_whole(path_), read_whole(directory_.path("again.json")));
 }
 
@@ -119,11 +116,10 @@ TEST_F(SubmapFile, NamesFileAndFieldOfAnError) {
 }
 
 TEST_F(SubmapFile, MissingFilesAndFoldersAreErrors) {
-  std::string error;
-  EXPECT_FALSE(read_submaps(directory_.path("none.json"), *testing::desk_classes(), &error));
-  EXPECT_EQ(error, directory_.path("none.json") + ": cannot open the file");
-  EXPECT_FALSE(write_submaps(directory_.path("no/such/folder.json"), {}, &error));
-  EXPECT_NE(error.find("no/such/folder.json"), std::string::npos);
+  EXPECT_EQ(read_submaps(directory_.path("none.json"), *testing::desk_classes()).message(),
+            directory_.path("none.json") + ": cannot open the file");
+  EXPECT_NE(write_submaps(directory_.path("no/such/folder.json"), {}).message().find("no/such/folder.json"),
+            std::string::npos);
 }
 
 }  // namespace

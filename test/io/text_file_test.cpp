@@ -11,17 +11,16 @@ namespace {
 
 TEST(TextFile, WrittenTextComesBack) {
   const TestDirectory directory;
-  std::string error;
   const std::string text = "a\nb\r\n\0c";
-  ASSERT_TRUE(write_text_file(directory.path("x"), text, &error)) << error;
-  EXPECT_EQ(read_text_file(directory.path("x"), &error), text);
-  ASSERT_TRUE(write_text_file(directory.path("x"), "", &error)) << error;
-  EXPECT_EQ(read_text_file(directory.path("x"), &error), "");
+  ASSERT_EQ(write_text_file(directory.path("x"), text).message(), "");
+  EXPECT_EQ(checked(read_text_file(directory.path("x"))), text);
+  ASSERT_EQ(write_text_file(directory.path("x"), "").message(), "");
+  EXPECT_EQ(checked(read_text_file(directory.path("x"))), "");
 }
 
 TEST(TextFile, LeavesNoTemporaryFile) {
   const TestDirectory directory;
-  ASSERT_TRUE(write_text_file(directory.path("x"), "text", nullptr));
+  ASSERT_TRUE(write_text_file(directory.path("x"), "text"));
   int entries = 0;
   for (const auto& entry : std::filesystem::directory_iterator(directory.path(""))) entries += entry.exists() ? 1 : 0;
   EXPECT_EQ(entries, 1);
@@ -29,24 +28,19 @@ TEST(TextFile, LeavesNoTemporaryFile) {
 
 TEST(TextFile, ErrorsNameThePath) {
   const TestDirectory directory;
-  std::string error;
-  EXPECT_FALSE(read_text_file(directory.path("none"), &error));
-  EXPECT_EQ(error, directory.path("none") + ": cannot open the file");
-  EXPECT_FALSE(read_text_file(directory.path(""), &error));
-  EXPECT_NE(error.find("is a directory"), std::string::npos);
-  EXPECT_FALSE(write_text_file(directory.path("none/x"), "text", &error));
-  EXPECT_NE(error.find(directory.path("none/x")), std::string::npos);
+  EXPECT_EQ(read_text_file(directory.path("none")).message(), directory.path("none") + ": cannot open the file");
+  EXPECT_NE(read_text_file(directory.path("")).message().find("is a directory"), std::string::npos);
+  EXPECT_NE(write_text_file(directory.path("none/x"), "text").message().find(directory.path("none/x")),
+            std::string::npos);
   directory.write("file", "");
-  EXPECT_FALSE(make_directory(directory.path("file"), &error));
-  EXPECT_NE(error.find(directory.path("file")), std::string::npos);
-  EXPECT_FALSE(write_text_file(directory.path(""), "text", nullptr));
+  EXPECT_NE(make_directory(directory.path("file")).message().find(directory.path("file")), std::string::npos);
+  EXPECT_FALSE(write_text_file(directory.path(""), "text"));
 }
 
 TEST(TextFile, MakesNestedDirectories) {
   const TestDirectory directory;
-  std::string error;
-  EXPECT_TRUE(make_directory(directory.path("a/b/c"), &error)) << error;
-  EXPECT_TRUE(make_directory(directory.path("a/b/c"), &error)) << error;
+  EXPECT_EQ(make_directory(directory.path("a/b/c")).message(), "");
+  EXPECT_EQ(make_directory(directory.path("a/b/c")).message(), "");
   EXPECT_TRUE(std::filesystem::is_directory(directory.path("a/b/c")));
 }
 

@@ -11,10 +11,10 @@ namespace {
 class TumTrajectory : public ::testing::Test {
  protected:
   bool read(const std::string& text) {
-    error_.clear();
-    const auto poses = read_tum_trajectory(directory_.write("t.txt", text), &error_);
-    poses_ = poses.value_or(StampedPoses());
-    return poses.has_value();
+    const auto poses = read_tum_trajectory(directory_.write("t.txt", text));
+    error_ = poses.message();
+    poses_ = poses ? *poses : StampedPoses();
+    return static_cast<bool>(poses);
   }
   void expect_error(const std::string& text, const std::string& message) {
     EXPECT_FALSE(read(text)) << text;
@@ -56,28 +56,28 @@ TEST_F(TumTrajectory, ErrorsNameFileLineAndValue) {
   expect_error("1.0 0 0 0 0 0 0 1\n1.00 0 0 0 0 0 0 1\n", ":2: stamp 1.000000 is not after the one before, 1.000000");
   expect_error("", ": contains no pose");
   expect_error("# only a comment\n", ": contains no pose");
-  EXPECT_FALSE(read_tum_trajectory(directory_.path("none.txt"), &error_));
-  EXPECT_EQ(error_, directory_.path("none.txt") + ": cannot open the file");
-  EXPECT_FALSE(read_tum_trajectory(directory_.path("none.txt"), nullptr));
+  EXPECT_EQ(read_tum_trajectory(directory_.path("none.txt")).message(),
+            directory_.path("none.txt") + ": cannot open the file");
+  EXPECT_FALSE(read_tum_trajectory(directory_.path("none.txt")));
 }
 
 TEST_F(TumTrajectory, GroundTruthMayRepeatAStamp) {
   const std::string path =
       directory_.write("gt.txt", "1.0 0 0 0 0 0 0 1\n2.0 1 0 0 0 0 0 1\n2.0 2 0 0 0 0 0 1\n3.0 3 0 0 0 0 0 1\n");
-  const auto poses = read_tum_ground_truth(path, &error_);
-  ASSERT_TRUE(poses) << error_;
+  const auto poses = read_tum_ground_truth(path);
+  ASSERT_TRUE(poses) << poses.message();
   ASSERT_EQ(poses->size(), 3u);
   EXPECT_EQ((*poses)[1].T_world_camera.t.x(), 2.0);
-  EXPECT_FALSE(read_tum_ground_truth(directory_.write("gt.txt", "2.0 1 0 0 0 0 0 1\n1.0 2 0 0 0 0 0 1\n"), &error_));
+  EXPECT_FALSE(read_tum_ground_truth(directory_.write("gt.txt", "2.0 1 0 0 0 0 0 1\n1.0 2 0 0 0 0 0 1\n")));
 }
 
 TEST_F(TumTrajectory, WrittenPosesComeBack) {
   RandomPoses random(4);
   StampedPoses poses;
   for (int i = 0; i < 20; ++i) poses.push_back({1500000000000000000 + i * 33333333, random.pose(10.0)});
-  ASSERT_TRUE(write_tum_trajectory(directory_.path("out.txt"), poses, &error_)) << error_;
-  const auto back = read_tum_trajectory(directory_.path("out.txt"), &error_);
-  ASSERT_TRUE(back) << error_;
+  ASSERT_EQ(write_tum_trajectory(directory_.path("out.txt"), poses).message(), "");
+  const auto back = read_tum_trajectory(directory_.path("out.txt"));
+  ASSERT_TRUE(back) << back.message();
   ASSERT_EQ(back->size(), poses.size());
   for (std::size_t i = 0; i < poses.size(); ++i) {
     EXPECT_EQ((*back)[i].stamp_ns, poses[i].stamp_ns);
@@ -93,8 +93,8 @@ TEST_F(TumTrajectory, LineFormat) {
 TEST_F(TumTrajectory, ReadsTheSharedRecordings) {
   const auto file = shared_data("tum/fr2_desk/orbslam2_rgbd_trajectory.txt");
   if (!file) GTEST_SKIP() << "SEMANTIC_TOPO_LOOP_DATA is not set";
-  const auto poses = read_tum_trajectory(*file, &error_);
-  ASSERT_TRUE(poses) << error_;
+  const auto poses = read_tum_trajectory(*file);
+  ASSERT_TRUE(poses) << poses.message();
   EXPECT_EQ(poses->size(), 2893u);
 }
 

@@ -9,7 +9,7 @@
 
 #include "loop/submap/submap_builder.h"
 #include "semantic_topo_loop/geometry/lie.h"
-#include "semantic_topo_loop/io/detection_reader.h"
+#include "semantic_topo_loop/io/detection_file.h"
 #include "semantic_topo_loop/io/tum_trajectory.h"
 #include "semantic_topo_loop/loop/loop_detector.h"
 #include "semantic_topo_loop/loop/loop_options.h"
@@ -36,13 +36,11 @@ Recording record(const std::string& sequence, const std::string& trajectory, con
   const auto root = shared_data("tum/" + sequence + "/");
   Recording steps;
   if (!root) return steps;
-  std::string error;
   const auto classes = shared_coco();
-  const auto poses = read_tum_trajectory(*root + trajectory, &error);
-  const auto camera = read_camera(STL_CONFIG_DIR "/camera/" + camera_file, &error);
-  DetectionReport report;
-  const auto boxes = read_detections(*root + detections, *classes, &report, &error);
-  EXPECT_TRUE(poses && camera && boxes) << error;
+  const auto poses = read_tum_trajectory(*root + trajectory);
+  const auto camera = read_camera(STL_CONFIG_DIR "/camera/" + camera_file);
+  const auto boxes = read_detections(*root + detections, *classes);
+  EXPECT_TRUE(poses && camera && boxes) << poses.message() << camera.message() << boxes.message();
   if (!poses || !camera || !boxes) return steps;
   Options options;
   options.loop.enabled = false;
@@ -52,8 +50,8 @@ Recording record(const std::string& sequence, const std::string& trajectory, con
     PoseSample sample;
     sample.stamp_ns = (*poses)[i].stamp_ns;
     sample.T_odom_camera = (*poses)[i].T_world_camera;
-    const auto frame = builder.build(sample, &error);
-    const DetectionFrame* seen = find_stamp(*boxes, frame->stamp_ns, 1000);
+    const auto frame = builder.build(sample);
+    const DetectionFrame* seen = find_stamp(boxes->frames, frame->stamp_ns, 1000);
     FrameResult result = slam.process(*frame, seen != nullptr ? seen->detections : std::vector<Detection>());
     std::vector<LandmarkMerge> merged = result.observation.merged;
     merged.insert(merged.end(), result.completion.merged.begin(), result.completion.merged.end());

@@ -139,7 +139,7 @@ TEST(LoopDetector, AnotherDeskIsNoLoop) {
       PoseSample sample;
       sample.stamp_ns = k * 100'000'000;
       sample.T_odom_camera = testing::desk_pose(setup.visits, time_s);
-      const auto frame = builder.build(sample, nullptr);
+      const auto frame = builder.build(sample);
       const auto& desk = time_s < 20.0 ? setup.desk : other.desk;
       const auto associations = testing::observe(desk, *frame, sample.T_odom_camera, time_s < 20.0 ? 0 : 500, random);
       for (const LoopClosure& loop : detector.detect(*frame, associations)) EXPECT_FALSE(loop.accepted);
@@ -167,7 +167,7 @@ TEST(LoopDetector, TwoIdenticalGroupsAreAmbiguous) {
     PoseSample sample;
     sample.stamp_ns = k * 100'000'000;
     sample.T_odom_camera = pose;
-    const auto frame = builder.build(sample, nullptr);
+    const auto frame = builder.build(sample);
     const auto associations = testing::observe(time_s < 20.0 ? both : group, *frame, pose, 0, random);
     for (const LoopClosure& loop : detector.detect(*frame, associations)) {
       EXPECT_FALSE(loop.accepted);
@@ -206,7 +206,7 @@ struct AlikeDesks {
         sample.T_odom_camera = testing::desk_pose(round, std::min(time_s, visit_s), middle);
         sample.T_odom_camera.t += walked * (begin.t - sample.T_odom_camera.t);
         sample.T_odom_camera.q = sample.T_odom_camera.q.slerp(walked, begin.q);
-        const auto frame = builder.build(sample, nullptr);
+        const auto frame = builder.build(sample);
         const auto seen = testing::observe(objects, *frame, sample.T_odom_camera, 0, random);
         for (LoopClosure& loop : detector.detect(*frame, seen)) outcome.loops.push_back(std::move(loop));
         outcome.T_world_camera.push_back(sample.T_odom_camera);

@@ -44,7 +44,7 @@ BuiltMap sweep(const std::vector<DeskObject>& desk, double begin_deg, double end
     PoseSample sample;
     sample.stamp_ns = k * 100'000'000;
     sample.T_odom_camera = pose;
-    const auto frame = builder.build(sample, nullptr);
+    const auto frame = builder.build(sample);
     AssociationFrame associations = testing::observe(desk, *frame, pose, 0, random);
     if (one_id) {
       for (Association& association : associations.associations) association.landmark_id = association.class_id;
@@ -438,7 +438,7 @@ struct Watch {
       sample.stamp_ns = k * 100'000'000;
       const SE3 turn(so3_exp(Vec3(radians(drift_deg_s * time_s), 0.0, 0.0)), Vec3::Zero());
       sample.T_odom_camera = (time_s < 14.0 ? SE3() : jump) * turn * pose;
-      const auto frame = builder.build(sample, nullptr);
+      const auto frame = builder.build(sample);
       window.push(*frame, testing::observe(desk, *frame, pose, 0, random));
       up.push(*frame);
       if (monitor.push(window.frames().back())) {

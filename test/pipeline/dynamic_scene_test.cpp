@@ -66,8 +66,8 @@ Outcome run(const SimulatedSequence& sequence, const std::vector<std::vector<Det
     sample.stamp_ns = sequence.odometry[i].stamp_ns;
     sample.T_odom_camera = sequence.odometry[i].T_world_camera;
     std::string error;
-    const auto frame = builder.build(sample, &error);
-    EXPECT_TRUE(frame) << error;
+    const auto frame = builder.build(sample);
+    EXPECT_TRUE(frame) << frame.message();
     if (!frame) break;
     const FrameResult result = slam.process(*frame, detections[i]);
     for (const Association& a : result.associations.associations) {
@@ -124,20 +124,20 @@ TEST(WalkingPeople, BecomeNeitherLandmarksNorLoopNodes) {
 /// A cup that is carried to another place after the first lap. Both tests look at the same run.
 class MovedCup : public ::testing::TestWithParam<std::tuple<std::string, int>> {
  protected:
-  struct Result {
+  struct Run {
     Vec3 old_place = Vec3::Zero(), new_place = Vec3::Zero();
     std::vector<SceneObject> others;  ///< certain references at rest
     Outcome outcome;
   };
 
   void SetUp() override {
-    static std::map<ParamType, Result> results;
-    const auto [it, is_new] = results.emplace(GetParam(), Result());
+    static std::map<ParamType, Run> results;
+    const auto [it, is_new] = results.emplace(GetParam(), Run());
     if (is_new) simulate_and_run(&it->second);
     result_ = &it->second;
   }
 
-  void simulate_and_run(Result* result) const {
+  void simulate_and_run(Run* result) const {
     const auto& [layout, seed] = GetParam();
     const auto sequence = simulate_laps({{"scene.layout", layout},
                                          {"simulation.seed", std::to_string(seed)},
@@ -163,7 +163,7 @@ class MovedCup : public ::testing::TestWithParam<std::tuple<std::string, int>> {
   }
 
   std::shared_ptr<const ClassTable> classes_ = shared_coco();
-  const Result* result_ = nullptr;
+  const Run* result_ = nullptr;
 };
 
 TEST_P(MovedCup, IsMappedWhereItIsAtTheEnd) {

@@ -42,7 +42,7 @@ Outcome run(const SimulatedSequence& sequence, const std::shared_ptr<const Class
     PoseSample sample;
     sample.stamp_ns = sequence.odometry[i].stamp_ns;
     sample.T_odom_camera = sequence.odometry[i].T_world_camera;
-    const auto frame = builder.build(sample, nullptr);
+    const auto frame = builder.build(sample);
     std::vector<Detection> detections;
     for (const SimulatedDetection& d : sequence.detections[i]) detections.push_back(d.detection);
     slam.process(*frame, detections);
@@ -59,10 +59,7 @@ Outcome run(const SimulatedSequence& sequence, const std::shared_ptr<const Class
 TrajectoryEvaluation evaluate(const StampedPoses& estimate, const StampedPoses& truth) {
   TrajectoryEvaluationOptions options;
   options.with_scale = true;
-  std::string error;
-  const auto evaluation = evaluate_trajectory(estimate, truth, options, &error);
-  EXPECT_TRUE(evaluation) << error;
-  return evaluation.value_or(TrajectoryEvaluation());
+  return checked(evaluate_trajectory(estimate, truth, options));
 }
 
 class Monocular : public ::testing::TestWithParam<int> {};

@@ -4,9 +4,7 @@
 
 #include <limits>
 
-#include "semantic_topo_loop/io/camera_yaml.h"
-#include "semantic_topo_loop/io/class_table_yaml.h"
-#include "semantic_topo_loop/io/options_yaml.h"
+#include "semantic_topo_loop/io/yaml_files.h"
 #include "support/test_files.h"
 
 namespace semantic_topo_loop::core {
@@ -76,8 +74,7 @@ TEST(Options, UnknownKeyWrongTypeAndRangeAreErrorsThatNameThem) {
 TEST(Options, DefaultFileIsWhatTheCodeSays) {
   const std::string text = read_whole(STL_CONFIG_DIR "/default.yaml"), options = text.substr(text.find("depth:"));
   EXPECT_EQ(options, format_options_yaml(list_options<Options>())) << "scripts/generate_parameters writes it";
-  std::string error;
-  EXPECT_TRUE(load_options(STL_CONFIG_DIR "/default.yaml", {}, &error)) << error;
+  EXPECT_EQ(load_options(STL_CONFIG_DIR "/default.yaml", {}).message(), "");
 }
 
 TEST(Options, DocumentationIsWhatTheCodeSays) {
@@ -89,10 +86,10 @@ TEST(Options, DocumentationIsWhatTheCodeSays) {
 TEST(Config, CamerasAndClassesLoad) {
   std::string error;
   for (const std::string name : {"tum_fr1", "tum_fr2", "tum_fr3"}) {
-    EXPECT_TRUE(read_camera(STL_CONFIG_DIR "/camera/" + name + ".yaml", &error)) << error;
+    EXPECT_EQ(read_camera(STL_CONFIG_DIR "/camera/" + name + ".yaml").message(), "");
   }
-  const auto classes = read_class_table(STL_CONFIG_DIR "/classes_coco.yaml", &error);
-  ASSERT_TRUE(classes) << error;
+  const auto classes = read_class_table(STL_CONFIG_DIR "/classes_coco.yaml");
+  ASSERT_TRUE(classes) << classes.message();
   EXPECT_EQ(classes->classes().size(), 80U);
 }
 

@@ -3,10 +3,9 @@
 #include <algorithm>
 #include <cstdlib>
 
-#include "semantic_topo_loop/io/camera_yaml.h"
-#include "semantic_topo_loop/io/class_table_yaml.h"
-#include "semantic_topo_loop/io/detection_reader.h"
+#include "semantic_topo_loop/io/detection_file.h"
 #include "semantic_topo_loop/io/tum_trajectory.h"
+#include "semantic_topo_loop/io/yaml_files.h"
 #include "semantic_topo_loop/pipeline/frame_builder.h"
 #include "semantic_topo_loop/pipeline/object_slam.h"
 #include "tools/evaluation/object_evaluation.h"
@@ -26,26 +25,24 @@ class RecordedDesk : public testing::Test {
     const char* data = std::getenv("SEMANTIC_TOPO_LOOP_DATA");
     if (data == nullptr) return;
     const std::string directory = std::string(data) + "/tum/fr2_desk/";
-    std::string error;
-    const auto table = read_class_table(STL_CONFIG_DIR "/classes_coco.yaml", &error);
-    ASSERT_TRUE(table) << error;
+    const auto table = read_class_table(STL_CONFIG_DIR "/classes_coco.yaml");
+    ASSERT_TRUE(table) << table.message();
     classes_ = std::make_shared<const ClassTable>(*table);
-    const auto camera = read_camera(STL_CONFIG_DIR "/camera/tum_fr2.yaml", &error);
-    ASSERT_TRUE(camera) << error;
+    const auto camera = read_camera(STL_CONFIG_DIR "/camera/tum_fr2.yaml");
+    ASSERT_TRUE(camera) << camera.message();
     camera_ = *camera;
-    const auto trajectory = read_tum_trajectory(directory + "orbslam2_rgbd_trajectory.txt", &error);
-    const auto truth = read_tum_ground_truth(directory + "groundtruth.txt", &error);
-    ASSERT_TRUE(trajectory && truth) << error;
+    const auto trajectory = read_tum_trajectory(directory + "orbslam2_rgbd_trajectory.txt");
+    const auto truth = read_tum_ground_truth(directory + "groundtruth.txt");
+    ASSERT_TRUE(trajectory && truth) << trajectory.message() << truth.message();
     trajectory_ = *trajectory;
-    const auto evaluation = evaluate_trajectory(trajectory_, *truth, {}, &error);
-    ASSERT_TRUE(evaluation) << error;
+    const auto evaluation = evaluate_trajectory(trajectory_, *truth, {});
+    ASSERT_TRUE(evaluation) << evaluation.message();
     alignment_ = evaluation->alignment;
-    DetectionReport report;
-    const auto detections = read_detections(directory + "detections_yolov5.json", *classes_, &report, &error);
-    ASSERT_TRUE(detections) << error;
-    detections_ = *detections;
-    const auto reference = read_reference_objects(directory + "reference_objects.csv", &error);
-    ASSERT_TRUE(reference) << error;
+    const auto detections = read_detections(directory + "detections_yolov5.json", *classes_);
+    ASSERT_TRUE(detections) << detections.message();
+    detections_ = detections->frames;
+    const auto reference = read_reference_objects(directory + "reference_objects.csv");
+    ASSERT_TRUE(reference) << reference.message();
     reference_ = *reference;
   }
 
@@ -63,9 +60,8 @@ class RecordedDesk : public testing::Test {
       PoseSample sample;
       sample.stamp_ns = trajectory_[i].stamp_ns;
       sample.T_odom_camera = trajectory_[i].T_world_camera;
-      std::string error;
-      const auto frame = builder.build(sample, &error);
-      EXPECT_TRUE(frame) << error;
+      const auto frame = builder.build(sample);
+      EXPECT_TRUE(frame) << frame.message();
       if (!frame) break;
       const DetectionFrame* seen = find_stamp(detections, frame->stamp_ns, kStampTolerance_ns);
       slam.process(*frame, seen != nullptr ? seen->detections : std::vector<Detection>{});

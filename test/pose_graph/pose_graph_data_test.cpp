@@ -14,6 +14,7 @@
 #include "semantic_topo_loop/pose_graph/pose_graph.h"
 #include "semantic_topo_loop/pose_graph/pose_graph_options.h"
 #include "support/random_motions.h"
+#include "support/test_files.h"
 #include "tools/evaluation/trajectory_evaluation.h"
 #include "tools/perturbation/perturbation.h"
 
@@ -27,7 +28,7 @@ struct Sequence {
   StampedPoses odometry, frames, ground_truth;
 };
 
-struct Result {
+struct Outcome {
   double ate_before_m = 0.0, ate_after_m = 0.0;
   int loops = 0, false_loops = 0, false_kept = 0, right_rejected = 0;
 };
@@ -40,12 +41,7 @@ class PoseGraphData : public ::testing::Test {
     data_ = data;
   }
 
-  StampedPoses read(const std::string& path) const {
-    std::string error;
-    const auto poses = read_tum_ground_truth(data_ + "/tum/" + path, &error);
-    EXPECT_TRUE(poses) << error;
-    return poses.value_or(StampedPoses());
-  }
+  StampedPoses read(const std::string& path) const { return checked(read_tum_ground_truth(data_ + "/tum/" + path)); }
   /// @param odometry a file of the sequence
   Sequence sequence(const std::string& name, const std::string& odometry) const {
     Sequence sequence{{}, {}, read(name + "/groundtruth.txt")};
@@ -64,9 +60,8 @@ class PoseGraphData : public ::testing::Test {
 };
 
 double ate_m(const StampedPoses& estimate, const StampedPoses& ground_truth) {
-  std::string error;
-  const auto evaluation = evaluate_trajectory(estimate, ground_truth, {}, &error);
-  EXPECT_TRUE(evaluation) << error;
+  const auto evaluation = evaluate_trajectory(estimate, ground_truth, {});
+  EXPECT_TRUE(evaluation) << evaluation.message();
   return evaluation ? evaluation->absolute_m.rmse : 1e9;
 }
 
@@ -92,14 +87,13 @@ class Simulation {
       PoseSample sample;
       sample.stamp_ns = pose.stamp_ns;
       sample.T_odom_camera = pose.T_world_camera;
-      std::string error;
-      const Frame frame = *builder.build(sample, &error);
+      const Frame frame = *builder.build(sample);
       if (frame.is_keyframe) keyframes.push_back({frame.keyframe_id, frame.frame_id, frame.stamp_ns, truth(frame)});
     }
     extra_loops_ = make_false_loops(keyframes, options, seed_);
   }
 
-  Result run() {
+  Outcome run() {
     FrameBuilder builder{KeyframeOptions(), Camera()};
     PoseGraph graph{PoseGraphOptions()};
     std::vector<Frame> frames;
@@ -107,8 +101,7 @@ class Simulation {
       PoseSample sample;
       sample.stamp_ns = pose.stamp_ns;
       sample.T_odom_camera = pose.T_world_camera;
-      std::string error;
-      frames.push_back(*builder.build(sample, &error));
+      frames.push_back(*builder.build(sample));
       std::vector<LoopClosure> loops;
       if (frames.back().is_keyframe) {
         if (const auto loop = make_loop(frames.back())) loops.push_back(*loop);
@@ -192,13 +185,13 @@ class Simulation {
   std::vector<Frame> keyframes_;
   std::map<std::pair<std::int64_t, std::int64_t>, bool> is_false_;
   std::vector<LoopClosure> extra_loops_;
-  Result result_;
+  Outcome result_;
 };
 
 TEST_F(PoseGraphData, OrbSlamTrajectoryIsNotMadeWorse) {
   const Sequence sequence = this->sequence("fr2_desk", "orbslam2_rgbd_trajectory.txt");
   for (std::uint64_t seed = 1; seed <= 5; ++seed) {
-    const Result result = Simulation(sequence, seed, 0.0).run();
+    const Outcome result = Simulation(sequence, seed, 0.0).run();
     EXPECT_GE(result.loops, 20);
     EXPECT_NEAR(result.ate_before_m, 0.0081, 0.0001);
     EXPECT_LE(result.ate_after_m, 0.0085) << seed;
@@ -214,7 +207,7 @@ TEST_F(PoseGraphData, DriftedOdometryGetsBetter) {
       for (const std::string model : {"smooth", "jump"}) {
         for (const std::uint64_t seed : {1, 2}) {
           const std::string file = "drifted/" + model + "_" + level + "_s" + std::to_string(seed) + ".txt";
-          const Result result = Simulation(sequence(name, file), seed, 0.0).run();
+          const Outcome result = Simulation(sequence(name, file), seed, 0.0).run();
           EXPECT_LT(result.ate_after_m, result.ate_before_m) << name << " " << file;
           log_sum += std::log(result.ate_before_m / result.ate_after_m);
           ++count;
@@ -226,11 +219,11 @@ TEST_F(PoseGraphData, DriftedOdometryGetsBetter) {
 }
 
 TEST_F(PoseGraphData, FalseLoopsAreRejected) {
-  Result sum;
+  Outcome sum;
   for (const std::string file :
        {"drifted/smooth_0.3m_5deg_s1.txt", "drifted/jump_1m_15deg_s1.txt", "drifted/smooth_2m_30deg_s2.txt"}) {
-    const Result clean = Simulation(sequence("fr2_desk", file), 3, 0.0).run();
-    const Result result = Simulation(sequence("fr2_desk", file), 3, 0.2).run();
+    const Outcome clean = Simulation(sequence("fr2_desk", file), 3, 0.0).run();
+    const Outcome result = Simulation(sequence("fr2_desk", file), 3, 0.2).run();
     EXPECT_LT(result.ate_after_m, 1.5 * clean.ate_after_m + 0.01) << file;
     sum.false_loops += result.false_loops;
     sum.false_kept += result.false_kept;
@@ -247,14 +240,14 @@ TEST_F(PoseGraphData, RandomAndCoherentFalseLoopsAreAllRejected) {
                                                        {"fr3_office", "drifted/jump_1m_15deg_s1.txt"}};
   for (const auto& [name, file] : cases) {
     const Sequence sequence = this->sequence(name, file);
-    const Result clean = Simulation(sequence, 3, 0.0).run();
+    const Outcome clean = Simulation(sequence, 3, 0.0).run();
     for (const int cluster : {1, 10}) {
       FalseLoopOptions options;
       options.cluster_size = cluster;
       options.count = cluster == 1 ? clean.loops : 3 * clean.loops / 10;
       Simulation simulation(sequence, 3, 0.0);
       simulation.add_false_loops(options);
-      const Result result = simulation.run();
+      const Outcome result = simulation.run();
       EXPECT_EQ(result.false_kept, 0) << name << " " << file << " clusters of " << cluster;
       EXPECT_LE(result.ate_after_m, 1.01 * clean.ate_after_m) << name << " " << file << " clusters of " << cluster;
     }

@@ -2,7 +2,7 @@
 
 #include <gtest/gtest.h>
 
-#include "semantic_topo_loop/io/options_yaml.h"
+#include "semantic_topo_loop/io/yaml_files.h"
 #include "support/test_files.h"
 
 namespace semantic_topo_loop {

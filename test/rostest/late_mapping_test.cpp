@@ -103,18 +103,17 @@ class LandmarkWatch {
 
 /// F of a run's confirmed objects against the simulation's truth.
 double object_f(const std::string& results, const std::string& data) {
-  std::string error;
-  const auto objects = core::read_objects(results + "/objects.csv", &error);
-  const auto references = core::read_reference_objects(data + "/reference_objects.csv", &error);
-  const auto estimate = core::read_tum_trajectory(results + "/trajectory.txt", &error);
-  const auto truth = core::read_tum_trajectory(data + "/groundtruth_frames.txt", &error);
+  const auto objects = core::read_objects(results + "/objects.csv");
+  const auto references = core::read_reference_objects(data + "/reference_objects.csv");
+  const auto estimate = core::read_tum_trajectory(results + "/trajectory.txt");
+  const auto truth = core::read_tum_trajectory(data + "/groundtruth_frames.txt");
   if (!objects || !references || !estimate || !truth) {
-    ADD_FAILURE() << error;
+    ADD_FAILURE() << objects.message() << references.message() << estimate.message() << truth.message();
     return 0.0;
   }
-  const auto trajectory = core::evaluate_trajectory(*estimate, *truth, {}, &error);
+  const auto trajectory = core::evaluate_trajectory(*estimate, *truth, {});
   if (!trajectory) {
-    ADD_FAILURE() << error;
+    ADD_FAILURE() << trajectory.message();
     return 0.0;
   }
   return core::evaluate_objects(*objects, *references, trajectory->alignment).certain.f();

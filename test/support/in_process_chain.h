@@ -11,8 +11,7 @@
 #include <mutex>
 #include <string>
 
-#include "semantic_topo_loop/io/camera_yaml.h"
-#include "semantic_topo_loop/io/class_table_yaml.h"
+#include "semantic_topo_loop/io/yaml_files.h"
 #include "support/test_files.h"
 #include "tools/simulation/sequence.h"
 
@@ -22,11 +21,11 @@ namespace semantic_topo_loop {
 inline void write_simulation(const std::map<std::string, std::string>& options, const std::string& directory) {
   const auto parsed = core::make_options<core::SimulationOptions>(options);
   ASSERT_TRUE(parsed) << parsed.message();
+  const auto camera = core::read_camera(STL_CONFIG_DIR "/camera/tum_fr2.yaml");
+  ASSERT_TRUE(camera) << camera.message();
+  const auto classes = core::read_class_table(STL_CONFIG_DIR "/classes_coco.yaml");
+  ASSERT_TRUE(classes) << classes.message();
   std::string error;
-  const auto camera = core::read_camera(STL_CONFIG_DIR "/camera/tum_fr2.yaml", &error);
-  ASSERT_TRUE(camera) << error;
-  const auto classes = core::read_class_table(STL_CONFIG_DIR "/classes_coco.yaml", &error);
-  ASSERT_TRUE(classes) << error;
   const auto sequence = core::simulate(*parsed, *camera, *classes, &error);
   ASSERT_TRUE(sequence) << error;
   ASSERT_TRUE(core::write_sequence(*sequence, *classes, directory, &error)) << error;

@@ -1,28 +1,15 @@
 #pragma once
 
-#include <gtest/gtest.h>
-
 #include <memory>
-#include <string>
 
-#include "semantic_topo_loop/io/camera_yaml.h"
-#include "semantic_topo_loop/io/class_table_yaml.h"
+#include "semantic_topo_loop/io/yaml_files.h"
+#include "support/test_files.h"
 
 namespace semantic_topo_loop::core {
 
-inline Camera camera_fr2() {
-  std::string error;
-  const auto camera = read_camera(STL_CONFIG_DIR "/camera/tum_fr2.yaml", &error);
-  EXPECT_TRUE(camera) << error;
-  return camera.value_or(Camera());
-}
+inline Camera camera_fr2() { return checked(read_camera(STL_CONFIG_DIR "/camera/tum_fr2.yaml")); }
 
-inline ClassTable coco() {
-  std::string error;
-  const auto classes = read_class_table(STL_CONFIG_DIR "/classes_coco.yaml", &error);
-  EXPECT_TRUE(classes) << error;
-  return classes.value_or(ClassTable());
-}
+inline ClassTable coco() { return checked(read_class_table(STL_CONFIG_DIR "/classes_coco.yaml")); }
 
 inline std::shared_ptr<const ClassTable> shared_coco() { return std::make_shared<const ClassTable>(coco()); }
 

@@ -183,7 +183,7 @@ inline RunOutcome run(const LoopOptions& options, const RunSetup& setup,
     sample.T_odom_camera = setup.T_odom_world * (drifted ? setup.drift * T_world_camera : T_world_camera);
     if (drifted) sample.T_odom_camera.t *= setup.drift_scale;
     sample.is_break = setup.drift_is_break && drifted && time_s < setup.drift_from_s + 0.1;
-    const auto frame = builder.build(sample, nullptr);
+    const auto frame = builder.build(sample);
     const std::int64_t first_id = drifted && !setup.same_ids ? 500 : 0;
     const AssociationFrame associations = observe(setup.desk, *frame, T_world_camera, first_id, random);
     const std::vector<LoopClosure> loops = detector.detect(*frame, associations);

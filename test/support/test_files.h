@@ -1,11 +1,15 @@
 #pragma once
 
+#include <gtest/gtest.h>
+
 #include <cstdlib>
 #include <filesystem>
 #include <fstream>
 #include <optional>
 #include <sstream>
 #include <string>
+
+#include "semantic_topo_loop/types/result.h"
 
 namespace semantic_topo_loop::core {
 
@@ -32,6 +36,13 @@ class TestDirectory {
  private:
   std::string path_;
 };
+
+/// The value of a result; without one a failure that says why, and an empty value.
+template <class Value>
+Value checked(const Result<Value>& result) {
+  EXPECT_TRUE(result) << result.message();
+  return result ? *result : Value();
+}
 
 inline std::string read_whole(const std::string& path) {
   std::ostringstream text;

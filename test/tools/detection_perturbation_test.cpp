@@ -5,8 +5,7 @@
 #include <cmath>
 #include <limits>
 
-#include "semantic_topo_loop/io/detection_reader.h"
-#include "semantic_topo_loop/io/detection_writer.h"
+#include "semantic_topo_loop/io/detection_file.h"
 #include "support/test_files.h"
 #include "support/test_fixtures.h"
 
@@ -39,8 +38,7 @@ std::vector<DetectionFrame> perturb(const PerturbationOptions& options, std::uin
 }
 
 std::string to_json(const TestDirectory& directory, const std::vector<DetectionFrame>& frames) {
-  std::string error;
-  EXPECT_TRUE(write_detections_json(directory.path("out.json"), frames, &error)) << error;
+  EXPECT_EQ(write_detections_json(directory.path("out.json"), frames).message(), "");
   return read_whole(directory.path("out.json"));
 }
 
@@ -156,19 +154,18 @@ TEST(DetectionPerturbation, ValuesOutOfRangeAreNamed) {
 TEST(DetectionPerturbation, RealDetectionsKeepTheirImages) {
   const auto path = shared_data("tum/fr2_desk/detections_yolov5.json");
   if (!path) GTEST_SKIP() << "SEMANTIC_TOPO_LOOP_DATA is not set";
-  std::string error;
-  DetectionReport report;
   const ClassTable classes = coco();
-  const auto frames = read_detections(*path, classes, &report, &error);
-  ASSERT_TRUE(frames) << error;
+  const auto recording = read_detections(*path, classes);
+  ASSERT_TRUE(recording) << recording.message();
+  const std::vector<DetectionFrame>& frames = recording->frames;
   PerturbationCounts counts;
-  const auto worse = perturb_detections(*frames, {0.3, 0.1, 0.03}, 1, &counts);
-  ASSERT_EQ(worse.size(), frames->size());
-  for (std::size_t i = 0; i < worse.size(); ++i) EXPECT_EQ(worse[i].stamp_ns, (*frames)[i].stamp_ns);
+  const auto worse = perturb_detections(frames, {0.3, 0.1, 0.03}, 1, &counts);
+  ASSERT_EQ(worse.size(), frames.size());
+  for (std::size_t i = 0; i < worse.size(); ++i) EXPECT_EQ(worse[i].stamp_ns, frames[i].stamp_ns);
   for (const DetectionFrame& frame : worse) {
     for (const Detection& detection : frame.detections) EXPECT_FALSE(validate(detection, classes));
   }
-  EXPECT_EQ(counts.boxes, report.detections);
+  EXPECT_EQ(counts.boxes, recording->report.detections);
   EXPECT_NEAR(counts.dropped / static_cast<double>(counts.boxes), 0.3, 0.02);
 }
 

@@ -10,7 +10,6 @@
 #include "semantic_topo_loop/geometry/lie.h"
 #include "semantic_topo_loop/io/text_file.h"
 #include "support/random_motions.h"
-#include "tools/g2o/graph_optimizer.h"
 
 namespace semantic_topo_loop::core {
 namespace {
@@ -20,13 +19,12 @@ constexpr char kUnit[] = " 1 0 0 0 0 0 1 0 0 0 0 1 0 0 0 1 0 0 1 0 1\n";
 class G2o : public ::testing::Test {
  protected:
   void TearDown() override { std::filesystem::remove(path_); }
-  std::optional<G2oGraph> read(const std::string& text) {
-    EXPECT_TRUE(write_text_file(path_, text, &error_)) << error_;
-    return read_g2o(path_, &refusals_, &error_);
+  Result<G2oGraph> read(const std::string& text) {
+    EXPECT_EQ(write_text_file(path_, text).message(), "");
+    return read_g2o(path_, &refusals_);
   }
 
   std::string path_ = (std::filesystem::temp_directory_path() / "semantic_topo_loop_g2o_test.g2o").string();
-  std::string error_;
   G2oRefusals refusals_;
 };
 
@@ -59,9 +57,9 @@ G2oGraph ring(int size, double noise_m, double noise_rad, std::uint64_t seed) {
 TEST_F(G2o, WhatIsWrittenIsReadBack) {
   G2oGraph graph = ring(10, 0.1, 0.1, 1);
   graph.vertices[3].is_fixed = true;
-  ASSERT_TRUE(write_g2o(path_, graph, &error_)) << error_;
-  const auto read = read_g2o(path_, &refusals_, &error_);
-  ASSERT_TRUE(read) << error_;
+  ASSERT_EQ(write_g2o(path_, graph).message(), "");
+  const auto read = read_g2o(path_, &refusals_);
+  ASSERT_TRUE(read) << read.message();
   EXPECT_TRUE(refusals_.empty());
   ASSERT_EQ(read->vertices.size(), 10U);
   ASSERT_EQ(read->edges.size(), 20U);
@@ -78,12 +76,12 @@ TEST_F(G2o, WhatIsWrittenIsReadBack) {
 TEST_F(G2o, PlanarGraphsKeepTheirAngles) {
   const std::string text = "VERTEX_SE2 0 0 0 0\nVERTEX_SE2 1 1 0 1.5\nEDGE_SE2 0 1 1 0 1.5 10 1 2 20 3 30\n";
   const auto graph = read(text);
-  ASSERT_TRUE(graph) << error_;
+  ASSERT_TRUE(graph) << graph.message();
   EXPECT_TRUE(graph->is_planar);
   EXPECT_EQ(graph->edges[0].information(1, 5), 3.0);
   EXPECT_EQ(graph->edges[0].information(5, 5), 30.0);
-  ASSERT_TRUE(write_g2o(path_, *graph, &error_));
-  const auto again = read_g2o(path_, &refusals_, &error_);
+  ASSERT_TRUE(write_g2o(path_, *graph));
+  const auto again = read_g2o(path_, &refusals_);
   ASSERT_TRUE(again);
   EXPECT_NEAR(2.0 * std::atan2(again->vertices[1].T_world_vertex.q.z(), again->vertices[1].T_world_vertex.q.w()), 1.5,
               1e-12);
@@ -101,7 +99,7 @@ TEST_F(G2o, BadLinesAreNamedAndTheRestIsRead) {
                           ("EDGE_SE3:QUAT 1 1" + edge + kUnit) +   // 9: itself
                           "EDGE_SE3:QUAT 0 1" + edge + " -1 0 0 0 0 0 1 0 0 0 0 1 0 0 0 1 0 0 1 0 1\n" +        // 10
                           "EDGE_POINT 0 1 2\nFIX 7\nFIX x\n" + "EDGE_SE3:QUAT 1 0 1e308 0 0 0 0 0 1" + kUnit);  // 14
-  ASSERT_TRUE(graph) << error_;
+  ASSERT_TRUE(graph) << graph.message();
   EXPECT_EQ(graph->vertices.size(), 2U);
   ASSERT_EQ(graph->edges.size(), 1U);
   std::string all;
@@ -117,16 +115,15 @@ TEST_F(G2o, BadLinesAreNamedAndTheRestIsRead) {
 }
 
 TEST_F(G2o, FilesWithoutAnyEdgeOrOfBothKindsAreErrors) {
-  EXPECT_FALSE(read("VERTEX_SE2 0 0 0 0\n"));
-  EXPECT_NE(error_.find("no usable edge"), std::string::npos);
-  EXPECT_FALSE(read("VERTEX_SE2 0 0 0 0\nVERTEX_SE3:QUAT 1 1 0 0 0 0 0 1\n"));
-  EXPECT_NE(error_.find("both SE2 and SE3"), std::string::npos);
-  EXPECT_FALSE(read_g2o(path_ + ".none", nullptr, &error_));
+  EXPECT_NE(read("VERTEX_SE2 0 0 0 0\n").message().find("no usable edge"), std::string::npos);
+  EXPECT_NE(read("VERTEX_SE2 0 0 0 0\nVERTEX_SE3:QUAT 1 1 0 0 0 0 0 1\n").message().find("both SE2 and SE3"),
+            std::string::npos);
+  EXPECT_FALSE(read_g2o(path_ + ".none", nullptr));
 }
 
 TEST_F(G2o, EdgesAlonePlaceTheirVertices) {
   const auto graph = read("EDGE_SE2 0 1 1 0 0 1 0 0 1 0 1\nEDGE_SE2 1 2 1 0 0 1 0 0 1 0 1\n");
-  ASSERT_TRUE(graph) << error_;
+  ASSERT_TRUE(graph) << graph.message();
   ASSERT_EQ(graph->vertices.size(), 3U);
   EXPECT_DOUBLE_EQ(graph->vertices[2].T_world_vertex.t.x(), 2.0);
 }
@@ -155,13 +152,12 @@ TEST(OptimizeGraph, EveryGuessLeadsToTheSameMinimum) {
     G2oGraph solved = graph;
     GraphOptimizerOptions options;
     options.initial = initial;
-    GraphOptimizerReport report;
-    std::string error;
-    ASSERT_TRUE(optimize_graph(&solved, options, &report, &error)) << error;
-    EXPECT_GT(report.final_chi2, 0.0);
-    EXPECT_LE(report.final_chi2, report.initial_chi2);
-    if (initial == "file") chi2 = report.final_chi2;
-    EXPECT_NEAR(report.final_chi2, chi2, 1e-3 * chi2) << initial;
+    const auto report = optimize_graph(&solved, options);
+    ASSERT_TRUE(report) << report.message();
+    EXPECT_GT(report->final_chi2, 0.0);
+    EXPECT_LE(report->final_chi2, report->initial_chi2);
+    if (initial == "file") chi2 = report->final_chi2;
+    EXPECT_NEAR(report->final_chi2, chi2, 1e-3 * chi2) << initial;
     EXPECT_EQ(solved.vertices[0].T_world_vertex.t, graph.vertices[0].T_world_vertex.t);
   }
 }
@@ -172,10 +168,9 @@ TEST(OptimizeGraph, AWrongGuessInTheFileDoesNotMatter) {
   for (std::size_t i = 1; i < graph.vertices.size(); ++i) {
     graph.vertices[i].T_world_vertex = SE3(random.rotation(), 5.0 * random.normal3());
   }
-  GraphOptimizerReport report;
-  std::string error;
-  ASSERT_TRUE(optimize_graph(&graph, {}, &report, &error)) << error;
-  EXPECT_LT(report.final_chi2, 1e-6);
+  const auto report = optimize_graph(&graph, {});
+  ASSERT_TRUE(report) << report.message();
+  EXPECT_LT(report->final_chi2, 1e-6);
 }
 
 TEST(OptimizeGraph, AScrambledGuessReachesTheMinimumOfAGoodOne) {
@@ -186,12 +181,12 @@ TEST(OptimizeGraph, AScrambledGuessReachesTheMinimumOfAGoodOne) {
     for (G2oVertex& vertex : scrambled.vertices) {
       if (random.chance(0.5)) vertex.T_world_vertex = SE3(random.rotation(), 5.0 * random.normal3());
     }
-    GraphOptimizerReport from_good, from_scrambled;
-    std::string error;
-    ASSERT_TRUE(optimize_graph(&good, {}, &from_good, &error)) << error;
-    ASSERT_TRUE(optimize_graph(&scrambled, {}, &from_scrambled, &error)) << error;
-    EXPECT_GT(from_scrambled.initial_chi2, 100.0 * from_scrambled.final_chi2);
-    EXPECT_NEAR(from_scrambled.final_chi2, from_good.final_chi2, 1e-3 * from_good.final_chi2) << noise;
+    const auto from_good = optimize_graph(&good, {});
+    ASSERT_TRUE(from_good) << from_good.message();
+    const auto from_scrambled = optimize_graph(&scrambled, {});
+    ASSERT_TRUE(from_scrambled) << from_scrambled.message();
+    EXPECT_GT(from_scrambled->initial_chi2, 100.0 * from_scrambled->final_chi2);
+    EXPECT_NEAR(from_scrambled->final_chi2, from_good->final_chi2, 1e-3 * from_good->final_chi2) << noise;
   }
 }
 
@@ -200,15 +195,15 @@ TEST_F(G2o, TheRestOfABadFileIsOptimised) {
   auto graph = read("VERTEX_SE3:QUAT 0 0 0 0 0 0 0 1\nVERTEX_SE3:QUAT 1 5 0 0 0 0 0 1\n" + (x + kUnit) + (y + kUnit) +
                     "EDGE_SE3:QUAT 0 1 9 0 0 0 0 0 1 nan 0 0 0 0 0 1 0 0 0 0 1 0 0 0 1 0 0 1 0 1\n" +
                     ("EDGE_SE3:QUAT 0 7 9 0 0 0 0 0 1" + std::string(kUnit)));
-  ASSERT_TRUE(graph) << error_;
+  ASSERT_TRUE(graph) << graph.message();
   ASSERT_EQ(refusals_.size(), 2U);
   EXPECT_NE(refusals_[0].find("EDGE_SE3:QUAT 0 1: 'nan'"), std::string::npos) << refusals_[0];
   EXPECT_NE(refusals_[1].find("edge 0 7 leads to the unknown vertex 7"), std::string::npos) << refusals_[1];
-  GraphOptimizerReport report;
-  ASSERT_TRUE(optimize_graph(&*graph, {}, &report, &error_)) << error_;
+  const auto report = optimize_graph(&*graph, {});
+  ASSERT_TRUE(report) << report.message();
   EXPECT_NEAR(graph->vertices[1].T_world_vertex.t.x(), 1.1, 1e-9);
-  EXPECT_NEAR(report.final_chi2, 0.02, 1e-9);
-  EXPECT_NEAR(report.final_cost, 0.01, 1e-9);
+  EXPECT_NEAR(report->final_chi2, 0.02, 1e-9);
+  EXPECT_NEAR(report->final_cost, 0.01, 1e-9);
 }
 
 TEST(OptimizeGraph, PartsThatNothingJoinsAreSolvedEach) {
@@ -226,11 +221,10 @@ TEST(OptimizeGraph, PartsThatNothingJoinsAreSolvedEach) {
   }
   graph.vertices.push_back({500, SE3(), false});
   const G2oGraph before = graph;
-  GraphOptimizerReport report;
-  std::string error;
-  ASSERT_TRUE(optimize_graph(&graph, {}, &report, &error)) << error;
-  EXPECT_EQ(report.components, 3);
-  EXPECT_LT(report.final_chi2, report.initial_chi2);
+  const auto report = optimize_graph(&graph, {});
+  ASSERT_TRUE(report) << report.message();
+  EXPECT_EQ(report->components, 3);
+  EXPECT_LT(report->final_chi2, report->initial_chi2);
   EXPECT_EQ(graph.vertices[0].T_world_vertex.t, before.vertices[0].T_world_vertex.t);
   EXPECT_EQ(graph.vertices[24].T_world_vertex.t, before.vertices[24].T_world_vertex.t) << "fixed";
   EXPECT_NE(graph.vertices[20].T_world_vertex.t, before.vertices[20].T_world_vertex.t);
@@ -242,27 +236,27 @@ TEST(OptimizeGraph, APartThatCannotBeSolvedIsNamedAndTheRestIsOptimised) {
     G2oGraph graph = good, alone = good;
     GraphOptimizerOptions options;
     options.robust = robust;
-    GraphOptimizerReport report, report_alone;
-    std::string error;
-    ASSERT_TRUE(optimize_graph(&alone, options, &report_alone, &error)) << error;
+    const auto report_alone = optimize_graph(&alone, options);
+    ASSERT_TRUE(report_alone) << report_alone.message();
     for (const std::int64_t id : {100, 101}) graph.vertices.push_back({id, SE3(), false});
     G2oEdge edge = graph.edges.front();
     edge.from = 100;
     edge.to = 101;
     edge.T_from_to.t.x() = std::numeric_limits<double>::quiet_NaN();
     graph.edges.push_back(edge);
-    ASSERT_TRUE(optimize_graph(&graph, options, &report, &error)) << error;
-    ASSERT_EQ(report.unsolved.size(), 1U) << robust;
-    EXPECT_NE(report.unsolved[0].find("the part of vertex 100"), std::string::npos) << report.unsolved[0];
-    EXPECT_EQ(report.final_chi2, report_alone.final_chi2);
-    EXPECT_EQ(report.initial_chi2, report_alone.initial_chi2);
+    const auto report = optimize_graph(&graph, options);
+    ASSERT_TRUE(report) << report.message();
+    ASSERT_EQ(report->unsolved.size(), 1U) << robust;
+    EXPECT_NE(report->unsolved[0].find("the part of vertex 100"), std::string::npos) << report->unsolved[0];
+    EXPECT_EQ(report->final_chi2, report_alone->final_chi2);
+    EXPECT_EQ(report->initial_chi2, report_alone->initial_chi2);
     for (std::size_t i = 0; i < 20; ++i) {
       EXPECT_EQ(graph.vertices[i].T_world_vertex.t, alone.vertices[i].T_world_vertex.t) << i;
     }
     EXPECT_EQ(graph.vertices[21].T_world_vertex.t, Vec3(Vec3::Zero()));
     graph.vertices.erase(graph.vertices.begin(), graph.vertices.begin() + 20);
     graph.edges.erase(graph.edges.begin(), graph.edges.end() - 1);
-    EXPECT_FALSE(optimize_graph(&graph, options, &report, &error)) << "nothing is left";
+    EXPECT_FALSE(optimize_graph(&graph, options)) << "nothing is left";
   }
 }
 
@@ -276,22 +270,19 @@ TEST(OptimizeGraph, GncNamesTheOutliers) {
   for (G2oEdge& edge : graph.edges) edge.information *= 100.0;  // a sigma of 1 cm
   GraphOptimizerOptions options;
   options.robust = "gnc";
-  GraphOptimizerReport report;
-  std::string error;
-  ASSERT_TRUE(optimize_graph(&graph, options, &report, &error)) << error;
-  ASSERT_EQ(report.outliers.size(), 1U);
-  EXPECT_EQ(report.outliers[0]->from, 5);
-  EXPECT_EQ(report.outliers[0]->to, 25);
+  const auto report = optimize_graph(&graph, options);
+  ASSERT_TRUE(report) << report.message();
+  ASSERT_EQ(report->outliers.size(), 1U);
+  EXPECT_EQ(report->outliers[0]->from, 5);
+  EXPECT_EQ(report->outliers[0]->to, 25);
 }
 
 TEST(OptimizeGraph, WrongOptionsAreNamed) {
   G2oGraph graph = ring(10, 0.01, 0.01, 7);
   GraphOptimizerOptions options;
   options.initial = "guess";
-  GraphOptimizerReport report;
-  std::string error;
-  EXPECT_FALSE(optimize_graph(&graph, options, &report, &error));
-  EXPECT_EQ(error, "parameter 'initial' = 'guess' must be file, odometry, spanning_tree or chordal");
+  EXPECT_EQ(optimize_graph(&graph, options).message(),
+            "parameter 'initial' = 'guess' must be file, odometry, spanning_tree or chordal");
 }
 
 TEST(OptimizeGraph, KnownMinimaOfPublicGraphs) {
@@ -299,12 +290,11 @@ TEST(OptimizeGraph, KnownMinimaOfPublicGraphs) {
   if (data == nullptr) GTEST_SKIP() << "set SEMANTIC_TOPO_LOOP_DATA to the shared data to run this test";
   const std::pair<const char*, double> known[] = {{"sphere2500", 727.15}, {"parking-garage", 1.2387}};
   for (const auto& [name, chi2] : known) {
-    std::string error;
-    auto graph = read_g2o(std::string(data) + "/pose_graphs/" + name + ".g2o", nullptr, &error);
-    ASSERT_TRUE(graph) << error;
-    GraphOptimizerReport report;
-    ASSERT_TRUE(optimize_graph(&*graph, {}, &report, &error)) << error;
-    EXPECT_LE(report.final_chi2, 1.01 * chi2) << name;
+    auto graph = read_g2o(std::string(data) + "/pose_graphs/" + name + ".g2o", nullptr);
+    ASSERT_TRUE(graph) << graph.message();
+    const auto report = optimize_graph(&*graph, {});
+    ASSERT_TRUE(report) << report.message();
+    EXPECT_LE(report->final_chi2, 1.01 * chi2) << name;
   }
 }
 

@@ -44,10 +44,7 @@ LoopRecord make_loop(const StampedPoses& truth, int query, int match, double err
 
 std::vector<JudgedLoop> judge(const std::vector<LoopRecord>& loops, const StampedPoses& frames,
                               const TruePoses& truth) {
-  std::string error;
-  const auto judged = judge_loops(loops, frames, truth, &error);
-  EXPECT_TRUE(judged) << error;
-  return judged.value_or(std::vector<JudgedLoop>());
+  return checked(judge_loops(loops, frames, truth));
 }
 
 LoopEvaluation evaluate(const std::vector<LoopRecord>& loops, const StampedPoses& frames,
@@ -186,29 +183,24 @@ TEST(LoopEvaluation, HolesDoNotEndARevisit) {
 TEST(LoopEvaluation, LoopsOfAnotherRunAreAnError) {
   const StampedPoses frames = visit_twice();
   const TruePoses truth(frames, {}, 0.1);
-  std::string error;
   LoopRecord loop = make_loop(frames, 2100, 100);
   loop.query_end = 3000;
-  EXPECT_FALSE(judge_loops({loop}, frames, truth, &error));
-  EXPECT_EQ(error, "a loop names frame 3000, but the run has 3000");
+  EXPECT_EQ(judge_loops({loop}, frames, truth).message(), "a loop names frame 3000, but the run has 3000");
   loop = make_loop(frames, 2100, 100);
   loop.query_stamp_ns += 1;
-  EXPECT_FALSE(judge_loops({loop}, frames, truth, &error));
-  EXPECT_NE(error.find("the stamps of loop 2100 - 100"), std::string::npos);
+  EXPECT_NE(judge_loops({loop}, frames, truth).message().find("the stamps of loop 2100 - 100"), std::string::npos);
   StampedPoses other = frames;
   for (StampedPose& pose : other) pose.stamp_ns += 1000000000000;
-  EXPECT_FALSE(judge_loops({}, frames, TruePoses(other, {}, 0.1), &error));
-  EXPECT_NE(error.find("no stamp in common"), std::string::npos);
+  EXPECT_NE(judge_loops({}, frames, TruePoses(other, {}, 0.1)).message().find("no stamp in common"), std::string::npos);
 }
 
 TEST(LoopEvaluation, HolesOfTheSharedMocap) {
   const auto frames = shared_data("tum/fr2_desk/groundtruth_frames.txt");
   const auto mocap = shared_data("tum/fr2_desk/groundtruth.txt");
   if (!frames || !mocap) GTEST_SKIP() << "SEMANTIC_TOPO_LOOP_DATA is not set";
-  std::string error;
-  const auto truth = read_tum_ground_truth(*frames, &error);
-  const auto holes = read_tum_ground_truth(*mocap, &error);
-  ASSERT_TRUE(truth && holes) << error;
+  const auto truth = read_tum_ground_truth(*frames);
+  const auto holes = read_tum_ground_truth(*mocap);
+  ASSERT_TRUE(truth && holes) << truth.message() << holes.message();
   // A loop from every frame to itself: those in holes are not judged. shared/README.md speaks of 671 filled frames.
   std::vector<LoopRecord> loops;
   for (int i = 0; i < static_cast<int>(truth->size()); ++i) loops.push_back(make_loop(*truth, i, i));

@@ -60,9 +60,8 @@ TEST_F(PerturbProgram, FalseLoopsAreASeededShareOfTheRightOnes) {
   directory_.write("run/loops.csv", loops);
   ASSERT_EQ(run("loops @run @false.csv --seed 3 --share 0.5 --cluster 5 --distance 2"), 0) << err_;
   EXPECT_EQ(out_, "10 accepted loops, 5 wrong ones written\n");
-  std::string error;
-  const auto wrong = read_given_loops(directory_.path("false.csv"), &error);
-  ASSERT_TRUE(wrong) << error;
+  const auto wrong = read_given_loops(directory_.path("false.csv"));
+  ASSERT_TRUE(wrong) << wrong.message();
   ASSERT_EQ(wrong->size(), 5U);
   for (const LoopClosure& loop : *wrong) {
     EXPECT_TRUE(loop.accepted);

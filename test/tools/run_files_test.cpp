@@ -9,11 +9,13 @@ namespace {
 
 class RunFiles : public ::testing::Test {
  protected:
-  void expect_error(const std::string& message) const { EXPECT_EQ(error_, directory_.path("f.csv") + message); }
+  template <class Rows>
+  void expect_error(const Result<Rows>& rows, const std::string& message) const {
+    EXPECT_EQ(rows.message(), directory_.path("f.csv") + message);
+  }
   std::string write(const std::string& text) { return directory_.write("f.csv", text); }
 
   TestDirectory directory_;
-  std::string error_;
 };
 
 constexpr const char* kObjects = "id,class_id,label,x,y,z,a,b,c,state,observations\n";
@@ -22,9 +24,8 @@ constexpr const char* kLoops =
     "x,y,z,qx,qy,qz,qw\n";
 
 TEST_F(RunFiles, Objects) {
-  const auto objects =
-      read_objects(write(std::string(kObjects) + "7,41,cup,1,2,3,0.1,0.2,0.3,confirmed,12\n"), &error_);
-  ASSERT_TRUE(objects) << error_;
+  const auto objects = read_objects(write(std::string(kObjects) + "7,41,cup,1,2,3,0.1,0.2,0.3,confirmed,12\n"));
+  ASSERT_TRUE(objects) << objects.message();
   ASSERT_EQ(objects->size(), 1u);
   EXPECT_EQ(objects->at(0).id, 7);
   EXPECT_EQ(objects->at(0).class_id, 41);
@@ -32,32 +33,28 @@ TEST_F(RunFiles, Objects) {
   EXPECT_EQ(objects->at(0).center, Vec3(1.0, 2.0, 3.0));
   EXPECT_EQ(objects->at(0).semi_axes, Vec3(0.1, 0.2, 0.3));
   EXPECT_EQ(objects->at(0).observations, 12);
-  EXPECT_TRUE(read_objects(write(kObjects), &error_)->empty());
+  EXPECT_TRUE(read_objects(write(kObjects))->empty());
 }
 
 TEST_F(RunFiles, ObjectErrors) {
-  EXPECT_FALSE(read_objects(write(std::string(kObjects) + "7,41,cup,1,2,nan,0.1,0.2,0.3,confirmed,12\n"), &error_));
-  expect_error(":2: z = 'nan' is no finite number");
-  EXPECT_FALSE(read_objects(write(std::string(kObjects) + "7,41,cup,1,2,3,0.1,0.2,0.3,gone,12\n"), &error_));
-  expect_error(":2: state = 'gone' must be candidate, confirmed or retired");
-  EXPECT_FALSE(read_objects(write(std::string(kObjects) + "7.5,41,cup,1,2,3,0.1,0.2,0.3,confirmed,12\n"), &error_));
-  expect_error(":2: id = '7.5' is no integer");
-  EXPECT_FALSE(read_objects(write(std::string(kObjects) + "7,41\n"), &error_));
-  expect_error(":2: 2 fields instead of 11");
-  EXPECT_FALSE(read_objects(write("id,class_id\n7,41\n"), &error_));
-  expect_error(": column 'label' is missing");
-  EXPECT_FALSE(read_objects(write("id,id\n7,41\n"), &error_));
-  expect_error(":1: column 'id' is there twice");
-  EXPECT_FALSE(read_objects(write(""), &error_));
-  expect_error(": the file is empty");
-  EXPECT_FALSE(read_objects(directory_.path("none.csv"), &error_));
-  EXPECT_EQ(error_, directory_.path("none.csv") + ": cannot open the file");
+  expect_error(read_objects(write(std::string(kObjects) + "7,41,cup,1,2,nan,0.1,0.2,0.3,confirmed,12\n")),
+               ":2: z = 'nan' is no finite number");
+  expect_error(read_objects(write(std::string(kObjects) + "7,41,cup,1,2,3,0.1,0.2,0.3,gone,12\n")),
+               ":2: state = 'gone' must be candidate, confirmed or retired");
+  expect_error(read_objects(write(std::string(kObjects) + "7.5,41,cup,1,2,3,0.1,0.2,0.3,confirmed,12\n")),
+               ":2: id = '7.5' is no integer");
+  expect_error(read_objects(write(std::string(kObjects) + "7,41\n")), ":2: 2 fields instead of 11");
+  expect_error(read_objects(write("id,class_id\n7,41\n")), ": column 'label' is missing");
+  expect_error(read_objects(write("id,id\n7,41\n")), ":1: column 'id' is there twice");
+  expect_error(read_objects(write("")), ": the file is empty");
+  EXPECT_EQ(read_objects(directory_.path("none.csv")).message(),
+            directory_.path("none.csv") + ": cannot open the file");
 }
 
 TEST_F(RunFiles, Loops) {
   const auto loops =
-      read_loops(write(std::string(kLoops) + "9,2,1.000000,0.500000,8,9,1,3,1,accepted,7.5,1,2,3,0,0,0,1\n"), &error_);
-  ASSERT_TRUE(loops) << error_;
+      read_loops(write(std::string(kLoops) + "9,2,1.000000,0.500000,8,9,1,3,1,accepted,7.5,1,2,3,0,0,0,1\n"));
+  ASSERT_TRUE(loops) << loops.message();
   ASSERT_EQ(loops->size(), 1u);
   EXPECT_EQ(loops->at(0).query_stamp_ns, 1000000000);
   EXPECT_EQ(loops->at(0).match_end, 3);
@@ -67,15 +64,14 @@ TEST_F(RunFiles, Loops) {
 }
 
 TEST_F(RunFiles, LoopErrors) {
-  EXPECT_FALSE(
-      read_loops(write(std::string(kLoops) + "9,2,1.0,0.5,8,9,1,3,yes,accepted,7.5,1,2,3,0,0,0,1\n"), &error_));
-  expect_error(":2: accepted = 'yes' is no integer");
-  EXPECT_FALSE(read_loops(write(std::string(kLoops) + "9,2,1.0,0.5,8,9,1,3,2,accepted,7.5,1,2,3,0,0,0,1\n"), &error_));
-  expect_error(":2: accepted = '2' must be 0 or 1");
-  EXPECT_FALSE(read_loops(write(std::string(kLoops) + "9,2,1.0,0.5,8,9,1,3,1,accepted,7.5,1,2,3,0,0,0,2\n"), &error_));
-  expect_error(":2: qw = '2' is part of a quaternion that is no rotation");
-  EXPECT_FALSE(read_loops(write(std::string(kLoops) + "9,2,then,0.5,8,9,1,3,1,accepted,7.5,1,2,3,0,0,0,1\n"), &error_));
-  expect_error(":2: query_stamp = 'then' is no stamp in seconds");
+  expect_error(read_loops(write(std::string(kLoops) + "9,2,1.0,0.5,8,9,1,3,yes,accepted,7.5,1,2,3,0,0,0,1\n")),
+               ":2: accepted = 'yes' is no integer");
+  expect_error(read_loops(write(std::string(kLoops) + "9,2,1.0,0.5,8,9,1,3,2,accepted,7.5,1,2,3,0,0,0,1\n")),
+               ":2: accepted = '2' must be 0 or 1");
+  expect_error(read_loops(write(std::string(kLoops) + "9,2,1.0,0.5,8,9,1,3,1,accepted,7.5,1,2,3,0,0,0,2\n")),
+               ":2: qw = '2' is part of a quaternion that is no rotation");
+  expect_error(read_loops(write(std::string(kLoops) + "9,2,then,0.5,8,9,1,3,1,accepted,7.5,1,2,3,0,0,0,1\n")),
+               ":2: query_stamp = 'then' is no stamp in seconds");
 }
 
 TEST_F(RunFiles, SightingsAreThoseOfConfirmedObjects) {
@@ -84,23 +80,25 @@ TEST_F(RunFiles, SightingsAreThoseOfConfirmedObjects) {
                                       "8,41,cup,1,2,3,0.1,0.1,0.1,candidate,9\n");
   const std::string header = "frame_id,detection_index,landmark_id,level\n";
   directory_.write("associations.csv", header + "0,0,7,joint\n0,1,8,joint\n1,0,9,joint\n1,1,-1,ignored\n");
-  const auto sightings = read_sightings(directory_.path("."), &error_);
-  ASSERT_TRUE(sightings) << error_;
+  const auto sightings = read_sightings(directory_.path("."));
+  ASSERT_TRUE(sightings) << sightings.message();
   EXPECT_EQ(*sightings, (Sightings{{1000000000, {7}}}));
   directory_.write("associations.csv", header + "2,0,7,joint\n");
-  EXPECT_FALSE(read_sightings(directory_.path("."), &error_));
-  EXPECT_NE(error_.find("associations.csv:2: frame_id = '2' is no frame of trajectory.txt"), std::string::npos);
+  EXPECT_NE(read_sightings(directory_.path("."))
+                .message()
+                .find("associations.csv:2: frame_id = '2' is no frame of trajectory.txt"),
+            std::string::npos);
 }
 
 TEST_F(RunFiles, KeyframeStamps) {
-  const auto stamps = read_keyframe_stamps(write("keyframe_id,frame_id,stamp\n0,3,1.5\n1,9,2.25\n"), &error_);
-  ASSERT_TRUE(stamps) << error_;
+  const auto stamps = read_keyframe_stamps(write("keyframe_id,frame_id,stamp\n0,3,1.5\n1,9,2.25\n"));
+  ASSERT_TRUE(stamps) << stamps.message();
   EXPECT_EQ(*stamps, (std::vector<std::int64_t>{1500000000, 2250000000}));
 }
 
 TEST_F(RunFiles, ReferenceObjectsOfFr2Desk) {
-  const auto objects = read_reference_objects(std::string(STL_TEST_DATA_DIR) + "/reference_objects.csv", &error_);
-  ASSERT_TRUE(objects) << error_;
+  const auto objects = read_reference_objects(std::string(STL_TEST_DATA_DIR) + "/reference_objects.csv");
+  ASSERT_TRUE(objects) << objects.message();
   ASSERT_EQ(objects->size(), 27u);
   int certain = 0, probable = 0;
   for (const ReferenceObject& object : *objects) {
@@ -115,9 +113,8 @@ TEST_F(RunFiles, ReferenceObjectsOfFr2Desk) {
 }
 
 TEST_F(RunFiles, ReferenceErrors) {
-  EXPECT_FALSE(read_reference_objects(write("id,label_id,label,x,y,z,a,b,c,certainty\n0,41,cup,1,2,3,1,1,1,perhaps\n"),
-                                      &error_));
-  expect_error(":2: certainty = 'perhaps' must be certain, probable or marginal");
+  expect_error(read_reference_objects(write("id,label_id,label,x,y,z,a,b,c,certainty\n0,41,cup,1,2,3,1,1,1,perhaps\n")),
+               ":2: certainty = 'perhaps' must be certain, probable or marginal");
 }
 
 }  // namespace

@@ -1,9 +1,9 @@
 #include "tools/simulation/sequence.h"
 
 #include "semantic_topo_loop/geometry/lie.h"
-#include "semantic_topo_loop/io/detection_reader.h"
-#include "semantic_topo_loop/io/options_yaml.h"
+#include "semantic_topo_loop/io/detection_file.h"
 #include "semantic_topo_loop/io/tum_trajectory.h"
+#include "semantic_topo_loop/io/yaml_files.h"
 #include "support/test_files.h"
 #include "support/test_fixtures.h"
 
@@ -54,33 +54,33 @@ TEST_F(SequenceTest, files_read_back) {
   const SimulatedSequence sequence = simulate_fr2({{"trajectory.duration_s", "3"}});
   const std::string path = write("a", {{"trajectory.duration_s", "3"}});
   std::string error;
-  const auto odometry = read_tum_trajectory(path + "/odometry.txt", &error);
-  ASSERT_TRUE(odometry) << error;
+  const auto odometry = read_tum_trajectory(path + "/odometry.txt");
+  ASSERT_TRUE(odometry) << odometry.message();
   ASSERT_EQ(odometry->size(), 90u);
   EXPECT_EQ(odometry->back().stamp_ns, sequence.odometry.back().stamp_ns);
   EXPECT_LT((odometry->back().T_world_camera.t - sequence.odometry.back().T_world_camera.t).norm(), 1e-8);
-  const auto mocap = read_tum_trajectory(path + "/groundtruth.txt", &error);
-  ASSERT_TRUE(mocap) << error;
+  const auto mocap = read_tum_trajectory(path + "/groundtruth.txt");
+  ASSERT_TRUE(mocap) << mocap.message();
   EXPECT_EQ((*mocap)[1].stamp_ns - (*mocap)[0].stamp_ns, 10000000);
   EXPECT_LT(mocap->front().stamp_ns, odometry->front().stamp_ns);
   EXPECT_GT(mocap->back().stamp_ns, odometry->back().stamp_ns);
-  const auto camera = read_camera(path + "/camera.yaml", &error);
-  ASSERT_TRUE(camera) << error;
+  const auto camera = read_camera(path + "/camera.yaml");
+  ASSERT_TRUE(camera) << camera.message();
   EXPECT_EQ(camera->fx, sequence.camera.fx);
   EXPECT_EQ(camera->distortion, sequence.camera.distortion);
 
-  DetectionReport report;
-  const auto detections = read_detections(path + "/detections.json", coco(), &report, &error);
-  ASSERT_TRUE(detections) << error;
-  EXPECT_TRUE(report.warnings().empty());
-  ASSERT_EQ(detections->size(), 90u);
-  for (std::size_t i = 0; i < detections->size(); ++i) {
-    EXPECT_EQ((*detections)[i].stamp_ns, sequence.truth[i].stamp_ns);
-    ASSERT_EQ((*detections)[i].detections.size(), sequence.detections[i].size());
+  const auto recording = read_detections(path + "/detections.json", coco());
+  ASSERT_TRUE(recording) << recording.message();
+  EXPECT_TRUE(recording->report.warnings().empty());
+  const std::vector<DetectionFrame>& detections = recording->frames;
+  ASSERT_EQ(detections.size(), 90u);
+  for (std::size_t i = 0; i < detections.size(); ++i) {
+    EXPECT_EQ(detections[i].stamp_ns, sequence.truth[i].stamp_ns);
+    ASSERT_EQ(detections[i].detections.size(), sequence.detections[i].size());
     for (std::size_t k = 0; k < sequence.detections[i].size(); ++k) {
       const Detection& expected = sequence.detections[i][k].detection;
-      EXPECT_EQ((*detections)[i].detections[k].class_id, expected.class_id);
-      EXPECT_LT(((*detections)[i].detections[k].box.edges() - expected.box.edges()).norm(), 1e-3);
+      EXPECT_EQ(detections[i].detections[k].class_id, expected.class_id);
+      EXPECT_LT((detections[i].detections[k].box.edges() - expected.box.edges()).norm(), 1e-3);
     }
   }
 }

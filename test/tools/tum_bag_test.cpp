@@ -83,10 +83,7 @@ class TumBagTest : public ::testing::Test {
   }
   void TearDown() override { std::filesystem::remove_all(directory_); }
 
-  void write(const TumBagOptions& options = {}) {
-    std::string error;
-    ASSERT_TRUE(write_tum_bag(sequence_, path_, options, &error)) << error;
-  }
+  void write(const TumBagOptions& options = {}) { ASSERT_EQ(write_tum_bag(sequence_, path_, options).message(), ""); }
 
   std::string directory_, path_;
   core::SimulatedSequence sequence_;
@@ -163,16 +160,14 @@ TEST_F(TumBagTest, same_sequence_same_bytes) {
 }
 
 TEST_F(TumBagTest, an_unwritable_file_is_an_error_with_its_path) {
-  std::string error;
-  EXPECT_FALSE(write_tum_bag(sequence_, directory_ + "/none/a.bag", {}, &error));
+  const std::string error = write_tum_bag(sequence_, directory_ + "/none/a.bag", {}).message();
   EXPECT_NE(error.find(directory_ + "/none/a.bag"), std::string::npos) << error;
 }
 
 TEST_F(TumBagTest, a_missing_image_is_an_error_with_its_path) {
-  std::string error;
   TumBagOptions options;
   options.image_directory = directory_;
-  EXPECT_FALSE(write_tum_bag(sequence_, path_, options, &error));
+  const std::string error = write_tum_bag(sequence_, path_, options).message();
   EXPECT_NE(error.find(directory_ + "/rgb/1400000000.000000.png"), std::string::npos) << error;
 }
 

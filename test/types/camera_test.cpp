@@ -3,8 +3,9 @@
 #include <gtest/gtest.h>
 
 #include "semantic_topo_loop/geometry/quadric.h"
-#include "semantic_topo_loop/io/camera_yaml.h"
+#include "semantic_topo_loop/io/yaml_files.h"
 #include "support/random_poses.h"
+#include "support/test_files.h"
 
 namespace semantic_topo_loop::core {
 namespace {
@@ -51,11 +52,7 @@ TEST(Box, NamesTheCutSides) {
 }
 
 Camera tum_camera(const std::string& name) {
-  std::string error;
-  const std::optional<Camera> camera =
-      read_camera(std::string(STL_CONFIG_DIR) + "/camera/tum_" + name + ".yaml", &error);
-  EXPECT_TRUE(camera) << error;
-  return camera.value_or(Camera());
+  return checked(read_camera(std::string(STL_CONFIG_DIR) + "/camera/tum_" + name + ".yaml"));
 }
 
 class TumCamera : public ::testing::TestWithParam<const char*> {};

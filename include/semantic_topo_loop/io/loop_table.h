@@ -4,6 +4,7 @@
 #include <vector>
 
 #include "semantic_topo_loop/types/loop_closure.h"
+#include "semantic_topo_loop/types/result.h"
 
 namespace semantic_topo_loop::core {
 
@@ -13,7 +14,6 @@ std::string loop_table_row(const LoopFigures& loop);
 
 /// Writes loops to be handed to the pose graph, as loops.csv; `sigma_m` and `sigma_deg` are what the covariance
 /// says of translation and rotation, the root of its trace.
-/// @return false, with the path in `error`, if the file cannot be written
-bool write_given_loops(const std::string& path, const std::vector<LoopClosure>& loops, std::string* error);
+Status write_given_loops(const std::string& path, const std::vector<LoopClosure>& loops);
 
 }  // namespace semantic_topo_loop::core

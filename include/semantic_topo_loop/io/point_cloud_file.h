@@ -3,6 +3,7 @@
 #include <string>
 
 #include "semantic_topo_loop/map/point_map.h"
+#include "semantic_topo_loop/types/result.h"
 
 namespace semantic_topo_loop::core {
 
@@ -11,7 +12,7 @@ bool is_point_cloud_path(const std::string& path);
 
 /// Writes the points of a map as PLY or PCD, by the file's ending, binary: x, y, z (m, map frame) and intensity, 1 for
 /// sparse points, which come first, and 0 for semi-dense ones, as floats.
-/// @return false, with path and cause in `error`, for another ending or a file that cannot be written
-bool write_point_cloud(const std::string& path, const MapPoints& points, std::string* error);
+/// @return an error, with path and cause, for another ending or a file that cannot be written
+Status write_point_cloud(const std::string& path, const MapPoints& points);
 
 }  // namespace semantic_topo_loop::core

@@ -14,6 +14,7 @@
 #include "semantic_topo_loop/types/landmark.h"
 #include "semantic_topo_loop/types/loop_closure.h"
 #include "semantic_topo_loop/types/map_correction.h"
+#include "semantic_topo_loop/types/result.h"
 
 namespace semantic_topo_loop::core {
 
@@ -36,8 +37,8 @@ class RunRecorder {
   /// associations.csv, timing.csv and summary.json, and relocalisations.csv if there were candidates in an earlier
   /// run's map, and scales.csv and loop_scales.csv if the scale is free, creating the directory. Each file appears
   /// whole or not at all.
-  /// @return false, with the path in `error`, if a file cannot be written
-  bool write(const std::string& directory, std::string* error) const;
+  /// @return an error, with the path, if a file cannot be written
+  Status write(const std::string& directory) const;
   /// Where the run is in an earlier run's map, by the loops recorded so far.
   std::optional<Relocalisation> relocalisation() const;
 

@@ -8,18 +8,20 @@
 #include <string_view>
 #include <vector>
 
+#include "semantic_topo_loop/types/result.h"
+
 namespace semantic_topo_loop::core {
 
-/// @return nullopt, with path and cause in `error`, if the file is missing, a directory or unreadable
-std::optional<std::string> read_text_file(const std::string& path, std::string* error);
+/// Every error names the path and the cause.
+Result<std::string> read_text_file(const std::string& path);
 
 /// Writes a temporary file beside `path` and renames it, so that a reader never sees half a file.
-bool write_text_file(const std::string& path, const std::string& text, std::string* error);
+Status write_text_file(const std::string& path, const std::string& text);
 /// The same with what `write` gives to the stream, for files that are better not held in memory as a whole.
-bool write_file(const std::string& path, const std::function<void(std::ostream&)>& write, std::string* error);
+Status write_file(const std::string& path, const std::function<void(std::ostream&)>& write);
 
-/// @return false, with path and cause in `error`, if the directory neither exists nor can be made
-bool make_directory(const std::string& path, std::string* error);
+/// Succeeds if the directory is there already.
+Status make_directory(const std::string& path);
 
 /// A line of a text file, without its line end.
 struct TextLine {

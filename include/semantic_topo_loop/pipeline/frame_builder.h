@@ -5,6 +5,7 @@
 
 #include "semantic_topo_loop/types/frame.h"
 #include "semantic_topo_loop/types/option_visitor.h"
+#include "semantic_topo_loop/types/result.h"
 
 namespace semantic_topo_loop::core {
 
@@ -35,8 +36,8 @@ class FrameBuilder {
  public:
   FrameBuilder(const KeyframeOptions& options, const Camera& camera) : options_(options), camera_(camera) {}
 
-  /// @return nullopt, with the field and value in `error`, for a non-finite pose or a stamp not after the last one
-  std::optional<Frame> build(const PoseSample& sample, std::string* error);
+  /// @return an error, with the field and value, for a non-finite pose or a stamp not after the last one
+  Result<Frame> build(const PoseSample& sample);
   /// The frame without an image that ends a stream.
   Frame end() const;
   void set_camera(const Camera& camera) { camera_ = camera; }

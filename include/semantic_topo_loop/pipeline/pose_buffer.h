@@ -2,8 +2,8 @@
 
 #include <cstdint>
 #include <map>
-#include <string>
 
+#include "semantic_topo_loop/types/result.h"
 #include "semantic_topo_loop/types/transform.h"
 
 namespace semantic_topo_loop::core {
@@ -28,9 +28,9 @@ class PoseBuffer {
   explicit PoseBuffer(double max_gap_s, double keep_s = 60.0);
 
   /// Takes a sample; one that arrives out of order is sorted in.
-  /// @return false, with the stamp and the value in `error`, for a non-finite pose, a quaternion whose norm is off by
+  /// @return an error, with the stamp and the value, for a non-finite pose, a quaternion whose norm is off by
   /// more than 1 %, a stamp that is there already, or one that is older than what is kept
-  bool add(std::int64_t stamp_ns, const SE3& pose, std::string* error);
+  Result<void> add(std::int64_t stamp_ns, const SE3& pose);
   Answer at(std::int64_t stamp_ns) const;
   void clear() { samples_.clear(); }
   bool empty() const { return samples_.empty(); }

@@ -7,28 +7,24 @@
 
 namespace semantic_topo_loop::core {
 
-std::optional<CsvTable> CsvTable::read(const std::string& path, std::string* error) {
-  const std::optional<std::string> text = read_text_file(path, error);
-  if (!text) return std::nullopt;
+Result<CsvTable> CsvTable::read(const std::string& path) {
+  const Result<std::string> text = read_text_file(path);
+  if (!text) return text.error();
   const std::vector<TextLine> lines = content_lines(*text);
-  if (lines.empty()) {
-    *error = path + ": the file is empty";
-    return std::nullopt;
-  }
+  if (lines.empty()) return Error{path + ": the file is empty"};
   CsvTable table;
   table.path_ = path;
   for (const std::string_view name : split(lines.front().text, ',')) {
     const std::size_t column = table.columns_.size();
     if (table.columns_.emplace(name, column).second) continue;
-    *error = at_line(path, lines.front().number, "column '" + std::string(name) + "' is there twice");
-    return std::nullopt;
+    return Error{at_line(path, lines.front().number, "column '" + std::string(name) + "' is there twice")};
   }
   for (std::size_t i = 1; i < lines.size(); ++i) {
     const std::vector<std::string_view> fields = split(lines[i].text, ',');
     if (fields.size() != table.columns_.size()) {
-      *error = at_line(path, lines[i].number,
-                       std::to_string(fields.size()) + " fields instead of " + std::to_string(table.columns_.size()));
-      return std::nullopt;
+      return Error{
+          at_line(path, lines[i].number,
+                  std::to_string(fields.size()) + " fields instead of " + std::to_string(table.columns_.size()))};
     }
     table.rows_.push_back({lines[i].number, std::vector<std::string>(fields.begin(), fields.end())});
   }

@@ -1,12 +1,12 @@
 #pragma once
 
 #include <map>
-#include <optional>
 #include <string>
 #include <string_view>
 #include <vector>
 
 #include "semantic_topo_loop/types/eigen.h"
+#include "semantic_topo_loop/types/result.h"
 
 namespace semantic_topo_loop::core {
 
@@ -14,8 +14,8 @@ namespace semantic_topo_loop::core {
 /// and value, and give zero, so that a row is read in one go and checked once.
 class CsvTable {
  public:
-  /// @return nullopt, with file and line in `error`, for a missing or empty file or a row of another width
-  static std::optional<CsvTable> read(const std::string& path, std::string* error);
+  /// @return an error, with file and line, for a missing or empty file or a row of another width
+  static Result<CsvTable> read(const std::string& path);
 
   std::size_t size() const { return rows_.size(); }
   void select(std::size_t row) { row_ = row; }

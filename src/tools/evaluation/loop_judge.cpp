@@ -20,18 +20,16 @@ bool is_hole(std::int64_t stamp_ns, const StampedPoses& mocap, double max_gap_s)
   return static_cast<double>(after->stamp_ns - std::prev(after)->stamp_ns) > 1e9 * max_gap_s;
 }
 
-bool check_frames(const LoopRecord& loop, const StampedPoses& frames, std::string* error) {
+Status check_frames(const LoopRecord& loop, const StampedPoses& frames) {
   for (const std::int64_t frame :
        {loop.query_frame, loop.match_frame, loop.query_begin, loop.query_end, loop.match_begin, loop.match_end}) {
     if (frame >= 0 && frame < static_cast<std::int64_t>(frames.size())) continue;
-    *error = "a loop names frame " + std::to_string(frame) + ", but the run has " + std::to_string(frames.size());
-    return false;
+    return Error{"a loop names frame " + std::to_string(frame) + ", but the run has " + std::to_string(frames.size())};
   }
   const auto stamp = [&frames](std::int64_t frame) { return frames[static_cast<std::size_t>(frame)].stamp_ns; };
-  if (stamp(loop.query_frame) == loop.query_stamp_ns && stamp(loop.match_frame) == loop.match_stamp_ns) return true;
-  *error = "the stamps of loop " + std::to_string(loop.query_frame) + " - " + std::to_string(loop.match_frame) +
-           " are not those of the run's trajectory";
-  return false;
+  if (stamp(loop.query_frame) == loop.query_stamp_ns && stamp(loop.match_frame) == loop.match_stamp_ns) return {};
+  return Error{"the stamps of loop " + std::to_string(loop.query_frame) + " - " + std::to_string(loop.match_frame) +
+               " are not those of the run's trajectory"};
 }
 
 bool has_pose(const LoopRecord& loop) {
@@ -101,19 +99,17 @@ bool TruePoses::is_loopable(int query, const RevisitCriterion& criterion) const 
   return false;
 }
 
-std::optional<std::vector<JudgedLoop>> judge_loops(const std::vector<LoopRecord>& loops, const StampedPoses& frames,
-                                                   const TruePoses& truth, std::string* error) {
-  std::string problem;
+Result<std::vector<JudgedLoop>> judge_loops(const std::vector<LoopRecord>& loops, const StampedPoses& frames,
+                                            const TruePoses& truth) {
   if (std::none_of(frames.begin(), frames.end(), [&](const StampedPose& f) { return truth.find(f.stamp_ns) >= 0; })) {
-    problem = "the run and the true poses have no stamp in common";
+    return Error{"the run and the true poses have no stamp in common"};
   }
   std::vector<JudgedLoop> judged;
-  for (std::size_t i = 0; i < loops.size() && problem.empty(); ++i) {
-    if (check_frames(loops[i], frames, &problem)) judged.push_back(judge(loops[i], frames, truth));
+  for (const LoopRecord& loop : loops) {
+    if (const Status checked = check_frames(loop, frames); !checked) return checked.error();
+    judged.push_back(judge(loop, frames, truth));
   }
-  if (problem.empty()) return judged;
-  if (error != nullptr) *error = problem;
-  return std::nullopt;
+  return judged;
 }
 
 }  // namespace semantic_topo_loop::core

@@ -2,10 +2,10 @@
 
 #include <cstdint>
 #include <limits>
-#include <optional>
 #include <string>
 #include <vector>
 
+#include "semantic_topo_loop/types/result.h"
 #include "semantic_topo_loop/types/stamp.h"
 #include "tools/evaluation/statistics.h"
 
@@ -88,9 +88,9 @@ struct JudgedLoop {
 
 /// Puts every candidate beside the truth, in the order of `loops`.
 /// @param frames poses of the run's trajectory.txt: row k has frame_id k
-/// @return nullopt, with the cause in `error`, if the run and the truth have no frame in common or a loop names a frame
+/// @return an error, with the cause, if the run and the truth have no frame in common or a loop names a frame
 /// that the run does not have
-std::optional<std::vector<JudgedLoop>> judge_loops(const std::vector<LoopRecord>& loops, const StampedPoses& frames,
-                                                   const TruePoses& truth, std::string* error);
+Result<std::vector<JudgedLoop>> judge_loops(const std::vector<LoopRecord>& loops, const StampedPoses& frames,
+                                            const TruePoses& truth);
 
 }  // namespace semantic_topo_loop::core

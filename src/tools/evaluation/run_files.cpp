@@ -11,19 +11,16 @@ namespace {
 
 /// Reads every row through `read_row`; the first failure of any becomes the error.
 template <class T>
-std::optional<std::vector<T>> read_rows(const std::string& path, const std::function<T(CsvTable&)>& read_row,
-                                        std::string* error) {
-  std::string problem;
-  std::optional<CsvTable> table = CsvTable::read(path, &problem);
+Result<std::vector<T>> read_rows(const std::string& path, const std::function<T(CsvTable&)>& read_row) {
+  Result<CsvTable> table = CsvTable::read(path);
+  if (!table) return table.error();
   std::vector<T> rows;
-  for (std::size_t i = 0; table && i < table->size() && problem.empty(); ++i) {
+  for (std::size_t i = 0; i < table->size(); ++i) {
     table->select(i);
     rows.push_back(read_row(*table));
-    problem = table->error();
+    if (!table->error().empty()) return Error{table->error()};
   }
-  if (problem.empty()) return rows;
-  if (error != nullptr) *error = problem;
-  return std::nullopt;
+  return rows;
 }
 
 Quaternion read_rotation(CsvTable& table) {
@@ -125,35 +122,33 @@ ReferenceObject read_reference(CsvTable& table) {
 
 }  // namespace
 
-std::optional<std::vector<MappedObject>> read_objects(const std::string& path, std::string* error) {
-  return read_rows<MappedObject>(path, read_object, error);
+Result<std::vector<MappedObject>> read_objects(const std::string& path) {
+  return read_rows<MappedObject>(path, read_object);
 }
 
-std::optional<std::vector<LoopRecord>> read_loops(const std::string& path, std::string* error) {
-  return read_rows<LoopRecord>(path, read_loop, error);
+Result<std::vector<LoopRecord>> read_loops(const std::string& path) { return read_rows<LoopRecord>(path, read_loop); }
+
+Result<std::vector<LoopClosure>> read_given_loops(const std::string& path) {
+  return read_rows<LoopClosure>(path, read_given_loop);
 }
 
-std::optional<std::vector<LoopClosure>> read_given_loops(const std::string& path, std::string* error) {
-  return read_rows<LoopClosure>(path, read_given_loop, error);
+Result<std::vector<KeyframePose>> read_keyframes(const std::string& path) {
+  return read_rows<KeyframePose>(path, read_keyframe);
 }
 
-std::optional<std::vector<KeyframePose>> read_keyframes(const std::string& path, std::string* error) {
-  return read_rows<KeyframePose>(path, read_keyframe, error);
+Result<std::vector<ReferenceObject>> read_reference_objects(const std::string& path) {
+  return read_rows<ReferenceObject>(path, read_reference);
 }
 
-std::optional<std::vector<ReferenceObject>> read_reference_objects(const std::string& path, std::string* error) {
-  return read_rows<ReferenceObject>(path, read_reference, error);
+Result<std::vector<std::int64_t>> read_keyframe_stamps(const std::string& path) {
+  return read_rows<std::int64_t>(path, [](CsvTable& table) { return table.stamp_ns("stamp"); });
 }
 
-std::optional<std::vector<std::int64_t>> read_keyframe_stamps(const std::string& path, std::string* error) {
-  return read_rows<std::int64_t>(
-      path, [](CsvTable& table) { return table.stamp_ns("stamp"); }, error);
-}
-
-std::optional<Sightings> read_sightings(const std::string& directory, std::string* error) {
-  const auto objects = read_objects(directory + "/objects.csv", error);
-  const auto frames = objects ? read_tum_trajectory(directory + "/trajectory.txt", error) : std::nullopt;
-  if (!frames) return std::nullopt;
+Result<Sightings> read_sightings(const std::string& directory) {
+  const auto objects = read_objects(directory + "/objects.csv");
+  if (!objects) return objects.error();
+  const auto frames = read_tum_trajectory(directory + "/trajectory.txt");
+  if (!frames) return frames.error();
   std::set<std::int64_t> confirmed;
   for (const MappedObject& object : *objects) {
     if (object.state == "confirmed") confirmed.insert(object.id);
@@ -166,7 +161,8 @@ std::optional<Sightings> read_sightings(const std::string& directory, std::strin
     if (is_known && confirmed.count(id) > 0) sightings[(*frames)[static_cast<std::size_t>(frame)].stamp_ns].insert(id);
     return id;
   };
-  if (!read_rows<std::int64_t>(directory + "/associations.csv", read_row, error)) return std::nullopt;
+  const auto rows = read_rows<std::int64_t>(directory + "/associations.csv", read_row);
+  if (!rows) return rows.error();
   return sightings;
 }
 

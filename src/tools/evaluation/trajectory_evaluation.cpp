@@ -44,9 +44,8 @@ IndexPairs associate_stamps(const StampedPoses& estimate, const StampedPoses& re
   return pairs;
 }
 
-std::optional<TrajectoryEvaluation> evaluate_trajectory(const StampedPoses& estimate, const StampedPoses& reference,
-                                                        const TrajectoryEvaluationOptions& options,
-                                                        std::string* error) {
+Result<TrajectoryEvaluation> evaluate_trajectory(const StampedPoses& estimate, const StampedPoses& reference,
+                                                 const TrajectoryEvaluationOptions& options) {
   const IndexPairs pairs = associate_stamps(estimate, reference, options.max_stamp_difference_s);
   std::vector<Vec3> points_reference, points_estimate;
   for (const auto& [i, j] : pairs) {
@@ -55,11 +54,8 @@ std::optional<TrajectoryEvaluation> evaluate_trajectory(const StampedPoses& esti
   }
   const std::optional<Alignment> alignment = align_points(points_reference, points_estimate, options.with_scale);
   if (!alignment) {
-    if (error != nullptr) {
-      *error = "cannot align the trajectories: " + std::to_string(pairs.size()) +
-               " poses have a partner in time (3 that are not on a line are needed)";
-    }
-    return std::nullopt;
+    return Error{"cannot align the trajectories: " + std::to_string(pairs.size()) +
+                 " poses have a partner in time (3 that are not on a line are needed)"};
   }
   TrajectoryEvaluation result;
   result.estimated = estimate.size();

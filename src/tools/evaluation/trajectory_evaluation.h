@@ -1,11 +1,10 @@
 #pragma once
 
-#include <optional>
-#include <string>
 #include <utility>
 #include <vector>
 
 #include "semantic_topo_loop/geometry/alignment.h"
+#include "semantic_topo_loop/types/result.h"
 #include "semantic_topo_loop/types/stamp.h"
 #include "tools/evaluation/statistics.h"
 
@@ -33,8 +32,8 @@ std::vector<std::pair<std::size_t, std::size_t>> associate_stamps(const StampedP
                                                                   const StampedPoses& reference,
                                                                   double max_difference_s);
 
-/// @return nullopt, with the cause in `error`, if fewer than 3 poses have a partner or they lie on one line
-std::optional<TrajectoryEvaluation> evaluate_trajectory(const StampedPoses& estimate, const StampedPoses& reference,
-                                                        const TrajectoryEvaluationOptions& options, std::string* error);
+/// @return an error, with the cause, if fewer than 3 poses have a partner or they lie on one line
+Result<TrajectoryEvaluation> evaluate_trajectory(const StampedPoses& estimate, const StampedPoses& reference,
+                                                 const TrajectoryEvaluationOptions& options);
 
 }  // namespace semantic_topo_loop::core

@@ -1,13 +1,16 @@
 #include "tools/g2o/g2o.h"
 
+#include <Eigen/Cholesky>
 #include <Eigen/Eigenvalues>
 #include <algorithm>
 #include <cmath>
 #include <map>
-#include <set>
+#include <numeric>
 
+#include "pose_graph/solver/graph_solver.h"
 #include "semantic_topo_loop/geometry/lie.h"
 #include "semantic_topo_loop/io/text_file.h"
+#include "tools/g2o/graph_initialisation.h"
 
 namespace semantic_topo_loop::core {
 namespace {
@@ -30,23 +33,16 @@ class Reader {
  public:
   Reader(const std::string& path, G2oRefusals* refusals) : path_(path), refusals_(refusals) {}
 
-  std::optional<G2oGraph> read(std::string* error) {
-    const std::optional<std::string> text = read_text_file(path_, error);
-    if (!text) return std::nullopt;
+  Result<G2oGraph> read() {
+    const Result<std::string> text = read_text_file(path_);
+    if (!text) return text.error();
     for (const TextLine& line : content_lines(*text)) {
-      std::string problem;
-      if (!take(split_blanks(line.text), line.number, &problem)) refuse(line.number, problem);
+      if (const Status taken = take(split_blanks(line.text), line.number); !taken) refuse(line.number, taken.message());
     }
-    if (has_planar_ && has_spatial_) {
-      *error = path_ + ": holds both SE2 and SE3 lines";
-      return std::nullopt;
-    }
+    if (has_planar_ && has_spatial_) return Error{path_ + ": holds both SE2 and SE3 lines"};
     graph_.is_planar = has_planar_;
     place_edges();
-    if (graph_.edges.empty()) {
-      *error = path_ + ": holds no usable edge";
-      return std::nullopt;
-    }
+    if (graph_.edges.empty()) return Error{path_ + ": holds no usable edge"};
     for (const auto& [id, vertex] : vertices_) {
       graph_.vertices.push_back(vertex);
       graph_.vertices.back().is_fixed = fixed_.count(id) != 0;
@@ -62,105 +58,86 @@ class Reader {
     if (refusals_ != nullptr) refusals_->push_back(at_line(path_, line, problem));
   }
 
-  bool take(const Fields& fields, int line, std::string* problem) {
+  Status take(const Fields& fields, int line) {
     const std::string tag(fields.front());
-    if (tag == "VERTEX_SE3:QUAT") return take_vertex(fields, 7, problem);
-    if (tag == "VERTEX_SE2") return take_vertex(fields, 3, problem);
-    if (tag == "EDGE_SE3:QUAT") return take_edge(fields, 7, 21, line, problem);
-    if (tag == "EDGE_SE2") return take_edge(fields, 3, 6, line, problem);
-    if (tag == "FIX") return take_fixed(fields, line, problem);
-    *problem = "unknown tag '" + tag + "'";
-    return false;
+    if (tag == "VERTEX_SE3:QUAT") return take_vertex(fields, 7);
+    if (tag == "VERTEX_SE2") return take_vertex(fields, 3);
+    if (tag == "EDGE_SE3:QUAT") return take_edge(fields, 7, 21, line);
+    if (tag == "EDGE_SE2") return take_edge(fields, 3, 6, line);
+    if (tag == "FIX") return take_fixed(fields, line);
+    return Error{"unknown tag '" + tag + "'"};
   }
 
-  static bool read_id(std::string_view field, std::int64_t* id, std::string* problem) {
+  static Result<std::int64_t> read_id(std::string_view field) {
     const std::optional<std::int64_t> value = parse_integer(field);
-    if (!value || *value < 0) {
-      *problem = "id '" + std::string(field) + "' is no number >= 0";
-      return false;
-    }
-    *id = *value;
-    return true;
+    if (!value || *value < 0) return Error{"id '" + std::string(field) + "' is no number >= 0"};
+    return *value;
   }
 
   /// Ids and numbers of a line; the tag is the first field.
-  static bool read_values(const Fields& fields, std::size_t ids, std::size_t numbers, std::vector<std::int64_t>* id,
-                          std::vector<double>* values, std::string* problem) {
+  struct Values {
+    std::vector<std::int64_t> ids;
+    std::vector<double> numbers;
+  };
+  static Result<Values> read_values(const Fields& fields, std::size_t ids, std::size_t numbers) {
+    std::string name(fields.front());
     if (fields.size() != 1 + ids + numbers) {
-      *problem = std::string(fields.front()) + " has " + std::to_string(fields.size() - 1) + " values instead of " +
-                 std::to_string(ids + numbers);
-      return false;
+      return Error{name + " has " + std::to_string(fields.size() - 1) + " values instead of " +
+                   std::to_string(ids + numbers)};
     }
-    id->resize(ids);
-    for (std::size_t i = 0; i < ids; ++i) {
-      if (!read_id(fields[1 + i], &(*id)[i], problem)) return false;
+    Values values;
+    for (std::size_t i = 1; i <= ids; ++i) {
+      const Result<std::int64_t> id = read_id(fields[i]);
+      if (!id) return id.error();
+      values.ids.push_back(*id);
+      name += " " + std::to_string(*id);
     }
     for (std::size_t i = 1 + ids; i < fields.size(); ++i) {
       const std::optional<double> value = parse_double(fields[i]);
       constexpr double kMax = 1e30;  // the error of an edge, squared and weighed, must stay finite
       if (!value || !(std::abs(*value) <= kMax)) {
-        *problem = std::string(fields.front()) + named(*id) + ": '" + std::string(fields[i]) + "' is no finite number";
-        if (value && std::isfinite(*value)) *problem += " below 1e30";
-        return false;
+        return Error{name + ": '" + std::string(fields[i]) + "' is no finite number" +
+                     (value && std::isfinite(*value) ? " below 1e30" : "")};
       }
-      values->push_back(*value);
+      values.numbers.push_back(*value);
     }
-    return true;
+    return values;
   }
 
-  static std::string named(const std::vector<std::int64_t>& id) {
-    std::string text;
-    for (const std::int64_t i : id) text += " " + std::to_string(i);
-    return text;
-  }
-
-  bool to_pose(const std::vector<double>& values, std::size_t numbers, SE3* T, std::string* problem) {
-    (numbers == 3 ? has_planar_ : has_spatial_) = true;
-    if (numbers == 3) {
-      *T = planar_pose(values.data());
-      return true;
-    }
-    const Quaternion q(values[6], values[3], values[4], values[5]);
+  /// @param size of the pose: 3 if it is planar, else 7
+  Result<SE3> to_pose(const std::vector<double>& v, std::size_t size) {
+    (size == 3 ? has_planar_ : has_spatial_) = true;
+    if (size == 3) return planar_pose(v.data());
+    const Quaternion q(v[6], v[3], v[4], v[5]);
     constexpr double kMinNorm = 1e-6;
-    if (q.norm() < kMinNorm) {
-      *problem = "quaternion of norm 0 is no rotation";
-      return false;
-    }
-    *T = SE3(q.normalized(), Vec3(values[0], values[1], values[2]));
-    return true;
+    if (q.norm() < kMinNorm) return Error{"quaternion of norm 0 is no rotation"};
+    return SE3(q.normalized(), Vec3(v[0], v[1], v[2]));
   }
 
-  bool take_vertex(const Fields& fields, std::size_t numbers, std::string* problem) {
-    std::vector<std::int64_t> id;
-    std::vector<double> values;
-    if (!read_values(fields, 1, numbers, &id, &values, problem)) return false;
-    G2oVertex vertex;
-    vertex.id = id.front();
-    if (!to_pose(values, numbers, &vertex.T_world_vertex, problem)) return false;
-    if (vertices_.emplace(vertex.id, vertex).second) return true;
-    *problem = "vertex " + std::to_string(vertex.id) + " is given twice";
-    return false;
+  Status take_vertex(const Fields& fields, std::size_t size) {
+    const Result<Values> values = read_values(fields, 1, size);
+    if (!values) return values.error();
+    const Result<SE3> pose = to_pose(values->numbers, size);
+    if (!pose) return pose.error();
+    const std::int64_t id = values->ids.front();
+    if (vertices_.emplace(id, G2oVertex{id, *pose, false}).second) return {};
+    return Error{"vertex " + std::to_string(id) + " is given twice"};
   }
 
-  bool take_edge(const Fields& fields, std::size_t numbers, std::size_t weights, int line, std::string* problem) {
-    std::vector<std::int64_t> id;
-    std::vector<double> values;
-    if (!read_values(fields, 2, numbers + weights, &id, &values, problem)) return false;
+  Status take_edge(const Fields& fields, std::size_t pose_size, std::size_t weights, int line) {
+    const Result<Values> values = read_values(fields, 2, pose_size + weights);
+    if (!values) return values.error();
     G2oEdge edge;
-    edge.from = id[0];
-    edge.to = id[1];
+    edge.from = values->ids[0];
+    edge.to = values->ids[1];
     edge.line = line;
     const std::string name = "edge " + std::to_string(edge.from) + " " + std::to_string(edge.to);
-    if (edge.from == edge.to) {
-      *problem = name + " joins a vertex to itself";
-      return false;
-    }
-    if (!to_pose(values, numbers, &edge.T_from_to, problem)) {
-      *problem = name + ": " + *problem;
-      return false;
-    }
-    const double* at = values.data() + numbers;
-    const int size = numbers == 3 ? 3 : 6;
+    if (edge.from == edge.to) return Error{name + " joins a vertex to itself"};
+    const Result<SE3> pose = to_pose(values->numbers, pose_size);
+    if (!pose) return Error{name + ": " + pose.message()};
+    edge.T_from_to = *pose;
+    const double* at = values->numbers.data() + pose_size;
+    const int size = pose_size == 3 ? 3 : 6;
     for (int i = 0; i < size; ++i) {
       for (int j = i; j < size; ++j) {
         const int r = size == 3 ? kPlanarRows[i] : i, c = size == 3 ? kPlanarRows[j] : j;
@@ -168,24 +145,20 @@ class Reader {
       }
     }
     if (!is_positive_definite(edge.information)) {
-      *problem = name + ": its information matrix is not positive definite";
-      return false;
+      return Error{name + ": its information matrix is not positive definite"};
     }
     graph_.edges.push_back(edge);
-    return true;
+    return {};
   }
 
-  bool take_fixed(const Fields& fields, int line, std::string* problem) {
-    if (fields.size() < 2) {
-      *problem = "FIX names no vertex";
-      return false;
-    }
+  Status take_fixed(const Fields& fields, int line) {
+    if (fields.size() < 2) return Error{"FIX names no vertex"};
     for (std::size_t i = 1; i < fields.size(); ++i) {
-      std::int64_t id = -1;
-      if (!read_id(fields[i], &id, problem)) return false;
-      fixed_.emplace(id, line);
+      const Result<std::int64_t> id = read_id(fields[i]);
+      if (!id) return id.error();
+      fixed_.emplace(*id, line);
     }
-    return true;
+    return {};
   }
 
   /// Places the vertices of a file that has none, and refuses edges that lead nowhere.
@@ -248,16 +221,193 @@ std::string format_edge(const G2oEdge& edge, bool is_planar) {
   return text + "\n";
 }
 
+// --- optimisation -------------------------------------------------------------------------------------------------
+
+constexpr double kSpatialChi2 = 16.8, kPlanarChi2 = 11.3;  // 99 % of six and three degrees of freedom
+
+/// Vertices that edges join, numbered from 0 in order of id.
+struct Part {
+  std::vector<std::size_t> vertices;  ///< indices in the file's graph
+  std::vector<std::size_t> edges;
+  std::vector<SE3> T_world_vertex;
+  std::vector<GraphEdge> graph_edges;
+  std::vector<int> fixed;
+};
+
+/// Representatives of a forest of merged sets.
+class DisjointSets {
+ public:
+  explicit DisjointSets(std::size_t size) : parent_(size) { std::iota(parent_.begin(), parent_.end(), 0U); }
+  std::size_t find(std::size_t i) {
+    while (parent_[i] != i) i = parent_[i] = parent_[parent_[i]];
+    return i;
+  }
+  void join(std::size_t a, std::size_t b) {
+    const std::size_t first = std::min(find(a), find(b)), second = std::max(find(a), find(b));
+    parent_[second] = first;
+  }
+
+ private:
+  std::vector<std::size_t> parent_;
+};
+
+class GraphOptimizer {
+ public:
+  GraphOptimizer(const G2oGraph& graph, const GraphOptimizerOptions& options) : graph_(graph), options_(options) {
+    solver_options_.error = graph.is_planar ? GraphError::kLog : GraphError::kQuaternion;
+    solver_options_.loss = options.robust == "huber"    ? GraphLoss::kHuber
+                           : options.robust == "cauchy" ? GraphLoss::kCauchy
+                                                        : GraphLoss::kNone;
+    solver_options_.loss_chi2 = graph.is_planar ? kPlanarChi2 : kSpatialChi2;
+    solver_options_.max_iterations = options.max_iterations;
+    solver_options_.function_tolerance = 1e-6;
+    solver_options_.has_fill = true;
+  }
+
+  Result<GraphOptimizerReport> run(G2oGraph* result) {
+    std::vector<Part> parts = split();
+    report_.components = static_cast<int>(parts.size());
+    bool has_solved_edges = false;
+    for (Part& part : parts) {
+      if (const Status solved = solve(&part); !solved) {
+        report_.unsolved.push_back(solved.message());
+      } else if (!part.edges.empty()) {
+        has_solved_edges = true;
+      }
+    }
+    if (!report_.unsolved.empty() && !has_solved_edges) return Error{report_.unsolved.front()};
+    for (const Part& part : parts) {
+      for (std::size_t i = 0; i < part.vertices.size(); ++i) {
+        result->vertices[part.vertices[i]].T_world_vertex = part.T_world_vertex[i];
+      }
+    }
+    return report_;
+  }
+
+ private:
+  std::vector<Part> split() const {
+    std::map<std::int64_t, std::size_t> index_of;
+    for (std::size_t i = 0; i < graph_.vertices.size(); ++i) index_of[graph_.vertices[i].id] = i;
+    DisjointSets sets(graph_.vertices.size());
+    for (const G2oEdge& edge : graph_.edges) sets.join(index_of.at(edge.from), index_of.at(edge.to));
+    std::vector<Part> parts;
+    std::map<std::size_t, std::size_t> part_of;  // representative to part
+    std::vector<int> number(graph_.vertices.size());
+    for (std::size_t i = 0; i < graph_.vertices.size(); ++i) {
+      const auto [found, is_new] = part_of.emplace(sets.find(i), parts.size());
+      if (is_new) parts.emplace_back();
+      Part& part = parts[found->second];
+      number[i] = static_cast<int>(part.vertices.size());
+      if (graph_.vertices[i].is_fixed) part.fixed.push_back(number[i]);
+      part.vertices.push_back(i);
+      part.T_world_vertex.push_back(graph_.vertices[i].T_world_vertex);
+    }
+    for (std::size_t k = 0; k < graph_.edges.size(); ++k) {
+      const G2oEdge& edge = graph_.edges[k];
+      const std::size_t from = index_of.at(edge.from), to = index_of.at(edge.to);
+      Part& part = parts[part_of.at(sets.find(from))];
+      part.edges.push_back(k);
+      const bool is_loop = edge.to != edge.from + 1 && edge.from != edge.to + 1;
+      part.graph_edges.push_back(
+          {number[from], number[to], edge.T_from_to, Mat6(edge.information.llt().matrixU()), 1.0, is_loop});
+    }
+    for (Part& part : parts) {
+      if (part.fixed.empty()) part.fixed.push_back(0);
+    }
+    return parts;
+  }
+
+  /// Moved as a whole so that the first fixed vertex is where it was; the other fixed ones are put back.
+  static std::vector<SE3> anchored(std::vector<SE3> guess, const Part& part) {
+    const auto at = [](int v) { return static_cast<std::size_t>(v); };
+    const SE3 T = part.T_world_vertex[at(part.fixed.front())] * guess[at(part.fixed.front())].inverse();
+    for (SE3& T_world_vertex : guess) T_world_vertex = T * T_world_vertex;
+    for (const int v : part.fixed) guess[at(v)] = part.T_world_vertex[at(v)];
+    return guess;
+  }
+
+  std::vector<SE3> guess(const Part& part, const std::string& initial) const {
+    if (initial == "odometry") return anchored(odometry_guess(part.graph_edges, part.T_world_vertex), part);
+    if (initial == "spanning_tree") return anchored(spanning_tree_guess(part.graph_edges, part.T_world_vertex), part);
+    if (initial == "chordal") return anchored(chordal_guess(part.graph_edges, part.T_world_vertex), part);
+    return part.T_world_vertex;
+  }
+
+  Status solve(Part* part) {
+    solver_options_.fixed = part->fixed;
+    const std::vector<SE3> asked = guess(*part, options_.initial);
+    std::vector<const G2oEdge*> outliers;
+    if (options_.robust == "gnc") {
+      if (const Status rejected = reject_outliers(asked, part, &outliers); !rejected) return rejected;
+    }
+    std::vector<SE3> best = options_.initial == "chordal" ? asked : guess(*part, "chordal");
+    // A guess that is worse than the chordal one to begin with has nothing to offer.
+    const bool tries_asked = options_.initial != "chordal" && chi2(*part, asked) < chi2(*part, best);
+    GraphSolution solution = solve_graph(part->graph_edges, solver_options_, &best);
+    report_.iterations += solution.iterations;
+    if (tries_asked) {
+      std::vector<SE3> poses = asked;
+      const GraphSolution other = solve_graph(part->graph_edges, solver_options_, &poses);
+      report_.iterations += other.iterations;
+      if (other.usable && (!solution.usable || other.final_cost <= solution.final_cost)) {
+        best = std::move(poses);
+        solution = other;
+      }
+    }
+    if (!solution.usable) {
+      return Error{"the part of vertex " + std::to_string(graph_.vertices[part->vertices.front()].id) +
+                   " cannot be solved: " + solution.message};
+    }
+    part->T_world_vertex = std::move(best);
+    report_.outliers.insert(report_.outliers.end(), outliers.begin(), outliers.end());
+    add_costs(*part, asked, &report_.initial_cost, &report_.initial_chi2);
+    add_costs(*part, part->T_world_vertex, &report_.final_cost, &report_.final_chi2);
+    return {};
+  }
+
+  /// Gives the outliers weight 0.
+  Status reject_outliers(const std::vector<SE3>& start, Part* part, std::vector<const G2oEdge*>* outliers) const {
+    GraphSolverOptions options = solver_options_;
+    options.loss = GraphLoss::kNone;
+    const LoopClassification classes = classify_loops(part->graph_edges, options.loss_chi2, options, start);
+    if (!classes.usable) {
+      return Error{"the edges of the part of vertex " + std::to_string(graph_.vertices[part->vertices.front()].id) +
+                   " cannot be classified"};
+    }
+    std::size_t loop = 0;
+    for (std::size_t k = 0; k < part->graph_edges.size(); ++k) {
+      GraphEdge& edge = part->graph_edges[k];
+      if (!edge.robust || classes.kept[loop++]) continue;
+      edge.weight = 0.0;
+      outliers->push_back(&graph_.edges[part->edges[k]]);
+    }
+    return {};
+  }
+
+  double chi2(const Part& part, const std::vector<SE3>& poses) const {
+    double cost = 0.0, chi2 = 0.0;
+    add_costs(part, poses, &cost, &chi2);
+    return chi2;
+  }
+
+  void add_costs(const Part& part, const std::vector<SE3>& poses, double* cost, double* chi2) const {
+    for (const GraphEdge& edge : part.graph_edges) {
+      *cost += 0.5 * edge.weight * chi_squared(edge, poses);
+      *chi2 += edge.weight * chi_squared(edge, poses, solver_options_.error);
+    }
+  }
+
+  const G2oGraph& graph_;
+  const GraphOptimizerOptions& options_;
+  GraphSolverOptions solver_options_;
+  GraphOptimizerReport report_;
+};
+
 }  // namespace
 
-std::optional<G2oGraph> read_g2o(const std::string& path, G2oRefusals* refusals, std::string* error) {
-  std::string problem;
-  auto graph = Reader(path, refusals).read(&problem);
-  if (!graph && error != nullptr) *error = problem;
-  return graph;
-}
+Result<G2oGraph> read_g2o(const std::string& path, G2oRefusals* refusals) { return Reader(path, refusals).read(); }
 
-bool write_g2o(const std::string& path, const G2oGraph& graph, std::string* error) {
+Status write_g2o(const std::string& path, const G2oGraph& graph) {
   std::string text;
   for (const G2oVertex& vertex : graph.vertices) {
     text += (graph.is_planar ? "VERTEX_SE2 " : "VERTEX_SE3:QUAT ") + std::to_string(vertex.id) +
@@ -265,7 +415,12 @@ bool write_g2o(const std::string& path, const G2oGraph& graph, std::string* erro
     if (vertex.is_fixed) text += "FIX " + std::to_string(vertex.id) + "\n";
   }
   for (const G2oEdge& edge : graph.edges) text += format_edge(edge, graph.is_planar);
-  return write_text_file(path, text, error);
+  return write_text_file(path, text);
+}
+
+Result<GraphOptimizerReport> optimize_graph(G2oGraph* graph, const GraphOptimizerOptions& options) {
+  if (const Status valid = validate(options); !valid) return valid.error();
+  return GraphOptimizer(*graph, options).run(graph);
 }
 
 }  // namespace semantic_topo_loop::core

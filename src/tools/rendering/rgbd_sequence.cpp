@@ -6,7 +6,7 @@
 #include <opencv2/imgcodecs.hpp>
 #include <thread>
 
-#include "semantic_topo_loop/io/camera_yaml.h"
+#include "semantic_topo_loop/io/yaml_files.h"
 #include "semantic_topo_loop/io/text_file.h"
 #include "semantic_topo_loop/types/option_visitor.h"
 #include "semantic_topo_loop/types/stamp.h"
@@ -146,9 +146,14 @@ bool write_lists(const SimulatedSequence& sequence, const std::string& directory
     depths += depth + "\n";
     pairs += color + " " + depth + "\n";
   }
-  return write_text_file(directory + "/rgb.txt", colors, error) &&
-         write_text_file(directory + "/depth.txt", depths, error) &&
-         write_text_file(directory + "/associations.txt", pairs, error);
+  for (const auto& [name, text] :
+       {std::pair("rgb.txt", colors), std::pair("depth.txt", depths), std::pair("associations.txt", pairs)}) {
+    if (const Status written = write_text_file(directory + "/" + name, text); !written) {
+      if (error != nullptr) *error = written.message();
+      return false;
+    }
+  }
+  return true;
 }
 
 /// Fowler-Noll-Vo hash.
@@ -163,7 +168,10 @@ bool clear_images(const std::string& directory, std::string* error) {
   for (const char* name : {"rgb", "depth"}) {
     std::error_code code;
     std::filesystem::remove_all(directory + "/" + name, code);
-    if (!make_directory(directory + "/" + name, error)) return false;
+    if (const Status made = make_directory(directory + "/" + name); !made) {
+      if (error != nullptr) *error = made.message();
+      return false;
+    }
   }
   return true;
 }
@@ -176,7 +184,11 @@ SE3 color_from_depth(const RenderingOptions& options) {
 
 bool render_sequence(const SimulationOptions& options, const ClassTable& classes, int threads,
                      const std::string& directory, SimulatedSequence* sequence, std::string* error) {
-  if (!make_directory(directory, error) || !clear_images(directory, error)) return false;
+  if (const Status made = make_directory(directory); !made) {
+    if (error != nullptr) *error = made.message();
+    return false;
+  }
+  if (!clear_images(directory, error)) return false;
   const FrameWriter writer(options, *sequence, directory);
   DetectorModel detector(sequence->scene, sequence->camera, classes, options.detector, options.trajectory.rate_hz,
                          seed_of(options, SeedStream::kDetector));

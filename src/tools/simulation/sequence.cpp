@@ -2,8 +2,8 @@
 
 #include <algorithm>
 
-#include "semantic_topo_loop/io/camera_yaml.h"
-#include "semantic_topo_loop/io/detection_writer.h"
+#include "semantic_topo_loop/io/detection_file.h"
+#include "semantic_topo_loop/io/yaml_files.h"
 #include "semantic_topo_loop/io/text_file.h"
 #include "semantic_topo_loop/io/tum_trajectory.h"
 #include "semantic_topo_loop/types/option_visitor.h"
@@ -301,15 +301,19 @@ std::string format_gone_objects(const SimulatedSequence& sequence, const ClassTa
 
 bool write_sequence(const SimulatedSequence& sequence, const ClassTable& classes, const std::string& directory,
                     std::string* error) {
-  return make_directory(directory, error) &&
-         write_tum_trajectory(directory + "/groundtruth.txt", sequence.mocap, error) &&
-         write_tum_trajectory(directory + "/groundtruth_frames.txt", sequence.truth, error) &&
-         write_tum_trajectory(directory + "/odometry.txt", sequence.odometry, error) &&
-         write_detections_json(directory + "/detections.json", detection_frames(sequence), error) &&
-         write_text_file(directory + "/reference_objects.csv", format_reference_objects(sequence, classes), error) &&
-         write_text_file(directory + "/gone_objects.csv", format_gone_objects(sequence, classes), error) &&
-         write_text_file(directory + "/camera.yaml",
-                         "# Camera of a simulated sequence.\n" + format_camera(sequence.camera), error);
+  const auto done = [error](const Status& status) {
+    if (!status && error != nullptr) *error = status.message();
+    return static_cast<bool>(status);
+  };
+  return done(make_directory(directory)) &&
+         done(write_tum_trajectory(directory + "/groundtruth.txt", sequence.mocap)) &&
+         done(write_tum_trajectory(directory + "/groundtruth_frames.txt", sequence.truth)) &&
+         done(write_tum_trajectory(directory + "/odometry.txt", sequence.odometry)) &&
+         done(write_detections_json(directory + "/detections.json", detection_frames(sequence))) &&
+         done(write_text_file(directory + "/reference_objects.csv", format_reference_objects(sequence, classes))) &&
+         done(write_text_file(directory + "/gone_objects.csv", format_gone_objects(sequence, classes))) &&
+         done(write_text_file(directory + "/camera.yaml",
+                              "# Camera of a simulated sequence.\n" + format_camera(sequence.camera)));
 }
 
 }  // namespace semantic_topo_loop::core

@@ -9,6 +9,7 @@
 #include "semantic_topo_loop/types/class_table.h"
 #include "semantic_topo_loop/types/option_visitor.h"
 #include "semantic_topo_loop/types/stamp.h"
+#include "tools/evaluation/object_evaluation.h"
 #include "tools/perturbation/drift.h"
 #include "tools/simulation/detector.h"
 #include "tools/simulation/motion.h"
@@ -98,13 +99,6 @@ struct SimulatedSequence {
 std::optional<SimulatedSequence> simulate(const SimulationOptions& options, const Camera& camera,
                                           const ClassTable& classes, std::string* error);
 
-/// How surely the detections show an object, so how firmly a map may be asked for it.
-enum class Certainty {
-  kCertain,   ///< boxes for 3 s in all, rays 20 deg apart, and whole in the image for 1 s: must be found
-  kProbable,  ///< boxes for 1 s in all, rays 10 deg apart: may be found
-  kMarginal   ///< fewer
-};
-
 const char* to_string(Certainty certainty);
 
 /// What a sequence's detections show of an object, at the place where it is at the end.
@@ -118,6 +112,8 @@ struct SimulatedReference {
   double share_iou_above_half = 0.0;
   int first_frame = -1, last_frame = -1;
   std::map<int, int> other_classes;  ///< boxes with a wrong class
+  /// Certain: boxes for 3 s in all, rays 20 deg apart, and whole in the image for 1 s. Probable: boxes for 1 s, rays
+  /// 10 deg apart.
   Certainty certainty = Certainty::kMarginal;
 };
 

@@ -1,12 +1,14 @@
 #pragma once
 
 #include <array>
+#include <cstdint>
 #include <optional>
 #include <string>
 #include <vector>
 
 #include "semantic_topo_loop/types/class_table.h"
 #include "semantic_topo_loop/types/detection.h"
+#include "semantic_topo_loop/types/result.h"
 
 namespace semantic_topo_loop::core {
 
@@ -44,15 +46,25 @@ struct DetectionReport {
   std::vector<std::string> warnings() const;
 };
 
-/// Reads recorded detections in order of stamps, without duplicates.
+/// Recorded detections in order of stamps, without duplicates, and what was left out.
+struct DetectionRecording {
+  std::vector<DetectionFrame> frames;
+  DetectionReport report;
+};
+
+/// Reads
 /// - a file: OA-SLAM's JSON, `[{file_name: "<stamp>.png", detections: [{category_id, detection_score,
 ///   bbox: [x1, y1, x2, y2]}]}]`
 /// - a directory: YOLO text files `<stamp>.txt` with a line `class x y w h score` a box, (x, y) the top-left corner
 ///
-/// Single bad boxes are left out and counted in `report`.
-/// @return nullopt, with file, line or field, and value in `error`, if the path is missing, holds no image, or a text
-/// cannot be parsed
-std::optional<std::vector<DetectionFrame>> read_detections(const std::string& path, const ClassTable& classes,
-                                                           DetectionReport* report, std::string* error);
+/// Single bad boxes are left out and counted.
+/// @return an error, with file, line or field, and value, if the path is missing, holds no image, or a text cannot be
+/// parsed
+Result<DetectionRecording> read_detections(const std::string& path, const ClassTable& classes);
+
+/// Write what read_detections reads; stamps become file names.
+/// @return an error, with the path, if a file cannot be written
+Status write_detections_json(const std::string& path, const std::vector<DetectionFrame>& frames);
+Status write_detections_yolo(const std::string& directory, const std::vector<DetectionFrame>& frames);
 
 }  // namespace semantic_topo_loop::core

@@ -1,52 +1,49 @@
-#include "apps/command_line.h"
+#include "apps/program.h"
 
 #include <gtest/gtest.h>
 
 namespace semantic_topo_loop::apps {
 namespace {
 
-/// A command line with one argument of each kind.
+/// A command with one argument of each kind.
 struct Values {
-  std::string in, out, name = "none", colour = "red";
+  std::string in, out, name = "none", color = "red";
   bool is_fast = false, has_images = true;
   double share = 0.5, angle = 0.0;
   int count = 3;
   std::uint64_t seed = 1;
   core::OptionTexts options;
-  std::string error;
 
-  bool read(const std::vector<std::string>& words) {
-    CommandLine line(words);
-    line.required("IN", &in);
-    line.required("--out", &out);
-    line.text("--name", &name);
-    line.choice("--colour", {"red", "green", "blue"}, &colour);
-    line.flag("--fast", &is_fast);
-    line.boolean("--images", &has_images);
-    line.number("--share", &share, 0.0, 1.5);
-    line.number("--angle", &angle);
-    line.integer("--count", &count, 1, 10);
-    line.integer("--seed", &seed, 0);
-    line.assignments("--set", &options);
-    return line.read(&error);
+  core::Status read(const std::vector<std::string>& words) {
+    Command command("", "", "");
+    command.word("IN", &in)
+        .option("out", path(&out)->required(), "")
+        .option("name", text(&name), "")
+        .option("color", choice(&color, {"red", "green", "blue"}), "")
+        .option("fast", flag(&is_fast), "")
+        .option("images", boolean(&has_images), "")
+        .option("share", number(&share, 0.0, 1.5), "")
+        .option("angle", number(&angle), "")
+        .option("count", integer(&count, 1, 10), "")
+        .option("seed", integer(&seed, 0), "")
+        .option("set", assignments(&options), "");
+    return read_arguments(command, words);
   }
 };
 
 /// What is wrong with words that follow good ones.
 std::string problem(std::vector<std::string> words) {
   words.insert(words.begin(), {"a", "--out", "b"});
-  Values values;
-  EXPECT_FALSE(values.read(words)) << words.back();
-  return values.error;
+  return Values().read(words).message();
 }
 
 TEST(CommandLine, WhatIsNotGivenKeepsItsValue) {
   Values values;
-  ASSERT_TRUE(values.read({"--out", "b", "a"})) << values.error;
+  ASSERT_EQ(values.read({"--out", "b", "a"}).message(), "");
   EXPECT_EQ(values.in, "a");
   EXPECT_EQ(values.out, "b");
   EXPECT_EQ(values.name, "none");
-  EXPECT_EQ(values.colour, "red");
+  EXPECT_EQ(values.color, "red");
   EXPECT_FALSE(values.is_fast);
   EXPECT_TRUE(values.has_images);
   EXPECT_EQ(values.share, 0.5);
@@ -56,15 +53,15 @@ TEST(CommandLine, WhatIsNotGivenKeepsItsValue) {
 
 TEST(CommandLine, EveryKindIsRead) {
   Values values;
-  ASSERT_TRUE(values.read({"--fast",   "-a",    "--out",    "b",       "--name",  "",
-                           "--colour", "blue",  "--images", "false",   "--share", "1.5",
-                           "--angle",  "-1e-3", "--count",  "10",      "--seed",  "9007199254740993",
-                           "--set",    "a.b=1", "--set",    "a.c=x=y", "--set",   "a.b="}))
-      << values.error;
+  const auto status = values.read({"--fast",  "-a",    "--out",    "b",       "--name",    "",
+                                   "--color", "blue",  "--images", "false",   "--share",   "1.5",
+                                   "--angle", "-1e-3", "--count",  "10",      "--seed",    "9007199254740993",
+                                   "--set",   "a.b=1", "--set",    "a.c=x=y", "--set=a.b="});
+  ASSERT_TRUE(status) << status.message();
   EXPECT_TRUE(values.is_fast);
   EXPECT_EQ(values.in, "-a");
   EXPECT_EQ(values.name, "");
-  EXPECT_EQ(values.colour, "blue");
+  EXPECT_EQ(values.color, "blue");
   EXPECT_FALSE(values.has_images);
   EXPECT_EQ(values.share, 1.5);
   EXPECT_EQ(values.angle, -1e-3);
@@ -77,25 +74,23 @@ TEST(CommandLine, WordsThatDoNotFitAreNamed) {
   EXPECT_EQ(problem({"--typo", "3"}), "unknown argument '--typo'");
   EXPECT_EQ(problem({"c"}), "unknown argument 'c'");
   EXPECT_EQ(problem({""}), "unknown argument ''");
-  EXPECT_EQ(problem({"--"}), "unknown argument '--'");
+  EXPECT_EQ(problem({"--nam", "x"}), "unknown argument '--nam'") << "names are not abbreviated";
   EXPECT_EQ(problem({"--name"}), "argument --name lacks its value");
   EXPECT_EQ(problem({"--name", "--fast"}), "argument --name lacks its value");
+  EXPECT_EQ(problem({"--name", "--typo"}), "argument --name lacks its value");
+  EXPECT_EQ(problem({"--fast=3"}), "argument --fast takes no value");
   EXPECT_EQ(problem({"--fast", "--fast"}), "argument --fast is given twice");
   EXPECT_EQ(problem({"--out", "c"}), "argument --out is given twice");
 }
 
 TEST(CommandLine, WhatIsMissingIsNamed) {
-  Values values;
-  EXPECT_FALSE(values.read({"--out", "b"}));
-  EXPECT_EQ(values.error, "argument IN is missing");
-  EXPECT_FALSE(values.read({"a"}));
-  EXPECT_EQ(values.error, "argument --out is missing");
-  EXPECT_FALSE(values.read({"a", "--out", ""}));
-  EXPECT_EQ(values.error, "argument --out '' must be a path");
+  EXPECT_EQ(Values().read({"--out", "b"}).message(), "argument IN is missing");
+  EXPECT_EQ(Values().read({"a"}).message(), "argument --out is missing");
+  EXPECT_EQ(Values().read({"a", "--out", ""}).message(), "argument --out '' must be a path");
 }
 
 TEST(CommandLine, ValuesThatDoNotFitAreNamed) {
-  EXPECT_EQ(problem({"--colour", "pink"}), "argument --colour 'pink' must be red, green or blue");
+  EXPECT_EQ(problem({"--color", "pink"}), "argument --color 'pink' must be red, green or blue");
   EXPECT_EQ(problem({"--images", "1"}), "argument --images '1' must be true or false");
   EXPECT_EQ(problem({"--share", "1.6"}), "argument --share '1.6' must be a number in [0, 1.5]");
   EXPECT_EQ(problem({"--share", "nan"}), "argument --share 'nan' must be a number in [0, 1.5]");

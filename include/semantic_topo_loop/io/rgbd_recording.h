@@ -1,0 +1,66 @@
+#pragma once
+
+#include <cstddef>
+#include <cstdint>
+#include <optional>
+#include <string>
+#include <utility>
+#include <vector>
+
+#include "semantic_topo_loop/frontend/rgbd_image.h"
+#include "semantic_topo_loop/types/result.h"
+
+namespace semantic_topo_loop::core {
+
+/// What reading an image came to.
+struct RgbdReading {
+  Result<RgbdImage> image;
+  std::string left_out;  ///< the cause, if the recording does not count it as an image at all
+};
+
+/// A recording's color images with their depth, in time order.
+class RgbdRecording {
+ public:
+  virtual ~RgbdRecording() = default;
+  /// @return nullopt at the end, an error if the recording ends there by a fault
+  virtual Result<std::optional<RgbdReading>> next() = 0;
+  /// Images in the recording, as far as is known before it is read.
+  virtual std::size_t total() const = 0;
+};
+
+/// A color image and the depth image that belongs to it.
+struct RgbdFile {
+  std::int64_t stamp_ns = 0;  ///< of the color image
+  std::string color, depth;   ///< paths
+};
+
+/// Files in order of their stamps.
+struct RgbdFiles {
+  std::vector<RgbdFile> files;
+  std::string warning;  ///< what was left out; empty if nothing
+};
+
+/// Reads the list of a TUM folder: `t_rgb rgb_path t_depth depth_path` a line (more columns are left alone), `#`
+/// comments; paths are relative to `directory`. Rows whose stamp is not after that of the row before are left out.
+/// @return an error, with file, line and value, for a missing or empty file or a line that is none
+Result<RgbdFiles> read_associations(const std::string& path, const std::string& directory);
+
+/// @return an error, with path and cause, if a file is missing, no image, or not what the camera makes
+Result<RgbdImage> read_rgbd_image(const RgbdFile& file, const Camera& camera, const DepthOptions& options);
+
+/// The images of a list, read one after the other.
+class RgbdFolder : public RgbdRecording {
+ public:
+  RgbdFolder(std::vector<RgbdFile> files, const Camera& camera, const DepthOptions& options)
+      : files_(std::move(files)), camera_(camera), options_(options) {}
+  Result<std::optional<RgbdReading>> next() override;
+  std::size_t total() const override { return files_.size(); }
+
+ private:
+  std::vector<RgbdFile> files_;
+  Camera camera_;
+  DepthOptions options_;
+  std::size_t index_ = 0;
+};
+
+}  // namespace semantic_topo_loop::core
