@@ -73,7 +73,7 @@ class Scene:
 
 def class_colors(scenes):
     labels = sorted({o.label for s in scenes for o in s.objects + s.references})
-    # The strong colours without grey (the path) and red (false and missed objects), then the same again darker.
+    # The strong colors without grey (the path) and red (false and missed objects), then the same again darker.
     base = [plt.get_cmap("tab10")(i)[:3] for i in range(10) if i not in (3, 7)]
     return {label: tuple(c * (1.0 - 0.4 * (i // len(base))) for c in base[i % len(base)])
             for i, label in enumerate(labels)}

@@ -302,12 +302,12 @@ class ImagesTest(DirectoryTest):
         self.assertEqual(differing_files(self.path('damaged_offline'), self.path('damaged')), [])
 
     def test_a_bag_without_depth_says_so(self):
-        bag = self.path('colour.bag')
+        bag = self.path('color.bag')
         recorder = Recorder(bag)
         for i in range(3):
             recorder.step(i, wall.PERIOD_S * i, with_depth=False)
         recorder.close()
-        status, output = self.run_offline(bag, 'colour')
+        status, output = self.run_offline(bag, 'color')
         self.assertEqual(status, 1, output)
         self.assertIn('holds no message on /camera/depth/image', output)
 

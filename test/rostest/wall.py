@@ -1,4 +1,4 @@
-"""A camera that slides along a textured wall: colour and depth messages whose poses are known, without a renderer."""
+"""A camera that slides along a textured wall: color and depth messages whose poses are known, without a renderer."""
 import numpy as np
 import rospy
 from sensor_msgs.msg import CameraInfo, Image
