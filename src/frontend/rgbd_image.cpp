@@ -175,10 +175,8 @@ bool DepthOptions::are_raw_values(const std::string& text) {
 }
 
 bool DepthOptions::is_pose_or_empty(const std::string& text) {
-  constexpr double kNormTolerance = 0.01;  // of a quaternion written with three digits
   const std::optional<std::vector<double>> pose = numbers(text);
-  return pose &&
-         (pose->empty() || (pose->size() == 7 && std::abs(Vec4(pose->data() + 3).norm() - 1.0) <= kNormTolerance));
+  return pose && (pose->empty() || (pose->size() == 7 && is_rotation(Quaternion(pose->data() + 3))));
 }
 
 bool DepthOptions::is_pinhole_or_empty(const std::string& text) {

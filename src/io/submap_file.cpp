@@ -144,8 +144,7 @@ class Field {
   SE3 pose() const {
     const auto v = numbers<7>();
     const Quaternion q(v(6), v(3), v(4), v(5));
-    constexpr double kMaxNormError = 0.01;
-    if (!(std::abs(q.norm() - 1.0) <= kMaxNormError)) {
+    if (!is_rotation(q)) {
       reject("holds a quaternion that is no rotation");
       return {};
     }
@@ -161,7 +160,7 @@ class Field {
 
   void reject(const std::string& rule) const {
     if (!problem_->empty()) return;
-    constexpr std::size_t kMaxValue = 60;
+    constexpr std::size_t kMaxValue = 60;  // characters: half a line
     const std::string value = json_.is_structured() ? std::string() : " = " + json_.dump().substr(0, kMaxValue);
     *problem_ = (name_.empty() ? "the file" : name_) + value + ' ' + rule;
   }
@@ -244,7 +243,7 @@ class SubmapReader {
     object.label = labels_.label(object.class_id);
     object.spheroid.center = field.member("center").numbers<3>();
     object.spheroid.log_axes = field.member("log_axes").numbers<2>();
-    constexpr double kMaxLogAxis = 10.0;
+    constexpr double kMaxLogAxis = 10.0;  // 22 km
     if (!(object.spheroid.log_axes.cwiseAbs().maxCoeff() < kMaxLogAxis)) {
       field.member("log_axes").reject("must be logs of metres");
     }

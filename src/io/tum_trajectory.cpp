@@ -11,7 +11,6 @@ namespace {
 
 constexpr std::size_t kColumns = 8;
 constexpr std::array<const char*, kColumns> kNames = {"stamp", "tx", "ty", "tz", "qx", "qy", "qz", "qw"};
-constexpr double kMaxNormError = 0.01;
 
 /// The error is without file and line.
 Result<StampedPose> parse_pose(std::string_view line) {
@@ -30,7 +29,7 @@ Result<StampedPose> parse_pose(std::string_view line) {
     v[i] = *value;
   }
   const Quaternion q(v[7], v[4], v[5], v[6]);
-  if (!(std::abs(q.norm() - 1.0) <= kMaxNormError)) {
+  if (!is_rotation(q)) {
     return Error{"quaternion of norm " + format_general(q.norm(), 6) + " is no rotation"};
   }
   return StampedPose{*stamp_ns, SE3(q.normalized(), Vec3(v[1], v[2], v[3]))};

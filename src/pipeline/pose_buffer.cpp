@@ -8,8 +8,6 @@
 namespace semantic_topo_loop::core {
 namespace {
 
-constexpr double kMaxNormError = 0.01;
-
 std::int64_t to_nanoseconds(double seconds) { return static_cast<std::int64_t>(std::llround(seconds * 1e9)); }
 
 /// @return empty if the pose can be used
@@ -19,7 +17,7 @@ std::string find_fault(const SE3& pose) {
     fault << "translation (" << pose.t.transpose() << ") is not finite";
   } else if (!pose.q.coeffs().allFinite()) {
     fault << "quaternion (" << pose.q.coeffs().transpose() << ") is not finite";
-  } else if (std::abs(pose.q.norm() - 1.0) > kMaxNormError) {
+  } else if (!is_rotation(pose.q)) {
     fault << "quaternion (" << pose.q.coeffs().transpose() << ") has norm " << pose.q.norm() << ", not 1";
   }
   return fault.str();

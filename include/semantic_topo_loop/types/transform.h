@@ -1,8 +1,16 @@
 #pragma once
 
+#include <cmath>
+
 #include "semantic_topo_loop/types/eigen.h"
 
 namespace semantic_topo_loop::core {
+
+/// Whether a quaternion from outside is meant as a rotation: its norm may be off as with two printed digits.
+inline bool is_rotation(const Quaternion& q) {
+  constexpr double kMaxNormError = 0.01;
+  return std::abs(q.norm() - 1.0) <= kMaxNormError;
+}
 
 /// A rigid transform. `T_a_b` maps points of b to a: `p_a = T_a_b * p_b`.
 ///

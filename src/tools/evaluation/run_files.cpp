@@ -25,8 +25,7 @@ Result<std::vector<T>> read_rows(const std::string& path, const std::function<T(
 
 Quaternion read_rotation(CsvTable& table) {
   const Quaternion q(table.number("qw"), table.number("qx"), table.number("qy"), table.number("qz"));
-  constexpr double kMaxNormError = 0.01;
-  if (!(std::abs(q.norm() - 1.0) <= kMaxNormError)) table.reject("qw", "is part of a quaternion that is no rotation");
+  if (!is_rotation(q)) table.reject("qw", "is part of a quaternion that is no rotation");
   return q.normalized();
 }
 
