@@ -101,32 +101,32 @@ TEST(Assignment, TransposedScoresGiveTheInverseAssignment) {
   }
 }
 
-/// Residuals a_i x + y_k - m_i of two shared unknowns x and one of three blocks y_k, each with a weak prior: linear, so
-/// that one step of hardly any damping solves it.
+/// Residuals a_i x + c_i y_k - m_i of two shared unknowns x and one of three blocks y_k of two: linear, so that steps
+/// of hardly any damping solve it.
 TEST(LeastSquares, EliminatesTheBlocks) {
-  using Equations = ArrowEquations<2, 1>;
-  using Unknowns = ArrowUnknowns<2, 1>;
+  using Equations = ArrowEquations<2, 2>;
+  using Unknowns = ArrowUnknowns<2, 2>;
   std::mt19937_64 random(4);
   std::normal_distribution<double> normal;
-  Eigen::MatrixXd J = Eigen::MatrixXd::Zero(30, 5);
+  Eigen::MatrixXd J = Eigen::MatrixXd::Zero(30, 8);
   Eigen::VectorXd m(30);
   for (int i = 0; i < 30; ++i) {
     J.row(i).head<2>() << normal(random), normal(random);
-    J(i, 2 + i % 3) = 1.0;
+    J.row(i).segment<2>(2 + 2 * (i % 3)) << normal(random), normal(random);
     m(i) = normal(random);
   }
   const auto linearise = [&](const Unknowns& unknowns, Equations* equations) {
     *equations = Equations(3);
     for (int i = 0; i < 30; ++i) {
       const auto k = static_cast<std::size_t>(i % 3);
-      const Eigen::RowVector2d a = J.row(i).head<2>();
-      const double r = a.dot(unknowns.shared) + unknowns.blocks[k](0) - m(i);
+      const Eigen::RowVector2d a = J.row(i).head<2>(), c = J.row(i).segment<2>(2 + 2 * (i % 3));
+      const double r = a.dot(unknowns.shared) + c.dot(unknowns.blocks[k]) - m(i);
       equations->cost += r * r;
       equations->H_shared += a.transpose() * a;
-      equations->H_shared_block[k] += a.transpose();
-      equations->H_block[k](0, 0) += 1.0;
+      equations->H_shared_block[k] += a.transpose() * c;
+      equations->H_block[k] += c.transpose() * c;
       equations->g_shared += r * a.transpose();
-      equations->g_block[k](0) += r;
+      equations->g_block[k] += r * c.transpose();
     }
     return true;
   };
@@ -137,15 +137,17 @@ TEST(LeastSquares, EliminatesTheBlocks) {
   const Eigen::MatrixXd H = J.transpose() * J;
   const Eigen::VectorXd solution = H.ldlt().solve(J.transpose() * m);
   EXPECT_LT((unknowns.shared - solution.head<2>()).norm(), 1e-6);
-  for (std::size_t k = 0; k < 3; ++k) EXPECT_NEAR(unknowns.blocks[k](0), solution(2 + static_cast<int>(k)), 1e-6);
+  for (int k = 0; k < 3; ++k) {
+    EXPECT_LT((unknowns.blocks[static_cast<std::size_t>(k)] - solution.segment<2>(2 + 2 * k)).norm(), 1e-6);
+  }
   const Eigen::Matrix2d covariance = equations.reduce(0.0, unknowns, nullptr).inverse();
   EXPECT_LT((covariance - H.inverse().topLeftCorner<2, 2>()).norm(), 1e-6);
 }
 
 /// Rosenbrock's valley, r = (10 (y - x^2), 1 - x), from the usual start.
 TEST(LeastSquares, FollowsACurvedValleyAndRefusesWhatHasNoCost) {
-  using Equations = ArrowEquations<2, 1>;
-  using Unknowns = ArrowUnknowns<2, 1>;
+  using Equations = ArrowEquations<2, 2>;
+  using Unknowns = ArrowUnknowns<2, 2>;
   const auto linearise = [](const Unknowns& unknowns, Equations* equations) {
     const double x = unknowns.shared(0), y = unknowns.shared(1);
     const Eigen::Vector2d r(10.0 * (y - x * x), 1.0 - x);

@@ -65,9 +65,9 @@ Vec2 log_axes_of_boxes(const LocalMap& map, const std::vector<SubmapView>& views
   return {std::log(std::max(median(halves_x), kMinHalfSize_m)), std::log(std::max(median(halves_y), kMinHalfSize_m))};
 }
 
-/// Unknowns: centre and log axes.
-using Equations = ArrowEquations<5, 1>;
-using Unknowns = ArrowUnknowns<5, 1>;
+/// Shared unknowns: centre and log axes. There are no blocks; their size says nothing.
+using Equations = ArrowEquations<5, 5>;
+using Unknowns = ArrowUnknowns<5, 5>;
 
 /// The box edges with soft-L1 weights and a weak prior on the axes.
 struct FitProblem {
