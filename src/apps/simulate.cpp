@@ -39,21 +39,21 @@ bool is_made(const Arguments& arguments, const std::string& manifest) {
 
 Status write_files(const Arguments& arguments, const SimulationOptions& options, const Camera& camera,
                    const ClassTable& classes) {
-  std::string problem;
-  std::optional<SimulatedSequence> sequence = simulate(options, camera, classes, &problem);
-  if (!sequence) return Error{problem};
-  if (arguments.has_images &&
-      !render_sequence(options, classes, arguments.threads, arguments.output, &*sequence, &problem)) {
-    return Error{problem};
+  Result<SimulatedSequence> sequence = simulate(options, camera, classes);
+  if (!sequence) return sequence.error();
+  Status written;
+  if (arguments.has_images) {
+    written = render_sequence(options, classes, arguments.threads, arguments.output, &*sequence);
   }
-  if (!write_sequence(*sequence, classes, arguments.output, &problem)) return Error{problem};
+  if (written) written = write_sequence(*sequence, classes, arguments.output);
+  if (!written) return written;
   semantic_topo_loop::TumBagOptions bag_options;
   bag_options.with_images = arguments.has_bag_images;
   bag_options.compression = arguments.bag_compression;
   bag_options.rendering = options.rendering;
   if (arguments.has_images) bag_options.image_directory = arguments.output;
   if (!arguments.bag.empty()) {
-    const Status written = semantic_topo_loop::write_tum_bag(*sequence, arguments.bag, bag_options);
+    written = semantic_topo_loop::write_tum_bag(*sequence, arguments.bag, bag_options);
     if (!written) return written;
   }
   std::printf("%zu frames, %zu objects\n", sequence->truth.size(), sequence->scene.objects.size());

@@ -166,10 +166,9 @@ class TumBag {
     const std::int64_t stamp_ns = sequence_.truth[frame].stamp_ns;
     write(kInfoTopic, frame, stamp_ns, &info_);
     if (!options_.with_images) return {};
-    std::string problem;
-    std::optional<cv::Mat> image(cv::Mat(kThumbnailHeight, kThumbnailWidth, CV_8UC3, cv::Scalar::all(128.0)));
-    if (has_rendered_images()) image = core::read_rendered_color(sequence_, options_.image_directory, frame, &problem);
-    if (!image) return core::Error{problem};
+    core::Result<cv::Mat> image(cv::Mat(kThumbnailHeight, kThumbnailWidth, CV_8UC3, cv::Scalar::all(128.0)));
+    if (has_rendered_images()) image = core::read_rendered_color(sequence_, options_.image_directory, frame);
+    if (!image) return image.error();
     sensor_msgs::Image message =
         image_message(swap_blue_and_red(*image), kOpticalFrame, sensor_msgs::image_encodings::RGB8);
     write(kImageTopic, frame, stamp_ns, &message);
@@ -179,10 +178,9 @@ class TumBag {
   core::Status write_depth(std::size_t frame) {
     if (!has_rendered_images()) return {};
     const std::int64_t stamp_ns = sequence_.depth[frame].stamp_ns;
-    std::string problem;
-    const std::optional<cv::Mat> depth_m =
-        core::read_rendered_depth(sequence_, options_.rendering, options_.image_directory, frame, &problem);
-    if (!depth_m) return core::Error{problem};
+    const core::Result<cv::Mat> depth_m =
+        core::read_rendered_depth(sequence_, options_.rendering, options_.image_directory, frame);
+    if (!depth_m) return depth_m.error();
     write(kDepthInfoTopic, frame, stamp_ns, &depth_info_);
     sensor_msgs::Image message = image_message(*depth_m, depth_frame_, sensor_msgs::image_encodings::TYPE_32FC1);
     write(kDepthTopic, frame, stamp_ns, &message);

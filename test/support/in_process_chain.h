@@ -25,10 +25,9 @@ inline void write_simulation(const std::map<std::string, std::string>& options, 
   ASSERT_TRUE(camera) << camera.message();
   const auto classes = core::read_class_table(STL_CONFIG_DIR "/classes_coco.yaml");
   ASSERT_TRUE(classes) << classes.message();
-  std::string error;
-  const auto sequence = core::simulate(*parsed, *camera, *classes, &error);
-  ASSERT_TRUE(sequence) << error;
-  ASSERT_TRUE(core::write_sequence(*sequence, *classes, directory, &error)) << error;
+  const auto sequence = core::simulate(*parsed, *camera, *classes);
+  ASSERT_TRUE(sequence) << sequence.message();
+  ASSERT_EQ(core::write_sequence(*sequence, *classes, directory).message(), "");
 }
 
 /// The whole chain in this process, which plays the nodelet manager, so that a test sees what the stages exchange.

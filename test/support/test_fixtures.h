@@ -13,18 +13,13 @@ namespace semantic_topo_loop::core::simulation_test {
 
 /// Options from texts, which must be valid.
 inline SimulationOptions options_of(const std::map<std::string, std::string>& texts) {
-  const Result<SimulationOptions> options = make_options<SimulationOptions>(texts);
-  EXPECT_TRUE(options) << options.message();
-  return options ? *options : SimulationOptions();
+  return checked(make_options<SimulationOptions>(texts));
 }
 
 /// Simulated from texts, which must be valid.
 inline SimulatedSequence simulate_fr2(const std::map<std::string, std::string>& texts,
                                       const ClassTable& classes = coco()) {
-  std::string error;
-  auto sequence = simulate(options_of(texts), camera_fr2(), classes, &error);
-  EXPECT_TRUE(sequence) << error;
-  return std::move(sequence).value_or(SimulatedSequence());
+  return checked(simulate(options_of(texts), camera_fr2(), classes));
 }
 
 /// A camera in a z-up world that looks along +x.

@@ -1,3 +1,5 @@
+#include "tools/simulation/motion.h"
+
 #include <algorithm>
 #include <set>
 
@@ -5,7 +7,6 @@
 #include "support/test_files.h"
 #include "support/test_fixtures.h"
 #include "tools/perturbation/drift.h"
-#include "tools/simulation/motion.h"
 
 namespace semantic_topo_loop::core {
 namespace {
@@ -423,8 +424,7 @@ TEST(Dynamics, files_say_what_is_gone) {
                                                    {"dynamics.persons", "1"},
                                                    {"dynamics.moved_objects", "1"},
                                                    {"dynamics.move_time_s", "2"}});
-  std::string error;
-  ASSERT_TRUE(write_sequence(sequence, coco(), directory.path("a"), &error)) << error;
+  ASSERT_EQ(write_sequence(sequence, coco(), directory.path("a")).message(), "");
   EXPECT_EQ(read_whole(directory.path("a/gone_objects.csv")), format_gone_objects(sequence, coco()));
   EXPECT_EQ(read_whole(directory.path("a/reference_objects.csv")).find("person"), std::string::npos);
 }

@@ -358,11 +358,9 @@ class RenderedSequenceTest : public ::testing::Test {
     std::map<std::string, std::string> all = texts;
     all.insert({{"trajectory.duration_s", "0.5"}, {"trajectory.rate_hz", "10"}});
     options_ = options_of(all);
-    std::string error;
-    auto sequence = simulate(options_, camera(160, 120), coco(), &error);
-    EXPECT_TRUE(sequence) << error;
-    EXPECT_TRUE(render_sequence(options_, coco(), threads, directory_.path(name), &*sequence, &error)) << error;
-    return *sequence;
+    SimulatedSequence sequence = checked(simulate(options_, camera(160, 120), coco()));
+    EXPECT_EQ(render_sequence(options_, coco(), threads, directory_.path(name), &sequence).message(), "");
+    return sequence;
   }
 
   TestDirectory directory_;
@@ -405,15 +403,14 @@ TEST_F(RenderedSequenceTest, lists_pair_each_image_with_its_depth) {
 TEST_F(RenderedSequenceTest, images_read_back) {
   const SimulatedSequence sequence = render(
       "a", {{"rendering.noise", "false"}, {"rendering.depth_scale", "1000"}, {"rendering.depth_delay_s", "0"}}, 1);
-  std::string error;
-  const auto color = read_rendered_color(sequence, directory_.path("a"), 2, &error);
-  const auto depth = read_rendered_depth(sequence, options_.rendering, directory_.path("a"), 2, &error);
-  ASSERT_TRUE(color && depth) << error;
+  const auto color = read_rendered_color(sequence, directory_.path("a"), 2);
+  const auto depth = read_rendered_depth(sequence, options_.rendering, directory_.path("a"), 2);
+  ASSERT_TRUE(color && depth) << color.message() << depth.message();
   const SceneRenderer renderer(sequence.scene, room_around(sequence.scene, sequence.mocap), 1);
   const RenderedImage ideal = renderer.render(PixelRays(sequence.camera), sequence.truth[2].T_world_camera, 0.2);
   EXPECT_LT(cv::norm(*depth, ideal.depth_m, cv::NORM_INF), 0.51e-3);
   std::filesystem::remove_all(directory_.path("a/rgb"));
-  EXPECT_FALSE(read_rendered_color(sequence, directory_.path("a"), 2, &error));
+  const std::string error = read_rendered_color(sequence, directory_.path("a"), 2).message();
   EXPECT_NE(error.find("rgb/1400000000.200000.png"), std::string::npos) << error;
 }
 
@@ -423,7 +420,7 @@ TEST_F(RenderedSequenceTest, depth_of_a_camera_beside) {
   const SceneRenderer renderer(sequence.scene, room_around(sequence.scene, sequence.mocap), 1);
   const SE3 T_world_depth = sequence.truth[1].T_world_camera * SE3(Quaternion::Identity(), {0.05, 0.0, 0.0});
   const RenderedImage ideal = renderer.render(PixelRays(sequence.camera), T_world_depth, 0.1);
-  const auto depth = read_rendered_depth(sequence, options_.rendering, directory_.path("a"), 1, nullptr);
+  const auto depth = read_rendered_depth(sequence, options_.rendering, directory_.path("a"), 1);
   ASSERT_TRUE(depth);
   EXPECT_LT(cv::norm(*depth, ideal.depth_m, cv::NORM_INF), 0.2e-3);
 }
@@ -432,10 +429,10 @@ TEST_F(RenderedSequenceTest, far_pixels_have_the_value_asked_for) {
   // A room that is larger than the range.
   const SimulatedSequence sequence = render("a", {{"rendering.far_value", "65535"}, {"trajectory.distance_m", "4"}}, 1);
   const std::string name = "depth/" + format_stamp(sequence.depth[0].stamp_ns) + ".png";
-  const auto far_is_none = read_rendered_depth(sequence, options_.rendering, directory_.path("a"), 0, nullptr);
+  const auto far_is_none = read_rendered_depth(sequence, options_.rendering, directory_.path("a"), 0);
   RenderingOptions as_depth = options_.rendering;
   as_depth.far_value = 0;
-  const auto far_is_depth = read_rendered_depth(sequence, as_depth, directory_.path("a"), 0, nullptr);
+  const auto far_is_depth = read_rendered_depth(sequence, as_depth, directory_.path("a"), 0);
   ASSERT_TRUE(far_is_none && far_is_depth);
   double largest = 0.0;
   cv::minMaxLoc(*far_is_depth, nullptr, &largest);
@@ -448,8 +445,7 @@ TEST_F(RenderedSequenceTest, far_pixels_have_the_value_asked_for) {
 
 TEST_F(RenderedSequenceTest, an_unwritable_directory_is_an_error_with_its_path) {
   SimulatedSequence sequence = render("a", {}, 1);
-  std::string error;
-  EXPECT_FALSE(render_sequence(options_, coco(), 1, "/dev/null/here", &sequence, &error));
+  const std::string error = render_sequence(options_, coco(), 1, "/dev/null/here", &sequence).message();
   EXPECT_NE(error.find("/dev/null/here"), std::string::npos) << error;
 }
 

@@ -18,8 +18,7 @@ constexpr const char* kFiles[] = {"groundtruth.txt", "groundtruth_frames.txt", "
 class SequenceTest : public ::testing::Test {
  protected:
   std::string write(const std::string& name, const std::map<std::string, std::string>& texts) {
-    std::string error;
-    EXPECT_TRUE(write_sequence(simulate_fr2(texts), coco(), directory_.path(name), &error)) << error;
+    EXPECT_EQ(write_sequence(simulate_fr2(texts), coco(), directory_.path(name)).message(), "");
     return directory_.path(name);
   }
 
@@ -87,8 +86,7 @@ TEST_F(SequenceTest, files_read_back) {
 
 TEST_F(SequenceTest, an_unwritable_directory_is_an_error_with_its_path) {
   const SimulatedSequence sequence = simulate_fr2({{"trajectory.duration_s", "1"}});
-  std::string error;
-  EXPECT_FALSE(write_sequence(sequence, coco(), "/dev/null/here", &error));
+  const std::string error = write_sequence(sequence, coco(), "/dev/null/here").message();
   EXPECT_NE(error.find("/dev/null/here"), std::string::npos) << error;
 }
 
@@ -176,8 +174,7 @@ TEST(SimulationOptions, documentation_is_what_the_code_says) {
 TEST(SimulationOptions, an_invalid_camera_is_an_error) {
   Camera camera = camera_fr2();
   camera.fx = 0.0;
-  std::string error;
-  EXPECT_FALSE(simulate({}, camera, coco(), &error));
+  const std::string error = simulate({}, camera, coco()).message();
   EXPECT_NE(error.find("fx"), std::string::npos) << error;
 }
 

@@ -75,11 +75,7 @@ class TumBagTest : public ::testing::Test {
     ASSERT_NE(mkdtemp(name.data()), nullptr);
     directory_ = name;
     path_ = directory_ + "/a.bag";
-    std::string error;
-    auto sequence =
-        core::simulate(test::options_of({{"trajectory.duration_s", "2"}}), core::camera_fr2(), core::coco(), &error);
-    ASSERT_TRUE(sequence) << error;
-    sequence_ = std::move(*sequence);
+    sequence_ = test::simulate_fr2({{"trajectory.duration_s", "2"}});
   }
   void TearDown() override { std::filesystem::remove_all(directory_); }
 
@@ -177,12 +173,9 @@ class RenderedBagTest : public TumBagTest {
   void render(std::map<std::string, std::string> texts) {
     texts.insert({{"trajectory.duration_s", "0.3"}, {"trajectory.rate_hz", "20"}});
     const core::Camera camera{100.0, 100.0, 64.0, 48.0, 128, 96, {}};
-    std::string error;
     const core::SimulationOptions simulation = test::options_of(texts);
-    auto sequence = core::simulate(simulation, camera, core::coco(), &error);
-    ASSERT_TRUE(sequence) << error;
-    sequence_ = std::move(*sequence);
-    ASSERT_TRUE(core::render_sequence(simulation, core::coco(), 1, directory_, &sequence_, &error)) << error;
+    sequence_ = core::checked(core::simulate(simulation, camera, core::coco()));
+    ASSERT_EQ(core::render_sequence(simulation, core::coco(), 1, directory_, &sequence_).message(), "");
     options_.image_directory = directory_;
     options_.rendering = simulation.rendering;
     options_.compression = "lz4";
@@ -220,8 +213,8 @@ TEST_F(RenderedBagTest, images_are_those_of_the_folder) {
     EXPECT_EQ(depths[i]->encoding, "32FC1");
     EXPECT_EQ(depths[i]->header.frame_id, "/openni_rgb_optical_frame");
     EXPECT_EQ(depths[i]->step, 4u * 128u);
-    const auto color = core::read_rendered_color(sequence_, directory_, i, nullptr);
-    const auto depth = core::read_rendered_depth(sequence_, options_.rendering, directory_, i, nullptr);
+    const auto color = core::read_rendered_color(sequence_, directory_, i);
+    const auto depth = core::read_rendered_depth(sequence_, options_.rendering, directory_, i);
     ASSERT_TRUE(color && depth);
     for (int k = 0; k < 128 * 96; ++k) {
       const auto at = static_cast<std::size_t>(k);

@@ -6,8 +6,8 @@
 #include <opencv2/imgcodecs.hpp>
 #include <thread>
 
-#include "semantic_topo_loop/io/yaml_files.h"
 #include "semantic_topo_loop/io/text_file.h"
+#include "semantic_topo_loop/io/yaml_files.h"
 #include "semantic_topo_loop/types/option_visitor.h"
 #include "semantic_topo_loop/types/stamp.h"
 #include "tools/rendering/kinect_model.h"
@@ -45,18 +45,15 @@ cv::Mat quantised(const cv::Mat& depth_m, const RenderingOptions& options) {
   return result;
 }
 
-bool write_image(const std::string& path, const cv::Mat& image, std::string* error) {
-  bool written = false;
+Status write_image(const std::string& path, const cv::Mat& image) {
   try {
-    written = cv::imwrite(path, image, {cv::IMWRITE_PNG_COMPRESSION, kPngCompression});
+    if (cv::imwrite(path, image, {cv::IMWRITE_PNG_COMPRESSION, kPngCompression})) return {};
   } catch (const cv::Exception&) {
-    written = false;
   }
-  if (!written && error != nullptr) *error = path + ": cannot write the image";
-  return written;
+  return Error{path + ": cannot write the image"};
 }
 
-std::optional<cv::Mat> read_image(const std::string& path, int type, const Camera& camera, std::string* error) {
+Result<cv::Mat> read_image(const std::string& path, int type, const Camera& camera) {
   cv::Mat image;
   try {
     // imread would print about a missing file.
@@ -66,8 +63,7 @@ std::optional<cv::Mat> read_image(const std::string& path, int type, const Camer
     image.release();
   }
   if (image.type() == type && image.cols == camera.width && image.rows == camera.height) return image;
-  if (error != nullptr) *error = path + ": cannot read an image of the sequence";
-  return std::nullopt;
+  return Error{path + ": cannot read an image of the sequence"};
 }
 
 /// Renders single frames; const, so that threads may share it.
@@ -84,20 +80,20 @@ class FrameWriter {
   using Views = std::vector<std::optional<ObjectView>>;
 
   /// Writes one frame's images.
-  /// @return what the color image shows; nullopt with `error` set
-  std::optional<Views> write(std::size_t frame, std::string* error) const {
+  /// @return what the color image shows
+  Result<Views> write(std::size_t frame) const {
     const double time_s = sequence_.time_s(frame);
     RenderedImage image = renderer_.render(rays_, sequence_.truth[frame].T_world_camera, time_s);
     const std::uint64_t seed =
         2 * (seed_of(options_, SeedStream::kImageNoise) + 16 * static_cast<std::uint64_t>(frame) * 0x10001);
     const cv::Mat color = options_.rendering.noise ? kinect_color(image.color, seed) : image.color;
     Views views = std::move(image.objects);
-    if (!write_image(directory_ + "/" + color_name(sequence_, frame), color, error)) return std::nullopt;
+    Status written = write_image(directory_ + "/" + color_name(sequence_, frame), color);
+    if (!written) return written.error();
     const RenderedImage depth = is_same_view() ? std::move(image) : depth_view(frame, time_s);
     const cv::Mat measured = options_.rendering.noise ? kinect_depth(depth, rays_, seed + 1) : depth.depth_m;
-    if (!write_image(directory_ + "/" + depth_name(sequence_, frame), quantised(measured, options_.rendering), error)) {
-      return std::nullopt;
-    }
+    written = write_image(directory_ + "/" + depth_name(sequence_, frame), quantised(measured, options_.rendering));
+    if (!written) return written.error();
     return views;
   }
 
@@ -118,26 +114,18 @@ class FrameWriter {
 };
 
 /// The frames [begin, end), one thread each.
-bool write_batch(const FrameWriter& writer, std::size_t begin, std::size_t end,
-                 std::vector<std::optional<FrameWriter::Views>>* views, std::string* error) {
-  const std::size_t count = end - begin;
-  views->assign(count, std::nullopt);
-  std::vector<std::string> errors(count);
+std::vector<Result<FrameWriter::Views>> write_batch(const FrameWriter& writer, std::size_t begin, std::size_t end) {
+  std::vector<Result<FrameWriter::Views>> views(end - begin, Error{});
   std::vector<std::thread> threads;
-  for (std::size_t i = 1; i < count; ++i) {
-    threads.emplace_back([&, i] { (*views)[i] = writer.write(begin + i, &errors[i]); });
+  for (std::size_t i = 1; i < views.size(); ++i) {
+    threads.emplace_back([&, i] { views[i] = writer.write(begin + i); });
   }
-  (*views)[0] = writer.write(begin, &errors[0]);
+  views[0] = writer.write(begin);
   for (std::thread& thread : threads) thread.join();
-  for (std::size_t i = 0; i < count; ++i) {
-    if ((*views)[i]) continue;
-    if (error != nullptr) *error = errors[i];
-    return false;
-  }
-  return true;
+  return views;
 }
 
-bool write_lists(const SimulatedSequence& sequence, const std::string& directory, std::string* error) {
+Status write_lists(const SimulatedSequence& sequence, const std::string& directory) {
   std::string colors = "# colour images: timestamp filename\n", depths = "# depth images: timestamp filename\n", pairs;
   for (std::size_t i = 0; i < sequence.truth.size(); ++i) {
     const std::string color = format_stamp(sequence.truth[i].stamp_ns) + " " + color_name(sequence, i);
@@ -148,12 +136,9 @@ bool write_lists(const SimulatedSequence& sequence, const std::string& directory
   }
   for (const auto& [name, text] :
        {std::pair("rgb.txt", colors), std::pair("depth.txt", depths), std::pair("associations.txt", pairs)}) {
-    if (const Status written = write_text_file(directory + "/" + name, text); !written) {
-      if (error != nullptr) *error = written.message();
-      return false;
-    }
+    if (Status written = write_text_file(directory + "/" + name, text); !written) return written;
   }
-  return true;
+  return {};
 }
 
 /// Fowler-Noll-Vo hash.
@@ -164,16 +149,13 @@ std::uint64_t fnv1a(const std::string& text) {
 }
 
 /// Empty image directories, so that no image of another sequence stays.
-bool clear_images(const std::string& directory, std::string* error) {
+Status clear_images(const std::string& directory) {
   for (const char* name : {"rgb", "depth"}) {
     std::error_code code;
     std::filesystem::remove_all(directory + "/" + name, code);
-    if (const Status made = make_directory(directory + "/" + name); !made) {
-      if (error != nullptr) *error = made.message();
-      return false;
-    }
+    if (Status made = make_directory(directory + "/" + name); !made) return made;
   }
-  return true;
+  return {};
 }
 
 }  // namespace
@@ -182,38 +164,34 @@ SE3 color_from_depth(const RenderingOptions& options) {
   return {Quaternion::Identity(), {options.depth_offset_m, 0.0, 0.0}};
 }
 
-bool render_sequence(const SimulationOptions& options, const ClassTable& classes, int threads,
-                     const std::string& directory, SimulatedSequence* sequence, std::string* error) {
-  if (const Status made = make_directory(directory); !made) {
-    if (error != nullptr) *error = made.message();
-    return false;
-  }
-  if (!clear_images(directory, error)) return false;
+Status render_sequence(const SimulationOptions& options, const ClassTable& classes, int threads,
+                       const std::string& directory, SimulatedSequence* sequence) {
+  if (Status made = make_directory(directory); !made) return made;
+  if (Status cleared = clear_images(directory); !cleared) return cleared;
   const FrameWriter writer(options, *sequence, directory);
   DetectorModel detector(sequence->scene, sequence->camera, classes, options.detector, options.trajectory.rate_hz,
                          seed_of(options, SeedStream::kDetector));
   const auto batch = static_cast<std::size_t>(std::max(1, threads));
-  std::vector<std::optional<FrameWriter::Views>> views;
   for (std::size_t begin = 0; begin < sequence->truth.size(); begin += batch) {
     const std::size_t end = std::min(begin + batch, sequence->truth.size());
-    if (!write_batch(writer, begin, end, &views, error)) return false;
+    const std::vector<Result<FrameWriter::Views>> views = write_batch(writer, begin, end);
     for (std::size_t i = begin; i < end; ++i) {
+      if (!views[i - begin]) return views[i - begin].error();
       sequence->detections[i] = detector.detect(sequence->truth[i].T_world_camera, *views[i - begin]);
     }
   }
-  return write_lists(*sequence, directory, error);
+  return write_lists(*sequence, directory);
 }
 
-std::optional<cv::Mat> read_rendered_color(const SimulatedSequence& sequence, const std::string& directory,
-                                           std::size_t frame, std::string* error) {
-  return read_image(directory + "/" + color_name(sequence, frame), CV_8UC3, sequence.camera, error);
+Result<cv::Mat> read_rendered_color(const SimulatedSequence& sequence, const std::string& directory,
+                                    std::size_t frame) {
+  return read_image(directory + "/" + color_name(sequence, frame), CV_8UC3, sequence.camera);
 }
 
-std::optional<cv::Mat> read_rendered_depth(const SimulatedSequence& sequence, const RenderingOptions& rendering,
-                                           const std::string& directory, std::size_t frame, std::string* error) {
-  const std::optional<cv::Mat> units =
-      read_image(directory + "/" + depth_name(sequence, frame), CV_16UC1, sequence.camera, error);
-  if (!units) return std::nullopt;
+Result<cv::Mat> read_rendered_depth(const SimulatedSequence& sequence, const RenderingOptions& rendering,
+                                    const std::string& directory, std::size_t frame) {
+  const Result<cv::Mat> units = read_image(directory + "/" + depth_name(sequence, frame), CV_16UC1, sequence.camera);
+  if (!units) return units.error();
   cv::Mat depth_m(units->size(), CV_32FC1);
   for (int y = 0; y < units->rows; ++y) {
     const auto* in = units->ptr<std::uint16_t>(y);

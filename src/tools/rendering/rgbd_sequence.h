@@ -1,7 +1,6 @@
 #pragma once
 
 #include <opencv2/core.hpp>
-#include <optional>
 #include <string>
 
 #include "semantic_topo_loop/types/class_table.h"
@@ -16,16 +15,15 @@ SE3 color_from_depth(const RenderingOptions& options);
 /// depth/<stamp>.png (16 bit), rgb.txt, depth.txt and associations.txt ("stamp rgb/.. stamp depth/.."). The sequence's
 /// detections are made anew, from the shapes that are drawn. Frames are rendered on several threads and never kept; the
 /// result does not depend on how many.
-/// @return false, with path and cause in `error`, if a file cannot be written
-bool render_sequence(const SimulationOptions& options, const ClassTable& classes, int threads,
-                     const std::string& directory, SimulatedSequence* sequence, std::string* error);
+/// @return an error that names path and cause if a file cannot be written
+Status render_sequence(const SimulationOptions& options, const ClassTable& classes, int threads,
+                       const std::string& directory, SimulatedSequence* sequence);
 
 /// Images that render_sequence wrote: CV_8UC3 as BGR, and CV_32FC1 in metres, NaN where there is no depth.
-/// @return nullopt, with path and cause in `error`, if the file is missing or no such image
-std::optional<cv::Mat> read_rendered_color(const SimulatedSequence& sequence, const std::string& directory,
-                                           std::size_t frame, std::string* error);
-std::optional<cv::Mat> read_rendered_depth(const SimulatedSequence& sequence, const RenderingOptions& rendering,
-                                           const std::string& directory, std::size_t frame, std::string* error);
+/// @return an error that names the path if the file is missing or no such image
+Result<cv::Mat> read_rendered_color(const SimulatedSequence& sequence, const std::string& directory, std::size_t frame);
+Result<cv::Mat> read_rendered_depth(const SimulatedSequence& sequence, const RenderingOptions& rendering,
+                                    const std::string& directory, std::size_t frame);
 
 /// What a directory of a simulated sequence is made from. A directory whose `manifest.txt` says the same as a new
 /// request need not be made again.

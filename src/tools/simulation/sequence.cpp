@@ -3,9 +3,9 @@
 #include <algorithm>
 
 #include "semantic_topo_loop/io/detection_file.h"
-#include "semantic_topo_loop/io/yaml_files.h"
 #include "semantic_topo_loop/io/text_file.h"
 #include "semantic_topo_loop/io/tum_trajectory.h"
+#include "semantic_topo_loop/io/yaml_files.h"
 #include "semantic_topo_loop/types/option_visitor.h"
 
 namespace semantic_topo_loop::core {
@@ -184,16 +184,9 @@ double SimulatedSequence::time_s(std::size_t frame) const {
   return 1e-9 * static_cast<double>(truth[frame].stamp_ns - truth.front().stamp_ns);
 }
 
-std::optional<SimulatedSequence> simulate(const SimulationOptions& options, const Camera& camera,
-                                          const ClassTable& classes, std::string* error) {
-  if (const Status status = validate(options); !status) {
-    if (error != nullptr) *error = status.message();
-    return std::nullopt;
-  }
-  if (const Status status = camera.check(); !status) {
-    if (error != nullptr) *error = status.message();
-    return std::nullopt;
-  }
+Result<SimulatedSequence> simulate(const SimulationOptions& options, const Camera& camera, const ClassTable& classes) {
+  if (const Status status = validate(options); !status) return status.error();
+  if (const Status status = camera.check(); !status) return status.error();
   SimulatedSequence sequence;
   sequence.camera = camera;
   sequence.scene = make_scene(options.scene, seed_of(options, SeedStream::kScene));
@@ -208,10 +201,7 @@ std::optional<SimulatedSequence> simulate(const SimulationOptions& options, cons
   sequence.mocap = sample(*trajectory, -kMocapMargin_s, kMocapRate_hz,
                           static_cast<std::size_t>((duration_s + 2.0 * kMocapMargin_s) * kMocapRate_hz) + 1);
   Result<StampedPoses> drifted = odometry(options, sequence.truth);
-  if (!drifted) {
-    if (error != nullptr) *error = drifted.message();
-    return std::nullopt;
-  }
+  if (!drifted) return drifted.error();
   sequence.odometry = *std::move(drifted);
   DetectorModel detector(sequence.scene, camera, classes, options.detector, rate_hz,
                          seed_of(options, SeedStream::kDetector));
@@ -299,21 +289,21 @@ std::string format_gone_objects(const SimulatedSequence& sequence, const ClassTa
   return text;
 }
 
-bool write_sequence(const SimulatedSequence& sequence, const ClassTable& classes, const std::string& directory,
-                    std::string* error) {
-  const auto done = [error](const Status& status) {
-    if (!status && error != nullptr) *error = status.message();
-    return static_cast<bool>(status);
-  };
-  return done(make_directory(directory)) &&
-         done(write_tum_trajectory(directory + "/groundtruth.txt", sequence.mocap)) &&
-         done(write_tum_trajectory(directory + "/groundtruth_frames.txt", sequence.truth)) &&
-         done(write_tum_trajectory(directory + "/odometry.txt", sequence.odometry)) &&
-         done(write_detections_json(directory + "/detections.json", detection_frames(sequence))) &&
-         done(write_text_file(directory + "/reference_objects.csv", format_reference_objects(sequence, classes))) &&
-         done(write_text_file(directory + "/gone_objects.csv", format_gone_objects(sequence, classes))) &&
-         done(write_text_file(directory + "/camera.yaml",
-                              "# Camera of a simulated sequence.\n" + format_camera(sequence.camera)));
+Status write_sequence(const SimulatedSequence& sequence, const ClassTable& classes, const std::string& directory) {
+  Status status = make_directory(directory);
+  for (const auto& [name, poses] :
+       {std::pair("/groundtruth.txt", &sequence.mocap), std::pair("/groundtruth_frames.txt", &sequence.truth),
+        std::pair("/odometry.txt", &sequence.odometry)}) {
+    if (status) status = write_tum_trajectory(directory + name, *poses);
+  }
+  if (status) status = write_detections_json(directory + "/detections.json", detection_frames(sequence));
+  for (const auto& [name, text] :
+       {std::pair("/reference_objects.csv", format_reference_objects(sequence, classes)),
+        std::pair("/gone_objects.csv", format_gone_objects(sequence, classes)),
+        std::pair("/camera.yaml", "# Camera of a simulated sequence.\n" + format_camera(sequence.camera))}) {
+    if (status) status = write_text_file(directory + name, text);
+  }
+  return status;
 }
 
 }  // namespace semantic_topo_loop::core

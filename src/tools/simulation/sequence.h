@@ -1,7 +1,6 @@
 #pragma once
 
 #include <map>
-#include <optional>
 #include <string>
 #include <vector>
 
@@ -95,9 +94,8 @@ struct SimulatedSequence {
 };
 
 /// The same options, camera and classes give the same sequence, bit for bit.
-/// @return nullopt, with parameter and value in `error`, for invalid options or a drift level that cannot be met
-std::optional<SimulatedSequence> simulate(const SimulationOptions& options, const Camera& camera,
-                                          const ClassTable& classes, std::string* error);
+/// @return an error that names parameter and value for invalid options or a drift level that cannot be met
+Result<SimulatedSequence> simulate(const SimulationOptions& options, const Camera& camera, const ClassTable& classes);
 
 const char* to_string(Certainty certainty);
 
@@ -140,7 +138,6 @@ std::string format_gone_objects(const SimulatedSequence& sequence, const ClassTa
 
 /// Writes groundtruth.txt, groundtruth_frames.txt, odometry.txt (TUM format), detections.json (OA-SLAM's format),
 /// reference_objects.csv, gone_objects.csv and camera.yaml, making the directory.
-bool write_sequence(const SimulatedSequence& sequence, const ClassTable& classes, const std::string& directory,
-                    std::string* error);
+Status write_sequence(const SimulatedSequence& sequence, const ClassTable& classes, const std::string& directory);
 
 }  // namespace semantic_topo_loop::core
