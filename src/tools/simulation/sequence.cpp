@@ -81,6 +81,8 @@ double largest_angle_deg(const std::vector<Vec3>& rays) {
   return degrees(std::acos(std::clamp(smallest_cosine, -1.0, 1.0)));
 }
 
+/// How firmly a map may be asked for an object. It must be found with boxes for 3 s in all, rays 20 deg apart, and
+/// whole in the image for 1 s; it may be with boxes for 1 s and rays 10 deg apart.
 Certainty certainty_of(const SimulatedReference& object, double rate_hz) {
   const auto lasts = [rate_hz](int frames, double seconds) { return frames >= seconds * rate_hz; };
   if (lasts(object.views, 3.0) && lasts(object.whole_frames, 1.0) && object.baseline_deg >= 20.0) {
@@ -150,6 +152,8 @@ std::string format_place(std::size_t id, int class_id, const Ellipsoid& ellipsoi
   return row;
 }
 
+constexpr const char* kCertainties[] = {"certain", "probable", "marginal"};  ///< in order of Certainty
+
 std::string format_row(std::size_t id, const SimulatedReference& r, const SceneObject& object,
                        const ClassTable& classes) {
   std::string row = format_place(id, object.class_id, object.ellipsoid, classes);
@@ -162,7 +166,7 @@ std::string format_row(std::size_t id, const SimulatedReference& r, const SceneO
   for (const auto& [class_id, count] : r.other_classes) {
     others += (others.empty() ? "" : ";") + classes.name(class_id) + ":" + std::to_string(count);
   }
-  return row + others + "," + to_string(r.certainty) + "\n";
+  return row + others + "," + kCertainties[static_cast<int>(r.certainty)] + "\n";
 }
 
 /// Adds the boxes that show an object at a place that it leaves.
@@ -209,18 +213,6 @@ Result<SimulatedSequence> simulate(const SimulationOptions& options, const Camer
     sequence.detections.push_back(detector.detect(sequence.truth[i].T_world_camera, sequence.time_s(i)));
   }
   return sequence;
-}
-
-const char* to_string(Certainty certainty) {
-  switch (certainty) {
-    case Certainty::kCertain:
-      return "certain";
-    case Certainty::kProbable:
-      return "probable";
-    case Certainty::kMarginal:
-      break;
-  }
-  return "marginal";
 }
 
 std::vector<SimulatedReference> reference_objects(const SimulatedSequence& sequence) {

@@ -97,8 +97,6 @@ struct SimulatedSequence {
 /// @return an error that names parameter and value for invalid options or a drift level that cannot be met
 Result<SimulatedSequence> simulate(const SimulationOptions& options, const Camera& camera, const ClassTable& classes);
 
-const char* to_string(Certainty certainty);
-
 /// What a sequence's detections show of an object, at the place where it is at the end.
 struct SimulatedReference {
   int object = -1;            ///< index in Scene::objects
