@@ -8,8 +8,8 @@
 
 #include <opencv2/core.hpp>
 
+#include "ros/conversions.h"
 #include "semantic_topo_loop/geometry/lie.h"
-#include "semantic_topo_loop/ros/conversions.h"
 #include "tools/rendering/rgbd_sequence.h"
 
 namespace semantic_topo_loop {
@@ -84,8 +84,7 @@ geometry_msgs::TransformStamped transform(std::int64_t stamp_ns, const char* par
   message.header.stamp = to_ros_time(stamp_ns);
   message.header.frame_id = parent;
   message.child_frame_id = child;
-  message.transform.translation = to_vector_msg(T_parent_child.t);
-  message.transform.rotation = to_msg(T_parent_child).orientation;
+  message.transform = to_transform_msg(T_parent_child);
   return message;
 }
 

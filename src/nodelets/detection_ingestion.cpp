@@ -9,10 +9,7 @@
 #include "ros/parameters.h"
 #include "ros/pose_source.h"
 #include "ros/stage.h"
-#include "semantic_topo_loop/DetectionArray.h"
-#include "semantic_topo_loop/Frame.h"
 #include "semantic_topo_loop/io/detection_file.h"
-#include "semantic_topo_loop/ros/conversions.h"
 #include "semantic_topo_loop/types/stamp.h"
 
 namespace semantic_topo_loop {
@@ -26,7 +23,7 @@ class DetectionIngestionNodelet : public Stage {
  private:
   using Clock = std::chrono::steady_clock;
   struct Waiting {
-    Frame::ConstPtr frame;
+    FrameMessage::ConstPtr frame;
     Clock::time_point deadline;
   };
   static constexpr char kMissing[] = "frames without detections";
@@ -35,14 +32,14 @@ class DetectionIngestionNodelet : public Stage {
   void onInit() override;
   bool load_file();
   void reset_session() override;
-  void on_frame(const Frame::ConstPtr& frame);
-  void on_input(const DetectionArray::ConstPtr& message);
+  void on_frame(const FrameMessage::ConstPtr& frame);
+  void on_input(const DetectionsMessage::ConstPtr& message);
   void resolve();
   /// @return false if the frame must wait on
   bool resolve(const Waiting& waiting);
-  std::vector<core::Detection> from_file(const Frame& frame);
-  std::vector<core::Detection> checked(const DetectionArray& message);
-  void emit(const Frame& frame, const std::vector<core::Detection>& detections);
+  std::vector<core::Detection> from_file(const FrameMessage& frame);
+  std::vector<core::Detection> checked(const DetectionsMessage& message);
+  void emit(const FrameMessage& frame, std::vector<core::Detection> detections);
   void report_unused();
 
   core::Options options_;
@@ -66,12 +63,13 @@ void DetectionIngestionNodelet::onInit() {
   // A detector that is late must find its frames still waiting, and one that is ahead its detections still kept.
   constexpr std::size_t kKeptPerFrame = 10;
   matcher_ = std::make_unique<DetectionMatcher>(queue_capacity() * kKeptPerFrame);
-  publisher_ = advertise<DetectionArray>("detections");
+  publisher_ = advertise<DetectionsMessage>("detections");
   if (parameters_.source == "topic") {
-    const boost::function<void(const DetectionArray::ConstPtr&)> callback = [this](const DetectionArray::ConstPtr& m) {
-      push("detections_in", Keep::kDroppable, [this, m] { on_input(m); });
-    };
-    keep_subscriber(getNodeHandle().subscribe<DetectionArray>("detections_in", 100, callback));
+    const boost::function<void(const DetectionsMessage::ConstPtr&)> callback =
+        [this](const DetectionsMessage::ConstPtr& m) {
+          push("detections_in", Keep::kDroppable, [this, m] { on_input(m); });
+        };
+    keep_subscriber(getNodeHandle().subscribe<DetectionsMessage>("detections_in", 100, callback));
     constexpr double kDeadlinePeriodS = 0.02;
     start_timer(kDeadlinePeriodS, [this] { resolve(); });
   }
@@ -101,13 +99,13 @@ void DetectionIngestionNodelet::reset_session() {
   matched_ = 0;
 }
 
-void DetectionIngestionNodelet::on_frame(const Frame::ConstPtr& frame) {
+void DetectionIngestionNodelet::on_frame(const FrameMessage::ConstPtr& frame) {
   const std::chrono::duration<double> timeout(parameters_.detection_timeout_s);
   waiting_.push_back({frame, Clock::now() + std::chrono::duration_cast<Clock::duration>(timeout)});
   resolve();
 }
 
-void DetectionIngestionNodelet::on_input(const DetectionArray::ConstPtr& message) {
+void DetectionIngestionNodelet::on_input(const DetectionsMessage::ConstPtr& message) {
   matcher_->add(message);
   resolve();
   statistics().set(kUnmatched, matcher_->unmatched());
@@ -118,7 +116,7 @@ void DetectionIngestionNodelet::resolve() {
 }
 
 bool DetectionIngestionNodelet::resolve(const Waiting& waiting) {
-  const Frame& frame = *waiting.frame;
+  const FrameMessage& frame = *waiting.frame;
   if (frame.is_end) {
     emit(frame, {});
     if (is_file_) report_unused();
@@ -132,8 +130,8 @@ bool DetectionIngestionNodelet::resolve(const Waiting& waiting) {
     emit(frame, from_file(frame));
     return true;
   }
-  const std::int64_t stamp_ns = to_stamp_ns(frame.header.stamp);
-  if (const DetectionArray::ConstPtr message = matcher_->take(stamp_ns)) {
+  const std::int64_t stamp_ns = frame.stamp_ns;
+  if (const DetectionsMessage::ConstPtr message = matcher_->take(stamp_ns)) {
     emit(frame, checked(*message));
     return true;
   }
@@ -144,8 +142,8 @@ bool DetectionIngestionNodelet::resolve(const Waiting& waiting) {
   return true;
 }
 
-std::vector<core::Detection> DetectionIngestionNodelet::from_file(const Frame& frame) {
-  const std::int64_t stamp_ns = to_stamp_ns(frame.header.stamp);
+std::vector<core::Detection> DetectionIngestionNodelet::from_file(const FrameMessage& frame) {
+  const std::int64_t stamp_ns = frame.stamp_ns;
   const core::DetectionFrame* found = core::find_stamp(file_, stamp_ns, kStampToleranceNs);
   if (found == nullptr) {
     complain(kMissing, parameters_.detections_file + " has no image with stamp " + std::to_string(stamp_ns) + " ns");
@@ -155,9 +153,9 @@ std::vector<core::Detection> DetectionIngestionNodelet::from_file(const Frame& f
   return found->detections;
 }
 
-std::vector<core::Detection> DetectionIngestionNodelet::checked(const DetectionArray& message) {
+std::vector<core::Detection> DetectionIngestionNodelet::checked(const DetectionsMessage& message) {
   std::vector<core::Detection> kept;
-  for (const core::Detection& detection : from_msg(message)) {
+  for (const core::Detection& detection : message.detections) {
     const std::optional<core::DetectionProblem> problem = core::validate(detection, *classes_);
     if (problem) {
       complain(core::to_string(*problem), "a box on detections_in is left out: " + core::describe(detection, *problem));
@@ -168,13 +166,9 @@ std::vector<core::Detection> DetectionIngestionNodelet::checked(const DetectionA
   return kept;
 }
 
-void DetectionIngestionNodelet::emit(const Frame& frame, const std::vector<core::Detection>& detections) {
-  auto message = boost::make_shared<DetectionArray>();
-  to_msg(detections, message.get());
-  message->header = make_header(frame.header.stamp, frame.camera_frame);
-  message->session_id = frame.session_id;
-  message->frame_id = frame.frame_id;
-  publisher_.publish(message);
+void DetectionIngestionNodelet::emit(const FrameMessage& frame, std::vector<core::Detection> detections) {
+  publish(publisher_, make_header(frame.header.stamp, frame.camera_frame),
+          FrameDetections{frame.frame_id, std::move(detections)});
   count_processed();
 }
 

@@ -15,7 +15,6 @@
 #include "semantic_topo_loop/io/submap_file.h"
 #include "semantic_topo_loop/loop/loop_detector.h"
 #include "semantic_topo_loop/pipeline/object_slam.h"
-#include "semantic_topo_loop/ros/conversions.h"
 #include "semantic_topo_loop/types/stamp.h"
 
 namespace semantic_topo_loop {
@@ -26,7 +25,7 @@ class LoopDetectionNodelet : public Stage {
   ~LoopDetectionNodelet() override { stop(); }
 
  private:
-  using Joiner = FrameJoiner<Frame::ConstPtr, AssociationArray::ConstPtr, QuadricMapUpdate::ConstPtr>;
+  using Joiner = FrameJoiner<FrameMessage::ConstPtr, AssociationsMessage::ConstPtr, MapUpdateMessage::ConstPtr>;
   static constexpr char kIncomplete[] = "dropped, frame, associations or map update missing";
   static constexpr char kAccepted[] = "loops accepted";
 
@@ -35,7 +34,7 @@ class LoopDetectionNodelet : public Stage {
     classes_ = load_classes(parameters_.class_table);
     if (!classes_ || !load_earlier_map()) return;
     joiner_ = std::make_unique<Joiner>(queue_capacity());
-    publisher_ = advertise<LoopClosureArray>("loop_closures");
+    publisher_ = advertise<LoopsMessage>("loop_closures");
     for (const char* counter : {kIncomplete, kAccepted}) statistics().count(counter, 0);
     reset_session();
     keep_service(getPrivateNodeHandle().advertiseService("set_loop_closing", &LoopDetectionNodelet::on_switch, this));
@@ -121,12 +120,11 @@ class LoopDetectionNodelet : public Stage {
     return static_cast<bool>(written);
   }
 
-  void on_correction(const MapCorrection::ConstPtr& message) {
-    core::MapCorrection correction = from_msg(*message);
+  void on_correction(const CorrectionMessage::ConstPtr& message) {
     {
       const std::lock_guard<std::mutex> lock(mutex_);
-      T_map_odom_ = correction.T_map_odom;
-      if (correction.changed) keyframes_ = std::move(correction.keyframes);
+      T_map_odom_ = message->T_map_odom;
+      if (message->changed) keyframes_ = message->keyframes;
     }
     if (message->frame_id != end_frame_id_) return;
     std::string answer;
@@ -145,50 +143,44 @@ class LoopDetectionNodelet : public Stage {
     response.status = static_cast<std::uint8_t>(answer.status);
     response.explanation = answer.text;
     response.has_closure = answer.closure.has_value();
-    if (answer.closure) response.closure = to_msg(*answer.closure);
+    if (answer.closure) response.closure = to_generated<LoopClosure>(*answer.closure);
     return true;
   }
 
-  void on_frame(const Frame::ConstPtr& frame) {
+  void on_frame(const FrameMessage::ConstPtr& frame) {
     if (frame->is_end) end_frame_id_ = frame->frame_id;
     detect(joiner_->add<0>(frame->frame_id, frame));
   }
 
-  void on_associations(const AssociationArray::ConstPtr& associations) {
+  void on_associations(const AssociationsMessage::ConstPtr& associations) {
     detect(joiner_->add<1>(associations->frame_id, associations));
   }
 
   /// Updates are applied as they come, which is the order in which the map made them.
-  void on_update(const QuadricMapUpdate::ConstPtr& update) {
+  void on_update(const MapUpdateMessage::ConstPtr& update) {
     {
       const std::lock_guard<std::mutex> lock(mutex_);
-      detector_->apply(from_msg(*update));
+      detector_->apply(*update);
     }
-    if (update->phase == QuadricMapUpdate::PHASE_OBSERVATION) detect(joiner_->add<2>(update->frame_id, update));
+    if (update->phase == core::MapUpdatePhase::kObservation) detect(joiner_->add<2>(update->frame_id, update));
   }
 
   void detect(const std::optional<Joiner::Set>& joined) {
     statistics().set(kIncomplete, joiner_->evicted());
     if (!joined) return;
-    const Frame& frame = *std::get<0>(*joined);
-    auto message = boost::make_shared<LoopClosureArray>();
-    const std::vector<core::LoopClosure> loops =
-        detect(from_msg(frame), from_msg(*std::get<1>(*joined)), &message->duration_us);
-    to_msg(loops, message.get());
-    message->header = make_header(frame.header.stamp, frame.camera_frame);
-    message->session_id = session_id();
-    message->frame_id = frame.frame_id;
-    publisher_.publish(message);
+    const FrameMessage& frame = *std::get<0>(*joined);
+    FrameLoops loops = detect(frame, *std::get<1>(*joined));
     bool relocalised = false;
-    for (const core::LoopClosure& loop : loops) {
+    for (const core::LoopClosure& loop : loops.closures) {
       relocalised = relocalised || (loop.accepted && loop.T_earlier_match);
       statistics().count(loop.accepted ? kAccepted : std::string("loops rejected: ") + to_string(loop.reason));
     }
+    publish(publisher_, make_header(frame.header.stamp, frame.camera_frame), std::move(loops));
     if (relocalised) publish_relocalisation(frame);
     count_processed();
   }
 
-  void publish_relocalisation(const Frame& frame) {
+  void publish_relocalisation(const FrameMessage& frame) {
     std::optional<core::Relocalisation> found;
     {
       const std::lock_guard<std::mutex> lock(mutex_);
@@ -198,21 +190,18 @@ class LoopDetectionNodelet : public Stage {
     auto message = boost::make_shared<geometry_msgs::TransformStamped>();
     message->header = make_header(frame.header.stamp, parameters_.earlier_map_frame);
     message->child_frame_id = frame.header.frame_id;
-    const geometry_msgs::Pose pose = to_msg(found->T_earlier_odom);
-    message->transform.translation.x = pose.position.x;
-    message->transform.translation.y = pose.position.y;
-    message->transform.translation.z = pose.position.z;
-    message->transform.rotation = pose.orientation;
+    message->transform = to_transform_msg(found->T_earlier_odom);
     relocalisation_publisher_.publish(message);
     NODELET_INFO_ONCE("the run's place in the earlier map is known, by %d of %d loops", found->agreeing, found->total);
   }
 
-  std::vector<core::LoopClosure> detect(const core::Frame& frame, const core::AssociationFrame& associations,
-                                        double* duration_us) {
+  FrameLoops detect(const core::Frame& frame, const core::AssociationFrame& associations) {
     const std::lock_guard<std::mutex> lock(mutex_);
     const core::Stopwatch stopwatch;
-    std::vector<core::LoopClosure> loops = detector_->detect(frame, associations);
-    *duration_us = stopwatch.elapsed_us();
+    FrameLoops loops;
+    loops.frame_id = frame.frame_id;
+    loops.closures = detector_->detect(frame, associations);
+    loops.duration_us = stopwatch.elapsed_us();
     return loops;
   }
 

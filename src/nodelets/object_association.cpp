@@ -9,7 +9,6 @@
 #include "ros/stage.h"
 #include "semantic_topo_loop/FrameDone.h"
 #include "semantic_topo_loop/association/object_associator.h"
-#include "semantic_topo_loop/ros/conversions.h"
 
 namespace semantic_topo_loop {
 
@@ -34,7 +33,7 @@ class ObjectAssociationNodelet : public Stage {
     classes_ = load_classes(parameters.class_table);
     if (!classes_) return;
     joiner_ = std::make_unique<Joiner>(queue_capacity());
-    associations_publisher_ = advertise<AssociationArray>("associations");
+    associations_publisher_ = advertise<AssociationsMessage>("associations");
     done_publisher_ = advertise<FrameDone>("frame_done");
     for (const char* counter : {kIncomplete, kVersionGaps}) statistics().count(counter, 0);
     reset_session();
@@ -53,8 +52,8 @@ class ObjectAssociationNodelet : public Stage {
     next_done_ = kNoFrame;
   }
 
-  void on_frame(const Frame::ConstPtr& frame) {
-    open_[frame->frame_id] = {frame->header.stamp, frame->is_end != 0, false};
+  void on_frame(const FrameMessage::ConstPtr& frame) {
+    open_[frame->frame_id] = {frame->header.stamp, frame->is_end, false};
     if (next_done_ == kNoFrame) {
       next_done_ = frame->frame_id;
       if (frame->frame_id > 0) {
@@ -65,29 +64,26 @@ class ObjectAssociationNodelet : public Stage {
     associate(joiner_->add<0>(frame->frame_id, frame));
   }
 
-  void on_detections(const DetectionArray::ConstPtr& detections) {
+  void on_detections(const DetectionsMessage::ConstPtr& detections) {
     associate(joiner_->add<1>(detections->frame_id, detections));
   }
 
-  void associate(const std::optional<std::tuple<Frame::ConstPtr, DetectionArray::ConstPtr>>& joined) {
+  void associate(const std::optional<std::tuple<FrameMessage::ConstPtr, DetectionsMessage::ConstPtr>>& joined) {
     statistics().set(kIncomplete, joiner_->evicted());
     if (!joined) return;
     const auto& [frame, detections] = *joined;
-    auto message = boost::make_shared<AssociationArray>();
-    to_msg(associator_->associate(from_msg(*frame), from_msg(*detections)), message.get());
-    message->header = make_header(frame->header.stamp, frame->camera_frame);
-    message->session_id = session_id();
+    core::AssociationFrame associations = associator_->associate(*frame, detections->detections);
     open_[frame->frame_id].associated = true;
-    associations_publisher_.publish(message);
+    publish(associations_publisher_, make_header(frame->header.stamp, frame->camera_frame), std::move(associations));
     count_processed();
   }
 
-  void on_update(const QuadricMapUpdate::ConstPtr& message) {
-    take_over(follower_.follow(from_msg(*message)));
-    if (message->phase == QuadricMapUpdate::PHASE_CORRECTION) finish(message->frame_id);
+  void on_update(const MapUpdateMessage::ConstPtr& message) {
+    take_over(follower_.follow(*message));
+    if (message->phase == core::MapUpdatePhase::kCorrection) finish(message->frame_id);
   }
 
-  void on_full_map(const QuadricMap::ConstPtr& message) { take_over(follower_.recover(from_msg(*message))); }
+  void on_full_map(const MapMessage::ConstPtr& message) { take_over(follower_.recover(*message)); }
 
   /// Applies what the follower lets through; asks for the full map while there is a gap, and only then.
   void take_over(const std::vector<core::MapUpdate>& updates) {
@@ -121,7 +117,7 @@ class ObjectAssociationNodelet : public Stage {
     done_publisher_.publish(message);
   }
 
-  using Joiner = FrameJoiner<Frame::ConstPtr, DetectionArray::ConstPtr>;
+  using Joiner = FrameJoiner<FrameMessage::ConstPtr, DetectionsMessage::ConstPtr>;
   static constexpr std::int64_t kNoFrame = -1;
   static constexpr char kIncomplete[] = "dropped, frame or detections missing";
   static constexpr char kVersionGaps[] = "gaps between map versions";

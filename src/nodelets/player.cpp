@@ -17,15 +17,8 @@
 #include "ros/player_source.h"
 #include "ros/stage.h"
 #include "ros/tum_bag_source.h"
-#include "semantic_topo_loop/AssociationArray.h"
-#include "semantic_topo_loop/DetectionArray.h"
-#include "semantic_topo_loop/Frame.h"
-#include "semantic_topo_loop/LoopClosureArray.h"
-#include "semantic_topo_loop/MapCorrection.h"
-#include "semantic_topo_loop/QuadricMapUpdate.h"
 #include "semantic_topo_loop/io/yaml_files.h"
 #include "semantic_topo_loop/io/tum_trajectory.h"
-#include "semantic_topo_loop/ros/conversions.h"
 
 namespace semantic_topo_loop {
 
@@ -131,18 +124,18 @@ void PlayerNodelet::follow(const std::string& topic, PlayerLedger::Link link) {
 
 void PlayerNodelet::watch() {
   listen<SessionAck>("session_acks", [this](const SessionAck& ack) { ledger_->take(ack); });
-  listen<Frame>("frames", [this](const Frame& frame) {
-    ledger_->numbered(frame.session_id, to_stamp_ns(frame.header.stamp), frame.frame_id, frame.is_end != 0);
+  listen<FrameMessage>("frames", [this](const FrameMessage& frame) {
+    ledger_->numbered(frame.session_id, frame.stamp_ns, frame.frame_id, frame.is_end);
   });
-  follow<DetectionArray>("detections", PlayerLedger::kDetections);
-  follow<AssociationArray>("associations", PlayerLedger::kAssociations);
-  listen<QuadricMapUpdate>("quadric_map_updates", [this](const QuadricMapUpdate& update) {
-    const bool completes = update.phase == QuadricMapUpdate::PHASE_CORRECTION;
+  follow<DetectionsMessage>("detections", PlayerLedger::kDetections);
+  follow<AssociationsMessage>("associations", PlayerLedger::kAssociations);
+  listen<MapUpdateMessage>("quadric_map_updates", [this](const MapUpdateMessage& update) {
+    const bool completes = update.phase == core::MapUpdatePhase::kCorrection;
     ledger_->seen(completes ? PlayerLedger::kCompletions : PlayerLedger::kObservations, update.session_id,
                   update.frame_id);
   });
-  follow<LoopClosureArray>("loop_closures", PlayerLedger::kLoopClosures);
-  follow<MapCorrection>("map_corrections", PlayerLedger::kCorrections);
+  follow<LoopsMessage>("loop_closures", PlayerLedger::kLoopClosures);
+  follow<CorrectionMessage>("map_corrections", PlayerLedger::kCorrections);
   listen<FrameDone>("frame_done", [this](const FrameDone& done) {
     ledger_->done(done);
     last_progress_ = Clock::now();

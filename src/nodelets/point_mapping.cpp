@@ -3,14 +3,12 @@
 #include <pluginlib/class_list_macros.hpp>
 #include <string>
 
-#include "ros/conversions_points.h"
 #include "ros/lazy_publisher.h"
 #include "ros/parameters.h"
 #include "ros/stage.h"
 #include "semantic_topo_loop/SavePoints.h"
 #include "semantic_topo_loop/io/point_cloud_file.h"
 #include "semantic_topo_loop/map/point_map.h"
-#include "semantic_topo_loop/ros/conversions.h"
 
 namespace semantic_topo_loop {
 /// Keeps the points of the keyframes, which move with the map's corrections. Publishes them only while somebody
@@ -39,25 +37,24 @@ class PointMappingNodelet : public Stage {
     mark_changed();
   }
 
-  void on_points(const KeyframePoints::ConstPtr& message) {
-    std::string error;
-    const std::optional<core::Frame> keyframe = from_msg(*message, &error);
-    if (!keyframe) {
+  void on_points(const KeyframePointsMessage::ConstPtr& message) {
+    if (!message->keyframe_points) {
       statistics().count("unusable points of keyframes");
-      NODELET_WARN_ONCE("points of keyframe %ld left out: %s", static_cast<long>(message->keyframe_id), error.c_str());
+      NODELET_WARN_ONCE("points of keyframe %ld left out: %s", static_cast<long>(message->keyframe_id),
+                        message->problem.c_str());
       return;
     }
     stamp_ = message->header.stamp;
     const std::lock_guard<std::mutex> lock(mutex_);
-    map_->add(*keyframe);
+    map_->add(*message);
     mark_changed();
     count_processed();
   }
 
-  void on_correction(const MapCorrection::ConstPtr& message) {
+  void on_correction(const CorrectionMessage::ConstPtr& message) {
     if (!message->changed) return;
     const std::lock_guard<std::mutex> lock(mutex_);
-    map_->apply(from_msg(*message));
+    map_->apply(*message);
     mark_changed();
   }
 

@@ -15,10 +15,8 @@
 #include "ros/pose_odometry.h"
 #include "ros/pose_source.h"
 #include "ros/pose_tf.h"
-#include "semantic_topo_loop/DetectionArray.h"
 #include "semantic_topo_loop/FrameDone.h"
 #include "semantic_topo_loop/io/tum_trajectory.h"
-#include "semantic_topo_loop/ros/conversions.h"
 
 namespace semantic_topo_loop {
 
@@ -45,7 +43,7 @@ class PoseFrontendNodelet : public FrontendStage {
   void on_camera_stamp(std::int64_t stamp_ns) override;
   void on_more_transforms() override { resolve(); }
   void on_end() override;
-  void on_detections(const DetectionArray& message) { take_trigger(to_stamp_ns(message.header.stamp)); }
+  void on_detections(const DetectionsMessage& message) { take_trigger(to_stamp_ns(message.header.stamp)); }
   void on_odometry(const nav_msgs::Odometry& message);
   void on_points(const sensor_msgs::PointCloud2ConstPtr& message);
 
@@ -106,7 +104,7 @@ void PoseFrontendNodelet::subscribe_all() {
     keep_subscriber(getNodeHandle().subscribe<sensor_msgs::PointCloud2>("points", queue_size, callback));
   }
   if (parameters_.trigger == "detections") {
-    listen<DetectionArray>("detections_in", queue_size, &PoseFrontendNodelet::on_detections);
+    listen<DetectionsMessage>("detections_in", queue_size, &PoseFrontendNodelet::on_detections);
   }
 }
 
@@ -121,8 +119,7 @@ void PoseFrontendNodelet::on_camera_stamp(std::int64_t stamp_ns) {
 }
 
 void PoseFrontendNodelet::on_odometry(const nav_msgs::Odometry& message) {
-  std::string error;
-  if (!odometry_->add(message, &error)) complain("bad odometry", error);
+  if (const core::Status added = odometry_->add(message); !added) complain("bad odometry", added.message());
   resolve();
 }
 
@@ -183,13 +180,13 @@ bool PoseFrontendNodelet::take_points(const Trigger& trigger, bool is_late, core
     return is_late;
   }
   const std::string frame = strip_leading_slash(it->second->header.frame_id);
-  std::string error = "cloud in frame '" + frame + "', not in the camera's '" + camera_frame() + "'";
-  std::optional<std::vector<core::Vec3>> points;
-  if (frame == camera_frame()) points = from_msg(*it->second, &error);
+  core::Result<std::vector<core::Vec3>> points =
+      core::Error{"cloud in frame '" + frame + "', not in the camera's '" + camera_frame() + "'"};
+  if (frame == camera_frame()) points = from_msg(*it->second);
   if (points) {
-    sample->points_camera = std::make_shared<const std::vector<core::Vec3>>(std::move(*points));
+    sample->points_camera = std::make_shared<const std::vector<core::Vec3>>(*std::move(points));
   } else {
-    complain("unusable points", error);
+    complain("unusable points", points.message());
   }
   points_.erase(points_.begin(), std::next(it));
   return true;

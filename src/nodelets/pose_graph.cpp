@@ -16,7 +16,6 @@
 #include "ros/parameters.h"
 #include "ros/stage.h"
 #include "semantic_topo_loop/WithdrawLoop.h"
-#include "semantic_topo_loop/ros/conversions.h"
 
 namespace semantic_topo_loop {
 /// Owns the keyframe poses: optimises them with the loops, and with the objects if they take part, publishes
@@ -28,8 +27,8 @@ class PoseGraphNodelet : public Stage {
 
  private:
   /// The last two are null where the objects take no part.
-  using Joiner =
-      FrameJoiner<Frame::ConstPtr, LoopClosureArray::ConstPtr, AssociationArray::ConstPtr, QuadricMapUpdate::ConstPtr>;
+  using Joiner = FrameJoiner<FrameMessage::ConstPtr, LoopsMessage::ConstPtr, AssociationsMessage::ConstPtr,
+                             MapUpdateMessage::ConstPtr>;
   static constexpr double kPathPeriodS = 0.5;
   static constexpr char kWithoutLoops[] = "frames whose loop detection was lost";
 
@@ -39,7 +38,7 @@ class PoseGraphNodelet : public Stage {
     joiner_ = std::make_unique<Joiner>(queue_capacity(), [this](std::int64_t, const Joiner::Partial& partial) {
       if (std::get<0>(partial)) process(**std::get<0>(partial), {}, std::get<2>(partial).value_or(nullptr));
     });
-    correction_publisher_ = advertise<MapCorrection>("map_corrections");
+    correction_publisher_ = advertise<CorrectionMessage>("map_corrections");
     odometry_path_.open(advertise<nav_msgs::Path>("path_odometry"));
     corrected_path_.open(advertise<nav_msgs::Path>("path_corrected"));
     statistics().count(kWithoutLoops, 0);
@@ -91,7 +90,7 @@ class PoseGraphNodelet : public Stage {
 
   bool has_objects() const { return options_.pose_graph.objects != "off"; }
 
-  void on_frame(const Frame::ConstPtr& frame) {
+  void on_frame(const FrameMessage::ConstPtr& frame) {
     if (!has_objects()) {
       joiner_->add<2>(frame->frame_id, nullptr);
       joiner_->add<3>(frame->frame_id, nullptr);
@@ -99,20 +98,20 @@ class PoseGraphNodelet : public Stage {
     process(joiner_->add<0>(frame->frame_id, frame));
   }
 
-  void on_associations(const AssociationArray::ConstPtr& associations) {
+  void on_associations(const AssociationsMessage::ConstPtr& associations) {
     process(joiner_->add<2>(associations->frame_id, associations));
   }
 
   /// Updates are applied as they come, which is the order in which the map made them.
-  void on_update(const QuadricMapUpdate::ConstPtr& update) {
-    graph_->apply(from_msg(*update));
-    if (update->phase == QuadricMapUpdate::PHASE_OBSERVATION) process(joiner_->add<3>(update->frame_id, update));
+  void on_update(const MapUpdateMessage::ConstPtr& update) {
+    graph_->apply(*update);
+    if (update->phase == core::MapUpdatePhase::kObservation) process(joiner_->add<3>(update->frame_id, update));
   }
 
   /// Loops of a frame that went in without them are added with the next frame.
-  void on_loops(const LoopClosureArray::ConstPtr& loops) {
+  void on_loops(const LoopsMessage::ConstPtr& loops) {
     if (!joiner_->is_past(loops->frame_id)) return process(joiner_->add<1>(loops->frame_id, loops));
-    const std::vector<core::LoopClosure> late = core::own_loops(from_msg(*loops));
+    const std::vector<core::LoopClosure> late = core::own_loops(loops->closures);
     late_loops_.insert(late_loops_.end(), late.begin(), late.end());
   }
 
@@ -120,23 +119,20 @@ class PoseGraphNodelet : public Stage {
     statistics().set(kWithoutLoops, joiner_->evicted());
     if (!joined) return;
     const auto& [frame, loops, associations, update] = *joined;
-    process(*frame, core::own_loops(from_msg(*loops)), associations);
+    process(*frame, core::own_loops(loops->closures), associations);
   }
 
   /// @param associations null: none
-  void process(const Frame& frame, const std::vector<core::LoopClosure>& frame_loops,
-               const AssociationArray::ConstPtr& associations) {
-    if (associations) graph_->observe(from_msg(frame), from_msg(*associations));
+  void process(const FrameMessage& frame, const std::vector<core::LoopClosure>& frame_loops,
+               const AssociationsMessage::ConstPtr& associations) {
+    if (associations) graph_->observe(frame, *associations);
     std::vector<core::LoopClosure> loops = std::exchange(late_loops_, {});
     loops.insert(loops.end(), frame_loops.begin(), frame_loops.end());
-    auto message = boost::make_shared<MapCorrection>();
-    to_msg(graph_->process(from_msg(frame), loops), message.get());
-    message->header = make_header(frame.header.stamp, parameters_.map_frame);
-    message->session_id = session_id();
+    core::MapCorrection correction = graph_->process(frame, loops);
     if (tf_sender_) tf_sender_->update(graph_->T_map_odom(), frame.header.stamp, frame.header.frame_id);
-    correction_publisher_.publish(message);
-    if (frame.is_keyframe) odometry_keyframes_.push_back(stamped(frame.header.stamp, from_msg(frame.odom_from_camera)));
-    last_frame_ = stamped(frame.header.stamp, from_msg(frame.odom_from_camera));
+    publish(correction_publisher_, make_header(frame.header.stamp, parameters_.map_frame), std::move(correction));
+    last_frame_ = stamped(frame.header.stamp, frame.T_odom_camera);
+    if (frame.is_keyframe) odometry_keyframes_.push_back(*last_frame_);
     odometry_path_.mark_changed();
     corrected_path_.mark_changed();
     if (frame.is_end) publish_paths();  // the recording may be over before the timer comes round

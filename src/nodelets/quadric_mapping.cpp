@@ -5,7 +5,6 @@
 #include "ros/parameters.h"
 #include "ros/stage.h"
 #include "semantic_topo_loop/map/quadric_mapper.h"
-#include "semantic_topo_loop/ros/conversions.h"
 
 namespace semantic_topo_loop {
 /// Keeps the quadric map and publishes its deltas, and the whole of it now and then for late listeners.
@@ -15,7 +14,7 @@ class QuadricMappingNodelet : public Stage {
   ~QuadricMappingNodelet() override { stop(); }
 
  private:
-  using Joiner = FrameJoiner<Frame::ConstPtr, AssociationArray::ConstPtr>;
+  using Joiner = FrameJoiner<FrameMessage::ConstPtr, AssociationsMessage::ConstPtr>;
   static constexpr double kFullMapPeriodS = 1.0;
   static constexpr char kIncomplete[] = "dropped, frame or associations missing";
 
@@ -24,8 +23,8 @@ class QuadricMappingNodelet : public Stage {
     classes_ = load_classes(parameters_.class_table);
     if (!classes_) return;
     joiner_ = std::make_unique<Joiner>(queue_capacity());
-    update_publisher_ = advertise<QuadricMapUpdate>("quadric_map_updates");
-    map_publisher_ = advertise<QuadricMap>("quadric_map", true);
+    update_publisher_ = advertise<MapUpdateMessage>("quadric_map_updates");
+    map_publisher_ = advertise<MapMessage>("quadric_map", true);
     statistics().count(kIncomplete, 0);
     reset_session();
     subscribe("map_corrections", Keep::kAlways, &QuadricMappingNodelet::on_correction);
@@ -41,45 +40,39 @@ class QuadricMappingNodelet : public Stage {
     published_version_ = 0;
   }
 
-  void on_frame(const Frame::ConstPtr& frame) { integrate(joiner_->add<0>(frame->frame_id, frame)); }
+  void on_frame(const FrameMessage::ConstPtr& frame) { integrate(joiner_->add<0>(frame->frame_id, frame)); }
 
-  void on_associations(const AssociationArray::ConstPtr& associations) {
+  void on_associations(const AssociationsMessage::ConstPtr& associations) {
     integrate(joiner_->add<1>(associations->frame_id, associations));
   }
 
-  void integrate(const std::optional<std::tuple<Frame::ConstPtr, AssociationArray::ConstPtr>>& joined) {
+  void integrate(const std::optional<std::tuple<FrameMessage::ConstPtr, AssociationsMessage::ConstPtr>>& joined) {
     statistics().set(kIncomplete, joiner_->evicted());
     if (!joined) return;
     const auto& [frame, associations] = *joined;
-    publish(mapper_->integrate(from_msg(*frame), from_msg(*associations)), frame->header.stamp);
+    publish(mapper_->integrate(*frame, *associations), frame->header.stamp);
     count_processed();
   }
 
-  void on_correction(const MapCorrection::ConstPtr& correction) {
-    publish(mapper_->apply(from_msg(*correction)), correction->header.stamp);
+  void on_correction(const CorrectionMessage::ConstPtr& correction) {
+    publish(mapper_->apply(*correction), correction->header.stamp);
     if (correction->changed) publish_map();
   }
 
-  void publish(const core::MapUpdate& update, const ros::Time& stamp) {
-    auto message = boost::make_shared<QuadricMapUpdate>();
-    to_msg(update, message.get());
-    message->header = make_header(stamp, parameters_.map_frame);
-    message->session_id = session_id();
+  void publish(core::MapUpdate update, const ros::Time& stamp) {
     last_stamp_ = stamp;
-    update_publisher_.publish(message);
+    Stage::publish(update_publisher_, make_header(stamp, parameters_.map_frame), std::move(update));
   }
 
   /// The whole map, unless that version is out already.
   void publish_map() {
     if (mapper_->map_version() == published_version_) return;
     published_version_ = mapper_->map_version();
-    auto message = boost::make_shared<QuadricMap>();
-    message->header = make_header(last_stamp_, parameters_.map_frame);
-    message->session_id = session_id();
-    message->map_version = published_version_;
-    message->map_from_odom = to_msg(mapper_->T_map_odom());
-    message->quadrics = to_msg(mapper_->landmarks());
-    map_publisher_.publish(message);
+    FullMap map;
+    map.map_version = published_version_;
+    map.T_map_odom = mapper_->T_map_odom();
+    map.changed = mapper_->landmarks();
+    Stage::publish(map_publisher_, make_header(last_stamp_, parameters_.map_frame), std::move(map));
   }
 
   core::Options options_;

@@ -10,7 +10,6 @@
 #include "ros/parameters.h"
 #include "ros/stage.h"
 #include "semantic_topo_loop/io/run_recorder.h"
-#include "semantic_topo_loop/ros/conversions.h"
 
 namespace semantic_topo_loop {
 /// Collects what the stages say and writes the files of the offline program.
@@ -22,7 +21,7 @@ class RecorderNodelet : public Stage {
  private:
   /// The END frame is complete when every stage has spoken of it.
   struct Heard {};
-  using Joiner = FrameJoiner<Frame::ConstPtr, Heard, Heard, Heard, Heard, Heard>;
+  using Joiner = FrameJoiner<FrameMessage::ConstPtr, Heard, Heard, Heard, Heard, Heard>;
   enum Kind : std::size_t { kFrame, kAssociations, kObservation, kLoops, kCorrection, kCompletion };
 
   void onInit() override {
@@ -74,37 +73,37 @@ class RecorderNodelet : public Stage {
     return static_cast<bool>(written);
   }
 
-  void on_frame(const Frame::ConstPtr& frame) {
-    record(from_msg(*frame));
+  void on_frame(const FrameMessage::ConstPtr& frame) {
+    record(*frame);
     add<kFrame>(frame->frame_id, frame);
   }
 
-  void on_tracking(const TrackingReport::ConstPtr& report) { record(from_msg(*report)); }
+  void on_tracking(const TrackingMessage::ConstPtr& report) { record(*report); }
 
-  void on_associations(const AssociationArray::ConstPtr& associations) {
-    record(from_msg(*associations));
+  void on_associations(const AssociationsMessage::ConstPtr& associations) {
+    record(*associations);
     add<kAssociations>(associations->frame_id, {});
   }
 
-  void on_update(const QuadricMapUpdate::ConstPtr& update) {
-    record(from_msg(*update));
-    if (update->phase == QuadricMapUpdate::PHASE_OBSERVATION) {
+  void on_update(const MapUpdateMessage::ConstPtr& update) {
+    record(*update);
+    if (update->phase == core::MapUpdatePhase::kObservation) {
       add<kObservation>(update->frame_id, {});
     } else {
       add<kCompletion>(update->frame_id, {});
     }
   }
 
-  void on_loops(const LoopClosureArray::ConstPtr& loops) {
+  void on_loops(const LoopsMessage::ConstPtr& loops) {
     {
       const std::lock_guard<std::mutex> lock(mutex_);
-      recorder_->record(loops->frame_id, from_msg(*loops), loops->duration_us);
+      recorder_->record(loops->frame_id, loops->closures, loops->duration_us);
     }
     add<kLoops>(loops->frame_id, {});
   }
 
-  void on_correction(const MapCorrection::ConstPtr& correction) {
-    record(from_msg(*correction));
+  void on_correction(const CorrectionMessage::ConstPtr& correction) {
+    record(*correction);
     add<kCorrection>(correction->frame_id, {});
   }
 

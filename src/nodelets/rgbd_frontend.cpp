@@ -15,9 +15,7 @@
 #include "ros/rgbd_conversion.h"
 #include "ros/rgbd_synchronizer.h"
 #include "semantic_topo_loop/FrameDone.h"
-#include "semantic_topo_loop/TrackingReport.h"
 #include "semantic_topo_loop/frontend/rgbd_image.h"
-#include "semantic_topo_loop/ros/conversions.h"
 
 namespace semantic_topo_loop {
 namespace {
@@ -89,7 +87,7 @@ void RgbdFrontendNodelet::onInit() {
   }
   if (!open(options_.keyframe, parameters_, transforms)) return;
   statistics().count(kSingle, 0);
-  report_publisher_ = advertise<TrackingReport>("tracking_report");
+  report_publisher_ = advertise<TrackingMessage>("tracking_report");
   subscribe_images();
   constexpr double kWatchPeriodS = 0.25;
   start_timer(kWatchPeriodS, [this] { watch(); });
@@ -160,10 +158,7 @@ void RgbdFrontendNodelet::forget() {
 }
 
 void RgbdFrontendNodelet::on_end() {
-  auto message = boost::make_shared<TrackingReport>();
-  to_msg(report_, message.get());
-  message->session_id = current_session();
-  report_publisher_.publish(message);
+  publish(report_publisher_, std_msgs::Header(), report_);
   emit_end();
 }
 

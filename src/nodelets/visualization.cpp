@@ -11,8 +11,8 @@
 #include "ros/markers.h"
 #include "ros/parameters.h"
 #include "ros/stage.h"
+#include "semantic_topo_loop/Keyframe.h"
 #include "semantic_topo_loop/geometry/lie.h"
-#include "semantic_topo_loop/ros/conversions.h"
 
 namespace semantic_topo_loop {
 /// Shows the map in rviz. Follows the deltas at all times, since a late listener wants the whole, but reads frames and
@@ -49,13 +49,13 @@ class VisualizationNodelet : public Stage {
     for (LazyPublisher* publisher : {&quadrics_, &labels_, &topology_, &loops_, &keyframes_}) publisher->mark_changed();
   }
 
-  void on_update(const QuadricMapUpdate::ConstPtr& message) {
+  void on_update(const MapUpdateMessage::ConstPtr& message) {
     stamp_ = message->header.stamp;
-    take_over(follower_.follow(from_msg(*message)));
-    if (message->phase == QuadricMapUpdate::PHASE_CORRECTION) count_processed();
+    take_over(follower_.follow(*message));
+    if (message->phase == core::MapUpdatePhase::kCorrection) count_processed();
   }
 
-  void on_full_map(const QuadricMap::ConstPtr& message) { take_over(follower_.recover(from_msg(*message))); }
+  void on_full_map(const MapMessage::ConstPtr& message) { take_over(follower_.recover(*message)); }
 
   void take_over(const std::vector<core::MapUpdate>& updates) {
     for (const core::MapUpdate& update : updates) {
@@ -66,8 +66,8 @@ class VisualizationNodelet : public Stage {
     toggle(follower_.has_gap(), "quadric_map", &VisualizationNodelet::on_full_map, &full_map_subscriber_);
   }
 
-  void on_correction(const MapCorrection::ConstPtr& message) {
-    view_.apply(from_msg(*message));
+  void on_correction(const CorrectionMessage::ConstPtr& message) {
+    view_.apply(*message);
     if (!message->changed) return;
     for (LazyPublisher* publisher : {&labels_, &loops_, &keyframes_}) publisher->mark_changed();
   }
@@ -77,19 +77,19 @@ class VisualizationNodelet : public Stage {
     keyframes_.mark_changed();
   }
 
-  void on_loops(const LoopClosureArray::ConstPtr& message) {
+  void on_loops(const LoopsMessage::ConstPtr& message) {
     if (message->closures.empty()) return;
-    view_.add_loops(from_msg(*message));
+    view_.add_loops(message->closures);
     loops_.mark_changed();
   }
 
-  void on_frame(const Frame::ConstPtr& message) {
-    view_.set_frame(from_msg(*message));
+  void on_frame(const FrameMessage::ConstPtr& message) {
+    view_.set_frame(*message);
     keyframes_.mark_changed();
   }
 
-  void on_associations(const AssociationArray::ConstPtr& message) {
-    view_.set_view(from_msg(*message));
+  void on_associations(const AssociationsMessage::ConstPtr& message) {
+    view_.set_view(*message);
     topology_.mark_changed();
   }
 
@@ -105,8 +105,7 @@ class VisualizationNodelet : public Stage {
     geometry_msgs::TransformStamped message;
     message.header = make_header(stamp_, parameters_.map_frame);
     message.child_frame_id = parameters_.upright_frame;
-    message.transform.translation = to_vector_msg(T_map_upright->t);
-    message.transform.rotation = to_msg(*T_map_upright).orientation;
+    message.transform = to_transform_msg(*T_map_upright);
     tf_broadcaster_->sendTransform(message);
   }
 

@@ -3,7 +3,7 @@
 #include <algorithm>
 #include <cstdlib>
 
-#include "semantic_topo_loop/ros/conversions.h"
+#include "ros/conversions.h"
 
 namespace semantic_topo_loop {
 namespace {

@@ -3,19 +3,19 @@
 #include <algorithm>
 #include <cstdlib>
 
+#include "ros/conversions.h"
 #include "ros/pose_source.h"
-#include "semantic_topo_loop/ros/conversions.h"
 
 namespace semantic_topo_loop {
 namespace {
 
 constexpr std::int64_t kJumpBackNs = 1000000000;
 
-std::int64_t stamp_of(const DetectionArray::ConstPtr& detections) { return to_stamp_ns(detections->header.stamp); }
+std::int64_t stamp_of(const DetectionsMessage::ConstPtr& detections) { return to_stamp_ns(detections->header.stamp); }
 
 }  // namespace
 
-void DetectionMatcher::add(const DetectionArray::ConstPtr& detections) {
+void DetectionMatcher::add(const DetectionsMessage::ConstPtr& detections) {
   const bool jumped_back = !waiting_.empty() && stamp_of(detections) < stamp_of(waiting_.back()) - kJumpBackNs;
   if (jumped_back) {
     unmatched_ += waiting_.size();
@@ -28,14 +28,14 @@ void DetectionMatcher::add(const DetectionArray::ConstPtr& detections) {
   }
 }
 
-DetectionArray::ConstPtr DetectionMatcher::take(std::int64_t stamp_ns) {
-  const auto found = std::find_if(waiting_.begin(), waiting_.end(), [stamp_ns](const DetectionArray::ConstPtr& d) {
+DetectionsMessage::ConstPtr DetectionMatcher::take(std::int64_t stamp_ns) {
+  const auto found = std::find_if(waiting_.begin(), waiting_.end(), [stamp_ns](const DetectionsMessage::ConstPtr& d) {
     return std::abs(stamp_of(d) - stamp_ns) <= kStampToleranceNs;
   });
   if (found == waiting_.end()) return nullptr;
-  const DetectionArray::ConstPtr detections = *found;
+  const DetectionsMessage::ConstPtr detections = *found;
   waiting_.erase(found);
-  const auto is_older = [stamp_ns](const DetectionArray::ConstPtr& d) { return stamp_of(d) < stamp_ns; };
+  const auto is_older = [stamp_ns](const DetectionsMessage::ConstPtr& d) { return stamp_of(d) < stamp_ns; };
   const auto end = std::remove_if(waiting_.begin(), waiting_.end(), is_older);
   unmatched_ += static_cast<std::uint64_t>(std::distance(end, waiting_.end()));
   waiting_.erase(end, waiting_.end());

@@ -4,7 +4,7 @@
 #include <deque>
 #include <optional>
 
-#include "semantic_topo_loop/DetectionArray.h"
+#include "semantic_topo_loop/ros/messages.h"
 
 namespace semantic_topo_loop {
 
@@ -14,16 +14,16 @@ class DetectionMatcher {
   explicit DetectionMatcher(std::size_t capacity) : capacity_(capacity) {}
 
   /// Time that jumps back by more than a second makes what waits worthless.
-  void add(const DetectionArray::ConstPtr& detections);
+  void add(const DetectionsMessage::ConstPtr& detections);
   /// The detections of the image with this stamp (within 1 us), which are then gone, as are older ones: frames come in
   /// order.
-  DetectionArray::ConstPtr take(std::int64_t stamp_ns);
+  DetectionsMessage::ConstPtr take(std::int64_t stamp_ns);
   /// Detections that no frame ever asked for, or only before they came.
   std::uint64_t unmatched() const { return unmatched_; }
 
  private:
   const std::size_t capacity_;
-  std::deque<DetectionArray::ConstPtr> waiting_;  ///< in order of arrival
+  std::deque<DetectionsMessage::ConstPtr> waiting_;  ///< in order of arrival
   std::uint64_t unmatched_ = 0;
 };
 

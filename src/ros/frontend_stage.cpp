@@ -4,12 +4,10 @@
 
 #include <utility>
 
-#include "ros/conversions_points.h"
-#include "semantic_topo_loop/Frame.h"
+#include "ros/conversions.h"
 #include "semantic_topo_loop/FrameDone.h"
 #include "semantic_topo_loop/Keyframe.h"
 #include "semantic_topo_loop/io/yaml_files.h"
-#include "semantic_topo_loop/ros/conversions.h"
 
 namespace semantic_topo_loop {
 
@@ -28,9 +26,9 @@ bool FrontendStage::open(const core::KeyframeOptions& options, const FrontendPar
     camera_ = *camera;
     has_camera_file_ = true;
   }
-  frame_publisher_ = advertise<Frame>("frames");
+  frame_publisher_ = advertise<FrameMessage>("frames");
   keyframe_publisher_ = advertise<Keyframe>("keyframes");
-  points_publisher_ = advertise<KeyframePoints>("keyframe_points");
+  points_publisher_ = advertise<KeyframePointsMessage>("keyframe_points");
   done_publisher_ = advertise<FrameDone>("frame_done");
   if (parameters_.publish_odom_tf) broadcaster_ = std::make_unique<tf2_ros::TransformBroadcaster>();
   control_publisher_ = advertise<SessionControl>("session_control", true);
@@ -84,7 +82,8 @@ void FrontendStage::control(std::uint8_t command, const std::string& reason, boo
   // Wall time: it tells sessions apart when this nodelet was loaded again, and is no stamp of data.
   const ros::WallTime now = ros::WallTime::now();
   message->header.stamp = ros::Time(now.sec, now.nsec);
-  message->session_id = (control_ ? control_->session_id : 0) + (command == SessionControl::COMMAND_START ? 1 : 0);
+  if (command == SessionControl::COMMAND_START) set_session(session_id() + 1);
+  message->session_id = session_id();
   message->command = command;
   message->reason = reason;
   message->rewind = rewind;
@@ -108,16 +107,17 @@ void FrontendStage::resume() {
 void FrontendStage::on_camera_info(const sensor_msgs::CameraInfo& message) {
   if (parameters_.camera_frame.empty()) camera_frame_ = strip_leading_slash(message.header.frame_id);
   if (!has_camera_file_) {
-    std::string error;
-    camera_ = checked_camera(message, &error);
-    if (!camera_) complain("camera_info without a usable calibration", error + "; give camera_file");
+    const core::Result<core::Camera> camera = checked_camera(message);
+    camera_ = camera ? std::optional(*camera) : std::nullopt;
+    if (!camera) complain("camera_info without a usable calibration", camera.message() + "; give camera_file");
   }
   on_camera_stamp(to_stamp_ns(message.header.stamp));
 }
 
 void FrontendStage::take_transforms(const tf2_msgs::TFMessage& message, bool is_static) {
-  std::string error;
-  if (!transforms_->add(message, is_static, &error)) complain("bad transforms", error);
+  if (const core::Status added = transforms_->add(message, is_static); !added) {
+    complain("bad transforms", added.message());
+  }
   on_more_transforms();
 }
 
@@ -173,31 +173,21 @@ void FrontendStage::emit_end() {
   publish_frame(builder_->end());
 }
 
-void FrontendStage::publish_frame(const core::Frame& frame) {
-  auto message = boost::make_shared<Frame>();
-  to_msg(frame, message.get());
-  message->header.frame_id = parameters_.odom_frame;
-  message->session_id = control_->session_id;
-  message->camera_frame = camera_frame_;
-  message->camera.header.frame_id = camera_frame_;
-  message->points.header = make_header(message->header.stamp, camera_frame_);
+void FrontendStage::publish_frame(core::Frame frame) {
+  const ros::Time stamp = to_ros_time(frame.stamp_ns);
+  const std_msgs::Header header = make_header(stamp, parameters_.odom_frame);
   if (frame.is_keyframe) {
     auto keyframe = boost::make_shared<Keyframe>();
-    to_msg(frame, keyframe.get());
-    keyframe->header.frame_id = parameters_.odom_frame;
-    keyframe->session_id = control_->session_id;
+    keyframe->header = header;
+    keyframe->session_id = session_id();
+    keyframe->keyframe_id = frame.keyframe_id;
+    keyframe->frame_id = frame.frame_id;
+    keyframe->odom_from_camera = to_msg(frame.T_odom_camera);
     keyframe_publisher_.publish(keyframe);
   }
-  if (frame.keyframe_points) {
-    auto points = boost::make_shared<KeyframePoints>();
-    to_msg(frame, points.get());
-    points->session_id = control_->session_id;
-    for (std_msgs::Header* header : {&points->header, &points->sparse.header, &points->semi_dense.header}) {
-      header->frame_id = camera_frame_;
-    }
-    points_publisher_.publish(points);
-  }
-  frame_publisher_.publish(message);
+  if (frame.keyframe_points) publish(points_publisher_, make_header(stamp, camera_frame_), PointsKeyframe{frame, {}});
+  frame.keyframe_points.reset();
+  publish(frame_publisher_, header, CameraFrame{std::move(frame), camera_frame_});
 }
 
 void FrontendStage::publish_odom_tf(const core::Frame& frame) {
@@ -214,16 +204,14 @@ void FrontendStage::publish_odom_tf(const core::Frame& frame) {
   geometry_msgs::TransformStamped transform;
   transform.header = make_header(to_ros_time(frame.stamp_ns), parameters_.odom_frame);
   transform.child_frame_id = child;
-  const geometry_msgs::Pose pose = to_msg(T_odom_child);
-  transform.transform.rotation = pose.orientation;
-  transform.transform.translation = to_vector_msg(T_odom_child.t);
+  transform.transform = to_transform_msg(T_odom_child);
   broadcaster_->sendTransform(transform);
 }
 
 void FrontendStage::publish_done(std::int64_t stamp_ns, std::uint8_t status) {
   auto message = boost::make_shared<FrameDone>();
   message->header.stamp = to_ros_time(stamp_ns);
-  message->session_id = control_->session_id;
+  message->session_id = session_id();
   message->frame_id = -1;
   message->status = status;
   message->stage = name();

@@ -65,7 +65,6 @@ class FrontendStage : public Stage {
   void publish_done(std::int64_t stamp_ns, std::uint8_t status);
   const std::optional<core::Camera>& camera() const { return camera_; }
   const std::string& camera_frame() const { return camera_frame_; }
-  std::uint32_t current_session() const { return control_->session_id; }
 
  private:
   void advertise_services();
@@ -84,7 +83,7 @@ class FrontendStage : public Stage {
   void on_static_transforms(const tf2_msgs::TFMessage& message) { take_transforms(message, true); }
   void take_transforms(const tf2_msgs::TFMessage& message, bool is_static);
 
-  void publish_frame(const core::Frame& frame);
+  void publish_frame(core::Frame frame);
   void publish_odom_tf(const core::Frame& frame);
 
   core::KeyframeOptions keyframe_options_;

@@ -15,7 +15,7 @@ class MapFollower {
  public:
   /// @return the updates to apply now, in order; empty for one that is older than the version held, and during a gap
   std::vector<core::MapUpdate> follow(const core::MapUpdate& update);
-  /// @param full_map every landmark of its `map_version`, as from_msg(QuadricMap) gives it
+  /// @param full_map every landmark of its `map_version`, as FullMap brings it
   /// @return the jump to the full map, landmarks unknown there removed, and what came after it; empty without a gap
   std::vector<core::MapUpdate> recover(core::MapUpdate full_map);
 

@@ -4,7 +4,7 @@
 #include <cmath>
 #include <utility>
 
-#include "semantic_topo_loop/ros/conversions.h"
+#include "ros/conversions.h"
 
 namespace semantic_topo_loop {
 
@@ -30,8 +30,7 @@ void MapOdomSender::send() {
     message.header.stamp = to_ros_time(sent_stamp_ns_);
     message.header.frame_id = map_frame_;
     message.child_frame_id = odom_frame_;
-    message.transform.translation = to_vector_msg(T_map_odom_.t);
-    message.transform.rotation = to_msg(T_map_odom_).orientation;
+    message.transform = to_transform_msg(T_map_odom_);
   }
   broadcaster_.sendTransform(message);
 }

@@ -7,7 +7,7 @@
 #include <string>
 #include <utility>
 
-#include "semantic_topo_loop/ros/conversions.h"
+#include "ros/conversions.h"
 
 namespace semantic_topo_loop {
 namespace {

@@ -1,6 +1,6 @@
 #include "ros/player_source.h"
 
-#include "semantic_topo_loop/ros/conversions.h"
+#include "ros/conversions.h"
 
 namespace semantic_topo_loop {
 namespace {

@@ -3,7 +3,7 @@
 #include <utility>
 
 #include "geometry/relative_pose.h"
-#include "semantic_topo_loop/ros/conversions.h"
+#include "ros/conversions.h"
 
 namespace semantic_topo_loop {
 namespace {
@@ -24,18 +24,15 @@ std::optional<core::Mat6> to_covariance(const boost::array<double, 36>& values) 
 OdometryPoses::OdometryPoses(std::shared_ptr<TfPoses> transforms, double max_gap_s)
     : transforms_(std::move(transforms)), poses_(max_gap_s, kKeepS) {}
 
-bool OdometryPoses::add(const nav_msgs::Odometry& message, std::string* error) {
-  const std::optional<core::SE3> pose = checked_pose(message.pose.pose, "odometry pose", error);
-  if (!pose) return false;
+core::Status OdometryPoses::add(const nav_msgs::Odometry& message) {
+  const core::Result<core::SE3> pose = checked_pose(message.pose.pose, "odometry pose");
+  if (!pose) return pose.error();
   const std::int64_t stamp_ns = to_stamp_ns(message.header.stamp);
   if (!poses_.empty() && stamp_ns < poses_.newest_ns() - kJumpBackNs) {
     poses_.clear();
     twist_covariances_.clear();
   }
-  if (const core::Status added = poses_.add(stamp_ns, *pose); !added) {
-    if (error != nullptr) *error = added.message();
-    return false;
-  }
+  if (const core::Status added = poses_.add(stamp_ns, *pose); !added) return added.error();
   base_frame_ = strip_leading_slash(message.child_frame_id);
   if (const std::optional<core::Mat6> covariance = to_covariance(message.twist.covariance)) {
     twist_covariances_[stamp_ns] = *covariance;
@@ -43,7 +40,7 @@ bool OdometryPoses::add(const nav_msgs::Odometry& message, std::string* error) {
       twist_covariances_.erase(twist_covariances_.begin());
     }
   }
-  return true;
+  return {};
 }
 
 PoseSource::Answer OdometryPoses::at(std::int64_t stamp_ns, const std::string& camera_frame) {

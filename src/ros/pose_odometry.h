@@ -9,6 +9,7 @@
 
 #include "ros/pose_tf.h"
 #include "semantic_topo_loop/pipeline/pose_buffer.h"
+#include "semantic_topo_loop/types/result.h"
 
 namespace semantic_topo_loop {
 
@@ -21,8 +22,8 @@ class OdometryPoses : public PoseSource {
  public:
   OdometryPoses(std::shared_ptr<TfPoses> transforms, double max_gap_s);
 
-  /// @return false, with the field and value in `error`, if the message is left out
-  bool add(const nav_msgs::Odometry& message, std::string* error);
+  /// @return an error that names field and value if the message is left out
+  core::Status add(const nav_msgs::Odometry& message);
   Answer at(std::int64_t stamp_ns, const std::string& camera_frame) override;
   void reset() override { last_stamp_ns_.reset(); }
 

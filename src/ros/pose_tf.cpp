@@ -4,7 +4,7 @@
 
 #include <utility>
 
-#include "semantic_topo_loop/ros/conversions.h"
+#include "ros/conversions.h"
 #include "semantic_topo_loop/types/stamp.h"
 
 namespace semantic_topo_loop {
@@ -29,36 +29,33 @@ geometry_msgs::Pose to_pose(const geometry_msgs::Transform& transform) {
 TfPoses::TfPoses(std::string odom_frame, double max_gap_s)
     : odom_frame_(std::move(odom_frame)), max_gap_s_(max_gap_s), buffer_(ros::Duration(kKeepS)) {}
 
-bool TfPoses::add(const tf2_msgs::TFMessage& message, bool is_static, std::string* error) {
-  bool ok = true;
+core::Status TfPoses::add(const tf2_msgs::TFMessage& message, bool is_static) {
+  core::Status all;
   for (const geometry_msgs::TransformStamped& transform : message.transforms) {
-    ok = add(transform, is_static, error) && ok;
+    if (core::Status added = add(transform, is_static); !added) all = std::move(added);
   }
-  return ok;
+  return all;
 }
 
-bool TfPoses::add(const geometry_msgs::TransformStamped& transform, bool is_static, std::string* error) {
+core::Status TfPoses::add(const geometry_msgs::TransformStamped& transform, bool is_static) {
   geometry_msgs::TransformStamped stripped = transform;
   stripped.header.frame_id = strip_leading_slash(transform.header.frame_id);
   stripped.child_frame_id = strip_leading_slash(transform.child_frame_id);
   const std::string name = "tf " + stripped.header.frame_id + " -> " + stripped.child_frame_id;
-  const std::optional<core::SE3> pose = checked_pose(to_pose(transform.transform), name, error);
-  if (!pose) return false;
+  const core::Result<core::SE3> pose = checked_pose(to_pose(transform.transform), name);
+  if (!pose) return pose.error();
   stripped.transform.rotation = to_msg(*pose).orientation;
   if (!is_static) {
     const std::int64_t stamp_ns = to_stamp_ns(transform.header.stamp);
     core::PoseBuffer& samples = moving_samples(stripped.child_frame_id, stamp_ns);
-    if (samples.has(stamp_ns)) return true;  // robots publish the same transform again and again
+    if (samples.has(stamp_ns)) return {};  // robots publish the same transform again and again
     if (const core::Status added = samples.add(stamp_ns, *pose); !added) {
-      if (error != nullptr) *error = name + ": " + added.message();
-      return false;
+      return core::Error{name + ": " + added.message()};
     }
   }
-  if (buffer_.setTransform(stripped, kAuthority, is_static)) return true;
-  if (error != nullptr)
-    *error = name + " at stamp " + core::format_stamp(to_stamp_ns(transform.header.stamp)) +
-             " is refused by tf2: a frame id is missing, or the stamp is too old";
-  return false;
+  if (buffer_.setTransform(stripped, kAuthority, is_static)) return {};
+  return core::Error{name + " at stamp " + core::format_stamp(to_stamp_ns(transform.header.stamp)) +
+                     " is refused by tf2: a frame id is missing, or the stamp is too old"};
 }
 
 core::PoseBuffer& TfPoses::moving_samples(const std::string& child, std::int64_t stamp_ns) {

@@ -5,7 +5,7 @@
 
 #include <exception>
 
-#include "semantic_topo_loop/ros/conversions.h"
+#include "ros/conversions.h"
 
 namespace semantic_topo_loop {
 namespace {

@@ -4,7 +4,7 @@
 #include <cstdio>
 #include <utility>
 
-#include "semantic_topo_loop/ros/conversions.h"
+#include "ros/conversions.h"
 #include "semantic_topo_loop/types/stamp.h"
 
 namespace semantic_topo_loop {

@@ -11,22 +11,16 @@
 #include <string>
 #include <vector>
 
+#include "ros/conversions.h"
 #include "ros/parameters.h"
 #include "ros/stage_statistics.h"
 #include "ros/worker.h"
 #include "semantic_topo_loop/SessionAck.h"
 #include "semantic_topo_loop/SessionControl.h"
+#include "semantic_topo_loop/ros/messages.h"
 #include "semantic_topo_loop/types/class_table.h"
 
 namespace semantic_topo_loop {
-
-/// The header of what a stage says about a frame.
-inline std_msgs::Header make_header(const ros::Time& stamp, const std::string& frame_id) {
-  std_msgs::Header header;
-  header.stamp = stamp;
-  header.frame_id = frame_id;
-  return header;
-}
 
 /// What the nodelets share: strict parameters, a worker, sessions, diagnostics, and an order of destruction that makes
 /// unloading safe at any time. Callbacks only push to the worker; everything a stage overrides or hands to `subscribe`
@@ -104,12 +98,20 @@ class Stage : public nodelet::Nodelet {
     return getNodeHandle().template advertise<Message>(topic, queue_size_, latch);
   }
 
+  /// Says a value of the core about the current session.
+  template <class Value>
+  void publish(const ros::Publisher& publisher, const std_msgs::Header& header, Value value) const {
+    publisher.publish(boost::make_shared<Stamped<Value>>(header, session_id_, std::move(value)));
+  }
+
   /// Call when a frame has gone through: latency is counted from the arrival of the task that runs.
   void count_processed() { statistics_.count_processed(task_arrival_); }
   StageStatistics& statistics() { return statistics_; }
   const std::string& name() const { return name_; }
   /// On the worker's thread only; 0 before the first session.
   std::uint32_t session_id() const { return session_id_; }
+  /// For the owner of the session, who does not follow it.
+  void set_session(std::uint32_t session_id) { session_id_ = session_id; }
   std::size_t queue_capacity() const { return queue_size_; }
 
  private:

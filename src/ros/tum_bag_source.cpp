@@ -7,7 +7,7 @@
 #include <algorithm>
 #include <exception>
 
-#include "semantic_topo_loop/ros/conversions.h"
+#include "ros/conversions.h"
 #include "semantic_topo_loop/types/stamp.h"
 
 namespace semantic_topo_loop {

@@ -6,11 +6,11 @@
 #include <limits>
 #include <vector>
 
+#include "ros/conversions.h"
 #include "ros/depth_pairing.h"
 #include "ros/parameters.h"
 #include "ros/rgbd_conversion.h"
 #include "semantic_topo_loop/pipeline/read_ahead.h"
-#include "semantic_topo_loop/ros/conversions.h"
 
 namespace semantic_topo_loop {
 namespace {

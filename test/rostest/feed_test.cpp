@@ -5,6 +5,7 @@
 #include <cmath>
 #include <limits>
 
+#include "ros/conversions.h"
 #include "ros/detection_matcher.h"
 #include "ros/player_ledger.h"
 #include "ros/player_source.h"
@@ -12,7 +13,6 @@
 #include "ros/pose_tf.h"
 #include "ros/stage.h"
 #include "ros/tum_bag_source.h"
-#include "semantic_topo_loop/ros/conversions.h"
 #include "support/test_files.h"
 
 namespace semantic_topo_loop {
@@ -39,10 +39,10 @@ tf2_msgs::TFMessage message_of(const geometry_msgs::TransformStamped& transform)
 
 /// odom -> base moves by 1 m/s, sampled at the given times; base -> camera is fixed, 2 m ahead.
 void fill(TfPoses* poses, std::initializer_list<int> times_ms) {
-  ASSERT_TRUE(poses->add(message_of(transform("/base", "/camera", 0, 2.0)), true, nullptr));
+  ASSERT_TRUE(poses->add(message_of(transform("/base", "/camera", 0, 2.0)), true));
   for (const int time_ms : times_ms) {
     const double x = 1e-3 * time_ms;
-    ASSERT_TRUE(poses->add(message_of(transform("/odom", "/base", at_ms(time_ms), x)), false, nullptr));
+    ASSERT_TRUE(poses->add(message_of(transform("/odom", "/base", at_ms(time_ms), x)), false));
   }
 }
 
@@ -77,16 +77,15 @@ TEST(TfPoses, LeavesBadTransformsOut) {
   TfPoses poses("odom", 0.1);
   fill(&poses, {0, 50});
   auto bad = transform("odom", "base", at_ms(100), std::numeric_limits<double>::quiet_NaN());
-  std::string error;
-  EXPECT_FALSE(poses.add(message_of(bad), false, &error));
+  std::string error = poses.add(message_of(bad), false).message();
   EXPECT_NE(error.find("odom -> base"), std::string::npos) << error;
   EXPECT_NE(error.find("nan"), std::string::npos) << error;
   bad = transform("odom", "base", at_ms(100), 0.1);
   bad.transform.rotation.w = 2.0;
-  EXPECT_FALSE(poses.add(message_of(bad), false, &error));
+  error = poses.add(message_of(bad), false).message();
   EXPECT_NE(error.find("norm"), std::string::npos) << error;
   EXPECT_EQ(poses.at(at_ms(75), "camera").status, PoseSource::Status::kNotYet);
-  EXPECT_TRUE(poses.add(message_of(transform("odom", "base", at_ms(50), 0.05)), false, &error)) << "a repeated one";
+  EXPECT_TRUE(poses.add(message_of(transform("odom", "base", at_ms(50), 0.05)), false)) << "a repeated one";
 }
 
 TEST(TfPoses, FollowsTimeThatJumpsBack) {
@@ -109,10 +108,10 @@ nav_msgs::Odometry odometry_at(int time_ms) {
 TEST(OdometryPoses, MovesThePoseToTheCamera) {
   const auto transforms = std::make_shared<TfPoses>("odom", 0.1);
   OdometryPoses poses(transforms, 0.1);
-  ASSERT_TRUE(poses.add(odometry_at(0), nullptr));
-  ASSERT_TRUE(poses.add(odometry_at(50), nullptr));
+  ASSERT_TRUE(poses.add(odometry_at(0)));
+  ASSERT_TRUE(poses.add(odometry_at(50)));
   EXPECT_EQ(poses.at(at_ms(25), "camera").status, PoseSource::Status::kNotYet) << "no extrinsics yet";
-  ASSERT_TRUE(transforms->add(message_of(transform("base", "camera", 0, 2.0)), true, nullptr));
+  ASSERT_TRUE(transforms->add(message_of(transform("base", "camera", 0, 2.0)), true));
   const PoseSource::Answer answer = poses.at(at_ms(25), "camera");
   ASSERT_EQ(answer.status, PoseSource::Status::kFound) << answer.problem;
   EXPECT_NEAR(answer.sample.T_odom_camera.t.x(), 2.025, 1e-9);
@@ -125,7 +124,7 @@ TEST(OdometryPoses, TakesTheStepsCovarianceFromTheTwist) {
   for (const int time_ms : {0, 500, 1000}) {
     nav_msgs::Odometry message = odometry_at(time_ms);
     for (std::size_t i = 0; i < 36; i += 7) message.twist.covariance[i] = 0.04;
-    ASSERT_TRUE(poses.add(message, nullptr));
+    ASSERT_TRUE(poses.add(message));
   }
   EXPECT_FALSE(poses.at(at_ms(100), "base").sample.covariance) << "the first pose has no predecessor";
   const PoseSource::Answer answer = poses.at(at_ms(600), "base");
@@ -139,12 +138,11 @@ TEST(OdometryPoses, LeavesBadMessagesOut) {
   OdometryPoses poses(std::make_shared<TfPoses>("odom", 0.1), 0.1);
   nav_msgs::Odometry bad = odometry_at(0);
   bad.pose.pose.orientation.w = 0.0;
-  std::string error;
-  EXPECT_FALSE(poses.add(bad, &error));
+  std::string error = poses.add(bad).message();
   EXPECT_NE(error.find("odometry pose.orientation"), std::string::npos) << error;
   bad = odometry_at(0);
   bad.pose.pose.position.z = std::numeric_limits<double>::infinity();
-  EXPECT_FALSE(poses.add(bad, &error));
+  error = poses.add(bad).message();
   EXPECT_NE(error.find("position.z"), std::string::npos) << error;
 }
 
@@ -156,8 +154,8 @@ TEST(FilePoses, KnowsItsOwnStampsOnly) {
   EXPECT_NE(answer.problem.find("1311868164.396"), std::string::npos) << answer.problem;
 }
 
-DetectionArray::ConstPtr detections_at(std::int64_t stamp_ns) {
-  const auto message = boost::make_shared<DetectionArray>();
+DetectionsMessage::ConstPtr detections_at(std::int64_t stamp_ns) {
+  const auto message = boost::make_shared<DetectionsMessage>();
   message->header.stamp = to_ros_time(stamp_ns);
   return message;
 }

@@ -4,9 +4,8 @@
 #include <thread>
 #include <utility>
 
-#include "semantic_topo_loop/AssociationArray.h"
-#include "semantic_topo_loop/QuadricMapUpdate.h"
 #include "semantic_topo_loop/io/tum_trajectory.h"
+#include "semantic_topo_loop/ros/messages.h"
 #include "support/in_process_chain.h"
 #include "tools/evaluation/run_files.h"
 #include "tools/evaluation/trajectory_evaluation.h"
@@ -18,8 +17,8 @@ namespace {
 class Delay {
  public:
   Delay(const std::string& from, const std::string& to, std::chrono::milliseconds delay) : delay_(delay) {
-    publisher_ = node_.advertise<QuadricMapUpdate>(to, 1000);
-    subscriber_ = node_.subscribe<QuadricMapUpdate>(from, 1000, &Delay::take, this);
+    publisher_ = node_.advertise<MapUpdateMessage>(to, 1000);
+    subscriber_ = node_.subscribe<MapUpdateMessage>(from, 1000, &Delay::take, this);
     thread_ = std::thread([this] { run(); });
   }
   ~Delay() {
@@ -35,7 +34,7 @@ class Delay {
  private:
   using Clock = std::chrono::steady_clock;
 
-  void take(const QuadricMapUpdate::ConstPtr& update) {
+  void take(const MapUpdateMessage::ConstPtr& update) {
     const std::lock_guard<std::mutex> lock(mutex_);
     waiting_.emplace_back(Clock::now() + delay_, update);
     changed_.notify_all();
@@ -60,7 +59,7 @@ class Delay {
   ros::Subscriber subscriber_;
   std::mutex mutex_;  ///< guards all below but the thread
   std::condition_variable changed_;
-  std::deque<std::pair<Clock::time_point, QuadricMapUpdate::ConstPtr>> waiting_;
+  std::deque<std::pair<Clock::time_point, MapUpdateMessage::ConstPtr>> waiting_;
   bool stop_ = false;
   std::thread thread_;
 };
@@ -69,8 +68,8 @@ class Delay {
 class LandmarkWatch {
  public:
   LandmarkWatch() {
-    associations_ = node_.subscribe<AssociationArray>("associations", 1000, &LandmarkWatch::take_associations, this);
-    updates_ = node_.subscribe<QuadricMapUpdate>("quadric_map_updates", 1000, &LandmarkWatch::take_update, this);
+    associations_ = node_.subscribe<AssociationsMessage>("associations", 1000, &LandmarkWatch::take_associations, this);
+    updates_ = node_.subscribe<MapUpdateMessage>("quadric_map_updates", 1000, &LandmarkWatch::take_update, this);
   }
   std::set<std::int64_t> used() {
     const std::lock_guard<std::mutex> lock(mutex_);
@@ -82,16 +81,16 @@ class LandmarkWatch {
   }
 
  private:
-  void take_associations(const AssociationArray::ConstPtr& message) {
+  void take_associations(const AssociationsMessage::ConstPtr& message) {
     const std::lock_guard<std::mutex> lock(mutex_);
-    for (const Association& association : message->associations) {
+    for (const core::Association& association : message->associations) {
       if (association.landmark_id >= 0) used_.insert(association.landmark_id);
     }
   }
-  void take_update(const QuadricMapUpdate::ConstPtr& message) {
+  void take_update(const MapUpdateMessage::ConstPtr& message) {
     const std::lock_guard<std::mutex> lock(mutex_);
-    for (const Quadric& quadric : message->changed) known_.insert(quadric.id);
-    for (const QuadricMerge& merge : message->merged) known_.insert(merge.merged_id);
+    for (const core::Landmark& landmark : message->changed) known_.insert(landmark.id);
+    for (const core::LandmarkMerge& merge : message->merged) known_.insert(merge.merged_id);
     known_.insert(message->removed.begin(), message->removed.end());
   }
 

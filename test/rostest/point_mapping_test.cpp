@@ -6,13 +6,11 @@
 #include <thread>
 #include <vector>
 
-#include "ros/conversions_points.h"
-#include "semantic_topo_loop/KeyframePoints.h"
-#include "semantic_topo_loop/MapCorrection.h"
+#include "ros/conversions.h"
 #include "semantic_topo_loop/SavePoints.h"
 #include "semantic_topo_loop/SessionAck.h"
 #include "semantic_topo_loop/SessionControl.h"
-#include "semantic_topo_loop/ros/conversions.h"
+#include "semantic_topo_loop/ros/messages.h"
 #include "support/in_process_chain.h"
 
 namespace semantic_topo_loop {
@@ -58,10 +56,9 @@ class Listener {
   }
   /// Of the last cloud; the lock is held.
   Points points() const {
-    std::string error;
-    const std::optional<Points> points = from_msg(*clouds_.back(), &error);
-    EXPECT_TRUE(points) << error;
-    return points.value_or(Points(clouds_.back()->width, core::Vec3::Zero()));
+    const core::Result<Points> points = from_msg(*clouds_.back());
+    EXPECT_TRUE(points) << points.message();
+    return points ? *points : Points(clouds_.back()->width, core::Vec3::Zero());
   }
 
   ros::NodeHandle node_;
@@ -76,8 +73,8 @@ class PointMapping : public ::testing::Test {
  protected:
   void SetUp() override {
     control_ = node_.advertise<SessionControl>("session_control", 1, true);
-    points_ = node_.advertise<KeyframePoints>("keyframe_points", 10);
-    corrections_ = node_.advertise<MapCorrection>("map_corrections", 10);
+    points_ = node_.advertise<KeyframePointsMessage>("keyframe_points", 10);
+    corrections_ = node_.advertise<CorrectionMessage>("map_corrections", 10);
     acks_ = node_.subscribe<SessionAck>("session_acks", 10, &PointMapping::take_ack, this);
     chain_.load_point_mapping(kRate_hz);
     ASSERT_TRUE(start_session(1));
@@ -101,23 +98,19 @@ class PointMapping : public ::testing::Test {
                              [this] { return acknowledged_ == session_; });
   }
   /// A keyframe at (id, 0, 0), looking along z, that sees a sparse point 2 m before it and a semi-dense one 3 m before.
-  KeyframePoints keyframe(std::int64_t id) const {
-    core::Frame frame;
+  KeyframePointsMessage keyframe(std::int64_t id) const {
+    PointsKeyframe frame;
     frame.is_keyframe = true;
     frame.keyframe_id = id;
-    frame.stamp_ns = 1'000'000'000 * (10 + id);
     frame.T_odom_camera.t.x() = static_cast<double>(id);
     core::KeyframePoints points;
     points.sparse.push_back({id, Eigen::Vector3f(0.0F, 0.0F, 2.0F)});
     points.semi_dense.emplace_back(0.0F, 0.0F, 3.0F);
     frame.keyframe_points = std::make_shared<const core::KeyframePoints>(points);
-    KeyframePoints message;
-    to_msg(frame, &message);
-    message.session_id = session_;
-    return message;
+    return {make_header(ros::Time(static_cast<double>(10 + id)), "camera"), session_, frame};
   }
   /// The odometry has drifted by `shift` before keyframe 1; later keyframes were not in the solution.
-  MapCorrection correction(const core::Vec3& shift) const {
+  CorrectionMessage correction(const core::Vec3& shift) const {
     core::MapCorrection correction;
     correction.changed = true;
     correction.frame_id = 2;
@@ -129,10 +122,7 @@ class PointMapping : public ::testing::Test {
       pose.T_map_camera.t = core::Vec3(static_cast<double>(id), 0.0, 0.0) + static_cast<double>(id) * shift;
       correction.keyframes.push_back(pose);
     }
-    MapCorrection message;
-    to_msg(correction, &message);
-    message.session_id = session_;
-    return message;
+    return {{}, session_, correction};
   }
 
   InProcessChain chain_;
@@ -204,10 +194,10 @@ TEST_F(PointMapping, ForgetsWithTheSession) {
   points_.publish(keyframe(0));
   points_.publish(keyframe(1));
   ASSERT_TRUE(sparse.wait_for(2));
-  const KeyframePoints stale = keyframe(2);
+  const KeyframePointsMessage stale = keyframe(2);
   ASSERT_TRUE(start_session(2));
   points_.publish(stale);
-  KeyframePoints broken = keyframe(4);
+  auto broken = to_generated<KeyframePoints>(keyframe(4));
   broken.sparse_ids.clear();
   points_.publish(broken);
   points_.publish(keyframe(5));

@@ -3,15 +3,10 @@
 #include <utility>
 #include <vector>
 
-#include "semantic_topo_loop/AssociationArray.h"
-#include "semantic_topo_loop/Frame.h"
-#include "semantic_topo_loop/LoopClosureArray.h"
-#include "semantic_topo_loop/MapCorrection.h"
-#include "semantic_topo_loop/QuadricMapUpdate.h"
 #include "semantic_topo_loop/SessionAck.h"
 #include "semantic_topo_loop/SessionControl.h"
 #include "semantic_topo_loop/WithdrawLoop.h"
-#include "semantic_topo_loop/ros/conversions.h"
+#include "semantic_topo_loop/ros/messages.h"
 #include "support/in_process_chain.h"
 #include "support/two_rounds.h"
 
@@ -26,12 +21,12 @@ class Feed {
  public:
   Feed() {
     control_ = node_.advertise<SessionControl>("session_control", 1, true);
-    frames_ = node_.advertise<Frame>("frames", 10);
-    associations_ = node_.advertise<AssociationArray>("associations", 10);
-    loops_ = node_.advertise<LoopClosureArray>("loop_closures", 10);
+    frames_ = node_.advertise<FrameMessage>("frames", 10);
+    associations_ = node_.advertise<AssociationsMessage>("associations", 10);
+    loops_ = node_.advertise<LoopsMessage>("loop_closures", 10);
     acks_ = node_.subscribe<SessionAck>("session_acks", 10, &Feed::take_ack, this);
-    corrections_ = node_.subscribe<MapCorrection>("map_corrections", 1000, &Feed::take_correction, this);
-    updates_ = node_.subscribe<QuadricMapUpdate>("quadric_map_updates", 1000, &Feed::take_update, this);
+    corrections_ = node_.subscribe<CorrectionMessage>("map_corrections", 1000, &Feed::take_correction, this);
+    updates_ = node_.subscribe<MapUpdateMessage>("quadric_map_updates", 1000, &Feed::take_update, this);
   }
 
   bool start_session() {
@@ -47,36 +42,29 @@ class Feed {
   void step(const core::Frame& frame, const core::AssociationFrame& associations,
             const std::vector<core::LoopClosure>& loops) {
     if (is_stuck_) return;
-    const auto frame_message = boost::make_shared<Frame>();
-    to_msg(frame, frame_message.get());
-    const auto association_message = boost::make_shared<AssociationArray>();
-    to_msg(associations, association_message.get());
-    association_message->frame_id = frame.frame_id;
-    association_message->header.stamp = frame_message->header.stamp;
-    const auto loop_message = boost::make_shared<LoopClosureArray>();
-    to_msg(loops, loop_message.get());
-    loop_message->frame_id = frame.frame_id;
-    loop_message->header.stamp = frame_message->header.stamp;
-    frame_message->session_id = association_message->session_id = loop_message->session_id = kSession;
-    frames_.publish(frame_message);
-    associations_.publish(association_message);
+    std_msgs::Header header;
+    header.stamp.fromNSec(static_cast<std::uint64_t>(frame.stamp_ns));
+    AssociationsMessage seen(header, kSession, associations);
+    seen.frame_id = frame.frame_id;
+    frames_.publish(FrameMessage(header, kSession, CameraFrame{frame, "camera"}));
+    associations_.publish(seen);
     is_stuck_ = !wait([&] { return observed_ == frame.frame_id; });
-    loops_.publish(loop_message);
+    loops_.publish(LoopsMessage(header, kSession, FrameLoops{frame.frame_id, 0.0, loops}));
     is_stuck_ = is_stuck_ || !wait([&] { return completed_ == frame.frame_id; });
     EXPECT_FALSE(is_stuck_) << "no answer to frame " << frame.frame_id;
   }
 
   bool is_stuck() const { return is_stuck_; }
   /// The corrections that changed something.
-  std::vector<MapCorrection> corrections() {
+  std::vector<core::MapCorrection> corrections() {
     const std::lock_guard<std::mutex> lock(mutex_);
     return changes_;
   }
-  std::vector<QuadricMerge> merged() {
+  std::vector<core::LandmarkMerge> merged() {
     const std::lock_guard<std::mutex> lock(mutex_);
     return merged_;
   }
-  std::vector<QuadricMerge> unmerged() {
+  std::vector<core::LandmarkMerge> unmerged() {
     const std::lock_guard<std::mutex> lock(mutex_);
     return unmerged_;
   }
@@ -92,15 +80,15 @@ class Feed {
     ++acknowledged_;
     changed_.notify_all();
   }
-  void take_correction(const MapCorrection::ConstPtr& message) {
+  void take_correction(const CorrectionMessage::ConstPtr& message) {
     const std::lock_guard<std::mutex> lock(mutex_);
     if (message->changed) changes_.push_back(*message);
   }
-  void take_update(const QuadricMapUpdate::ConstPtr& message) {
+  void take_update(const MapUpdateMessage::ConstPtr& message) {
     const std::lock_guard<std::mutex> lock(mutex_);
     merged_.insert(merged_.end(), message->merged.begin(), message->merged.end());
     unmerged_.insert(unmerged_.end(), message->unmerged.begin(), message->unmerged.end());
-    (message->phase == QuadricMapUpdate::PHASE_OBSERVATION ? observed_ : completed_) = message->frame_id;
+    (message->phase == core::MapUpdatePhase::kObservation ? observed_ : completed_) = message->frame_id;
     changed_.notify_all();
   }
 
@@ -112,12 +100,12 @@ class Feed {
   std::condition_variable changed_;
   int acknowledged_ = 0;
   std::int64_t observed_ = -1, completed_ = -1;
-  std::vector<MapCorrection> changes_;
-  std::vector<QuadricMerge> merged_, unmerged_;
+  std::vector<core::MapCorrection> changes_;
+  std::vector<core::LandmarkMerge> merged_, unmerged_;
 };
 
-core::Vec3 old_position(const MapCorrection& correction) { return from_msg(correction.map_from_odom_old).t; }
-core::Vec3 new_position(const MapCorrection& correction) { return from_msg(correction.map_from_odom).t; }
+core::Vec3 old_position(const core::MapCorrection& correction) { return correction.T_map_odom_old.t; }
+core::Vec3 new_position(const core::MapCorrection& correction) { return correction.T_map_odom.t; }
 
 TEST(WithdrawLoop, TakesBackTheVerdictTheCorrectionAndTheMerge) {
   InProcessChain chain;
@@ -133,9 +121,9 @@ TEST(WithdrawLoop, TakesBackTheVerdictTheCorrectionAndTheMerge) {
   run.idle(loops);
   ASSERT_FALSE(feed.is_stuck());
   ASSERT_FALSE(feed.corrections().empty());
-  const MapCorrection closed = feed.corrections().back();
+  const core::MapCorrection closed = feed.corrections().back();
   ASSERT_EQ(closed.loops.size(), loops.size());
-  EXPECT_TRUE(std::all_of(closed.loops.begin(), closed.loops.end(), [](const LoopVerdict& v) { return v.kept != 0; }));
+  EXPECT_TRUE(std::all_of(closed.loops.begin(), closed.loops.end(), [](const core::LoopVerdict& v) { return v.kept; }));
   EXPECT_GT(new_position(closed).norm(), 0.3) << "the drift is corrected";
   ASSERT_EQ(feed.merged().size(), 1U) << "one cup, seen twice";
   EXPECT_TRUE(feed.unmerged().empty());
@@ -157,7 +145,7 @@ TEST(WithdrawLoop, TakesBackTheVerdictTheCorrectionAndTheMerge) {
   run.idle({});
   ASSERT_FALSE(feed.is_stuck());
   ASSERT_GT(feed.corrections().size(), before) << "the next frame is optimised without them";
-  const MapCorrection reopened = feed.corrections()[before];
+  const core::MapCorrection reopened = feed.corrections()[before];
   EXPECT_TRUE(reopened.loops.empty());
   EXPECT_LT((old_position(reopened) - new_position(closed)).norm(), 1e-9) << "old and new transform are both told";
   EXPECT_LT(new_position(reopened).norm(), 0.05) << "the odometry is believed again";

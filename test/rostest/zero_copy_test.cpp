@@ -3,20 +3,16 @@
 #include <ros/topic_manager.h>
 #include <sensor_msgs/CameraInfo.h>
 #include <std_msgs/Empty.h>
+#include <visualization_msgs/MarkerArray.h>
 
 #include <deque>
 #include <memory>
 #include <set>
 #include <vector>
 
-#include "semantic_topo_loop/AssociationArray.h"
-#include "semantic_topo_loop/DetectionArray.h"
-#include "semantic_topo_loop/Frame.h"
 #include "semantic_topo_loop/FrameDone.h"
 #include "semantic_topo_loop/Keyframe.h"
-#include "semantic_topo_loop/LoopClosureArray.h"
-#include "semantic_topo_loop/MapCorrection.h"
-#include "semantic_topo_loop/QuadricMapUpdate.h"
+#include "semantic_topo_loop/ros/messages.h"
 #include "support/in_process_chain.h"
 
 namespace semantic_topo_loop {
@@ -77,13 +73,13 @@ class ZeroCopy : public ::testing::Test {
     publication->addSubscriberLink(listener.probe);
   }
   void listen_to_chain() {
-    listen<Frame>("frames");
+    listen<FrameMessage>("frames");
     listen<Keyframe>("keyframes");
-    listen<DetectionArray>("detections");
-    listen<AssociationArray>("associations");
-    listen<QuadricMapUpdate>("quadric_map_updates");
-    listen<LoopClosureArray>("loop_closures");
-    listen<MapCorrection>("map_corrections");
+    listen<DetectionsMessage>("detections");
+    listen<AssociationsMessage>("associations");
+    listen<MapUpdateMessage>("quadric_map_updates");
+    listen<LoopsMessage>("loop_closures");
+    listen<CorrectionMessage>("map_corrections");
     listen<FrameDone>("frame_done");
   }
 
@@ -97,11 +93,17 @@ TEST_F(ZeroCopy, WhatIsPublishedIsWhatIsReceived) {
   if (HasFatalFailure()) return;
   InProcessChain chain;
   chain.load_stages(directory.path("data"), directory.path("results"));
+  chain.load_viewers();
   listen_to_chain();
   if (HasFatalFailure()) return;
+  // Visualization reads frames while somebody looks at what it makes of them.
+  const boost::function<void(const visualization_msgs::MarkerArray::ConstPtr&)> ignore = [](const auto&) {};
+  const ros::Subscriber viewer = node_.subscribe<visualization_msgs::MarkerArray>("markers/keyframes", 1, ignore);
+  const std::uint64_t decoded_before = decoded_frames();
   chain.load_player(directory.path("data"), true);
   ASSERT_EQ(chain.wait_for_end(60.0), "finished");
   chain.unload_all();
+  EXPECT_EQ(decoded_frames(), decoded_before) << "every stage reads the front end's own Frame";
   for (const auto& listener : listeners_) {
     listener->subscriber.shutdown();
     const std::lock_guard<std::mutex> lock(listener->mutex);
@@ -110,6 +112,34 @@ TEST_F(ZeroCopy, WhatIsPublishedIsWhatIsReceived) {
     for (const auto& message : listener->received) copied += listener->probe->has(message.get()) ? 0 : 1;
     EXPECT_EQ(copied, 0u) << "of " << listener->received.size() << " messages on " << listener->topic;
   }
+}
+
+TEST_F(ZeroCopy, AFrameFromOutsideIsDecodedOnceForAllStages) {
+  constexpr int kStages = 6;
+  std::mutex mutex;
+  std::set<const FrameMessage*> frames;
+  int heard = 0;
+  const boost::function<void(const FrameMessage::ConstPtr&)> hear = [&](const FrameMessage::ConstPtr& frame) {
+    const std::lock_guard<std::mutex> lock(mutex);
+    frames.insert(frame.get());
+    ++heard;
+  };
+  std::vector<ros::Subscriber> stages;
+  for (int i = 0; i < kStages; ++i) stages.push_back(node_.subscribe<FrameMessage>("outside_frames", 10, hear));
+  // Of the generated type, as from a program that knows no core.
+  const ros::Publisher publisher = node_.advertise<Frame>("outside_frames", 10);
+  const std::uint64_t decoded_before = decoded_frames();
+  publisher.publish(boost::make_shared<Frame>());
+  const auto deadline = std::chrono::steady_clock::now() + std::chrono::seconds(10);
+  const auto all_heard = [&] {
+    const std::lock_guard<std::mutex> lock(mutex);
+    return heard == kStages;
+  };
+  while (!all_heard() && std::chrono::steady_clock::now() < deadline) ros::WallDuration(0.01).sleep();
+  EXPECT_TRUE(all_heard());
+  EXPECT_EQ(decoded_frames(), decoded_before + 1);
+  for (ros::Subscriber& stage : stages) stage.shutdown();
+  EXPECT_EQ(frames.size(), 1u) << "one object for all of them";
 }
 
 }  // namespace

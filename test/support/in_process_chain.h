@@ -62,6 +62,13 @@ class InProcessChain {
     load("detection_ingestion", "DetectionIngestion", {});
     load("pose_frontend", "PoseFrontend", {});
   }
+  /// Who only looks on.
+  void load_viewers() {
+    set("visualization", "class_table", STL_CONFIG_DIR "/classes_coco.yaml");
+    set("visualization", "rate_hz", 50.0);
+    load("visualization", "Visualization", {});
+    load("point_mapping", "PointMapping", {});
+  }
   /// The pose graph and the map that follows it; the test plays the other stages.
   void load_correction() {
     set("quadric_mapping", "class_table", STL_CONFIG_DIR "/classes_coco.yaml");

@@ -10,8 +10,8 @@
 #include <fstream>
 
 #include "apps/tum_bag_writer.h"
+#include "ros/conversions.h"
 #include "semantic_topo_loop/geometry/lie.h"
-#include "semantic_topo_loop/ros/conversions.h"
 #include "support/test_fixtures.h"
 #include "tools/rendering/rgbd_sequence.h"
 

@@ -1,0 +1,52 @@
+#pragma once
+
+#include <geometry_msgs/Pose.h>
+#include <geometry_msgs/Transform.h>
+#include <ros/time.h>
+#include <sensor_msgs/CameraInfo.h>
+#include <sensor_msgs/PointCloud2.h>
+#include <std_msgs/Header.h>
+
+#include <cstdint>
+#include <string>
+#include <vector>
+
+#include "semantic_topo_loop/types/camera.h"
+#include "semantic_topo_loop/types/result.h"
+#include "semantic_topo_loop/types/transform.h"
+
+/// Time, geometry, cameras and clouds between the core and the messages of ROS, bit for bit: no number is rounded or
+/// normalised but a cloud's coordinates, which are float32. `from_msg` trusts the numbers of its message; what comes
+/// from outside goes through `checked_*`. The package's own messages need no conversion: see ros/messages.h.
+namespace semantic_topo_loop {
+
+/// @param stamp_ns clamped to what ros::Time can hold: [0, 2^32) s
+ros::Time to_ros_time(std::int64_t stamp_ns);
+std::int64_t to_stamp_ns(const ros::Time& time);
+std_msgs::Header make_header(const ros::Time& stamp, const std::string& frame_id);
+/// tf2 refuses frame ids with a leading '/', tf allowed them.
+std::string strip_leading_slash(const std::string& frame_id);
+
+geometry_msgs::Vector3 to_vector_msg(const core::Vec3& v);
+geometry_msgs::Point to_point_msg(const core::Vec3& p);
+geometry_msgs::Pose to_msg(const core::SE3& T);
+geometry_msgs::Transform to_transform_msg(const core::SE3& T);
+core::SE3 from_msg(const geometry_msgs::Pose& message);
+
+/// Fills size, K, D (plumb_bob), R = I and P = [K 0].
+void to_msg(const core::Camera& camera, sensor_msgs::CameraInfo* message);
+core::Camera from_msg(const sensor_msgs::CameraInfo& message);
+
+/// As float32 x, y, z; leaves the header as it is.
+void to_cloud(const std::vector<core::Vec3>& points, sensor_msgs::PointCloud2* message);
+void to_cloud(const std::vector<Eigen::Vector3f>& points, sensor_msgs::PointCloud2* message);
+/// The finite points. @return an error that names field and value if x, y or z is missing or not float32
+core::Result<std::vector<core::Vec3>> from_msg(const sensor_msgs::PointCloud2& message);
+
+/// A pose from outside: finite, and a quaternion of norm 1 within 1 %, which is then normalised.
+/// @return an error that names `field`'s component and its value
+core::Result<core::SE3> checked_pose(const geometry_msgs::Pose& message, const std::string& field);
+/// A calibration from outside: plumb_bob or no distortion model, at most 5 coefficients, Camera::is_valid.
+core::Result<core::Camera> checked_camera(const sensor_msgs::CameraInfo& message);
+
+}  // namespace semantic_topo_loop
