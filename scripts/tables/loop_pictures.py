@@ -9,8 +9,8 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 from inputs import UNDRIFTED
-from loop_table import CRITERIA, read_rows
-from runs import GRAPH
+from paper_figures import CRITERIA
+from runs import GRAPH, read_rows
 
 COLORS = {"loops_paper": "#1b9e77", "joint": "#1f5fb4"}
 INPUT_COLORS = ("black", "#1f5fb4", "#e08214", "#c51b3a")  # no drift, and the levels

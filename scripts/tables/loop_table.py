@@ -8,14 +8,9 @@ import statistics
 import paper_figures
 from association_tables import markdown, ratio
 from inputs import LEVELS, RESTART_SEEDS, UNDRIFTED, drifted, restarted
-from runs import GRAPH, PAPER_CORRECTED, PAPER_PRINTED
+from runs import GRAPH, PAPER_CORRECTED, PAPER_PRINTED, read_rows
 
 METHODS = (PAPER_CORRECTED, PAPER_PRINTED, GRAPH)
-CRITERIA = (
-    ("paper", "the paper's criterion: within 3 m and 80 deg between the optical axes, more than 1000 frames apart"),
-    ("original", "the original criterion of SmSLAM+LCD: within 1 m and 53 deg, more than 1000 frames apart"),
-    ("objects", "more than 2 common objects, more than 500 frames apart"),
-)
 COLUMNS = ("method", "input", "files", "keyframes", "reference loops", "real loops", "true positives", "precision",
            "recall", "found by any loop", "real loops right by their pose")
 
@@ -94,11 +89,6 @@ def share(figures):
 def number(figures):
     """A ratio without its counts."""
     return f"{figures['value']:.3f}" if figures["total"] else "-"
-
-
-def read_rows(path):
-    with open(path, newline="") as file:
-        return list(csv.DictReader(file))
 
 
 def groups_of(context, sequence):
@@ -245,7 +235,7 @@ def table_3(context):
             context.programs.note(f"Table III leaves out {sequence.name}: it has no groundtruth_frames.txt.")
             continue
         groups = groups_of(context, sequence)
-        parts += [criterion_table(sequence, groups, key, title) for key, title in CRITERIA]
+        parts += [criterion_table(sequence, groups, key, title) for key, title in paper_figures.CRITERIA]
         parts.append(f"**{sequence.name}, what the paper does not report**\n")
         parts.append(markdown(BEYOND_COLUMNS, map(beyond_row, groups.values())))
         parts.append(f"**{sequence.name}, graph mode by viewpoint difference: loops right within 0.35 m / 10 deg of "

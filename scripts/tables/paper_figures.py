@@ -12,6 +12,13 @@ ASSOCIATION_MACHINE = "AMD Ryzen 5800H"
 LOOPS = {}
 LOOP_TITLE = "the paper's own row"
 
+# What counts as a loop in Table III: key of `evaluate loops` -> in words.
+CRITERIA = (
+    ("paper", "the paper's criterion: within 3 m and 80 deg between the optical axes, more than 1000 frames apart"),
+    ("original", "the original criterion of SmSLAM+LCD: within 1 m and 53 deg, more than 1000 frames apart"),
+    ("objects", "more than 2 common objects, more than 500 frames apart"),
+)
+
 # Table IV: sequence -> (ATE before: RMSE, mean, median, after: RMSE, mean, median), metres.
 TRAJECTORIES = {}
 

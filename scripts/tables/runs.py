@@ -1,5 +1,6 @@
 """The recorded sequences, the methods, and one run of the programs `offline` and `evaluate` for a pair of them."""
 
+import csv
 import glob
 import json
 import os
@@ -107,6 +108,12 @@ def find_sequences(data, fr3_reference):
     if not found:
         raise Failure(f"'{data}' holds neither tum/fr2_desk nor tum/fr3_office (--data, SEMANTIC_TOPO_LOOP_DATA)")
     return found
+
+
+def read_rows(path):
+    """A CSV file with a header, a dictionary a row."""
+    with open(path, newline="") as file:
+        return list(csv.DictReader(file))
 
 
 def package_folder():

@@ -1,6 +1,5 @@
 """Top views of a run's objects (the paper's figures 3 and 4)."""
 
-import csv
 import os
 
 import matplotlib
@@ -11,6 +10,7 @@ import numpy as np
 from matplotlib.lines import Line2D
 from matplotlib.patches import Ellipse, Patch
 
+from runs import read_rows
 from trajectory_pictures import align
 
 MARGIN_M = 0.2
@@ -22,11 +22,6 @@ def rotation_of(x, y, z, w):
     return np.array([[1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
                      [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
                      [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)]])
-
-
-def read_table(path):
-    with open(path, newline="") as file:
-        return list(csv.DictReader(file))
 
 
 def numbers(row, names):
@@ -55,11 +50,11 @@ class Scene:
 
     def __init__(self, run):
         rotation, translation, positions = align(run.trajectory, run.sequence.ground_truth)
-        rows = read_table(os.path.join(run.directory, "objects.csv"))
+        rows = read_rows(os.path.join(run.directory, "objects.csv"))
         self.run = run
         self.objects = [Object(row, rotation, translation) for row in rows if row["state"] == "confirmed"]
         reference = run.sequence.reference
-        self.references = [Reference(row) for row in read_table(reference)] if reference else []
+        self.references = [Reference(row) for row in read_rows(reference)] if reference else []
         self.path = positions @ rotation.T + translation
         matches = run.objects.get("matches", [])
         self.false = {m["object"] for m in matches if m["reference"] < 0}
