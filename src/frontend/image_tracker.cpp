@@ -5,13 +5,6 @@
 #include <set>
 
 namespace semantic_topo_loop::core {
-namespace {
-
-int count(const std::vector<std::int64_t>& points) {
-  return static_cast<int>(std::count_if(points.begin(), points.end(), [](std::int64_t id) { return id >= 0; }));
-}
-
-}  // namespace
 
 bool ImageTracker::fit(const SE3& T_camera_map, TrackingMap* map, TrackedFeatures* image) const {
   std::vector<PoseObservation> observations;
@@ -37,8 +30,8 @@ bool ImageTracker::fit(const SE3& T_camera_map, TrackingMap* map, TrackedFeature
 
 bool ImageTracker::follow(const TrackedFeatures& last, const SE3& T_camera_map, TrackingMap* map,
                           TrackedFeatures* image) const {
-  constexpr double kRadius_px =
-      15.0;                       // on level 0, as in ORB-SLAM: a turn that changes by 50 deg/s from image to image
+  // On level 0, as in ORB-SLAM: a turn that changes by 50 deg/s from one image to the next.
+  constexpr double kRadius_px = 15.0;
   constexpr double kWider = 2.5;  // times, before the place is given up
   constexpr double kRatio = 0.9;  // of the best to the second best, as in ORB-SLAM
   for (const double factor : {1.0, kWider}) {
@@ -62,10 +55,13 @@ bool ImageTracker::follow(const TrackedFeatures& last, const SE3& T_camera_map, 
     const std::vector<int> found =
         search(items, image->features, std::vector<bool>(image->features.size(), false), kMatchBits, kRatio);
     image->points.assign(image->features.size(), -1);
+    int matches = 0;
     for (std::size_t k = 0; k < items.size(); ++k) {
-      if (found[k] >= 0) image->points[static_cast<std::size_t>(found[k])] = ids[k];
+      if (found[k] < 0) continue;
+      image->points[static_cast<std::size_t>(found[k])] = ids[k];
+      ++matches;
     }
-    if (count(image->points) < options_.min_inliers) continue;
+    if (matches < options_.min_inliers) continue;
     // Enough to look for the rest of the map from there, which then must give min_inliers.
     if (fit(T_camera_map, map, image) && image->inliers >= options_.min_inliers / 2 &&
         3 * image->inliers >= image->matches) {

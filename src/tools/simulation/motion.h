@@ -149,10 +149,9 @@ struct DynamicsOptions {
 };
 
 /// Adds motion to a scene at rest.
-/// - People cross the view at walking pace at times spread evenly over the sequence, in turn between the camera and
-/// what
-///   it looks at, so that they hide it, and behind that. They are in the room only while they walk, and pass through
-///   furniture.
+/// - People cross the view at walking pace at times spread evenly over the sequence, in turn behind what the camera
+/// looks
+///   at and before it, where they hide it. They are in the room only while they walk, and pass through furniture.
 /// - Moved objects are at their first place until `move_time_s` and from then on at another one, on another desk if
 ///   there is one, else at least half a metre away on the same. An object that finds no free place is not moved.
 ///
