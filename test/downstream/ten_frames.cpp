@@ -1,7 +1,6 @@
 // Another package's use of the core: ten frames of a camera that slides past a cup on a table.
 #include <cstdio>
 #include <memory>
-#include <string>
 
 #include "semantic_topo_loop/pipeline/object_slam.h"
 
@@ -13,9 +12,8 @@ int main() {
   cup.id = kCup;
   cup.name = "cup";
   cup.size_prior_m = 0.1;
-  std::string error;
-  const auto classes = core::ClassTable::create({cup}, &error);
-  if (!classes) return std::fprintf(stderr, "%s\n", error.c_str()), 1;
+  const auto classes = core::ClassTable::create({cup});
+  if (!classes) return std::fprintf(stderr, "%s\n", classes.message().c_str()), 1;
 
   core::ObjectSlam slam(core::Options(), std::make_shared<const core::ClassTable>(*classes));
   core::Frame frame;

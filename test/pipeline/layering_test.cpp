@@ -47,6 +47,8 @@ const Names kRosModules = {"ros", "nodelets", "apps"};
 const std::regex kCoreLibrary("(Eigen|boost|ceres|nlohmann|opencv2|pcl|sys|yaml-cpp)/.*");
 const std::regex kPublicLibrary("Eigen/.*|opencv2/core.hpp");
 constexpr size_t kMaxPublicHeaders = 70;
+/// What our nodelets have through ros/stage.h and other packages' nodes need by itself.
+const Names kForOtherPackages = {"ros/messages.h"};
 
 struct Include {
   std::string file;      ///< path of the includer below its root, e.g. loop/loop_detector.cpp
@@ -138,7 +140,7 @@ TEST_F(Layering, PublicHeadersIncludeNoPrivateOne) {
 /// A header is public because another module uses it, or a public header that another module uses.
 TEST_F(Layering, PublicHeadersAreUsedOutsideTheirModule) {
   EXPECT_LE(public_.size(), kMaxPublicHeaders);
-  Names used;
+  Names used = kForOtherPackages;
   for (const Include& i : includes_) {
     if (i.is_public && module_of(i.file) != module_of(i.included)) used.insert(i.included);
   }
