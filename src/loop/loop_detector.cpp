@@ -36,12 +36,7 @@ class LoopDetector::Impl {
  public:
   Impl(const LoopOptions& options, const ClassTable& classes)
       : options_(options),
-        enabled_(options.enabled),
         paper_mode_(options.mode == "paper"),
-        attempt_interval_ns_(std::llround(1e9 * options.attempt_interval_s)),
-        window_s_(options.window_s),
-        min_window_s_(options.min_window_s),
-        window_drift_rad_(radians(options.window_drift_deg)),
         window_(paper_mode_ ? options.paper_window_s : options.window_s, options.frame_interval_s, LabelTable(classes)),
         up_(options.up_window_s),
         builder_(options),
@@ -64,7 +59,7 @@ class LoopDetector::Impl {
     std::optional<LocalMap> map = builder_.build(window_.frames(), redirects_, up_);
     if (!map) return {};
     if (paper_mode_) {
-      std::vector<LoopClosure> loops = paper_.detect(std::move(*map), enabled_);
+      std::vector<LoopClosure> loops = paper_.detect(std::move(*map), options_.enabled);
       record_.add(loops);
       return loops;
     }
@@ -72,7 +67,7 @@ class LoopDetector::Impl {
     map->drift_rad_s = monitor_.drift_rad_s().value_or(0.0);
     monitor_.set_reference(*map);
     std::vector<LoopClosure> loops;
-    if (enabled_) {
+    if (options_.enabled) {
       loops = graph_.detect(*map);
       record_.add(loops);
       if (earlier_) {
@@ -86,7 +81,7 @@ class LoopDetector::Impl {
     return loops;
   }
 
-  void set_enabled(bool enabled) { enabled_ = enabled; }
+  void set_enabled(bool enabled) { options_.enabled = enabled; }
 
   void set_earlier_map(std::vector<LocalMap> submaps) {
     earlier_.emplace(without_gap(options_));
@@ -191,7 +186,7 @@ class LoopDetector::Impl {
   /// Loops are looked for between keyframes too: a camera that hardly moves makes few of them, but every view of
   /// a known place shall be recognised at once.
   bool is_due(const Frame& frame) {
-    const bool waited = frame.stamp_ns - last_attempt_ns_ >= attempt_interval_ns_;
+    const bool waited = frame.stamp_ns - last_attempt_ns_ >= std::llround(1e9 * options_.attempt_interval_s);
     if (!frame.is_keyframe && !waited) return false;
     last_attempt_ns_ = frame.stamp_ns;
     return true;
@@ -218,15 +213,15 @@ class LoopDetector::Impl {
       settled_ns_ = frame.stamp_ns + kSettle_ns;
     }
     const std::optional<double> drift = monitor_.drift_rad_s();
-    if (drift) window_.set_span(std::clamp(window_drift_rad_ / std::max(*drift, 1e-9), min_window_s_, window_s_));
+    if (drift) {
+      const double span_s = radians(options_.window_drift_deg) / std::max(*drift, 1e-9);
+      window_.set_span(std::clamp(span_s, options_.min_window_s, options_.window_s));
+    }
   }
 
   LoopOptions options_;
-  bool enabled_;
   bool paper_mode_;
-  std::int64_t attempt_interval_ns_;
   std::int64_t last_attempt_ns_ = 0;
-  double window_s_, min_window_s_, window_drift_rad_;
   int segment_ = 0;
   std::int64_t settled_ns_ = 0;  ///< frames before are left out, after a jump
   ObservationWindow window_;
@@ -250,21 +245,15 @@ LoopDetector::LoopDetector(LoopDetector&&) noexcept = default;
 LoopDetector& LoopDetector::operator=(LoopDetector&&) noexcept = default;
 
 void LoopDetector::apply(const MapUpdate& update) { impl_->apply(update); }
-
 std::vector<LoopClosure> LoopDetector::detect(const Frame& frame, const AssociationFrame& associations) {
   return impl_->detect(frame, associations);
 }
-
 void LoopDetector::set_enabled(bool enabled) { impl_->set_enabled(enabled); }
-
 LoopExplanation LoopDetector::explain(std::int64_t query_keyframe_id, std::int64_t match_keyframe_id) const {
   return impl_->explain(query_keyframe_id, match_keyframe_id);
 }
-
 void LoopDetector::set_earlier_map(std::vector<LocalMap> submaps) { impl_->set_earlier_map(std::move(submaps)); }
-
 std::optional<Relocalisation> LoopDetector::relocalisation() const { return impl_->relocalisation(); }
-
 std::vector<LocalMap> LoopDetector::submaps() const { return impl_->submaps(); }
 
 }  // namespace semantic_topo_loop::core

@@ -1,6 +1,7 @@
 #include "semantic_topo_loop/loop/loop_explanation.h"
 
 #include <algorithm>
+#include <array>
 #include <sstream>
 
 #include "loop/pair_record.h"
@@ -32,25 +33,10 @@ auto find_match(Loops& loops, std::int64_t match_keyframe_id) {
 }  // namespace
 
 const char* to_string(PairStatus status) {
-  switch (status) {
-    case PairStatus::kVerified:
-      return "verified";
-    case PairStatus::kUnknownKeyframe:
-      return "unknown_keyframe";
-    case PairStatus::kWrongOrder:
-      return "wrong_order";
-    case PairStatus::kNoSubmap:
-      return "no_submap";
-    case PairStatus::kTooRecent:
-      return "too_recent";
-    case PairStatus::kNotProposed:
-      return "not_proposed";
-    case PairStatus::kNoAlignment:
-      return "no_alignment";
-    case PairStatus::kNotAttempted:
-      return "not_attempted";
-  }
-  return "unknown";
+  constexpr std::array<const char*, 8> kNames = {"verified",   "unknown_keyframe", "wrong_order",  "no_submap",
+                                                 "too_recent", "not_proposed",     "no_alignment", "not_attempted"};
+  const auto i = static_cast<std::size_t>(status);
+  return i < kNames.size() ? kNames[i] : "unknown";
 }
 
 std::string describe(const LoopFigures& loop, const LoopOptions& options) {

@@ -34,14 +34,8 @@ constexpr double kMinDisagreement_m = 2.5;
 constexpr double kDriftDepth_m = 2.0;  ///< of the usual object: turns apparent drift, an angle, into metres
 constexpr double kDriftFactor = 2.0;   ///< on the drift observed
 
-GraphMatcherOptions matcher_options(const LoopOptions& options) {
-  GraphMatcherOptions matcher;
-  matcher.size_ratio_log = options.size_ratio_log;
-  matcher.distance_tolerance_m = options.distance_tolerance_m;
-  matcher.distance_tolerance_share = options.distance_tolerance_share;
-  matcher.min_distance_m = options.min_distance_m;
-  matcher.inlier_distance_m = options.inlier_distance_m;
-  matcher.min_pairs = kMinCandidateInliers;
+GraphMatcherOptions free_or_fixed(const LoopOptions& options) {
+  GraphMatcherOptions matcher = matcher_options(options, kMinCandidateInliers);
   matcher.free_scale = options.scale == "free";
   return matcher;
 }
@@ -147,7 +141,7 @@ std::vector<int> SubmapIndex::query(const std::vector<LabelledPoint>& points, in
 GraphDetector::GraphDetector(const LoopOptions& options)
     : options_(options),
       index_(index_options(options)),
-      matcher_(matcher_options(options)),
+      matcher_(free_or_fixed(options)),
       verifier_(options),
       refiner_(options) {}
 

@@ -30,16 +30,10 @@ void for_each_vector(const std::vector<CommonNode>& nodes, F f) {
 }
 
 /// Matches of consecutive keyframes belong together if they are this close in time.
-constexpr std::int64_t kStreakSpanNs = 4'000'000'000;
+constexpr std::int64_t kStreakSpan_ns = 4'000'000'000;
 
-GraphMatcherOptions matcher_options(const LoopOptions& options) {
-  GraphMatcherOptions matcher;
-  matcher.size_ratio_log = options.size_ratio_log;
-  matcher.distance_tolerance_m = options.distance_tolerance_m;
-  matcher.distance_tolerance_share = options.distance_tolerance_share;
-  matcher.min_distance_m = options.min_distance_m;
-  matcher.inlier_distance_m = options.inlier_distance_m;
-  matcher.min_pairs = options.paper_min_common;
+GraphMatcherOptions best_match_only(const LoopOptions& options) {
+  GraphMatcherOptions matcher = matcher_options(options, options.paper_min_common);
   matcher.max_matches = 1;
   return matcher;
 }
@@ -130,7 +124,7 @@ std::vector<KeyframeCandidate> ObjectIndex::query(const std::vector<std::int64_t
 }
 
 PaperDetector::PaperDetector(const LoopOptions& options)
-    : options_(with_vague_edges(options)), matcher_(matcher_options(options)), refiner_(options) {}
+    : options_(with_vague_edges(options)), matcher_(best_match_only(options)), refiner_(options) {}
 
 void PaperDetector::apply(const MapUpdate& update) {
   for (const Landmark& landmark : update.changed) quality_[landmark.id] = landmark.quality;
@@ -231,7 +225,7 @@ LoopClosure PaperDetector::judge(const Keyframe& query, const Scored& best) {
 }
 
 bool PaperDetector::is_consistent(const Keyframe& query, std::int64_t match_stamp_ns) {
-  const bool continues = streak_ > 0 && std::abs(match_stamp_ns - streak_match_ns_) <= kStreakSpanNs &&
+  const bool continues = streak_ > 0 && std::abs(match_stamp_ns - streak_match_ns_) <= kStreakSpan_ns &&
                          !keyframes_.empty() && keyframes_.back().map.keyframe_id == streak_keyframe_id_;
   streak_ = continues ? streak_ + 1 : 1;
   streak_match_ns_ = match_stamp_ns;

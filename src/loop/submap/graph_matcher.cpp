@@ -402,6 +402,17 @@ std::vector<int> greedy_clique(const BitGraph& graph, int vertex) {
   return clique;
 }
 
+GraphMatcherOptions matcher_options(const LoopOptions& options, int min_pairs) {
+  GraphMatcherOptions matcher;
+  matcher.size_ratio_log = options.size_ratio_log;
+  matcher.distance_tolerance_m = options.distance_tolerance_m;
+  matcher.distance_tolerance_share = options.distance_tolerance_share;
+  matcher.min_distance_m = options.min_distance_m;
+  matcher.inlier_distance_m = options.inlier_distance_m;
+  matcher.min_pairs = min_pairs;
+  return matcher;
+}
+
 std::vector<GraphMatch> GraphMatcher::match(const std::vector<LabelledPoint>& a,
                                             const std::vector<LabelledPoint>& b) const {
   if (!options_.free_scale) return Matching(options_, a, b).run();

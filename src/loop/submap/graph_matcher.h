@@ -4,6 +4,7 @@
 #include <cstdint>
 #include <vector>
 
+#include "semantic_topo_loop/loop/loop_options.h"
 #include "semantic_topo_loop/types/transform.h"
 
 namespace semantic_topo_loop::core {
@@ -73,6 +74,9 @@ struct GraphMatcherOptions {
   double distinct_m = 0.3;     ///< two alignments differ if the graph's middle moves farther
   double distinct_rad = 0.26;  ///< or turns more
 };
+
+/// Those of loop detection, for matches of at least `min_pairs`.
+GraphMatcherOptions matcher_options(const LoopOptions& options, int min_pairs);
 
 /// Matches two labelled point sets: correspondences of equal label and similar size, an edge between two of them whose
 /// distances agree, cliques of that graph (largest one exactly, others greedily), rigid alignment, regrown inliers.

@@ -8,7 +8,7 @@
 namespace semantic_topo_loop::core {
 namespace {
 
-constexpr std::int64_t kMemoryNs = 700'000'000;  ///< the detector misses an object for some frames
+constexpr std::int64_t kMemory_ns = 700'000'000;  ///< the detector misses an object for some frames
 constexpr double kMinOverlap =
     0.25;  ///< of a box with its track's last, at which a pair is still one object in a fast turn
 constexpr double kOtherClassFactor = 0.7;  ///< on the overlap: detectors do rename objects, but seldom
@@ -56,7 +56,7 @@ std::vector<int> BoxTracker::match(const Quaternion& q_odom_camera, const std::v
 }
 
 void BoxTracker::follow(std::int64_t stamp_ns, const Quaternion& q_odom_camera, std::vector<TrackedBox>* boxes) {
-  const auto is_lost = [stamp_ns](const Track& track) { return stamp_ns - track.stamp_ns > kMemoryNs; };
+  const auto is_lost = [stamp_ns](const Track& track) { return stamp_ns - track.stamp_ns > kMemory_ns; };
   tracks_.erase(std::remove_if(tracks_.begin(), tracks_.end(), is_lost), tracks_.end());
   const std::vector<int> track_of = match(q_odom_camera, *boxes);
   for (std::size_t b = 0; b < boxes->size(); ++b) {

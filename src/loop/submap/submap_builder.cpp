@@ -19,11 +19,11 @@ namespace semantic_topo_loop::core {
 namespace {
 
 constexpr int kCheckFrames = 10;  ///< in which another submap's objects are looked for: one in 1.5 s of the longest
-constexpr double kMaxFitShift_m = 0.2;   ///< a fit that leaves its rays this far is refused
-constexpr double kDuplicateShare = 0.6;  ///< of the mean radius, between two objects' centres
-constexpr double kMinRadius_m = 0.03;    ///< for that: the centres of small objects are not known better
-constexpr double kViewMargin = 0.1;      ///< of the image, in which an object does not count as in view
-constexpr double kMinVisibleDepth_m = 0.3;
+constexpr double kMaxFitShift_m = 0.2;      ///< a fit that leaves its rays this far is refused
+constexpr double kDuplicateShare = 0.6;     ///< of the mean radius, between two objects' centres
+constexpr double kMinRadius_m = 0.03;       ///< for that: the centres of small objects are not known better
+constexpr double kViewMargin = 0.1;         ///< of the image, in which an object does not count as in view
+constexpr double kMinVisibleDepth_m = 0.3;  ///< nearer, an object fills the view
 
 /// A box of a submap as a ray with an extent.
 struct BoxRay {
@@ -42,12 +42,6 @@ struct RayCluster {
   double parallax_rad = 0.0;   ///< largest angle between two of its full rays
 };
 
-struct RayClusterOptions {
-  int min_views = 6;
-  double min_parallax_rad = 0.09;
-  double max_depth_m = 6.0;
-};
-
 constexpr double kMinDepth_m = 0.2;     ///< no object is nearer to a camera that sees it whole
 constexpr double kVoteOffset = 0.3;     ///< of the box size, between its centre and the projected point
 constexpr double kMemberOffset = 0.35;  ///< the same for a box that joins: the point is better known by then
@@ -62,7 +56,7 @@ constexpr double kMinPairAngle = 0.05;  ///< rad, 3 deg: below it the depth of t
 /// holds two objects is split, and boxes of one object on several tracks are gathered.
 class Clustering {
  public:
-  Clustering(const std::vector<BoxRay>& rays, const std::vector<LocalFrame>& frames, const RayClusterOptions& options)
+  Clustering(const std::vector<BoxRay>& rays, const std::vector<LocalFrame>& frames, const LoopOptions& options)
       : rays_(rays), frames_(frames), options_(options), used_(rays.size(), false) {}
 
   std::vector<RayCluster> run() {
@@ -182,7 +176,7 @@ class Clustering {
       bounds.erase(bounds.begin() + static_cast<std::ptrdiff_t>(best));
       if (!cluster) continue;
       for (const int i : cluster->rays) used_[static_cast<std::size_t>(i)] = true;
-      if (cluster->parallax_rad >= options_.min_parallax_rad) clusters_.push_back(*cluster);
+      if (cluster->parallax_rad >= radians(options_.min_parallax_deg)) clusters_.push_back(*cluster);
     }
   }
 
@@ -256,7 +250,7 @@ class Clustering {
 
   const std::vector<BoxRay>& rays_;
   const std::vector<LocalFrame>& frames_;
-  const RayClusterOptions& options_;
+  const LoopOptions& options_;
   std::vector<bool> used_;
   std::vector<RayCluster> clusters_;
 };
@@ -364,14 +358,6 @@ bool in_view(const LocalFrame& frame, const Vec3& point, double max_depth_m) {
   return u > frame.image.x1 + mx && u < frame.image.x2 - mx && v > frame.image.y1 + my && v < frame.image.y2 - my;
 }
 
-LocalMapBuilder::LocalMapBuilder(const LoopOptions& options)
-    : min_views_(options.min_views),
-      fit_views_(options.fit_views),
-      min_parallax_rad_(radians(options.min_parallax_deg)),
-      min_seen_share_(options.min_seen_share),
-      max_depth_m_(options.max_depth_m),
-      max_radius_m_(options.max_radius_m) {}
-
 std::optional<LocalMap> LocalMapBuilder::build(const std::deque<ObservedFrame>& window,
                                                const LandmarkRedirects& redirects, const UpEstimator& up) const {
   if (window.empty()) return std::nullopt;
@@ -396,16 +382,15 @@ std::optional<LocalMap> LocalMapBuilder::build(const std::deque<ObservedFrame>& 
 }
 
 std::vector<LocalObject> LocalMapBuilder::find_objects(const LocalMap& map, const LandmarkRedirects& redirects) const {
-  const RayClusterOptions cluster_options{min_views_, min_parallax_rad_, max_depth_m_};
   std::vector<LocalObject> objects;
   for (const auto& [label, rays] : rays_by_label(map.frames, redirects)) {
-    for (const RayCluster& cluster : Clustering(rays, map.frames, cluster_options).run()) {
+    for (const RayCluster& cluster : Clustering(rays, map.frames, options_).run()) {
       const auto visible = std::count_if(map.frames.begin(), map.frames.end(), [&](const LocalFrame& frame) {
-        return in_view(frame, cluster.center, max_depth_m_);
+        return in_view(frame, cluster.center, options_.max_depth_m);
       });
       const double seen_share =
           static_cast<double>(cluster.rays.size()) / std::max<double>(static_cast<double>(visible), 1.0);
-      if (seen_share < min_seen_share_) continue;
+      if (seen_share < options_.min_seen_share) continue;
       std::vector<SubmapView> views;
       for (const int i : cluster.rays) {
         const BoxRay& ray = rays[static_cast<std::size_t>(i)];
@@ -429,14 +414,14 @@ std::vector<LocalObject> LocalMapBuilder::find_objects(const LocalMap& map, cons
 std::optional<LocalObject> LocalMapBuilder::fit(const LocalMap& map, std::vector<SubmapView> views,
                                                 const Vec3& center) const {
   LocalObject object;
-  for (const int i : spread(static_cast<int>(views.size()), fit_views_)) {
+  for (const int i : spread(static_cast<int>(views.size()), options_.fit_views)) {
     object.views.push_back(views[static_cast<std::size_t>(i)]);
   }
   const std::optional<SpheroidFit> fit = fit_spheroid(map, object.views, center);
   if (!fit) return std::nullopt;
   object.spheroid = fit->spheroid;
   object.covariance = fit->center_covariance;
-  if ((object.spheroid.center - center).norm() > kMaxFitShift_m || object.spheroid.radius() > max_radius_m_) {
+  if ((object.spheroid.center - center).norm() > kMaxFitShift_m || object.spheroid.radius() > options_.max_radius_m) {
     return std::nullopt;
   }
   return object;

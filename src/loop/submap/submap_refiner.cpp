@@ -107,21 +107,18 @@ Vec3 common_axis(const LocalMap& a, const LocalMap& b, const SE3& T_a_b) {
 template <int kUnknowns>
 class RefinementProblem {
  public:
-  RefinementProblem(const LocalMap& a, const LocalMap& b, const SE3& T_0, const std::vector<NodePair>& pairs)
-      : a_(a), b_(b), T_0_(T_0), axis_(common_axis(a, b, T_0)) {
+  RefinementProblem(const LocalMap& a, const LocalMap& b, const SE3& T_0, const std::vector<NodePair>& pairs,
+                    const LoopOptions& options)
+      : T_0_(T_0), axis_(common_axis(a, b, T_0)) {
     for (const NodePair& pair : pairs) {
-      const Spheroid& s_a = a.objects[static_cast<std::size_t>(pair.a)].spheroid;
-      const Spheroid& s_b = b.objects[static_cast<std::size_t>(pair.b)].spheroid;
+      const LocalObject& in_a = a.objects[static_cast<std::size_t>(pair.a)];
+      const LocalObject& in_b = b.objects[static_cast<std::size_t>(pair.b)];
+      const Spheroid &s_a = in_a.spheroid, &s_b = in_b.spheroid;
+      add_object(a, in_a, false, options);
+      add_object(b, in_b, true, options);
       Vec5 object;
       object << 0.5 * (s_a.center + T_0 * s_b.center), 0.5 * (s_a.log_axes + s_b.log_axes);
       state_.blocks.push_back(object);
-    }
-  }
-
-  void add_views(int views, double sigma_px, double sigma_share, const std::vector<NodePair>& pairs) {
-    for (std::size_t k = 0; k < pairs.size(); ++k) {
-      add_object(a_, a_.objects[static_cast<std::size_t>(pairs[k].a)], false, k, views, sigma_px, sigma_share);
-      add_object(b_, b_.objects[static_cast<std::size_t>(pairs[k].b)], true, k, views, sigma_px, sigma_share);
     }
   }
 
@@ -187,24 +184,22 @@ class RefinementProblem {
     return std::isfinite(equations->cost);
   }
 
-  void add_object(const LocalMap& map, const LocalObject& object, bool in_b, std::size_t index, int views,
-                  double sigma_px, double sigma_share) {
+  /// The boxes of the object whose block comes next.
+  void add_object(const LocalMap& map, const LocalObject& object, bool in_b, const LoopOptions& options) {
     const int n = static_cast<int>(object.views.size());
-    const int count = std::min(n, views);
+    const int count = std::min(n, options.refine_views);
     for (int k = 0; k < count; ++k) {
       const SubmapView& view = object.views[static_cast<std::size_t>(k * n / count)];
       const LocalFrame& frame = map.frames[static_cast<std::size_t>(view.frame)];
       const Vec2 size_px = frame.focal_px.cwiseProduct(Vec2(view.box.width(), view.box.height()));
-      const double sigma = sigma_px + sigma_share * std::sqrt(size_px.prod());
+      const double sigma = options.refine_sigma_px + options.refine_sigma_share * std::sqrt(size_px.prod());
       const Vec4 sqrt_information =
           Vec4(frame.focal_px.x(), frame.focal_px.y(), frame.focal_px.x(), frame.focal_px.y()) / sigma;
       measurements_.push_back(
-          {frame.R_camera_local, frame.t_camera_local, view.box.edges(), sqrt_information, index, in_b});
+          {frame.R_camera_local, frame.t_camera_local, view.box.edges(), sqrt_information, state_.blocks.size(), in_b});
     }
   }
 
-  const LocalMap& a_;
-  const LocalMap& b_;
   SE3 T_0_;
   Vec3 axis_;
   State<kUnknowns> state_;
@@ -213,29 +208,22 @@ class RefinementProblem {
 
 }  // namespace
 
-SubmapRefiner::SubmapRefiner(const LoopOptions& options)
-    : free_scale_(options.scale == "free"),
-      views_(options.refine_views),
-      sigma_px_(options.refine_sigma_px),
-      sigma_share_(options.refine_sigma_share),
-      inflation_(options.covariance_inflation) {}
-
 std::optional<Refinement> SubmapRefiner::refine(const LocalMap& a, const LocalMap& b, const SE3& T_a_b,
                                                 const std::vector<NodePair>& pairs) const {
   if (pairs.size() < 3 || !T_a_b.is_finite()) return std::nullopt;
-  return free_scale_ ? refine_with<kPoseAndScale>(a, b, T_a_b, pairs) : refine_with<kPose>(a, b, T_a_b, pairs);
+  return options_.scale == "free" ? refine_with<kPoseAndScale>(a, b, T_a_b, pairs)
+                                  : refine_with<kPose>(a, b, T_a_b, pairs);
 }
 
 template <int kUnknowns>
 std::optional<Refinement> SubmapRefiner::refine_with(const LocalMap& a, const LocalMap& b, const SE3& T_a_b,
                                                      const std::vector<NodePair>& pairs) const {
-  RefinementProblem<kUnknowns> problem(a, b, T_a_b, pairs);
-  problem.add_views(views_, sigma_px_, sigma_share_, pairs);
+  RefinementProblem<kUnknowns> problem(a, b, T_a_b, pairs, options_);
   if (!problem.solve()) return std::nullopt;
   Refinement refinement;
   refinement.T_a_b = problem.T_a_b();
   refinement.scale = problem.scale();
-  if (!problem.assess(inflation_, &refinement)) return std::nullopt;
+  if (!problem.assess(options_.covariance_inflation, &refinement)) return std::nullopt;
   return refinement;
 }
 

@@ -24,7 +24,7 @@ struct Refinement {
 /// them.
 class SubmapRefiner {
  public:
-  explicit SubmapRefiner(const LoopOptions& options);
+  explicit SubmapRefiner(const LoopOptions& options) : options_(options) {}
   /// @return nullopt if the problem cannot be solved or the pose is not determined
   std::optional<Refinement> refine(const LocalMap& a, const LocalMap& b, const SE3& T_a_b,
                                    const std::vector<NodePair>& pairs) const;
@@ -34,9 +34,7 @@ class SubmapRefiner {
   std::optional<Refinement> refine_with(const LocalMap& a, const LocalMap& b, const SE3& T_a_b,
                                         const std::vector<NodePair>& pairs) const;
 
-  bool free_scale_;
-  int views_;
-  double sigma_px_, sigma_share_, inflation_;
+  LoopOptions options_;
 };
 
 /// A closure between the anchors of two submaps, with the evidence's extent; nothing decided yet.
