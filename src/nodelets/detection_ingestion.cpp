@@ -70,7 +70,7 @@ void DetectionIngestionNodelet::onInit() {
           push("detections_in", Keep::kDroppable, [this, m] { on_input(m); });
         };
     keep_subscriber(getNodeHandle().subscribe<DetectionsMessage>("detections_in", 100, callback));
-    constexpr double kDeadlinePeriodS = 0.02;
+    constexpr double kDeadlinePeriodS = 0.02;  // below the time between two frames
     start_timer(kDeadlinePeriodS, [this] { resolve(); });
   }
   subscribe("frames", Keep::kDroppable, &DetectionIngestionNodelet::on_frame);

@@ -17,8 +17,8 @@
 #include "ros/player_source.h"
 #include "ros/stage.h"
 #include "ros/tum_bag_source.h"
-#include "semantic_topo_loop/io/yaml_files.h"
 #include "semantic_topo_loop/io/tum_trajectory.h"
+#include "semantic_topo_loop/io/yaml_files.h"
 
 namespace semantic_topo_loop {
 
@@ -182,7 +182,7 @@ std::unique_ptr<PlayerSource> PlayerNodelet::open_source(std::string* error) con
     calibration->header.frame_id = parameters_.camera_frame;
   }
   if (parameters_.mode == "bag") {
-    constexpr double kRecordingDelayS = 0.2;
+    constexpr double kRecordingDelayS = 0.2;  // by which a message may stand in the bag after its stamp
     TumBagPlayback bag;
     bag.file = parameters_.bag_file;
     bag.stamps = parameters_.stamps;
@@ -203,7 +203,7 @@ std::unique_ptr<PlayerSource> PlayerNodelet::open_source(std::string* error) con
 }
 
 bool PlayerNodelet::wait_for_stages() {
-  constexpr auto kQueryPeriod = std::chrono::milliseconds(300);
+  constexpr auto kQueryPeriod = std::chrono::milliseconds(300);  // the session is announced again so often
   const auto deadline = Clock::now() + std::chrono::duration<double>(parameters_.startup_timeout_s);
   const auto is_up = [this] { return stop_ || (ledger_->missing_stages().empty() && are_images_heard()); };
   std::unique_lock<std::mutex> lock(mutex_);
@@ -288,7 +288,7 @@ PlayerNodelet::Wait PlayerNodelet::wait_for_turn(std::int64_t stamp_ns) {
 
 template <class Predicate>
 PlayerNodelet::Wait PlayerNodelet::wait_until(Predicate predicate) {
-  constexpr auto kPoll = std::chrono::milliseconds(2);
+  constexpr auto kPoll = std::chrono::milliseconds(2);  // far below the time between two images
   std::unique_lock<std::mutex> lock(mutex_);
   while (true) {
     if (stop_) return Wait::kStopped;

@@ -68,7 +68,7 @@ void PoseFrontendNodelet::onInit() {
   if (!open(options_.keyframe, parameters_, transforms_)) return;
   subscribe_all();
   follow_stream();
-  constexpr double kDeadlinePeriodS = 0.02;
+  constexpr double kDeadlinePeriodS = 0.02;  // below the time between two images
   start_timer(kDeadlinePeriodS, [this] { resolve(); });
 }
 
@@ -93,7 +93,7 @@ bool PoseFrontendNodelet::open_source() {
 }
 
 void PoseFrontendNodelet::subscribe_all() {
-  constexpr std::uint32_t kOdometryQueue = 1000;
+  constexpr std::uint32_t kOdometryQueue = 1000;  // seconds, at the rate of an inertial odometry
   const auto queue_size = static_cast<std::uint32_t>(queue_capacity());
   if (odometry_) listen<nav_msgs::Odometry>("odometry", kOdometryQueue, &PoseFrontendNodelet::on_odometry);
   if (parameters_.use_points) {
@@ -124,7 +124,7 @@ void PoseFrontendNodelet::on_odometry(const nav_msgs::Odometry& message) {
 }
 
 void PoseFrontendNodelet::on_points(const sensor_msgs::PointCloud2ConstPtr& message) {
-  constexpr std::size_t kKept = 10;
+  constexpr std::size_t kKept = 10;  // clouds that wait for their image: a third of a second at 30 Hz
   points_[to_stamp_ns(message->header.stamp)] = message;
   if (points_.size() > kKept) points_.erase(points_.begin());
   resolve();

@@ -29,7 +29,7 @@ class PoseGraphNodelet : public Stage {
   /// The last two are null where the objects take no part.
   using Joiner = FrameJoiner<FrameMessage::ConstPtr, LoopsMessage::ConstPtr, AssociationsMessage::ConstPtr,
                              MapUpdateMessage::ConstPtr>;
-  static constexpr double kPathPeriodS = 0.5;
+  static constexpr double kPathPeriodS = 0.5;  ///< paths grow with the run: not with every frame
   static constexpr char kWithoutLoops[] = "frames whose loop detection was lost";
 
   void onInit() override {
@@ -75,7 +75,7 @@ class PoseGraphNodelet : public Stage {
          [this, answer, query = request.query_keyframe_id, match = request.match_keyframe_id] {
            answer->set_value(graph_->withdraw(query, match));
          });
-    constexpr std::chrono::seconds kPatience(2);
+    constexpr std::chrono::seconds kPatience(2);  // some solves of a large graph
     if (is_found.wait_for(kPatience) != std::future_status::ready) {
       response.message = "the pose graph is busy; the loop is withdrawn when it comes to it";
       return true;

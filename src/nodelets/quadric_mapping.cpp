@@ -15,7 +15,7 @@ class QuadricMappingNodelet : public Stage {
 
  private:
   using Joiner = FrameJoiner<FrameMessage::ConstPtr, AssociationsMessage::ConstPtr>;
-  static constexpr double kFullMapPeriodS = 1.0;
+  static constexpr double kFullMapPeriodS = 1.0;  ///< how long a late listener waits for the map
   static constexpr char kIncomplete[] = "dropped, frame or associations missing";
 
   void onInit() override {

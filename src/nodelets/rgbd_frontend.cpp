@@ -89,7 +89,7 @@ void RgbdFrontendNodelet::onInit() {
   statistics().count(kSingle, 0);
   report_publisher_ = advertise<TrackingMessage>("tracking_report");
   subscribe_images();
-  constexpr double kWatchPeriodS = 0.25;
+  constexpr double kWatchPeriodS = 0.25;  // a fraction of pair_timeout_s and starvation_s
   start_timer(kWatchPeriodS, [this] { watch(); });
   follow_stream();
 }

@@ -97,7 +97,7 @@ class VisualizationNodelet : public Stage {
   void send_upright_frame() {
     const std::optional<core::SE3> T_map_upright = view_.T_map_upright();
     if (parameters_.upright_frame.empty() || !T_map_upright) return;
-    constexpr double kSameAngleRad = 0.02, kSameDistanceM = 0.02;
+    constexpr double kSameAngleRad = 0.02, kSameDistanceM = 0.02;  // what nobody sees in a viewer
     const bool same = sent_upright_ && core::rotation_angle(sent_upright_->q, T_map_upright->q) < kSameAngleRad &&
                       (sent_upright_->t - T_map_upright->t).norm() < kSameDistanceM;
     if (same) return;

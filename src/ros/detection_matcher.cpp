@@ -9,14 +9,12 @@
 namespace semantic_topo_loop {
 namespace {
 
-constexpr std::int64_t kJumpBackNs = 1000000000;
-
 std::int64_t stamp_of(const DetectionsMessage::ConstPtr& detections) { return to_stamp_ns(detections->header.stamp); }
 
 }  // namespace
 
 void DetectionMatcher::add(const DetectionsMessage::ConstPtr& detections) {
-  const bool jumped_back = !waiting_.empty() && stamp_of(detections) < stamp_of(waiting_.back()) - kJumpBackNs;
+  const bool jumped_back = !waiting_.empty() && stamp_of(detections) < stamp_of(waiting_.back()) - kJumpBack_ns;
   if (jumped_back) {
     unmatched_ += waiting_.size();
     waiting_.clear();

@@ -37,7 +37,7 @@ bool FrontendStage::open(const core::KeyframeOptions& options, const FrontendPar
 }
 
 void FrontendStage::follow_stream() {
-  constexpr std::uint32_t kTfQueue = 1000;
+  constexpr std::uint32_t kTfQueue = 1000;  // seconds of tf at the rate of a robot with many joints
   const auto queue_size = static_cast<std::uint32_t>(queue_capacity());
   if (transforms_) {
     listen<tf2_msgs::TFMessage>("/tf_static", kTfQueue, &FrontendStage::on_static_transforms);
@@ -133,11 +133,10 @@ bool FrontendStage::accept(std::int64_t stamp_ns) {
 }
 
 bool FrontendStage::is_in_order(std::int64_t stamp_ns) {
-  constexpr std::int64_t kJumpBackNs = 1000000000;
   if (!last_stamp_ns_ || stamp_ns > *last_stamp_ns_) return true;
   const std::string detail =
       "stamp " + std::to_string(stamp_ns) + " ns after " + std::to_string(*last_stamp_ns_) + " ns";
-  if (stamp_ns < *last_stamp_ns_ - kJumpBackNs) {
+  if (stamp_ns < *last_stamp_ns_ - kJumpBack_ns) {
     NODELET_WARN("time jumped back: %s", detail.c_str());
     begin_session("time jumped back");
     return true;

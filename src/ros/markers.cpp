@@ -72,7 +72,7 @@ void add_frustum(const core::SE3& T_map_camera, const core::Vec3& corner, Marker
 struct LoopLines {
   explicit LoopLines(Marker lines) : marker(std::move(lines)) {}
   void add(const core::Vec3& query, const core::Vec3& match) {
-    constexpr double kSameLoopM = 0.6;
+    constexpr double kSameLoopM = 0.6;  // half a second of walking: lines this close cannot be told apart
     for (const auto& [q, m] : ends) {
       if ((q - query).norm() < kSameLoopM && (m - match).norm() < kSameLoopM) return;
     }
@@ -86,7 +86,7 @@ struct LoopLines {
 
 /// Each object with its nearest ones, each pair once.
 std::set<std::pair<std::size_t, std::size_t>> neighbours(const std::vector<core::Vec3>& centers) {
-  constexpr std::size_t kNeighbours = 3;
+  constexpr std::size_t kNeighbours = 3;  // enough to see the graph's shape, few enough to see the objects
   std::set<std::pair<std::size_t, std::size_t>> pairs;
   for (std::size_t i = 0; i < centers.size(); ++i) {
     std::vector<std::pair<double, std::size_t>> others;

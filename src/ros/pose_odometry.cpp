@@ -8,8 +8,6 @@
 namespace semantic_topo_loop {
 namespace {
 
-constexpr double kKeepS = 60.0;
-constexpr std::int64_t kJumpBackNs = 1000000000;
 /// Drivers write 1e3 and more for "unknown".
 constexpr double kLargestVariance = 1e2;
 
@@ -22,13 +20,13 @@ std::optional<core::Mat6> to_covariance(const boost::array<double, 36>& values) 
 }  // namespace
 
 OdometryPoses::OdometryPoses(std::shared_ptr<TfPoses> transforms, double max_gap_s)
-    : transforms_(std::move(transforms)), poses_(max_gap_s, kKeepS) {}
+    : transforms_(std::move(transforms)), poses_(max_gap_s, kKeepPoses_s) {}
 
 core::Status OdometryPoses::add(const nav_msgs::Odometry& message) {
   const core::Result<core::SE3> pose = checked_pose(message.pose.pose, "odometry pose");
   if (!pose) return pose.error();
   const std::int64_t stamp_ns = to_stamp_ns(message.header.stamp);
-  if (!poses_.empty() && stamp_ns < poses_.newest_ns() - kJumpBackNs) {
+  if (!poses_.empty() && stamp_ns < poses_.newest_ns() - kJumpBack_ns) {
     poses_.clear();
     twist_covariances_.clear();
   }
@@ -36,7 +34,7 @@ core::Status OdometryPoses::add(const nav_msgs::Odometry& message) {
   base_frame_ = strip_leading_slash(message.child_frame_id);
   if (const std::optional<core::Mat6> covariance = to_covariance(message.twist.covariance)) {
     twist_covariances_[stamp_ns] = *covariance;
-    while (twist_covariances_.begin()->first < stamp_ns - static_cast<std::int64_t>(kKeepS * 1e9)) {
+    while (twist_covariances_.begin()->first < stamp_ns - static_cast<std::int64_t>(kKeepPoses_s * 1e9)) {
       twist_covariances_.erase(twist_covariances_.begin());
     }
   }

@@ -12,6 +12,9 @@ namespace semantic_topo_loop {
 /// How far apart the stamps of an image and of its detections or recorded pose may be.
 constexpr std::int64_t kStampToleranceNs = 1000;
 
+/// How long poses are kept, s: longer than any image waits for its own.
+constexpr double kKeepPoses_s = 60.0;
+
 /// Where PoseFrontend gets the camera's pose at the stamp of an image from. Not thread-safe.
 class PoseSource {
  public:

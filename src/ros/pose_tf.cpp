@@ -10,9 +10,6 @@
 namespace semantic_topo_loop {
 namespace {
 
-constexpr double kKeepS = 60.0;
-/// A sample that is older than the newest one by more says that time has jumped back.
-constexpr std::int64_t kJumpBackNs = 1000000000;
 constexpr char kAuthority[] = "semantic_topo_loop";
 
 geometry_msgs::Pose to_pose(const geometry_msgs::Transform& transform) {
@@ -27,7 +24,7 @@ geometry_msgs::Pose to_pose(const geometry_msgs::Transform& transform) {
 }  // namespace
 
 TfPoses::TfPoses(std::string odom_frame, double max_gap_s)
-    : odom_frame_(std::move(odom_frame)), max_gap_s_(max_gap_s), buffer_(ros::Duration(kKeepS)) {}
+    : odom_frame_(std::move(odom_frame)), max_gap_s_(max_gap_s), buffer_(ros::Duration(kKeepPoses_s)) {}
 
 core::Status TfPoses::add(const tf2_msgs::TFMessage& message, bool is_static) {
   core::Status all;
@@ -59,8 +56,8 @@ core::Status TfPoses::add(const geometry_msgs::TransformStamped& transform, bool
 }
 
 core::PoseBuffer& TfPoses::moving_samples(const std::string& child, std::int64_t stamp_ns) {
-  core::PoseBuffer& samples = moving_.try_emplace(child, max_gap_s_, kKeepS).first->second;
-  if (!samples.empty() && stamp_ns < samples.newest_ns() - kJumpBackNs) {
+  core::PoseBuffer& samples = moving_.try_emplace(child, max_gap_s_, kKeepPoses_s).first->second;
+  if (!samples.empty() && stamp_ns < samples.newest_ns() - kJumpBack_ns) {
     buffer_.clear();
     for (auto& [name, others] : moving_) others.clear();
   }

@@ -10,8 +10,6 @@
 namespace semantic_topo_loop {
 namespace {
 
-constexpr std::int64_t kJumpBackNs = 1000000000;
-
 double seconds_between(RgbdSynchronizer::Clock::time_point begin, RgbdSynchronizer::Clock::time_point end) {
   return std::chrono::duration<double>(end - begin).count();
 }
@@ -43,7 +41,7 @@ void RgbdSynchronizer::restart() {
 
 void RgbdSynchronizer::hear(const ImageConstPtr& image, Clock::time_point now, Topic* topic) {
   const std::int64_t stamp_ns = to_stamp_ns(image->header.stamp);
-  if (topic->stamp_ns && stamp_ns < *topic->stamp_ns - kJumpBackNs) restart();
+  if (topic->stamp_ns && stamp_ns < *topic->stamp_ns - kJumpBack_ns) restart();
   topic->stamp_ns = stamp_ns;
   topic->heard = now;
 }

@@ -10,8 +10,8 @@ namespace {
 constexpr char kOtherSession[] = "dropped, other session";
 constexpr char kQueueFull[] = "dropped, queue full";
 constexpr char kErrors[] = "errors";
-constexpr double kDiagnosticsPeriodS = 1.0;
-constexpr double kErrorLogPeriodS = 5.0;
+constexpr double kDiagnosticsPeriodS = 1.0;  ///< diagnostic_updater's own
+constexpr double kErrorLogPeriodS = 5.0;     ///< an error a frame must not flood the log
 
 }  // namespace
 

@@ -7,6 +7,7 @@
 namespace semantic_topo_loop {
 namespace {
 
+/// Of the capacity, for tasks that must not be dropped: with so many waiting the stage has stopped, and memory counts.
 constexpr std::size_t kHardLimitFactor = 16;
 
 }  // namespace
