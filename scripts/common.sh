@@ -23,9 +23,6 @@ common_packages="build-essential cmake ninja-build curl pkg-config xvfb libbench
   libceres-dev libeigen3-dev libgtest-dev libopencv-dev libpcl-dev libyaml-cpp-dev nlohmann-json3-dev python3-numpy
   python3-matplotlib"
 
-# For .ci/run.
-ci_packages="catkin-lint clang-format clang-tidy"
-
 debian_packages="catkin libcv-bridge-dev libdiagnostic-msgs-dev libdiagnostic-updater-dev libgeometry-msgs-dev
   libimage-transport-dev libmessage-filters-dev libnav-msgs-dev libnodelet-dev libros-rosgraph-msgs-dev librosbag-dev
   librosbag-storage-dev libroscpp-dev libroslib-dev librostest-dev libsensor-msgs-dev libstd-msgs-dev libstd-srvs-dev
@@ -52,6 +49,12 @@ required_packages() {
       return 1
       ;;
   esac
+}
+
+# What .ci/run needs beside them.
+ci_packages() {
+  echo clang-format clang-tidy
+  if [ "$(. /etc/os-release && echo "$ID")" = ubuntu ]; then echo python3-catkin-lint; else echo catkin-lint; fi
 }
 
 # install_dependencies [further packages...]
@@ -83,8 +86,8 @@ build() {
   source_ros
   say "building in $build_dir"
   # The libraries are compiled alike with and without tests; -g1 keeps the lines of a backtrace and takes two thirds of
-  # the time of -g. rosrun looks for programs in the whole package but for
-  # `build`: installed elsewhere they would be there twice.
+  # the time of -g. rosrun looks for programs in the whole package but for `build`: installed elsewhere they would be
+  # there twice.
   cmake -S "$package_dir" -B "$build_dir" -G Ninja -DCMAKE_BUILD_TYPE=RelWithDebInfo \
     -DCMAKE_CXX_FLAGS_RELWITHDEBINFO="-O2 -g1 -DNDEBUG" \
     -DCMAKE_INSTALL_PREFIX="$package_dir/build/install" -DPYTHON_EXECUTABLE=/usr/bin/python3 \
