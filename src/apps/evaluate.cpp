@@ -10,7 +10,6 @@
 #include "tools/evaluation/loop_criteria.h"
 #include "tools/evaluation/loop_evaluation.h"
 #include "tools/evaluation/object_evaluation.h"
-#include "tools/evaluation/run_files.h"
 #include "tools/evaluation/trajectory_evaluation.h"
 
 namespace {
@@ -161,7 +160,7 @@ Result<LoopFiles> read_loop_files(const Arguments& arguments) {
   if (!loops) return loops.error();
   const auto frames = read_tum_trajectory(run + "/trajectory.txt");
   if (!frames) return frames.error();
-  const auto keyframes = read_keyframe_stamps(run + "/keyframes.csv");
+  const auto keyframes = read_keyframes(run + "/keyframes.csv");
   if (!keyframes) return keyframes.error();
   const auto sightings = read_sightings(arguments.sightings.empty() ? run : arguments.sightings);
   if (!sightings) return sightings.error();
@@ -170,7 +169,8 @@ Result<LoopFiles> read_loop_files(const Arguments& arguments) {
   const auto mocap = arguments.mocap.empty() ? StampedPoses() : read_tum_ground_truth(arguments.mocap);
   if (!mocap) return mocap.error();
   constexpr double kMaxMocapGap_s = 0.1;  // ten samples of a motion capture at 100 Hz
-  LoopFiles files{{}, TruePoses(*std::move(truth), *mocap, kMaxMocapGap_s), {*keyframes, {}}};
+  LoopFiles files{{}, TruePoses(*std::move(truth), *mocap, kMaxMocapGap_s), {}};
+  for (const KeyframePose& keyframe : *keyframes) files.keyframes.keyframe_stamps_ns.push_back(keyframe.stamp_ns);
   auto judged = judge_loops(*loops, *frames, files.truth);
   if (!judged) return Error{run + "/loops.csv: " + judged.message()};
   files.loops = *std::move(judged);

@@ -15,6 +15,7 @@
 #include "ros/tum_bag_reader.h"
 #include "semantic_topo_loop/io/detection_file.h"
 #include "semantic_topo_loop/io/point_cloud_file.h"
+#include "semantic_topo_loop/io/run_files.h"
 #include "semantic_topo_loop/io/run_recorder.h"
 #include "semantic_topo_loop/io/submap_file.h"
 #include "semantic_topo_loop/io/tum_trajectory.h"
@@ -23,7 +24,6 @@
 #include "semantic_topo_loop/pipeline/frame_builder.h"
 #include "semantic_topo_loop/pipeline/object_slam.h"
 #include "semantic_topo_loop/types/stamp.h"
-#include "tools/evaluation/run_files.h"
 
 namespace {
 

@@ -8,9 +8,8 @@
 
 #include "apps/program.h"
 #include "semantic_topo_loop/io/detection_file.h"
-#include "semantic_topo_loop/io/loop_table.h"
+#include "semantic_topo_loop/io/run_files.h"
 #include "semantic_topo_loop/io/yaml_files.h"
-#include "tools/evaluation/run_files.h"
 #include "tools/perturbation/perturbation.h"
 
 namespace {

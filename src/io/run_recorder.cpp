@@ -5,9 +5,9 @@
 #include <functional>
 #include <nlohmann/json.hpp>
 
-#include "io/csv_row.h"
+#include "io/csv.h"
 #include "loop/graph/relocalisation.h"
-#include "semantic_topo_loop/io/loop_table.h"
+#include "semantic_topo_loop/io/run_files.h"
 #include "semantic_topo_loop/io/text_file.h"
 #include "semantic_topo_loop/io/tum_trajectory.h"
 #include "semantic_topo_loop/types/stamp.h"
@@ -158,30 +158,36 @@ std::string RunRecorder::trajectory(bool live) const {
 }
 
 std::string RunRecorder::keyframes() const {
-  std::string text = "keyframe_id,frame_id,stamp,x,y,z,qx,qy,qz,qw\n";
+  std::string text = keyframe_table_header();
   for (const auto& [keyframe_id, frame_id] : keyframe_frames_) {
     const Frame& frame = frames_.at(frame_id);
-    text += CsvRow().add(keyframe_id).add(frame_id).add(format_stamp(frame.stamp_ns)).add(final_pose(frame)).end();
+    KeyframePose keyframe;
+    keyframe.keyframe_id = keyframe_id;
+    keyframe.frame_id = frame_id;
+    keyframe.stamp_ns = frame.stamp_ns;
+    keyframe.T_map_camera = final_pose(frame);
+    text += table_row(keyframe);
   }
   return text;
 }
 
 std::string RunRecorder::objects() const {
-  std::string text = "id,class_id,label,x,y,z,qx,qy,qz,qw,a,b,c,state,observations,baseline_deg,mean_iou,quality\n";
+  std::string text = object_table_header();
   for (const auto& [id, landmark] : landmarks_) {
     if (!landmark.ellipsoid) continue;
-    text += CsvRow()
-                .add(id)
-                .add(landmark.class_id)
-                .add(classes_->name(landmark.class_id))
-                .add(landmark.ellipsoid->T_world_quadric)
-                .add(landmark.ellipsoid->semi_axes)
-                .add(to_string(landmark.state))
-                .add(landmark.observations)
-                .add(landmark.baseline_deg, kRatioDecimals)
-                .add(landmark.mean_iou, kRatioDecimals)
-                .add(landmark.quality, kRatioDecimals)
-                .end();
+    MappedObject object;
+    object.id = id;
+    object.class_id = landmark.class_id;
+    object.label = classes_->name(landmark.class_id);
+    object.center = landmark.ellipsoid->T_world_quadric.t;
+    object.rotation = landmark.ellipsoid->T_world_quadric.q;
+    object.semi_axes = landmark.ellipsoid->semi_axes;
+    object.state = to_string(landmark.state);
+    object.observations = landmark.observations;
+    object.baseline_deg = landmark.baseline_deg;
+    object.mean_iou = landmark.mean_iou;
+    object.quality = landmark.quality;
+    text += table_row(object);
   }
   return text;
 }
@@ -190,7 +196,7 @@ std::string RunRecorder::loops(bool in_earlier_map) const {
   std::string text = loop_table_header();
   for (const auto& [frame_id, candidates] : loops_) {
     for (const LoopRow& loop : candidates) {
-      if (loop.is_in_earlier_map == in_earlier_map) text += loop_table_row(loop);
+      if (loop.is_in_earlier_map == in_earlier_map) text += table_row(static_cast<const LoopFigures&>(loop));
     }
   }
   return text;

@@ -5,10 +5,10 @@
 #include <nlohmann/json.hpp>
 
 #include "semantic_topo_loop/geometry/lie.h"
+#include "semantic_topo_loop/io/run_files.h"
 #include "semantic_topo_loop/io/tum_trajectory.h"
 #include "support/random_poses.h"
 #include "support/test_files.h"
-#include "tools/evaluation/run_files.h"
 
 namespace semantic_topo_loop::core {
 namespace {

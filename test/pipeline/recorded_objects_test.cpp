@@ -4,12 +4,12 @@
 #include <cstdlib>
 
 #include "semantic_topo_loop/io/detection_file.h"
+#include "semantic_topo_loop/io/run_files.h"
 #include "semantic_topo_loop/io/tum_trajectory.h"
 #include "semantic_topo_loop/io/yaml_files.h"
 #include "semantic_topo_loop/pipeline/frame_builder.h"
 #include "semantic_topo_loop/pipeline/object_slam.h"
 #include "tools/evaluation/object_evaluation.h"
-#include "tools/evaluation/run_files.h"
 #include "tools/evaluation/trajectory_evaluation.h"
 #include "tools/perturbation/perturbation.h"
 

@@ -4,10 +4,11 @@
 #include <thread>
 #include <utility>
 
+#include "semantic_topo_loop/io/run_files.h"
 #include "semantic_topo_loop/io/tum_trajectory.h"
 #include "semantic_topo_loop/ros/messages.h"
 #include "support/in_process_chain.h"
-#include "tools/evaluation/run_files.h"
+#include "tools/evaluation/object_evaluation.h"
 #include "tools/evaluation/trajectory_evaluation.h"
 
 namespace semantic_topo_loop {

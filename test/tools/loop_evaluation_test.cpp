@@ -35,7 +35,7 @@ LoopRecord make_loop(const StampedPoses& truth, int query, int match, double err
   loop.match_begin = std::max(0, match - 60);
   loop.match_end = match;
   loop.accepted = true;
-  loop.reason = "accepted";
+  loop.reason_text = "accepted";
   loop.T_match_query = truth[m].T_world_camera.inverse() * truth[q].T_world_camera *
                        SE3(so3_exp(Vec3(radians(error_deg), 0.0, 0.0)), Vec3::Zero());
   loop.T_match_query.t += Vec3(0.0, error_m, 0.0);

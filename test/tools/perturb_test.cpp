@@ -5,11 +5,10 @@
 #include <limits>
 
 #include "semantic_topo_loop/io/detection_file.h"
-#include "semantic_topo_loop/io/loop_table.h"
+#include "semantic_topo_loop/io/run_files.h"
 #include "support/program_test.h"
 #include "support/test_files.h"
 #include "support/test_fixtures.h"
-#include "tools/evaluation/run_files.h"
 #include "tools/perturbation/perturbation.h"
 
 namespace semantic_topo_loop::core {
@@ -217,7 +216,7 @@ TEST_F(PerturbProgram, FalseLoopsAreASeededShareOfTheRightOnes) {
     loop.query_frame = 10 * (k + 40);
     loop.match_frame = 10 * k;
     loop.accepted = k < 10;
-    loops += loop_table_row(loop);
+    loops += table_row(loop);
   }
   directory_.write("run/keyframes.csv", keyframes);
   directory_.write("run/loops.csv", loops);

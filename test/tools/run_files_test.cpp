@@ -1,8 +1,10 @@
-#include "tools/evaluation/run_files.h"
+#include "semantic_topo_loop/io/run_files.h"
 
 #include <gtest/gtest.h>
 
 #include "support/test_files.h"
+#include "tools/evaluation/loop_criteria.h"
+#include "tools/evaluation/object_evaluation.h"
 
 namespace semantic_topo_loop::core {
 namespace {
@@ -90,10 +92,41 @@ TEST_F(RunFiles, SightingsAreThoseOfConfirmedObjects) {
             std::string::npos);
 }
 
-TEST_F(RunFiles, KeyframeStamps) {
-  const auto stamps = read_keyframe_stamps(write("keyframe_id,frame_id,stamp\n0,3,1.5\n1,9,2.25\n"));
-  ASSERT_TRUE(stamps) << stamps.message();
-  EXPECT_EQ(*stamps, (std::vector<std::int64_t>{1500000000, 2250000000}));
+TEST_F(RunFiles, Keyframes) {
+  const auto keyframes = read_keyframes(
+      write("keyframe_id,frame_id,stamp,x,y,z,qx,qy,qz,qw\n0,3,1.5,1,2,3,0,0,0,1\n1,9,2.25,1,2,4,0,0,0,1\n"));
+  ASSERT_TRUE(keyframes) << keyframes.message();
+  ASSERT_EQ(keyframes->size(), 2u);
+  EXPECT_EQ(keyframes->at(0).stamp_ns, 1500000000);
+  EXPECT_EQ(keyframes->at(1).frame_id, 9);
+  EXPECT_EQ(keyframes->at(1).T_map_camera.t, Vec3(1.0, 2.0, 4.0));
+}
+
+TEST_F(RunFiles, WhatIsWrittenIsReadBack) {
+  MappedObject object;
+  object.id = 5;
+  object.label = "cup";
+  object.center = Vec3(1.0, -2.0, 0.5);
+  object.rotation = Quaternion(0.5, 0.5, -0.5, 0.5);
+  object.state = "retired";
+  object.quality = 0.25;
+  const auto objects = read_objects(write(object_table_header() + table_row(object)));
+  ASSERT_TRUE(objects) << objects.message();
+  EXPECT_EQ(objects->at(0).center, object.center);
+  EXPECT_EQ(objects->at(0).rotation.coeffs(), object.rotation.coeffs());
+  EXPECT_EQ(objects->at(0).quality, 0.25);
+  LoopFigures loop;
+  loop.query_frame = 9;
+  loop.match_stamp_ns = 1500000000;
+  loop.accepted = true;
+  loop.reason = LoopReason::kAccepted;
+  loop.T_match_query = SE3(object.rotation, object.center);
+  const auto loops = read_loops(write(loop_table_header() + table_row(loop)));
+  ASSERT_TRUE(loops) << loops.message();
+  EXPECT_EQ(loops->at(0).query_frame, 9);
+  EXPECT_EQ(loops->at(0).match_stamp_ns, 1500000000);
+  EXPECT_EQ(loops->at(0).reason_text, "accepted");
+  EXPECT_EQ(loops->at(0).T_match_query.t, object.center);
 }
 
 TEST_F(RunFiles, ReferenceObjectsOfFr2Desk) {

@@ -7,7 +7,9 @@
 #include <map>
 #include <set>
 
-#include "semantic_topo_loop/io/text_file.h"
+#include "io/csv.h"
+#include "semantic_topo_loop/io/run_files.h"
+#include "semantic_topo_loop/io/tum_trajectory.h"
 
 namespace semantic_topo_loop::core {
 namespace {
@@ -174,6 +176,28 @@ std::string row_text(std::initializer_list<std::string> fields) {
 
 }  // namespace
 
+Result<Sightings> read_sightings(const std::string& directory) {
+  const auto objects = read_objects(directory + "/objects.csv");
+  if (!objects) return objects.error();
+  const auto frames = read_tum_trajectory(directory + "/trajectory.txt");
+  if (!frames) return frames.error();
+  std::set<std::int64_t> confirmed;
+  for (const MappedObject& object : *objects) {
+    if (object.state == "confirmed") confirmed.insert(object.id);
+  }
+  Sightings sightings;
+  const auto read_row = [&](CsvTable& table) {
+    const std::int64_t frame = table.integer("frame_id"), id = table.integer("landmark_id");
+    const bool is_known = frame >= 0 && frame < static_cast<std::int64_t>(frames->size());
+    if (!is_known) table.reject("frame_id", "is no frame of trajectory.txt");
+    if (is_known && confirmed.count(id) > 0) sightings[(*frames)[static_cast<std::size_t>(frame)].stamp_ns].insert(id);
+    return id;
+  };
+  const auto rows = read_csv<std::int64_t>(directory + "/associations.csv", read_row);
+  if (!rows) return rows.error();
+  return sightings;
+}
+
 std::vector<CriterionCounts> count_by_criterion(const std::vector<JudgedLoop>& loops, const TruePoses& truth,
                                                 const KeyframeViews& input, const LoopEvaluationOptions& options) {
   const Keyframes keyframes(truth, input);
@@ -240,7 +264,7 @@ std::string judged_loops_csv(const std::vector<JudgedLoop>& loops, const TruePos
     const bool has_images = loop.query >= 0 && loop.match >= 0;
     const std::int64_t gap = has_images ? truth.stamp_ns(loop.query) - truth.stamp_ns(loop.match) : 0;
     text += row_text({std::to_string(loop.query), std::to_string(loop.match), loop.record.accepted ? "1" : "0",
-                      loop.record.reason, format_fixed(loop.record.score, kDecimals), loop.is_judged ? "1" : "0",
+                      loop.record.reason_text, format_fixed(loop.record.score, kDecimals), loop.is_judged ? "1" : "0",
                       format_fixed(loop.error_m, kDecimals), format_fixed(loop.error_deg, kDecimals),
                       format_fixed(loop.distance_m, kDecimals), format_fixed(loop.axes_deg, kDecimals),
                       format_fixed(loop.view_deg, kDecimals),

@@ -1,8 +1,11 @@
 #pragma once
 
+#include <map>
+#include <set>
 #include <string>
 #include <vector>
 
+#include "semantic_topo_loop/types/result.h"
 #include "tools/evaluation/loop_evaluation.h"
 
 namespace semantic_topo_loop::core {
@@ -15,6 +18,13 @@ struct KeyframeViews {
   /// in common.
   std::vector<std::vector<std::int64_t>> objects;
 };
+
+/// Confirmed objects that were detected in a frame, by its stamp.
+using Sightings = std::map<std::int64_t, std::set<std::int64_t>>;
+
+/// From trajectory.txt, associations.csv and objects.csv of a run's directory.
+/// @return an error, with file, line, column and value
+Result<Sightings> read_sightings(const std::string& directory);
 
 /// A criterion of the literature and what it makes of a run.
 struct CriterionCounts {

@@ -5,22 +5,12 @@
 #include <string>
 #include <vector>
 
+#include "semantic_topo_loop/io/run_files.h"
 #include "semantic_topo_loop/types/result.h"
 #include "semantic_topo_loop/types/stamp.h"
 #include "tools/evaluation/statistics.h"
 
 namespace semantic_topo_loop::core {
-
-/// A row of loops.csv.
-struct LoopRecord {
-  std::int64_t query_frame = -1, match_frame = -1;
-  std::int64_t query_stamp_ns = 0, match_stamp_ns = 0;
-  std::int64_t query_begin = -1, query_end = -1, match_begin = -1, match_end = -1;  ///< frame_id
-  bool accepted = false;
-  std::string reason;
-  double score = 0.0;
-  SE3 T_match_query;  ///< the identity for a candidate that was rejected before it had a pose
-};
 
 /// When two frames show the same place. Limits that are not asked for are infinite or 0.
 struct RevisitCriterion {

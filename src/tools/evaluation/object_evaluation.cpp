@@ -3,6 +3,7 @@
 #include <algorithm>
 
 #include "geometry/assignment.h"
+#include "io/csv.h"
 
 namespace semantic_topo_loop::core {
 namespace {
@@ -84,7 +85,29 @@ void list_matches(const std::vector<Candidate>& candidates, const std::vector<Re
   result->center_m = error_statistics(std::move(distances));
 }
 
+ReferenceObject read_reference(CsvTable& table) {
+  ReferenceObject object;
+  object.id = static_cast<int>(table.integer("id"));
+  object.class_id = static_cast<int>(table.integer("label_id"));
+  object.label = table.text("label");
+  object.center = table.vector("x", "y", "z");
+  object.semi_axes = table.vector("a", "b", "c");
+  const std::string certainty = table.text("certainty");
+  if (certainty == "probable") {
+    object.certainty = Certainty::kProbable;
+  } else if (certainty == "marginal") {
+    object.certainty = Certainty::kMarginal;
+  } else if (certainty != "certain") {
+    table.reject("certainty", "must be certain, probable or marginal");
+  }
+  return object;
+}
+
 }  // namespace
+
+Result<std::vector<ReferenceObject>> read_reference_objects(const std::string& path) {
+  return read_csv<ReferenceObject>(path, read_reference);
+}
 
 double Detectability::f() const {
   const double p = precision.value(), r = recall.value();

@@ -5,6 +5,8 @@
 #include <vector>
 
 #include "semantic_topo_loop/geometry/alignment.h"
+#include "semantic_topo_loop/io/run_files.h"
+#include "semantic_topo_loop/types/result.h"
 #include "tools/evaluation/statistics.h"
 
 namespace semantic_topo_loop::core {
@@ -21,16 +23,9 @@ struct ReferenceObject {
   Certainty certainty = Certainty::kCertain;
 };
 
-/// An object of a run: a row of objects.csv.
-struct MappedObject {
-  std::int64_t id = -1;
-  int class_id = -1;
-  std::string label;
-  Vec3 center = Vec3::Zero();     ///< map frame, m
-  Vec3 semi_axes = Vec3::Ones();  ///< m
-  std::string state;              ///< candidate, confirmed or retired
-  int observations = 0;
-};
+/// Reads reference objects: the columns id, label_id, label, x, y, z, a, b, c and certainty; others do no harm.
+/// @return an error, with file, line, column and value
+Result<std::vector<ReferenceObject>> read_reference_objects(const std::string& path);
 
 /// Precision and recall with their counts.
 struct Detectability {

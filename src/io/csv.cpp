@@ -1,8 +1,8 @@
-#include "tools/evaluation/csv_table.h"
+#include "io/csv.h"
 
+#include <array>
 #include <cmath>
 
-#include "semantic_topo_loop/io/text_file.h"
 #include "semantic_topo_loop/types/stamp.h"
 
 namespace semantic_topo_loop::core {
@@ -64,6 +64,28 @@ std::int64_t CsvTable::stamp_ns(const std::string& column) {
 
 Vec3 CsvTable::vector(const std::string& x, const std::string& y, const std::string& z) {
   return {number(x), number(y), number(z)};
+}
+
+void CsvWriter::stamp(const char* /*name*/, std::int64_t stamp_ns) { row_.add(format_stamp(stamp_ns)); }
+
+void CsvReader::operator()(const char* name, bool& flag) {
+  const std::int64_t value = table_->integer(name);
+  flag = value == 1;
+  if (value != 0 && value != 1) table_->reject(name, "must be 0 or 1");
+}
+
+void CsvReader::operator()(const char* names, Vec3& vector) {
+  const std::vector<std::string_view> n = split(names, ',');
+  vector = table_->vector(std::string(n[0]), std::string(n[1]), std::string(n[2]));
+}
+
+void CsvReader::operator()(const char* names, Quaternion& rotation) {
+  const std::vector<std::string_view> n = split(names, ',');
+  std::array<double, 4> v{};
+  for (std::size_t i = 0; i < v.size(); ++i) v[i] = table_->number(std::string(n[i]));
+  const Quaternion q(v[3], v[0], v[1], v[2]);
+  if (!is_rotation(q)) table_->reject(std::string(n[3]), "is part of a quaternion that is no rotation");
+  rotation = q.normalized();
 }
 
 }  // namespace semantic_topo_loop::core

@@ -1,0 +1,155 @@
+#pragma once
+
+#include <cstdint>
+#include <map>
+#include <string>
+#include <utility>
+#include <vector>
+
+#include "semantic_topo_loop/io/text_file.h"
+#include "semantic_topo_loop/types/result.h"
+#include "semantic_topo_loop/types/transform.h"
+
+namespace semantic_topo_loop::core {
+
+/// A CSV file with a header and no quoting. Getters of the current row note the first failure, with file, line, column
+/// and value, and give zero, so that a row is read in one go and checked once.
+class CsvTable {
+ public:
+  /// @return an error, with file and line, for a missing or empty file or a row of another width
+  static Result<CsvTable> read(const std::string& path);
+
+  std::size_t size() const { return rows_.size(); }
+  void select(std::size_t row) { row_ = row; }
+  bool has(const std::string& column) const { return columns_.count(column) != 0; }
+  double number(const std::string& column);
+  std::int64_t integer(const std::string& column);
+  std::int64_t stamp_ns(const std::string& column);
+  std::string text(const std::string& column);
+  Vec3 vector(const std::string& x, const std::string& y, const std::string& z);
+  /// Notes a failure of the current row that the caller found.
+  void reject(const std::string& column, const std::string& rule);
+  /// Empty if nothing failed so far.
+  const std::string& error() const { return error_; }
+
+ private:
+  struct Row {
+    int line = 0;
+    std::vector<std::string> fields;
+  };
+
+  std::string path_;
+  std::map<std::string, std::size_t> columns_;
+  std::vector<Row> rows_;
+  std::size_t row_ = 0;
+  std::string error_;
+};
+
+/// Reads every row through `read_row`; the first failure of any becomes the error.
+template <class Row, class ReadRow>
+Result<std::vector<Row>> read_csv(const std::string& path, const ReadRow& read_row) {
+  Result<CsvTable> table = CsvTable::read(path);
+  if (!table) return table.error();
+  std::vector<Row> rows;
+  for (std::size_t i = 0; i < table->size(); ++i) {
+    table->select(i);
+    rows.push_back(read_row(*table));
+    if (!table->error().empty()) return Error{table->error()};
+  }
+  return rows;
+}
+
+/// One row of a CSV file, built field by field.
+class CsvRow {
+ public:
+  CsvRow& add(const std::string& text) {
+    row_ += (row_.empty() ? "" : ",") + text;
+    return *this;
+  }
+  CsvRow& add(std::int64_t number) { return add(std::to_string(number)); }
+  CsvRow& add(double number, int decimals) { return add(format_fixed(number, decimals)); }
+  CsvRow& add(const Vec3& v) {
+    return add(v.x(), kLengthDecimals).add(v.y(), kLengthDecimals).add(v.z(), kLengthDecimals);
+  }
+  CsvRow& add(const Quaternion& q) {
+    return add(q.x(), kLengthDecimals)
+        .add(q.y(), kLengthDecimals)
+        .add(q.z(), kLengthDecimals)
+        .add(q.w(), kLengthDecimals);
+  }
+  const std::string& text() const { return row_; }
+  std::string end() const { return row_ + '\n'; }
+
+ private:
+  static constexpr int kLengthDecimals = 9;
+  std::string row_;
+};
+
+// The columns of a file are listed once, by a function `visit_columns(row, visitor)` that shows each field with the
+// name of its column. The visitors below make the file's first line, write a row, and read one.
+
+/// The names of the columns, as the first line of a file.
+class CsvHeader {
+ public:
+  template <class Field>
+  void operator()(const char* name, const Field&) {
+    row_.add(std::string(name));
+  }
+  template <class Field>
+  void optional(const char* name, const Field& field) {
+    (*this)(name, field);
+  }
+  void stamp(const char* name, std::int64_t) { row_.add(std::string(name)); }
+  std::string end() const { return row_.end(); }
+
+ private:
+  CsvRow row_;
+};
+
+/// Writes a row: lengths and rotations with 9 decimals, other numbers with 6, flags as 0 and 1, stamps in seconds.
+class CsvWriter {
+ public:
+  void operator()(const char*, bool flag) { row_.add(flag ? 1 : 0); }
+  void operator()(const char*, int number) { row_.add(number); }
+  void operator()(const char*, std::int64_t number) { row_.add(number); }
+  void operator()(const char*, double number) { row_.add(number, kDecimals); }
+  void operator()(const char*, const std::string& text) { row_.add(text); }
+  /// @param names of three columns, or of four, joined by commas
+  void operator()(const char*, const Vec3& vector) { row_.add(vector); }
+  void operator()(const char*, const Quaternion& rotation) { row_.add(rotation); }
+  /// For columns that a file need not have to be read.
+  template <class Field>
+  void optional(const char* name, const Field& field) {
+    (*this)(name, field);
+  }
+  void stamp(const char* name, std::int64_t stamp_ns);
+  const std::string& text() const { return row_.text(); }
+
+ private:
+  static constexpr int kDecimals = 6;
+  CsvRow row_;
+};
+
+/// Reads the current row of a table. What is wrong is noted by the table.
+class CsvReader {
+ public:
+  explicit CsvReader(CsvTable* table) : table_(table) {}
+  void operator()(const char* name, bool& flag);
+  void operator()(const char* name, int& number) { number = static_cast<int>(table_->integer(name)); }
+  void operator()(const char* name, std::int64_t& number) { number = table_->integer(name); }
+  void operator()(const char* name, double& number) { number = table_->number(name); }
+  void operator()(const char* name, std::string& text) { text = table_->text(name); }
+  void operator()(const char* names, Vec3& vector);
+  void operator()(const char* names, Quaternion& rotation);
+  template <class Field>
+  void optional(const char* names, Field& field) {
+    if (table_->has(first_of(names))) (*this)(names, field);
+  }
+  void stamp(const char* name, std::int64_t& stamp_ns) { stamp_ns = table_->stamp_ns(name); }
+
+ private:
+  static std::string first_of(const std::string& names) { return names.substr(0, names.find(',')); }
+  CsvTable* table_;
+};
+
+}  // namespace semantic_topo_loop::core
