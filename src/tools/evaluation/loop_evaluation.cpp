@@ -1,8 +1,117 @@
 #include "tools/evaluation/loop_evaluation.h"
 
 #include <algorithm>
+#include <cmath>
+
+#include "semantic_topo_loop/geometry/lie.h"
 
 namespace semantic_topo_loop::core {
+namespace {
+
+constexpr std::int64_t kStampTolerance = 5000000;  // ns; far below the time between two images
+
+bool is_hole(std::int64_t stamp_ns, const StampedPoses& mocap, double max_gap_s) {
+  if (mocap.empty()) return false;
+  const auto after = std::lower_bound(mocap.begin(), mocap.end(), stamp_ns,
+                                      [](const StampedPose& pose, std::int64_t ns) { return pose.stamp_ns < ns; });
+  if (after == mocap.end()) return true;
+  if (after->stamp_ns == stamp_ns) return false;
+  if (after == mocap.begin()) return true;
+  return static_cast<double>(after->stamp_ns - std::prev(after)->stamp_ns) > 1e9 * max_gap_s;
+}
+
+Status check_frames(const LoopRecord& loop, const StampedPoses& frames) {
+  for (const std::int64_t frame :
+       {loop.query_frame, loop.match_frame, loop.query_begin, loop.query_end, loop.match_begin, loop.match_end}) {
+    if (frame >= 0 && frame < static_cast<std::int64_t>(frames.size())) continue;
+    return Error{"a loop names frame " + std::to_string(frame) + ", but the run has " + std::to_string(frames.size())};
+  }
+  const auto stamp = [&frames](std::int64_t frame) { return frames[static_cast<std::size_t>(frame)].stamp_ns; };
+  if (stamp(loop.query_frame) == loop.query_stamp_ns && stamp(loop.match_frame) == loop.match_stamp_ns) return {};
+  return Error{"the stamps of loop " + std::to_string(loop.query_frame) + " - " + std::to_string(loop.match_frame) +
+               " are not those of the run's trajectory"};
+}
+
+bool has_pose(const LoopRecord& loop) {
+  return loop.T_match_query.t != Vec3::Zero() || loop.T_match_query.q.vec() != Vec3::Zero();
+}
+
+JudgedLoop judge(const LoopRecord& loop, const StampedPoses& frames, const TruePoses& truth) {
+  const auto stamp = [&frames](std::int64_t frame) { return frames[static_cast<std::size_t>(frame)].stamp_ns; };
+  JudgedLoop judged;
+  judged.record = loop;
+  judged.query = truth.find(loop.query_stamp_ns);
+  judged.match = truth.find(loop.match_stamp_ns);
+  judged.query_begin_ns = stamp(loop.query_begin);
+  judged.query_end_ns = stamp(loop.query_end);
+  judged.match_begin_ns = stamp(loop.match_begin);
+  judged.match_end_ns = stamp(loop.match_end);
+  judged.query_end = truth.nearest(judged.query_end_ns);
+  judged.is_judged =
+      judged.query >= 0 && judged.match >= 0 && !truth.in_hole(judged.query) && !truth.in_hole(judged.match);
+  if (!judged.is_judged) return judged;
+  const SE3 T_match_query = truth.pose(judged.match).inverse() * truth.pose(judged.query);
+  const double unknown = std::numeric_limits<double>::infinity();
+  judged.error_m = has_pose(loop) ? (loop.T_match_query.t - T_match_query.t).norm() : unknown;
+  judged.error_deg = has_pose(loop) ? degrees(rotation_angle(loop.T_match_query.q, T_match_query.q)) : unknown;
+  judged.distance_m = truth.distance_m(judged.query, judged.match);
+  judged.axes_deg = truth.axes_angle_deg(judged.query, judged.match);
+  judged.view_deg = degrees(rotation_angle(T_match_query.q, Quaternion::Identity()));
+  return judged;
+}
+
+}  // namespace
+
+TruePoses::TruePoses(StampedPoses poses, const StampedPoses& mocap, double max_mocap_gap_s) : poses_(std::move(poses)) {
+  std::vector<std::int64_t> periods;
+  for (std::size_t i = 1; i < poses_.size(); ++i) periods.push_back(poses_[i].stamp_ns - poses_[i - 1].stamp_ns);
+  std::sort(periods.begin(), periods.end());
+  period_ns_ = periods.empty() ? 0 : periods[periods.size() / 2];
+  for (const StampedPose& pose : poses_) in_hole_.push_back(is_hole(pose.stamp_ns, mocap, max_mocap_gap_s));
+}
+
+int TruePoses::find(std::int64_t stamp_ns) const {
+  const StampedPose* found = find_stamp(poses_, stamp_ns, kStampTolerance);
+  return found == nullptr ? -1 : static_cast<int>(found - poses_.data());
+}
+
+int TruePoses::nearest(std::int64_t stamp_ns) const {
+  const StampedPose* found = find_stamp(poses_, stamp_ns, std::numeric_limits<std::int64_t>::max());
+  return static_cast<int>(found - poses_.data());
+}
+
+double TruePoses::axes_angle_deg(int a, int b) const {
+  const double cosine = (pose(a).q * Vec3::UnitZ()).dot(pose(b).q * Vec3::UnitZ());
+  return degrees(std::acos(std::clamp(cosine, -1.0, 1.0)));
+}
+
+bool TruePoses::is_revisit(int query, int match, const RevisitCriterion& criterion) const {
+  if (!over_gap(query, match, criterion.min_gap_frames)) return false;
+  if (!criterion.needs_poses()) return true;
+  return !in_hole(query) && !in_hole(match) && distance_m(query, match) < criterion.max_distance_m &&
+         axes_angle_deg(query, match) < criterion.max_view_angle_deg;
+}
+
+bool TruePoses::is_loopable(int query, const RevisitCriterion& criterion) const {
+  for (int match = 0; match < query; ++match) {
+    if (is_revisit(query, match, criterion)) return true;
+  }
+  return false;
+}
+
+Result<std::vector<JudgedLoop>> judge_loops(const std::vector<LoopRecord>& loops, const StampedPoses& frames,
+                                            const TruePoses& truth) {
+  if (std::none_of(frames.begin(), frames.end(), [&](const StampedPose& f) { return truth.find(f.stamp_ns) >= 0; })) {
+    return Error{"the run and the true poses have no stamp in common"};
+  }
+  std::vector<JudgedLoop> judged;
+  for (const LoopRecord& loop : loops) {
+    if (const Status checked = check_frames(loop, frames); !checked) return checked.error();
+    judged.push_back(judge(loop, frames, truth));
+  }
+  return judged;
+}
+
 namespace {
 
 using JudgedLoops = std::vector<const JudgedLoop*>;

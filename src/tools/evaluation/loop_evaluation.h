@@ -2,12 +2,88 @@
 
 #include <array>
 #include <cstdint>
+#include <limits>
 #include <optional>
+#include <string>
 #include <vector>
 
-#include "tools/evaluation/loop_judge.h"
+#include "semantic_topo_loop/io/run_files.h"
+#include "semantic_topo_loop/types/result.h"
+#include "semantic_topo_loop/types/stamp.h"
+#include "tools/evaluation/trajectory_evaluation.h"
 
 namespace semantic_topo_loop::core {
+
+/// When two frames show the same place. Limits that are not asked for are infinite or 0.
+struct RevisitCriterion {
+  int min_gap_frames = 1000;         ///< periods between the two frames
+  double max_distance_m = 3.0;       ///< between the cameras
+  double max_view_angle_deg = 80.0;  ///< between their optical axes
+  int min_common_objects = 0;        ///< objects that both see
+
+  bool needs_poses() const { return max_distance_m < std::numeric_limits<double>::infinity(); }
+};
+
+/// The true poses, by number of image.
+class TruePoses {
+ public:
+  /// @param mocap the motion capture's own poses; a gap between two that is wider than `max_mocap_gap_s` is a hole.
+  /// Empty: there are none
+  TruePoses(StampedPoses poses, const StampedPoses& mocap, double max_mocap_gap_s);
+
+  int size() const { return static_cast<int>(poses_.size()); }
+  std::int64_t stamp_ns(int i) const { return poses_[static_cast<std::size_t>(i)].stamp_ns; }
+  const SE3& pose(int i) const { return poses_[static_cast<std::size_t>(i)].T_world_camera; }
+  bool in_hole(int i) const { return in_hole_[static_cast<std::size_t>(i)]; }
+  /// The usual time between two images.
+  std::int64_t period_ns() const { return period_ns_; }
+
+  /// Number of the image of a stamp, or -1.
+  int find(std::int64_t stamp_ns) const;
+  /// Number of the image nearest to a stamp; there must be one.
+  int nearest(std::int64_t stamp_ns) const;
+
+  double distance_m(int a, int b) const { return (pose(a).t - pose(b).t).norm(); }
+  /// Angle between the optical axes.
+  double axes_angle_deg(int a, int b) const;
+  bool over_gap(int query, int match, int min_gap_frames) const {
+    return stamp_ns(query) - stamp_ns(match) > min_gap_frames * period_ns_;
+  }
+  /// True if the query sees, much later, a place that the match saw; common objects are not looked at.
+  bool is_revisit(int query, int match, const RevisitCriterion& criterion) const;
+  /// True if the image revisits any earlier one.
+  bool is_loopable(int query, const RevisitCriterion& criterion) const;
+
+ private:
+  StampedPoses poses_;
+  std::int64_t period_ns_ = 0;
+  std::vector<bool> in_hole_;
+};
+
+/// A candidate beside the truth. Without a true pose at both ends, or with an end in a hole of the mocap, `is_judged`
+/// is false and the figures below it say nothing.
+struct JudgedLoop {
+  LoopRecord record;
+  int query = -1, match = -1;  ///< numbers of the true images, -1 without one
+  int query_end = -1;          ///< the image nearest to the end of the query's evidence
+  std::int64_t query_begin_ns = 0, query_end_ns = 0, match_begin_ns = 0, match_end_ns = 0;
+  bool is_judged = false;
+  double error_m = 0.0, error_deg = 0.0;  ///< infinite for a candidate without a pose
+  double distance_m = 0.0;                ///< between the two cameras
+  double axes_deg = 0.0;                  ///< between their optical axes
+  double view_deg = 0.0;                  ///< viewpoint difference: angle of the rotation between them
+
+  bool holds_query(std::int64_t ns) const { return query_begin_ns <= ns && ns <= query_end_ns; }
+  bool holds_match(std::int64_t ns) const { return match_begin_ns <= ns && ns <= match_end_ns; }
+  bool is_right(double max_m, double max_deg) const { return is_judged && error_m <= max_m && error_deg <= max_deg; }
+};
+
+/// Puts every candidate beside the truth, in the order of `loops`.
+/// @param frames poses of the run's trajectory.txt: row k has frame_id k
+/// @return an error, with the cause, if the run and the truth have no frame in common or a loop names a frame
+/// that the run does not have
+Result<std::vector<JudgedLoop>> judge_loops(const std::vector<LoopRecord>& loops, const StampedPoses& frames,
+                                            const TruePoses& truth);
 
 struct LoopEvaluationOptions {
   double wide_m = 0.35, wide_deg = 10.0;     ///< a loop within both is right

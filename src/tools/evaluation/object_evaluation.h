@@ -7,7 +7,7 @@
 #include "semantic_topo_loop/geometry/alignment.h"
 #include "semantic_topo_loop/io/run_files.h"
 #include "semantic_topo_loop/types/result.h"
-#include "tools/evaluation/statistics.h"
+#include "tools/evaluation/trajectory_evaluation.h"
 
 namespace semantic_topo_loop::core {
 

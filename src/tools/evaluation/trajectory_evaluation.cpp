@@ -1,5 +1,6 @@
 #include "tools/evaluation/trajectory_evaluation.h"
 
+#include <algorithm>
 #include <cmath>
 
 #include "semantic_topo_loop/geometry/lie.h"
@@ -34,6 +35,25 @@ void relative_errors(const StampedPoses& estimate, const StampedPoses& reference
 }
 
 }  // namespace
+
+ErrorStatistics error_statistics(std::vector<double> errors) {
+  ErrorStatistics statistics;
+  statistics.count = errors.size();
+  if (errors.empty()) return statistics;
+  double sum = 0.0, squares = 0.0;
+  for (const double error : errors) {
+    sum += error;
+    squares += error * error;
+  }
+  const auto n = static_cast<double>(errors.size());
+  std::sort(errors.begin(), errors.end());
+  const std::size_t middle = errors.size() / 2;
+  statistics.rmse = std::sqrt(squares / n);
+  statistics.mean = sum / n;
+  statistics.median = errors.size() % 2 == 1 ? errors[middle] : 0.5 * (errors[middle - 1] + errors[middle]);
+  statistics.max = errors.back();
+  return statistics;
+}
 
 IndexPairs associate_stamps(const StampedPoses& estimate, const StampedPoses& reference, double max_difference_s) {
   IndexPairs pairs;
