@@ -57,7 +57,6 @@ TEST_F(SequenceTest, detector_options_leave_the_scene_and_the_motion) {
 TEST_F(SequenceTest, files_read_back) {
   const SimulatedSequence sequence = simulate_fr2({{"trajectory.duration_s", "3"}});
   const std::string path = write("a", {{"trajectory.duration_s", "3"}});
-  std::string error;
   const auto odometry = read_tum_trajectory(path + "/odometry.txt");
   ASSERT_TRUE(odometry) << odometry.message();
   ASSERT_EQ(odometry->size(), 90u);
