@@ -12,7 +12,7 @@
 #include "apps/program.h"
 #include "apps/sample_source.h"
 #include "ros/parameters.h"
-#include "ros/tum_bag_reader.h"
+#include "ros/tum_bag.h"
 #include "semantic_topo_loop/io/detection_file.h"
 #include "semantic_topo_loop/io/point_cloud_file.h"
 #include "semantic_topo_loop/io/run_files.h"
@@ -57,10 +57,7 @@ Result<RgbdSource::Open> image_opener(const Arguments& arguments, const RunInput
   using Opened = Result<std::unique_ptr<RgbdRecording>>;
   if (!arguments.bag.empty()) {
     return RgbdSource::Open([bag = arguments.bag, camera, depth]() -> Opened {
-      std::string problem;
-      std::unique_ptr<RgbdRecording> recording = semantic_topo_loop::open_tum_bag(bag, camera, depth, &problem);
-      if (!recording) return Error{problem};
-      return Opened(std::move(recording));
+      return semantic_topo_loop::open_tum_bag(bag, camera, depth);
     });
   }
   const std::string list =

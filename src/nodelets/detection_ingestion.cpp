@@ -5,9 +5,8 @@
 #include <string>
 #include <vector>
 
-#include "ros/detection_matcher.h"
+#include "ros/frame_joiner.h"
 #include "ros/parameters.h"
-#include "ros/pose_source.h"
 #include "ros/stage.h"
 #include "semantic_topo_loop/io/detection_file.h"
 #include "semantic_topo_loop/types/stamp.h"
@@ -144,7 +143,7 @@ bool DetectionIngestionNodelet::resolve(const Waiting& waiting) {
 
 std::vector<core::Detection> DetectionIngestionNodelet::from_file(const FrameMessage& frame) {
   const std::int64_t stamp_ns = frame.stamp_ns;
-  const core::DetectionFrame* found = core::find_stamp(file_, stamp_ns, kStampToleranceNs);
+  const core::DetectionFrame* found = core::find_stamp(file_, stamp_ns, kStampTolerance_ns);
   if (found == nullptr) {
     complain(kMissing, parameters_.detections_file + " has no image with stamp " + std::to_string(stamp_ns) + " ns");
     return {};

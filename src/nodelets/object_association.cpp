@@ -5,7 +5,7 @@
 #include <set>
 
 #include "ros/frame_joiner.h"
-#include "ros/map_follower.h"
+#include "ros/map_view.h"
 #include "ros/stage.h"
 #include "semantic_topo_loop/FrameDone.h"
 #include "semantic_topo_loop/association/object_associator.h"

@@ -13,10 +13,9 @@
 #include <thread>
 
 #include "ros/parameters.h"
-#include "ros/player_ledger.h"
-#include "ros/player_source.h"
+#include "ros/playback.h"
 #include "ros/stage.h"
-#include "ros/tum_bag_source.h"
+#include "ros/tum_bag.h"
 #include "semantic_topo_loop/io/tum_trajectory.h"
 #include "semantic_topo_loop/io/yaml_files.h"
 
@@ -41,12 +40,13 @@ class PlayerNodelet : public Stage {
   void follow(const std::string& topic, PlayerLedger::Link link);
 
   void play();
-  std::unique_ptr<PlayerSource> open_source(std::string* error) const;
+  core::Result<std::unique_ptr<PlayerSource>> open_source() const;
   bool wait_for_stages();
   /// Topics connect at their own pace: an image that nobody hears yet would be awaited for ever.
   bool are_images_heard() const;
   /// Plays every image, in lockstep until each has left the chain.
-  Wait play_images(PlayerSource* source, std::string* fault);
+  /// @param end how the recording ended
+  Wait play_images(PlayerSource* source, core::Status* end);
   bool play_end();
   Wait wait_for_turn(std::int64_t stamp_ns);
   template <class Predicate>
@@ -148,35 +148,31 @@ void PlayerNodelet::watch() {
 }
 
 void PlayerNodelet::play() {
-  std::string fault;
+  core::Status end;
   Wait wait = Wait::kRewind;
   while (wait == Wait::kRewind) {
-    fault.clear();
-    const std::unique_ptr<PlayerSource> source = open_source(&fault);
+    const core::Result<std::unique_ptr<PlayerSource>> source = open_source();
     if (!source) {
-      fail(fault);
-      set_status("failed: " + fault);
+      fail(source.message());
+      set_status("failed: " + source.message());
       return;
     }
     if (!wait_for_stages()) return;
-    NODELET_INFO("playing %zu images", source->size());
+    NODELET_INFO("playing %zu images", (*source)->size());
     set_status("playing");
-    wait = play_images(source.get(), &fault);
+    wait = play_images(source->get(), &end);
   }
   if (wait != Wait::kReady) return;
-  if (!fault.empty()) NODELET_ERROR("the recording ends early: %s; what was mapped is kept", fault.c_str());
+  if (!end) NODELET_ERROR("the recording ends early: %s; what was mapped is kept", end.message().c_str());
   if (!play_end()) return;
-  set_status(fault.empty() ? "finished" : "failed: " + fault);
+  set_status(end ? "finished" : "failed: " + end.message());
 }
 
-std::unique_ptr<PlayerSource> PlayerNodelet::open_source(std::string* error) const {
+core::Result<std::unique_ptr<PlayerSource>> PlayerNodelet::open_source() const {
   std::optional<sensor_msgs::CameraInfo> calibration;
   if (!parameters_.camera_file.empty()) {
     const core::Result<core::Camera> camera = core::read_camera(parameters_.camera_file);
-    if (!camera) {
-      *error = camera.message();
-      return nullptr;
-    }
+    if (!camera) return camera.error();
     calibration.emplace();
     to_msg(*camera, &*calibration);
     calibration->header.frame_id = parameters_.camera_frame;
@@ -191,15 +187,13 @@ std::unique_ptr<PlayerSource> PlayerNodelet::open_source(std::string* error) con
     bag.mocap_tf = parameters_.mocap_tf;
     bag.odom_frame = parameters_.odom_frame;
     bag.lookahead_s = parameters_.max_pose_gap_s + kRecordingDelayS;
-    std::unique_ptr<PlayerSource> source = TumBagSource::open(bag, calibration, error);
-    return source ? std::make_unique<ReadAheadSource>(std::move(source)) : nullptr;
+    core::Result<std::unique_ptr<TumBagSource>> source = TumBagSource::open(bag, calibration);
+    if (!source) return source.error();
+    return std::unique_ptr<PlayerSource>(std::make_unique<ReadAheadSource>(*std::move(source)));
   }
   core::Result<core::StampedPoses> trajectory = core::read_tum_trajectory(parameters_.trajectory_file);
-  if (!trajectory) {
-    *error = trajectory.message();
-    return nullptr;
-  }
-  return std::make_unique<FileStamps>(std::move(*trajectory), *calibration);
+  if (!trajectory) return trajectory.error();
+  return std::unique_ptr<PlayerSource>(std::make_unique<FileStamps>(*std::move(trajectory), *calibration));
 }
 
 bool PlayerNodelet::wait_for_stages() {
@@ -231,11 +225,11 @@ bool PlayerNodelet::are_images_heard() const {
          depth_publisher_.getNumSubscribers() > 0;
 }
 
-PlayerNodelet::Wait PlayerNodelet::play_images(PlayerSource* source, std::string* fault) {
+PlayerNodelet::Wait PlayerNodelet::play_images(PlayerSource* source, core::Status* end) {
   constexpr auto kReportPeriod = std::chrono::seconds(5);
   Clock::time_point reported = Clock::now();
   std::size_t played = 0;
-  while (const std::optional<PlayerItem> item = source->next(fault)) {
+  while (const std::optional<PlayerItem> item = source->next()) {
     if (!item->left_out.empty()) {
       complain(item->left_out, item->detail);
       continue;
@@ -249,6 +243,7 @@ PlayerNodelet::Wait PlayerNodelet::play_images(PlayerSource* source, std::string
       NODELET_INFO("image %zu of %zu", played, source->size());
     }
   }
+  *end = source->end();
   // The end of the stream must not overtake an image that still waits for its pose.
   return wait_until([this] { return ledger_->in_flight() == 0; });
 }

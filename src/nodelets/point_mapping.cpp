@@ -3,8 +3,8 @@
 #include <pluginlib/class_list_macros.hpp>
 #include <string>
 
-#include "ros/lazy_publisher.h"
 #include "ros/parameters.h"
+#include "ros/publishers.h"
 #include "ros/stage.h"
 #include "semantic_topo_loop/SavePoints.h"
 #include "semantic_topo_loop/io/point_cloud_file.h"

@@ -12,9 +12,7 @@
 
 #include "ros/frontend_stage.h"
 #include "ros/parameters.h"
-#include "ros/pose_odometry.h"
 #include "ros/pose_source.h"
-#include "ros/pose_tf.h"
 #include "semantic_topo_loop/FrameDone.h"
 #include "semantic_topo_loop/io/tum_trajectory.h"
 
@@ -173,8 +171,8 @@ bool PoseFrontendNodelet::resolve(const Trigger& trigger) {
 
 bool PoseFrontendNodelet::take_points(const Trigger& trigger, bool is_late, core::PoseSample* sample) {
   if (!parameters_.use_points) return true;
-  const auto it = points_.lower_bound(trigger.stamp_ns - kStampToleranceNs);
-  if (it == points_.end() || it->first > trigger.stamp_ns + kStampToleranceNs) {
+  const auto it = points_.lower_bound(trigger.stamp_ns - kStampTolerance_ns);
+  if (it == points_.end() || it->first > trigger.stamp_ns + kStampTolerance_ns) {
     if (is_late)
       complain("images without points", "no cloud within 1 us of " + std::to_string(trigger.stamp_ns) + " ns");
     return is_late;

@@ -11,9 +11,8 @@
 #include <vector>
 
 #include "ros/frame_joiner.h"
-#include "ros/lazy_publisher.h"
-#include "ros/map_odom_sender.h"
 #include "ros/parameters.h"
+#include "ros/publishers.h"
 #include "ros/stage.h"
 #include "semantic_topo_loop/WithdrawLoop.h"
 

@@ -12,8 +12,7 @@
 
 #include "ros/frontend_stage.h"
 #include "ros/parameters.h"
-#include "ros/rgbd_conversion.h"
-#include "ros/rgbd_synchronizer.h"
+#include "ros/rgbd_images.h"
 #include "semantic_topo_loop/FrameDone.h"
 #include "semantic_topo_loop/frontend/rgbd_image.h"
 
@@ -182,15 +181,13 @@ void RgbdFrontendNodelet::fail_image(std::int64_t stamp_ns, const std::string& c
 void RgbdFrontendNodelet::on_pair(const ImageConstPtr& color, const ImageConstPtr& depth) {
   const std::int64_t stamp_ns = to_stamp_ns(color->header.stamp);
   if (!accept(stamp_ns) || !prepare(stamp_ns)) return;
-  std::string error;
-  const std::optional<core::RgbdImage> image =
-      make_rgbd_image(*color, *depth, *frontend_camera_, options_.depth, &error);
+  const core::Result<core::RgbdImage> image = make_rgbd_image(*color, *depth, *frontend_camera_, options_.depth);
   if (image) {
     watch_depth(*image);
     return track(*image);
   }
-  report_.add_unreadable(error);
-  fail_image(stamp_ns, "unusable images", error);
+  report_.add_unreadable(image.message());
+  fail_image(stamp_ns, "unusable images", image.message());
 }
 
 void RgbdFrontendNodelet::watch_depth(const core::RgbdImage& image) {

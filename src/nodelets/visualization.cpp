@@ -6,10 +6,10 @@
 #include <string>
 #include <utility>
 
-#include "ros/lazy_publisher.h"
-#include "ros/map_follower.h"
+#include "ros/map_view.h"
 #include "ros/markers.h"
 #include "ros/parameters.h"
+#include "ros/publishers.h"
 #include "ros/stage.h"
 #include "semantic_topo_loop/Keyframe.h"
 #include "semantic_topo_loop/geometry/lie.h"

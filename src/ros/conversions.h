@@ -20,13 +20,16 @@
 /// from outside goes through `checked_*`. The package's own messages need no conversion: see ros/messages.h.
 namespace semantic_topo_loop {
 
-/// @param stamp_ns clamped to what ros::Time can hold: [0, 2^32) s
-ros::Time to_ros_time(std::int64_t stamp_ns);
-std::int64_t to_stamp_ns(const ros::Time& time);
-
+/// How far apart the stamps of an image and of its detections or recorded pose may be: they are one stamp, written with
+/// six decimals.
+constexpr std::int64_t kStampTolerance_ns = 1000;
 /// A stamp this far behind the newest one says that time has jumped back, as when a bag is played anew; one that is
 /// less far behind is a late message.
 constexpr std::int64_t kJumpBack_ns = 1'000'000'000;
+
+/// @param stamp_ns clamped to what ros::Time can hold: [0, 2^32) s
+ros::Time to_ros_time(std::int64_t stamp_ns);
+std::int64_t to_stamp_ns(const ros::Time& time);
 std_msgs::Header make_header(const ros::Time& stamp, const std::string& frame_id);
 /// tf2 refuses frame ids with a leading '/', tf allowed them.
 std::string strip_leading_slash(const std::string& frame_id);

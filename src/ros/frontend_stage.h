@@ -11,7 +11,7 @@
 #include <string>
 
 #include "ros/parameters.h"
-#include "ros/pose_tf.h"
+#include "ros/pose_source.h"
 #include "ros/stage.h"
 #include "semantic_topo_loop/pipeline/frame_builder.h"
 

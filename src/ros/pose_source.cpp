@@ -1,12 +1,43 @@
 #include "ros/pose_source.h"
 
+#include <tf2/exceptions.h>
+
+#include <utility>
+
+#include "geometry/relative_pose.h"
+#include "ros/conversions.h"
 #include "semantic_topo_loop/types/stamp.h"
 
 namespace semantic_topo_loop {
+namespace {
+
+/// How long poses are kept, s: longer than any image waits for its own.
+constexpr double kKeepPoses_s = 60.0;
+constexpr char kAuthority[] = "semantic_topo_loop";
+
+geometry_msgs::Pose to_pose(const geometry_msgs::Transform& transform) {
+  geometry_msgs::Pose pose;
+  pose.position.x = transform.translation.x;
+  pose.position.y = transform.translation.y;
+  pose.position.z = transform.translation.z;
+  pose.orientation = transform.rotation;
+  return pose;
+}
+
+/// Drivers write 1e3 and more for "unknown".
+constexpr double kLargestVariance = 1e2;
+
+std::optional<core::Mat6> to_covariance(const boost::array<double, 36>& values) {
+  const core::Mat6 covariance = Eigen::Map<const Eigen::Matrix<double, 6, 6, Eigen::RowMajor>>(values.data());
+  if (!core::is_covariance(covariance) || covariance.diagonal().maxCoeff() > kLargestVariance) return std::nullopt;
+  return covariance;
+}
+
+}  // namespace
 
 PoseSource::Answer FilePoses::at(std::int64_t stamp_ns, const std::string& /*camera_frame*/) {
   Answer answer;
-  const core::StampedPose* pose = core::find_stamp(trajectory_, stamp_ns, kStampToleranceNs);
+  const core::StampedPose* pose = core::find_stamp(trajectory_, stamp_ns, kStampTolerance_ns);
   if (pose == nullptr) {
     answer.status = Status::kNever;
     answer.problem = "the trajectory file has no pose within 1 us of stamp " + core::format_stamp(stamp_ns);
@@ -16,6 +47,152 @@ PoseSource::Answer FilePoses::at(std::int64_t stamp_ns, const std::string& /*cam
   answer.sample.stamp_ns = stamp_ns;
   answer.sample.T_odom_camera = pose->T_world_camera;
   return answer;
+}
+
+TfPoses::TfPoses(std::string odom_frame, double max_gap_s)
+    : odom_frame_(std::move(odom_frame)), max_gap_s_(max_gap_s), buffer_(ros::Duration(kKeepPoses_s)) {}
+
+core::Status TfPoses::add(const tf2_msgs::TFMessage& message, bool is_static) {
+  core::Status all;
+  for (const geometry_msgs::TransformStamped& transform : message.transforms) {
+    if (core::Status added = add(transform, is_static); !added) all = std::move(added);
+  }
+  return all;
+}
+
+core::Status TfPoses::add(const geometry_msgs::TransformStamped& transform, bool is_static) {
+  geometry_msgs::TransformStamped stripped = transform;
+  stripped.header.frame_id = strip_leading_slash(transform.header.frame_id);
+  stripped.child_frame_id = strip_leading_slash(transform.child_frame_id);
+  const std::string name = "tf " + stripped.header.frame_id + " -> " + stripped.child_frame_id;
+  const core::Result<core::SE3> pose = checked_pose(to_pose(transform.transform), name);
+  if (!pose) return pose.error();
+  stripped.transform.rotation = to_msg(*pose).orientation;
+  if (!is_static) {
+    const std::int64_t stamp_ns = to_stamp_ns(transform.header.stamp);
+    core::PoseBuffer& samples = moving_samples(stripped.child_frame_id, stamp_ns);
+    if (samples.has(stamp_ns)) return {};  // robots publish the same transform again and again
+    if (const core::Status added = samples.add(stamp_ns, *pose); !added) {
+      return core::Error{name + ": " + added.message()};
+    }
+  }
+  if (buffer_.setTransform(stripped, kAuthority, is_static)) return {};
+  return core::Error{name + " at stamp " + core::format_stamp(to_stamp_ns(transform.header.stamp)) +
+                     " is refused by tf2: a frame id is missing, or the stamp is too old"};
+}
+
+core::PoseBuffer& TfPoses::moving_samples(const std::string& child, std::int64_t stamp_ns) {
+  core::PoseBuffer& samples = moving_.try_emplace(child, max_gap_s_, kKeepPoses_s).first->second;
+  if (!samples.empty() && stamp_ns < samples.newest_ns() - kJumpBack_ns) {
+    buffer_.clear();
+    for (auto& [name, others] : moving_) others.clear();
+  }
+  return samples;
+}
+
+std::string TfPoses::child_of_odom(const std::string& camera_frame) const {
+  std::string child = camera_frame;
+  std::string parent;
+  // A loop in the tree, which tf2 does not refuse, must not hang us.
+  for (std::size_t depth = 0; depth < 100 && buffer_._getParent(child, ros::Time(), parent); ++depth) {
+    if (parent == odom_frame_) return child;
+    child = parent;
+  }
+  return {};
+}
+
+PoseSource::Answer TfPoses::at(std::int64_t stamp_ns, const std::string& camera_frame) {
+  Answer answer;
+  answer.sample.stamp_ns = stamp_ns;
+  const std::string child = child_of_odom(camera_frame);
+  if (child.empty()) {
+    answer.problem = "tf has no chain from '" + odom_frame_ + "' down to '" + camera_frame + "'";
+    return answer;
+  }
+  core::SE3 T_odom_child;
+  const auto samples = moving_.find(child);
+  if (samples != moving_.end()) {
+    const core::PoseBuffer::Answer pose = samples->second.at(stamp_ns);
+    if (pose.status != core::PoseBuffer::Status::kFound) {
+      answer.problem = "tf " + odom_frame_ + " -> " + child + ": " + describe(pose.status);
+      if (pose.status != core::PoseBuffer::Status::kNotYet) answer.status = Status::kNever;
+      return answer;
+    }
+    T_odom_child = pose.pose;
+  } else if (const std::optional<core::SE3> fixed = find(odom_frame_, child, stamp_ns)) {
+    T_odom_child = *fixed;
+  }
+  const std::optional<core::SE3> T_child_camera = find(child, camera_frame, stamp_ns);
+  if (!T_child_camera) {
+    answer.problem = "tf from '" + child + "' to '" + camera_frame + "' does not reach the stamp";
+    return answer;
+  }
+  answer.status = Status::kFound;
+  answer.sample.T_odom_camera = T_odom_child * *T_child_camera;
+  return answer;
+}
+
+std::optional<core::SE3> TfPoses::find(const std::string& target, const std::string& source,
+                                       std::int64_t stamp_ns) const {
+  if (target == source) return core::SE3();
+  try {
+    const core::SE3 T = from_msg(to_pose(buffer_.lookupTransform(target, source, to_ros_time(stamp_ns)).transform));
+    return core::SE3(T.q.normalized(), T.t);
+  } catch (const tf2::TransformException&) {
+    return std::nullopt;
+  }
+}
+
+OdometryPoses::OdometryPoses(std::shared_ptr<TfPoses> transforms, double max_gap_s)
+    : transforms_(std::move(transforms)), poses_(max_gap_s, kKeepPoses_s) {}
+
+core::Status OdometryPoses::add(const nav_msgs::Odometry& message) {
+  const core::Result<core::SE3> pose = checked_pose(message.pose.pose, "odometry pose");
+  if (!pose) return pose.error();
+  const std::int64_t stamp_ns = to_stamp_ns(message.header.stamp);
+  if (!poses_.empty() && stamp_ns < poses_.newest_ns() - kJumpBack_ns) {
+    poses_.clear();
+    twist_covariances_.clear();
+  }
+  if (const core::Status added = poses_.add(stamp_ns, *pose); !added) return added.error();
+  base_frame_ = strip_leading_slash(message.child_frame_id);
+  if (const std::optional<core::Mat6> covariance = to_covariance(message.twist.covariance)) {
+    twist_covariances_[stamp_ns] = *covariance;
+    while (twist_covariances_.begin()->first < stamp_ns - static_cast<std::int64_t>(kKeepPoses_s * 1e9)) {
+      twist_covariances_.erase(twist_covariances_.begin());
+    }
+  }
+  return {};
+}
+
+PoseSource::Answer OdometryPoses::at(std::int64_t stamp_ns, const std::string& camera_frame) {
+  Answer answer;
+  answer.sample.stamp_ns = stamp_ns;
+  const core::PoseBuffer::Answer pose = poses_.at(stamp_ns);
+  if (pose.status != core::PoseBuffer::Status::kFound) {
+    answer.problem = std::string("odometry: ") + describe(pose.status);
+    if (pose.status != core::PoseBuffer::Status::kNotYet) answer.status = Status::kNever;
+    return answer;
+  }
+  const std::string& base_frame = base_frame_.empty() ? camera_frame : base_frame_;
+  const std::optional<core::SE3> T_base_camera = transforms_->find(base_frame, camera_frame, stamp_ns);
+  if (!T_base_camera) {
+    answer.problem = "tf has no transform from the odometry's '" + base_frame + "' to '" + camera_frame + "'";
+    return answer;
+  }
+  answer.status = Status::kFound;
+  answer.sample.T_odom_camera = pose.pose * *T_base_camera;
+  answer.sample.covariance = step_covariance(stamp_ns, *T_base_camera);
+  last_stamp_ns_ = stamp_ns;
+  return answer;
+}
+
+std::optional<core::Mat6> OdometryPoses::step_covariance(std::int64_t stamp_ns, const core::SE3& T_base_camera) const {
+  const auto after = twist_covariances_.upper_bound(stamp_ns);
+  if (!last_stamp_ns_ || after == twist_covariances_.begin()) return std::nullopt;
+  const double dt_s = 1e-9 * static_cast<double>(stamp_ns - *last_stamp_ns_);
+  const core::Mat6 carry = core::transport(T_base_camera);
+  return core::Mat6(dt_s * dt_s * carry * std::prev(after)->second * carry.transpose());
 }
 
 }  // namespace semantic_topo_loop

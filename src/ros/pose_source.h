@@ -1,19 +1,22 @@
 #pragma once
 
+#include <nav_msgs/Odometry.h>
+#include <tf2/buffer_core.h>
+#include <tf2_msgs/TFMessage.h>
+
 #include <cstdint>
+#include <map>
+#include <memory>
 #include <string>
 #include <utility>
 
 #include "semantic_topo_loop/pipeline/frame_builder.h"
+#include "semantic_topo_loop/pipeline/pose_buffer.h"
+#include "semantic_topo_loop/types/result.h"
 #include "semantic_topo_loop/types/stamp.h"
+#include "semantic_topo_loop/types/transform.h"
 
 namespace semantic_topo_loop {
-
-/// How far apart the stamps of an image and of its detections or recorded pose may be.
-constexpr std::int64_t kStampToleranceNs = 1000;
-
-/// How long poses are kept, s: longer than any image waits for its own.
-constexpr double kKeepPoses_s = 60.0;
 
 /// Where PoseFrontend gets the camera's pose at the stamp of an image from. Not thread-safe.
 class PoseSource {
@@ -44,6 +47,56 @@ class FilePoses : public PoseSource {
 
  private:
   core::StampedPoses trajectory_;
+};
+
+/// The transforms of /tf and /tf_static, with the promise that tf2 does not make: the moving edge below the odometry
+/// frame is never interpolated across more than `max_gap_s`. Leading slashes of frame ids are stripped. When time jumps
+/// back, what was said about the moving frames is forgotten.
+class TfPoses : public PoseSource {
+ public:
+  TfPoses(std::string odom_frame, double max_gap_s);
+
+  /// @return an error that names frames and value if a transform was left out (the others are taken)
+  core::Status add(const tf2_msgs::TFMessage& message, bool is_static);
+  /// T_odom_camera
+  Answer at(std::int64_t stamp_ns, const std::string& camera_frame) override;
+  /// T_target_source at a stamp as tf2 interpolates it, without the check of gaps: for the rigid part of a robot.
+  std::optional<core::SE3> find(const std::string& target, const std::string& source, std::int64_t stamp_ns) const;
+
+ private:
+  core::Status add(const geometry_msgs::TransformStamped& transform, bool is_static);
+  /// Where a sample with this stamp goes; forgets everything first if it says that time jumped back.
+  core::PoseBuffer& moving_samples(const std::string& child, std::int64_t stamp_ns);
+  std::string child_of_odom(const std::string& camera_frame) const;
+
+  const std::string odom_frame_;
+  const double max_gap_s_;
+  tf2::BufferCore buffer_;
+  std::map<std::string, core::PoseBuffer> moving_;  ///< T_parent_child by child frame
+};
+
+/// Poses of nav_msgs/Odometry messages: the pose of `child_frame_id`, moved to the camera by tf.
+///
+/// The covariance of the motion between two images comes from the twist's: its standard deviations times the time
+/// between the images. The pose's own covariance says how far the odometry has drifted since its start, which is no
+/// statement about one step.
+class OdometryPoses : public PoseSource {
+ public:
+  OdometryPoses(std::shared_ptr<TfPoses> transforms, double max_gap_s);
+
+  /// @return an error that names field and value if the message is left out
+  core::Status add(const nav_msgs::Odometry& message);
+  Answer at(std::int64_t stamp_ns, const std::string& camera_frame) override;
+  void reset() override { last_stamp_ns_.reset(); }
+
+ private:
+  std::optional<core::Mat6> step_covariance(std::int64_t stamp_ns, const core::SE3& T_base_camera) const;
+
+  std::shared_ptr<TfPoses> transforms_;
+  core::PoseBuffer poses_;
+  std::map<std::int64_t, core::Mat6> twist_covariances_;  ///< of the messages that state one, by stamp
+  std::string base_frame_;                                ///< child_frame_id
+  std::optional<std::int64_t> last_stamp_ns_;             ///< of the last pose given out
 };
 
 }  // namespace semantic_topo_loop

@@ -1,6 +1,6 @@
-#include "ros/map_follower.h"
-
 #include <gtest/gtest.h>
+
+#include "ros/map_view.h"
 
 namespace semantic_topo_loop {
 namespace {

@@ -7,9 +7,8 @@
 #include <vector>
 
 #include "ros/conversions.h"
-#include "ros/depth_pairing.h"
 #include "ros/parameters.h"
-#include "ros/rgbd_conversion.h"
+#include "ros/rgbd_images.h"
 #include "semantic_topo_loop/pipeline/read_ahead.h"
 
 namespace semantic_topo_loop {
@@ -102,9 +101,8 @@ TEST(MakeRgbdImage, TakesEveryEncoding) {
                                                                       {encodings::BGR8, {90, 90, 90}},
                                                                       {encodings::BGRA8, {90, 90, 90, 255}},
                                                                       {encodings::BAYER_GRBG8, {90}}}) {
-    std::string error;
-    const auto image = make_rgbd_image(filled(encoding, pixel), depth, camera(), {}, &error);
-    ASSERT_TRUE(image) << encoding << ": " << error;
+    const auto image = make_rgbd_image(filled(encoding, pixel), depth, camera(), {});
+    ASSERT_TRUE(image) << encoding << ": " << image.message();
     EXPECT_EQ(image->stamp_ns, at_ms(0));
     EXPECT_EQ(image->gray.type(), CV_8UC1);
     EXPECT_NEAR(image->gray.at<std::uint8_t>(20, 20), 90, 1) << encoding;
@@ -119,9 +117,8 @@ TEST(MakeRgbdImage, CorrectsTheScaleOfBothDepthEncodings) {
   for (const sensor_msgs::Image& depth :
        {depth_of(encodings::TYPE_32FC1, 2.0f), depth_of<std::uint16_t>(encodings::TYPE_16UC1, 2000),
         depth_of<std::uint16_t>(encodings::MONO16, 2000)}) {
-    std::string error;
-    const auto image = make_rgbd_image(color, depth, camera(), options, &error);
-    ASSERT_TRUE(image) << depth.encoding << ": " << error;
+    const auto image = make_rgbd_image(color, depth, camera(), options);
+    ASSERT_TRUE(image) << depth.encoding << ": " << image.message();
     EXPECT_NEAR(image->depth_m.at<float>(20, 20), 1.92f, 1e-6f) << depth.encoding;
   }
 }
@@ -129,24 +126,23 @@ TEST(MakeRgbdImage, CorrectsTheScaleOfBothDepthEncodings) {
 TEST(MakeRgbdImage, RefusesWhatIsNone) {
   const sensor_msgs::Image color = filled(encodings::RGB8, {10, 20, 30});
   const sensor_msgs::Image depth = depth_of(encodings::TYPE_32FC1, 2.0f);
-  std::string error;
-  EXPECT_FALSE(make_rgbd_image(color, filled(encodings::RGB8, {1, 2, 3}), camera(), {}, &error));
+  std::string error = make_rgbd_image(color, filled(encodings::RGB8, {1, 2, 3}), camera(), {}).message();
   EXPECT_NE(error.find("rgb8"), std::string::npos) << error;
   sensor_msgs::Image cut = color;
   cut.data.resize(100);
-  EXPECT_FALSE(make_rgbd_image(cut, depth, camera(), {}, &error));
+  EXPECT_FALSE(make_rgbd_image(cut, depth, camera(), {}));
   sensor_msgs::Image strange = color;
   strange.encoding = "jpeg";
-  EXPECT_FALSE(make_rgbd_image(strange, depth, camera(), {}, &error));
+  error = make_rgbd_image(strange, depth, camera(), {}).message();
   EXPECT_NE(error.find("jpeg"), std::string::npos) << error;
   sensor_msgs::Image half = depth;
   half.height = 24;
   half.data.resize(half.data.size() / 2);
-  EXPECT_FALSE(make_rgbd_image(color, half, camera(), {}, &error));
+  EXPECT_FALSE(make_rgbd_image(color, half, camera(), {}));
   sensor_msgs::Image empty;
-  EXPECT_FALSE(make_rgbd_image(empty, depth, camera(), {}, &error));
-  const auto nothing = make_rgbd_image(color, depth_of(encodings::TYPE_32FC1, std::numeric_limits<float>::quiet_NaN()),
-                                       camera(), {}, &error);
+  EXPECT_FALSE(make_rgbd_image(empty, depth, camera(), {}));
+  const auto nothing =
+      make_rgbd_image(color, depth_of(encodings::TYPE_32FC1, std::numeric_limits<float>::quiet_NaN()), camera(), {});
   ASSERT_TRUE(nothing) << "the front end says what it thinks of it";
   EXPECT_EQ(nothing->depth_m.at<float>(20, 20), 0.0f);
 }

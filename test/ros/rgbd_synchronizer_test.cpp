@@ -1,11 +1,10 @@
-#include "ros/rgbd_synchronizer.h"
-
 #include <gtest/gtest.h>
 
 #include <utility>
 #include <vector>
 
 #include "ros/conversions.h"
+#include "ros/rgbd_images.h"
 
 namespace semantic_topo_loop {
 namespace {

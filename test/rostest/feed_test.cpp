@@ -6,13 +6,11 @@
 #include <limits>
 
 #include "ros/conversions.h"
-#include "ros/detection_matcher.h"
-#include "ros/player_ledger.h"
-#include "ros/player_source.h"
-#include "ros/pose_odometry.h"
-#include "ros/pose_tf.h"
+#include "ros/frame_joiner.h"
+#include "ros/playback.h"
+#include "ros/pose_source.h"
 #include "ros/stage.h"
-#include "ros/tum_bag_source.h"
+#include "ros/tum_bag.h"
 #include "support/test_files.h"
 
 namespace semantic_topo_loop {
@@ -294,13 +292,13 @@ TEST(TumBagSource, GivesTransformsAheadOfTheImages) {
   const core::TestDirectory directory;
   TumBagPlayback playback = playback_of(write_bag(directory, 2000));
   playback.mocap_tf = "odom";
-  std::string error;
-  const auto source = TumBagSource::open(playback, std::nullopt, &error);
-  ASSERT_TRUE(source) << error;
+  const auto opened = TumBagSource::open(playback, std::nullopt);
+  ASSERT_TRUE(opened) << opened.message();
+  const auto& source = *opened;
   EXPECT_EQ(source->size(), 21u);
   std::int64_t newest_ns = 0;
   int images = 0;
-  while (const std::optional<PlayerItem> item = source->next(&error)) {
+  while (const std::optional<PlayerItem> item = source->next()) {
     for (const tf2_msgs::TFMessage& message : item->transforms) {
       for (const geometry_msgs::TransformStamped& t : message.transforms) {
         newest_ns = std::max(newest_ns, to_stamp_ns(t.header.stamp));
@@ -314,7 +312,7 @@ TEST(TumBagSource, GivesTransformsAheadOfTheImages) {
     EXPECT_EQ(item->camera_info.K[0], 525.0);
     ++images;
   }
-  EXPECT_EQ(error, "");
+  EXPECT_TRUE(source->end()) << source->end().message();
   EXPECT_EQ(images, 21);
 }
 
@@ -324,11 +322,11 @@ TEST(TumBagSource, DropsTheMotionCaptureAndReplacesTheCalibration) {
   playback.stamps = "camera_info";
   sensor_msgs::CameraInfo calibration;
   calibration.K[0] = 520.9;
-  std::string error;
-  const auto source = TumBagSource::open(playback, calibration, &error);
-  ASSERT_TRUE(source) << error;
+  const auto opened = TumBagSource::open(playback, calibration);
+  ASSERT_TRUE(opened) << opened.message();
+  const auto& source = *opened;
   int images = 0, transforms = 0;
-  while (const std::optional<PlayerItem> item = source->next(&error)) {
+  while (const std::optional<PlayerItem> item = source->next()) {
     ++images;
     EXPECT_EQ(item->camera_info.K[0], 520.9);
     for (const tf2_msgs::TFMessage& message : item->transforms) {
@@ -344,22 +342,19 @@ TEST(TumBagSource, DropsTheMotionCaptureAndReplacesTheCalibration) {
 
 TEST(TumBagSource, SaysWhatIsWrongWithAFile) {
   const core::TestDirectory directory;
-  std::string error;
-  EXPECT_FALSE(TumBagSource::open(playback_of(directory.path("none.bag")), std::nullopt, &error));
-  EXPECT_NE(error.find("none.bag"), std::string::npos) << error;
-
-  EXPECT_FALSE(TumBagSource::open(playback_of(directory.write("text.bag", "no bag")), std::nullopt, &error));
-  EXPECT_NE(error.find("text.bag"), std::string::npos) << error;
-
+  const auto problem = [](const std::string& file) {
+    return TumBagSource::open(playback_of(file), std::nullopt).message();
+  };
+  const auto expect_in = [](const std::string& part, const std::string& text) {
+    EXPECT_NE(text.find(part), std::string::npos) << text;
+  };
+  expect_in("none.bag", problem(directory.path("none.bag")));
+  expect_in("text.bag", problem(directory.write("text.bag", "no bag")));
   const std::string whole = core::read_whole(write_bag(directory, 2000));
-  const std::string cut = directory.write("cut.bag", whole.substr(0, whole.size() / 2));
-  EXPECT_FALSE(TumBagSource::open(playback_of(cut), std::nullopt, &error));
-  EXPECT_NE(error.find("cut.bag"), std::string::npos) << error;
-
+  expect_in("cut.bag", problem(directory.write("cut.bag", whole.substr(0, whole.size() / 2))));
   const std::string other = directory.path("other.bag");
   rosbag::Bag(other, rosbag::bagmode::Write).write("/imu", ros::Time(1), message_of(transform("a", "b", 0, 0.0)));
-  EXPECT_FALSE(TumBagSource::open(playback_of(other), std::nullopt, &error));
-  EXPECT_NE(error.find("/camera/rgb/image_color"), std::string::npos) << error;
+  expect_in("/camera/rgb/image_color", problem(other));
 }
 
 TEST(TumBagSource, EndsWhereTheFileIsDamaged) {
@@ -369,15 +364,15 @@ TEST(TumBagSource, EndsWhereTheFileIsDamaged) {
   const std::size_t chunk = bytes.find("BZh", bytes.size() / 2);
   ASSERT_NE(chunk, std::string::npos);
   bytes.replace(chunk + 30, 20, 20, '\xff');
-  std::string error;
-  const auto source = TumBagSource::open(playback_of(directory.write("damaged.bag", bytes)), std::nullopt, &error);
-  ASSERT_TRUE(source) << error;
+  const auto opened = TumBagSource::open(playback_of(directory.write("damaged.bag", bytes)), std::nullopt);
+  ASSERT_TRUE(opened) << opened.message();
+  const auto& source = *opened;
   int images = 0;
-  while (source->next(&error)) ++images;
-  EXPECT_NE(error.find("damaged.bag"), std::string::npos) << error;
+  while (source->next()) ++images;
+  EXPECT_NE(source->end().message().find("damaged.bag"), std::string::npos) << source->end().message();
   EXPECT_GT(images, 3);
   EXPECT_LT(images, 41);
-  EXPECT_FALSE(source->next(&error)) << "and stays there";
+  EXPECT_FALSE(source->next()) << "and stays there";
 }
 
 }  // namespace

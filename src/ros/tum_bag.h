@@ -10,8 +10,9 @@
 #include <string>
 #include <vector>
 
-#include "ros/depth_pairing.h"
-#include "ros/player_source.h"
+#include "ros/playback.h"
+#include "ros/rgbd_images.h"
+#include "semantic_topo_loop/io/rgbd_recording.h"
 
 namespace semantic_topo_loop {
 
@@ -34,11 +35,11 @@ struct TumBagPlayback {
 class TumBagSource : public PlayerSource {
  public:
   /// @param calibration replaces the recorded camera_info, which holds the driver's defaults
-  /// @return null, with the file and cause in `error`, if it cannot be played
-  static std::unique_ptr<TumBagSource> open(const TumBagPlayback& options,
-                                            const std::optional<sensor_msgs::CameraInfo>& calibration,
-                                            std::string* error);
-  std::optional<PlayerItem> next(std::string* error) override;
+  /// @return an error that names file and cause if it cannot be played
+  static core::Result<std::unique_ptr<TumBagSource>> open(const TumBagPlayback& options,
+                                                          const std::optional<sensor_msgs::CameraInfo>& calibration);
+  std::optional<PlayerItem> next() override;
+  core::Status end() const override { return end_; }
   std::size_t size() const override { return size_; }
 
  private:
@@ -71,7 +72,13 @@ class TumBagSource : public PlayerSource {
   std::deque<Image> images_;
   std::optional<ros::Time> last_stamp_;  ///< of the images given
   std::vector<tf2_msgs::TFMessage> transforms_;
-  std::string fault_;  ///< that ended the reading; what was read before it is still played
+  core::Status end_;  ///< a fault that ended the reading; what was read before it is still played
 };
+
+/// The colour images of a bag in the official TUM layout, with their depth, as the player gives them to the
+/// RgbdFrontend nodelet. Needs no master.
+/// @return an error that names file and cause if it cannot be read
+core::Result<std::unique_ptr<core::RgbdRecording>> open_tum_bag(const std::string& file, const core::Camera& camera,
+                                                                const core::DepthOptions& options);
 
 }  // namespace semantic_topo_loop

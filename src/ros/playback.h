@@ -1,8 +1,14 @@
 #pragma once
 
+#include <sensor_msgs/CameraInfo.h>
+#include <sensor_msgs/Image.h>
+#include <tf2_msgs/TFMessage.h>
+
 #include <array>
 #include <cstdint>
 #include <map>
+#include <memory>
+#include <optional>
 #include <string>
 #include <utility>
 #include <vector>
@@ -10,8 +16,62 @@
 #include "semantic_topo_loop/FrameDone.h"
 #include "semantic_topo_loop/SessionAck.h"
 #include "semantic_topo_loop/SessionControl.h"
+#include "semantic_topo_loop/pipeline/read_ahead.h"
+#include "semantic_topo_loop/types/result.h"
+#include "semantic_topo_loop/types/stamp.h"
 
 namespace semantic_topo_loop {
+
+/// What the player publishes for one image: first the transforms, then the camera_info that stands for the image, then
+/// the image itself, where a front end is to track it.
+struct PlayerItem {
+  std::vector<tf2_msgs::TFMessage> transforms;  ///< recorded up to a little after the image, so that none is awaited
+  sensor_msgs::CameraInfo camera_info;          ///< stamped as the image
+  sensor_msgs::ImageConstPtr color, depth;      ///< both stamped as camera_info; null where none are played
+  std::string left_out;                         ///< if not empty: no image after all, and why
+  std::string detail;                           ///< of left_out
+};
+
+/// A recording, image by image.
+class PlayerSource {
+ public:
+  virtual ~PlayerSource() = default;
+  /// @return nullopt at the end
+  virtual std::optional<PlayerItem> next() = 0;
+  /// Whether the end was that of the recording, or a fault in it. Ask once `next` gave nullopt.
+  virtual core::Status end() const { return {}; }
+  /// Images in the recording, for the progress shown.
+  virtual std::size_t size() const = 0;
+};
+
+/// The stamps of a trajectory file.
+class FileStamps : public PlayerSource {
+ public:
+  FileStamps(core::StampedPoses trajectory, sensor_msgs::CameraInfo camera_info)
+      : trajectory_(std::move(trajectory)), camera_info_(std::move(camera_info)) {}
+  std::optional<PlayerItem> next() override;
+  std::size_t size() const override { return trajectory_.size(); }
+
+ private:
+  core::StampedPoses trajectory_;
+  sensor_msgs::CameraInfo camera_info_;
+  std::size_t index_ = 0;
+};
+
+/// Another source, read in a thread of its own: compressed chunks of a bag take longer than a frame.
+class ReadAheadSource : public PlayerSource {
+ public:
+  explicit ReadAheadSource(std::unique_ptr<PlayerSource> source);
+  std::optional<PlayerItem> next() override { return items_.next(); }
+  core::Status end() const override { return end_; }
+  std::size_t size() const override { return size_; }
+
+ private:
+  std::unique_ptr<PlayerSource> source_;  ///< of the reading thread, once it runs
+  const std::size_t size_;
+  core::Status end_;  ///< written before the reading thread ends the stream, read after
+  core::ReadAhead<PlayerItem> items_;
+};
 
 /// The player's book on the chain: which stages are there, which frames are on their way, and who was the last to
 /// touch them. Not thread-safe.

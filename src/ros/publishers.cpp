@@ -1,4 +1,4 @@
-#include "ros/map_odom_sender.h"
+#include "ros/publishers.h"
 
 #include <algorithm>
 #include <cmath>

@@ -1,4 +1,4 @@
-#include "ros/tum_bag_source.h"
+#include "ros/tum_bag.h"
 
 #include <rosbag/exceptions.h>
 #include <rosbag/query.h>
@@ -6,6 +6,7 @@
 
 #include <algorithm>
 #include <exception>
+#include <utility>
 
 #include "ros/conversions.h"
 #include "semantic_topo_loop/types/stamp.h"
@@ -24,11 +25,34 @@ std::string explain(const std::string& file, const std::string& cause) {
   return "bag '" + file + "': " + (cause.empty() ? "cannot be read" : cause);
 }
 
+class TumBagReader : public core::RgbdRecording {
+ public:
+  TumBagReader(std::unique_ptr<TumBagSource> source, const core::Camera& camera, core::DepthOptions options)
+      : source_(std::move(source)), camera_(camera), options_(std::move(options)) {}
+
+  core::Result<std::optional<core::RgbdReading>> next() override {
+    const std::optional<PlayerItem> item = source_->next();
+    if (!item) {
+      if (const core::Status end = source_->end(); !end) return end.error();
+      return std::optional<core::RgbdReading>();
+    }
+    if (!item->left_out.empty()) {
+      return std::optional<core::RgbdReading>({core::Error{item->detail}, item->left_out});
+    }
+    return std::optional<core::RgbdReading>({make_rgbd_image(*item->color, *item->depth, camera_, options_), ""});
+  }
+  std::size_t total() const override { return source_->size(); }
+
+ private:
+  std::unique_ptr<TumBagSource> source_;
+  core::Camera camera_;
+  core::DepthOptions options_;
+};
+
 }  // namespace
 
-std::unique_ptr<TumBagSource> TumBagSource::open(const TumBagPlayback& options,
-                                                 const std::optional<sensor_msgs::CameraInfo>& calibration,
-                                                 std::string* error) {
+core::Result<std::unique_ptr<TumBagSource>> TumBagSource::open(
+    const TumBagPlayback& options, const std::optional<sensor_msgs::CameraInfo>& calibration) {
   std::unique_ptr<TumBagSource> source(new TumBagSource(options));
   source->calibration_ = calibration;
   std::string problem;
@@ -41,8 +65,7 @@ std::unique_ptr<TumBagSource> TumBagSource::open(const TumBagPlayback& options,
   } catch (const std::exception& exception) {
     problem = std::string("is no bag, or truncated: ") + exception.what();
   }
-  if (error != nullptr) *error = explain(options.file, problem);
-  return nullptr;
+  return core::Error{explain(options.file, problem)};
 }
 
 void TumBagSource::open_bag() {
@@ -69,7 +92,7 @@ std::string TumBagSource::what_is_missing() const {
   return {};
 }
 
-std::optional<PlayerItem> TumBagSource::next(std::string* error) {
+std::optional<PlayerItem> TumBagSource::next() {
   try {
     while (position_ != view_->end() && !is_due()) {
       read_message(*position_);
@@ -77,16 +100,13 @@ std::optional<PlayerItem> TumBagSource::next(std::string* error) {
     }
   } catch (const std::exception& exception) {
     position_ = view_->end();
-    fault_ = explain(options_.file, std::string("is damaged: ") + exception.what());
+    end_ = core::Error{explain(options_.file, std::string("is damaged: ") + exception.what())};
   }
   if (images_.empty() && options_.with_images) {
     pairing_.finish();
     take_pairs();
   }
-  if (images_.empty()) {
-    if (!fault_.empty() && error != nullptr) *error = fault_;
-    return std::nullopt;
-  }
+  if (images_.empty()) return std::nullopt;
   const Image image = images_.front();
   images_.pop_front();
   return make_item(image);
@@ -172,6 +192,16 @@ bool TumBagSource::is_in_order(const std_msgs::Header& header, PlayerItem* item)
   item->detail = "stamp " + core::format_stamp(to_stamp_ns(header.stamp)) + " after " +
                  core::format_stamp(to_stamp_ns(*last_stamp_));
   return false;
+}
+
+core::Result<std::unique_ptr<core::RgbdRecording>> open_tum_bag(const std::string& file, const core::Camera& camera,
+                                                                const core::DepthOptions& options) {
+  TumBagPlayback playback;
+  playback.file = file;
+  playback.with_images = true;
+  core::Result<std::unique_ptr<TumBagSource>> source = TumBagSource::open(playback, std::nullopt);
+  if (!source) return source.error();
+  return std::unique_ptr<core::RgbdRecording>(std::make_unique<TumBagReader>(*std::move(source), camera, options));
 }
 
 }  // namespace semantic_topo_loop

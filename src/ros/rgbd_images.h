@@ -6,13 +6,53 @@
 
 #include <chrono>
 #include <cstdint>
+#include <deque>
 #include <functional>
 #include <map>
 #include <memory>
 #include <optional>
 #include <string>
 
+#include "semantic_topo_loop/frontend/rgbd_image.h"
+
 namespace semantic_topo_loop {
+
+/// A colour image and its depth as the front end takes them: every colour encoding of cv_bridge, Bayer patterns and
+/// mono8 included, and depth as 32FC1 (metres), 16UC1 or mono16. The stamp is the colour image's.
+/// @return an error that names topic and value for an encoding or size that cannot be used
+core::Result<core::RgbdImage> make_rgbd_image(const sensor_msgs::Image& color, const sensor_msgs::Image& depth,
+                                              const core::Camera& camera, const core::DepthOptions& options);
+
+/// Which depth image of a recording belongs to which colour image: the one nearest in stamp, `max_delay_s` away at
+/// most, each once. The same recording gives the same pairs, whatever order its two topics were recorded in.
+class DepthPairing {
+ public:
+  struct Answer {
+    ros::Time received;  ///< of the colour image
+    sensor_msgs::ImagePtr color;
+    sensor_msgs::ImagePtr depth;  ///< null if none belongs to it
+  };
+
+  explicit DepthPairing(double max_delay_s) : max_delay_ns_(static_cast<std::int64_t>(1e9 * max_delay_s)) {}
+
+  void add_color(const ros::Time& received, const sensor_msgs::ImagePtr& image) {
+    colors_.push_back({received, image, {}});
+  }
+  void add_depth(const sensor_msgs::ImagePtr& image);
+  /// No image will follow.
+  void finish() { is_finished_ = true; }
+  /// The next colour image, in the order in which they were added, once it is clear what belongs to it.
+  std::optional<Answer> take();
+
+ private:
+  bool is_clear(std::int64_t color_ns) const;
+
+  const std::int64_t max_delay_ns_;
+  std::deque<Answer> colors_;
+  std::map<std::int64_t, sensor_msgs::ImagePtr> depths_;  ///< by stamp
+  std::optional<std::int64_t> newest_depth_ns_;
+  bool is_finished_ = false;
+};
 
 /// Joins colour and depth images that arrive on topics, by message_filters' ApproximateTime, and accounts for those
 /// that it cannot join. Not thread-safe.

@@ -1,7 +1,13 @@
-#include "ros/rgbd_synchronizer.h"
+#include "ros/rgbd_images.h"
 
+#include <cv_bridge/cv_bridge.h>
+#include <sensor_msgs/image_encodings.h>
+
+#include <algorithm>
 #include <boost/bind/bind.hpp>
 #include <cstdio>
+#include <cstdlib>
+#include <exception>
 #include <utility>
 
 #include "ros/conversions.h"
@@ -9,6 +15,22 @@
 
 namespace semantic_topo_loop {
 namespace {
+
+namespace encodings = sensor_msgs::image_encodings;
+
+/// A copy of the pixels, for the front end may keep the image longer than the message lives.
+core::Result<cv::Mat> to_mat(const sensor_msgs::Image& image, const std::string& encoding, const char* what) {
+  try {
+    return cv_bridge::toCvCopy(image, encoding)->image;
+  } catch (const std::exception& exception) {
+    // cv_bridge's own exceptions, and OpenCV's for sizes that a pattern cannot have.
+    return core::Error{std::string(what) + " image, " + std::to_string(image.width) + " x " +
+                       std::to_string(image.height) + ", encoding '" + image.encoding + "': " + exception.what()};
+  }
+}
+
+/// Colour images that wait for a depth topic which has fallen silent.
+constexpr std::size_t kMaxWaiting = 30;
 
 double seconds_between(RgbdSynchronizer::Clock::time_point begin, RgbdSynchronizer::Clock::time_point end) {
   return std::chrono::duration<double>(end - begin).count();
@@ -21,6 +43,51 @@ std::string format_seconds(double seconds) {
 }
 
 }  // namespace
+
+core::Result<core::RgbdImage> make_rgbd_image(const sensor_msgs::Image& color, const sensor_msgs::Image& depth,
+                                              const core::Camera& camera, const core::DepthOptions& options) {
+  const core::Result<cv::Mat> gray = to_mat(color, encodings::MONO8, "colour");
+  if (!gray) return gray.error();
+  if (depth.encoding != encodings::TYPE_32FC1 && depth.encoding != encodings::TYPE_16UC1 &&
+      depth.encoding != encodings::MONO16) {
+    return core::Error{"depth image of encoding '" + depth.encoding + "', which must be 32FC1 or 16UC1"};
+  }
+  const core::Result<cv::Mat> distance = to_mat(depth, depth.encoding, "depth");
+  if (!distance) return distance.error();
+  return core::make_rgbd_image(to_stamp_ns(color.header.stamp), *gray, *distance, camera, options);
+}
+
+void DepthPairing::add_depth(const sensor_msgs::ImagePtr& image) {
+  const std::int64_t stamp_ns = to_stamp_ns(image->header.stamp);
+  depths_.emplace(stamp_ns, image);
+  if (depths_.size() > kMaxWaiting) depths_.erase(depths_.begin());
+  newest_depth_ns_ = std::max(stamp_ns, newest_depth_ns_.value_or(stamp_ns));
+}
+
+bool DepthPairing::is_clear(std::int64_t color_ns) const {
+  return is_finished_ || colors_.size() > kMaxWaiting ||
+         (newest_depth_ns_ && *newest_depth_ns_ >= color_ns + max_delay_ns_);
+}
+
+std::optional<DepthPairing::Answer> DepthPairing::take() {
+  if (colors_.empty()) return std::nullopt;
+  const std::int64_t color_ns = to_stamp_ns(colors_.front().color->header.stamp);
+  if (!is_clear(color_ns)) return std::nullopt;
+  Answer answer = colors_.front();
+  colors_.pop_front();
+  const auto begin = depths_.lower_bound(color_ns - max_delay_ns_);
+  const auto end = depths_.upper_bound(color_ns + max_delay_ns_);
+  const auto nearest = std::min_element(begin, end, [color_ns](const auto& a, const auto& b) {
+    return std::abs(a.first - color_ns) < std::abs(b.first - color_ns);
+  });
+  if (nearest == end) {
+    depths_.erase(depths_.begin(), begin);
+    return answer;
+  }
+  answer.depth = nearest->second;
+  depths_.erase(depths_.begin(), std::next(nearest));
+  return answer;
+}
 
 RgbdSynchronizer::RgbdSynchronizer(const Options& options, OnPair on_pair, OnSingle on_single)
     : options_(options), on_pair_(std::move(on_pair)), on_single_(std::move(on_single)) {

@@ -1,10 +1,9 @@
-#include "ros/detection_matcher.h"
+#include "ros/frame_joiner.h"
 
 #include <algorithm>
 #include <cstdlib>
 
 #include "ros/conversions.h"
-#include "ros/pose_source.h"
 
 namespace semantic_topo_loop {
 namespace {
@@ -28,7 +27,7 @@ void DetectionMatcher::add(const DetectionsMessage::ConstPtr& detections) {
 
 DetectionsMessage::ConstPtr DetectionMatcher::take(std::int64_t stamp_ns) {
   const auto found = std::find_if(waiting_.begin(), waiting_.end(), [stamp_ns](const DetectionsMessage::ConstPtr& d) {
-    return std::abs(stamp_of(d) - stamp_ns) <= kStampToleranceNs;
+    return std::abs(stamp_of(d) - stamp_ns) <= kStampTolerance_ns;
   });
   if (found == waiting_.end()) return nullptr;
   const DetectionsMessage::ConstPtr detections = *found;
