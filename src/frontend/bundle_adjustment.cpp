@@ -14,6 +14,15 @@ namespace {
 
 constexpr double kDepthGate = 3.0;  ///< sigmas; farther off, a depth is taken to be another surface's
 
+/// right_jacobian of geometry in another order of operations, which decides on a pose's last bit.
+Mat3 turn_jacobian(const Vec3& w) {
+  const double angle2 = w.squaredNorm();
+  const Mat3 W = hat(w);
+  if (angle2 < 1e-10) return Mat3::Identity() - 0.5 * W;
+  const double angle = std::sqrt(angle2);
+  return Mat3::Identity() - (1.0 - std::cos(angle)) / angle2 * W + (angle - std::sin(angle)) / (angle2 * angle) * W * W;
+}
+
 /// Reprojection error, and depth error where there is a depth, in sigmas:
 ///   r = [(s f p.xy / p.z + c - pixel) / sigma_px; (p.z - depth) / sigma_m],  p = exp(d) (T_camera_map x)
 /// by the pose's change d = (translation, rotation), the point x and the factor s of the focal lengths f.
@@ -44,7 +53,7 @@ class ViewError : public ceres::SizedCostFunction<kValues, 6, 3, 1> {
     if (jacobians[0] != nullptr) {
       Eigen::Map<Eigen::Matrix<double, kValues, 6, Eigen::RowMajor>> J(jacobians[0]);
       J.template leftCols<3>() = by_p;
-      J.template rightCols<3>() = -by_p * dR * hat(before) * right_jacobian(turn);
+      J.template rightCols<3>() = -by_p * dR * hat(before) * turn_jacobian(turn);
     }
     if (jacobians[1] != nullptr) {
       Eigen::Map<Eigen::Matrix<double, kValues, 3, Eigen::RowMajor>> J(jacobians[1]);
