@@ -8,8 +8,8 @@
 #include <string>
 #include <utility>
 
-#include "semantic_topo_loop/frontend/rgbd_image.h"
 #include "semantic_topo_loop/frontend/rgbd_frontend.h"
+#include "semantic_topo_loop/frontend/rgbd_image.h"
 #include "semantic_topo_loop/io/rgbd_recording.h"
 #include "semantic_topo_loop/pipeline/read_ahead.h"
 #include "semantic_topo_loop/types/stamp.h"

@@ -29,7 +29,7 @@ std::optional<Alignment> align_points(const std::vector<Vec3>& points_a, const s
     scatter_b += weight(i) / total * b * b.transpose();
   }
   const Eigen::JacobiSVD<Mat3> svd(cross, Eigen::ComputeFullU | Eigen::ComputeFullV);
-  const Vec3 singular = svd.singularValues();
+  const Vec3& singular = svd.singularValues();
   // A rank-one cross covariance leaves the rotation about the points' line free.
   if (!(singular(1) > 1e-9 * std::max(singular(0), 1e-12)) || !(singular(1) > 1e-15)) return std::nullopt;
 

@@ -109,7 +109,7 @@ void RunRecorder::record(std::int64_t frame_id, const std::vector<LoopClosure>& 
   std::vector<LoopClosure> relocalising;
   for (const LoopClosure& loop : loops) {
     LoopRow row;
-    static_cast<LoopFigures&>(row) = loop;
+    static_cast<LoopFigures&>(row) = static_cast<const LoopFigures&>(loop);
     row.log_scale_variance = loop.scale_covariance(6);
     row.is_in_earlier_map = loop.T_earlier_match.has_value();
     has_earlier_map_ = has_earlier_map_ || row.is_in_earlier_map;

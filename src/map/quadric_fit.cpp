@@ -221,6 +221,7 @@ std::optional<QuadricFit> refine_quadric(const Camera& camera, const std::vector
   fit.ellipsoid = {SE3(rotation.normalized(), center), log_axes.array().exp()};
   if (!fit.ellipsoid.T_world_quadric.is_finite() || !fit.ellipsoid.semi_axes.allFinite()) return std::nullopt;
   std::vector<double> depths;
+  depths.reserve(views.size());
   for (const BoxView& view : views) depths.push_back(view.depth(center));
   fit.median_depth_m = median(std::move(depths));
   const Mat3 shape = fit.ellipsoid.shape();

@@ -1,6 +1,7 @@
+#include "semantic_topo_loop/io/detection_file.h"
+
 #include <gtest/gtest.h>
 
-#include "semantic_topo_loop/io/detection_file.h"
 #include "semantic_topo_loop/io/yaml_files.h"
 #include "support/test_files.h"
 

@@ -1,9 +1,9 @@
+#include "semantic_topo_loop/io/rgbd_recording.h"
+
 #include <gtest/gtest.h>
 
 #include <fstream>
 #include <opencv2/imgcodecs.hpp>
-
-#include "semantic_topo_loop/io/rgbd_recording.h"
 
 namespace semantic_topo_loop::core {
 namespace {

@@ -213,6 +213,7 @@ class Clustering {
       if (!inserted) it->second = std::min(it->second, std::pair(o.share, i));
     }
     std::vector<int> result;
+    result.reserve(best_of_frame.size());
     for (const auto& [frame, best] : best_of_frame) result.push_back(best.second);
     return result;
   }

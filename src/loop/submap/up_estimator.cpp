@@ -102,7 +102,7 @@ UpDirection UpEstimator::estimate(const Quaternion& q_odom_camera) const {
   }
   const double n = static_cast<double>(samples_.size());
   const Eigen::SelfAdjointEigenSolver<Mat3> solver(scatter / n);
-  const Vec3 values = solver.eigenvalues();
+  const Vec3& values = solver.eigenvalues();
   if (values(1) < kMinYawVariance || values(0) > kMaxRollVariance) {
     // Boxes are upright in the image, so its own vertical is the best axis for shapes.
     if (image_up.norm() > 1e-6) up.direction = image_up.normalized();

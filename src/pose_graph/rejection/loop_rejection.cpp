@@ -224,6 +224,7 @@ std::vector<Cluster> strained(const Trajectory& trajectory, const std::vector<bo
   std::stable_sort(clusters.begin(), clusters.end(), [](const auto& a, const auto& b) { return a.first > b.first; });
   if (clusters.size() > kMaxDoubted) clusters.resize(kMaxDoubted);
   std::vector<Cluster> result;
+  result.reserve(clusters.size());
   for (auto& [factor, cluster] : clusters) result.push_back(std::move(cluster));
   return result;
 }

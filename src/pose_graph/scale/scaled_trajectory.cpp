@@ -136,7 +136,10 @@ Trajectory in_map_unit(const Trajectory& trajectory, const std::vector<double>& 
   for (std::size_t i = 0; i < scaled.edges.size(); ++i) {
     scaled.edges[i] = in_unit(std::move(scaled.edges[i]), std::exp(log_scale[i]));
   }
-  for (GraphLoop& loop : scaled.loops) loop = in_unit(std::move(loop), std::exp(log_scale[index(loop.from)]));
+  for (GraphLoop& loop : scaled.loops) {
+    const double unit = std::exp(log_scale[index(loop.from)]);
+    loop = in_unit(std::move(loop), unit);
+  }
   return scaled;
 }
 
@@ -294,6 +297,7 @@ GraphSolution solve_similarity_graph(const std::vector<SimilarityEdge>& edges, c
   }
   solution = solve_problem(options, &problem);
   std::vector<Sim3> result;
+  result.reserve(vertices.size());
   for (const Vertex& vertex : vertices) result.push_back(vertex.similarity());
   solution.usable = solution.usable && all_finite(result);
   if (solution.usable) accept(std::move(result), options.fixed, S_world_vertex);

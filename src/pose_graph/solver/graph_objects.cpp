@@ -34,6 +34,7 @@ std::optional<SurfaceDepth> surface_depth(const std::optional<FramePoints>& fram
   SurfaceDepth depth;
   depth.ray_camera = frame_points->camera().ray(association.box.center()).normalized();
   std::vector<double> distances;
+  distances.reserve(points.size());
   for (const Vec3& point : points) distances.push_back(depth.ray_camera.dot(point));
   depth.distance_m = median(std::move(distances));
   return depth;
@@ -149,6 +150,7 @@ std::vector<GraphObject> ObjectMemory::objects() const {
     if (object != objects.end()) object->second.views.push_back(sighting.view);
   }
   std::vector<GraphObject> result;
+  result.reserve(objects.size());
   for (auto& [id, object] : objects) result.push_back(std::move(object));
   return result;
 }
