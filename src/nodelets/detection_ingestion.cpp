@@ -166,8 +166,8 @@ std::vector<core::Detection> DetectionIngestionNodelet::checked(const Detections
 }
 
 void DetectionIngestionNodelet::emit(const FrameMessage& frame, std::vector<core::Detection> detections) {
-  publish(publisher_, make_header(frame.header.stamp, frame.camera_frame),
-          FrameDetections{frame.frame_id, std::move(detections)});
+  publish<DetectionsMessage>(publisher_, make_header(frame.header.stamp, frame.camera_frame),
+                             {frame.frame_id, std::move(detections)});
   count_processed();
 }
 

@@ -175,7 +175,7 @@ class LoopDetectionNodelet : public Stage {
       relocalised = relocalised || (loop.accepted && loop.T_earlier_match);
       statistics().count(loop.accepted ? kAccepted : std::string("loops rejected: ") + to_string(loop.reason));
     }
-    publish(publisher_, make_header(frame.header.stamp, frame.camera_frame), std::move(loops));
+    publish<LoopsMessage>(publisher_, make_header(frame.header.stamp, frame.camera_frame), std::move(loops));
     if (relocalised) publish_relocalisation(frame);
     count_processed();
   }

@@ -74,7 +74,8 @@ class ObjectAssociationNodelet : public Stage {
     const auto& [frame, detections] = *joined;
     core::AssociationFrame associations = associator_->associate(*frame, detections->detections);
     open_[frame->frame_id].associated = true;
-    publish(associations_publisher_, make_header(frame->header.stamp, frame->camera_frame), std::move(associations));
+    publish<AssociationsMessage>(associations_publisher_, make_header(frame->header.stamp, frame->camera_frame),
+                                 std::move(associations));
     count_processed();
   }
 

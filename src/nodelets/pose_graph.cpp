@@ -129,7 +129,8 @@ class PoseGraphNodelet : public Stage {
     loops.insert(loops.end(), frame_loops.begin(), frame_loops.end());
     core::MapCorrection correction = graph_->process(frame, loops);
     if (tf_sender_) tf_sender_->update(graph_->T_map_odom(), frame.header.stamp, frame.header.frame_id);
-    publish(correction_publisher_, make_header(frame.header.stamp, parameters_.map_frame), std::move(correction));
+    publish<CorrectionMessage>(correction_publisher_, make_header(frame.header.stamp, parameters_.map_frame),
+                               std::move(correction));
     last_frame_ = stamped(frame.header.stamp, frame.T_odom_camera);
     if (frame.is_keyframe) odometry_keyframes_.push_back(*last_frame_);
     odometry_path_.mark_changed();

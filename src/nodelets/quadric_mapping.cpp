@@ -61,7 +61,7 @@ class QuadricMappingNodelet : public Stage {
 
   void publish(core::MapUpdate update, const ros::Time& stamp) {
     last_stamp_ = stamp;
-    Stage::publish(update_publisher_, make_header(stamp, parameters_.map_frame), std::move(update));
+    Stage::publish<MapUpdateMessage>(update_publisher_, make_header(stamp, parameters_.map_frame), std::move(update));
   }
 
   /// The whole map, unless that version is out already.
@@ -72,7 +72,7 @@ class QuadricMappingNodelet : public Stage {
     map.map_version = published_version_;
     map.T_map_odom = mapper_->T_map_odom();
     map.changed = mapper_->landmarks();
-    Stage::publish(map_publisher_, make_header(last_stamp_, parameters_.map_frame), std::move(map));
+    Stage::publish<MapMessage>(map_publisher_, make_header(last_stamp_, parameters_.map_frame), std::move(map));
   }
 
   core::Options options_;

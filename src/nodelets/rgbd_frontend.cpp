@@ -157,7 +157,7 @@ void RgbdFrontendNodelet::forget() {
 }
 
 void RgbdFrontendNodelet::on_end() {
-  publish(report_publisher_, std_msgs::Header(), report_);
+  publish<TrackingMessage>(report_publisher_, std_msgs::Header(), report_);
   emit_end();
 }
 

@@ -184,9 +184,10 @@ void FrontendStage::publish_frame(core::Frame frame) {
     keyframe->odom_from_camera = to_msg(frame.T_odom_camera);
     keyframe_publisher_.publish(keyframe);
   }
-  if (frame.keyframe_points) publish(points_publisher_, make_header(stamp, camera_frame_), PointsKeyframe{frame, {}});
+  if (frame.keyframe_points)
+    publish<KeyframePointsMessage>(points_publisher_, make_header(stamp, camera_frame_), {frame, {}});
   frame.keyframe_points.reset();
-  publish(frame_publisher_, header, CameraFrame{std::move(frame), camera_frame_});
+  publish<FrameMessage>(frame_publisher_, header, {std::move(frame), camera_frame_});
 }
 
 void FrontendStage::publish_odom_tf(const core::Frame& frame) {

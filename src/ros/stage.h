@@ -99,9 +99,9 @@ class Stage : public nodelet::Nodelet {
   }
 
   /// Says a value of the core about the current session.
-  template <class Value>
-  void publish(const ros::Publisher& publisher, const std_msgs::Header& header, Value value) const {
-    publisher.publish(boost::make_shared<Stamped<Value>>(header, session_id_, std::move(value)));
+  template <class Message>
+  void publish(const ros::Publisher& publisher, const std_msgs::Header& header, typename Message::Value value) const {
+    publisher.publish(boost::make_shared<Message>(header, session_id_, std::move(value)));
   }
 
   /// Call when a frame has gone through: latency is counted from the arrival of the task that runs.

@@ -49,8 +49,8 @@ class Random {
     return header;
   }
   /// A message of the value, with a header and a session of its own.
-  template <class Value>
-  Stamped<Value> stamped(Value value) {
+  template <class Message>
+  Message message(typename Message::Value value) {
     return {header(), static_cast<std::uint32_t>(small()), std::move(value)};
   }
 
@@ -86,10 +86,9 @@ bool same(const A& a, const B& b) {
 
 /// The generated type reads the value's bytes, writes the same ones, and the value comes back from them.
 /// @return what the generated type holds, for a look at its fields
-template <class Value>
-auto expect_generated_is_same(const Stamped<Value>& message) {
-  using Generated = typename wire::Generated<Value>::Type;
-  using Mine = Stamped<Value>;
+template <class Mine>
+auto expect_generated_is_same(const Mine& message) {
+  using Generated = typename Mine::Generated;
   EXPECT_STREQ(ros::message_traits::md5sum<Mine>(), ros::message_traits::md5sum<Generated>());
   EXPECT_STREQ(ros::message_traits::datatype<Mine>(), ros::message_traits::datatype<Generated>());
   EXPECT_STREQ(ros::message_traits::definition<Mine>(), ros::message_traits::definition<Generated>());
@@ -124,7 +123,7 @@ CameraFrame random_frame(Random* random) {
 TEST(Messages, Frame) {
   Random random(1);
   for (int i = 0; i < 50; ++i) {
-    const FrameMessage message = random.stamped(random_frame(&random));
+    const FrameMessage message = random.message<FrameMessage>(random_frame(&random));
     const Frame generated = expect_generated_is_same(message);
     EXPECT_EQ(generated.frame_id, message.frame_id);
     EXPECT_EQ(generated.keyframe_id, message.keyframe_id);
@@ -165,7 +164,7 @@ TEST(Messages, KeyframePointsAndBadOnesAreNamed) {
   keyframe.keyframe_id = 7;
   keyframe.T_odom_camera = random.pose();
   keyframe.keyframe_points = std::make_shared<const core::KeyframePoints>(points);
-  const KeyframePointsMessage message = random.stamped(keyframe);
+  const KeyframePointsMessage message = random.message<KeyframePointsMessage>(keyframe);
   KeyframePoints generated = expect_generated_is_same(message);
   EXPECT_EQ(generated.keyframe_id, 7);
   EXPECT_TRUE(same(generated.odom_from_camera, message.T_odom_camera));
@@ -190,8 +189,8 @@ TEST(Messages, KeyframePointsAndBadOnesAreNamed) {
 
 TEST(Messages, Detections) {
   Random random(3);
-  const DetectionsMessage message =
-      random.stamped(FrameDetections{random.integer(), {{62, random.number(), random.box()}, {-1, 0.1, random.box()}}});
+  const DetectionsMessage message = random.message<DetectionsMessage>(
+      FrameDetections{random.integer(), {{62, random.number(), random.box()}, {-1, 0.1, random.box()}}});
   const DetectionArray generated = expect_generated_is_same(message);
   EXPECT_EQ(generated.frame_id, message.frame_id);
   ASSERT_EQ(generated.detections.size(), 2u);
@@ -209,7 +208,7 @@ TEST(Messages, Associations) {
                                          random.small(), random.number(), random.box(),
                                          static_cast<std::uint8_t>(2 * level), random.small()});
   }
-  const AssociationsMessage message = random.stamped(associations);
+  const AssociationsMessage message = random.message<AssociationsMessage>(associations);
   const AssociationArray generated = expect_generated_is_same(message);
   EXPECT_EQ(generated.frame_id, message.frame_id);
   EXPECT_EQ(generated.map_version, message.map_version);
@@ -256,7 +255,7 @@ TEST(Messages, MapUpdateAndFullMap) {
     update.unmerged = {random.merge()};
     update.merged = {random.merge(), random.merge()};
     update.duration_us = random.number();
-    const MapUpdateMessage message = random.stamped<core::MapUpdate>(update);
+    const MapUpdateMessage message = random.message<MapUpdateMessage>(update);
     const QuadricMapUpdate generated = expect_generated_is_same(message);
     EXPECT_EQ(generated.frame_id, update.frame_id);
     EXPECT_EQ(generated.phase, static_cast<std::uint8_t>(update.phase));
@@ -272,7 +271,7 @@ TEST(Messages, MapUpdateAndFullMap) {
     EXPECT_EQ(generated.merged[1].survivor_id, update.merged[1].survivor_id);
     EXPECT_EQ(generated.duration_us, update.duration_us);
 
-    const QuadricMap map = expect_generated_is_same(random.stamped(update));
+    const QuadricMap map = expect_generated_is_same(random.message<MapMessage>(update));
     EXPECT_EQ(map.map_version, 8u);
     EXPECT_TRUE(same(map.map_from_odom, update.T_map_odom));
     EXPECT_TRUE(same(map.quadrics, update.changed));
@@ -322,7 +321,7 @@ TEST(Messages, Loops) {
     if (i % 2 == 0) loop.T_earlier_match = random.pose();
     loops.closures.push_back(loop);
   }
-  const LoopsMessage message = random.stamped(loops);
+  const LoopsMessage message = random.message<LoopsMessage>(loops);
   const LoopClosureArray generated = expect_generated_is_same(message);
   EXPECT_EQ(generated.frame_id, loops.frame_id);
   EXPECT_EQ(generated.duration_us, loops.duration_us);
@@ -353,7 +352,7 @@ TEST(Messages, Correction) {
   correction.loops = {{9, 1, true, "", false}, {12, 3, false, "it is wrong", false}};
   correction.odometry = {3, 0.1, 0.2, 0.3, 0.4, 0.5, 1.5, {{4, 5, true, 0.0, 0.0}, {7, 8, false, 0.6, 0.7}}};
   correction.duration_us = random.number();
-  const MapCorrection generated = expect_generated_is_same(random.stamped(correction));
+  const MapCorrection generated = expect_generated_is_same(random.message<CorrectionMessage>(correction));
   EXPECT_EQ(generated.frame_id, correction.frame_id);
   EXPECT_TRUE(generated.changed);
   EXPECT_EQ(generated.valid_to_keyframe_id, correction.valid_to_keyframe_id);
@@ -398,7 +397,7 @@ TEST(Messages, TrackingReport) {
   report.unusable = 6;
   report.unreadable = 7;
   report.first_unreadable = "it is gone";
-  const TrackingReport generated = expect_generated_is_same(Random(9).stamped(report));
+  const TrackingReport generated = expect_generated_is_same(Random(9).message<TrackingMessage>(report));
   const std::vector<std::int64_t> counts = {generated.images,    generated.tracked, generated.relocalised,
                                             generated.restarts,  generated.lost,    generated.unusable,
                                             generated.unreadable};

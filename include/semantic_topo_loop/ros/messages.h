@@ -39,8 +39,11 @@
 namespace semantic_topo_loop {
 
 /// A value of the core with the header and the session of the stage that says it.
-template <class Value>
-struct Stamped : Value {
+/// @tparam GeneratedType the message of which it has name, sum and bytes
+template <class ValueType, class GeneratedType>
+struct Stamped : ValueType {
+  using Value = ValueType;
+  using Generated = GeneratedType;
   using Ptr = boost::shared_ptr<Stamped>;
   using ConstPtr = boost::shared_ptr<const Stamped>;
 
@@ -77,15 +80,15 @@ struct FrameLoops {
 /// The full map as an update of every landmark; what it follows is left to the holder.
 struct FullMap : core::MapUpdate {};
 
-using FrameMessage = Stamped<CameraFrame>;
-using KeyframePointsMessage = Stamped<PointsKeyframe>;
-using DetectionsMessage = Stamped<FrameDetections>;
-using AssociationsMessage = Stamped<core::AssociationFrame>;
-using MapUpdateMessage = Stamped<core::MapUpdate>;
-using MapMessage = Stamped<FullMap>;
-using LoopsMessage = Stamped<FrameLoops>;
-using CorrectionMessage = Stamped<core::MapCorrection>;
-using TrackingMessage = Stamped<core::TrackingReport>;
+using FrameMessage = Stamped<CameraFrame, Frame>;
+using KeyframePointsMessage = Stamped<PointsKeyframe, KeyframePoints>;
+using DetectionsMessage = Stamped<FrameDetections, DetectionArray>;
+using AssociationsMessage = Stamped<core::AssociationFrame, AssociationArray>;
+using MapUpdateMessage = Stamped<core::MapUpdate, QuadricMapUpdate>;
+using MapMessage = Stamped<FullMap, QuadricMap>;
+using LoopsMessage = Stamped<FrameLoops, LoopClosureArray>;
+using CorrectionMessage = Stamped<core::MapCorrection, MapCorrection>;
+using TrackingMessage = Stamped<core::TrackingReport, TrackingReport>;
 
 /// Frames that this process has decoded so far: one for each that came over a socket.
 std::uint64_t decoded_frames();
@@ -104,46 +107,6 @@ Message to_generated(const Value& value) {
 
 /// What follows is how the types above travel: nothing that a stage calls.
 namespace wire {
-
-/// The generated type whose name, sum and bytes the message of a value has.
-template <class Value>
-struct Generated;
-template <>
-struct Generated<CameraFrame> {
-  using Type = Frame;
-};
-template <>
-struct Generated<PointsKeyframe> {
-  using Type = KeyframePoints;
-};
-template <>
-struct Generated<FrameDetections> {
-  using Type = DetectionArray;
-};
-template <>
-struct Generated<core::AssociationFrame> {
-  using Type = AssociationArray;
-};
-template <>
-struct Generated<core::MapUpdate> {
-  using Type = QuadricMapUpdate;
-};
-template <>
-struct Generated<FullMap> {
-  using Type = QuadricMap;
-};
-template <>
-struct Generated<FrameLoops> {
-  using Type = LoopClosureArray;
-};
-template <>
-struct Generated<core::MapCorrection> {
-  using Type = MapCorrection;
-};
-template <>
-struct Generated<core::TrackingReport> {
-  using Type = TrackingReport;
-};
 
 /// The part of Frame.msg that is of sensor_msgs.
 struct FrameSensors {
@@ -205,32 +168,29 @@ struct EnumSerializer {
 
 namespace ros::message_traits {
 
-template <class Value>
-using GeneratedFor = typename semantic_topo_loop::wire::Generated<Value>::Type;
+template <class Value, class Generated>
+struct IsMessage<semantic_topo_loop::Stamped<Value, Generated>> : TrueType {};
+template <class Value, class Generated>
+struct IsMessage<const semantic_topo_loop::Stamped<Value, Generated>> : TrueType {};
+template <class Value, class Generated>
+struct HasHeader<semantic_topo_loop::Stamped<Value, Generated>> : TrueType {};
+template <class Value, class Generated>
+struct HasHeader<const semantic_topo_loop::Stamped<Value, Generated>> : TrueType {};
 
-template <class Value>
-struct IsMessage<semantic_topo_loop::Stamped<Value>> : TrueType {};
-template <class Value>
-struct IsMessage<const semantic_topo_loop::Stamped<Value>> : TrueType {};
-template <class Value>
-struct HasHeader<semantic_topo_loop::Stamped<Value>> : TrueType {};
-template <class Value>
-struct HasHeader<const semantic_topo_loop::Stamped<Value>> : TrueType {};
-
-template <class Value>
-struct MD5Sum<semantic_topo_loop::Stamped<Value>> {
-  static const char* value() { return MD5Sum<GeneratedFor<Value>>::value(); }
-  static const char* value(const semantic_topo_loop::Stamped<Value>&) { return value(); }
+template <class Value, class Generated>
+struct MD5Sum<semantic_topo_loop::Stamped<Value, Generated>> {
+  static const char* value() { return MD5Sum<Generated>::value(); }
+  static const char* value(const semantic_topo_loop::Stamped<Value, Generated>&) { return value(); }
 };
-template <class Value>
-struct DataType<semantic_topo_loop::Stamped<Value>> {
-  static const char* value() { return DataType<GeneratedFor<Value>>::value(); }
-  static const char* value(const semantic_topo_loop::Stamped<Value>&) { return value(); }
+template <class Value, class Generated>
+struct DataType<semantic_topo_loop::Stamped<Value, Generated>> {
+  static const char* value() { return DataType<Generated>::value(); }
+  static const char* value(const semantic_topo_loop::Stamped<Value, Generated>&) { return value(); }
 };
-template <class Value>
-struct Definition<semantic_topo_loop::Stamped<Value>> {
-  static const char* value() { return Definition<GeneratedFor<Value>>::value(); }
-  static const char* value(const semantic_topo_loop::Stamped<Value>&) { return value(); }
+template <class Value, class Generated>
+struct Definition<semantic_topo_loop::Stamped<Value, Generated>> {
+  static const char* value() { return Definition<Generated>::value(); }
+  static const char* value(const semantic_topo_loop::Stamped<Value, Generated>&) { return value(); }
 };
 
 }  // namespace ros::message_traits
@@ -282,82 +242,44 @@ struct Serializer<core::LoopReason> : semantic_topo_loop::wire::EnumSerializer<c
 template <>
 struct Serializer<core::MapUpdatePhase> : semantic_topo_loop::wire::EnumSerializer<core::MapUpdatePhase> {};
 
-/// geometry_msgs/Pose
-template <>
-struct Serializer<core::SE3> {
-  template <class Stream, class T>
-  static void allInOne(Stream& stream, T m) {
-    // The coefficients of Eigen's quaternion lie in the order x, y, z, w.
-    next(stream, m.t, m.q.coeffs());
-  }
-  ROS_DECLARE_ALLINONE_SERIALIZER
-};
-template <>
-struct Serializer<core::Box> {
-  template <class Stream, class T>
-  static void allInOne(Stream& stream, T m) {
-    next(stream, m.x1, m.y1, m.x2, m.y2);
-  }
-  ROS_DECLARE_ALLINONE_SERIALIZER
-};
-
-template <>
-struct Serializer<core::Detection> {
-  template <class Stream, class T>
-  static void allInOne(Stream& stream, T m) {
-    next(stream, m.class_id, m.score, m.box);
-  }
-  ROS_DECLARE_ALLINONE_SERIALIZER
-};
-
-template <>
-struct Serializer<core::Association> {
-  template <class Stream, class T>
-  static void allInOne(Stream& stream, T m) {
-    next(stream, m.detection_index, m.landmark_id, m.level, m.class_id, m.score, m.box, m.truncated,
-         m.landmark_class_id);
-  }
-  ROS_DECLARE_ALLINONE_SERIALIZER
-};
-
-template <>
-struct Serializer<core::Ellipsoid> {
-  template <class Stream, class T>
-  static void allInOne(Stream& stream, T m) {
-    next(stream, m.T_world_quadric, m.semi_axes);
-  }
-  ROS_DECLARE_ALLINONE_SERIALIZER
-};
-
-/// Quadric.msg
-template <>
-struct Serializer<core::Landmark> {
-  template <class Stream, class T>
-  static void allInOne(Stream& stream, T m) {
-    next(stream, m.id, m.class_id, m.state, m.ellipsoid, m.center_covariance, m.anchor_keyframe_id, m.observations,
-         m.baseline_deg, m.mean_iou, m.quality);
-  }
-  ROS_DECLARE_ALLINONE_SERIALIZER
-};
-
-/// QuadricMerge.msg
-template <>
-struct Serializer<core::LandmarkMerge> {
-  template <class Stream, class T>
-  static void allInOne(Stream& stream, T m) {
-    next(stream, m.merged_id, m.survivor_id);
-  }
-  ROS_DECLARE_ALLINONE_SERIALIZER
-};
-
-template <>
-struct Serializer<core::ObjectMatch> {
-  template <class Stream, class T>
-  static void allInOne(Stream& stream, T m) {
-    next(stream, m.query_landmark_id, m.match_landmark_id);
-  }
-  ROS_DECLARE_ALLINONE_SERIALIZER
-};
+/// One line a type: its fields.
+#define SEMANTIC_TOPO_LOOP_FIELDS(Type, ...)    \
+  template <>                                   \
+  struct Serializer<Type> {                     \
+    template <class Stream, class T>            \
+    static void allInOne(Stream& stream, T m) { \
+      next(stream, __VA_ARGS__);                \
+    }                                           \
+    ROS_DECLARE_ALLINONE_SERIALIZER             \
+  };
+// A pose: the coefficients of Eigen's quaternion lie in the order x, y, z, w.
+SEMANTIC_TOPO_LOOP_FIELDS(core::SE3, m.t, m.q.coeffs())
+SEMANTIC_TOPO_LOOP_FIELDS(core::Box, m.x1, m.y1, m.x2, m.y2)
+SEMANTIC_TOPO_LOOP_FIELDS(core::Detection, m.class_id, m.score, m.box)
+SEMANTIC_TOPO_LOOP_FIELDS(core::Association, m.detection_index, m.landmark_id, m.level, m.class_id, m.score, m.box,
+                          m.truncated, m.landmark_class_id)
+SEMANTIC_TOPO_LOOP_FIELDS(core::Ellipsoid, m.T_world_quadric, m.semi_axes)
+SEMANTIC_TOPO_LOOP_FIELDS(core::Landmark, m.id, m.class_id, m.state, m.ellipsoid, m.center_covariance,
+                          m.anchor_keyframe_id, m.observations, m.baseline_deg, m.mean_iou, m.quality)
+SEMANTIC_TOPO_LOOP_FIELDS(core::LandmarkMerge, m.merged_id, m.survivor_id)
+SEMANTIC_TOPO_LOOP_FIELDS(core::ObjectMatch, m.query_landmark_id, m.match_landmark_id)
+SEMANTIC_TOPO_LOOP_FIELDS(core::KeyframePose, m.keyframe_id, m.frame_id, m.stamp_ns, m.T_map_camera, m.scale)
+SEMANTIC_TOPO_LOOP_FIELDS(core::LoopVerdict, m.query_keyframe_id, m.match_keyframe_id, m.kept, m.reason)
+SEMANTIC_TOPO_LOOP_FIELDS(core::OdometryFault, m.from_keyframe_id, m.to_keyframe_id, m.is_break, m.translation_m,
+                          m.rotation_rad)
+SEMANTIC_TOPO_LOOP_FIELDS(core::OdometryReport, m.stated_edges, m.translation_m, m.rotation_rad, m.steady_translation,
+                          m.steady_rotation_rad, m.scale, m.loop_factor, m.faults)
+SEMANTIC_TOPO_LOOP_FIELDS(semantic_topo_loop::FrameDetections, m.frame_id, m.detections)
+SEMANTIC_TOPO_LOOP_FIELDS(core::AssociationFrame, m.frame_id, m.map_version, m.duration_us, m.associations)
+SEMANTIC_TOPO_LOOP_FIELDS(core::MapUpdate, m.frame_id, m.phase, m.base_version, m.map_version, m.T_map_odom, m.changed,
+                          m.removed, m.unmerged, m.merged, m.duration_us)
+SEMANTIC_TOPO_LOOP_FIELDS(semantic_topo_loop::FullMap, m.map_version, m.T_map_odom, m.changed)
+SEMANTIC_TOPO_LOOP_FIELDS(semantic_topo_loop::FrameLoops, m.frame_id, m.duration_us, m.closures)
+SEMANTIC_TOPO_LOOP_FIELDS(core::MapCorrection, m.frame_id, m.changed, m.valid_to_keyframe_id, m.T_map_odom_old,
+                          m.T_map_odom, m.scale, m.keyframes, m.loops, m.odometry, m.duration_us)
+SEMANTIC_TOPO_LOOP_FIELDS(core::TrackingReport, m.images, m.tracked, m.relocalised, m.restarts, m.lost, m.unusable,
+                          m.unreadable, m.first_unreadable)
+#undef SEMANTIC_TOPO_LOOP_FIELDS
 
 template <>
 struct Serializer<core::LoopClosure> {
@@ -368,111 +290,9 @@ struct Serializer<core::LoopClosure> {
   ROS_DECLARE_ALLINONE_SERIALIZER
 };
 
-template <>
-struct Serializer<core::KeyframePose> {
-  template <class Stream, class T>
-  static void allInOne(Stream& stream, T m) {
-    next(stream, m.keyframe_id, m.frame_id, m.stamp_ns, m.T_map_camera, m.scale);
-  }
-  ROS_DECLARE_ALLINONE_SERIALIZER
-};
-
-template <>
-struct Serializer<core::LoopVerdict> {
-  template <class Stream, class T>
-  static void allInOne(Stream& stream, T m) {
-    next(stream, m.query_keyframe_id, m.match_keyframe_id, m.kept, m.reason);
-  }
-  ROS_DECLARE_ALLINONE_SERIALIZER
-};
-
-template <>
-struct Serializer<core::OdometryFault> {
-  template <class Stream, class T>
-  static void allInOne(Stream& stream, T m) {
-    next(stream, m.from_keyframe_id, m.to_keyframe_id, m.is_break, m.translation_m, m.rotation_rad);
-  }
-  ROS_DECLARE_ALLINONE_SERIALIZER
-};
-
-template <>
-struct Serializer<core::OdometryReport> {
-  template <class Stream, class T>
-  static void allInOne(Stream& stream, T m) {
-    next(stream, m.stated_edges, m.translation_m, m.rotation_rad, m.steady_translation, m.steady_rotation_rad, m.scale,
-         m.loop_factor, m.faults);
-  }
-  ROS_DECLARE_ALLINONE_SERIALIZER
-};
-
-template <>
-struct Serializer<semantic_topo_loop::FrameDetections> {
-  template <class Stream, class T>
-  static void allInOne(Stream& stream, T m) {
-    next(stream, m.frame_id, m.detections);
-  }
-  ROS_DECLARE_ALLINONE_SERIALIZER
-};
-
-template <>
-struct Serializer<core::AssociationFrame> {
-  template <class Stream, class T>
-  static void allInOne(Stream& stream, T m) {
-    next(stream, m.frame_id, m.map_version, m.duration_us, m.associations);
-  }
-  ROS_DECLARE_ALLINONE_SERIALIZER
-};
-
-template <>
-struct Serializer<core::MapUpdate> {
-  template <class Stream, class T>
-  static void allInOne(Stream& stream, T m) {
-    next(stream, m.frame_id, m.phase, m.base_version, m.map_version, m.T_map_odom, m.changed, m.removed, m.unmerged,
-         m.merged, m.duration_us);
-  }
-  ROS_DECLARE_ALLINONE_SERIALIZER
-};
-
-template <>
-struct Serializer<semantic_topo_loop::FullMap> {
-  template <class Stream, class T>
-  static void allInOne(Stream& stream, T m) {
-    next(stream, m.map_version, m.T_map_odom, m.changed);
-  }
-  ROS_DECLARE_ALLINONE_SERIALIZER
-};
-
-template <>
-struct Serializer<semantic_topo_loop::FrameLoops> {
-  template <class Stream, class T>
-  static void allInOne(Stream& stream, T m) {
-    next(stream, m.frame_id, m.duration_us, m.closures);
-  }
-  ROS_DECLARE_ALLINONE_SERIALIZER
-};
-
-template <>
-struct Serializer<core::MapCorrection> {
-  template <class Stream, class T>
-  static void allInOne(Stream& stream, T m) {
-    next(stream, m.frame_id, m.changed, m.valid_to_keyframe_id, m.T_map_odom_old, m.T_map_odom, m.scale, m.keyframes,
-         m.loops, m.odometry, m.duration_us);
-  }
-  ROS_DECLARE_ALLINONE_SERIALIZER
-};
-
-template <>
-struct Serializer<core::TrackingReport> {
-  template <class Stream, class T>
-  static void allInOne(Stream& stream, T m) {
-    next(stream, m.images, m.tracked, m.relocalised, m.restarts, m.lost, m.unusable, m.unreadable, m.first_unreadable);
-  }
-  ROS_DECLARE_ALLINONE_SERIALIZER
-};
-
 /// Header and session come first in every message.
-template <class Value>
-struct Serializer<semantic_topo_loop::Stamped<Value>> {
+template <class Value, class Generated>
+struct Serializer<semantic_topo_loop::Stamped<Value, Generated>> {
   template <class Stream, class T>
   static void allInOne(Stream& stream, T m) {
     next(stream, m.header, m.session_id);
