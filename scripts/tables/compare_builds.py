@@ -19,6 +19,7 @@ from runs import Failure, Programs, find_sequences, package_folder
 CONFIG = os.path.join(package_folder(), "config")
 # Of every sequence, one that drifts steadily and one that jumps.
 DRIFTED = ("smooth_1m_15deg_s1.txt", "jump_1m_15deg_s2.txt")
+CLASSES = os.path.join(CONFIG, "classes_coco.yaml")
 RENDERED_S = 20
 MAX_DEPTH_DELAY_S = 0.02
 
@@ -59,7 +60,8 @@ def recorded(context, data):
 def rendered(context, build):
     folder = os.path.join(context.inputs, "rendered")
     call(build, "simulate", "--output", folder, "--duration", str(RENDERED_S), "--images", "true", "--bag",
-         os.path.join(folder, "sequence.bag"))
+         os.path.join(folder, "sequence.bag"), "--camera", os.path.join(CONFIG, "camera/tum_fr2.yaml"), "--classes",
+         CLASSES)
     return folder
 
 
@@ -147,7 +149,7 @@ def main():
         folder = rendered(context, arguments.first)
         runs.update(with_images(context, arguments.data, folder))
         same = [compare(name, builds, arguments.output,
-                        lambda build, to, values=values: call(build, "offline", *values, "--output", to))
+                        lambda build, to, values=values: call(build, "offline", *values, "--classes", CLASSES, "--output", to))
                 for name, values in runs.items() if arguments.only in name]
         if arguments.only in "lockstep":
             same.append(compare("lockstep", builds, arguments.output, lambda build, to: play(build, folder, to)))
