@@ -28,18 +28,134 @@ class DetectionIngestionNodelet : public Stage {
   static constexpr char kMissing[] = "frames without detections";
   static constexpr char kUnmatched[] = "detections without a frame";
 
-  void onInit() override;
-  bool load_file();
-  void reset_session() override;
-  void on_frame(const FrameMessage::ConstPtr& frame);
-  void on_input(const DetectionsMessage::ConstPtr& message);
-  void resolve();
+  void onInit() override {
+    if (!start(&options_, &parameters_, 2)) return;
+    classes_ = load_classes(parameters_.class_table);
+    if (!classes_) return;
+    is_file_ = parameters_.source == "file";
+    if (is_file_ && !load_file()) return;
+    for (const char* counter : {kMissing, kUnmatched}) statistics().count(counter, 0);
+    // A detector that is late must find its frames still waiting, and one that is ahead its detections still kept.
+    constexpr std::size_t kKeptPerFrame = 10;
+    matcher_ = std::make_unique<DetectionMatcher>(queue_capacity() * kKeptPerFrame);
+    publisher_ = advertise<DetectionsMessage>("detections");
+    if (parameters_.source == "topic") {
+      const boost::function<void(const DetectionsMessage::ConstPtr&)> callback =
+          [this](const DetectionsMessage::ConstPtr& m) {
+            push("detections_in", Keep::kDroppable, [this, m] { on_input(m); });
+          };
+      keep_subscriber(getNodeHandle().subscribe<DetectionsMessage>("detections_in", 100, callback));
+      constexpr double kDeadlinePeriodS = 0.02;  // below the time between two frames
+      start_timer(kDeadlinePeriodS, [this] { resolve(); });
+    }
+    subscribe("frames", Keep::kDroppable, &DetectionIngestionNodelet::on_frame);
+    follow_sessions();
+  }
+
+  bool load_file() {
+    core::Result<core::DetectionRecording> detections = core::read_detections(parameters_.detections_file, *classes_);
+    if (!detections) {
+      fail(detections.message());
+      return false;
+    }
+    const core::DetectionReport& report = detections->report;
+    for (const std::string& warning : report.warnings()) NODELET_WARN("%s", warning.c_str());
+    for (std::size_t i = 0; i < core::kDetectionProblemCount; ++i) {
+      const auto problem = static_cast<core::DetectionProblem>(i);
+      const int count = report.cause(problem).count;
+      if (count > 0) statistics().count(core::to_string(problem), static_cast<std::uint64_t>(count));
+    }
+    file_ = std::move(detections->frames);
+    return true;
+  }
+
+  void reset_session() override {
+    waiting_.clear();
+    matched_ = 0;
+  }
+
+  void on_frame(const FrameMessage::ConstPtr& frame) {
+    const std::chrono::duration<double> timeout(parameters_.detection_timeout_s);
+    waiting_.push_back({frame, Clock::now() + std::chrono::duration_cast<Clock::duration>(timeout)});
+    resolve();
+  }
+
+  void on_input(const DetectionsMessage::ConstPtr& message) {
+    matcher_->add(message);
+    resolve();
+    statistics().set(kUnmatched, matcher_->unmatched());
+  }
+
+  void resolve() {
+    while (!waiting_.empty() && resolve(waiting_.front())) waiting_.pop_front();
+  }
+
   /// @return false if the frame must wait on
-  bool resolve(const Waiting& waiting);
-  std::vector<core::Detection> from_file(const FrameMessage& frame);
-  std::vector<core::Detection> checked(const DetectionsMessage& message);
-  void emit(const FrameMessage& frame, std::vector<core::Detection> detections);
-  void report_unused();
+  bool resolve(const Waiting& waiting) {
+    const FrameMessage& frame = *waiting.frame;
+    if (frame.is_end) {
+      emit(frame, {});
+      if (is_file_) report_unused();
+      return true;
+    }
+    if (parameters_.source == "none") {
+      emit(frame, {});
+      return true;
+    }
+    if (is_file_) {
+      emit(frame, from_file(frame));
+      return true;
+    }
+    const std::int64_t stamp_ns = frame.stamp_ns;
+    if (const DetectionsMessage::ConstPtr message = matcher_->take(stamp_ns)) {
+      emit(frame, checked(*message));
+      return true;
+    }
+    if (Clock::now() < waiting.deadline) return false;
+    complain(kMissing, "nothing on detections_in for stamp " + std::to_string(stamp_ns) + " ns within " +
+                           std::to_string(parameters_.detection_timeout_s) + " s");
+    emit(frame, {});
+    return true;
+  }
+
+  std::vector<core::Detection> from_file(const FrameMessage& frame) {
+    const std::int64_t stamp_ns = frame.stamp_ns;
+    const core::DetectionFrame* found = core::find_stamp(file_, stamp_ns, kStampTolerance_ns);
+    if (found == nullptr) {
+      complain(kMissing, parameters_.detections_file + " has no image with stamp " + std::to_string(stamp_ns) + " ns");
+      return {};
+    }
+    ++matched_;
+    return found->detections;
+  }
+
+  std::vector<core::Detection> checked(const DetectionsMessage& message) {
+    std::vector<core::Detection> kept;
+    for (const core::Detection& detection : message.detections) {
+      const std::optional<core::DetectionProblem> problem = core::validate(detection, *classes_);
+      if (problem) {
+        complain(core::to_string(*problem),
+                 "a box on detections_in is left out: " + core::describe(detection, *problem));
+      } else {
+        kept.push_back(detection);
+      }
+    }
+    return kept;
+  }
+
+  void emit(const FrameMessage& frame, std::vector<core::Detection> detections) {
+    publish<DetectionsMessage>(publisher_, make_header(frame.header.stamp, frame.camera_frame),
+                               {frame.frame_id, std::move(detections)});
+    count_processed();
+  }
+
+  void report_unused() {
+    const std::size_t unused = file_.size() - matched_;
+    statistics().set(kUnmatched, unused);
+    if (unused == 0) return;
+    NODELET_WARN("%zu of %zu images in %s had no frame: the odometry has no pose there", unused, file_.size(),
+                 parameters_.detections_file.c_str());
+  }
 
   core::Options options_;
   DetectionParameters parameters_;
@@ -51,133 +167,6 @@ class DetectionIngestionNodelet : public Stage {
   std::deque<Waiting> waiting_;
   std::unique_ptr<DetectionMatcher> matcher_;
 };
-
-void DetectionIngestionNodelet::onInit() {
-  if (!start(&options_, &parameters_, 2)) return;
-  classes_ = load_classes(parameters_.class_table);
-  if (!classes_) return;
-  is_file_ = parameters_.source == "file";
-  if (is_file_ && !load_file()) return;
-  for (const char* counter : {kMissing, kUnmatched}) statistics().count(counter, 0);
-  // A detector that is late must find its frames still waiting, and one that is ahead its detections still kept.
-  constexpr std::size_t kKeptPerFrame = 10;
-  matcher_ = std::make_unique<DetectionMatcher>(queue_capacity() * kKeptPerFrame);
-  publisher_ = advertise<DetectionsMessage>("detections");
-  if (parameters_.source == "topic") {
-    const boost::function<void(const DetectionsMessage::ConstPtr&)> callback =
-        [this](const DetectionsMessage::ConstPtr& m) {
-          push("detections_in", Keep::kDroppable, [this, m] { on_input(m); });
-        };
-    keep_subscriber(getNodeHandle().subscribe<DetectionsMessage>("detections_in", 100, callback));
-    constexpr double kDeadlinePeriodS = 0.02;  // below the time between two frames
-    start_timer(kDeadlinePeriodS, [this] { resolve(); });
-  }
-  subscribe("frames", Keep::kDroppable, &DetectionIngestionNodelet::on_frame);
-  follow_sessions();
-}
-
-bool DetectionIngestionNodelet::load_file() {
-  core::Result<core::DetectionRecording> detections = core::read_detections(parameters_.detections_file, *classes_);
-  if (!detections) {
-    fail(detections.message());
-    return false;
-  }
-  const core::DetectionReport& report = detections->report;
-  for (const std::string& warning : report.warnings()) NODELET_WARN("%s", warning.c_str());
-  for (std::size_t i = 0; i < core::kDetectionProblemCount; ++i) {
-    const auto problem = static_cast<core::DetectionProblem>(i);
-    const int count = report.cause(problem).count;
-    if (count > 0) statistics().count(core::to_string(problem), static_cast<std::uint64_t>(count));
-  }
-  file_ = std::move(detections->frames);
-  return true;
-}
-
-void DetectionIngestionNodelet::reset_session() {
-  waiting_.clear();
-  matched_ = 0;
-}
-
-void DetectionIngestionNodelet::on_frame(const FrameMessage::ConstPtr& frame) {
-  const std::chrono::duration<double> timeout(parameters_.detection_timeout_s);
-  waiting_.push_back({frame, Clock::now() + std::chrono::duration_cast<Clock::duration>(timeout)});
-  resolve();
-}
-
-void DetectionIngestionNodelet::on_input(const DetectionsMessage::ConstPtr& message) {
-  matcher_->add(message);
-  resolve();
-  statistics().set(kUnmatched, matcher_->unmatched());
-}
-
-void DetectionIngestionNodelet::resolve() {
-  while (!waiting_.empty() && resolve(waiting_.front())) waiting_.pop_front();
-}
-
-bool DetectionIngestionNodelet::resolve(const Waiting& waiting) {
-  const FrameMessage& frame = *waiting.frame;
-  if (frame.is_end) {
-    emit(frame, {});
-    if (is_file_) report_unused();
-    return true;
-  }
-  if (parameters_.source == "none") {
-    emit(frame, {});
-    return true;
-  }
-  if (is_file_) {
-    emit(frame, from_file(frame));
-    return true;
-  }
-  const std::int64_t stamp_ns = frame.stamp_ns;
-  if (const DetectionsMessage::ConstPtr message = matcher_->take(stamp_ns)) {
-    emit(frame, checked(*message));
-    return true;
-  }
-  if (Clock::now() < waiting.deadline) return false;
-  complain(kMissing, "nothing on detections_in for stamp " + std::to_string(stamp_ns) + " ns within " +
-                         std::to_string(parameters_.detection_timeout_s) + " s");
-  emit(frame, {});
-  return true;
-}
-
-std::vector<core::Detection> DetectionIngestionNodelet::from_file(const FrameMessage& frame) {
-  const std::int64_t stamp_ns = frame.stamp_ns;
-  const core::DetectionFrame* found = core::find_stamp(file_, stamp_ns, kStampTolerance_ns);
-  if (found == nullptr) {
-    complain(kMissing, parameters_.detections_file + " has no image with stamp " + std::to_string(stamp_ns) + " ns");
-    return {};
-  }
-  ++matched_;
-  return found->detections;
-}
-
-std::vector<core::Detection> DetectionIngestionNodelet::checked(const DetectionsMessage& message) {
-  std::vector<core::Detection> kept;
-  for (const core::Detection& detection : message.detections) {
-    const std::optional<core::DetectionProblem> problem = core::validate(detection, *classes_);
-    if (problem) {
-      complain(core::to_string(*problem), "a box on detections_in is left out: " + core::describe(detection, *problem));
-    } else {
-      kept.push_back(detection);
-    }
-  }
-  return kept;
-}
-
-void DetectionIngestionNodelet::emit(const FrameMessage& frame, std::vector<core::Detection> detections) {
-  publish<DetectionsMessage>(publisher_, make_header(frame.header.stamp, frame.camera_frame),
-                             {frame.frame_id, std::move(detections)});
-  count_processed();
-}
-
-void DetectionIngestionNodelet::report_unused() {
-  const std::size_t unused = file_.size() - matched_;
-  statistics().set(kUnmatched, unused);
-  if (unused == 0) return;
-  NODELET_WARN("%zu of %zu images in %s had no frame: the odometry has no pose there", unused, file_.size(),
-               parameters_.detections_file.c_str());
-}
 
 }  // namespace semantic_topo_loop
 

@@ -26,35 +26,283 @@ namespace semantic_topo_loop {
 class PlayerNodelet : public Stage {
  public:
   PlayerNodelet() : Stage("Player") {}
-  ~PlayerNodelet() override;
+
+  ~PlayerNodelet() override {
+    {
+      const std::lock_guard<std::mutex> lock(mutex_);
+      stop_ = true;
+    }
+    changed_.notify_all();
+    if (thread_.joinable()) thread_.join();
+    stop();
+  }
 
  private:
   using Clock = std::chrono::steady_clock;
   enum class Wait { kReady, kRewind, kStopped, kStalled };
 
-  void onInit() override;
-  void watch();
-  template <class Message, class Handler>
-  void listen(const std::string& topic, Handler handler);
-  template <class Message>
-  void follow(const std::string& topic, PlayerLedger::Link link);
+  void onInit() override {
+    if (!start(&options_, &parameters_, 1)) {
+      status_publisher_ = advertise<std_msgs::String>("player_status", true);
+      set_status("failed: bad parameter");
+      return;
+    }
+    const std::string frontend = parameters_.images ? "RgbdFrontend" : "PoseFrontend";
+    ledger_ = std::make_unique<PlayerLedger>(frontend, parameters_.stage_names(), parameters_.await_results);
+    publishes_clock_ = ros::param::param<bool>("/use_sim_time", false);
+    if (publishes_clock_) clock_publisher_ = getNodeHandle().advertise<rosgraph_msgs::Clock>("/clock", 10);
+    tf_publisher_ = getNodeHandle().advertise<tf2_msgs::TFMessage>("/tf", 1000);
+    camera_info_publisher_ = advertise<sensor_msgs::CameraInfo>("camera_info");
+    if (parameters_.images) {
+      color_publisher_ = advertise<sensor_msgs::Image>("color");
+      depth_publisher_ = advertise<sensor_msgs::Image>("depth");
+    }
+    end_publisher_ = advertise<std_msgs::Empty>("end_of_stream");
+    query_publisher_ = advertise<std_msgs::Empty>("session_queries");
+    status_publisher_ = advertise<std_msgs::String>("player_status", true);
+    watch();
+    thread_ = std::thread([this] { play(); });
+  }
 
-  void play();
-  core::Result<std::unique_ptr<PlayerSource>> open_source() const;
-  bool wait_for_stages();
+  void watch() {
+    listen<SessionAck>("session_acks", [this](const SessionAck& ack) { ledger_->take(ack); });
+    listen<FrameMessage>("frames", [this](const FrameMessage& frame) {
+      ledger_->numbered(frame.session_id, frame.stamp_ns, frame.frame_id, frame.is_end);
+    });
+    follow<DetectionsMessage>("detections", PlayerLedger::kDetections);
+    follow<AssociationsMessage>("associations", PlayerLedger::kAssociations);
+    listen<MapUpdateMessage>("quadric_map_updates", [this](const MapUpdateMessage& update) {
+      const bool completes = update.phase == core::MapUpdatePhase::kCorrection;
+      ledger_->seen(completes ? PlayerLedger::kCompletions : PlayerLedger::kObservations, update.session_id,
+                    update.frame_id);
+    });
+    follow<LoopsMessage>("loop_closures", PlayerLedger::kLoopClosures);
+    follow<CorrectionMessage>("map_corrections", PlayerLedger::kCorrections);
+    listen<FrameDone>("frame_done", [this](const FrameDone& done) {
+      ledger_->done(done);
+      last_progress_ = Clock::now();
+    });
+    listen<std_msgs::String>("results_written", [this](const std_msgs::String&) { ledger_->results_written(); });
+    listen<SessionControl>("session_control", [this](const SessionControl& control) {
+      ledger_->take(control);
+      last_progress_ = Clock::now();
+    });
+  }
+
+  template <class Message, class Handler>
+  void listen(const std::string& topic, Handler handler) {
+    const boost::function<void(const boost::shared_ptr<const Message>&)> callback =
+        [this, handler](const boost::shared_ptr<const Message>& message) {
+          {
+            const std::lock_guard<std::mutex> lock(mutex_);
+            handler(*message);
+          }
+          changed_.notify_all();
+        };
+    keep_subscriber(getNodeHandle().subscribe<Message>(topic, 1000, callback));
+  }
+
+  template <class Message>
+  void follow(const std::string& topic, PlayerLedger::Link link) {
+    listen<Message>(topic, [this, link](const Message& m) { ledger_->seen(link, m.session_id, m.frame_id); });
+  }
+
+  void play() {
+    core::Status end;
+    Wait wait = Wait::kRewind;
+    while (wait == Wait::kRewind) {
+      const core::Result<std::unique_ptr<PlayerSource>> source = open_source();
+      if (!source) {
+        fail(source.message());
+        set_status("failed: " + source.message());
+        return;
+      }
+      if (!wait_for_stages()) return;
+      NODELET_INFO("playing %zu images", (*source)->size());
+      set_status("playing");
+      wait = play_images(source->get(), &end);
+    }
+    if (wait != Wait::kReady) return;
+    if (!end) NODELET_ERROR("the recording ends early: %s; what was mapped is kept", end.message().c_str());
+    if (!play_end()) return;
+    set_status(end ? "finished" : "failed: " + end.message());
+  }
+
+  core::Result<std::unique_ptr<PlayerSource>> open_source() const {
+    std::optional<sensor_msgs::CameraInfo> calibration;
+    if (!parameters_.camera_file.empty()) {
+      const core::Result<core::Camera> camera = core::read_camera(parameters_.camera_file);
+      if (!camera) return camera.error();
+      calibration.emplace();
+      to_msg(*camera, &*calibration);
+      calibration->header.frame_id = parameters_.camera_frame;
+    }
+    if (parameters_.mode == "bag") {
+      constexpr double kRecordingDelayS = 0.2;  // by which a message may stand in the bag after its stamp
+      TumBagPlayback bag;
+      bag.file = parameters_.bag_file;
+      bag.stamps = parameters_.stamps;
+      bag.with_images = parameters_.images;
+      bag.max_depth_delay_s = parameters_.max_depth_delay_s;
+      bag.mocap_tf = parameters_.mocap_tf;
+      bag.odom_frame = parameters_.odom_frame;
+      bag.lookahead_s = parameters_.max_pose_gap_s + kRecordingDelayS;
+      core::Result<std::unique_ptr<TumBagSource>> source = TumBagSource::open(bag, calibration);
+      if (!source) return source.error();
+      return std::unique_ptr<PlayerSource>(std::make_unique<ReadAheadSource>(*std::move(source)));
+    }
+    core::Result<core::StampedPoses> trajectory = core::read_tum_trajectory(parameters_.trajectory_file);
+    if (!trajectory) return trajectory.error();
+    return std::unique_ptr<PlayerSource>(std::make_unique<FileStamps>(*std::move(trajectory), *calibration));
+  }
+
+  bool wait_for_stages() {
+    constexpr auto kQueryPeriod = std::chrono::milliseconds(300);  // the session is announced again so often
+    const auto deadline = Clock::now() + std::chrono::duration<double>(parameters_.startup_timeout_s);
+    const auto is_up = [this] { return stop_ || (ledger_->missing_stages().empty() && are_images_heard()); };
+    std::unique_lock<std::mutex> lock(mutex_);
+    // Stages that were there before us have acknowledged the session unheard: it is repeated for us.
+    while (!is_up() && Clock::now() < deadline) {
+      lock.unlock();
+      query_publisher_.publish(boost::make_shared<std_msgs::Empty>());
+      lock.lock();
+      changed_.wait_for(lock, kQueryPeriod, is_up);
+    }
+    if (stop_) return false;
+    if (is_up()) return true;
+    std::string missing;
+    for (const std::string& stage : ledger_->missing_stages()) missing += (missing.empty() ? "" : ", ") + stage;
+    if (missing.empty()) missing = "nobody subscribes to color, depth and camera_info";
+    lock.unlock();
+    NODELET_FATAL("nothing was played: not up after %.0f s: %s", parameters_.startup_timeout_s, missing.c_str());
+    set_status("failed: not up: " + missing);
+    return false;
+  }
+
   /// Topics connect at their own pace: an image that nobody hears yet would be awaited for ever.
-  bool are_images_heard() const;
+  bool are_images_heard() const {
+    if (!parameters_.images) return true;
+    return camera_info_publisher_.getNumSubscribers() > 0 && color_publisher_.getNumSubscribers() > 0 &&
+           depth_publisher_.getNumSubscribers() > 0;
+  }
+
   /// Plays every image, in lockstep until each has left the chain.
   /// @param end how the recording ended
-  Wait play_images(PlayerSource* source, core::Status* end);
-  bool play_end();
-  Wait wait_for_turn(std::int64_t stamp_ns);
+  Wait play_images(PlayerSource* source, core::Status* end) {
+    constexpr auto kReportPeriod = std::chrono::seconds(5);
+    Clock::time_point reported = Clock::now();
+    std::size_t played = 0;
+    while (const std::optional<PlayerItem> item = source->next()) {
+      if (!item->left_out.empty()) {
+        complain(item->left_out, item->detail);
+        continue;
+      }
+      const Wait wait = wait_for_turn(to_stamp_ns(item->camera_info.header.stamp));
+      if (wait != Wait::kReady) return wait;
+      publish(*item);
+      ++played;
+      if (Clock::now() - reported > kReportPeriod) {
+        reported = Clock::now();
+        NODELET_INFO("image %zu of %zu", played, source->size());
+      }
+    }
+    *end = source->end();
+    // The end of the stream must not overtake an image that still waits for its pose.
+    return wait_until([this] { return ledger_->in_flight() == 0; });
+  }
+
+  bool play_end() {
+    {
+      const std::lock_guard<std::mutex> lock(mutex_);
+      last_progress_ = Clock::now();
+      ledger_->end_sent();
+    }
+    end_publisher_.publish(boost::make_shared<std_msgs::Empty>());
+    if (wait_until([this] { return ledger_->is_end_done(); }) != Wait::kReady) return false;
+    const std::lock_guard<std::mutex> lock(mutex_);
+    const auto sent = static_cast<unsigned long>(ledger_->frames_sent());
+    const auto done = static_cast<unsigned long>(ledger_->frames_done());
+    const unsigned long dropped = sent - std::min(sent, done);
+    statistics().set("images dropped by the chain", dropped);
+    NODELET_INFO("the chain is through with %lu of %lu images, %lu of them without a pose; %lu dropped (%.2f %%)", done,
+                 sent, static_cast<unsigned long>(ledger_->frames_without_pose()), dropped,
+                 sent > 0 ? 100.0 * static_cast<double>(dropped) / static_cast<double>(sent) : 0.0);
+    return true;
+  }
+
+  Wait wait_for_turn(std::int64_t stamp_ns) {
+    if (parameters_.lockstep) {
+      return wait_until([this] { return ledger_->in_flight() < static_cast<std::size_t>(parameters_.credit); });
+    }
+    const Wait wait = wait_until([] { return true; });
+    if (wait != Wait::kReady) return wait;
+    if (!rate_origin_) rate_origin_ = {Clock::now(), stamp_ns};
+    const std::chrono::duration<double> offset(1e-9 * static_cast<double>(stamp_ns - rate_origin_->second) /
+                                               parameters_.rate);
+    const auto due = rate_origin_->first + std::chrono::duration_cast<Clock::duration>(offset);
+    const Wait turn = wait_until([due] { return Clock::now() >= due; });
+    return turn;
+  }
+
   template <class Predicate>
-  Wait wait_until(Predicate predicate);
-  bool is_stalled() const;
-  void publish(const PlayerItem& item);
-  void report_stall(const std::string& stage);
-  void set_status(const std::string& status);
+  Wait wait_until(Predicate predicate) {
+    constexpr auto kPoll = std::chrono::milliseconds(2);  // far below the time between two images
+    std::unique_lock<std::mutex> lock(mutex_);
+    while (true) {
+      if (stop_) return Wait::kStopped;
+      // At a rate a recording goes on, as a camera does.
+      if (ledger_->take_rewind() && parameters_.lockstep) return Wait::kRewind;
+      if (!ledger_->is_paused()) {
+        if (predicate()) return Wait::kReady;
+        if (is_stalled()) {
+          const std::string stage = ledger_->silent_stage();
+          lock.unlock();
+          report_stall(stage);
+          return Wait::kStalled;
+        }
+      } else {
+        last_progress_ = Clock::now();
+        rate_origin_.reset();
+      }
+      changed_.wait_for(lock, kPoll);
+    }
+  }
+
+  bool is_stalled() const {
+    if (ledger_->in_flight() == 0 && !ledger_->awaits_end()) return false;
+    return Clock::now() - last_progress_ > std::chrono::duration<double>(parameters_.stall_timeout_s);
+  }
+
+  void publish(const PlayerItem& item) {
+    if (publishes_clock_) {
+      auto clock = boost::make_shared<rosgraph_msgs::Clock>();
+      clock->clock = item.camera_info.header.stamp;
+      clock_publisher_.publish(clock);
+    }
+    for (const tf2_msgs::TFMessage& transforms : item.transforms) {
+      tf_publisher_.publish(boost::make_shared<tf2_msgs::TFMessage>(transforms));
+    }
+    {
+      const std::lock_guard<std::mutex> lock(mutex_);
+      if (ledger_->in_flight() == 0) last_progress_ = Clock::now();
+      ledger_->sent(to_stamp_ns(item.camera_info.header.stamp));
+    }
+    camera_info_publisher_.publish(boost::make_shared<sensor_msgs::CameraInfo>(item.camera_info));
+    if (item.color) color_publisher_.publish(item.color);
+    if (item.depth) depth_publisher_.publish(item.depth);
+    statistics().count("images played");
+  }
+
+  void report_stall(const std::string& stage) {
+    NODELET_FATAL("playback ends: stage %s has been silent for %.0f s", stage.c_str(), parameters_.stall_timeout_s);
+    set_status("stalled: " + stage);
+  }
+
+  void set_status(const std::string& status) {
+    auto message = boost::make_shared<std_msgs::String>();
+    message->data = status;
+    status_publisher_.publish(message);
+  }
 
   core::Options options_;
   PlayerParameters parameters_;
@@ -70,276 +318,6 @@ class PlayerNodelet : public Stage {
   bool stop_ = false;
   std::thread thread_;
 };
-
-PlayerNodelet::~PlayerNodelet() {
-  {
-    const std::lock_guard<std::mutex> lock(mutex_);
-    stop_ = true;
-  }
-  changed_.notify_all();
-  if (thread_.joinable()) thread_.join();
-  stop();
-}
-
-void PlayerNodelet::onInit() {
-  if (!start(&options_, &parameters_, 1)) {
-    status_publisher_ = advertise<std_msgs::String>("player_status", true);
-    set_status("failed: bad parameter");
-    return;
-  }
-  const std::string frontend = parameters_.images ? "RgbdFrontend" : "PoseFrontend";
-  ledger_ = std::make_unique<PlayerLedger>(frontend, parameters_.stage_names(), parameters_.await_results);
-  publishes_clock_ = ros::param::param<bool>("/use_sim_time", false);
-  if (publishes_clock_) clock_publisher_ = getNodeHandle().advertise<rosgraph_msgs::Clock>("/clock", 10);
-  tf_publisher_ = getNodeHandle().advertise<tf2_msgs::TFMessage>("/tf", 1000);
-  camera_info_publisher_ = advertise<sensor_msgs::CameraInfo>("camera_info");
-  if (parameters_.images) {
-    color_publisher_ = advertise<sensor_msgs::Image>("color");
-    depth_publisher_ = advertise<sensor_msgs::Image>("depth");
-  }
-  end_publisher_ = advertise<std_msgs::Empty>("end_of_stream");
-  query_publisher_ = advertise<std_msgs::Empty>("session_queries");
-  status_publisher_ = advertise<std_msgs::String>("player_status", true);
-  watch();
-  thread_ = std::thread([this] { play(); });
-}
-
-template <class Message, class Handler>
-void PlayerNodelet::listen(const std::string& topic, Handler handler) {
-  const boost::function<void(const boost::shared_ptr<const Message>&)> callback =
-      [this, handler](const boost::shared_ptr<const Message>& message) {
-        {
-          const std::lock_guard<std::mutex> lock(mutex_);
-          handler(*message);
-        }
-        changed_.notify_all();
-      };
-  keep_subscriber(getNodeHandle().subscribe<Message>(topic, 1000, callback));
-}
-
-template <class Message>
-void PlayerNodelet::follow(const std::string& topic, PlayerLedger::Link link) {
-  listen<Message>(topic, [this, link](const Message& m) { ledger_->seen(link, m.session_id, m.frame_id); });
-}
-
-void PlayerNodelet::watch() {
-  listen<SessionAck>("session_acks", [this](const SessionAck& ack) { ledger_->take(ack); });
-  listen<FrameMessage>("frames", [this](const FrameMessage& frame) {
-    ledger_->numbered(frame.session_id, frame.stamp_ns, frame.frame_id, frame.is_end);
-  });
-  follow<DetectionsMessage>("detections", PlayerLedger::kDetections);
-  follow<AssociationsMessage>("associations", PlayerLedger::kAssociations);
-  listen<MapUpdateMessage>("quadric_map_updates", [this](const MapUpdateMessage& update) {
-    const bool completes = update.phase == core::MapUpdatePhase::kCorrection;
-    ledger_->seen(completes ? PlayerLedger::kCompletions : PlayerLedger::kObservations, update.session_id,
-                  update.frame_id);
-  });
-  follow<LoopsMessage>("loop_closures", PlayerLedger::kLoopClosures);
-  follow<CorrectionMessage>("map_corrections", PlayerLedger::kCorrections);
-  listen<FrameDone>("frame_done", [this](const FrameDone& done) {
-    ledger_->done(done);
-    last_progress_ = Clock::now();
-  });
-  listen<std_msgs::String>("results_written", [this](const std_msgs::String&) { ledger_->results_written(); });
-  listen<SessionControl>("session_control", [this](const SessionControl& control) {
-    ledger_->take(control);
-    last_progress_ = Clock::now();
-  });
-}
-
-void PlayerNodelet::play() {
-  core::Status end;
-  Wait wait = Wait::kRewind;
-  while (wait == Wait::kRewind) {
-    const core::Result<std::unique_ptr<PlayerSource>> source = open_source();
-    if (!source) {
-      fail(source.message());
-      set_status("failed: " + source.message());
-      return;
-    }
-    if (!wait_for_stages()) return;
-    NODELET_INFO("playing %zu images", (*source)->size());
-    set_status("playing");
-    wait = play_images(source->get(), &end);
-  }
-  if (wait != Wait::kReady) return;
-  if (!end) NODELET_ERROR("the recording ends early: %s; what was mapped is kept", end.message().c_str());
-  if (!play_end()) return;
-  set_status(end ? "finished" : "failed: " + end.message());
-}
-
-core::Result<std::unique_ptr<PlayerSource>> PlayerNodelet::open_source() const {
-  std::optional<sensor_msgs::CameraInfo> calibration;
-  if (!parameters_.camera_file.empty()) {
-    const core::Result<core::Camera> camera = core::read_camera(parameters_.camera_file);
-    if (!camera) return camera.error();
-    calibration.emplace();
-    to_msg(*camera, &*calibration);
-    calibration->header.frame_id = parameters_.camera_frame;
-  }
-  if (parameters_.mode == "bag") {
-    constexpr double kRecordingDelayS = 0.2;  // by which a message may stand in the bag after its stamp
-    TumBagPlayback bag;
-    bag.file = parameters_.bag_file;
-    bag.stamps = parameters_.stamps;
-    bag.with_images = parameters_.images;
-    bag.max_depth_delay_s = parameters_.max_depth_delay_s;
-    bag.mocap_tf = parameters_.mocap_tf;
-    bag.odom_frame = parameters_.odom_frame;
-    bag.lookahead_s = parameters_.max_pose_gap_s + kRecordingDelayS;
-    core::Result<std::unique_ptr<TumBagSource>> source = TumBagSource::open(bag, calibration);
-    if (!source) return source.error();
-    return std::unique_ptr<PlayerSource>(std::make_unique<ReadAheadSource>(*std::move(source)));
-  }
-  core::Result<core::StampedPoses> trajectory = core::read_tum_trajectory(parameters_.trajectory_file);
-  if (!trajectory) return trajectory.error();
-  return std::unique_ptr<PlayerSource>(std::make_unique<FileStamps>(*std::move(trajectory), *calibration));
-}
-
-bool PlayerNodelet::wait_for_stages() {
-  constexpr auto kQueryPeriod = std::chrono::milliseconds(300);  // the session is announced again so often
-  const auto deadline = Clock::now() + std::chrono::duration<double>(parameters_.startup_timeout_s);
-  const auto is_up = [this] { return stop_ || (ledger_->missing_stages().empty() && are_images_heard()); };
-  std::unique_lock<std::mutex> lock(mutex_);
-  // Stages that were there before us have acknowledged the session unheard: it is repeated for us.
-  while (!is_up() && Clock::now() < deadline) {
-    lock.unlock();
-    query_publisher_.publish(boost::make_shared<std_msgs::Empty>());
-    lock.lock();
-    changed_.wait_for(lock, kQueryPeriod, is_up);
-  }
-  if (stop_) return false;
-  if (is_up()) return true;
-  std::string missing;
-  for (const std::string& stage : ledger_->missing_stages()) missing += (missing.empty() ? "" : ", ") + stage;
-  if (missing.empty()) missing = "nobody subscribes to color, depth and camera_info";
-  lock.unlock();
-  NODELET_FATAL("nothing was played: not up after %.0f s: %s", parameters_.startup_timeout_s, missing.c_str());
-  set_status("failed: not up: " + missing);
-  return false;
-}
-
-bool PlayerNodelet::are_images_heard() const {
-  if (!parameters_.images) return true;
-  return camera_info_publisher_.getNumSubscribers() > 0 && color_publisher_.getNumSubscribers() > 0 &&
-         depth_publisher_.getNumSubscribers() > 0;
-}
-
-PlayerNodelet::Wait PlayerNodelet::play_images(PlayerSource* source, core::Status* end) {
-  constexpr auto kReportPeriod = std::chrono::seconds(5);
-  Clock::time_point reported = Clock::now();
-  std::size_t played = 0;
-  while (const std::optional<PlayerItem> item = source->next()) {
-    if (!item->left_out.empty()) {
-      complain(item->left_out, item->detail);
-      continue;
-    }
-    const Wait wait = wait_for_turn(to_stamp_ns(item->camera_info.header.stamp));
-    if (wait != Wait::kReady) return wait;
-    publish(*item);
-    ++played;
-    if (Clock::now() - reported > kReportPeriod) {
-      reported = Clock::now();
-      NODELET_INFO("image %zu of %zu", played, source->size());
-    }
-  }
-  *end = source->end();
-  // The end of the stream must not overtake an image that still waits for its pose.
-  return wait_until([this] { return ledger_->in_flight() == 0; });
-}
-
-bool PlayerNodelet::play_end() {
-  {
-    const std::lock_guard<std::mutex> lock(mutex_);
-    last_progress_ = Clock::now();
-    ledger_->end_sent();
-  }
-  end_publisher_.publish(boost::make_shared<std_msgs::Empty>());
-  if (wait_until([this] { return ledger_->is_end_done(); }) != Wait::kReady) return false;
-  const std::lock_guard<std::mutex> lock(mutex_);
-  const auto sent = static_cast<unsigned long>(ledger_->frames_sent());
-  const auto done = static_cast<unsigned long>(ledger_->frames_done());
-  const unsigned long dropped = sent - std::min(sent, done);
-  statistics().set("images dropped by the chain", dropped);
-  NODELET_INFO("the chain is through with %lu of %lu images, %lu of them without a pose; %lu dropped (%.2f %%)", done,
-               sent, static_cast<unsigned long>(ledger_->frames_without_pose()), dropped,
-               sent > 0 ? 100.0 * static_cast<double>(dropped) / static_cast<double>(sent) : 0.0);
-  return true;
-}
-
-PlayerNodelet::Wait PlayerNodelet::wait_for_turn(std::int64_t stamp_ns) {
-  if (parameters_.lockstep) {
-    return wait_until([this] { return ledger_->in_flight() < static_cast<std::size_t>(parameters_.credit); });
-  }
-  const Wait wait = wait_until([] { return true; });
-  if (wait != Wait::kReady) return wait;
-  if (!rate_origin_) rate_origin_ = {Clock::now(), stamp_ns};
-  const std::chrono::duration<double> offset(1e-9 * static_cast<double>(stamp_ns - rate_origin_->second) /
-                                             parameters_.rate);
-  const auto due = rate_origin_->first + std::chrono::duration_cast<Clock::duration>(offset);
-  const Wait turn = wait_until([due] { return Clock::now() >= due; });
-  return turn;
-}
-
-template <class Predicate>
-PlayerNodelet::Wait PlayerNodelet::wait_until(Predicate predicate) {
-  constexpr auto kPoll = std::chrono::milliseconds(2);  // far below the time between two images
-  std::unique_lock<std::mutex> lock(mutex_);
-  while (true) {
-    if (stop_) return Wait::kStopped;
-    // At a rate a recording goes on, as a camera does.
-    if (ledger_->take_rewind() && parameters_.lockstep) return Wait::kRewind;
-    if (!ledger_->is_paused()) {
-      if (predicate()) return Wait::kReady;
-      if (is_stalled()) {
-        const std::string stage = ledger_->silent_stage();
-        lock.unlock();
-        report_stall(stage);
-        return Wait::kStalled;
-      }
-    } else {
-      last_progress_ = Clock::now();
-      rate_origin_.reset();
-    }
-    changed_.wait_for(lock, kPoll);
-  }
-}
-
-bool PlayerNodelet::is_stalled() const {
-  if (ledger_->in_flight() == 0 && !ledger_->awaits_end()) return false;
-  return Clock::now() - last_progress_ > std::chrono::duration<double>(parameters_.stall_timeout_s);
-}
-
-void PlayerNodelet::publish(const PlayerItem& item) {
-  if (publishes_clock_) {
-    auto clock = boost::make_shared<rosgraph_msgs::Clock>();
-    clock->clock = item.camera_info.header.stamp;
-    clock_publisher_.publish(clock);
-  }
-  for (const tf2_msgs::TFMessage& transforms : item.transforms) {
-    tf_publisher_.publish(boost::make_shared<tf2_msgs::TFMessage>(transforms));
-  }
-  {
-    const std::lock_guard<std::mutex> lock(mutex_);
-    if (ledger_->in_flight() == 0) last_progress_ = Clock::now();
-    ledger_->sent(to_stamp_ns(item.camera_info.header.stamp));
-  }
-  camera_info_publisher_.publish(boost::make_shared<sensor_msgs::CameraInfo>(item.camera_info));
-  if (item.color) color_publisher_.publish(item.color);
-  if (item.depth) depth_publisher_.publish(item.depth);
-  statistics().count("images played");
-}
-
-void PlayerNodelet::report_stall(const std::string& stage) {
-  NODELET_FATAL("playback ends: stage %s has been silent for %.0f s", stage.c_str(), parameters_.stall_timeout_s);
-  set_status("stalled: " + stage);
-}
-
-void PlayerNodelet::set_status(const std::string& status) {
-  auto message = boost::make_shared<std_msgs::String>();
-  message->data = status;
-  status_publisher_.publish(message);
-}
 
 }  // namespace semantic_topo_loop
 

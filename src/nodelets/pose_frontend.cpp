@@ -33,24 +33,140 @@ class PoseFrontendNodelet : public FrontendStage {
     bool is_end = false;
   };
 
-  void onInit() override;
-  bool open_source();
-  void subscribe_all();
+  void onInit() override {
+    if (!start(&options_, &parameters_, 2) || !open_source()) return;
+    if (!open(options_.keyframe, parameters_, transforms_)) return;
+    subscribe_all();
+    follow_stream();
+    constexpr double kDeadlinePeriodS = 0.02;  // below the time between two images
+    start_timer(kDeadlinePeriodS, [this] { resolve(); });
+  }
 
-  void forget() override;
-  void on_camera_stamp(std::int64_t stamp_ns) override;
+  bool open_source() {
+    if (parameters_.pose_source == "file") {
+      core::Result<core::StampedPoses> trajectory = core::read_tum_trajectory(parameters_.trajectory_file);
+      if (!trajectory) {
+        fail(trajectory.message());
+        return false;
+      }
+      source_ = std::make_shared<FilePoses>(std::move(*trajectory));
+    }
+    if (parameters_.needs_tf()) {
+      transforms_ = std::make_shared<TfPoses>(parameters_.odom_frame, parameters_.max_pose_gap_s);
+    }
+    if (parameters_.pose_source == "odometry") {
+      odometry_ = std::make_shared<OdometryPoses>(transforms_, parameters_.max_pose_gap_s);
+      source_ = odometry_;
+    }
+    if (!source_) source_ = transforms_;
+    return true;
+  }
+
+  void subscribe_all() {
+    constexpr std::uint32_t kOdometryQueue = 1000;  // seconds, at the rate of an inertial odometry
+    const auto queue_size = static_cast<std::uint32_t>(queue_capacity());
+    if (odometry_) listen<nav_msgs::Odometry>("odometry", kOdometryQueue, &PoseFrontendNodelet::on_odometry);
+    if (parameters_.use_points) {
+      const boost::function<void(const sensor_msgs::PointCloud2ConstPtr&)> callback =
+          [this](const sensor_msgs::PointCloud2ConstPtr& message) {
+            push("points", Keep::kDroppable, [this, message] { on_points(message); });
+          };
+      keep_subscriber(getNodeHandle().subscribe<sensor_msgs::PointCloud2>("points", queue_size, callback));
+    }
+    if (parameters_.trigger == "detections") {
+      listen<DetectionsMessage>("detections_in", queue_size, &PoseFrontendNodelet::on_detections);
+    }
+  }
+
+  void forget() override {
+    source_->reset();
+    const auto is_image = [](const Trigger& trigger) { return !trigger.is_end; };
+    pending_.erase(std::remove_if(pending_.begin(), pending_.end(), is_image), pending_.end());
+  }
+
+  void on_camera_stamp(std::int64_t stamp_ns) override {
+    if (parameters_.trigger == "camera_info") take_trigger(stamp_ns);
+  }
+
   void on_more_transforms() override { resolve(); }
-  void on_end() override;
-  void on_detections(const DetectionsMessage& message) { take_trigger(to_stamp_ns(message.header.stamp)); }
-  void on_odometry(const nav_msgs::Odometry& message);
-  void on_points(const sensor_msgs::PointCloud2ConstPtr& message);
 
-  void take_trigger(std::int64_t stamp_ns);
+  void on_end() override {
+    Trigger end;
+    end.is_end = true;
+    pending_.push_back(end);
+    resolve();
+  }
+
+  void on_detections(const DetectionsMessage& message) { take_trigger(to_stamp_ns(message.header.stamp)); }
+
+  void on_odometry(const nav_msgs::Odometry& message) {
+    if (const core::Status added = odometry_->add(message); !added) complain("bad odometry", added.message());
+    resolve();
+  }
+
+  void on_points(const sensor_msgs::PointCloud2ConstPtr& message) {
+    constexpr std::size_t kKept = 10;  // clouds that wait for their image: a third of a second at 30 Hz
+    points_[to_stamp_ns(message->header.stamp)] = message;
+    if (points_.size() > kKept) points_.erase(points_.begin());
+    resolve();
+  }
+
+  void take_trigger(std::int64_t stamp_ns) {
+    if (!accept(stamp_ns)) return;
+    const std::chrono::duration<double> timeout(parameters_.pose_timeout_s);
+    pending_.push_back({stamp_ns, Clock::now() + std::chrono::duration_cast<Clock::duration>(timeout), false});
+    if (pending_.size() > queue_capacity() && !pending_.front().is_end) {
+      complain("images dropped, too many wait for their pose", "raise queue_size or lower pose_timeout_s");
+      publish_done(pending_.front().stamp_ns, FrameDone::STATUS_FAILED);
+      pending_.pop_front();
+    }
+    resolve();
+  }
+
   /// Answers what can be answered, in order.
-  void resolve();
+  void resolve() {
+    while (!pending_.empty() && resolve(pending_.front())) pending_.pop_front();
+  }
+
   /// @return false if the trigger must wait on
-  bool resolve(const Trigger& trigger);
-  bool take_points(const Trigger& trigger, bool is_late, core::PoseSample* sample);
+  bool resolve(const Trigger& trigger) {
+    if (trigger.is_end) {
+      emit_end();
+      return true;
+    }
+    PoseSource::Answer answer = source_->at(trigger.stamp_ns, camera_frame());
+    const bool is_late = Clock::now() >= trigger.deadline;
+    if (answer.status == PoseSource::Status::kNotYet && !is_late) return false;
+    if (answer.status != PoseSource::Status::kFound) {
+      complain("images without a pose", answer.problem);
+      publish_done(trigger.stamp_ns, FrameDone::STATUS_NO_POSE);
+      return true;
+    }
+    if (!take_points(trigger, is_late, &answer.sample)) return false;
+    emit(answer.sample, camera());
+    return true;
+  }
+
+  bool take_points(const Trigger& trigger, bool is_late, core::PoseSample* sample) {
+    if (!parameters_.use_points) return true;
+    const auto it = points_.lower_bound(trigger.stamp_ns - kStampTolerance_ns);
+    if (it == points_.end() || it->first > trigger.stamp_ns + kStampTolerance_ns) {
+      if (is_late)
+        complain("images without points", "no cloud within 1 us of " + std::to_string(trigger.stamp_ns) + " ns");
+      return is_late;
+    }
+    const std::string frame = strip_leading_slash(it->second->header.frame_id);
+    core::Result<std::vector<core::Vec3>> points =
+        core::Error{"cloud in frame '" + frame + "', not in the camera's '" + camera_frame() + "'"};
+    if (frame == camera_frame()) points = from_msg(*it->second);
+    if (points) {
+      sample->points_camera = std::make_shared<const std::vector<core::Vec3>>(*std::move(points));
+    } else {
+      complain("unusable points", points.message());
+    }
+    points_.erase(points_.begin(), std::next(it));
+    return true;
+  }
 
   core::Options options_;
   PoseFrontendParameters parameters_;
@@ -60,135 +176,6 @@ class PoseFrontendNodelet : public FrontendStage {
   std::deque<Trigger> pending_;
   std::map<std::int64_t, sensor_msgs::PointCloud2ConstPtr> points_;
 };
-
-void PoseFrontendNodelet::onInit() {
-  if (!start(&options_, &parameters_, 2) || !open_source()) return;
-  if (!open(options_.keyframe, parameters_, transforms_)) return;
-  subscribe_all();
-  follow_stream();
-  constexpr double kDeadlinePeriodS = 0.02;  // below the time between two images
-  start_timer(kDeadlinePeriodS, [this] { resolve(); });
-}
-
-bool PoseFrontendNodelet::open_source() {
-  if (parameters_.pose_source == "file") {
-    core::Result<core::StampedPoses> trajectory = core::read_tum_trajectory(parameters_.trajectory_file);
-    if (!trajectory) {
-      fail(trajectory.message());
-      return false;
-    }
-    source_ = std::make_shared<FilePoses>(std::move(*trajectory));
-  }
-  if (parameters_.needs_tf()) {
-    transforms_ = std::make_shared<TfPoses>(parameters_.odom_frame, parameters_.max_pose_gap_s);
-  }
-  if (parameters_.pose_source == "odometry") {
-    odometry_ = std::make_shared<OdometryPoses>(transforms_, parameters_.max_pose_gap_s);
-    source_ = odometry_;
-  }
-  if (!source_) source_ = transforms_;
-  return true;
-}
-
-void PoseFrontendNodelet::subscribe_all() {
-  constexpr std::uint32_t kOdometryQueue = 1000;  // seconds, at the rate of an inertial odometry
-  const auto queue_size = static_cast<std::uint32_t>(queue_capacity());
-  if (odometry_) listen<nav_msgs::Odometry>("odometry", kOdometryQueue, &PoseFrontendNodelet::on_odometry);
-  if (parameters_.use_points) {
-    const boost::function<void(const sensor_msgs::PointCloud2ConstPtr&)> callback =
-        [this](const sensor_msgs::PointCloud2ConstPtr& message) {
-          push("points", Keep::kDroppable, [this, message] { on_points(message); });
-        };
-    keep_subscriber(getNodeHandle().subscribe<sensor_msgs::PointCloud2>("points", queue_size, callback));
-  }
-  if (parameters_.trigger == "detections") {
-    listen<DetectionsMessage>("detections_in", queue_size, &PoseFrontendNodelet::on_detections);
-  }
-}
-
-void PoseFrontendNodelet::forget() {
-  source_->reset();
-  const auto is_image = [](const Trigger& trigger) { return !trigger.is_end; };
-  pending_.erase(std::remove_if(pending_.begin(), pending_.end(), is_image), pending_.end());
-}
-
-void PoseFrontendNodelet::on_camera_stamp(std::int64_t stamp_ns) {
-  if (parameters_.trigger == "camera_info") take_trigger(stamp_ns);
-}
-
-void PoseFrontendNodelet::on_odometry(const nav_msgs::Odometry& message) {
-  if (const core::Status added = odometry_->add(message); !added) complain("bad odometry", added.message());
-  resolve();
-}
-
-void PoseFrontendNodelet::on_points(const sensor_msgs::PointCloud2ConstPtr& message) {
-  constexpr std::size_t kKept = 10;  // clouds that wait for their image: a third of a second at 30 Hz
-  points_[to_stamp_ns(message->header.stamp)] = message;
-  if (points_.size() > kKept) points_.erase(points_.begin());
-  resolve();
-}
-
-void PoseFrontendNodelet::on_end() {
-  Trigger end;
-  end.is_end = true;
-  pending_.push_back(end);
-  resolve();
-}
-
-void PoseFrontendNodelet::take_trigger(std::int64_t stamp_ns) {
-  if (!accept(stamp_ns)) return;
-  const std::chrono::duration<double> timeout(parameters_.pose_timeout_s);
-  pending_.push_back({stamp_ns, Clock::now() + std::chrono::duration_cast<Clock::duration>(timeout), false});
-  if (pending_.size() > queue_capacity() && !pending_.front().is_end) {
-    complain("images dropped, too many wait for their pose", "raise queue_size or lower pose_timeout_s");
-    publish_done(pending_.front().stamp_ns, FrameDone::STATUS_FAILED);
-    pending_.pop_front();
-  }
-  resolve();
-}
-
-void PoseFrontendNodelet::resolve() {
-  while (!pending_.empty() && resolve(pending_.front())) pending_.pop_front();
-}
-
-bool PoseFrontendNodelet::resolve(const Trigger& trigger) {
-  if (trigger.is_end) {
-    emit_end();
-    return true;
-  }
-  PoseSource::Answer answer = source_->at(trigger.stamp_ns, camera_frame());
-  const bool is_late = Clock::now() >= trigger.deadline;
-  if (answer.status == PoseSource::Status::kNotYet && !is_late) return false;
-  if (answer.status != PoseSource::Status::kFound) {
-    complain("images without a pose", answer.problem);
-    publish_done(trigger.stamp_ns, FrameDone::STATUS_NO_POSE);
-    return true;
-  }
-  if (!take_points(trigger, is_late, &answer.sample)) return false;
-  emit(answer.sample, camera());
-  return true;
-}
-
-bool PoseFrontendNodelet::take_points(const Trigger& trigger, bool is_late, core::PoseSample* sample) {
-  if (!parameters_.use_points) return true;
-  const auto it = points_.lower_bound(trigger.stamp_ns - kStampTolerance_ns);
-  if (it == points_.end() || it->first > trigger.stamp_ns + kStampTolerance_ns) {
-    if (is_late)
-      complain("images without points", "no cloud within 1 us of " + std::to_string(trigger.stamp_ns) + " ns");
-    return is_late;
-  }
-  const std::string frame = strip_leading_slash(it->second->header.frame_id);
-  core::Result<std::vector<core::Vec3>> points =
-      core::Error{"cloud in frame '" + frame + "', not in the camera's '" + camera_frame() + "'"};
-  if (frame == camera_frame()) points = from_msg(*it->second);
-  if (points) {
-    sample->points_camera = std::make_shared<const std::vector<core::Vec3>>(*std::move(points));
-  } else {
-    complain("unusable points", points.message());
-  }
-  points_.erase(points_.begin(), std::next(it));
-  return true;
-}
 
 }  // namespace semantic_topo_loop
 

@@ -41,25 +41,165 @@ class RgbdFrontendNodelet : public FrontendStage {
   using Clock = RgbdSynchronizer::Clock;
   static constexpr char kSingle[] = "colour images without depth";
 
-  void onInit() override;
-  void subscribe_images();
-  void on_color(const ImageConstPtr& image);
-  void on_depth(const ImageConstPtr& image);
-  /// Once in a while: images that wait for too long, topics that are silent.
-  void watch();
-  void add_diagnostics(diagnostic_updater::DiagnosticStatusWrapper& status) override;
+  void onInit() override {
+    if (!start(&options_, &parameters_, 1)) return;
+    std::shared_ptr<TfPoses> transforms;
+    if (!parameters_.base_frame.empty()) {
+      // Only the camera's place on the robot is asked for: a rigid part, whose gaps do not matter.
+      constexpr double kMaxGapS = 1.0;
+      transforms = std::make_shared<TfPoses>(parameters_.odom_frame, kMaxGapS);
+    }
+    if (!open(options_.keyframe, parameters_, transforms)) return;
+    statistics().count(kSingle, 0);
+    report_publisher_ = advertise<TrackingMessage>("tracking_report");
+    subscribe_images();
+    constexpr double kWatchPeriodS = 0.25;  // a fraction of pair_timeout_s and starvation_s
+    start_timer(kWatchPeriodS, [this] { watch(); });
+    follow_stream();
+  }
 
-  void forget() override;
-  void on_end() override;
-  std::shared_ptr<const core::KeyframePoints> keyframe_points() override;
-  void on_single(std::int64_t stamp_ns);
-  void on_pair(const ImageConstPtr& color, const ImageConstPtr& depth);
+  void subscribe_images() {
+    const ros::NodeHandle node = getNodeHandle();
+    RgbdSynchronizer::Options options;
+    options.queue_size = parameters_.sync_queue_size;
+    options.max_delay_s = parameters_.max_depth_delay_s;
+    options.pair_timeout_s = parameters_.pair_timeout_s;
+    options.starvation_s = parameters_.starvation_s;
+    // Remapped here, as the names that image_transport makes of them ("color/compressed") have remappings of their own.
+    options.color_topic = node.resolveName("color");
+    options.depth_topic = node.resolveName("depth");
+    synchronizer_ = std::make_unique<RgbdSynchronizer>(
+        options,
+        [this](const ImageConstPtr& color, const ImageConstPtr& depth) {
+          push("pairs of images", Keep::kDroppable, [this, color, depth] { on_pair(color, depth); });
+        },
+        [this](std::int64_t stamp_ns) { push(kSingle, Keep::kAlways, [this, stamp_ns] { on_single(stamp_ns); }); });
+    color_.registerCallback(
+        boost::function<void(const ImageConstPtr&)>([this](const auto& image) { on_color(image); }));
+    depth_.registerCallback(
+        boost::function<void(const ImageConstPtr&)>([this](const auto& image) { on_depth(image); }));
+    image_transport::ImageTransport transport(node);
+    const ros::NodeHandle& own = getPrivateNodeHandle();
+    color_.subscribe(transport, options.color_topic, static_cast<std::uint32_t>(parameters_.color_queue_size),
+                     {parameters_.color_transport, {}, own, "color_transport"});
+    depth_.subscribe(transport, options.depth_topic, static_cast<std::uint32_t>(parameters_.depth_queue_size),
+                     {parameters_.depth_transport, {}, own, "depth_transport"});
+  }
+
+  void on_color(const ImageConstPtr& image) {
+    statistics().count_input("color");
+    const std::lock_guard<std::mutex> lock(mutex_);
+    synchronizer_->add_color(image, Clock::now());
+  }
+
+  void on_depth(const ImageConstPtr& image) {
+    statistics().count_input("depth");
+    const std::lock_guard<std::mutex> lock(mutex_);
+    synchronizer_->add_depth(image, Clock::now());
+  }
+
+  /// Once in a while: images that wait for too long, topics that are silent.
+  void watch() {
+    const Clock::time_point now = Clock::now();
+    const std::lock_guard<std::mutex> lock(mutex_);
+    synchronizer_->expire(now);
+    const std::string starvation = synchronizer_->starvation(now);
+    if (starvation_.empty() && !starvation.empty()) NODELET_WARN("%s", starvation.c_str());
+    starvation_ = starvation;
+  }
+
+  void add_diagnostics(diagnostic_updater::DiagnosticStatusWrapper& status) override {
+    const std::lock_guard<std::mutex> lock(mutex_);
+    for (const std::string& warning : {starvation_, depth_warning_}) {
+      if (!warning.empty()) status.mergeSummary(diagnostic_msgs::DiagnosticStatus::WARN, warning);
+    }
+  }
+
+  void forget() override {
+    if (frontend_) frontend_->begin_anew();
+    image_ = {};
+    report_ = {};
+    depth_range_ = {};
+    const std::lock_guard<std::mutex> lock(mutex_);
+    depth_warning_.clear();
+  }
+
+  void on_end() override {
+    publish<TrackingMessage>(report_publisher_, std_msgs::Header(), report_);
+    emit_end();
+  }
+
+  std::shared_ptr<const core::KeyframePoints> keyframe_points() override {
+    return std::make_shared<const core::KeyframePoints>(
+        core::KeyframePoints{frontend_->sparse_points(),
+                             core::semi_dense_points(image_, frontend_->camera(), options_.point_map.semi_dense_max)});
+  }
+
+  void on_single(std::int64_t stamp_ns) {
+    fail_image(stamp_ns, kSingle,
+               "none on 'depth' within " + std::to_string(parameters_.max_depth_delay_s) + " s of stamp " +
+                   std::to_string(stamp_ns) + " ns");
+  }
+
+  void on_pair(const ImageConstPtr& color, const ImageConstPtr& depth) {
+    const std::int64_t stamp_ns = to_stamp_ns(color->header.stamp);
+    if (!accept(stamp_ns) || !prepare(stamp_ns)) return;
+    const core::Result<core::RgbdImage> image = make_rgbd_image(*color, *depth, *frontend_camera_, options_.depth);
+    if (image) {
+      watch_depth(*image);
+      return track(*image);
+    }
+    report_.add_unreadable(image.message());
+    fail_image(stamp_ns, "unusable images", image.message());
+  }
+
   /// The front end of this session's camera; null, and the image answered, while there is no calibration.
-  bool prepare(std::int64_t stamp_ns);
+  bool prepare(std::int64_t stamp_ns) {
+    if (!camera()) {
+      fail_image(stamp_ns, "images without a calibration", "neither camera_file nor a usable camera_info");
+      return false;
+    }
+    if (frontend_ && !is_same(*frontend_camera_, *camera())) {
+      begin_session("another calibration came");
+      frontend_.reset();
+    }
+    if (!frontend_) {
+      frontend_camera_ = camera();
+      frontend_.emplace(options_.frontend, *frontend_camera_);
+    }
+    return true;
+  }
+
   /// Looks at where the depth lies. Worker thread.
-  void watch_depth(const core::RgbdImage& image);
-  void fail_image(std::int64_t stamp_ns, const std::string& cause, const std::string& detail);
-  void track(const core::RgbdImage& image);
+  void watch_depth(const core::RgbdImage& image) {
+    depth_range_.add(image.depth_range);
+    const std::string warning = depth_range_.warning(options_.depth);
+    const std::lock_guard<std::mutex> lock(mutex_);
+    if (depth_warning_.empty() && !warning.empty()) NODELET_WARN("%s", warning.c_str());
+    depth_warning_ = warning;
+  }
+
+  void fail_image(std::int64_t stamp_ns, const std::string& cause, const std::string& detail) {
+    complain(cause, detail);
+    publish_done(stamp_ns, FrameDone::STATUS_FAILED);
+  }
+
+  void track(const core::RgbdImage& image) {
+    image_ = image;
+    const core::TrackedImage tracked = frontend_->track(image);
+    if (tracked.is_recalibrated) {
+      // The image is of the session that ends here, and has no answer.
+      const core::Camera& found = frontend_->camera();
+      return begin_session("self-calibration: depth registered anew, or fx = " + std::to_string(found.fx), true);
+    }
+    report_.add(tracked);
+    if (tracked.sample) return emit(*tracked.sample, frontend_->camera());
+    const bool is_lost = tracked.state == core::TrackingState::kLost;
+    complain(is_lost ? "images lost track of" : "images with nothing to follow",
+             "stamp " + std::to_string(image.stamp_ns) + " ns: " + std::to_string(tracked.matches) + " matches, " +
+                 std::to_string(tracked.inliers) + " of them agree on a pose");
+    publish_done(image.stamp_ns, FrameDone::STATUS_NO_POSE);
+  }
 
   core::Options options_;
   RgbdFrontendParameters parameters_;
@@ -75,161 +215,6 @@ class RgbdFrontendNodelet : public FrontendStage {
   std::unique_ptr<RgbdSynchronizer> synchronizer_;
   std::string starvation_, depth_warning_;
 };
-
-void RgbdFrontendNodelet::onInit() {
-  if (!start(&options_, &parameters_, 1)) return;
-  std::shared_ptr<TfPoses> transforms;
-  if (!parameters_.base_frame.empty()) {
-    // Only the camera's place on the robot is asked for: a rigid part, whose gaps do not matter.
-    constexpr double kMaxGapS = 1.0;
-    transforms = std::make_shared<TfPoses>(parameters_.odom_frame, kMaxGapS);
-  }
-  if (!open(options_.keyframe, parameters_, transforms)) return;
-  statistics().count(kSingle, 0);
-  report_publisher_ = advertise<TrackingMessage>("tracking_report");
-  subscribe_images();
-  constexpr double kWatchPeriodS = 0.25;  // a fraction of pair_timeout_s and starvation_s
-  start_timer(kWatchPeriodS, [this] { watch(); });
-  follow_stream();
-}
-
-void RgbdFrontendNodelet::subscribe_images() {
-  const ros::NodeHandle node = getNodeHandle();
-  RgbdSynchronizer::Options options;
-  options.queue_size = parameters_.sync_queue_size;
-  options.max_delay_s = parameters_.max_depth_delay_s;
-  options.pair_timeout_s = parameters_.pair_timeout_s;
-  options.starvation_s = parameters_.starvation_s;
-  // Remapped here, as the names that image_transport makes of them ("color/compressed") have remappings of their own.
-  options.color_topic = node.resolveName("color");
-  options.depth_topic = node.resolveName("depth");
-  synchronizer_ = std::make_unique<RgbdSynchronizer>(
-      options,
-      [this](const ImageConstPtr& color, const ImageConstPtr& depth) {
-        push("pairs of images", Keep::kDroppable, [this, color, depth] { on_pair(color, depth); });
-      },
-      [this](std::int64_t stamp_ns) { push(kSingle, Keep::kAlways, [this, stamp_ns] { on_single(stamp_ns); }); });
-  color_.registerCallback(boost::function<void(const ImageConstPtr&)>([this](const auto& image) { on_color(image); }));
-  depth_.registerCallback(boost::function<void(const ImageConstPtr&)>([this](const auto& image) { on_depth(image); }));
-  image_transport::ImageTransport transport(node);
-  const ros::NodeHandle& own = getPrivateNodeHandle();
-  color_.subscribe(transport, options.color_topic, static_cast<std::uint32_t>(parameters_.color_queue_size),
-                   {parameters_.color_transport, {}, own, "color_transport"});
-  depth_.subscribe(transport, options.depth_topic, static_cast<std::uint32_t>(parameters_.depth_queue_size),
-                   {parameters_.depth_transport, {}, own, "depth_transport"});
-}
-
-void RgbdFrontendNodelet::on_color(const ImageConstPtr& image) {
-  statistics().count_input("color");
-  const std::lock_guard<std::mutex> lock(mutex_);
-  synchronizer_->add_color(image, Clock::now());
-}
-
-void RgbdFrontendNodelet::on_depth(const ImageConstPtr& image) {
-  statistics().count_input("depth");
-  const std::lock_guard<std::mutex> lock(mutex_);
-  synchronizer_->add_depth(image, Clock::now());
-}
-
-void RgbdFrontendNodelet::watch() {
-  const Clock::time_point now = Clock::now();
-  const std::lock_guard<std::mutex> lock(mutex_);
-  synchronizer_->expire(now);
-  const std::string starvation = synchronizer_->starvation(now);
-  if (starvation_.empty() && !starvation.empty()) NODELET_WARN("%s", starvation.c_str());
-  starvation_ = starvation;
-}
-
-void RgbdFrontendNodelet::add_diagnostics(diagnostic_updater::DiagnosticStatusWrapper& status) {
-  const std::lock_guard<std::mutex> lock(mutex_);
-  for (const std::string& warning : {starvation_, depth_warning_}) {
-    if (!warning.empty()) status.mergeSummary(diagnostic_msgs::DiagnosticStatus::WARN, warning);
-  }
-}
-
-void RgbdFrontendNodelet::forget() {
-  if (frontend_) frontend_->begin_anew();
-  image_ = {};
-  report_ = {};
-  depth_range_ = {};
-  const std::lock_guard<std::mutex> lock(mutex_);
-  depth_warning_.clear();
-}
-
-void RgbdFrontendNodelet::on_end() {
-  publish<TrackingMessage>(report_publisher_, std_msgs::Header(), report_);
-  emit_end();
-}
-
-std::shared_ptr<const core::KeyframePoints> RgbdFrontendNodelet::keyframe_points() {
-  return std::make_shared<const core::KeyframePoints>(
-      core::KeyframePoints{frontend_->sparse_points(),
-                           core::semi_dense_points(image_, frontend_->camera(), options_.point_map.semi_dense_max)});
-}
-
-void RgbdFrontendNodelet::on_single(std::int64_t stamp_ns) {
-  fail_image(stamp_ns, kSingle,
-             "none on 'depth' within " + std::to_string(parameters_.max_depth_delay_s) + " s of stamp " +
-                 std::to_string(stamp_ns) + " ns");
-}
-
-void RgbdFrontendNodelet::fail_image(std::int64_t stamp_ns, const std::string& cause, const std::string& detail) {
-  complain(cause, detail);
-  publish_done(stamp_ns, FrameDone::STATUS_FAILED);
-}
-
-void RgbdFrontendNodelet::on_pair(const ImageConstPtr& color, const ImageConstPtr& depth) {
-  const std::int64_t stamp_ns = to_stamp_ns(color->header.stamp);
-  if (!accept(stamp_ns) || !prepare(stamp_ns)) return;
-  const core::Result<core::RgbdImage> image = make_rgbd_image(*color, *depth, *frontend_camera_, options_.depth);
-  if (image) {
-    watch_depth(*image);
-    return track(*image);
-  }
-  report_.add_unreadable(image.message());
-  fail_image(stamp_ns, "unusable images", image.message());
-}
-
-void RgbdFrontendNodelet::watch_depth(const core::RgbdImage& image) {
-  depth_range_.add(image.depth_range);
-  const std::string warning = depth_range_.warning(options_.depth);
-  const std::lock_guard<std::mutex> lock(mutex_);
-  if (depth_warning_.empty() && !warning.empty()) NODELET_WARN("%s", warning.c_str());
-  depth_warning_ = warning;
-}
-
-bool RgbdFrontendNodelet::prepare(std::int64_t stamp_ns) {
-  if (!camera()) {
-    fail_image(stamp_ns, "images without a calibration", "neither camera_file nor a usable camera_info");
-    return false;
-  }
-  if (frontend_ && !is_same(*frontend_camera_, *camera())) {
-    begin_session("another calibration came");
-    frontend_.reset();
-  }
-  if (!frontend_) {
-    frontend_camera_ = camera();
-    frontend_.emplace(options_.frontend, *frontend_camera_);
-  }
-  return true;
-}
-
-void RgbdFrontendNodelet::track(const core::RgbdImage& image) {
-  image_ = image;
-  const core::TrackedImage tracked = frontend_->track(image);
-  if (tracked.is_recalibrated) {
-    // The image is of the session that ends here, and has no answer.
-    const core::Camera& found = frontend_->camera();
-    return begin_session("self-calibration: depth registered anew, or fx = " + std::to_string(found.fx), true);
-  }
-  report_.add(tracked);
-  if (tracked.sample) return emit(*tracked.sample, frontend_->camera());
-  const bool is_lost = tracked.state == core::TrackingState::kLost;
-  complain(is_lost ? "images lost track of" : "images with nothing to follow",
-           "stamp " + std::to_string(image.stamp_ns) + " ns: " + std::to_string(tracked.matches) + " matches, " +
-               std::to_string(tracked.inliers) + " of them agree on a pose");
-  publish_done(image.stamp_ns, FrameDone::STATUS_NO_POSE);
-}
 
 }  // namespace semantic_topo_loop
 
