@@ -33,20 +33,28 @@ std::optional<core::Mat6> to_covariance(const boost::array<double, 36>& values) 
   return covariance;
 }
 
+PoseSource::Answer found(std::int64_t stamp_ns, const core::SE3& T_odom_camera) {
+  PoseSource::Answer answer;
+  answer.status = PoseSource::Status::kFound;
+  answer.sample.stamp_ns = stamp_ns;
+  answer.sample.T_odom_camera = T_odom_camera;
+  return answer;
+}
+
+/// @param who of the buffer that has no pose
+PoseSource::Answer missing(const std::string& who, core::PoseBuffer::Status status) {
+  const bool may_come = status == core::PoseBuffer::Status::kNotYet;
+  return {may_come ? PoseSource::Status::kNotYet : PoseSource::Status::kNever, {}, who + ": " + describe(status)};
+}
+
 }  // namespace
 
 PoseSource::Answer FilePoses::at(std::int64_t stamp_ns, const std::string& /*camera_frame*/) {
-  Answer answer;
   const core::StampedPose* pose = core::find_stamp(trajectory_, stamp_ns, kStampTolerance_ns);
   if (pose == nullptr) {
-    answer.status = Status::kNever;
-    answer.problem = "the trajectory file has no pose within 1 us of stamp " + core::format_stamp(stamp_ns);
-    return answer;
+    return {Status::kNever, {}, "the trajectory file has no pose within 1 us of stamp " + core::format_stamp(stamp_ns)};
   }
-  answer.status = Status::kFound;
-  answer.sample.stamp_ns = stamp_ns;
-  answer.sample.T_odom_camera = pose->T_world_camera;
-  return answer;
+  return found(stamp_ns, pose->T_world_camera);
 }
 
 TfPoses::TfPoses(std::string odom_frame, double max_gap_s)
@@ -102,21 +110,16 @@ std::string TfPoses::child_of_odom(const std::string& camera_frame) const {
 }
 
 PoseSource::Answer TfPoses::at(std::int64_t stamp_ns, const std::string& camera_frame) {
-  Answer answer;
-  answer.sample.stamp_ns = stamp_ns;
   const std::string child = child_of_odom(camera_frame);
   if (child.empty()) {
-    answer.problem = "tf has no chain from '" + odom_frame_ + "' down to '" + camera_frame + "'";
-    return answer;
+    return {Status::kNotYet, {}, "tf has no chain from '" + odom_frame_ + "' down to '" + camera_frame + "'"};
   }
   core::SE3 T_odom_child;
   const auto samples = moving_.find(child);
   if (samples != moving_.end()) {
     const core::PoseBuffer::Answer pose = samples->second.at(stamp_ns);
     if (pose.status != core::PoseBuffer::Status::kFound) {
-      answer.problem = "tf " + odom_frame_ + " -> " + child + ": " + describe(pose.status);
-      if (pose.status != core::PoseBuffer::Status::kNotYet) answer.status = Status::kNever;
-      return answer;
+      return missing("tf " + odom_frame_ + " -> " + child, pose.status);
     }
     T_odom_child = pose.pose;
   } else if (const std::optional<core::SE3> fixed = find(odom_frame_, child, stamp_ns)) {
@@ -124,12 +127,9 @@ PoseSource::Answer TfPoses::at(std::int64_t stamp_ns, const std::string& camera_
   }
   const std::optional<core::SE3> T_child_camera = find(child, camera_frame, stamp_ns);
   if (!T_child_camera) {
-    answer.problem = "tf from '" + child + "' to '" + camera_frame + "' does not reach the stamp";
-    return answer;
+    return {Status::kNotYet, {}, "tf from '" + child + "' to '" + camera_frame + "' does not reach the stamp"};
   }
-  answer.status = Status::kFound;
-  answer.sample.T_odom_camera = T_odom_child * *T_child_camera;
-  return answer;
+  return found(stamp_ns, T_odom_child * *T_child_camera);
 }
 
 std::optional<core::SE3> TfPoses::find(const std::string& target, const std::string& source,
@@ -166,22 +166,15 @@ core::Status OdometryPoses::add(const nav_msgs::Odometry& message) {
 }
 
 PoseSource::Answer OdometryPoses::at(std::int64_t stamp_ns, const std::string& camera_frame) {
-  Answer answer;
-  answer.sample.stamp_ns = stamp_ns;
   const core::PoseBuffer::Answer pose = poses_.at(stamp_ns);
-  if (pose.status != core::PoseBuffer::Status::kFound) {
-    answer.problem = std::string("odometry: ") + describe(pose.status);
-    if (pose.status != core::PoseBuffer::Status::kNotYet) answer.status = Status::kNever;
-    return answer;
-  }
+  if (pose.status != core::PoseBuffer::Status::kFound) return missing("odometry", pose.status);
   const std::string& base_frame = base_frame_.empty() ? camera_frame : base_frame_;
   const std::optional<core::SE3> T_base_camera = transforms_->find(base_frame, camera_frame, stamp_ns);
   if (!T_base_camera) {
-    answer.problem = "tf has no transform from the odometry's '" + base_frame + "' to '" + camera_frame + "'";
-    return answer;
+    return {
+        Status::kNotYet, {}, "tf has no transform from the odometry's '" + base_frame + "' to '" + camera_frame + "'"};
   }
-  answer.status = Status::kFound;
-  answer.sample.T_odom_camera = pose.pose * *T_base_camera;
+  Answer answer = found(stamp_ns, pose.pose * *T_base_camera);
   answer.sample.covariance = step_covariance(stamp_ns, *T_base_camera);
   last_stamp_ns_ = stamp_ns;
   return answer;
