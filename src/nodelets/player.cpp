@@ -12,7 +12,6 @@
 #include <string>
 #include <thread>
 
-#include "ros/parameters.h"
 #include "ros/playback.h"
 #include "ros/stage.h"
 #include "ros/tum_bag.h"
@@ -47,13 +46,13 @@ class PlayerNodelet : public Stage {
       set_status("failed: bad parameter");
       return;
     }
-    const std::string frontend = parameters_.images ? "RgbdFrontend" : "PoseFrontend";
+    const std::string frontend = parameters_.bag.with_images ? "RgbdFrontend" : "PoseFrontend";
     ledger_ = std::make_unique<PlayerLedger>(frontend, parameters_.stage_names(), parameters_.await_results);
     publishes_clock_ = ros::param::param<bool>("/use_sim_time", false);
     if (publishes_clock_) clock_publisher_ = getNodeHandle().advertise<rosgraph_msgs::Clock>("/clock", 10);
     tf_publisher_ = getNodeHandle().advertise<tf2_msgs::TFMessage>("/tf", 1000);
     camera_info_publisher_ = advertise<sensor_msgs::CameraInfo>("camera_info");
-    if (parameters_.images) {
+    if (parameters_.bag.with_images) {
       color_publisher_ = advertise<sensor_msgs::Image>("color");
       depth_publisher_ = advertise<sensor_msgs::Image>("depth");
     }
@@ -139,13 +138,7 @@ class PlayerNodelet : public Stage {
     }
     if (parameters_.mode == "bag") {
       constexpr double kRecordingDelayS = 0.2;  // by which a message may stand in the bag after its stamp
-      TumBagPlayback bag;
-      bag.file = parameters_.bag_file;
-      bag.stamps = parameters_.stamps;
-      bag.with_images = parameters_.images;
-      bag.max_depth_delay_s = parameters_.max_depth_delay_s;
-      bag.mocap_tf = parameters_.mocap_tf;
-      bag.odom_frame = parameters_.odom_frame;
+      TumBagPlayback bag = parameters_.bag;
       bag.lookahead_s = parameters_.max_pose_gap_s + kRecordingDelayS;
       core::Result<std::unique_ptr<TumBagSource>> source = TumBagSource::open(bag, calibration);
       if (!source) return source.error();
@@ -181,7 +174,7 @@ class PlayerNodelet : public Stage {
 
   /// Topics connect at their own pace: an image that nobody hears yet would be awaited for ever.
   bool are_images_heard() const {
-    if (!parameters_.images) return true;
+    if (!parameters_.bag.with_images) return true;
     return camera_info_publisher_.getNumSubscribers() > 0 && color_publisher_.getNumSubscribers() > 0 &&
            depth_publisher_.getNumSubscribers() > 0;
   }
@@ -240,8 +233,7 @@ class PlayerNodelet : public Stage {
     const std::chrono::duration<double> offset(1e-9 * static_cast<double>(stamp_ns - rate_origin_->second) /
                                                parameters_.rate);
     const auto due = rate_origin_->first + std::chrono::duration_cast<Clock::duration>(offset);
-    const Wait turn = wait_until([due] { return Clock::now() >= due; });
-    return turn;
+    return wait_until([due] { return Clock::now() >= due; });
   }
 
   template <class Predicate>

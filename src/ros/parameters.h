@@ -134,16 +134,23 @@ struct LoopDetectionParameters : ClassStageParameters {
   }
 };
 
+/// How a bag in the layout of the official TUM RGB-D bags is read.
+struct TumBagPlayback {
+  std::string file;
+  std::string stamps = "image";  ///< of the images: image or camera_info
+  bool with_images = false;      ///< colour and depth themselves; needs stamps image
+  double max_depth_delay_s = 0.02;
+  std::string mocap_tf = "drop";  ///< the motion capture's edge in /tf: drop, or odom (its parent becomes odom_frame)
+  std::string odom_frame = "odom";
+  double lookahead_s = 0.3;  ///< transforms recorded up to this long after an image go before it
+};
+
 /// What the player plays, and how.
 struct PlayerParameters : StageParameters {
   std::string mode = "files";
-  std::string trajectory_file, camera_file, bag_file;
+  std::string trajectory_file, camera_file;
+  TumBagPlayback bag;
   std::string camera_frame = "camera_optical_frame";
-  std::string stamps = "image";
-  bool images = false;
-  double max_depth_delay_s = 0.02;
-  std::string mocap_tf = "drop";
-  std::string odom_frame = "odom";
   double max_pose_gap_s = 0.1;
   bool lockstep = true;
   int credit = 1;
@@ -160,14 +167,16 @@ struct PlayerParameters : StageParameters {
     visitor("trajectory_file", trajectory_file, core::any(), "files: a TUM trajectory, whose stamps are played");
     visitor("camera_file", camera_file, core::any(), "calibration to publish; bag: empty for the recorded camera_info");
     visitor("camera_frame", camera_frame, core::any(), "files: tf frame of the camera's optical frame");
-    visitor("bag_file", bag_file, core::any(), "bag: what is played");
-    visitor("stamps", stamps, core::one_of({"image", "camera_info"}), "bag: which stamps are played");
-    visitor("images", images, "bag: play the color and depth images too, for RgbdFrontend; left out without depth");
-    visitor("max_depth_delay_s", max_depth_delay_s, core::positive(),
+    visitor("bag_file", bag.file, core::any(), "bag: what is played");
+    visitor("stamps", bag.stamps, core::one_of({"image", "camera_info"}), "bag: which stamps are played");
+    visitor("images", bag.with_images,
+            "bag: play the color and depth images too, for RgbdFrontend; left out without depth");
+    visitor("max_depth_delay_s", bag.max_depth_delay_s, core::positive(),
             "bag, images: depth farther from color in stamp is none of it");
-    visitor("mocap_tf", mocap_tf, core::one_of({"drop", "odom"}),
+    visitor("mocap_tf", bag.mocap_tf, core::one_of({"drop", "odom"}),
             "bag: drop the motion capture's transform, or odom to take it as the odometry");
-    visitor("odom_frame", odom_frame, core::any(), "bag: parent of the motion capture's transform if mocap_tf is odom");
+    visitor("odom_frame", bag.odom_frame, core::any(),
+            "bag: parent of the motion capture's transform if mocap_tf is odom");
     visitor("max_pose_gap_s", max_pose_gap_s, core::positive(),
             "bag: transforms go at least this long ahead of the images");
     visitor("lockstep", lockstep, "play as fast as the stages can, and let them drop nothing");
@@ -180,8 +189,8 @@ struct PlayerParameters : StageParameters {
     visitor("stall_timeout_s", stall_timeout_s, core::positive(), "how long an image may take through the chain");
     visitor.require("trajectory_file", mode != "files" || !trajectory_file.empty(), "given in mode files");
     visitor.require("camera_file", mode != "files" || !camera_file.empty(), "given in mode files");
-    visitor.require("bag_file", mode != "bag" || !bag_file.empty(), "given in mode bag");
-    visitor.require("images", !images || (mode == "bag" && stamps == "image"),
+    visitor.require("bag_file", mode != "bag" || !bag.file.empty(), "given in mode bag");
+    visitor.require("images", !bag.with_images || (mode == "bag" && bag.stamps == "image"),
                     "false unless mode is bag and stamps is image");
     visitor.require("credit", credit < queue_size, "less than queue_size");
   }

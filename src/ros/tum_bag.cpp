@@ -4,7 +4,6 @@
 #include <rosbag/query.h>
 #include <sensor_msgs/Image.h>
 
-#include <algorithm>
 #include <exception>
 #include <utility>
 

@@ -3,29 +3,18 @@
 #include <rosbag/bag.h>
 #include <rosbag/view.h>
 
-#include <cstdint>
 #include <deque>
 #include <memory>
 #include <optional>
 #include <string>
 #include <vector>
 
+#include "ros/parameters.h"
 #include "ros/playback.h"
 #include "ros/rgbd_images.h"
 #include "semantic_topo_loop/io/rgbd_recording.h"
 
 namespace semantic_topo_loop {
-
-/// How a bag in the layout of the official TUM RGB-D bags is read.
-struct TumBagPlayback {
-  std::string file;
-  std::string stamps = "image";  ///< of the images: image or camera_info
-  bool with_images = false;      ///< colour and depth themselves; needs stamps image
-  double max_depth_delay_s = 0.02;
-  std::string mocap_tf = "drop";  ///< the motion capture's edge in /tf: drop, or odom (its parent becomes odom_frame)
-  std::string odom_frame = "odom";
-  double lookahead_s = 0.3;  ///< transforms recorded up to this long after an image go before it
-};
 
 /// Reads a bag in the official TUM layout, in one pass, without a master: `/camera/rgb/image_color`,
 /// `/camera/depth/image`, `/camera/rgb/camera_info` and `/tf` with `/world -> /kinect` from the motion capture and the

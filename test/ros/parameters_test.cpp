@@ -76,7 +76,7 @@ TEST(NodeletParameters, RulesBetweenThemAreChecked) {
   player.mode = "film";
   EXPECT_EQ(core::validate(player).message(), "parameter 'mode' = 'film' must be files or bag");
   player.mode = "bag";
-  player.bag_file = "a.bag";
+  player.bag.file = "a.bag";
   EXPECT_TRUE(core::validate(player)) << core::validate(player).message();
   player.rate = -1.0;
   EXPECT_EQ(core::validate(player).message(), "parameter 'rate' = '-1' must be > 0");
