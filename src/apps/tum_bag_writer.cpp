@@ -15,14 +15,11 @@
 namespace semantic_topo_loop {
 
 /// The message of the old tf package, which the official bags carry: tf2_msgs/TFMessage under its former name.
-struct TfMessage {
-  tf2_msgs::TFMessage message;
-};
+struct TfMessage : tf2_msgs::TFMessage {};
 
 }  // namespace semantic_topo_loop
 
-namespace ros {
-namespace message_traits {
+namespace ros::message_traits {
 
 template <>
 struct DataType<semantic_topo_loop::TfMessage> {
@@ -30,33 +27,15 @@ struct DataType<semantic_topo_loop::TfMessage> {
   static const char* value(const semantic_topo_loop::TfMessage&) { return value(); }
 };
 template <>
-struct MD5Sum<semantic_topo_loop::TfMessage> {
-  static const char* value() { return MD5Sum<tf2_msgs::TFMessage>::value(); }
-  static const char* value(const semantic_topo_loop::TfMessage&) { return value(); }
-};
+struct MD5Sum<semantic_topo_loop::TfMessage> : MD5Sum<tf2_msgs::TFMessage> {};
 template <>
-struct Definition<semantic_topo_loop::TfMessage> {
-  static const char* value() { return Definition<tf2_msgs::TFMessage>::value(); }
-  static const char* value(const semantic_topo_loop::TfMessage&) { return value(); }
-};
+struct Definition<semantic_topo_loop::TfMessage> : Definition<tf2_msgs::TFMessage> {};
 
-}  // namespace message_traits
-
-namespace serialization {
+}  // namespace ros::message_traits
 
 template <>
-struct Serializer<semantic_topo_loop::TfMessage> {
-  template <class Stream>
-  static void write(Stream& stream, const semantic_topo_loop::TfMessage& m) {
-    Serializer<tf2_msgs::TFMessage>::write(stream, m.message);
-  }
-  static std::uint32_t serializedLength(const semantic_topo_loop::TfMessage& m) {
-    return Serializer<tf2_msgs::TFMessage>::serializedLength(m.message);
-  }
-};
-
-}  // namespace serialization
-}  // namespace ros
+struct ros::serialization::Serializer<semantic_topo_loop::TfMessage>
+    : ros::serialization::Serializer<tf2_msgs::TFMessage> {};
 
 namespace semantic_topo_loop {
 namespace {
@@ -80,12 +59,7 @@ core::SE3 rgb_from_optical() { return {core::Quaternion(0.5, -0.5, 0.5, -0.5), c
 
 geometry_msgs::TransformStamped transform(std::int64_t stamp_ns, const char* parent, const char* child,
                                           const core::SE3& T_parent_child) {
-  geometry_msgs::TransformStamped message;
-  message.header.stamp = to_ros_time(stamp_ns);
-  message.header.frame_id = parent;
-  message.child_frame_id = child;
-  message.transform = to_transform_msg(T_parent_child);
-  return message;
+  return make_transform(make_header(to_ros_time(stamp_ns), parent), child, T_parent_child);
 }
 
 /// The driver's default: no calibration.
@@ -142,19 +116,19 @@ class TumBag {
   void write_mocap(const core::StampedPose& pose) {
     const core::SE3 T_world_kinect = pose.T_world_camera * tum_kinect_from_optical().inverse();
     TfMessage mocap;
-    mocap.message.transforms.push_back(transform(pose.stamp_ns, "/world", "/kinect", T_world_kinect));
+    mocap.transforms.push_back(transform(pose.stamp_ns, "/world", "/kinect", T_world_kinect));
     bag_.write(kTfTopic, to_ros_time(pose.stamp_ns), mocap);
     if (mocap_count_++ % kChainPeriod != 0) return;
     TfMessage chain;
-    chain.message.transforms = {transform(pose.stamp_ns, "/kinect", kCameraFrame, kinect_from_camera()),
-                                transform(pose.stamp_ns, kCameraFrame, "/openni_rgb_frame", camera_from_rgb()),
-                                transform(pose.stamp_ns, "/openni_rgb_frame", kOpticalFrame, rgb_from_optical())};
+    chain.transforms = {transform(pose.stamp_ns, "/kinect", kCameraFrame, kinect_from_camera()),
+                        transform(pose.stamp_ns, kCameraFrame, "/openni_rgb_frame", camera_from_rgb()),
+                        transform(pose.stamp_ns, "/openni_rgb_frame", kOpticalFrame, rgb_from_optical())};
     if (depth_frame_ != kOpticalFrame) {
       const core::SE3 T_rgb_depth =
           rgb_from_optical() * core::color_from_depth(options_.rendering) * rgb_from_optical().inverse();
-      chain.message.transforms.push_back(
+      chain.transforms.push_back(
           transform(pose.stamp_ns, kCameraFrame, "/openni_depth_frame", camera_from_rgb() * T_rgb_depth));
-      chain.message.transforms.push_back(
+      chain.transforms.push_back(
           transform(pose.stamp_ns, "/openni_depth_frame", kDepthOpticalFrame, rgb_from_optical()));
     }
     bag_.write(kTfTopic, to_ros_time(pose.stamp_ns), chain);

@@ -6,7 +6,6 @@
 #include <vector>
 
 #include "ros/frame_joiner.h"
-#include "ros/parameters.h"
 #include "ros/stage.h"
 #include "semantic_topo_loop/io/detection_file.h"
 #include "semantic_topo_loop/types/stamp.h"
@@ -30,8 +29,6 @@ class DetectionIngestionNodelet : public Stage {
 
   void onInit() override {
     if (!start(&options_, &parameters_, 2)) return;
-    classes_ = load_classes(parameters_.class_table);
-    if (!classes_) return;
     is_file_ = parameters_.source == "file";
     if (is_file_ && !load_file()) return;
     for (const char* counter : {kMissing, kUnmatched}) statistics().count(counter, 0);
@@ -40,11 +37,7 @@ class DetectionIngestionNodelet : public Stage {
     matcher_ = std::make_unique<DetectionMatcher>(queue_capacity() * kKeptPerFrame);
     publisher_ = advertise<DetectionsMessage>("detections");
     if (parameters_.source == "topic") {
-      const boost::function<void(const DetectionsMessage::ConstPtr&)> callback =
-          [this](const DetectionsMessage::ConstPtr& m) {
-            push("detections_in", Keep::kDroppable, [this, m] { on_input(m); });
-          };
-      keep_subscriber(getNodeHandle().subscribe<DetectionsMessage>("detections_in", 100, callback));
+      listen("detections_in", Keep::kDroppable, 100, &DetectionIngestionNodelet::on_input);
       constexpr double kDeadlinePeriodS = 0.02;  // below the time between two frames
       start_timer(kDeadlinePeriodS, [this] { resolve(); });
     }
@@ -53,7 +46,7 @@ class DetectionIngestionNodelet : public Stage {
   }
 
   bool load_file() {
-    core::Result<core::DetectionRecording> detections = core::read_detections(parameters_.detections_file, *classes_);
+    core::Result<core::DetectionRecording> detections = core::read_detections(parameters_.detections_file, *classes());
     if (!detections) {
       fail(detections.message());
       return false;
@@ -132,7 +125,7 @@ class DetectionIngestionNodelet : public Stage {
   std::vector<core::Detection> checked(const DetectionsMessage& message) {
     std::vector<core::Detection> kept;
     for (const core::Detection& detection : message.detections) {
-      const std::optional<core::DetectionProblem> problem = core::validate(detection, *classes_);
+      const std::optional<core::DetectionProblem> problem = core::validate(detection, *classes());
       if (problem) {
         complain(core::to_string(*problem),
                  "a box on detections_in is left out: " + core::describe(detection, *problem));
@@ -159,7 +152,6 @@ class DetectionIngestionNodelet : public Stage {
 
   core::Options options_;
   DetectionParameters parameters_;
-  std::shared_ptr<const core::ClassTable> classes_;
   ros::Publisher publisher_;
   bool is_file_ = false;
   std::vector<core::DetectionFrame> file_;

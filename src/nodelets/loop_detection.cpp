@@ -2,14 +2,12 @@
 #include <std_srvs/SetBool.h>
 #include <std_srvs/Trigger.h>
 
-#include <filesystem>
 #include <memory>
 #include <mutex>
 #include <optional>
 #include <pluginlib/class_list_macros.hpp>
 
 #include "ros/frame_joiner.h"
-#include "ros/parameters.h"
 #include "ros/stage.h"
 #include "semantic_topo_loop/WhyLoop.h"
 #include "semantic_topo_loop/io/submap_file.h"
@@ -31,8 +29,7 @@ class LoopDetectionNodelet : public Stage {
 
   void onInit() override {
     if (!start(&options_, &parameters_, 2)) return;
-    classes_ = load_classes(parameters_.class_table);
-    if (!classes_ || !load_earlier_map()) return;
+    if (!load_earlier_map()) return;
     joiner_ = std::make_unique<Joiner>(queue_capacity());
     publisher_ = advertise<LoopsMessage>("loop_closures");
     for (const char* counter : {kIncomplete, kAccepted}) statistics().count(counter, 0);
@@ -55,7 +52,7 @@ class LoopDetectionNodelet : public Stage {
   void reset_session() override {
     joiner_->clear();
     const std::lock_guard<std::mutex> lock(mutex_);
-    detector_ = std::make_unique<core::LoopDetector>(options_.loop, classes_);
+    detector_ = std::make_unique<core::LoopDetector>(options_.loop, classes());
     if (enabled_) detector_->set_enabled(*enabled_);
     if (!earlier_map_.empty()) detector_->set_earlier_map(earlier_map_);
     keyframes_.clear();
@@ -70,7 +67,7 @@ class LoopDetectionNodelet : public Stage {
       fail("parameter 'map_file' = '" + parameters_.map_file + "' needs loop/mode graph");
       return false;
     }
-    core::Result<std::vector<core::LocalMap>> submaps = core::read_submaps(parameters_.map_file, *classes_);
+    core::Result<std::vector<core::LocalMap>> submaps = core::read_submaps(parameters_.map_file, *classes());
     if (!submaps) {
       fail(submaps.message());
       return false;
@@ -92,32 +89,21 @@ class LoopDetectionNodelet : public Stage {
   }
 
   bool on_save(std_srvs::Trigger::Request&, std_srvs::Trigger::Response& response) {
-    if (parameters_.save_map_file.empty()) {
-      response.success = false;
-      response.message = "parameter 'save_map_file' is empty: there is no place for the submaps";
-    } else {
-      response.success = save(&response.message);
-    }
+    const core::Error nowhere{"parameter 'save_map_file' is empty: there is no place for the submaps"};
+    answer(parameters_.save_map_file.empty() ? nowhere : save(), &response);
     return true;
   }
 
-  /// @param answer absolute path of the file, or the error
-  bool save(std::string* answer) {
-    std::error_code error_code;
-    const std::filesystem::path file = std::filesystem::absolute(parameters_.save_map_file, error_code);
-    if (error_code) {
-      *answer = parameters_.save_map_file + ": " + error_code.message();
-      return false;
-    }
+  /// @return absolute path of the file
+  core::Result<std::string> save() {
     std::vector<core::LocalMap> submaps;
     {
       const std::lock_guard<std::mutex> lock(mutex_);
       submaps = detector_->submaps();
       core::move_to_map(keyframes_, T_map_odom_, &submaps);
     }
-    const core::Status written = core::write_submaps(file.string(), submaps);
-    *answer = written ? file.lexically_normal().string() : written.message();
-    return static_cast<bool>(written);
+    return write_to(parameters_.save_map_file,
+                    [&submaps](const std::string& file) { return core::write_submaps(file, submaps); });
   }
 
   void on_correction(const CorrectionMessage::ConstPtr& message) {
@@ -127,12 +113,11 @@ class LoopDetectionNodelet : public Stage {
       if (message->changed) keyframes_ = message->keyframes;
     }
     if (message->frame_id != end_frame_id_) return;
-    std::string answer;
-    if (save(&answer)) {
-      NODELET_INFO("submaps written to %s", answer.c_str());
+    if (const core::Result<std::string> saved = save()) {
+      NODELET_INFO("submaps written to %s", saved->c_str());
     } else {
-      statistics().set_failure(answer);
-      NODELET_ERROR("submaps not written: %s", answer.c_str());
+      statistics().set_failure(saved.message());
+      NODELET_ERROR("submaps not written: %s", saved.message().c_str());
     }
   }
 
@@ -187,11 +172,9 @@ class LoopDetectionNodelet : public Stage {
       found = detector_->relocalisation();
     }
     if (!found) return;
-    auto message = boost::make_shared<geometry_msgs::TransformStamped>();
-    message->header = make_header(frame.header.stamp, parameters_.earlier_map_frame);
-    message->child_frame_id = frame.header.frame_id;
-    message->transform = to_transform_msg(found->T_earlier_odom);
-    relocalisation_publisher_.publish(message);
+    const std_msgs::Header header = make_header(frame.header.stamp, parameters_.earlier_map_frame);
+    relocalisation_publisher_.publish(boost::make_shared<geometry_msgs::TransformStamped>(
+        make_transform(header, frame.header.frame_id, found->T_earlier_odom)));
     NODELET_INFO_ONCE("the run's place in the earlier map is known, by %d of %d loops", found->agreeing, found->total);
   }
 
@@ -207,7 +190,6 @@ class LoopDetectionNodelet : public Stage {
 
   core::Options options_;
   LoopDetectionParameters parameters_;
-  std::shared_ptr<const core::ClassTable> classes_;
   std::optional<bool> enabled_;  ///< as set by the service; none: as configured
   std::vector<core::LocalMap> earlier_map_;
   ros::Publisher publisher_, relocalisation_publisher_;

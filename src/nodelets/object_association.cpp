@@ -1,8 +1,6 @@
-#include <deque>
 #include <map>
 #include <memory>
 #include <pluginlib/class_list_macros.hpp>
-#include <set>
 
 #include "ros/frame_joiner.h"
 #include "ros/map_view.h"
@@ -30,8 +28,6 @@ class ObjectAssociationNodelet : public Stage {
   void onInit() override {
     ClassStageParameters parameters;
     if (!start(&options_, &parameters, 2)) return;
-    classes_ = load_classes(parameters.class_table);
-    if (!classes_) return;
     joiner_ = std::make_unique<Joiner>(queue_capacity());
     associations_publisher_ = advertise<AssociationsMessage>("associations");
     done_publisher_ = advertise<FrameDone>("frame_done");
@@ -44,7 +40,7 @@ class ObjectAssociationNodelet : public Stage {
   }
 
   void reset_session() override {
-    associator_ = std::make_unique<core::ObjectAssociator>(options_.association, classes_);
+    associator_ = std::make_unique<core::ObjectAssociator>(options_.association, classes());
     follower_ = MapFollower();
     full_map_subscriber_.shutdown();
     joiner_->clear();
@@ -90,11 +86,8 @@ class ObjectAssociationNodelet : public Stage {
   void take_over(const std::vector<core::MapUpdate>& updates) {
     for (const core::MapUpdate& update : updates) associator_->apply(update);
     statistics().set(kVersionGaps, follower_.gaps());
-    if (follower_.has_gap() && !full_map_subscriber_) {
-      full_map_subscriber_ = make_subscriber("quadric_map", Keep::kAlways, &ObjectAssociationNodelet::on_full_map);
-    } else if (!follower_.has_gap() && full_map_subscriber_) {
-      full_map_subscriber_.shutdown();
-    }
+    toggle(follower_.has_gap(), "quadric_map", Keep::kAlways, &ObjectAssociationNodelet::on_full_map,
+           &full_map_subscriber_);
   }
 
   /// Corrections come in order of frames, so what is older and still open got lost on its way.
@@ -124,7 +117,6 @@ class ObjectAssociationNodelet : public Stage {
   static constexpr char kVersionGaps[] = "gaps between map versions";
 
   core::Options options_;
-  std::shared_ptr<const core::ClassTable> classes_;
   ros::Publisher associations_publisher_, done_publisher_;
   ros::Subscriber full_map_subscriber_;
   std::unique_ptr<Joiner> joiner_;

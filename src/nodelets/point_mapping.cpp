@@ -1,10 +1,8 @@
-#include <filesystem>
+#include <memory>
 #include <mutex>
 #include <pluginlib/class_list_macros.hpp>
 #include <string>
 
-#include "ros/parameters.h"
-#include "ros/publishers.h"
 #include "ros/stage.h"
 #include "semantic_topo_loop/SavePoints.h"
 #include "semantic_topo_loop/io/point_cloud_file.h"
@@ -59,17 +57,9 @@ class PointMappingNodelet : public Stage {
   }
 
   bool on_save(SavePoints::Request& request, SavePoints::Response& response) {
-    std::error_code error_code;
-    const std::filesystem::path path = std::filesystem::absolute(request.path, error_code);
-    if (error_code) {
-      response.success = 0;
-      response.message = request.path + ": " + error_code.message();
-      return true;
-    }
     const core::MapPoints points = snapshot();
-    const core::Status written = core::write_point_cloud(path.string(), points);
-    response.success = written ? 1 : 0;
-    response.message = written ? path.lexically_normal().string() : written.message();
+    answer(write_to(request.path, [&points](const std::string& path) { return core::write_point_cloud(path, points); }),
+           &response);
     return true;
   }
 

@@ -6,12 +6,10 @@
 #include <deque>
 #include <map>
 #include <memory>
-#include <optional>
 #include <pluginlib/class_list_macros.hpp>
 #include <string>
 
 #include "ros/frontend_stage.h"
-#include "ros/parameters.h"
 #include "ros/pose_source.h"
 #include "semantic_topo_loop/FrameDone.h"
 #include "semantic_topo_loop/io/tum_trajectory.h"
@@ -65,16 +63,10 @@ class PoseFrontendNodelet : public FrontendStage {
   void subscribe_all() {
     constexpr std::uint32_t kOdometryQueue = 1000;  // seconds, at the rate of an inertial odometry
     const auto queue_size = static_cast<std::uint32_t>(queue_capacity());
-    if (odometry_) listen<nav_msgs::Odometry>("odometry", kOdometryQueue, &PoseFrontendNodelet::on_odometry);
-    if (parameters_.use_points) {
-      const boost::function<void(const sensor_msgs::PointCloud2ConstPtr&)> callback =
-          [this](const sensor_msgs::PointCloud2ConstPtr& message) {
-            push("points", Keep::kDroppable, [this, message] { on_points(message); });
-          };
-      keep_subscriber(getNodeHandle().subscribe<sensor_msgs::PointCloud2>("points", queue_size, callback));
-    }
+    if (odometry_) listen("odometry", Keep::kAlways, kOdometryQueue, &PoseFrontendNodelet::on_odometry);
+    if (parameters_.use_points) listen("points", Keep::kDroppable, queue_size, &PoseFrontendNodelet::on_points);
     if (parameters_.trigger == "detections") {
-      listen<DetectionsMessage>("detections_in", queue_size, &PoseFrontendNodelet::on_detections);
+      listen("detections_in", Keep::kAlways, queue_size, &PoseFrontendNodelet::on_detections);
     }
   }
 
@@ -97,10 +89,10 @@ class PoseFrontendNodelet : public FrontendStage {
     resolve();
   }
 
-  void on_detections(const DetectionsMessage& message) { take_trigger(to_stamp_ns(message.header.stamp)); }
+  void on_detections(const DetectionsMessage::ConstPtr& message) { take_trigger(to_stamp_ns(message->header.stamp)); }
 
-  void on_odometry(const nav_msgs::Odometry& message) {
-    if (const core::Status added = odometry_->add(message); !added) complain("bad odometry", added.message());
+  void on_odometry(const nav_msgs::Odometry::ConstPtr& message) {
+    if (const core::Status added = odometry_->add(*message); !added) complain("bad odometry", added.message());
     resolve();
   }
 

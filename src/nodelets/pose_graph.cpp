@@ -1,22 +1,70 @@
 #include "semantic_topo_loop/pose_graph/pose_graph.h"
 
 #include <nav_msgs/Path.h>
+#include <tf2_ros/transform_broadcaster.h>
 
+#include <algorithm>
 #include <chrono>
+#include <cmath>
 #include <future>
 #include <memory>
+#include <mutex>
 #include <optional>
 #include <pluginlib/class_list_macros.hpp>
+#include <string>
 #include <utility>
 #include <vector>
 
 #include "ros/frame_joiner.h"
-#include "ros/parameters.h"
-#include "ros/publishers.h"
 #include "ros/stage.h"
 #include "semantic_topo_loop/WithdrawLoop.h"
 
 namespace semantic_topo_loop {
+namespace {
+
+/// Sends map -> odom at a fixed rate, whatever the pose graph is doing. Thread-safe.
+class MapOdomSender {
+ public:
+  /// @param tolerance_s how far the transform is dated ahead of the last pose, so that listeners need not wait
+  MapOdomSender(std::string map_frame, double tolerance_s)
+      : map_frame_(std::move(map_frame)), tolerance_ns_(std::llround(tolerance_s * 1e9)) {}
+
+  void update(const core::SE3& T_map_odom, const ros::Time& stamp, const std::string& odom_frame) {
+    const std::lock_guard<std::mutex> lock(mutex_);
+    T_map_odom_ = T_map_odom;
+    odom_frame_ = odom_frame;
+    const std::int64_t stamp_ns = to_stamp_ns(stamp);
+    if (stamp_ns < pose_stamp_ns_) sent_stamp_ns_ = -1;  // time went back, with a new session
+    pose_stamp_ns_ = stamp_ns;
+  }
+
+  /// Call at the wanted rate. Nothing is sent before the first pose.
+  void send() {
+    geometry_msgs::TransformStamped message;
+    {
+      const std::lock_guard<std::mutex> lock(mutex_);
+      if (pose_stamp_ns_ < 0) return;
+      // tf2 warns of a transform with the stamp of the one before: while no pose comes, one nanosecond makes it
+      // another.
+      sent_stamp_ns_ = std::max(pose_stamp_ns_ + tolerance_ns_, sent_stamp_ns_ + 1);
+      message = make_transform(make_header(to_ros_time(sent_stamp_ns_), map_frame_), odom_frame_, T_map_odom_);
+    }
+    broadcaster_.sendTransform(message);
+  }
+
+ private:
+  const std::string map_frame_;
+  const std::int64_t tolerance_ns_;
+  tf2_ros::TransformBroadcaster broadcaster_;
+  std::mutex mutex_;  ///< guards all below
+  core::SE3 T_map_odom_;
+  std::string odom_frame_;
+  std::int64_t pose_stamp_ns_ = -1;
+  std::int64_t sent_stamp_ns_ = -1;
+};
+
+}  // namespace
+
 /// Owns the keyframe poses: optimises them with the loops, and with the objects if they take part, publishes
 /// corrections, paths and the transform from map to odometry.
 class PoseGraphNodelet : public Stage {

@@ -2,7 +2,6 @@
 #include <pluginlib/class_list_macros.hpp>
 
 #include "ros/frame_joiner.h"
-#include "ros/parameters.h"
 #include "ros/stage.h"
 #include "semantic_topo_loop/map/quadric_mapper.h"
 
@@ -20,8 +19,6 @@ class QuadricMappingNodelet : public Stage {
 
   void onInit() override {
     if (!start(&options_, &parameters_, 2)) return;
-    classes_ = load_classes(parameters_.class_table);
-    if (!classes_) return;
     joiner_ = std::make_unique<Joiner>(queue_capacity());
     update_publisher_ = advertise<MapUpdateMessage>("quadric_map_updates");
     map_publisher_ = advertise<MapMessage>("quadric_map", true);
@@ -35,7 +32,7 @@ class QuadricMappingNodelet : public Stage {
   }
 
   void reset_session() override {
-    mapper_ = std::make_unique<core::QuadricMapper>(options_.mapping, classes_);
+    mapper_ = std::make_unique<core::QuadricMapper>(options_.mapping, classes());
     joiner_->clear();
     published_version_ = 0;
   }
@@ -77,7 +74,6 @@ class QuadricMappingNodelet : public Stage {
 
   core::Options options_;
   QuadricMappingParameters parameters_;
-  std::shared_ptr<const core::ClassTable> classes_;
   ros::Publisher update_publisher_, map_publisher_;
   std::unique_ptr<Joiner> joiner_;
   std::unique_ptr<core::QuadricMapper> mapper_;

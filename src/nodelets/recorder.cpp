@@ -1,13 +1,11 @@
 #include <std_msgs/String.h>
 #include <std_srvs/Trigger.h>
 
-#include <filesystem>
 #include <memory>
 #include <mutex>
 #include <pluginlib/class_list_macros.hpp>
 
 #include "ros/frame_joiner.h"
-#include "ros/parameters.h"
 #include "ros/stage.h"
 #include "semantic_topo_loop/io/run_recorder.h"
 
@@ -27,8 +25,6 @@ class RecorderNodelet : public Stage {
   void onInit() override {
     core::Options options;
     if (!start(&options, &parameters_, 6)) return;
-    classes_ = load_classes(parameters_.class_table);
-    if (!classes_) return;
     joiner_ = std::make_unique<Joiner>(queue_capacity());
     reset_session();
     written_publisher_ = advertise<std_msgs::String>("results_written", true);
@@ -46,31 +42,19 @@ class RecorderNodelet : public Stage {
   void reset_session() override {
     joiner_->clear();
     const std::lock_guard<std::mutex> lock(mutex_);
-    recorder_ = std::make_unique<core::RunRecorder>(classes_);
+    recorder_ = std::make_unique<core::RunRecorder>(classes());
   }
 
   bool on_save(std_srvs::Trigger::Request&, std_srvs::Trigger::Response& response) {
-    if (parameters_.output_dir.empty()) {
-      response.success = false;
-      response.message = "parameter 'output_dir' is empty: nothing was recorded";
-    } else {
-      response.success = write(&response.message);
-    }
+    const core::Error nowhere{"parameter 'output_dir' is empty: nothing was recorded"};
+    answer(parameters_.output_dir.empty() ? nowhere : write(), &response);
     return true;
   }
 
-  /// @param answer absolute path of the directory, or the error
-  bool write(std::string* answer) {
-    std::error_code error_code;
-    const std::filesystem::path directory = std::filesystem::absolute(parameters_.output_dir, error_code);
-    if (error_code) {
-      *answer = parameters_.output_dir + ": " + error_code.message();
-      return false;
-    }
+  /// @return absolute path of the directory
+  core::Result<std::string> write() {
     const std::lock_guard<std::mutex> lock(mutex_);
-    const core::Status written = recorder_->write(directory.string());
-    *answer = written ? directory.lexically_normal().string() : written.message();
-    return static_cast<bool>(written);
+    return write_to(parameters_.output_dir, [this](const std::string& path) { return recorder_->write(path); });
   }
 
   void on_frame(const FrameMessage::ConstPtr& frame) {
@@ -122,19 +106,19 @@ class RecorderNodelet : public Stage {
   }
 
   void write_results() {
-    auto message = boost::make_shared<std_msgs::String>();
-    if (write(&message->data)) {
-      NODELET_INFO("results written to %s", message->data.c_str());
+    if (const core::Result<std::string> written = write()) {
+      NODELET_INFO("results written to %s", written->c_str());
       statistics().set_failure("");
+      auto message = boost::make_shared<std_msgs::String>();
+      message->data = *written;
       written_publisher_.publish(message);
     } else {
-      statistics().set_failure(message->data);
-      NODELET_ERROR("results not written: %s", message->data.c_str());
+      statistics().set_failure(written.message());
+      NODELET_ERROR("results not written: %s", written.message().c_str());
     }
   }
 
   RecorderParameters parameters_;
-  std::shared_ptr<const core::ClassTable> classes_;
   ros::Publisher written_publisher_;
   std::unique_ptr<Joiner> joiner_;
   std::mutex mutex_;  ///< guards recorder_, which the worker fills and the service reads

@@ -11,7 +11,6 @@
 #include <tuple>
 
 #include "ros/frontend_stage.h"
-#include "ros/parameters.h"
 #include "ros/rgbd_images.h"
 #include "semantic_topo_loop/FrameDone.h"
 #include "semantic_topo_loop/frontend/rgbd_image.h"

@@ -3,13 +3,9 @@
 #include <memory>
 #include <optional>
 #include <pluginlib/class_list_macros.hpp>
-#include <string>
-#include <utility>
 
 #include "ros/map_view.h"
 #include "ros/markers.h"
-#include "ros/parameters.h"
-#include "ros/publishers.h"
 #include "ros/stage.h"
 #include "semantic_topo_loop/Keyframe.h"
 #include "semantic_topo_loop/geometry/lie.h"
@@ -26,8 +22,6 @@ class VisualizationNodelet : public Stage {
   void onInit() override {
     core::Options options;
     if (!start(&options, &parameters_, 2)) return;
-    classes_ = load_classes(parameters_.class_table);
-    if (!classes_) return;
     quadrics_.open(advertise<visualization_msgs::MarkerArray>("markers/quadrics"));
     labels_.open(advertise<visualization_msgs::MarkerArray>("markers/labels"));
     topology_.open(advertise<visualization_msgs::MarkerArray>("markers/topology"));
@@ -63,7 +57,8 @@ class VisualizationNodelet : public Stage {
       if (update.map_version == update.base_version) continue;
       for (LazyPublisher* publisher : {&quadrics_, &labels_, &topology_}) publisher->mark_changed();
     }
-    toggle(follower_.has_gap(), "quadric_map", &VisualizationNodelet::on_full_map, &full_map_subscriber_);
+    toggle(follower_.has_gap(), "quadric_map", Keep::kDroppable, &VisualizationNodelet::on_full_map,
+           &full_map_subscriber_);
   }
 
   void on_correction(const CorrectionMessage::ConstPtr& message) {
@@ -102,37 +97,25 @@ class VisualizationNodelet : public Stage {
                       (sent_upright_->t - T_map_upright->t).norm() < kSameDistanceM;
     if (same) return;
     sent_upright_ = T_map_upright;
-    geometry_msgs::TransformStamped message;
-    message.header = make_header(stamp_, parameters_.map_frame);
-    message.child_frame_id = parameters_.upright_frame;
-    message.transform = to_transform_msg(*T_map_upright);
-    tf_broadcaster_->sendTransform(message);
+    const std_msgs::Header header = make_header(stamp_, parameters_.map_frame);
+    tf_broadcaster_->sendTransform(make_transform(header, parameters_.upright_frame, *T_map_upright));
   }
 
   void publish() {
     send_upright_frame();
-    toggle(keyframes_.has_listeners(), "frames", &VisualizationNodelet::on_frame, &frame_subscriber_);
-    toggle(topology_.has_listeners(), "associations", &VisualizationNodelet::on_associations, &association_subscriber_);
+    toggle(keyframes_.has_listeners(), "frames", Keep::kDroppable, &VisualizationNodelet::on_frame, &frame_subscriber_);
+    toggle(topology_.has_listeners(), "associations", Keep::kDroppable, &VisualizationNodelet::on_associations,
+           &association_subscriber_);
     const std_msgs::Header header = make_header(stamp_, parameters_.map_frame);
     const MarkerSizes& sizes = parameters_.sizes;
     if (quadrics_.is_due()) quadrics_.publish(make_quadric_markers(view_, header));
-    if (labels_.is_due()) labels_.publish(make_label_markers(view_, header, *classes_, sizes));
+    if (labels_.is_due()) labels_.publish(make_label_markers(view_, header, *classes(), sizes));
     if (topology_.is_due()) topology_.publish(make_topology_markers(view_, header, sizes));
     if (loops_.is_due()) loops_.publish(make_loop_markers(view_, header, sizes));
     if (keyframes_.is_due()) keyframes_.publish(make_keyframe_markers(view_, header, sizes));
   }
 
-  /// Subscribes while wanted, and only then.
-  template <class Message>
-  void toggle(bool wanted, const std::string& topic,
-              void (VisualizationNodelet::*handler)(const boost::shared_ptr<const Message>&),
-              ros::Subscriber* subscriber) {
-    if (wanted && !*subscriber) *subscriber = make_subscriber(topic, Keep::kDroppable, handler);
-    if (!wanted && *subscriber) subscriber->shutdown();
-  }
-
   VisualizationParameters parameters_;
-  std::shared_ptr<const core::ClassTable> classes_;
   LazyPublisher quadrics_, labels_, topology_, loops_, keyframes_;
   ros::Subscriber frame_subscriber_, association_subscriber_, full_map_subscriber_;
   std::unique_ptr<tf2_ros::StaticTransformBroadcaster> tf_broadcaster_;

@@ -96,10 +96,13 @@ geometry_msgs::Pose to_msg(const core::SE3& T) {
   return message;
 }
 
-geometry_msgs::Transform to_transform_msg(const core::SE3& T) {
-  geometry_msgs::Transform message;
-  message.translation = to_vector_msg(T.t);
-  message.rotation = to_msg(T).orientation;
+geometry_msgs::TransformStamped make_transform(const std_msgs::Header& header, const std::string& child,
+                                               const core::SE3& T_parent_child) {
+  geometry_msgs::TransformStamped message;
+  message.header = header;
+  message.child_frame_id = child;
+  message.transform.translation = to_vector_msg(T_parent_child.t);
+  message.transform.rotation = to_msg(T_parent_child).orientation;
   return message;
 }
 

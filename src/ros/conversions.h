@@ -1,7 +1,7 @@
 #pragma once
 
 #include <geometry_msgs/Pose.h>
-#include <geometry_msgs/Transform.h>
+#include <geometry_msgs/TransformStamped.h>
 #include <ros/time.h>
 #include <sensor_msgs/CameraInfo.h>
 #include <sensor_msgs/PointCloud2.h>
@@ -37,7 +37,9 @@ std::string strip_leading_slash(const std::string& frame_id);
 geometry_msgs::Vector3 to_vector_msg(const core::Vec3& v);
 geometry_msgs::Point to_point_msg(const core::Vec3& p);
 geometry_msgs::Pose to_msg(const core::SE3& T);
-geometry_msgs::Transform to_transform_msg(const core::SE3& T);
+/// @param header with the parent's frame id
+geometry_msgs::TransformStamped make_transform(const std_msgs::Header& header, const std::string& child,
+                                               const core::SE3& T_parent_child);
 core::SE3 from_msg(const geometry_msgs::Pose& message);
 
 /// Fills size, K, D (plumb_bob), R = I and P = [K 0].

@@ -1,7 +1,9 @@
 #pragma once
 
+#include <algorithm>
 #include <cstddef>
 #include <cstdint>
+#include <cstdlib>
 #include <deque>
 #include <functional>
 #include <map>
@@ -9,6 +11,7 @@
 #include <tuple>
 #include <utility>
 
+#include "ros/conversions.h"
 #include "semantic_topo_loop/ros/messages.h"
 
 namespace semantic_topo_loop {
@@ -88,14 +91,43 @@ class DetectionMatcher {
   explicit DetectionMatcher(std::size_t capacity) : capacity_(capacity) {}
 
   /// Time that jumps back by more than a second makes what waits worthless.
-  void add(const DetectionsMessage::ConstPtr& detections);
+  void add(const DetectionsMessage::ConstPtr& detections) {
+    const bool jumped_back = !waiting_.empty() && stamp_of(detections) < stamp_of(waiting_.back()) - kJumpBack_ns;
+    if (jumped_back) {
+      unmatched_ += waiting_.size();
+      waiting_.clear();
+    }
+    waiting_.push_back(detections);
+    if (waiting_.size() > capacity_) {
+      ++unmatched_;
+      waiting_.pop_front();
+    }
+  }
+
   /// The detections of the image with this stamp (within 1 us), which are then gone, as are older ones: frames come in
   /// order.
-  DetectionsMessage::ConstPtr take(std::int64_t stamp_ns);
+  DetectionsMessage::ConstPtr take(std::int64_t stamp_ns) {
+    const auto found = std::find_if(waiting_.begin(), waiting_.end(), [stamp_ns](const DetectionsMessage::ConstPtr& d) {
+      return std::abs(stamp_of(d) - stamp_ns) <= kStampTolerance_ns;
+    });
+    if (found == waiting_.end()) return nullptr;
+    const DetectionsMessage::ConstPtr detections = *found;
+    waiting_.erase(found);
+    const auto is_older = [stamp_ns](const DetectionsMessage::ConstPtr& d) { return stamp_of(d) < stamp_ns; };
+    const auto end = std::remove_if(waiting_.begin(), waiting_.end(), is_older);
+    unmatched_ += static_cast<std::uint64_t>(std::distance(end, waiting_.end()));
+    waiting_.erase(end, waiting_.end());
+    return detections;
+  }
+
   /// Detections that no frame ever asked for, or only before they came.
   std::uint64_t unmatched() const { return unmatched_; }
 
  private:
+  static std::int64_t stamp_of(const DetectionsMessage::ConstPtr& detections) {
+    return to_stamp_ns(detections->header.stamp);
+  }
+
   const std::size_t capacity_;
   std::deque<DetectionsMessage::ConstPtr> waiting_;  ///< in order of arrival
   std::uint64_t unmatched_ = 0;

@@ -40,12 +40,12 @@ void FrontendStage::follow_stream() {
   constexpr std::uint32_t kTfQueue = 1000;  // seconds of tf at the rate of a robot with many joints
   const auto queue_size = static_cast<std::uint32_t>(queue_capacity());
   if (transforms_) {
-    listen<tf2_msgs::TFMessage>("/tf_static", kTfQueue, &FrontendStage::on_static_transforms);
-    listen<tf2_msgs::TFMessage>("/tf", kTfQueue, &FrontendStage::on_transforms);
+    listen("/tf_static", Keep::kAlways, kTfQueue, &FrontendStage::on_static_transforms);
+    listen("/tf", Keep::kAlways, kTfQueue, &FrontendStage::on_transforms);
   }
-  listen<std_msgs::Empty>("session_queries", queue_size, &FrontendStage::on_query);
-  listen<std_msgs::Empty>("end_of_stream", queue_size, &FrontendStage::on_stream_end);
-  listen<sensor_msgs::CameraInfo>("camera_info", queue_size, &FrontendStage::on_camera_info);
+  listen("session_queries", Keep::kAlways, queue_size, &FrontendStage::on_query);
+  listen("end_of_stream", Keep::kAlways, queue_size, &FrontendStage::on_stream_end);
+  listen("camera_info", Keep::kAlways, queue_size, &FrontendStage::on_camera_info);
   push("start", Keep::kAlways, [this] { begin_session("start"); });
 }
 
@@ -104,14 +104,14 @@ void FrontendStage::resume() {
   control(SessionControl::COMMAND_RESUME, "resume was called");
 }
 
-void FrontendStage::on_camera_info(const sensor_msgs::CameraInfo& message) {
-  if (parameters_.camera_frame.empty()) camera_frame_ = strip_leading_slash(message.header.frame_id);
+void FrontendStage::on_camera_info(const sensor_msgs::CameraInfo::ConstPtr& message) {
+  if (parameters_.camera_frame.empty()) camera_frame_ = strip_leading_slash(message->header.frame_id);
   if (!has_camera_file_) {
-    const core::Result<core::Camera> camera = checked_camera(message);
+    const core::Result<core::Camera> camera = checked_camera(*message);
     camera_ = camera ? std::optional(*camera) : std::nullopt;
     if (!camera) complain("camera_info without a usable calibration", camera.message() + "; give camera_file");
   }
-  on_camera_stamp(to_stamp_ns(message.header.stamp));
+  on_camera_stamp(to_stamp_ns(message->header.stamp));
 }
 
 void FrontendStage::take_transforms(const tf2_msgs::TFMessage& message, bool is_static) {
@@ -201,11 +201,8 @@ void FrontendStage::publish_odom_tf(const core::Frame& frame) {
     }
     T_odom_child = T_odom_child * *T_camera_base;
   }
-  geometry_msgs::TransformStamped transform;
-  transform.header = make_header(to_ros_time(frame.stamp_ns), parameters_.odom_frame);
-  transform.child_frame_id = child;
-  transform.transform = to_transform_msg(T_odom_child);
-  broadcaster_->sendTransform(transform);
+  const std_msgs::Header header = make_header(to_ros_time(frame.stamp_ns), parameters_.odom_frame);
+  broadcaster_->sendTransform(make_transform(header, child, T_odom_child));
 }
 
 void FrontendStage::publish_done(std::int64_t stamp_ns, std::uint8_t status) {

@@ -33,14 +33,6 @@ class FrontendStage : public Stage {
   /// Follows tf, camera_info and the end of the stream, and opens the session: who hears of it takes this nodelet for
   /// ready.
   void follow_stream();
-  template <class Message, class Derived>
-  void listen(const std::string& topic, std::uint32_t queue_size, void (Derived::*handler)(const Message&)) {
-    using ConstPtr = boost::shared_ptr<const Message>;
-    const boost::function<void(const ConstPtr&)> callback = [this, topic, handler](const ConstPtr& message) {
-      push(topic, Keep::kAlways, [this, handler, message] { (static_cast<Derived*>(this)->*handler)(*message); });
-    };
-    keep_subscriber(getNodeHandle().template subscribe<Message>(topic, queue_size, callback));
-  }
 
   /// A new session begins: forget the images that wait.
   virtual void forget() = 0;
@@ -76,11 +68,11 @@ class FrontendStage : public Stage {
   bool is_in_order(std::int64_t stamp_ns);
 
   /// Somebody came late: repeats the last command, for the stages to acknowledge it once more.
-  void on_query(const std_msgs::Empty& /*message*/) { control_publisher_.publish(control_); }
-  void on_stream_end(const std_msgs::Empty& /*message*/) { on_end(); }
-  void on_camera_info(const sensor_msgs::CameraInfo& message);
-  void on_transforms(const tf2_msgs::TFMessage& message) { take_transforms(message, false); }
-  void on_static_transforms(const tf2_msgs::TFMessage& message) { take_transforms(message, true); }
+  void on_query(const std_msgs::Empty::ConstPtr& /*message*/) { control_publisher_.publish(control_); }
+  void on_stream_end(const std_msgs::Empty::ConstPtr& /*message*/) { on_end(); }
+  void on_camera_info(const sensor_msgs::CameraInfo::ConstPtr& message);
+  void on_transforms(const tf2_msgs::TFMessage::ConstPtr& message) { take_transforms(*message, false); }
+  void on_static_transforms(const tf2_msgs::TFMessage::ConstPtr& message) { take_transforms(*message, true); }
   void take_transforms(const tf2_msgs::TFMessage& message, bool is_static);
 
   void publish_frame(core::Frame frame);

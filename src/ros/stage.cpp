@@ -1,5 +1,6 @@
 #include "ros/stage.h"
 
+#include <algorithm>
 #include <atomic>
 
 #include "semantic_topo_loop/io/yaml_files.h"
@@ -12,19 +13,87 @@ constexpr char kQueueFull[] = "dropped, queue full";
 constexpr char kErrors[] = "errors";
 constexpr double kDiagnosticsPeriodS = 1.0;  ///< diagnostic_updater's own
 constexpr double kErrorLogPeriodS = 5.0;     ///< an error a frame must not flood the log
+constexpr std::size_t kLatencies = 512;      ///< of the last frames: some 17 s at 30 Hz
+
+double percentile(std::vector<double> values, double share) {
+  if (values.empty()) return 0.0;
+  const auto rank = static_cast<std::size_t>(share * static_cast<double>(values.size() - 1) + 0.5);
+  std::nth_element(values.begin(), values.begin() + static_cast<std::ptrdiff_t>(rank), values.end());
+  return values[rank];
+}
 
 }  // namespace
+
+void StageStatistics::count_input(const std::string& topic) {
+  const std::lock_guard<std::mutex> lock(mutex_);
+  ++inputs_[topic];
+}
+
+void StageStatistics::count_processed(Clock::time_point arrival) {
+  const double latency_ms = std::chrono::duration<double, std::milli>(Clock::now() - arrival).count();
+  const std::lock_guard<std::mutex> lock(mutex_);
+  ++processed_;
+  if (latencies_ms_.size() < kLatencies) {
+    latencies_ms_.push_back(latency_ms);
+  } else {
+    latencies_ms_[next_latency_] = latency_ms;
+    next_latency_ = (next_latency_ + 1) % kLatencies;
+  }
+}
+
+void StageStatistics::count(const std::string& counter, std::uint64_t n) {
+  const std::lock_guard<std::mutex> lock(mutex_);
+  counters_[counter] += n;
+}
+
+bool StageStatistics::count_first(const std::string& counter) {
+  const std::lock_guard<std::mutex> lock(mutex_);
+  return ++counters_[counter] == 1;
+}
+
+void StageStatistics::set(const std::string& counter, std::uint64_t value) {
+  const std::lock_guard<std::mutex> lock(mutex_);
+  counters_[counter] = value;
+}
+
+void StageStatistics::set_failure(const std::string& failure) {
+  const std::lock_guard<std::mutex> lock(mutex_);
+  failure_ = failure;
+}
+
+StageStatistics::Snapshot StageStatistics::take_snapshot() {
+  const std::lock_guard<std::mutex> lock(mutex_);
+  const Clock::time_point now = Clock::now();
+  const double elapsed_s = std::max(1e-3, std::chrono::duration<double>(now - last_snapshot_).count());
+  Snapshot snapshot;
+  for (const auto& [topic, n] : inputs_) {
+    snapshot.input_rates_hz[topic] = static_cast<double>(n - inputs_before_[topic]) / elapsed_s;
+  }
+  snapshot.processed = processed_;
+  snapshot.processed_hz = static_cast<double>(processed_ - processed_before_) / elapsed_s;
+  snapshot.counters = counters_;
+  snapshot.latency_p50_ms = percentile(latencies_ms_, 0.50);
+  snapshot.latency_p95_ms = percentile(latencies_ms_, 0.95);
+  snapshot.failure = failure_;
+  inputs_before_ = inputs_;
+  processed_before_ = processed_;
+  last_snapshot_ = now;
+  return snapshot;
+}
 
 void Stage::fail(const std::string& error) {
   NODELET_FATAL("%s is not working: %s", name_.c_str(), error.c_str());
   statistics_.set_failure(error);
 }
 
-std::shared_ptr<const core::ClassTable> Stage::load_classes(const std::string& path) {
+bool Stage::load_classes(const std::string& path) {
   core::Result<core::ClassTable> classes = core::read_class_table(path);
-  if (classes) return std::make_shared<const core::ClassTable>(std::move(*classes));
-  fail(classes.message());
-  return nullptr;
+  if (!classes) {
+    fail(classes.message());
+    return false;
+  }
+  classes_ = std::make_shared<const core::ClassTable>(std::move(*classes));
+  return true;
 }
 
 void Stage::complain(const std::string& cause, const std::string& detail) {
@@ -42,10 +111,7 @@ void Stage::stop() {
 
 void Stage::follow_sessions() {
   ack_publisher_ = advertise<SessionAck>("session_acks");
-  const boost::function<void(const SessionControl::ConstPtr&)> callback = [this](const SessionControl::ConstPtr& m) {
-    push("session_control", Keep::kAlways, [this, m] { handle_session(*m); });
-  };
-  keep_subscriber(getNodeHandle().subscribe<SessionControl>("session_control", queue_size_, callback));
+  listen("session_control", Keep::kAlways, queue_size_, &Stage::handle_session);
 }
 
 void Stage::push(const std::string& topic, Keep keep, Worker::Task task) {
@@ -118,19 +184,19 @@ bool Stage::is_current(std::uint32_t session_id) {
   return false;
 }
 
-void Stage::handle_session(const SessionControl& control) {
+void Stage::handle_session(const SessionControl::ConstPtr& control) {
   // A late nodelet may see the latched PAUSE of a session whose START it missed; a latched START may come twice; a
   // reloaded owner may use an id again.
-  const bool is_start = control.command == SessionControl::COMMAND_START;
-  if (control.session_id != session_id_ || (is_start && control.header.stamp != session_stamp_)) {
-    session_id_ = control.session_id;
+  const bool is_start = control->command == SessionControl::COMMAND_START;
+  if (control->session_id != session_id_ || (is_start && control->header.stamp != session_stamp_)) {
+    session_id_ = control->session_id;
     reset_session();
   }
-  if (is_start) session_stamp_ = control.header.stamp;
+  if (is_start) session_stamp_ = control->header.stamp;
   auto ack = boost::make_shared<SessionAck>();
-  ack->header.stamp = control.header.stamp;
-  ack->session_id = control.session_id;
-  ack->command = control.command;
+  ack->header.stamp = control->header.stamp;
+  ack->session_id = control->session_id;
+  ack->command = control->command;
   ack->stage = name_;
   ack_publisher_.publish(ack);
 }

@@ -4,16 +4,18 @@
 #include <nodelet/nodelet.h>
 #include <ros/ros.h>
 
+#include <chrono>
 #include <cstdint>
-#include <functional>
+#include <filesystem>
 #include <map>
 #include <memory>
+#include <mutex>
 #include <string>
+#include <type_traits>
 #include <vector>
 
 #include "ros/conversions.h"
 #include "ros/parameters.h"
-#include "ros/stage_statistics.h"
 #include "ros/worker.h"
 #include "semantic_topo_loop/SessionAck.h"
 #include "semantic_topo_loop/SessionControl.h"
@@ -21,6 +23,68 @@
 #include "semantic_topo_loop/types/class_table.h"
 
 namespace semantic_topo_loop {
+
+/// Counters of one stage for its diagnostics. Thread-safe.
+class StageStatistics {
+ public:
+  using Clock = std::chrono::steady_clock;
+
+  /// A look at the counters; rates are since the previous look.
+  struct Snapshot {
+    std::map<std::string, double> input_rates_hz;
+    double processed_hz = 0.0;
+    std::uint64_t processed = 0;
+    std::map<std::string, std::uint64_t> counters;
+    double latency_p50_ms = 0.0, latency_p95_ms = 0.0;  ///< of the last 512 frames
+    std::string failure;                                ///< empty while the stage works
+  };
+
+  void count_input(const std::string& topic);
+  void count_processed(Clock::time_point arrival);
+  /// Adds to a named counter ("incomplete frames"), which is shown even while it is zero once declared.
+  void count(const std::string& counter, std::uint64_t n = 1);
+  /// Counts one. @return whether it is the counter's first
+  bool count_first(const std::string& counter);
+  /// Sets a named counter that somebody else counts.
+  void set(const std::string& counter, std::uint64_t value);
+  void set_failure(const std::string& failure);
+  Snapshot take_snapshot();
+
+ private:
+  std::mutex mutex_;  ///< guards all below
+  std::map<std::string, std::uint64_t> inputs_, inputs_before_;
+  std::map<std::string, std::uint64_t> counters_;
+  std::uint64_t processed_ = 0, processed_before_ = 0;
+  std::vector<double> latencies_ms_;  ///< ring of the last frames
+  std::size_t next_latency_ = 0;
+  std::string failure_;
+  Clock::time_point last_snapshot_ = Clock::now();
+};
+
+/// Publishes something costly only when somebody listens and has not seen it. Not thread-safe.
+class LazyPublisher {
+ public:
+  void open(const ros::Publisher& publisher) { publisher_ = publisher; }
+  bool has_listeners() const { return publisher_.getNumSubscribers() > 0; }
+  void mark_changed() { changed_ = true; }
+  /// Somebody listens, and the content changed or a listener came since the last publish.
+  bool is_due() {
+    const std::uint32_t listeners = publisher_.getNumSubscribers();
+    if (listeners > listeners_) changed_ = true;
+    listeners_ = listeners;
+    return listeners > 0 && changed_;
+  }
+  template <class MessagePtr>
+  void publish(const MessagePtr& message) {
+    changed_ = false;
+    publisher_.publish(message);
+  }
+
+ private:
+  ros::Publisher publisher_;
+  std::uint32_t listeners_ = 0;
+  bool changed_ = false;
+};
 
 /// What the nodelets share: strict parameters, a worker, sessions, diagnostics, and an order of destruction that makes
 /// unloading safe at any time. Callbacks only push to the worker; everything a stage overrides or hands to `subscribe`
@@ -34,8 +98,8 @@ class Stage : public nodelet::Nodelet {
   explicit Stage(std::string name) : name_(std::move(name)) {}
   ~Stage() override { stop(); }
 
-  /// Loads the parameters and starts worker and diagnostics. A bad parameter is one FATAL line and an error in the
-  /// diagnostics; the nodelet stays inert and the manager lives.
+  /// Loads the parameters, and the classes where the stage has some, and starts worker and diagnostics. A bad parameter
+  /// or file is one FATAL line and an error in the diagnostics; the nodelet stays inert and the manager lives.
   /// @param inputs messages a frame brings to this stage
   template <class Own>
   bool start(core::Options* options, Own* own, std::size_t inputs) {
@@ -48,14 +112,15 @@ class Stage : public nodelet::Nodelet {
     *options = parameters->options;
     *own = parameters->own;
     start_worker(own->queue_size, inputs);
+    if constexpr (std::is_base_of_v<ClassStageParameters, Own>) return load_classes(own->class_table);
     return true;
   }
   /// The nodelet cannot work: says so once, and in the diagnostics from then on.
   void fail(const std::string& error);
   /// Counts something that is wrong with the input, and warns at the first time.
   void complain(const std::string& cause, const std::string& detail);
-  /// @return null after fail() if the file cannot be used
-  std::shared_ptr<const core::ClassTable> load_classes(const std::string& path);
+  /// Of the stages whose parameters are ClassStageParameters; never null there.
+  const std::shared_ptr<const core::ClassTable>& classes() const { return classes_; }
   /// Shuts down what brings work, closes the queue and joins the thread. May be called twice.
   void stop();
 
@@ -73,17 +138,22 @@ class Stage : public nodelet::Nodelet {
                  void (Derived::*handler)(const boost::shared_ptr<const Message>&)) {
     keep_subscriber(make_subscriber<Message>(topic, keep, handler));
   }
-  /// The same, for a subscription that the stage opens and closes itself.
+  /// Messages that belong to no session.
   template <class Message, class Derived>
-  ros::Subscriber make_subscriber(const std::string& topic, Keep keep,
-                                  void (Derived::*handler)(const boost::shared_ptr<const Message>&)) {
+  void listen(const std::string& topic, Keep keep, std::uint32_t queue_size,
+              void (Derived::*handler)(const boost::shared_ptr<const Message>&)) {
     using ConstPtr = boost::shared_ptr<const Message>;
     const boost::function<void(const ConstPtr&)> callback = [this, topic, keep, handler](const ConstPtr& message) {
-      push(topic, keep, [this, message, handler] {
-        if (is_current(message->session_id)) (static_cast<Derived*>(this)->*handler)(message);
-      });
+      push(topic, keep, [this, message, handler] { (static_cast<Derived*>(this)->*handler)(message); });
     };
-    return getNodeHandle().template subscribe<Message>(topic, queue_size_, callback);
+    keep_subscriber(getNodeHandle().template subscribe<Message>(topic, queue_size, callback));
+  }
+  /// As `subscribe`, while wanted, and only then.
+  template <class Message, class Derived>
+  void toggle(bool wanted, const std::string& topic, Keep keep,
+              void (Derived::*handler)(const boost::shared_ptr<const Message>&), ros::Subscriber* subscriber) {
+    if (wanted && !*subscriber) *subscriber = make_subscriber(topic, keep, handler);
+    if (!wanted && *subscriber) subscriber->shutdown();
   }
   /// Counts an arrival on `topic` and queues the task.
   void push(const std::string& topic, Keep keep, Worker::Task task);
@@ -104,6 +174,23 @@ class Stage : public nodelet::Nodelet {
     publisher.publish(boost::make_shared<Message>(header, session_id_, std::move(value)));
   }
 
+  /// Has something written where a user wants it. @param write takes the absolute path and returns a Status
+  /// @return the absolute path, or the error
+  template <class Write>
+  static core::Result<std::string> write_to(const std::string& path, const Write& write) {
+    std::error_code error_code;
+    const std::filesystem::path absolute = std::filesystem::absolute(path, error_code);
+    if (error_code) return core::Error{path + ": " + error_code.message()};
+    if (const core::Status written = write(absolute.string()); !written) return written.error();
+    return absolute.lexically_normal().string();
+  }
+  /// A service's success and message.
+  template <class Response>
+  static void answer(const core::Result<std::string>& result, Response* response) {
+    response->success = static_cast<bool>(result);
+    response->message = result ? *result : result.message();
+  }
+
   /// Call when a frame has gone through: latency is counted from the arrival of the task that runs.
   void count_processed() { statistics_.count_processed(task_arrival_); }
   StageStatistics& statistics() { return statistics_; }
@@ -115,14 +202,28 @@ class Stage : public nodelet::Nodelet {
   std::size_t queue_capacity() const { return queue_size_; }
 
  private:
+  template <class Message, class Derived>
+  ros::Subscriber make_subscriber(const std::string& topic, Keep keep,
+                                  void (Derived::*handler)(const boost::shared_ptr<const Message>&)) {
+    using ConstPtr = boost::shared_ptr<const Message>;
+    const boost::function<void(const ConstPtr&)> callback = [this, topic, keep, handler](const ConstPtr& message) {
+      push(topic, keep, [this, message, handler] {
+        if (is_current(message->session_id)) (static_cast<Derived*>(this)->*handler)(message);
+      });
+    };
+    return getNodeHandle().template subscribe<Message>(topic, queue_size_, callback);
+  }
   void start_diagnostics();
   void start_worker(int queue_size, std::size_t inputs);
+  /// @return false after fail()
+  bool load_classes(const std::string& path);
   void report(diagnostic_updater::DiagnosticStatusWrapper& status);
   bool is_current(std::uint32_t session_id);
-  void handle_session(const SessionControl& control);
+  void handle_session(const SessionControl::ConstPtr& control);
 
   const std::string name_;
   std::uint32_t queue_size_ = 1;
+  std::shared_ptr<const core::ClassTable> classes_;
   std::uint32_t session_id_ = 0;                       ///< worker thread only
   ros::Time session_stamp_;                            ///< of the START that began it; worker thread only
   StageStatistics::Clock::time_point task_arrival_{};  ///< worker thread only

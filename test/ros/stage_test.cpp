@@ -6,7 +6,7 @@
 #include <vector>
 
 #include "ros/frame_joiner.h"
-#include "ros/stage_statistics.h"
+#include "ros/stage.h"
 #include "ros/worker.h"
 
 namespace semantic_topo_loop {
