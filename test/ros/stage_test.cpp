@@ -1,3 +1,5 @@
+#include "ros/stage.h"
+
 #include <gtest/gtest.h>
 
 #include <future>
@@ -6,7 +8,6 @@
 #include <vector>
 
 #include "ros/frame_joiner.h"
-#include "ros/stage.h"
 #include "ros/worker.h"
 
 namespace semantic_topo_loop {
