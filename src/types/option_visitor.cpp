@@ -114,7 +114,8 @@ std::string Range::rule() const {
   return std::string("in ") + (has_low_ ? "[" : "(") + to_text(low_) + ", " + to_text(high_) + (has_high_ ? "]" : ")");
 }
 
-void OptionVisitor::require(const std::string& key, bool is_kept, const std::string& rule) {
+void OptionVisitor::require(const std::string& name, bool is_kept, const std::string& rule) {
+  const std::string key = prefix_ + name;
   const auto option = std::find_if(options_.begin(), options_.end(), [&key](const Option& o) { return o.key == key; });
   if (option == options_.end()) return;
   option->relation = rule;

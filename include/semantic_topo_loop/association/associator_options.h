@@ -35,53 +35,46 @@ struct AssociatorOptions {
   double jda_distance_max = 1.6;
 
   void visit(OptionVisitor& visitor) {
-    visitor("association.mode", mode, one_of({"joint", "cascade", "jda"}),
+    visitor.module("association");
+    visitor("mode", mode, one_of({"joint", "cascade", "jda"}),
             "joint (one-to-one over all levels), cascade (the paper's three levels) or jda (the paper's baseline)");
-    visitor("association.levels", levels, {is_level_list, "a comma-separated list of 2d, pro, 3d"},
+    visitor("levels", levels, {is_level_list, "a comma-separated list of 2d, pro, 3d"},
             "levels in use, comma separated: 2d, pro, 3d");
-    visitor("association.pro_new_object", pro_new_object, one_of({"uniform", "paper"}),
+    visitor("pro_new_object", pro_new_object, one_of({"uniform", "paper"}),
             "level 2's prior of a new object: uniform (over labels and image) or paper (as printed)");
-    visitor("association.min_score", min_score, share(), "detections below this score are left out");
-    visitor("association.iou_2d_min", iou_2d_min, share(), "level 1 gate delta1: box overlap with the previous frame");
-    visitor("association.iou_3d_min", iou_3d_min, share(),
-            "level 3 gate delta2: box overlap with the projected quadric");
-    visitor("association.points_in_box_min", points_in_box_min, share(),
-            "level 3 gate delta3: share of map points in the box");
-    visitor("association.iou_joint_2d_min", iou_joint_2d_min, share(),
-            "joint mode: overlap gate for landmarks without a quadric");
-    visitor("association.suppression_iou", suppression_iou, share(),
-            "of two boxes that overlap more, the lower score is left out");
-    visitor("association.border_px", border_px, not_negative(), "sides this close to the image border count as cut");
-    visitor("association.memory_s", memory_s, not_negative(),
-            "joint mode: how long a box remains a track's last position");
-    visitor("association.memory_decay_per_s", memory_decay_per_s, not_negative(),
+    visitor("min_score", min_score, share(), "detections below this score are left out");
+    visitor("iou_2d_min", iou_2d_min, share(), "level 1 gate delta1: box overlap with the previous frame");
+    visitor("iou_3d_min", iou_3d_min, share(), "level 3 gate delta2: box overlap with the projected quadric");
+    visitor("points_in_box_min", points_in_box_min, share(), "level 3 gate delta3: share of map points in the box");
+    visitor("iou_joint_2d_min", iou_joint_2d_min, share(), "joint mode: overlap gate for landmarks without a quadric");
+    visitor("suppression_iou", suppression_iou, share(), "of two boxes that overlap more, the lower score is left out");
+    visitor("border_px", border_px, not_negative(), "sides this close to the image border count as cut");
+    visitor("memory_s", memory_s, not_negative(), "joint mode: how long a box remains a track's last position");
+    visitor("memory_decay_per_s", memory_decay_per_s, not_negative(),
             "joint mode: share of its overlap that a last box loses in each second without the object");
-    visitor("association.memory_decay_max", memory_decay_max, share(), "joint mode: the most that it loses");
-    visitor("association.memory_weight", memory_weight, share(),
+    visitor("memory_decay_max", memory_decay_max, share(), "joint mode: the most that it loses");
+    visitor("memory_weight", memory_weight, share(),
             "joint mode: weight of the overlap with the last box where there is a quadric, whose overlap has 1");
-    visitor("association.memory_iou_3d_min", memory_iou_3d_min, share(),
+    visitor("memory_iou_3d_min", memory_iou_3d_min, share(),
             "joint mode: where there is a quadric, the last box counts only if the quadric overlaps at least so much");
-    visitor("association.iou_other_label_min", iou_other_label_min, share(),
+    visitor("iou_other_label_min", iou_other_label_min, share(),
             "joint mode: overlap gate for a box of another label than the landmark's");
-    visitor("association.label_agreement_confusable", label_agreement_confusable, share(),
+    visitor("label_agreement_confusable", label_agreement_confusable, share(),
             "joint mode: agreement of a label with another one of its group (1 with itself, 0 with others)");
-    visitor("association.label_agreement_history", label_agreement_history, share(),
+    visitor("label_agreement_history", label_agreement_history, share(),
             "joint mode: agreement with a label that the landmark has often had");
-    visitor("association.label_history_min_share", label_history_min_share, share(),
+    visitor("label_history_min_share", label_history_min_share, share(),
             "joint mode: share of a landmark's summed scores from which on it has had a label often");
-    visitor("association.mature_observations", mature_observations, positive(),
+    visitor("mature_observations", mature_observations, positive(),
             "joint mode: boxes from which on a landmark is fully established (30 are a second at 30 Hz)");
-    visitor("association.mature_bonus", mature_bonus, not_negative(),
+    visitor("mature_bonus", mature_bonus, not_negative(),
             "joint mode: share by which the score of an established landmark is higher");
-    visitor("association.window_keyframes", window_keyframes, at_least(1),
+    visitor("window_keyframes", window_keyframes, at_least(1),
             "level 3: landmarks seen in this many last keyframes (all in view in joint mode)");
-    visitor("association.posterior_alpha", posterior_alpha, positive(),
-            "level 2: concentration of the Dirichlet process");
-    visitor("association.posterior_count_max", posterior_count_max, at_least(1),
-            "level 2: cap on a landmark's observation count");
-    visitor("association.range_m", range_m, positive(), "landmarks farther from the camera are not looked for");
-    visitor("association.jda_distance_max", jda_distance_max, above(0).at_most(3),
-            "jda mode: largest summed distance of a pair");
+    visitor("posterior_alpha", posterior_alpha, positive(), "level 2: concentration of the Dirichlet process");
+    visitor("posterior_count_max", posterior_count_max, at_least(1), "level 2: cap on a landmark's observation count");
+    visitor("range_m", range_m, positive(), "landmarks farther from the camera are not looked for");
+    visitor("jda_distance_max", jda_distance_max, above(0).at_most(3), "jda mode: largest summed distance of a pair");
   }
   static bool is_level_list(const std::string& text);
 };

@@ -22,26 +22,23 @@ struct FrontendOptions {
   int point_stride_px = 4;
 
   void visit(OptionVisitor& visitor) {
-    visitor("frontend.features", features, between(100, 10000), "ORB features an image, spread evenly over it");
-    visitor("frontend.levels", levels, between(1, 12), "levels of the image pyramid");
-    visitor("frontend.scale_factor", scale_factor, above(1).at_most(2), "between two levels of the pyramid");
-    visitor("frontend.corner_threshold", corner_threshold, between(1, 100),
-            "smallest contrast of a corner, grey levels");
-    visitor("frontend.registration_px", registration_px, between(0, 50),
+    visitor.module("frontend");
+    visitor("features", features, between(100, 10000), "ORB features an image, spread evenly over it");
+    visitor("levels", levels, between(1, 12), "levels of the image pyramid");
+    visitor("scale_factor", scale_factor, above(1).at_most(2), "between two levels of the pyramid");
+    visitor("corner_threshold", corner_threshold, between(1, 100), "smallest contrast of a corner, grey levels");
+    visitor("registration_px", registration_px, between(0, 50),
             "depth is taken to be off by up to this many pixels against the color image");
-    visitor("frontend.min_inliers", min_inliers, at_least(6), "fewer features that agree on a pose are no pose");
-    visitor("frontend.restart_after_s", restart_after_s, not_negative(),
+    visitor("min_inliers", min_inliers, at_least(6), "fewer features that agree on a pose are no pose");
+    visitor("restart_after_s", restart_after_s, not_negative(),
             "lost for longer, the odometry starts anew from the last pose, with a break");
-    visitor("frontend.window_keyframes", window_keyframes, at_least(2),
-            "keyframes refined by a local bundle adjustment");
-    visitor("frontend.window_iterations", window_iterations, at_least(1),
-            "iterations of a local bundle adjustment at most");
-    visitor("frontend.max_keyframes", max_keyframes, any(), "keyframes kept; the oldest ones are forgotten");
-    visitor("frontend.self_calibration", self_calibration,
+    visitor("window_keyframes", window_keyframes, at_least(2), "keyframes refined by a local bundle adjustment");
+    visitor("window_iterations", window_iterations, at_least(1), "iterations of a local bundle adjustment at most");
+    visitor("max_keyframes", max_keyframes, any(), "keyframes kept; the oldest ones are forgotten");
+    visitor("self_calibration", self_calibration,
             "find out where depth is not registered to color, and correct focal lengths that are clearly wrong");
-    visitor("frontend.point_stride_px", point_stride_px, at_least(1),
-            "grid of depth pixels that a frame hands on as points");
-    visitor.require("frontend.max_keyframes", max_keyframes >= 2 * window_keyframes, ">= 2 frontend.window_keyframes");
+    visitor("point_stride_px", point_stride_px, at_least(1), "grid of depth pixels that a frame hands on as points");
+    visitor.require("max_keyframes", max_keyframes >= 2 * window_keyframes, ">= 2 frontend.window_keyframes");
   }
 };
 

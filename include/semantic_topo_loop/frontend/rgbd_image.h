@@ -22,18 +22,18 @@ struct DepthOptions {
   std::string intrinsics;
 
   void visit(OptionVisitor& visitor) {
-    visitor("depth.scale", scale, positive(), "16UC1: units a metre; 1000 for millimetres, 5000 in TUM's PNG files");
-    visitor("depth.invalid_values", invalid_values, {are_raw_values, "whole numbers in [0, 65535]"},
+    visitor.module("depth");
+    visitor("scale", scale, positive(), "16UC1: units a metre; 1000 for millimetres, 5000 in TUM's PNG files");
+    visitor("invalid_values", invalid_values, {are_raw_values, "whole numbers in [0, 65535]"},
             "16UC1: values that mean no depth, apart from each other by blanks");
-    visitor("depth.max_m", max_m, positive(), "farther depth is left out: its noise grows with the square");
-    visitor("depth.scale_correction", scale_correction, positive(),
-            "factor on every depth; TUM's freiburg2 needs 0.96");
-    visitor("depth.color_from_depth", color_from_depth,
+    visitor("max_m", max_m, positive(), "farther depth is left out: its noise grows with the square");
+    visitor("scale_correction", scale_correction, positive(), "factor on every depth; TUM's freiburg2 needs 0.96");
+    visitor("color_from_depth", color_from_depth,
             {is_pose_or_empty, "empty or 'x y z qx qy qz qw' with a unit quaternion"},
             "T_color_depth, 'x y z qx qy qz qw', m, of depth that is not registered to the color camera; else empty");
-    visitor("depth.intrinsics", intrinsics, {is_pinhole_or_empty, "empty or 'fx fy cx cy' with fx, fy > 0"},
+    visitor("intrinsics", intrinsics, {is_pinhole_or_empty, "empty or 'fx fy cx cy' with fx, fy > 0"},
             "'fx fy cx cy', px, of the depth camera where color_from_depth is given; empty: the color camera's");
-    visitor.require("depth.intrinsics", is_blank(intrinsics) || !is_blank(color_from_depth),
+    visitor.require("intrinsics", is_blank(intrinsics) || !is_blank(color_from_depth),
                     "empty where depth.color_from_depth is");
   }
   static bool are_raw_values(const std::string& text);

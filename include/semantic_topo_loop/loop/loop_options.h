@@ -64,76 +64,68 @@ struct LoopOptions {
   int paper_consistency = 3;
 
   void visit(OptionVisitor& visitor) {
-    visitor("loop.enabled", enabled, "look for loops");
-    visitor("loop.mode", mode, one_of({"graph", "paper"}), "graph (local object graphs) or paper (shared landmarks)");
-    visitor("loop.score", score, one_of({"corrected", "printed"}), "paper mode: corrected or printed");
-    visitor("loop.scale", scale, one_of({"fixed", "free"}),
+    visitor.module("loop");
+    visitor("enabled", enabled, "look for loops");
+    visitor("mode", mode, one_of({"graph", "paper"}), "graph (local object graphs) or paper (shared landmarks)");
+    visitor("score", score, one_of({"corrected", "printed"}), "paper mode: corrected or printed");
+    visitor("scale", scale, one_of({"fixed", "free"}),
             "graph mode: fixed, or free for an odometry whose scale drifts (monocular)");
-    visitor("loop.min_gap_s", min_gap_s, positive(), "graph mode: no loop between submaps closer in time");
-    visitor("loop.max_candidates", max_candidates, at_least(1), "loops accepted a keyframe at most");
-    visitor("loop.attempt_interval_s", attempt_interval_s, not_negative(),
+    visitor("min_gap_s", min_gap_s, positive(), "graph mode: no loop between submaps closer in time");
+    visitor("max_candidates", max_candidates, at_least(1), "loops accepted a keyframe at most");
+    visitor("attempt_interval_s", attempt_interval_s, not_negative(),
             "loops are looked for this often, and at keyframes");
-    visitor("loop.window_s", window_s, positive(), "graph mode: time span of a submap, at most");
-    visitor("loop.min_window_s", min_window_s, positive(), "and at least, however poor the odometry is");
-    visitor("loop.window_drift_deg", window_drift_deg, positive(),
-            "the odometry's apparent drift within a submap, at most");
-    visitor("loop.frame_interval_s", frame_interval_s, not_negative(),
-            "frames of a submap are at least this far apart");
-    visitor("loop.store_interval_s", store_interval_s, positive(), "a submap is kept for later matches every so often");
-    visitor("loop.min_views", min_views, at_least(3), "frames of a submap that see an object, at least");
-    visitor("loop.min_parallax_deg", min_parallax_deg, positive(),
-            "largest angle between two rays to an object, at least");
-    visitor("loop.min_seen_share", min_seen_share, share(),
+    visitor("window_s", window_s, positive(), "graph mode: time span of a submap, at most");
+    visitor("min_window_s", min_window_s, positive(), "and at least, however poor the odometry is");
+    visitor("window_drift_deg", window_drift_deg, positive(), "the odometry's apparent drift within a submap, at most");
+    visitor("frame_interval_s", frame_interval_s, not_negative(), "frames of a submap are at least this far apart");
+    visitor("store_interval_s", store_interval_s, positive(), "a submap is kept for later matches every so often");
+    visitor("min_views", min_views, at_least(3), "frames of a submap that see an object, at least");
+    visitor("min_parallax_deg", min_parallax_deg, positive(), "largest angle between two rays to an object, at least");
+    visitor("min_seen_share", min_seen_share, share(),
             "share of the frames with an object in view that detect it, at least");
-    visitor("loop.max_depth_m", max_depth_m, positive(), "no object of a submap is farther away");
-    visitor("loop.max_radius_m", max_radius_m, positive(), "no object of a submap is larger");
-    visitor("loop.fit_views", fit_views, at_least(3), "boxes used to fit one object of a submap");
-    visitor("loop.up_window_s", up_window_s, positive(), "time over which the up direction is estimated");
-    visitor("loop.size_ratio_log", size_ratio_log, positive(),
+    visitor("max_depth_m", max_depth_m, positive(), "no object of a submap is farther away");
+    visitor("max_radius_m", max_radius_m, positive(), "no object of a submap is larger");
+    visitor("fit_views", fit_views, at_least(3), "boxes used to fit one object of a submap");
+    visitor("up_window_s", up_window_s, positive(), "time over which the up direction is estimated");
+    visitor("size_ratio_log", size_ratio_log, positive(),
             "two objects may correspond if the log of their size ratio is below, in magnitude");
-    visitor("loop.distance_tolerance_m", distance_tolerance_m, positive(),
+    visitor("distance_tolerance_m", distance_tolerance_m, positive(),
             "two correspondences agree if their distances differ less");
-    visitor("loop.distance_tolerance_share", distance_tolerance_share, not_negative(),
-            "plus this share of the distance");
-    visitor("loop.min_distance_m", min_distance_m, not_negative(), "objects closer to each other say nothing");
-    visitor("loop.inlier_distance_m", inlier_distance_m, positive(),
+    visitor("distance_tolerance_share", distance_tolerance_share, not_negative(), "plus this share of the distance");
+    visitor("min_distance_m", min_distance_m, not_negative(), "objects closer to each other say nothing");
+    visitor("inlier_distance_m", inlier_distance_m, positive(),
             "an object is an inlier of an alignment within this distance");
-    visitor("loop.min_inliers", min_inliers, at_least(3), "aligned objects of an accepted loop");
-    visitor("loop.min_labels", min_labels, at_least(1), "different classes of an accepted loop");
-    visitor("loop.max_rms_m", max_rms_m, positive(), "alignment error of an accepted loop");
-    visitor("loop.min_spread_m", min_spread_m, not_negative(), "second singular value of the aligned objects' spread");
-    visitor("loop.ambiguity_ratio", ambiguity_ratio, at_least(1), "score over that of the best distinct alternative");
-    visitor("loop.reprojection_iou", reprojection_iou, share(), "overlap of a projected object with its detection");
-    visitor("loop.min_reprojection_ratio", min_reprojection_ratio, share(), "matched over expected boxes, both ways");
-    visitor("loop.min_reprojected_objects", min_reprojected_objects, at_least(1),
-            "objects that reproject well, both ways");
-    visitor("loop.min_explained_share", min_explained_share, share(), "share of the detections explained, both ways");
-    visitor("loop.max_tilt_deg", max_tilt_deg, positive(), "angle between the up directions of the two submaps");
-    visitor("loop.refine_views", refine_views, at_least(1), "boxes of each object and side in the refinement");
-    visitor("loop.refine_sigma_px", refine_sigma_px, positive(), "standard deviation of a box edge in the refinement");
-    visitor("loop.refine_sigma_share", refine_sigma_share, not_negative(), "plus this share of the box size");
-    visitor("loop.refine_max_residual", refine_max_residual, positive(),
+    visitor("min_inliers", min_inliers, at_least(3), "aligned objects of an accepted loop");
+    visitor("min_labels", min_labels, at_least(1), "different classes of an accepted loop");
+    visitor("max_rms_m", max_rms_m, positive(), "alignment error of an accepted loop");
+    visitor("min_spread_m", min_spread_m, not_negative(), "second singular value of the aligned objects' spread");
+    visitor("ambiguity_ratio", ambiguity_ratio, at_least(1), "score over that of the best distinct alternative");
+    visitor("reprojection_iou", reprojection_iou, share(), "overlap of a projected object with its detection");
+    visitor("min_reprojection_ratio", min_reprojection_ratio, share(), "matched over expected boxes, both ways");
+    visitor("min_reprojected_objects", min_reprojected_objects, at_least(1), "objects that reproject well, both ways");
+    visitor("min_explained_share", min_explained_share, share(), "share of the detections explained, both ways");
+    visitor("max_tilt_deg", max_tilt_deg, positive(), "angle between the up directions of the two submaps");
+    visitor("refine_views", refine_views, at_least(1), "boxes of each object and side in the refinement");
+    visitor("refine_sigma_px", refine_sigma_px, positive(), "standard deviation of a box edge in the refinement");
+    visitor("refine_sigma_share", refine_sigma_share, not_negative(), "plus this share of the box size");
+    visitor("refine_max_residual", refine_max_residual, positive(),
             "median box residual after refinement, standard deviations");
-    visitor("loop.refine_max_shift_m", refine_max_shift_m, positive(),
-            "the refinement may move the alignment this far");
-    visitor("loop.refine_max_shift_deg", refine_max_shift_deg, positive(), "and turn it this far");
-    visitor("loop.covariance_inflation", covariance_inflation, positive(),
-            "factor on the refinement's standard deviations");
-    visitor("loop.max_sigma_m", max_sigma_m, positive(), "stated error of an accepted loop's translation, at most");
-    visitor("loop.max_sigma_deg", max_sigma_deg, positive(), "stated error of an accepted loop's rotation, at most");
-    visitor("loop.paper_min_common", paper_min_common, at_least(3),
-            "paper mode: th_objs, common landmarks of a candidate");
-    visitor("loop.paper_min_gap_frames", paper_min_gap_frames, at_least(1),
+    visitor("refine_max_shift_m", refine_max_shift_m, positive(), "the refinement may move the alignment this far");
+    visitor("refine_max_shift_deg", refine_max_shift_deg, positive(), "and turn it this far");
+    visitor("covariance_inflation", covariance_inflation, positive(), "factor on the refinement's standard deviations");
+    visitor("max_sigma_m", max_sigma_m, positive(), "stated error of an accepted loop's translation, at most");
+    visitor("max_sigma_deg", max_sigma_deg, positive(), "stated error of an accepted loop's rotation, at most");
+    visitor("paper_min_common", paper_min_common, at_least(3), "paper mode: th_objs, common landmarks of a candidate");
+    visitor("paper_min_gap_frames", paper_min_gap_frames, at_least(1),
             "paper mode: th_ids, frames between the keyframes");
-    visitor("loop.paper_window_s", paper_window_s, positive(),
+    visitor("paper_window_s", paper_window_s, positive(),
             "paper mode: time before a keyframe that its node centres come from");
-    visitor("loop.paper_printed_min_score", paper_printed_min_score, not_negative(),
+    visitor("paper_printed_min_score", paper_printed_min_score, not_negative(),
             "paper mode: threshold of the printed score");
-    visitor("loop.paper_corrected_min_score", paper_corrected_min_score, not_negative(),
+    visitor("paper_corrected_min_score", paper_corrected_min_score, not_negative(),
             "paper mode: threshold of the corrected score");
-    visitor("loop.paper_consistency", paper_consistency, at_least(1),
-            "paper mode: consecutive keyframes that must agree");
-    visitor.require("loop.min_window_s", min_window_s <= window_s, "<= loop.window_s");
+    visitor("paper_consistency", paper_consistency, at_least(1), "paper mode: consecutive keyframes that must agree");
+    visitor.require("min_window_s", min_window_s <= window_s, "<= loop.window_s");
   }
 };
 

@@ -18,11 +18,11 @@ struct PointMapOptions {
   int points_max = 2000000;
 
   void visit(OptionVisitor& visitor) {
-    visitor("point_map.semi_dense_max", semi_dense_max, at_least(1),
-            "points taken from the edges of a keyframe's image, about");
-    visitor("point_map.voxel_m", voxel_m, positive(),
+    visitor.module("point_map");
+    visitor("semi_dense_max", semi_dense_max, at_least(1), "points taken from the edges of a keyframe's image, about");
+    visitor("voxel_m", voxel_m, positive(),
             "of the semi-dense points of a keyframe, one is kept in a cube of this size");
-    visitor("point_map.points_max", points_max, at_least(1),
+    visitor("points_max", points_max, at_least(1),
             "points kept; beyond, those of the oldest keyframes are thinned, again and again");
   }
 };

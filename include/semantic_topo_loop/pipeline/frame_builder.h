@@ -19,15 +19,14 @@ struct KeyframeOptions {
   double break_gap_s = 1.0;
 
   void visit(OptionVisitor& visitor) {
-    visitor("keyframe.min_translation_m", min_translation_m, positive(),
-            "a keyframe after this motion since the last one");
-    visitor("keyframe.min_rotation_deg", min_rotation_deg, positive(),
-            "a keyframe after this rotation since the last one");
-    visitor("keyframe.max_interval_s", max_interval_s, positive(), "a keyframe after this time at the latest");
-    visitor("keyframe.break_speed_m_s", break_speed_m_s, positive(),
+    visitor.module("keyframe");
+    visitor("min_translation_m", min_translation_m, positive(), "a keyframe after this motion since the last one");
+    visitor("min_rotation_deg", min_rotation_deg, positive(), "a keyframe after this rotation since the last one");
+    visitor("max_interval_s", max_interval_s, positive(), "a keyframe after this time at the latest");
+    visitor("break_speed_m_s", break_speed_m_s, positive(),
             "faster motion between two frames is a break of the odometry");
-    visitor("keyframe.break_rate_deg_s", break_rate_deg_s, positive(), "faster rotation between two frames is a break");
-    visitor("keyframe.break_gap_s", break_gap_s, positive(), "a longer time between two poses is a break");
+    visitor("break_rate_deg_s", break_rate_deg_s, positive(), "faster rotation between two frames is a break");
+    visitor("break_gap_s", break_gap_s, positive(), "a longer time between two poses is a break");
   }
 };
 

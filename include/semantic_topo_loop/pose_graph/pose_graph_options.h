@@ -30,46 +30,42 @@ struct PoseGraphOptions {
   int object_views = 30;
 
   void visit(OptionVisitor& visitor) {
-    visitor("pose_graph.robust", robust, one_of({"gnc", "cauchy", "huber", "none"}),
+    visitor.module("pose_graph");
+    visitor("robust", robust, one_of({"gnc", "cauchy", "huber", "none"}),
             "how false loops are kept out: gnc, cauchy, huber or none");
-    visitor("pose_graph.robust_chi2", robust_chi2, positive(),
+    visitor("robust_chi2", robust_chi2, positive(),
             "squared error of a loop, in its sigmas, above which it is doubted");
-    visitor("pose_graph.gnc_loosening", gnc_loosening, at_least(1),
+    visitor("gnc_loosening", gnc_loosening, at_least(1),
             "loops are classified with the odometry's sigmas times this, so that right loops have room");
-    visitor("pose_graph.interval_keyframes", interval_keyframes, at_least(1),
-            "optimise new loops after this many keyframes");
-    visitor("pose_graph.min_interval_keyframes", min_interval_keyframes, at_least(1),
+    visitor("interval_keyframes", interval_keyframes, at_least(1), "optimise new loops after this many keyframes");
+    visitor("min_interval_keyframes", min_interval_keyframes, at_least(1),
             "a loop that disagrees with the map is optimised after this many keyframes");
-    visitor("pose_graph.urgent_chi2", urgent_chi2, not_negative(),
+    visitor("urgent_chi2", urgent_chi2, not_negative(),
             "squared disagreement of a new loop, in its sigmas, that is urgent");
-    visitor("pose_graph.estimate_noise", estimate_noise,
+    visitor("estimate_noise", estimate_noise,
             "learn the odometry's noise from the loops, where the source states none");
-    visitor("pose_graph.translation_noise_m", translation_noise_m, positive(),
+    visitor("translation_noise_m", translation_noise_m, positive(),
             "least odometry error after one metre of path (1 sigma; grows with the root of the path)");
-    visitor("pose_graph.rotation_noise_deg", rotation_noise_deg, positive(),
+    visitor("rotation_noise_deg", rotation_noise_deg, positive(),
             "least odometry error after one radian of rotation (1 sigma; grows with the root of the angle)");
-    visitor("pose_graph.noise_factor_max", noise_factor_max, at_least(1),
-            "greatest factor that is learnt on the least noise");
-    visitor("pose_graph.noise_evidence", noise_evidence, not_negative(),
+    visitor("noise_factor_max", noise_factor_max, at_least(1), "greatest factor that is learnt on the least noise");
+    visitor("noise_evidence", noise_evidence, not_negative(),
             "log likelihood that the loops must offer for each e-fold of noise above the least");
     visitor(
         "pose_graph.max_redundancy", max_redundancy, positive(),
         "a loop stays out of the graph if loops in it rest on its evidence so many times over; less in large graphs");
-    visitor("pose_graph.max_iterations", max_iterations, at_least(1), "of one solve");
-    visitor("pose_graph.scale", scale, one_of({"fixed", "free"}),
+    visitor("max_iterations", max_iterations, at_least(1), "of one solve");
+    visitor("scale", scale, one_of({"fixed", "free"}),
             "of the odometry: fixed, or free where it drifts (monocular; Sim(3) vertices)");
-    visitor("pose_graph.scale_walk", scale_walk, above(0).at_most(0.5),
+    visitor("scale_walk", scale_walk, above(0).at_most(0.5),
             "free scale: error of its logarithm after one metre of path (1 sigma; grows with the root of the path)");
-    visitor("pose_graph.objects", objects, one_of({"off", "with_loops", "on"}),
+    visitor("objects", objects, one_of({"off", "with_loops", "on"}),
             "whether objects take part in the last correction of a run: off, with_loops (if there are any) or on");
-    visitor("pose_graph.object_weight", object_weight, positive(),
-            "factor on the squared errors of object observations");
-    visitor("pose_graph.object_sigma_px", object_sigma_px, positive(), "noise of a box edge, constant part");
-    visitor("pose_graph.object_sigma_share", object_sigma_share, not_negative(),
-            "noise of a box edge, share of the box size");
-    visitor("pose_graph.object_views", object_views, at_least(4),
-            "keyframes that observe one object, spread evenly over all");
-    visitor.require("pose_graph.min_interval_keyframes", min_interval_keyframes <= interval_keyframes,
+    visitor("object_weight", object_weight, positive(), "factor on the squared errors of object observations");
+    visitor("object_sigma_px", object_sigma_px, positive(), "noise of a box edge, constant part");
+    visitor("object_sigma_share", object_sigma_share, not_negative(), "noise of a box edge, share of the box size");
+    visitor("object_views", object_views, at_least(4), "keyframes that observe one object, spread evenly over all");
+    visitor.require("min_interval_keyframes", min_interval_keyframes <= interval_keyframes,
                     "<= pose_graph.interval_keyframes");
   }
 };

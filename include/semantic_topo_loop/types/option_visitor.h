@@ -63,20 +63,20 @@ struct OptionRow {
 };
 
 /// What an options struct says about its fields. A struct has `void visit(OptionVisitor& visitor)`, which shows each
-/// field with its key, its range and a sentence on what it means, and states the rules between fields; it is the one
+/// field with its name, its range and a sentence on what it means, and states the rules between fields; it is the one
 /// place that does. Setting, checking and listing work on that. A key is `<module>.<field>`, and a number's unit is the
 /// end of its name: `loop.min_gap_s`.
 class OptionVisitor {
  public:
+  /// States whose fields follow. Without it their names are their keys.
+  void module(const std::string& name) { prefix_ = name + "."; }
   template <class Field>
-  void operator()(std::string key, Field& field, Range range, const char* meaning) {
-    options_.push_back({std::move(key), &field, std::move(range), meaning, {}});
+  void operator()(const std::string& name, Field& field, Range range, const char* meaning) {
+    options_.push_back({prefix_ + name, &field, std::move(range), meaning, {}});
   }
-  void operator()(std::string key, bool& field, const char* meaning) {
-    options_.push_back({std::move(key), &field, any(), meaning, {}});
-  }
+  void operator()(const std::string& name, bool& field, const char* meaning) { (*this)(name, field, any(), meaning); }
   /// States a rule between fields, about one that was shown.
-  void require(const std::string& key, bool is_kept, const std::string& rule);
+  void require(const std::string& name, bool is_kept, const std::string& rule);
 
   /// Sets the fields that texts are given for. An error for a text of the wrong type or an unknown key.
   Status set(const OptionTexts& texts) const;
@@ -93,6 +93,7 @@ class OptionVisitor {
     std::string relation;  ///< to other fields
   };
 
+  std::string prefix_;  ///< of keys
   std::vector<Option> options_;
   Status rules_;
 };

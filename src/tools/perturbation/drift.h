@@ -18,15 +18,14 @@ struct DriftOptions {
   double global_scale = 1.0;
 
   void visit(OptionVisitor& visitor) {
-    visitor("drift.model", model, one_of({"smooth", "jump"}),
+    visitor.module("drift");
+    visitor("model", model, one_of({"smooth", "jump"}),
             "smooth (steady drift) or jump (good locally, with three bursts of 8 frames)");
-    visitor("drift.position_m", position_m, not_negative(),
-            "largest position error of the odometry; both 0: exact odometry");
-    visitor("drift.rotation_deg", rotation_deg, at_least(0).below(170), "largest rotation error of the odometry");
-    visitor("drift.scale_percent", scale_percent, not_negative(),
+    visitor("position_m", position_m, not_negative(), "largest position error of the odometry; both 0: exact odometry");
+    visitor("rotation_deg", rotation_deg, at_least(0).below(170), "largest rotation error of the odometry");
+    visitor("scale_percent", scale_percent, not_negative(),
             "monocular odometry: largest change of its scale since the first pose, by a random walk");
-    visitor("drift.global_scale", global_scale, positive(),
-            "monocular odometry: its units of length in a metre, at first");
+    visitor("global_scale", global_scale, positive(), "monocular odometry: its units of length in a metre, at first");
   }
 };
 

@@ -29,21 +29,17 @@ struct DetectorOptions {
   double min_score = 0.25;
 
   void visit(OptionVisitor& visitor) {
-    visitor("detector.miss_rate", miss_rate, share(), "share of large, unoccluded objects missed");
-    visitor("detector.small_box_px", small_box_px, not_negative(), "box size at which half of the objects are missed");
-    visitor("detector.mislabel_rate", mislabel_rate, share(), "share of boxes with another class of the same group");
-    visitor("detector.false_rate", false_rate, between(0, 100),
-            "mean number of boxes a frame that belong to no object");
-    visitor("detector.jitter_px", jitter_px, not_negative(), "standard deviation of box edges from frame to frame");
-    visitor("detector.jitter_ratio", jitter_ratio, share(),
-            "standard deviation of slow edge errors, share of the box size");
-    visitor("detector.persistence_s", persistence_s, not_negative(),
-            "time in which misses, labels and slow errors change");
-    visitor("detector.min_visible", min_visible, share(),
-            "objects of which less than this share is unoccluded are missed");
-    visitor("detector.min_inside", min_inside, share(),
-            "objects of which less than this share is in the image are missed");
-    visitor("detector.min_score", min_score, between(0, 0.9), "lowest score written");
+    visitor.module("detector");
+    visitor("miss_rate", miss_rate, share(), "share of large, unoccluded objects missed");
+    visitor("small_box_px", small_box_px, not_negative(), "box size at which half of the objects are missed");
+    visitor("mislabel_rate", mislabel_rate, share(), "share of boxes with another class of the same group");
+    visitor("false_rate", false_rate, between(0, 100), "mean number of boxes a frame that belong to no object");
+    visitor("jitter_px", jitter_px, not_negative(), "standard deviation of box edges from frame to frame");
+    visitor("jitter_ratio", jitter_ratio, share(), "standard deviation of slow edge errors, share of the box size");
+    visitor("persistence_s", persistence_s, not_negative(), "time in which misses, labels and slow errors change");
+    visitor("min_visible", min_visible, share(), "objects of which less than this share is unoccluded are missed");
+    visitor("min_inside", min_inside, share(), "objects of which less than this share is in the image are missed");
+    visitor("min_score", min_score, between(0, 0.9), "lowest score written");
   }
 };
 

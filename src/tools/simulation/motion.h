@@ -25,20 +25,21 @@ struct TrajectoryOptions {
   double shake_deg = 0.4;
 
   void visit(OptionVisitor& visitor) {
-    visitor("trajectory.model", model, one_of({"handheld", "robot"}),
+    visitor.module("trajectory");
+    visitor("model", model, one_of({"handheld", "robot"}),
             "handheld (looks at the desks, wanders and shakes) or robot (wheels, a fixed camera that looks ahead and "
             "aside; stops to look around)");
-    visitor("trajectory.duration_s", duration_s, positive(), "length of the sequence");
-    visitor("trajectory.rate_hz", rate_hz, positive(), "images per second");
-    visitor("trajectory.lap_s", lap_s, positive(), "time of one lap around the desks; what comes later revisits");
-    visitor("trajectory.arc_deg", arc_deg, above(0).at_most(360),
+    visitor("duration_s", duration_s, positive(), "length of the sequence");
+    visitor("rate_hz", rate_hz, positive(), "images per second");
+    visitor("lap_s", lap_s, positive(), "time of one lap around the desks; what comes later revisits");
+    visitor("arc_deg", arc_deg, above(0).at_most(360),
             "handheld: less than 360 swings to and fro over that share of a lap");
-    visitor("trajectory.distance_m", distance_m, at_least(0.5), "horizontal distance from the desks' middle line");
-    visitor("trajectory.height_m", height_m, at_least(0.9).below(10), "mean height of the camera above the floor");
-    visitor("trajectory.wander_m", wander_m, between(0, 0.3), "slow deviation of position and of the point looked at");
-    visitor("trajectory.shake_m", shake_m, between(0, 0.1), "shake of the hand, standard deviation in position");
-    visitor("trajectory.shake_deg", shake_deg, between(0, 10), "shake of the hand, standard deviation in rotation");
-    visitor.require("trajectory.duration_s", duration_s * rate_hz >= 2.0 && duration_s * rate_hz < 1e6,
+    visitor("distance_m", distance_m, at_least(0.5), "horizontal distance from the desks' middle line");
+    visitor("height_m", height_m, at_least(0.9).below(10), "mean height of the camera above the floor");
+    visitor("wander_m", wander_m, between(0, 0.3), "slow deviation of position and of the point looked at");
+    visitor("shake_m", shake_m, between(0, 0.1), "shake of the hand, standard deviation in position");
+    visitor("shake_deg", shake_deg, between(0, 10), "shake of the hand, standard deviation in rotation");
+    visitor.require("duration_s", duration_s * rate_hz >= 2.0 && duration_s * rate_hz < 1e6,
                     "long enough for 2 and short enough for 1e6 images");
   }
 };
@@ -141,10 +142,11 @@ struct DynamicsOptions {
   double move_time_s = 36.0;
 
   void visit(OptionVisitor& visitor) {
-    visitor("dynamics.persons", persons, between(0, 100), "people who walk through the view, one after the other");
-    visitor("dynamics.moved_objects", moved_objects, not_negative(),
+    visitor.module("dynamics");
+    visitor("persons", persons, between(0, 100), "people who walk through the view, one after the other");
+    visitor("moved_objects", moved_objects, not_negative(),
             "small objects, cups first, that are moved to another place");
-    visitor("dynamics.move_time_s", move_time_s, positive(), "when they are moved");
+    visitor("move_time_s", move_time_s, positive(), "when they are moved");
   }
 };
 

@@ -17,9 +17,10 @@ struct SceneOptions {
   bool identical_desks = false;
 
   void visit(OptionVisitor& visitor) {
-    visitor("scene.layout", layout, one_of({"desk", "office"}), "desk (one large desk) or office (a row of desks)");
-    visitor("scene.desks", desks, between(1, 50), "office: number of desks");
-    visitor("scene.identical_desks", identical_desks, "office: every desk carries the same objects at the same places");
+    visitor.module("scene");
+    visitor("layout", layout, one_of({"desk", "office"}), "desk (one large desk) or office (a row of desks)");
+    visitor("desks", desks, between(1, 50), "office: number of desks");
+    visitor("identical_desks", identical_desks, "office: every desk carries the same objects at the same places");
   }
 };
 

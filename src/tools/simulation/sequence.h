@@ -25,17 +25,16 @@ struct RenderingOptions {
   double depth_offset_m = 0.0;
 
   void visit(OptionVisitor& visitor) {
-    visitor("rendering.noise", noise, "errors and holes of a Kinect; false: ideal colors and depths");
+    visitor.module("rendering");
+    visitor("noise", noise, "errors and holes of a Kinect; false: ideal colors and depths");
     // 16 bits must reach the camera's 6 m, and a step must not exceed a centimetre.
-    visitor("rendering.depth_scale", depth_scale, between(100, 10000),
-            "PNG: units a metre; 5000 as TUM's, 1000 for millimetres");
-    visitor("rendering.far_value", far_value, any(),
-            "PNG: value of what is out of range, 0 or 65535; other holes are 0");
-    visitor("rendering.depth_delay_s", depth_delay_s, between(-0.1, 0.1),
+    visitor("depth_scale", depth_scale, between(100, 10000), "PNG: units a metre; 5000 as TUM's, 1000 for millimetres");
+    visitor("far_value", far_value, any(), "PNG: value of what is out of range, 0 or 65535; other holes are 0");
+    visitor("depth_delay_s", depth_delay_s, between(-0.1, 0.1),
             "from a color image to its depth image, each taken at its own time; Kinects have some 10 ms");
-    visitor("rendering.depth_offset_m", depth_offset_m, between(-0.2, 0.2),
+    visitor("depth_offset_m", depth_offset_m, between(-0.2, 0.2),
             "how far right of the color camera the depth camera sits; 0: depth is registered to the color image");
-    visitor.require("rendering.far_value", far_value == 0 || far_value == 65535, "0 or 65535");
+    visitor.require("far_value", far_value == 0 || far_value == 65535, "0 or 65535");
   }
 };
 
@@ -50,8 +49,9 @@ struct SimulationOptions {
   RenderingOptions rendering;
 
   void visit(OptionVisitor& visitor) {
-    visitor("simulation.seed", seed, not_negative(), "of everything that is random");
-    visitor("simulation.odometry_frame", odometry_frame, one_of({"first_camera", "random", "world"}),
+    visitor.module("simulation");
+    visitor("seed", seed, not_negative(), "of everything that is random");
+    visitor("odometry_frame", odometry_frame, one_of({"first_camera", "random", "world"}),
             "world of the odometry: first_camera (its first pose is the identity), random, or world (as the truth)");
     scene.visit(visitor);
     trajectory.visit(visitor);
