@@ -264,9 +264,7 @@ std::vector<LabelledPoint> random_points(std::mt19937_64& random, int count) {
 
 TEST(SubmapIndex, FindsTheSubmapThatSharesObjects) {
   std::mt19937_64 random(1);
-  SubmapIndexOptions options;
-  options.max_candidates = 5;
-  SubmapIndex index(options);
+  SubmapIndex index(LoopOptions(), 5);
   std::vector<std::vector<LabelledPoint>> maps;
   for (int i = 0; i < 200; ++i) {
     maps.push_back(random_points(random, 12));
@@ -289,7 +287,7 @@ TEST(SubmapIndex, FindsTheSubmapThatSharesObjects) {
 
 TEST(SubmapIndex, BadPointsAreLeftOut) {
   std::mt19937_64 random(2);
-  SubmapIndex index{SubmapIndexOptions()};
+  SubmapIndex index{LoopOptions()};
   std::vector<LabelledPoint> points = random_points(random, 8);
   points[0].position.x() = std::nan("");
   points[1].label = -1;

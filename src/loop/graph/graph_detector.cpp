@@ -5,8 +5,6 @@
 #include <iterator>
 #include <set>
 
-#include "loop/submap/submap_refiner.h"
-
 namespace semantic_topo_loop::core {
 namespace {
 
@@ -25,6 +23,8 @@ void for_each_pair(const std::vector<LabelledPoint>& points, double min_distance
 
 /// Objects of an alignment worth a verdict, and of a submap worth keeping: three fit somewhere in most places.
 constexpr int kMinCandidateInliers = 4;
+/// Agreeing pairs of objects of a submap that the index proposes: those of four objects.
+constexpr int kMinEdges = kMinCandidateInliers * (kMinCandidateInliers - 1) / 2;
 /// Of the shortest window: a submap shorter than that, after a break or at the start, is not kept.
 constexpr double kMinSpanShare = 0.8;
 /// Submaps that share more than this of their time tell of one place.
@@ -38,14 +38,6 @@ GraphMatcherOptions free_or_fixed(const LoopOptions& options) {
   GraphMatcherOptions matcher = matcher_options(options, kMinCandidateInliers);
   matcher.free_scale = options.scale == "free";
   return matcher;
-}
-
-SubmapIndexOptions index_options(const LoopOptions& options) {
-  SubmapIndexOptions index;
-  index.distance_tolerance_m = options.distance_tolerance_m;
-  index.distance_tolerance_share = options.distance_tolerance_share;
-  index.min_distance_m = options.min_distance_m;
-  return index;
 }
 
 std::vector<LabelledPoint> graph_of(const LocalMap& map) {
@@ -126,24 +118,20 @@ std::vector<int> SubmapIndex::query(const std::vector<LabelledPoint>& points, in
   const std::vector<int> edges = agreeing_pairs(points, end);
   std::vector<int> candidates;
   for (int submap = 0; submap < end; ++submap) {
-    if (edges[static_cast<std::size_t>(submap)] >= options_.min_edges) candidates.push_back(submap);
+    if (edges[static_cast<std::size_t>(submap)] >= kMinEdges) candidates.push_back(submap);
   }
-  if (static_cast<int>(candidates.size()) > options_.max_candidates) {
+  if (static_cast<int>(candidates.size()) > max_returned_) {
     std::stable_sort(candidates.begin(), candidates.end(), [&edges](int p, int q) {
       return edges[static_cast<std::size_t>(p)] > edges[static_cast<std::size_t>(q)];
     });
-    candidates.resize(static_cast<std::size_t>(options_.max_candidates));
+    candidates.resize(static_cast<std::size_t>(max_returned_));
     std::sort(candidates.begin(), candidates.end());
   }
   return candidates;
 }
 
 GraphDetector::GraphDetector(const LoopOptions& options)
-    : options_(options),
-      index_(index_options(options)),
-      matcher_(free_or_fixed(options)),
-      verifier_(options),
-      refiner_(options) {}
+    : options_(options), index_(options), matcher_(free_or_fixed(options)), verifier_(options), refiner_(options) {}
 
 int GraphDetector::old_enough(const LocalMap& query) const {
   const auto recent = std::find_if(maps_.begin(), maps_.end(), [&](const StoredMap& stored) {

@@ -7,26 +7,19 @@
 
 #include "loop/graph/loop_verifier.h"
 #include "loop/submap/graph_matcher.h"
-#include "loop/submap/submap_builder.h"
 #include "loop/submap/submap_refiner.h"
 #include "semantic_topo_loop/loop/loop_options.h"
 #include "semantic_topo_loop/types/loop_closure.h"
 
 namespace semantic_topo_loop::core {
 
-struct SubmapIndexOptions {
-  double distance_tolerance_m = 0.06;
-  double distance_tolerance_share = 0.03;
-  double min_distance_m = 0.05;
-  int min_edges = 6;        ///< agreeing pairs of objects of a candidate: those of four objects
-  int max_candidates = 40;  ///< returned at most, those with most agreeing pairs
-};
-
 /// Finds submaps that share pairs of objects with a query: an index over (label pair, distance), so that a query visits
 /// the entries of its own pairs instead of every submap.
 class SubmapIndex {
  public:
-  explicit SubmapIndex(const SubmapIndexOptions& options) : options_(options) {}
+  /// @param max_returned of a query, those with most agreeing pairs
+  explicit SubmapIndex(const LoopOptions& options, int max_returned = 40)
+      : options_(options), max_returned_(max_returned) {}
   /// Submaps are numbered from 0 in the order of insertion.
   void insert(const std::vector<LabelledPoint>& points);
   int size() const { return size_; }
@@ -40,8 +33,8 @@ class SubmapIndex {
   static Key key(int label_p, int label_q, int bin);
   int bin(double distance_m) const;
 
-  SubmapIndexOptions options_;
-  int size_ = 0;
+  LoopOptions options_;
+  int max_returned_, size_ = 0;
   std::unordered_map<Key, std::vector<int>> submaps_of_;  ///< looked up only, never iterated over; each ascending
 };
 
