@@ -1,5 +1,7 @@
 #include "semantic_topo_loop/types/landmark.h"
 
+#include <array>
+
 namespace semantic_topo_loop::core {
 
 Mat3 Ellipsoid::shape() const {
@@ -16,15 +18,9 @@ Mat4 Ellipsoid::dual() const {
 }
 
 const char* to_string(LandmarkState state) {
-  switch (state) {
-    case LandmarkState::kCandidate:
-      return "candidate";
-    case LandmarkState::kConfirmed:
-      return "confirmed";
-    case LandmarkState::kRetired:
-      return "retired";
-  }
-  return "unknown";
+  constexpr std::array<const char*, 3> kNames = {"candidate", "confirmed", "retired"};
+  const auto i = static_cast<std::size_t>(state);
+  return i < kNames.size() ? kNames[i] : "unknown";
 }
 
 }  // namespace semantic_topo_loop::core

@@ -1,42 +1,18 @@
 #include "semantic_topo_loop/types/loop_closure.h"
 
 #include <algorithm>
+#include <array>
 #include <iterator>
 
 namespace semantic_topo_loop::core {
 
 const char* to_string(LoopReason reason) {
-  switch (reason) {
-    case LoopReason::kAccepted:
-      return "accepted";
-    case LoopReason::kTooFewObjects:
-      return "too_few_objects";
-    case LoopReason::kTooFewInliers:
-      return "too_few_inliers";
-    case LoopReason::kTooFewLabels:
-      return "too_few_labels";
-    case LoopReason::kDegenerate:
-      return "degenerate";
-    case LoopReason::kResidual:
-      return "residual";
-    case LoopReason::kAmbiguous:
-      return "ambiguous";
-    case LoopReason::kReprojection:
-      return "reprojection";
-    case LoopReason::kMirrored:
-      return "mirrored";
-    case LoopReason::kTilt:
-      return "tilt";
-    case LoopReason::kRefinement:
-      return "refinement";
-    case LoopReason::kLowScore:
-      return "low_score";
-    case LoopReason::kInconsistent:
-      return "inconsistent";
-    case LoopReason::kOutranked:
-      return "outranked";
-  }
-  return "unknown";
+  constexpr std::array<const char*, 14> kNames = {
+      "accepted",   "too_few_objects", "too_few_inliers", "too_few_labels", "degenerate",
+      "residual",   "ambiguous",       "reprojection",    "mirrored",       "tilt",
+      "refinement", "low_score",       "inconsistent",    "outranked"};
+  const auto i = static_cast<std::size_t>(reason);
+  return i < kNames.size() ? kNames[i] : "unknown";
 }
 
 std::vector<LoopClosure> own_loops(const std::vector<LoopClosure>& loops) {

@@ -6,7 +6,6 @@
 #include <cstdlib>
 #include <sstream>
 #include <type_traits>
-#include <utility>
 
 namespace semantic_topo_loop::core {
 namespace {

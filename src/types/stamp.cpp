@@ -1,6 +1,5 @@
 #include "semantic_topo_loop/types/stamp.h"
 
-#include <algorithm>
 #include <cstdio>
 #include <limits>
 

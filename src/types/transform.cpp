@@ -1,7 +1,5 @@
 #include "semantic_topo_loop/types/transform.h"
 
-#include <cmath>
-
 namespace semantic_topo_loop::core {
 
 Mat4 SE3::matrix() const {

@@ -84,6 +84,17 @@ struct LocalMap {
 };
 
 /// The submap in a unit of length of which `scale` make one of the old; boxes on the plane z = 1 do not depend on it.
-LocalMap rescaled(LocalMap map, double scale);
+inline LocalMap rescaled(LocalMap map, double scale) {
+  for (LocalFrame& frame : map.frames) {
+    frame.position *= scale;
+    frame.t_camera_local *= scale;
+  }
+  for (LocalObject& object : map.objects) {
+    object.spheroid.center *= scale;
+    object.spheroid.log_axes.array() += std::log(scale);
+    object.covariance *= scale * scale;
+  }
+  return map;
+}
 
 }  // namespace semantic_topo_loop::core
