@@ -1,7 +1,6 @@
 #include "frontend/depth_registration.h"
 
 #include <algorithm>
-#include <array>
 #include <cmath>
 #include <opencv2/imgproc.hpp>
 

@@ -1,6 +1,5 @@
 #include "frontend/image_features.h"
 
-#include <cmath>
 #include <limits>
 
 namespace semantic_topo_loop::core {

@@ -1,11 +1,9 @@
 #include "semantic_topo_loop/frontend/rgbd_image.h"
 
 #include <algorithm>
-#include <array>
 #include <cmath>
 #include <opencv2/imgproc.hpp>
 #include <sstream>
-#include <vector>
 
 #include "semantic_topo_loop/types/transform.h"
 

@@ -2,9 +2,6 @@
 
 #include <Eigen/Cholesky>
 #include <Eigen/Eigenvalues>
-#include <cmath>
-
-#include "semantic_topo_loop/geometry/lie.h"
 
 namespace semantic_topo_loop::core {
 

@@ -3,7 +3,6 @@
 #include <algorithm>
 #include <cmath>
 
-#include "geometry/depth_points.h"
 #include "semantic_topo_loop/geometry/quadric.h"
 
 namespace semantic_topo_loop::core {

@@ -4,12 +4,10 @@
 
 #include <Eigen/Eigenvalues>
 #include <algorithm>
-#include <array>
 #include <cmath>
 #include <deque>
 
 #include "geometry/ceres_compat.h"
-#include "geometry/depth_points.h"
 #include "geometry/statistics.h"
 #include "semantic_topo_loop/geometry/lie.h"
 #include "semantic_topo_loop/geometry/quadric.h"

@@ -5,8 +5,8 @@
 #include <vector>
 
 #include "geometry/depth_points.h"
-#include "semantic_topo_loop/geometry/quadric.h"
 #include "semantic_topo_loop/types/camera.h"
+#include "semantic_topo_loop/types/landmark.h"
 
 namespace semantic_topo_loop::core {
 

@@ -1,8 +1,6 @@
 #include "semantic_topo_loop/map/quadric_mapper.h"
 
 #include <algorithm>
-#include <cstdio>
-#include <cstdlib>
 #include <map>
 #include <optional>
 #include <set>

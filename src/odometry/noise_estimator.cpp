@@ -7,8 +7,6 @@
 #include <cmath>
 #include <limits>
 
-#include "geometry/relative_pose.h"
-
 namespace semantic_topo_loop::core {
 namespace {
 

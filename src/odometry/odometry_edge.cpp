@@ -1,7 +1,6 @@
 #include "odometry/odometry_edge.h"
 
 #include <Eigen/Eigenvalues>
-#include <cmath>
 #include <limits>
 
 #include "geometry/relative_pose.h"

@@ -1,7 +1,6 @@
 #include "semantic_topo_loop/pipeline/object_slam.h"
 
 #include <algorithm>
-#include <utility>
 
 #include "semantic_topo_loop/types/stamp.h"
 

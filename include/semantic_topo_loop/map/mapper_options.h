@@ -1,7 +1,5 @@
 #pragma once
 
-#include <string>
-
 #include "semantic_topo_loop/types/option_visitor.h"
 
 namespace semantic_topo_loop::core {

@@ -1,7 +1,6 @@
 #pragma once
 
 #include <optional>
-#include <string>
 
 #include "semantic_topo_loop/types/frame.h"
 #include "semantic_topo_loop/types/option_visitor.h"

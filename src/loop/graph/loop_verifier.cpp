@@ -4,6 +4,9 @@
 #include <algorithm>
 #include <cmath>
 
+#include "loop/submap/spheroid.h"
+#include "loop/submap/submap_builder.h"
+
 namespace semantic_topo_loop::core {
 namespace {
 

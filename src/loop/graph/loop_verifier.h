@@ -3,8 +3,8 @@
 #include <optional>
 
 #include "loop/submap/graph_matcher.h"
-#include "loop/submap/submap_builder.h"
 #include "semantic_topo_loop/loop/loop_options.h"
+#include "semantic_topo_loop/types/local_map.h"
 #include "semantic_topo_loop/types/loop_closure.h"
 
 namespace semantic_topo_loop::core {

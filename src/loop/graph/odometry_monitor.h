@@ -6,7 +6,6 @@
 #include <vector>
 
 #include "loop/submap/observation_window.h"
-#include "loop/submap/submap_builder.h"
 
 namespace semantic_topo_loop::core {
 

@@ -4,9 +4,7 @@
 #include <cmath>
 #include <set>
 
-#include "loop/submap/submap_refiner.h"
 #include "semantic_topo_loop/geometry/lie.h"
-#include "semantic_topo_loop/types/transform.h"
 
 namespace semantic_topo_loop::core {
 namespace {

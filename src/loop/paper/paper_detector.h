@@ -3,12 +3,10 @@
 #include <cstdint>
 #include <map>
 #include <optional>
-#include <string>
 #include <vector>
 
 #include "loop/submap/graph_matcher.h"
 #include "loop/submap/observation_window.h"
-#include "loop/submap/submap_builder.h"
 #include "loop/submap/submap_refiner.h"
 #include "semantic_topo_loop/loop/loop_options.h"
 #include "semantic_topo_loop/types/eigen.h"

@@ -7,13 +7,11 @@
 #include <cstdint>
 #include <limits>
 #include <map>
-#include <optional>
 #include <set>
 #include <utility>
-#include <vector>
 
 #include "geometry/statistics.h"
-#include "semantic_topo_loop/loop/loop_options.h"
+#include "loop/submap/spheroid.h"
 
 namespace semantic_topo_loop::core {
 namespace {

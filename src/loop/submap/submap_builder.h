@@ -5,7 +5,6 @@
 #include <vector>
 
 #include "loop/submap/observation_window.h"
-#include "loop/submap/spheroid.h"
 #include "loop/submap/up_estimator.h"
 #include "semantic_topo_loop/loop/loop_options.h"
 

@@ -1,6 +1,5 @@
 #include "pose_graph/rejection/loop_consistency.h"
 
-#include <algorithm>
 #include <cmath>
 
 #include "semantic_topo_loop/geometry/lie.h"
