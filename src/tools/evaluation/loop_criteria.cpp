@@ -4,8 +4,6 @@
 #include <cmath>
 #include <iterator>
 #include <limits>
-#include <map>
-#include <set>
 
 #include "io/csv.h"
 #include "semantic_topo_loop/io/run_files.h"

@@ -12,7 +12,6 @@
 #include "semantic_topo_loop/types/stamp.h"
 #include "tools/rendering/kinect_model.h"
 #include "tools/rendering/scene_renderer.h"
-#include "tools/simulation/sequence.h"
 
 namespace semantic_topo_loop::core {
 namespace {

@@ -4,7 +4,6 @@
 #include <cstdint>
 #include <memory>
 #include <string>
-#include <vector>
 
 #include "semantic_topo_loop/types/option_visitor.h"
 #include "tools/simulation/random.h"

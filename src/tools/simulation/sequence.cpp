@@ -6,7 +6,6 @@
 #include "semantic_topo_loop/io/text_file.h"
 #include "semantic_topo_loop/io/tum_trajectory.h"
 #include "semantic_topo_loop/io/yaml_files.h"
-#include "semantic_topo_loop/types/option_visitor.h"
 
 namespace semantic_topo_loop::core {
 namespace {
