@@ -4,7 +4,6 @@
 
 #include <cstdio>
 #include <optional>
-#include <string>
 
 /// Ends when the player does, with 0 if the recording went through the chain to its end, else with 1 and what the
 /// player said. The player lives in a manager that others use; this process is what a launch file can require.
