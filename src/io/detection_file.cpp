@@ -1,7 +1,6 @@
 #include "semantic_topo_loop/io/detection_file.h"
 
 #include <algorithm>
-#include <cmath>
 #include <filesystem>
 #include <limits>
 #include <nlohmann/json.hpp>

@@ -1,6 +1,5 @@
 #include "semantic_topo_loop/io/point_cloud_file.h"
 
-#include <array>
 #include <cstdint>
 #include <cstring>
 #include <ostream>

@@ -10,7 +10,6 @@
 #include "semantic_topo_loop/io/run_files.h"
 #include "semantic_topo_loop/io/text_file.h"
 #include "semantic_topo_loop/io/tum_trajectory.h"
-#include "semantic_topo_loop/types/stamp.h"
 
 namespace semantic_topo_loop::core {
 namespace {

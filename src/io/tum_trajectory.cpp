@@ -4,7 +4,6 @@
 #include <cmath>
 
 #include "semantic_topo_loop/io/text_file.h"
-#include "semantic_topo_loop/types/stamp.h"
 
 namespace semantic_topo_loop::core {
 namespace {
