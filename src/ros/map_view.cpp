@@ -1,7 +1,6 @@
 #include "ros/map_view.h"
 
 #include <Eigen/Eigenvalues>
-#include <set>
 #include <utility>
 
 namespace semantic_topo_loop {

@@ -2,11 +2,8 @@
 
 #include <tf2/exceptions.h>
 
-#include <utility>
-
 #include "geometry/relative_pose.h"
 #include "ros/conversions.h"
-#include "semantic_topo_loop/types/stamp.h"
 
 namespace semantic_topo_loop {
 namespace {
