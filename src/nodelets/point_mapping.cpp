@@ -1,7 +1,6 @@
 #include <memory>
 #include <mutex>
 #include <pluginlib/class_list_macros.hpp>
-#include <string>
 
 #include "ros/stage.h"
 #include "semantic_topo_loop/SavePoints.h"

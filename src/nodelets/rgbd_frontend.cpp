@@ -3,17 +3,13 @@
 #include <image_transport/image_transport.h>
 #include <image_transport/subscriber_filter.h>
 
-#include <memory>
 #include <mutex>
-#include <optional>
 #include <pluginlib/class_list_macros.hpp>
-#include <string>
 #include <tuple>
 
 #include "ros/frontend_stage.h"
 #include "ros/rgbd_images.h"
 #include "semantic_topo_loop/FrameDone.h"
-#include "semantic_topo_loop/frontend/rgbd_image.h"
 
 namespace semantic_topo_loop {
 namespace {
