@@ -52,7 +52,7 @@ struct PoseGraphOptions {
     visitor("noise_evidence", noise_evidence, not_negative(),
             "log likelihood that the loops must offer for each e-fold of noise above the least");
     visitor(
-        "pose_graph.max_redundancy", max_redundancy, positive(),
+        "max_redundancy", max_redundancy, positive(),
         "a loop stays out of the graph if loops in it rest on its evidence so many times over; less in large graphs");
     visitor("max_iterations", max_iterations, at_least(1), "of one solve");
     visitor("scale", scale, one_of({"fixed", "free"}),
