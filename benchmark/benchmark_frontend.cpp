@@ -170,12 +170,13 @@ int main(int argc, char** argv) {
   using namespace semantic_topo_loop;
   benchmark::Initialize(&argc, argv);
   core::Arguments arguments;
-  apps::Command command(
-      "", "[--rgbd DIR [--camera YAML] [--associations FILE] [--set module.field=value ...]] [--benchmark_...]", "");
-  command.option("rgbd", apps::text(&arguments.rgbd), "folder of color and depth images that is tracked")
-      .option("camera", apps::text(&arguments.camera), "its calibration (default: camera.yaml of the folder)")
-      .option("associations", apps::text(&arguments.associations), "its list (default: associations.txt of the folder)")
-      .option("set", apps::assignments(&arguments.options), "one parameter; may be repeated");
-  command.run = [&arguments] { return core::run(arguments); };
+  apps::Command command{
+      "", "[--rgbd DIR [--camera YAML] [--associations FILE] [--set module.field=value ...]] [--benchmark_...]", "",
+      [&arguments] { return core::run(arguments); }};
+  command.option("rgbd", apps::po::value(&arguments.rgbd), "folder of color and depth images that is tracked")
+      .option("camera", apps::po::value(&arguments.camera), "its calibration (default: camera.yaml of the folder)")
+      .option("associations", apps::po::value(&arguments.associations),
+              "its list (default: associations.txt of the folder)")
+      .option("set", apps::assignments("set", &arguments.options), "one parameter; may be repeated");
   return apps::run_program("benchmark_frontend", {command}, argc, argv);
 }

@@ -294,8 +294,8 @@ Result<Report> report_loops(const Arguments& arguments) {
 /// The command that makes a report; `arguments` must live as long as it.
 Command make_command(const char* name, const char* usage, const char* purpose,
                      Result<Report> (*make_report)(const Arguments&), Arguments* arguments) {
-  Command command(name, usage, purpose);
-  command.option("json", text(&arguments->json), "file for the figures as JSON");
+  Command command{name, usage, purpose};
+  command.option("json", po::value(&arguments->json), "file for the figures as JSON");
   command.run = [make_report, arguments]() -> Status {
     const Result<Report> report = make_report(*arguments);
     if (!report) return report.error();
@@ -313,22 +313,20 @@ int main(int argc, char** argv) {
   Command trajectory = make_command("trajectory", "EST GT [--scale] [--json FILE]",
                                     "Absolute (ATE) and relative (RPE over 1 s) errors of a TUM trajectory.\n",
                                     report_trajectory, &arguments);
-  trajectory.word("EST", &arguments.run)
-      .word("GT", &arguments.truth)
-      .option("scale", flag(&arguments.with_scale), "align by a similarity (monocular odometry)");
+  trajectory.words = {{"EST", &arguments.run}, {"GT", &arguments.truth}};
+  trajectory.option("scale", po::bool_switch(&arguments.with_scale), "align by a similarity (monocular odometry)");
   Command objects = make_command("objects", "RUN_DIR GT REFERENCE [--json FILE]",
                                  "objects.csv against reference objects, aligned by trajectory.txt and GT.\n",
                                  report_objects, &arguments);
-  objects.word("RUN_DIR", &arguments.run).word("GT", &arguments.truth).word("REFERENCE", &arguments.reference);
+  objects.words = {{"RUN_DIR", &arguments.run}, {"GT", &arguments.truth}, {"REFERENCE", &arguments.reference}};
   Command loops =
       make_command("loops", "RUN_DIR GT_FRAMES [--mocap F] [--sightings RUN_DIR] [--details DIR] [--json FILE]",
                    "loops.csv against a true pose for every image.\n", report_loops, &arguments);
-  loops.word("RUN_DIR", &arguments.run)
-      .word("GT_FRAMES", &arguments.truth)
-      .option("mocap", text(&arguments.mocap), "the motion capture's own file, in whose holes nothing is judged")
-      .option("sightings", text(&arguments.sightings),
+  loops.words = {{"RUN_DIR", &arguments.run}, {"GT_FRAMES", &arguments.truth}};
+  loops.option("mocap", po::value(&arguments.mocap), "the motion capture's own file, in whose holes nothing is judged")
+      .option("sightings", po::value(&arguments.sightings),
               "run that tells which objects two keyframes see in common (default: the run itself)")
-      .option("details", text(&arguments.details),
+      .option("details", po::value(&arguments.details),
               "directory for judged_loops.csv, reference_pairs.csv and precision_recall.csv");
   return run_program("evaluate", {trajectory, objects, loops}, argc, argv);
 }

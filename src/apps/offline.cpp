@@ -334,7 +334,7 @@ Status check(Arguments* arguments) {
 }
 
 Command run_command(Arguments* arguments) {
-  Command command(
+  Command command{
       "",
       "--trajectory FILE --detections FILE_OR_DIR --camera YAML --output DIR\n"
       "               [--classes YAML] [--config YAML] [--set module.field=value ...]\n"
@@ -342,37 +342,43 @@ Command run_command(Arguments* arguments) {
       "       offline --rgbd DIR --camera YAML --output DIR [--associations FILE] [--detections FILE_OR_DIR] "
       "...\n"
       "       offline --bag FILE --camera YAML --output DIR [--detections FILE_OR_DIR] ...",
-      "Runs the whole chain on recorded files, without a ROS master.\n");
+      "Runs the whole chain on recorded files, without a ROS master.\n", [arguments] { return run(*arguments); },
+      [arguments] { return check(arguments); }};
   const auto take_points = [arguments](const std::string& given) {
     arguments->points = given;
     return given.empty() || is_point_cloud_path(given);
   };
   command
-      .option("trajectory", text(&arguments->trajectory), "camera poses of the odometry, TUM format; one frame a pose")
-      .option("rgbd", text(&arguments->rgbd),
+      .option("trajectory", po::value(&arguments->trajectory),
+              "camera poses of the odometry, TUM format; one frame a pose")
+      .option("rgbd", po::value(&arguments->rgbd),
               "folder of color and depth images: the odometry is found from them; see depth.* and frontend.*")
-      .option("bag", text(&arguments->bag), "the same from a bag in the layout of the TUM RGB-D bags")
-      .option("associations", text(&arguments->associations),
+      .option("bag", po::value(&arguments->bag), "the same from a bag in the layout of the TUM RGB-D bags")
+      .option("associations", po::value(&arguments->associations),
               "which depth belongs to which color image (default: associations.txt of the folder)")
-      .option("detections", text(&arguments->detections),
+      .option("detections", po::value(&arguments->detections),
               "OA-SLAM JSON file, or directory of YOLO text files <stamp>.txt; with --rgbd and --bag they may be left "
               "out: odometry only")
-      .option("camera", path(&arguments->camera)->required(), "calibration, see config/camera")
-      .option("classes", text(&arguments->classes), "class table (default: config/classes_coco.yaml of the package)")
-      .option("config", text(&arguments->config),
+      .option("camera", path("camera", &arguments->camera)->required(), "calibration, see config/camera")
+      .option("classes", po::value(&arguments->classes),
+              "class table (default: config/classes_coco.yaml of the package)")
+      .option("config", po::value(&arguments->config),
               "parameters (default: the built-in ones, those of config/default.yaml)")
-      .option("set", assignments(&arguments->assignments), "one parameter, over --config; may be repeated")
-      .option("extra-loops", text(&arguments->extra_loops),
+      .option("set", assignments("set", &arguments->assignments), "one parameter, over --config; may be repeated")
+      .option("extra-loops", po::value(&arguments->extra_loops),
               "loops for the pose graph beside those that are found, as loops.csv, see docs/files.md")
-      .option("output", path(&arguments->output)->required(), "directory of the results, made if missing")
-      .option("map", text(&arguments->map),
+      .option("output", path("output", &arguments->output)->required(), "directory of the results, made if missing")
+      .option("map", po::value(&arguments->map),
               "submaps that an earlier run saved: the run's place in its map is looked for")
-      .option("save-map", text(&arguments->save_map), "file for this run's submaps, for later runs")
-      .option("points", new Argument("a path that ends in .ply or .pcd", take_points),
+      .option("save-map", po::value(&arguments->save_map), "file for this run's submaps, for later runs")
+      .option("points", checked("points", "a path that ends in .ply or .pcd", take_points),
               "with --rgbd: file for the map's points");
-  command.check = [arguments] { return check(arguments); };
-  command.run = [arguments] { return run(*arguments); };
   return command;
+}
+
+Status print(const std::string& text) {
+  std::cout << text;
+  return {};
 }
 
 }  // namespace
@@ -382,11 +388,11 @@ int main(int argc, char** argv) {
   return run_program(
       "offline",
       {run_command(&arguments),
-       print_command("--list-parameters", "Prints every parameter with its default, as a Markdown table.\n",
-                     [] { return format_options_table(list_options<Options>()); }),
-       print_command("--default-config", "Prints the defaults as a file for --config.\n",
-                     [] { return format_options_yaml(list_options<Options>()); }),
-       print_command("--list-nodelet-parameters", "Prints what the nodelets have beside these.\n",
-                     [] { return format_options_table(semantic_topo_loop::list_nodelet_parameters(), "nodelet"); })},
+       Command{"--list-parameters", "", "Prints every parameter with its default, as a Markdown table.\n",
+               [] { return print(format_options_table(list_options<Options>())); }},
+       Command{"--default-config", "", "Prints the defaults as a file for --config.\n",
+               [] { return print(format_options_yaml(list_options<Options>())); }},
+       Command{"--list-nodelet-parameters", "", "Prints what the nodelets have beside these.\n",
+               [] { return print(format_options_table(semantic_topo_loop::list_nodelet_parameters(), "nodelet")); }}},
       argc, argv);
 }

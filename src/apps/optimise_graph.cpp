@@ -42,16 +42,16 @@ Status run(const Arguments& arguments) {
 
 int main(int argc, char** argv) {
   Arguments arguments;
-  Command command(
+  Command command{
       "", "IN.g2o OUT.g2o [--robust ...] [--initial ...]",
       "Optimises a pose graph (SE2 or SE3) and prints its cost before and after. Lines that cannot be used are\n"
-      "named and left out.\n");
-  command.word("IN.g2o", &arguments.in)
-      .word("OUT.g2o", &arguments.out)
-      .option("robust", choice(&arguments.options.robust, GraphOptimizerOptions::robust_choices()),
+      "named and left out.\n",
+      [&arguments] { return run(arguments); }};
+  command.words = {{"IN.g2o", &arguments.in}, {"OUT.g2o", &arguments.out}};
+  command
+      .option("robust", choice("robust", &arguments.options.robust, GraphOptimizerOptions::robust_choices()),
               "how wrong loops are kept out (default: none)")
-      .option("initial", choice(&arguments.options.initial, GraphOptimizerOptions::initial_choices()),
+      .option("initial", choice("initial", &arguments.options.initial, GraphOptimizerOptions::initial_choices()),
               "first guess (default: file, the vertices of IN); the chordal one is tried as well");
-  command.run = [&arguments] { return run(arguments); };
   return run_program("optimise_graph", {command}, argc, argv);
 }

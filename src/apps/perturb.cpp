@@ -79,51 +79,52 @@ Status make_false_loop_file(const LoopArguments& arguments) {
 }
 
 Command detection_command(DetectionArguments* arguments) {
-  Command command("detections", "IN OUT [--seed N] [--drop P] [--relabel P] [--jitter P] [--classes YAML]",
+  Command command{"detections", "IN OUT [--seed N] [--drop P] [--relabel P] [--jitter P] [--classes YAML]",
                   "Makes recorded detections worse. IN is an OA-SLAM JSON file or a directory of YOLO text files; OUT "
-                  "becomes the\nsame. In this order:\n");
+                  "becomes the\nsame. In this order:\n",
+                  [arguments] { return perturb_detection_files(*arguments); },
+                  [arguments] { return check(arguments); }};
   PerturbationOptions& options = arguments->options;
-  command.word("IN", &arguments->input)
-      .word("OUT", &arguments->output)
-      .option("drop", number(&options.drop), "share of boxes left out")
-      .option("relabel", number(&options.relabel),
+  command.words = {{"IN", &arguments->input}, {"OUT", &arguments->output}};
+  command.option("drop", number("drop", &options.drop), "share of boxes left out")
+      .option("relabel", number("relabel", &options.relabel),
               "share of the remaining boxes that get another one of the classes in IN")
-      .option("jitter", number(&options.jitter),
+      .option("jitter", number("jitter", &options.jitter),
               "standard deviation of each corner, as a share of the box's width (x) and height (y)")
-      .option("seed", integer(&arguments->seed, 0), "of all random numbers (default 1)")
-      .option("classes", text(&arguments->classes), "class table (default: config/classes_coco.yaml of the package)");
-  command.check = [arguments] { return check(arguments); };
-  command.run = [arguments] { return perturb_detection_files(*arguments); };
+      .option("seed", number("seed", &arguments->seed, 0), "of all random numbers (default 1)")
+      .option("classes", po::value(&arguments->classes),
+              "class table (default: config/classes_coco.yaml of the package)");
   return command;
 }
 
 Command loop_command(LoopArguments* arguments) {
   constexpr int kMaxCount = 1000000;
-  Command command("loops",
+  Command command{"loops",
                   "RUN OUT [--seed N] [--share P] [--cluster N] [--distance M] [--rotation DEG] [--sigma M]\n"
                   "                     [--sigma-deg DEG] [--gap N] [--window N]",
                   "Makes loops that are wrong. RUN is a directory that `offline` wrote; OUT becomes a file for its "
-                  "--extra-loops.\n");
+                  "--extra-loops.\n",
+                  [arguments] { return make_false_loop_file(*arguments); },
+                  [arguments] { return validate(arguments->options); }};
   FalseLoopOptions& options = arguments->options;
-  command.word("RUN", &arguments->run)
-      .word("OUT", &arguments->out)
-      .option("share", number(&arguments->share, 0.0, 100.0),
+  command.words = {{"RUN", &arguments->run}, {"OUT", &arguments->out}};
+  command
+      .option("share", number("share", &arguments->share, 0.0, 100.0),
               "how many, as a share of the loops that RUN accepted (default 1)")
-      .option("cluster", integer(&options.cluster_size, 0, kMaxCount),
+      .option("cluster", number("cluster", &options.cluster_size, 0, kMaxCount),
               "so many neighbouring ones agree with each other (default 1: each is wrong by itself)")
-      .option("distance", number(&options.distance_m),
+      .option("distance", number("distance", &options.distance_m),
               "least error of the relative position, m; it is uniform up to twice that (default 1)")
-      .option("rotation", number(&options.rotation_deg),
+      .option("rotation", number("rotation", &options.rotation_deg),
               "least error of the rotation, degrees; uniform up to twice that (default 30)")
-      .option("sigma", number(&options.sigma_m), "precision that the loops state, m (default 0.03)")
-      .option("sigma-deg", number(&options.sigma_deg), "precision that the loops state, degrees (default 1)")
-      .option("gap", integer(&options.min_gap_keyframes, 0, kMaxCount),
+      .option("sigma", number("sigma", &options.sigma_m), "precision that the loops state, m (default 0.03)")
+      .option("sigma-deg", number("sigma-deg", &options.sigma_deg),
+              "precision that the loops state, degrees (default 1)")
+      .option("gap", number("gap", &options.min_gap_keyframes, 0, kMaxCount),
               "least number of keyframes between query and match (default 15)")
-      .option("window", integer(&options.window_frames, 0, kMaxCount),
+      .option("window", number("window", &options.window_frames, 0, kMaxCount),
               "frames of evidence on either side (default 200)")
-      .option("seed", integer(&arguments->seed, 0), "of all random numbers (default 1)");
-  command.check = [arguments] { return validate(arguments->options); };
-  command.run = [arguments] { return make_false_loop_file(*arguments); };
+      .option("seed", number("seed", &arguments->seed, 0), "of all random numbers (default 1)");
   return command;
 }
 

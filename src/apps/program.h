@@ -5,84 +5,73 @@
 #include <functional>
 #include <limits>
 #include <string>
+#include <type_traits>
 #include <utility>
 #include <vector>
 
+#include "semantic_topo_loop/io/text_file.h"
 #include "semantic_topo_loop/io/yaml_files.h"
 #include "semantic_topo_loop/types/result.h"
 
 namespace semantic_topo_loop::apps {
 
-/// The value of an argument: says what it must be and takes it, in the order of the command line. What is not given
-/// keeps its value.
-class Argument : public boost::program_options::value_semantic {
- public:
-  /// @return false if the text is not what it must be
-  using Take = std::function<bool(const std::string& text)>;
+namespace po = boost::program_options;
 
-  /// @param rule what a value must be, for the help and the error; empty for an argument without one
-  Argument(std::string rule, Take take) : rule_(std::move(rule)), take_(std::move(take)) {}
-  Argument* required();
-  Argument* repeatable();
+/// Throws the error of an option's value that is not what it must be.
+[[noreturn]] void refuse(const std::string& name, const std::string& value, const std::string& rule);
 
-  std::string name() const override { return rule_; }
-  unsigned min_tokens() const override { return rule_.empty() ? 0 : 1; }
-  unsigned max_tokens() const override { return min_tokens(); }
-  bool is_composing() const override { return may_repeat_; }
-  bool is_required() const override { return is_needed_; }
-  void parse(boost::any& store, const std::vector<std::string>& tokens, bool utf8) const override;
-  bool apply_default(boost::any&) const override { return false; }
-  void notify(const boost::any&) const override {}
-
- private:
-  std::string rule_;
-  Take take_;
-  bool is_needed_ = false, may_repeat_ = false;
-};
-
+/// The value of option `name`, for which `take` must be true; it stores the text.
+/// @param rule what the value must be, for the help and the error
+po::typed_value<std::string>* checked(const std::string& name, const std::string& rule,
+                                      std::function<bool(const std::string&)> take);
 /// Not empty.
-Argument* path(std::string* path);
-Argument* text(std::string* text);
-Argument* flag(bool* is_set);
+po::typed_value<std::string>* path(const std::string& name, std::string* path);
 /// true or false.
-Argument* boolean(bool* is_true);
-Argument* choice(std::string* choice, const std::vector<std::string>& choices);
-/// Finite, in [min, max].
-Argument* number(double* number, double min = std::numeric_limits<double>::lowest(),
-                 double max = std::numeric_limits<double>::max());
-Argument* integer(std::function<void(std::int64_t)> set, std::int64_t min, std::int64_t max);
-/// In [min, max], which `Integer` can hold.
-template <class Integer>
-Argument* integer(Integer* integer, std::int64_t min, std::int64_t max = std::numeric_limits<std::int64_t>::max()) {
-  return apps::integer([integer](std::int64_t given) { *integer = static_cast<Integer>(given); }, min, max);
-}
+po::typed_value<std::string>* boolean(const std::string& name, bool* is_true);
+po::typed_value<std::string>* choice(const std::string& name, std::string* choice,
+                                     const std::vector<std::string>& choices);
 /// `key=value`, over what `texts` already holds for the key; may be repeated.
-Argument* assignments(core::OptionTexts* texts);
+po::typed_value<std::vector<std::string>>* assignments(const std::string& name, core::OptionTexts* texts);
+
+/// Finite, in [min, max], which `Number` can hold.
+template <class Number, class Given = std::conditional_t<std::is_integral_v<Number>, std::int64_t, double>>
+po::typed_value<Given>* number(const std::string& name, Number* number,
+                               std::common_type_t<Given> min = std::numeric_limits<Given>::lowest(),
+                               std::common_type_t<Given> max = std::numeric_limits<Given>::max()) {
+  const auto text = [](Given value) {
+    if constexpr (std::is_integral_v<Given>) return std::to_string(value);
+    return core::format_general(static_cast<double>(value), 6);
+  };
+  std::string rule = std::is_integral_v<Given> ? "an integer" : "a finite number";
+  if (max < std::numeric_limits<Given>::max()) {
+    rule += " in [" + text(min) + ", " + text(max) + "]";
+  } else if (min > std::numeric_limits<Given>::lowest()) {
+    rule += " >= " + text(min);
+  }
+  return po::value<Given>()->value_name(rule)->notifier([=](Given given) {
+    if (!(given >= min && given <= max)) refuse(name, text(given), rule);
+    *number = static_cast<Number>(given);
+  });
+}
 
 /// A program, or a sub-command of it: what it takes and does.
 struct Command {
-  std::string name;     ///< the first word; empty for a program that needs no sub-command
+  std::string name;     ///< the first word; empty for a program without one
   std::string usage;    ///< what follows the name
   std::string purpose;  ///< what it does; lines that end in '\n'
-  std::vector<std::pair<std::string, std::string*>>
-      words;  ///< names and values of the words without a name, all needed
-  boost::program_options::options_description options{120};
-  std::function<core::Status()> check;  ///< of the arguments together; may be empty
-  std::function<core::Status()> run;
+  std::function<core::Status()> run = nullptr;
+  std::function<core::Status()> check = nullptr;                 ///< of the arguments together; may be empty
+  std::vector<std::pair<std::string, std::string*>> words = {};  ///< paths without a name in front, all needed
+  po::options_description options{120};
 
-  Command(std::string name, std::string usage, std::string purpose);
-  Command& word(const std::string& name, std::string* path);
-  /// @param name without the dashes   @param value owned from now on
-  Command& option(const char* name, Argument* value, const std::string& meaning);
+  /// @param value is owned from now on
+  Command& option(const char* name, const po::value_semantic* value, const std::string& meaning = {}) {
+    options.add_options()(name, value, meaning.c_str());
+    return *this;
+  }
 };
 
-/// A command without arguments that prints a text.
-Command print_command(std::string name, std::string purpose, std::function<std::string()> text);
-
-constexpr int kFailed = 1, kBadArguments = 2;
-
-/// Takes words that follow a command's name: words without a name, `--name value`, `--name=value` and `--flag`, in any
-/// order; names are not abbreviated.
+/// Takes words that follow a command's name; what is not given keeps its value. Names are not abbreviated.
 /// @return an error that names the argument, if one is unknown, lacks its value, is given twice, is not what it must
 /// be, or is needed and missing
 core::Status read_arguments(const Command& command, const std::vector<std::string>& words);

@@ -89,15 +89,12 @@ Status complete(bool is_for_bags, Arguments* arguments) {
 }
 
 /// An argument that is short for --set of an option.
-Argument* option_value(const char* key, OptionTexts* options) {
-  return new Argument("a text", [options, key](const std::string& given) {
-    (*options)[key] = given;
-    return true;
-  });
+auto* option_value(const char* key, OptionTexts* options) {
+  return po::value<std::string>()->notifier([options, key](const std::string& given) { (*options)[key] = given; });
 }
 
-Argument* drift(OptionTexts* options) {
-  return new Argument("model:metres:degrees", [options](const std::string& given) {
+auto* drift(OptionTexts* options) {
+  return checked("drift", "model:metres:degrees", [options](const std::string& given) {
     const std::vector<std::string_view> parts = split(given, ':');
     if (parts.size() != 3) return false;
     (*options)["drift.model"] = parts[0];
@@ -109,7 +106,7 @@ Argument* drift(OptionTexts* options) {
 
 /// @param is_for_bags whether images and a bag are the default
 Command make_command(bool is_for_bags, Arguments* arguments) {
-  Command command(
+  Command command{
       "",
       "--output DIR [--seed N] [--layout desk|office] [--duration S] [--rate HZ]\n"
       "                [--drift smooth|jump:METRES:DEGREES] [--set key=value ...] [--camera YAML] [--classes YAML]\n"
@@ -118,35 +115,42 @@ Command make_command(bool is_for_bags, Arguments* arguments) {
       "Writes a simulated sequence: groundtruth.txt, groundtruth_frames.txt, odometry.txt, detections.json,\n"
       "reference_objects.csv, gone_objects.csv, camera.yaml; with images also rgb/, depth/, rgb.txt, depth.txt and\n"
       "associations.txt. A directory with images that was made from the same options is left as it is. simulate_bag\n"
-      "is simulate with images and a bag.\n");
+      "is simulate with images and a bag.\n",
+      [arguments] { return run(*arguments); }, [is_for_bags, arguments] { return complete(is_for_bags, arguments); }};
   std::string parameters = "one of these parameters; may be repeated:";
   for (const OptionRow& row : list_options<SimulationOptions>()) {
     parameters += "\n" + row.key + "=" + row.value + "  " + row.meaning;
   }
   OptionTexts* options = &arguments->options;
-  command.option("output", path(&arguments->output)->required(), "directory, made if missing")
-      .option("camera", text(&arguments->camera), "calibration (default: config/camera/tum_fr2.yaml of the package)")
-      .option("classes", text(&arguments->classes), "class table (default: config/classes_coco.yaml of the package)")
-      .option("images", boolean(&arguments->has_images),
+  command.option("output", path("output", &arguments->output)->required(), "directory, made if missing")
+      .option("camera", po::value(&arguments->camera),
+              "calibration (default: config/camera/tum_fr2.yaml of the package)")
+      .option("classes", po::value(&arguments->classes),
+              "class table (default: config/classes_coco.yaml of the package)")
+      .option("images", boolean("images", &arguments->has_images),
               "render color and depth images (default: false; simulate_bag: true)")
-      .option("threads", integer(&arguments->threads, 1, 256),
+      .option("threads", number("threads", &arguments->threads, 1, 256),
               "that render (default: one a processor); the result does not depend on it")
       .option(
-          "bag", text(&arguments->bag),
+          "bag", po::value(&arguments->bag),
           "also write a bag in the TUM layout, with color and depth if there are images, else with tiny gray images "
           "(simulate_bag: DIR/sequence.bag)")
-      .option("bag-images", boolean(&arguments->has_bag_images), "false: the bag has camera_info only (default: true)")
-      .option("bag-compression", choice(&arguments->bag_compression, {"bz2", "lz4", "none"}),
+      .option("bag-images", boolean("bag-images", &arguments->has_bag_images),
+              "false: the bag has camera_info only (default: true)")
+      .option("bag-compression", choice("bag-compression", &arguments->bag_compression, {"bz2", "lz4", "none"}),
               "of its chunks (default: bz2 as the official bags; with images lz4, which is 20 times faster)")
       .option("seed", option_value("simulation.seed", options), "short for --set simulation.seed")
       .option("layout", option_value("scene.layout", options), "short for --set scene.layout")
       .option("duration", option_value("trajectory.duration_s", options), "short for --set trajectory.duration_s")
       .option("rate", option_value("trajectory.rate_hz", options), "short for --set trajectory.rate_hz")
       .option("drift", drift(options), "short for --set of the three main drift parameters")
-      .option("set", assignments(options), parameters);
-  command.check = [is_for_bags, arguments] { return complete(is_for_bags, arguments); };
-  command.run = [arguments] { return run(*arguments); };
+      .option("set", assignments("set", options), parameters);
   return command;
+}
+
+Status print_parameters() {
+  std::fputs(format_options_table(list_options<SimulationOptions>()).c_str(), stdout);
+  return {};
 }
 
 }  // namespace
@@ -157,10 +161,9 @@ int main(int argc, char** argv) {
   const bool is_for_bags = name == "simulate_bag";
   Arguments arguments;
   arguments.has_images = is_for_bags;
-  return run_program(
-      name,
-      {make_command(is_for_bags, &arguments),
-       print_command("--list-parameters", "Prints the parameters with their ranges, as a Markdown table.\n",
-                     [] { return format_options_table(list_options<SimulationOptions>()); })},
-      argc, argv);
+  return run_program(name,
+                     {make_command(is_for_bags, &arguments),
+                      Command{"--list-parameters", "",
+                              "Prints the parameters with their ranges, as a Markdown table.\n", print_parameters}},
+                     argc, argv);
 }

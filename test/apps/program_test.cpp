@@ -15,18 +15,18 @@ struct Values {
   core::OptionTexts options;
 
   core::Status read(const std::vector<std::string>& words) {
-    Command command("", "", "");
-    command.word("IN", &in)
-        .option("out", path(&out)->required(), "")
-        .option("name", text(&name), "")
-        .option("color", choice(&color, {"red", "green", "blue"}), "")
-        .option("fast", flag(&is_fast), "")
-        .option("images", boolean(&has_images), "")
-        .option("share", number(&share, 0.0, 1.5), "")
-        .option("angle", number(&angle), "")
-        .option("count", integer(&count, 1, 10), "")
-        .option("seed", integer(&seed, 0), "")
-        .option("set", assignments(&options), "");
+    Command command;
+    command.words = {{"IN", &in}};
+    command.option("out", path("out", &out)->required())
+        .option("name", po::value(&name))
+        .option("color", choice("color", &color, {"red", "green", "blue"}))
+        .option("fast", po::bool_switch(&is_fast))
+        .option("images", boolean("images", &has_images))
+        .option("share", number("share", &share, 0.0, 1.5))
+        .option("angle", number("angle", &angle))
+        .option("count", number("count", &count, 1, 10))
+        .option("seed", number("seed", &seed, 0))
+        .option("set", assignments("set", &options));
     return read_arguments(command, words);
   }
 };
@@ -71,37 +71,40 @@ TEST(CommandLine, EveryKindIsRead) {
 }
 
 TEST(CommandLine, WordsThatDoNotFitAreNamed) {
-  EXPECT_EQ(problem({"--typo", "3"}), "unknown argument '--typo'");
-  EXPECT_EQ(problem({"c"}), "unknown argument 'c'");
-  EXPECT_EQ(problem({""}), "unknown argument ''");
-  EXPECT_EQ(problem({"--nam", "x"}), "unknown argument '--nam'") << "names are not abbreviated";
-  EXPECT_EQ(problem({"--name"}), "argument --name lacks its value");
-  EXPECT_EQ(problem({"--name", "--fast"}), "argument --name lacks its value");
-  EXPECT_EQ(problem({"--name", "--typo"}), "argument --name lacks its value");
-  EXPECT_EQ(problem({"--fast=3"}), "argument --fast takes no value");
-  EXPECT_EQ(problem({"--fast", "--fast"}), "argument --fast is given twice");
-  EXPECT_EQ(problem({"--out", "c"}), "argument --out is given twice");
+  EXPECT_EQ(problem({"--typo", "3"}), "unrecognised option '--typo'");
+  EXPECT_EQ(problem({"c"}), "unrecognised argument 'c'");
+  EXPECT_EQ(problem({""}), "unrecognised argument ''");
+  EXPECT_EQ(problem({"--nam", "x"}), "unrecognised option '--nam'") << "names are not abbreviated";
+  EXPECT_EQ(problem({"--name"}), "the required argument for option '--name' is missing");
+  EXPECT_EQ(problem({"--name", "--fast"}), "the required argument for option '--name' is missing");
+  EXPECT_EQ(problem({"--name", "--typo"}), "the required argument for option '--name' is missing");
+  EXPECT_EQ(problem({"--fast=3"}), "option '--fast' does not take any arguments");
+  EXPECT_EQ(problem({"--fast", "--fast"}), "option '--fast' cannot be specified more than once");
+  EXPECT_EQ(problem({"--out", "c"}), "option '--out' cannot be specified more than once");
 }
 
 TEST(CommandLine, WhatIsMissingIsNamed) {
-  EXPECT_EQ(Values().read({"--out", "b"}).message(), "argument IN is missing");
-  EXPECT_EQ(Values().read({"a"}).message(), "argument --out is missing");
-  EXPECT_EQ(Values().read({"a", "--out", ""}).message(), "argument --out '' must be a path");
+  EXPECT_EQ(Values().read({"--out", "b"}).message(), "the option '--IN' is required but missing");
+  EXPECT_EQ(Values().read({"a"}).message(), "the option '--out' is required but missing");
+  EXPECT_EQ(Values().read({"a", "--out", ""}).message(), "the argument ('') for option '--out' must be a path");
 }
 
 TEST(CommandLine, ValuesThatDoNotFitAreNamed) {
-  EXPECT_EQ(problem({"--color", "pink"}), "argument --color 'pink' must be red, green or blue");
-  EXPECT_EQ(problem({"--images", "1"}), "argument --images '1' must be true or false");
-  EXPECT_EQ(problem({"--share", "1.6"}), "argument --share '1.6' must be a number in [0, 1.5]");
-  EXPECT_EQ(problem({"--share", "nan"}), "argument --share 'nan' must be a number in [0, 1.5]");
-  EXPECT_EQ(problem({"--angle", "wide"}), "argument --angle 'wide' must be a number");
-  EXPECT_EQ(problem({"--angle", "inf"}), "argument --angle 'inf' must be a number");
-  EXPECT_EQ(problem({"--count", "0"}), "argument --count '0' must be an integer in [1, 10]");
-  EXPECT_EQ(problem({"--count", "2.5"}), "argument --count '2.5' must be an integer in [1, 10]");
-  EXPECT_EQ(problem({"--count", "4294967297"}), "argument --count '4294967297' must be an integer in [1, 10]");
-  EXPECT_EQ(problem({"--seed", "-1"}), "argument --seed '-1' must be an integer >= 0");
-  EXPECT_EQ(problem({"--set", "a.b"}), "argument --set 'a.b' must be <module>.<field>=<value>");
-  EXPECT_EQ(problem({"--set", "=3"}), "argument --set '=3' must be <module>.<field>=<value>");
+  EXPECT_EQ(problem({"--color", "pink"}), "the argument ('pink') for option '--color' must be red, green or blue");
+  EXPECT_EQ(problem({"--images", "1"}), "the argument ('1') for option '--images' must be true or false");
+  EXPECT_EQ(problem({"--share", "1.6"}),
+            "the argument ('1.6') for option '--share' must be a finite number in [0, 1.5]");
+  EXPECT_EQ(problem({"--share", "nan"}),
+            "the argument ('nan') for option '--share' must be a finite number in [0, 1.5]");
+  EXPECT_EQ(problem({"--angle", "wide"}), "the argument ('wide') for option '--angle' is invalid");
+  EXPECT_EQ(problem({"--angle", "inf"}), "the argument ('inf') for option '--angle' must be a finite number");
+  EXPECT_EQ(problem({"--count", "0"}), "the argument ('0') for option '--count' must be an integer in [1, 10]");
+  EXPECT_EQ(problem({"--count", "2.5"}), "the argument ('2.5') for option '--count' is invalid");
+  EXPECT_EQ(problem({"--count", "4294967297"}),
+            "the argument ('4294967297') for option '--count' must be an integer in [1, 10]");
+  EXPECT_EQ(problem({"--seed", "-1"}), "the argument ('-1') for option '--seed' must be an integer >= 0");
+  EXPECT_EQ(problem({"--set", "a.b"}), "the argument ('a.b') for option '--set' must be <module>.<field>=<value>");
+  EXPECT_EQ(problem({"--set", "=3"}), "the argument ('=3') for option '--set' must be <module>.<field>=<value>");
 }
 
 }  // namespace

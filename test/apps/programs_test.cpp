@@ -22,18 +22,19 @@ TEST_F(OfflineProgram, HelpAndParametersAreNoErrors) {
   EXPECT_NE(out_.find("Exit status: 0 done"), std::string::npos);
   EXPECT_EQ(run("--list-parameters"), 0);
   EXPECT_NE(out_.find("| `loop.mode` | graph |"), std::string::npos);
-  expect_failure("--list-parameters loop", 2, "unknown argument 'loop'");
+  expect_failure("--list-parameters loop", 2, "unrecognised argument 'loop'");
 }
 
 TEST_F(OfflineProgram, ArgumentsThatDoNotFitAreOneClearError) {
-  expect_failure("", 2, "argument --camera is missing");
+  expect_failure("", 2, "the option '--camera' is required but missing");
   const std::string no_source = "one of the arguments --trajectory, --rgbd and --bag is needed";
   expect_bad_arguments("", no_source);
   expect_bad_arguments("--rgbd @ --bag @b.bag", no_source);
   expect_bad_arguments("--trajectory @t.txt", "argument --detections is missing");
   expect_bad_arguments("--bag @b.bag --associations @a.txt", "argument --associations needs --rgbd");
   expect_bad_arguments("--bag @b.bag --points a.ply", "argument --points needs --rgbd");
-  expect_bad_arguments("--rgbd @ --points a.obj", "argument --points 'a.obj' must be a path that ends in .ply or .pcd");
+  expect_bad_arguments("--rgbd @ --points a.obj",
+                       "the argument ('a.obj') for option '--points' must be a path that ends in .ply or .pcd");
 }
 
 TEST_F(OfflineProgram, FilesThatAreMissingAreOneClearError) {
@@ -48,8 +49,8 @@ class OptimiseGraphProgram : public ProgramTest {
 };
 
 TEST_F(OptimiseGraphProgram, ArgumentsThatDoNotFitAreOneClearError) {
-  expect_failure("--robust gnc", 2, "argument IN.g2o is missing");
-  expect_failure("@in.g2o @out.g2o @more.g2o", 2, "unknown argument");
+  expect_failure("--robust gnc", 2, "the option '--IN.g2o' is required but missing");
+  expect_failure("@in.g2o @out.g2o @more.g2o", 2, "unrecognised argument");
   expect_failure("@in.g2o @out.g2o --robust always", 2, "'always'");
   expect_failure("@in.g2o @out.g2o", 1, "in.g2o: cannot open the file");
 }

@@ -91,10 +91,10 @@ TEST_F(EvaluateProgram, BadFilesEndWithOneErrorAndStatusOne) {
 TEST_F(EvaluateProgram, BadArgumentsEndWithStatusTwo) {
   expect_failure("", 2, "the sub-command is missing");
   expect_failure("everything @run", 2, "unknown sub-command 'everything'");
-  expect_failure("trajectory @gt.txt", 2, "evaluate trajectory: error: argument GT is missing");
-  expect_failure("trajectory @gt.txt @gt.txt --typo", 2, "unknown argument '--typo'");
-  expect_failure("objects @run @gt.txt @reference.csv --mocap @gt.txt", 2, "unknown argument '--mocap'");
-  expect_failure("trajectory @gt.txt @gt.txt --json", 2, "argument --json lacks its value");
+  expect_failure("trajectory @gt.txt", 2, "evaluate trajectory: error: the option '--GT' is required but missing");
+  expect_failure("trajectory @gt.txt @gt.txt --typo", 2, "unrecognised option '--typo'");
+  expect_failure("objects @run @gt.txt @reference.csv --mocap @gt.txt", 2, "unrecognised option '--mocap'");
+  expect_failure("trajectory @gt.txt @gt.txt --json", 2, "the required argument for option '--json' is missing");
 }
 
 }  // namespace

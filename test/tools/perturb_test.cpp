@@ -240,20 +240,20 @@ TEST_F(PerturbProgram, FalseLoopsAreASeededShareOfTheRightOnes) {
 TEST_F(PerturbProgram, BadArgumentsAreOneClearError) {
   expect_failure("", 2, "the sub-command is missing");
   expect_failure("poses", 2, "unknown sub-command 'poses'");
-  expect_failure("loops @run", 2, "argument OUT is missing");
+  expect_failure("loops @run", 2, "the option '--OUT' is required but missing");
   expect_failure("loops @run @out.csv --cluster 0", 2, "'cluster' = '0' must be >= 1");
   expect_failure("loops @run @out.csv", 1, "keyframes.csv");
   EXPECT_EQ(detections("@boxes.json"), 2);
-  expect_one_line_error("argument OUT is missing");
+  expect_one_line_error("the option '--OUT' is required but missing");
   EXPECT_EQ(detections("@boxes.json @out.json --drop 1.5"), 2);
   expect_one_line_error("'drop' = '1.5' must be in [0, 1]");
   EXPECT_EQ(detections("@boxes.json @out.json --jitter much"), 2);
-  expect_one_line_error("--jitter 'much' must be a number");
+  expect_one_line_error("the argument ('much') for option '--jitter' is invalid");
   EXPECT_EQ(detections("@boxes.json @out.json --seed -1"), 2);
-  expect_one_line_error("--seed '-1' must be an integer >= 0");
+  expect_one_line_error("the argument ('-1') for option '--seed' must be an integer >= 0");
   EXPECT_EQ(detections("@boxes.json @out.json --flip 0.1"), 2);
-  expect_one_line_error("unknown argument '--flip'");
-  expect_failure("detections @boxes.json @out.json --drop", 2, "argument --drop lacks its value");
+  expect_one_line_error("unrecognised option '--flip'");
+  expect_failure("detections @boxes.json @out.json --drop", 2, "the required argument for option '--drop' is missing");
   EXPECT_EQ(detections("@boxes.json @boxes.json"), 2);
   expect_one_line_error("is the input itself");
   EXPECT_FALSE(std::filesystem::exists(directory_.path("out.json")));

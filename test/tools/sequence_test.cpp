@@ -243,10 +243,10 @@ TEST_F(SimulateProgram, half_made_directories_are_made_again) {
 
 TEST_F(SimulateProgram, wrong_arguments_are_named) {
   for (const auto& [arguments, part] :
-       {std::pair("--images maybe", "--images 'maybe' must be true or false"),
-        std::pair("--threads 0", "--threads '0'"),
-        std::pair("--bag-compression zip", "--bag-compression 'zip' must be bz2, lz4 or none"),
-        std::pair("--bag-images 1", "--bag-images '1'")}) {
+       {std::pair("--images maybe", "('maybe') for option '--images' must be true or false"),
+        std::pair("--threads 0", "('0') for option '--threads'"),
+        std::pair("--bag-compression zip", "('zip') for option '--bag-compression' must be bz2, lz4 or none"),
+        std::pair("--bag-images 1", "('1') for option '--bag-images'")}) {
     const ProgramRun failed = run(STL_PROGRAM_DIR "/simulate", arguments);
     EXPECT_EQ(failed.status, 2) << arguments;
     EXPECT_NE(failed.err.find(part), std::string::npos) << failed.err;
