@@ -26,19 +26,13 @@ struct Arguments {
   bool with_scale = false;
 };
 
-/// The figures of one evaluation: as a table for people and as JSON for programs.
-struct Report {
-  std::string table;
-  Json json;
-};
-
 std::string line(const char* name, const std::string& value) {
   char text[256];
   std::snprintf(text, sizeof(text), "%-34s %s\n", name, value.c_str());
   return text;
 }
 
-std::string to_text(const Ratio& ratio) {
+std::string to_text(const Ratio& ratio, const char* /*unit*/ = "") {
   char text[64];
   std::snprintf(text, sizeof(text), "%.4f  (%d / %d)", ratio.value(), ratio.right, ratio.total);
   return text;
@@ -51,15 +45,34 @@ std::string to_text(const ErrorStatistics& e, const char* unit) {
   return text;
 }
 
+std::string to_text(int count, const char* /*unit*/) { return std::to_string(count); }
+
+Json to_json(int count) { return count; }
+
 Json to_json(const Ratio& ratio) { return {{"value", ratio.value()}, {"right", ratio.right}, {"total", ratio.total}}; }
 
 Json to_json(const ErrorStatistics& e) {
   return {{"count", e.count}, {"rmse", e.rmse}, {"mean", e.mean}, {"median", e.median}, {"max", e.max}};
 }
 
-Json to_json(const Detectability& d) {
-  return {{"precision", to_json(d.precision)}, {"recall", to_json(d.recall)}, {"f", d.f()}};
-}
+/// The figures of one evaluation: as a table for people and as JSON for programs.
+struct Report {
+  std::string table;
+  Json json;
+
+  /// A count, ratio or error, whose JSON is `key`.
+  template <class Figure>
+  void add(const char* name, const char* key, const Figure& figure, const char* unit = "") {
+    table += line(name, to_text(figure, unit));
+    json[key] = to_json(figure);
+  }
+  void add_detectability(const std::string& name, const Detectability& d) {
+    table += line((name + ": precision").c_str(), to_text(d.precision)) +
+             line((name + ": recall").c_str(), to_text(d.recall)) +
+             line((name + ": F").c_str(), format_fixed(d.f(), 4));
+    json[name] = {{"precision", to_json(d.precision)}, {"recall", to_json(d.recall)}, {"f", d.f()}};
+  }
+};
 
 Result<TrajectoryEvaluation> align_files(const std::string& estimate, const std::string& reference, bool with_scale) {
   const auto estimated = read_tum_trajectory(estimate);
@@ -78,14 +91,13 @@ Result<Report> report_trajectory(const Arguments& arguments) {
   if (!e) return e.error();
   Report report;
   report.table =
-      line("poses (estimate, ground truth)", std::to_string(e->estimated) + ", " + std::to_string(e->reference)) +
-      line("pairs within 0.02 s", std::to_string(e->pairs)) + line("scale", std::to_string(e->alignment.scale)) +
-      line("ATE", to_text(e->absolute_m, "m")) + line("RPE over 1 s, translation", to_text(e->relative_m, "m")) +
-      line("RPE over 1 s, rotation", to_text(e->relative_deg, "deg"));
-  report.json = {
-      {"estimated", e->estimated},          {"reference", e->reference},       {"pairs", e->pairs},
-      {"scale", e->alignment.scale},        {"ate_m", to_json(e->absolute_m)}, {"rpe_m", to_json(e->relative_m)},
-      {"rpe_deg", to_json(e->relative_deg)}};
+      line("poses (estimate, ground truth)", std::to_string(e->estimated) + ", " + std::to_string(e->reference));
+  report.json = {{"estimated", e->estimated}, {"reference", e->reference}, {"scale", e->alignment.scale}};
+  report.add("pairs within 0.02 s", "pairs", static_cast<int>(e->pairs));
+  report.table += line("scale", std::to_string(e->alignment.scale));
+  report.add("ATE", "ate_m", e->absolute_m, "m");
+  report.add("RPE over 1 s, translation", "rpe_m", e->relative_m, "m");
+  report.add("RPE over 1 s, rotation", "rpe_deg", e->relative_deg, "deg");
   return report;
 }
 
@@ -127,22 +139,16 @@ Result<Report> report_objects(const Arguments& arguments) {
   const auto trajectory = align_files(run + "/trajectory.txt", arguments.truth, false);
   if (!trajectory) return trajectory.error();
   const ObjectEvaluation e = evaluate_objects(*objects, *references, trajectory->alignment);
-  char f[64];
   Report report;
-  std::snprintf(f, sizeof(f), "%.4f", e.certain.f());
-  report.table = line("certain: precision", to_text(e.certain.precision)) +
-                 line("certain: recall", to_text(e.certain.recall)) + line("certain: F", f);
-  std::snprintf(f, sizeof(f), "%.4f", e.strict.f());
-  report.table += line("strict: precision", to_text(e.strict.precision)) +
-                  line("strict: recall", to_text(e.strict.recall)) + line("strict: F", f) +
-                  line("no other object nearby (paper)", to_text(e.undisputed)) +
-                  line("matched probable, marginal",
-                       std::to_string(e.matched_probable) + ", " + std::to_string(e.matched_marginal)) +
-                  line("distance to certain references", to_text(e.center_m, "m"));
-  report.json = {{"certain", to_json(e.certain)},          {"strict", to_json(e.strict)},
-                 {"undisputed", to_json(e.undisputed)},    {"matched_certain", e.matched_certain},
-                 {"matched_probable", e.matched_probable}, {"matched_marginal", e.matched_marginal},
-                 {"center_m", to_json(e.center_m)}};
+  report.add_detectability("certain", e.certain);
+  report.add_detectability("strict", e.strict);
+  report.add("no other object nearby (paper)", "undisputed", e.undisputed);
+  report.table += line("matched probable, marginal",
+                       std::to_string(e.matched_probable) + ", " + std::to_string(e.matched_marginal));
+  report.json["matched_certain"] = e.matched_certain;
+  report.json["matched_probable"] = e.matched_probable;
+  report.json["matched_marginal"] = e.matched_marginal;
+  report.add("distance to certain references", "center_m", e.center_m, "m");
   list_objects(e, *objects, *references, &report);
   return report;
 }
@@ -184,29 +190,19 @@ Result<LoopFiles> read_loop_files(const Arguments& arguments) {
 
 Report report_geometry(const LoopEvaluation& e) {
   Report report;
-  report.table = line("candidates", std::to_string(e.candidates)) + line("accepted", std::to_string(e.accepted)) +
-                 line("not judged (mocap holes)", std::to_string(e.not_judged)) +
-                 line("right within 0.35 m, 10 deg", to_text(e.right_wide)) +
-                 line("right within 0.20 m, 5 deg", to_text(e.right_narrow)) +
-                 line("error, translation", to_text(e.error_m, "m")) +
-                 line("error, rotation", to_text(e.error_deg, "deg")) +
-                 line("largest viewpoint difference, right", format_fixed(e.largest_right_view_deg, 1) + " deg") +
-                 line("loopable queries closed", to_text({e.closed, e.loopable})) +
-                 line("loopable queries closed at once", to_text({e.closed_at_once, e.loopable})) +
-                 line("pairs: precision (paper)", to_text(e.pair_precision)) +
-                 line("pairs: recall (paper)", to_text(e.pair_recall));
-  report.json = {{"candidates", e.candidates},
-                 {"accepted", e.accepted},
-                 {"not_judged", e.not_judged},
-                 {"right_wide", to_json(e.right_wide)},
-                 {"right_narrow", to_json(e.right_narrow)},
-                 {"error_m", to_json(e.error_m)},
-                 {"error_deg", to_json(e.error_deg)},
-                 {"largest_right_view_deg", e.largest_right_view_deg},
-                 {"closed", to_json(Ratio{e.closed, e.loopable})},
-                 {"closed_at_once", to_json(Ratio{e.closed_at_once, e.loopable})},
-                 {"pair_precision", to_json(e.pair_precision)},
-                 {"pair_recall", to_json(e.pair_recall)}};
+  report.add("candidates", "candidates", e.candidates);
+  report.add("accepted", "accepted", e.accepted);
+  report.add("not judged (mocap holes)", "not_judged", e.not_judged);
+  report.add("right within 0.35 m, 10 deg", "right_wide", e.right_wide);
+  report.add("right within 0.20 m, 5 deg", "right_narrow", e.right_narrow);
+  report.add("error, translation", "error_m", e.error_m, "m");
+  report.add("error, rotation", "error_deg", e.error_deg, "deg");
+  report.table += line("largest viewpoint difference, right", format_fixed(e.largest_right_view_deg, 1) + " deg");
+  report.json["largest_right_view_deg"] = e.largest_right_view_deg;
+  report.add("loopable queries closed", "closed", Ratio{e.closed, e.loopable});
+  report.add("loopable queries closed at once", "closed_at_once", Ratio{e.closed_at_once, e.loopable});
+  report.add("pairs: precision (paper)", "pair_precision", e.pair_precision);
+  report.add("pairs: recall (paper)", "pair_recall", e.pair_recall);
   return report;
 }
 
