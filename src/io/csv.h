@@ -84,6 +84,14 @@ class CsvRow {
   std::string row_;
 };
 
+/// A row of texts and integers.
+template <class... Fields>
+std::string csv_row(const Fields&... fields) {
+  CsvRow row;
+  (row.add(fields), ...);
+  return row.end();
+}
+
 // The columns of a file are listed once, by a function `visit_columns(row, visitor)` that shows each field with the
 // name of its column. The visitors below make the file's first line, write a row, and read one.
 

@@ -208,15 +208,9 @@ std::string RunRecorder::loop_verdicts() const {
     return found == keyframe_frames_.end() ? -1 : found->second;
   };
   for (const LoopVerdict& verdict : correction_.loops) {
-    text += CsvRow()
-                .add(verdict.query_keyframe_id)
-                .add(verdict.match_keyframe_id)
-                .add(frame_of(verdict.query_keyframe_id))
-                .add(frame_of(verdict.match_keyframe_id))
-                .add(verdict.is_extra ? 1 : 0)
-                .add(verdict.kept ? 1 : 0)
-                .add(verdict.reason.empty() ? "kept" : verdict.reason)
-                .end();
+    text += csv_row(verdict.query_keyframe_id, verdict.match_keyframe_id, frame_of(verdict.query_keyframe_id),
+                    frame_of(verdict.match_keyframe_id), verdict.is_extra ? 1 : 0, verdict.kept ? 1 : 0,
+                    verdict.reason.empty() ? "kept" : verdict.reason);
   }
   return text;
 }
@@ -226,7 +220,7 @@ std::string RunRecorder::scales() const {
   for (const auto& [keyframe_id, frame_id] : keyframe_frames_) {
     const auto solution = S_map_keyframe_.find(keyframe_id);
     if (solution == S_map_keyframe_.end()) continue;
-    text += CsvRow().add(keyframe_id).add(frame_id).add(solution->second.scale, kRatioDecimals).end();
+    text += csv_row(keyframe_id, frame_id, format_fixed(solution->second.scale, kRatioDecimals));
   }
   return text;
 }
@@ -236,13 +230,9 @@ std::string RunRecorder::loop_scales() const {
   for (const auto& [frame_id, candidates] : loops_) {
     for (const LoopRow& loop : candidates) {
       if (!(loop.log_scale_variance > 0.0)) continue;
-      text += CsvRow()
-                  .add(loop.query_frame)
-                  .add(loop.match_frame)
-                  .add(loop.accepted ? 1 : 0)
-                  .add(loop.scale, kRatioDecimals)
-                  .add(std::sqrt(loop.log_scale_variance), kRatioDecimals)
-                  .end();
+      text +=
+          csv_row(loop.query_frame, loop.match_frame, loop.accepted ? 1 : 0, format_fixed(loop.scale, kRatioDecimals),
+                  format_fixed(std::sqrt(loop.log_scale_variance), kRatioDecimals));
     }
   }
   return text;
@@ -252,12 +242,7 @@ std::string RunRecorder::associations() const {
   std::string text = "frame_id,detection_index,landmark_id,level\n";
   for (const auto& [frame_id, frame] : associations_) {
     for (const Association& association : frame.associations) {
-      text += CsvRow()
-                  .add(frame_id)
-                  .add(association.detection_index)
-                  .add(association.landmark_id)
-                  .add(level_name(association.level))
-                  .end();
+      text += csv_row(frame_id, association.detection_index, association.landmark_id, level_name(association.level));
     }
   }
   return text;
@@ -269,13 +254,9 @@ std::string RunRecorder::timing() const {
   for (const auto& [frame_id, frame] : frames_) {
     const auto it = timing_.find(frame_id);
     const FrameTiming t = it == timing_.end() ? FrameTiming() : it->second;
-    text += CsvRow()
-                .add(frame_id)
-                .add(t.association_us, kMicrosecondDecimals)
-                .add(t.mapping_us, kMicrosecondDecimals)
-                .add(t.loop_us, kMicrosecondDecimals)
-                .add(t.optimise_us, kMicrosecondDecimals)
-                .end();
+    text += csv_row(frame_id, format_fixed(t.association_us, kMicrosecondDecimals),
+                    format_fixed(t.mapping_us, kMicrosecondDecimals), format_fixed(t.loop_us, kMicrosecondDecimals),
+                    format_fixed(t.optimise_us, kMicrosecondDecimals));
   }
   return text;
 }
