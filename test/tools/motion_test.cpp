@@ -18,10 +18,10 @@ std::vector<SE3> poses(const std::string& layout, std::uint64_t seed, double dur
   scene_options.layout = layout;
   TrajectoryOptions options;
   options.duration_s = duration_s;
-  const HandheldTrajectory trajectory(make_scene(scene_options, seed), options, seed);
+  const auto trajectory = make_trajectory(make_scene(scene_options, seed), options, seed);
   std::vector<SE3> result;
   for (double i = 0.0; i < duration_s * options.rate_hz; i += 1.0) {
-    result.push_back(trajectory.T_world_camera(i / options.rate_hz));
+    result.push_back(trajectory->T_world_camera(i / options.rate_hz));
   }
   return result;
 }
@@ -178,10 +178,10 @@ TEST(HandheldTrajectory, an_arc_swings_to_and_fro) {
   TrajectoryOptions options;
   options.arc_deg = 90.0;
   options.wander_m = 0.0;
-  const HandheldTrajectory trajectory(scene, options, 2);
+  const auto trajectory = make_trajectory(scene, options, 2);
   const Vec3& center = scene.desks[0].T_world_desk.t;
   const auto direction = [&](double time_s) {
-    return Vec2((trajectory.T_world_camera(time_s).t - center).head<2>().normalized());
+    return Vec2((trajectory->T_world_camera(time_s).t - center).head<2>().normalized());
   };
   double widest_deg = 0.0;
   for (double time_s = 0.0; time_s < 36.0; time_s += 0.5) {
@@ -361,8 +361,8 @@ TEST_P(MovedObjects, stand_free_on_another_surface) {
   dynamics.move_time_s = 10.0;
   for (std::uint64_t seed = 0; seed < 30; ++seed) {
     Scene scene = make_scene(options, seed);
-    const HandheldTrajectory trajectory(scene, {}, seed);
-    add_dynamics(dynamics, trajectory, 20.0, seed, &scene);
+    const auto trajectory = make_trajectory(scene, {}, seed);
+    add_dynamics(dynamics, *trajectory, 20.0, seed, &scene);
     const auto moved = moving(scene);
     ASSERT_EQ(moved.size(), 2u) << "seed " << seed;
     for (const SceneObject* object : moved) {

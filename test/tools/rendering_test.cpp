@@ -125,7 +125,7 @@ TEST_F(SceneRendererTest, boxes_of_ellipsoids_agree_with_their_projection) {
     const SceneObject object = turned_object(kOrange, T_world_desk * Vec3(0.1 * i, 0.3 * i, 0.1), {0.06, 0.05, 0.1});
     scene.objects.push_back(object);
   }
-  const HandheldTrajectory trajectory(scene, {}, 2);
+  const auto trajectory = make_trajectory(scene, {}, 2);
   Room room = box_room();
   room.T_world_room = T_world_desk;
   room.half = {4.0, 4.0, 2.0};
@@ -133,7 +133,7 @@ TEST_F(SceneRendererTest, boxes_of_ellipsoids_agree_with_their_projection) {
   const SceneProjector projector(scene, camera_);
   int compared = 0;
   for (int i = 0; i < 5; ++i) {
-    const SE3 T_world_camera = trajectory.T_world_camera(7.0 * i);
+    const SE3 T_world_camera = trajectory->T_world_camera(7.0 * i);
     const auto drawn = renderer.render(rays_, T_world_camera, 0.0, false).objects;
     const auto projected = projector.project(T_world_camera);
     for (std::size_t k = 0; k < scene.objects.size(); ++k) {
@@ -207,9 +207,9 @@ TEST_F(SceneRendererTest, textures_stay_on_their_surfaces) {
 TEST_F(SceneRendererTest, same_seed_same_picture) {
   const Scene scene = make_scene({}, 4);
   const auto picture = [&](std::uint64_t seed) {
-    const HandheldTrajectory trajectory(scene, {}, 1);
-    const Room room = room_around(scene, {{0, trajectory.T_world_camera(0.0)}});
-    return SceneRenderer(scene, room, seed).render(rays_, trajectory.T_world_camera(0.0));
+    const auto trajectory = make_trajectory(scene, {}, 1);
+    const Room room = room_around(scene, {{0, trajectory->T_world_camera(0.0)}});
+    return SceneRenderer(scene, room, seed).render(rays_, trajectory->T_world_camera(0.0));
   };
   const RenderedImage first = picture(1), again = picture(1), other = picture(2);
   EXPECT_EQ(cv::norm(first.color, again.color, cv::NORM_INF), 0.0);
@@ -223,9 +223,9 @@ TEST(Room, holds_furniture_and_camera) {
     SceneOptions options;
     options.layout = layout;
     const Scene scene = make_scene(options, 3);
-    const HandheldTrajectory trajectory(scene, {}, 3);
+    const auto trajectory = make_trajectory(scene, {}, 3);
     StampedPoses poses;
-    for (int i = 0; i < 40; ++i) poses.push_back({i, trajectory.T_world_camera(i)});
+    for (int i = 0; i < 40; ++i) poses.push_back({i, trajectory->T_world_camera(i)});
     const Room room = room_around(scene, poses);
     const auto margin = [&room](const Vec3& p) {
       return (room.half - (room.T_world_room.inverse() * p).cwiseAbs()).head<2>().minCoeff();

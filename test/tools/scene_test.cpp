@@ -175,12 +175,12 @@ TEST(Detector, clean_boxes_equal_project_box) {
     SceneOptions scene_options;
     scene_options.layout = layout;
     const Scene scene = make_scene(scene_options, 5);
-    const HandheldTrajectory trajectory(scene, {}, 5);
+    const auto trajectory = make_trajectory(scene, {}, 5);
     DetectorModel model(scene, camera, coco(), perfect_detector(), 30.0, 1);
     const SceneProjector projector(scene, camera);
     int compared = 0;
     for (double time_s = 0.0; time_s < 36.0; time_s += 0.5) {
-      const SE3 T = trajectory.T_world_camera(time_s);
+      const SE3 T = trajectory->T_world_camera(time_s);
       const auto views = projector.project(T);
       for (const SimulatedDetection& d : model.detect(T)) {
         const auto i = static_cast<std::size_t>(d.object);

@@ -1,6 +1,7 @@
 #include "tools/simulation/motion.h"
 
 #include <algorithm>
+#include <array>
 
 #include "semantic_topo_loop/geometry/lie.h"
 
@@ -126,128 +127,180 @@ void move_objects(const DynamicsOptions& options, Random* random, Scene* scene) 
   }
 }
 
-}  // namespace
-
-SmoothNoise::SmoothNoise(double low_hz, double high_hz, Random* random) {
-  for (Wave& wave : waves_) {
-    wave.hz = random->uniform(low_hz, high_hz);
-    wave.phase = random->uniform(0.0, 2.0 * kPi);
+/// A smooth random function of time with zero mean and unit standard deviation: a sum of sinusoids.
+class SmoothNoise {
+ public:
+  SmoothNoise() = default;
+  SmoothNoise(double low_hz, double high_hz, Random* random) {
+    for (Wave& wave : waves_) {
+      wave.hz = random->uniform(low_hz, high_hz);
+      wave.phase = random->uniform(0.0, 2.0 * kPi);
+    }
   }
-}
+  double operator()(double time_s) const {
+    double sum = 0.0;
+    for (const Wave& wave : waves_) sum += std::sin(2.0 * kPi * wave.hz * time_s + wave.phase);
+    return sum * std::sqrt(2.0 / static_cast<double>(waves_.size()));
+  }
 
-double SmoothNoise::operator()(double time_s) const {
-  double sum = 0.0;
-  for (const Wave& wave : waves_) sum += std::sin(2.0 * kPi * wave.hz * time_s + wave.phase);
-  return sum * std::sqrt(2.0 / static_cast<double>(waves_.size()));
-}
+ private:
+  struct Wave {
+    double hz = 0.0, phase = 0.0;
+  };
+  std::array<Wave, 4> waves_;
+};
+
+/// The lap that trajectories follow: an oval around the desks' middle line, without corners in the pace.
+class Lap {
+ public:
+  Lap(const Scene& scene, double distance_m) : distance_m_(distance_m) {
+    line_start_ = scene.desks.front().T_world_desk.t;
+    const Vec3 line = scene.desks.back().T_world_desk.t - line_start_;
+    line_length_m_ = line.norm();
+    // A single desk is circled; any direction serves as its middle line.
+    line_direction_ = line_length_m_ > 1e-6 ? Vec3(line / line_length_m_) : Vec3::UnitX();
+  }
+
+  /// A place of the lap, at table height.
+  struct Place {
+    Vec3 line_point;  ///< the nearest point of the middle line
+    Vec3 outward;     ///< unit
+  };
+  /// @param laps whole laps repeat
+  Place at(double laps) const {
+    const Station s = smooth_station(laps);
+    const Vec3 side(line_direction_.y(), -line_direction_.x(), 0.0);
+    return {line_start_ + s.along_m * line_direction_, std::cos(s.angle) * side + std::sin(s.angle) * line_direction_};
+  }
+
+ private:
+  /// How far along the desks' middle line, and on which side of it.
+  struct Station {
+    double along_m = 0.0, angle = 0.0;
+  };
+
+  Station station(double laps) const {
+    const double whole = std::floor(laps);
+    const double arc = kPi * distance_m_;
+    const double way = (laps - whole) * 2.0 * (line_length_m_ + arc);
+    const double turns = 2.0 * kPi * whole;
+    if (way < line_length_m_) return {way, turns};
+    if (way < line_length_m_ + arc) return {line_length_m_, turns + (way - line_length_m_) / distance_m_};
+    if (way < 2.0 * line_length_m_ + arc) return {2.0 * line_length_m_ + arc - way, turns + kPi};
+    return {0.0, turns + kPi + (way - 2.0 * line_length_m_ - arc) / distance_m_};
+  }
+
+  Station smooth_station(double laps) const {
+    // A moving average rounds the corners of the pace, where straight meets arc.
+    constexpr int kSamples = 16;  // so that a step of the average is below a hundredth of a lap
+    constexpr double kWindowLaps = 0.1;
+    Station mean;
+    for (int i = 0; i < kSamples; ++i) {
+      const Station s = station(laps + kWindowLaps * ((i + 0.5) / kSamples - 0.5));
+      mean.along_m += s.along_m / kSamples;
+      mean.angle += s.angle / kSamples;
+    }
+    return mean;
+  }
+
+  double distance_m_;
+  Vec3 line_start_ = Vec3::Zero();
+  Vec3 line_direction_ = Vec3::UnitX();
+  double line_length_m_ = 0.0;
+};
+
+/// What the models have in common: where on the lap they begin, and which way round they go.
+class LapTrajectory : public CameraTrajectory {
+ protected:
+  LapTrajectory(const Scene& scene, const TrajectoryOptions& options, Random* random)
+      : options_(options),
+        lap_(scene, options.distance_m),
+        first_lap_(random->uniform()),
+        sense_(random->chance(0.5) ? 1.0 : -1.0) {}
+
+  TrajectoryOptions options_;
+  Lap lap_;
+  double first_lap_, sense_;
+};
+
+class HandheldTrajectory : public LapTrajectory {
+ public:
+  HandheldTrajectory(const Scene& scene, const TrajectoryOptions& options, Random random)
+      : LapTrajectory(scene, options, &random) {
+    for (SmoothNoise& noise : wander_) noise = SmoothNoise(0.03, 0.15, &random);
+    for (SmoothNoise& noise : shake_) noise = SmoothNoise(0.8, 5.0, &random);
+  }
+
+  SE3 T_world_camera(double time_s) const override {
+    const auto [line_point, outward] = lap_.at(laps(time_s));
+
+    std::array<double, 5> wander;
+    for (std::size_t i = 0; i < wander.size(); ++i) wander[i] = options_.wander_m * wander_[i](time_s);
+    Vec3 position = line_point + (options_.distance_m + wander[0]) * outward;
+    position.z() = options_.height_m + wander[1];
+    const Vec3 target = line_point + Vec3(wander[2], wander[3], 0.5 * wander[4]);
+
+    Vec6 shake;
+    for (int i = 0; i < 6; ++i) {
+      const double amplitude = i < 3 ? options_.shake_m : radians(options_.shake_deg);
+      shake[i] = amplitude * shake_[static_cast<std::size_t>(i)](time_s);
+    }
+    return SE3(looking(target - position), position) * se3_exp(shake);
+  }
+
+ private:
+  double laps(double time_s) const {
+    const double steady = time_s / options_.lap_s;
+    if (options_.arc_deg == 360.0) return first_lap_ + sense_ * steady;
+    return first_lap_ + sense_ * 0.5 * options_.arc_deg / 360.0 * std::sin(2.0 * kPi * steady);
+  }
+
+  std::array<SmoothNoise, 5> wander_;
+  std::array<SmoothNoise, 6> shake_;
+};
+
+class RobotTrajectory : public LapTrajectory {
+ public:
+  RobotTrajectory(const Scene& scene, const TrajectoryOptions& options, Random random)
+      : LapTrajectory(scene, options, &random),
+        first_stop_(random.uniform(0.0, 2.0 * kPi)),
+        wander_(0.02, 0.08, &random) {}
+
+  SE3 T_world_camera(double time_s) const override {
+    // Speed 1 - cos(phase) of the mean: it stands where the phase is a whole turn, and turns on the spot around then.
+    const double phase = 2.0 * kPi * time_s / kStopPeriod_s + first_stop_;
+    const double way_s = time_s - kStopPeriod_s / (2.0 * kPi) * (std::sin(phase) - std::sin(first_stop_));
+    const double laps = first_lap_ + sense_ * way_s / options_.lap_s;
+    const double standing = std::max(0.0, std::cos(phase));
+    const double scan = radians(kScan_deg) * standing * standing * standing * std::sin(2.0 * phase);
+
+    // Over 2 % of a lap, so that the heading turns as smoothly as the place moves.
+    constexpr double kStep = 0.01;
+    const Vec3 heading = sense_ * (position(laps + kStep) - position(laps - kStep));
+    const double inward = sense_ * radians(kMount_deg);
+    const Vec3 level = Quaternion(Eigen::AngleAxisd(inward + scan, Vec3::UnitZ())) * heading.normalized();
+    const double tilt = radians(kTilt_deg);
+    return {looking(std::cos(tilt) * level - std::sin(tilt) * Vec3::UnitZ()), position(laps)};
+  }
+
+ private:
+  Vec3 position(double laps) const {
+    const auto [line_point, outward] = lap_.at(laps);
+    Vec3 position = line_point + (options_.distance_m + options_.wander_m * wander_(laps * options_.lap_s)) * outward;
+    position.z() = options_.height_m;
+    return position;
+  }
+
+  double first_stop_;  ///< phase, rad
+  SmoothNoise wander_;
+};
+
+}  // namespace
 
 std::unique_ptr<CameraTrajectory> make_trajectory(const Scene& scene, const TrajectoryOptions& options,
                                                   std::uint64_t seed) {
-  if (options.model == "robot") return std::make_unique<RobotTrajectory>(scene, options, seed);
-  return std::make_unique<HandheldTrajectory>(scene, options, seed);
-}
-
-Lap::Lap(const Scene& scene, double distance_m) : distance_m_(distance_m) {
-  line_start_ = scene.desks.front().T_world_desk.t;
-  const Vec3 line = scene.desks.back().T_world_desk.t - line_start_;
-  line_length_m_ = line.norm();
-  // A single desk is circled; any direction serves as its middle line.
-  line_direction_ = line_length_m_ > 1e-6 ? Vec3(line / line_length_m_) : Vec3::UnitX();
-}
-
-Lap::Station Lap::station(double laps) const {
-  const double whole = std::floor(laps);
-  const double arc = kPi * distance_m_;
-  const double way = (laps - whole) * 2.0 * (line_length_m_ + arc);
-  const double turns = 2.0 * kPi * whole;
-  if (way < line_length_m_) return {way, turns};
-  if (way < line_length_m_ + arc) return {line_length_m_, turns + (way - line_length_m_) / distance_m_};
-  if (way < 2.0 * line_length_m_ + arc) return {2.0 * line_length_m_ + arc - way, turns + kPi};
-  return {0.0, turns + kPi + (way - 2.0 * line_length_m_ - arc) / distance_m_};
-}
-
-Lap::Station Lap::smooth_station(double laps) const {
-  // A moving average rounds the corners of the pace, where straight meets arc.
-  constexpr int kSamples = 16;  // so that a step of the average is below a hundredth of a lap
-  constexpr double kWindowLaps = 0.1;
-  Station mean;
-  for (int i = 0; i < kSamples; ++i) {
-    const Station s = station(laps + kWindowLaps * ((i + 0.5) / kSamples - 0.5));
-    mean.along_m += s.along_m / kSamples;
-    mean.angle += s.angle / kSamples;
-  }
-  return mean;
-}
-
-Lap::Place Lap::at(double laps) const {
-  const Station s = smooth_station(laps);
-  const Vec3 side(line_direction_.y(), -line_direction_.x(), 0.0);
-  return {line_start_ + s.along_m * line_direction_, std::cos(s.angle) * side + std::sin(s.angle) * line_direction_};
-}
-
-HandheldTrajectory::HandheldTrajectory(const Scene& scene, const TrajectoryOptions& options, std::uint64_t seed)
-    : options_(options), lap_(scene, options.distance_m) {
-  Random random(seed);
-  first_lap_ = random.uniform();
-  sense_ = random.chance(0.5) ? 1.0 : -1.0;
-  for (SmoothNoise& noise : wander_) noise = SmoothNoise(0.03, 0.15, &random);
-  for (SmoothNoise& noise : shake_) noise = SmoothNoise(0.8, 5.0, &random);
-}
-
-double HandheldTrajectory::laps(double time_s) const {
-  const double steady = time_s / options_.lap_s;
-  if (options_.arc_deg == 360.0) return first_lap_ + sense_ * steady;
-  return first_lap_ + sense_ * 0.5 * options_.arc_deg / 360.0 * std::sin(2.0 * kPi * steady);
-}
-
-SE3 HandheldTrajectory::T_world_camera(double time_s) const {
-  const auto [line_point, outward] = lap_.at(laps(time_s));
-
-  std::array<double, 5> wander;
-  for (std::size_t i = 0; i < wander.size(); ++i) wander[i] = options_.wander_m * wander_[i](time_s);
-  Vec3 position = line_point + (options_.distance_m + wander[0]) * outward;
-  position.z() = options_.height_m + wander[1];
-  const Vec3 target = line_point + Vec3(wander[2], wander[3], 0.5 * wander[4]);
-
-  Vec6 shake;
-  for (int i = 0; i < 6; ++i) {
-    const double amplitude = i < 3 ? options_.shake_m : radians(options_.shake_deg);
-    shake[i] = amplitude * shake_[static_cast<std::size_t>(i)](time_s);
-  }
-  return SE3(looking(target - position), position) * se3_exp(shake);
-}
-
-RobotTrajectory::RobotTrajectory(const Scene& scene, const TrajectoryOptions& options, std::uint64_t seed)
-    : options_(options), lap_(scene, options.distance_m) {
-  Random random(seed);
-  first_lap_ = random.uniform();
-  sense_ = random.chance(0.5) ? 1.0 : -1.0;
-  first_stop_ = random.uniform(0.0, 2.0 * kPi);
-  wander_ = SmoothNoise(0.02, 0.08, &random);
-}
-
-Vec3 RobotTrajectory::position(double laps) const {
-  const auto [line_point, outward] = lap_.at(laps);
-  Vec3 position = line_point + (options_.distance_m + options_.wander_m * wander_(laps * options_.lap_s)) * outward;
-  position.z() = options_.height_m;
-  return position;
-}
-
-SE3 RobotTrajectory::T_world_camera(double time_s) const {
-  // Speed 1 - cos(phase) of the mean: it stands where the phase is a whole turn, and turns on the spot around then.
-  const double phase = 2.0 * kPi * time_s / kStopPeriod_s + first_stop_;
-  const double way_s = time_s - kStopPeriod_s / (2.0 * kPi) * (std::sin(phase) - std::sin(first_stop_));
-  const double laps = first_lap_ + sense_ * way_s / options_.lap_s;
-  const double standing = std::max(0.0, std::cos(phase));
-  const double scan = radians(kScan_deg) * standing * standing * standing * std::sin(2.0 * phase);
-
-  // Over 2 % of a lap, so that the heading turns as smoothly as the place moves.
-  constexpr double kStep = 0.01;
-  const Vec3 heading = sense_ * (position(laps + kStep) - position(laps - kStep));
-  const double inward = sense_ * radians(kMount_deg);
-  const Vec3 level = Quaternion(Eigen::AngleAxisd(inward + scan, Vec3::UnitZ())) * heading.normalized();
-  const double tilt = radians(kTilt_deg);
-  return {looking(std::cos(tilt) * level - std::sin(tilt) * Vec3::UnitZ()), position(laps)};
+  if (options.model == "robot") return std::make_unique<RobotTrajectory>(scene, options, Random(seed));
+  return std::make_unique<HandheldTrajectory>(scene, options, Random(seed));
 }
 
 void add_dynamics(const DynamicsOptions& options, const CameraTrajectory& trajectory, double duration_s,

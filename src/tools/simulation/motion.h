@@ -1,6 +1,5 @@
 #pragma once
 
-#include <array>
 #include <cstdint>
 #include <memory>
 #include <string>
@@ -43,20 +42,6 @@ struct TrajectoryOptions {
   }
 };
 
-/// A smooth random function of time with zero mean and unit standard deviation: a sum of sinusoids.
-class SmoothNoise {
- public:
-  SmoothNoise() = default;
-  SmoothNoise(double low_hz, double high_hz, Random* random);
-  double operator()(double time_s) const;
-
- private:
-  struct Wave {
-    double hz = 0.0, phase = 0.0;
-  };
-  std::array<Wave, 4> waves_;
-};
-
 /// How a camera moves through a scene. Continuous in time, so that any sensor can sample it.
 class CameraTrajectory {
  public:
@@ -65,74 +50,11 @@ class CameraTrajectory {
   virtual SE3 T_world_camera(double time_s) const = 0;
 };
 
-/// By TrajectoryOptions::model.
+/// By TrajectoryOptions::model: a handheld camera goes round the desks at a steady pace and looks at them, wandering
+/// and shaking. A wheeled robot drives round the desks: it heads where it goes, its camera keeps its height and its
+/// tilt and is mounted turned towards the desks; every few seconds it stops and turns to and fro on the spot.
 std::unique_ptr<CameraTrajectory> make_trajectory(const Scene& scene, const TrajectoryOptions& options,
                                                   std::uint64_t seed);
-
-/// The lap that trajectories follow: an oval around the desks' middle line, without corners in the pace.
-class Lap {
- public:
-  Lap(const Scene& scene, double distance_m);
-
-  /// A place of the lap, at table height.
-  struct Place {
-    Vec3 line_point;  ///< the nearest point of the middle line
-    Vec3 outward;     ///< unit
-  };
-  /// @param laps whole laps repeat
-  Place at(double laps) const;
-
- private:
-  /// How far along the desks' middle line, and on which side of it.
-  struct Station {
-    double along_m = 0.0, angle = 0.0;
-  };
-
-  Station station(double laps) const;
-  Station smooth_station(double laps) const;
-
-  double distance_m_;
-  Vec3 line_start_ = Vec3::Zero();
-  Vec3 line_direction_ = Vec3::UnitX();
-  double line_length_m_ = 0.0;
-};
-
-/// A handheld camera that goes round the desks at a steady pace and looks at them, wandering and shaking.
-class HandheldTrajectory : public CameraTrajectory {
- public:
-  HandheldTrajectory(const Scene& scene, const TrajectoryOptions& options, std::uint64_t seed);
-
-  SE3 T_world_camera(double time_s) const override;
-
- private:
-  double laps(double time_s) const;
-
-  TrajectoryOptions options_;
-  Lap lap_;
-  double first_lap_ = 0.0;
-  double sense_ = 1.0;
-  std::array<SmoothNoise, 5> wander_;
-  std::array<SmoothNoise, 6> shake_;
-};
-
-/// A wheeled robot that drives round the desks: it heads where it goes, its camera keeps its height and its tilt and is
-/// mounted turned towards the desks. Every few seconds it stops and turns to and fro on the spot.
-class RobotTrajectory : public CameraTrajectory {
- public:
-  RobotTrajectory(const Scene& scene, const TrajectoryOptions& options, std::uint64_t seed);
-
-  SE3 T_world_camera(double time_s) const override;
-
- private:
-  Vec3 position(double laps) const;
-
-  TrajectoryOptions options_;
-  Lap lap_;
-  double first_lap_ = 0.0;
-  double sense_ = 1.0;
-  double first_stop_ = 0.0;  ///< phase, rad
-  SmoothNoise wander_;
-};
 
 /// What moves in a scene while the camera looks.
 struct DynamicsOptions {
