@@ -2,8 +2,6 @@
 
 #include <algorithm>
 
-#include "tools/rendering/painted_shape.h"
-
 namespace semantic_topo_loop::core {
 namespace {
 
@@ -53,26 +51,6 @@ struct Coverage {
     extent |= cv::Rect(x, y, 1, 1);
   }
 };
-
-}  // namespace
-
-PixelRays::PixelRays(const Camera& camera) : camera_(camera), rays_(camera.height, camera.width, CV_32FC2) {
-  for (int y = 0; y < camera.height; ++y) {
-    for (int x = 0; x < camera.width; ++x) {
-      const Vec3 ray = camera.ray(camera.undistort(Vec2(x, y)));
-      rays_.at<cv::Vec2f>(y, x) = {static_cast<float>(ray.x()), static_cast<float>(ray.y())};
-    }
-  }
-}
-
-struct SceneRenderer::Impl {
-  Scene scene;
-  Room room;
-  std::vector<PaintedShape> shapes;
-  std::vector<PaintedShape> walls;  ///< one: the room
-};
-
-namespace {
 
 /// One image in the making.
 class Picture {
@@ -294,26 +272,24 @@ class Picture {
 
 }  // namespace
 
-SceneRenderer::SceneRenderer(const Scene& scene, const Room& room, std::uint64_t seed)
-    : impl_(std::make_unique<Impl>()) {
-  impl_->scene = scene;
-  impl_->room = room;
-  DrawnShape box;
-  box.half = room.half;
-  box.paint = Paint::kWalls;
-  impl_->walls.emplace_back(box, true, seed, 0);
-  const std::vector<DrawnShape> shapes = drawn_shapes(scene);
-  for (std::size_t i = 0; i < shapes.size(); ++i) impl_->shapes.emplace_back(shapes[i], false, seed, 1 + i);
+PixelRays::PixelRays(const Camera& camera) : camera_(camera), rays_(camera.height, camera.width, CV_32FC2) {
+  for (int y = 0; y < camera.height; ++y) {
+    for (int x = 0; x < camera.width; ++x) {
+      const Vec3 ray = camera.ray(camera.undistort(Vec2(x, y)));
+      rays_.at<cv::Vec2f>(y, x) = {static_cast<float>(ray.x()), static_cast<float>(ray.y())};
+    }
+  }
 }
 
-SceneRenderer::~SceneRenderer() = default;
-SceneRenderer::SceneRenderer(SceneRenderer&&) noexcept = default;
-SceneRenderer& SceneRenderer::operator=(SceneRenderer&&) noexcept = default;
+SceneRenderer::SceneRenderer(const Scene& scene, const Room& room, std::uint64_t seed)
+    : scene_(scene), room_(room), walls_({true, -1, {}, room.half, Paint::kWalls}, true, seed, 0) {
+  const std::vector<DrawnShape> shapes = drawn_shapes(scene);
+  for (std::size_t i = 0; i < shapes.size(); ++i) shapes_.emplace_back(shapes[i], false, seed, 1 + i);
+}
 
 RenderedImage SceneRenderer::render(const PixelRays& rays, const SE3& T_world_camera, double time_s,
                                     bool with_color) const {
-  return Picture(impl_->shapes, impl_->walls.front(), impl_->scene, impl_->room, rays, T_world_camera, time_s)
-      .render(with_color);
+  return Picture(shapes_, walls_, scene_, room_, rays, T_world_camera, time_s).render(with_color);
 }
 
 }  // namespace semantic_topo_loop::core

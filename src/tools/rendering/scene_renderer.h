@@ -1,12 +1,11 @@
 #pragma once
 
-#include <memory>
 #include <opencv2/core.hpp>
 #include <optional>
 #include <vector>
 
 #include "semantic_topo_loop/types/camera.h"
-#include "tools/rendering/drawn_shape.h"
+#include "tools/rendering/painted_shape.h"
 #include "tools/simulation/scene.h"
 
 namespace semantic_topo_loop::core {
@@ -40,17 +39,16 @@ class SceneRenderer {
  public:
   /// @param seed of the textures, which stay on their surfaces
   SceneRenderer(const Scene& scene, const Room& room, std::uint64_t seed);
-  ~SceneRenderer();
-  SceneRenderer(SceneRenderer&&) noexcept;
-  SceneRenderer& operator=(SceneRenderer&&) noexcept;
 
   /// @param time_s from the first image   @param with_color false: depth, cosine and objects only
   RenderedImage render(const PixelRays& rays, const SE3& T_world_camera, double time_s = 0.0,
                        bool with_color = true) const;
 
  private:
-  struct Impl;
-  std::unique_ptr<Impl> impl_;
+  Scene scene_;
+  Room room_;
+  std::vector<PaintedShape> shapes_;
+  PaintedShape walls_;
 };
 
 }  // namespace semantic_topo_loop::core
