@@ -42,7 +42,22 @@ class SlowRate {
 /// A trajectory as steps, and how errors of the steps add up.
 class Replay {
  public:
-  explicit Replay(const std::vector<SE3>& T_world_camera);
+  explicit Replay(const std::vector<SE3>& T_world_camera) : truth_(&T_world_camera) {
+    double mean_angle = 0.0;
+    for (std::size_t i = 1; i < T_world_camera.size(); ++i) {
+      motion_.push_back(T_world_camera[i - 1].inverse() * T_world_camera[i]);
+      mean_step_m_ += motion_.back().t.norm();
+      mean_angle += so3_log(motion_.back().q).norm();
+    }
+    const double count = static_cast<double>(std::max<std::size_t>(1, motion_.size()));
+    // A camera at rest has no steps to compare with; its drift is then even.
+    mean_step_m_ = std::max(mean_step_m_ / count, 1e-9);
+    mean_angle = std::max(mean_angle / count, 1e-9);
+    for (const SE3& motion : motion_) {
+      const double relative = 0.5 * (motion.t.norm() / mean_step_m_ + so3_log(motion.q).norm() / mean_angle);
+      activity_.push_back(0.3 + 0.7 * relative);
+    }
+  }
 
   std::size_t steps() const { return motion_.size(); }
   const SE3& motion(std::size_t i) const { return motion_[i]; }
@@ -54,9 +69,23 @@ class Replay {
   /// How lively step i is compared with the mean step, at least 0.3.
   double activity(std::size_t i) const { return activity_[i]; }
   std::vector<SE3> integrate(const std::vector<StepError>& errors, double rotation_scale,
-                             double translation_scale) const;
+                             double translation_scale) const {
+    std::vector<SE3> poses{truth_->front()};
+    poses.reserve(truth_->size());
+    for (std::size_t i = 0; i < motion_.size(); ++i) {
+      const StepError& e = errors[i];
+      const SE3 error(so3_exp(rotation_scale * e.rotation_scaled + e.rotation_fixed),
+                      translation_scale * e.translation_scaled + e.translation_fixed);
+      poses.push_back(poses.back() * motion_[i] * error);
+    }
+    return poses;
+  }
   /// Largest angle from the truth, rad.
-  double rotation_error(const std::vector<SE3>& poses) const;
+  double rotation_error(const std::vector<SE3>& poses) const {
+    double worst = 0.0;
+    for (std::size_t i = 0; i < poses.size(); ++i) worst = std::max(worst, rotation_angle(poses[i].q, (*truth_)[i].q));
+    return worst;
+  }
   const std::vector<SE3>& truth() const { return *truth_; }
 
  private:
@@ -65,42 +94,6 @@ class Replay {
   std::vector<double> activity_;
   double mean_step_m_ = 0.0;
 };
-
-Replay::Replay(const std::vector<SE3>& T_world_camera) : truth_(&T_world_camera) {
-  double mean_angle = 0.0;
-  for (std::size_t i = 1; i < T_world_camera.size(); ++i) {
-    motion_.push_back(T_world_camera[i - 1].inverse() * T_world_camera[i]);
-    mean_step_m_ += motion_.back().t.norm();
-    mean_angle += so3_log(motion_.back().q).norm();
-  }
-  const double count = static_cast<double>(std::max<std::size_t>(1, motion_.size()));
-  // A camera at rest has no steps to compare with; its drift is then even.
-  mean_step_m_ = std::max(mean_step_m_ / count, 1e-9);
-  mean_angle = std::max(mean_angle / count, 1e-9);
-  for (const SE3& motion : motion_) {
-    const double relative = 0.5 * (motion.t.norm() / mean_step_m_ + so3_log(motion.q).norm() / mean_angle);
-    activity_.push_back(0.3 + 0.7 * relative);
-  }
-}
-
-std::vector<SE3> Replay::integrate(const std::vector<StepError>& errors, double rotation_scale,
-                                   double translation_scale) const {
-  std::vector<SE3> poses{truth_->front()};
-  poses.reserve(truth_->size());
-  for (std::size_t i = 0; i < motion_.size(); ++i) {
-    const StepError& e = errors[i];
-    const SE3 error(so3_exp(rotation_scale * e.rotation_scaled + e.rotation_fixed),
-                    translation_scale * e.translation_scaled + e.translation_fixed);
-    poses.push_back(poses.back() * motion_[i] * error);
-  }
-  return poses;
-}
-
-double Replay::rotation_error(const std::vector<SE3>& poses) const {
-  double worst = 0.0;
-  for (std::size_t i = 0; i < poses.size(); ++i) worst = std::max(worst, rotation_angle(poses[i].q, (*truth_)[i].q));
-  return worst;
-}
 
 /// The steady translation error keeps its direction in the world: fixed to a camera that goes in circles it would
 /// cancel over a lap, and a given level would mean absurd errors of every single step.

@@ -117,105 +117,97 @@ Vec3 draw_semi_axes(int class_id, Random* random) {
 
 class Builder {
  public:
-  Scene build(const SceneOptions& options, std::uint64_t seed);
+  Scene build(const SceneOptions& options, std::uint64_t seed) {
+    Random room(seed);
+    add_desks(options, &room);
+    const bool office = options.layout == "office";
+    for (std::size_t i = 0; i < scene_.desks.size(); ++i) {
+      Random random(seed, options.identical_desks ? 1 : 1 + i);
+      fill_desk(scene_.desks[i], office ? office_items() : desk_items(), &random);
+    }
+    for (const Desk& desk : scene_.desks) {
+      place_on_floor(desk, kChair, true, &room);
+      if (!office) place_on_floor(desk, kTeddyBear, false, &room);
+      if (room.chance(office ? 0.5 : 1.0)) place_on_floor(desk, kPottedPlant, false, &room);
+    }
+    return std::move(scene_);
+  }
 
  private:
-  void add_desks(const SceneOptions& options, Random* random);
-  void fill_desk(const Desk& desk, const std::vector<Item>& items, Random* random);
-  void place_on_desk(const Desk& desk, const Item& item, Random* random);
-  void place_on_floor(const Desk& desk, int class_id, bool at_front, Random* random);
-  bool add_if_free(int class_id, const SE3& T_world_object, const Vec3& axes, const Footprint& print);
+  void add_desks(const SceneOptions& options, Random* random) {
+    const bool office = options.layout == "office";
+    const int count = office ? options.desks : 1;
+    const double room_yaw = random->uniform(-kPi, kPi);
+    Vec3 room_origin(0.0, 0.0, kTableHeight_m);
+    for (int i = 0; i < 2; ++i) room_origin[i] = random->uniform(-2.0, 2.0);
+    const SE3 T_world_room = upright_pose(room_origin, room_yaw);
+    for (int i = 0; i < count; ++i) {
+      const double y = (i - 0.5 * (count - 1)) * kDeskPitch_m;
+      const double yaw = office ? random->uniform(-0.08, 0.08) : 0.0;
+      Desk desk;
+      desk.T_world_desk = T_world_room * upright_pose({0.0, y, 0.0}, yaw);
+      desk.half_depth_m = office ? 0.40 : 0.65;
+      desk.half_width_m = 0.80;
+      scene_.desks.push_back(desk);
+      taken_.push_back(footprint(desk.T_world_desk, desk.half_depth_m, desk.half_width_m));
+    }
+  }
+
+  void fill_desk(const Desk& desk, const std::vector<Item>& items, Random* random) {
+    for (const Item& item : items) {
+      const int count = random->integer(item.low, item.high);
+      for (int i = 0; i < count; ++i) place_on_desk(desk, item, random);
+    }
+  }
+
+  void place_on_desk(const Desk& desk, const Item& item, Random* random) {
+    const Vec3 axes = draw_semi_axes(item.class_id, random);
+    for (int i = 0; i < kMaxTries; ++i) {
+      const double yaw = radians(random->uniform(-item.yaw_deg, item.yaw_deg));
+      const double x = random->uniform(item.x_low, item.x_high) * desk.half_depth_m;
+      const double y = random->uniform(item.y_low, item.y_high) * desk.half_width_m;
+      const SE3 T_desk_object = upright_pose({x, y, axes.z()}, yaw);
+      if (!stands_on(desk, T_desk_object, axes)) continue;
+      const SE3 T_world_object = desk.T_world_desk * T_desk_object;
+      if (add_if_free(item.class_id, T_world_object, axes, footprint(T_world_object, axes.x(), axes.y()))) {
+        return;
+      }
+    }
+  }
+
+  void place_on_floor(const Desk& desk, int class_id, bool at_front, Random* random) {
+    const Vec3 axes = draw_semi_axes(class_id, random);
+    for (int i = 0; i < kMaxTries; ++i) {
+      const double spread = at_front ? 0.4 : kPi;
+      const double angle = random->uniform(-spread, spread);
+      const double distance = random->uniform(0.0, 0.35) + std::max(desk.half_depth_m, desk.half_width_m * !at_front) +
+                              axes.head<2>().maxCoeff();
+      const Vec3 position(distance * std::cos(angle), distance * std::sin(angle), axes.z() - kTableHeight_m);
+      const SE3 T_world_object = desk.T_world_desk * upright_pose(position, random->uniform(-kPi, kPi));
+      const Footprint print = footprint(T_world_object, axes.x(), axes.y());
+      const auto desks_end = taken_.begin() + static_cast<std::ptrdiff_t>(scene_.desks.size());
+      const bool off_desks =
+          std::all_of(taken_.begin(), desks_end, [&print](const Footprint& other) { return disjoint(print, other); });
+      if (off_desks && add_if_free(class_id, T_world_object, axes, print)) return;
+    }
+  }
+
+  bool add_if_free(int class_id, const SE3& T_world_object, const Vec3& axes, const Footprint& print) {
+    for (std::size_t i = scene_.desks.size(); i < taken_.size(); ++i) {
+      if (!disjoint(print, taken_[i])) return false;
+    }
+    SceneObject object;
+    object.class_id = class_id;
+    object.ellipsoid.T_world_quadric = T_world_object;
+    object.ellipsoid.semi_axes = axes;
+    scene_.objects.push_back(object);
+    taken_.push_back(print);
+    return true;
+  }
 
   Scene scene_;
   std::vector<Footprint> taken_;  ///< of desks, then objects; a desk's own objects ignore the desks
 };
-
-Scene Builder::build(const SceneOptions& options, std::uint64_t seed) {
-  Random room(seed);
-  add_desks(options, &room);
-  const bool office = options.layout == "office";
-  for (std::size_t i = 0; i < scene_.desks.size(); ++i) {
-    Random random(seed, options.identical_desks ? 1 : 1 + i);
-    fill_desk(scene_.desks[i], office ? office_items() : desk_items(), &random);
-  }
-  for (const Desk& desk : scene_.desks) {
-    place_on_floor(desk, kChair, true, &room);
-    if (!office) place_on_floor(desk, kTeddyBear, false, &room);
-    if (room.chance(office ? 0.5 : 1.0)) place_on_floor(desk, kPottedPlant, false, &room);
-  }
-  return std::move(scene_);
-}
-
-void Builder::add_desks(const SceneOptions& options, Random* random) {
-  const bool office = options.layout == "office";
-  const int count = office ? options.desks : 1;
-  const double room_yaw = random->uniform(-kPi, kPi);
-  Vec3 room_origin(0.0, 0.0, kTableHeight_m);
-  for (int i = 0; i < 2; ++i) room_origin[i] = random->uniform(-2.0, 2.0);
-  const SE3 T_world_room = upright_pose(room_origin, room_yaw);
-  for (int i = 0; i < count; ++i) {
-    const double y = (i - 0.5 * (count - 1)) * kDeskPitch_m;
-    const double yaw = office ? random->uniform(-0.08, 0.08) : 0.0;
-    Desk desk;
-    desk.T_world_desk = T_world_room * upright_pose({0.0, y, 0.0}, yaw);
-    desk.half_depth_m = office ? 0.40 : 0.65;
-    desk.half_width_m = 0.80;
-    scene_.desks.push_back(desk);
-    taken_.push_back(footprint(desk.T_world_desk, desk.half_depth_m, desk.half_width_m));
-  }
-}
-
-void Builder::fill_desk(const Desk& desk, const std::vector<Item>& items, Random* random) {
-  for (const Item& item : items) {
-    const int count = random->integer(item.low, item.high);
-    for (int i = 0; i < count; ++i) place_on_desk(desk, item, random);
-  }
-}
-
-void Builder::place_on_desk(const Desk& desk, const Item& item, Random* random) {
-  const Vec3 axes = draw_semi_axes(item.class_id, random);
-  for (int i = 0; i < kMaxTries; ++i) {
-    const double yaw = radians(random->uniform(-item.yaw_deg, item.yaw_deg));
-    const double x = random->uniform(item.x_low, item.x_high) * desk.half_depth_m;
-    const double y = random->uniform(item.y_low, item.y_high) * desk.half_width_m;
-    const SE3 T_desk_object = upright_pose({x, y, axes.z()}, yaw);
-    if (!stands_on(desk, T_desk_object, axes)) continue;
-    const SE3 T_world_object = desk.T_world_desk * T_desk_object;
-    if (add_if_free(item.class_id, T_world_object, axes, footprint(T_world_object, axes.x(), axes.y()))) {
-      return;
-    }
-  }
-}
-
-void Builder::place_on_floor(const Desk& desk, int class_id, bool at_front, Random* random) {
-  const Vec3 axes = draw_semi_axes(class_id, random);
-  for (int i = 0; i < kMaxTries; ++i) {
-    const double spread = at_front ? 0.4 : kPi;
-    const double angle = random->uniform(-spread, spread);
-    const double distance = random->uniform(0.0, 0.35) + std::max(desk.half_depth_m, desk.half_width_m * !at_front) +
-                            axes.head<2>().maxCoeff();
-    const Vec3 position(distance * std::cos(angle), distance * std::sin(angle), axes.z() - kTableHeight_m);
-    const SE3 T_world_object = desk.T_world_desk * upright_pose(position, random->uniform(-kPi, kPi));
-    const Footprint print = footprint(T_world_object, axes.x(), axes.y());
-    const auto desks_end = taken_.begin() + static_cast<std::ptrdiff_t>(scene_.desks.size());
-    const bool off_desks =
-        std::all_of(taken_.begin(), desks_end, [&print](const Footprint& other) { return disjoint(print, other); });
-    if (off_desks && add_if_free(class_id, T_world_object, axes, print)) return;
-  }
-}
-
-bool Builder::add_if_free(int class_id, const SE3& T_world_object, const Vec3& axes, const Footprint& print) {
-  for (std::size_t i = scene_.desks.size(); i < taken_.size(); ++i) {
-    if (!disjoint(print, taken_[i])) return false;
-  }
-  SceneObject object;
-  object.class_id = class_id;
-  object.ellipsoid.T_world_quadric = T_world_object;
-  object.ellipsoid.semi_axes = axes;
-  scene_.objects.push_back(object);
-  taken_.push_back(print);
-  return true;
-}
 
 constexpr int kGrid = 14;  ///< samples a side with which occlusion is measured
 
