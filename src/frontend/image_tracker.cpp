@@ -43,13 +43,8 @@ bool ImageTracker::follow(const TrackedFeatures& last, const SE3& T_camera_map, 
       const std::optional<Vec2> pixel = pixel_in_view(camera_, T_camera_map * point->position);
       if (!pixel) continue;
       const ImageFeature& feature = last.features.features[i];
-      SearchItem item;
-      item.descriptor = last.features.descriptors[i];
-      item.pixel = *pixel;
-      item.level = feature.level;
-      item.radius_px = factor * kRadius_px * std::pow(options_.scale_factor, feature.level);
-      item.angle_deg = feature.angle_deg;
-      items.push_back(item);
+      const double radius_px = factor * kRadius_px * std::pow(options_.scale_factor, feature.level);
+      items.push_back({last.features.descriptors[i], *pixel, radius_px, feature.level, feature.angle_deg});
       ids.push_back(point->id);
     }
     const std::vector<int> found =
@@ -134,12 +129,8 @@ std::optional<SearchItem> ImageTracker::expect(const TrackingMap& map, const Map
   const double farthest_m = kFarther * point.level_0_distance_m;
   const double nearest_m = farthest_m / std::pow(options_.scale_factor, options_.levels + kNearerLevels);
   if (distance_m > farthest_m || distance_m < nearest_m) return std::nullopt;
-  SearchItem item;
-  item.descriptor = point.descriptor;
-  item.pixel = *pixel;
-  item.level = map.predict_level(point, distance_m);
-  item.radius_px = kRadius_px * std::pow(options_.scale_factor, item.level);
-  return item;
+  const int level = map.predict_level(point, distance_m);
+  return SearchItem{point.descriptor, *pixel, kRadius_px * std::pow(options_.scale_factor, level), level};
 }
 
 void ImageTracker::match_points(const std::vector<MapPoint*>& points, const TrackingMap& map,

@@ -19,13 +19,7 @@ int count_points(const TrackingMap& map, const std::vector<std::int64_t>& points
 }  // namespace
 
 PoseObservation observation(const ImageFeature& feature, const MapPoint& point, double scale_factor) {
-  PoseObservation o;
-  o.point_map = point.position;
-  o.pixel = feature.pixel;
-  o.pixel_sigma = feature.pixel_sigma(scale_factor);
-  o.depth_m = feature.depth_m;
-  o.depth_sigma_m = feature.depth_sigma_m;
-  return o;
+  return {point.position, feature.pixel, feature.pixel_sigma(scale_factor), feature.depth_m, feature.depth_sigma_m};
 }
 
 std::optional<Vec2> pixel_in_view(const Camera& camera, const Vec3& p) {
@@ -190,13 +184,8 @@ bool MapBuilder::needs_keyframe(const TrackedFeatures& image, const TrackingMap&
 }
 
 std::int64_t MapBuilder::add_keyframe(const TrackedFeatures& image, TrackingMap* map) const {
-  TrackingKeyframe keyframe;
-  keyframe.id = map->keyframes().empty() ? 0 : map->keyframes().rbegin()->first + 1;
-  keyframe.stamp_ns = image.stamp_ns;
-  keyframe.T_camera_map = image.T_camera_map;
-  keyframe.features = image.features;
-  keyframe.points = image.points;
-  const std::int64_t id = map->add_keyframe(std::move(keyframe)).id;
+  const std::int64_t id = map->keyframes().empty() ? 0 : map->keyframes().rbegin()->first + 1;
+  map->add_keyframe({id, image.stamp_ns, image.T_camera_map, image.features, image.points});
   drop_points(id, map);
   add_points(id, map);
   fuse(id, map);
@@ -226,12 +215,8 @@ void MapBuilder::fuse_into(const std::vector<std::int64_t>& points, std::int64_t
     const Vec3 p = keyframe.T_camera_map * point->position;
     const std::optional<Vec2> pixel = pixel_in_view(camera_, p);
     if (!pixel) continue;
-    SearchItem item;
-    item.pixel = *pixel;
-    item.descriptor = point->descriptor;
-    item.level = map->predict_level(*point, p.norm());
-    item.radius_px = kRadius_px * std::pow(options_.scale_factor, item.level);
-    items.push_back(item);
+    const int level = map->predict_level(*point, p.norm());
+    items.push_back({point->descriptor, *pixel, kRadius_px * std::pow(options_.scale_factor, level), level});
     ids.push_back(point_id);
   }
   const std::vector<int> found =
