@@ -14,14 +14,7 @@ namespace {
 
 std::vector<CriterionCounts> make_rows() {
   constexpr double kAny = std::numeric_limits<double>::infinity();
-  std::vector<CriterionCounts> rows(3);
-  rows[0].name = "paper";
-  rows[0].criterion = RevisitCriterion();
-  rows[1].name = "original";
-  rows[1].criterion = {1000, 1.0, 53.0, 0};
-  rows[2].name = "objects";
-  rows[2].criterion = {500, kAny, kAny, 3};
-  return rows;
+  return {{"paper", {}}, {"original", {1000, 1.0, 53.0, 0}}, {"objects", {500, kAny, kAny, 3}}};
 }
 
 /// Keyframes as numbers of true images; those without a true pose are left out.

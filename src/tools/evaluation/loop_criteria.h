@@ -35,7 +35,7 @@ struct CriterionCounts {
   int reference_loops = 0;  ///< keyframes with an earlier one in such a pair
   int real_loops = 0;       ///< keyframes with an accepted loop over the gap; the one of the best score counts
   int true_positives = 0;   ///< of these, loops whose keyframes fulfil the criterion
-  Ratio right_wide;         ///< of the real loops that can be judged by their pose
+  Ratio right_wide = {};    ///< of the real loops that can be judged by their pose
   int found = 0;            ///< reference loops with any accepted loop, of whatever score, that fulfils the criterion
 
   Ratio precision() const { return {true_positives, real_loops}; }

@@ -120,9 +120,8 @@ bool is_right(const JudgedLoop& loop, const LoopEvaluationOptions& options) {
   return loop.is_right(options.wide_m, options.wide_deg);
 }
 
-/// Figures of loops that are judged and accepted.
-ViewpointFigures figures_of(const JudgedLoops& loops, const LoopEvaluationOptions& options) {
-  ViewpointFigures figures;
+LoopErrors figures_of(const JudgedLoops& loops, const LoopEvaluationOptions& options) {
+  LoopErrors figures;
   std::vector<double> errors_m, errors_deg;
   for (const JudgedLoop* loop : loops) {
     errors_m.push_back(loop->error_m);
@@ -136,14 +135,6 @@ ViewpointFigures figures_of(const JudgedLoops& loops, const LoopEvaluationOption
   return figures;
 }
 
-void judge_errors(const JudgedLoops& loops, const LoopEvaluationOptions& options, LoopEvaluation* result) {
-  const ViewpointFigures all = figures_of(loops, options);
-  result->right_wide = all.right_wide;
-  result->right_narrow = all.right_narrow;
-  result->error_m = all.error_m;
-  result->error_deg = all.error_deg;
-}
-
 void judge_viewpoints(const JudgedLoops& loops, const LoopEvaluationOptions& options, LoopEvaluation* result) {
   constexpr double kBinDeg = 180.0 / kViewpointBins;
   std::array<JudgedLoops, kViewpointBins> bins;
@@ -154,9 +145,8 @@ void judge_viewpoints(const JudgedLoops& loops, const LoopEvaluationOptions& opt
     }
   }
   for (std::size_t i = 0; i < bins.size(); ++i) {
-    result->by_viewpoint[i] = figures_of(bins[i], options);
-    result->by_viewpoint[i].from_deg = static_cast<double>(i) * kBinDeg;
-    result->by_viewpoint[i].to_deg = static_cast<double>(i + 1) * kBinDeg;
+    result->by_viewpoint[i] = {figures_of(bins[i], options), static_cast<double>(i) * kBinDeg,
+                               static_cast<double>(i + 1) * kBinDeg};
   }
 }
 
@@ -236,7 +226,7 @@ LoopEvaluation evaluate_loops(const std::vector<JudgedLoop>& loops, const TruePo
     accepted.push_back(&loop);
     if (truth.over_gap(loop.query, loop.match, options.revisit.min_gap_frames)) over_gap.push_back(&loop);
   }
-  judge_errors(accepted, options, &result);
+  static_cast<LoopErrors&>(result) = figures_of(accepted, options);
   judge_viewpoints(accepted, options, &result);
   judge_queries(over_gap, truth, options, &result);
   judge_pairs(over_gap, truth, options, &result);

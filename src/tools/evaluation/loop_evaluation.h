@@ -92,11 +92,15 @@ struct LoopEvaluationOptions {
   int at_once_frames = 15;                   ///< evidence that ends this soon closes the query at once
 };
 
-/// The accepted loops of one range of viewpoint differences (JudgedLoop::view_deg).
-struct ViewpointFigures {
-  double from_deg = 0.0, to_deg = 0.0;
+/// Of accepted loops that were judged.
+struct LoopErrors {
   Ratio right_wide, right_narrow;
   ErrorStatistics error_m, error_deg;
+};
+
+/// Those of one range of viewpoint differences (JudgedLoop::view_deg).
+struct ViewpointFigures : LoopErrors {
+  double from_deg = 0.0, to_deg = 0.0;
 };
 
 /// Consecutive loopable queries; queries in holes of the mocap do not end a revisit.
@@ -108,16 +112,14 @@ struct Revisit {
 
 constexpr int kViewpointBins = 6;
 
-struct LoopEvaluation {
+struct LoopEvaluation : LoopErrors {
   int candidates = 0, accepted = 0;
-  int not_judged = 0;                  ///< accepted, but an end lies in a mocap hole or has no true pose
-  Ratio right_wide, right_narrow;      ///< of the accepted ones that were judged
-  ErrorStatistics error_m, error_deg;  ///< of the accepted ones that were judged
-  int loopable = 0;                    ///< queries that revisit a place
-  int closed = 0;                      ///< by a right loop over the gap whose evidence contains them
-  int closed_at_once = 0;              ///< and whose evidence ends soon after them
-  Ratio pair_precision;                ///< the paper's: accepted loops over the gap that see the same place
-  Ratio pair_recall;                   ///< the paper's: revisiting pairs of queries that lie in such a loop's evidence
+  int not_judged = 0;      ///< accepted, but an end lies in a mocap hole or has no true pose
+  int loopable = 0;        ///< queries that revisit a place
+  int closed = 0;          ///< by a right loop over the gap whose evidence contains them
+  int closed_at_once = 0;  ///< and whose evidence ends soon after them
+  Ratio pair_precision;    ///< the paper's: accepted loops over the gap that see the same place
+  Ratio pair_recall;       ///< the paper's: revisiting pairs of queries that lie in such a loop's evidence
   std::array<ViewpointFigures, kViewpointBins> by_viewpoint;  ///< of the accepted ones that were judged
   double largest_right_view_deg = 0.0;                        ///< viewpoint difference of a right loop
   std::vector<Revisit> revisits;

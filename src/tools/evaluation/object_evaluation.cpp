@@ -124,11 +124,8 @@ ObjectEvaluation evaluate_objects(const std::vector<MappedObject>& objects,
   std::vector<Candidate> candidates;
   for (const MappedObject& object : objects) {
     if (object.state != "confirmed") continue;
-    Candidate candidate;
-    candidate.object = &object;
-    candidate.center = alignment.scale * (alignment.T_a_b.q * object.center) + alignment.T_a_b.t;
-    candidate.scale = alignment.scale;
-    candidates.push_back(candidate);
+    const Vec3 center = alignment.scale * (alignment.T_a_b.q * object.center) + alignment.T_a_b.t;
+    candidates.push_back({&object, center, alignment.scale});
   }
   ObjectEvaluation result;
   result.matched_certain = match(Certainty::kCertain, references, &candidates);
