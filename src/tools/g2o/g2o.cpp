@@ -327,10 +327,8 @@ class GraphOptimizer {
   }
 
   std::vector<SE3> guess(const Part& part, const std::string& initial) const {
-    if (initial == "odometry") return anchored(odometry_guess(part.graph_edges, part.T_world_vertex), part);
-    if (initial == "spanning_tree") return anchored(spanning_tree_guess(part.graph_edges, part.T_world_vertex), part);
-    if (initial == "chordal") return anchored(chordal_guess(part.graph_edges, part.T_world_vertex), part);
-    return part.T_world_vertex;
+    if (initial == "file") return part.T_world_vertex;
+    return anchored(first_guess(initial, part.graph_edges, part.T_world_vertex), part);
   }
 
   Status solve(Part* part) {

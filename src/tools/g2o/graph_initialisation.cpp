@@ -134,35 +134,25 @@ bool linear_positions(const std::vector<GraphEdge>& edges, std::vector<SE3>* pos
 
 }  // namespace
 
-std::vector<SE3> spanning_tree_guess(const std::vector<GraphEdge>& edges, const std::vector<SE3>& T_world_vertex) {
+std::vector<SE3> first_guess(const std::string& kind, const std::vector<GraphEdge>& edges,
+                             const std::vector<SE3>& T_world_vertex) {
   std::vector<SE3> poses = T_world_vertex;
   std::vector<bool> placed(poses.size(), false);
   if (!placed.empty()) placed.front() = true;
-  grow(edges, std::move(placed), &poses);
-  return poses;
-}
-
-std::vector<SE3> odometry_guess(const std::vector<GraphEdge>& edges, const std::vector<SE3>& T_world_vertex) {
-  std::vector<SE3> poses = T_world_vertex;
-  std::vector<const GraphEdge*> steps(poses.size(), nullptr);  // to each vertex from the one before
-  for (const GraphEdge& edge : edges) {
-    if (edge.to == edge.from + 1 && steps[index(edge.to)] == nullptr) steps[index(edge.to)] = &edge;
-  }
-  std::vector<bool> placed(poses.size(), false);
-  if (!placed.empty()) placed.front() = true;
-  for (std::size_t v = 1; v < poses.size() && steps[v] != nullptr; ++v) {
-    poses[v] = poses[v - 1] * steps[v]->T_from_to;
-    placed[v] = true;
+  if (kind == "odometry") {
+    std::vector<const GraphEdge*> steps(poses.size(), nullptr);  // to each vertex from the one before
+    for (const GraphEdge& edge : edges) {
+      if (edge.to == edge.from + 1 && steps[index(edge.to)] == nullptr) steps[index(edge.to)] = &edge;
+    }
+    for (std::size_t v = 1; v < poses.size() && steps[v] != nullptr; ++v) {
+      poses[v] = poses[v - 1] * steps[v]->T_from_to;
+      placed[v] = true;
+    }
   }
   grow(edges, std::move(placed), &poses);
-  return poses;
-}
-
-std::vector<SE3> chordal_guess(const std::vector<GraphEdge>& edges, const std::vector<SE3>& T_world_vertex) {
-  const std::vector<SE3> tree = spanning_tree_guess(edges, T_world_vertex);
-  if (tree.size() < 2) return tree;
-  std::vector<SE3> poses = tree;
-  return chordal_rotations(edges, &poses) && linear_positions(edges, &poses) ? poses : tree;
+  if (kind != "chordal" || poses.size() < 2) return poses;
+  std::vector<SE3> chordal = poses;
+  return chordal_rotations(edges, &chordal) && linear_positions(edges, &chordal) ? chordal : poses;
 }
 
 }  // namespace semantic_topo_loop::core
