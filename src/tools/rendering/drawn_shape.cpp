@@ -201,10 +201,7 @@ Room room_around(const Scene& scene, const StampedPoses& camera_path) {
   for (const StampedPose& pose : camera_path) include(T_axes_world * pose.T_world_camera.t, kCameraGap_m, &low, &high);
   low.z() = 0.0;
   high.z() = std::max(high.z(), kMinHeight_m);
-  Room room;
-  room.T_world_room = T_axes_world.inverse() * SE3(Quaternion::Identity(), 0.5 * (low + high));
-  room.half = 0.5 * (high - low);
-  return room;
+  return {T_axes_world.inverse() * SE3(Quaternion::Identity(), 0.5 * (low + high)), 0.5 * (high - low)};
 }
 
 std::vector<DrawnShape> drawn_shapes(const Scene& scene) {
@@ -220,16 +217,14 @@ std::optional<CastShape> cast_shape(const DrawnShape& shape, const SE3& T_camera
   if (!bounds) return std::nullopt;
   const Vec3 inverse_half = shape.half.cwiseInverse();
   const SE3 T_shape_camera = T_camera_shape.inverse();
-  CastShape cast;
-  cast.scale = (inverse_half.asDiagonal() * T_shape_camera.rotation()).cast<float>();
-  cast.origin = inverse_half.cwiseProduct(T_shape_camera.t).cast<float>();
-  cast.R_camera_shape = T_camera_shape.rotation().cast<float>();
-  cast.inverse_half = inverse_half.cast<float>();
-  cast.is_box = shape.is_box;
-  cast.shape = index;
-  cast.object = shape.object;
-  cast.bounds = *bounds;
-  return cast;
+  return CastShape{(inverse_half.asDiagonal() * T_shape_camera.rotation()).cast<float>(),
+                   inverse_half.cwiseProduct(T_shape_camera.t).cast<float>(),
+                   T_camera_shape.rotation().cast<float>(),
+                   inverse_half.cast<float>(),
+                   shape.is_box,
+                   index,
+                   shape.object,
+                   *bounds};
 }
 
 float depth_of_entry(const CastShape& shape, const Eigen::Vector3f& ray) {

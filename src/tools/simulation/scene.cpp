@@ -144,10 +144,7 @@ class Builder {
     for (int i = 0; i < count; ++i) {
       const double y = (i - 0.5 * (count - 1)) * kDeskPitch_m;
       const double yaw = office ? random->uniform(-0.08, 0.08) : 0.0;
-      Desk desk;
-      desk.T_world_desk = T_world_room * upright_pose({0.0, y, 0.0}, yaw);
-      desk.half_depth_m = office ? 0.40 : 0.65;
-      desk.half_width_m = 0.80;
+      const Desk desk{T_world_room * upright_pose({0.0, y, 0.0}, yaw), office ? 0.40 : 0.65, 0.80};
       scene_.desks.push_back(desk);
       taken_.push_back(footprint(desk.T_world_desk, desk.half_depth_m, desk.half_width_m));
     }
@@ -196,11 +193,7 @@ class Builder {
     for (std::size_t i = scene_.desks.size(); i < taken_.size(); ++i) {
       if (!disjoint(print, taken_[i])) return false;
     }
-    SceneObject object;
-    object.class_id = class_id;
-    object.ellipsoid.T_world_quadric = T_world_object;
-    object.ellipsoid.semi_axes = axes;
-    scene_.objects.push_back(object);
+    scene_.objects.push_back({class_id, {T_world_object, axes}, {}});
     taken_.push_back(print);
     return true;
   }
