@@ -86,7 +86,7 @@ void matcher(benchmark::State& state) {
         random_problem(random, static_cast<int>(state.range(0)), common, static_cast<int>(state.range(2))));
     total += correspondences(problems.back());
   }
-  const GraphMatcher graph_matcher{GraphMatcherOptions()};
+  const GraphMatcher graph_matcher{LoopOptions()};
   std::vector<double> times_us;
   std::size_t k = 0, exact = 0;
   for (auto _ : state) {

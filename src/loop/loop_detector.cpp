@@ -40,7 +40,7 @@ class LoopDetector::Impl {
         up_(options.up_window_s),
         builder_(options),
         graph_(options),
-        paper_(options) {}
+        paper_(options, redirects_) {}
 
   void apply(const MapUpdate& update) {
     redirects_.apply(update);

@@ -53,7 +53,7 @@ Problem random_problem(std::uint64_t seed, int common, int others, int labels) {
 }
 
 std::vector<GraphMatch> match(const Problem& problem) {
-  return GraphMatcher(GraphMatcherOptions()).match(problem.a, problem.b);
+  return GraphMatcher(LoopOptions()).match(problem.a, problem.b);
 }
 
 TEST(GraphMatcher, FindsTheCommonPartAmongOutliers) {
@@ -76,9 +76,9 @@ TEST(GraphMatcher, FindsTheCommonPartAmongOutliers) {
 }
 
 TEST(GraphMatcher, VotesForTheScale) {
-  GraphMatcherOptions options;
-  options.free_scale = true;
-  const GraphMatcher free(options), fixed{GraphMatcherOptions()};
+  LoopOptions options;
+  options.scale = "free";
+  const GraphMatcher free(options), fixed{LoopOptions()};
   std::mt19937_64 random(5);
   int exact = 0;
   for (std::uint64_t seed = 0; seed < 200; ++seed) {
@@ -103,8 +103,8 @@ TEST(GraphMatcher, VotesForTheScale) {
 }
 
 TEST(GraphMatcher, AFreeScaleFindsNothingInDegenerateInput) {
-  GraphMatcherOptions options;
-  options.free_scale = true;
+  LoopOptions options;
+  options.scale = "free";
   const GraphMatcher matcher(options);
   std::mt19937_64 random(1);
   std::vector<LabelledPoint> one_place(6, random_point(random, 1)), broken = one_place;
@@ -191,7 +191,7 @@ TEST(GraphMatcher, TwoWaysToLieAreBothReported) {
 }
 
 TEST(GraphMatcher, DegenerateInputGivesNothing) {
-  const GraphMatcher matcher{GraphMatcherOptions()};
+  const GraphMatcher matcher{LoopOptions()};
   EXPECT_TRUE(matcher.match({}, {}).empty());
   std::vector<LabelledPoint> points = random_problem(1, 3, 0, 2).a;
   EXPECT_TRUE(matcher.match(points, points).empty()) << "too few";

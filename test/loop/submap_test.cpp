@@ -194,7 +194,7 @@ TEST(SubmapRefiner, RemovesAnErrorAndStatesItsCovariance) {
   const SE3 truth = a.T_world_anchor.inverse() * b.T_world_anchor;
   Vec6 error;
   error << 0.05, -0.06, 0.04, 0.03, 0.04, -0.02;
-  const auto refined = SubmapRefiner(LoopOptions()).refine(a.map, b.map, truth * se3_exp(error), true_pairs(a, b));
+  const auto refined = refine_submaps(a.map, b.map, truth * se3_exp(error), true_pairs(a, b), LoopOptions());
   ASSERT_TRUE(refined.has_value());
   const Vec6 left = se3_log(truth.inverse() * refined->T_a_b);
   EXPECT_LT(left.head<3>().norm(), 0.025);
@@ -208,12 +208,11 @@ TEST(SubmapRefiner, RemovesAnErrorAndStatesItsCovariance) {
 TEST(SubmapRefiner, RefusesWhatCannotBeSolved) {
   const auto desk = random_desk(1, 12);
   const BuiltMap a = sweep(desk, 0.0, 60.0, 5), b = sweep(desk, 50.0, 110.0, 6);
-  const SubmapRefiner refiner{LoopOptions()};
   const SE3 truth = a.T_world_anchor.inverse() * b.T_world_anchor;
-  EXPECT_FALSE(refiner.refine(a.map, b.map, truth, {}).has_value());
+  EXPECT_FALSE(refine_submaps(a.map, b.map, truth, {}, LoopOptions()).has_value());
   SE3 broken = truth;
   broken.t.x() = std::nan("");
-  EXPECT_FALSE(refiner.refine(a.map, b.map, broken, true_pairs(a, b)).has_value());
+  EXPECT_FALSE(refine_submaps(a.map, b.map, broken, true_pairs(a, b), LoopOptions()).has_value());
 }
 
 TEST(LoopVerifier, AcceptsTheTruthAndTellsWhatFails) {

@@ -34,12 +34,6 @@ constexpr double kMinDisagreement_m = 2.5;
 constexpr double kDriftDepth_m = 2.0;  ///< of the usual object: turns apparent drift, an angle, into metres
 constexpr double kDriftFactor = 2.0;   ///< on the drift observed
 
-GraphMatcherOptions free_or_fixed(const LoopOptions& options) {
-  GraphMatcherOptions matcher = matcher_options(options, kMinCandidateInliers);
-  matcher.free_scale = options.scale == "free";
-  return matcher;
-}
-
 std::vector<LabelledPoint> graph_of(const LocalMap& map) {
   std::vector<LabelledPoint> points;
   for (const LocalObject& object : map.objects) {
@@ -131,7 +125,7 @@ std::vector<int> SubmapIndex::query(const std::vector<LabelledPoint>& points, in
 }
 
 GraphDetector::GraphDetector(const LoopOptions& options)
-    : options_(options), index_(options), matcher_(free_or_fixed(options)), verifier_(options), refiner_(options) {}
+    : options_(options), index_(options), matcher_(options, kMinCandidateInliers), verifier_(options) {}
 
 int GraphDetector::old_enough(const LocalMap& query) const {
   const auto recent = std::find_if(maps_.begin(), maps_.end(), [&](const StoredMap& stored) {
@@ -299,7 +293,7 @@ LoopClosure GraphDetector::finish(const LocalMap& query, const Candidate& candid
   if (loop.reason == LoopReason::kAccepted) {
     std::optional<LocalMap> scaled;
     refine_and_decide(match_of(candidate), in_unit(query, candidate.alignment.scale, &scaled), candidate.alignment,
-                      refiner_, options_, &loop);
+                      options_, &loop);
   }
   return loop;
 }

@@ -95,7 +95,6 @@ class GraphDetector {
   SubmapIndex index_;
   GraphMatcher matcher_;
   LoopVerifier verifier_;
-  SubmapRefiner refiner_;
   std::vector<StoredMap> maps_;
 };
 

@@ -30,12 +30,6 @@ void for_each_vector(const std::vector<CommonNode>& nodes, F f) {
 /// Matches of consecutive keyframes belong together if they are this close in time.
 constexpr std::int64_t kStreakSpan_ns = 4'000'000'000;
 
-GraphMatcherOptions best_match_only(const LoopOptions& options) {
-  GraphMatcherOptions matcher = matcher_options(options, options.paper_min_common);
-  matcher.max_matches = 1;
-  return matcher;
-}
-
 /// Few common nodes determine the pose poorly; shared landmarks say that the place is right all the same, so the edge
 /// is kept with its wide covariance.
 LoopOptions with_vague_edges(LoopOptions options) {
@@ -121,12 +115,11 @@ std::vector<KeyframeCandidate> ObjectIndex::query(const std::vector<std::int64_t
   return candidates;
 }
 
-PaperDetector::PaperDetector(const LoopOptions& options)
-    : options_(with_vague_edges(options)), matcher_(best_match_only(options)), refiner_(options) {}
+PaperDetector::PaperDetector(const LoopOptions& options, const LandmarkRedirects& redirects)
+    : options_(with_vague_edges(options)), matcher_(options, options.paper_min_common), redirects_(redirects) {}
 
 void PaperDetector::apply(const MapUpdate& update) {
   for (const Landmark& landmark : update.changed) quality_[landmark.id] = landmark.quality;
-  redirects_.apply(update);
   for (const LandmarkMerge& merge : update.merged) quality_.erase(merge.merged_id);
   for (const std::int64_t id : update.removed) quality_.erase(id);
 }
@@ -254,7 +247,7 @@ void PaperDetector::align(const Keyframe& match, const Keyframe& query, LoopClos
     loop->reason = LoopReason::kResidual;
     return;
   }
-  refine_and_decide(match.map, query.map, alignment, refiner_, options_, loop);
+  refine_and_decide(match.map, query.map, alignment, options_, loop);
 }
 
 }  // namespace semantic_topo_loop::core

@@ -72,9 +72,10 @@ class ObjectIndex {
 /// that a drifted revisit gives a correction; read from the shared landmark, both sides would be the same point.
 class PaperDetector {
  public:
-  explicit PaperDetector(const LoopOptions& options);
+  /// @param redirects of merged landmarks, kept up to date elsewhere; must outlive this
+  PaperDetector(const LoopOptions& options, const LandmarkRedirects& redirects);
 
-  /// Takes over landmark qualities and merges.
+  /// Takes over landmark qualities.
   void apply(const MapUpdate& update);
   /// Looks for the keyframe most like the one the map is anchored at, then keeps the map.
   /// @return the best candidate, accepted or not; none if no keyframe shares enough landmarks
@@ -101,8 +102,7 @@ class PaperDetector {
 
   LoopOptions options_;
   GraphMatcher matcher_;
-  SubmapRefiner refiner_;
-  LandmarkRedirects redirects_;
+  const LandmarkRedirects& redirects_;
   ObjectIndex index_;
   std::map<std::int64_t, double> quality_;
   std::vector<Keyframe> keyframes_;

@@ -106,26 +106,30 @@ constexpr int kMaxCliqueSteps = 20000;
 constexpr int kRegrowRounds = 3;
 /// Residual at which an inlier's share of the score has fallen to exp(-1/2): half the usual inlier distance.
 constexpr double kScoreSigmaShare = 0.5;
+constexpr std::size_t kMaxMatches = 4;  ///< distinct alternatives returned
+constexpr int kMaxCliques = 24;         ///< aligned at most
+/// Two alignments differ if the graph's middle moves farther or turns more.
+constexpr double kDistinct_m = 0.3, kDistinct_rad = 0.26;
 
 bool is_usable(const LabelledPoint& point) {
   return point.label >= 0 && point.position.allFinite() && std::isfinite(point.size) && point.size > 0.0;
 }
 
 /// True if two matches put the graph's middle at different places, or turn it differently.
-bool are_distinct(const GraphMatcherOptions& options, const std::vector<LabelledPoint>& b, const GraphMatch& p,
-                  const GraphMatch& q) {
+bool are_distinct(const std::vector<LabelledPoint>& b, const GraphMatch& p, const GraphMatch& q) {
   Vec3 middle = Vec3::Zero();
   for (const NodePair& pair : p.pairs) {
     middle += b[static_cast<std::size_t>(pair.b)].position / static_cast<double>(p.pairs.size());
   }
-  return (p.T_a_b * (p.scale * middle) - q.T_a_b * (q.scale * middle)).norm() > options.distinct_m ||
-         rotation_angle(p.T_a_b.q, q.T_a_b.q) > options.distinct_rad;
+  return (p.T_a_b * (p.scale * middle) - q.T_a_b * (q.scale * middle)).norm() > kDistinct_m ||
+         rotation_angle(p.T_a_b.q, q.T_a_b.q) > kDistinct_rad;
 }
 
 class Matching {
  public:
-  Matching(const GraphMatcherOptions& options, const std::vector<LabelledPoint>& a, const std::vector<LabelledPoint>& b)
-      : options_(options), a_(a), b_(b), distances_a_(distances(a)), distances_b_(distances(b)) {
+  Matching(const LoopOptions& options, int min_pairs, const std::vector<LabelledPoint>& a,
+           const std::vector<LabelledPoint>& b)
+      : options_(options), min_pairs_(min_pairs), a_(a), b_(b), distances_a_(distances(a)), distances_b_(distances(b)) {
     for (int i = 0; i < static_cast<int>(a.size()); ++i) {
       if (!is_usable(at(a_, i))) continue;
       for (int j = 0; j < static_cast<int>(b.size()); ++j) {
@@ -136,21 +140,19 @@ class Matching {
 
   std::vector<GraphMatch> run() const {
     std::vector<GraphMatch> matches;
-    if (static_cast<int>(candidates_.size()) < options_.min_pairs) return matches;
+    if (static_cast<int>(candidates_.size()) < min_pairs_) return matches;
     const BitGraph graph = consistency_graph();
-    const auto min_pairs = static_cast<std::size_t>(options_.min_pairs);
+    const auto min_pairs = static_cast<std::size_t>(min_pairs_);
     int aligned = 0;
     for (const std::vector<int>& clique : cliques(graph)) {
-      if (aligned == options_.max_cliques) break;
+      if (aligned == kMaxCliques) break;
       if (is_covered(clique, matches)) continue;
       ++aligned;
       const std::size_t best = matches.empty() ? 0 : matches.front().pairs.size();
       std::optional<GraphMatch> match = grow(clique, std::max(min_pairs, best / 3));
       if (match) insert(std::move(*match), &matches);
     }
-    if (static_cast<int>(matches.size()) > options_.max_matches) {
-      matches.resize(static_cast<std::size_t>(options_.max_matches));
-    }
+    if (matches.size() > kMaxMatches) matches.resize(kMaxMatches);
     return matches;
   }
 
@@ -195,11 +197,11 @@ class Matching {
   std::vector<std::vector<int>> cliques(const BitGraph& graph) const {
     std::set<std::vector<int>> found;
     const auto keep = [&](std::vector<int> clique) {
-      if (static_cast<int>(clique.size()) >= options_.min_pairs) found.insert(std::move(clique));
+      if (static_cast<int>(clique.size()) >= min_pairs_) found.insert(std::move(clique));
     };
     keep(largest_clique(graph, kMaxCliqueSteps));
     for (int i = 0; i < graph.size(); ++i) {
-      if (graph.degree(i) + 1 >= options_.min_pairs) keep(greedy_clique(graph, i));
+      if (graph.degree(i) + 1 >= min_pairs_) keep(greedy_clique(graph, i));
     }
     std::vector<std::vector<int>> sorted(found.begin(), found.end());
     std::stable_sort(sorted.begin(), sorted.end(), [](const auto& p, const auto& q) { return p.size() > q.size(); });
@@ -286,7 +288,7 @@ class Matching {
   /// Keeps the list sorted by score and free of near copies.
   void insert(GraphMatch match, std::vector<GraphMatch>* matches) const {
     const auto same = std::find_if(matches->begin(), matches->end(),
-                                   [&](const GraphMatch& other) { return !are_distinct(options_, b_, match, other); });
+                                   [&](const GraphMatch& other) { return !are_distinct(b_, match, other); });
     if (same != matches->end()) {
       if (same->score >= match.score) return;
       matches->erase(same);
@@ -296,7 +298,8 @@ class Matching {
     matches->insert(position, std::move(match));
   }
 
-  const GraphMatcherOptions& options_;
+  const LoopOptions& options_;
+  int min_pairs_;
   const std::vector<LabelledPoint>& a_;
   const std::vector<LabelledPoint>& b_;
   Eigen::MatrixXd distances_a_, distances_b_;
@@ -402,20 +405,9 @@ std::vector<int> greedy_clique(const BitGraph& graph, int vertex) {
   return clique;
 }
 
-GraphMatcherOptions matcher_options(const LoopOptions& options, int min_pairs) {
-  GraphMatcherOptions matcher;
-  matcher.size_ratio_log = options.size_ratio_log;
-  matcher.distance_tolerance_m = options.distance_tolerance_m;
-  matcher.distance_tolerance_share = options.distance_tolerance_share;
-  matcher.min_distance_m = options.min_distance_m;
-  matcher.inlier_distance_m = options.inlier_distance_m;
-  matcher.min_pairs = min_pairs;
-  return matcher;
-}
-
 std::vector<GraphMatch> GraphMatcher::match(const std::vector<LabelledPoint>& a,
                                             const std::vector<LabelledPoint>& b) const {
-  if (!options_.free_scale) return Matching(options_, a, b).run();
+  if (options_.mode != "graph" || options_.scale != "free") return Matching(options_, min_pairs_, a, b).run();
   std::vector<GraphMatch> matches;
   for (const double scale : vote_scales(a, b, options_.min_distance_m)) {
     for (GraphMatch& match : match_scaled(a, b, scale)) matches.push_back(std::move(match));
@@ -425,12 +417,10 @@ std::vector<GraphMatch> GraphMatcher::match(const std::vector<LabelledPoint>& a,
   std::vector<GraphMatch> distinct;
   for (GraphMatch& match : matches) {
     const bool known = std::any_of(distinct.begin(), distinct.end(),
-                                   [&](const GraphMatch& better) { return !are_distinct(options_, b, match, better); });
+                                   [&](const GraphMatch& better) { return !are_distinct(b, match, better); });
     if (!known) distinct.push_back(std::move(match));
   }
-  if (static_cast<int>(distinct.size()) > options_.max_matches) {
-    distinct.resize(static_cast<std::size_t>(options_.max_matches));
-  }
+  if (distinct.size() > kMaxMatches) distinct.resize(kMaxMatches);
   return distinct;
 }
 
@@ -438,7 +428,7 @@ std::vector<GraphMatch> GraphMatcher::match(const std::vector<LabelledPoint>& a,
 std::vector<GraphMatch> GraphMatcher::match_scaled(const std::vector<LabelledPoint>& a,
                                                    const std::vector<LabelledPoint>& b, double scale) const {
   std::vector<LabelledPoint> scaled = rescaled(b, scale);
-  std::vector<GraphMatch> matches = Matching(options_, a, scaled).run();
+  std::vector<GraphMatch> matches = Matching(options_, min_pairs_, a, scaled).run();
   if (matches.empty()) return matches;
   std::vector<Vec3> points_a, points_b;
   for (const NodePair& pair : matches.front().pairs) {
@@ -449,7 +439,7 @@ std::vector<GraphMatch> GraphMatcher::match_scaled(const std::vector<LabelledPoi
   if (alignment && std::abs(std::log(alignment->scale)) < std::log(kMaxScale)) {
     scale = alignment->scale;
     scaled = rescaled(b, scale);
-    matches = Matching(options_, a, scaled).run();
+    matches = Matching(options_, min_pairs_, a, scaled).run();
   }
   for (GraphMatch& match : matches) match.scale = scale;
   return matches;

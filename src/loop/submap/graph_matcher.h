@@ -61,32 +61,16 @@ struct GraphMatch {
 
 constexpr double kMaxScale = 1.6;  ///< between two submaps, with a free scale
 
-struct GraphMatcherOptions {
-  double size_ratio_log = 0.7;
-  double distance_tolerance_m = 0.06;
-  double distance_tolerance_share = 0.03;
-  double min_distance_m = 0.05;
-  bool free_scale = false;  ///< the two sets may differ in scale by up to kMaxScale either way
-  double inlier_distance_m = 0.12;
-  int min_pairs = 4;
-  int max_matches = 4;         ///< distinct alternatives returned
-  int max_cliques = 24;        ///< cliques aligned at most
-  double distinct_m = 0.3;     ///< two alignments differ if the graph's middle moves farther
-  double distinct_rad = 0.26;  ///< or turns more
-};
-
-/// Those of loop detection, for matches of at least `min_pairs`.
-GraphMatcherOptions matcher_options(const LoopOptions& options, int min_pairs);
-
 /// Matches two labelled point sets: correspondences of equal label and similar size, an edge between two of them whose
 /// distances agree, cliques of that graph (largest one exactly, others greedily), rigid alignment, regrown inliers.
 /// A pure function of its input; the same input gives the same matches.
 ///
-/// With a free scale, pairs of points of equal labels first vote for the log ratio of their distances; each of the best
-/// scales is matched like that, with set b rescaled (all tolerances are in a's unit), and made exact by its inliers.
+/// With a free scale (graph mode), pairs of points of equal labels first vote for the log ratio of their distances;
+/// each of the best scales is matched like that, with set b rescaled (all tolerances are in a's unit), and made exact
+/// by its inliers.
 class GraphMatcher {
  public:
-  explicit GraphMatcher(const GraphMatcherOptions& options) : options_(options) {}
+  explicit GraphMatcher(const LoopOptions& options, int min_pairs = 4) : options_(options), min_pairs_(min_pairs) {}
   /// @return distinct matches, best score first; empty if there is none of at least `min_pairs`.
   ///         Non-finite points are left out.
   std::vector<GraphMatch> match(const std::vector<LabelledPoint>& a, const std::vector<LabelledPoint>& b) const;
@@ -95,7 +79,8 @@ class GraphMatcher {
   std::vector<GraphMatch> match_scaled(const std::vector<LabelledPoint>& a, const std::vector<LabelledPoint>& b,
                                        double scale) const;
 
-  GraphMatcherOptions options_;
+  LoopOptions options_;
+  int min_pairs_;
 };
 
 }  // namespace semantic_topo_loop::core

@@ -206,25 +206,25 @@ class RefinementProblem {
   std::vector<BoxMeasurement> measurements_;
 };
 
-}  // namespace
-
-std::optional<Refinement> SubmapRefiner::refine(const LocalMap& a, const LocalMap& b, const SE3& T_a_b,
-                                                const std::vector<NodePair>& pairs) const {
-  if (pairs.size() < 3 || !T_a_b.is_finite()) return std::nullopt;
-  return options_.scale == "free" ? refine_with<kPoseAndScale>(a, b, T_a_b, pairs)
-                                  : refine_with<kPose>(a, b, T_a_b, pairs);
-}
-
 template <int kUnknowns>
-std::optional<Refinement> SubmapRefiner::refine_with(const LocalMap& a, const LocalMap& b, const SE3& T_a_b,
-                                                     const std::vector<NodePair>& pairs) const {
-  RefinementProblem<kUnknowns> problem(a, b, T_a_b, pairs, options_);
+std::optional<Refinement> refine_with(const LocalMap& a, const LocalMap& b, const SE3& T_a_b,
+                                      const std::vector<NodePair>& pairs, const LoopOptions& options) {
+  RefinementProblem<kUnknowns> problem(a, b, T_a_b, pairs, options);
   if (!problem.solve()) return std::nullopt;
   Refinement refinement;
   refinement.T_a_b = problem.T_a_b();
   refinement.scale = problem.scale();
-  if (!problem.assess(options_.covariance_inflation, &refinement)) return std::nullopt;
+  if (!problem.assess(options.covariance_inflation, &refinement)) return std::nullopt;
   return refinement;
+}
+
+}  // namespace
+
+std::optional<Refinement> refine_submaps(const LocalMap& a, const LocalMap& b, const SE3& T_a_b,
+                                         const std::vector<NodePair>& pairs, const LoopOptions& options) {
+  if (pairs.size() < 3 || !T_a_b.is_finite()) return std::nullopt;
+  return options.scale == "free" ? refine_with<kPoseAndScale>(a, b, T_a_b, pairs, options)
+                                 : refine_with<kPose>(a, b, T_a_b, pairs, options);
 }
 
 LoopClosure make_closure(const LocalMap& match, const LocalMap& query) {
@@ -258,9 +258,9 @@ void set_alignment(const LocalMap& match, const LocalMap& query, const GraphMatc
 }
 
 void refine_and_decide(const LocalMap& match, const LocalMap& query, const GraphMatch& alignment,
-                       const SubmapRefiner& refiner, const LoopOptions& options, LoopClosure* loop) {
+                       const LoopOptions& options, LoopClosure* loop) {
   loop->reason = LoopReason::kRefinement;
-  const std::optional<Refinement> refined = refiner.refine(match, query, alignment.T_a_b, alignment.pairs);
+  const std::optional<Refinement> refined = refine_submaps(match, query, alignment.T_a_b, alignment.pairs, options);
   if (!refined) return;
   loop->refine_residual = refined->median_residual;
   loop->refine_shift_m = (alignment.T_a_b.inverse() * refined->T_a_b).t.norm();

@@ -22,20 +22,9 @@ struct Refinement {
 /// Bundle adjustment over two submaps: their relative pose and one spheroid for each pair of matched objects, from the
 /// boxes of both sides; with a free scale also the scale of b. The poses within a submap stay as the odometry gave
 /// them.
-class SubmapRefiner {
- public:
-  explicit SubmapRefiner(const LoopOptions& options) : options_(options) {}
-  /// @return nullopt if the problem cannot be solved or the pose is not determined
-  std::optional<Refinement> refine(const LocalMap& a, const LocalMap& b, const SE3& T_a_b,
-                                   const std::vector<NodePair>& pairs) const;
-
- private:
-  template <int kUnknowns>
-  std::optional<Refinement> refine_with(const LocalMap& a, const LocalMap& b, const SE3& T_a_b,
-                                        const std::vector<NodePair>& pairs) const;
-
-  LoopOptions options_;
-};
+/// @return nullopt if the problem cannot be solved or the pose is not determined
+std::optional<Refinement> refine_submaps(const LocalMap& a, const LocalMap& b, const SE3& T_a_b,
+                                         const std::vector<NodePair>& pairs, const LoopOptions& options);
 
 /// A closure between the anchors of two submaps, with the evidence's extent; nothing decided yet.
 LoopClosure make_closure(const LocalMap& match, const LocalMap& query);
@@ -43,6 +32,6 @@ LoopClosure make_closure(const LocalMap& match, const LocalMap& query);
 void set_alignment(const LocalMap& match, const LocalMap& query, const GraphMatch& alignment, LoopClosure* loop);
 /// Refines the alignment on boxes and accepts the loop, or rejects it if the refinement fails or moves it too far.
 void refine_and_decide(const LocalMap& match, const LocalMap& query, const GraphMatch& alignment,
-                       const SubmapRefiner& refiner, const LoopOptions& options, LoopClosure* loop);
+                       const LoopOptions& options, LoopClosure* loop);
 
 }  // namespace semantic_topo_loop::core
