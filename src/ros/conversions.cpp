@@ -36,8 +36,10 @@ core::Status check_xyz(const sensor_msgs::PointCloud2& message) {
              "is not width * height * point_step = " + std::to_string(expected));
 }
 
+}  // namespace
+
 template <class Point>
-void fill_cloud(const std::vector<Point>& points, sensor_msgs::PointCloud2* message) {
+void to_cloud(const std::vector<Point>& points, sensor_msgs::PointCloud2* message) {
   sensor_msgs::PointCloud2Modifier modifier(*message);
   modifier.setPointCloud2FieldsByString(1, "xyz");
   modifier.resize(points.size());
@@ -48,8 +50,8 @@ void fill_cloud(const std::vector<Point>& points, sensor_msgs::PointCloud2* mess
     ++it;
   }
 }
-
-}  // namespace
+template void to_cloud(const std::vector<core::Vec3>& points, sensor_msgs::PointCloud2* message);
+template void to_cloud(const std::vector<Eigen::Vector3f>& points, sensor_msgs::PointCloud2* message);
 
 ros::Time to_ros_time(std::int64_t stamp_ns) {
   constexpr std::int64_t kMax = (std::int64_t{std::numeric_limits<std::uint32_t>::max()} + 1) * kNsPerS - 1;
@@ -70,25 +72,9 @@ std::string strip_leading_slash(const std::string& frame_id) {
   return frame_id.empty() || frame_id.front() != '/' ? frame_id : frame_id.substr(1);
 }
 
-geometry_msgs::Vector3 to_vector_msg(const core::Vec3& v) {
-  geometry_msgs::Vector3 message;
-  message.x = v.x();
-  message.y = v.y();
-  message.z = v.z();
-  return message;
-}
-
-geometry_msgs::Point to_point_msg(const core::Vec3& p) {
-  geometry_msgs::Point message;
-  message.x = p.x();
-  message.y = p.y();
-  message.z = p.z();
-  return message;
-}
-
 geometry_msgs::Pose to_msg(const core::SE3& T) {
   geometry_msgs::Pose message;
-  message.position = to_point_msg(T.t);
+  message.position = to_xyz<geometry_msgs::Point>(T.t);
   message.orientation.x = T.q.x();
   message.orientation.y = T.q.y();
   message.orientation.z = T.q.z();
@@ -101,7 +87,7 @@ geometry_msgs::TransformStamped make_transform(const std_msgs::Header& header, c
   geometry_msgs::TransformStamped message;
   message.header = header;
   message.child_frame_id = child;
-  message.transform.translation = to_vector_msg(T_parent_child.t);
+  message.transform.translation = to_xyz<geometry_msgs::Vector3>(T_parent_child.t);
   message.transform.rotation = to_msg(T_parent_child).orientation;
   return message;
 }
@@ -133,11 +119,6 @@ core::Camera from_msg(const sensor_msgs::CameraInfo& message) {
   const auto coefficients = static_cast<std::ptrdiff_t>(std::min(message.D.size(), camera.distortion.size()));
   std::copy_n(message.D.begin(), coefficients, camera.distortion.begin());
   return camera;
-}
-
-void to_cloud(const std::vector<core::Vec3>& points, sensor_msgs::PointCloud2* message) { fill_cloud(points, message); }
-void to_cloud(const std::vector<Eigen::Vector3f>& points, sensor_msgs::PointCloud2* message) {
-  fill_cloud(points, message);
 }
 
 core::Result<std::vector<core::Vec3>> from_msg(const sensor_msgs::PointCloud2& message) {

@@ -1,5 +1,6 @@
 #pragma once
 
+#include <geometry_msgs/Point.h>
 #include <geometry_msgs/Pose.h>
 #include <geometry_msgs/TransformStamped.h>
 #include <ros/time.h>
@@ -34,8 +35,15 @@ std_msgs::Header make_header(const ros::Time& stamp, const std::string& frame_id
 /// tf2 refuses frame ids with a leading '/', tf allowed them.
 std::string strip_leading_slash(const std::string& frame_id);
 
-geometry_msgs::Vector3 to_vector_msg(const core::Vec3& v);
-geometry_msgs::Point to_point_msg(const core::Vec3& p);
+/// @tparam Message geometry_msgs::Vector3 or Point
+template <class Message>
+Message to_xyz(const core::Vec3& v) {
+  Message message;
+  message.x = v.x();
+  message.y = v.y();
+  message.z = v.z();
+  return message;
+}
 geometry_msgs::Pose to_msg(const core::SE3& T);
 /// @param header with the parent's frame id
 geometry_msgs::TransformStamped make_transform(const std_msgs::Header& header, const std::string& child,
@@ -46,9 +54,9 @@ core::SE3 from_msg(const geometry_msgs::Pose& message);
 void to_msg(const core::Camera& camera, sensor_msgs::CameraInfo* message);
 core::Camera from_msg(const sensor_msgs::CameraInfo& message);
 
-/// As float32 x, y, z; leaves the header as it is.
-void to_cloud(const std::vector<core::Vec3>& points, sensor_msgs::PointCloud2* message);
-void to_cloud(const std::vector<Eigen::Vector3f>& points, sensor_msgs::PointCloud2* message);
+/// As float32 x, y, z; leaves the header as it is. @tparam Point core::Vec3 or Eigen::Vector3f
+template <class Point>
+void to_cloud(const std::vector<Point>& points, sensor_msgs::PointCloud2* message);
 /// The finite points. @return an error that names field and value if x, y or z is missing or not float32
 core::Result<std::vector<core::Vec3>> from_msg(const sensor_msgs::PointCloud2& message);
 

@@ -52,8 +52,8 @@ Marker make_lines(const std_msgs::Header& header, const std::string& layer, std:
 }
 
 void add_line(const core::Vec3& from, const core::Vec3& to, Marker* lines) {
-  lines->points.push_back(to_point_msg(from));
-  lines->points.push_back(to_point_msg(to));
+  lines->points.push_back(to_xyz<geometry_msgs::Point>(from));
+  lines->points.push_back(to_xyz<geometry_msgs::Point>(to));
 }
 
 /// The pyramid from the camera's centre through the image's corners.
@@ -125,7 +125,7 @@ MarkerArrayPtr make_quadric_markers(const MapView& view, const std_msgs::Header&
     const bool confirmed = landmark.state == core::LandmarkState::kConfirmed;
     Marker marker = make_marker(header, confirmed ? "quadrics" : "candidates", id, Marker::SPHERE);
     marker.pose = to_msg(landmark.ellipsoid->T_world_quadric);
-    marker.scale = to_vector_msg(2.0 * landmark.ellipsoid->semi_axes);
+    marker.scale = to_xyz<geometry_msgs::Vector3>(2.0 * landmark.ellipsoid->semi_axes);
     const double alpha = kAlphaMin + kAlphaByQuality * std::clamp(landmark.quality, 0.0, 1.0);
     marker.color = class_color(landmark.class_id, confirmed ? alpha : kCandidateAlpha);
     array->markers.push_back(std::move(marker));
@@ -141,7 +141,8 @@ MarkerArrayPtr make_label_markers(const MapView& view, const std_msgs::Header& h
     if (!landmark.ellipsoid || landmark.state != core::LandmarkState::kConfirmed) continue;
     Marker marker = make_marker(header, "labels", id, Marker::TEXT_VIEW_FACING);
     const double half_height_m = std::sqrt(up.dot(landmark.ellipsoid->shape() * up));
-    marker.pose.position = to_point_msg(landmark.ellipsoid->center() + (half_height_m + sizes.label_m) * up);
+    marker.pose.position =
+        to_xyz<geometry_msgs::Point>(landmark.ellipsoid->center() + (half_height_m + sizes.label_m) * up);
     marker.scale.z = sizes.label_m;
     marker.color = color(1.0, 1.0, 1.0, 1.0);
     marker.text = classes.name(landmark.class_id);

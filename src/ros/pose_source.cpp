@@ -13,10 +13,9 @@ constexpr double kKeepPoses_s = 60.0;
 constexpr char kAuthority[] = "semantic_topo_loop";
 
 geometry_msgs::Pose to_pose(const geometry_msgs::Transform& transform) {
+  const geometry_msgs::Vector3& t = transform.translation;
   geometry_msgs::Pose pose;
-  pose.position.x = transform.translation.x;
-  pose.position.y = transform.translation.y;
-  pose.position.z = transform.translation.z;
+  pose.position = to_xyz<geometry_msgs::Point>({t.x, t.y, t.z});
   pose.orientation = transform.rotation;
   return pose;
 }

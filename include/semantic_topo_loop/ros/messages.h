@@ -177,21 +177,16 @@ struct HasHeader<semantic_topo_loop::Stamped<Value, Generated>> : TrueType {};
 template <class Value, class Generated>
 struct HasHeader<const semantic_topo_loop::Stamped<Value, Generated>> : TrueType {};
 
-template <class Value, class Generated>
-struct MD5Sum<semantic_topo_loop::Stamped<Value, Generated>> {
-  static const char* value() { return MD5Sum<Generated>::value(); }
-  static const char* value(const semantic_topo_loop::Stamped<Value, Generated>&) { return value(); }
-};
-template <class Value, class Generated>
-struct DataType<semantic_topo_loop::Stamped<Value, Generated>> {
-  static const char* value() { return DataType<Generated>::value(); }
-  static const char* value(const semantic_topo_loop::Stamped<Value, Generated>&) { return value(); }
-};
-template <class Value, class Generated>
-struct Definition<semantic_topo_loop::Stamped<Value, Generated>> {
-  static const char* value() { return Definition<Generated>::value(); }
-  static const char* value(const semantic_topo_loop::Stamped<Value, Generated>&) { return value(); }
-};
+#define SEMANTIC_TOPO_LOOP_AS_GENERATED(Trait)                                                         \
+  template <class Value, class Generated>                                                              \
+  struct Trait<semantic_topo_loop::Stamped<Value, Generated>> {                                        \
+    static const char* value() { return Trait<Generated>::value(); }                                   \
+    static const char* value(const semantic_topo_loop::Stamped<Value, Generated>&) { return value(); } \
+  };
+SEMANTIC_TOPO_LOOP_AS_GENERATED(MD5Sum)
+SEMANTIC_TOPO_LOOP_AS_GENERATED(DataType)
+SEMANTIC_TOPO_LOOP_AS_GENERATED(Definition)
+#undef SEMANTIC_TOPO_LOOP_AS_GENERATED
 
 }  // namespace ros::message_traits
 
