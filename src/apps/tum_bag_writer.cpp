@@ -9,6 +9,7 @@
 #include <opencv2/core.hpp>
 
 #include "ros/conversions.h"
+#include "ros/tum_bag.h"
 #include "semantic_topo_loop/geometry/lie.h"
 #include "tools/rendering/rgbd_sequence.h"
 
@@ -40,11 +41,7 @@ struct ros::serialization::Serializer<semantic_topo_loop::TfMessage>
 namespace semantic_topo_loop {
 namespace {
 
-constexpr char kInfoTopic[] = "/camera/rgb/camera_info";
-constexpr char kImageTopic[] = "/camera/rgb/image_color";
 constexpr char kDepthInfoTopic[] = "/camera/depth/camera_info";
-constexpr char kDepthTopic[] = "/camera/depth/image";
-constexpr char kTfTopic[] = "/tf";
 constexpr char kCameraFrame[] = "/openni_camera";
 constexpr char kOpticalFrame[] = "/openni_rgb_optical_frame";
 constexpr char kDepthOpticalFrame[] = "/openni_depth_optical_frame";  ///< of depth that is not registered
@@ -117,7 +114,7 @@ class TumBag {
     const core::SE3 T_world_kinect = pose.T_world_camera * tum_kinect_from_optical().inverse();
     TfMessage mocap;
     mocap.transforms.push_back(transform(pose.stamp_ns, "/world", "/kinect", T_world_kinect));
-    bag_.write(kTfTopic, to_ros_time(pose.stamp_ns), mocap);
+    bag_.write(tum_topic::kTf, to_ros_time(pose.stamp_ns), mocap);
     if (mocap_count_++ % kChainPeriod != 0) return;
     TfMessage chain;
     chain.transforms = {transform(pose.stamp_ns, "/kinect", kCameraFrame, kinect_from_camera()),
@@ -131,20 +128,20 @@ class TumBag {
       chain.transforms.push_back(
           transform(pose.stamp_ns, "/openni_depth_frame", kDepthOpticalFrame, rgb_from_optical()));
     }
-    bag_.write(kTfTopic, to_ros_time(pose.stamp_ns), chain);
+    bag_.write(tum_topic::kTf, to_ros_time(pose.stamp_ns), chain);
   }
 
   /// @return an error if the frame's image cannot be read
   core::Status write_color(std::size_t frame) {
     const std::int64_t stamp_ns = sequence_.truth[frame].stamp_ns;
-    write(kInfoTopic, frame, stamp_ns, &info_);
+    write(tum_topic::kCameraInfo, frame, stamp_ns, &info_);
     if (!options_.with_images) return {};
     core::Result<cv::Mat> image(cv::Mat(kThumbnailHeight, kThumbnailWidth, CV_8UC3, cv::Scalar::all(128.0)));
     if (has_rendered_images()) image = core::read_rendered_color(sequence_, options_.image_directory, frame);
     if (!image) return image.error();
     sensor_msgs::Image message =
         image_message(swap_blue_and_red(*image), kOpticalFrame, sensor_msgs::image_encodings::RGB8);
-    write(kImageTopic, frame, stamp_ns, &message);
+    write(tum_topic::kColor, frame, stamp_ns, &message);
     return {};
   }
 
@@ -156,7 +153,7 @@ class TumBag {
     if (!depth_m) return depth_m.error();
     write(kDepthInfoTopic, frame, stamp_ns, &depth_info_);
     sensor_msgs::Image message = image_message(*depth_m, depth_frame_, sensor_msgs::image_encodings::TYPE_32FC1);
-    write(kDepthTopic, frame, stamp_ns, &message);
+    write(tum_topic::kDepth, frame, stamp_ns, &message);
     return {};
   }
 

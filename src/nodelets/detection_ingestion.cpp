@@ -47,10 +47,7 @@ class DetectionIngestionNodelet : public Stage {
 
   bool load_file() {
     core::Result<core::DetectionRecording> detections = core::read_detections(parameters_.detections_file, *classes());
-    if (!detections) {
-      fail(detections.message());
-      return false;
-    }
+    if (!detections) return fail(detections.message());
     const core::DetectionReport& report = detections->report;
     for (const std::string& warning : report.warnings()) NODELET_WARN("%s", warning.c_str());
     for (std::size_t i = 0; i < core::kDetectionProblemCount; ++i) {

@@ -34,9 +34,9 @@ class LoopDetectionNodelet : public Stage {
     publisher_ = advertise<LoopsMessage>("loop_closures");
     for (const char* counter : {kIncomplete, kAccepted}) statistics().count(counter, 0);
     reset_session();
-    keep_service(getPrivateNodeHandle().advertiseService("set_loop_closing", &LoopDetectionNodelet::on_switch, this));
-    keep_service(getPrivateNodeHandle().advertiseService("why_loop", &LoopDetectionNodelet::on_why, this));
-    keep_service(getPrivateNodeHandle().advertiseService("save_map", &LoopDetectionNodelet::on_save, this));
+    serve("set_loop_closing", &LoopDetectionNodelet::on_switch);
+    serve("why_loop", &LoopDetectionNodelet::on_why);
+    serve("save_map", &LoopDetectionNodelet::on_save);
     if (!parameters_.map_file.empty()) {
       relocalisation_publisher_ = advertise<geometry_msgs::TransformStamped>("earlier_map_from_odom", true);
     }
@@ -64,14 +64,10 @@ class LoopDetectionNodelet : public Stage {
   bool load_earlier_map() {
     if (parameters_.map_file.empty()) return true;
     if (options_.loop.mode != "graph") {
-      fail("parameter 'map_file' = '" + parameters_.map_file + "' needs loop/mode graph");
-      return false;
+      return fail("parameter 'map_file' = '" + parameters_.map_file + "' needs loop/mode graph");
     }
     core::Result<std::vector<core::LocalMap>> submaps = core::read_submaps(parameters_.map_file, *classes());
-    if (!submaps) {
-      fail(submaps.message());
-      return false;
-    }
+    if (!submaps) return fail(submaps.message());
     earlier_map_ = std::move(*submaps);
     return true;
   }

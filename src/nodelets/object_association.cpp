@@ -5,7 +5,6 @@
 #include "ros/frame_joiner.h"
 #include "ros/map_view.h"
 #include "ros/stage.h"
-#include "semantic_topo_loop/FrameDone.h"
 #include "semantic_topo_loop/association/object_associator.h"
 
 namespace semantic_topo_loop {
@@ -100,15 +99,9 @@ class ObjectAssociationNodelet : public Stage {
   void publish_done(std::int64_t frame_id) {
     const auto it = open_.find(frame_id);
     const Open open = it == open_.end() ? Open() : it->second;
-    auto message = boost::make_shared<FrameDone>();
-    message->header = make_header(open.stamp, "");
-    message->session_id = session_id();
-    message->frame_id = frame_id;
-    message->map_version = associator_->map_version();
-    message->status = !open.associated ? FrameDone::STATUS_FAILED
-                                       : (open.is_end ? FrameDone::STATUS_END : FrameDone::STATUS_PROCESSED);
-    message->stage = name();
-    done_publisher_.publish(message);
+    const std::uint8_t status = !open.associated ? FrameDone::STATUS_FAILED
+                                                 : (open.is_end ? FrameDone::STATUS_END : FrameDone::STATUS_PROCESSED);
+    Stage::publish_done(done_publisher_, open.stamp, frame_id, status, associator_->map_version());
   }
 
   using Joiner = FrameJoiner<FrameMessage::ConstPtr, DetectionsMessage::ConstPtr>;

@@ -17,6 +17,7 @@
 #include "ros/tum_bag.h"
 #include "semantic_topo_loop/io/tum_trajectory.h"
 #include "semantic_topo_loop/io/yaml_files.h"
+#include "semantic_topo_loop/pipeline/read_ahead.h"
 
 namespace semantic_topo_loop {
 
@@ -142,7 +143,7 @@ class PlayerNodelet : public Stage {
       bag.lookahead_s = parameters_.max_pose_gap_s + kRecordingDelayS;
       core::Result<std::unique_ptr<TumBagSource>> source = TumBagSource::open(bag, calibration);
       if (!source) return source.error();
-      return std::unique_ptr<PlayerSource>(std::make_unique<ReadAheadSource>(*std::move(source)));
+      return std::unique_ptr<PlayerSource>(*std::move(source));
     }
     core::Result<core::StampedPoses> trajectory = core::read_tum_trajectory(parameters_.trajectory_file);
     if (!trajectory) return trajectory.error();
@@ -183,9 +184,12 @@ class PlayerNodelet : public Stage {
   /// @param end how the recording ended
   Wait play_images(PlayerSource* source, core::Status* end) {
     constexpr auto kReportPeriod = std::chrono::seconds(5);
+    constexpr std::size_t kItemsAhead = 15;  // half a second of colour and depth images, 32 MB
+    // Read in a thread of its own: compressed chunks of a bag take longer than a frame.
+    core::ReadAhead<PlayerItem> items([source] { return source->next(); }, kItemsAhead);
     Clock::time_point reported = Clock::now();
     std::size_t played = 0;
-    while (const std::optional<PlayerItem> item = source->next()) {
+    while (const std::optional<PlayerItem> item = items.next()) {
       if (!item->left_out.empty()) {
         complain(item->left_out, item->detail);
         continue;

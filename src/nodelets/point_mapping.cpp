@@ -21,7 +21,7 @@ class PointMappingNodelet : public Stage {
     reset_session();
     sparse_.open(advertise<sensor_msgs::PointCloud2>("map_points_sparse"));
     semi_dense_.open(advertise<sensor_msgs::PointCloud2>("map_points_semi_dense"));
-    keep_service(getPrivateNodeHandle().advertiseService("save_points", &PointMappingNodelet::on_save, this));
+    serve("save_points", &PointMappingNodelet::on_save);
     subscribe("keyframe_points", Keep::kAlways, &PointMappingNodelet::on_points);
     subscribe("map_corrections", Keep::kAlways, &PointMappingNodelet::on_correction);
     start_timer(1.0 / parameters_.rate_hz, [this] { publish(); });

@@ -11,7 +11,6 @@
 
 #include "ros/frontend_stage.h"
 #include "ros/pose_source.h"
-#include "semantic_topo_loop/FrameDone.h"
 #include "semantic_topo_loop/io/tum_trajectory.h"
 
 namespace semantic_topo_loop {
@@ -43,10 +42,7 @@ class PoseFrontendNodelet : public FrontendStage {
   bool open_source() {
     if (parameters_.pose_source == "file") {
       core::Result<core::StampedPoses> trajectory = core::read_tum_trajectory(parameters_.trajectory_file);
-      if (!trajectory) {
-        fail(trajectory.message());
-        return false;
-      }
+      if (!trajectory) return fail(trajectory.message());
       source_ = std::make_shared<FilePoses>(std::move(*trajectory));
     }
     if (parameters_.needs_tf()) {
@@ -108,8 +104,8 @@ class PoseFrontendNodelet : public FrontendStage {
     const std::chrono::duration<double> timeout(parameters_.pose_timeout_s);
     pending_.push_back({stamp_ns, Clock::now() + std::chrono::duration_cast<Clock::duration>(timeout), false});
     if (pending_.size() > queue_capacity() && !pending_.front().is_end) {
-      complain("images dropped, too many wait for their pose", "raise queue_size or lower pose_timeout_s");
-      publish_done(pending_.front().stamp_ns, FrameDone::STATUS_FAILED);
+      fail_image(pending_.front().stamp_ns, "images dropped, too many wait for their pose",
+                 "raise queue_size or lower pose_timeout_s");
       pending_.pop_front();
     }
     resolve();

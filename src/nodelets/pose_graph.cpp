@@ -92,10 +92,9 @@ class PoseGraphNodelet : public Stage {
     reset_session();
     if (parameters_.publish_tf) {
       tf_sender_ = std::make_unique<MapOdomSender>(parameters_.map_frame, parameters_.tf_tolerance_s);
-      keep_timer(getNodeHandle().createWallTimer(ros::WallDuration(1.0 / parameters_.tf_rate_hz),
-                                                 &PoseGraphNodelet::on_tf_timer, this));
+      keep_timer(1.0 / parameters_.tf_rate_hz, [this] { tf_sender_->send(); });
     }
-    keep_service(getPrivateNodeHandle().advertiseService("withdraw_loop", &PoseGraphNodelet::on_withdraw, this));
+    serve("withdraw_loop", &PoseGraphNodelet::on_withdraw);
     subscribe("loop_closures", Keep::kAlways, &PoseGraphNodelet::on_loops);
     if (has_objects()) {
       subscribe("associations", Keep::kAlways, &PoseGraphNodelet::on_associations);
@@ -197,25 +196,24 @@ class PoseGraphNodelet : public Stage {
   /// The path through the keyframes and the last frame; both in the map frame, so that they can be compared.
   void publish_paths() {
     if (!last_frame_) return;
-    if (odometry_path_.is_due()) {
-      auto path = boost::make_shared<nav_msgs::Path>();
-      path->header = last_frame_->header;
-      path->poses = odometry_keyframes_;
-      path->poses.push_back(*last_frame_);
-      odometry_path_.publish(path);
+    if (odometry_path_.is_due()) publish_path(odometry_keyframes_, *last_frame_, &odometry_path_);
+    if (!corrected_path_.is_due()) return;
+    std::vector<geometry_msgs::PoseStamped> poses;
+    for (const core::KeyframePose& keyframe : graph_->keyframes()) {
+      poses.push_back(stamped(to_ros_time(keyframe.stamp_ns), keyframe.T_map_camera));
     }
-    if (corrected_path_.is_due()) {
-      auto path = boost::make_shared<nav_msgs::Path>();
-      path->header = last_frame_->header;
-      for (const core::KeyframePose& keyframe : graph_->keyframes()) {
-        path->poses.push_back(stamped(to_ros_time(keyframe.stamp_ns), keyframe.T_map_camera));
-      }
-      path->poses.push_back(stamped(last_frame_->header.stamp, graph_->T_map_odom() * from_msg(last_frame_->pose)));
-      corrected_path_.publish(path);
-    }
+    const core::SE3 T_map_camera = graph_->T_map_odom() * from_msg(last_frame_->pose);
+    publish_path(std::move(poses), stamped(last_frame_->header.stamp, T_map_camera), &corrected_path_);
   }
 
-  void on_tf_timer(const ros::WallTimerEvent&) { tf_sender_->send(); }
+  static void publish_path(std::vector<geometry_msgs::PoseStamped> poses, const geometry_msgs::PoseStamped& last,
+                           LazyPublisher* publisher) {
+    auto path = boost::make_shared<nav_msgs::Path>();
+    path->header = last.header;
+    path->poses = std::move(poses);
+    path->poses.push_back(last);
+    publisher->publish(path);
+  }
 
   core::Options options_;
   PoseGraphParameters parameters_;

@@ -28,7 +28,7 @@ class RecorderNodelet : public Stage {
     joiner_ = std::make_unique<Joiner>(queue_capacity());
     reset_session();
     written_publisher_ = advertise<std_msgs::String>("results_written", true);
-    keep_service(getPrivateNodeHandle().advertiseService("save_results", &RecorderNodelet::on_save, this));
+    serve("save_results", &RecorderNodelet::on_save);
     if (parameters_.output_dir.empty()) return follow_sessions();
     subscribe("map_corrections", Keep::kAlways, &RecorderNodelet::on_correction);
     subscribe("loop_closures", Keep::kAlways, &RecorderNodelet::on_loops);
@@ -79,10 +79,7 @@ class RecorderNodelet : public Stage {
   }
 
   void on_loops(const LoopsMessage::ConstPtr& loops) {
-    {
-      const std::lock_guard<std::mutex> lock(mutex_);
-      recorder_->record(loops->frame_id, loops->closures, loops->duration_us);
-    }
+    record(loops->frame_id, loops->closures, loops->duration_us);
     add<kLoops>(loops->frame_id, {});
   }
 
@@ -91,10 +88,10 @@ class RecorderNodelet : public Stage {
     add<kCorrection>(correction->frame_id, {});
   }
 
-  template <class Record>
-  void record(const Record& record) {
+  template <class... Record>
+  void record(const Record&... record) {
     const std::lock_guard<std::mutex> lock(mutex_);
-    recorder_->record(record);
+    recorder_->record(record...);
   }
 
   template <Kind kind>

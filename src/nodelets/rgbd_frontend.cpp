@@ -9,7 +9,6 @@
 
 #include "ros/frontend_stage.h"
 #include "ros/rgbd_images.h"
-#include "semantic_topo_loop/FrameDone.h"
 
 namespace semantic_topo_loop {
 namespace {
@@ -55,16 +54,12 @@ class RgbdFrontendNodelet : public FrontendStage {
 
   void subscribe_images() {
     const ros::NodeHandle node = getNodeHandle();
-    RgbdSynchronizer::Options options;
-    options.queue_size = parameters_.sync_queue_size;
-    options.max_delay_s = parameters_.max_depth_delay_s;
-    options.pair_timeout_s = parameters_.pair_timeout_s;
-    options.starvation_s = parameters_.starvation_s;
+    PairingParameters pairing = parameters_.pairing;
     // Remapped here, as the names that image_transport makes of them ("color/compressed") have remappings of their own.
-    options.color_topic = node.resolveName("color");
-    options.depth_topic = node.resolveName("depth");
+    pairing.color_topic = node.resolveName("color");
+    pairing.depth_topic = node.resolveName("depth");
     synchronizer_ = std::make_unique<RgbdSynchronizer>(
-        options,
+        pairing,
         [this](const ImageConstPtr& color, const ImageConstPtr& depth) {
           push("pairs of images", Keep::kDroppable, [this, color, depth] { on_pair(color, depth); });
         },
@@ -75,9 +70,9 @@ class RgbdFrontendNodelet : public FrontendStage {
         boost::function<void(const ImageConstPtr&)>([this](const auto& image) { on_depth(image); }));
     image_transport::ImageTransport transport(node);
     const ros::NodeHandle& own = getPrivateNodeHandle();
-    color_.subscribe(transport, options.color_topic, static_cast<std::uint32_t>(parameters_.color_queue_size),
+    color_.subscribe(transport, pairing.color_topic, static_cast<std::uint32_t>(parameters_.color_queue_size),
                      {parameters_.color_transport, {}, own, "color_transport"});
-    depth_.subscribe(transport, options.depth_topic, static_cast<std::uint32_t>(parameters_.depth_queue_size),
+    depth_.subscribe(transport, pairing.depth_topic, static_cast<std::uint32_t>(parameters_.depth_queue_size),
                      {parameters_.depth_transport, {}, own, "depth_transport"});
   }
 
@@ -132,7 +127,7 @@ class RgbdFrontendNodelet : public FrontendStage {
 
   void on_single(std::int64_t stamp_ns) {
     fail_image(stamp_ns, kSingle,
-               "none on 'depth' within " + std::to_string(parameters_.max_depth_delay_s) + " s of stamp " +
+               "none on 'depth' within " + std::to_string(parameters_.pairing.max_delay_s) + " s of stamp " +
                    std::to_string(stamp_ns) + " ns");
   }
 
@@ -172,11 +167,6 @@ class RgbdFrontendNodelet : public FrontendStage {
     const std::lock_guard<std::mutex> lock(mutex_);
     if (depth_warning_.empty() && !warning.empty()) NODELET_WARN("%s", warning.c_str());
     depth_warning_ = warning;
-  }
-
-  void fail_image(std::int64_t stamp_ns, const std::string& cause, const std::string& detail) {
-    complain(cause, detail);
-    publish_done(stamp_ns, FrameDone::STATUS_FAILED);
   }
 
   void track(const core::RgbdImage& image) {

@@ -4,8 +4,6 @@
 
 #include <utility>
 
-#include "ros/conversions.h"
-#include "semantic_topo_loop/FrameDone.h"
 #include "semantic_topo_loop/Keyframe.h"
 #include "semantic_topo_loop/io/yaml_files.h"
 
@@ -19,10 +17,7 @@ bool FrontendStage::open(const core::KeyframeOptions& options, const FrontendPar
   camera_frame_ = parameters_.camera_frame;
   if (!parameters_.camera_file.empty()) {
     const core::Result<core::Camera> camera = core::read_camera(parameters_.camera_file);
-    if (!camera) {
-      fail(camera.message());
-      return false;
-    }
+    if (!camera) return fail(camera.message());
     camera_ = *camera;
     has_camera_file_ = true;
   }
@@ -32,7 +27,9 @@ bool FrontendStage::open(const core::KeyframeOptions& options, const FrontendPar
   done_publisher_ = advertise<FrameDone>("frame_done");
   if (parameters_.publish_odom_tf) broadcaster_ = std::make_unique<tf2_ros::TransformBroadcaster>();
   control_publisher_ = advertise<SessionControl>("session_control", true);
-  advertise_services();
+  add_service("reset", "a new session begins", &FrontendStage::reset);
+  add_service("pause", "images are left out until ~resume", &FrontendStage::pause);
+  add_service("resume", "images are taken again", &FrontendStage::resume);
   return true;
 }
 
@@ -53,20 +50,12 @@ void FrontendStage::add_service(const std::string& service, const std::string& a
                                 void (FrontendStage::*handler)()) {
   using Request = std_srvs::Trigger::Request;
   using Response = std_srvs::Trigger::Response;
-  const boost::function<bool(Request&, Response&)> callback = [this, service, answer, handler](Request&,
-                                                                                               Response& response) {
+  serve<Request, Response>(service, [this, service, answer, handler](Request&, Response& response) {
     push(service, Keep::kAlways, [this, handler] { (this->*handler)(); });
     response.success = true;
     response.message = answer;
     return true;
-  };
-  keep_service(getPrivateNodeHandle().advertiseService(service, callback));
-}
-
-void FrontendStage::advertise_services() {
-  add_service("reset", "a new session begins", &FrontendStage::reset);
-  add_service("pause", "images are left out until ~resume", &FrontendStage::pause);
-  add_service("resume", "images are taken again", &FrontendStage::resume);
+  });
 }
 
 void FrontendStage::begin_session(const std::string& reason, bool rewind) {
@@ -141,25 +130,19 @@ bool FrontendStage::is_in_order(std::int64_t stamp_ns) {
     begin_session("time jumped back");
     return true;
   }
-  complain(stamp_ns == *last_stamp_ns_ ? "images with the stamp of the one before" : "images out of order", detail);
-  publish_done(stamp_ns, FrameDone::STATUS_FAILED);
+  fail_image(stamp_ns, stamp_ns == *last_stamp_ns_ ? "images with the stamp of the one before" : "images out of order",
+             detail);
   return false;
 }
 
 void FrontendStage::emit(const core::PoseSample& sample, const std::optional<core::Camera>& camera) {
   if (!camera) {
-    complain("images without a calibration", "neither camera_file nor a usable camera_info");
-    publish_done(sample.stamp_ns, FrameDone::STATUS_FAILED);
-    return;
+    return fail_image(sample.stamp_ns, "images without a calibration", "neither camera_file nor a usable camera_info");
   }
   if (!builder_) builder_.emplace(keyframe_options_, *camera);
   builder_->set_camera(*camera);
   core::Result<core::Frame> frame = builder_->build(sample);
-  if (!frame) {
-    complain("images left out", frame.message());
-    publish_done(sample.stamp_ns, FrameDone::STATUS_FAILED);
-    return;
-  }
+  if (!frame) return fail_image(sample.stamp_ns, "images left out", frame.message());
   if (frame->is_break && frame->frame_id > 0) statistics().count("breaks of the odometry");
   if (frame->is_keyframe && points_publisher_.getNumSubscribers() > 0) frame->keyframe_points = keyframe_points();
   publish_frame(*frame);
@@ -205,14 +188,9 @@ void FrontendStage::publish_odom_tf(const core::Frame& frame) {
   broadcaster_->sendTransform(make_transform(header, child, T_odom_child));
 }
 
-void FrontendStage::publish_done(std::int64_t stamp_ns, std::uint8_t status) {
-  auto message = boost::make_shared<FrameDone>();
-  message->header.stamp = to_ros_time(stamp_ns);
-  message->session_id = session_id();
-  message->frame_id = -1;
-  message->status = status;
-  message->stage = name();
-  done_publisher_.publish(message);
+void FrontendStage::fail_image(std::int64_t stamp_ns, const std::string& cause, const std::string& detail) {
+  complain(cause, detail);
+  publish_done(stamp_ns, FrameDone::STATUS_FAILED);
 }
 
 }  // namespace semantic_topo_loop

@@ -54,12 +54,15 @@ class FrontendStage : public Stage {
   void emit(const core::PoseSample& sample, const std::optional<core::Camera>& camera);
   void emit_end();
   /// Answers an image that gives no frame.
-  void publish_done(std::int64_t stamp_ns, std::uint8_t status);
+  void publish_done(std::int64_t stamp_ns, std::uint8_t status) {
+    Stage::publish_done(done_publisher_, to_ros_time(stamp_ns), -1, status);
+  }
+  /// Answers an image that cannot be used, and complains.
+  void fail_image(std::int64_t stamp_ns, const std::string& cause, const std::string& detail);
   const std::optional<core::Camera>& camera() const { return camera_; }
   const std::string& camera_frame() const { return camera_frame_; }
 
  private:
-  void advertise_services();
   void add_service(const std::string& service, const std::string& answer, void (FrontendStage::*handler)());
   void control(std::uint8_t command, const std::string& reason, bool rewind = false);
   void reset() { begin_session("reset was called"); }

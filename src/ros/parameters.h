@@ -76,16 +76,22 @@ struct PoseFrontendParameters : FrontendParameters {
   bool needs_tf() const { return pose_source != "file" || !base_frame.empty(); }
 };
 
+/// How colour and depth images of two topics are joined.
+struct PairingParameters {
+  int queue_size = 10;
+  double max_delay_s = 0.02;
+  double pair_timeout_s = 1.0;
+  double starvation_s = 3.0;
+  std::string color_topic = "color", depth_topic = "depth";  ///< as warnings name them; no parameters
+};
+
 /// How RgbdFrontend takes its images.
 struct RgbdFrontendParameters : FrontendParameters {
   std::string color_transport = "raw";
   std::string depth_transport = "raw";
   int color_queue_size = 10;
   int depth_queue_size = 10;
-  int sync_queue_size = 10;
-  double max_depth_delay_s = 0.02;
-  double pair_timeout_s = 1.0;
-  double starvation_s = 3.0;
+  PairingParameters pairing;
 
   void visit(core::OptionVisitor& visitor) {
     FrontendParameters::visit(visitor);
@@ -93,12 +99,13 @@ struct RgbdFrontendParameters : FrontendParameters {
     visitor("depth_transport", depth_transport, core::given(), "image_transport of depth: raw, compressedDepth, ...");
     visitor("color_queue_size", color_queue_size, core::at_least(1), "color images that wait for the callback");
     visitor("depth_queue_size", depth_queue_size, core::at_least(1), "depth images that wait for the callback");
-    visitor("sync_queue_size", sync_queue_size, core::at_least(1), "images of a topic that wait for the other one");
-    visitor("max_depth_delay_s", max_depth_delay_s, core::positive(),
+    visitor("sync_queue_size", pairing.queue_size, core::at_least(1), "images of a topic that wait for the other one");
+    visitor("max_depth_delay_s", pairing.max_delay_s, core::positive(),
             "color and depth farther apart in stamp do not belong together");
-    visitor("pair_timeout_s", pair_timeout_s, core::positive(),
+    visitor("pair_timeout_s", pairing.pair_timeout_s, core::positive(),
             "how long a color image waits for its depth, wall time");
-    visitor("starvation_s", starvation_s, core::positive(), "a topic that is silent for longer is reported, wall time");
+    visitor("starvation_s", pairing.starvation_s, core::positive(),
+            "a topic that is silent for longer is reported, wall time");
   }
 };
 
@@ -299,14 +306,6 @@ core::Result<NodeletParameters<Own>> make_nodelet_parameters(core::OptionTexts t
   core::Result<Own> own = core::make_options<Own>(own_texts);
   if (!own) return own.error();
   return NodeletParameters<Own>{*std::move(options), *std::move(own)};
-}
-
-/// read_parameters and make_nodelet_parameters in one.
-template <class Own>
-core::Result<NodeletParameters<Own>> load_parameters(const ros::NodeHandle& private_handle) {
-  core::Result<core::OptionTexts> texts = read_parameters(private_handle);
-  if (!texts) return texts.error();
-  return make_nodelet_parameters<Own>(*std::move(texts));
 }
 
 }  // namespace semantic_topo_loop

@@ -7,9 +7,6 @@
 namespace semantic_topo_loop {
 namespace {
 
-/// Half a second of colour and depth images, 32 MB.
-constexpr std::size_t kItemsAhead = 15;
-
 /// Who publishes on each link after the front end.
 constexpr std::array<const char*, PlayerLedger::kLinkCount - 1> kPublishers = {
     "DetectionIngestion", "ObjectAssociation", "QuadricMapping", "LoopDetection", "PoseGraph", "QuadricMapping"};
@@ -26,17 +23,6 @@ std::optional<PlayerItem> FileStamps::next() {
   item.camera_info.header.stamp = to_ros_time(trajectory_[index_++].stamp_ns);
   return item;
 }
-
-ReadAheadSource::ReadAheadSource(std::unique_ptr<PlayerSource> source)
-    : source_(std::move(source)),
-      size_(source_->size()),
-      items_(
-          [this] {
-            std::optional<PlayerItem> item = source_->next();
-            if (!item) end_ = source_->end();
-            return item;
-          },
-          kItemsAhead) {}
 
 void PlayerLedger::take(const SessionControl& control) {
   is_paused_ = control.command == SessionControl::COMMAND_PAUSE;

@@ -16,7 +16,6 @@
 #include "semantic_topo_loop/FrameDone.h"
 #include "semantic_topo_loop/SessionAck.h"
 #include "semantic_topo_loop/SessionControl.h"
-#include "semantic_topo_loop/pipeline/read_ahead.h"
 #include "semantic_topo_loop/types/result.h"
 #include "semantic_topo_loop/types/stamp.h"
 
@@ -56,21 +55,6 @@ class FileStamps : public PlayerSource {
   core::StampedPoses trajectory_;
   sensor_msgs::CameraInfo camera_info_;
   std::size_t index_ = 0;
-};
-
-/// Another source, read in a thread of its own: compressed chunks of a bag take longer than a frame.
-class ReadAheadSource : public PlayerSource {
- public:
-  explicit ReadAheadSource(std::unique_ptr<PlayerSource> source);
-  std::optional<PlayerItem> next() override { return items_.next(); }
-  core::Status end() const override { return end_; }
-  std::size_t size() const override { return size_; }
-
- private:
-  std::unique_ptr<PlayerSource> source_;  ///< of the reading thread, once it runs
-  const std::size_t size_;
-  core::Status end_;  ///< written before the reading thread ends the stream, read after
-  core::ReadAhead<PlayerItem> items_;
 };
 
 /// The player's book on the chain: which stages are there, which frames are on their way, and who was the last to

@@ -89,7 +89,7 @@ std::optional<DepthPairing::Answer> DepthPairing::take() {
   return answer;
 }
 
-RgbdSynchronizer::RgbdSynchronizer(const Options& options, OnPair on_pair, OnSingle on_single)
+RgbdSynchronizer::RgbdSynchronizer(const PairingParameters& options, OnPair on_pair, OnSingle on_single)
     : options_(options), on_pair_(std::move(on_pair)), on_single_(std::move(on_single)) {
   color_.heard = depth_.heard = paired_ = Clock::now();
   restart();

@@ -13,6 +13,7 @@
 #include <optional>
 #include <string>
 
+#include "ros/parameters.h"
 #include "semantic_topo_loop/frontend/rgbd_image.h"
 
 namespace semantic_topo_loop {
@@ -62,16 +63,9 @@ class RgbdSynchronizer {
   using ImageConstPtr = sensor_msgs::ImageConstPtr;
   using OnPair = std::function<void(const ImageConstPtr& color, const ImageConstPtr& depth)>;
   using OnSingle = std::function<void(std::int64_t stamp_ns)>;
-  struct Options {
-    int queue_size = 10;                                       ///< images of a topic that wait for the other one
-    double max_delay_s = 0.02;                                 ///< between the stamps of a pair
-    double pair_timeout_s = 1.0;                               ///< how long a colour image waits for depth
-    double starvation_s = 3.0;                                 ///< silence that is worth a word
-    std::string color_topic = "color", depth_topic = "depth";  ///< for that word
-  };
 
   /// @param on_pair called for each pair, in order   @param on_single called for each colour image that stays alone
-  RgbdSynchronizer(const Options& options, OnPair on_pair, OnSingle on_single);
+  RgbdSynchronizer(const PairingParameters& options, OnPair on_pair, OnSingle on_single);
 
   void add_color(const ImageConstPtr& image, Clock::time_point now);
   void add_depth(const ImageConstPtr& image, Clock::time_point now);
@@ -93,7 +87,7 @@ class RgbdSynchronizer {
   void join(const ImageConstPtr& color, const ImageConstPtr& depth);
   std::string describe(const std::string& name, const Topic& topic, Clock::time_point now) const;
 
-  const Options options_;
+  const PairingParameters options_;
   const OnPair on_pair_;
   const OnSingle on_single_;
   std::unique_ptr<message_filters::Synchronizer<Policy>> synchronizer_;

@@ -41,14 +41,9 @@ void StageStatistics::count_processed(Clock::time_point arrival) {
   }
 }
 
-void StageStatistics::count(const std::string& counter, std::uint64_t n) {
+std::uint64_t StageStatistics::count(const std::string& counter, std::uint64_t n) {
   const std::lock_guard<std::mutex> lock(mutex_);
-  counters_[counter] += n;
-}
-
-bool StageStatistics::count_first(const std::string& counter) {
-  const std::lock_guard<std::mutex> lock(mutex_);
-  return ++counters_[counter] == 1;
+  return counters_[counter] += n;
 }
 
 void StageStatistics::set(const std::string& counter, std::uint64_t value) {
@@ -81,23 +76,21 @@ StageStatistics::Snapshot StageStatistics::take_snapshot() {
   return snapshot;
 }
 
-void Stage::fail(const std::string& error) {
+bool Stage::fail(const std::string& error) {
   NODELET_FATAL("%s is not working: %s", name_.c_str(), error.c_str());
   statistics_.set_failure(error);
+  return false;
 }
 
 bool Stage::load_classes(const std::string& path) {
   core::Result<core::ClassTable> classes = core::read_class_table(path);
-  if (!classes) {
-    fail(classes.message());
-    return false;
-  }
+  if (!classes) return fail(classes.message());
   classes_ = std::make_shared<const core::ClassTable>(std::move(*classes));
   return true;
 }
 
 void Stage::complain(const std::string& cause, const std::string& detail) {
-  if (!statistics_.count_first(cause)) return;
+  if (statistics_.count(cause) > 1) return;
   NODELET_WARN("%s: %s (further ones are counted in the diagnostics)", cause.c_str(), detail.c_str());
 }
 
@@ -105,7 +98,6 @@ void Stage::stop() {
   for (ros::Subscriber& subscriber : subscribers_) subscriber.shutdown();
   for (ros::ServiceServer& service : services_) service.shutdown();
   for (ros::WallTimer& timer : timers_) timer.stop();
-  diagnostics_timer_.stop();
   if (worker_) worker_->close();
 }
 
@@ -124,9 +116,14 @@ void Stage::push(const std::string& topic, Keep keep, Worker::Task task) {
       keep);
 }
 
-void Stage::start_timer(double period_s, Worker::Task task) {
+void Stage::keep_timer(double period_s, const std::function<void()>& task) {
+  const boost::function<void(const ros::WallTimerEvent&)> callback = [task](const ros::WallTimerEvent&) { task(); };
+  timers_.push_back(getNodeHandle().createWallTimer(ros::WallDuration(period_s), callback));
+}
+
+void Stage::start_timer(double period_s, const Worker::Task& task) {
   const auto waits = std::make_shared<std::atomic<bool>>(false);
-  const boost::function<void(const ros::WallTimerEvent&)> callback = [this, waits, task](const ros::WallTimerEvent&) {
+  keep_timer(period_s, [this, waits, task] {
     if (waits->exchange(true)) return;
     worker_->push(
         [waits, task] {
@@ -134,8 +131,19 @@ void Stage::start_timer(double period_s, Worker::Task task) {
           task();
         },
         Keep::kAlways);
-  };
-  timers_.push_back(getNodeHandle().createWallTimer(ros::WallDuration(period_s), callback));
+  });
+}
+
+void Stage::publish_done(const ros::Publisher& publisher, const ros::Time& stamp, std::int64_t frame_id,
+                         std::uint8_t status, std::uint64_t map_version) const {
+  auto message = boost::make_shared<FrameDone>();
+  message->header.stamp = stamp;
+  message->session_id = session_id_;
+  message->frame_id = frame_id;
+  message->map_version = map_version;
+  message->status = status;
+  message->stage = name_;
+  publisher.publish(message);
 }
 
 void Stage::start_diagnostics() {
@@ -143,10 +151,7 @@ void Stage::start_diagnostics() {
   updater_ = std::make_unique<diagnostic_updater::Updater>(getNodeHandle(), getPrivateNodeHandle(), getName());
   updater_->setHardwareID("none");
   updater_->add(name_, [this](diagnostic_updater::DiagnosticStatusWrapper& status) { report(status); });
-  const boost::function<void(const ros::WallTimerEvent&)> callback = [this](const ros::WallTimerEvent&) {
-    updater_->force_update();
-  };
-  diagnostics_timer_ = getNodeHandle().createWallTimer(ros::WallDuration(kDiagnosticsPeriodS), callback);
+  keep_timer(kDiagnosticsPeriodS, [this] { updater_->force_update(); });
 }
 
 void Stage::start_worker(int queue_size, std::size_t inputs) {

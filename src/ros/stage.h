@@ -17,6 +17,7 @@
 #include "ros/conversions.h"
 #include "ros/parameters.h"
 #include "ros/worker.h"
+#include "semantic_topo_loop/FrameDone.h"
 #include "semantic_topo_loop/SessionAck.h"
 #include "semantic_topo_loop/SessionControl.h"
 #include "semantic_topo_loop/ros/messages.h"
@@ -42,9 +43,8 @@ class StageStatistics {
   void count_input(const std::string& topic);
   void count_processed(Clock::time_point arrival);
   /// Adds to a named counter ("incomplete frames"), which is shown even while it is zero once declared.
-  void count(const std::string& counter, std::uint64_t n = 1);
-  /// Counts one. @return whether it is the counter's first
-  bool count_first(const std::string& counter);
+  /// @return what it counts now
+  std::uint64_t count(const std::string& counter, std::uint64_t n = 1);
   /// Sets a named counter that somebody else counts.
   void set(const std::string& counter, std::uint64_t value);
   void set_failure(const std::string& failure);
@@ -103,20 +103,19 @@ class Stage : public nodelet::Nodelet {
   /// @param inputs messages a frame brings to this stage
   template <class Own>
   bool start(core::Options* options, Own* own, std::size_t inputs) {
-    const core::Result<NodeletParameters<Own>> parameters = load_parameters<Own>(getPrivateNodeHandle());
     start_diagnostics();
-    if (!parameters) {
-      fail(parameters.message());
-      return false;
-    }
+    core::Result<core::OptionTexts> texts = read_parameters(getPrivateNodeHandle());
+    if (!texts) return fail(texts.message());
+    const core::Result<NodeletParameters<Own>> parameters = make_nodelet_parameters<Own>(*std::move(texts));
+    if (!parameters) return fail(parameters.message());
     *options = parameters->options;
     *own = parameters->own;
     start_worker(own->queue_size, inputs);
     if constexpr (std::is_base_of_v<ClassStageParameters, Own>) return load_classes(own->class_table);
     return true;
   }
-  /// The nodelet cannot work: says so once, and in the diagnostics from then on.
-  void fail(const std::string& error);
+  /// The nodelet cannot work: says so once, and in the diagnostics from then on. @return false
+  bool fail(const std::string& error);
   /// Counts something that is wrong with the input, and warns at the first time.
   void complain(const std::string& cause, const std::string& detail);
   /// Of the stages whose parameters are ClassStageParameters; never null there.
@@ -159,10 +158,21 @@ class Stage : public nodelet::Nodelet {
   void push(const std::string& topic, Keep keep, Worker::Task task);
   /// Shut down by `stop` before the worker ends.
   void keep_subscriber(const ros::Subscriber& subscriber) { subscribers_.push_back(subscriber); }
-  void keep_service(const ros::ServiceServer& service) { services_.push_back(service); }
-  void keep_timer(const ros::WallTimer& timer) { timers_.push_back(timer); }
+  /// A service in the nodelet's own namespace.
+  template <class Request, class Response>
+  void serve(const std::string& service, const boost::function<bool(Request&, Response&)>& handler) {
+    services_.push_back(getPrivateNodeHandle().advertiseService(service, handler));
+  }
+  template <class Derived, class Request, class Response>
+  void serve(const std::string& service, bool (Derived::*handler)(Request&, Response&)) {
+    serve<Request, Response>(service, [this, handler](Request& request, Response& response) {
+      return (static_cast<Derived*>(this)->*handler)(request, response);
+    });
+  }
+  /// Calls the task each `period_s` of wall time on a thread of the callbacks; shut down as a subscriber.
+  void keep_timer(double period_s, const std::function<void()>& task);
   /// Runs the task on the worker each `period_s` of wall time; a tick is left out while the last one still waits.
-  void start_timer(double period_s, Worker::Task task);
+  void start_timer(double period_s, const Worker::Task& task);
   template <class Message>
   ros::Publisher advertise(const std::string& topic, bool latch = false) {
     return getNodeHandle().template advertise<Message>(topic, queue_size_, latch);
@@ -173,6 +183,10 @@ class Stage : public nodelet::Nodelet {
   void publish(const ros::Publisher& publisher, const std_msgs::Header& header, typename Message::Value value) const {
     publisher.publish(boost::make_shared<Message>(header, session_id_, std::move(value)));
   }
+
+  /// @param frame_id -1: the image gave no frame
+  void publish_done(const ros::Publisher& publisher, const ros::Time& stamp, std::int64_t frame_id, std::uint8_t status,
+                    std::uint64_t map_version = 0) const;
 
   /// Has something written where a user wants it. @param write takes the absolute path and returns a Status
   /// @return the absolute path, or the error
@@ -229,7 +243,6 @@ class Stage : public nodelet::Nodelet {
   StageStatistics::Clock::time_point task_arrival_{};  ///< worker thread only
   StageStatistics statistics_;
   std::unique_ptr<diagnostic_updater::Updater> updater_;
-  ros::WallTimer diagnostics_timer_;
   ros::Publisher ack_publisher_;
   std::vector<ros::Subscriber> subscribers_;
   std::vector<ros::ServiceServer> services_;

@@ -13,10 +13,6 @@
 namespace semantic_topo_loop {
 namespace {
 
-constexpr char kImageTopic[] = "/camera/rgb/image_color";
-constexpr char kDepthTopic[] = "/camera/depth/image";
-constexpr char kCameraInfoTopic[] = "/camera/rgb/camera_info";
-constexpr char kTfTopic[] = "/tf";
 constexpr char kMocapFrame[] = "world";
 constexpr char kRigFrame[] = "kinect";
 
@@ -69,11 +65,11 @@ core::Result<std::unique_ptr<TumBagSource>> TumBagSource::open(
 
 void TumBagSource::open_bag() {
   bag_.open(options_.file, rosbag::bagmode::Read);
-  const std::string stamp_topic = options_.stamps == "image" ? kImageTopic : kCameraInfoTopic;
+  const std::string stamp_topic = options_.stamps == "image" ? tum_topic::kColor : tum_topic::kCameraInfo;
   size_ = count(stamp_topic);
-  std::vector<std::string> topics = {kTfTopic, kCameraInfoTopic};
-  if (stamp_topic == kImageTopic) topics.emplace_back(kImageTopic);
-  if (options_.with_images) topics.emplace_back(kDepthTopic);
+  std::vector<std::string> topics = {tum_topic::kTf, tum_topic::kCameraInfo};
+  if (stamp_topic == tum_topic::kColor) topics.emplace_back(tum_topic::kColor);
+  if (options_.with_images) topics.emplace_back(tum_topic::kDepth);
   view_ = std::make_unique<rosbag::View>(bag_, rosbag::TopicQuery(topics));
   position_ = view_->begin();
 }
@@ -84,9 +80,9 @@ std::size_t TumBagSource::count(const std::string& topic) const {
 
 std::string TumBagSource::what_is_missing() const {
   const std::string nothing = "holds no message on ";
-  if (size_ == 0) return nothing + (options_.stamps == "image" ? kImageTopic : kCameraInfoTopic);
-  if (options_.with_images && count(kDepthTopic) == 0) {
-    return nothing + kDepthTopic + ": without depth, poses must come from elsewhere";
+  if (size_ == 0) return nothing + (options_.stamps == "image" ? tum_topic::kColor : tum_topic::kCameraInfo);
+  if (options_.with_images && count(tum_topic::kDepth) == 0) {
+    return nothing + tum_topic::kDepth + ": without depth, poses must come from elsewhere";
   }
   return {};
 }
@@ -117,7 +113,7 @@ bool TumBagSource::is_due() const {
 
 void TumBagSource::read_message(const rosbag::MessageInstance& message) {
   read_to_ = message.getTime();
-  if (message.getTopic() == kTfTopic) {
+  if (message.getTopic() == tum_topic::kTf) {
     if (const auto transforms = message.instantiate<tf2_msgs::TFMessage>()) take_transforms(*transforms);
     return;
   }
@@ -125,20 +121,14 @@ void TumBagSource::read_message(const rosbag::MessageInstance& message) {
     if (options_.stamps == "camera_info") images_.push_back({message.getTime(), camera_info->header, {}, {}});
     if (!calibration_) calibration_ = *camera_info;
   } else if (const auto image = message.instantiate<sensor_msgs::Image>()) {
-    if (message.getTopic() == kImageTopic) {
-      take_color(message.getTime(), image);
-    } else {
+    if (message.getTopic() == tum_topic::kDepth) {
       pairing_.add_depth(image);
+    } else if (options_.with_images) {
+      pairing_.add_color(message.getTime(), image);
+    } else {
+      images_.push_back({message.getTime(), image->header, {}, {}});
     }
     take_pairs();
-  }
-}
-
-void TumBagSource::take_color(const ros::Time& received, const sensor_msgs::ImagePtr& image) {
-  if (options_.with_images) {
-    pairing_.add_color(received, image);
-  } else {
-    images_.push_back({received, image->header, {}, {}});
   }
 }
 

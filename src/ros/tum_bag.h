@@ -16,11 +16,16 @@
 
 namespace semantic_topo_loop {
 
-/// Reads a bag in the official TUM layout, in one pass, without a master: `/camera/rgb/image_color`,
-/// `/camera/depth/image`, `/camera/rgb/camera_info` and `/tf` with `/world -> /kinect` from the motion capture and the
-/// camera's chain below `/kinect`. Only the motion capture's edge is changed, so that `kinect` has one parent. Leading
-/// slashes of frame ids are stripped. Images out of order, and colour images without depth where both are wanted, are
-/// left out and said to be.
+/// Topics of the official TUM layout.
+namespace tum_topic {
+constexpr char kColor[] = "/camera/rgb/image_color", kDepth[] = "/camera/depth/image";
+constexpr char kCameraInfo[] = "/camera/rgb/camera_info", kTf[] = "/tf";
+}  // namespace tum_topic
+
+/// Reads a bag in the official TUM layout, in one pass, without a master: the tum_topics, with `/world -> /kinect` of
+/// /tf from the motion capture and the camera's chain below `/kinect`. Only the motion capture's edge is changed, so
+/// that `kinect` has one parent. Leading slashes of frame ids are stripped. Images out of order, and colour images
+/// without depth where both are wanted, are left out and said to be.
 class TumBagSource : public PlayerSource {
  public:
   /// @param calibration replaces the recorded camera_info, which holds the driver's defaults
@@ -44,7 +49,6 @@ class TumBagSource : public PlayerSource {
   std::string what_is_missing() const;
   bool is_due() const;
   void read_message(const rosbag::MessageInstance& message);
-  void take_color(const ros::Time& received, const sensor_msgs::ImagePtr& image);
   void take_pairs();
   void take_transforms(const tf2_msgs::TFMessage& message);
   PlayerItem make_item(const Image& image);
