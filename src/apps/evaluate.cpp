@@ -32,45 +32,40 @@ std::string line(const char* name, const std::string& value) {
   return text;
 }
 
-std::string to_text(const Ratio& ratio, const char* /*unit*/ = "") {
-  char text[64];
-  std::snprintf(text, sizeof(text), "%.4f  (%d / %d)", ratio.value(), ratio.right, ratio.total);
-  return text;
-}
+/// A count, ratio or error, for people and for programs.
+struct Figure {
+  Figure(int count) : text(std::to_string(count)), json(count) {}
+  Figure(const Ratio& ratio) : json{{"value", ratio.value()}, {"right", ratio.right}, {"total", ratio.total}} {
+    char buffer[64];
+    std::snprintf(buffer, sizeof(buffer), "%.4f  (%d / %d)", ratio.value(), ratio.right, ratio.total);
+    text = buffer;
+  }
+  Figure(const ErrorStatistics& e, const char* unit)
+      : json{{"count", e.count}, {"rmse", e.rmse}, {"mean", e.mean}, {"median", e.median}, {"max", e.max}} {
+    char buffer[160];
+    std::snprintf(buffer, sizeof(buffer), "rmse %.4f  mean %.4f  median %.4f  max %.4f %s  (%zu)", e.rmse, e.mean,
+                  e.median, e.max, unit, e.count);
+    text = buffer;
+  }
 
-std::string to_text(const ErrorStatistics& e, const char* unit) {
-  char text[160];
-  std::snprintf(text, sizeof(text), "rmse %.4f  mean %.4f  median %.4f  max %.4f %s  (%zu)", e.rmse, e.mean, e.median,
-                e.max, unit, e.count);
-  return text;
-}
-
-std::string to_text(int count, const char* /*unit*/) { return std::to_string(count); }
-
-Json to_json(int count) { return count; }
-
-Json to_json(const Ratio& ratio) { return {{"value", ratio.value()}, {"right", ratio.right}, {"total", ratio.total}}; }
-
-Json to_json(const ErrorStatistics& e) {
-  return {{"count", e.count}, {"rmse", e.rmse}, {"mean", e.mean}, {"median", e.median}, {"max", e.max}};
-}
+  std::string text;
+  Json json;
+};
 
 /// The figures of one evaluation: as a table for people and as JSON for programs.
 struct Report {
   std::string table;
   Json json;
 
-  /// A count, ratio or error, whose JSON is `key`.
-  template <class Figure>
-  void add(const char* name, const char* key, const Figure& figure, const char* unit = "") {
-    table += line(name, to_text(figure, unit));
-    json[key] = to_json(figure);
+  void add(const char* name, const char* key, const Figure& figure) {
+    table += line(name, figure.text);
+    json[key] = figure.json;
   }
   void add_detectability(const std::string& name, const Detectability& d) {
-    table += line((name + ": precision").c_str(), to_text(d.precision)) +
-             line((name + ": recall").c_str(), to_text(d.recall)) +
+    table += line((name + ": precision").c_str(), Figure(d.precision).text) +
+             line((name + ": recall").c_str(), Figure(d.recall).text) +
              line((name + ": F").c_str(), format_fixed(d.f(), 4));
-    json[name] = {{"precision", to_json(d.precision)}, {"recall", to_json(d.recall)}, {"f", d.f()}};
+    json[name] = {{"precision", Figure(d.precision).json}, {"recall", Figure(d.recall).json}, {"f", d.f()}};
   }
 };
 
@@ -79,9 +74,7 @@ Result<TrajectoryEvaluation> align_files(const std::string& estimate, const std:
   if (!estimated) return estimated.error();
   const auto truth = read_tum_ground_truth(reference);
   if (!truth) return truth.error();
-  TrajectoryEvaluationOptions options;
-  options.with_scale = with_scale;
-  auto evaluation = evaluate_trajectory(*estimated, *truth, options);
+  auto evaluation = evaluate_trajectory(*estimated, *truth, with_scale);
   if (!evaluation) return Error{estimate + ": " + evaluation.message()};
   return evaluation;
 }
@@ -95,9 +88,9 @@ Result<Report> report_trajectory(const Arguments& arguments) {
   report.json = {{"estimated", e->estimated}, {"reference", e->reference}, {"scale", e->alignment.scale}};
   report.add("pairs within 0.02 s", "pairs", static_cast<int>(e->pairs));
   report.table += line("scale", std::to_string(e->alignment.scale));
-  report.add("ATE", "ate_m", e->absolute_m, "m");
-  report.add("RPE over 1 s, translation", "rpe_m", e->relative_m, "m");
-  report.add("RPE over 1 s, rotation", "rpe_deg", e->relative_deg, "deg");
+  report.add("ATE", "ate_m", {e->absolute_m, "m"});
+  report.add("RPE over 1 s, translation", "rpe_m", {e->relative_m, "m"});
+  report.add("RPE over 1 s, rotation", "rpe_deg", {e->relative_deg, "deg"});
   return report;
 }
 
@@ -108,13 +101,12 @@ void list_objects(const ObjectEvaluation& evaluation, const std::vector<MappedOb
   std::map<int, const ReferenceObject*> reference_of;
   for (const MappedObject& object : objects) object_of[object.id] = &object;
   for (const ReferenceObject& reference : references) reference_of[reference.id] = &reference;
-  constexpr std::array<const char*, 3> kCertainties = {"certain", "probable", "marginal"};
   Json rows = Json::array();
   report->table += "\nobject label            reference certainty  distance_m\n";
   for (const ObjectMatchResult& match : evaluation.matches) {
     const ReferenceObject* reference = match.reference_id < 0 ? nullptr : reference_of[match.reference_id];
     const std::string label = match.object_id < 0 ? reference->label : object_of[match.object_id]->label;
-    const char* certainty = reference == nullptr ? "-" : kCertainties[static_cast<std::size_t>(reference->certainty)];
+    const char* certainty = reference == nullptr ? "-" : name_of(reference->certainty);
     const std::string object_text = match.object_id < 0 ? "missed" : std::to_string(match.object_id);
     const std::string reference_text = reference == nullptr ? "false" : std::to_string(reference->id);
     char text[160];
@@ -148,7 +140,7 @@ Result<Report> report_objects(const Arguments& arguments) {
   report.json["matched_certain"] = e.matched_certain;
   report.json["matched_probable"] = e.matched_probable;
   report.json["matched_marginal"] = e.matched_marginal;
-  report.add("distance to certain references", "center_m", e.center_m, "m");
+  report.add("distance to certain references", "center_m", {e.center_m, "m"});
   list_objects(e, *objects, *references, &report);
   return report;
 }
@@ -195,8 +187,8 @@ Report report_geometry(const LoopEvaluation& e) {
   report.add("not judged (mocap holes)", "not_judged", e.not_judged);
   report.add("right within 0.35 m, 10 deg", "right_wide", e.right_wide);
   report.add("right within 0.20 m, 5 deg", "right_narrow", e.right_narrow);
-  report.add("error, translation", "error_m", e.error_m, "m");
-  report.add("error, rotation", "error_deg", e.error_deg, "deg");
+  report.add("error, translation", "error_m", {e.error_m, "m"});
+  report.add("error, rotation", "error_deg", {e.error_deg, "deg"});
   report.table += line("largest viewpoint difference, right", format_fixed(e.largest_right_view_deg, 1) + " deg");
   report.json["largest_right_view_deg"] = e.largest_right_view_deg;
   report.add("loopable queries closed", "closed", Ratio{e.closed, e.loopable});
@@ -211,14 +203,14 @@ void add_viewpoints(const LoopEvaluation& e, Report* report) {
   for (const ViewpointFigures& bin : e.by_viewpoint) {
     char text[160];
     std::snprintf(text, sizeof(text), "%8.0f to %3.0f %13s %-27s %.3f m, %.2f deg\n", bin.from_deg, bin.to_deg, "",
-                  to_text(bin.right_wide).c_str(), bin.error_m.median, bin.error_deg.median);
+                  Figure(bin.right_wide).text.c_str(), bin.error_m.median, bin.error_deg.median);
     report->table += text;
     report->json["by_viewpoint"].push_back({{"from_deg", bin.from_deg},
                                             {"to_deg", bin.to_deg},
-                                            {"right_wide", to_json(bin.right_wide)},
-                                            {"right_narrow", to_json(bin.right_narrow)},
-                                            {"error_m", to_json(bin.error_m)},
-                                            {"error_deg", to_json(bin.error_deg)}});
+                                            {"right_wide", Figure(bin.right_wide).json},
+                                            {"right_narrow", Figure(bin.right_narrow).json},
+                                            {"error_m", Figure(bin.error_m, "").json},
+                                            {"error_deg", Figure(bin.error_deg, "").json}});
   }
 }
 
@@ -235,8 +227,8 @@ void add_revisits(const LoopEvaluation& e, const TruePoses& truth, Report* repor
                     {"latency_s", revisit.latency_frames ? Json(latency_s) : Json()}});
   }
   const auto closed = static_cast<int>(latencies_s.size());
-  report->table += line("revisits closed", to_text({closed, static_cast<int>(e.revisits.size())})) +
-                   line("latency, revisit to loop", to_text(error_statistics(std::move(latencies_s)), "s"));
+  report->table += line("revisits closed", Figure(Ratio{closed, static_cast<int>(e.revisits.size())}).text) +
+                   line("latency, revisit to loop", Figure(error_statistics(std::move(latencies_s)), "s").text);
   report->json["revisits"] = rows;
 }
 
@@ -255,7 +247,7 @@ void add_table(const std::vector<CriterionCounts>& rows, Report* report) {
                                      {"reference_loops", row.reference_loops},
                                      {"real_loops", row.real_loops},
                                      {"true_positives", row.true_positives},
-                                     {"right_wide", to_json(row.right_wide)},
+                                     {"right_wide", Figure(row.right_wide).json},
                                      {"found", row.found}});
   }
 }
@@ -265,8 +257,7 @@ Status write_details(const LoopFiles& files, const std::string& directory) {
   const std::pair<const char*, std::string> texts[] = {
       {"judged_loops.csv", judged_loops_csv(files.loops, files.truth)},
       {"reference_pairs.csv", reference_pairs_csv(reference_pairs(files.truth, files.keyframes), files.truth)},
-      {"precision_recall.csv",
-       loop_curve_csv(loop_curve(files.loops, files.truth, files.keyframes, LoopEvaluationOptions()))}};
+      {"precision_recall.csv", loop_curve_csv(loop_curve(files.loops, files.truth, files.keyframes))}};
   for (const auto& [name, text] : texts) {
     if (const Status written = write_text_file(directory + "/" + name, text); !written) return written;
   }
@@ -276,11 +267,11 @@ Status write_details(const LoopFiles& files, const std::string& directory) {
 Result<Report> report_loops(const Arguments& arguments) {
   const Result<LoopFiles> files = read_loop_files(arguments);
   if (!files) return files.error();
-  const LoopEvaluation e = evaluate_loops(files->loops, files->truth, LoopEvaluationOptions());
+  const LoopEvaluation e = evaluate_loops(files->loops, files->truth);
   Report report = report_geometry(e);
   add_revisits(e, files->truth, &report);
   add_viewpoints(e, &report);
-  add_table(count_by_criterion(files->loops, files->truth, files->keyframes, LoopEvaluationOptions()), &report);
+  add_table(count_by_criterion(files->loops, files->truth, files->keyframes), &report);
   if (arguments.details.empty()) return report;
   const Status written = write_details(*files, arguments.details);
   if (!written) return written.error();

@@ -57,9 +57,7 @@ Outcome run(const SimulatedSequence& sequence, const std::shared_ptr<const Class
 }
 
 TrajectoryEvaluation evaluate(const StampedPoses& estimate, const StampedPoses& truth) {
-  TrajectoryEvaluationOptions options;
-  options.with_scale = true;
-  return checked(evaluate_trajectory(estimate, truth, options));
+  return checked(evaluate_trajectory(estimate, truth, true));
 }
 
 class Monocular : public ::testing::TestWithParam<int> {};

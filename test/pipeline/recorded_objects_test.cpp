@@ -35,7 +35,7 @@ class RecordedDesk : public testing::Test {
     const auto truth = read_tum_ground_truth(directory + "groundtruth.txt");
     ASSERT_TRUE(trajectory && truth) << trajectory.message() << truth.message();
     trajectory_ = *trajectory;
-    const auto evaluation = evaluate_trajectory(trajectory_, *truth, {});
+    const auto evaluation = evaluate_trajectory(trajectory_, *truth);
     ASSERT_TRUE(evaluation) << evaluation.message();
     alignment_ = evaluation->alignment;
     const auto detections = read_detections(directory + "detections_yolov5.json", *classes_);

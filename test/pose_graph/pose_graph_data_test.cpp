@@ -60,7 +60,7 @@ class PoseGraphData : public ::testing::Test {
 };
 
 double ate_m(const StampedPoses& estimate, const StampedPoses& ground_truth) {
-  const auto evaluation = evaluate_trajectory(estimate, ground_truth, {});
+  const auto evaluation = evaluate_trajectory(estimate, ground_truth);
   EXPECT_TRUE(evaluation) << evaluation.message();
   return evaluation ? evaluation->absolute_m.rmse : 1e9;
 }

@@ -111,7 +111,7 @@ double object_f(const std::string& results, const std::string& data) {
     ADD_FAILURE() << objects.message() << references.message() << estimate.message() << truth.message();
     return 0.0;
   }
-  const auto trajectory = core::evaluate_trajectory(*estimate, *truth, {});
+  const auto trajectory = core::evaluate_trajectory(*estimate, *truth);
   if (!trajectory) {
     ADD_FAILURE() << trajectory.message();
     return 0.0;

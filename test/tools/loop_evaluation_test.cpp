@@ -50,7 +50,7 @@ std::vector<JudgedLoop> judge(const std::vector<LoopRecord>& loops, const Stampe
 LoopEvaluation evaluate(const std::vector<LoopRecord>& loops, const StampedPoses& frames,
                         const StampedPoses& mocap = {}) {
   const TruePoses truth(frames, mocap, 0.1);
-  return evaluate_loops(judge(loops, frames, truth), truth, {});
+  return evaluate_loops(judge(loops, frames, truth), truth);
 }
 
 TEST(LoopEvaluation, RightWithinBothLimits) {
@@ -236,7 +236,7 @@ TEST(LoopCriteria, CountsOneLoopAKeyframe) {
                             with_score(make_loop(frames, 2650, 150), 1.0),         // 2600
                             with_score(make_loop(frames, 2950, 2150), 5.0)},       // not over 1000 frames
                            frames, truth);
-  const std::vector<CriterionCounts> rows = count_by_criterion(loops, truth, every_hundredth(), {});
+  const std::vector<CriterionCounts> rows = count_by_criterion(loops, truth, every_hundredth());
   ASSERT_EQ(rows.size(), 3u);
   EXPECT_EQ(rows[0].keyframes, 30);
   // Keyframes 2000 to 2900 see the first visit's, which ends 1000 frames before the earliest of them.
@@ -257,7 +257,7 @@ TEST(LoopCriteria, ReferencePairs) {
   const TruePoses truth(visit_twice(), {}, 0.1);
   const KeyframeViews input = every_hundredth();
   const auto pairs = reference_pairs(truth, input);
-  const auto rows = count_by_criterion({}, truth, input, {});
+  const auto rows = count_by_criterion({}, truth, input);
   for (std::size_t i = 0; i < rows.size(); ++i) {
     EXPECT_EQ(std::count_if(pairs.begin(), pairs.end(), [i](const ReferencePair& pair) { return pair.fulfils[i]; }),
               rows[i].reference_pairs);
@@ -274,7 +274,7 @@ TEST(LoopCriteria, CurveFallsThroughAllScores) {
       judge({with_score(make_loop(frames, 2150, 150), 3.0), with_score(make_loop(frames, 2250, 1150, 2.0), 2.0),
              with_score(make_loop(frames, 2350, 150), 1.0, false), no_pose},
             frames, truth);
-  const auto points = loop_curve(loops, truth, every_hundredth(), {});
+  const auto points = loop_curve(loops, truth, every_hundredth());
   ASSERT_EQ(points.size(), 4u);
   EXPECT_EQ(points[0].min_score, 3.0);
   EXPECT_EQ(points[0].precision.value(), 1.0);

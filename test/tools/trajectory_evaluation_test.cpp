@@ -52,7 +52,7 @@ TEST(TrajectoryEvaluation, ARigidlyMovedTrajectoryHasNoError) {
   const SE3 T = random.pose(5.0);
   StampedPoses estimate = reference;
   for (StampedPose& pose : estimate) pose.T_world_camera = T * pose.T_world_camera;
-  const auto e = evaluate_trajectory(estimate, reference, {});
+  const auto e = evaluate_trajectory(estimate, reference);
   ASSERT_TRUE(e);
   EXPECT_EQ(e->pairs, 200u);
   EXPECT_NEAR(e->absolute_m.max, 0.0, 1e-9);
@@ -65,10 +65,8 @@ TEST(TrajectoryEvaluation, ScaleIsAnErrorUnlessAligned) {
   const StampedPoses reference = make_path(200);
   StampedPoses estimate = reference;
   for (StampedPose& pose : estimate) pose.T_world_camera.t *= 0.5;
-  EXPECT_GT(evaluate_trajectory(estimate, reference, {})->absolute_m.rmse, 0.1);
-  TrajectoryEvaluationOptions options;
-  options.with_scale = true;
-  const auto e = evaluate_trajectory(estimate, reference, options);
+  EXPECT_GT(evaluate_trajectory(estimate, reference)->absolute_m.rmse, 0.1);
+  const auto e = evaluate_trajectory(estimate, reference, true);
   EXPECT_NEAR(e->alignment.scale, 2.0, 1e-9);
   EXPECT_NEAR(e->absolute_m.max, 0.0, 1e-9);
   EXPECT_NEAR(e->relative_m.max, 0.0, 1e-9);
@@ -85,7 +83,7 @@ TEST(TrajectoryEvaluation, RelativeErrorOfASteadyDrift) {
     T_true = T_true * step;
     T_estimated = T_estimated * step * SE3(so3_exp(Vec3(0.0, radians(0.1), 0.0)), Vec3(0.0, 0.0, 0.0005));
   }
-  const auto e = evaluate_trajectory(estimate, reference, {});
+  const auto e = evaluate_trajectory(estimate, reference);
   ASSERT_TRUE(e);
   EXPECT_EQ(e->relative_deg.count, 80u);
   EXPECT_NEAR(e->relative_deg.mean, 2.0, 0.1);
@@ -95,7 +93,7 @@ TEST(TrajectoryEvaluation, RelativeErrorOfASteadyDrift) {
 TEST(TrajectoryEvaluation, NoRelativeErrorAcrossAGap) {
   StampedPoses reference = make_path(40);
   for (std::size_t i = 20; i < 40; ++i) reference[i].stamp_ns += 5000 * kMs;
-  const auto e = evaluate_trajectory(reference, reference, {});
+  const auto e = evaluate_trajectory(reference, reference);
   ASSERT_TRUE(e);
   EXPECT_EQ(e->pairs, 40u);
   EXPECT_EQ(e->relative_m.count, 0u);
@@ -104,8 +102,8 @@ TEST(TrajectoryEvaluation, NoRelativeErrorAcrossAGap) {
 TEST(TrajectoryEvaluation, TooFewPairsAreAnError) {
   StampedPoses late = make_path(50);
   for (StampedPose& pose : late) pose.stamp_ns += 1000000 * kMs;
-  EXPECT_NE(evaluate_trajectory(late, make_path(50), {}).message().find("0 poses have a partner"), std::string::npos);
-  EXPECT_NE(evaluate_trajectory(make_path(2), make_path(50), {}).message().find("2 poses"), std::string::npos);
+  EXPECT_NE(evaluate_trajectory(late, make_path(50)).message().find("0 poses have a partner"), std::string::npos);
+  EXPECT_NE(evaluate_trajectory(make_path(2), make_path(50)).message().find("2 poses"), std::string::npos);
 }
 
 TEST(TrajectoryEvaluation, OrbSlam2OnFr2Desk) {
@@ -115,7 +113,7 @@ TEST(TrajectoryEvaluation, OrbSlam2OnFr2Desk) {
   const auto estimate = read_tum_trajectory(*estimate_path);
   const auto truth = read_tum_ground_truth(*truth_path);
   ASSERT_TRUE(estimate && truth) << estimate.message() << truth.message();
-  const auto e = evaluate_trajectory(*estimate, *truth, {});
+  const auto e = evaluate_trajectory(*estimate, *truth);
   ASSERT_TRUE(e) << e.message();
   EXPECT_EQ(e->pairs, 2225u);
   EXPECT_NEAR(e->absolute_m.rmse, 0.0081, 0.00005);

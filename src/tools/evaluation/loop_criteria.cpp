@@ -104,12 +104,12 @@ void count_references(const Keyframes& keyframes, CriterionCounts* row) {
   }
 }
 
-void count_loops(const std::vector<KeyframeLoop>& loops, const LoopEvaluationOptions& options, CriterionCounts* row) {
+void count_loops(const std::vector<KeyframeLoop>& loops, CriterionCounts* row) {
   for (const auto& [keyframe, best] : best_by_keyframe(loops)) {
     ++row->real_loops;
     row->true_positives += best.is_true_positive ? 1 : 0;
     row->right_wide.total += best.loop->is_judged ? 1 : 0;
-    row->right_wide.right += best.loop->is_right(options.wide_m, options.wide_deg) ? 1 : 0;
+    row->right_wide.right += best.loop->is_right() ? 1 : 0;
   }
   std::set<int> found;
   for (const KeyframeLoop& loop : loops) {
@@ -141,15 +141,14 @@ class ScoreCounts {
 };
 
 /// For each loopable query the best score of a right candidate over the gap that holds it.
-void count_queries(const std::vector<JudgedLoop>& loops, const TruePoses& truth, const LoopEvaluationOptions& options,
-                   int* loopable, ScoreCounts* closed) {
-  for (int query = 0; query < truth.size(); query += options.query_stride_frames) {
-    if (!truth.is_loopable(query, options.revisit)) continue;
+void count_queries(const std::vector<JudgedLoop>& loops, const TruePoses& truth, int* loopable, ScoreCounts* closed) {
+  for (int query = 0; query < truth.size(); query += kLoopLimits.query_stride_frames) {
+    if (!truth.is_loopable(query, kLoopLimits.revisit)) continue;
     ++*loopable;
     std::optional<double> best;
     for (const JudgedLoop& loop : loops) {
-      if (!loop.is_right(options.wide_m, options.wide_deg) || !loop.holds_query(truth.stamp_ns(query)) ||
-          !truth.over_gap(loop.query, loop.match, options.revisit.min_gap_frames)) {
+      if (!loop.is_right() || !loop.holds_query(truth.stamp_ns(query)) ||
+          !truth.over_gap(loop.query, loop.match, kLoopLimits.revisit.min_gap_frames)) {
         continue;
       }
       best = std::max(best.value_or(loop.record.score), loop.record.score);
@@ -157,12 +156,6 @@ void count_queries(const std::vector<JudgedLoop>& loops, const TruePoses& truth,
     if (best) closed->add(*best, true);
   }
   closed->sort();
-}
-
-std::string row_text(std::initializer_list<std::string> fields) {
-  std::string row;
-  for (const std::string& field : fields) row += (row.empty() ? "" : ",") + field;
-  return row + '\n';
 }
 
 }  // namespace
@@ -190,12 +183,12 @@ Result<Sightings> read_sightings(const std::string& directory) {
 }
 
 std::vector<CriterionCounts> count_by_criterion(const std::vector<JudgedLoop>& loops, const TruePoses& truth,
-                                                const KeyframeViews& input, const LoopEvaluationOptions& options) {
+                                                const KeyframeViews& input) {
   const Keyframes keyframes(truth, input);
   std::vector<CriterionCounts> rows = make_rows();
   for (CriterionCounts& row : rows) {
     count_references(keyframes, &row);
-    count_loops(keyframe_loops(loops, truth, keyframes, row.criterion, true), options, &row);
+    count_loops(keyframe_loops(loops, truth, keyframes, row.criterion, true), &row);
   }
   return rows;
 }
@@ -216,10 +209,10 @@ std::vector<ReferencePair> reference_pairs(const TruePoses& truth, const Keyfram
 }
 
 std::vector<LoopCurvePoint> loop_curve(const std::vector<JudgedLoop>& loops, const TruePoses& truth,
-                                       const KeyframeViews& input, const LoopEvaluationOptions& options) {
+                                       const KeyframeViews& input) {
   const Keyframes keyframes(truth, input);
   ScoreCounts revisits, right, closed;
-  const auto candidates = keyframe_loops(loops, truth, keyframes, options.revisit, false);
+  const auto candidates = keyframe_loops(loops, truth, keyframes, kLoopLimits.revisit, false);
   for (const auto& [keyframe, best] : best_by_keyframe(candidates)) {
     revisits.add(best.loop->record.score, best.is_true_positive);
   }
@@ -227,14 +220,14 @@ std::vector<LoopCurvePoint> loop_curve(const std::vector<JudgedLoop>& loops, con
   for (const JudgedLoop& loop : loops) {
     scores.push_back(loop.record.score);
     if (loop.is_judged && std::isfinite(loop.error_m)) {
-      right.add(loop.record.score, loop.is_right(options.wide_m, options.wide_deg));
+      right.add(loop.record.score, loop.is_right());
     }
   }
   revisits.sort();
   right.sort();
   int references = 0, loopable = 0;
-  for (const int query : keyframes.images()) references += keyframes.is_reference(query, options.revisit) ? 1 : 0;
-  count_queries(loops, truth, options, &loopable, &closed);
+  for (const int query : keyframes.images()) references += keyframes.is_reference(query, kLoopLimits.revisit) ? 1 : 0;
+  count_queries(loops, truth, &loopable, &closed);
   std::sort(scores.rbegin(), scores.rend());
   scores.erase(std::unique(scores.begin(), scores.end()), scores.end());
   std::vector<LoopCurvePoint> points;
@@ -254,12 +247,13 @@ std::string judged_loops_csv(const std::vector<JudgedLoop>& loops, const TruePos
   for (const JudgedLoop& loop : loops) {
     const bool has_images = loop.query >= 0 && loop.match >= 0;
     const std::int64_t gap = has_images ? truth.stamp_ns(loop.query) - truth.stamp_ns(loop.match) : 0;
-    text += row_text({std::to_string(loop.query), std::to_string(loop.match), loop.record.accepted ? "1" : "0",
-                      loop.record.reason_text, format_fixed(loop.record.score, kDecimals), loop.is_judged ? "1" : "0",
-                      format_fixed(loop.error_m, kDecimals), format_fixed(loop.error_deg, kDecimals),
-                      format_fixed(loop.distance_m, kDecimals), format_fixed(loop.axes_deg, kDecimals),
-                      format_fixed(loop.view_deg, kDecimals),
-                      std::to_string(truth.period_ns() > 0 ? gap / truth.period_ns() : 0)});
+    CsvRow row;
+    row.add(loop.query).add(loop.match).add(loop.record.accepted).add(loop.record.reason_text);
+    row.add(loop.record.score, kDecimals).add(loop.is_judged);
+    for (const double figure : {loop.error_m, loop.error_deg, loop.distance_m, loop.axes_deg, loop.view_deg}) {
+      row.add(figure, kDecimals);
+    }
+    text += row.add(truth.period_ns() > 0 ? gap / truth.period_ns() : 0).end();
   }
   return text;
 }
@@ -270,12 +264,11 @@ std::string reference_pairs_csv(const std::vector<ReferencePair>& pairs, const T
   text += '\n';
   constexpr int kDecimals = 3;
   for (const ReferencePair& pair : pairs) {
-    std::string row = std::to_string(pair.query) + ',' + std::to_string(pair.match) + ',' +
-                      format_fixed(truth.distance_m(pair.query, pair.match), kDecimals) + ',' +
-                      format_fixed(truth.axes_angle_deg(pair.query, pair.match), kDecimals) + ',' +
-                      std::to_string(pair.common_objects);
-    for (const bool fulfilled : pair.fulfils) row += fulfilled ? ",1" : ",0";
-    text += row + '\n';
+    CsvRow row;
+    row.add(pair.query).add(pair.match).add(truth.distance_m(pair.query, pair.match), kDecimals);
+    row.add(truth.axes_angle_deg(pair.query, pair.match), kDecimals).add(pair.common_objects);
+    for (const bool fulfilled : pair.fulfils) row.add(fulfilled);
+    text += row.end();
   }
   return text;
 }
@@ -285,10 +278,10 @@ std::string loop_curve_csv(const std::vector<LoopCurvePoint>& points) {
       "min_score,true_positives,real_loops,reference_loops,right_wide,judged,closed_queries,loopable_queries\n";
   constexpr int kDecimals = 6;
   for (const LoopCurvePoint& point : points) {
-    text += row_text({format_fixed(point.min_score, kDecimals), std::to_string(point.precision.right),
-                      std::to_string(point.precision.total), std::to_string(point.recall.total),
-                      std::to_string(point.right_wide.right), std::to_string(point.right_wide.total),
-                      std::to_string(point.closed.right), std::to_string(point.closed.total)});
+    CsvRow row;
+    row.add(point.min_score, kDecimals).add(point.precision.right).add(point.precision.total).add(point.recall.total);
+    row.add(point.right_wide.right).add(point.right_wide.total).add(point.closed.right).add(point.closed.total);
+    text += row.end();
   }
   return text;
 }

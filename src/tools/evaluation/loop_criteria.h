@@ -44,7 +44,7 @@ struct CriterionCounts {
 
 /// The criteria of the paper, of SmSLAM+LCD and of common objects.
 std::vector<CriterionCounts> count_by_criterion(const std::vector<JudgedLoop>& loops, const TruePoses& truth,
-                                                const KeyframeViews& input, const LoopEvaluationOptions& options);
+                                                const KeyframeViews& input);
 
 /// A pair of keyframes that fulfils one of the criteria.
 struct ReferencePair {
@@ -63,7 +63,7 @@ struct LoopCurvePoint {
 };
 /// @return a point for each distinct score, from the highest down
 std::vector<LoopCurvePoint> loop_curve(const std::vector<JudgedLoop>& loops, const TruePoses& truth,
-                                       const KeyframeViews& input, const LoopEvaluationOptions& options);
+                                       const KeyframeViews& input);
 
 /// CSV files of single loops and pairs, and of the curve, for plots.
 std::string judged_loops_csv(const std::vector<JudgedLoop>& loops, const TruePoses& truth);

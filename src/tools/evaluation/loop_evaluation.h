@@ -23,6 +23,16 @@ struct RevisitCriterion {
   bool needs_poses() const { return max_distance_m < std::numeric_limits<double>::infinity(); }
 };
 
+/// By which loops are judged.
+struct LoopLimits {
+  double wide_m = 0.35, wide_deg = 10.0;     ///< a loop within both is right
+  double narrow_m = 0.20, narrow_deg = 5.0;  ///< the same, stricter
+  RevisitCriterion revisit;                  ///< the paper's; tells loopable queries
+  int query_stride_frames = 15;              ///< every so many frames is a query
+  int at_once_frames = 15;                   ///< evidence that ends this soon closes the query at once
+};
+inline constexpr LoopLimits kLoopLimits{};
+
 /// The true poses, by number of image.
 class TruePoses {
  public:
@@ -74,7 +84,9 @@ struct JudgedLoop {
 
   bool holds_query(std::int64_t ns) const { return query_begin_ns <= ns && ns <= query_end_ns; }
   bool holds_match(std::int64_t ns) const { return match_begin_ns <= ns && ns <= match_end_ns; }
-  bool is_right(double max_m, double max_deg) const { return is_judged && error_m <= max_m && error_deg <= max_deg; }
+  bool is_right(double max_m = kLoopLimits.wide_m, double max_deg = kLoopLimits.wide_deg) const {
+    return is_judged && error_m <= max_m && error_deg <= max_deg;
+  }
 };
 
 /// Puts every candidate beside the truth, in the order of `loops`.
@@ -83,14 +95,6 @@ struct JudgedLoop {
 /// that the run does not have
 Result<std::vector<JudgedLoop>> judge_loops(const std::vector<LoopRecord>& loops, const StampedPoses& frames,
                                             const TruePoses& truth);
-
-struct LoopEvaluationOptions {
-  double wide_m = 0.35, wide_deg = 10.0;     ///< a loop within both is right
-  double narrow_m = 0.20, narrow_deg = 5.0;  ///< the same, stricter
-  RevisitCriterion revisit;                  ///< the paper's; tells loopable queries
-  int query_stride_frames = 15;              ///< every so many frames is a query
-  int at_once_frames = 15;                   ///< evidence that ends this soon closes the query at once
-};
 
 /// Of accepted loops that were judged.
 struct LoopErrors {
@@ -126,7 +130,6 @@ struct LoopEvaluation : LoopErrors {
 };
 
 /// Judges a run's loops by true camera poses.
-LoopEvaluation evaluate_loops(const std::vector<JudgedLoop>& loops, const TruePoses& truth,
-                              const LoopEvaluationOptions& options);
+LoopEvaluation evaluate_loops(const std::vector<JudgedLoop>& loops, const TruePoses& truth);
 
 }  // namespace semantic_topo_loop::core

@@ -92,14 +92,9 @@ ReferenceObject read_reference(CsvTable& table) {
   object.label = table.text("label");
   object.center = table.vector("x", "y", "z");
   object.semi_axes = table.vector("a", "b", "c");
-  const std::string certainty = table.text("certainty");
-  if (certainty == "probable") {
-    object.certainty = Certainty::kProbable;
-  } else if (certainty == "marginal") {
-    object.certainty = Certainty::kMarginal;
-  } else if (certainty != "certain") {
-    table.reject("certainty", "must be certain, probable or marginal");
-  }
+  const auto name = std::find(kCertaintyNames.begin(), kCertaintyNames.end(), table.text("certainty"));
+  if (name == kCertaintyNames.end()) table.reject("certainty", "must be certain, probable or marginal");
+  object.certainty = static_cast<Certainty>(name - kCertaintyNames.begin());
   return object;
 }
 

@@ -1,5 +1,6 @@
 #pragma once
 
+#include <array>
 #include <cstdint>
 #include <string>
 #include <vector>
@@ -13,6 +14,8 @@ namespace semantic_topo_loop::core {
 
 /// How sure we are that the object is there: certain ones must be found, the others may be.
 enum class Certainty { kCertain, kProbable, kMarginal };
+constexpr std::array<const char*, 3> kCertaintyNames = {"certain", "probable", "marginal"};
+inline const char* name_of(Certainty certainty) { return kCertaintyNames[static_cast<std::size_t>(certainty)]; }
 
 struct ReferenceObject {
   int id = -1;

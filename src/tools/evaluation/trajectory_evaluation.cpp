@@ -10,19 +10,19 @@ namespace {
 
 using IndexPairs = std::vector<std::pair<std::size_t, std::size_t>>;
 
-std::int64_t to_ns(double seconds) { return static_cast<std::int64_t>(std::llround(seconds * 1e9)); }
+constexpr double kMaxStampDifference_s = 0.02;     // as TUM's tools
+constexpr std::int64_t kInterval_ns = 1000000000;  // between the two poses of a relative error
 
 /// Relative errors between each pair and the first one at least the interval later, unless that is much later.
 void relative_errors(const StampedPoses& estimate, const StampedPoses& reference, const IndexPairs& pairs, double scale,
-                     double interval_s, TrajectoryEvaluation* result) {
+                     TrajectoryEvaluation* result) {
   std::vector<double> translations, rotations;
-  const std::int64_t interval_ns = to_ns(interval_s);
   std::size_t later = 0;
   for (const auto& [i, j] : pairs) {
-    while (later < pairs.size() && estimate[pairs[later].first].stamp_ns < estimate[i].stamp_ns + interval_ns) ++later;
+    while (later < pairs.size() && estimate[pairs[later].first].stamp_ns < estimate[i].stamp_ns + kInterval_ns) ++later;
     if (later == pairs.size()) break;
     const auto& [i2, j2] = pairs[later];
-    if (estimate[i2].stamp_ns > estimate[i].stamp_ns + interval_ns + interval_ns / 2) continue;
+    if (estimate[i2].stamp_ns > estimate[i].stamp_ns + kInterval_ns + kInterval_ns / 2) continue;
     SE3 motion = estimate[i].T_world_camera.inverse() * estimate[i2].T_world_camera;
     motion.t *= scale;
     const SE3 true_motion = reference[j].T_world_camera.inverse() * reference[j2].T_world_camera;
@@ -57,22 +57,23 @@ ErrorStatistics error_statistics(std::vector<double> errors) {
 
 IndexPairs associate_stamps(const StampedPoses& estimate, const StampedPoses& reference, double max_difference_s) {
   IndexPairs pairs;
+  const std::int64_t max_difference_ns = std::llround(max_difference_s * 1e9) - 1;
   for (std::size_t i = 0; i < estimate.size(); ++i) {
-    const StampedPose* nearest = find_stamp(reference, estimate[i].stamp_ns, to_ns(max_difference_s) - 1);
+    const StampedPose* nearest = find_stamp(reference, estimate[i].stamp_ns, max_difference_ns);
     if (nearest != nullptr) pairs.emplace_back(i, static_cast<std::size_t>(nearest - reference.data()));
   }
   return pairs;
 }
 
 Result<TrajectoryEvaluation> evaluate_trajectory(const StampedPoses& estimate, const StampedPoses& reference,
-                                                 const TrajectoryEvaluationOptions& options) {
-  const IndexPairs pairs = associate_stamps(estimate, reference, options.max_stamp_difference_s);
+                                                 bool with_scale) {
+  const IndexPairs pairs = associate_stamps(estimate, reference, kMaxStampDifference_s);
   std::vector<Vec3> points_reference, points_estimate;
   for (const auto& [i, j] : pairs) {
     points_estimate.push_back(estimate[i].T_world_camera.t);
     points_reference.push_back(reference[j].T_world_camera.t);
   }
-  const std::optional<Alignment> alignment = align_points(points_reference, points_estimate, options.with_scale);
+  const std::optional<Alignment> alignment = align_points(points_reference, points_estimate, with_scale);
   if (!alignment) {
     return Error{"cannot align the trajectories: " + std::to_string(pairs.size()) +
                  " poses have a partner in time (3 that are not on a line are needed)"};
@@ -88,7 +89,7 @@ Result<TrajectoryEvaluation> evaluate_trajectory(const StampedPoses& estimate, c
     distances.push_back((aligned - points_reference[k]).norm());
   }
   result.absolute_m = error_statistics(std::move(distances));
-  relative_errors(estimate, reference, pairs, alignment->scale, options.relative_interval_s, &result);
+  relative_errors(estimate, reference, pairs, alignment->scale, &result);
   return result;
 }
 

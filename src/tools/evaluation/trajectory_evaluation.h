@@ -24,20 +24,14 @@ struct Ratio {
   double value() const { return total > 0 ? static_cast<double>(right) / total : 0.0; }
 };
 
-struct TrajectoryEvaluationOptions {
-  double max_stamp_difference_s = 0.02;  ///< as TUM's tools
-  double relative_interval_s = 1.0;      ///< between the two poses of a relative error
-  bool with_scale = false;               ///< align by a similarity (monocular odometry)
-};
-
-/// Absolute and relative errors of a trajectory, as TUM's tools compute them.
+/// Absolute and relative errors of a trajectory, as TUM's tools compute them, from poses less than 0.02 s apart.
 struct TrajectoryEvaluation {
   std::size_t estimated = 0, reference = 0;  ///< poses of the two files
   std::size_t pairs = 0;                     ///< poses that have a partner
   Alignment alignment;                       ///< T_reference_estimate
   ErrorStatistics absolute_m;                ///< ATE: distances after alignment
-  ErrorStatistics relative_m;                ///< RPE over the interval, translation
-  ErrorStatistics relative_deg;              ///< RPE over the interval, rotation
+  ErrorStatistics relative_m;                ///< RPE over 1 s, translation
+  ErrorStatistics relative_deg;              ///< RPE over 1 s, rotation
 };
 
 /// Pairs of indices (estimate, reference): for each estimate the reference nearest in time, if it is less than
@@ -46,8 +40,9 @@ std::vector<std::pair<std::size_t, std::size_t>> associate_stamps(const StampedP
                                                                   const StampedPoses& reference,
                                                                   double max_difference_s);
 
+/// @param with_scale align by a similarity (monocular odometry)
 /// @return an error, with the cause, if fewer than 3 poses have a partner or they lie on one line
 Result<TrajectoryEvaluation> evaluate_trajectory(const StampedPoses& estimate, const StampedPoses& reference,
-                                                 const TrajectoryEvaluationOptions& options);
+                                                 bool with_scale = false);
 
 }  // namespace semantic_topo_loop::core

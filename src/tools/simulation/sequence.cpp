@@ -2,6 +2,7 @@
 
 #include <algorithm>
 
+#include "io/csv.h"
 #include "semantic_topo_loop/io/detection_file.h"
 #include "semantic_topo_loop/io/text_file.h"
 #include "semantic_topo_loop/io/tum_trajectory.h"
@@ -138,34 +139,33 @@ void collect(const SimulatedSequence& sequence, std::size_t frame, const ScenePr
   }
 }
 
+constexpr int kDecimals = 4;
+
 /// `id,label_id,label,x,y,z,a,b,c,yaw`.
-std::string format_place(std::size_t id, int class_id, const Ellipsoid& ellipsoid, const ClassTable& classes) {
-  std::string row = std::to_string(id) + "," + std::to_string(class_id) + "," + classes.name(class_id);
+CsvRow place_row(std::size_t id, int class_id, const Ellipsoid& ellipsoid, const ClassTable& classes) {
+  CsvRow row;
+  row.add(static_cast<std::int64_t>(id)).add(class_id).add(classes.name(class_id));
   const Quaternion& q = ellipsoid.T_world_quadric.q;
   const Vec3& center = ellipsoid.center();
   const Vec3& axes = ellipsoid.semi_axes;
   const double yaw = 2.0 * std::atan2(q.z(), q.w());
   for (const double value : {center.x(), center.y(), center.z(), axes.x(), axes.y(), axes.z(), yaw}) {
-    row += "," + format_fixed(value, 4);
+    row.add(value, kDecimals);
   }
   return row;
 }
 
-constexpr const char* kCertainties[] = {"certain", "probable", "marginal"};  ///< in order of Certainty
-
 std::string format_row(std::size_t id, const SimulatedReference& r, const SceneObject& object,
                        const ClassTable& classes) {
-  std::string row = format_place(id, object.class_id, object.ellipsoid, classes);
-  row += "," + std::to_string(r.views) + "," + std::to_string(r.whole_frames);
+  CsvRow row = place_row(id, object.class_id, object.ellipsoid, classes).add(r.views).add(r.whole_frames);
   for (const double value : {r.baseline_deg, r.mean_iou, r.median_iou, r.share_iou_above_half}) {
-    row += "," + format_fixed(value, 4);
+    row.add(value, kDecimals);
   }
-  row += "," + std::to_string(r.first_frame) + "," + std::to_string(r.last_frame) + ",";
   std::string others;
   for (const auto& [class_id, count] : r.other_classes) {
     others += (others.empty() ? "" : ";") + classes.name(class_id) + ":" + std::to_string(count);
   }
-  return row + others + "," + kCertainties[static_cast<int>(r.certainty)] + "\n";
+  return row.add(r.first_frame).add(r.last_frame).add(others).add(name_of(r.certainty)).end();
 }
 
 /// Adds the boxes that show an object at a place that it leaves.
@@ -272,10 +272,10 @@ std::string format_gone_objects(const SimulatedSequence& sequence, const ClassTa
     const GoneObject& gone = places[i];
     const auto reference = std::find_if(references.begin(), references.end(),
                                         [&gone](const SimulatedReference& r) { return r.object == gone.object; });
-    const auto reference_id = reference == references.end() ? -1 : reference - references.begin();
+    const std::int64_t reference_id = reference == references.end() ? -1 : reference - references.begin();
     const int class_id = sequence.scene.objects[static_cast<std::size_t>(gone.object)].class_id;
-    text += format_place(i, class_id, gone.ellipsoid, classes) + "," + std::to_string(gone.views) + "," +
-            std::to_string(gone.last_frame) + "," + std::to_string(reference_id) + "\n";
+    CsvRow row = place_row(i, class_id, gone.ellipsoid, classes).add(gone.views).add(gone.last_frame);
+    text += row.add(reference_id).end();
   }
   return text;
 }
