@@ -6,7 +6,7 @@
 #include "semantic_topo_loop/geometry/lie.h"
 #include "support/test_files.h"
 #include "support/test_fixtures.h"
-#include "tools/perturbation/drift.h"
+#include "tools/perturbation/perturbation.h"
 
 namespace semantic_topo_loop::core {
 namespace {

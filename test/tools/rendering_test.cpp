@@ -8,7 +8,6 @@
 #include "semantic_topo_loop/types/stamp.h"
 #include "support/test_files.h"
 #include "support/test_fixtures.h"
-#include "tools/rendering/kinect_model.h"
 #include "tools/rendering/rgbd_sequence.h"
 #include "tools/simulation/random.h"
 

@@ -2,10 +2,9 @@
 
 #include <Eigen/Cholesky>
 #include <Eigen/Eigenvalues>
-#include <algorithm>
+#include <boost/pending/disjoint_sets.hpp>
 #include <cmath>
 #include <map>
-#include <numeric>
 
 #include "pose_graph/solver/graph_solver.h"
 #include "semantic_topo_loop/geometry/lie.h"
@@ -17,8 +16,15 @@ namespace {
 
 using Fields = std::vector<std::string_view>;
 
-/// Rows of the 6-vector that a planar graph uses.
-constexpr int kPlanarRows[] = {0, 1, 5};
+/// Row and column of the upper triangle's entries, in order of the file. A planar graph uses rows 0, 1 and 5.
+std::vector<std::pair<int, int>> information_places(bool is_planar) {
+  const std::vector<int> rows = is_planar ? std::vector<int>{0, 1, 5} : std::vector<int>{0, 1, 2, 3, 4, 5};
+  std::vector<std::pair<int, int>> places;
+  for (auto r = rows.begin(); r != rows.end(); ++r) {
+    for (auto c = r; c != rows.end(); ++c) places.emplace_back(*r, *c);
+  }
+  return places;
+}
 
 SE3 planar_pose(const double* v) { return {so3_exp(Vec3(0.0, 0.0, v[2])), Vec3(v[0], v[1], 0.0)}; }
 
@@ -137,12 +143,8 @@ class Reader {
     if (!pose) return Error{name + ": " + pose.message()};
     edge.T_from_to = *pose;
     const double* at = values->numbers.data() + pose_size;
-    const int size = pose_size == 3 ? 3 : 6;
-    for (int i = 0; i < size; ++i) {
-      for (int j = i; j < size; ++j) {
-        const int r = size == 3 ? kPlanarRows[i] : i, c = size == 3 ? kPlanarRows[j] : j;
-        edge.information(r, c) = edge.information(c, r) = *at++;
-      }
+    for (const auto& [r, c] : information_places(pose_size == 3)) {
+      edge.information(r, c) = edge.information(c, r) = *at++;
     }
     if (!is_positive_definite(edge.information)) {
       return Error{name + ": its information matrix is not positive definite"};
@@ -212,12 +214,7 @@ std::string format_pose(const SE3& T, bool is_planar) {
 std::string format_edge(const G2oEdge& edge, bool is_planar) {
   std::string text = is_planar ? "EDGE_SE2 " : "EDGE_SE3:QUAT ";
   text += std::to_string(edge.from) + " " + std::to_string(edge.to) + format_pose(edge.T_from_to, is_planar);
-  const int size = is_planar ? 3 : 6;
-  for (int i = 0; i < size; ++i) {
-    for (int j = i; j < size; ++j) {
-      text += number(edge.information(is_planar ? kPlanarRows[i] : i, is_planar ? kPlanarRows[j] : j));
-    }
-  }
+  for (const auto& [r, c] : information_places(is_planar)) text += number(edge.information(r, c));
   return text + "\n";
 }
 
@@ -232,23 +229,6 @@ struct Part {
   std::vector<SE3> T_world_vertex;
   std::vector<GraphEdge> graph_edges;
   std::vector<int> fixed;
-};
-
-/// Representatives of a forest of merged sets.
-class DisjointSets {
- public:
-  explicit DisjointSets(std::size_t size) : parent_(size) { std::iota(parent_.begin(), parent_.end(), 0U); }
-  std::size_t find(std::size_t i) {
-    while (parent_[i] != i) i = parent_[i] = parent_[parent_[i]];
-    return i;
-  }
-  void join(std::size_t a, std::size_t b) {
-    const std::size_t first = std::min(find(a), find(b)), second = std::max(find(a), find(b));
-    parent_[second] = first;
-  }
-
- private:
-  std::vector<std::size_t> parent_;
 };
 
 class GraphOptimizer {
@@ -288,13 +268,13 @@ class GraphOptimizer {
   std::vector<Part> split() const {
     std::map<std::int64_t, std::size_t> index_of;
     for (std::size_t i = 0; i < graph_.vertices.size(); ++i) index_of[graph_.vertices[i].id] = i;
-    DisjointSets sets(graph_.vertices.size());
-    for (const G2oEdge& edge : graph_.edges) sets.join(index_of.at(edge.from), index_of.at(edge.to));
+    boost::disjoint_sets_with_storage<> sets(graph_.vertices.size());
+    for (const G2oEdge& edge : graph_.edges) sets.union_set(index_of.at(edge.from), index_of.at(edge.to));
     std::vector<Part> parts;
     std::map<std::size_t, std::size_t> part_of;  // representative to part
     std::vector<int> number(graph_.vertices.size());
     for (std::size_t i = 0; i < graph_.vertices.size(); ++i) {
-      const auto [found, is_new] = part_of.emplace(sets.find(i), parts.size());
+      const auto [found, is_new] = part_of.emplace(sets.find_set(i), parts.size());
       if (is_new) parts.emplace_back();
       Part& part = parts[found->second];
       number[i] = static_cast<int>(part.vertices.size());
@@ -305,7 +285,7 @@ class GraphOptimizer {
     for (std::size_t k = 0; k < graph_.edges.size(); ++k) {
       const G2oEdge& edge = graph_.edges[k];
       const std::size_t from = index_of.at(edge.from), to = index_of.at(edge.to);
-      Part& part = parts[part_of.at(sets.find(from))];
+      Part& part = parts[part_of.at(sets.find_set(from))];
       part.edges.push_back(k);
       const bool is_loop = edge.to != edge.from + 1 && edge.from != edge.to + 1;
       part.graph_edges.push_back(

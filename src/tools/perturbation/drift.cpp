@@ -1,5 +1,3 @@
-#include "tools/perturbation/drift.h"
-
 #include <algorithm>
 #include <array>
 #include <cmath>
@@ -7,6 +5,7 @@
 #include <sstream>
 
 #include "semantic_topo_loop/geometry/lie.h"
+#include "tools/perturbation/perturbation.h"
 #include "tools/simulation/random.h"
 
 namespace semantic_topo_loop::core {

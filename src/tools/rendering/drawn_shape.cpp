@@ -22,20 +22,43 @@ constexpr double kLeg_m = 0.025;  ///< half a side
 
 SE3 at(double x, double y, double z) { return {Quaternion::Identity(), {x, y, z}}; }
 
+/// An object of one box or ellipsoid.
+struct PlainShape {
+  int class_id;
+  bool is_box;
+  Paint paint;
+};
+
+const PlainShape& plain_shape_of(int class_id) {
+  static const PlainShape kShapes[] = {
+      {73, true, Paint::kCover},       // book
+      {66, true, Paint::kKeys},        // keyboard
+      {65, true, Paint::kDisplay},     // remote
+      {67, true, Paint::kDisplay},     // cell phone
+      {74, true, Paint::kDial},        // clock
+      {39, false, Paint::kLabel},      // bottle
+      {47, false, Paint::kPeel},       // apple
+      {49, false, Paint::kPeel},       // orange
+      {41, false, Paint::kGlaze},      // cup
+      {45, false, Paint::kGlaze},      // bowl
+      {75, false, Paint::kGlaze},      // vase
+      {64, false, Paint::kDarkMetal},  // mouse
+      {77, false, Paint::kFur},        // teddy bear
+      {-1, false, Paint::kCloth},      // any other
+  };
+  const PlainShape* shape = kShapes;
+  while (shape->class_id != class_id && shape->class_id >= 0) ++shape;
+  return *shape;
+}
+
 class Shapes {
  public:
   void add_desk(const Desk& desk) {
     add_box(-1, desk.T_world_desk * at(0.0, 0.0, -0.5 * kTableThickness_m),
             {desk.half_depth_m, desk.half_width_m, 0.5 * kTableThickness_m}, Paint::kTableTop);
     const double leg_half = 0.5 * (desk.T_world_desk.t.z() - kTableThickness_m);
-    for (const double x : {-1.0, 1.0}) {
-      for (const double y : {-1.0, 1.0}) {
-        add_box(-1,
-                desk.T_world_desk *
-                    at(x * (desk.half_depth_m - 0.05), y * (desk.half_width_m - 0.05), -kTableThickness_m - leg_half),
-                {kLeg_m, kLeg_m, leg_half}, Paint::kDarkMetal);
-      }
-    }
+    add_legs(-1, desk.T_world_desk, desk.half_depth_m - 0.05, desk.half_width_m - 0.05, -kTableThickness_m - leg_half,
+             leg_half);
   }
 
   void add_object(int index, const SceneObject& object) {
@@ -48,33 +71,11 @@ class Shapes {
         return add_monitor(index, box);
       case 63:  // laptop
         return add_laptop(index, box);
-      case 73:  // book
-        return add_box(index, {}, box, Paint::kCover);
-      case 66:  // keyboard
-        return add_box(index, {}, box, Paint::kKeys);
-      case 65:  // remote
-      case 67:  // cell phone
-        return add_box(index, {}, box, Paint::kDisplay);
-      case 74:  // clock
-        return add_box(index, {}, box, Paint::kDial);
       case 58:  // potted plant
         return add_plant(index, axes);
-      case 39:  // bottle
-        return add_ellipsoid(index, {}, axes, Paint::kLabel);
-      case 47:  // apple
-      case 49:  // orange
-        return add_ellipsoid(index, {}, axes, Paint::kPeel);
-      case 41:  // cup
-      case 45:  // bowl
-      case 75:  // vase
-        return add_ellipsoid(index, {}, axes, Paint::kGlaze);
-      case 64:  // mouse
-        return add_ellipsoid(index, {}, axes, Paint::kDarkMetal);
-      case 77:  // teddy bear
-        return add_ellipsoid(index, {}, axes, Paint::kFur);
-      default:
-        return add_ellipsoid(index, {}, axes, Paint::kCloth);
     }
+    const PlainShape& plain = plain_shape_of(object.class_id);
+    shapes_.push_back({plain.is_box, index, {}, plain.is_box ? box : axes, plain.paint});
   }
 
   std::vector<DrawnShape> take() { return std::move(shapes_); }
@@ -87,6 +88,13 @@ class Shapes {
     shapes_.push_back({false, object, T_base_shape, half, paint});
   }
 
+  /// One at (+-x, +-y) each; z is that of their middle.
+  void add_legs(int object, const SE3& T_base, double x, double y, double z, double half) {
+    for (const auto& [sx, sy] : {std::pair(-1.0, -1.0), {-1.0, 1.0}, {1.0, -1.0}, {1.0, 1.0}}) {
+      add_box(object, T_base * at(sx * x, sy * y, z), {kLeg_m, kLeg_m, half}, Paint::kDarkMetal);
+    }
+  }
+
   /// Seat, back at -x, legs.
   void add_chair(int object, const Vec3& box) {
     constexpr double kPlate_m = 0.03;
@@ -95,12 +103,7 @@ class Shapes {
     const double back_half = 0.5 * (box.z() - seat);
     add_box(object, at(kPlate_m - box.x(), 0.0, seat + back_half), {kPlate_m, box.y(), back_half}, Paint::kCloth);
     const double leg_half = 0.5 * (seat + box.z());
-    for (const double x : {-1.0, 1.0}) {
-      for (const double y : {-1.0, 1.0}) {
-        add_box(object, at(x * (box.x() - kLeg_m), y * (box.y() - kLeg_m), leg_half - box.z()),
-                {kLeg_m, kLeg_m, leg_half}, Paint::kDarkMetal);
-      }
-    }
+    add_legs(object, SE3(), box.x() - kLeg_m, box.y() - kLeg_m, leg_half - box.z(), leg_half);
   }
 
   /// A panel over a foot.

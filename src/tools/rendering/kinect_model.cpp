@@ -1,10 +1,10 @@
-#include "tools/rendering/kinect_model.h"
-
 #include <algorithm>
 #include <array>
 #include <cmath>
 #include <limits>
 #include <opencv2/imgproc.hpp>
+
+#include "tools/rendering/scene_renderer.h"
 
 namespace semantic_topo_loop::core {
 namespace {

@@ -18,165 +18,195 @@ cv::Scalar tinted(double b, double g, double r, double spread, Random* random) {
   return shade({b, g, r}, random->uniform(1.0 - spread, 1.0 + spread));
 }
 
-/// Posters and boards side by side at different heights, a skirting board below.
-void paint_wall(Canvas* canvas) {
-  Random& random = canvas->random();
-  const Area all = canvas->all();
-  canvas->roughen(1.2, 0.022);
-  for (double x = random.uniform(0.05, 0.4); x < all.width - 0.3;) {
-    const double width = std::min(random.uniform(0.35, 1.0), all.width - x - 0.05);
-    const double height = random.uniform(0.4, 0.9);
-    canvas->poster({x, random.uniform(0.35, 0.95), width, height});
-    // Some hang lower down, as shelves and sockets do.
-    if (random.chance(0.7))
-      canvas->poster({x + random.uniform(0.0, 0.2), all.height - random.uniform(0.7, 0.95), 0.3, 0.4});
-    x += width + random.uniform(0.1, 0.5);
-  }
-  canvas->fill({0.0, all.height - 0.09, all.width, 0.09}, {90, 105, 120});
-  canvas->roughen(0.03, 0.02);
-}
+/// Paints the faces of shapes on a canvas of their size.
+struct Painter {
+  Canvas& canvas;
+  Random& random;  ///< of the canvas
+  const Area all;
 
-/// Boards of different shades with a rug.
-void paint_floor(Canvas* canvas) {
-  Random& random = canvas->random();
-  const Area all = canvas->all();
-  const double board_m = 0.14;
-  for (double y = 0.0; y < all.height; y += board_m) {
-    for (double x = -random.uniform(0.0, 1.2); x < all.width;) {
-      const double length = random.uniform(0.5, 1.4);
-      const Area board{std::max(x, 0.0), y, x + length - std::max(x, 0.0), board_m};
-      canvas->fill(board, tinted(95, 130, 165, 0.25, &random));
-      canvas->frame(board, 0.004, {45, 60, 80});
-      x += length;
+  void paint(Paint paint, Face face, const cv::Scalar& base) {
+    const bool is_side = face != kTopFace && face != kBottomFace;
+    switch (paint) {
+      case Paint::kWalls:
+        // A room is seen from inside: its bottom is the floor.
+        return face == kBottomFace ? floor() : face == kTopFace ? ceiling() : wall();
+      case Paint::kTableTop:
+        return face == kTopFace ? table_top() : canvas.roughen(0.05, 0.06);
+      case Paint::kCover:
+        return is_side ? canvas.roughen(0.01, 0.1) : cover();
+      case Paint::kScreen:
+        return face == kFront ? screen() : canvas.patches(all, is_side ? 5 : 0, 0.03);
+      case Paint::kDisplay:
+        if (face == kTopFace) canvas.patches(all, 18, 0.02);
+        return;
+      case Paint::kKeys:
+        if (face == kTopFace) keys();
+        return;
+      case Paint::kDial:
+        if (is_side) dial();
+        return;
+      case Paint::kLabel:
+        if (is_side) label();
+        return;
+      case Paint::kGlaze:
+        return glaze();
+      case Paint::kPeel:
+        canvas.roughen(0.03, 0.05);
+        return canvas.patches(all, 3, 0.008);
+      case Paint::kLeaves:
+        return tufts(base, 0.05, 0.6);
+      case Paint::kFur:
+        return tufts(base, 0.02, 0.3);
+      case Paint::kCloth:
+        tufts(base, 0.04, 0.35);
+        return canvas.patches(all, 6, 0.08);
+      case Paint::kDarkMetal:
+        return canvas.roughen(0.03, 0.05);
     }
   }
-  for (int i = 0; i < static_cast<int>(all.width * all.height / 6.0) + 1; ++i) {
-    const double width = random.uniform(0.6, 1.4), height = random.uniform(0.5, 1.0);
-    const Area rug{random.uniform(0.0, std::max(0.1, all.width - width)),
-                   random.uniform(0.0, std::max(0.1, all.height - height)), width, height};
-    canvas->poster(rug);
-  }
-  canvas->roughen(0.3, 0.045);
-}
 
-void paint_ceiling(Canvas* canvas) {
-  Random& random = canvas->random();
-  const Area all = canvas->all();
-  canvas->roughen(0.8, 0.015);
-  for (double x = 0.6; x < all.width; x += 0.6) canvas->line(x, 0.0, x, all.height, 0.01, {150, 150, 150});
-  for (double y = 0.6; y < all.height; y += 0.6) canvas->line(0.0, y, all.width, y, 0.01, {150, 150, 150});
-  for (int i = 0; i < static_cast<int>(all.width * all.height / 4.0) + 1; ++i) {
-    canvas->fill({random.uniform(0.0, all.width), random.uniform(0.0, all.height), 0.6, 0.3}, {252, 254, 255});
+  /// Posters and boards side by side at different heights, a skirting board below.
+  void wall() {
+    canvas.roughen(1.2, 0.022);
+    for (double x = random.uniform(0.05, 0.4); x < all.width - 0.3;) {
+      const double width = std::min(random.uniform(0.35, 1.0), all.width - x - 0.05);
+      const double height = random.uniform(0.4, 0.9);
+      canvas.poster({x, random.uniform(0.35, 0.95), width, height});
+      // Some hang lower down, as shelves and sockets do.
+      if (random.chance(0.7))
+        canvas.poster({x + random.uniform(0.0, 0.2), all.height - random.uniform(0.7, 0.95), 0.3, 0.4});
+      x += width + random.uniform(0.1, 0.5);
+    }
+    canvas.fill({0.0, all.height - 0.09, all.width, 0.09}, {90, 105, 120});
+    canvas.roughen(0.03, 0.02);
   }
-}
 
-/// Wood with papers, notes and stains.
-void paint_table_top(Canvas* canvas) {
-  Random& random = canvas->random();
-  const Area all = canvas->all();
-  for (double x = 0.0; x < all.width; x += 0.03) {
-    canvas->fill({x, 0.0, 0.03, all.height}, tinted(110, 150, 185, 0.07, &random));
+  /// Boards of different shades with a rug.
+  void floor() {
+    const double board_m = 0.14;
+    for (double y = 0.0; y < all.height; y += board_m) {
+      for (double x = -random.uniform(0.0, 1.2); x < all.width;) {
+        const double length = random.uniform(0.5, 1.4);
+        const Area board{std::max(x, 0.0), y, x + length - std::max(x, 0.0), board_m};
+        canvas.fill(board, tinted(95, 130, 165, 0.25, &random));
+        canvas.frame(board, 0.004, {45, 60, 80});
+        x += length;
+      }
+    }
+    for (int i = 0; i < static_cast<int>(all.width * all.height / 6.0) + 1; ++i) {
+      const double width = random.uniform(0.6, 1.4), height = random.uniform(0.5, 1.0);
+      const Area rug{random.uniform(0.0, std::max(0.1, all.width - width)),
+                     random.uniform(0.0, std::max(0.1, all.height - height)), width, height};
+      canvas.poster(rug);
+    }
+    canvas.roughen(0.3, 0.045);
   }
-  const int papers = static_cast<int>(6.0 * all.width * all.height) + 2;
-  for (int i = 0; i < papers; ++i) {
-    const double width = random.uniform(0.10, 0.25), height = random.uniform(0.10, 0.30);
-    const Area paper{random.uniform(0.0, all.width), random.uniform(0.0, all.height), width, height};
-    canvas->fill(paper, random.chance(0.6) ? kPaper : shade(canvas->any_color(), 1.2));
-    const Area inner{paper.x + 0.01, paper.y + 0.01, width - 0.02, height - 0.02};
-    if (random.chance(0.7))
-      canvas->text(inner, random.uniform(0.008, 0.025), {50, 45, 45});
-    else
-      canvas->patches(inner, 15, 0.06);
-  }
-  canvas->patches(all, static_cast<int>(30.0 * all.width * all.height), 0.02);
-  canvas->roughen(0.2, 0.035);
-}
 
-void paint_cover(Canvas* canvas) {
-  Random& random = canvas->random();
-  const Area all = canvas->all();
-  const double size = std::min(all.width, all.height);
-  canvas->patches(all, random.integer(4, 14), 0.35 * size);
-  canvas->text({0.08 * all.width, 0.05 * all.height, 0.84 * all.width, 0.4 * all.height}, 0.14 * size,
-               canvas->any_color());
-  canvas->frame(all, 0.01 * size + 0.001, canvas->any_color());
-  canvas->roughen(0.03, 0.03);
-}
-
-void paint_screen(Canvas* canvas) {
-  Random& random = canvas->random();
-  const Area all = canvas->all();
-  const double rim = 0.015;
-  const Area screen{rim, rim, all.width - 2.0 * rim, all.height - 2.0 * rim};
-  canvas->fill(screen, canvas->any_color());
-  canvas->patches(screen, 30, 0.15);
-  for (int i = 0; i < 3; ++i) {
-    const Area window{rim + random.uniform(0.0, 0.5) * screen.width, rim + random.uniform(0.0, 0.5) * screen.height,
-                      0.45 * screen.width, 0.45 * screen.height};
-    canvas->fill(window, kPaper);
-    canvas->text({window.x + 0.01, window.y + 0.01, window.width - 0.02, window.height - 0.02}, 0.018, kDark);
-  }
-}
-
-void paint_keys(Canvas* canvas) {
-  const Area all = canvas->all();
-  constexpr double kKey_m = 0.019;  // from key to key (ISO 9995)
-  for (double y = 0.008; y + kKey_m < all.height; y += kKey_m) {
-    for (double x = 0.008; x + kKey_m < all.width; x += kKey_m) {
-      const double wide = canvas->random().chance(0.12) ? 2.0 : 1.0;
-      canvas->fill({x, y, wide * kKey_m - 0.003, kKey_m - 0.003}, tinted(75, 72, 70, 0.5, &canvas->random()));
-      canvas->text({x + 0.004, y, 0.012, kKey_m}, 0.011, kPaper);
-      x += (wide - 1.0) * kKey_m;
+  void ceiling() {
+    canvas.roughen(0.8, 0.015);
+    for (double x = 0.6; x < all.width; x += 0.6) canvas.line(x, 0.0, x, all.height, 0.01, {150, 150, 150});
+    for (double y = 0.6; y < all.height; y += 0.6) canvas.line(0.0, y, all.width, y, 0.01, {150, 150, 150});
+    for (int i = 0; i < static_cast<int>(all.width * all.height / 4.0) + 1; ++i) {
+      canvas.fill({random.uniform(0.0, all.width), random.uniform(0.0, all.height), 0.6, 0.3}, {252, 254, 255});
     }
   }
-}
 
-void paint_dial(Canvas* canvas) {
-  const Area all = canvas->all();
-  const double radius = 0.45 * std::min(all.width, all.height);
-  const double x = 0.5 * all.width, y = 0.5 * all.height;
-  canvas->disc(x, y, radius, kPaper);
-  for (int i = 0; i < 12; ++i) {
-    const double a = 2.0 * kPi * i / 12.0;
-    canvas->disc(x + 0.8 * radius * std::cos(a), y + 0.8 * radius * std::sin(a), i % 3 == 0 ? 0.006 : 0.003, kDark);
+  /// Wood with papers, notes and stains.
+  void table_top() {
+    for (double x = 0.0; x < all.width; x += 0.03) {
+      canvas.fill({x, 0.0, 0.03, all.height}, tinted(110, 150, 185, 0.07, &random));
+    }
+    const int papers = static_cast<int>(6.0 * all.width * all.height) + 2;
+    for (int i = 0; i < papers; ++i) {
+      const double width = random.uniform(0.10, 0.25), height = random.uniform(0.10, 0.30);
+      const Area paper{random.uniform(0.0, all.width), random.uniform(0.0, all.height), width, height};
+      canvas.fill(paper, random.chance(0.6) ? kPaper : shade(canvas.any_color(), 1.2));
+      const Area inner{paper.x + 0.01, paper.y + 0.01, width - 0.02, height - 0.02};
+      if (random.chance(0.7))
+        canvas.text(inner, random.uniform(0.008, 0.025), {50, 45, 45});
+      else
+        canvas.patches(inner, 15, 0.06);
+    }
+    canvas.patches(all, static_cast<int>(30.0 * all.width * all.height), 0.02);
+    canvas.roughen(0.2, 0.035);
   }
-  for (const double length : {0.5, 0.75}) {
-    const double a = canvas->random().uniform(0.0, 2.0 * kPi);
-    canvas->line(x, y, x + length * radius * std::cos(a), y + length * radius * std::sin(a), 0.004, kDark);
-  }
-}
 
-void paint_label(Canvas* canvas) {
-  const Area all = canvas->all();
-  const Area label{0.0, 0.3 * all.height, all.width, 0.4 * all.height};
-  canvas->fill(label, canvas->any_color());
-  canvas->patches(label, 6, 0.02);
-  canvas->text({0.1 * all.width, label.y, 0.8 * all.width, label.height}, 0.022, kPaper);
-}
-
-void paint_glaze(Canvas* canvas) {
-  const Area all = canvas->all();
-  const double stripe = 0.12 * all.height;
-  for (double y = 0.2 * all.height; y < 0.8 * all.height; y += 2.0 * stripe) {
-    canvas->mosaic({0.0, y, all.width, stripe}, 0.8 * stripe);
+  void cover() {
+    const double size = std::min(all.width, all.height);
+    canvas.patches(all, random.integer(4, 14), 0.35 * size);
+    canvas.text({0.08 * all.width, 0.05 * all.height, 0.84 * all.width, 0.4 * all.height}, 0.14 * size,
+                canvas.any_color());
+    canvas.frame(all, 0.01 * size + 0.001, canvas.any_color());
+    canvas.roughen(0.03, 0.03);
   }
-  canvas->patches(all, 5, 0.02);
-  canvas->roughen(0.03, 0.03);
-}
 
-/// Shapes of similar shades at the scale of leaves, tufts or folds.
-void paint_tufts(Canvas* canvas, const cv::Scalar& base, double size_m, double spread) {
-  Random& random = canvas->random();
-  const Area all = canvas->all();
-  const int count = std::min(3000, static_cast<int>(3.0 * all.width * all.height / (size_m * size_m)));
-  for (int i = 0; i < count; ++i) {
-    const double x = random.uniform(0.0, all.width), y = random.uniform(0.0, all.height);
-    const double a = random.uniform(0.0, 2.0 * kPi), length = random.uniform(0.5, 1.5) * size_m;
-    canvas->line(x, y, x + length * std::cos(a), y + length * std::sin(a), random.uniform(0.15, 0.4) * size_m,
-                 shade(base, random.uniform(1.0 - spread, 1.0 + spread)));
+  void screen() {
+    const double rim = 0.015;
+    const Area screen{rim, rim, all.width - 2.0 * rim, all.height - 2.0 * rim};
+    canvas.fill(screen, canvas.any_color());
+    canvas.patches(screen, 30, 0.15);
+    for (int i = 0; i < 3; ++i) {
+      const Area window{rim + random.uniform(0.0, 0.5) * screen.width, rim + random.uniform(0.0, 0.5) * screen.height,
+                        0.45 * screen.width, 0.45 * screen.height};
+      canvas.fill(window, kPaper);
+      canvas.text({window.x + 0.01, window.y + 0.01, window.width - 0.02, window.height - 0.02}, 0.018, kDark);
+    }
   }
-  canvas->roughen(size_m, 0.05);
-}
+
+  void keys() {
+    constexpr double kKey_m = 0.019;  // from key to key (ISO 9995)
+    for (double y = 0.008; y + kKey_m < all.height; y += kKey_m) {
+      for (double x = 0.008; x + kKey_m < all.width; x += kKey_m) {
+        const double wide = random.chance(0.12) ? 2.0 : 1.0;
+        canvas.fill({x, y, wide * kKey_m - 0.003, kKey_m - 0.003}, tinted(75, 72, 70, 0.5, &random));
+        canvas.text({x + 0.004, y, 0.012, kKey_m}, 0.011, kPaper);
+        x += (wide - 1.0) * kKey_m;
+      }
+    }
+  }
+
+  void dial() {
+    const double radius = 0.45 * std::min(all.width, all.height);
+    const double x = 0.5 * all.width, y = 0.5 * all.height;
+    canvas.disc(x, y, radius, kPaper);
+    for (int i = 0; i < 12; ++i) {
+      const double a = 2.0 * kPi * i / 12.0;
+      canvas.disc(x + 0.8 * radius * std::cos(a), y + 0.8 * radius * std::sin(a), i % 3 == 0 ? 0.006 : 0.003, kDark);
+    }
+    for (const double length : {0.5, 0.75}) {
+      const double a = random.uniform(0.0, 2.0 * kPi);
+      canvas.line(x, y, x + length * radius * std::cos(a), y + length * radius * std::sin(a), 0.004, kDark);
+    }
+  }
+
+  void label() {
+    const Area label{0.0, 0.3 * all.height, all.width, 0.4 * all.height};
+    canvas.fill(label, canvas.any_color());
+    canvas.patches(label, 6, 0.02);
+    canvas.text({0.1 * all.width, label.y, 0.8 * all.width, label.height}, 0.022, kPaper);
+  }
+
+  void glaze() {
+    const double stripe = 0.12 * all.height;
+    for (double y = 0.2 * all.height; y < 0.8 * all.height; y += 2.0 * stripe) {
+      canvas.mosaic({0.0, y, all.width, stripe}, 0.8 * stripe);
+    }
+    canvas.patches(all, 5, 0.02);
+    canvas.roughen(0.03, 0.03);
+  }
+
+  /// Shapes of similar shades at the scale of leaves, tufts or folds.
+  void tufts(const cv::Scalar& base, double size_m, double spread) {
+    const int count = std::min(3000, static_cast<int>(3.0 * all.width * all.height / (size_m * size_m)));
+    for (int i = 0; i < count; ++i) {
+      const double x = random.uniform(0.0, all.width), y = random.uniform(0.0, all.height);
+      const double a = random.uniform(0.0, 2.0 * kPi), length = random.uniform(0.5, 1.5) * size_m;
+      canvas.line(x, y, x + length * std::cos(a), y + length * std::sin(a), random.uniform(0.15, 0.4) * size_m,
+                  shade(base, random.uniform(1.0 - spread, 1.0 + spread)));
+    }
+    canvas.roughen(size_m, 0.05);
+  }
+};
 
 /// Color that the faces of one shape share, BGR.
 cv::Scalar base_color(Paint paint, Random* random) {
@@ -208,94 +238,34 @@ cv::Scalar base_color(Paint paint, Random* random) {
 cv::Mat paint_face(Paint paint, Face face, const cv::Size& size, float texels_per_m, const cv::Scalar& base,
                    Random* random) {
   Canvas canvas(size, texels_per_m, base, random);
-  const bool is_side = face != kTopFace && face != kBottomFace;
-  switch (paint) {
-    case Paint::kWalls:
-      // A room is seen from inside: its bottom is the floor.
-      face == kBottomFace ? paint_floor(&canvas) : face == kTopFace ? paint_ceiling(&canvas) : paint_wall(&canvas);
-      break;
-    case Paint::kTableTop:
-      face == kTopFace ? paint_table_top(&canvas) : canvas.roughen(0.05, 0.06);
-      break;
-    case Paint::kCover:
-      is_side ? canvas.roughen(0.01, 0.1) : paint_cover(&canvas);
-      break;
-    case Paint::kScreen:
-      face == kFront ? paint_screen(&canvas) : canvas.patches(canvas.all(), is_side ? 5 : 0, 0.03);
-      break;
-    case Paint::kDisplay:
-      if (face == kTopFace) canvas.patches(canvas.all(), 18, 0.02);
-      break;
-    case Paint::kKeys:
-      if (face == kTopFace) paint_keys(&canvas);
-      break;
-    case Paint::kDial:
-      if (is_side) paint_dial(&canvas);
-      break;
-    case Paint::kLabel:
-      if (is_side) paint_label(&canvas);
-      break;
-    case Paint::kGlaze:
-      paint_glaze(&canvas);
-      break;
-    case Paint::kPeel:
-      canvas.roughen(0.03, 0.05);
-      canvas.patches(canvas.all(), 3, 0.008);
-      break;
-    case Paint::kLeaves:
-      paint_tufts(&canvas, base, 0.05, 0.6);
-      break;
-    case Paint::kFur:
-      paint_tufts(&canvas, base, 0.02, 0.3);
-      break;
-    case Paint::kCloth:
-      paint_tufts(&canvas, base, 0.04, 0.35);
-      canvas.patches(canvas.all(), 6, 0.08);
-      break;
-    case Paint::kDarkMetal:
-      canvas.roughen(0.03, 0.05);
-      break;
-  }
+  Painter{canvas, *random, canvas.all()}.paint(paint, face, base);
   return canvas.image();
 }
 
 /// Enough for the nearest view of each: a pixel at 1 m shows 2 mm.
 float texels_per_m(Paint paint) {
-  switch (paint) {
-    case Paint::kWalls:
-      return 250.0F;
-    case Paint::kTableTop:
-      return 600.0F;
-    default:
-      return 700.0F;
-  }
+  return paint == Paint::kWalls ? 250.0F : paint == Paint::kTableTop ? 600.0F : 700.0F;
 }
+
+/// The axes of the box (0 to 2) that lead across and down a face as seen from outside, and which way they do.
+struct FaceAxes {
+  int across, down;
+  float across_sign, down_sign;
+};
+constexpr FaceAxes kFaceAxes[kFaces] = {{1, 2, 1.0F, -1.0F}, {1, 2, -1.0F, -1.0F}, {0, 2, -1.0F, -1.0F},
+                                        {0, 2, 1.0F, -1.0F}, {1, 0, 1.0F, 1.0F},   {1, 0, 1.0F, -1.0F}};
 
 /// Length of a face across and down, m.
 Vec2 face_size(Face face, const Vec3& half) {
-  if (face == kFront || face == kBack) return {2.0 * half.y(), 2.0 * half.z()};
-  if (face == kLeftFace || face == kRightFace) return {2.0 * half.x(), 2.0 * half.z()};
-  return {2.0 * half.y(), 2.0 * half.x()};
+  return {2.0 * half[kFaceAxes[face].across], 2.0 * half[kFaceAxes[face].down]};
 }
 
 /// Across and down the face as seen from outside, each in [-1, 1].
 Eigen::Vector2f face_coordinates(Face face, const Eigen::Vector3f& p) {
   const float scale = 1.0F / p.cwiseAbs().maxCoeff();
   const Eigen::Vector3f q = scale * p;
-  switch (face) {
-    case kFront:
-      return {q.y(), -q.z()};
-    case kBack:
-      return {-q.y(), -q.z()};
-    case kLeftFace:
-      return {-q.x(), -q.z()};
-    case kRightFace:
-      return {q.x(), -q.z()};
-    case kTopFace:
-      return {q.y(), q.x()};
-    default:
-      return {q.y(), -q.x()};
-  }
+  const FaceAxes& axes = kFaceAxes[face];
+  return {axes.across_sign * q[axes.across], axes.down_sign * q[axes.down]};
 }
 
 using Texel = std::uint32_t;  ///< BGRX

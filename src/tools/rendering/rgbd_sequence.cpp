@@ -10,7 +10,6 @@
 #include "semantic_topo_loop/io/yaml_files.h"
 #include "semantic_topo_loop/types/option_visitor.h"
 #include "semantic_topo_loop/types/stamp.h"
-#include "tools/rendering/kinect_model.h"
 #include "tools/rendering/scene_renderer.h"
 
 namespace semantic_topo_loop::core {

@@ -71,41 +71,35 @@ struct Item {
   double yaw_deg = 180.0;  ///< largest turn from facing the front
 };
 
-const std::vector<Item>& desk_items() {
-  static const std::vector<Item> kItems = {{kTv, 1, 1, -0.7, -0.2, -0.5, 0.5, 20.0},
-                                           {kKeyboard, 1, 1, 0.2, 0.8, -0.4, 0.4, 15.0},
-                                           {kMouse, 1, 1, 0.2, 0.9, 0.3, 0.9, 30.0},
-                                           {kLaptop, 0, 1, -0.8, 0.6, -0.9, 0.9, 180.0},
-                                           {kBook, 4, 6},
-                                           {kBottle, 2, 4},
-                                           {kCup, 2, 3},
-                                           {kBowl, 0, 1},
-                                           {kVase, 0, 1},
-                                           {kRemote, 0, 1},
-                                           {kApple, 0, 1},
-                                           {kCellPhone, 1, 1},
-                                           {kClock, 0, 1},
-                                           {kOrange, 0, 1}};
-  return kItems;
-}
+const std::vector<Item> kDeskItems = {{kTv, 1, 1, -0.7, -0.2, -0.5, 0.5, 20.0},
+                                      {kKeyboard, 1, 1, 0.2, 0.8, -0.4, 0.4, 15.0},
+                                      {kMouse, 1, 1, 0.2, 0.9, 0.3, 0.9, 30.0},
+                                      {kLaptop, 0, 1, -0.8, 0.6, -0.9, 0.9, 180.0},
+                                      {kBook, 4, 6},
+                                      {kBottle, 2, 4},
+                                      {kCup, 2, 3},
+                                      {kBowl, 0, 1},
+                                      {kVase, 0, 1},
+                                      {kRemote, 0, 1},
+                                      {kApple, 0, 1},
+                                      {kCellPhone, 1, 1},
+                                      {kClock, 0, 1},
+                                      {kOrange, 0, 1}};
 
-const std::vector<Item>& office_items() {
-  static const std::vector<Item> kItems = {{kTv, 1, 1, -0.6, 0.0, -0.4, 0.4, 15.0},
-                                           {kKeyboard, 1, 1, 0.3, 0.9, -0.3, 0.3, 15.0},
-                                           {kMouse, 1, 1, 0.3, 0.9, 0.3, 0.7, 30.0},
-                                           {kLaptop, 0, 1, -0.6, 0.6, -0.9, 0.9, 180.0},
-                                           {kBook, 2, 4},
-                                           {kBottle, 1, 3},
-                                           {kCup, 1, 2},
-                                           {kBowl, 0, 1},
-                                           {kVase, 0, 1},
-                                           {kRemote, 0, 1},
-                                           {kCellPhone, 0, 1},
-                                           {kClock, 0, 1},
-                                           {kApple, 0, 1},
-                                           {kOrange, 0, 1}};
-  return kItems;
-}
+const std::vector<Item> kOfficeItems = {{kTv, 1, 1, -0.6, 0.0, -0.4, 0.4, 15.0},
+                                        {kKeyboard, 1, 1, 0.3, 0.9, -0.3, 0.3, 15.0},
+                                        {kMouse, 1, 1, 0.3, 0.9, 0.3, 0.7, 30.0},
+                                        {kLaptop, 0, 1, -0.6, 0.6, -0.9, 0.9, 180.0},
+                                        {kBook, 2, 4},
+                                        {kBottle, 1, 3},
+                                        {kCup, 1, 2},
+                                        {kBowl, 0, 1},
+                                        {kVase, 0, 1},
+                                        {kRemote, 0, 1},
+                                        {kCellPhone, 0, 1},
+                                        {kClock, 0, 1},
+                                        {kApple, 0, 1},
+                                        {kOrange, 0, 1}};
 
 Vec3 draw_semi_axes(int class_id, Random* random) {
   const Shape& shape = shape_of(class_id);
@@ -123,7 +117,7 @@ class Builder {
     const bool office = options.layout == "office";
     for (std::size_t i = 0; i < scene_.desks.size(); ++i) {
       Random random(seed, options.identical_desks ? 1 : 1 + i);
-      fill_desk(scene_.desks[i], office ? office_items() : desk_items(), &random);
+      fill_desk(scene_.desks[i], office ? kOfficeItems : kDeskItems, &random);
     }
     for (const Desk& desk : scene_.desks) {
       place_on_floor(desk, kChair, true, &room);

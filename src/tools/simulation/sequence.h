@@ -9,7 +9,7 @@
 #include "semantic_topo_loop/types/option_visitor.h"
 #include "semantic_topo_loop/types/stamp.h"
 #include "tools/evaluation/object_evaluation.h"
-#include "tools/perturbation/drift.h"
+#include "tools/perturbation/perturbation.h"
 #include "tools/simulation/detector.h"
 #include "tools/simulation/motion.h"
 #include "tools/simulation/scene.h"
