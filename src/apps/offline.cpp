@@ -47,7 +47,6 @@ struct RunInputs {
   std::vector<DetectionFrame> detections;
   std::vector<LoopClosure> extra_loops;
   std::optional<std::vector<LocalMap>> earlier_map;
-  std::string save_map, points;
 };
 
 /// @return what opens the recording of --bag or --rgbd
@@ -118,8 +117,6 @@ Result<RunInputs> load(const Arguments& arguments) {
   inputs.options = *options;
   inputs.camera = *camera;
   inputs.classes = std::make_shared<const ClassTable>(*classes);
-  inputs.save_map = arguments.save_map;
-  inputs.points = arguments.points;
   Result<std::unique_ptr<SampleSource>> source = open_source(arguments, inputs);
   if (!source) return source.error();
   inputs.source = *std::move(source);
@@ -210,20 +207,20 @@ void warn(const RunInputs& inputs, const Counts& counts, std::size_t loops_left)
     say(std::to_string(images - counts.with_detections) + " of " + std::to_string(images) +
         " images with detections have no pose and were left out");
   }
-  if (!inputs.source->warning().empty()) say(inputs.source->warning());
-  const std::optional<TrackingReport> tracking = inputs.source->report();
-  if (tracking && !tracking->warning().empty()) say(tracking->warning());
-  const std::string depth = inputs.source->depth_range().warning(inputs.options.depth);
-  if (!depth.empty()) say(depth);
+  const SourceState& source = inputs.source->state();
+  for (const std::string& text : {source.warning, source.report ? source.report->warning() : "",
+                                  source.depth_range.warning(inputs.options.depth)}) {
+    if (!text.empty()) say(text);
+  }
 }
 
 /// An error if there were no frames, or no detections that belong to them although there are some.
 Status check_input(const RunInputs& inputs, const Counts& counts) {
   if (counts.frames == 0) {
-    if (const std::string fault = inputs.source->fault(); !fault.empty()) return Error{fault};
-    const std::optional<TrackingReport> tracking = inputs.source->report();
-    const std::string depth = inputs.source->depth_range().warning(inputs.options.depth);
-    return Error{"no image has a pose" + (tracking ? ": " + tracking->warning() : std::string()) +
+    const SourceState& source = inputs.source->state();
+    if (!source.fault.empty()) return Error{source.fault};
+    const std::string depth = source.depth_range.warning(inputs.options.depth);
+    return Error{"no image has a pose" + (source.report ? ": " + source.report->warning() : std::string()) +
                  (depth.empty() ? "" : "; " + depth)};
   }
   if (counts.with_detections > 0 || inputs.detections.empty()) return {};
@@ -234,21 +231,22 @@ Status check_input(const RunInputs& inputs, const Counts& counts) {
 /// Puts every image of the source through the chain.
 /// @return an error if the inputs have no frame in common or a file cannot be written. If the source needs to be
 /// rewound the result means nothing
-Status run_once(const RunInputs& inputs, RunRecorder* recorder) {
+Status run_once(const Arguments& arguments, const RunInputs& inputs, RunRecorder* recorder) {
   ObjectSlam slam(inputs.options, inputs.classes);
   if (inputs.earlier_map) slam.set_earlier_map(*inputs.earlier_map);
   FrameBuilder builder(inputs.options.keyframe, inputs.camera);
   PointMap point_map(inputs.options.point_map);
   ExtraLoops extra_loops(inputs.extra_loops);
-  Progress progress(inputs.source->total());
+  const SourceState& source = inputs.source->state();
+  Progress progress(source.total);
   Counts counts;
   const std::vector<Detection> none;
   const Stopwatch stopwatch;
   while (const std::optional<PoseSample> sample = inputs.source->next()) {
-    if (const std::optional<Camera> camera = inputs.source->camera()) builder.set_camera(*camera);
+    if (source.camera) builder.set_camera(*source.camera);
     Result<Frame> frame = builder.build(*sample);
     if (!frame) return frame.error();
-    if (frame->is_keyframe && !inputs.points.empty()) {
+    if (frame->is_keyframe && !arguments.points.empty()) {
       frame->keyframe_points = inputs.source->keyframe_points(inputs.options.point_map.semi_dense_max);
     }
     const DetectionFrame* detections = find_stamp(inputs.detections, frame->stamp_ns, kStampTolerance_ns);
@@ -260,20 +258,20 @@ Status run_once(const RunInputs& inputs, RunRecorder* recorder) {
     record(*frame, result, recorder);
     if (counts.frames++ == 0) counts.first_ns = frame->stamp_ns;
     counts.last_ns = frame->stamp_ns;
-    progress.show(inputs.source->done());
+    progress.show(source.done);
   }
-  if (inputs.source->needs_rewind()) return {};
+  if (source.needs_rewind) return {};
   if (const Status checked = check_input(inputs, counts); !checked) return checked;
   const Frame end = builder.end();
   const FrameResult last = slam.process(end, none);
   point_map.apply(last.correction);
   record(end, last, recorder);
-  if (const std::optional<TrackingReport> tracking = inputs.source->report()) recorder->record(*tracking);
-  if (!inputs.points.empty()) {
-    if (const Status written = write_point_cloud(inputs.points, point_map.points()); !written) return written;
+  if (source.report) recorder->record(*source.report);
+  if (!arguments.points.empty()) {
+    if (const Status written = write_point_cloud(arguments.points, point_map.points()); !written) return written;
   }
-  if (!inputs.save_map.empty()) {
-    if (const Status written = write_submaps(inputs.save_map, slam.submaps_in_map()); !written) return written;
+  if (!arguments.save_map.empty()) {
+    if (const Status written = write_submaps(arguments.save_map, slam.submaps_in_map()); !written) return written;
   }
 
   const double seconds = 1e-6 * stopwatch.elapsed_us();
@@ -284,11 +282,11 @@ Status run_once(const RunInputs& inputs, RunRecorder* recorder) {
 }
 
 /// From the first image again if the source corrects its calibration.
-Result<RunRecorder> run_chain(const RunInputs& inputs) {
+Result<RunRecorder> run_chain(const Arguments& arguments, const RunInputs& inputs) {
   for (;;) {
     RunRecorder recorder(inputs.classes);
-    const Status done = run_once(inputs, &recorder);
-    if (!inputs.source->needs_rewind()) {
+    const Status done = run_once(arguments, inputs, &recorder);
+    if (!inputs.source->state().needs_rewind) {
       if (!done) return done.error();
       return recorder;
     }
@@ -310,11 +308,11 @@ void print(const std::optional<Relocalisation>& found) {
 Status run(const Arguments& arguments) {
   const Result<RunInputs> inputs = load(arguments);
   if (!inputs) return inputs.error();
-  const Result<RunRecorder> recorder = run_chain(*inputs);
+  const Result<RunRecorder> recorder = run_chain(arguments, *inputs);
   if (!recorder) return recorder.error();
   if (const Status written = recorder->write(arguments.output); !written) return written;
   if (inputs->earlier_map) print(recorder->relocalisation());
-  const std::string fault = inputs->source->fault();
+  const std::string& fault = inputs->source->state().fault;
   if (fault.empty()) return {};
   return Error{"the recording ends early: " + fault + "; what was mapped is kept"};
 }
@@ -359,26 +357,21 @@ Command run_command(Arguments* arguments) {
       .option("detections", po::value(&arguments->detections),
               "OA-SLAM JSON file, or directory of YOLO text files <stamp>.txt; with --rgbd and --bag they may be left "
               "out: odometry only")
-      .option("camera", path("camera", &arguments->camera)->required(), "calibration, see config/camera")
+      .option("camera", path(&arguments->camera), "calibration, see config/camera")
       .option("classes", po::value(&arguments->classes),
               "class table (default: config/classes_coco.yaml of the package)")
       .option("config", po::value(&arguments->config),
               "parameters (default: the built-in ones, those of config/default.yaml)")
-      .option("set", assignments("set", &arguments->assignments), "one parameter, over --config; may be repeated")
+      .option("set", assignments(&arguments->assignments), "one parameter, over --config; may be repeated")
       .option("extra-loops", po::value(&arguments->extra_loops),
               "loops for the pose graph beside those that are found, as loops.csv, see docs/files.md")
-      .option("output", path("output", &arguments->output)->required(), "directory of the results, made if missing")
+      .option("output", path(&arguments->output), "directory of the results, made if missing")
       .option("map", po::value(&arguments->map),
               "submaps that an earlier run saved: the run's place in its map is looked for")
       .option("save-map", po::value(&arguments->save_map), "file for this run's submaps, for later runs")
-      .option("points", checked("points", "a path that ends in .ply or .pcd", take_points),
+      .option("points", checked("a path that ends in .ply or .pcd", take_points),
               "with --rgbd: file for the map's points");
   return command;
-}
-
-Status print(const std::string& text) {
-  std::cout << text;
-  return {};
 }
 
 }  // namespace
@@ -388,11 +381,11 @@ int main(int argc, char** argv) {
   return run_program(
       "offline",
       {run_command(&arguments),
-       Command{"--list-parameters", "", "Prints every parameter with its default, as a Markdown table.\n",
-               [] { return print(format_options_table(list_options<Options>())); }},
-       Command{"--default-config", "", "Prints the defaults as a file for --config.\n",
-               [] { return print(format_options_yaml(list_options<Options>())); }},
-       Command{"--list-nodelet-parameters", "", "Prints what the nodelets have beside these.\n",
-               [] { return print(format_options_table(semantic_topo_loop::list_nodelet_parameters(), "nodelet")); }}},
+       print_command("--list-parameters", "Prints every parameter with its default, as a Markdown table.\n",
+                     [] { return format_options_table(list_options<Options>()); }),
+       print_command("--default-config", "Prints the defaults as a file for --config.\n",
+                     [] { return format_options_yaml(list_options<Options>()); }),
+       print_command("--list-nodelet-parameters", "Prints what the nodelets have beside these.\n",
+                     [] { return format_options_table(semantic_topo_loop::list_nodelet_parameters(), "nodelet"); })},
       argc, argv);
 }

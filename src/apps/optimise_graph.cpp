@@ -49,9 +49,9 @@ int main(int argc, char** argv) {
       [&arguments] { return run(arguments); }};
   command.words = {{"IN.g2o", &arguments.in}, {"OUT.g2o", &arguments.out}};
   command
-      .option("robust", choice("robust", &arguments.options.robust, GraphOptimizerOptions::robust_choices()),
+      .option("robust", choice(&arguments.options.robust, GraphOptimizerOptions::robust_choices()),
               "how wrong loops are kept out (default: none)")
-      .option("initial", choice("initial", &arguments.options.initial, GraphOptimizerOptions::initial_choices()),
+      .option("initial", choice(&arguments.options.initial, GraphOptimizerOptions::initial_choices()),
               "first guess (default: file, the vertices of IN); the chordal one is tried as well");
   return run_program("optimise_graph", {command}, argc, argv);
 }

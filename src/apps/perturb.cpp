@@ -86,12 +86,12 @@ Command detection_command(DetectionArguments* arguments) {
                   [arguments] { return check(arguments); }};
   PerturbationOptions& options = arguments->options;
   command.words = {{"IN", &arguments->input}, {"OUT", &arguments->output}};
-  command.option("drop", number("drop", &options.drop), "share of boxes left out")
-      .option("relabel", number("relabel", &options.relabel),
+  command.option("drop", number(&options.drop), "share of boxes left out")
+      .option("relabel", number(&options.relabel),
               "share of the remaining boxes that get another one of the classes in IN")
-      .option("jitter", number("jitter", &options.jitter),
+      .option("jitter", number(&options.jitter),
               "standard deviation of each corner, as a share of the box's width (x) and height (y)")
-      .option("seed", number("seed", &arguments->seed, 0), "of all random numbers (default 1)")
+      .option("seed", number(&arguments->seed, 0), "of all random numbers (default 1)")
       .option("classes", po::value(&arguments->classes),
               "class table (default: config/classes_coco.yaml of the package)");
   return command;
@@ -109,22 +109,20 @@ Command loop_command(LoopArguments* arguments) {
   FalseLoopOptions& options = arguments->options;
   command.words = {{"RUN", &arguments->run}, {"OUT", &arguments->out}};
   command
-      .option("share", number("share", &arguments->share, 0.0, 100.0),
+      .option("share", number(&arguments->share, 0.0, 100.0),
               "how many, as a share of the loops that RUN accepted (default 1)")
-      .option("cluster", number("cluster", &options.cluster_size, 0, kMaxCount),
+      .option("cluster", number(&options.cluster_size, 0, kMaxCount),
               "so many neighbouring ones agree with each other (default 1: each is wrong by itself)")
-      .option("distance", number("distance", &options.distance_m),
+      .option("distance", number(&options.distance_m),
               "least error of the relative position, m; it is uniform up to twice that (default 1)")
-      .option("rotation", number("rotation", &options.rotation_deg),
+      .option("rotation", number(&options.rotation_deg),
               "least error of the rotation, degrees; uniform up to twice that (default 30)")
-      .option("sigma", number("sigma", &options.sigma_m), "precision that the loops state, m (default 0.03)")
-      .option("sigma-deg", number("sigma-deg", &options.sigma_deg),
-              "precision that the loops state, degrees (default 1)")
-      .option("gap", number("gap", &options.min_gap_keyframes, 0, kMaxCount),
+      .option("sigma", number(&options.sigma_m), "precision that the loops state, m (default 0.03)")
+      .option("sigma-deg", number(&options.sigma_deg), "precision that the loops state, degrees (default 1)")
+      .option("gap", number(&options.min_gap_keyframes, 0, kMaxCount),
               "least number of keyframes between query and match (default 15)")
-      .option("window", number("window", &options.window_frames, 0, kMaxCount),
-              "frames of evidence on either side (default 200)")
-      .option("seed", number("seed", &arguments->seed, 0), "of all random numbers (default 1)");
+      .option("window", number(&options.window_frames, 0, kMaxCount), "frames of evidence on either side (default 200)")
+      .option("seed", number(&arguments->seed, 0), "of all random numbers (default 1)");
   return command;
 }
 

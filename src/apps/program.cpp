@@ -11,44 +11,55 @@ void refuse(const std::string& name, const std::string& value, const std::string
   throw po::error("the argument ('" + value + "') for option '--" + name + "' must be " + rule);
 }
 
-po::typed_value<std::string>* checked(const std::string& name, const std::string& rule,
-                                      std::function<bool(const std::string&)> take) {
-  return po::value<std::string>()->value_name(rule)->notifier([=](const std::string& given) {
-    if (!take(given)) refuse(name, given, rule);
-  });
+Value checked(const std::string& rule, const std::function<bool(const std::string&)>& take, bool is_required) {
+  return [=](const std::string& name) {
+    auto* value = po::value<std::string>()->value_name(rule)->notifier([=](const std::string& given) {
+      if (!take(given)) refuse(name, given, rule);
+    });
+    return is_required ? value->required() : value;
+  };
 }
 
-po::typed_value<std::string>* path(const std::string& name, std::string* path) {
-  return checked(name, "a path", [path](const std::string& given) { return !(*path = given).empty(); });
+Value path(std::string* path) {
+  return checked(
+      "a path", [path](const std::string& given) { return !(*path = given).empty(); }, true);
 }
 
-po::typed_value<std::string>* boolean(const std::string& name, bool* is_true) {
-  return checked(name, "true or false", [is_true](const std::string& given) {
+Value boolean(bool* is_true) {
+  return checked("true or false", [is_true](const std::string& given) {
     *is_true = given == "true";
     return *is_true || given == "false";
   });
 }
 
-po::typed_value<std::string>* choice(const std::string& name, std::string* choice,
-                                     const std::vector<std::string>& choices) {
+Value choice(std::string* choice, const std::vector<std::string>& choices) {
   std::string rule = choices.front();
   for (std::size_t i = 1; i < choices.size(); ++i) rule += (i + 1 == choices.size() ? " or " : ", ") + choices[i];
-  return checked(name, rule, [choices, choice](const std::string& given) {
+  return checked(rule, [choices, choice](const std::string& given) {
     *choice = given;
     return std::find(choices.begin(), choices.end(), given) != choices.end();
   });
 }
 
-po::typed_value<std::vector<std::string>>* assignments(const std::string& name, core::OptionTexts* texts) {
-  const std::string rule = "<module>.<field>=<value>";
-  const auto take = [=](const std::vector<std::string>& given) {
-    for (const std::string& text : given) {
-      const std::size_t equals = text.find('=');
-      if (equals == std::string::npos || equals == 0) refuse(name, text, rule);
-      (*texts)[text.substr(0, equals)] = text.substr(equals + 1);
-    }
+Value assignments(core::OptionTexts* texts) {
+  return [texts](const std::string& name) {
+    const std::string rule = "<module>.<field>=<value>";
+    const auto take = [=](const std::vector<std::string>& given) {
+      for (const std::string& text : given) {
+        const std::size_t equals = text.find('=');
+        if (equals == std::string::npos || equals == 0) refuse(name, text, rule);
+        (*texts)[text.substr(0, equals)] = text.substr(equals + 1);
+      }
+    };
+    return po::value<std::vector<std::string>>()->composing()->value_name(rule)->notifier(take);
   };
-  return po::value<std::vector<std::string>>()->composing()->value_name(rule)->notifier(take);
+}
+
+Command print_command(const std::string& name, const std::string& purpose, const std::function<std::string()>& text) {
+  return {name, "", purpose, [text] {
+            std::cout << text();
+            return core::Status();
+          }};
 }
 
 core::Status read_arguments(const Command& command, const std::vector<std::string>& words) try {
@@ -56,7 +67,7 @@ core::Status read_arguments(const Command& command, const std::vector<std::strin
   known.add(command.options);
   po::positional_options_description positional;
   for (const auto& [name, value] : command.words) {
-    known.add_options()(name.c_str(), path(name, value)->required());
+    known.add_options()(name.c_str(), path(value)(name));
     positional.add(name.c_str(), 1);
   }
   const auto style = po::command_line_style::allow_long | po::command_line_style::long_allow_next |

@@ -20,24 +20,24 @@ namespace po = boost::program_options;
 /// Throws the error of an option's value that is not what it must be.
 [[noreturn]] void refuse(const std::string& name, const std::string& value, const std::string& rule);
 
-/// The value of option `name`, for which `take` must be true; it stores the text.
+/// What reads the value of the option of that name.
+using Value = std::function<const po::value_semantic*(const std::string& name)>;
+
+/// A text for which `take` must be true; it stores the text.
 /// @param rule what the value must be, for the help and the error
-po::typed_value<std::string>* checked(const std::string& name, const std::string& rule,
-                                      std::function<bool(const std::string&)> take);
-/// Not empty.
-po::typed_value<std::string>* path(const std::string& name, std::string* path);
+Value checked(const std::string& rule, const std::function<bool(const std::string&)>& take, bool is_required = false);
+/// Needed, not empty.
+Value path(std::string* path);
 /// true or false.
-po::typed_value<std::string>* boolean(const std::string& name, bool* is_true);
-po::typed_value<std::string>* choice(const std::string& name, std::string* choice,
-                                     const std::vector<std::string>& choices);
+Value boolean(bool* is_true);
+Value choice(std::string* choice, const std::vector<std::string>& choices);
 /// `key=value`, over what `texts` already holds for the key; may be repeated.
-po::typed_value<std::vector<std::string>>* assignments(const std::string& name, core::OptionTexts* texts);
+Value assignments(core::OptionTexts* texts);
 
 /// Finite, in [min, max], which `Number` can hold.
 template <class Number, class Given = std::conditional_t<std::is_integral_v<Number>, std::int64_t, double>>
-po::typed_value<Given>* number(const std::string& name, Number* number,
-                               std::common_type_t<Given> min = std::numeric_limits<Given>::lowest(),
-                               std::common_type_t<Given> max = std::numeric_limits<Given>::max()) {
+Value number(Number* number, std::common_type_t<Given> min = std::numeric_limits<Given>::lowest(),
+             std::common_type_t<Given> max = std::numeric_limits<Given>::max()) {
   const auto text = [](Given value) {
     if constexpr (std::is_integral_v<Given>) return std::to_string(value);
     return core::format_general(static_cast<double>(value), 6);
@@ -48,10 +48,12 @@ po::typed_value<Given>* number(const std::string& name, Number* number,
   } else if (min > std::numeric_limits<Given>::lowest()) {
     rule += " >= " + text(min);
   }
-  return po::value<Given>()->value_name(rule)->notifier([=](Given given) {
-    if (!(given >= min && given <= max)) refuse(name, text(given), rule);
-    *number = static_cast<Number>(given);
-  });
+  return [=](const std::string& name) {
+    return po::value<Given>()->value_name(rule)->notifier([=](Given given) {
+      if (!(given >= min && given <= max)) refuse(name, text(given), rule);
+      *number = static_cast<Number>(given);
+    });
+  };
 }
 
 /// A program, or a sub-command of it: what it takes and does.
@@ -69,7 +71,13 @@ struct Command {
     options.add_options()(name, value, meaning.c_str());
     return *this;
   }
+  Command& option(const char* name, const Value& value, const std::string& meaning = {}) {
+    return option(name, value(name), meaning);
+  }
 };
+
+/// A command that prints a text.
+Command print_command(const std::string& name, const std::string& purpose, const std::function<std::string()>& text);
 
 /// Takes words that follow a command's name; what is not given keeps its value. Names are not abbreviated.
 /// @return an error that names the argument, if one is unknown, lacks its value, is given twice, is not what it must

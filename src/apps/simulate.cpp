@@ -93,8 +93,8 @@ auto* option_value(const char* key, OptionTexts* options) {
   return po::value<std::string>()->notifier([options, key](const std::string& given) { (*options)[key] = given; });
 }
 
-auto* drift(OptionTexts* options) {
-  return checked("drift", "model:metres:degrees", [options](const std::string& given) {
+Value drift(OptionTexts* options) {
+  return checked("model:metres:degrees", [options](const std::string& given) {
     const std::vector<std::string_view> parts = split(given, ':');
     if (parts.size() != 3) return false;
     (*options)["drift.model"] = parts[0];
@@ -122,35 +122,29 @@ Command make_command(bool is_for_bags, Arguments* arguments) {
     parameters += "\n" + row.key + "=" + row.value + "  " + row.meaning;
   }
   OptionTexts* options = &arguments->options;
-  command.option("output", path("output", &arguments->output)->required(), "directory, made if missing")
+  command.option("output", path(&arguments->output), "directory, made if missing")
       .option("camera", po::value(&arguments->camera),
               "calibration (default: config/camera/tum_fr2.yaml of the package)")
       .option("classes", po::value(&arguments->classes),
               "class table (default: config/classes_coco.yaml of the package)")
-      .option("images", boolean("images", &arguments->has_images),
+      .option("images", boolean(&arguments->has_images),
               "render color and depth images (default: false; simulate_bag: true)")
-      .option("threads", number("threads", &arguments->threads, 1, 256),
+      .option("threads", number(&arguments->threads, 1, 256),
               "that render (default: one a processor); the result does not depend on it")
       .option(
           "bag", po::value(&arguments->bag),
           "also write a bag in the TUM layout, with color and depth if there are images, else with tiny gray images "
           "(simulate_bag: DIR/sequence.bag)")
-      .option("bag-images", boolean("bag-images", &arguments->has_bag_images),
-              "false: the bag has camera_info only (default: true)")
-      .option("bag-compression", choice("bag-compression", &arguments->bag_compression, {"bz2", "lz4", "none"}),
+      .option("bag-images", boolean(&arguments->has_bag_images), "false: the bag has camera_info only (default: true)")
+      .option("bag-compression", choice(&arguments->bag_compression, {"bz2", "lz4", "none"}),
               "of its chunks (default: bz2 as the official bags; with images lz4, which is 20 times faster)")
       .option("seed", option_value("simulation.seed", options), "short for --set simulation.seed")
       .option("layout", option_value("scene.layout", options), "short for --set scene.layout")
       .option("duration", option_value("trajectory.duration_s", options), "short for --set trajectory.duration_s")
       .option("rate", option_value("trajectory.rate_hz", options), "short for --set trajectory.rate_hz")
       .option("drift", drift(options), "short for --set of the three main drift parameters")
-      .option("set", assignments("set", options), parameters);
+      .option("set", assignments(options), parameters);
   return command;
-}
-
-Status print_parameters() {
-  std::fputs(format_options_table(list_options<SimulationOptions>()).c_str(), stdout);
-  return {};
 }
 
 }  // namespace
@@ -161,9 +155,10 @@ int main(int argc, char** argv) {
   const bool is_for_bags = name == "simulate_bag";
   Arguments arguments;
   arguments.has_images = is_for_bags;
-  return run_program(name,
-                     {make_command(is_for_bags, &arguments),
-                      Command{"--list-parameters", "",
-                              "Prints the parameters with their ranges, as a Markdown table.\n", print_parameters}},
-                     argc, argv);
+  return run_program(
+      name,
+      {make_command(is_for_bags, &arguments),
+       print_command("--list-parameters", "Prints the parameters with their ranges, as a Markdown table.\n",
+                     [] { return format_options_table(list_options<SimulationOptions>()); })},
+      argc, argv);
 }

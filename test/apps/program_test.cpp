@@ -17,16 +17,16 @@ struct Values {
   core::Status read(const std::vector<std::string>& words) {
     Command command;
     command.words = {{"IN", &in}};
-    command.option("out", path("out", &out)->required())
+    command.option("out", path(&out))
         .option("name", po::value(&name))
-        .option("color", choice("color", &color, {"red", "green", "blue"}))
+        .option("color", choice(&color, {"red", "green", "blue"}))
         .option("fast", po::bool_switch(&is_fast))
-        .option("images", boolean("images", &has_images))
-        .option("share", number("share", &share, 0.0, 1.5))
-        .option("angle", number("angle", &angle))
-        .option("count", number("count", &count, 1, 10))
-        .option("seed", number("seed", &seed, 0))
-        .option("set", assignments("set", &options));
+        .option("images", boolean(&has_images))
+        .option("share", number(&share, 0.0, 1.5))
+        .option("angle", number(&angle))
+        .option("count", number(&count, 1, 10))
+        .option("seed", number(&seed, 0))
+        .option("set", assignments(&options));
     return read_arguments(command, words);
   }
 };
