@@ -9,6 +9,7 @@
 #include "support/test_files.h"
 #include "support/test_fixtures.h"
 #include "tools/rendering/rgbd_sequence.h"
+#include "tools/rendering/scene_renderer.h"
 #include "tools/simulation/random.h"
 
 namespace semantic_topo_loop::core {
