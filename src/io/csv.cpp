@@ -3,8 +3,6 @@
 #include <array>
 #include <cmath>
 
-#include "semantic_topo_loop/types/stamp.h"
-
 namespace semantic_topo_loop::core {
 
 Result<CsvTable> CsvTable::read(const std::string& path) {
@@ -65,8 +63,6 @@ std::int64_t CsvTable::stamp_ns(const std::string& column) {
 Vec3 CsvTable::vector(const std::string& x, const std::string& y, const std::string& z) {
   return {number(x), number(y), number(z)};
 }
-
-void CsvWriter::stamp(const char* /*name*/, std::int64_t stamp_ns) { row_.add(format_stamp(stamp_ns)); }
 
 void CsvReader::operator()(const char* name, bool& flag) {
   const std::int64_t value = table_->integer(name);

@@ -7,6 +7,7 @@
 
 #include "semantic_topo_loop/io/text_file.h"
 #include "semantic_topo_loop/types/result.h"
+#include "semantic_topo_loop/types/stamp.h"
 #include "semantic_topo_loop/types/transform.h"
 
 namespace semantic_topo_loop::core {
@@ -76,7 +77,6 @@ class CsvRow {
         .add(q.z(), kLengthDecimals)
         .add(q.w(), kLengthDecimals);
   }
-  const std::string& text() const { return row_; }
   std::string end() const { return row_ + '\n'; }
 
  private:
@@ -93,47 +93,41 @@ std::string csv_row(const Fields&... fields) {
 }
 
 // The columns of a file are listed once, by a function `visit_columns(row, visitor)` that shows each field with the
-// name of its column. The visitors below make the file's first line, write a row, and read one.
-
-/// The names of the columns, as the first line of a file.
-class CsvHeader {
- public:
-  template <class Field>
-  void operator()(const char* name, const Field&) {
-    row_.add(std::string(name));
-  }
-  template <class Field>
-  void optional(const char* name, const Field& field) {
-    (*this)(name, field);
-  }
-  void stamp(const char* name, std::int64_t) { row_.add(std::string(name)); }
-  std::string end() const { return row_.end(); }
-
- private:
-  CsvRow row_;
-};
+// name of its column. The visitors below write a row, or the first line, and read a row.
 
 /// Writes a row: lengths and rotations with 9 decimals, other numbers with 6, flags as 0 and 1, stamps in seconds.
 class CsvWriter {
  public:
-  void operator()(const char*, bool flag) { row_.add(flag ? 1 : 0); }
-  void operator()(const char*, int number) { row_.add(number); }
-  void operator()(const char*, std::int64_t number) { row_.add(number); }
-  void operator()(const char*, double number) { row_.add(number, kDecimals); }
-  void operator()(const char*, const std::string& text) { row_.add(text); }
-  /// @param names of three columns, or of four, joined by commas
-  void operator()(const char*, const Vec3& vector) { row_.add(vector); }
-  void operator()(const char*, const Quaternion& rotation) { row_.add(rotation); }
+  /// @param is_header writes the names of the columns in place of the fields
+  explicit CsvWriter(bool is_header = false) : is_header_(is_header) {}
+  /// @param names of a field's columns, joined by commas
+  template <class Field>
+  void operator()(const char* names, const Field& field) {
+    is_header_ ? add(std::string(names)) : add(field);
+  }
   /// For columns that a file need not have to be read.
   template <class Field>
-  void optional(const char* name, const Field& field) {
-    (*this)(name, field);
+  void optional(const char* names, const Field& field) {
+    (*this)(names, field);
   }
-  void stamp(const char* name, std::int64_t stamp_ns);
-  const std::string& text() const { return row_.text(); }
+  /// For columns that are not read.
+  template <class Field>
+  void written(const char* names, const Field& field) {
+    (*this)(names, field);
+  }
+  void stamp(const char* name, std::int64_t stamp_ns) { (*this)(name, format_stamp(stamp_ns)); }
+  std::string end() const { return row_.end(); }
 
  private:
+  void add(bool flag) { row_.add(flag ? 1 : 0); }
+  void add(double number) { row_.add(number, kDecimals); }
+  template <class Field>
+  void add(const Field& field) {
+    row_.add(field);
+  }
+
   static constexpr int kDecimals = 6;
+  bool is_header_;
   CsvRow row_;
 };
 
@@ -152,6 +146,8 @@ class CsvReader {
   void optional(const char* names, Field& field) {
     if (table_->has(first_of(names))) (*this)(names, field);
   }
+  template <class Field>
+  void written(const char*, const Field&) {}
   void stamp(const char* name, std::int64_t& stamp_ns) { stamp_ns = table_->stamp_ns(name); }
 
  private:

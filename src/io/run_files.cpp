@@ -1,9 +1,6 @@
 #include "semantic_topo_loop/io/run_files.h"
 
-#include <algorithm>
-#include <array>
 #include <cmath>
-#include <type_traits>
 
 #include "io/csv.h"
 
@@ -12,11 +9,8 @@ namespace {
 
 constexpr char kPosition[] = "x,y,z", kRotation[] = "qx,qy,qz,qw";
 
-template <class Row, class Listed>
-using IfRowOf = std::enable_if_t<std::is_same_v<std::remove_const_t<Row>, Listed>>;
-
-template <class Keyframe, class Visitor, class = IfRowOf<Keyframe, KeyframePose>>
-void visit_columns(Keyframe& keyframe, Visitor& visit) {
+template <class Visitor>
+void visit_columns(KeyframePose& keyframe, Visitor& visit) {
   visit("keyframe_id", keyframe.keyframe_id);
   visit("frame_id", keyframe.frame_id);
   visit.stamp("stamp", keyframe.stamp_ns);
@@ -24,8 +18,8 @@ void visit_columns(Keyframe& keyframe, Visitor& visit) {
   visit(kRotation, keyframe.T_map_camera.q);
 }
 
-template <class Object, class Visitor, class = IfRowOf<Object, MappedObject>, class = void>
-void visit_columns(Object& object, Visitor& visit) {
+template <class Visitor>
+void visit_columns(MappedObject& object, Visitor& visit) {
   visit("id", object.id);
   visit("class_id", object.class_id);
   visit("label", object.label);
@@ -39,104 +33,55 @@ void visit_columns(Object& object, Visitor& visit) {
   visit.optional("quality", object.quality);
 }
 
-/// The fields of a loop (visit_fields) that loops.csv has, in the order of its columns. A stamp's column is named
-/// without the unit and in seconds, the pose has seven columns, each other field the one of its name.
-constexpr std::array<const char*, 26> kLoopFields = {"query_frame",
-                                                     "match_frame",
-                                                     "query_stamp_ns",
-                                                     "match_stamp_ns",
-                                                     "query_begin",
-                                                     "query_end",
-                                                     "match_begin",
-                                                     "match_end",
-                                                     "accepted",
-                                                     "reason",
-                                                     "score",
-                                                     "inliers",
-                                                     "match_from_query",
-                                                     "labels",
-                                                     "second_score",
-                                                     "rms_m",
-                                                     "spread_m",
-                                                     "tilt_deg",
-                                                     "reprojection_ratio",
-                                                     "reprojected_objects",
-                                                     "explained_share",
-                                                     "refine_residual",
-                                                     "refine_shift_m",
-                                                     "refine_shift_deg",
-                                                     "sigma_m",
-                                                     "sigma_deg"};
-
-bool is_stamp(const std::string& field) { return field == "query_stamp_ns" || field == "match_stamp_ns"; }
-
-std::string column_of(const std::string& field) { return is_stamp(field) ? field.substr(0, field.size() - 3) : field; }
-
-/// Calls `visit(column, value)` with the index in kLoopFields for every field that the file has.
-template <class Loop, class Visit>
-void visit_loop_fields(Loop& loop, const Visit& visit) {
-  // Where the fields stand in the file, found once: runs have many rows.
-  static const std::vector<std::size_t> kColumns = [] {
-    std::vector<std::size_t> columns;
-    const auto add = [&columns](const std::string& name, const auto&) {
-      const auto found = std::find(kLoopFields.begin(), kLoopFields.end(), name);
-      columns.push_back(static_cast<std::size_t>(found - kLoopFields.begin()));
-    };
-    const LoopFigures none;
-    visit_fields(none, add);
-    return columns;
-  }();
-  std::size_t field = 0;
-  visit_fields(loop, [&](const char*, auto& value) {
-    const std::size_t column = kColumns[field++];
-    if (column < kLoopFields.size()) visit(column, value);
-  });
+/// What a file must have is where and when the loop is, what was decided, and its pose; the rest is for people.
+template <class Visitor>
+void visit_columns(LoopFigures& loop, Visitor& visit) {
+  visit("query_frame", loop.query_frame);
+  visit("match_frame", loop.match_frame);
+  visit.stamp("query_stamp", loop.query_stamp_ns);
+  visit.stamp("match_stamp", loop.match_stamp_ns);
+  visit("query_begin", loop.query_begin);
+  visit("query_end", loop.query_end);
+  visit("match_begin", loop.match_begin);
+  visit("match_end", loop.match_end);
+  visit("accepted", loop.accepted);
+  visit.written("reason", std::string(to_string(loop.reason)));
+  visit.written("score", loop.score);
+  visit.written("inliers", loop.inliers);
+  visit(kPosition, loop.T_match_query.t);
+  visit(kRotation, loop.T_match_query.q);
+  visit.written("labels", loop.labels);
+  visit.written("second_score", loop.second_score);
+  visit.written("rms_m", loop.rms_m);
+  visit.written("spread_m", loop.spread_m);
+  visit.written("tilt_deg", loop.tilt_deg);
+  visit.written("reprojection_ratio", loop.reprojection_ratio);
+  visit.written("reprojected_objects", loop.reprojected_objects);
+  visit.written("explained_share", loop.explained_share);
+  visit.written("refine_residual", loop.refine_residual);
+  visit.written("refine_shift_m", loop.refine_shift_m);
+  visit.written("refine_shift_deg", loop.refine_shift_deg);
+  visit.written("sigma_m", loop.sigma_m);
+  visit.written("sigma_deg", loop.sigma_deg);
 }
 
-/// Shows a field of a loop to a CsvWriter or CsvReader.
-template <class Visitor, class Value>
-void show(const char* field, Value& value, Visitor* visitor) {
-  if constexpr (std::is_same_v<std::remove_const_t<Value>, SE3>) {
-    (*visitor)(kPosition, value.t);
-    (*visitor)(kRotation, value.q);
-  } else if constexpr (std::is_same_v<std::remove_const_t<Value>, LoopReason>) {
-    if constexpr (std::is_same_v<Visitor, CsvWriter>) (*visitor)(field, std::string(to_string(value)));
-  } else if constexpr (std::is_same_v<std::remove_const_t<Value>, std::int64_t>) {
-    is_stamp(field) ? visitor->stamp(column_of(field).c_str(), value) : (*visitor)(field, value);
-  } else {
-    (*visitor)(field, value);
-  }
-}
-
-/// What a file must have: where and when the loop is, what was decided, and its pose.
-constexpr std::size_t kScore = 10, kPose = 12;  ///< of kLoopFields; all before the score are needed
-
-void read_loop_fields(CsvTable* table, LoopFigures* loop) {
-  CsvReader reader(table);
-  visit_loop_fields(*loop, [&reader](std::size_t column, auto& value) {
-    if (column < kScore || column == kPose) show(kLoopFields[column], value, &reader);
-  });
+template <class Row>
+Row read_columns(CsvTable& table) {
+  Row row;
+  CsvReader reader(&table);
+  visit_columns(row, reader);
+  return row;
 }
 
 LoopRecord read_loop(CsvTable& table) {
-  LoopRecord loop;
-  read_loop_fields(&table, &loop);
+  LoopRecord loop = read_columns<LoopRecord>(table);
   loop.score = table.number("score");
   loop.reason_text = table.text("reason");
   return loop;
 }
 
-KeyframePose read_keyframe(CsvTable& table) {
-  KeyframePose keyframe;
-  CsvReader reader(&table);
-  visit_columns(keyframe, reader);
-  return keyframe;
-}
-
 MappedObject read_object(CsvTable& table) {
-  MappedObject object;
-  CsvReader reader(&table);
-  visit_columns(object, reader);
+  MappedObject object = read_columns<MappedObject>(table);
   if (object.state != "candidate" && object.state != "confirmed" && object.state != "retired") {
     table.reject("state", "must be candidate, confirmed or retired");
   }
@@ -153,8 +98,7 @@ double sigma(CsvTable& table, const std::string& column, double usual) {
 }
 
 LoopClosure read_given_loop(CsvTable& table) {
-  LoopClosure loop;
-  read_loop_fields(&table, &loop);
+  LoopClosure loop = read_columns<LoopClosure>(table);
   loop.reason = loop.accepted ? LoopReason::kAccepted : LoopReason::kTooFewObjects;
   constexpr double kSigma_m = 0.05, kSigma_deg = 1.7;  // as the loops of a desk usually state
   const double sigma_m = sigma(table, "sigma_m", kSigma_m), sigma_rad = radians(sigma(table, "sigma_deg", kSigma_deg));
@@ -165,50 +109,23 @@ LoopClosure read_given_loop(CsvTable& table) {
 }
 
 template <class Row>
-std::string header_of() {
-  CsvHeader header;
-  const Row row;
-  visit_columns(row, header);
-  return header.end();
-}
-
-template <class Row>
-std::string row_of(const Row& row) {
-  CsvWriter writer;
+std::string row_of(Row row, bool is_header = false) {
+  CsvWriter writer(is_header);
   visit_columns(row, writer);
-  return writer.text() + '\n';
+  return writer.end();
 }
 
 }  // namespace
 
-std::string keyframe_table_header() { return header_of<KeyframePose>(); }
-std::string object_table_header() { return header_of<MappedObject>(); }
+std::string keyframe_table_header() { return row_of(KeyframePose(), true); }
+std::string object_table_header() { return row_of(MappedObject(), true); }
+std::string loop_table_header() { return row_of(LoopFigures(), true); }
 std::string table_row(const KeyframePose& keyframe) { return row_of(keyframe); }
 std::string table_row(const MappedObject& object) { return row_of(object); }
-
-std::string loop_table_header() {
-  CsvRow header;
-  for (const std::string field : kLoopFields) {
-    if (field == "match_from_query") {
-      header.add(kPosition).add(kRotation);
-    } else {
-      header.add(column_of(field));
-    }
-  }
-  return header.end();
-}
-
-std::string table_row(const LoopFigures& loop) {
-  std::array<CsvWriter, kLoopFields.size()> cells;
-  visit_loop_fields(
-      loop, [&cells](std::size_t column, const auto& value) { show(kLoopFields[column], value, &cells[column]); });
-  CsvRow row;
-  for (const CsvWriter& cell : cells) row.add(cell.text());
-  return row.end();
-}
+std::string table_row(const LoopFigures& loop) { return row_of(loop); }
 
 Result<std::vector<KeyframePose>> read_keyframes(const std::string& path) {
-  return read_csv<KeyframePose>(path, read_keyframe);
+  return read_csv<KeyframePose>(path, read_columns<KeyframePose>);
 }
 
 Result<std::vector<MappedObject>> read_objects(const std::string& path) {

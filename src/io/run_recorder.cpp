@@ -1,6 +1,7 @@
 #include "semantic_topo_loop/io/run_recorder.h"
 
 #include <algorithm>
+#include <array>
 #include <cmath>
 #include <functional>
 #include <nlohmann/json.hpp>
@@ -15,27 +16,10 @@ namespace semantic_topo_loop::core {
 namespace {
 
 const char* level_name(AssociationLevel level) {
-  switch (level) {
-    case AssociationLevel::kNew:
-      return "new";
-    case AssociationLevel::k2d:
-      return "2d";
-    case AssociationLevel::kPosterior:
-      return "pro";
-    case AssociationLevel::k3d:
-      return "3d";
-    case AssociationLevel::kJoint:
-      return "joint";
-    case AssociationLevel::kJda:
-      return "jda";
-    case AssociationLevel::kIgnored:
-      return "ignored";
-    case AssociationLevel::kSuppressed:
-      return "suppressed";
-    case AssociationLevel::kLowScore:
-      return "low_score";
-  }
-  return "unknown";
+  constexpr std::array<const char*, 9> kNames = {"new", "2d",      "pro",        "3d",       "joint",
+                                                 "jda", "ignored", "suppressed", "low_score"};
+  const auto i = static_cast<std::size_t>(level);
+  return i < kNames.size() ? kNames[i] : "unknown";
 }
 
 constexpr int kRatioDecimals = 6;

@@ -76,7 +76,7 @@ struct LoopClosure : LoopFigures {
 };
 
 /// Calls `visit(name, field)` for every field, by the names and in the order of LoopClosure.msg: the one list of them
-/// for messages and files.
+/// for messages.
 /// @param loop LoopFigures, or LoopClosure with the fields that only it has; const or not
 template <class Loop, class Visitor>
 void visit_fields(Loop& loop, Visitor&& visit) {
