@@ -5,6 +5,7 @@
 #include <opencv2/imgproc.hpp>
 #include <sstream>
 
+#include "semantic_topo_loop/types/text.h"
 #include "semantic_topo_loop/types/transform.h"
 
 namespace semantic_topo_loop::core {
@@ -12,13 +13,11 @@ namespace {
 
 /// The numbers of a text, or nullopt if something else is in it.
 std::optional<std::vector<double>> numbers(const std::string& text) {
-  std::istringstream stream(text);
   std::vector<double> values;
-  for (std::string field; stream >> field;) {
-    std::istringstream one(field);
-    double value = 0.0;
-    if (!(one >> value) || !one.eof() || !std::isfinite(value)) return std::nullopt;
-    values.push_back(value);
+  for (const std::string_view field : split_blanks(text)) {
+    const std::optional<double> value = parse_double(field);
+    if (!value || !std::isfinite(*value)) return std::nullopt;
+    values.push_back(*value);
   }
   return values;
 }

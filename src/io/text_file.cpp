@@ -1,25 +1,10 @@
 #include "semantic_topo_loop/io/text_file.h"
 
-#include <algorithm>
-#include <cerrno>
-#include <cstdio>
-#include <cstdlib>
 #include <filesystem>
 #include <fstream>
 #include <sstream>
 
 namespace semantic_topo_loop::core {
-namespace {
-
-constexpr std::string_view kBlanks = " \t\r";
-
-std::string_view trim(std::string_view text) {
-  const std::size_t begin = text.find_first_not_of(kBlanks);
-  if (begin == std::string_view::npos) return {};
-  return text.substr(begin, text.find_last_not_of(kBlanks) - begin + 1);
-}
-
-}  // namespace
 
 Result<std::string> read_text_file(const std::string& path) {
   std::error_code code;
@@ -53,79 +38,6 @@ Status make_directory(const std::string& path) {
   std::filesystem::create_directories(path, code);
   if (!std::filesystem::is_directory(path)) return Error{path + ": cannot make the directory"};
   return {};
-}
-
-std::vector<TextLine> content_lines(std::string_view text) {
-  std::vector<TextLine> lines;
-  int number = 0;
-  while (!text.empty()) {
-    const std::size_t end = text.find('\n');
-    const std::string_view line = trim(text.substr(0, end));
-    ++number;
-    if (!line.empty() && line.front() != '#') lines.push_back({number, line});
-    text.remove_prefix(end == std::string_view::npos ? text.size() : end + 1);
-  }
-  return lines;
-}
-
-std::vector<std::string_view> split_blanks(std::string_view line) {
-  std::vector<std::string_view> fields;
-  for (;;) {
-    const std::size_t begin = line.find_first_not_of(kBlanks);
-    if (begin == std::string_view::npos) return fields;
-    line.remove_prefix(begin);
-    const std::size_t end = std::min(line.find_first_of(kBlanks), line.size());
-    fields.push_back(line.substr(0, end));
-    line.remove_prefix(end);
-  }
-}
-
-std::vector<std::string_view> split(std::string_view line, char separator) {
-  std::vector<std::string_view> fields;
-  for (;;) {
-    const std::size_t end = line.find(separator);
-    fields.push_back(line.substr(0, end));
-    if (end == std::string_view::npos) return fields;
-    line.remove_prefix(end + 1);
-  }
-}
-
-std::optional<double> parse_double(std::string_view text) {
-  const std::string copy(text);
-  char* end = nullptr;
-  const double value = std::strtod(copy.c_str(), &end);
-  if (copy.empty() || kBlanks.find(copy.front()) != std::string_view::npos || end != copy.c_str() + copy.size()) {
-    return std::nullopt;
-  }
-  return value;
-}
-
-std::optional<std::int64_t> parse_integer(std::string_view text) {
-  const std::string copy(text);
-  char* end = nullptr;
-  errno = 0;
-  const long long value = std::strtoll(copy.c_str(), &end, 10);
-  if (copy.empty() || kBlanks.find(copy.front()) != std::string_view::npos || end != copy.c_str() + copy.size() ||
-      errno == ERANGE) {
-    return std::nullopt;
-  }
-  return value;
-}
-
-std::string at_line(const std::string& path, int line, const std::string& message) {
-  return path + ":" + std::to_string(line) + ": " + message;
-}
-
-std::string format_fixed(double value, int decimals) {
-  char text[352];  // the longest double has 309 digits before the point
-  std::snprintf(text, sizeof(text), "%.*f", decimals, value);
-  return text;
-}
-
-std::string format_general(double value, int digits) {
-  char text[64];
-  std::snprintf(text, sizeof(text), "%.*g", digits, value);
-  return text;
 }
 
 }  // namespace semantic_topo_loop::core

@@ -3,9 +3,10 @@
 #include <algorithm>
 #include <array>
 #include <cmath>
-#include <cstdlib>
 #include <sstream>
 #include <type_traits>
+
+#include "semantic_topo_loop/types/text.h"
 
 namespace semantic_topo_loop::core {
 namespace {
@@ -21,21 +22,16 @@ std::string to_text(const std::string& value) { return value; }
 
 /// Sets a field if the text is of its type. @return what the text is not; empty if it is set
 std::string set_field(const std::string& text, double* field) {
-  char* end = nullptr;
-  const double value = std::strtod(text.c_str(), &end);
-  if (text.empty() || *end != '\0' || !std::isfinite(value)) return "a finite number";
-  *field = value;
+  const std::optional<double> value = parse_double(text);
+  if (!value || !std::isfinite(*value)) return "a finite number";
+  *field = *value;
   return "";
 }
 
 std::string set_field(const std::string& text, int* field) {
-  char* end = nullptr;
-  const long value = std::strtol(text.c_str(), &end, 10);
-  if (text.empty() || *end != '\0' || value < std::numeric_limits<int>::min() ||
-      value > std::numeric_limits<int>::max()) {
-    return "an integer";
-  }
-  *field = static_cast<int>(value);
+  const std::optional<std::int64_t> value = parse_integer(text);
+  if (!value || *value != static_cast<int>(*value)) return "an integer";
+  *field = static_cast<int>(*value);
   return "";
 }
 
