@@ -3,16 +3,14 @@
 #include <algorithm>
 #include <filesystem>
 #include <limits>
-#include <nlohmann/json.hpp>
 #include <set>
 
+#include "io/json_field.h"
 #include "semantic_topo_loop/io/text_file.h"
 #include "semantic_topo_loop/types/stamp.h"
 
 namespace semantic_topo_loop::core {
 namespace {
-
-using Json = nlohmann::json;
 
 /// Takes in images and boxes one by one, leaving out and counting what is wrong with them.
 class Collector {
@@ -62,61 +60,33 @@ std::optional<std::int64_t> stamp_of_file_name(const std::string& name) {
 
 // --- OA-SLAM JSON -------------------------------------------------------------------------------------------------
 
-/// A member of a JSON object; the error names `field`.
-Result<const Json*> member(const Json& object, const char* key, const std::string& field) {
-  if (!object.is_object()) return Error{field + ": must be an object"};
-  const auto it = object.find(key);
-  if (it == object.end()) return Error{field + ": has no '" + key + "'"};
-  return &*it;
+Detection read_detection(const JsonField& field) {
+  Detection detection;
+  detection.class_id = static_cast<int>(field.member("category_id").integer());
+  detection.score = field.member("detection_score").number_or_nan();
+  const JsonField bbox = field.member("bbox");
+  const std::vector<JsonField> corners = bbox.elements();
+  if (corners.size() != 4) {
+    bbox.reject("= " + bbox.json().dump() + " must be four numbers [x1, y1, x2, y2]");
+    return detection;
+  }
+  detection.box = {corners[0].number_or_nan(), corners[1].number_or_nan(), corners[2].number_or_nan(),
+                   corners[3].number_or_nan()};
+  return detection;
 }
 
-/// A number; null stands for NaN, as JSON writers have it.
-std::optional<double> to_number(const Json& value) {
-  if (value.is_null()) return std::nan("");
-  if (!value.is_number()) return std::nullopt;
-  return value.get<double>();
-}
-
-Result<Detection> parse_json_detection(const Json& json, const std::string& field) {
-  const auto id = member(json, "category_id", field);
-  if (!id) return id.error();
-  const auto score = member(json, "detection_score", field);
-  if (!score) return score.error();
-  const auto bbox = member(json, "bbox", field);
-  if (!bbox) return bbox.error();
-  if (!(*id)->is_number_integer()) return Error{field + ".category_id = " + (*id)->dump() + " must be an integer"};
-  const std::optional<double> score_value = to_number(**score);
-  if (!score_value) return Error{field + ".detection_score = " + (*score)->dump() + " must be a number"};
-  std::array<double, 4> corners{};
-  for (std::size_t i = 0; i < corners.size(); ++i) {
-    const bool is_box = (*bbox)->is_array() && (*bbox)->size() == corners.size();
-    const std::optional<double> corner = is_box ? to_number((**bbox)[i]) : std::nullopt;
-    if (!corner) return Error{field + ".bbox = " + (*bbox)->dump() + " must be four numbers [x1, y1, x2, y2]"};
-    corners[i] = *corner;
+void collect_json_frame(const JsonField& field, const std::string& path, Collector* collector) {
+  const JsonField name = field.member("file_name");
+  const std::vector<JsonField> detections = field.member("detections").elements();
+  const std::optional<std::int64_t> stamp_ns = stamp_of_file_name(name.text());
+  if (!stamp_ns) name.reject("must be \"<stamp in seconds>.<extension>\"");
+  if (!field.is_fine()) return;
+  collector->begin_frame(*stamp_ns, path + ": " + name.place());
+  for (const JsonField& box : detections) {
+    const Detection detection = read_detection(box);
+    if (!field.is_fine()) return;
+    collector->add(detection, [&] { return path + ": " + box.name(); });
   }
-  return Detection{(*id)->get<int>(), *score_value, {corners[0], corners[1], corners[2], corners[3]}};
-}
-
-/// The error is without the path.
-Status collect_json_frame(const Json& json, const std::string& path, const std::string& field, Collector* collector) {
-  const auto name = member(json, "file_name", field);
-  if (!name) return name.error();
-  const auto detections = member(json, "detections", field);
-  if (!detections) return detections.error();
-  const std::optional<std::int64_t> stamp_ns =
-      (*name)->is_string() ? stamp_of_file_name((*name)->get<std::string>()) : std::nullopt;
-  if (!stamp_ns) {
-    return Error{field + ".file_name = " + (*name)->dump() + " must be \"<stamp in seconds>.<extension>\""};
-  }
-  if (!(*detections)->is_array()) return Error{field + ".detections must be an array"};
-  collector->begin_frame(*stamp_ns, path + ": " + field + ".file_name = " + (*name)->dump());
-  for (std::size_t i = 0; i < (*detections)->size(); ++i) {
-    const std::string box_field = field + ".detections[" + std::to_string(i) + "]";
-    const Result<Detection> detection = parse_json_detection((**detections)[i], box_field);
-    if (!detection) return detection.error();
-    collector->add(*detection, [&] { return path + ": " + box_field; });
-  }
-  return {};
 }
 
 Status collect_json(const std::string& path, Collector* collector) {
@@ -125,24 +95,23 @@ Status collect_json(const std::string& path, Collector* collector) {
   // Image by image, each forgotten as soon as it is read: the tree of a long recording takes ten times its file.
   bool is_array = false;
   std::size_t images = 0;
-  Status status;
+  std::string problem;
   const auto take = [&](int depth, Json::parse_event_t event, Json& parsed) {
     if (depth == 0 && event == Json::parse_event_t::array_start) is_array = true;
     const bool is_whole = event == Json::parse_event_t::object_end || event == Json::parse_event_t::array_end ||
                           event == Json::parse_event_t::value;
     if (!is_array || depth != 1 || !is_whole) return true;
-    const std::string field = "[" + std::to_string(images++) + "]";
-    if (status) status = collect_json_frame(parsed, path, field, collector);
+    const JsonField field(parsed, "[" + std::to_string(images++) + "]", &problem);
+    if (problem.empty()) collect_json_frame(field, path, collector);
     return false;
   };
   try {
     [[maybe_unused]] const Json emptied = Json::parse(*text, take);
   } catch (const Json::parse_error& exception) {
-    const std::string what = exception.what();
-    return Error{path + ": " + (text->empty() ? "the file is empty" : what.substr(what.find("] ") + 2))};
+    problem = json_problem(*text, exception);
   }
-  if (!is_array) return Error{path + ": must be an array of images"};
-  if (!status) return Error{path + ": " + status.message()};
+  if (problem.empty() && !is_array) problem = "must be an array of images";
+  if (!problem.empty()) return Error{path + ": " + problem};
   return {};
 }
 
@@ -229,19 +198,10 @@ std::string yolo_line(const Detection& detection) {
 }  // namespace
 
 const char* to_string(DetectionProblem problem) {
-  switch (problem) {
-    case DetectionProblem::kUnknownClass:
-      return "unknown class id";
-    case DetectionProblem::kBoxNotFinite:
-      return "box is not finite";
-    case DetectionProblem::kBoxInverted:
-      return "box has x2 <= x1 or y2 <= y1 (are its numbers in the stated order?)";
-    case DetectionProblem::kScoreOutOfRange:
-      return "score is not in [0, 1]";
-    case DetectionProblem::kDuplicateStamp:
-      return "stamp of an earlier image";
-  }
-  return "unknown problem";
+  constexpr std::array<const char*, kDetectionProblemCount> kNames = {
+      "unknown class id", "box is not finite", "box has x2 <= x1 or y2 <= y1 (are its numbers in the stated order?)",
+      "score is not in [0, 1]", "stamp of an earlier image"};
+  return kNames.at(static_cast<std::size_t>(problem));
 }
 
 std::optional<DetectionProblem> validate(const Detection& detection, const ClassTable& classes) {

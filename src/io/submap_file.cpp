@@ -1,14 +1,13 @@
 #include "semantic_topo_loop/io/submap_file.h"
 
 #include <cmath>
-#include <nlohmann/json.hpp>
+#include <limits>
 
+#include "io/json_field.h"
 #include "semantic_topo_loop/io/text_file.h"
 
 namespace semantic_topo_loop::core {
 namespace {
-
-using Json = nlohmann::json;
 
 constexpr char kFormat[] = "semantic_topo_loop submaps 1";
 
@@ -79,107 +78,11 @@ Json to_json(const LocalMap& map) {
 
 // --- reading ------------------------------------------------------------------------------------------------------
 
-/// A value of the file and the name of its place. The first problem is kept; what is read after it means nothing.
-class Field {
- public:
-  Field(const Json& json, std::string name, std::string* problem)
-      : json_(json), name_(std::move(name)), problem_(problem) {}
-
-  Field member(const char* key) const {
-    if (!json_.is_object()) {
-      reject("must be an object");
-    } else if (const auto it = json_.find(key); it != json_.end()) {
-      return {*it, name_ + (name_.empty() ? "" : ".") + key, problem_};
-    } else {
-      reject(std::string("has no '") + key + "'");
-    }
-    return {kNothing, name_, problem_};
-  }
-
-  std::vector<Field> elements() const {
-    std::vector<Field> fields;
-    if (!json_.is_array()) reject("must be an array");
-    for (std::size_t i = 0; json_.is_array() && i < json_.size(); ++i) {
-      fields.emplace_back(json_[i], name_ + '[' + std::to_string(i) + ']', problem_);
-    }
-    return fields;
-  }
-
-  std::int64_t integer() const {
-    if (json_.is_number_integer()) return json_.get<std::int64_t>();
-    reject("must be an integer");
-    return 0;
-  }
-
-  /// An index into an array of this size.
-  int index(std::size_t size) const {
-    const std::int64_t value = integer();
-    if (value < 0 || value >= static_cast<std::int64_t>(size)) reject("is no index of a frame");
-    return static_cast<int>(value);
-  }
-
-  bool flag() const {
-    if (json_.is_boolean()) return json_.get<bool>();
-    reject("must be true or false");
-    return false;
-  }
-
-  double number() const {
-    const double value = json_.is_number() ? json_.get<double>() : std::nan("");
-    if (!std::isfinite(value)) reject("must be a finite number");
-    return value;
-  }
-
-  template <int n>
-  Eigen::Matrix<double, n, 1> numbers() const {
-    Eigen::Matrix<double, n, 1> v = Eigen::Matrix<double, n, 1>::Zero();
-    const std::vector<Field> fields = elements();
-    if (fields.size() < static_cast<std::size_t>(n)) reject("must have " + std::to_string(n) + " numbers");
-    for (std::size_t i = 0; i < fields.size() && i < static_cast<std::size_t>(n); ++i) {
-      v(static_cast<Eigen::Index>(i)) = fields[i].number();
-    }
-    return v;
-  }
-
-  SE3 pose() const {
-    const auto v = numbers<7>();
-    const Quaternion q(v(6), v(3), v(4), v(5));
-    if (!is_rotation(q)) {
-      reject("holds a quaternion that is no rotation");
-      return {};
-    }
-    return {q.normalized(), v.head<3>()};
-  }
-
-  Box box() const {
-    const Vec4 v = numbers<4>();
-    const Box box{v(0), v(1), v(2), v(3)};
-    if (!box.is_valid()) reject("is no box [x1, y1, x2, y2]");
-    return box;
-  }
-
-  void reject(const std::string& rule) const {
-    if (!problem_->empty()) return;
-    constexpr std::size_t kMaxValue = 60;  // characters: half a line
-    const std::string value = json_.is_structured() ? std::string() : " = " + json_.dump().substr(0, kMaxValue);
-    *problem_ = (name_.empty() ? "the file" : name_) + value + ' ' + rule;
-  }
-  bool is_fine() const { return problem_->empty(); }
-
- private:
-  static const Json kNothing;
-  const Json& json_;
-  std::string name_;
-  std::string* problem_;
-};
-
-const Json Field::kNothing;
-
 class SubmapReader {
  public:
   explicit SubmapReader(const ClassTable& classes) : classes_(classes), labels_(classes) {}
 
-  LocalMap read(const Field& field) const {
+  LocalMap read(const JsonField& field) const {
     LocalMap map;
     map.keyframe_id = field.member("keyframe_id").integer();
     map.frame_id = field.member("frame_id").integer();
@@ -193,18 +96,18 @@ class SubmapReader {
     if (!(map.up.direction.norm() > 0.5)) field.member("up").reject("is no direction");
     map.up.direction.normalize();
     map.up.certain = field.member("up_certain").flag();
-    for (const Field& frame : field.member("frames").elements()) map.frames.push_back(read_frame(frame));
-    for (const Field& index : field.member("check_frames").elements()) {
+    for (const JsonField& frame : field.member("frames").elements()) map.frames.push_back(read_frame(frame));
+    for (const JsonField& index : field.member("check_frames").elements()) {
       map.check_frames.push_back(index.index(map.frames.size()));
     }
-    for (const Field& object : field.member("objects").elements()) {
+    for (const JsonField& object : field.member("objects").elements()) {
       map.objects.push_back(read_object(object, map.frames.size()));
     }
     return map;
   }
 
  private:
-  LocalFrame read_frame(const Field& field) const {
+  LocalFrame read_frame(const JsonField& field) const {
     LocalFrame frame;
     frame.frame_id = field.member("frame_id").integer();
     const SE3 T_local_camera = field.member("anchor_from_camera").pose();
@@ -214,13 +117,13 @@ class SubmapReader {
     frame.focal_px = field.member("focal_px").numbers<2>();
     if (!(frame.focal_px.minCoeff() > 0.0)) field.member("focal_px").reject("must be > 0");
     frame.image = field.member("image").box();
-    for (const Field& row : field.member("boxes").elements()) frame.boxes.push_back(read_box(row));
+    for (const JsonField& row : field.member("boxes").elements()) frame.boxes.push_back(read_box(row));
     return frame;
   }
 
   /// x1, y1, x2, y2, landmark, class, truncated sides.
-  ObservedBox read_box(const Field& row) const {
-    const std::vector<Field> fields = row.elements();
+  ObservedBox read_box(const JsonField& row) const {
+    const std::vector<JsonField> fields = row.elements();
     ObservedBox box;
     if (fields.size() != 7) {
       row.reject("must have 7 fields");
@@ -236,7 +139,7 @@ class SubmapReader {
     return box;
   }
 
-  LocalObject read_object(const Field& field, std::size_t frames) const {
+  LocalObject read_object(const JsonField& field, std::size_t frames) const {
     LocalObject object;
     object.landmark_id = field.member("landmark_id").integer();
     object.class_id = read_class(field.member("class_id"));
@@ -248,8 +151,8 @@ class SubmapReader {
       field.member("log_axes").reject("must be logs of metres");
     }
     object.seen_share = field.member("seen_share").number();
-    for (const Field& row : field.member("views").elements()) {
-      const std::vector<Field> fields = row.elements();
+    for (const JsonField& row : field.member("views").elements()) {
+      const std::vector<JsonField> fields = row.elements();
       if (fields.size() != 5) {
         row.reject("must have 5 fields");
         break;
@@ -259,7 +162,7 @@ class SubmapReader {
     return object;
   }
 
-  int read_class(const Field& field) const {
+  int read_class(const JsonField& field) const {
     const std::int64_t id = field.integer();
     const bool known = id >= 0 && id <= std::numeric_limits<int>::max() && classes_.is_mappable(static_cast<int>(id));
     if (!known) field.reject("is no class that becomes a landmark in the class table");
@@ -286,20 +189,19 @@ Result<std::vector<LocalMap>> read_submaps(const std::string& path, const ClassT
   std::vector<LocalMap> submaps;
   try {
     const Json root = Json::parse(*text);
-    const Field file(root, "", &problem);
+    const JsonField file(root, "", &problem);
     const Json* format = root.is_object() && root.contains("format") ? &root["format"] : nullptr;
     if (format == nullptr || *format != kFormat) file.reject(std::string("has no \"format\": \"") + kFormat + '"');
     const SubmapReader reader(classes);
     if (file.is_fine()) {
-      for (const Field& submap : file.member("submaps").elements()) {
+      for (const JsonField& submap : file.member("submaps").elements()) {
         submaps.push_back(reader.read(submap));
         if (!file.is_fine()) break;
       }
       if (submaps.empty()) file.reject("holds no submap");
     }
   } catch (const Json::exception& exception) {
-    const std::string what = exception.what();
-    problem = text->empty() ? "the file is empty" : what.substr(what.find("] ") + 2);
+    problem = json_problem(*text, exception);
   }
   if (!problem.empty()) return Error{path + ": " + problem};
   return submaps;

@@ -144,19 +144,19 @@ TEST_F(DetectionReader, MissingEmptyAndTruncatedFilesAreErrors) {
 
 TEST_F(DetectionReader, JsonOfAnotherShapeIsAnErrorThatNamesTheField) {
   EXPECT_FALSE(read(R"([{"detections": []}])"));
-  expect_error({"boxes.json: [0]: has no 'file_name'"});
+  expect_error({"boxes.json: [0] has no 'file_name'"});
   EXPECT_FALSE(read(R"([{"file_name": "left.png", "detections": []}])"));
   expect_error({"[0].file_name = \"left.png\""});
   EXPECT_FALSE(read(R"([{"file_name": "1.0.png"}])"));
-  expect_error({"[0]: has no 'detections'"});
+  expect_error({"[0] has no 'detections'"});
   EXPECT_FALSE(read(R"([7])"));
-  expect_error({"[0]: must be an object"});
+  expect_error({"[0] = 7 must be an object"});
   EXPECT_FALSE(read(R"([[{"file_name": "1.0.png", "detections": []}]])"));
-  expect_error({"[0]: must be an object"});
+  expect_error({"[0] must be an object"});
   EXPECT_FALSE(read(R"({"images": [{"file_name": "1.0.png", "detections": []}]})"));
   expect_error({"boxes.json: must be an array of images"});
   EXPECT_FALSE(read(R"([{"file_name": "1.0.png", "detections": []}, 7, {"file_name": "left.png"}])"));
-  expect_error({"[1]: must be an object"});
+  expect_error({"[1] = 7 must be an object"});
   EXPECT_FALSE(read(one_box("\"cup\"", "0.5", "[1, 2, 3, 4]")));
   expect_error({"[0].detections[0].category_id = \"cup\""});
   EXPECT_FALSE(read(one_box("41", "\"high\"", "[1, 2, 3, 4]")));

@@ -1,0 +1,133 @@
+#pragma once
+
+#include <cmath>
+#include <cstdint>
+#include <nlohmann/json.hpp>
+#include <string>
+#include <utility>
+#include <vector>
+
+#include "semantic_topo_loop/types/box.h"
+#include "semantic_topo_loop/types/transform.h"
+
+namespace semantic_topo_loop::core {
+
+using Json = nlohmann::json;
+
+/// A value of a JSON file and the name of its place, "submaps[0].frames[3].image". The first problem is kept, so that a
+/// tree is read in one go and checked once; what is read after it means nothing.
+class JsonField {
+ public:
+  JsonField(const Json& json, std::string name, std::string* problem)
+      : json_(json), name_(std::move(name)), problem_(problem) {}
+
+  JsonField member(const char* key) const {
+    if (!json_.is_object()) {
+      reject("must be an object");
+    } else if (const auto it = json_.find(key); it != json_.end()) {
+      return {*it, name_ + (name_.empty() ? "" : ".") + key, problem_};
+    } else {
+      reject(std::string("has no '") + key + "'");
+    }
+    return {kNothing, name_, problem_};
+  }
+
+  std::vector<JsonField> elements() const {
+    std::vector<JsonField> fields;
+    if (!json_.is_array()) reject("must be an array");
+    for (std::size_t i = 0; json_.is_array() && i < json_.size(); ++i) {
+      fields.emplace_back(json_[i], name_ + '[' + std::to_string(i) + ']', problem_);
+    }
+    return fields;
+  }
+
+  std::int64_t integer() const {
+    if (json_.is_number_integer()) return json_.get<std::int64_t>();
+    reject("must be an integer");
+    return 0;
+  }
+
+  /// An index into an array of this size.
+  int index(std::size_t size) const {
+    const std::int64_t value = integer();
+    if (value < 0 || value >= static_cast<std::int64_t>(size)) reject("is no index of a frame");
+    return static_cast<int>(value);
+  }
+
+  bool flag() const {
+    if (json_.is_boolean()) return json_.get<bool>();
+    reject("must be true or false");
+    return false;
+  }
+
+  double number() const {
+    const double value = json_.is_number() ? json_.get<double>() : std::nan("");
+    if (!std::isfinite(value)) reject("must be a finite number");
+    return value;
+  }
+
+  /// The same, but null stands for NaN, as JSON writers have it.
+  double number_or_nan() const {
+    if (json_.is_number()) return json_.get<double>();
+    if (!json_.is_null()) reject("must be a number");
+    return std::nan("");
+  }
+
+  /// Empty if it is no text.
+  std::string text() const { return json_.is_string() ? json_.get<std::string>() : std::string(); }
+
+  template <int n>
+  Eigen::Matrix<double, n, 1> numbers() const {
+    Eigen::Matrix<double, n, 1> v = Eigen::Matrix<double, n, 1>::Zero();
+    const std::vector<JsonField> fields = elements();
+    if (fields.size() < static_cast<std::size_t>(n)) reject("must have " + std::to_string(n) + " numbers");
+    for (std::size_t i = 0; i < fields.size() && i < static_cast<std::size_t>(n); ++i) {
+      v(static_cast<Eigen::Index>(i)) = fields[i].number();
+    }
+    return v;
+  }
+
+  SE3 pose() const {
+    const auto v = numbers<7>();
+    const Quaternion q(v(6), v(3), v(4), v(5));
+    if (!is_rotation(q)) {
+      reject("holds a quaternion that is no rotation");
+      return {};
+    }
+    return {q.normalized(), v.head<3>()};
+  }
+
+  Box box() const {
+    const Vec4 v = numbers<4>();
+    const Box box{v(0), v(1), v(2), v(3)};
+    if (!box.is_valid()) reject("is no box [x1, y1, x2, y2]");
+    return box;
+  }
+
+  /// The name, and the value if it is a single one, for messages.
+  std::string place() const {
+    constexpr std::size_t kMaxValue = 60;  // characters: half a line
+    const std::string value = json_.is_structured() ? std::string() : " = " + json_.dump().substr(0, kMaxValue);
+    return (name_.empty() ? "the file" : name_) + value;
+  }
+  const std::string& name() const { return name_; }
+  const Json& json() const { return json_; }
+  void reject(const std::string& rule) const {
+    if (problem_->empty()) *problem_ = place() + ' ' + rule;
+  }
+  bool is_fine() const { return problem_->empty(); }
+
+ private:
+  inline static const Json kNothing;
+  const Json& json_;
+  std::string name_;
+  std::string* problem_;
+};
+
+/// What is wrong with a text that cannot be parsed.
+inline std::string json_problem(const std::string& text, const Json::exception& exception) {
+  const std::string what = exception.what();
+  return text.empty() ? "the file is empty" : what.substr(what.find("] ") + 2);
+}
+
+}  // namespace semantic_topo_loop::core
