@@ -12,10 +12,10 @@ namespace semantic_topo_loop::core {
 /// Finds ORB features, spread evenly over the image, with the depth around each.
 class FeatureExtractor {
  public:
-  FeatureExtractor(const FrontendOptions& options, const Camera& camera) : options_(options), camera_(camera) {}
+  /// @param camera, registration must outlive this; may be corrected meanwhile
+  FeatureExtractor(const FrontendOptions& options, const Camera& camera, const DepthRegistration& registration)
+      : options_(options), camera_(camera), registration_(registration) {}
   ImageFeatures extract(const RgbdImage& image) const;
-  void set_camera(const Camera& camera) { camera_ = camera; }
-  void set_registration(const DepthRegistration& registration) { registration_ = registration; }
 
  private:
   void extract_level(const cv::Mat& image, int level, int wanted, std::vector<cv::Vec2f>* raw_pixels,
@@ -27,8 +27,8 @@ class FeatureExtractor {
   Vec2 depth_pixel(const cv::Mat& depth_m, const cv::Vec2f& raw_pixel) const;
 
   FrontendOptions options_;
-  Camera camera_;
-  DepthRegistration registration_;
+  const Camera& camera_;
+  const DepthRegistration& registration_;
 };
 
 }  // namespace semantic_topo_loop::core

@@ -147,8 +147,7 @@ void ImageTracker::match_points(const std::vector<MapPoint*>& points, const Trac
     if (matched.count(point->id) > 0) continue;
     const std::optional<SearchItem> item = expect(map, *point, image->T_camera_map);
     if (!item) continue;
-    if (point->expected_in != image->number) ++point->expected;
-    point->expected_in = image->number;
+    point->expect_in(image->number);
     items.push_back(*item);
     ids.push_back(point->id);
   }
@@ -175,8 +174,7 @@ bool ImageTracker::track_local_map(TrackingMap* map, TrackedFeatures* image) con
   for (const std::int64_t id : image->points) {
     MapPoint* point = map->point(id);
     if (point == nullptr) continue;
-    if (point->expected_in != image->number) ++point->expected;
-    point->expected_in = image->number;
+    point->expect_in(image->number);
     ++point->found;
   }
   return true;

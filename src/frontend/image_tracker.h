@@ -11,9 +11,9 @@ namespace semantic_topo_loop::core {
 /// Finds an image's pose in the map.
 class ImageTracker {
  public:
+  /// @param camera must outlive this; may be corrected meanwhile
   ImageTracker(const FrontendOptions& options, const Camera& camera) : options_(options), camera_(camera) {}
 
-  void set_camera(const Camera& camera) { camera_ = camera; }
   /// Looks for the points of the last image where the guess puts them.
   bool follow(const TrackedFeatures& last, const SE3& T_camera_map, TrackingMap* map, TrackedFeatures* image) const;
   /// Looks for the points of a keyframe without knowing where.
@@ -31,7 +31,7 @@ class ImageTracker {
   std::optional<SearchItem> expect(const TrackingMap& map, const MapPoint& point, const SE3& T_camera_map) const;
 
   FrontendOptions options_;
-  Camera camera_;
+  const Camera& camera_;
 };
 
 }  // namespace semantic_topo_loop::core

@@ -74,32 +74,220 @@ struct RgbdFrontend::Impl {
   Impl(const FrontendOptions& frontend_options, Calibration known)
       : options(frontend_options),
         calibration(std::move(known)),
-        extractor(options, calibration.camera),
+        extractor(options, calibration.camera, calibration.registration),
         tracker(options, calibration.camera),
         builder(options, calibration.camera),
         grid(calibration.camera, options.point_stride_px),
-        map(options, calibration.camera),
+        map(options),
         is_calibrated(!options.self_calibration) {
-    extractor.set_registration(calibration.registration);
     if (options.self_calibration && calibration.registration.is_identity()) {
       registration_estimator.emplace(calibration.camera);
     }
   }
 
-  TrackedImage track(const RgbdImage& image);
-  bool start(TrackedFeatures* image);
-  bool follow(TrackedFeatures* image);
-  bool find_again(TrackedFeatures* image);
-  SE3 guess(std::int64_t stamp_ns) const;
-  Mat6 motion_covariance(const TrackedFeatures& image) const;
-  void add_keyframe(const TrackedFeatures& image);
-  void accept(TrackedFeatures image);
-  void take_refinement();
-  void look_for_registration(const RgbdImage& image);
-  bool is_focal_check_due();
+  SE3 guess(std::int64_t stamp_ns) const {
+    const double dt_s = 1e-9 * static_cast<double>(stamp_ns - last->stamp_ns);
+    if (motion_s <= 0.0 || dt_s > kMaxGuess_s || motion_s > kMaxGuess_s) return last->T_camera_map;
+    const double ratio = dt_s / motion_s;
+    const SE3 motion(so3_exp(ratio * so3_log(T_last_before.q)), ratio * T_last_before.t);
+    return motion * last->T_camera_map;
+  }
+
+  bool start(TrackedFeatures* image) {
+    const auto has_depth = [](const ImageFeature& feature) { return feature.has_depth(); };
+    const auto depths = std::count_if(image->features.features.begin(), image->features.features.end(), has_depth);
+    if (depths < 2 * options.min_inliers) return false;
+    image->T_camera_map = last ? last->T_camera_map : SE3();
+    image->inliers = image->matches = 0;
+    image->points.assign(image->features.size(), -1);
+    map = TrackingMap(options);
+    ++starts;
+    return true;
+  }
+
+  bool follow(TrackedFeatures* image) {
+    if (last_tracked_image != images - 1) return false;
+    const int strong = strong_inliers(options);
+    TrackedFeatures followed = *image;
+    const bool is_followed =
+        tracker.follow(*last, guess(image->stamp_ns), &map, &followed) && tracker.track_local_map(&map, &followed);
+    // After wide motions few points are where they were guessed, and some of them by chance.
+    if (is_followed && followed.inliers >= strong) {
+      *image = std::move(followed);
+      return true;
+    }
+    const bool is_found = find_again(image);
+    if (is_followed && (!is_found || followed.inliers >= image->inliers)) *image = std::move(followed);
+    return is_followed || is_found;
+  }
+
+  bool find_again(TrackedFeatures* image) {
+    // Bounds the time of a lost image; with the images that follow, every keyframe has its turn.
+    constexpr std::size_t kNewest = 3, kOthers = 3;
+    std::vector<std::int64_t> ids;
+    for (auto it = map.keyframes().rbegin(); it != map.keyframes().rend(); ++it) ids.push_back(it->first);
+    std::vector<std::int64_t> tried(ids.begin(),
+                                    ids.begin() + static_cast<std::ptrdiff_t>(std::min(kNewest, ids.size())));
+    for (std::size_t i = 0; i < kOthers && ids.size() > kNewest; ++i) {
+      tried.push_back(ids[kNewest + next_candidate++ % (ids.size() - kNewest)]);
+    }
+    // The pose that explains most: a wrong one is seldom that.
+    const int strong = strong_inliers(options);
+    std::optional<TrackedFeatures> best;
+    for (const std::int64_t id : tried) {
+      TrackedFeatures candidate = *image;
+      if (!tracker.find(*map.keyframe(id), &map, &candidate)) continue;
+      if (!tracker.track_local_map(&map, &candidate)) continue;
+      const int inliers = candidate.inliers;
+      if (!best || inliers > best->inliers) best = std::move(candidate);
+      if (inliers >= strong) break;
+    }
+    if (best) *image = std::move(*best);
+    return best.has_value();
+  }
+
+  Mat6 motion_covariance(const TrackedFeatures& image) const {
+    constexpr double kShare = 0.01;  // of the motion: what the points' common errors, as of the focal length, give
+    constexpr double kFloor_m = 5e-4, kFloor_rad = 2e-4;  // a tenth of a pixel: 0.1 / 525, and at 2.5 m
+    constexpr double kMost_m = 0.2, kMost_rad = 0.2;      // of an image's motion: more than it ever is
+    const SE3 motion = image.T_camera_map * last->T_camera_map.inverse();
+    Mat6 covariance = image.covariance + rotated(last->covariance, motion.rotation());
+    // A trace beyond the bound says that hardly anything is known; it is scaled down to be of use in a graph.
+    const double translation = covariance.topLeftCorner<3, 3>().trace(),
+                 rotation = covariance.bottomRightCorner<3, 3>().trace();
+    const double excess = std::max({1.0, translation / (kMost_m * kMost_m), rotation / (kMost_rad * kMost_rad)});
+    covariance /= excess;
+    const double floor_m = std::hypot(kFloor_m, kShare * motion.t.norm());
+    const double floor_rad = std::hypot(kFloor_rad, kShare * rotation_angle(motion.q, Quaternion::Identity()));
+    covariance.diagonal().head<3>().array() += floor_m * floor_m;
+    covariance.diagonal().tail<3>().array() += floor_rad * floor_rad;
+    return covariance;
+  }
+
+  void add_keyframe(const TrackedFeatures& image) {
+    const std::int64_t id = builder.add_keyframe(image, &map);
+    if (map.keyframes().size() < 2) return;
+    checks_focal = is_focal_check_due();
+    refinement = std::async(std::launch::async, [this, problem = local_bundle(map, id, options)]() mutable {
+      solve(calibration.camera, options.window_iterations, false, &problem);
+      if (checks_focal) {
+        problem.focal_factor = check_focal_length(calibration.camera, problem, calibration.is_focal_given);
+      }
+      return std::move(problem);
+    });
+  }
+
+  void take_refinement() {
+    if (!refinement.valid()) return;
+    const BundleProblem problem = refinement.get();
+    apply(problem, &map);
+    new_focal_factor = problem.focal_factor;
+    // What a few images gave is looked at again with more of them.
+    const int needed = calibration.is_focal_given ? 1 : 2;
+    if (checks_focal && new_focal_factor == 1.0 && ++passed_focal_checks >= needed) is_calibrated = true;
+    const TrackingKeyframe& newest = map.keyframes().rbegin()->second;
+    last->T_camera_map = newest.T_camera_map;
+    last->points = newest.points;
+  }
+
+  void look_for_registration(const RgbdImage& image) {
+    constexpr std::int64_t kInterval_ns = 150'000'000;  // six images of the first second
+    constexpr int kImages = 6;
+    if (!registration_estimator) return;
+    if (registration_estimator->images() > 0 && image.stamp_ns - last_registration_ns < kInterval_ns) return;
+    registration_estimator->add(image);
+    last_registration_ns = image.stamp_ns;
+    if (registration_estimator->images() < kImages) return;
+    if (const std::optional<DepthRegistration> found = registration_estimator->estimate()) {
+      calibration.registration = *found;
+      has_new_registration = true;
+    }
+    registration_estimator.reset();
+  }
+
+  bool is_focal_check_due() {
+    if (!options.self_calibration || registration_estimator) return false;
+    const auto keyframes = static_cast<int>(map.keyframes().size());
+    if (keyframes < next_focal_check) return false;
+    next_focal_check = keyframes + keyframes / 2;  // of half as much again: 6, 9, 13, ...
+    return true;
+  }
+
   /// Begins the map anew at an image that has a pose, if the calibration turned out to be wrong.
   /// @return whether every pose should be found anew
-  bool correct_calibration(TrackedFeatures* image);
+  bool correct_calibration(TrackedFeatures* image) {
+    constexpr std::int64_t kEarly_ns =
+        15'000'000'000;               // so much of a recording is read twice, or lost of a live session
+    constexpr int kMostRestarts = 4;  // registration, then focal lengths that converge
+    if (image->stamp_ns - first_stamp_ns > kEarly_ns || calibration.restarts == kMostRestarts) is_calibrated = true;
+    if (!has_new_registration && new_focal_factor == 1.0) return false;
+    if (new_focal_factor != 1.0) calibration.is_focal_given = false;
+    Camera& camera = calibration.camera;
+    camera.fx *= new_focal_factor;
+    camera.fy *= new_focal_factor;
+    has_new_registration = false;
+    new_focal_factor = 1.0;
+    grid = DepthGrid(camera, options.point_stride_px);
+    map = TrackingMap(options);
+    ++starts;
+    image->points.assign(image->features.size(), -1);
+    if (is_calibrated) return false;
+    ++calibration.restarts;
+    return true;
+  }
+
+  void accept(TrackedFeatures image) {
+    const bool is_next = last && last_tracked_image == images - 1;
+    motion_s = is_next ? 1e-9 * static_cast<double>(image.stamp_ns - last->stamp_ns) : 0.0;
+    if (is_next) T_last_before = image.T_camera_map * last->T_camera_map.inverse();
+    last_tracked_image = images;
+    last = std::move(image);
+  }
+
+  TrackedImage track(const RgbdImage& rgbd) {
+    TrackedFeatures image;
+    image.number = images;
+    image.stamp_ns = rgbd.stamp_ns;
+    if (images == 0) first_stamp_ns = rgbd.stamp_ns;
+    look_for_registration(rgbd);
+    image.features = extractor.extract(rgbd);
+    image.points.assign(image.features.size(), -1);
+    take_refinement();
+    TrackedImage result;
+    bool is_break = false;
+    if (static_cast<int>(image.features.size()) < options.min_inliers) {
+      result.state = TrackingState::kUnusable;
+    } else if (!last) {
+      result.state = start(&image) ? TrackingState::kStarted : TrackingState::kUnusable;
+    } else if (follow(&image)) {
+      result.state = TrackingState::kTracked;
+    } else if (last_tracked_image != images - 1 && find_again(&image)) {
+      result.state = TrackingState::kRelocalised;
+    } else if (1e-9 * static_cast<double>(image.stamp_ns - last->stamp_ns) > options.restart_after_s && start(&image)) {
+      result.state = TrackingState::kStarted;
+      is_break = true;
+    }
+    result.matches = image.matches;
+    result.inliers = image.inliers;
+    const bool has_pose = result.state != TrackingState::kLost && result.state != TrackingState::kUnusable;
+    if (has_pose) {
+      PoseSample sample;
+      sample.stamp_ns = image.stamp_ns;
+      sample.T_odom_camera = image.T_camera_map.inverse();
+      sample.is_break = is_break;
+      sample.points_camera = grid.points(rgbd.depth_m, calibration.registration, calibration.camera);
+      if (last && !is_break) sample.covariance = motion_covariance(image);
+      result.sample = std::move(sample);
+      result.is_recalibrated = correct_calibration(&image);
+      if (map.keyframes().empty() || builder.needs_keyframe(image, map)) {
+        add_keyframe(image);
+        image.points = map.keyframes().rbegin()->second.points;
+      }
+      accept(std::move(image));
+    }
+    ++images;
+    return result;
+  }
 
   FrontendOptions options;
   Calibration calibration;
@@ -126,211 +314,6 @@ struct RgbdFrontend::Impl {
   SE3 T_last_before;  ///< motion of the camera over the last two images, in the camera frame
   double motion_s = 0.0;
 };
-
-SE3 RgbdFrontend::Impl::guess(std::int64_t stamp_ns) const {
-  const double dt_s = 1e-9 * static_cast<double>(stamp_ns - last->stamp_ns);
-  if (motion_s <= 0.0 || dt_s > kMaxGuess_s || motion_s > kMaxGuess_s) return last->T_camera_map;
-  const double ratio = dt_s / motion_s;
-  const SE3 motion(so3_exp(ratio * so3_log(T_last_before.q)), ratio * T_last_before.t);
-  return motion * last->T_camera_map;
-}
-
-bool RgbdFrontend::Impl::start(TrackedFeatures* image) {
-  const auto has_depth = [](const ImageFeature& feature) { return feature.has_depth(); };
-  const auto depths = std::count_if(image->features.features.begin(), image->features.features.end(), has_depth);
-  if (depths < 2 * options.min_inliers) return false;
-  image->T_camera_map = last ? last->T_camera_map : SE3();
-  image->inliers = image->matches = 0;
-  image->points.assign(image->features.size(), -1);
-  map = TrackingMap(options, calibration.camera);
-  ++starts;
-  return true;
-}
-
-bool RgbdFrontend::Impl::follow(TrackedFeatures* image) {
-  if (last_tracked_image != images - 1) return false;
-  const int strong = strong_inliers(options);
-  TrackedFeatures followed = *image;
-  const bool is_followed =
-      tracker.follow(*last, guess(image->stamp_ns), &map, &followed) && tracker.track_local_map(&map, &followed);
-  // After wide motions few points are where they were guessed, and some of them by chance.
-  if (is_followed && followed.inliers >= strong) {
-    *image = std::move(followed);
-    return true;
-  }
-  const bool is_found = find_again(image);
-  if (is_followed && (!is_found || followed.inliers >= image->inliers)) *image = std::move(followed);
-  return is_followed || is_found;
-}
-
-bool RgbdFrontend::Impl::find_again(TrackedFeatures* image) {
-  // Bounds the time of a lost image; with the images that follow, every keyframe has its turn.
-  constexpr std::size_t kNewest = 3, kOthers = 3;
-  std::vector<std::int64_t> ids;
-  for (auto it = map.keyframes().rbegin(); it != map.keyframes().rend(); ++it) ids.push_back(it->first);
-  std::vector<std::int64_t> tried(ids.begin(),
-                                  ids.begin() + static_cast<std::ptrdiff_t>(std::min(kNewest, ids.size())));
-  for (std::size_t i = 0; i < kOthers && ids.size() > kNewest; ++i) {
-    tried.push_back(ids[kNewest + next_candidate++ % (ids.size() - kNewest)]);
-  }
-  // The pose that explains most: a wrong one is seldom that.
-  const int strong = strong_inliers(options);
-  std::optional<TrackedFeatures> best;
-  for (const std::int64_t id : tried) {
-    TrackedFeatures candidate = *image;
-    if (!tracker.find(*map.keyframe(id), &map, &candidate)) continue;
-    if (!tracker.track_local_map(&map, &candidate)) continue;
-    const int inliers = candidate.inliers;
-    if (!best || inliers > best->inliers) best = std::move(candidate);
-    if (inliers >= strong) break;
-  }
-  if (best) *image = std::move(*best);
-  return best.has_value();
-}
-
-Mat6 RgbdFrontend::Impl::motion_covariance(const TrackedFeatures& image) const {
-  constexpr double kShare = 0.01;  // of the motion: what the points' common errors, as of the focal length, give
-  constexpr double kFloor_m = 5e-4, kFloor_rad = 2e-4;  // a tenth of a pixel: 0.1 / 525, and at 2.5 m
-  constexpr double kMost_m = 0.2, kMost_rad = 0.2;      // of an image's motion: more than it ever is
-  const SE3 motion = image.T_camera_map * last->T_camera_map.inverse();
-  Mat6 covariance = image.covariance + rotated(last->covariance, motion.rotation());
-  // A trace beyond the bound says that hardly anything is known; it is scaled down to be of use in a graph.
-  const double translation = covariance.topLeftCorner<3, 3>().trace(),
-               rotation = covariance.bottomRightCorner<3, 3>().trace();
-  const double excess = std::max({1.0, translation / (kMost_m * kMost_m), rotation / (kMost_rad * kMost_rad)});
-  covariance /= excess;
-  const double floor_m = std::hypot(kFloor_m, kShare * motion.t.norm());
-  const double floor_rad = std::hypot(kFloor_rad, kShare * rotation_angle(motion.q, Quaternion::Identity()));
-  covariance.diagonal().head<3>().array() += floor_m * floor_m;
-  covariance.diagonal().tail<3>().array() += floor_rad * floor_rad;
-  return covariance;
-}
-
-void RgbdFrontend::Impl::add_keyframe(const TrackedFeatures& image) {
-  const std::int64_t id = builder.add_keyframe(image, &map);
-  if (map.keyframes().size() < 2) return;
-  checks_focal = is_focal_check_due();
-  refinement = std::async(std::launch::async, [this, problem = local_bundle(map, id, options)]() mutable {
-    solve(calibration.camera, options.window_iterations, false, &problem);
-    if (checks_focal) {
-      problem.focal_factor = check_focal_length(calibration.camera, problem, calibration.is_focal_given);
-    }
-    return std::move(problem);
-  });
-}
-
-void RgbdFrontend::Impl::take_refinement() {
-  if (!refinement.valid()) return;
-  const BundleProblem problem = refinement.get();
-  apply(problem, &map);
-  new_focal_factor = problem.focal_factor;
-  // What a few images gave is looked at again with more of them.
-  const int needed = calibration.is_focal_given ? 1 : 2;
-  if (checks_focal && new_focal_factor == 1.0 && ++passed_focal_checks >= needed) is_calibrated = true;
-  const TrackingKeyframe& newest = map.keyframes().rbegin()->second;
-  last->T_camera_map = newest.T_camera_map;
-  last->points = newest.points;
-}
-
-void RgbdFrontend::Impl::look_for_registration(const RgbdImage& image) {
-  constexpr std::int64_t kInterval_ns = 150'000'000;  // six images of the first second
-  constexpr int kImages = 6;
-  if (!registration_estimator) return;
-  if (registration_estimator->images() > 0 && image.stamp_ns - last_registration_ns < kInterval_ns) return;
-  registration_estimator->add(image);
-  last_registration_ns = image.stamp_ns;
-  if (registration_estimator->images() < kImages) return;
-  if (const std::optional<DepthRegistration> found = registration_estimator->estimate()) {
-    calibration.registration = *found;
-    extractor.set_registration(calibration.registration);
-    has_new_registration = true;
-  }
-  registration_estimator.reset();
-}
-
-bool RgbdFrontend::Impl::is_focal_check_due() {
-  if (!options.self_calibration || registration_estimator) return false;
-  const auto keyframes = static_cast<int>(map.keyframes().size());
-  if (keyframes < next_focal_check) return false;
-  next_focal_check = keyframes + keyframes / 2;  // of half as much again: 6, 9, 13, ...
-  return true;
-}
-
-bool RgbdFrontend::Impl::correct_calibration(TrackedFeatures* image) {
-  constexpr std::int64_t kEarly_ns = 15'000'000'000;  // so much of a recording is read twice, or lost of a live session
-  constexpr int kMostRestarts = 4;                    // registration, then focal lengths that converge
-  if (image->stamp_ns - first_stamp_ns > kEarly_ns || calibration.restarts == kMostRestarts) is_calibrated = true;
-  if (!has_new_registration && new_focal_factor == 1.0) return false;
-  if (new_focal_factor != 1.0) calibration.is_focal_given = false;
-  Camera& camera = calibration.camera;
-  camera.fx *= new_focal_factor;
-  camera.fy *= new_focal_factor;
-  has_new_registration = false;
-  new_focal_factor = 1.0;
-  extractor.set_camera(camera);
-  tracker.set_camera(camera);
-  builder.set_camera(camera);
-  grid = DepthGrid(camera, options.point_stride_px);
-  map = TrackingMap(options, calibration.camera);
-  ++starts;
-  image->points.assign(image->features.size(), -1);
-  if (is_calibrated) return false;
-  ++calibration.restarts;
-  return true;
-}
-
-void RgbdFrontend::Impl::accept(TrackedFeatures image) {
-  const bool is_next = last && last_tracked_image == images - 1;
-  motion_s = is_next ? 1e-9 * static_cast<double>(image.stamp_ns - last->stamp_ns) : 0.0;
-  if (is_next) T_last_before = image.T_camera_map * last->T_camera_map.inverse();
-  last_tracked_image = images;
-  last = std::move(image);
-}
-
-TrackedImage RgbdFrontend::Impl::track(const RgbdImage& rgbd) {
-  TrackedFeatures image;
-  image.number = images;
-  image.stamp_ns = rgbd.stamp_ns;
-  if (images == 0) first_stamp_ns = rgbd.stamp_ns;
-  look_for_registration(rgbd);
-  image.features = extractor.extract(rgbd);
-  image.points.assign(image.features.size(), -1);
-  take_refinement();
-  TrackedImage result;
-  bool is_break = false;
-  if (static_cast<int>(image.features.size()) < options.min_inliers) {
-    result.state = TrackingState::kUnusable;
-  } else if (!last) {
-    result.state = start(&image) ? TrackingState::kStarted : TrackingState::kUnusable;
-  } else if (follow(&image)) {
-    result.state = TrackingState::kTracked;
-  } else if (last_tracked_image != images - 1 && find_again(&image)) {
-    result.state = TrackingState::kRelocalised;
-  } else if (1e-9 * static_cast<double>(image.stamp_ns - last->stamp_ns) > options.restart_after_s && start(&image)) {
-    result.state = TrackingState::kStarted;
-    is_break = true;
-  }
-  result.matches = image.matches;
-  result.inliers = image.inliers;
-  const bool has_pose = result.state != TrackingState::kLost && result.state != TrackingState::kUnusable;
-  if (has_pose) {
-    PoseSample sample;
-    sample.stamp_ns = image.stamp_ns;
-    sample.T_odom_camera = image.T_camera_map.inverse();
-    sample.is_break = is_break;
-    sample.points_camera = grid.points(rgbd.depth_m, calibration.registration, calibration.camera);
-    if (last && !is_break) sample.covariance = motion_covariance(image);
-    result.sample = std::move(sample);
-    result.is_recalibrated = correct_calibration(&image);
-    if (map.keyframes().empty() || builder.needs_keyframe(image, map)) {
-      add_keyframe(image);
-      image.points = map.keyframes().rbegin()->second.points;
-    }
-    accept(std::move(image));
-  }
-  ++images;
-  return result;
-}
 
 RgbdFrontend::RgbdFrontend(const FrontendOptions& options, const Camera& camera)
     : impl_(std::make_unique<Impl>(options, Calibration{camera, {}, true, 0})) {}

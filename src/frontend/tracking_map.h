@@ -24,6 +24,11 @@ struct MapPoint {
   int found = 1;                  ///< images in which it was
   std::int64_t expected_in = -1;  ///< the last image in which it should have been seen
   std::int64_t search = -1;       ///< the last search that looked for it
+
+  void expect_in(std::int64_t image) {
+    if (expected_in != image) ++expected;
+    expected_in = image;
+  }
 };
 
 /// An image that the map was built from, without its pixels.
@@ -59,7 +64,7 @@ std::optional<Vec2> pixel_in_view(const Camera& camera, const Vec3& point_camera
 /// Keyframes and the points they see.
 class TrackingMap {
  public:
-  TrackingMap(const FrontendOptions& options, const Camera& camera) : options_(options), camera_(camera) {}
+  explicit TrackingMap(const FrontendOptions& options) : options_(options) {}
 
   TrackingKeyframe& add_keyframe(TrackingKeyframe keyframe);
   MapPoint& add_point(const Vec3& position, std::int64_t keyframe, int feature);
@@ -87,7 +92,6 @@ class TrackingMap {
 
  private:
   FrontendOptions options_;
-  Camera camera_;
   std::map<std::int64_t, TrackingKeyframe> keyframes_;
   std::map<std::int64_t, MapPoint> points_;
   std::int64_t next_point_ = 0;
@@ -97,9 +101,9 @@ class TrackingMap {
 /// Decides which images the map is built from, and builds it.
 class MapBuilder {
  public:
+  /// @param camera must outlive this; may be corrected meanwhile
   MapBuilder(const FrontendOptions& options, const Camera& camera) : options_(options), camera_(camera) {}
 
-  void set_camera(const Camera& camera) { camera_ = camera; }
   /// Whether the image shows enough that the map does not have.
   bool needs_keyframe(const TrackedFeatures& image, const TrackingMap& map) const;
   /// Adds the image as a keyframe, with new points from its depths, and tidies up around it.
@@ -115,7 +119,7 @@ class MapBuilder {
   void drop_keyframes(std::int64_t newest, TrackingMap* map) const;
 
   FrontendOptions options_;
-  Camera camera_;
+  const Camera& camera_;
 };
 
 }  // namespace semantic_topo_loop::core
