@@ -199,20 +199,16 @@ std::vector<Vec3> middle_cluster(const std::vector<SeenPoint>& seen, const Camer
 }
 
 /// The strips along a side, inside and outside of the box.
+/// @param side of the edges (x1, y1, x2, y2)
 std::pair<Box, Box> strips(const Box& box, int side) {
-  const double in_x = kStrip_px, in_y = kStrip_px;
-  const double out_x = std::max(2.0 * kStrip_px, kRing * box.width());
-  const double out_y = std::max(2.0 * kStrip_px, kRing * box.height());
-  switch (side) {
-    case 0:
-      return {{box.x1, box.y1, box.x1 + in_x, box.y2}, {box.x1 - out_x, box.y1, box.x1, box.y2}};
-    case 1:
-      return {{box.x1, box.y1, box.x2, box.y1 + in_y}, {box.x1, box.y1 - out_y, box.x2, box.y1}};
-    case 2:
-      return {{box.x2 - in_x, box.y1, box.x2, box.y2}, {box.x2, box.y1, box.x2 + out_x, box.y2}};
-    default:
-      return {{box.x1, box.y2 - in_y, box.x2, box.y2}, {box.x1, box.y2, box.x2, box.y2 + out_y}};
-  }
+  const int other_side = (side + 2) % 4;
+  const double inward = side < 2 ? 1.0 : -1.0;
+  const double length = side % 2 == 0 ? box.width() : box.height();
+  Vec4 inside = box.edges(), outside = box.edges();
+  inside(other_side) = inside(side) + inward * kStrip_px;
+  outside(other_side) = outside(side);
+  outside(side) -= inward * std::max(2.0 * kStrip_px, kRing * length);
+  return {{inside(0), inside(1), inside(2), inside(3)}, {outside(0), outside(1), outside(2), outside(3)}};
 }
 
 /// Whether what is inside lies behind the plane of what is outside: a table that an object stands on, and a wall before

@@ -43,19 +43,13 @@ struct Sightings {
     const double missed_s = familiar_missed_s - missed_since_s;
     return familiar_seen_s > 0.0 ? familiar_seen_s / (familiar_seen_s + missed_s) : 0.0;
   }
-  void add(const Sightings& other) {
-    seen_s += other.seen_s;
-    whole_s += other.whole_s;
-    familiar_seen_s += other.familiar_seen_s;
-    familiar_missed_s += other.familiar_missed_s;
-    transparent_s += other.transparent_s;
-  }
-  void remove(const Sightings& other) {
-    seen_s -= other.seen_s;
-    whole_s -= other.whole_s;
-    familiar_seen_s -= other.familiar_seen_s;
-    familiar_missed_s -= other.familiar_missed_s;
-    transparent_s -= other.transparent_s;
+  /// @param sign -1 to take back what was added
+  void add(const Sightings& other, double sign = 1.0) {
+    seen_s += sign * other.seen_s;
+    whole_s += sign * other.whole_s;
+    familiar_seen_s += sign * other.familiar_seen_s;
+    familiar_missed_s += sign * other.familiar_missed_s;
+    transparent_s += sign * other.transparent_s;
   }
 };
 
@@ -96,15 +90,19 @@ class SeenFrom {
   std::array<float, 6 * kSteps * kSteps> smallest_px_{};
 };
 
-struct MappedLandmark {
+/// What is known of a landmark beside its boxes.
+struct LandmarkRecord {
   Landmark state;
-  std::vector<Observation> observations;    ///< bounded: thinned evenly when too many
   std::map<std::int64_t, int> seen_beside;  ///< frames in which another landmark had a separate box
   Sightings sightings;
   SeenFrom seen_from;
   std::int64_t last_stamp_ns = 0;
   int next_fit_at = 0;
   bool fit_due = false;  ///< a correction moved its views
+};
+
+struct MappedLandmark : LandmarkRecord {
+  std::vector<Observation> observations;  ///< bounded: thinned evenly when too many
 };
 
 /// The corrected keyframes and the camera: what turns observations into views.

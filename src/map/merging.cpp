@@ -39,14 +39,9 @@ Overlap overlap(const MappedLandmark& a, const MappedLandmark& b, const ViewSour
   return {median(ious), median(insides)};
 }
 
-Remains remains_of(const KeyframePlaces& S_map_keyframe, const MappedLandmark& landmark) {
+Remains remains_of(const KeyframePlaces& S_map_keyframe, const LandmarkRecord& landmark) {
   Remains remains;
-  remains.landmark.state = landmark.state;
-  remains.landmark.seen_beside = landmark.seen_beside;
-  remains.landmark.sightings = landmark.sightings;
-  remains.landmark.seen_from = landmark.seen_from;
-  remains.landmark.last_stamp_ns = landmark.last_stamp_ns;
-  remains.landmark.next_fit_at = landmark.next_fit_at;
+  remains.landmark = landmark;
   const auto anchor = S_map_keyframe.find(landmark.state.anchor_keyframe_id);
   if (landmark.state.ellipsoid && anchor != S_map_keyframe.end()) {
     remains.T_anchor_quadric = anchor->second.inverse().pose(landmark.state.ellipsoid->T_world_quadric);
@@ -56,7 +51,7 @@ Remains remains_of(const KeyframePlaces& S_map_keyframe, const MappedLandmark& l
 }
 
 MappedLandmark restore(const KeyframePlaces& S_map_keyframe, const Remains& remains) {
-  MappedLandmark landmark = remains.landmark;
+  MappedLandmark landmark{remains.landmark, {}};
   landmark.state.ellipsoid = MergeHistory::place(S_map_keyframe, remains);
   landmark.fit_due = landmark.state.mean_iou > 0.0;  // it was fitted in the map that has just been corrected
   return landmark;
@@ -146,7 +141,7 @@ MappedLandmark MergeHistory::split(const KeyframePlaces& S_map_keyframe, std::si
   std::copy_if(all.begin(), all.end(), std::back_inserter(merged.observations), belongs_to_merged);
   all.erase(std::remove_if(all.begin(), all.end(), belongs_to_merged), all.end());
 
-  const MappedLandmark& before = record.survivor.landmark;
+  const LandmarkRecord& before = record.survivor.landmark;
   if (survivor->state.observations == before.state.observations + merged.state.observations) {
     MappedLandmark restored = restore(S_map_keyframe, record.survivor);
     restored.observations = std::move(survivor->observations);
@@ -154,7 +149,7 @@ MappedLandmark MergeHistory::split(const KeyframePlaces& S_map_keyframe, std::si
     return merged;
   }
   survivor->state.observations -= merged.state.observations;
-  survivor->sightings.remove(merged.sightings);
+  survivor->sightings.add(merged.sightings, -1.0);
   for (const auto& [id, count] : merged.seen_beside) survivor->seen_beside[id] -= count;
   survivor->fit_due = true;
   return merged;

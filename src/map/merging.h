@@ -31,7 +31,7 @@ class DuplicateTest {
 
 /// A landmark as it was, without its observations, which stay with the survivor of the merge.
 struct Remains {
-  MappedLandmark landmark;
+  LandmarkRecord landmark;
   SE3 T_anchor_quadric;       ///< so that it can follow its keyframe meanwhile; in the odometry's unit of length
   double anchor_scale = 1.0;  ///< of its keyframe when it was given its semi-axes
 };

@@ -29,13 +29,10 @@ std::vector<Eigen::Vector3f> one_a_voxel(const std::vector<Eigen::Vector3f>& poi
   std::sort(cubes.begin(), cubes.end());
   const auto same_cube = [](const auto& a, const auto& b) { return a.first == b.first; };
   cubes.erase(std::unique(cubes.begin(), cubes.end(), same_cube), cubes.end());
-  std::vector<std::size_t> kept;
-  kept.reserve(cubes.size());
-  for (const auto& [cube, index] : cubes) kept.push_back(index);
-  std::sort(kept.begin(), kept.end());
+  std::sort(cubes.begin(), cubes.end(), [](const auto& a, const auto& b) { return a.second < b.second; });
   std::vector<Eigen::Vector3f> result;
-  result.reserve(kept.size());
-  for (const std::size_t index : kept) result.push_back(points[index]);
+  result.reserve(cubes.size());
+  for (const auto& [cube, index] : cubes) result.push_back(points[index]);
   return result;
 }
 

@@ -5,15 +5,6 @@
 #include "semantic_topo_loop/types/stamp.h"
 
 namespace semantic_topo_loop::core {
-namespace {
-
-/// Of what comes after the last solution.
-double latest_scale(const std::vector<KeyframePose>& keyframes) {
-  return keyframes.empty() ? 1.0 : keyframes.back().scale;
-}
-
-}  // namespace
-
 ObjectSlam::ObjectSlam(const Options& options, std::shared_ptr<const ClassTable> classes)
     : associator_(options.association, classes),
       mapper_(options.mapping, classes),
@@ -47,12 +38,13 @@ std::vector<LocalMap> ObjectSlam::submaps_in_map() const {
 }
 
 void move_to_map(const std::vector<KeyframePose>& keyframes, const SE3& T_map_odom, std::vector<LocalMap>* submaps) {
+  const double last_scale = keyframes.empty() ? 1.0 : keyframes.back().scale;  // of what comes after the last solution
   for (LocalMap& submap : *submaps) {
     const auto pose =
         std::lower_bound(keyframes.begin(), keyframes.end(), submap.keyframe_id,
                          [](const KeyframePose& keyframe, std::int64_t id) { return keyframe.keyframe_id < id; });
     const bool solved = pose != keyframes.end() && pose->keyframe_id == submap.keyframe_id;
-    const double scale = solved ? pose->scale : latest_scale(keyframes);
+    const double scale = solved ? pose->scale : last_scale;
     if (scale != 1.0) submap = rescaled(std::move(submap), scale);
     submap.T_odom_anchor = solved ? pose->T_map_camera : T_map_odom * submap.T_odom_anchor;
   }

@@ -1,5 +1,6 @@
 #include "semantic_topo_loop/pipeline/pose_buffer.h"
 
+#include <array>
 #include <cmath>
 #include <sstream>
 
@@ -52,17 +53,10 @@ PoseBuffer::Answer PoseBuffer::at(std::int64_t stamp_ns) const {
 }
 
 const char* describe(PoseBuffer::Status status) {
-  switch (status) {
-    case PoseBuffer::Status::kFound:
-      return "found";
-    case PoseBuffer::Status::kNotYet:
-      return "no pose has arrived that is as new as this stamp";
-    case PoseBuffer::Status::kTooOld:
-      return "this stamp is older than the first pose";
-    case PoseBuffer::Status::kGap:
-      return "the poses around this stamp are too far apart";
-  }
-  return "unknown";
+  constexpr std::array<const char*, 4> kNames = {"found", "no pose has arrived that is as new as this stamp",
+                                                 "this stamp is older than the first pose",
+                                                 "the poses around this stamp are too far apart"};
+  return kNames.at(static_cast<std::size_t>(status));
 }
 
 }  // namespace semantic_topo_loop::core

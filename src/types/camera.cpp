@@ -1,5 +1,6 @@
 #include "semantic_topo_loop/types/camera.h"
 
+#include <algorithm>
 #include <sstream>
 
 namespace semantic_topo_loop::core {
@@ -56,10 +57,7 @@ Status Camera::check() const {
 }
 
 bool Camera::has_distortion() const {
-  for (const double value : distortion) {
-    if (value != 0.0) return true;
-  }
-  return false;
+  return std::any_of(distortion.begin(), distortion.end(), [](double value) { return value != 0.0; });
 }
 
 Vec2 Camera::undistort(const Vec2& pixel) const { return has_distortion() ? undistort_pixel(*this, pixel) : pixel; }
