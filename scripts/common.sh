@@ -42,7 +42,8 @@ required_packages() {
   id=$(. /etc/os-release && echo "$ID")
   version=$(. /etc/os-release && echo "${VERSION_ID:-}")
   case "$id-$version" in
-    debian-12*) echo $common_packages $debian_packages ;;
+    # Debian 11 has the versions of Noetic or the next: scripts/noetic_check builds there.
+    debian-11* | debian-12*) echo $common_packages $debian_packages ;;
     ubuntu-20.04) echo $common_packages $(printf 'ros-noetic-%s ' $(echo $noetic_packages | tr _ -)) ;;
     *)
       echo "unsupported system: $id $version (supported: Debian 12, Ubuntu 20.04 with ROS Noetic)" >&2

@@ -86,7 +86,7 @@ class SurfaceCost final : public ceres::CostFunction {
     const Ellipsoid ellipsoid{SE3(Quaternion(rotation), Vec3(center)), log_axes.array().exp()};
     const Eigen::Matrix<double, 3, 4> lift = 2.0 * quaternion_by_rotation(Quaternion(rotation)).transpose();
     const auto write = [&](int block, std::size_t row, const auto& value) {
-      constexpr Eigen::Index kColumns = std::decay_t<decltype(value)>::ColsAtCompileTime;
+      constexpr int kColumns = std::decay_t<decltype(value)>::ColsAtCompileTime;
       if (jacobians == nullptr || jacobians[block] == nullptr) return;
       Eigen::Map<Eigen::Matrix<double, 1, kColumns>> target(jacobians[block] + kColumns * static_cast<int>(row));
       target = value;
