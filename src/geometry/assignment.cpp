@@ -1,8 +1,10 @@
 #include "geometry/assignment.h"
 
 #include <algorithm>
+#include <boost/pending/disjoint_sets.hpp>
 #include <cmath>
 #include <limits>
+#include <map>
 
 namespace semantic_topo_loop::core {
 namespace {
@@ -123,43 +125,24 @@ std::vector<int> lone_pairs(const Scores& score) {
 
 /// Scores are mostly forbidden pairs: what no chain of allowed pairs joins can be assigned on its own.
 /// @param assigned column of each row that is settled, else -1
-std::vector<Component> components(const Scores& score, const std::vector<int>& assigned) {
-  std::vector<int> component_of_row(static_cast<std::size_t>(score.rows()), -1);
-  std::vector<int> component_of_column(static_cast<std::size_t>(score.cols()), -1);
-  std::vector<std::vector<int>> columns_of_row(static_cast<std::size_t>(score.rows()));
-  std::vector<std::vector<int>> rows_of_column(static_cast<std::size_t>(score.cols()));
+/// @return by the representative of each
+std::map<std::size_t, Component> components(const Scores& score, const std::vector<int>& assigned) {
+  const auto rows = static_cast<std::size_t>(score.rows()), columns = static_cast<std::size_t>(score.cols());
+  boost::disjoint_sets_with_storage<> sets(rows + columns);
+  bool has_pairs = false;
   for (int j = 0; j < score.cols(); ++j) {
     for (int i = 0; i < score.rows(); ++i) {
-      if (!is_allowed(score(i, j)) || assigned[static_cast<std::size_t>(i)] >= 0) continue;
-      columns_of_row[static_cast<std::size_t>(i)].push_back(j);
-      rows_of_column[static_cast<std::size_t>(j)].push_back(i);
+      const auto row = static_cast<std::size_t>(i);
+      if (!is_allowed(score(i, j)) || assigned[row] >= 0) continue;
+      sets.union_set(row, rows + static_cast<std::size_t>(j));
+      has_pairs = true;
     }
   }
-  std::vector<Component> result;
-  for (int start = 0; start < score.rows(); ++start) {
-    if (columns_of_row[static_cast<std::size_t>(start)].empty() ||
-        component_of_row[static_cast<std::size_t>(start)] >= 0) {
-      continue;
-    }
-    const int id = static_cast<int>(result.size());
-    Component component;
-    component.rows.push_back(start);
-    component_of_row[static_cast<std::size_t>(start)] = id;
-    for (std::size_t next = 0; next < component.rows.size(); ++next) {
-      for (const int j : columns_of_row[static_cast<std::size_t>(component.rows[next])]) {
-        if (component_of_column[static_cast<std::size_t>(j)] >= 0) continue;
-        component_of_column[static_cast<std::size_t>(j)] = id;
-        component.columns.push_back(j);
-        for (const int i : rows_of_column[static_cast<std::size_t>(j)]) {
-          if (component_of_row[static_cast<std::size_t>(i)] >= 0) continue;
-          component_of_row[static_cast<std::size_t>(i)] = id;
-          component.rows.push_back(i);
-        }
-      }
-    }
-    std::sort(component.rows.begin(), component.rows.end());
-    std::sort(component.columns.begin(), component.columns.end());
-    result.push_back(std::move(component));
+  std::map<std::size_t, Component> result;
+  if (!has_pairs) return result;
+  for (std::size_t k = 0; k < rows + columns; ++k) {
+    Component& component = result[sets.find_set(k)];
+    k < rows ? component.rows.push_back(static_cast<int>(k)) : component.columns.push_back(static_cast<int>(k - rows));
   }
   return result;
 }
@@ -167,6 +150,7 @@ std::vector<Component> components(const Scores& score, const std::vector<int>& a
 void assign(const Scores& score, const Component& component, std::vector<int>* column_of_row) {
   const auto n = static_cast<Eigen::Index>(component.rows.size());
   const auto m = static_cast<Eigen::Index>(component.columns.size());
+  if (n == 0 || m == 0) return;
   const bool transposed = n > m;
   Eigen::MatrixXd cost(std::min(n, m), std::max(n, m));
   for (Eigen::Index i = 0; i < n; ++i) {
@@ -190,7 +174,9 @@ void assign(const Scores& score, const Component& component, std::vector<int>* c
 
 std::vector<int> assign_max(const Eigen::Ref<const Eigen::MatrixXd>& score) {
   std::vector<int> column_of_row = lone_pairs(score);
-  for (const Component& component : components(score, column_of_row)) assign(score, component, &column_of_row);
+  for (const auto& [representative, component] : components(score, column_of_row)) {
+    assign(score, component, &column_of_row);
+  }
   return column_of_row;
 }
 
