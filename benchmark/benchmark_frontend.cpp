@@ -177,6 +177,6 @@ int main(int argc, char** argv) {
       .option("camera", apps::po::value(&arguments.camera), "its calibration (default: camera.yaml of the folder)")
       .option("associations", apps::po::value(&arguments.associations),
               "its list (default: associations.txt of the folder)")
-      .option("set", apps::assignments("set", &arguments.options), "one parameter; may be repeated");
+      .option("set", apps::assignments(&arguments.options), "one parameter; may be repeated");
   return apps::run_program("benchmark_frontend", {command}, argc, argv);
 }
