@@ -1,0 +1,158 @@
+"""What an hour of work costs more than the first minute: a recording that is gone through forwards, backwards, forwards,
+and so on, through `offline`. Time and memory of each eighth of the run, the end, and the loops."""
+
+import argparse
+import json
+import os
+import re
+import subprocess
+import sys
+import threading
+import time
+from decimal import Decimal
+
+from runs import Failure, find_sequences, package_folder, read_rows
+
+PARTS = 8
+SLOWEST = 0.005  # share of the frames of a part whose mean is printed
+COLUMNS = ("association", "mapping", "loop", "optimise")
+
+
+def to_and_fro(sequence, passes, folder):
+    """Writes trajectory.txt, detections.json and groundtruth.txt of `passes` passes; every second one goes backwards.
+    A pass begins one image after the one before has ended."""
+    def rows(path):
+        with open(path) as file:
+            return [line.split() for line in file if line.strip() and not line.startswith("#")]
+
+    poses = rows(sequence.trajectory)
+    first, last = Decimal(poses[0][0]), Decimal(poses[-1][0])
+    period = ((last - first) / (len(poses) - 1)).quantize(Decimal("0.000001"))
+
+    def repeated(items):
+        """(stamp, item) in order of time, of those that lie between the first and the last image."""
+        once = [(stamp, item) for stamp, item in items if first - period / 2 < stamp < last + period / 2]
+        for i in range(passes):
+            start = first + i * (last - first + period)
+            for stamp, item in once if i % 2 == 0 else reversed(once):
+                yield start + (stamp - first if i % 2 == 0 else last - stamp), item
+
+    def write_poses(path, name):
+        with open(os.path.join(folder, name), "w") as file:
+            for stamp, values in repeated((Decimal(row[0]), row[1:8]) for row in rows(path)):
+                file.write(" ".join([f"{stamp:.6f}", *values]) + "\n")
+
+    os.makedirs(folder, exist_ok=True)
+    write_poses(sequence.trajectory, "trajectory.txt")
+    write_poses(sequence.ground_truth, "groundtruth.txt")
+    with open(sequence.detections) as file:
+        images = json.load(file)
+    stamped = sorted(((Decimal(os.path.splitext(image["file_name"])[0]), image["detections"]) for image in images),
+                     key=lambda pair: pair[0])
+    with open(os.path.join(folder, "detections.json"), "w") as file:
+        json.dump([{"file_name": f"{stamp:.6f}.png", "detections": boxes} for stamp, boxes in repeated(stamped)], file)
+
+
+class Memory(threading.Thread):
+    """Resident memory of a process once a second: seconds and MB."""
+
+    def __init__(self, pid):
+        super().__init__(daemon=True)
+        self._status = f"/proc/{pid}/status"
+        self.samples = []
+        self.start()
+
+    def run(self):
+        begin = time.monotonic()
+        while True:
+            try:
+                with open(self._status) as file:
+                    found = re.search(r"VmRSS:\s+(\d+)", file.read())
+            except OSError:
+                return
+            if found:
+                self.samples.append((time.monotonic() - begin, int(found.group(1)) / 1024))
+            time.sleep(1.0)
+
+
+def run_offline(program, folder, camera, settings, results):
+    config = os.path.join(package_folder(), "config")
+    command = [program, "--trajectory", os.path.join(folder, "trajectory.txt"), "--detections",
+               os.path.join(folder, "detections.json"), "--camera", camera, "--classes",
+               os.path.join(config, "classes_coco.yaml"), "--output", results]
+    for setting in settings:
+        command += ["--set", setting]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, universal_newlines=True)
+    memory = Memory(process.pid)
+    text = process.communicate()[0]
+    if process.returncode != 0:
+        raise Failure(text.strip())
+    return text.strip().splitlines()[-1], memory.samples
+
+
+def slowest(values):
+    """Mean of the slowest ones."""
+    count = max(1, int(len(values) * SLOWEST))
+    return sum(sorted(values)[-count:]) / count
+
+
+def table(frames, memory, seconds):
+    """Milliseconds a frame by part of the run. What is in no frame is the end: the last optimisation."""
+    print("| part | ms a frame | slowest 0.5 %: " + " | ".join(COLUMNS) + " | MB at its end |")
+    print("| --- " * (len(COLUMNS) + 3) + "|")
+    total_us = [sum(float(row[name + "_us"]) for name in COLUMNS) for row in frames]
+    spent, whole = 0.0, sum(total_us)
+    for part in range(PARTS):
+        begin, end = part * len(frames) // PARTS, (part + 1) * len(frames) // PARTS
+        spent += sum(total_us[begin:end])
+        # Memory is sampled by the clock; the clock runs with the work.
+        at = min(len(memory) - 1, int(len(memory) * spent / whole)) if memory else -1
+        cells = [slowest([float(row[name + "_us"]) for row in frames[begin:end]]) / 1000 for name in COLUMNS]
+        print(f"| {part + 1} of {PARTS} | {sum(total_us[begin:end]) / (end - begin) / 1000:.2f} | "
+              + " | ".join(f"{cell:.1f}" for cell in cells) + f" | {memory[at][1] if memory else 0:.0f} |")
+    print(f"\nin no frame (reading poses, the end): {seconds - whole / 1e6:.2f} s; most memory: "
+          f"{max((mb for _, mb in memory), default=0):.0f} MB")
+
+
+def parse_arguments():
+    parser = argparse.ArgumentParser(prog="growth", description=__doc__,
+                                     formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("programs", help="folder of the program offline")
+    parser.add_argument("--passes", type=int, default=16, help="how often fr2_desk is gone through (default: 16)")
+    parser.add_argument("--data", default=os.environ.get("SEMANTIC_TOPO_LOOP_DATA")
+                        or os.path.join(os.path.dirname(package_folder()), "shared"), help="folder of tum/")
+    parser.add_argument("--output", default="/tmp/semantic_topo_loop_growth", metavar="DIR",
+                        help="folder for inputs and results (default: %(default)s)")
+    parser.add_argument("--inputs-only", action="store_true", help="only write the input")
+    parser.add_argument("--folder", help="instead of fr2_desk: a folder that `simulate` wrote")
+    parser.add_argument("--set", action="append", default=[], metavar="KEY=VALUE", help="a parameter of offline")
+    return parser.parse_args()
+
+
+def main():
+    arguments = parse_arguments()
+    try:
+        folder, camera = arguments.folder, os.path.join(arguments.folder or "", "camera.yaml")
+        if folder is None:
+            sequence = find_sequences(arguments.data, "")[0]
+            folder = os.path.join(arguments.output, f"{sequence.name}_{arguments.passes}")
+            camera = os.path.join(package_folder(), "config/camera", sequence.camera)
+            to_and_fro(sequence, arguments.passes, folder)
+            print("input: " + folder)
+        elif not os.path.exists(os.path.join(folder, "trajectory.txt")):
+            os.symlink("odometry.txt", os.path.join(folder, "trajectory.txt"))
+        if arguments.inputs_only:
+            return
+        results = os.path.join(arguments.output, "results", os.path.basename(folder))
+        said, memory = run_offline(os.path.join(arguments.programs, "offline"), folder, camera, arguments.set, results)
+        print(said + "\n")
+        seconds = float(re.search(r"in ([0-9.]+) s", said).group(1))
+        table(read_rows(os.path.join(results, "timing.csv")), memory, seconds)
+        with open(os.path.join(results, "summary.json")) as file:
+            print("loops: " + json.dumps(json.load(file).get("loops", {})))
+    except Failure as failure:
+        sys.exit(f"growth: error: {failure}")
+
+
+if __name__ == "__main__":
+    main()
