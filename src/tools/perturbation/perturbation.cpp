@@ -11,7 +11,7 @@ namespace {
 /// The random numbers of one box, all drawn whether they are needed or not.
 struct Draws {
   explicit Draws(Random* random) : drop(random->uniform()), relabel(random->uniform()), other_class(random->uniform()) {
-    for (double& edge : edges) edge = random->normal();
+    for (int i = 0; i < 4; ++i) edges[i] = random->normal();
   }
   double drop, relabel, other_class;
   Vec4 edges;

@@ -81,7 +81,7 @@ void DetectorModel::advance_moods() {
     mood.miss = advance(mood.miss, memory, &random_);
     mood.label = advance(mood.label, memory, &random_);
     mood.other_class = advance(mood.other_class, memory, &random_);
-    for (double& edge : mood.edges) edge = advance(edge, memory, &random_);
+    for (int i = 0; i < 4; ++i) mood.edges[i] = advance(mood.edges[i], memory, &random_);
   }
 }
 
@@ -102,7 +102,7 @@ void DetectorModel::advance_phantoms(const SE3& T_world_camera) {
     const double y = random_.uniform(0.05, 0.95) * camera_.height;
     const double depth = random_.uniform(1.0, 2.5);
     phantom.ellipsoid.T_world_quadric.t = T_world_camera * (depth * camera_.ray(camera_.undistort(Vec2(x, y))));
-    for (double& axis : phantom.ellipsoid.semi_axes) axis = random_.uniform(0.03, 0.15);
+    for (int i = 0; i < 3; ++i) phantom.ellipsoid.semi_axes[i] = random_.uniform(0.03, 0.15);
     phantoms_.push_back(phantom);
   }
 }
