@@ -245,6 +245,22 @@ std::vector<const SceneObject*> moving(const Scene& scene) {
   return objects;
 }
 
+TEST(RobotTrajectory, stands_where_it_is_parked_and_drives_on) {
+  TrajectoryOptions options;
+  options.model = "robot";
+  options.parked_share = 0.25;  // the last 450 s of 1800
+  const Scene scene = make_scene({}, 1);
+  const auto parked = make_trajectory(scene, options, 1);
+  options.parked_share = 0.0;
+  const auto driving = make_trajectory(scene, options, 1);
+  const auto distance_m = [&](double parked_s, double driving_s) {
+    return (parked->T_world_camera(parked_s).inverse() * driving->T_world_camera(driving_s)).t.norm();
+  };
+  for (const double time_s : {0.0, 700.0, 1349.0}) EXPECT_NEAR(distance_m(time_s, time_s), 0.0, 1e-9) << time_s;
+  for (const double time_s : {1350.0, 1500.0, 1799.9}) EXPECT_NEAR(distance_m(time_s, 1350.0), 0.0, 1e-9) << time_s;
+  EXPECT_NEAR(distance_m(1800.0 + 700.0, 1350.0 + 700.0), 0.0, 1e-9);
+}
+
 TEST(SceneObject, at_follows_the_phases) {
   SceneObject object;
   object.ellipsoid.T_world_quadric.t = Vec3(9.0, 0.0, 0.0);

@@ -100,13 +100,45 @@ TEST_P(SceneTest, every_desk_has_enough_objects_to_be_recognised) {
   }
 }
 
-INSTANTIATE_TEST_SUITE_P(Layouts, SceneTest, ::testing::Values("desk", "office"));
+INSTANTIATE_TEST_SUITE_P(Layouts, SceneTest, ::testing::Values("desk", "office", "house"));
 
 TEST(Scene, office_has_the_desks_asked_for) {
   SceneOptions options;
   options.layout = "office";
   options.desks = 5;
   EXPECT_EQ(make_scene(options, 1).desks.size(), 5u);
+}
+
+TEST(Scene, a_house_has_a_room_a_desk_and_its_walls_hide_the_others) {
+  SceneOptions options;
+  options.layout = "house";
+  options.desks = 30;
+  const Scene scene = make_scene(options, 1);
+  EXPECT_EQ(scene.desks.size(), 30u);
+  EXPECT_GE(scene.objects.size(), 570u);
+  std::map<int, int> objects_of;
+  for (const SceneObject& object : scene.objects) ++objects_of[scene.room_of(object.ellipsoid.center())];
+  EXPECT_EQ(objects_of.size(), 30u);
+
+  const SimulatedSequence sequence = simulate_fr2({{"scene.layout", "house"},
+                                                   {"scene.desks", "4"},
+                                                   {"trajectory.model", "robot"},
+                                                   {"trajectory.lap_s", "40"},
+                                                   {"trajectory.duration_s", "40"},
+                                                   {"trajectory.rate_hz", "5"},
+                                                   {"drift.position_m", "0"},
+                                                   {"drift.rotation_deg", "0"}});
+  std::set<int> rooms;
+  for (std::size_t i = 0; i < sequence.truth.size(); ++i) {
+    const int room = sequence.scene.room_of(sequence.truth[i].T_world_camera.t);
+    rooms.insert(room);
+    for (const SimulatedDetection& d : sequence.detections[i]) {
+      if (d.object < 0) continue;
+      const SceneObject& object = sequence.scene.objects[static_cast<std::size_t>(d.object)];
+      EXPECT_EQ(sequence.scene.room_of(object.ellipsoid.center()), room) << "image " << i;
+    }
+  }
+  EXPECT_EQ(rooms.size(), 4u) << "the lap goes through every room";
 }
 
 TEST(Scene, identical_desks_carry_the_same_objects) {

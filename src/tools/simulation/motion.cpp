@@ -172,8 +172,12 @@ class Lap {
     const Vec3 side(line_direction_.y(), -line_direction_.x(), 0.0);
     return {line_start_ + s.along_m * line_direction_, std::cos(s.angle) * side + std::sin(s.angle) * line_direction_};
   }
+  /// Over which its corners are rounded: a tenth of it, but not more than the way around the end of a long row.
+  double window_laps() const { return std::min(0.1, kMaxWindow_m / (2.0 * (line_length_m_ + kPi * distance_m_))); }
 
  private:
+  static constexpr double kMaxWindow_m = 4.0;
+
   /// How far along the desks' middle line, and on which side of it.
   struct Station {
     double along_m = 0.0, angle = 0.0;
@@ -193,10 +197,9 @@ class Lap {
   Station smooth_station(double laps) const {
     // A moving average rounds the corners of the pace, where straight meets arc.
     constexpr int kSamples = 16;  // so that a step of the average is below a hundredth of a lap
-    constexpr double kWindowLaps = 0.1;
     Station mean;
     for (int i = 0; i < kSamples; ++i) {
-      const Station s = station(laps + kWindowLaps * ((i + 0.5) / kSamples - 0.5));
+      const Station s = station(laps + window_laps() * ((i + 0.5) / kSamples - 0.5));
       mean.along_m += s.along_m / kSamples;
       mean.angle += s.angle / kSamples;
     }
@@ -266,7 +269,13 @@ class RobotTrajectory : public LapTrajectory {
         first_stop_(random.uniform(0.0, 2.0 * kPi)),
         wander_(0.02, 0.08, &random) {}
 
-  SE3 T_world_camera(double time_s) const override {
+  SE3 T_world_camera(double now_s) const override {
+    constexpr double kParkingPeriod_s = 1800.0;
+    const double periods = std::floor(now_s / kParkingPeriod_s),
+                 driving_s = (1.0 - options_.parked_share) * kParkingPeriod_s;
+    const double time_s = options_.parked_share > 0.0
+                              ? periods * driving_s + std::min(now_s - periods * kParkingPeriod_s, driving_s)
+                              : now_s;
     // Speed 1 - cos(phase) of the mean: it stands where the phase is a whole turn, and turns on the spot around then.
     const double phase = 2.0 * kPi * time_s / kStopPeriod_s + first_stop_;
     const double way_s = time_s - kStopPeriod_s / (2.0 * kPi) * (std::sin(phase) - std::sin(first_stop_));
@@ -274,9 +283,9 @@ class RobotTrajectory : public LapTrajectory {
     const double standing = std::max(0.0, std::cos(phase));
     const double scan = radians(kScan_deg) * standing * standing * standing * std::sin(2.0 * phase);
 
-    // Over 2 % of a lap, so that the heading turns as smoothly as the place moves.
-    constexpr double kStep = 0.01;
-    const Vec3 heading = sense_ * (position(laps + kStep) - position(laps - kStep));
+    // Over a fifth of the window that smoothes the lap, so that the heading turns as smoothly as the place moves.
+    const double step = lap_.window_laps() / 10.0;
+    const Vec3 heading = sense_ * (position(laps + step) - position(laps - step));
     const double inward = sense_ * radians(kMount_deg);
     const Vec3 level = Quaternion(Eigen::AngleAxisd(inward + scan, Vec3::UnitZ())) * heading.normalized();
     const double tilt = radians(kTilt_deg);

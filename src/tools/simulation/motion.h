@@ -21,6 +21,7 @@ struct TrajectoryOptions {
   double wander_m = 0.15;
   double shake_m = 0.003;
   double shake_deg = 0.4;
+  double parked_share = 0.0;
 
   void visit(OptionVisitor& visitor) {
     visitor.module("trajectory");
@@ -37,6 +38,7 @@ struct TrajectoryOptions {
     visitor("wander_m", wander_m, between(0, 0.3), "slow deviation of position and of the point looked at");
     visitor("shake_m", shake_m, between(0, 0.1), "shake of the hand, standard deviation in position");
     visitor("shake_deg", shake_deg, between(0, 10), "shake of the hand, standard deviation in rotation");
+    visitor("parked_share", parked_share, between(0, 0.9), "robot: share of every half hour, its end, that it stands");
     visitor.require("duration_s", duration_s * rate_hz >= 2.0 && duration_s * rate_hz < 1e6,
                     "long enough for 2 and short enough for 1e6 images");
   }
@@ -64,7 +66,7 @@ struct DynamicsOptions {
 
   void visit(OptionVisitor& visitor) {
     visitor.module("dynamics");
-    visitor("persons", persons, between(0, 100), "people who walk through the view, one after the other");
+    visitor("persons", persons, between(0, 10000), "people who walk through the view, one after the other");
     visitor("moved_objects", moved_objects, not_negative(),
             "small objects, cups first, that are moved to another place");
     visitor("move_time_s", move_time_s, positive(), "when they are moved");

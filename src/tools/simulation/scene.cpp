@@ -11,6 +11,7 @@ namespace {
 constexpr double kTableHeight_m = 0.74;  ///< of office desks (EN 527)
 constexpr int kMaxTries = 300;           ///< for a free place; without one an object is left out
 constexpr double kDeskPitch_m = 2.2;     ///< office: between the middles of two desks
+constexpr double kRoomLength_m = 5.0;    ///< house: the same
 
 // COCO class ids of the objects that a desk may carry.
 enum Class : int {
@@ -129,14 +130,15 @@ class Builder {
 
  private:
   void add_desks(const SceneOptions& options, Random* random) {
-    const bool office = options.layout == "office";
-    const int count = office ? options.desks : 1;
+    const bool office = options.layout == "office", house = options.layout == "house";
+    const int count = office || house ? options.desks : 1;
+    if (house) scene_.room_length_m = kRoomLength_m;
     const double room_yaw = random->uniform(-kPi, kPi);
     Vec3 room_origin(0.0, 0.0, kTableHeight_m);
     for (int i = 0; i < 2; ++i) room_origin[i] = random->uniform(-2.0, 2.0);
     const SE3 T_world_room = upright_pose(room_origin, room_yaw);
     for (int i = 0; i < count; ++i) {
-      const double y = (i - 0.5 * (count - 1)) * kDeskPitch_m;
+      const double y = (i - 0.5 * (count - 1)) * (house ? kRoomLength_m : kDeskPitch_m);
       const double yaw = office ? random->uniform(-0.08, 0.08) : 0.0;
       const Desk desk{T_world_room * upright_pose({0.0, y, 0.0}, yaw), office ? 0.40 : 0.65, 0.80};
       scene_.desks.push_back(desk);
@@ -256,6 +258,13 @@ bool SceneObject::stays() const {
   return phases.empty() || (phases.back().is_present && phases.back().velocity.isZero());
 }
 
+int Scene::room_of(const Vec3& p_world) const {
+  if (room_length_m == 0.0) return 0;
+  const Vec3& first = desks.front().T_world_desk.t;
+  const Vec3 row = (desks.back().T_world_desk.t - first).normalized();
+  return static_cast<int>(std::lround((p_world - first).dot(row) / room_length_m));
+}
+
 Scene make_scene(const SceneOptions& options, std::uint64_t seed) { return Builder().build(options, seed); }
 
 /// An ellipsoid as rays of one camera meet it: the unit sphere after p -> to_sphere * p + camera.
@@ -281,13 +290,14 @@ SceneProjector::SceneProjector(const Scene& scene, const Camera& camera)
 
 std::vector<std::optional<ObjectView>> SceneProjector::project(const SE3& T_world_camera, double time_s) const {
   const Mat34 P = projection_matrix(camera_, T_world_camera);
+  const int room = scene_->room_of(T_world_camera.t);
   std::vector<Caster> casters;
   std::vector<std::optional<Box>> wholes;
   for (const SceneObject& object : scene_->objects) {
     casters.emplace_back();
     wholes.emplace_back();
     const std::optional<Ellipsoid> ellipsoid = object.at(time_s);
-    if (!ellipsoid) continue;
+    if (!ellipsoid || scene_->room_of(ellipsoid->center()) != room) continue;
     const SE3 T_quadric_camera = ellipsoid->T_world_quadric.inverse() * T_world_camera;
     const Vec3 inverse_axes = ellipsoid->semi_axes.cwiseInverse();
     casters.back() = {inverse_axes.asDiagonal() * T_quadric_camera.rotation(),

@@ -18,9 +18,12 @@ struct SceneOptions {
 
   void visit(OptionVisitor& visitor) {
     visitor.module("scene");
-    visitor("layout", layout, one_of({"desk", "office"}), "desk (one large desk) or office (a row of desks)");
-    visitor("desks", desks, between(1, 50), "office: number of desks");
-    visitor("identical_desks", identical_desks, "office: every desk carries the same objects at the same places");
+    visitor("layout", layout, one_of({"desk", "office", "house"}),
+            "desk (one large desk), office (a row of desks) or house (a row of rooms with a large desk in each, which "
+            "hide each other's objects; rendered images show no walls between them)");
+    visitor("desks", desks, between(1, 50), "office, house: number of desks");
+    visitor("identical_desks", identical_desks,
+            "office, house: every desk carries the same objects at the same places");
   }
 };
 
@@ -51,10 +54,13 @@ struct Desk {
   double half_width_m = 0.0;
 };
 
-/// A room in a z-up world whose floor is z = 0.
+/// A room, or rooms in a row, in a z-up world whose floor is z = 0.
 struct Scene {
   std::vector<Desk> desks;
   std::vector<SceneObject> objects;
+  double room_length_m = 0.0;  ///< along the row of desks, each in the middle of its room; 0: one room
+
+  int room_of(const Vec3& p_world) const;
 };
 
 /// Lays out desks and fills them with objects of plausible sizes. Every object rests on a table top or on the floor,

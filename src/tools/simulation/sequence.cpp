@@ -121,7 +121,9 @@ void collect(const SimulatedSequence& sequence, std::size_t frame, const ScenePr
   const double width = sequence.camera.width, height = sequence.camera.height;
   std::vector<std::optional<Box>> true_boxes;
   for (std::size_t i = 0; i < sequence.scene.objects.size(); ++i) {
-    true_boxes.push_back(projector.raw_box(sequence.scene.objects[i].ellipsoid, T_world_camera));
+    const Ellipsoid& ellipsoid = sequence.scene.objects[i].ellipsoid;
+    const bool is_here = sequence.scene.room_of(ellipsoid.center()) == sequence.scene.room_of(T_world_camera.t);
+    true_boxes.push_back(is_here ? projector.raw_box(ellipsoid, T_world_camera) : std::nullopt);
     const std::optional<Box>& box = true_boxes.back();
     if (box && is_settled(i) && truncated_sides(*box, width, height, 0.0) == 0) ++(*evidence)[i].reference.whole_frames;
   }
