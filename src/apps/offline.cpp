@@ -1,6 +1,7 @@
 #include <unistd.h>
 
 #include <cstdio>
+#include <filesystem>
 #include <iostream>
 #include <map>
 #include <memory>
@@ -59,9 +60,12 @@ Result<RgbdSource::Open> image_opener(const Arguments& arguments, const RunInput
       return semantic_topo_loop::open_tum_bag(bag, camera, depth);
     });
   }
-  const std::string list =
-      arguments.associations.empty() ? arguments.rgbd + "/associations.txt" : arguments.associations;
-  const Result<RgbdFiles> read = read_associations(list, arguments.rgbd);
+  const std::string usual = arguments.rgbd + "/associations.txt";
+  const std::string list = arguments.associations.empty() ? usual : arguments.associations;
+  std::error_code ignored;
+  const bool is_as_downloaded = list == usual && !std::filesystem::exists(usual, ignored);
+  const Result<RgbdFiles> read =
+      is_as_downloaded ? associate_images(arguments.rgbd) : read_associations(list, arguments.rgbd);
   if (!read) return read.error();
   if (!read->warning.empty()) std::cerr << "offline: warning: " << read->warning << '\n';
   return RgbdSource::Open([camera, depth, files = read->files]() -> Opened {
@@ -308,6 +312,8 @@ void print(const std::optional<Relocalisation>& found) {
 Status run(const Arguments& arguments) {
   const Result<RunInputs> inputs = load(arguments);
   if (!inputs) return inputs.error();
+  // Now, not after hours of work.
+  if (const Status writable = check_writable(arguments.output); !writable) return writable;
   const Result<RunRecorder> recorder = run_chain(arguments, *inputs);
   if (!recorder) return recorder.error();
   if (const Status written = recorder->write(arguments.output); !written) return written;
@@ -353,7 +359,8 @@ Command run_command(Arguments* arguments) {
               "folder of color and depth images: the odometry is found from them; see depth.* and frontend.*")
       .option("bag", po::value(&arguments->bag), "the same from a bag in the layout of the TUM RGB-D bags")
       .option("associations", po::value(&arguments->associations),
-              "which depth belongs to which color image (default: associations.txt of the folder)")
+              "which depth belongs to which color image (default: associations.txt of the folder; without it, rgb.txt "
+              "and depth.txt are joined)")
       .option("detections", po::value(&arguments->detections),
               "OA-SLAM JSON file, or directory of YOLO text files <stamp>.txt; with --rgbd and --bag they may be left "
               "out: odometry only")

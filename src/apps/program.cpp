@@ -3,6 +3,8 @@
 #include <ros/package.h>
 
 #include <algorithm>
+#include <exception>
+#include <filesystem>
 #include <iostream>
 
 namespace semantic_topo_loop::apps {
@@ -90,7 +92,7 @@ core::Status read_arguments(const Command& command, const std::vector<std::strin
   return core::Error{error.what()};
 }
 
-int run_program(const std::string& program, const std::vector<Command>& commands, int argc, char** argv) {
+int run_program(const std::string& program, const std::vector<Command>& commands, int argc, char** argv) try {
   std::vector<std::string> words(argv + 1, argv + argc);
   if (std::any_of(words.begin(), words.end(), [](const auto& word) { return word == "--help" || word == "-h"; })) {
     for (const Command& command : commands) {
@@ -118,6 +120,20 @@ int run_program(const std::string& program, const std::vector<Command>& commands
   std::cerr << program << (is_named ? " " + first : "") << ": error: " << status.message()
             << (is_read ? "\n" : " (see --help)\n");
   return is_read ? 1 : 2;
+} catch (const std::exception& exception) {
+  std::string cause = exception.what();
+  std::replace(cause.begin(), cause.end(), '\n', ' ');
+  std::cerr << program << ": error: " << cause << '\n';
+  return 1;
+}
+
+core::Status check_writable(const std::string& directory) {
+  if (const core::Status made = core::make_directory(directory); !made) return made;
+  const std::string probe = directory + "/.writable";
+  if (const core::Status written = core::write_text_file(probe, ""); !written) return written;
+  std::error_code ignored;
+  std::filesystem::remove(probe, ignored);
+  return {};
 }
 
 core::Status default_to_package(const std::string& file, const std::string& argument, std::string* path) {

@@ -85,9 +85,12 @@ Command print_command(const std::string& name, const std::string& purpose, const
 core::Status read_arguments(const Command& command, const std::vector<std::string>& words);
 
 /// What `main` does: prints what the commands take for --help or -h, else runs the first one that fits and prints its
-/// error in one line.
+/// error, or that of an exception, in one line.
 /// @return the exit status: 0 done, 1 failed, 2 wrong arguments
 int run_program(const std::string& program, const std::vector<Command>& commands, int argc, char** argv);
+
+/// Makes the directory if it is missing and sees whether files can be written there.
+core::Status check_writable(const std::string& directory);
 
 /// Where `path`, the value of `argument`, is empty: a file of the package's config directory.
 /// @return an error if the package is not on ROS_PACKAGE_PATH

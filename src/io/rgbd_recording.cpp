@@ -1,7 +1,11 @@
 #include "semantic_topo_loop/io/rgbd_recording.h"
 
+#include <cstdlib>
 #include <filesystem>
+#include <map>
 #include <opencv2/imgcodecs.hpp>
+#include <set>
+#include <tuple>
 
 #include "semantic_topo_loop/io/text_file.h"
 #include "semantic_topo_loop/types/stamp.h"
@@ -26,7 +30,53 @@ std::string joined(const std::string& directory, std::string_view path) {
   return (std::filesystem::path(directory) / std::string(path)).string();
 }
 
+/// Images by stamp: `stamp path` a line; of two with one stamp the first counts.
+Result<std::map<std::int64_t, std::string>> read_image_list(const std::string& directory, const char* name) {
+  const std::string path = joined(directory, name);
+  const Result<std::string> text = read_text_file(path);
+  if (!text) return text.error();
+  std::map<std::int64_t, std::string> images;
+  for (const TextLine& line : content_lines(*text)) {
+    const std::vector<std::string_view> fields = split_blanks(line.text);
+    const std::optional<std::int64_t> stamp_ns = parse_stamp(fields[0]);
+    if (!stamp_ns) return Error{at_line(path, line.number, "'" + std::string(fields[0]) + "' is no stamp")};
+    if (fields.size() < 2) return Error{at_line(path, line.number, "1 column, but 'stamp path' are two")};
+    images.emplace(*stamp_ns, joined(directory, fields[1]));
+  }
+  if (images.empty()) return Error{path + ": no images"};
+  return images;
+}
+
 }  // namespace
+
+Result<RgbdFiles> associate_images(const std::string& directory) {
+  const auto colors = read_image_list(directory, "rgb.txt");
+  if (!colors) return colors.error();
+  const auto depths = read_image_list(directory, "depth.txt");
+  if (!depths) return depths.error();
+  constexpr std::int64_t kMaxDifference_ns = 20000000;  // 0.02 s, the default of the benchmark's associate.py
+  std::set<std::tuple<std::int64_t, std::int64_t, std::int64_t>> candidates;  // difference, color, depth
+  for (const auto& [color_ns, unused] : *colors) {
+    for (auto depth = depths->upper_bound(color_ns - kMaxDifference_ns);
+         depth != depths->end() && depth->first < color_ns + kMaxDifference_ns; ++depth) {
+      candidates.emplace(std::abs(depth->first - color_ns), color_ns, depth->first);
+    }
+  }
+  std::map<std::int64_t, std::int64_t> depth_of;
+  std::set<std::int64_t> taken;
+  for (const auto& [difference_ns, color_ns, depth_ns] : candidates) {
+    if (depth_of.count(color_ns) == 0 && taken.insert(depth_ns).second) depth_of.emplace(color_ns, depth_ns);
+  }
+  RgbdFiles read;
+  for (const auto& [color_ns, depth_ns] : depth_of) {
+    read.files.push_back({color_ns, colors->at(color_ns), depths->at(depth_ns)});
+  }
+  const std::string counts = std::to_string(read.files.size()) + " of " + std::to_string(colors->size()) +
+                             " color images of rgb.txt have one of depth.txt within 0.02 s";
+  if (read.files.empty()) return Error{directory + ": " + counts};
+  read.warning = "no associations.txt in " + directory + ": " + counts;
+  return read;
+}
 
 Result<RgbdFiles> read_associations(const std::string& path, const std::string& directory) {
   const Result<std::string> text = read_text_file(path);

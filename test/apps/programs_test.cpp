@@ -1,5 +1,7 @@
 #include <gtest/gtest.h>
 
+#include <filesystem>
+
 #include "support/program_test.h"
 
 namespace semantic_topo_loop::core {
@@ -41,6 +43,39 @@ TEST_F(OfflineProgram, FilesThatAreMissingAreOneClearError) {
   expect_failure("--rgbd @ --camera @none.yaml --output @run --classes " STL_CONFIG_DIR "/classes_coco.yaml", 1,
                  "none.yaml: cannot open the file");
   EXPECT_EQ(err_.find("--help"), std::string::npos);
+}
+
+class OfflineRun : public OfflineProgram {
+ protected:
+  OfflineRun() {
+    directory_.write("t.txt", "1.0 0 0 0 0 0 0 1\n1.1 0.1 0 0 0 0 0 1\n");
+    directory_.write("d.json", R"([{"file_name": "1.0.png", "detections": []}])");
+    directory_.write("file", "");
+    std::filesystem::create_symlink("loop", directory_.path("loop"));
+  }
+  static std::string with(const std::string& detections, const std::string& output) {
+    return "--trajectory @t.txt --detections @" + detections +
+           " --camera " STL_CONFIG_DIR "/camera/tum_fr2.yaml --classes " STL_CONFIG_DIR
+           "/classes_coco.yaml --output @" +
+           output;
+  }
+};
+
+TEST_F(OfflineRun, OutputThatCannotBeWrittenIsOneClearErrorBeforeTheRun) {
+  ASSERT_EQ(run(with("d.json", "run")), 0) << err_;
+  expect_failure(with("d.json", "file/run"), 1, "file/run");
+  expect_failure(with("d.json", "loop"), 1, "loop");
+  expect_failure(with("d.json", std::string(300, 'x')), 1, "xxx");
+  std::filesystem::create_directory(directory_.path("taken"));
+  std::filesystem::create_directory(directory_.path("taken/.writable.tmp"));
+  expect_failure(with("d.json", "taken"), 1, "taken");
+}
+
+TEST_F(OfflineRun, NumbersThatNothingHoldsAreOneClearError) {
+  directory_.write("huge.json", R"([{"file_name": "1.0.png", "detections": [{"category_id": 41, "detection_score": )"
+                                R"(1e999, "bbox": [1, 2, 30, 40]}]}])");
+  EXPECT_EQ(run(with("huge.json", "run")), 1);
+  expect_one_line_error("offline: error: ");
 }
 
 class OptimiseGraphProgram : public ProgramTest {

@@ -4,6 +4,11 @@
 
 #include <fstream>
 #include <opencv2/imgcodecs.hpp>
+#include <string>
+#include <vector>
+
+#include "semantic_topo_loop/types/stamp.h"
+#include "support/test_files.h"
 
 namespace semantic_topo_loop::core {
 namespace {
@@ -64,6 +69,46 @@ TEST_F(RgbdFolder, BadListsAreNamed) {
   EXPECT_NE(read("1.0 a 1.0\n").message().find("associations.txt:1: 3 columns"), std::string::npos);
   EXPECT_NE(read("1.0 a x d\n").message().find("'x' is no stamp"), std::string::npos);
   EXPECT_NE(read("# nothing\n").message().find("no images"), std::string::npos);
+}
+
+TEST(RgbdFolderAsDownloaded, IsJoinedByTheNearestStamps) {
+  const TestDirectory directory;
+  // 1.00 and 1.01 both are nearest to 1.008: the nearer takes it, and the other what is left within 0.02 s.
+  directory.write("rgb.txt", "# timestamp filename\n1.00 a.png\n1.01 b.png\n2.00 c.png\n3.00 d.png\n4.00 e.png\n");
+  directory.write("depth.txt", "1.008 A.png\n0.985 B.png\n2.019 C.png\n3.02 D.png\n3.981 E.png\n");
+  const auto files = associate_images(directory.path(""));
+  ASSERT_TRUE(files) << files.message();
+  std::vector<std::string> pairs;
+  for (const RgbdFile& file : files->files) {
+    const auto name = [](const std::string& path) { return " " + path.substr(path.rfind('/') + 1); };
+    pairs.push_back(format_stamp(file.stamp_ns) + name(file.color) + name(file.depth));
+  }
+  EXPECT_EQ(pairs, (std::vector<std::string>{"1.000000 a.png B.png", "1.010000 b.png A.png", "2.000000 c.png C.png",
+                                             "4.000000 e.png E.png"}));
+  EXPECT_NE(files->warning.find("4 of 5 color images of rgb.txt have one of depth.txt within 0.02 s"),
+            std::string::npos)
+      << files->warning;
+}
+
+TEST(RgbdFolderAsDownloaded, BadListsAreNamed) {
+  const TestDirectory directory;
+  const auto problem = [&directory](const std::string& rgb, const std::string& depth) {
+    directory.write("rgb.txt", rgb);
+    directory.write("depth.txt", depth);
+    return associate_images(directory.path("")).message();
+  };
+  EXPECT_NE(problem("x a.png\n", "1 A.png\n").find("rgb.txt:1: 'x' is no stamp"), std::string::npos);
+  EXPECT_NE(problem("1 a.png\n", "1 A.png\n2\n").find("depth.txt:2: 1 column"), std::string::npos);
+  EXPECT_NE(problem("1 a.png\n", "# none\n").find("depth.txt: no images"), std::string::npos);
+  EXPECT_NE(problem("1 a.png\n", "2 A.png\n").find("0 of 1 color images"), std::string::npos);
+}
+
+TEST(RgbdFolderAsDownloaded, IsJoinedAsTheBenchmarksScriptDoes) {
+  const std::optional<std::string> folder = shared_data("tum/fr1_xyz");
+  if (!folder) GTEST_SKIP() << "SEMANTIC_TOPO_LOOP_DATA is not set";
+  const auto files = associate_images(*folder);
+  ASSERT_TRUE(files) << files.message();
+  EXPECT_EQ(files->files.size(), 789u);
 }
 
 TEST_F(RgbdFolder, ReadsAnImage) {

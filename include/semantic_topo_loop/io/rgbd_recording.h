@@ -45,6 +45,12 @@ struct RgbdFiles {
 /// @return an error, with file, line and value, for a missing or empty file or a line that is none
 Result<RgbdFiles> read_associations(const std::string& path, const std::string& directory);
 
+/// Joins rgb.txt and depth.txt of a TUM folder as it is downloaded (`stamp path` a line, `#` comments) as the
+/// benchmark's associate.py does: pairs less than 0.02 s apart, the nearest first, each image in one pair at most. The
+/// warning tells how many.
+/// @return an error, with file, line and value, for a missing or empty file or a line that is none, or no pair
+Result<RgbdFiles> associate_images(const std::string& directory);
+
 /// @return an error, with path and cause, if a file is missing, no image, or not what the camera makes
 Result<RgbdImage> read_rgbd_image(const RgbdFile& file, const Camera& camera, const DepthOptions& options);
 
