@@ -231,13 +231,13 @@ Result<OptionTexts> read_option_texts(const std::string& path) {
 }
 
 Result<Options> load_options(const std::string& path, const OptionTexts& assignments) {
+  const Result<OptionTexts> from_file = path.empty() ? OptionTexts() : read_option_texts(path);
+  if (!from_file) return from_file.error();
   OptionTexts texts = assignments;
-  if (!path.empty()) {
-    const Result<OptionTexts> from_file = read_option_texts(path);
-    if (!from_file) return from_file.error();
-    texts.insert(from_file->begin(), from_file->end());
-  }
-  return make_options<Options>(texts);
+  texts.insert(from_file->begin(), from_file->end());
+  Result<Options> options = make_options<Options>(texts);
+  const bool is_fault_of_file = !options && !make_options<Options>(*from_file);
+  return is_fault_of_file ? Error{path + ": " + options.message()} : options;
 }
 
 std::string format_options_yaml(const std::vector<OptionRow>& rows) {
