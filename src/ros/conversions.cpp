@@ -30,8 +30,10 @@ core::Status check_xyz(const sensor_msgs::PointCloud2& message) {
                         std::uint64_t{field->offset} + sizeof(float) <= message.point_step;
     if (!usable) return core::Error{std::string("point cloud field '") + name + "' is missing or not float32"};
   }
-  const std::uint64_t expected = std::uint64_t{message.width} * message.height * message.point_step;
-  if (message.data.size() == expected) return {};
+  const std::uint64_t points = std::uint64_t{message.width} * message.height;
+  // Three sizes may have a product beyond 64 bits.
+  if (message.data.size() / message.point_step == points && message.data.size() % message.point_step == 0) return {};
+  const std::uint64_t expected = points * message.point_step;
   return bad("point cloud data size", static_cast<double>(message.data.size()),
              "is not width * height * point_step = " + std::to_string(expected));
 }
@@ -154,6 +156,10 @@ core::Result<core::Camera> checked_camera(const sensor_msgs::CameraInfo& message
   if (!known_model || message.D.size() > 5) {
     return core::Error{"camera_info distortion_model = '" + message.distortion_model + "' with " +
                        std::to_string(message.D.size()) + " coefficients is not plumb_bob with at most 5"};
+  }
+  constexpr std::uint32_t kLargestSide = 16384;  // four times a large camera's; tables are made for every pixel
+  for (const auto& [name, value] : {std::pair("width", message.width), std::pair("height", message.height)}) {
+    if (value > kLargestSide) return bad(std::string("camera_info ") + name, value, "is more than 16384 pixels");
   }
   const core::Camera camera = from_msg(message);
   if (const core::Status status = camera.check(); !status) return core::Error{"camera_info " + status.message()};

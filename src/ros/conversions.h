@@ -31,6 +31,12 @@ constexpr std::int64_t kJumpBack_ns = 1'000'000'000;
 /// @param stamp_ns clamped to what ros::Time can hold: [0, 2^32) s
 ros::Time to_ros_time(std::int64_t stamp_ns);
 std::int64_t to_stamp_ns(const ros::Time& time);
+/// Of `n` things every so manieth is shown, so that at most `most` are: a power of two, so that what is shown stays.
+inline std::size_t thinning(std::size_t n, std::size_t most) {
+  std::size_t step = 1;
+  while (n > most * step) step *= 2;
+  return step;
+}
 std_msgs::Header make_header(const ros::Time& stamp, const std::string& frame_id);
 /// tf2 refuses frame ids with a leading '/', tf allowed them.
 std::string strip_leading_slash(const std::string& frame_id);
@@ -63,7 +69,8 @@ core::Result<std::vector<core::Vec3>> from_msg(const sensor_msgs::PointCloud2& m
 /// A pose from outside: finite, and a quaternion of norm 1 within 1 %, which is then normalised.
 /// @return an error that names `field`'s component and its value
 core::Result<core::SE3> checked_pose(const geometry_msgs::Pose& message, const std::string& field);
-/// A calibration from outside: plumb_bob or no distortion model, at most 5 coefficients, Camera::is_valid.
+/// A calibration from outside: plumb_bob or no distortion model, at most 5 coefficients, at most 16384 pixels a side,
+/// Camera::check.
 core::Result<core::Camera> checked_camera(const sensor_msgs::CameraInfo& message);
 
 }  // namespace semantic_topo_loop

@@ -49,7 +49,11 @@ void MapFollower::take(const core::MapUpdate& update) {
 }
 
 void MapView::apply(const core::MapUpdate& update) {
-  for (const core::Landmark& landmark : update.changed) landmarks_[landmark.id] = landmark;
+  for (const core::LandmarkMerge& merge : update.unmerged) redirects_.erase(merge.merged_id);
+  for (const core::Landmark& landmark : update.changed) {
+    landmarks_[landmark.id] = landmark;
+    redirects_.erase(landmark.id);  // it lives again, though the update that says so may be lost
+  }
   for (const std::int64_t id : update.removed) landmarks_.erase(id);
   for (const core::LandmarkMerge& merge : update.merged) {
     landmarks_.erase(merge.merged_id);
@@ -61,17 +65,17 @@ void MapView::apply(const core::MapUpdate& update) {
 void MapView::apply(const core::MapCorrection& correction) {
   if (!correction.changed) return;
   T_map_odom_ = correction.T_map_odom;
-  for (auto& [id, keyframe] : keyframes_) keyframe.T_map_camera = T_map_odom_ * keyframe.T_odom_camera;
+  // What is newer than the solution is composed on it.
+  for (auto it = keyframes_.upper_bound(correction.valid_to_keyframe_id); it != keyframes_.end(); ++it) {
+    it->second.T_map_camera = T_map_odom_ * it->second.T_odom_camera;
+  }
   for (const core::KeyframePose& pose : correction.keyframes) {
     const auto it = keyframes_.find(pose.keyframe_id);
     if (it != keyframes_.end()) it->second.T_map_camera = pose.T_map_camera;
   }
-  for (LoopEnds& loop : loops_) {
-    for (const core::LoopVerdict& verdict : correction.loops) {
-      const bool same =
-          verdict.query_keyframe_id == loop.query_keyframe_id && verdict.match_keyframe_id == loop.match_keyframe_id;
-      if (same) loop.kept = verdict.kept;
-    }
+  for (const core::LoopVerdict& verdict : correction.loops) {
+    const auto loop = loops_.find({verdict.query_keyframe_id, verdict.match_keyframe_id});
+    if (loop != loops_.end()) loop->second = verdict.kept;
   }
 }
 
@@ -81,8 +85,7 @@ void MapView::add_keyframe(std::int64_t keyframe_id, const core::SE3& T_odom_cam
 
 void MapView::add_loops(const std::vector<core::LoopClosure>& loops) {
   for (const core::LoopClosure& loop : loops) {
-    if (loop.accepted && !loop.T_earlier_match)
-      loops_.push_back({loop.query_keyframe_id, loop.match_keyframe_id, true});
+    if (loop.accepted && !loop.T_earlier_match) loops_[{loop.query_keyframe_id, loop.match_keyframe_id}] = true;
   }
 }
 
@@ -97,7 +100,12 @@ void MapView::set_view(const core::AssociationFrame& associations) {
 std::vector<const core::Landmark*> MapView::objects_in_view() const {
   std::set<std::int64_t> ids;
   for (std::int64_t id : in_view_) {
-    for (auto it = redirects_.find(id); it != redirects_.end(); it = redirects_.find(id)) id = it->second;
+    // No longer than there are redirects: bad updates may make a ring of them.
+    auto it = redirects_.find(id);
+    for (std::size_t i = 0; i < redirects_.size() && it != redirects_.end(); ++i) {
+      id = it->second;
+      it = redirects_.find(id);
+    }
     ids.insert(id);
   }
   std::vector<const core::Landmark*> objects;

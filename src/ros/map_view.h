@@ -5,6 +5,7 @@
 #include <map>
 #include <optional>
 #include <set>
+#include <utility>
 #include <vector>
 
 #include "semantic_topo_loop/types/detection.h"
@@ -47,12 +48,10 @@ class MapView {
   struct Keyframe {
     core::SE3 T_odom_camera, T_map_camera;
   };
-  struct LoopEnds {
-    std::int64_t query_keyframe_id, match_keyframe_id;
-    bool kept;  ///< false once the optimiser rejects it
-  };
+  using Loop = std::pair<std::int64_t, std::int64_t>;  ///< ids of the query and the match keyframe
 
   void apply(const core::MapUpdate& update);
+  /// Keyframes and loops of which the correction says nothing stay as they are.
   void apply(const core::MapCorrection& correction);
   void add_keyframe(std::int64_t keyframe_id, const core::SE3& T_odom_camera);
   /// Accepted loops only; a loop counts as kept until a correction says otherwise.
@@ -63,7 +62,8 @@ class MapView {
 
   const std::map<std::int64_t, core::Landmark>& landmarks() const { return landmarks_; }
   const std::map<std::int64_t, Keyframe>& keyframes() const { return keyframes_; }
-  const std::vector<LoopEnds>& loops() const { return loops_; }
+  /// Whether each is kept, or rejected by the optimiser.
+  const std::map<Loop, bool>& loops() const { return loops_; }
   const std::optional<core::Frame>& frame() const { return frame_; }
   const core::SE3& T_map_odom() const { return T_map_odom_; }
   /// Objects of the last frame with detections that have an ellipsoid and are not retired, in order of id, each once.
@@ -76,9 +76,9 @@ class MapView {
 
  private:
   std::map<std::int64_t, core::Landmark> landmarks_;
-  std::map<std::int64_t, std::int64_t> redirects_;  ///< merged id to survivor
+  std::map<std::int64_t, std::int64_t> redirects_;  ///< merged id to survivor; none of a landmark that lives
   std::map<std::int64_t, Keyframe> keyframes_;
-  std::vector<LoopEnds> loops_;
+  std::map<Loop, bool> loops_;
   std::optional<core::Frame> frame_;
   std::vector<std::int64_t> in_view_;
   core::SE3 T_map_odom_;

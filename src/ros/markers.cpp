@@ -165,11 +165,11 @@ MarkerArrayPtr make_loop_markers(const MapView& view, const std_msgs::Header& he
   MarkerArrayPtr array = make_array(header, "loops");
   LoopLines kept(make_lines(header, "loops", 0, sizes.line_m, color(0.2, 0.9, 0.3, 0.45)));
   LoopLines rejected(make_lines(header, "loops", 1, 2.0 * sizes.line_m, color(1.0, 0.2, 0.2, 0.9)));
-  for (const MapView::LoopEnds& loop : view.loops()) {
-    const auto query = view.keyframes().find(loop.query_keyframe_id);
-    const auto match = view.keyframes().find(loop.match_keyframe_id);
+  for (const auto& [loop, is_kept] : view.loops()) {
+    const auto query = view.keyframes().find(loop.first);
+    const auto match = view.keyframes().find(loop.second);
     if (query == view.keyframes().end() || match == view.keyframes().end()) continue;
-    (loop.kept ? kept : rejected).add(query->second.T_map_camera.t, match->second.T_map_camera.t);
+    (is_kept ? kept : rejected).add(query->second.T_map_camera.t, match->second.T_map_camera.t);
   }
   for (Marker* lines : {&kept.marker, &rejected.marker}) {
     if (!lines->points.empty()) array->markers.push_back(std::move(*lines));
@@ -184,7 +184,12 @@ MarkerArrayPtr make_keyframe_markers(const MapView& view, const std_msgs::Header
   const core::Vec3 corner =
       sizes.camera_m * core::Vec3(0.5 * camera.width / camera.fx, 0.5 * camera.height / camera.fy, 1.0);
   Marker lines = make_lines(header, "keyframes", 0, 0.25 * sizes.line_m, color(0.45, 0.55, 0.75, 0.6));
-  for (const auto& [id, keyframe] : view.keyframes()) add_frustum(keyframe.T_map_camera, corner, &lines);
+  constexpr std::size_t kMost = 500;  // with more the image is one colour, and the messages are large
+  const std::size_t step = thinning(view.keyframes().size(), kMost);
+  std::size_t i = 0;
+  for (const auto& [id, keyframe] : view.keyframes()) {
+    if (i++ % step == 0) add_frustum(keyframe.T_map_camera, corner, &lines);
+  }
   Marker current = make_lines(header, "keyframes", 1, sizes.line_m, color(1.0, 0.85, 0.2, 1.0));
   add_frustum(view.T_map_odom() * view.frame()->T_odom_camera, 2.0 * corner, &current);
   if (!lines.points.empty()) array->markers.push_back(std::move(lines));

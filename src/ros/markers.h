@@ -27,7 +27,8 @@ visualization_msgs::MarkerArrayPtr make_topology_markers(const MapView& view, co
 /// rejected it. Of loops whose ends lie together one is drawn.
 visualization_msgs::MarkerArrayPtr make_loop_markers(const MapView& view, const std_msgs::Header& header,
                                                      const MarkerSizes& sizes);
-/// Frusta of the keyframes and, in another colour, of the current camera, namespace "keyframes".
+/// Frusta of the keyframes, every so manieth where they are many, and, in another colour, of the current camera,
+/// namespace "keyframes".
 visualization_msgs::MarkerArrayPtr make_keyframe_markers(const MapView& view, const std_msgs::Header& header,
                                                          const MarkerSizes& sizes);
 

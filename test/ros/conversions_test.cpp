@@ -47,6 +47,11 @@ TEST(PointClouds, RefuseMissingFieldsAndShortData) {
   cloud.data.resize(5);
   const std::string problem = from_msg(cloud).message();
   EXPECT_NE(problem.find("data size = 5 is not width * height * point_step"), std::string::npos) << problem;
+
+  cloud.data.clear();
+  cloud.width = 1U << 22;
+  cloud.height = cloud.point_step = 1U << 21;  // 2^64 bytes, which are 0 of 64 bits
+  EXPECT_FALSE(from_msg(cloud));
 }
 
 TEST(CheckedPose, NamesTheBadFieldAndItsValue) {
@@ -83,6 +88,9 @@ TEST(CheckedCamera, RefusesOtherLensModelsAndBadNumbers) {
   to_msg(camera, &message);
   message.K[0] = kNaN;
   EXPECT_EQ(checked_camera(message).message(), "camera_info fx = nan must be > 0");
+  to_msg(camera, &message);
+  message.width = message.height = 1000000;
+  EXPECT_EQ(checked_camera(message).message(), "camera_info width = 1e+06 is more than 16384 pixels");
 }
 
 }  // namespace

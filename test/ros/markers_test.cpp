@@ -6,6 +6,7 @@
 #include <cmath>
 #include <random>
 
+#include "ros/conversions.h"
 #include "ros/map_view.h"
 #include "semantic_topo_loop/geometry/lie.h"
 
@@ -88,6 +89,13 @@ TEST(MapFollower, WhoJoinsLateTakesTheFullMapBeforeAnyUpdate) {
   EXPECT_EQ(follower.follow(make_update(9, 10, {3})).size(), 1u);
 }
 
+core::AssociationFrame seen(std::int64_t landmark_id) {
+  core::AssociationFrame frame;
+  frame.associations.emplace_back();
+  frame.associations.back().landmark_id = landmark_id;
+  return frame;
+}
+
 using visualization_msgs::Marker;
 
 core::Landmark make_landmark(std::int64_t id, int class_id, core::LandmarkState state, const core::Vec3& center) {
@@ -98,6 +106,82 @@ core::Landmark make_landmark(std::int64_t id, int class_id, core::LandmarkState 
   landmark.quality = 0.5;
   landmark.ellipsoid = core::Ellipsoid{core::SE3(core::Quaternion::Identity(), center), {0.1, 0.2, 0.3}};
   return landmark;
+}
+
+TEST(MapView, FollowsMergesThatAreTakenBack) {
+  const auto a = make_landmark(1, 62, core::LandmarkState::kConfirmed, {0.0, 0.0, 1.0});
+  const auto b = make_landmark(2, 62, core::LandmarkState::kConfirmed, {0.1, 0.0, 1.0});
+  MapView view;
+  core::MapUpdate update;
+  update.changed = {a, b};
+  view.apply(update);
+  view.set_view(seen(2));
+  update = {};
+  update.merged = {{2, 1}};
+  view.apply(update);
+  ASSERT_EQ(view.objects_in_view().size(), 1u);
+  EXPECT_EQ(view.objects_in_view()[0]->id, 1) << "who was merged is shown as its survivor";
+  update = {};
+  update.unmerged = {{2, 1}};
+  update.changed = {b};
+  view.apply(update);
+  ASSERT_EQ(view.objects_in_view().size(), 1u);
+  EXPECT_EQ(view.objects_in_view()[0]->id, 2);
+  // The other way about: neither a ring nor a stale redirect is left.
+  update = {};
+  update.merged = {{1, 2}};
+  view.apply(update);
+  ASSERT_EQ(view.objects_in_view().size(), 1u);
+  EXPECT_EQ(view.objects_in_view()[0]->id, 2);
+  view.set_view(seen(1));
+  ASSERT_EQ(view.objects_in_view().size(), 1u);
+  EXPECT_EQ(view.objects_in_view()[0]->id, 2);
+}
+
+TEST(MapView, EndsWhereBadUpdatesMakeARing) {
+  MapView view;
+  core::MapUpdate update;
+  update.merged = {{1, 2}, {2, 3}, {3, 1}};
+  view.apply(update);
+  view.set_view(seen(1));
+  EXPECT_TRUE(view.objects_in_view().empty());
+}
+
+core::KeyframePose pose_of(std::int64_t keyframe_id, double x) {
+  core::KeyframePose pose;
+  pose.keyframe_id = keyframe_id;
+  pose.T_map_camera.t.x() = x;
+  return pose;
+}
+
+TEST(MapView, ACorrectionMaySayOnlyWhatHasChanged) {
+  MapView view;
+  for (const std::int64_t id : {0, 1, 2}) {
+    view.add_keyframe(id, core::SE3(core::Quaternion::Identity(), {static_cast<double>(id), 0.0, 0.0}));
+  }
+  std::vector<core::LoopClosure> loops(2);
+  loops[0].query_keyframe_id = 2;
+  loops[0].match_keyframe_id = 0;
+  loops[1].query_keyframe_id = 2;
+  loops[1].match_keyframe_id = 1;
+  for (core::LoopClosure& loop : loops) loop.accepted = true;
+  view.add_loops(loops);
+  core::MapCorrection correction;
+  correction.changed = true;
+  correction.valid_to_keyframe_id = 1;
+  correction.T_map_odom.t.y() = 1.0;
+  correction.keyframes = {pose_of(0, 0.5), pose_of(1, 1.5)};
+  correction.loops = {{2, 0, false}, {2, 1, true}};
+  view.apply(correction);
+  EXPECT_EQ(view.keyframes().at(2).T_map_camera.t, core::Vec3(2.0, 1.0, 0.0)) << "newer than the solution";
+  correction.valid_to_keyframe_id = 2;
+  correction.keyframes = {pose_of(1, 1.25), pose_of(2, 2.25)};
+  correction.loops = {{2, 1, false}};
+  view.apply(correction);
+  EXPECT_EQ(view.keyframes().at(0).T_map_camera.t.x(), 0.5) << "as it was";
+  EXPECT_EQ(view.keyframes().at(1).T_map_camera.t.x(), 1.25);
+  EXPECT_EQ(view.keyframes().at(2).T_map_camera.t.x(), 2.25);
+  EXPECT_EQ(view.loops(), (std::map<MapView::Loop, bool>{{{2, 0}, false}, {{2, 1}, false}}));
 }
 
 /// Two confirmed objects, a candidate, a retired one and one without an ellipsoid.
@@ -265,6 +349,27 @@ TEST(ClassColor, DiffersBetweenTheObjectsOfADesk) {
       EXPECT_GT(std::abs(a.r - b.r) + std::abs(a.g - b.g) + std::abs(a.b - b.b), 0.15f) << desk[i] << ' ' << desk[j];
     }
   }
+}
+
+TEST(Markers, MessagesOfALongRunStayBounded) {
+  EXPECT_EQ(thinning(0, 500), 1u);
+  EXPECT_EQ(thinning(500, 500), 1u);
+  EXPECT_EQ(thinning(501, 500), 2u);
+  EXPECT_EQ(thinning(86400, 500), 256u);
+  MapView view;
+  core::Frame frame;
+  frame.camera.fx = frame.camera.fy = 500.0;
+  frame.camera.width = 640;
+  frame.camera.height = 480;
+  view.set_frame(frame);
+  for (std::int64_t id = 0; id < 5000; ++id) {
+    view.add_keyframe(id, core::SE3(core::Quaternion::Identity(), {static_cast<double>(id), 0.0, 0.0}));
+  }
+  const auto array = make_keyframe_markers(view, {}, {});
+  ASSERT_EQ(array->markers.size(), 3u);
+  constexpr std::size_t kPointsOfOne = 16;
+  EXPECT_LE(array->markers[1].points.size(), 500 * kPointsOfOne);
+  EXPECT_GT(array->markers[1].points.size(), 200 * kPointsOfOne);
 }
 
 }  // namespace
