@@ -108,7 +108,13 @@ void RgbdSynchronizer::restart() {
 
 void RgbdSynchronizer::hear(const ImageConstPtr& image, Clock::time_point now, Topic* topic) {
   const std::int64_t stamp_ns = to_stamp_ns(image->header.stamp);
-  if (topic->stamp_ns && stamp_ns < *topic->stamp_ns - kJumpBack_ns) restart();
+  // message_filters takes differences as ros::Duration, which throws beyond 2^31 s.
+  constexpr std::int64_t kFarthest_ns = 1'000'000'000'000'000'000;
+  const auto is_far = [stamp_ns](const Topic& other) {
+    return other.stamp_ns && std::abs(stamp_ns - *other.stamp_ns) > kFarthest_ns;
+  };
+  const bool jumped_back = topic->stamp_ns && stamp_ns < *topic->stamp_ns - kJumpBack_ns;
+  if (jumped_back || is_far(color_) || is_far(depth_)) restart();
   topic->stamp_ns = stamp_ns;
   topic->heard = now;
 }

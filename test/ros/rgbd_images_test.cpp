@@ -243,6 +243,22 @@ TEST_F(RgbdSynchronizerTest, FollowsTimeThatJumpsBack) {
   EXPECT_EQ(pairs_.front().first, at_ms(0));
 }
 
+TEST_F(RgbdSynchronizerTest, SurvivesStampsThatAreAgesApart) {
+  const auto in_2106 = image_at(0);
+  in_2106->header.stamp = ros::Time(4'000'000'000U, 0);
+  const auto in_1970 = image_at(0);
+  in_1970->header.stamp = ros::Time(1, 0);
+  for (int i = 0; i < 3; ++i) {
+    synchronizer_.add_color(in_1970, now_);
+    synchronizer_.add_depth(in_2106, now_);
+    synchronizer_.add_color(in_2106, now_);
+    synchronizer_.add_depth(in_1970, now_);
+  }
+  color(0);
+  depth(0);
+  EXPECT_EQ(pairs_.back(), std::make_pair(at_ms(0), at_ms(0)));
+}
+
 TEST_F(RgbdSynchronizerTest, NamesTheSilentTopic) {
   EXPECT_EQ(synchronizer_.starvation(now_), "");
   color(0);
