@@ -2,6 +2,7 @@
 #include <std_srvs/SetBool.h>
 #include <std_srvs/Trigger.h>
 
+#include <map>
 #include <memory>
 #include <mutex>
 #include <optional>
@@ -42,6 +43,7 @@ class LoopDetectionNodelet : public Stage {
     }
     if (!parameters_.save_map_file.empty()) {
       subscribe("map_corrections", Keep::kAlways, &LoopDetectionNodelet::on_correction);
+      save_at_end([this] { save_and_say(); });
     }
     subscribe("quadric_map_updates", Keep::kAlways, &LoopDetectionNodelet::on_update);
     subscribe("associations", Keep::kDroppable, &LoopDetectionNodelet::on_associations);
@@ -96,7 +98,10 @@ class LoopDetectionNodelet : public Stage {
     {
       const std::lock_guard<std::mutex> lock(mutex_);
       submaps = detector_->submaps();
-      core::move_to_map(keyframes_, T_map_odom_, &submaps);
+      std::vector<core::KeyframePose> keyframes;
+      for (const auto& [id, pose] : keyframes_) keyframes.push_back(pose);
+      core::move_to_map(keyframes, T_map_odom_, &submaps);
+      set_unsaved(false);
     }
     return write_to(parameters_.save_map_file,
                     [&submaps](const std::string& file) { return core::write_submaps(file, submaps); });
@@ -106,9 +111,13 @@ class LoopDetectionNodelet : public Stage {
     {
       const std::lock_guard<std::mutex> lock(mutex_);
       T_map_odom_ = message->T_map_odom;
-      if (message->changed) keyframes_ = message->keyframes;
+      for (const core::KeyframePose& pose : message->keyframes) keyframes_[pose.keyframe_id] = pose;
+      set_unsaved(true);
     }
-    if (message->frame_id != end_frame_id_) return;
+    if (message->frame_id == end_frame_id_) save_and_say();
+  }
+
+  void save_and_say() {
     if (const core::Result<std::string> saved = save()) {
       NODELET_INFO("submaps written to %s", saved->c_str());
     } else {
@@ -193,7 +202,7 @@ class LoopDetectionNodelet : public Stage {
   std::int64_t end_frame_id_ = -1;  ///< of the session's END frame, once it came
   std::mutex mutex_;                ///< guards all below, which the worker feeds, and ~why_loop and ~save_map ask
   std::unique_ptr<core::LoopDetector> detector_;
-  std::vector<core::KeyframePose> keyframes_;  ///< of the last solution
+  std::map<std::int64_t, core::KeyframePose> keyframes_;  ///< as last solved, by keyframe_id
   core::SE3 T_map_odom_;
 };
 

@@ -44,18 +44,16 @@ class ObjectAssociationNodelet : public Stage {
     full_map_subscriber_.shutdown();
     joiner_->clear();
     open_.clear();
-    next_done_ = kNoFrame;
+    has_frames_ = false;
   }
 
   void on_frame(const FrameMessage::ConstPtr& frame) {
     open_[frame->frame_id] = {frame->header.stamp, frame->is_end, false};
-    if (next_done_ == kNoFrame) {
-      next_done_ = frame->frame_id;
-      if (frame->frame_id > 0) {
-        follower_.join_late();  // landmark ids may have been given out before this nodelet was loaded
-        take_over({});
-      }
+    if (!has_frames_ && frame->frame_id > 0) {
+      follower_.join_late();  // landmark ids may have been given out before this nodelet was loaded
+      take_over({});
     }
+    has_frames_ = true;
     associate(joiner_->add<0>(frame->frame_id, frame));
   }
 
@@ -91,21 +89,18 @@ class ObjectAssociationNodelet : public Stage {
 
   /// Corrections come in order of frames, so what is older and still open got lost on its way.
   void finish(std::int64_t frame_id) {
-    if (next_done_ == kNoFrame) return;
-    for (; next_done_ <= frame_id; ++next_done_) publish_done(next_done_);
-    open_.erase(open_.begin(), open_.lower_bound(next_done_));
+    for (auto it = open_.begin(); it != open_.end() && it->first <= frame_id; it = open_.erase(it)) {
+      publish_done(it->first, it->second);
+    }
   }
 
-  void publish_done(std::int64_t frame_id) {
-    const auto it = open_.find(frame_id);
-    const Open open = it == open_.end() ? Open() : it->second;
+  void publish_done(std::int64_t frame_id, const Open& open) {
     const std::uint8_t status = !open.associated ? FrameDone::STATUS_FAILED
                                                  : (open.is_end ? FrameDone::STATUS_END : FrameDone::STATUS_PROCESSED);
     Stage::publish_done(done_publisher_, open.stamp, frame_id, status, associator_->map_version());
   }
 
   using Joiner = FrameJoiner<FrameMessage::ConstPtr, DetectionsMessage::ConstPtr>;
-  static constexpr std::int64_t kNoFrame = -1;
   static constexpr char kIncomplete[] = "dropped, frame or detections missing";
   static constexpr char kVersionGaps[] = "gaps between map versions";
 
@@ -115,8 +110,8 @@ class ObjectAssociationNodelet : public Stage {
   std::unique_ptr<Joiner> joiner_;
   std::unique_ptr<core::ObjectAssociator> associator_;
   MapFollower follower_;
-  std::map<std::int64_t, Open> open_;
-  std::int64_t next_done_ = kNoFrame;  ///< the first frame without a FrameDone
+  std::map<std::int64_t, Open> open_;  ///< by frame_id
+  bool has_frames_ = false;            ///< of this session
 };
 
 }  // namespace semantic_topo_loop

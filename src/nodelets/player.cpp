@@ -82,6 +82,8 @@ class PlayerNodelet : public Stage {
       ledger_->done(done);
       last_progress_ = Clock::now();
     });
+    // Nothing has stalled while somebody works, however long.
+    listen<std_msgs::String>("working", [this](const std_msgs::String&) { last_progress_ = Clock::now(); });
     listen<std_msgs::String>("results_written", [this](const std_msgs::String&) { ledger_->results_written(); });
     listen<SessionControl>("session_control", [this](const SessionControl& control) {
       ledger_->take(control);
@@ -191,6 +193,7 @@ class PlayerNodelet : public Stage {
     std::size_t played = 0;
     while (const std::optional<PlayerItem> item = items.next()) {
       if (!item->left_out.empty()) {
+        publish_transforms(*item);
         complain(item->left_out, item->detail);
         continue;
       }
@@ -275,9 +278,7 @@ class PlayerNodelet : public Stage {
       clock->clock = item.camera_info.header.stamp;
       clock_publisher_.publish(clock);
     }
-    for (const tf2_msgs::TFMessage& transforms : item.transforms) {
-      tf_publisher_.publish(boost::make_shared<tf2_msgs::TFMessage>(transforms));
-    }
+    publish_transforms(item);
     {
       const std::lock_guard<std::mutex> lock(mutex_);
       if (ledger_->in_flight() == 0) last_progress_ = Clock::now();
@@ -287,6 +288,12 @@ class PlayerNodelet : public Stage {
     if (item.color) color_publisher_.publish(item.color);
     if (item.depth) depth_publisher_.publish(item.depth);
     statistics().count("images played");
+  }
+
+  void publish_transforms(const PlayerItem& item) {
+    for (const tf2_msgs::TFMessage& transforms : item.transforms) {
+      tf_publisher_.publish(boost::make_shared<tf2_msgs::TFMessage>(transforms));
+    }
   }
 
   void report_stall(const std::string& stage) {

@@ -49,16 +49,16 @@ class PointMappingNodelet : public Stage {
   }
 
   void on_correction(const CorrectionMessage::ConstPtr& message) {
-    if (!message->changed) return;
     const std::lock_guard<std::mutex> lock(mutex_);
-    map_->apply(*message);
-    mark_changed();
+    map_->apply(*message);  // one that changes nothing may say where the next keyframe hangs
+    if (message->changed) mark_changed();
   }
 
   bool on_save(SavePoints::Request& request, SavePoints::Response& response) {
+    const core::Result<std::string> place = path_below(parameters_.save_dir, request.path, parameters_.allow_any_path);
     const core::MapPoints points = snapshot();
-    answer(write_to(request.path, [&points](const std::string& path) { return core::write_point_cloud(path, points); }),
-           &response);
+    const auto write = [&points](const std::string& path) { return core::write_point_cloud(path, points); };
+    answer(place ? write_to(*place, write) : place, &response);
     return true;
   }
 

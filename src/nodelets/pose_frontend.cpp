@@ -131,6 +131,7 @@ class PoseFrontendNodelet : public FrontendStage {
       return true;
     }
     if (!take_points(trigger, is_late, &answer.sample)) return false;
+    source_->use(trigger.stamp_ns);
     emit(answer.sample, camera());
     return true;
   }

@@ -22,32 +22,41 @@
 namespace semantic_topo_loop {
 namespace {
 
-/// Sends map -> odom at a fixed rate, whatever the pose graph is doing. Thread-safe.
+/// Sends map -> odom at a fixed rate, dated as the newest frame, whatever the pose graph is doing. Thread-safe.
 class MapOdomSender {
  public:
-  /// @param tolerance_s how far the transform is dated ahead of the last pose, so that listeners need not wait
+  /// @param tolerance_s how far the transform is dated ahead of the newest frame, so that listeners need not wait
   MapOdomSender(std::string map_frame, double tolerance_s)
       : map_frame_(std::move(map_frame)), tolerance_ns_(std::llround(tolerance_s * 1e9)) {}
 
-  void update(const core::SE3& T_map_odom, const ros::Time& stamp, const std::string& odom_frame) {
+  /// A frame has come, to which the transform of its session is taken to apply until the graph says otherwise.
+  void follow(const FrameMessage::ConstPtr& frame) {
+    const std::lock_guard<std::mutex> lock(mutex_);
+    newest_ = frame;
+  }
+  void update(const core::SE3& T_map_odom, std::uint32_t session_id) {
     const std::lock_guard<std::mutex> lock(mutex_);
     T_map_odom_ = T_map_odom;
-    odom_frame_ = odom_frame;
-    const std::int64_t stamp_ns = to_stamp_ns(stamp);
-    if (stamp_ns < pose_stamp_ns_) sent_stamp_ns_ = -1;  // time went back, with a new session
-    pose_stamp_ns_ = stamp_ns;
+    session_id_ = session_id;
+  }
+  /// A new session, whose time may be another: nothing is sent before its first pose.
+  void reset() {
+    const std::lock_guard<std::mutex> lock(mutex_);
+    session_id_.reset();
+    sent_stamp_ns_ = -1;
   }
 
-  /// Call at the wanted rate. Nothing is sent before the first pose.
+  /// Call at the wanted rate.
   void send() {
     geometry_msgs::TransformStamped message;
     {
       const std::lock_guard<std::mutex> lock(mutex_);
-      if (pose_stamp_ns_ < 0) return;
-      // tf2 warns of a transform with the stamp of the one before: while no pose comes, one nanosecond makes it
+      if (!newest_ || newest_->session_id != session_id_) return;
+      // tf2 warns of a transform with the stamp of the one before: while no frame comes, one nanosecond makes it
       // another.
-      sent_stamp_ns_ = std::max(pose_stamp_ns_ + tolerance_ns_, sent_stamp_ns_ + 1);
-      message = make_transform(make_header(to_ros_time(sent_stamp_ns_), map_frame_), odom_frame_, T_map_odom_);
+      sent_stamp_ns_ = std::max(newest_->stamp_ns + tolerance_ns_, sent_stamp_ns_ + 1);
+      message =
+          make_transform(make_header(to_ros_time(sent_stamp_ns_), map_frame_), newest_->header.frame_id, T_map_odom_);
     }
     broadcaster_.sendTransform(message);
   }
@@ -58,8 +67,8 @@ class MapOdomSender {
   tf2_ros::TransformBroadcaster broadcaster_;
   std::mutex mutex_;  ///< guards all below
   core::SE3 T_map_odom_;
-  std::string odom_frame_;
-  std::int64_t pose_stamp_ns_ = -1;
+  std::optional<std::uint32_t> session_id_;  ///< of T_map_odom; none before the session's first pose
+  FrameMessage::ConstPtr newest_;
   std::int64_t sent_stamp_ns_ = -1;
 };
 
@@ -92,7 +101,11 @@ class PoseGraphNodelet : public Stage {
     reset_session();
     if (parameters_.publish_tf) {
       tf_sender_ = std::make_unique<MapOdomSender>(parameters_.map_frame, parameters_.tf_tolerance_s);
-      keep_timer(1.0 / parameters_.tf_rate_hz, [this] { tf_sender_->send(); });
+      ros::NodeHandle node(getNodeHandle());
+      node.setCallbackQueue(&tf_thread_.queue);
+      keep_subscriber(node.subscribe("frames", 1, &MapOdomSender::follow, tf_sender_.get()));
+      keep_timer(
+          1.0 / parameters_.tf_rate_hz, [this] { tf_sender_->send(); }, &tf_thread_);
     }
     serve("withdraw_loop", &PoseGraphNodelet::on_withdraw);
     subscribe("loop_closures", Keep::kAlways, &PoseGraphNodelet::on_loops);
@@ -111,6 +124,7 @@ class PoseGraphNodelet : public Stage {
     late_loops_.clear();
     odometry_keyframes_.clear();
     last_frame_.reset();
+    if (tf_sender_) tf_sender_->reset();
   }
 
   /// Asks the worker, which owns the graph, and waits for its answer.
@@ -175,7 +189,7 @@ class PoseGraphNodelet : public Stage {
     std::vector<core::LoopClosure> loops = std::exchange(late_loops_, {});
     loops.insert(loops.end(), frame_loops.begin(), frame_loops.end());
     core::MapCorrection correction = graph_->process(frame, loops);
-    if (tf_sender_) tf_sender_->update(graph_->T_map_odom(), frame.header.stamp, frame.header.frame_id);
+    if (tf_sender_) tf_sender_->update(graph_->T_map_odom(), session_id());
     publish<CorrectionMessage>(correction_publisher_, make_header(frame.header.stamp, parameters_.map_frame),
                                std::move(correction));
     last_frame_ = stamped(frame.header.stamp, frame.T_odom_camera);
@@ -203,14 +217,16 @@ class PoseGraphNodelet : public Stage {
       poses.push_back(stamped(to_ros_time(keyframe.stamp_ns), keyframe.T_map_camera));
     }
     const core::SE3 T_map_camera = graph_->T_map_odom() * from_msg(last_frame_->pose);
-    publish_path(std::move(poses), stamped(last_frame_->header.stamp, T_map_camera), &corrected_path_);
+    publish_path(poses, stamped(last_frame_->header.stamp, T_map_camera), &corrected_path_);
   }
 
-  static void publish_path(std::vector<geometry_msgs::PoseStamped> poses, const geometry_msgs::PoseStamped& last,
+  static void publish_path(const std::vector<geometry_msgs::PoseStamped>& poses, const geometry_msgs::PoseStamped& last,
                            LazyPublisher* publisher) {
     auto path = boost::make_shared<nav_msgs::Path>();
     path->header = last.header;
-    path->poses = std::move(poses);
+    constexpr std::size_t kMost = 1000;  // nav_msgs/Path knows no deltas
+    const std::size_t step = thinning(poses.size(), kMost);
+    for (std::size_t i = 0; i < poses.size(); i += step) path->poses.push_back(poses[i]);
     path->poses.push_back(last);
     publisher->publish(path);
   }
@@ -219,6 +235,7 @@ class PoseGraphNodelet : public Stage {
   PoseGraphParameters parameters_;
   ros::Publisher correction_publisher_;
   LazyPublisher odometry_path_, corrected_path_;
+  CallbackThread tf_thread_;
   std::unique_ptr<MapOdomSender> tf_sender_;
   std::unique_ptr<Joiner> joiner_;
   std::unique_ptr<core::PoseGraph> graph_;

@@ -36,12 +36,14 @@ class RecorderNodelet : public Stage {
     subscribe("tracking_report", Keep::kAlways, &RecorderNodelet::on_tracking);
     subscribe("associations", Keep::kAlways, &RecorderNodelet::on_associations);
     subscribe("frames", Keep::kAlways, &RecorderNodelet::on_frame);
+    save_at_end([this] { write_results(); });
     follow_sessions();
   }
 
   void reset_session() override {
     joiner_->clear();
     const std::lock_guard<std::mutex> lock(mutex_);
+    set_unsaved(false);
     recorder_ = std::make_unique<core::RunRecorder>(classes());
   }
 
@@ -54,6 +56,7 @@ class RecorderNodelet : public Stage {
   /// @return absolute path of the directory
   core::Result<std::string> write() {
     const std::lock_guard<std::mutex> lock(mutex_);
+    set_unsaved(false);
     return write_to(parameters_.output_dir, [this](const std::string& path) { return recorder_->write(path); });
   }
 
@@ -91,6 +94,7 @@ class RecorderNodelet : public Stage {
   template <class... Record>
   void record(const Record&... record) {
     const std::lock_guard<std::mutex> lock(mutex_);
+    set_unsaved(true);
     recorder_->record(record...);
   }
 
@@ -118,7 +122,7 @@ class RecorderNodelet : public Stage {
   RecorderParameters parameters_;
   ros::Publisher written_publisher_;
   std::unique_ptr<Joiner> joiner_;
-  std::mutex mutex_;  ///< guards recorder_, which the worker fills and the service reads
+  std::mutex mutex_;  ///< guards recorder_, which the worker fills, and the service and the end read
   std::unique_ptr<core::RunRecorder> recorder_;
 };
 

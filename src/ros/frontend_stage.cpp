@@ -27,6 +27,8 @@ bool FrontendStage::open(const core::KeyframeOptions& options, const FrontendPar
   done_publisher_ = advertise<FrameDone>("frame_done");
   if (parameters_.publish_odom_tf) broadcaster_ = std::make_unique<tf2_ros::TransformBroadcaster>();
   control_publisher_ = advertise<SessionControl>("session_control", true);
+  // Before anything can arrive.
+  push("start", Keep::kPinned, [this] { begin_session("start"); });
   add_service("reset", "a new session begins", &FrontendStage::reset);
   add_service("pause", "images are left out until ~resume", &FrontendStage::pause);
   add_service("resume", "images are taken again", &FrontendStage::resume);
@@ -40,10 +42,12 @@ void FrontendStage::follow_stream() {
     listen("/tf_static", Keep::kAlways, kTfQueue, &FrontendStage::on_static_transforms);
     listen("/tf", Keep::kAlways, kTfQueue, &FrontendStage::on_transforms);
   }
-  listen("session_queries", Keep::kAlways, queue_size, &FrontendStage::on_query);
-  listen("end_of_stream", Keep::kAlways, queue_size, &FrontendStage::on_stream_end);
+  const boost::function<void(const std_msgs::Empty::ConstPtr&)> query =
+      [repeat = once_in_queue([this] { control_publisher_.publish(control_); })](const auto&) { repeat(); };
+  keep_subscriber(getNodeHandle().subscribe<std_msgs::Empty>("session_queries", queue_size, query));
+  listen("end_of_stream", Keep::kPinned, queue_size, &FrontendStage::on_stream_end);
   listen("camera_info", Keep::kAlways, queue_size, &FrontendStage::on_camera_info);
-  push("start", Keep::kAlways, [this] { begin_session("start"); });
+  open_queue();
 }
 
 void FrontendStage::add_service(const std::string& service, const std::string& answer,
@@ -51,7 +55,7 @@ void FrontendStage::add_service(const std::string& service, const std::string& a
   using Request = std_srvs::Trigger::Request;
   using Response = std_srvs::Trigger::Response;
   serve<Request, Response>(service, [this, service, answer, handler](Request&, Response& response) {
-    push(service, Keep::kAlways, [this, handler] { (this->*handler)(); });
+    push(service, Keep::kPinned, [this, handler] { (this->*handler)(); });
     response.success = true;
     response.message = answer;
     return true;
@@ -61,6 +65,9 @@ void FrontendStage::add_service(const std::string& service, const std::string& a
 void FrontendStage::begin_session(const std::string& reason, bool rewind) {
   builder_.reset();
   forget();
+  rewound_at_ns_ = rewind ? last_stamp_ns_ : std::nullopt;
+  before_rewind_ = 0;
+  unknown_since_ns_.reset();
   last_stamp_ns_.reset();
   is_paused_ = false;
   control(SessionControl::COMMAND_START, reason, rewind);
@@ -116,9 +123,22 @@ bool FrontendStage::accept(std::int64_t stamp_ns) {
     publish_done(stamp_ns, FrameDone::STATUS_FAILED);
     return false;
   }
+  if (is_before_rewind(stamp_ns)) {
+    fail_image(stamp_ns, "images left out before a rewind", "they were on their way already");
+    return false;
+  }
   if (!is_in_order(stamp_ns)) return false;
   last_stamp_ns_ = stamp_ns;
   return true;
+}
+
+bool FrontendStage::is_before_rewind(std::int64_t stamp_ns) {
+  if (!rewound_at_ns_) return false;
+  // No player has more on their way: these come from a camera, which cannot be rewound.
+  const bool is_live = before_rewind_ == queue_capacity();
+  if (stamp_ns <= *rewound_at_ns_ || is_live) rewound_at_ns_.reset();
+  before_rewind_ += rewound_at_ns_ ? 1 : 0;
+  return rewound_at_ns_.has_value();
 }
 
 bool FrontendStage::is_in_order(std::int64_t stamp_ns) {
@@ -175,7 +195,15 @@ void FrontendStage::publish_frame(core::Frame frame) {
 
 void FrontendStage::publish_odom_tf(const core::Frame& frame) {
   core::SE3 T_odom_child = frame.T_odom_camera;
-  const std::string child = parameters_.base_frame.empty() ? camera_frame_ : parameters_.base_frame;
+  std::string child = parameters_.base_frame.empty() ? camera_frame_ : parameters_.base_frame;
+  if (child != camera_frame_ && !transforms_->is_mounted(camera_frame_)) {
+    // Its place on the robot may come yet. If it does not, the camera is all that there is to move.
+    constexpr std::int64_t kPatience_ns = 1'000'000'000;
+    if (!unknown_since_ns_) unknown_since_ns_ = frame.stamp_ns;
+    if (frame.stamp_ns - *unknown_since_ns_ < kPatience_ns) return;
+    statistics().count("tf sent to the camera, whose place on base_frame is unknown");
+    child = camera_frame_;
+  }
   if (child != camera_frame_) {
     const std::optional<core::SE3> T_camera_base = transforms_->find(camera_frame_, child, frame.stamp_ns);
     if (!T_camera_base) {

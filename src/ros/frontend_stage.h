@@ -26,12 +26,12 @@ class FrontendStage : public Stage {
  protected:
   explicit FrontendStage(std::string name) : Stage(std::move(name)) {}
 
-  /// Reads the calibration and advertises.
+  /// Reads the calibration, advertises, and makes the session the worker's first task.
   /// @param transforms filled from tf; null if tf is not needed   @return false after fail()
   bool open(const core::KeyframeOptions& options, const FrontendParameters& parameters,
             std::shared_ptr<TfPoses> transforms);
-  /// Follows tf, camera_info and the end of the stream, and opens the session: who hears of it takes this nodelet for
-  /// ready.
+  /// Follows tf, camera_info and the end of the stream, and lets the worker open the session: who hears of it takes
+  /// this nodelet for ready. Who comes late may ask for the last command again, for the stages to acknowledge it.
   void follow_stream();
 
   /// A new session begins: forget the images that wait.
@@ -69,9 +69,9 @@ class FrontendStage : public Stage {
   void pause();
   void resume();
   bool is_in_order(std::int64_t stamp_ns);
+  /// Whether an image was on its way already when the recording was asked to begin anew.
+  bool is_before_rewind(std::int64_t stamp_ns);
 
-  /// Somebody came late: repeats the last command, for the stages to acknowledge it once more.
-  void on_query(const std_msgs::Empty::ConstPtr& /*message*/) { control_publisher_.publish(control_); }
   void on_stream_end(const std_msgs::Empty::ConstPtr& /*message*/) { on_end(); }
   void on_camera_info(const sensor_msgs::CameraInfo::ConstPtr& message);
   void on_transforms(const tf2_msgs::TFMessage::ConstPtr& message) { take_transforms(*message, false); }
@@ -89,8 +89,11 @@ class FrontendStage : public Stage {
   bool has_camera_file_ = false;
   std::string camera_frame_;
   std::optional<std::int64_t> last_stamp_ns_;
+  std::optional<std::int64_t> rewound_at_ns_;     ///< the last image before the rewind that this session waits for
+  std::size_t before_rewind_ = 0;                 ///< images left out since
+  std::optional<std::int64_t> unknown_since_ns_;  ///< tf does not know the camera
   bool is_paused_ = false;
-  SessionControlPtr control_;  ///< the last command
+  SessionControlPtr control_;  ///< the last command; never null once the worker runs
   std::unique_ptr<tf2_ros::TransformBroadcaster> broadcaster_;
   ros::Publisher control_publisher_, frame_publisher_, keyframe_publisher_, points_publisher_, done_publisher_;
 };

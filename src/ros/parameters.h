@@ -135,7 +135,7 @@ struct LoopDetectionParameters : ClassStageParameters {
     visitor("map_file", map_file, core::any(),
             "submaps of an earlier run, in which the run's place is looked for; empty: none");
     visitor("save_map_file", save_map_file, core::any(),
-            "where the run's submaps go at its end or by ~save_map; empty: they are not kept");
+            "where the run's submaps go at its end, also by Ctrl-C, or by ~save_map; empty: they are not kept");
     visitor("earlier_map_frame", earlier_map_frame, core::any(),
             "name of the earlier run's map frame in earlier_map_from_odom");
   }
@@ -193,7 +193,8 @@ struct PlayerParameters : StageParameters {
     visitor("stages", stages, core::any(), "stages that must be there before the first image, separated by blanks");
     visitor("await_results", await_results, "end only when the recorder has written its files");
     visitor("startup_timeout_s", startup_timeout_s, core::positive(), "how long the stages may take to come up");
-    visitor("stall_timeout_s", stall_timeout_s, core::positive(), "how long an image may take through the chain");
+    visitor("stall_timeout_s", stall_timeout_s, core::positive(),
+            "how long an image may wait in the chain while no stage works");
     visitor.require("trajectory_file", mode != "files" || !trajectory_file.empty(), "given in mode files");
     visitor.require("camera_file", mode != "files" || !camera_file.empty(), "given in mode files");
     visitor.require("bag_file", mode != "bag" || !bag.file.empty(), "given in mode bag");
@@ -223,11 +224,16 @@ struct PoseGraphParameters : StageParameters {
 struct PointMappingParameters : StageParameters {
   std::string map_frame = "map";
   double rate_hz = 1.0;
+  std::string save_dir;
+  bool allow_any_path = false;
 
   void visit(core::OptionVisitor& visitor) {
     StageParameters::visit(visitor);
     visitor("map_frame", map_frame, core::any(), "frame of the corrected map");
     visitor("rate_hz", rate_hz, core::positive(), "most often that the points are published (wall time)");
+    visitor("save_dir", save_dir, core::any(),
+            "directory below which ~save_points may write; empty: the process's own, ~/.ros under roslaunch");
+    visitor("allow_any_path", allow_any_path, "~save_points may write anywhere");
   }
 };
 
@@ -246,7 +252,7 @@ struct RecorderParameters : ClassStageParameters {
   void visit(core::OptionVisitor& visitor) {
     ClassStageParameters::visit(visitor);
     visitor("output_dir", output_dir, core::any(),
-            "where a run's files go at its end or by ~save_results; empty: nothing is kept");
+            "where a run's files go at its end, also by Ctrl-C, or by ~save_results; empty: nothing is kept");
   }
 };
 

@@ -73,9 +73,11 @@ void PlayerLedger::done(const FrameDone& done) {
     in_flight_.clear();
     return;
   }
+  const std::int64_t stamp_ns = static_cast<std::int64_t>(done.header.stamp.toNSec());
+  // Images that were on their way when the recording began anew are answered, too.
+  if (done.status != FrameDone::STATUS_PROCESSED && in_flight_.count(stamp_ns) == 0) return;
   ++frames_done_;
   if (done.status == FrameDone::STATUS_NO_POSE) ++frames_without_pose_;
-  const std::int64_t stamp_ns = static_cast<std::int64_t>(done.header.stamp.toNSec());
   const auto frame = in_flight_.upper_bound(stamp_ns);
   if (done.status == FrameDone::STATUS_PROCESSED) {
     // Frames leave the chain in order: an older one that has not come was dropped, as stages may do in real time.

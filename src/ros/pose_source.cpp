@@ -2,6 +2,8 @@
 
 #include <tf2/exceptions.h>
 
+#include <algorithm>
+
 #include "geometry/relative_pose.h"
 #include "ros/conversions.h"
 
@@ -87,27 +89,40 @@ core::Status TfPoses::add(const geometry_msgs::TransformStamped& transform, bool
 
 core::PoseBuffer& TfPoses::moving_samples(const std::string& child, std::int64_t stamp_ns) {
   core::PoseBuffer& samples = moving_.try_emplace(child, max_gap_s_, kKeepPoses_s).first->second;
-  if (!samples.empty() && stamp_ns < samples.newest_ns() - kJumpBack_ns) {
+  if (!samples.empty() && stamp_ns < samples.newest_ns() - kJumpBack_ns && is_needed(child)) {
     buffer_.clear();
     for (auto& [name, others] : moving_) others.clear();
   }
   return samples;
 }
 
-std::string TfPoses::child_of_odom(const std::string& camera_frame) const {
-  std::string child = camera_frame;
+std::vector<std::string> TfPoses::ancestors(const std::string& frame) const {
+  constexpr std::size_t kDeepest = 100;  // a loop in the tree, which tf2 does not refuse, must not hang us
+  std::vector<std::string> frames = {frame};
   std::string parent;
-  // A loop in the tree, which tf2 does not refuse, must not hang us.
-  for (std::size_t depth = 0; depth < 100 && buffer_._getParent(child, ros::Time(), parent); ++depth) {
-    if (parent == odom_frame_) return child;
-    child = parent;
+  while (frames.size() < kDeepest && buffer_._getParent(frames.back(), ros::Time(), parent) && parent != odom_frame_) {
+    frames.push_back(parent);
   }
-  return {};
+  return frames;
+}
+
+bool TfPoses::is_mounted(const std::string& frame) const {
+  std::string parent;
+  return buffer_._getParent(frame, ros::Time(), parent) && parent != odom_frame_;
+}
+
+bool TfPoses::is_needed(const std::string& child) const {
+  return asked_.empty() || std::any_of(asked_.begin(), asked_.end(), [this, &child](const std::string& frame) {
+           const std::vector<std::string> frames = ancestors(frame);
+           return std::find(frames.begin(), frames.end(), child) != frames.end();
+         });
 }
 
 PoseSource::Answer TfPoses::at(std::int64_t stamp_ns, const std::string& camera_frame) {
-  const std::string child = child_of_odom(camera_frame);
-  if (child.empty()) {
+  asked_.insert(camera_frame);
+  const std::string child = ancestors(camera_frame).back();
+  std::string parent;
+  if (!buffer_._getParent(child, ros::Time(), parent) || parent != odom_frame_) {
     return {Status::kNotYet, {}, "tf has no chain from '" + odom_frame_ + "' down to '" + camera_frame + "'"};
   }
   core::SE3 T_odom_child;
@@ -128,9 +143,9 @@ PoseSource::Answer TfPoses::at(std::int64_t stamp_ns, const std::string& camera_
   return found(stamp_ns, T_odom_child * *T_child_camera);
 }
 
-std::optional<core::SE3> TfPoses::find(const std::string& target, const std::string& source,
-                                       std::int64_t stamp_ns) const {
+std::optional<core::SE3> TfPoses::find(const std::string& target, const std::string& source, std::int64_t stamp_ns) {
   if (target == source) return core::SE3();
+  asked_.insert({target, source});
   try {
     const core::SE3 T = from_msg(to_pose(buffer_.lookupTransform(target, source, to_ros_time(stamp_ns)).transform));
     return core::SE3(T.q.normalized(), T.t);
@@ -172,7 +187,6 @@ PoseSource::Answer OdometryPoses::at(std::int64_t stamp_ns, const std::string& c
   }
   Answer answer = found(stamp_ns, pose.pose * *T_base_camera);
   answer.sample.covariance = step_covariance(stamp_ns, *T_base_camera);
-  last_stamp_ns_ = stamp_ns;
   return answer;
 }
 

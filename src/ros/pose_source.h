@@ -7,8 +7,10 @@
 #include <cstdint>
 #include <map>
 #include <memory>
+#include <set>
 #include <string>
 #include <utility>
+#include <vector>
 
 #include "semantic_topo_loop/pipeline/frame_builder.h"
 #include "semantic_topo_loop/pipeline/pose_buffer.h"
@@ -35,6 +37,8 @@ class PoseSource {
   virtual ~PoseSource() = default;
   /// @param camera_frame tf frame of the camera's optical frame
   virtual Answer at(std::int64_t stamp_ns, const std::string& camera_frame) = 0;
+  /// A frame is made of the pose at this stamp, where the motion to the next one begins.
+  virtual void use(std::int64_t /*stamp_ns*/) {}
   /// A new session begins: the next pose has no predecessor.
   virtual void reset() {}
 };
@@ -51,7 +55,7 @@ class FilePoses : public PoseSource {
 
 /// The transforms of /tf and /tf_static, with the promise that tf2 does not make: the moving edge below the odometry
 /// frame is never interpolated across more than `max_gap_s`. Leading slashes of frame ids are stripped. When time jumps
-/// back, what was said about the moving frames is forgotten.
+/// back for a frame that was asked for, or on which that hangs, what was said about all moving frames is forgotten.
 class TfPoses : public PoseSource {
  public:
   TfPoses(std::string odom_frame, double max_gap_s);
@@ -61,18 +65,23 @@ class TfPoses : public PoseSource {
   /// T_odom_camera
   Answer at(std::int64_t stamp_ns, const std::string& camera_frame) override;
   /// T_target_source at a stamp as tf2 interpolates it, without the check of gaps: for the rigid part of a robot.
-  std::optional<core::SE3> find(const std::string& target, const std::string& source, std::int64_t stamp_ns) const;
+  std::optional<core::SE3> find(const std::string& target, const std::string& source, std::int64_t stamp_ns);
+  /// Whether a frame hangs on another than the odometry's.
+  bool is_mounted(const std::string& frame) const;
 
  private:
   core::Status add(const geometry_msgs::TransformStamped& transform, bool is_static);
   /// Where a sample with this stamp goes; forgets everything first if it says that time jumped back.
   core::PoseBuffer& moving_samples(const std::string& child, std::int64_t stamp_ns);
-  std::string child_of_odom(const std::string& camera_frame) const;
+  /// A frame and those it hangs on, up to the odometry's, which is not among them, or to the root.
+  std::vector<std::string> ancestors(const std::string& frame) const;
+  bool is_needed(const std::string& child) const;
 
   const std::string odom_frame_;
   const double max_gap_s_;
   tf2::BufferCore buffer_;
   std::map<std::string, core::PoseBuffer> moving_;  ///< T_parent_child by child frame
+  std::set<std::string> asked_;                     ///< frames that somebody wanted to know about
 };
 
 /// Poses of nav_msgs/Odometry messages: the pose of `child_frame_id`, moved to the camera by tf.
@@ -87,6 +96,7 @@ class OdometryPoses : public PoseSource {
   /// @return an error that names field and value if the message is left out
   core::Status add(const nav_msgs::Odometry& message);
   Answer at(std::int64_t stamp_ns, const std::string& camera_frame) override;
+  void use(std::int64_t stamp_ns) override { last_stamp_ns_ = stamp_ns; }
   void reset() override { last_stamp_ns_.reset(); }
 
  private:
@@ -96,7 +106,7 @@ class OdometryPoses : public PoseSource {
   core::PoseBuffer poses_;
   std::map<std::int64_t, core::Mat6> twist_covariances_;  ///< of the messages that state one, by stamp
   std::string base_frame_;                                ///< child_frame_id
-  std::optional<std::int64_t> last_stamp_ns_;             ///< of the last pose given out
+  std::optional<std::int64_t> last_stamp_ns_;             ///< of the last pose used
 };
 
 }  // namespace semantic_topo_loop

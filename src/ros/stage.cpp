@@ -1,7 +1,8 @@
 #include "ros/stage.h"
 
+#include <std_msgs/String.h>
+
 #include <algorithm>
-#include <atomic>
 
 #include "semantic_topo_loop/io/yaml_files.h"
 
@@ -10,6 +11,7 @@ namespace {
 
 constexpr char kOtherSession[] = "dropped, other session";
 constexpr char kQueueFull[] = "dropped, queue full";
+const std::string kMissed = "never arrived: ";
 constexpr char kErrors[] = "errors";
 constexpr double kDiagnosticsPeriodS = 1.0;  ///< diagnostic_updater's own
 constexpr double kErrorLogPeriodS = 5.0;     ///< an error a frame must not flood the log
@@ -98,12 +100,26 @@ void Stage::stop() {
   for (ros::Subscriber& subscriber : subscribers_) subscriber.shutdown();
   for (ros::ServiceServer& service : services_) service.shutdown();
   for (ros::WallTimer& timer : timers_) timer.stop();
+  service_thread_.reset();
   if (worker_) worker_->close();
+  if (saver_.joinable()) {
+    stopped_.set_value();
+    saver_.join();
+  }
+}
+
+void Stage::save_at_end(std::function<void()> save) {
+  constexpr std::chrono::milliseconds kPeriod(100);  // far below the 15 s that roslaunch waits
+  saver_ = std::thread([this, kPeriod, save = std::move(save), stopped = stopped_.get_future()] {
+    while (stopped.wait_for(kPeriod) != std::future_status::ready && !ros::isShuttingDown()) continue;
+    if (is_unsaved_) save();
+  });
 }
 
 void Stage::follow_sessions() {
   ack_publisher_ = advertise<SessionAck>("session_acks");
-  listen("session_control", Keep::kAlways, queue_size_, &Stage::handle_session);
+  listen("session_control", Keep::kPinned, queue_size_, &Stage::handle_session);
+  open_queue();
 }
 
 void Stage::push(const std::string& topic, Keep keep, Worker::Task task) {
@@ -113,25 +129,49 @@ void Stage::push(const std::string& topic, Keep keep, Worker::Task task) {
         task_arrival_ = arrival;
         task();
       },
-      keep);
+      keep, topic);
 }
 
-void Stage::keep_timer(double period_s, const std::function<void()>& task) {
+void Stage::count_missed(const std::string& topic, const Sequence& next, Sequence* last) {
+  // Frame ids may be any number, if the message is bad.
+  const std::uint64_t step = static_cast<std::uint64_t>(next.frame_id) - static_cast<std::uint64_t>(last->frame_id);
+  if (next.session_id == last->session_id && next.frame_id > last->frame_id && step > 1) {
+    statistics_.count(kMissed + topic, step - 1);
+  }
+  *last = next;
+}
+
+void Stage::keep_timer(double period_s, const std::function<void()>& task, CallbackThread* thread) {
   const boost::function<void(const ros::WallTimerEvent&)> callback = [task](const ros::WallTimerEvent&) { task(); };
-  timers_.push_back(getNodeHandle().createWallTimer(ros::WallDuration(period_s), callback));
+  ros::NodeHandle node(getNodeHandle());
+  if (thread != nullptr) node.setCallbackQueue(&thread->queue);
+  timers_.push_back(node.createWallTimer(ros::WallDuration(period_s), callback));
 }
 
-void Stage::start_timer(double period_s, const Worker::Task& task) {
-  const auto waits = std::make_shared<std::atomic<bool>>(false);
-  keep_timer(period_s, [this, waits, task] {
+std::function<void()> Stage::once_in_queue(const Worker::Task& task) {
+  return [this, waits = std::make_shared<std::atomic<bool>>(false), task] {
     if (waits->exchange(true)) return;
     worker_->push(
         [waits, task] {
           *waits = false;
           task();
         },
-        Keep::kAlways);
-  });
+        Keep::kPinned);
+  };
+}
+
+void Stage::start_timer(double period_s, const Worker::Task& task) { keep_timer(period_s, once_in_queue(task)); }
+
+core::Result<std::string> Stage::path_below(const std::string& directory, const std::string& path, bool anywhere) {
+  namespace fs = std::filesystem;
+  std::error_code no_root, no_place;
+  const fs::path root = fs::weakly_canonical(fs::absolute(directory.empty() ? "." : directory, no_root), no_root);
+  const fs::path place = fs::weakly_canonical(root / path, no_place);
+  const fs::path relative = place.lexically_relative(root);
+  if (no_root || no_place) return core::Error{path + ": " + (no_root ? no_root : no_place).message()};
+  const bool is_below = !relative.empty() && relative != "." && *relative.begin() != "..";
+  if (is_below || anywhere) return place.string();
+  return core::Error{path + ": is not below '" + root.string() + "', see save_dir and allow_any_path"};
 }
 
 void Stage::publish_done(const ros::Publisher& publisher, const ros::Time& stamp, std::int64_t frame_id,
@@ -151,7 +191,14 @@ void Stage::start_diagnostics() {
   updater_ = std::make_unique<diagnostic_updater::Updater>(getNodeHandle(), getPrivateNodeHandle(), getName());
   updater_->setHardwareID("none");
   updater_->add(name_, [this](diagnostic_updater::DiagnosticStatusWrapper& status) { report(status); });
-  keep_timer(kDiagnosticsPeriodS, [this] { updater_->force_update(); });
+  working_publisher_ = advertise<std_msgs::String>("working");
+  keep_timer(kDiagnosticsPeriodS, [this] {
+    updater_->force_update();
+    if (!worker_ || !worker_->is_busy()) return;
+    std_msgs::String working;
+    working.data = name_;
+    working_publisher_.publish(working);
+  });
 }
 
 void Stage::start_worker(int queue_size, std::size_t inputs) {
@@ -163,7 +210,12 @@ void Stage::start_worker(int queue_size, std::size_t inputs) {
 }
 
 void Stage::report(diagnostic_updater::DiagnosticStatusWrapper& status) {
-  if (worker_) statistics_.set(kQueueFull, worker_->dropped());
+  std::uint64_t dropped = 0;
+  for (const auto& [topic, n] : worker_ ? worker_->dropped() : std::map<std::string, std::uint64_t>()) {
+    statistics_.set(std::string(kQueueFull) + ": " + topic, n);
+    dropped += n;
+  }
+  statistics_.set(kQueueFull, dropped);
   const StageStatistics::Snapshot snapshot = statistics_.take_snapshot();
   if (!snapshot.failure.empty()) {
     status.summary(diagnostic_msgs::DiagnosticStatus::ERROR, snapshot.failure);

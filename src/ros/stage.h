@@ -2,15 +2,20 @@
 
 #include <diagnostic_updater/diagnostic_updater.h>
 #include <nodelet/nodelet.h>
+#include <ros/callback_queue.h>
 #include <ros/ros.h>
 
+#include <atomic>
 #include <chrono>
 #include <cstdint>
 #include <filesystem>
+#include <functional>
+#include <future>
 #include <map>
 #include <memory>
 #include <mutex>
 #include <string>
+#include <thread>
 #include <type_traits>
 #include <vector>
 
@@ -86,12 +91,28 @@ class LazyPublisher {
   bool changed_ = false;
 };
 
+/// A callback queue with a thread of its own: for what may wait, and for what must not wait for others.
+struct CallbackThread {
+  CallbackThread() : spinner(1, &queue) { spinner.start(); }
+
+  ros::CallbackQueue queue;
+  ros::AsyncSpinner spinner;
+};
+
+/// Of these topics each frame has its message, or two, in order.
+template <class Message>
+constexpr bool is_for_each_frame =
+    std::is_same_v<Message, FrameMessage> || std::is_same_v<Message, DetectionsMessage> ||
+    std::is_same_v<Message, AssociationsMessage> || std::is_same_v<Message, MapUpdateMessage> ||
+    std::is_same_v<Message, LoopsMessage> || std::is_same_v<Message, CorrectionMessage>;
+
 /// What the nodelets share: strict parameters, a worker, sessions, diagnostics, and an order of destruction that makes
 /// unloading safe at any time. Callbacks only push to the worker; everything a stage overrides or hands to `subscribe`
-/// runs on the worker's one thread, so that a stage needs no lock.
+/// runs on the worker's one thread, so that a stage needs no lock. Services, which may wait, are called on a thread of
+/// their own.
 ///
-/// A derived class calls `start` first in onInit, then advertises, subscribes and follows the sessions; its destructor
-/// calls `stop`.
+/// A derived class calls `start` first in onInit, then advertises, subscribes and follows the sessions, which lets the
+/// worker begin; its destructor calls `stop`.
 class Stage : public nodelet::Nodelet {
  protected:
   /// @param name as in acknowledgements and FrameDone, e.g. "ObjectAssociation"
@@ -103,14 +124,14 @@ class Stage : public nodelet::Nodelet {
   /// @param inputs messages a frame brings to this stage
   template <class Own>
   bool start(core::Options* options, Own* own, std::size_t inputs) {
-    start_diagnostics();
+    using Parameters = core::Result<NodeletParameters<Own>>;
     core::Result<core::OptionTexts> texts = read_parameters(getPrivateNodeHandle());
-    if (!texts) return fail(texts.message());
-    const core::Result<NodeletParameters<Own>> parameters = make_nodelet_parameters<Own>(*std::move(texts));
+    const Parameters parameters = texts ? make_nodelet_parameters<Own>(*std::move(texts)) : Parameters(texts.error());
+    if (parameters) start_worker(parameters->own.queue_size, inputs);
+    start_diagnostics();
     if (!parameters) return fail(parameters.message());
     *options = parameters->options;
     *own = parameters->own;
-    start_worker(own->queue_size, inputs);
     if constexpr (std::is_base_of_v<ClassStageParameters, Own>) return load_classes(own->class_table);
     return true;
   }
@@ -126,6 +147,13 @@ class Stage : public nodelet::Nodelet {
   /// Follows session_control: START of a session calls `reset_session`; every command is acknowledged. Call it last in
   /// onInit: who hears the acknowledgement takes the stage for ready.
   void follow_sessions();
+  /// Lets the worker begin with what has been pushed.
+  void open_queue() { worker_->start(); }
+  /// Has something saved when the nodelet is unloaded, or as soon as ROS shuts down: other nodelets of the manager may
+  /// take longer to end than roslaunch waits. @param save called once at most, on a thread of its own
+  void save_at_end(std::function<void()> save);
+  /// @param unsaved there is something that save_at_end has to save. Thread-safe
+  void set_unsaved(bool unsaved) { is_unsaved_ = unsaved; }
   /// A new session has begun: forget everything.
   virtual void reset_session() {}
   /// Adds a stage's own figures to its diagnostics. Called on the callback thread: read atomics or lock.
@@ -161,7 +189,10 @@ class Stage : public nodelet::Nodelet {
   /// A service in the nodelet's own namespace.
   template <class Request, class Response>
   void serve(const std::string& service, const boost::function<bool(Request&, Response&)>& handler) {
-    services_.push_back(getPrivateNodeHandle().advertiseService(service, handler));
+    if (!service_thread_) service_thread_ = std::make_unique<CallbackThread>();
+    ros::NodeHandle node(getPrivateNodeHandle());
+    node.setCallbackQueue(&service_thread_->queue);
+    services_.push_back(node.advertiseService(service, handler));
   }
   template <class Derived, class Request, class Response>
   void serve(const std::string& service, bool (Derived::*handler)(Request&, Response&)) {
@@ -169,8 +200,11 @@ class Stage : public nodelet::Nodelet {
       return (static_cast<Derived*>(this)->*handler)(request, response);
     });
   }
-  /// Calls the task each `period_s` of wall time on a thread of the callbacks; shut down as a subscriber.
-  void keep_timer(double period_s, const std::function<void()>& task);
+  /// Calls the task each `period_s` of wall time; shut down as a subscriber.
+  /// @param thread where; null: a thread of the callbacks
+  void keep_timer(double period_s, const std::function<void()>& task, CallbackThread* thread = nullptr);
+  /// @return what queues the task, unless it waits there already
+  std::function<void()> once_in_queue(const Worker::Task& task);
   /// Runs the task on the worker each `period_s` of wall time; a tick is left out while the last one still waits.
   void start_timer(double period_s, const Worker::Task& task);
   template <class Message>
@@ -198,6 +232,9 @@ class Stage : public nodelet::Nodelet {
     if (const core::Status written = write(absolute.string()); !written) return written.error();
     return absolute.lexically_normal().string();
   }
+  /// The place that a service's caller names. @param path relative to the directory, or absolute   @param anywhere
+  /// it may lie elsewhere   @return an error, with path and directory, if it does not lie below, all links followed
+  static core::Result<std::string> path_below(const std::string& directory, const std::string& path, bool anywhere);
   /// A service's success and message.
   template <class Response>
   static void answer(const core::Result<std::string>& result, Response* response) {
@@ -216,17 +253,28 @@ class Stage : public nodelet::Nodelet {
   std::size_t queue_capacity() const { return queue_size_; }
 
  private:
+  /// Of a topic with a message for each frame: what came last.
+  struct Sequence {
+    std::uint32_t session_id = 0;
+    std::int64_t frame_id = 0;
+  };
   template <class Message, class Derived>
   ros::Subscriber make_subscriber(const std::string& topic, Keep keep,
                                   void (Derived::*handler)(const boost::shared_ptr<const Message>&)) {
     using ConstPtr = boost::shared_ptr<const Message>;
-    const boost::function<void(const ConstPtr&)> callback = [this, topic, keep, handler](const ConstPtr& message) {
-      push(topic, keep, [this, message, handler] {
+    const boost::function<void(const ConstPtr&)> callback = [this, topic, keep, handler,
+                                                             last = Sequence()](const ConstPtr& message) mutable {
+      Keep own_keep = keep;
+      if constexpr (is_for_each_frame<Message>) count_missed(topic, {message->session_id, message->frame_id}, &last);
+      if constexpr (std::is_same_v<Message, FrameMessage>) own_keep = message->is_end ? Keep::kPinned : keep;
+      push(topic, own_keep, [this, message, handler] {
         if (is_current(message->session_id)) (static_cast<Derived*>(this)->*handler)(message);
       });
     };
     return getNodeHandle().template subscribe<Message>(topic, queue_size_, callback);
   }
+  /// roscpp's own queue drops without a word: a frame that is left out of the sequence tells.
+  void count_missed(const std::string& topic, const Sequence& next, Sequence* last);
   void start_diagnostics();
   void start_worker(int queue_size, std::size_t inputs);
   /// @return false after fail()
@@ -243,11 +291,15 @@ class Stage : public nodelet::Nodelet {
   StageStatistics::Clock::time_point task_arrival_{};  ///< worker thread only
   StageStatistics statistics_;
   std::unique_ptr<diagnostic_updater::Updater> updater_;
-  ros::Publisher ack_publisher_;
+  ros::Publisher ack_publisher_, working_publisher_;
   std::vector<ros::Subscriber> subscribers_;
   std::vector<ros::ServiceServer> services_;
   std::vector<ros::WallTimer> timers_;
+  std::unique_ptr<CallbackThread> service_thread_;
   std::unique_ptr<Worker> worker_;
+  std::promise<void> stopped_;  ///< of what save_at_end waits for
+  std::atomic<bool> is_unsaved_{false};
+  std::thread saver_;
 };
 
 }  // namespace semantic_topo_loop

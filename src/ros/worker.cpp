@@ -13,29 +13,34 @@ constexpr std::size_t kHardLimitFactor = 16;
 }  // namespace
 
 Worker::Worker(std::size_t capacity, ErrorHandler on_error)
-    : capacity_(std::max<std::size_t>(capacity, 1)), on_error_(std::move(on_error)), thread_([this] { run(); }) {}
+    : capacity_(std::max<std::size_t>(capacity, 1)), on_error_(std::move(on_error)) {}
 
-void Worker::push(Task task, Keep keep) {
+void Worker::start() {
+  const std::lock_guard<std::mutex> lock(mutex_);
+  if (!closed_ && !thread_.joinable()) thread_ = std::thread([this] { run(); });
+}
+
+void Worker::push(Task task, Keep keep, const std::string& topic) {
   {
     const std::lock_guard<std::mutex> lock(mutex_);
     if (closed_) return;
-    if (queue_.size() >= kHardLimitFactor * capacity_) drop(queue_.begin());
+    if (queue_.size() >= kHardLimitFactor * capacity_) drop(Keep::kAlways);
     if (keep == Keep::kDroppable) {
-      if (droppable_ == capacity_) {
-        drop(std::find_if(queue_.begin(), queue_.end(),
-                          [](const Entry& entry) { return entry.keep == Keep::kDroppable; }));
-      }
+      if (droppable_ == capacity_) drop(Keep::kDroppable);
       ++droppable_;
     }
-    queue_.push_back({std::move(task), keep});
+    queue_.push_back({std::move(task), keep, topic});
   }
   wake_.notify_one();
 }
 
-void Worker::drop(std::deque<Entry>::iterator entry) {
-  if (entry->keep == Keep::kDroppable) --droppable_;
-  queue_.erase(entry);
-  ++dropped_;
+void Worker::drop(Keep most) {
+  const auto oldest =
+      std::find_if(queue_.begin(), queue_.end(), [most](const Entry& entry) { return entry.keep <= most; });
+  if (oldest == queue_.end()) return;
+  if (oldest->keep == Keep::kDroppable) --droppable_;
+  ++dropped_[oldest->topic];
+  queue_.erase(oldest);
 }
 
 void Worker::close() {
@@ -49,7 +54,7 @@ void Worker::close() {
   if (thread_.joinable()) thread_.join();
 }
 
-std::uint64_t Worker::dropped() const {
+std::map<std::string, std::uint64_t> Worker::dropped() const {
   const std::lock_guard<std::mutex> lock(mutex_);
   return dropped_;
 }
@@ -59,16 +64,23 @@ std::size_t Worker::size() const {
   return queue_.size();
 }
 
+bool Worker::is_busy() const {
+  const std::lock_guard<std::mutex> lock(mutex_);
+  return is_busy_;
+}
+
 void Worker::run() {
   while (true) {
     Entry entry;
     {
       std::unique_lock<std::mutex> lock(mutex_);
+      is_busy_ = false;
       wake_.wait(lock, [this] { return closed_ || !queue_.empty(); });
       if (closed_) return;
       entry = std::move(queue_.front());
       queue_.pop_front();
       if (entry.keep == Keep::kDroppable) --droppable_;
+      is_busy_ = true;
     }
     try {
       entry.task();

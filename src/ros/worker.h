@@ -5,6 +5,7 @@
 #include <cstdint>
 #include <deque>
 #include <functional>
+#include <map>
 #include <mutex>
 #include <string>
 #include <thread>
@@ -14,10 +15,11 @@ namespace semantic_topo_loop {
 /// Whether a task may be given up when its stage cannot keep up.
 enum class Keep {
   kDroppable,  ///< a frame's data: the oldest goes when the queue is full, counted
-  kAlways,     ///< state that later tasks build on: map updates, corrections, sessions
+  kAlways,     ///< state that later tasks build on, as map updates: goes only where a stage has stopped, counted
+  kPinned,     ///< sessions, timers, the end of a stream: without them nothing would go on
 };
 
-/// A bounded queue and one thread that runs its tasks in order of arrival. Pushing never waits.
+/// A bounded queue and one thread that runs its tasks in order of arrival, once it was started. Pushing never waits.
 class Worker {
  public:
   using Task = std::function<void()>;
@@ -30,22 +32,29 @@ class Worker {
   Worker(const Worker&) = delete;
   Worker& operator=(const Worker&) = delete;
 
-  /// Drops the oldest droppable task when `capacity` of them wait, and the oldest of all when 16 times as many tasks
-  /// of any kind do. After close() nothing is taken.
-  void push(Task task, Keep keep = Keep::kDroppable);
+  void start();
+  /// Drops the oldest droppable task when `capacity` of them wait, and the oldest that is not pinned when 16 times as
+  /// many tasks of any kind do. After close() nothing is taken.
+  /// @param topic what brought the task, to count drops by
+  void push(Task task, Keep keep = Keep::kDroppable, const std::string& topic = {});
   /// Forgets what waits, lets the running task end, and joins the thread. Never call it from a task.
   void close();
 
-  std::uint64_t dropped() const;
+  /// Tasks dropped, by topic.
+  std::map<std::string, std::uint64_t> dropped() const;
   std::size_t size() const;
+  /// Whether a task is running.
+  bool is_busy() const;
 
  private:
   struct Entry {
     Task task;
     Keep keep;
+    std::string topic;
   };
   void run();
-  void drop(std::deque<Entry>::iterator entry);
+  /// Drops the oldest task of at most this kind, if there is one.
+  void drop(Keep most);
 
   const std::size_t capacity_;
   const ErrorHandler on_error_;
@@ -53,7 +62,8 @@ class Worker {
   std::condition_variable wake_;
   std::deque<Entry> queue_;
   std::size_t droppable_ = 0;
-  std::uint64_t dropped_ = 0;
+  std::map<std::string, std::uint64_t> dropped_;
+  bool is_busy_ = false;
   bool closed_ = false;
   std::thread thread_;
 };

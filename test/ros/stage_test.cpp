@@ -38,6 +38,7 @@ void drain(Worker* worker) {
 
 TEST(Worker, RunsInOrderOfArrival) {
   Worker worker(1000, {});
+  worker.start();
   std::vector<int> order;
   for (int i = 0; i < 500; ++i) {
     worker.push([&order, i] { order.push_back(i); }, i % 3 == 0 ? Keep::kAlways : Keep::kDroppable);
@@ -45,35 +46,66 @@ TEST(Worker, RunsInOrderOfArrival) {
   drain(&worker);
   ASSERT_EQ(order.size(), 500u);
   for (int i = 0; i < 500; ++i) EXPECT_EQ(order[static_cast<std::size_t>(i)], i);
-  EXPECT_EQ(worker.dropped(), 0u);
+  EXPECT_TRUE(worker.dropped().empty());
 }
 
 TEST(Worker, DropsTheOldestDroppableWhenFull) {
   Gate gate;
   Worker worker(3, {});
+  worker.start();
   gate.block(&worker);
   std::vector<int> order;
   worker.push([&order] { order.push_back(100); }, Keep::kAlways);
-  for (int i = 0; i < 8; ++i) worker.push([&order, i] { order.push_back(i); });
-  EXPECT_EQ(worker.dropped(), 5u);
+  for (int i = 0; i < 8; ++i) worker.push([&order, i] { order.push_back(i); }, Keep::kDroppable, i < 2 ? "a" : "b");
+  EXPECT_EQ(worker.dropped(), (std::map<std::string, std::uint64_t>{{"a", 2}, {"b", 3}}));
   gate.open();
   drain(&worker);
   EXPECT_EQ(order, (std::vector<int>{100, 5, 6, 7}));
 }
 
-TEST(Worker, BoundsEvenWhatIsKept) {
+TEST(Worker, BoundsEvenWhatIsKeptButNeverDropsWhatIsPinned) {
   Gate gate;
   Worker worker(2, {});
+  worker.start();
   gate.block(&worker);
-  for (int i = 0; i < 1000; ++i) worker.push([] {}, Keep::kAlways);
+  std::vector<int> pinned;
+  worker.push([&pinned] { pinned.push_back(0); }, Keep::kPinned, "timer");
+  for (int i = 0; i < 1000; ++i) worker.push([] {}, Keep::kAlways, "updates");
   EXPECT_EQ(worker.size(), 32u);
-  EXPECT_EQ(worker.dropped(), 968u);
+  EXPECT_EQ(worker.dropped(), (std::map<std::string, std::uint64_t>{{"updates", 969}}));
+  for (int i = 1; i < 50; ++i) worker.push([&pinned, i] { pinned.push_back(i); }, Keep::kPinned, "session");
+  EXPECT_EQ(worker.size(), 50u) << "pinned ones take the place of the others, and more if need be";
   gate.open();
+  drain(&worker);
+  ASSERT_EQ(pinned.size(), 50u);
+  for (int i = 0; i < 50; ++i) EXPECT_EQ(pinned[static_cast<std::size_t>(i)], i);
+}
+
+TEST(Worker, KeepsWhatComesBeforeItIsStarted) {
+  Worker worker(10, {});
+  std::vector<int> order;
+  for (int i = 0; i < 3; ++i) worker.push([&order, i] { order.push_back(i); });
+  EXPECT_FALSE(worker.is_busy());
+  EXPECT_EQ(worker.size(), 3u);
+  worker.start();
+  drain(&worker);
+  EXPECT_EQ(order, (std::vector<int>{0, 1, 2}));
+}
+
+TEST(Worker, SaysWhileItWorks) {
+  Gate gate;
+  Worker worker(10, {});
+  worker.start();
+  gate.block(&worker);
+  EXPECT_TRUE(worker.is_busy());
+  gate.open();
+  while (worker.is_busy()) std::this_thread::yield();
 }
 
 TEST(Worker, SurvivesATaskThatThrows) {
   std::vector<std::string> errors;
   Worker worker(10, [&errors](const std::string& what) { errors.push_back(what); });
+  worker.start();
   worker.push([] { throw std::runtime_error("bad frame"); });
   worker.push([] { throw 1; });
   bool ran = false;
@@ -86,6 +118,7 @@ TEST(Worker, SurvivesATaskThatThrows) {
 TEST(Worker, CloseForgetsWhatWaitsAndTakesNothingMore) {
   Gate gate;
   Worker worker(10, {});
+  worker.start();
   gate.block(&worker);
   bool ran = false;
   worker.push([&ran] { ran = true; });

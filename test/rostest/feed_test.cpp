@@ -94,6 +94,21 @@ TEST(TfPoses, FollowsTimeThatJumpsBack) {
   EXPECT_EQ(poses.at(at_ms(10025), "camera").status, PoseSource::Status::kNotYet);
 }
 
+TEST(TfPoses, ALateSampleOfAnotherFrameCostsNothing) {
+  TfPoses poses("odom", 0.1);
+  fill(&poses, {10000, 10050});
+  ASSERT_EQ(poses.at(at_ms(10025), "camera").status, PoseSource::Status::kFound);
+  // A wheel that nobody asked for, then what lies above the odometry.
+  for (const char* child : {"wheel", "odom"}) {
+    const std::string parent = child == std::string("wheel") ? "base" : "map";
+    ASSERT_TRUE(poses.add(message_of(transform(parent, child, at_ms(10050), 0.1)), false));
+    ASSERT_TRUE(poses.add(message_of(transform(parent, child, at_ms(8000), 0.1)), false));
+    EXPECT_EQ(poses.at(at_ms(10025), "camera").status, PoseSource::Status::kFound) << child;
+  }
+  ASSERT_TRUE(poses.add(message_of(transform("odom", "base", at_ms(8000), 8.0)), false));
+  EXPECT_EQ(poses.at(at_ms(10025), "camera").status, PoseSource::Status::kNotYet) << "the base itself jumped back";
+}
+
 nav_msgs::Odometry odometry_at(int time_ms) {
   nav_msgs::Odometry message;
   message.header = make_header(to_ros_time(at_ms(time_ms)), "odom");
@@ -125,6 +140,8 @@ TEST(OdometryPoses, TakesTheStepsCovarianceFromTheTwist) {
     ASSERT_TRUE(poses.add(message));
   }
   EXPECT_FALSE(poses.at(at_ms(100), "base").sample.covariance) << "the first pose has no predecessor";
+  poses.use(at_ms(100));
+  EXPECT_TRUE(poses.at(at_ms(600), "base").sample.covariance) << "asked for, and asked for again when its cloud came";
   const PoseSource::Answer answer = poses.at(at_ms(600), "base");
   ASSERT_TRUE(answer.sample.covariance);
   EXPECT_LT((*answer.sample.covariance - 0.01 * core::Mat6::Identity()).norm(), 1e-12) << "(0.2 m/s * 0.5 s)^2";
@@ -221,6 +238,8 @@ TEST(PlayerLedger, GivesCreditBackOnceAFrameIsDone) {
   EXPECT_EQ(ledger.frames_without_pose(), 1u);
   ledger.done(done_of(66, FrameDone::STATUS_PROCESSED));
   EXPECT_EQ(ledger.in_flight(), 0u) << "a processed frame answers for older ones, which were dropped";
+  ledger.done(done_of(50, FrameDone::STATUS_FAILED));
+  EXPECT_EQ(ledger.frames_done(), 2u) << "not of an image that is not on its way, as one from before a rewind";
   ledger.sent(at_ms(99));
   ledger.take(start_of(1));
   EXPECT_EQ(ledger.in_flight(), 1u) << "the session was only repeated";

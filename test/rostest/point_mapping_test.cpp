@@ -1,6 +1,7 @@
 // The points of the map, as others see them: on the topics, after corrections, by service.
 #include <sensor_msgs/PointCloud2.h>
 
+#include <filesystem>
 #include <fstream>
 #include <optional>
 #include <thread>
@@ -76,7 +77,7 @@ class PointMapping : public ::testing::Test {
     points_ = node_.advertise<KeyframePointsMessage>("keyframe_points", 10);
     corrections_ = node_.advertise<CorrectionMessage>("map_corrections", 10);
     acks_ = node_.subscribe<SessionAck>("session_acks", 10, &PointMapping::take_ack, this);
-    chain_.load_point_mapping(kRate_hz);
+    chain_.load_point_mapping(kRate_hz, directory_.path("saved"));
     ASSERT_TRUE(start_session(1));
     const auto deadline = ros::WallTime::now() + ros::WallDuration(kPatience_s);
     while ((points_.getNumSubscribers() == 0 || corrections_.getNumSubscribers() == 0) &&
@@ -125,6 +126,16 @@ class PointMapping : public ::testing::Test {
     return {{}, session_, correction};
   }
 
+  /// Calls the service. @return what it says
+  SavePoints::Response save(const std::string& path) {
+    SavePoints::Request request;
+    SavePoints::Response response;
+    request.path = path;
+    EXPECT_TRUE(ros::service::call("/point_mapping/save_points", request, response));
+    return response;
+  }
+
+  const core::TestDirectory directory_;
   InProcessChain chain_;
   ros::NodeHandle node_;
   ros::Publisher control_, points_, corrections_;
@@ -206,7 +217,7 @@ TEST_F(PointMapping, ForgetsWithTheSession) {
 }
 
 TEST_F(PointMapping, SavesTheCorrectedPoints) {
-  const core::TestDirectory directory;
+  std::filesystem::create_directory(directory_.path("saved"));
   {
     Listener sparse("map_points_sparse");
     points_.publish(keyframe(0));
@@ -217,13 +228,10 @@ TEST_F(PointMapping, SavesTheCorrectedPoints) {
     points_.publish(keyframe(2));
     ASSERT_TRUE(sparse.wait_for(3));
   }
-  SavePoints::Request request;
-  SavePoints::Response response;
-  request.path = directory.path("map.ply");
-  ASSERT_TRUE(ros::service::call("/point_mapping/save_points", request, response));
+  const SavePoints::Response response = save("map.ply");
   ASSERT_TRUE(response.success) << response.message;
-  EXPECT_EQ(response.message, request.path);
-  std::ifstream file(request.path, std::ios::binary);
+  EXPECT_EQ(response.message, directory_.path("saved/map.ply"));
+  std::ifstream file(response.message, std::ios::binary);
   std::string line;
   bool has_count = false;
   while (std::getline(file, line) && line != "end_header") has_count = has_count || line == "element vertex 6";
@@ -233,10 +241,34 @@ TEST_F(PointMapping, SavesTheCorrectedPoints) {
   EXPECT_NEAR(values[4], 1.0, kTolerance_m) << "x of the second sparse point";
   EXPECT_NEAR(values[5], 0.5, kTolerance_m) << "y, corrected";
 
-  request.path = directory.path("map.txt");
-  ASSERT_TRUE(ros::service::call("/point_mapping/save_points", request, response));
-  EXPECT_FALSE(response.success);
-  EXPECT_NE(response.message.find("map.txt"), std::string::npos) << response.message;
+  const SavePoints::Response refused = save("map.txt");
+  EXPECT_FALSE(refused.success);
+  EXPECT_NE(refused.message.find("map.txt"), std::string::npos) << refused.message;
+}
+
+TEST_F(PointMapping, SavesBelowItsDirectoryOnly) {
+  namespace fs = std::filesystem;
+  fs::create_directories(directory_.path("saved/deeper"));
+  fs::create_directory(directory_.path("elsewhere"));
+  const std::string own = directory_.write("elsewhere/own.ply", "a user's own");
+  fs::create_symlink(directory_.path("elsewhere"), directory_.path("saved/link"));
+  fs::create_symlink(own, directory_.path("saved/own.ply"));
+  for (const std::string& path :
+       {std::string(), std::string("."), std::string("../map.ply"), directory_.path("map.ply"), own,
+        std::string("deeper/../../elsewhere/own.ply"), std::string("link/own.ply"), std::string("own.ply")}) {
+    const SavePoints::Response response = save(path);
+    EXPECT_FALSE(response.success) << path;
+    EXPECT_NE(response.message.find("is not below '" + directory_.path("saved")), std::string::npos)
+        << response.message;
+  }
+  EXPECT_EQ(core::read_whole(own), "a user's own");
+  EXPECT_TRUE(save("map.ply").success);
+  EXPECT_TRUE(save("deeper/map.pcd").success);
+  EXPECT_TRUE(save(directory_.path("saved/absolute.ply")).success);
+  // What was there before survives a write that fails.
+  const std::string before = directory_.write("saved/kept.txt", "kept");
+  EXPECT_FALSE(save("kept.txt").success);
+  EXPECT_EQ(core::read_whole(before), "kept");
 }
 
 }  // namespace

@@ -1,11 +1,17 @@
-// A loop closure is withdrawn by service: what follows is heard on the topics.
+// What PoseGraph makes of loops: corrections and tf, of loops that come late, and of one that is withdrawn by service.
+#include <tf2_msgs/TFMessage.h>
+
 #include <algorithm>
+#include <optional>
+#include <thread>
 #include <utility>
 #include <vector>
 
+#include "ros/conversions.h"
 #include "semantic_topo_loop/SessionAck.h"
 #include "semantic_topo_loop/SessionControl.h"
 #include "semantic_topo_loop/WithdrawLoop.h"
+#include "semantic_topo_loop/geometry/lie.h"
 #include "semantic_topo_loop/ros/messages.h"
 #include "support/in_process_chain.h"
 #include "support/two_rounds.h"
@@ -27,13 +33,18 @@ class Feed {
     acks_ = node_.subscribe<SessionAck>("session_acks", 10, &Feed::take_ack, this);
     corrections_ = node_.subscribe<CorrectionMessage>("map_corrections", 1000, &Feed::take_correction, this);
     updates_ = node_.subscribe<MapUpdateMessage>("quadric_map_updates", 1000, &Feed::take_update, this);
+    tf_ = node_.subscribe<tf2_msgs::TFMessage>("/tf", 1000, &Feed::take_tf, this);
   }
 
-  bool start_session() {
+  bool start_session(std::uint32_t session = kSession) {
     SessionControl start;
-    start.header.stamp = ros::Time(1.0);
-    start.session_id = kSession;
+    start.header.stamp = ros::Time(session);
+    start.session_id = session_ = session;
     start.command = SessionControl::COMMAND_START;
+    {
+      const std::lock_guard<std::mutex> lock(mutex_);
+      acknowledged_ = 0;
+    }
     control_.publish(start);
     return wait([this] { return acknowledged_ >= 2; });
   }
@@ -42,16 +53,33 @@ class Feed {
   void step(const core::Frame& frame, const core::AssociationFrame& associations,
             const std::vector<core::LoopClosure>& loops) {
     if (is_stuck_) return;
-    std_msgs::Header header;
-    header.stamp.fromNSec(static_cast<std::uint64_t>(frame.stamp_ns));
-    AssociationsMessage seen(header, kSession, associations);
-    seen.frame_id = frame.frame_id;
-    frames_.publish(FrameMessage(header, kSession, CameraFrame{frame, "camera"}));
-    associations_.publish(seen);
-    is_stuck_ = !wait([&] { return observed_ == frame.frame_id; });
-    loops_.publish(LoopsMessage(header, kSession, FrameLoops{frame.frame_id, 0.0, loops}));
+    begin_step(frame, associations);
+    publish_loops(frame, loops);
     is_stuck_ = is_stuck_ || !wait([&] { return completed_ == frame.frame_id; });
     EXPECT_FALSE(is_stuck_) << "no answer to frame " << frame.frame_id;
+  }
+  /// As step, as far as it goes without the frame's loops.
+  void begin_step(const core::Frame& frame, const core::AssociationFrame& associations) {
+    const std_msgs::Header header = header_of(frame);
+    AssociationsMessage seen(header, session_, associations);
+    seen.frame_id = frame.frame_id;
+    frames_.publish(FrameMessage(header, session_, CameraFrame{frame, "camera"}));
+    associations_.publish(seen);
+    is_stuck_ = !wait([&] { return observed_ == frame.frame_id; });
+  }
+  void publish_loops(const core::Frame& frame, const std::vector<core::LoopClosure>& loops) {
+    loops_.publish(LoopsMessage(header_of(frame), session_, FrameLoops{frame.frame_id, 0.0, loops}));
+  }
+
+  /// Transforms from map to odom, as sent.
+  std::vector<geometry_msgs::TransformStamped> tf() {
+    const std::lock_guard<std::mutex> lock(mutex_);
+    return tf_sent_;
+  }
+  /// Waits for the next transform.
+  bool wait_for_tf() {
+    const std::size_t before = tf().size();
+    return wait([this, before] { return tf_sent_.size() > before + 1; });
   }
 
   bool is_stuck() const { return is_stuck_; }
@@ -70,6 +98,16 @@ class Feed {
   }
 
  private:
+  static std_msgs::Header header_of(const core::Frame& frame) {
+    return make_header(to_ros_time(frame.stamp_ns), "odom");
+  }
+  void take_tf(const tf2_msgs::TFMessage::ConstPtr& message) {
+    const std::lock_guard<std::mutex> lock(mutex_);
+    for (const geometry_msgs::TransformStamped& transform : message->transforms) {
+      if (transform.child_frame_id == "odom") tf_sent_.push_back(transform);
+    }
+    changed_.notify_all();
+  }
   template <class Condition>
   bool wait(Condition condition) {
     std::unique_lock<std::mutex> lock(mutex_);
@@ -94,7 +132,8 @@ class Feed {
 
   ros::NodeHandle node_;
   ros::Publisher control_, frames_, associations_, loops_;
-  ros::Subscriber acks_, corrections_, updates_;
+  ros::Subscriber acks_, corrections_, updates_, tf_;
+  std::uint32_t session_ = kSession;
   bool is_stuck_ = false;
   std::mutex mutex_;  ///< guards all below but the condition
   std::condition_variable changed_;
@@ -102,6 +141,7 @@ class Feed {
   std::int64_t observed_ = -1, completed_ = -1;
   std::vector<core::MapCorrection> changes_;
   std::vector<core::LandmarkMerge> merged_, unmerged_;
+  std::vector<geometry_msgs::TransformStamped> tf_sent_;
 };
 
 core::Vec3 old_position(const core::MapCorrection& correction) { return correction.T_map_odom_old.t; }
@@ -125,6 +165,13 @@ TEST(WithdrawLoop, TakesBackTheVerdictTheCorrectionAndTheMerge) {
   ASSERT_EQ(closed.loops.size(), loops.size());
   EXPECT_TRUE(std::all_of(closed.loops.begin(), closed.loops.end(), [](const core::LoopVerdict& v) { return v.kept; }));
   EXPECT_GT(new_position(closed).norm(), 0.3) << "the drift is corrected";
+  ASSERT_TRUE(feed.wait_for_tf());
+  const geometry_msgs::TransformStamped sent = feed.tf().back();
+  EXPECT_EQ(sent.header.frame_id, "map");
+  const geometry_msgs::Vector3& t = sent.transform.translation;
+  const geometry_msgs::Quaternion& q = sent.transform.rotation;
+  EXPECT_LT((core::Vec3(t.x, t.y, t.z) - new_position(closed)).norm(), 1e-9) << "from odom to map, not the other way";
+  EXPECT_LT(core::rotation_angle(core::Quaternion(q.w, q.x, q.y, q.z), closed.T_map_odom.q), 1e-9);
   ASSERT_EQ(feed.merged().size(), 1U) << "one cup, seen twice";
   EXPECT_TRUE(feed.unmerged().empty());
 
@@ -152,6 +199,55 @@ TEST(WithdrawLoop, TakesBackTheVerdictTheCorrectionAndTheMerge) {
   ASSERT_EQ(feed.unmerged().size(), 1U);
   EXPECT_EQ(feed.unmerged()[0].merged_id, feed.merged()[0].merged_id);
   EXPECT_EQ(feed.unmerged()[0].survivor_id, feed.merged()[0].survivor_id);
+  chain.unload_all();
+}
+
+TEST(LateLoops, OfAFrameThatWentInWithoutThemCloseWithALaterOne) {
+  InProcessChain chain;
+  chain.load_correction();
+  Feed feed;
+  ASSERT_TRUE(feed.start_session());
+  std::optional<core::Frame> late_frame;
+  std::vector<core::LoopClosure> late_loops;
+  core::TwoRounds run([&](const core::Frame& frame, const core::AssociationFrame& associations,
+                          const std::vector<core::LoopClosure>& loops) {
+    if (!loops.empty()) {
+      late_frame = frame;
+      late_loops = loops;
+      return feed.begin_step(frame, associations);
+    }
+    feed.step(frame, associations, {});
+    if (late_frame) feed.publish_loops(*std::exchange(late_frame, std::nullopt), late_loops);
+  });
+  run.first_round();
+  run.go_away();
+  run.second_round();
+  run.idle(core::TwoRounds::loops());
+  ASSERT_FALSE(feed.is_stuck());
+  ASSERT_FALSE(feed.corrections().empty());
+  EXPECT_EQ(feed.corrections().back().loops.size(), late_loops.size());
+  EXPECT_GT(new_position(feed.corrections().back()).norm(), 0.3) << "the drift is corrected";
+  chain.unload_all();
+}
+
+TEST(MapToOdom, FollowsTimeThatJumpsBackWithTheSession) {
+  InProcessChain chain;
+  chain.load_correction();
+  Feed feed;
+  core::Frame frame;
+  frame.frame_id = frame.keyframe_id = 0;
+  frame.is_keyframe = true;
+  for (const std::uint32_t session : {1U, 2U}) {
+    ASSERT_TRUE(feed.start_session(session));
+    const std::size_t before = feed.tf().size();
+    std::this_thread::sleep_for(std::chrono::milliseconds(300));
+    EXPECT_LE(feed.tf().size(), before + 1) << "nothing is said before the session's first pose";
+    const double begin_s = session == 1 ? 1000.0 : 10.0;
+    frame.stamp_ns = static_cast<std::int64_t>(begin_s * 1e9);
+    feed.step(frame, {}, {});
+    ASSERT_TRUE(feed.wait_for_tf());
+    EXPECT_NEAR(feed.tf().back().header.stamp.toSec(), begin_s + 0.1, 0.01) << session;
+  }
   chain.unload_all();
 }
 

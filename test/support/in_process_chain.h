@@ -45,15 +45,7 @@ class InProcessChain {
   }
   /// Everything but the player, on the files of a simulation.
   void load_stages(const std::string& data, const std::string& output, const Remappings& mapping_remappings = {}) {
-    set("pose_frontend", "pose_source", "file");
-    set("pose_frontend", "trajectory_file", data + "/odometry.txt");
-    set("detection_ingestion", "source", "file");
-    set("detection_ingestion", "detections_file", data + "/detections.json");
-    set("recorder", "output_dir", output);
-    for (const char* nodelet :
-         {"detection_ingestion", "object_association", "quadric_mapping", "loop_detection", "recorder"}) {
-      set(nodelet, "class_table", STL_CONFIG_DIR "/classes_coco.yaml");
-    }
+    configure(data, output);
     load("recorder", "Recorder", {});
     load("pose_graph", "PoseGraph", {});
     load("loop_detection", "LoopDetection", {});
@@ -61,6 +53,18 @@ class InProcessChain {
     load("object_association", "ObjectAssociation", {});
     load("detection_ingestion", "DetectionIngestion", {});
     load("pose_frontend", "PoseFrontend", {});
+  }
+  /// The parameters of the stages, on the files of a simulation.
+  void configure(const std::string& data, const std::string& output) {
+    set("pose_frontend", "pose_source", "file");
+    set("pose_frontend", "trajectory_file", data + "/odometry.txt");
+    set("detection_ingestion", "source", "file");
+    set("detection_ingestion", "detections_file", data + "/detections.json");
+    set("recorder", "output_dir", output);
+    for (const char* nodelet : {"detection_ingestion", "object_association", "quadric_mapping", "loop_detection",
+                                "recorder", "visualization"}) {
+      set(nodelet, "class_table", STL_CONFIG_DIR "/classes_coco.yaml");
+    }
   }
   /// Who only looks on.
   void load_viewers() {
@@ -76,19 +80,29 @@ class InProcessChain {
     load("quadric_mapping", "QuadricMapping", {});
   }
   /// The points of the map alone; the test plays the front end and the pose graph.
-  void load_point_mapping(double rate_hz) {
+  void load_point_mapping(double rate_hz, const std::string& save_dir) {
     set("point_mapping", "rate_hz", rate_hz);
+    set("point_mapping", "save_dir", save_dir);
     load("point_mapping", "PointMapping", {});
   }
   void load_player(const std::string& data, bool lockstep) {
+    configure_player(data, lockstep);
+    load("player", "Player", {});
+  }
+  void configure_player(const std::string& data, bool lockstep) {
     set("player", "mode", "files");
     set("player", "trajectory_file", data + "/odometry.txt");
     set("player", "camera_file", data + "/camera.yaml");
     set("player", "lockstep", lockstep);
     set("player", "await_results", true);
     set("player", "stages", "DetectionIngestion ObjectAssociation QuadricMapping LoopDetection PoseGraph Recorder");
-    load("player", "Player", {});
   }
+  void load(const std::string& name, const std::string& type, const Remappings& remappings = {}) {
+    Remappings resolved;
+    for (const auto& [from, to] : remappings) resolved[ros::names::resolve(from)] = ros::names::resolve(to);
+    ASSERT_TRUE(loader_.load("/" + name, "semantic_topo_loop/" + type, resolved, {})) << name;
+  }
+  void unload(const std::string& name) { ASSERT_TRUE(loader_.unload("/" + name)) << name; }
   void unload_all() { loader_.clear(); }
 
   /// What the player said at its end; empty if it did not end in time.
@@ -99,12 +113,6 @@ class InProcessChain {
   }
 
  private:
-  void load(const std::string& name, const std::string& type, Remappings remappings) {
-    for (auto& [from, to] : remappings) to = ros::names::resolve(to);
-    Remappings resolved;
-    for (const auto& [from, to] : remappings) resolved[ros::names::resolve(from)] = to;
-    ASSERT_TRUE(loader_.load("/" + name, "semantic_topo_loop/" + type, resolved, {})) << name;
-  }
   void take_status(const std_msgs::String::ConstPtr& status) {
     const std::lock_guard<std::mutex> lock(mutex_);
     if (status->data != "playing") end_ = status->data;

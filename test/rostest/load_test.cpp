@@ -1,0 +1,203 @@
+// Nodelets are loaded and unloaded in random order under traffic. `_rounds:=500 _seed:=7` for as often as wanted.
+#include <diagnostic_msgs/DiagnosticArray.h>
+#include <sensor_msgs/CameraInfo.h>
+#include <sensor_msgs/Image.h>
+#include <sensor_msgs/image_encodings.h>
+#include <std_msgs/Empty.h>
+#include <std_srvs/Trigger.h>
+#include <tf2_msgs/TFMessage.h>
+
+#include <algorithm>
+#include <atomic>
+#include <random>
+#include <set>
+#include <thread>
+#include <utility>
+#include <vector>
+
+#include "ros/conversions.h"
+#include "semantic_topo_loop/FrameDone.h"
+#include "semantic_topo_loop/SessionControl.h"
+#include "semantic_topo_loop/ros/messages.h"
+#include "support/in_process_chain.h"
+
+namespace semantic_topo_loop {
+namespace {
+
+const std::vector<std::pair<std::string, std::string>> kNodelets = {{"pose_frontend", "PoseFrontend"},
+                                                                    {"rgbd_frontend", "RgbdFrontend"},
+                                                                    {"detection_ingestion", "DetectionIngestion"},
+                                                                    {"object_association", "ObjectAssociation"},
+                                                                    {"quadric_mapping", "QuadricMapping"},
+                                                                    {"loop_detection", "LoopDetection"},
+                                                                    {"pose_graph", "PoseGraph"},
+                                                                    {"point_mapping", "PointMapping"},
+                                                                    {"visualization", "Visualization"},
+                                                                    {"recorder", "Recorder"},
+                                                                    {"player", "Player"}};
+
+/// What a robot sends, from this process: images, detections and tf at 30 Hz, and queries at 1 kHz.
+class Traffic {
+ public:
+  Traffic() {
+    info_ = node_.advertise<sensor_msgs::CameraInfo>("camera_info", 10);
+    color_ = node_.advertise<sensor_msgs::Image>("color", 10);
+    depth_ = node_.advertise<sensor_msgs::Image>("depth", 10);
+    detections_ = node_.advertise<DetectionsMessage>("detections_in", 10);
+    tf_ = node_.advertise<tf2_msgs::TFMessage>("/tf", 10);
+    queries_ = node_.advertise<std_msgs::Empty>("session_queries", 10);
+    images_thread_ = std::thread([this] { repeat(std::chrono::microseconds(33333), [this] { send_image(); }); });
+    queries_thread_ = std::thread([this] {
+      repeat(std::chrono::milliseconds(1), [this] { queries_.publish(boost::make_shared<std_msgs::Empty>()); });
+    });
+  }
+  ~Traffic() {
+    stop_ = true;
+    images_thread_.join();
+    queries_thread_.join();
+  }
+
+ private:
+  template <class Period, class Task>
+  void repeat(Period period, Task task) {
+    auto next = std::chrono::steady_clock::now();
+    while (!stop_) {
+      task();
+      next += period;
+      std::this_thread::sleep_until(next);
+    }
+  }
+
+  void send_image() {
+    const ros::Time stamp = ros::Time::now();
+    const std_msgs::Header header = make_header(stamp, "camera");
+    const core::Camera camera{120.0, 120.0, 79.5, 59.5, 160, 120, {}};
+    auto transforms = boost::make_shared<tf2_msgs::TFMessage>();
+    transforms->transforms.push_back(make_transform(make_header(stamp, "odom"), "camera", core::SE3()));
+    tf_.publish(transforms);
+    auto info = boost::make_shared<sensor_msgs::CameraInfo>();
+    to_msg(camera, info.get());
+    info->header = header;
+    info_.publish(info);
+    auto color = boost::make_shared<sensor_msgs::Image>();
+    color->header = header;
+    color->width = color->step = 160;
+    color->height = 120;
+    color->encoding = sensor_msgs::image_encodings::MONO8;
+    for (std::size_t i = 0; i < 160 * 120; ++i) color->data.push_back(static_cast<std::uint8_t>((i / 7 * 37) % 251));
+    auto depth = boost::make_shared<sensor_msgs::Image>(*color);
+    depth->encoding = sensor_msgs::image_encodings::TYPE_16UC1;
+    depth->step = 320;
+    depth->data.assign(320 * 120, 4);  // 1.028 m everywhere
+    color_.publish(color);
+    depth_.publish(depth);
+    auto detections = boost::make_shared<DetectionsMessage>();
+    detections->header = header;
+    detections->detections.push_back({41, 0.9, {40.0, 40.0, 80.0, 80.0}});
+    detections_.publish(detections);
+  }
+
+  ros::NodeHandle node_;
+  ros::Publisher info_, color_, depth_, detections_, tf_, queries_;
+  std::atomic<bool> stop_{false};
+  std::thread images_thread_, queries_thread_;
+};
+
+/// Counts the frames that are through with the chain.
+class DoneCounter {
+ public:
+  DoneCounter() {
+    const boost::function<void(const FrameDone::ConstPtr&)> count = [this](const FrameDone::ConstPtr& done) {
+      if (done->status == FrameDone::STATUS_PROCESSED) ++processed_;
+    };
+    subscriber_ = node_.subscribe<FrameDone>("frame_done", 100, count);
+  }
+  ~DoneCounter() { subscriber_.shutdown(); }
+  bool wait_for_more(int frames) const {
+    const int before = processed_;
+    const auto deadline = std::chrono::steady_clock::now() + std::chrono::seconds(30);
+    while (processed_ < before + frames && std::chrono::steady_clock::now() < deadline) {
+      std::this_thread::sleep_for(std::chrono::milliseconds(10));
+    }
+    return processed_ >= before + frames;
+  }
+
+ private:
+  ros::NodeHandle node_;
+  ros::Subscriber subscriber_;
+  std::atomic<int> processed_{0};
+};
+
+TEST(Load, EveryNodeletComesAndGoesUnderTraffic) {
+  const int rounds = ros::param::param("~rounds", 20);
+  std::mt19937 random(static_cast<std::uint32_t>(ros::param::param("~seed", 1)));
+  const core::TestDirectory directory;
+  write_simulation({{"trajectory.duration_s", "2"}}, directory.path("data"));
+  if (HasFatalFailure()) return;
+  const DoneCounter done;
+  InProcessChain chain;
+  chain.configure(directory.path("data"), directory.path("results"));
+  chain.configure_player(directory.path("data"), true);
+  chain.set("pose_frontend", "pose_source", "tf");
+  chain.set("detection_ingestion", "source", "topic");
+  const Traffic traffic;
+  std::set<std::string> loaded;
+  const auto toggle = [&](const std::pair<std::string, std::string>& nodelet) {
+    const auto& [name, type] = nodelet;
+    if (loaded.erase(name) > 0) return chain.unload(name);
+    chain.load(name, type);
+    loaded.insert(name);
+  };
+  // Each is loaded and unloaded `rounds` times.
+  for (int half = 0; half < 2 * rounds && !HasFatalFailure(); ++half) {
+    auto order = kNodelets;
+    std::shuffle(order.begin(), order.end(), random);
+    for (const auto& nodelet : order) {
+      toggle(nodelet);
+      std::this_thread::sleep_for(std::chrono::milliseconds(random() % 20));
+    }
+  }
+  EXPECT_TRUE(loaded.empty());
+  // What is left works.
+  for (const auto& nodelet : kNodelets) {
+    if (nodelet.first != "rgbd_frontend" && nodelet.first != "player") toggle(nodelet);
+  }
+  EXPECT_TRUE(done.wait_for_more(10));
+  chain.unload_all();
+}
+
+TEST(Load, AFrontEndThatIsLoadedUnderTrafficHasItsSession) {
+  InProcessChain chain;
+  chain.set("pose_frontend", "pose_source", "tf");
+  const Traffic traffic;
+  for (int i = 0; i < ros::param::param("~rounds", 20); ++i) {
+    for (const auto& [name, type] : {kNodelets[0], kNodelets[1]}) {
+      chain.load(name, type);
+      std::atomic<bool> is_open{false};
+      const boost::function<void(const SessionControl::ConstPtr&)> hear = [&](const SessionControl::ConstPtr& control) {
+        if (control->command == SessionControl::COMMAND_START && control->session_id == 1) is_open = true;
+      };
+      ros::NodeHandle node;
+      ros::Subscriber subscriber = node.subscribe<SessionControl>("session_control", 10, hear);
+      const auto deadline = std::chrono::steady_clock::now() + std::chrono::seconds(20);
+      while (!is_open && std::chrono::steady_clock::now() < deadline) {
+        std::this_thread::sleep_for(std::chrono::milliseconds(2));
+      }
+      subscriber.shutdown();
+      EXPECT_TRUE(is_open) << type << ", the " << i << ". time";
+      chain.unload(name);
+    }
+  }
+}
+
+}  // namespace
+}  // namespace semantic_topo_loop
+
+int main(int argc, char** argv) {
+  testing::InitGoogleTest(&argc, argv);
+  ros::init(argc, argv, "load_test");
+  const ros::NodeHandle node;
+  ros::AsyncSpinner spinner(2);
+  spinner.start();
+  return RUN_ALL_TESTS();
+}
