@@ -13,7 +13,7 @@ from geometry_msgs.msg import TransformStamped
 from tf2_msgs.msg import TFMessage
 
 import wall
-from playback import PACKAGE, DirectoryTest, Launch, differing_files, run_program
+from playback import PACKAGE, DirectoryTest, Launch, Listener, differing_files, run_program
 
 DEPTH_DELAY_S = 0.008
 FRAMES = 25
@@ -135,7 +135,7 @@ class Recorder:
     def write(self, topic, message, time_s):
         self.bag.write(topic, message, wall.stamp_at(time_s))
 
-    def step(self, index, time_s, color=None, depth=None, with_depth=True):
+    def step(self, index, time_s, color=None, depth=None, with_depth=True, with_rig=True):
         stamp = wall.stamp_at(time_s)
         late = wall.stamp_at(time_s + DEPTH_DELAY_S)
         chain = TransformStamped(child_frame_id='/kinect')
@@ -144,7 +144,7 @@ class Recorder:
         optical = TransformStamped(child_frame_id=wall.FRAME)
         optical.header.frame_id, optical.header.stamp = '/kinect', stamp
         optical.transform.rotation.w = 1.0
-        self.write('/tf', TFMessage([chain, optical]), time_s)
+        self.write('/tf', TFMessage([chain, optical] if with_rig else [chain]), time_s)
         # The driver's defaults, which the calibration given replaces.
         self.write('/camera/rgb/camera_info', wall.camera_info(stamp, focal=525.0), time_s)
         self.write('/camera/rgb/image_color', color or wall.color(stamp, index), time_s)
@@ -176,6 +176,21 @@ class ImagesTest(DirectoryTest):
         launch.stop()
         self.assertTrue(ended, launch.output())
         return launch
+
+    def play_and_listen(self, bag, output):
+        """As `play`. Returns the edges of tf, each with its stamp."""
+        listener, edges = Listener(), set()
+        listener.subscribe('/tf', TFMessage, lambda message: edges.update(
+            (t.header.frame_id, t.child_frame_id, t.header.stamp) for t in message.transforms), queue_size=10000)
+        launch = Launch('tum.launch', bag=bag, output=self.path(output), camera=self.path('camera.yaml'),
+                        wait_for='Listener')
+        try:
+            self.assertTrue(listener.let_begin(), launch.output())
+            self.assertTrue(launch.wait(90), launch.output())
+        finally:
+            launch.stop()
+        self.assertTrue(launch.player_finished(), launch.output())
+        return launch, edges
 
     def run_offline(self, bag, output, *arguments, camera=None):
         return run_program('offline', '--bag', bag, '--camera', camera or self.path('camera.yaml'), '--output',
@@ -238,16 +253,29 @@ class ImagesTest(DirectoryTest):
         with open(self.path('ate.json')) as file:
             self.assertLess(json.load(file)['ate_m']['rmse'], 0.04)
 
+    def test_a_bag_whose_tf_does_not_know_the_camera(self):
+        bag = self.path('no_rig.bag')
+        recorder = Recorder(bag)
+        for i in range(45):
+            recorder.step(i, wall.PERIOD_S * i, with_rig=False)
+        recorder.close()
+        launch, edges = self.play_and_listen(bag, 'no_rig')
+        self.assertNotIn('no tf', launch.output())
+        parents = {parent for parent, child, _ in edges if child == wall.FRAME[1:]}
+        self.assertEqual(parents, {'odom'}, 'the camera is all there is to move')
+
     def test_bad_images_are_counted_and_the_chain_goes_on(self):
         bag = self.path('bad.bag')
         recorder = Recorder(bag)
         black = wall.color(wall.stamp_at(0), 0)
         black.data = bytes(len(black.data))
         time_s = 0.0
+        stamps = []
         for i in range(40):
             time_s += wall.PERIOD_S
             stamp, late = wall.stamp_at(time_s), wall.stamp_at(time_s + DEPTH_DELAY_S)
             black.header.stamp = stamp
+            stamps.append(stamp)
             if i == 8:
                 recorder.step(i, time_s, with_depth=False)
             elif i == 12:
@@ -264,8 +292,7 @@ class ImagesTest(DirectoryTest):
             if i == 30:
                 time_s += 2.0
         recorder.close()
-        launch = self.play(bag, 'bad')
-        self.assertTrue(launch.player_finished(), launch.output())
+        launch, edges = self.play_and_listen(bag, 'bad')
         text = launch.output()
         for cause in ('colour images without depth', 'images out of order', 'unusable images',
                       'images with nothing to follow'):
@@ -275,6 +302,9 @@ class ImagesTest(DirectoryTest):
         self.assertIn('1 colour images without depth', output)
         self.assertIn('1 images out of order', output)
         self.assertEqual(differing_files(self.path('bad_offline'), self.path('bad')), [])
+        # What the bag says about the rig at an image that is left out is played all the same.
+        told = {stamp for _, child, stamp in edges if child == wall.FRAME[1:]}
+        self.assertEqual([i for i, stamp in enumerate(stamps) if stamp not in told], [])
         images = self.summary('bad')['images']
         self.assertEqual(images['total'], 38)
         self.assertEqual(images['unreadable'], 1)

@@ -23,6 +23,8 @@ except ImportError as error:
     raise ImportError('%s: no Python messages; PYTHONPATH=%s, STL_DEVEL_PYTHON=%s, found below: %s' % (
         error, os.environ.get('PYTHONPATH'), os.environ.get('STL_DEVEL_PYTHON'), built or 'nothing of the package'))
 
+from semantic_topo_loop.msg import SessionAck, SessionControl  # noqa: E402, after the path is known
+
 RESULT_FILES = ['trajectory_live.txt', 'trajectory.txt', 'keyframes.csv', 'objects.csv', 'loops.csv',
                 'loop_verdicts.csv', 'associations.csv', 'timing.csv', 'summary.json']
 
@@ -102,6 +104,35 @@ class Diagnostics:
 
     def count(self, stage, key):
         return float(self.values.get((stage, key), 0))
+
+
+class Listener:
+    """A stage that only listens: `connect` what it listens to, and playback begins (wait_for:=Listener)."""
+
+    def __init__(self):
+        self.subscribers = []
+        self.publisher = rospy.Publisher('/%s/session_acks' % PACKAGE, SessionAck, queue_size=10)
+        self.control = None
+        self.control_subscriber = rospy.Subscriber('/%s/session_control' % PACKAGE, SessionControl, self.take_control)
+
+    def take_control(self, message):
+        self.control = message
+
+    def subscribe(self, topic, *arguments, **options):
+        self.subscribers.append(rospy.Subscriber(topic, *arguments, **options))
+
+    def is_connected(self):
+        return self.control is not None and self.publisher.get_num_connections() > 0 and all(
+            subscriber.get_num_connections() > 0 for subscriber in self.subscribers)
+
+    def let_begin(self, timeout_s=60):
+        """Once every topic is connected. Whether it is."""
+        if not wait_until(self.is_connected, timeout_s):
+            return False
+        ack = SessionAck(session_id=self.control.session_id, command=self.control.command, stage='Listener')
+        ack.header.stamp = self.control.header.stamp
+        self.publisher.publish(ack)
+        return True
 
 
 def demo(**arguments):

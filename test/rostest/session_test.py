@@ -1,5 +1,6 @@
 #!/usr/bin/env python3
 """What happens to the chain in mid-stream: the session's services, a parameter that nobody knows, an unloaded stage."""
+import json
 import os
 import subprocess
 import threading
@@ -10,7 +11,7 @@ import rostest
 from diagnostic_msgs.msg import DiagnosticArray
 from std_srvs.srv import Trigger
 
-from playback import PACKAGE, DirectoryTest, demo, wait_until
+from playback import PACKAGE, RESULT_FILES, DirectoryTest, Listener, demo, wait_until
 from semantic_topo_loop.msg import AssociationArray, FrameDone
 
 
@@ -76,6 +77,30 @@ class ControlTest(DirectoryTest):
         ended = launch.wait(60)
         launch.stop()
         self.assertTrue(ended and launch.player_finished(), launch.output())
+
+
+class InterruptTest(DirectoryTest):
+    def test_what_was_mapped_is_saved_by_ctrl_c(self):
+        results, submaps = self.path('results'), self.path('submaps.json')
+        listener = Listener()
+        done = []
+        listener.subscribe('/%s/frame_done' % PACKAGE, FrameDone, done.append, queue_size=1000)
+        launch = demo(duration='120', data=self.path('data'), lockstep='false', output=results, save_map=submaps,
+                      wait_for='Listener')
+        try:
+            self.assertTrue(listener.let_begin(), launch.output())
+            self.assertTrue(wait_until(lambda: len(done) > 150, 60), launch.output())
+            answered = len(done)
+        finally:
+            launch.stop()
+        self.assertEqual(sorted(os.listdir(results)), sorted(RESULT_FILES), launch.output())
+        with open(os.path.join(results, 'trajectory.txt')) as file:
+            self.assertGreaterEqual(sum(1 for _ in file), answered - 5)
+        with open(os.path.join(results, 'objects.csv')) as file:
+            self.assertGreater(sum(1 for _ in file), 1)
+        with open(submaps) as file:
+            self.assertIn('submaps', json.load(file))
+        self.assertNotIn('escalating to SIGTERM', launch.output())
 
 
 class UnloadTest(DirectoryTest):
