@@ -7,7 +7,6 @@
 #include "apps/program.h"
 #include "semantic_topo_loop/io/text_file.h"
 #include "semantic_topo_loop/io/tum_trajectory.h"
-#include "tools/evaluation/loop_criteria.h"
 #include "tools/evaluation/loop_evaluation.h"
 #include "tools/evaluation/object_evaluation.h"
 #include "tools/evaluation/trajectory_evaluation.h"

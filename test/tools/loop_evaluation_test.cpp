@@ -5,7 +5,6 @@
 #include "semantic_topo_loop/geometry/lie.h"
 #include "semantic_topo_loop/io/tum_trajectory.h"
 #include "support/test_files.h"
-#include "tools/evaluation/loop_criteria.h"
 
 namespace semantic_topo_loop::core {
 namespace {

@@ -3,7 +3,7 @@
 #include <gtest/gtest.h>
 
 #include "support/test_files.h"
-#include "tools/evaluation/loop_criteria.h"
+#include "tools/evaluation/loop_evaluation.h"
 #include "tools/evaluation/object_evaluation.h"
 
 namespace semantic_topo_loop::core {

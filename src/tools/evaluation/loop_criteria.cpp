@@ -1,5 +1,3 @@
-#include "tools/evaluation/loop_criteria.h"
-
 #include <algorithm>
 #include <cmath>
 #include <iterator>
@@ -8,6 +6,7 @@
 #include "io/csv.h"
 #include "semantic_topo_loop/io/run_files.h"
 #include "semantic_topo_loop/io/tum_trajectory.h"
+#include "tools/evaluation/loop_evaluation.h"
 
 namespace semantic_topo_loop::core {
 namespace {

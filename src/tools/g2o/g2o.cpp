@@ -6,10 +6,8 @@
 #include <cmath>
 #include <map>
 
-#include "pose_graph/solver/graph_solver.h"
 #include "semantic_topo_loop/geometry/lie.h"
 #include "semantic_topo_loop/io/text_file.h"
-#include "tools/g2o/graph_initialisation.h"
 
 namespace semantic_topo_loop::core {
 namespace {

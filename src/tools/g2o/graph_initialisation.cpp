@@ -1,8 +1,8 @@
-#include "tools/g2o/graph_initialisation.h"
-
 #include <Eigen/SVD>
 #include <Eigen/SparseCholesky>
 #include <deque>
+
+#include "tools/g2o/g2o.h"
 
 namespace semantic_topo_loop::core {
 namespace {
