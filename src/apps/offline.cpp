@@ -313,7 +313,11 @@ Status run(const Arguments& arguments) {
   const Result<RunInputs> inputs = load(arguments);
   if (!inputs) return inputs.error();
   // Now, not after hours of work.
-  if (const Status writable = check_writable(arguments.output); !writable) return writable;
+  Status writable = make_directory(arguments.output);
+  for (const std::string& path : {arguments.output + "/", arguments.save_map, arguments.points}) {
+    if (writable && !path.empty()) writable = check_writable(path);
+  }
+  if (!writable) return writable;
   const Result<RunRecorder> recorder = run_chain(arguments, *inputs);
   if (!recorder) return recorder.error();
   if (const Status written = recorder->write(arguments.output); !written) return written;

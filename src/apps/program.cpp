@@ -127,9 +127,8 @@ int run_program(const std::string& program, const std::vector<Command>& commands
   return 1;
 }
 
-core::Status check_writable(const std::string& directory) {
-  if (const core::Status made = core::make_directory(directory); !made) return made;
-  const std::string probe = directory + "/.writable";
+core::Status check_writable(const std::string& path) {
+  const std::string probe = path + ".writable";
   if (const core::Status written = core::write_text_file(probe, ""); !written) return written;
   std::error_code ignored;
   std::filesystem::remove(probe, ignored);
