@@ -414,6 +414,18 @@ TEST_F(RenderedSequenceTest, images_read_back) {
   EXPECT_NE(error.find("rgb/1400000000.200000.png"), std::string::npos) << error;
 }
 
+TEST_F(RenderedSequenceTest, a_slope_of_depth_is_that_asked_for) {
+  const SimulatedSequence sequence = render(
+      "a", {{"rendering.noise", "false"}, {"rendering.depth_delay_s", "0"}, {"rendering.depth_slope", "0.1"}}, 1);
+  const auto depth = read_rendered_depth(sequence, options_.rendering, directory_.path("a"), 2);
+  ASSERT_TRUE(depth) << depth.message();
+  const SceneRenderer renderer(sequence.scene, room_around(sequence.scene, sequence.mocap), 1);
+  const RenderedImage ideal = renderer.render(PixelRays(sequence.camera), sequence.truth[2].T_world_camera, 0.2);
+  for (const auto& [x, factor] : {std::pair(0, 0.9F), {53, 0.9F + 0.2F * 53.0F / 159.0F}, {159, 1.1F}}) {
+    EXPECT_NEAR(depth->at<float>(60, x), factor * ideal.depth_m.at<float>(60, x), 0.2e-3) << "column " << x;
+  }
+}
+
 TEST_F(RenderedSequenceTest, depth_of_a_camera_beside) {
   const SimulatedSequence sequence = render(
       "a", {{"rendering.noise", "false"}, {"rendering.depth_delay_s", "0"}, {"rendering.depth_offset_m", "0.05"}}, 1);

@@ -36,7 +36,9 @@ cv::Mat quantised(const cv::Mat& depth_m, const RenderingOptions& options) {
     const float* in = depth_m.ptr<float>(y);
     std::uint16_t* out = result.ptr<std::uint16_t>(y);
     for (int x = 0; x < depth_m.cols; ++x) {
-      const double units = std::isinf(in[x]) ? kLargest + 1.0 : options.depth_scale * static_cast<double>(in[x]) + 0.5;
+      const double slope = 1.0 + options.depth_slope * (2.0 * x / (depth_m.cols - 1) - 1.0);
+      const double depth = slope * static_cast<double>(in[x]);
+      const double units = std::isinf(in[x]) ? kLargest + 1.0 : options.depth_scale * depth + 0.5;
       out[x] = std::isnan(in[x]) ? std::uint16_t{0} : units < kLargest ? static_cast<std::uint16_t>(units) : far_value;
     }
   }

@@ -23,6 +23,7 @@ struct RenderingOptions {
   int far_value = 0;
   double depth_delay_s = 0.008;
   double depth_offset_m = 0.0;
+  double depth_slope = 0.0;
 
   void visit(OptionVisitor& visitor) {
     visitor.module("rendering");
@@ -34,6 +35,9 @@ struct RenderingOptions {
             "from a color image to its depth image, each taken at its own time; Kinects have some 10 ms");
     visitor("depth_offset_m", depth_offset_m, between(-0.2, 0.2),
             "how far right of the color camera the depth camera sits; 0: depth is registered to the color image");
+    visitor("depth_slope", depth_slope, between(-0.2, 0.2),
+            "share by which depth is too large at the right edge and too small at the left, as of a depth camera that "
+            "was never calibrated: an odometry from its images drifts");
     visitor.require("far_value", far_value == 0 || far_value == 65535, "0 or 65535");
   }
 };
