@@ -1,10 +1,67 @@
 #include "semantic_topo_loop/io/text_file.h"
 
+#include <fcntl.h>
+#include <unistd.h>
+
+#include <atomic>
+#include <cerrno>
+#include <cstdio>
+#include <deque>
+#include <ext/stdio_filebuf.h>
 #include <filesystem>
 #include <fstream>
+#include <locale>
 #include <sstream>
 
 namespace semantic_topo_loop::core {
+namespace {
+
+/// A file that is written beside the one whose place it shall take, and removed unless it takes it.
+class TemporaryFile {
+ public:
+  explicit TemporaryFile(std::string path) : path_(std::move(path)) {}
+  ~TemporaryFile() {
+    if (!temporary_.empty()) ::unlink(temporary_.c_str());
+  }
+  TemporaryFile(const TemporaryFile&) = delete;
+  TemporaryFile& operator=(const TemporaryFile&) = delete;
+
+  Status write(const WriteText& write) {
+    static std::atomic<std::uint64_t> next{0};
+    int descriptor = -1;
+    do {  // O_EXCL refuses what is there, links included; then the next number
+      temporary_ = path_ + "." + std::to_string(::getpid()) + "-" + std::to_string(next++) + ".tmp";
+      constexpr mode_t kMode = 0666;  // less the umask, as std::ofstream makes files
+      descriptor = ::open(temporary_.c_str(), O_WRONLY | O_CREAT | O_EXCL | O_NOFOLLOW | O_CLOEXEC, kMode);
+    } while (descriptor < 0 && errno == EEXIST);
+    if (descriptor < 0) {
+      temporary_.clear();
+      return failure("cannot write the file");
+    }
+    __gnu_cxx::stdio_filebuf<char> buffer(descriptor, std::ios::out | std::ios::binary);
+    std::ostream stream(&buffer);
+    stream.imbue(std::locale::classic());
+    errno = 0;
+    write(stream);
+    const bool is_written = static_cast<bool>(stream.flush()) && ::fsync(descriptor) == 0;
+    return is_written && buffer.close() != nullptr ? Status() : failure("cannot write the file");
+  }
+
+  Status put_in_place() {
+    if (std::rename(temporary_.c_str(), path_.c_str()) != 0) return failure("cannot rename the temporary file");
+    temporary_.clear();
+    return {};
+  }
+
+ private:
+  Error failure(const std::string& what) const {
+    return Error{path_ + ": " + what + (errno == 0 ? "" : ": " + std::system_category().message(errno))};
+  }
+
+  std::string path_, temporary_;
+};
+
+}  // namespace
 
 Result<std::string> read_text_file(const std::string& path) {
   std::error_code code;
@@ -21,23 +78,25 @@ Status write_text_file(const std::string& path, const std::string& text) {
   return write_file(path, [&text](std::ostream& file) { file << text; });
 }
 
-Status write_file(const std::string& path, const std::function<void(std::ostream&)>& write) {
-  const std::string temporary = path + ".tmp";
-  std::ofstream file(temporary, std::ios::binary | std::ios::trunc);
-  write(file);
-  file.close();
-  if (!file) return Error{temporary + ": cannot write the file"};
-  std::error_code code;
-  std::filesystem::rename(temporary, path, code);
-  if (code) return Error{path + ": cannot rename the temporary file: " + code.message()};
+Status write_file(const std::string& path, const WriteText& write) { return write_files({{path, write}}); }
+
+Status write_files(const FileTexts& files) {
+  std::deque<TemporaryFile> written;
+  for (const auto& [path, write] : files) {
+    if (const Status status = written.emplace_back(path).write(write); !status) return status;
+  }
+  for (TemporaryFile& file : written) {
+    if (const Status status = file.put_in_place(); !status) return status;
+  }
   return {};
 }
 
 Status make_directory(const std::string& path) {
   std::error_code code;
   std::filesystem::create_directories(path, code);
-  if (!std::filesystem::is_directory(path)) return Error{path + ": cannot make the directory"};
-  return {};
+  std::error_code missing;
+  if (std::filesystem::is_directory(path, missing)) return {};
+  return Error{path + ": cannot make the directory" + (code ? ": " + code.message() : "")};
 }
 
 }  // namespace semantic_topo_loop::core

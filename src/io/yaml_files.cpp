@@ -49,6 +49,21 @@ Status check_unique_keys(const std::string& path, const YAML::Node& map) {
   return {};
 }
 
+/// @return false if the node is no such scalar
+template <class T>
+bool decode(const YAML::Node& node, T* value) {
+  return node.IsScalar() && YAML::convert<T>::decode(node, *value);
+}
+/// yaml-cpp reads digits as the locale says, and knows .nan and .inf.
+bool decode(const YAML::Node& node, double* value) {
+  if (!node.IsScalar()) return false;
+  if (node.Scalar().find_first_of("0123456789") == std::string::npos)
+    return YAML::convert<double>::decode(node, *value);
+  const std::optional<double> number = parse_double(node.Scalar());
+  *value = number.value_or(0.0);
+  return number.has_value();
+}
+
 /// A map of a YAML file. Its first problem, with file, line, key and value, is kept, so that a map is read in one go
 /// and checked once; what is read after it means nothing.
 class YamlMap {
@@ -67,7 +82,7 @@ class YamlMap {
   template <class T>
   T value(const char* key, const char* rule) const {
     T value{};
-    if (!node_[key].IsScalar() || !YAML::convert<T>::decode(node_[key], value)) reject(key, rule);
+    if (!decode(node_[key], &value)) reject(key, rule);
     return value;
   }
   /// Notes that the value of a key that is there is not what it must be.
@@ -108,7 +123,7 @@ void read_distortion(const YamlMap& map, Camera* camera) {
   const YAML::Node list = map["distortion"];
   bool ok = list.IsSequence() && list.size() == camera->distortion.size();
   for (std::size_t i = 0; ok && i < camera->distortion.size(); ++i) {
-    ok = list[i].IsScalar() && YAML::convert<double>::decode(list[i], camera->distortion[i]);
+    ok = decode(list[i], &camera->distortion[i]);
   }
   if (!ok) map.reject("distortion", "five numbers [k1, k2, p1, p2, k3]");
 }

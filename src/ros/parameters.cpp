@@ -3,10 +3,10 @@
 #include <ros/param.h>
 
 #include <array>
-#include <cstdio>
-#include <cstdlib>
 #include <iterator>
 #include <sstream>
+
+#include "semantic_topo_loop/types/text.h"
 
 namespace semantic_topo_loop {
 namespace {
@@ -16,12 +16,11 @@ constexpr std::array<const char*, 2> kForeignKeys = {"diagnostic_period", "num_w
 
 /// The shortest text that gives the same number back.
 std::string format(double value) {
-  std::array<char, 32> text{};
-  for (int digits = 15; digits <= 17; ++digits) {
-    std::snprintf(text.data(), text.size(), "%.*g", digits, value);
-    if (std::strtod(text.data(), nullptr) == value) break;
+  std::string text;
+  for (int digits = 15; digits <= 17 && core::parse_double(text) != value; ++digits) {
+    text = core::format_general(value, digits);
   }
-  return text.data();
+  return text;
 }
 
 /// XmlRpcValue's conversions and iterators are not const: they work on this copy.

@@ -3,7 +3,6 @@
 #include <algorithm>
 #include <array>
 #include <cmath>
-#include <sstream>
 #include <type_traits>
 
 #include "semantic_topo_loop/types/text.h"
@@ -12,9 +11,8 @@ namespace semantic_topo_loop::core {
 namespace {
 
 std::string to_text(double value) {
-  std::ostringstream text;
-  text << value;
-  return text.str();
+  constexpr int kDigits = 6;
+  return format_general(value, kDigits);
 }
 std::string to_text(int value) { return std::to_string(value); }
 std::string to_text(bool value) { return value ? "true" : "false"; }

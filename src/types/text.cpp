@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cerrno>
+#include <clocale>
 #include <cstdio>
 #include <cstdlib>
 
@@ -9,6 +10,22 @@ namespace semantic_topo_loop::core {
 namespace {
 
 constexpr std::string_view kBlanks = " \t\r";
+
+/// The host's locale may write decimal commas, a GTK plugin in the nodelet manager sets it; files and messages do not.
+class ClassicLocale {
+ public:
+  ClassicLocale() : before_(::uselocale(classic())) {}
+  ~ClassicLocale() { ::uselocale(before_); }
+  ClassicLocale(const ClassicLocale&) = delete;
+  ClassicLocale& operator=(const ClassicLocale&) = delete;
+
+ private:
+  static locale_t classic() {
+    static const locale_t locale = ::newlocale(LC_ALL_MASK, "C", nullptr);
+    return locale;
+  }
+  locale_t before_;  ///< of this thread
+};
 
 std::string_view trim(std::string_view text) {
   const std::size_t begin = text.find_first_not_of(kBlanks);
@@ -54,6 +71,7 @@ std::vector<std::string_view> split(std::string_view line, char separator) {
 }
 
 std::optional<double> parse_double(std::string_view text) {
+  const ClassicLocale classic;
   const std::string copy(text);
   char* end = nullptr;
   const double value = std::strtod(copy.c_str(), &end);
@@ -80,12 +98,14 @@ std::string at_line(const std::string& path, int line, const std::string& messag
 }
 
 std::string format_fixed(double value, int decimals) {
+  const ClassicLocale classic;
   char text[352];  // the longest double has 309 digits before the point
   std::snprintf(text, sizeof(text), "%.*f", decimals, value);
   return text;
 }
 
 std::string format_general(double value, int digits) {
+  const ClassicLocale classic;
   char text[64];
   std::snprintf(text, sizeof(text), "%.*g", digits, value);
   return text;

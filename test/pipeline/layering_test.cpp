@@ -44,7 +44,7 @@ const std::vector<std::pair<std::string, std::string>> kStrangers = {{"loop/grap
 
 const Names kRosModules = {"ros", "nodelets", "apps"};
 /// What the core may include from outside; a public header of the core Eigen and OpenCV's matrix alone.
-const std::regex kCoreLibrary("(Eigen|boost|ceres|nlohmann|opencv2|pcl|sys|yaml-cpp)/.*");
+const std::regex kCoreLibrary("(Eigen|boost|ceres|ext|nlohmann|opencv2|pcl|sys|yaml-cpp)/.*");
 const std::regex kPublicLibrary("Eigen/.*|opencv2/core.hpp");
 constexpr size_t kMaxPublicHeaders = 70;
 /// What our nodelets have through ros/stage.h and other packages' nodes need by itself.

@@ -3,6 +3,8 @@
 #include <functional>
 #include <ostream>
 #include <string>
+#include <utility>
+#include <vector>
 
 #include "semantic_topo_loop/types/result.h"
 #include "semantic_topo_loop/types/text.h"
@@ -12,10 +14,17 @@ namespace semantic_topo_loop::core {
 /// Every error names the path and the cause.
 Result<std::string> read_text_file(const std::string& path);
 
-/// Writes a temporary file beside `path` and renames it, so that a reader never sees half a file.
+/// What a file shall hold, given to a stream, so that it need not be in memory as a whole.
+using WriteText = std::function<void(std::ostream&)>;
+/// Path and text of files.
+using FileTexts = std::vector<std::pair<std::string, WriteText>>;
+
+/// Writes a temporary file beside `path`, which no other writer uses and no link leads elsewhere, brings it to the disk
+/// and renames it, so that a reader, or a crash, never sees half a file. A failure leaves what was there before.
 Status write_text_file(const std::string& path, const std::string& text);
-/// The same with what `write` gives to the stream, for files that are better not held in memory as a whole.
-Status write_file(const std::string& path, const std::function<void(std::ostream&)>& write);
+Status write_file(const std::string& path, const WriteText& write);
+/// The same for files that belong together: all are written before the first is put in place.
+Status write_files(const FileTexts& files);
 
 /// Succeeds if the directory is there already.
 Status make_directory(const std::string& path);

@@ -8,6 +8,8 @@
 
 namespace semantic_topo_loop::core {
 
+// Numbers have a decimal point here, whatever the locale of the process.
+
 /// A line of a text file, without its line end.
 struct TextLine {
   int number = 0;  ///< from 1
