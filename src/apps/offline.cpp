@@ -87,7 +87,8 @@ Result<std::unique_ptr<SampleSource>> open_source(const Arguments& arguments, co
 /// Reads what may be left out.
 Status load_optional(const Arguments& arguments, RunInputs* inputs) {
   if (!arguments.detections.empty()) {
-    Result<DetectionRecording> recording = read_detections(arguments.detections, *inputs->classes);
+    Result<DetectionRecording> recording = read_detections(
+        arguments.detections, *inputs->classes, static_cast<std::size_t>(inputs->options.association.boxes_max));
     if (!recording) return recording.error();
     for (const std::string& warning : recording->report.warnings()) {
       std::cerr << "offline: warning: " << warning << '\n';

@@ -54,6 +54,12 @@ std::int64_t CsvTable::integer(const std::string& column) {
   return value.value_or(0);
 }
 
+int CsvTable::small_integer(const std::string& column) {
+  const std::int64_t value = integer(column);
+  if (value != static_cast<int>(value)) reject(column, "is no integer of 32 bits");
+  return static_cast<int>(value);
+}
+
 std::int64_t CsvTable::stamp_ns(const std::string& column) {
   const std::optional<std::int64_t> value = parse_stamp(text(column));
   if (!value) reject(column, "is no stamp in seconds");

@@ -24,6 +24,7 @@ class CsvTable {
   bool has(const std::string& column) const { return columns_.count(column) != 0; }
   double number(const std::string& column);
   std::int64_t integer(const std::string& column);
+  int small_integer(const std::string& column);
   std::int64_t stamp_ns(const std::string& column);
   std::string text(const std::string& column);
   Vec3 vector(const std::string& x, const std::string& y, const std::string& z);
@@ -136,7 +137,7 @@ class CsvReader {
  public:
   explicit CsvReader(CsvTable* table) : table_(table) {}
   void operator()(const char* name, bool& flag);
-  void operator()(const char* name, int& number) { number = static_cast<int>(table_->integer(name)); }
+  void operator()(const char* name, int& number) { number = table_->small_integer(name); }
   void operator()(const char* name, std::int64_t& number) { number = table_->integer(name); }
   void operator()(const char* name, double& number) { number = table_->number(name); }
   void operator()(const char* name, std::string& text) { text = table_->text(name); }

@@ -12,32 +12,41 @@
 namespace semantic_topo_loop::core {
 namespace {
 
-/// Takes in images and boxes one by one, leaving out and counting what is wrong with them.
+/// What is wrong with a box, the first cause in the order of the problems; nullopt if nothing is.
+std::optional<DetectionProblem> validate(const Detection& detection, const ClassTable& classes) {
+  if (classes.find(detection.class_id) == nullptr) return DetectionProblem::kUnknownClass;
+  if (!detection.box.is_finite()) return DetectionProblem::kBoxNotFinite;
+  if (!detection.box.is_valid()) return DetectionProblem::kBoxInverted;
+  if (!(detection.score >= 0.0 && detection.score <= 1.0)) return DetectionProblem::kScoreOutOfRange;
+  return std::nullopt;
+}
+
+/// The offending field and its value.
+std::string describe(const Detection& detection, DetectionProblem problem) {
+  constexpr int kDigits = 7;
+  if (problem == DetectionProblem::kUnknownClass) return "class id " + std::to_string(detection.class_id);
+  if (problem == DetectionProblem::kScoreOutOfRange) return "score " + format_general(detection.score, kDigits);
+  const Vec4 e = detection.box.edges();
+  return "box [" + format_general(e[0], kDigits) + ", " + format_general(e[1], kDigits) + ", " +
+         format_general(e[2], kDigits) + ", " + format_general(e[3], kDigits) + "]";
+}
+
+/// Takes in images one by one, leaving out and counting what is wrong with them.
 class Collector {
  public:
-  explicit Collector(const ClassTable& classes) : classes_(classes) {}
+  Collector(const ClassTable& classes, std::size_t boxes_max) : classes_(classes), boxes_max_(boxes_max) {}
 
-  /// Begins the image that the following boxes belong to.
-  void begin_frame(std::int64_t stamp_ns, const std::string& where) {
-    keep_ = stamps_.insert(stamp_ns).second;
-    if (keep_) {
-      recording_.frames.push_back({stamp_ns, {}});
-      ++recording_.report.frames;
-    } else {
-      recording_.report.add(DetectionProblem::kDuplicateStamp, where);
-    }
-  }
-
-  /// @param where gives the place of the box; called only for a bad one
-  template <class Where>
-  void add(const Detection& detection, const Where& where) {
-    if (!keep_) return;
-    if (const std::optional<DetectionProblem> problem = validate(detection, classes_)) {
-      recording_.report.add(*problem, where() + ": " + describe(detection, *problem));
-      return;
-    }
-    recording_.frames.back().detections.push_back(detection);
-    ++recording_.report.detections;
+  /// @param place_of gives the place of a box by its index; called only for a bad one
+  template <class PlaceOf>
+  void add(const DetectionFrame& frame, const std::string& place, const PlaceOf& place_of) {
+    DetectionReport& report = recording_.report;
+    if (!stamps_.insert(frame.stamp_ns).second) return report.add(DetectionProblem::kDuplicateStamp, place);
+    const auto leave_out = [&](std::size_t index, DetectionProblem problem, const std::string& value) {
+      report.add(problem, place_of(index) + ": " + value);
+    };
+    recording_.frames.push_back({frame.stamp_ns, usable_boxes(frame.detections, classes_, boxes_max_, leave_out)});
+    ++report.frames;
+    report.detections += static_cast<int>(recording_.frames.back().detections.size());
   }
 
   DetectionRecording take_sorted() {
@@ -48,9 +57,9 @@ class Collector {
 
  private:
   const ClassTable& classes_;
+  std::size_t boxes_max_;
   DetectionRecording recording_;
   std::set<std::int64_t> stamps_;
-  bool keep_ = false;
 };
 
 /// "rgb/1311868164.363181.png" -> 1311868164363181000.
@@ -62,7 +71,7 @@ std::optional<std::int64_t> stamp_of_file_name(const std::string& name) {
 
 Detection read_detection(const JsonField& field) {
   Detection detection;
-  detection.class_id = static_cast<int>(field.member("category_id").integer());
+  detection.class_id = field.member("category_id").small_integer();
   detection.score = field.member("detection_score").number_or_nan();
   const JsonField bbox = field.member("bbox");
   const std::vector<JsonField> corners = bbox.elements();
@@ -81,12 +90,13 @@ void collect_json_frame(const JsonField& field, const std::string& path, Collect
   const std::optional<std::int64_t> stamp_ns = stamp_of_file_name(name.text());
   if (!stamp_ns) name.reject("must be \"<stamp in seconds>.<extension>\"");
   if (!field.is_fine()) return;
-  collector->begin_frame(*stamp_ns, path + ": " + name.place());
+  DetectionFrame frame{*stamp_ns, {}};
   for (const JsonField& box : detections) {
-    const Detection detection = read_detection(box);
+    frame.detections.push_back(read_detection(box));
     if (!field.is_fine()) return;
-    collector->add(detection, [&] { return path + ": " + box.name(); });
   }
+  collector->add(frame, path + ": " + name.place(),
+                 [&](std::size_t index) { return path + ": " + detections[index].name(); });
 }
 
 Status collect_json(const std::string& path, Collector* collector) {
@@ -105,11 +115,8 @@ Status collect_json(const std::string& path, Collector* collector) {
     if (problem.empty()) collect_json_frame(field, path, collector);
     return false;
   };
-  try {
-    [[maybe_unused]] const Json emptied = Json::parse(*text, take);
-  } catch (const Json::parse_error& exception) {
-    problem = json_problem(*text, exception);
-  }
+  const Result<Json> emptied = parse_json(*text, take);
+  if (problem.empty() && !emptied) problem = (is_array ? "[" + std::to_string(images) + "]: " : "") + emptied.message();
   if (problem.empty() && !is_array) problem = "must be an array of images";
   if (!problem.empty()) return Error{path + ": " + problem};
   return {};
@@ -142,12 +149,14 @@ Status collect_yolo_file(const std::string& path, Collector* collector) {
   if (!stamp_ns) return Error{path + ": the file name must be <stamp in seconds>.txt"};
   const Result<std::string> text = read_text_file(path);
   if (!text) return text.error();
-  collector->begin_frame(*stamp_ns, path);
-  for (const TextLine& line : content_lines(*text)) {
+  DetectionFrame frame{*stamp_ns, {}};
+  const std::vector<TextLine> lines = content_lines(*text);
+  for (const TextLine& line : lines) {
     const Result<Detection> detection = parse_yolo_line(line.text);
     if (!detection) return Error{at_line(path, line.number, detection.message())};
-    collector->add(*detection, [&] { return path + ":" + std::to_string(line.number); });
+    frame.detections.push_back(*detection);
   }
+  collector->add(frame, path, [&](std::size_t index) { return path + ":" + std::to_string(lines[index].number); });
   return {};
 }
 
@@ -199,26 +208,36 @@ std::string yolo_line(const Detection& detection) {
 
 const char* to_string(DetectionProblem problem) {
   constexpr std::array<const char*, kDetectionProblemCount> kNames = {
-      "unknown class id", "box is not finite", "box has x2 <= x1 or y2 <= y1 (are its numbers in the stated order?)",
-      "score is not in [0, 1]", "stamp of an earlier image"};
+      "unknown class id",
+      "box is not finite",
+      "box has x2 <= x1 or y2 <= y1 (are its numbers in the stated order?)",
+      "score is not in [0, 1]",
+      "stamp of an earlier image",
+      "more boxes in the image than association.boxes_max, of higher scores"};
   return kNames.at(static_cast<std::size_t>(problem));
 }
 
-std::optional<DetectionProblem> validate(const Detection& detection, const ClassTable& classes) {
-  if (classes.find(detection.class_id) == nullptr) return DetectionProblem::kUnknownClass;
-  if (!detection.box.is_finite()) return DetectionProblem::kBoxNotFinite;
-  if (!detection.box.is_valid()) return DetectionProblem::kBoxInverted;
-  if (!(detection.score >= 0.0 && detection.score <= 1.0)) return DetectionProblem::kScoreOutOfRange;
-  return std::nullopt;
-}
-
-std::string describe(const Detection& detection, DetectionProblem problem) {
-  constexpr int kDigits = 7;
-  if (problem == DetectionProblem::kUnknownClass) return "class id " + std::to_string(detection.class_id);
-  if (problem == DetectionProblem::kScoreOutOfRange) return "score " + format_general(detection.score, kDigits);
-  const Vec4 e = detection.box.edges();
-  return "box [" + format_general(e[0], kDigits) + ", " + format_general(e[1], kDigits) + ", " +
-         format_general(e[2], kDigits) + ", " + format_general(e[3], kDigits) + "]";
+std::vector<Detection> usable_boxes(const std::vector<Detection>& boxes, const ClassTable& classes,
+                                    std::size_t boxes_max, const OnLeftOut& on_left_out) {
+  std::vector<std::size_t> usable;
+  for (std::size_t i = 0; i < boxes.size(); ++i) {
+    const std::optional<DetectionProblem> problem = validate(boxes[i], classes);
+    problem ? on_left_out(i, *problem, describe(boxes[i], *problem)) : usable.push_back(i);
+  }
+  if (usable.size() > boxes_max) {
+    const auto end_of_kept = usable.begin() + static_cast<std::ptrdiff_t>(boxes_max);
+    std::stable_sort(usable.begin(), usable.end(),
+                     [&boxes](std::size_t a, std::size_t b) { return boxes[a].score > boxes[b].score; });
+    std::sort(usable.begin(), end_of_kept);
+    for (auto left_out = end_of_kept; left_out != usable.end(); ++left_out) {
+      on_left_out(*left_out, DetectionProblem::kTooMany, std::to_string(boxes.size()) + " boxes");
+    }
+    usable.erase(end_of_kept, usable.end());
+  }
+  std::vector<Detection> kept;
+  kept.reserve(usable.size());
+  for (const std::size_t i : usable) kept.push_back(boxes[i]);
+  return kept;
 }
 
 void DetectionReport::add(DetectionProblem problem, const std::string& where) {
@@ -238,8 +257,8 @@ std::vector<std::string> DetectionReport::warnings() const {
   return lines;
 }
 
-Result<DetectionRecording> read_detections(const std::string& path, const ClassTable& classes) {
-  Collector collector(classes);
+Result<DetectionRecording> read_detections(const std::string& path, const ClassTable& classes, std::size_t boxes_max) {
+  Collector collector(classes, boxes_max);
   std::error_code code;
   const bool is_directory = std::filesystem::is_directory(path, code);
   const Status collected = is_directory ? collect_yolo(path, &collector) : collect_json(path, &collector);

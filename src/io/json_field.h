@@ -2,12 +2,14 @@
 
 #include <cmath>
 #include <cstdint>
+#include <limits>
 #include <nlohmann/json.hpp>
 #include <string>
 #include <utility>
 #include <vector>
 
 #include "semantic_topo_loop/types/box.h"
+#include "semantic_topo_loop/types/result.h"
 #include "semantic_topo_loop/types/transform.h"
 
 namespace semantic_topo_loop::core {
@@ -42,9 +44,17 @@ class JsonField {
   }
 
   std::int64_t integer() const {
-    if (json_.is_number_integer()) return json_.get<std::int64_t>();
+    constexpr std::uint64_t kMax = std::numeric_limits<std::int64_t>::max();
+    const bool is_larger = json_.is_number_unsigned() && json_.get<std::uint64_t>() > kMax;
+    if (json_.is_number_integer() && !is_larger) return json_.get<std::int64_t>();
     reject("must be an integer");
     return 0;
+  }
+
+  int small_integer() const {
+    const std::int64_t value = integer();
+    if (value != static_cast<int>(value)) reject("must be an integer of 32 bits");
+    return static_cast<int>(value);
   }
 
   /// An index into an array of this size.
@@ -124,10 +134,21 @@ class JsonField {
   std::string* problem_;
 };
 
-/// What is wrong with a text that cannot be parsed.
-inline std::string json_problem(const std::string& text, const Json::exception& exception) {
-  const std::string what = exception.what();
-  return text.empty() ? "the file is empty" : what.substr(what.find("] ") + 2);
+/// @param take nlohmann's callback, or null   @return an error that names line and column, or key and value
+inline Result<Json> parse_json(const std::string& text, const Json::parser_callback_t& take = nullptr) {
+  std::string key;  // of the value at hand, which the messages do not name
+  const auto follow = [&](int depth, Json::parse_event_t event, Json& parsed) {
+    if (event == Json::parse_event_t::key) key = parsed.get<std::string>();
+    return !take || take(depth, event, parsed);
+  };
+  try {
+    return Json::parse(text, follow);
+  } catch (const Json::exception& exception) {
+    const std::string what = exception.what();
+    if (text.empty()) return Error{"the file is empty"};
+    const bool is_value = dynamic_cast<const Json::out_of_range*>(&exception) != nullptr;
+    return Error{(is_value ? "'" + key + "': " : "") + what.substr(what.find("] ") + 2)};
+  }
 }
 
 }  // namespace semantic_topo_loop::core

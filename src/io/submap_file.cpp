@@ -1,7 +1,6 @@
 #include "semantic_topo_loop/io/submap_file.h"
 
 #include <cmath>
-#include <limits>
 
 #include "io/json_field.h"
 #include "semantic_topo_loop/io/text_file.h"
@@ -163,10 +162,9 @@ class SubmapReader {
   }
 
   int read_class(const JsonField& field) const {
-    const std::int64_t id = field.integer();
-    const bool known = id >= 0 && id <= std::numeric_limits<int>::max() && classes_.is_mappable(static_cast<int>(id));
-    if (!known) field.reject("is no class that becomes a landmark in the class table");
-    return known ? static_cast<int>(id) : -1;
+    const int id = field.small_integer();
+    if (!classes_.is_mappable(id)) field.reject("is no class that becomes a landmark in the class table");
+    return id;
   }
 
   const ClassTable& classes_;
@@ -185,23 +183,20 @@ Status write_submaps(const std::string& path, const std::vector<LocalMap>& subma
 Result<std::vector<LocalMap>> read_submaps(const std::string& path, const ClassTable& classes) {
   const Result<std::string> text = read_text_file(path);
   if (!text) return text.error();
+  const Result<Json> root = parse_json(*text);
+  if (!root) return Error{path + ": " + root.message()};
   std::string problem;
   std::vector<LocalMap> submaps;
-  try {
-    const Json root = Json::parse(*text);
-    const JsonField file(root, "", &problem);
-    const Json* format = root.is_object() && root.contains("format") ? &root["format"] : nullptr;
-    if (format == nullptr || *format != kFormat) file.reject(std::string("has no \"format\": \"") + kFormat + '"');
-    const SubmapReader reader(classes);
-    if (file.is_fine()) {
-      for (const JsonField& submap : file.member("submaps").elements()) {
-        submaps.push_back(reader.read(submap));
-        if (!file.is_fine()) break;
-      }
-      if (submaps.empty()) file.reject("holds no submap");
+  const JsonField file(*root, "", &problem);
+  const Json* format = root->is_object() && root->contains("format") ? &(*root)["format"] : nullptr;
+  if (format == nullptr || *format != kFormat) file.reject(std::string("has no \"format\": \"") + kFormat + '"');
+  const SubmapReader reader(classes);
+  if (file.is_fine()) {
+    for (const JsonField& submap : file.member("submaps").elements()) {
+      submaps.push_back(reader.read(submap));
+      if (!file.is_fine()) break;
     }
-  } catch (const Json::exception& exception) {
-    problem = json_problem(*text, exception);
+    if (submaps.empty()) file.reject("holds no submap");
   }
   if (!problem.empty()) return Error{path + ": " + problem};
   return submaps;

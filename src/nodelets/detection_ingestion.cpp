@@ -46,7 +46,8 @@ class DetectionIngestionNodelet : public Stage {
   }
 
   bool load_file() {
-    core::Result<core::DetectionRecording> detections = core::read_detections(parameters_.detections_file, *classes());
+    core::Result<core::DetectionRecording> detections =
+        core::read_detections(parameters_.detections_file, *classes(), boxes_max());
     if (!detections) return fail(detections.message());
     const core::DetectionReport& report = detections->report;
     for (const std::string& warning : report.warnings()) NODELET_WARN("%s", warning.c_str());
@@ -120,18 +121,13 @@ class DetectionIngestionNodelet : public Stage {
   }
 
   std::vector<core::Detection> checked(const DetectionsMessage& message) {
-    std::vector<core::Detection> kept;
-    for (const core::Detection& detection : message.detections) {
-      const std::optional<core::DetectionProblem> problem = core::validate(detection, *classes());
-      if (problem) {
-        complain(core::to_string(*problem),
-                 "a box on detections_in is left out: " + core::describe(detection, *problem));
-      } else {
-        kept.push_back(detection);
-      }
-    }
-    return kept;
+    const auto leave_out = [this](std::size_t, core::DetectionProblem problem, const std::string& value) {
+      complain(core::to_string(problem), "a box on detections_in is left out: " + value);
+    };
+    return core::usable_boxes(message.detections, *classes(), boxes_max(), leave_out);
   }
+
+  std::size_t boxes_max() const { return static_cast<std::size_t>(options_.association.boxes_max); }
 
   void emit(const FrameMessage& frame, std::vector<core::Detection> detections) {
     publish<DetectionsMessage>(publisher_, make_header(frame.header.stamp, frame.camera_frame),

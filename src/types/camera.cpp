@@ -1,7 +1,8 @@
 #include "semantic_topo_loop/types/camera.h"
 
 #include <algorithm>
-#include <sstream>
+
+#include "semantic_topo_loop/types/text.h"
 
 namespace semantic_topo_loop::core {
 namespace {
@@ -40,16 +41,16 @@ Vec2 undistort_pixel(const Camera& camera, const Vec2& pixel) {
 
 Status Camera::check() const {
   const auto fail = [](const char* field, double value, const char* rule) {
-    std::ostringstream message;
-    message << field << " = " << value << " " << rule;
-    return Error{message.str()};
+    constexpr int kDigits = 7;
+    return Error{std::string(field) + " = " + format_general(value, kDigits) + " " + rule};
   };
   if (!(std::isfinite(fx) && fx > 0.0)) return fail("fx", fx, "must be > 0");
   if (!(std::isfinite(fy) && fy > 0.0)) return fail("fy", fy, "must be > 0");
   if (!std::isfinite(cx)) return fail("cx", cx, "must be finite");
   if (!std::isfinite(cy)) return fail("cy", cy, "must be finite");
-  if (width <= 0) return fail("width", width, "must be > 0");
-  if (height <= 0) return fail("height", height, "must be > 0");
+  constexpr int kMaxSide_px = 10000;  // no camera has more; what an image needs is set aside before the first one comes
+  if (width <= 0 || width > kMaxSide_px) return fail("width", width, "must be in (0, 10000]");
+  if (height <= 0 || height > kMaxSide_px) return fail("height", height, "must be in (0, 10000]");
   for (const double value : distortion) {
     if (!std::isfinite(value)) return fail("distortion", value, "must be finite");
   }

@@ -2,6 +2,8 @@
 
 #include <gtest/gtest.h>
 
+#include <map>
+
 #include "semantic_topo_loop/io/yaml_files.h"
 #include "support/test_files.h"
 
@@ -165,6 +167,39 @@ TEST_F(DetectionReader, JsonOfAnotherShapeIsAnErrorThatNamesTheField) {
   expect_error({"[0].detections[0].bbox = [1,2,3]"});
   EXPECT_FALSE(read(one_box("41", "0.5", "[1, 2, 3, \"4\"]")));
   expect_error({"[0].detections[0].bbox"});
+}
+
+TEST_F(DetectionReader, NumbersThatDoNotFitAreErrors) {
+  EXPECT_FALSE(read(one_box("41", "1e999", "[1, 2, 3, 4]")));
+  expect_error({"boxes.json: [0]: 'detection_score': ", "1e999"});
+  for (const char* id : {"4294967337", "-4294967255", "9223372036854775849", "18446744073709551615"}) {
+    EXPECT_FALSE(read(one_box(id, "0.5", "[1, 2, 3, 4]"))) << "modulo 2^32 a cup";
+    expect_error({"[0].detections[0].category_id = " + std::string(id), "must be an integer"});
+  }
+}
+
+TEST_F(DetectionReader, OfTooManyBoxesTheBestAreTakenInTheirOrder) {
+  std::vector<Detection> boxes;
+  for (const double score : {0.3, 0.9, 0.5, 2.0, 0.5, 0.7}) boxes.push_back({41, score, {1.0, 2.0, 3.0, 4.0}});
+  std::map<DetectionProblem, std::vector<std::size_t>> left_out;
+  const auto note = [&left_out](std::size_t index, DetectionProblem problem, const std::string& /*value*/) {
+    left_out[problem].push_back(index);
+  };
+  std::vector<double> scores;
+  for (const Detection& box : usable_boxes(boxes, coco(), 3, note)) scores.push_back(box.score);
+  EXPECT_EQ(scores, (std::vector<double>{0.9, 0.5, 0.7})) << "the first of two equal ones";
+  EXPECT_EQ(left_out[DetectionProblem::kScoreOutOfRange], std::vector<std::size_t>{3}) << "not among the best";
+  EXPECT_EQ(left_out[DetectionProblem::kTooMany], (std::vector<std::size_t>{4, 0}));
+
+  ASSERT_TRUE(write_detections_json(directory_.path("many.json"), {{1, std::vector<Detection>(3500, boxes[0])}}));
+  const auto recording = read_detections(directory_.path("many.json"), coco(), 200);
+  ASSERT_TRUE(recording);
+  EXPECT_EQ(recording->frames.at(0).detections.size(), 200U);
+  EXPECT_EQ(recording->report.cause(DetectionProblem::kTooMany).count, 3300);
+  EXPECT_EQ(recording->report.detections, 200);
+  const std::string warning = recording->report.warnings().at(0);
+  EXPECT_NE(warning.find("3300 boxes left out: more boxes in the image than association.boxes_max"), std::string::npos);
+  EXPECT_NE(warning.find("[0].detections[200]: 3500 boxes"), std::string::npos) << warning;
 }
 
 TEST_F(DetectionReader, UnparsableYoloLinesAreErrorsThatNameTheLine) {

@@ -124,6 +124,11 @@ TEST(Camera, NamesTheBadField) {
   bad.width = 0;
   EXPECT_NE(bad.check().message().find("width"), std::string::npos);
   bad = good;
+  bad.width = bad.height = 1'000'000;
+  EXPECT_EQ(bad.check().message(), "width = 1000000 must be in (0, 10000]") << "before anything allocates";
+  bad.width = 640;
+  EXPECT_EQ(bad.check().message(), "height = 1000000 must be in (0, 10000]");
+  bad = good;
   bad.distortion[3] = std::nan("");
   EXPECT_NE(bad.check().message().find("distortion"), std::string::npos);
 }

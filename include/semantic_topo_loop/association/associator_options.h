@@ -10,6 +10,7 @@ struct AssociatorOptions {
   std::string mode = "joint";
   std::string levels = "2d,pro,3d";
   std::string pro_new_object = "uniform";
+  int boxes_max = 200;
   double min_score = 0.25;
   double iou_2d_min = 0.5;
   double iou_3d_min = 0.3;
@@ -42,6 +43,7 @@ struct AssociatorOptions {
             "levels in use, comma separated: 2d, pro, 3d");
     visitor("pro_new_object", pro_new_object, one_of({"uniform", "paper"}),
             "level 2's prior of a new object: uniform (over labels and image) or paper (as printed)");
+    visitor("boxes_max", boxes_max, at_least(1), "boxes of an image at most; those of the lowest scores are left out");
     visitor("min_score", min_score, share(), "detections below this score are left out");
     visitor("iou_2d_min", iou_2d_min, share(), "level 1 gate delta1: box overlap with the previous frame");
     visitor("iou_3d_min", iou_3d_min, share(), "level 3 gate delta2: box overlap with the projected quadric");

@@ -2,7 +2,8 @@
 
 #include <array>
 #include <cstdint>
-#include <optional>
+#include <functional>
+#include <limits>
 #include <string>
 #include <vector>
 
@@ -19,16 +20,20 @@ enum class DetectionProblem : std::uint8_t {
   kBoxInverted = 2,      ///< x2 <= x1 or y2 <= y1
   kScoreOutOfRange = 3,  ///< the score is not in [0, 1]
   kDuplicateStamp = 4,   ///< a second image with the stamp of an earlier one
+  kTooMany = 5,          ///< the image has more boxes, of higher scores, than are taken
 };
-constexpr std::size_t kDetectionProblemCount = 5;
+constexpr std::size_t kDetectionProblemCount = 6;
 
 /// What the problem means, for a warning: "unknown class id".
 const char* to_string(DetectionProblem problem);
 
-/// What is wrong with a detection, the first cause in the order above; nullopt if nothing is.
-std::optional<DetectionProblem> validate(const Detection& detection, const ClassTable& classes);
-/// The offending field and its value, for a message: "class id 91".
-std::string describe(const Detection& detection, DetectionProblem problem);
+/// Hears of a box that is left out: its index, why, and the offending field and its value, "class id 91".
+using OnLeftOut = std::function<void(std::size_t index, DetectionProblem problem, const std::string& value)>;
+
+/// The boxes of an image that can be used, in their order.
+/// @param boxes_max of these, those of the highest scores, the first of equal ones
+std::vector<Detection> usable_boxes(const std::vector<Detection>& boxes, const ClassTable& classes,
+                                    std::size_t boxes_max, const OnLeftOut& on_left_out);
 
 /// What was taken in and what was left out, by cause, each with the first place where it occurred.
 struct DetectionReport {
@@ -57,10 +62,11 @@ struct DetectionRecording {
 ///   bbox: [x1, y1, x2, y2]}]}]`
 /// - a directory: YOLO text files `<stamp>.txt` with a line `class x y w h score` a box, (x, y) the top-left corner
 ///
-/// Single bad boxes are left out and counted.
+/// Single bad boxes are left out and counted, and so are those beyond `boxes_max` of an image.
 /// @return an error, with file, line or field, and value, if the path is missing, holds no image, or a text cannot be
 /// parsed
-Result<DetectionRecording> read_detections(const std::string& path, const ClassTable& classes);
+Result<DetectionRecording> read_detections(const std::string& path, const ClassTable& classes,
+                                           std::size_t boxes_max = std::numeric_limits<std::size_t>::max());
 
 /// Write what read_detections reads; stamps become file names.
 /// @return an error, with the path, if a file cannot be written

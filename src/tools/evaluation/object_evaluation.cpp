@@ -87,8 +87,8 @@ void list_matches(const std::vector<Candidate>& candidates, const std::vector<Re
 
 ReferenceObject read_reference(CsvTable& table) {
   ReferenceObject object;
-  object.id = static_cast<int>(table.integer("id"));
-  object.class_id = static_cast<int>(table.integer("label_id"));
+  object.id = table.small_integer("id");
+  object.class_id = table.small_integer("label_id");
   object.label = table.text("label");
   object.center = table.vector("x", "y", "z");
   object.semi_axes = table.vector("a", "b", "c");
