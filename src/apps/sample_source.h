@@ -104,8 +104,7 @@ class RgbdSource : public SampleSource {
     return std::nullopt;
   }
   std::shared_ptr<const core::KeyframePoints> keyframe_points(int semi_dense_max) const override {
-    return std::make_shared<const core::KeyframePoints>(core::KeyframePoints{
-        frontend_.sparse_points(), core::semi_dense_points(last_image_, frontend_.camera(), semi_dense_max)});
+    return std::make_shared<const core::KeyframePoints>(frontend_.keyframe_points(last_image_, semi_dense_max));
   }
   core::Status rewind() override {
     readings_.reset();

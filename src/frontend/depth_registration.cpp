@@ -21,7 +21,73 @@ cv::Mat edge_strength(const cv::Mat& gray, int axis) {
   return magnitude;
 }
 
+constexpr int kMinSteepness = 60;       // sum of both Sobel derivatives' magnitudes: about 8 grey levels a pixel
+constexpr int kReach_px = 1;            // around, whose nearest depth is taken: edges in both images lie that close
+constexpr float kSurfaceShare = 0.05F;  // depths that differ by less are of one surface: noise and slope of a pixel
+
+/// Of the pixel, or of the nearest surface that begins beside it; 0 if there is none.
+float depth_at(const cv::Mat& depth_m, const Vec2& pixel) {
+  const int u = static_cast<int>(std::lround(pixel.x())), v = static_cast<int>(std::lround(pixel.y()));
+  if (u < 0 || v < 0 || u >= depth_m.cols || v >= depth_m.rows) return 0.0F;
+  float nearest = 0.0F;
+  for (int y = std::max(0, v - kReach_px); y <= std::min(depth_m.rows - 1, v + kReach_px); ++y) {
+    for (int x = std::max(0, u - kReach_px); x <= std::min(depth_m.cols - 1, u + kReach_px); ++x) {
+      const float z = depth_m.at<float>(y, x);
+      if (z > 0.0F && (nearest == 0.0F || z < nearest)) nearest = z;
+    }
+  }
+  const float own = depth_m.at<float>(v, u);
+  return own > 0.0F && own < (1.0F + kSurfaceShare) * nearest ? own : nearest;
+}
+
+cv::Mat steepness(const cv::Mat& gray) {
+  cv::Mat dx, dy, sum;
+  cv::Sobel(gray, dx, CV_16S, 1, 0);
+  cv::Sobel(gray, dy, CV_16S, 0, 1);
+  cv::add(cv::abs(dx), cv::abs(dy), sum);
+  return sum;
+}
+
 }  // namespace
+
+Vec2 DepthRegistration::find_depth(const Camera& camera, const Vec2& pixel_color, const cv::Mat& depth_m) const {
+  if (is_identity()) return pixel_color;
+  // The place depends on the depth, which is read at the place.
+  constexpr int kIterations = 4;  // each error is a hundredth of the one before: the cameras are centimetres apart
+  constexpr double kFirstGuess_m = 2.0;  // indoors
+  double z_m = kFirstGuess_m;
+  Vec2 found = pixel_color;
+  for (int i = 0; i < kIterations; ++i) {
+    found = to_depth(camera, pixel_color, z_m);
+    const int u = static_cast<int>(std::lround(found.x())), v = static_cast<int>(std::lround(found.y()));
+    if (u < 0 || v < 0 || u >= depth_m.cols || v >= depth_m.rows) break;
+    if (depth_m.at<float>(v, u) > 0.0F) z_m = depth_m.at<float>(v, u);
+  }
+  return found;
+}
+
+std::vector<Eigen::Vector3f> semi_dense_points(const RgbdImage& image, const Camera& camera,
+                                               const DepthRegistration& registration, int count_max) {
+  std::vector<Eigen::Vector3f> points;
+  if (image.gray.empty() || image.depth_m.size() != image.gray.size() || count_max < 1) return points;
+  const cv::Mat steep = steepness(image.gray);
+  const double pixels = static_cast<double>(steep.total());
+  const int cell = std::max(1, static_cast<int>(std::ceil(std::sqrt(pixels / count_max))));
+  for (int top = 0; top < steep.rows; top += cell) {
+    for (int left = 0; left < steep.cols; left += cell) {
+      const cv::Rect area = cv::Rect(left, top, cell, cell) & cv::Rect(0, 0, steep.cols, steep.rows);
+      double most = 0.0;
+      cv::Point at;
+      cv::minMaxLoc(steep(area), nullptr, &most, nullptr, &at);
+      if (most < kMinSteepness) continue;
+      const Vec2 pixel(left + at.x, top + at.y), there = registration.find_depth(camera, pixel, image.depth_m);
+      const float z = depth_at(image.depth_m, there);
+      if (!(z > 0.0F)) continue;
+      points.push_back((static_cast<double>(z) * camera.ray(camera.undistort(pixel))).cast<float>());
+    }
+  }
+  return points;
+}
 
 void RegistrationEstimator::add_rims(const cv::Mat& depth_m, int axis) {
   constexpr int kReach_px = 12;   // over the shadow beside a surface, in which there is no depth

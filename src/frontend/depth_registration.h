@@ -25,7 +25,15 @@ struct DepthRegistration {
     const Vec2 c(camera.cx, camera.cy);
     return c + (pixel_color - c - shift_px - parallax_px_m / z_m) / scale;
   }
+  /// The pixel of the depth image that shows what a pixel of the color image shows; it may lie outside.
+  Vec2 find_depth(const Camera& camera, const Vec2& pixel_color, const cv::Mat& depth_m) const;
 };
+
+/// Points on the edges of an image: in each cell of an even grid the pixel of the steepest grey level, if it is steep
+/// and has a depth. Where depth jumps, the nearer side is taken: an outline belongs to what is in front.
+/// @param count_max about so many at most, by the size of the cells   @return camera frame, m, row by row
+std::vector<Eigen::Vector3f> semi_dense_points(const RgbdImage& image, const Camera& camera,
+                                               const DepthRegistration& registration, int count_max);
 
 /// Finds the registration from images: outlines in depth should lie on edges in color.
 class RegistrationEstimator {

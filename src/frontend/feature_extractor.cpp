@@ -102,23 +102,6 @@ void FeatureExtractor::extract_level(const cv::Mat& image, int level, int wanted
   }
 }
 
-Vec2 FeatureExtractor::depth_pixel(const cv::Mat& depth_m, const cv::Vec2f& raw_pixel) const {
-  const Vec2 pixel(raw_pixel[0], raw_pixel[1]);
-  if (registration_.is_identity()) return pixel;
-  // The place depends on the depth, which is read at the place.
-  constexpr int kIterations = 4;  // each error is a hundredth of the one before: the cameras are centimetres apart
-  constexpr double kFirstGuess_m = 2.0;  // indoors
-  double z_m = kFirstGuess_m;
-  Vec2 found = pixel;
-  for (int i = 0; i < kIterations; ++i) {
-    found = registration_.to_depth(camera_, pixel, z_m);
-    const int u = static_cast<int>(std::lround(found.x())), v = static_cast<int>(std::lround(found.y()));
-    if (u < 0 || v < 0 || u >= depth_m.cols || v >= depth_m.rows) break;
-    if (depth_m.at<float>(v, u) > 0.0F) z_m = depth_m.at<float>(v, u);
-  }
-  return found;
-}
-
 void FeatureExtractor::measure_depth(const cv::Mat& depth_m, const cv::Vec2f& raw_pixel, ImageFeature* feature) const {
   constexpr int kMinValues = 13;        // half of the grid
   constexpr double kStepShare = 0.06;   // of the depth: 8 px wide, a slope of more than 75 deg, or a step
@@ -126,7 +109,7 @@ void FeatureExtractor::measure_depth(const cv::Mat& depth_m, const cv::Vec2f& ra
   constexpr double kNoiseRange = 4.0;   // the range of 25 values is four sigmas
   constexpr double kSlopeShare = 0.25;  // sigma of a uniform distribution over the range: 1 / sqrt(12), and a bit less
   const int reach = std::max(options_.registration_px, 1);
-  const Vec2 center = depth_pixel(depth_m, raw_pixel);
+  const Vec2 center = registration_.find_depth(camera_, Vec2(raw_pixel[0], raw_pixel[1]), depth_m);
   const int u0 = static_cast<int>(std::lround(center.x())), v0 = static_cast<int>(std::lround(center.y()));
   std::array<float, 25> values{};
   std::size_t count = 0;

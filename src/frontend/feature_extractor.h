@@ -23,9 +23,6 @@ class FeatureExtractor {
   /// Depth around a raw pixel: none where the surroundings, as wide as the registration may be off, are no one surface.
   void measure_depth(const cv::Mat& depth_m, const cv::Vec2f& raw_pixel, ImageFeature* feature) const;
 
-  /// The pixel of the depth image that shows what a pixel of the color image shows.
-  Vec2 depth_pixel(const cv::Mat& depth_m, const cv::Vec2f& raw_pixel) const;
-
   FrontendOptions options_;
   const Camera& camera_;
   const DepthRegistration& registration_;

@@ -329,17 +329,19 @@ bool RgbdFrontend::is_calibrated() const { return impl_->is_calibrated; }
 
 const Camera& RgbdFrontend::camera() const { return impl_->calibration.camera; }
 
-std::vector<SparsePoint> RgbdFrontend::sparse_points() const {
+KeyframePoints RgbdFrontend::keyframe_points(const RgbdImage& image, int semi_dense_max) const {
   constexpr int kPointBits = 40;  // of an id within its map: a year of 1000 new points an image; leaves 2^23 maps
-  std::vector<SparsePoint> points;
+  const Calibration& known = impl_->calibration;
+  KeyframePoints points{{}, semi_dense_points(image, known.camera, known.registration, semi_dense_max)};
   if (!impl_->last) return points;
   for (const std::int64_t id : impl_->last->points) {
     const MapPoint* point = id >= 0 ? impl_->map.point(id) : nullptr;
     if (point == nullptr) continue;
-    points.push_back({(impl_->starts << kPointBits) + id, (impl_->last->T_camera_map * point->position).cast<float>()});
+    const Vec3 point_camera = impl_->last->T_camera_map * point->position;
+    points.sparse.push_back({(impl_->starts << kPointBits) + id, point_camera.cast<float>()});
   }
   const auto by_id = [](const SparsePoint& a, const SparsePoint& b) { return a.id < b.id; };
-  std::sort(points.begin(), points.end(), by_id);
+  std::sort(points.sparse.begin(), points.sparse.end(), by_id);
   return points;
 }
 

@@ -29,36 +29,33 @@ SE3 parse_pose(const std::vector<double>& v) {
 constexpr float kNear_m = 0.3F;  ///< few depth cameras measure what is nearer: Kinects begin at 0.4 m
 constexpr int kRangeStride_px = 8;
 
-/// Counts every kRangeStride_px-th pixel of every such row, 4800 of a 640 x 480 image.
+/// Of the range every kRangeStride_px-th pixel of every such row counts, 4800 of a 640 x 480 image.
 template <class Raw, class ToMetres>
-DepthRange count_range(const cv::Mat& depth, const DepthOptions& options, const ToMetres& to_metres) {
-  DepthRange range;
-  for (int v = 0; v < depth.rows; v += kRangeStride_px) {
-    for (int u = 0; u < depth.cols; u += kRangeStride_px) {
-      const float z_m = to_metres(depth.at<Raw>(v, u));
-      if (!(z_m > 0.0F) || !std::isfinite(z_m)) continue;
-      ++range.pixels;
-      if (z_m > static_cast<float>(options.max_m)) ++range.far;
-      if (z_m < kNear_m) ++range.near;
+cv::Mat converted(const cv::Mat& depth, const DepthOptions& options, const ToMetres& to_metres, DepthRange* range) {
+  cv::Mat metres(depth.size(), CV_32FC1);
+  const auto max_m = static_cast<float>(options.max_m);
+  for (int v = 0; v < depth.rows; ++v) {
+    const Raw* from = depth.ptr<Raw>(v);
+    float* to = metres.ptr<float>(v);
+    for (int u = 0; u < depth.cols; ++u) {
+      const float z_m = to_metres(from[u]);
+      to[u] = z_m > 0.0F && z_m <= max_m ? z_m : 0.0F;  // false for NaN
+      if (v % kRangeStride_px != 0 || u % kRangeStride_px != 0 || !(z_m > 0.0F) || !std::isfinite(z_m)) continue;
+      ++range->pixels;
+      if (z_m > max_m) ++range->far;
+      if (z_m < kNear_m) ++range->near;
     }
   }
-  return range;
+  return metres;
 }
 
 /// The depth image in metres, 0 where there is none, in its own pixels.
 cv::Mat to_metres(const cv::Mat& depth, const DepthOptions& options, DepthRange* range) {
-  cv::Mat metres(depth.size(), CV_32FC1);
-  const auto limited = [&options](float m) { return m > 0.0F && m <= static_cast<float>(options.max_m) ? m : 0.0F; };
   if (depth.type() == CV_32FC1) {
-    const auto factor = static_cast<float>(options.scale_correction);
-    *range = count_range<float>(depth, options, [factor](float m) { return factor * m; });
     range->is_in_metres = true;
-    for (int v = 0; v < depth.rows; ++v) {
-      const float* from = depth.ptr<float>(v);
-      float* to = metres.ptr<float>(v);
-      for (int u = 0; u < depth.cols; ++u) to[u] = limited(factor * from[u]);  // false for NaN
-    }
-    return metres;
+    const auto factor = static_cast<float>(options.scale_correction);
+    return converted<float>(
+        depth, options, [factor](float m) { return factor * m; }, range);
   }
   // One look-up a pixel: 65536 values are fewer than an image has pixels.
   std::vector<float> table(65536);
@@ -67,14 +64,8 @@ cv::Mat to_metres(const cv::Mat& depth, const DepthOptions& options, DepthRange*
   }
   const std::vector<double> invalid = numbers(options.invalid_values).value_or(std::vector<double>());
   for (const double value : invalid) table[static_cast<std::size_t>(std::clamp(value, 0.0, 65535.0))] = 0.0F;
-  *range = count_range<std::uint16_t>(depth, options, [&table](std::uint16_t raw) { return table[raw]; });
-  std::transform(table.begin(), table.end(), table.begin(), limited);
-  for (int v = 0; v < depth.rows; ++v) {
-    const std::uint16_t* from = depth.ptr<std::uint16_t>(v);
-    float* to = metres.ptr<float>(v);
-    for (int u = 0; u < depth.cols; ++u) to[u] = table[from[u]];
-  }
-  return metres;
+  return converted<std::uint16_t>(
+      depth, options, [&table](std::uint16_t raw) { return table[raw]; }, range);
 }
 
 /// Depth seen by another camera, as the color camera would see it: nearest surface first, each value drawn on the
@@ -104,31 +95,6 @@ cv::Mat registered(const cv::Mat& depth_m, const Camera& color, const Camera& de
 std::string describe(const char* field, const cv::Mat& image) {
   return std::string(field) + " image of " + std::to_string(image.cols) + " x " + std::to_string(image.rows) +
          " pixels of OpenCV type " + std::to_string(image.type());
-}
-
-constexpr int kMinSteepness = 60;       // sum of both Sobel derivatives' magnitudes: about 8 grey levels a pixel
-constexpr int kReach_px = 1;            // around, whose nearest depth is taken: edges in both images lie that close
-constexpr float kSurfaceShare = 0.05F;  // depths that differ by less are of one surface: noise and slope of a pixel
-
-/// Of the pixel, or of the nearest surface that begins beside it; 0 if there is none.
-float depth_at(const cv::Mat& depth_m, int u, int v) {
-  float nearest = 0.0F;
-  for (int y = std::max(0, v - kReach_px); y <= std::min(depth_m.rows - 1, v + kReach_px); ++y) {
-    for (int x = std::max(0, u - kReach_px); x <= std::min(depth_m.cols - 1, u + kReach_px); ++x) {
-      const float z = depth_m.at<float>(y, x);
-      if (z > 0.0F && (nearest == 0.0F || z < nearest)) nearest = z;
-    }
-  }
-  const float own = depth_m.at<float>(v, u);
-  return own > 0.0F && own < (1.0F + kSurfaceShare) * nearest ? own : nearest;
-}
-
-cv::Mat steepness(const cv::Mat& gray) {
-  cv::Mat dx, dy, sum;
-  cv::Sobel(gray, dx, CV_16S, 1, 0);
-  cv::Sobel(gray, dy, CV_16S, 0, 1);
-  cv::add(cv::abs(dx), cv::abs(dy), sum);
-  return sum;
 }
 
 }  // namespace
@@ -219,28 +185,6 @@ Result<RgbdImage> make_rgbd_image(std::int64_t stamp_ns, const cv::Mat& color, c
   }
   image.depth_m = registered(image.depth_m, camera, depth_camera, parse_pose(*pose));
   return image;
-}
-
-std::vector<Eigen::Vector3f> semi_dense_points(const RgbdImage& image, const Camera& camera, int count_max) {
-  std::vector<Eigen::Vector3f> points;
-  if (image.gray.empty() || image.depth_m.size() != image.gray.size() || count_max < 1) return points;
-  const cv::Mat steep = steepness(image.gray);
-  const double pixels = static_cast<double>(steep.total());
-  const int cell = std::max(1, static_cast<int>(std::ceil(std::sqrt(pixels / count_max))));
-  for (int top = 0; top < steep.rows; top += cell) {
-    for (int left = 0; left < steep.cols; left += cell) {
-      const cv::Rect area = cv::Rect(left, top, cell, cell) & cv::Rect(0, 0, steep.cols, steep.rows);
-      double most = 0.0;
-      cv::Point at;
-      cv::minMaxLoc(steep(area), nullptr, &most, nullptr, &at);
-      if (most < kMinSteepness) continue;
-      const int u = left + at.x, v = top + at.y;
-      const float z = depth_at(image.depth_m, u, v);
-      if (!(z > 0.0F)) continue;
-      points.push_back((static_cast<double>(z) * camera.ray(camera.undistort(Vec2(u, v)))).cast<float>());
-    }
-  }
-  return points;
 }
 
 }  // namespace semantic_topo_loop::core

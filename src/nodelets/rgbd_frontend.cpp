@@ -121,8 +121,7 @@ class RgbdFrontendNodelet : public FrontendStage {
 
   std::shared_ptr<const core::KeyframePoints> keyframe_points() override {
     return std::make_shared<const core::KeyframePoints>(
-        core::KeyframePoints{frontend_->sparse_points(),
-                             core::semi_dense_points(image_, frontend_->camera(), options_.point_map.semi_dense_max)});
+        frontend_->keyframe_points(image_, options_.point_map.semi_dense_max));
   }
 
   void on_single(std::int64_t stamp_ns) {

@@ -8,6 +8,7 @@
 #include "frontend/depth_registration.h"
 #include "frontend/image_features.h"
 #include "frontend/pose_solver.h"
+#include "semantic_topo_loop/frontend/rgbd_frontend.h"
 #include "semantic_topo_loop/geometry/lie.h"
 
 namespace semantic_topo_loop::core {
@@ -160,10 +161,12 @@ TEST(BundleAdjustment, FindsAWrongFocalLengthAndLeavesARightOne) {
 }
 
 /// Rectangles in front of a wall, seen in depth and, by another camera beside it, in color.
-RgbdImage rectangles(const DepthRegistration& registration, Noise* noise) {
+/// @param seen_depth_m null, or what depth the color image shows
+RgbdImage rectangles(const DepthRegistration& registration, Noise* noise, cv::Mat* seen_depth_m = nullptr) {
   RgbdImage image;
   image.gray = cv::Mat(kKinect.height, kKinect.width, CV_8UC1, cv::Scalar(120));
   image.depth_m = cv::Mat(kKinect.height, kKinect.width, CV_32FC1, cv::Scalar(3.5));
+  if (seen_depth_m != nullptr) *seen_depth_m = image.depth_m.clone();
   for (int i = 0; i < 14; ++i) {
     const double z = 3.0 - 0.15 * i;  // the nearer ones are drawn over the others
     const Vec2 corner(noise->uniform(10.0, 560.0), noise->uniform(10.0, 420.0));
@@ -174,8 +177,10 @@ RgbdImage rectangles(const DepthRegistration& registration, Noise* noise) {
                     cv::Scalar(value), cv::FILLED);
     };
     draw(&image.depth_m, corner, corner + size, z);
-    draw(&image.gray, registration.to_color(kKinect, corner, z), registration.to_color(kKinect, corner + size, z),
-         i % 2 == 0 ? noise->uniform(0.0, 80.0) : noise->uniform(160.0, 255.0));
+    const Vec2 begin = registration.to_color(kKinect, corner, z),
+               end = registration.to_color(kKinect, corner + size, z);
+    draw(&image.gray, begin, end, i % 2 == 0 ? noise->uniform(0.0, 80.0) : noise->uniform(160.0, 255.0));
+    if (seen_depth_m != nullptr) draw(seen_depth_m, begin, end, z);
   }
   return image;
 }
@@ -212,6 +217,87 @@ TEST(DepthRegistration, NoOutlinesSayNothing) {
   image.depth_m = cv::Mat(kKinect.height, kKinect.width, CV_32FC1, cv::Scalar(2.0));
   estimator.add(image);
   EXPECT_FALSE(estimator.estimate());
+}
+
+const Camera kVga{500.0, 500.0, 320.0, 240.0, 640, 480, {}};
+
+/// A light square, 1 m away, before a dark wall at 3 m.
+RgbdImage square_before_wall() {
+  RgbdImage image;
+  image.gray = cv::Mat(480, 640, CV_8UC1, cv::Scalar(40));
+  image.depth_m = cv::Mat(480, 640, CV_32FC1, cv::Scalar(3.0F));
+  const cv::Rect square(200, 150, 200, 160);
+  image.gray(square).setTo(200);
+  image.depth_m(square).setTo(1.0F);
+  return image;
+}
+
+TEST(SemiDensePoints, LieOnTheOutlineOfWhatIsInFront) {
+  const std::vector<Eigen::Vector3f> points = semi_dense_points(square_before_wall(), kVga, {}, 3000);
+  ASSERT_GT(points.size(), 40U);
+  for (const Eigen::Vector3f& p : points) {
+    EXPECT_FLOAT_EQ(p.z(), 1.0F);
+    const double u = 500.0 * static_cast<double>(p.x() / p.z()) + 320.0,
+                 v = 500.0 * static_cast<double>(p.y() / p.z()) + 240.0;
+    const double outside = std::max({200.0 - u, u - 399.0, 150.0 - v, v - 309.0});
+    EXPECT_LT(std::abs(outside), 2.0) << u << ' ' << v;
+  }
+  EXPECT_EQ(points, semi_dense_points(square_before_wall(), kVga, {}, 3000));
+}
+
+TEST(SemiDensePoints, AreNoMoreThanAskedForEvenOnNoise) {
+  RgbdImage image = square_before_wall();
+  cv::RNG random(1);
+  random.fill(image.gray, cv::RNG::UNIFORM, 0, 255);
+  for (const int count : {1, 100, 3000}) {
+    const std::size_t points = semi_dense_points(image, kVga, {}, count).size();
+    EXPECT_GT(points, 0U);
+    EXPECT_LE(points, static_cast<std::size_t>(1.2 * count) + 2U);
+  }
+}
+
+TEST(SemiDensePoints, OfBadImagesThereAreNone) {
+  RgbdImage image = square_before_wall();
+  image.depth_m.setTo(0.0F);
+  EXPECT_TRUE(semi_dense_points(image, kVga, {}, 3000).empty()) << "no depth";
+  image = square_before_wall();
+  image.gray.setTo(0);
+  EXPECT_TRUE(semi_dense_points(image, kVga, {}, 3000).empty()) << "black";
+  image = square_before_wall();
+  image.depth_m = image.depth_m(cv::Rect(0, 0, 320, 240));
+  EXPECT_TRUE(semi_dense_points(image, kVga, {}, 3000).empty()) << "depth of another size";
+  EXPECT_TRUE(semi_dense_points({}, kVga, {}, 3000).empty());
+}
+
+TEST(SemiDensePoints, HaveTheDepthThatTheFoundRegistrationPutsThere) {
+  DepthRegistration truth;
+  truth.scale = 0.92;
+  truth.parallax_px_m = Vec2(13.0, 0.0);  // 7 px at 2 m
+  RgbdFrontend frontend({}, kKinect);
+  Noise noise;
+  for (int i = 0; i < 7; ++i) {
+    RgbdImage image = rectangles(truth, &noise);
+    image.stamp_ns = i * 200'000'000;
+    frontend.track(image);
+  }
+  cv::Mat seen_depth_m;
+  const RgbdImage image = rectangles(truth, &noise, &seen_depth_m);
+  // An outline is that of the nearer of two surfaces.
+  const auto right_share = [&](const std::vector<Eigen::Vector3f>& points) {
+    int right = 0;
+    for (const Eigen::Vector3f& point : points) {
+      const Vec2 pixel = pinhole(kKinect, point.cast<double>());
+      const cv::Rect around(static_cast<int>(pixel.x()) - 3, static_cast<int>(pixel.y()) - 3, 7, 7);
+      double nearest_m = 0.0;
+      cv::minMaxLoc(seen_depth_m(around & cv::Rect(0, 0, kKinect.width, kKinect.height)), &nearest_m);
+      right += std::abs(nearest_m - point.z()) < 0.01 ? 1 : 0;
+    }
+    return static_cast<double>(right) / static_cast<double>(points.size());
+  };
+  const std::vector<Eigen::Vector3f> points = frontend.keyframe_points(image, 3000).semi_dense;
+  ASSERT_GT(points.size(), 300U);
+  EXPECT_GT(right_share(points), 0.8);
+  EXPECT_LT(right_share(semi_dense_points(image, kKinect, {}, 3000)), 0.6) << "the scene would not show the difference";
 }
 
 TEST(FeatureMatcher, FindsWhatIsNearAndAlike) {

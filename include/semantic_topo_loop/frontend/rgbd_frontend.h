@@ -48,8 +48,10 @@ class RgbdFrontend {
   bool is_calibrated() const;
   /// The color camera, with its focal lengths as self-calibration corrected them; else as given.
   const Camera& camera() const;
-  /// The map points that the last image with a pose sees, in order of id. Ids are never used twice.
-  std::vector<SparsePoint> sparse_points() const;
+  /// What the last image with a pose adds to the map: the map points that it sees, with ids that are never used twice,
+  /// and points on its edges.
+  /// @param image that one   @param semi_dense_max about so many points on edges at most
+  KeyframePoints keyframe_points(const RgbdImage& image, int semi_dense_max) const;
 
  private:
   struct Impl;
