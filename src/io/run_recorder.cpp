@@ -1,9 +1,14 @@
 #include "semantic_topo_loop/io/run_recorder.h"
 
+#include <unistd.h>
+
 #include <algorithm>
 #include <array>
+#include <cerrno>
 #include <cmath>
-#include <functional>
+#include <cstdio>
+#include <cstdlib>
+#include <map>
 #include <nlohmann/json.hpp>
 
 #include "io/csv.h"
@@ -45,11 +50,9 @@ nlohmann::json odometry_summary(const OdometryReport& report) {
 
 nlohmann::json to_json(const std::optional<Relocalisation>& relocalisation) {
   if (!relocalisation) return nullptr;
+  const SE3& T = relocalisation->T_earlier_odom;
   nlohmann::json pose;
-  for (const double value : {relocalisation->T_earlier_odom.t.x(), relocalisation->T_earlier_odom.t.y(),
-                             relocalisation->T_earlier_odom.t.z(), relocalisation->T_earlier_odom.q.x(),
-                             relocalisation->T_earlier_odom.q.y(), relocalisation->T_earlier_odom.q.z(),
-                             relocalisation->T_earlier_odom.q.w()}) {
+  for (const double value : {T.t.x(), T.t.y(), T.t.z(), T.q.x(), T.q.y(), T.q.z(), T.q.w()}) {
     pose.push_back(std::round(1e9 * value) / 1e9);
   }
   return {{"earlier_map_from_odom", pose}, {"agreeing", relocalisation->agreeing}, {"accepted", relocalisation->total}};
@@ -61,258 +64,379 @@ nlohmann::json to_json(const TrackingReport& tracking) {
           {"unreadable", tracking.unreadable}};
 }
 
-}  // namespace
+/// Tables whose rows stay as they are: they go to the disk while the run goes on.
+enum Table { kLivePoses, kLoops, kRelocalisations, kLoopScales, kAssociations, kTiming, kTables };
+using Rows = std::array<std::string, kTables>;
 
-void RunRecorder::record(const Frame& frame) {
-  if (frame.is_end) return;
-  Frame& kept = frames_.insert_or_assign(frame.frame_id, frame).first->second;
-  kept.keyframe_points.reset();
-  kept.points_camera.reset();  // no file has them, and those of a long run fill the memory
-  if (frame.is_keyframe) keyframe_frames_[frame.keyframe_id] = frame.frame_id;
+const Rows& headers() {
+  static const Rows kHeaders = {"",
+                                loop_table_header(),
+                                loop_table_header(),
+                                "query_frame,match_frame,accepted,scale,sigma_log\n",
+                                "frame_id,detection_index,landmark_id,level\n",
+                                "frame_id,association_us,mapping_us,loop_us,optimise_us\n"};
+  return kHeaders;
 }
 
-void RunRecorder::record(const AssociationFrame& associations) {
-  timing_[associations.frame_id].association_us = associations.duration_us;
-  associations_.insert_or_assign(associations.frame_id, associations);
-}
-
-void RunRecorder::record(const MapUpdate& update) {
-  timing_[update.frame_id].mapping_us += update.duration_us;
-  for (const Landmark& landmark : update.changed) landmarks_.insert_or_assign(landmark.id, landmark);
-  for (const std::int64_t id : update.removed) landmarks_.erase(id);
-  for (const LandmarkMerge& merge : update.merged) landmarks_.erase(merge.merged_id);
-  merges_ += static_cast<int>(update.merged.size()) - static_cast<int>(update.unmerged.size());
-}
-
-void RunRecorder::record(std::int64_t frame_id, const std::vector<LoopClosure>& loops, double loop_us) {
-  timing_[frame_id].loop_us = loop_us;
-  if (loops.empty()) return;
-  std::vector<LoopRow> rows;
-  rows.reserve(loops.size());
-  std::vector<LoopClosure> relocalising;
-  for (const LoopClosure& loop : loops) {
-    LoopRow row;
-    static_cast<LoopFigures&>(row) = static_cast<const LoopFigures&>(loop);
-    row.log_scale_variance = loop.scale_covariance(6);
-    row.is_in_earlier_map = loop.T_earlier_match.has_value();
-    has_earlier_map_ = has_earlier_map_ || row.is_in_earlier_map;
-    has_loop_scales_ = has_loop_scales_ || row.log_scale_variance > 0.0;
-    if (row.is_in_earlier_map && loop.accepted) relocalising.push_back(loop);
-    rows.push_back(row);
-  }
-  loops_.insert_or_assign(frame_id, std::move(rows));
-  if (!relocalising.empty()) relocalising_.insert_or_assign(frame_id, std::move(relocalising));
-}
-
-void RunRecorder::record(const MapCorrection& correction) {
-  timing_[correction.frame_id].optimise_us = correction.duration_us;
-  T_map_odom_.insert_or_assign(correction.frame_id, correction.T_map_odom);
-  if (!correction.changed) return;
-  ++corrections_;
-  correction_ = correction;
-  S_map_keyframe_.clear();
-  for (const KeyframePose& keyframe : correction.keyframes) {
-    S_map_keyframe_.insert_or_assign(keyframe.keyframe_id, Sim3(keyframe.T_map_camera, keyframe.scale));
-  }
-}
-
-SE3 RunRecorder::live_map_from_odom(std::int64_t frame_id) const {
-  const auto own = T_map_odom_.lower_bound(frame_id);
-  return own == T_map_odom_.begin() ? SE3() : std::prev(own)->second;
-}
-
-SE3 RunRecorder::final_pose(const Frame& frame) const {
-  const auto solution = S_map_keyframe_.find(frame.keyframe_id);
-  const auto keyframe_frame = keyframe_frames_.find(frame.keyframe_id);
-  if (solution == S_map_keyframe_.end() || keyframe_frame == keyframe_frames_.end()) {
-    return (T_map_odom_.empty() ? SE3() : T_map_odom_.rbegin()->second) * frame.T_odom_camera;
-  }
-  const SE3& T_odom_keyframe = frames_.at(keyframe_frame->second).T_odom_camera;
-  return solution->second.pose(T_odom_keyframe.inverse() * frame.T_odom_camera);
-}
-
-std::string RunRecorder::trajectory(bool live) const {
-  std::string text;
-  for (const auto& [frame_id, frame] : frames_) {
-    const SE3 T_map_camera = live ? live_map_from_odom(frame_id) * frame.T_odom_camera : final_pose(frame);
-    text += format_tum_pose({frame.stamp_ns, T_map_camera}) + '\n';
-  }
-  return text;
-}
-
-std::string RunRecorder::keyframes() const {
-  std::string text = keyframe_table_header();
-  for (const auto& [keyframe_id, frame_id] : keyframe_frames_) {
-    const Frame& frame = frames_.at(frame_id);
-    KeyframePose keyframe;
-    keyframe.keyframe_id = keyframe_id;
-    keyframe.frame_id = frame_id;
-    keyframe.stamp_ns = frame.stamp_ns;
-    keyframe.T_map_camera = final_pose(frame);
-    text += table_row(keyframe);
-  }
-  return text;
-}
-
-std::string RunRecorder::objects() const {
-  std::string text = object_table_header();
-  for (const auto& [id, landmark] : landmarks_) {
-    if (!landmark.ellipsoid) continue;
-    MappedObject object;
-    object.id = id;
-    object.class_id = landmark.class_id;
-    object.label = classes_->name(landmark.class_id);
-    object.center = landmark.ellipsoid->T_world_quadric.t;
-    object.rotation = landmark.ellipsoid->T_world_quadric.q;
-    object.semi_axes = landmark.ellipsoid->semi_axes;
-    object.state = to_string(landmark.state);
-    object.observations = landmark.observations;
-    object.baseline_deg = landmark.baseline_deg;
-    object.mean_iou = landmark.mean_iou;
-    object.quality = landmark.quality;
-    text += table_row(object);
-  }
-  return text;
-}
-
-std::string RunRecorder::loops(bool in_earlier_map) const {
-  std::string text = loop_table_header();
-  for (const auto& [frame_id, candidates] : loops_) {
-    for (const LoopRow& loop : candidates) {
-      if (loop.is_in_earlier_map == in_earlier_map) text += table_row(static_cast<const LoopFigures&>(loop));
+/// A text that grows for as long as a run, on the disk but for its end: in a file without a name in the temporary
+/// directory (TMPDIR), which goes with the process.
+class TextSpool {
+ public:
+  void add(const std::string& text) {
+    if (!status_) return;
+    end_ += text;
+    if (end_.size() < kEndMax) return;
+    if (!file_) file_.reset(open_nameless());
+    const bool is_written =
+        file_ && std::fwrite(end_.data(), 1, end_.size(), file_.get()) == end_.size() && std::fflush(file_.get()) == 0;
+    if (!is_written) {
+      status_ = Error{"cannot keep the rows of the run in the temporary directory (TMPDIR): " +
+                      std::system_category().message(errno)};
     }
+    end_.clear();
   }
-  return text;
-}
 
-std::string RunRecorder::loop_verdicts() const {
-  std::string text = "query_keyframe,match_keyframe,query_frame,match_frame,extra,kept,verdict\n";
-  const auto frame_of = [this](std::int64_t keyframe_id) {
-    const auto found = keyframe_frames_.find(keyframe_id);
-    return found == keyframe_frames_.end() ? -1 : found->second;
+  /// @return an error if the disk could not take the text, or does not give it back
+  Status copy_to(std::ostream& file) const {
+    if (!status_) return status_;
+    std::array<char, kEndMax> part{};
+    ssize_t length = 0;
+    for (off_t at = 0; file_; at += length) {
+      length = ::pread(::fileno(file_.get()), part.data(), part.size(), at);
+      if (length < 0) return Error{"the rows of the run cannot be read: " + std::system_category().message(errno)};
+      if (length == 0) break;
+      file.write(part.data(), length);
+    }
+    file << end_;
+    return {};
+  }
+
+ private:
+  static constexpr std::size_t kEndMax = 1 << 18;  ///< bytes: short runs need no file
+
+  static std::FILE* open_nameless() {
+    const char* folder = std::getenv("TMPDIR");
+    std::string path = std::string(folder != nullptr ? folder : "/tmp") + "/semantic_topo_loop_XXXXXX";
+    const int descriptor = ::mkstemp(path.data());
+    if (descriptor < 0) return nullptr;
+    ::unlink(path.c_str());
+    return ::fdopen(descriptor, "w+b");
+  }
+
+  struct Close {
+    void operator()(std::FILE* file) const { std::fclose(file); }
   };
-  for (const LoopVerdict& verdict : correction_.loops) {
-    text += csv_row(verdict.query_keyframe_id, verdict.match_keyframe_id, frame_of(verdict.query_keyframe_id),
-                    frame_of(verdict.match_keyframe_id), verdict.is_extra ? 1 : 0, verdict.kept ? 1 : 0,
-                    verdict.reason.empty() ? "kept" : verdict.reason);
-  }
-  return text;
-}
+  std::unique_ptr<std::FILE, Close> file_;
+  std::string end_;  ///< after what the file holds
+  Status status_;
+};
 
-std::string RunRecorder::scales() const {
-  std::string text = "keyframe_id,frame_id,scale\n";
-  for (const auto& [keyframe_id, frame_id] : keyframe_frames_) {
-    const auto solution = S_map_keyframe_.find(keyframe_id);
-    if (solution == S_map_keyframe_.end()) continue;
-    text += csv_row(keyframe_id, frame_id, format_fixed(solution->second.scale, kRatioDecimals));
-  }
-  return text;
-}
+/// Of a frame, what is needed until the end.
+struct FramePlace {
+  std::int64_t stamp_ns = 0, keyframe_id = -1;
+  SE3 T_odom_camera;
+};
 
-std::string RunRecorder::loop_scales() const {
-  std::string text = "query_frame,match_frame,accepted,scale,sigma_log\n";
-  for (const auto& [frame_id, candidates] : loops_) {
-    for (const LoopRow& loop : candidates) {
-      if (!(loop.log_scale_variance > 0.0)) continue;
-      text +=
-          csv_row(loop.query_frame, loop.match_frame, loop.accepted ? 1 : 0, format_fixed(loop.scale, kRatioDecimals),
-                  format_fixed(std::sqrt(loop.log_scale_variance), kRatioDecimals));
-    }
-  }
-  return text;
-}
+/// A frame of which a stage may still tell more.
+struct OpenFrame {
+  bool is_recorded = false, is_break = false;
+  AssociationFrame associations;
+  std::vector<LoopClosure> loops;
+  std::optional<SE3> T_map_odom;  ///< after its correction
+  double mapping_us = 0.0, loop_us = 0.0, optimise_us = 0.0;
+};
 
-std::string RunRecorder::associations() const {
-  std::string text = "frame_id,detection_index,landmark_id,level\n";
-  for (const auto& [frame_id, frame] : associations_) {
-    for (const Association& association : frame.associations) {
-      text += csv_row(frame_id, association.detection_index, association.landmark_id, level_name(association.level));
-    }
-  }
-  return text;
-}
+/// Counts of the summary.
+struct Counts {
+  std::int64_t breaks = 0, detections = 0, candidates = 0, accepted = 0;
+  std::map<std::string, int> levels, reasons;
 
-std::string RunRecorder::timing() const {
-  std::string text = "frame_id,association_us,mapping_us,loop_us,optimise_us\n";
-  constexpr int kMicrosecondDecimals = 1;
-  for (const auto& [frame_id, frame] : frames_) {
-    const auto it = timing_.find(frame_id);
-    const FrameTiming t = it == timing_.end() ? FrameTiming() : it->second;
-    text += csv_row(frame_id, format_fixed(t.association_us, kMicrosecondDecimals),
-                    format_fixed(t.mapping_us, kMicrosecondDecimals), format_fixed(t.loop_us, kMicrosecondDecimals),
-                    format_fixed(t.optimise_us, kMicrosecondDecimals));
-  }
-  return text;
-}
-
-std::string RunRecorder::summary() const {
-  std::int64_t detections = 0, breaks = 0, candidates = 0, accepted = 0, kept = 0;
-  std::map<std::string, int> levels, states, reasons;
-  for (const auto& [frame_id, frame] : frames_) breaks += frame.is_break ? 1 : 0;
-  for (const auto& [frame_id, frame] : associations_) {
-    detections += static_cast<std::int64_t>(frame.associations.size());
-    for (const Association& association : frame.associations) ++levels[level_name(association.level)];
-  }
-  for (const auto& [id, landmark] : landmarks_) ++states[to_string(landmark.state)];
-  for (const auto& [frame_id, loops] : loops_) {
-    for (const LoopRow& loop : loops) {
-      if (loop.is_in_earlier_map) continue;
+  void add(const OpenFrame& frame) {
+    breaks += frame.is_break ? 1 : 0;
+    detections += static_cast<std::int64_t>(frame.associations.associations.size());
+    for (const Association& association : frame.associations.associations) ++levels[level_name(association.level)];
+    for (const LoopClosure& loop : frame.loops) {
+      if (loop.T_earlier_match) continue;
       ++candidates;
       ++reasons[to_string(loop.reason)];
       accepted += loop.accepted ? 1 : 0;
     }
   }
-  for (const LoopVerdict& verdict : correction_.loops) kept += verdict.kept ? 1 : 0;
-  nlohmann::json summary = {
-      {"frames", frames_.size()},
-      {"keyframes", keyframe_frames_.size()},
-      {"breaks", breaks},
-      {"detections", detections},
-      {"associations", levels},
-      {"landmarks", states},
-      {"merges", merges_},
-      {"loops", {{"candidates", candidates}, {"accepted", accepted}, {"kept", kept}, {"reasons", reasons}}},
-      {"corrections", corrections_},
-      {"odometry", odometry_summary(correction_.odometry)}};
-  if (tracking_) summary["images"] = to_json(*tracking_);
-  if (has_earlier_map_) summary["relocalisation"] = to_json(relocalisation());
-  constexpr int kIndent = 2;
-  return summary.dump(kIndent) + '\n';
-}
+};
 
-std::optional<Relocalisation> RunRecorder::relocalisation() const {
-  Relocaliser relocaliser;
-  for (const auto& [frame_id, loops] : relocalising_) {
+}  // namespace
+
+class RunRecorder::Impl {
+ public:
+  explicit Impl(std::shared_ptr<const ClassTable> classes) : classes_(std::move(classes)) {}
+
+  void record(const Frame& frame) {
+    if (frame.is_end) return;
+    frames_.insert_or_assign(frame.frame_id, FramePlace{frame.stamp_ns, frame.keyframe_id, frame.T_odom_camera});
+    open_[frame.frame_id].is_recorded = true;
+    open_[frame.frame_id].is_break = frame.is_break;
+    if (frame.is_keyframe) keyframe_frames_[frame.keyframe_id] = frame.frame_id;
+    settle(frame.stamp_ns);
+  }
+
+  void record(const AssociationFrame& associations) { open_[associations.frame_id].associations = associations; }
+
+  void record(const MapUpdate& update) {
+    open_[update.frame_id].mapping_us += update.duration_us;
+    for (const Landmark& landmark : update.changed) landmarks_.insert_or_assign(landmark.id, landmark);
+    for (const std::int64_t id : update.removed) landmarks_.erase(id);
+    for (const LandmarkMerge& merge : update.merged) landmarks_.erase(merge.merged_id);
+    merges_ += static_cast<int>(update.merged.size()) - static_cast<int>(update.unmerged.size());
+  }
+
+  void record(std::int64_t frame_id, const std::vector<LoopClosure>& loops, double loop_us) {
+    open_[frame_id].loop_us = loop_us;
+    if (loops.empty()) return;
     for (const LoopClosure& loop : loops) {
-      const auto query = frames_.find(loop.query_frame);
-      if (query != frames_.end()) relocaliser.add(loop, query->second.T_odom_camera);
+      has_earlier_map_ = has_earlier_map_ || loop.T_earlier_match;
+      has_loop_scales_ = has_loop_scales_ || loop.scale_covariance(6) > 0.0;
+    }
+    open_[frame_id].loops = loops;
+  }
+
+  void record(const MapCorrection& correction) {
+    open_[correction.frame_id].optimise_us = correction.duration_us;
+    open_[correction.frame_id].T_map_odom = correction.T_map_odom;
+    if (correction.frame_id >= last_T_map_odom_.first) last_T_map_odom_ = {correction.frame_id, correction.T_map_odom};
+    if (!correction.changed) return;
+    ++corrections_;
+    correction_ = correction;
+    S_map_keyframe_.clear();
+    for (const KeyframePose& keyframe : correction.keyframes) {
+      S_map_keyframe_.insert_or_assign(keyframe.keyframe_id, Sim3(keyframe.T_map_camera, keyframe.scale));
     }
   }
-  return relocaliser.estimate();
-}
 
-Status RunRecorder::write(const std::string& directory) const {
-  // One text at a time: that of the loops is as long as all others together.
-  std::vector<std::pair<const char*, std::function<std::string()>>> files = {
-      {"trajectory_live.txt", [this] { return trajectory(true); }},
-      {"trajectory.txt", [this] { return trajectory(false); }},
-      {"keyframes.csv", [this] { return keyframes(); }},
-      {"objects.csv", [this] { return objects(); }},
-      {"loops.csv", [this] { return loops(false); }},
-      {"loop_verdicts.csv", [this] { return loop_verdicts(); }},
-      {"associations.csv", [this] { return associations(); }},
-      {"timing.csv", [this] { return timing(); }},
-      {"summary.json", [this] { return summary(); }}};
-  if (has_earlier_map_) files.emplace_back("relocalisations.csv", [this] { return loops(true); });
-  const bool has_scales = std::any_of(S_map_keyframe_.begin(), S_map_keyframe_.end(),
-                                      [](const auto& keyframe) { return keyframe.second.scale != 1.0; });
-  if (has_scales) files.emplace_back("scales.csv", [this] { return scales(); });
-  if (has_loop_scales_) files.emplace_back("loop_scales.csv", [this] { return loop_scales(); });
-  if (const Status made = make_directory(directory); !made) return made;
-  for (const auto& [name, text] : files) {
-    if (const Status written = write_text_file(directory + "/" + name, text()); !written) return written;
+  void record(const TrackingReport& tracking) { tracking_ = tracking; }
+
+  std::optional<Relocalisation> relocalisation() const {
+    Relocaliser relocaliser = settled_votes_;
+    for (const auto& [frame_id, frame] : open_) add_votes(frame, &relocaliser);
+    return relocaliser.estimate();
   }
-  return {};
+
+  Status write(const std::string& directory) const {
+    Rows open;
+    SE3 T_map_odom = settled_T_map_odom_;
+    for (const auto& [frame_id, frame] : open_) {
+      const Rows rows = rows_of(frame_id, frame, &T_map_odom);
+      for (std::size_t table = 0; table < rows.size(); ++table) open[table] += rows[table];
+    }
+    Status kept;
+    FileTexts files;
+    const auto add = [&](const std::string& name, const WriteText& text) {
+      files.emplace_back(directory + "/" + name, text);
+    };
+    const auto add_table = [&](const char* name, Table table) {
+      add(name, [&, table](std::ostream& file) {
+        file << headers()[table];
+        if (const Status copied = settled_[table].copy_to(file); !copied) {
+          kept = copied;
+          file.setstate(std::ios::badbit);
+        }
+        file << open[table];
+      });
+    };
+    add_table("trajectory_live.txt", kLivePoses);
+    add("trajectory.txt", [this](std::ostream& file) { write_trajectory(file); });
+    add("keyframes.csv", [this](std::ostream& file) { write_keyframes(file); });
+    add("objects.csv", [this](std::ostream& file) { write_objects(file); });
+    add_table("loops.csv", kLoops);
+    add("loop_verdicts.csv", [this](std::ostream& file) { write_verdicts(file); });
+    add_table("associations.csv", kAssociations);
+    add_table("timing.csv", kTiming);
+    add("summary.json", [this](std::ostream& file) { write_summary(file); });
+    if (has_earlier_map_) add_table("relocalisations.csv", kRelocalisations);
+    const bool has_scales = std::any_of(S_map_keyframe_.begin(), S_map_keyframe_.end(),
+                                        [](const auto& keyframe) { return keyframe.second.scale != 1.0; });
+    if (has_scales) add("scales.csv", [this](std::ostream& file) { write_scales(file); });
+    if (has_loop_scales_) add_table("loop_scales.csv", kLoopScales);
+    if (const Status made = make_directory(directory); !made) return made;
+    const Status written = write_files(files);
+    return kept ? written : kept;
+  }
+
+ private:
+  /// The frame's rows.   @param T_map_odom before its own correction, what a live user had; then after it
+  Rows rows_of(std::int64_t frame_id, const OpenFrame& frame, SE3* T_map_odom) const {
+    Rows rows;
+    if (frame.is_recorded) {
+      const FramePlace& place = frames_.at(frame_id);
+      rows[kLivePoses] = format_tum_pose({place.stamp_ns, *T_map_odom * place.T_odom_camera}) + '\n';
+      constexpr int kMicrosecondDecimals = 1;
+      rows[kTiming] = csv_row(frame_id, format_fixed(frame.associations.duration_us, kMicrosecondDecimals),
+                              format_fixed(frame.mapping_us, kMicrosecondDecimals),
+                              format_fixed(frame.loop_us, kMicrosecondDecimals),
+                              format_fixed(frame.optimise_us, kMicrosecondDecimals));
+    }
+    if (frame.T_map_odom) *T_map_odom = *frame.T_map_odom;
+    for (const LoopClosure& loop : frame.loops) {
+      rows[loop.T_earlier_match ? kRelocalisations : kLoops] += table_row(loop);
+      const double log_scale_variance = loop.scale_covariance(6);
+      if (!(log_scale_variance > 0.0)) continue;
+      rows[kLoopScales] +=
+          csv_row(loop.query_frame, loop.match_frame, loop.accepted ? 1 : 0, format_fixed(loop.scale, kRatioDecimals),
+                  format_fixed(std::sqrt(log_scale_variance), kRatioDecimals));
+    }
+    for (const Association& association : frame.associations.associations) {
+      rows[kAssociations] +=
+          csv_row(frame_id, association.detection_index, association.landmark_id, level_name(association.level));
+    }
+    return rows;
+  }
+
+  /// Hands the frames of which nothing more will come to the disk.
+  void settle(std::int64_t newest_ns) {
+    constexpr std::int64_t kOpen_ns = 10'000'000'000;  // no stage is as late
+    while (!open_.empty()) {
+      const auto& [frame_id, frame] = *open_.begin();
+      if (frames_.lower_bound(frame_id)->second.stamp_ns > newest_ns - kOpen_ns) break;
+      const Rows rows = rows_of(frame_id, frame, &settled_T_map_odom_);
+      for (std::size_t table = 0; table < rows.size(); ++table) settled_[table].add(rows[table]);
+      settled_counts_.add(frame);
+      add_votes(frame, &settled_votes_);
+      open_.erase(open_.begin());
+    }
+  }
+
+  void add_votes(const OpenFrame& frame, Relocaliser* relocaliser) const {
+    for (const LoopClosure& loop : frame.loops) {
+      const auto query = frames_.find(loop.query_frame);
+      if (query != frames_.end()) relocaliser->add(loop, query->second.T_odom_camera);
+    }
+  }
+
+  /// Pose after the last optimisation: hung on the frame's keyframe, or on the last T_map_odom without one.
+  SE3 final_pose(const FramePlace& frame) const {
+    const auto solution = S_map_keyframe_.find(frame.keyframe_id);
+    const auto keyframe_frame = keyframe_frames_.find(frame.keyframe_id);
+    if (solution == S_map_keyframe_.end() || keyframe_frame == keyframe_frames_.end()) {
+      return last_T_map_odom_.second * frame.T_odom_camera;
+    }
+    const SE3& T_odom_keyframe = frames_.at(keyframe_frame->second).T_odom_camera;
+    return solution->second.pose(T_odom_keyframe.inverse() * frame.T_odom_camera);
+  }
+
+  void write_trajectory(std::ostream& file) const {
+    for (const auto& [frame_id, frame] : frames_) file << format_tum_pose({frame.stamp_ns, final_pose(frame)}) << '\n';
+  }
+
+  void write_keyframes(std::ostream& file) const {
+    file << keyframe_table_header();
+    for (const auto& [keyframe_id, frame_id] : keyframe_frames_) {
+      const FramePlace& frame = frames_.at(frame_id);
+      file << table_row(KeyframePose{keyframe_id, frame_id, frame.stamp_ns, final_pose(frame)});
+    }
+  }
+
+  void write_objects(std::ostream& file) const {
+    file << object_table_header();
+    for (const auto& [id, landmark] : landmarks_) {
+      if (!landmark.ellipsoid) continue;
+      MappedObject object;
+      object.id = id;
+      object.class_id = landmark.class_id;
+      object.label = classes_->name(landmark.class_id);
+      object.center = landmark.ellipsoid->T_world_quadric.t;
+      object.rotation = landmark.ellipsoid->T_world_quadric.q;
+      object.semi_axes = landmark.ellipsoid->semi_axes;
+      object.state = to_string(landmark.state);
+      object.observations = landmark.observations;
+      object.baseline_deg = landmark.baseline_deg;
+      object.mean_iou = landmark.mean_iou;
+      object.quality = landmark.quality;
+      file << table_row(object);
+    }
+  }
+
+  void write_verdicts(std::ostream& file) const {
+    file << "query_keyframe,match_keyframe,query_frame,match_frame,extra,kept,verdict\n";
+    const auto frame_of = [this](std::int64_t keyframe_id) {
+      const auto found = keyframe_frames_.find(keyframe_id);
+      return found == keyframe_frames_.end() ? -1 : found->second;
+    };
+    for (const LoopVerdict& verdict : correction_.loops) {
+      file << csv_row(verdict.query_keyframe_id, verdict.match_keyframe_id, frame_of(verdict.query_keyframe_id),
+                      frame_of(verdict.match_keyframe_id), verdict.is_extra ? 1 : 0, verdict.kept ? 1 : 0,
+                      verdict.reason.empty() ? "kept" : verdict.reason);
+    }
+  }
+
+  void write_scales(std::ostream& file) const {
+    file << "keyframe_id,frame_id,scale\n";
+    for (const auto& [keyframe_id, frame_id] : keyframe_frames_) {
+      const auto solution = S_map_keyframe_.find(keyframe_id);
+      if (solution == S_map_keyframe_.end()) continue;
+      file << csv_row(keyframe_id, frame_id, format_fixed(solution->second.scale, kRatioDecimals));
+    }
+  }
+
+  void write_summary(std::ostream& file) const {
+    Counts counts = settled_counts_;
+    for (const auto& [frame_id, frame] : open_) counts.add(frame);
+    std::map<std::string, int> states;
+    for (const auto& [id, landmark] : landmarks_) ++states[to_string(landmark.state)];
+    std::int64_t kept = 0;
+    for (const LoopVerdict& verdict : correction_.loops) kept += verdict.kept ? 1 : 0;
+    nlohmann::json summary = {{"frames", frames_.size()},
+                              {"keyframes", keyframe_frames_.size()},
+                              {"breaks", counts.breaks},
+                              {"detections", counts.detections},
+                              {"associations", counts.levels},
+                              {"landmarks", states},
+                              {"merges", merges_},
+                              {"loops",
+                               {{"candidates", counts.candidates},
+                                {"accepted", counts.accepted},
+                                {"kept", kept},
+                                {"reasons", counts.reasons}}},
+                              {"corrections", corrections_},
+                              {"odometry", odometry_summary(correction_.odometry)}};
+    if (tracking_) summary["images"] = to_json(*tracking_);
+    if (has_earlier_map_) summary["relocalisation"] = to_json(relocalisation());
+    constexpr int kIndent = 2;
+    file << summary.dump(kIndent) << '\n';
+  }
+
+  std::shared_ptr<const ClassTable> classes_;
+  std::map<std::int64_t, FramePlace> frames_;             ///< by frame_id, without the END frame
+  std::map<std::int64_t, std::int64_t> keyframe_frames_;  ///< keyframe_id to frame_id
+  std::map<std::int64_t, OpenFrame> open_;                ///< by frame_id
+  std::array<TextSpool, kTables> settled_;                ///< rows of the frames before
+  Counts settled_counts_;
+  Relocaliser settled_votes_;
+  SE3 settled_T_map_odom_;
+  std::pair<std::int64_t, SE3> last_T_map_odom_{-1, {}};  ///< with the id of the frame
+  std::map<std::int64_t, Landmark> landmarks_;            ///< latest state of those that still exist
+  bool has_earlier_map_ = false;                          ///< there was a candidate in it
+  bool has_loop_scales_ = false;                          ///< a loop states one
+  std::map<std::int64_t, Sim3> S_map_keyframe_;           ///< of the last solution, by keyframe_id
+  MapCorrection correction_;                              ///< the last that changed something
+  std::optional<TrackingReport> tracking_;
+  int merges_ = 0;
+  int corrections_ = 0;
+};
+
+RunRecorder::RunRecorder(std::shared_ptr<const ClassTable> classes)
+    : impl_(std::make_unique<Impl>(std::move(classes))) {}
+RunRecorder::~RunRecorder() = default;
+RunRecorder::RunRecorder(RunRecorder&&) noexcept = default;
+RunRecorder& RunRecorder::operator=(RunRecorder&&) noexcept = default;
+
+void RunRecorder::record(const Frame& frame) { impl_->record(frame); }
+void RunRecorder::record(const AssociationFrame& associations) { impl_->record(associations); }
+void RunRecorder::record(const MapUpdate& update) { impl_->record(update); }
+void RunRecorder::record(std::int64_t frame_id, const std::vector<LoopClosure>& loops, double loop_us) {
+  impl_->record(frame_id, loops, loop_us);
 }
+void RunRecorder::record(const MapCorrection& correction) { impl_->record(correction); }
+void RunRecorder::record(const TrackingReport& tracking) { impl_->record(tracking); }
+Status RunRecorder::write(const std::string& directory) const { return impl_->write(directory); }
+std::optional<Relocalisation> RunRecorder::relocalisation() const { return impl_->relocalisation(); }
 
 }  // namespace semantic_topo_loop::core

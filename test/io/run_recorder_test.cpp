@@ -355,5 +355,87 @@ TEST_F(RunRecorderTest, AnUnwritableDirectoryIsAnError) {
   EXPECT_NE(recorder_.write(directory_.path("file")).message().find(directory_.path("file")), std::string::npos);
 }
 
+/// Twenty minutes of a run whose stages tell of a frame some frames late.
+class LongRun {
+ public:
+  explicit LongRun(std::int64_t late) : late_(late) {}
+
+  void play(RunRecorder* recorder, std::int64_t begin, std::int64_t end) const {
+    for (std::int64_t i = begin; i < end; ++i) {
+      Frame frame;
+      frame.frame_id = i;
+      frame.stamp_ns = kStart + i * 100'000'000;
+      frame.is_keyframe = i % 10 == 0;
+      frame.keyframe_id = i / 10;
+      frame.is_break = i % 1000 == 999;
+      frame.T_odom_camera.t.x() = 0.001 * static_cast<double>(i);
+      recorder->record(frame);
+      if (i >= late_) tell(recorder, i - late_);
+    }
+    for (std::int64_t i = end - late_; i < end; ++i) tell(recorder, i);
+  }
+
+ private:
+  static void tell(RunRecorder* recorder, std::int64_t i) {
+    AssociationFrame associations;
+    associations.frame_id = i;
+    associations.associations.resize(3);
+    recorder->record(associations);
+    LoopClosure loop;
+    loop.query_frame = i;
+    loop.match_frame = i / 2;
+    loop.accepted = i % 7 == 0;
+    loop.reason = loop.accepted ? LoopReason::kAccepted : LoopReason::kResidual;
+    loop.scale_covariance(6) = i % 5 == 0 ? 0.01 : 0.0;
+    LoopClosure into_earlier = loop;
+    into_earlier.T_earlier_match = SE3(Quaternion::Identity(), Vec3(5.0, 0.0, 0.0));
+    into_earlier.T_match_query.t.x() = 0.001 * static_cast<double>(i);
+    recorder->record(i, {loop, into_earlier}, 1.0);
+    MapCorrection correction;
+    correction.frame_id = i;
+    correction.T_map_odom.t.y() = 0.01 * static_cast<double>(i / 100);
+    recorder->record(correction);
+  }
+  std::int64_t late_;
+};
+
+TEST_F(RunRecorderTest, ALongRunsTablesAreCompleteHoweverLateItsStagesAndWheneverItIsSaved) {
+  constexpr std::int64_t kFrames = 12'000;
+  RunRecorder late(classes());
+  LongRun(0).play(&recorder_, 0, kFrames / 2);
+  write();
+  LongRun(0).play(&recorder_, kFrames / 2, kFrames);
+  write();
+  LongRun(40).play(&late, 0, kFrames);
+  ASSERT_TRUE(late.write(directory_.path("late")));
+  for (const char* name : {"trajectory_live.txt", "trajectory.txt", "loops.csv", "relocalisations.csv",
+                           "loop_scales.csv", "associations.csv", "timing.csv", "summary.json", "keyframes.csv"}) {
+    EXPECT_TRUE(text(name) == read_whole(directory_.path(std::string("late/") + name))) << name;
+  }
+  const std::string live = text("trajectory_live.txt"), loops = text("loops.csv");
+  EXPECT_EQ(std::count(live.begin(), live.end(), '\n'), kFrames);
+  EXPECT_EQ(std::count(loops.begin(), loops.end(), '\n'), kFrames + 1);
+  const auto summary = nlohmann::json::parse(text("summary.json"));
+  EXPECT_EQ(summary["breaks"], kFrames / 1000);
+  EXPECT_EQ(summary["detections"], 3 * kFrames);
+  EXPECT_EQ(summary["loops"]["candidates"], kFrames);
+  EXPECT_EQ(summary["relocalisation"]["accepted"], 1000) << "the last thousand count";
+  EXPECT_NEAR(summary["relocalisation"]["earlier_map_from_odom"][0], 5.0, 1e-6);
+}
+
+TEST_F(RunRecorderTest, RowsThatCannotBeKeptAreAnErrorAndNothingIsReplaced) {
+  record_frames(true);
+  write();
+  const std::string before = text("loops.csv");
+  const char* folder = std::getenv("TMPDIR");
+  const std::string usual = folder != nullptr ? folder : "";
+  ::setenv("TMPDIR", directory_.path("none").c_str(), 1);
+  LongRun(0).play(&recorder_, 0, 12'000);
+  usual.empty() ? ::unsetenv("TMPDIR") : ::setenv("TMPDIR", usual.c_str(), 1);
+  const std::string error = recorder_.write(directory_.path("run")).message();
+  EXPECT_NE(error.find("cannot keep the rows of the run"), std::string::npos) << error;
+  EXPECT_EQ(text("loops.csv"), before);
+}
+
 }  // namespace
 }  // namespace semantic_topo_loop::core
