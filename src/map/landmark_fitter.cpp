@@ -127,7 +127,6 @@ bool LandmarkFitter::fit(const ViewSource& source, MappedLandmark* landmark) con
   Landmark& state = landmark->state;
   landmark->next_fit_at =
       state.observations + std::max(kMinNewViews, static_cast<int>(options_.refit_growth * state.observations));
-  landmark->fit_due = false;
   const std::vector<BoxView> views = fit_views(source, *landmark);
   const bool has_depth =
       std::any_of(views.begin(), views.end(), [](const BoxView& view) { return view.surface != nullptr; });

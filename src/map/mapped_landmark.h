@@ -98,7 +98,6 @@ struct LandmarkRecord {
   SeenFrom seen_from;
   std::int64_t last_stamp_ns = 0;
   int next_fit_at = 0;
-  bool fit_due = false;  ///< a correction moved its views
 };
 
 struct MappedLandmark : LandmarkRecord {

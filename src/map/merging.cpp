@@ -53,21 +53,21 @@ Remains remains_of(const KeyframePlaces& S_map_keyframe, const LandmarkRecord& l
 MappedLandmark restore(const KeyframePlaces& S_map_keyframe, const Remains& remains) {
   MappedLandmark landmark{remains.landmark, {}};
   landmark.state.ellipsoid = MergeHistory::place(S_map_keyframe, remains);
-  landmark.fit_due = landmark.state.mean_iou > 0.0;  // it was fitted in the map that has just been corrected
   return landmark;
 }
 
 }  // namespace
 
-double DuplicateTest::reach_m(const Ellipsoid& a, const Ellipsoid& b) {
-  return std::max(kMinReach_m, a.semi_axes.maxCoeff() + b.semi_axes.maxCoeff());
+double DuplicateTest::reach_m(double longest_a_m, double longest_b_m) {
+  return std::max(kMinReach_m, longest_a_m + longest_b_m);
 }
 
 bool DuplicateTest::is_duplicate(const MappedLandmark& a, const MappedLandmark& b, const ViewSource& views) const {
   const bool same = a.state.class_id == b.state.class_id;
   if (!same && !classes_.confusable(a.state.class_id, b.state.class_id)) return false;
   const double distance = (a.state.ellipsoid->center() - b.state.ellipsoid->center()).norm();
-  if (distance > reach_m(*a.state.ellipsoid, *b.state.ellipsoid)) return false;
+  if (distance > reach_m(a.state.ellipsoid->semi_axes.maxCoeff(), b.state.ellipsoid->semi_axes.maxCoeff()))
+    return false;
   const auto beside = a.seen_beside.find(b.state.id);
   const int common = beside == a.seen_beside.end() ? 0 : beside->second;
   const bool vetoed = common >= options_.merge_veto_share * b.state.observations;
@@ -151,7 +151,6 @@ MappedLandmark MergeHistory::split(const KeyframePlaces& S_map_keyframe, std::si
   survivor->state.observations -= merged.state.observations;
   survivor->sightings.add(merged.sightings, -1.0);
   for (const auto& [id, count] : merged.seen_beside) survivor->seen_beside[id] -= count;
-  survivor->fit_due = true;
   return merged;
 }
 

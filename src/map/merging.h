@@ -22,7 +22,8 @@ class DuplicateTest {
   /// True if b is a part of a that the detector boxed alone: little seen, inside a much-seen one of its class group.
   bool is_part(const MappedLandmark& a, const MappedLandmark& b, const ViewSource& views) const;
   /// Centres farther apart than this belong to two objects, whatever their boxes say.
-  static double reach_m(const Ellipsoid& a, const Ellipsoid& b);
+  /// @param longest_a_m, longest_b_m their longest semi-axes
+  static double reach_m(double longest_a_m, double longest_b_m);
 
  private:
   const QuadricMapperOptions& options_;

@@ -64,7 +64,11 @@ class QuadricMapper::Impl {
     T_map_odom_ = correction.T_map_odom;
     scale_ = correction.scale;
     if (correction.changed) {
-      const KeyframePlaces before = S_map_keyframe_;
+      KeyframePlaces before;  // of those that landmarks move with
+      for (const auto& [id, landmark] : landmarks_) {
+        const auto anchor = S_map_keyframe_.find(landmark.state.anchor_keyframe_id);
+        if (anchor != S_map_keyframe_.end()) before.insert(*anchor);
+      }
       for (const KeyframePose& keyframe : correction.keyframes) {
         const auto it = S_map_keyframe_.find(keyframe.keyframe_id);
         if (it != S_map_keyframe_.end()) it->second = Sim3(keyframe.T_map_camera, keyframe.scale);
@@ -230,26 +234,36 @@ class QuadricMapper::Impl {
   }
 
   void fit_due_landmarks() {
-    int refits = 0;
-    for (auto& [id, landmark] : landmarks_) {
-      if (landmark.state.observations >= landmark.next_fit_at && changed_.count(id) != 0) {
-        fit(&landmark);
-      } else if (landmark.fit_due && refits < kRefitsPerFrame) {
-        fit(&landmark);
-        ++refits;
-      }
+    for (const std::int64_t id : changed_) {
+      MappedLandmark& landmark = landmarks_.at(id);
+      if (landmark.state.observations >= landmark.next_fit_at) fit(&landmark);
+    }
+    for (int refits = 0; refits < kRefitsPerFrame && !fit_due_.empty();) {
+      const auto found = landmarks_.find(*fit_due_.begin());
+      fit_due_.erase(fit_due_.begin());
+      if (found == landmarks_.end()) continue;
+      fit(&found->second);
+      ++refits;
     }
   }
 
   void forget_stale_candidates(std::int64_t stamp_ns, MapUpdate* update) {
     for (auto it = landmarks_.begin(); it != landmarks_.end();) {
-      const double unseen_s = 1e-9 * static_cast<double>(stamp_ns - it->second.last_stamp_ns);
-      if (unseen_s > options_.forget_candidate_s && it->second.sightings.seen_s < options_.forget_candidate_seen_s) {
-        update->removed.push_back(it->first);
-        it = landmarks_.erase(it);
-      } else {
+      const auto& [id, landmark] = *it;
+      const double unseen_s = 1e-9 * static_cast<double>(stamp_ns - landmark.last_stamp_ns);
+      const bool is_short = landmark.sightings.seen_s < options_.forget_candidate_seen_s;
+      const bool is_candidate = landmark.state.state == LandmarkState::kCandidate;
+      if ((!is_short || unseen_s <= options_.forget_candidate_s) &&
+          (!is_candidate || unseen_s <= options_.forget_unconfirmed_s)) {
         ++it;
+        continue;
       }
+      for (const auto& [other, frames] : landmark.seen_beside) {
+        const auto neighbour = landmarks_.find(other);
+        if (neighbour != landmarks_.end()) neighbour->second.seen_beside.erase(id);
+      }
+      update->removed.push_back(id);
+      it = landmarks_.erase(it);
     }
   }
 
@@ -269,14 +283,43 @@ class QuadricMapper::Impl {
   void merge_duplicates(MapUpdate* update) {
     if (!options_.merge_duplicates) return;
     const std::vector<std::int64_t> ids = by_observations();
+    std::vector<std::pair<double, std::size_t>> along_x;  // centres, with the index of the id
+    double largest_m = 0.0;
     for (std::size_t i = 0; i < ids.size(); ++i) {
-      if (landmarks_.count(ids[i]) == 0) continue;
-      for (std::size_t j = i + 1; j < ids.size(); ++j) {
-        if (landmarks_.count(ids[j]) == 0) continue;
-        if (duplicates_.is_duplicate(landmarks_.at(ids[i]), landmarks_.at(ids[j]), views_))
-          merge(ids[i], ids[j], update);
+      const Ellipsoid& ellipsoid = *landmarks_.at(ids[i]).state.ellipsoid;
+      along_x.emplace_back(ellipsoid.center().x(), i);
+      largest_m = std::max(largest_m, ellipsoid.semi_axes.maxCoeff());
+    }
+    std::sort(along_x.begin(), along_x.end());
+    for (std::size_t i = 0; i < ids.size(); ++i) {
+      // A merge moves the survivor: what comes after is looked for about its new place.
+      for (std::optional<std::size_t> j = i; j && landmarks_.count(ids[i]) != 0;) {
+        j = next_duplicate(ids, i, *j + 1, along_x, largest_m);
+        if (j) merge(ids[i], ids[*j], update);
       }
     }
+  }
+
+  /// The first landmark from `begin` on that is the same object as the i-th.
+  std::optional<std::size_t> next_duplicate(const std::vector<std::int64_t>& ids, std::size_t i, std::size_t begin,
+                                            const std::vector<std::pair<double, std::size_t>>& along_x,
+                                            double largest_m) const {
+    constexpr double kRounding_m = 1e-6;
+    const MappedLandmark& landmark = landmarks_.at(ids[i]);
+    const double x = landmark.state.ellipsoid->center().x();
+    const double reach_m =
+        DuplicateTest::reach_m(landmark.state.ellipsoid->semi_axes.maxCoeff(), largest_m) + kRounding_m;
+    std::vector<std::size_t> near;
+    for (auto it = std::lower_bound(along_x.begin(), along_x.end(), std::pair(x - reach_m, std::size_t{0}));
+         it != along_x.end() && it->first <= x + reach_m; ++it) {
+      if (it->second >= begin) near.push_back(it->second);
+    }
+    std::sort(near.begin(), near.end());
+    const auto found = std::find_if(near.begin(), near.end(), [&](std::size_t j) {
+      const auto other = landmarks_.find(ids[j]);
+      return other != landmarks_.end() && duplicates_.is_duplicate(landmark, other->second, views_);
+    });
+    return found == near.end() ? std::nullopt : std::optional(*found);
   }
 
   void merge(std::int64_t survivor_id, std::int64_t merged_id, MapUpdate* update) {
@@ -298,11 +341,16 @@ class QuadricMapper::Impl {
       const auto holder = landmarks_.find(record.merge.survivor_id);
       if (!merged || !survivor || holder == landmarks_.end()) continue;
       const double apart = (merged->center() - survivor->center()).norm();
-      if (apart <= kUndoReach * DuplicateTest::reach_m(*merged, *survivor)) continue;
+      if (apart <= kUndoReach * DuplicateTest::reach_m(merged->semi_axes.maxCoeff(), survivor->semi_axes.maxCoeff()))
+        continue;
       const LandmarkMerge merge = record.merge;
       landmarks_[merge.merged_id] = merges_.split(S_map_keyframe_, i, &holder->second);
       update->unmerged.push_back(merge);
       changed_.insert({merge.merged_id, merge.survivor_id});
+      // They were fitted in the map that has just been corrected.
+      for (const std::int64_t id : {merge.merged_id, merge.survivor_id}) {
+        if (landmarks_.at(id).state.mean_iou > 0.0) fit_due_.insert(id);
+      }
     }
   }
 
@@ -315,7 +363,7 @@ class QuadricMapper::Impl {
     landmark->state.ellipsoid->T_world_quadric = S_new_old.pose(landmark->state.ellipsoid->T_world_quadric);
     landmark->state.ellipsoid->semi_axes *= S_new_old.scale;
     landmark->state.center_covariance *= S_new_old.scale * S_new_old.scale;
-    landmark->fit_due = landmark->state.mean_iou > 0.0;
+    if (landmark->state.mean_iou > 0.0) fit_due_.insert(landmark->state.id);
     changed_.insert(landmark->state.id);
   }
 
@@ -342,6 +390,7 @@ class QuadricMapper::Impl {
   }
 
   void fit(MappedLandmark* landmark) {
+    fit_due_.erase(landmark->state.id);
     if (fitter_.fit(views_, landmark)) changed_.insert(landmark->state.id);
   }
 
@@ -362,6 +411,7 @@ class QuadricMapper::Impl {
   double step_s_ = 0.0;  ///< the time that this frame stands for
   std::uint64_t map_version_ = 0;
   std::optional<std::int64_t> end_frame_id_;  ///< of the end frame, whose correction finishes the map
+  std::set<std::int64_t> fit_due_;            ///< a correction moved their views
   std::set<std::int64_t> changed_;            ///< by the update being made: to be published
   std::set<std::int64_t> touched_;            ///< to be published if the state changed
 };

@@ -30,11 +30,14 @@ Result<Frame> FrameBuilder::build(const PoseSample& sample) {
   }
   frame.is_keyframe = !last_keyframe_ || frame.is_break;
   if (!frame.is_keyframe) {
+    // A robot that is parked for a day shows nothing new; odometry from images moves by less while it stands.
+    constexpr double kStill_m = 0.01, kStill_deg = 0.25;
     const double dt_s = 1e-9 * static_cast<double>(sample.stamp_ns - last_keyframe_->stamp_ns);
+    const double distance_m = (sample.T_odom_camera.t - last_keyframe_->T_odom_camera.t).norm();
+    const double angle_deg = degrees(rotation_angle(sample.T_odom_camera.q, last_keyframe_->T_odom_camera.q));
+    const bool has_waited = dt_s >= options_.max_interval_s && (distance_m >= kStill_m || angle_deg >= kStill_deg);
     frame.is_keyframe =
-        dt_s >= options_.max_interval_s ||
-        (sample.T_odom_camera.t - last_keyframe_->T_odom_camera.t).norm() >= options_.min_translation_m ||
-        degrees(rotation_angle(sample.T_odom_camera.q, last_keyframe_->T_odom_camera.q)) >= options_.min_rotation_deg;
+        has_waited || distance_m >= options_.min_translation_m || angle_deg >= options_.min_rotation_deg;
   }
   frame.keyframe_id = (last_keyframe_ ? last_keyframe_->keyframe_id : -1) + (frame.is_keyframe ? 1 : 0);
   last_ = frame;

@@ -92,6 +92,18 @@ TEST_P(EveryMode, QuadricBringsALandmarkBackAfterALongAbsence) {
   EXPECT_EQ(result.map_version, associator.map_version());
 }
 
+TEST_P(EveryMode, FollowsTheMapWhenACorrectionMovesIt) {
+  ObjectAssociator associator(options(GetParam()), classes());
+  const Box box = box_at(300.0, 220.0);
+  const std::int64_t id = associator.associate(frame_at(0), {{kCup, 0.9, box}}).associations[0].landmark_id;
+  MapUpdate update = sphere_update(associator, id, kCup, box);
+  update.T_map_odom = SE3(so3_exp(Vec3(0.1, 0.7, -0.2)), Vec3(3.0, -2.0, 1.0));
+  SE3& T_map_quadric = update.changed[0].ellipsoid->T_world_quadric;
+  T_map_quadric = update.T_map_odom * T_map_quadric;
+  ASSERT_TRUE(associator.apply(update));
+  EXPECT_EQ(associator.associate(frame_at(200), {{kCup, 0.9, box}}).associations[0].landmark_id, id);
+}
+
 TEST_P(EveryMode, LeavesOutDynamicIgnoredLowAndCoveredBoxes) {
   ObjectAssociator associator(options(GetParam()), classes());
   const AssociationFrame result = associator.associate(frame_at(0), {{kPerson, 0.9, box_at(100.0, 100.0)},

@@ -191,6 +191,49 @@ TEST_F(MapperTest, DuplicatesOfOneObjectMerge) {
   EXPECT_EQ(find(merges[0].survivor_id)->observations, 120);
 }
 
+TEST_F(MapperTest, WhatNoImageShowsWholeIsNotConfirmed) {
+  const std::vector<SE3> poses = arc(60, 90.0);
+  Ellipsoid book = kCup;
+  book.T_world_quadric.t += Vec3(0.3, 0.3, 0.0);
+  for (const SE3& pose : poses) step(pose, {{0, 41, kCup, kBottom}, {1, 73, book}});
+  EXPECT_EQ(find(1)->state, LandmarkState::kConfirmed);
+  ASSERT_TRUE(find(0)->ellipsoid) << "three sides bound it";
+  EXPECT_GT(find(0)->quality, QuadricMapperOptions().confirm_quality);
+  EXPECT_EQ(find(0)->state, LandmarkState::kCandidate);
+}
+
+TEST_F(MapperTest, UnrelatedClassesAtOnePlaceDoNotMerge) {
+  const std::vector<SE3> poses = arc(120, 120.0);
+  for (std::size_t i = 0; i < poses.size(); ++i) {
+    step(poses[i], {i % 2 == 0 ? Seen{0, 41, kCup} : Seen{1, 73, kCup}});
+  }
+  EXPECT_TRUE(end().merged.empty());
+  ASSERT_NE(find(0), nullptr);
+  ASSERT_NE(find(1), nullptr);
+  EXPECT_LT((find(0)->ellipsoid->center() - find(1)->ellipsoid->center()).norm(), 0.01);
+}
+
+/// Many objects, each mapped three times: what is looked for beside a landmark is all that can be the same as it.
+TEST_F(MapperTest, DuplicatesAreFoundAmongManyObjects) {
+  constexpr int kObjects = 24;
+  const std::vector<SE3> poses = arc(60, 90.0);
+  for (int round = 0; round < 3; ++round) {
+    for (const SE3& pose : poses) {
+      std::vector<Seen> seen;
+      for (int i = 0; i < kObjects; ++i) {
+        Ellipsoid object = kCup;
+        object.T_world_quadric.t += Vec3(0.14 * (i % 5 - 2), 0.14 * (i / 5 - 2), 0.0);
+        if (i % 3 == round) object.semi_axes *= 1.2;
+        seen.push_back({kObjects * round + i, 41, object});
+      }
+      step(pose, seen);
+    }
+  }
+  end();
+  EXPECT_EQ(mapper_.landmarks().size(), static_cast<std::size_t>(kObjects));
+  for (const Landmark& landmark : mapper_.landmarks()) EXPECT_EQ(landmark.observations, 3 * 60) << landmark.id;
+}
+
 TEST_F(MapperTest, ObjectsSeenSideBySideDoNotMerge) {
   Ellipsoid neighbour = kCup;
   neighbour.T_world_quadric.t += Vec3(0.0, 0.11, 0.0);
@@ -208,6 +251,30 @@ TEST_F(MapperTest, StaleCandidateIsGivenUp) {
     removed.insert(removed.end(), update.removed.begin(), update.removed.end());
   }
   EXPECT_EQ(removed, std::vector<std::int64_t>{0});
+}
+
+TEST_F(MapperTest, OfWhatIsUnseenForMinutesOnlyCandidatesAreGivenUp) {
+  QuadricMapperOptions options;
+  options.forget_unconfirmed_s = 6.0;
+  mapper_ = QuadricMapper(options, classes_);
+  Ellipsoid book = kCup;
+  book.T_world_quadric.t += Vec3(0.3, -0.3, 0.0);
+  for (const SE3& pose : arc(60, 90.0)) step(pose, {{0, 41, kCup}});
+  for (const SE3& pose : arc(30, 1.0)) step(pose, {{1, 73, book}});  // without parallax
+  ASSERT_EQ(find(0)->state, LandmarkState::kConfirmed);
+  std::vector<std::int64_t> removed;
+  const SE3 away = look_at(Vec3(1.5, 0.0, 0.8), Vec3(5.0, 0.0, 0.0));
+  Ellipsoid far = kCup;
+  far.T_world_quadric.t = Vec3(4.0, 0.0, 0.2);
+  for (int i = 0; i < 240; ++i) {
+    const MapUpdate update = step(away, {{2, 62, far}});
+    removed.insert(removed.end(), update.removed.begin(), update.removed.end());
+    if (i == 150) {
+      EXPECT_NE(find(1), nullptr) << "after 5 s";
+    }
+  }
+  EXPECT_EQ(removed, std::vector<std::int64_t>{1});
+  EXPECT_NE(find(0), nullptr);
 }
 
 TEST_F(MapperTest, NeverSeenAgainWhereExpectedIsRetired) {

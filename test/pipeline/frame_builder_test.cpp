@@ -41,7 +41,19 @@ TEST_F(FrameBuilderTest, RotationAndTimeMakeKeyframesToo) {
   EXPECT_FALSE(build(Vec3::Zero(), 5.0)->is_keyframe);
   EXPECT_TRUE(build(Vec3::Zero(), 8.0)->is_keyframe);
   EXPECT_FALSE(build(Vec3::Zero(), 8.0, 900000000)->is_keyframe);
-  EXPECT_TRUE(build(Vec3::Zero(), 8.0, 200000000)->is_keyframe);
+  EXPECT_TRUE(build(Vec3::Zero(), 8.5, 200000000)->is_keyframe);
+}
+
+TEST_F(FrameBuilderTest, AParkedRobotMakesNoKeyframesAndAMovedOneAtOnce) {
+  ASSERT_TRUE(build(Vec3::Zero()));
+  for (int i = 0; i < 1000; ++i) {
+    const auto frame = build(Vec3(0.001 * (i % 3), 0.0, 0.0), 0.05 * (i % 2), 500000000);
+    ASSERT_TRUE(frame);
+    EXPECT_FALSE(frame->is_keyframe || frame->is_break);
+    EXPECT_EQ(frame->keyframe_id, 0);
+  }
+  EXPECT_TRUE(build(Vec3(0.02, 0.0, 0.0))->is_keyframe);
+  EXPECT_FALSE(build(Vec3(0.04, 0.0, 0.0))->is_keyframe);
 }
 
 TEST_F(FrameBuilderTest, JumpOfTheOdometryAndAGapAreBreaks) {

@@ -25,6 +25,7 @@ class MapperFixture : public ::testing::Test {
     std::int64_t id;
     int class_id;
     Ellipsoid ellipsoid;
+    std::uint8_t truncated = 0;  ///< sides said to be cut by the border
   };
 
   MapUpdate step(const SE3& pose, const std::vector<Seen>& seen,
@@ -45,6 +46,7 @@ class MapperFixture : public ::testing::Test {
       association.landmark_id = object.id;
       if (object.id < 0) association.level = AssociationLevel::kIgnored;
       association.class_id = association.landmark_class_id = object.class_id;
+      association.truncated = object.truncated;
       association.box = *project_box(object.ellipsoid, projection_matrix(kMapperCamera, pose));
       associations.associations.push_back(association);
     }

@@ -25,6 +25,7 @@ struct QuadricMapperOptions {
   double confirm_quality = 0.3;
   double forget_candidate_s = 2.0;
   double forget_candidate_seen_s = 0.25;
+  double forget_unconfirmed_s = 300.0;
   double retire_seen_share = 0.02;
   double retire_expected_s = 7.0;
   double retire_missed_s = 4.0;
@@ -55,6 +56,8 @@ struct QuadricMapperOptions {
     visitor("confirm_quality", confirm_quality, share(), "quality rho of a confirmed landmark");
     visitor("forget_candidate_s", forget_candidate_s, positive(), "a candidate unseen for so long is given up");
     visitor("forget_candidate_seen_s", forget_candidate_seen_s, not_negative(), "unless it was seen for this long");
+    visitor("forget_unconfirmed_s", forget_unconfirmed_s, positive(),
+            "a candidate unseen for so long is given up, however long it was seen");
     visitor("retire_seen_share", retire_seen_share, share(), "a landmark is retired when seen / expected falls below");
     visitor("retire_expected_s", retire_expected_s, positive(), "and it was expected for this long");
     visitor("retire_missed_s", retire_missed_s, positive(),

@@ -21,7 +21,8 @@ struct KeyframeOptions {
     visitor.module("keyframe");
     visitor("min_translation_m", min_translation_m, positive(), "a keyframe after this motion since the last one");
     visitor("min_rotation_deg", min_rotation_deg, positive(), "a keyframe after this rotation since the last one");
-    visitor("max_interval_s", max_interval_s, positive(), "a keyframe after this time at the latest");
+    visitor("max_interval_s", max_interval_s, positive(),
+            "a keyframe after this time at the latest, unless the camera stands still");
     visitor("break_speed_m_s", break_speed_m_s, positive(),
             "faster motion between two frames is a break of the odometry");
     visitor("break_rate_deg_s", break_rate_deg_s, positive(), "faster rotation between two frames is a break");
