@@ -48,7 +48,7 @@ class LoopDetector::Impl {
   }
 
   std::vector<LoopClosure> detect(const Frame& frame, const AssociationFrame& associations) {
-    if (frame.is_end) return {};
+    if (frame.is_end || !frame.T_odom_camera.is_finite()) return {};
     if (frame.is_keyframe) keyframes_[frame.keyframe_id] = {frame.frame_id, frame.stamp_ns};
     if (frame.stamp_ns < settled_ns_) return {};
     const bool taken = window_.push(frame, associations);
@@ -95,7 +95,7 @@ class LoopDetector::Impl {
 
   std::vector<LocalMap> submaps() const {
     std::vector<LocalMap> submaps;
-    for (const GraphDetector::StoredMap& stored : graph_.submaps()) submaps.push_back(stored.map);
+    for (const auto& [number, stored] : graph_.submaps()) submaps.push_back(stored.map);
     return submaps;
   }
 
@@ -137,14 +137,14 @@ class LoopDetector::Impl {
     return {PairStatus::kVerified, text.str(), closure};
   }
 
-  std::optional<std::size_t> submap_about(std::int64_t keyframe_id) const {
+  std::optional<int> submap_about(std::int64_t keyframe_id) const {
     const KeyframeTime& keyframe = keyframes_.at(keyframe_id);
     return graph_.submap_about(keyframe.frame_id, keyframe.stamp_ns);
   }
 
   /// Places are compared by submaps, each of which speaks for all keyframes that it spans.
   LoopExplanation explain_by_submaps(std::int64_t query_id, std::int64_t match_id) const {
-    const std::optional<std::size_t> query = submap_about(query_id), match = submap_about(match_id);
+    const std::optional<int> query = submap_about(query_id), match = submap_about(match_id);
     if (match) {
       const LoopFigures* loop = record_.find(query_id, anchor(*match));
       if (loop == nullptr && query) loop = record_.find(anchor(*query), anchor(*match));
@@ -153,7 +153,8 @@ class LoopDetector::Impl {
     if (!query || !match) {
       return {PairStatus::kNoSubmap,
               "no submap was kept about keyframe " + std::to_string(match ? query_id : match_id) +
-                  ": too few objects or too little time since the start, a break or a jump of the odometry",
+                  ": too few objects or too little time since the start, a break or a jump of the odometry, or others "
+                  "that see the place alike tell more",
               std::nullopt};
     }
     if (*query <= *match) {
@@ -170,15 +171,15 @@ class LoopDetector::Impl {
     return answer;
   }
 
-  PairStatus status(std::size_t query, std::size_t match, const GraphDetector::Comparison& comparison) const {
+  PairStatus status(int query, int match, const GraphDetector::Comparison& comparison) const {
     if (gap_s(query, match) < options_.min_gap_s) return PairStatus::kTooRecent;
     if (!comparison.proposed) return PairStatus::kNotProposed;
     return comparison.closure ? PairStatus::kNotAttempted : PairStatus::kNoAlignment;
   }
 
-  const LocalMap& submap(std::size_t number) const { return graph_.submaps()[number].map; }
-  std::int64_t anchor(std::size_t number) const { return submap(number).keyframe_id; }
-  double gap_s(std::size_t query, std::size_t match) const {
+  const LocalMap& submap(int number) const { return graph_.submaps().at(number).map; }
+  std::int64_t anchor(int number) const { return submap(number).keyframe_id; }
+  double gap_s(int query, int match) const {
     return 1e-9 * static_cast<double>(submap(query).stamp_ns - submap(match).stamp_ns);
   }
 

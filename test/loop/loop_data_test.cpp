@@ -66,6 +66,22 @@ const Recording& office() {
   return recording;
 }
 
+const Recording& desk() {
+  static const Recording recording =
+      record("fr2_desk", "orbslam2_rgbd_trajectory.txt", "detections_yolov5.json", "tum_fr2.yaml", 2900);
+  return recording;
+}
+
+/// Both recordings, the desk and the office.
+class LoopData : public ::testing::TestWithParam<const Recording& (*)()> {
+ protected:
+  void SetUp() override {
+    if (recording().empty()) GTEST_SKIP() << "SEMANTIC_TOPO_LOOP_DATA is not set";
+  }
+  static const Recording& recording() { return GetParam()(); }
+};
+INSTANTIATE_TEST_SUITE_P(Recorded, LoopData, ::testing::Values(&desk, &office));
+
 std::vector<LoopClosure> replay(const Recording& recording) {
   LoopDetector detector(LoopOptions(), shared_coco());
   std::vector<LoopClosure> loops;
@@ -136,23 +152,21 @@ std::pair<int, int> across(const std::vector<LoopClosure>& loops, std::int64_t f
   return {candidates, accepted};
 }
 
-TEST(LoopData, TheOdometrysWorldDoesNotMatter) {
-  if (office().empty()) GTEST_SKIP() << "SEMANTIC_TOPO_LOOP_DATA is not set";
+TEST_P(LoopData, TheOdometrysWorldDoesNotMatter) {
   const SE3 T_other_world(so3_exp(Vec3(2.0, -0.7, 1.1)), Vec3(4.0, -3.0, 2.0));
-  Recording moved = office();
+  Recording moved = recording();
   for (Step& step : moved) step.frame.T_odom_camera = T_other_world * step.frame.T_odom_camera;
-  const auto pairs = accepted_pairs(replay(office())), moved_pairs = accepted_pairs(replay(moved));
+  const auto pairs = accepted_pairs(replay(recording())), moved_pairs = accepted_pairs(replay(moved));
   ASSERT_GE(pairs.size(), 20u);
   std::size_t shared = 0;
   for (const auto& pair : pairs) shared += moved_pairs.count(pair);
   EXPECT_GE(static_cast<double>(shared), 0.95 * static_cast<double>(pairs.size()));
 }
 
-TEST(LoopData, LandmarksDoNotMatter) {
+TEST_P(LoopData, LandmarksDoNotMatter) {
   // A correction of the map, a false one too, changes what the boxes are associated with, and not which loops are
   // found.
-  if (office().empty()) GTEST_SKIP() << "SEMANTIC_TOPO_LOOP_DATA is not set";
-  Recording other = office();
+  Recording other = recording();
   std::int64_t id = 0;
   for (Step& step : other) {
     step.merged.clear();
@@ -162,15 +176,14 @@ TEST(LoopData, LandmarksDoNotMatter) {
       association.landmark_class_id = association.class_id;
     }
   }
-  const auto pairs = accepted_pairs(replay(office()));
+  const auto pairs = accepted_pairs(replay(recording()));
   ASSERT_GE(pairs.size(), 20u);
   EXPECT_EQ(accepted_pairs(replay(other)), pairs);
 }
 
-TEST(LoopData, ClosesAcrossARestart) {
-  if (office().empty()) GTEST_SKIP() << "SEMANTIC_TOPO_LOOP_DATA is not set";
+TEST_P(LoopData, ClosesAcrossARestart) {
   const SE3 T_other_world(so3_exp(Vec3(0.5, 1.7, -1.1)), Vec3(-1.0, 3.0, 2.0));
-  Recording restarted = office();
+  Recording restarted = recording();
   const std::size_t middle = restarted.size() / 2;
   for (std::size_t i = middle; i < restarted.size(); ++i) {
     restarted[i].frame.T_odom_camera = T_other_world * restarted[i].frame.T_odom_camera;
@@ -183,8 +196,8 @@ TEST(LoopData, ClosesAcrossARestart) {
   for (const LoopClosure& loop : replay(restarted)) {
     const auto first = static_cast<std::int64_t>(middle);
     if (!loop.accepted || loop.query_frame < first || loop.match_frame >= first) continue;
-    const SE3 truth = office()[static_cast<std::size_t>(loop.match_frame)].frame.T_odom_camera.inverse() *
-                      office()[static_cast<std::size_t>(loop.query_frame)].frame.T_odom_camera;
+    const SE3 truth = recording()[static_cast<std::size_t>(loop.match_frame)].frame.T_odom_camera.inverse() *
+                      recording()[static_cast<std::size_t>(loop.query_frame)].frame.T_odom_camera;
     const bool is_right =
         (loop.T_match_query.t - truth.t).norm() < 0.35 && degrees(rotation_angle(loop.T_match_query.q, truth.q)) < 10.0;
     ++(is_right ? right : wrong);
@@ -193,7 +206,7 @@ TEST(LoopData, ClosesAcrossARestart) {
   EXPECT_LE(wrong, right / 100);
 }
 
-TEST(LoopData, ARunInAnUnknownFrameIsPlacedInAnEarlierMap) {
+TEST(LoopDataOfTheOffice, ARunInAnUnknownFrameIsPlacedInAnEarlierMap) {
   if (office().empty()) GTEST_SKIP() << "SEMANTIC_TOPO_LOOP_DATA is not set";
   const SE3 T_other_world(so3_exp(Vec3(-0.4, 1.3, 2.1)), Vec3(2.0, -3.0, 1.0));
   const auto middle = office().begin() + static_cast<std::ptrdiff_t>(office().size() / 2);
@@ -213,19 +226,17 @@ TEST(LoopData, ARunInAnUnknownFrameIsPlacedInAnEarlierMap) {
   EXPECT_GE(found->agreeing, 20);
 }
 
-TEST(LoopData, TheMirrorImageIsNoLoop) {
-  if (office().empty()) GTEST_SKIP() << "SEMANTIC_TOPO_LOOP_DATA is not set";
+TEST_P(LoopData, TheMirrorImageIsNoLoop) {
   const auto [candidates, accepted] =
-      across(replay(append(office(), mirrored(office()))), static_cast<std::int64_t>(office().size()));
+      across(replay(append(recording(), mirrored(recording()))), static_cast<std::int64_t>(recording().size()));
   EXPECT_GT(candidates, 100);
   EXPECT_EQ(accepted, 0);
 }
 
-TEST(LoopData, AnotherPlaceIsNoLoop) {
-  const Recording desk =
-      record("fr2_desk", "orbslam2_rgbd_trajectory.txt", "detections_yolov5.json", "tum_fr2.yaml", 900);
-  if (desk.empty()) GTEST_SKIP() << "SEMANTIC_TOPO_LOOP_DATA is not set";
-  const auto [candidates, accepted] = across(replay(append(desk, office())), static_cast<std::int64_t>(desk.size()));
+TEST(LoopDataOfBoth, AnotherPlaceIsNoLoop) {
+  if (desk().empty()) GTEST_SKIP() << "SEMANTIC_TOPO_LOOP_DATA is not set";
+  const auto [candidates, accepted] =
+      across(replay(append(desk(), office())), static_cast<std::int64_t>(desk().size()));
   EXPECT_GT(candidates, 0);
   EXPECT_EQ(accepted, 0);
 }

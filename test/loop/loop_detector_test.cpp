@@ -2,9 +2,12 @@
 
 #include <gtest/gtest.h>
 
+#include <algorithm>
 #include <cmath>
+#include <functional>
 #include <limits>
 #include <map>
+#include <optional>
 #include <set>
 #include <utility>
 
@@ -126,25 +129,44 @@ TEST(LoopDetector, IsDeterministic) {
   }
 }
 
-TEST(LoopDetector, AnotherDeskIsNoLoop) {
-  for (std::uint64_t seed = 1; seed <= 5; ++seed) {
-    RunSetup setup = drifted_revisit(seed);
-    const RunSetup other = drifted_revisit(seed + 100);
-    // The second visit sees another desk: objects at another place, shown by ids and truth alike.
-    LoopDetector detector(LoopOptions(), testing::desk_classes());
-    FrameBuilder builder(KeyframeOptions(), testing::desk_camera());
-    std::mt19937_64 random(1);
-    for (std::int64_t k = 0; k < 420; ++k) {
-      const double time_s = 0.1 * static_cast<double>(k);
-      PoseSample sample;
-      sample.stamp_ns = k * 100'000'000;
-      sample.T_odom_camera = testing::desk_pose(setup.visits, time_s);
-      const auto frame = builder.build(sample);
-      const auto& desk = time_s < 20.0 ? setup.desk : other.desk;
-      const auto associations = testing::observe(desk, *frame, sample.T_odom_camera, time_s < 20.0 ? 0 : 500, random);
-      for (const LoopClosure& loop : detector.detect(*frame, associations)) EXPECT_FALSE(loop.accepted);
-    }
+/// Two visits, of which the second sees the desk `second`. @param spoil changes what a frame is told of its boxes
+std::vector<LoopClosure> two_visits(
+    const RunSetup& setup, const std::vector<testing::DeskObject>& second,
+    const std::function<void(std::int64_t, Frame*, AssociationFrame*)>& spoil = [](auto...) {}) {
+  LoopDetector detector(LoopOptions(), testing::desk_classes());
+  FrameBuilder builder(KeyframeOptions(), testing::desk_camera());
+  std::mt19937_64 random(1);
+  std::vector<LoopClosure> loops;
+  for (std::int64_t k = 0; k < 420; ++k) {
+    const double time_s = 0.1 * static_cast<double>(k);
+    PoseSample sample;
+    sample.stamp_ns = k * 100'000'000;
+    sample.T_odom_camera = testing::desk_pose(setup.visits, time_s);
+    Frame frame = *builder.build(sample);
+    const bool is_first = time_s < 20.0;
+    AssociationFrame associations =
+        testing::observe(is_first ? setup.desk : second, frame, sample.T_odom_camera, is_first ? 0 : 500, random);
+    spoil(k, &frame, &associations);
+    for (LoopClosure& loop : detector.detect(frame, associations)) loops.push_back(std::move(loop));
   }
+  return loops;
+}
+
+int accepted(const std::vector<LoopClosure>& loops) {
+  return static_cast<int>(std::count_if(loops.begin(), loops.end(), [](const auto& loop) { return loop.accepted; }));
+}
+
+TEST(LoopDetector, AnotherDeskIsNoLoop) {
+  // The second visit sees another desk: objects at another place, shown by ids and truth alike.
+  std::size_t candidates = 0;
+  for (std::uint64_t seed = 1; seed <= 5; ++seed) {
+    const RunSetup setup = drifted_revisit(seed);
+    const std::vector<LoopClosure> loops = two_visits(setup, drifted_revisit(seed + 100).desk);
+    EXPECT_EQ(accepted(loops), 0) << seed;
+    EXPECT_GE(accepted(two_visits(setup, setup.desk)), 5) << seed << ": the same one is";
+    candidates += loops.size();
+  }
+  EXPECT_GT(candidates, 0U) << "some looked alike at first";
 }
 
 TEST(LoopDetector, TwoIdenticalGroupsAreAmbiguous) {
@@ -235,9 +257,11 @@ TEST(LoopDetector, AbstainsBetweenIdenticalDesksOfDifferentSubmaps) {
 TEST(LoopDetector, AbstainsInAGridOfIdenticalDesks) {
   AlikeDesks desks;
   for (int i = 0; i < 9; ++i) desks.middles.emplace_back(3.0 * (i % 3), 3.0 * (i / 3), 0.7);
-  desks.visits = {0, 8, 4};
+  desks.visits = {0, 8, 4, 2, 6, 1, 3, 5, 7};
   desks.visit_s = 8.0;
   expect_abstention(desks.run(5));
+  desks.visits = {0, 8, 4};
+  for (std::uint64_t seed = 6; seed <= 8; ++seed) expect_abstention(desks.run(seed));
 }
 
 TEST(LoopDetector, PaperModeCorrectsADriftedRevisit) {
@@ -274,6 +298,38 @@ TEST(LoopDetector, PaperModeNeedsSharedIdsGapAndScore) {
   for (const LoopClosure& loop : outcome.loops) EXPECT_EQ(loop.reason, LoopReason::kLowScore);
 }
 
+/// So many visits of 12 s to one side of a desk, half a minute apart.
+RunSetup many_visits(int visits) {
+  RunSetup setup;
+  setup.desk = random_desk(2, 12);
+  for (int v = 0; v < visits; ++v) setup.visits.push_back({30.0 * v, 30.0 * v + 12.0, 0.0, 80.0});
+  setup.end_s = setup.visits.back().end_s;
+  return setup;
+}
+
+TEST(LoopDetector, SubmapsOfAKnownPlaceDoNotPileUp) {
+  const auto submaps_after = [](int visits, bool enabled) {
+    LoopOptions options;
+    options.enabled = enabled;
+    std::size_t kept = 0;
+    run(options, many_visits(visits), [&kept](const LoopDetector& detector) { kept = detector.submaps().size(); });
+    return kept;
+  };
+  const std::size_t few = submaps_after(3, true), many = submaps_after(12, true), more = submaps_after(24, true);
+  EXPECT_GE(few, 5U);
+  EXPECT_GT(many, few) << "several visits are kept";
+  EXPECT_LE(more, many + 2) << "but not all";
+  EXPECT_LE(submaps_after(24, false), many + 2) << "also while loops are not looked for";
+}
+
+TEST(LoopDetector, AKnownPlaceIsRecognisedAtEveryVisit) {
+  const RunOutcome outcome = run(LoopOptions(), many_visits(24));
+  std::map<std::int64_t, int> accepted;  // by visit
+  for (const LoopClosure& loop : outcome.loops) accepted[loop.query_stamp_ns / 30'000'000'000] += loop.accepted ? 1 : 0;
+  for (int visit = 1; visit < 24; ++visit) EXPECT_GE(accepted[visit], 5) << visit;
+  expect_right(outcome);
+}
+
 TEST(LoopDetector, CanBeSwitchedOff) {
   LoopOptions options;
   options.enabled = false;
@@ -281,59 +337,66 @@ TEST(LoopDetector, CanBeSwitchedOff) {
 }
 
 TEST(LoopDetector, DegenerateScenesGiveNoLoopAndNoNan) {
-  std::vector<std::vector<testing::DeskObject>> desks;
-  desks.push_back({});
-  desks.push_back(random_desk(1, 2));
-  auto line = random_desk(1, 9);
+  auto line = random_desk(1, 9), one_class = random_desk(1, 10), coincident = random_desk(1, 6);
   for (std::size_t i = 0; i < line.size(); ++i) {
     line[i].spheroid.center = Vec3(-0.8 + 0.2 * static_cast<double>(i), 0.0, 0.75);
   }
-  desks.push_back(line);
-  auto one_class = random_desk(1, 10);
   for (auto& object : one_class) object.class_id = 3;
-  desks.push_back(one_class);
-  auto coincident = random_desk(1, 6);
   for (auto& object : coincident) object.spheroid.center = Vec3(0.0, 0.0, 0.8);
-  desks.push_back(coincident);
+  struct Scene {
+    std::vector<testing::DeskObject> desk;
+    std::optional<LoopReason> reason;  ///< of most candidates of graph mode; none: there are no candidates
+  };
+  const Scene scenes[] = {{{}, std::nullopt},
+                          {random_desk(1, 2), std::nullopt},
+                          {line, LoopReason::kDegenerate},
+                          {one_class, LoopReason::kTooFewLabels},
+                          {coincident, std::nullopt}};
   for (const char* mode : {"graph", "paper"}) {
-    for (const auto& desk : desks) {
+    const bool is_graph = std::string(mode) == "graph";
+    for (const Scene& scene : scenes) {
       LoopOptions options;
       options.mode = mode;
       options.paper_min_gap_frames = 150;
       RunSetup setup = drifted_revisit(1);
-      setup.desk = desk;
+      setup.desk = scene.desk;
       setup.same_ids = true;
-      for (const LoopClosure& loop : run(options, setup).loops) {
+      const RunOutcome outcome = run(options, setup);
+      std::map<LoopReason, int> reasons;
+      for (const LoopClosure& loop : outcome.loops) {
         ASSERT_TRUE(loop.T_match_query.is_finite());
         ASSERT_TRUE(std::isfinite(loop.score));
-        EXPECT_FALSE(loop.accepted && std::string(mode) == "graph");
+        ++reasons[loop.reason];
+        // Paper mode asks of the shared ids alone; what it accepts must be right all the same.
+        EXPECT_TRUE(!loop.accepted || error_m(loop.T_match_query, outcome.truth(loop)) < 0.15) << mode;
       }
+      if (!is_graph) continue;
+      EXPECT_EQ(reasons[LoopReason::kAccepted], 0);
+      EXPECT_EQ(outcome.loops.empty(), !scene.reason.has_value());
+      const int of_the_reason = scene.reason ? reasons[*scene.reason] : 1;
+      EXPECT_GT(2 * of_the_reason, static_cast<int>(outcome.loops.size()));
     }
   }
 }
 
 TEST(LoopDetector, BrokenBoxesAndPosesAreSurvived) {
-  LoopDetector detector(LoopOptions(), testing::desk_classes());
   const double nan = std::numeric_limits<double>::quiet_NaN();
-  for (std::int64_t k = 0; k < 400; ++k) {
-    Frame frame;
-    frame.frame_id = frame.keyframe_id = k;
-    frame.is_keyframe = true;
-    frame.stamp_ns = k * 100'000'000;
-    frame.camera = testing::desk_camera();
-    frame.T_odom_camera.t.x() = k % 3 == 0 ? nan : 0.01 * static_cast<double>(k);
-    AssociationFrame associations;
+  const auto spoil = [nan](std::int64_t k, Frame* frame, AssociationFrame* associations) {
+    if (k % 20 == 0) frame->T_odom_camera.t.x() = nan;
     for (int i = 0; i < 6; ++i) {
       Association association;
       association.class_id = i;
       association.landmark_id = i;
-      association.box = i % 2 == 0 ? Box{nan, 10, 20, 30} : Box{10.0 * i, 10, 10.0 * i + 5, 30};
-      associations.associations.push_back(association);
+      association.box = i % 2 == 0 ? Box{nan, 10, 20, 30} : Box{10.0 * i, 10, 10.0 * i - 5, 30};
+      associations->associations.push_back(association);
     }
-    for (const LoopClosure& loop : detector.detect(frame, associations)) {
-      EXPECT_FALSE(loop.accepted);
-      EXPECT_TRUE(loop.T_match_query.is_finite());
-    }
+  };
+  const RunSetup setup = drifted_revisit(2);
+  const std::vector<LoopClosure> loops = two_visits(setup, setup.desk, spoil);
+  EXPECT_GE(accepted(loops), 5) << "what is not broken is recognised";
+  for (const LoopClosure& loop : loops) {
+    EXPECT_TRUE(loop.T_match_query.is_finite());
+    EXPECT_TRUE(loop.covariance.allFinite());
   }
 }
 

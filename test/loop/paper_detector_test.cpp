@@ -51,13 +51,14 @@ TEST(PaperScore, PrintedScoreTakesHalfScaleAndHalfAMetreForPerfect) {
 }
 
 TEST(PaperScore, PrintedScoreIsBlindToRotationAndGrowsWithTheNodes) {
-  // Turned about each start node, so that t stays zero: both ends of one vector.
-  const CommonNode start{Vec3::Zero(), Vec3::Zero(), 1.0};
-  const CommonNode along{Vec3::UnitX(), Vec3::UnitX(), 1.0}, across{Vec3::UnitX(), Vec3::UnitY(), 1.0};
-  EXPECT_NEAR(vector_transform(start, across).t.norm(), 0.0, 1e-12);
-  EXPECT_NEAR(vector_transform(start, across).angle_rad, kPi / 2, 1e-12);
-  EXPECT_NEAR(std::abs(vector_transform(start, along).scale + vector_transform(start, along).t.norm()),
-              std::abs(vector_transform(start, across).scale + vector_transform(start, across).t.norm()), 1e-12);
+  // Two nodes that the camera turns about, on its axis: t is zero both ways, and only the turn differs.
+  const Vec3 near(0.0, 0.0, 1.0), far(0.0, 0.0, 2.0);
+  const auto score = [&](auto score_of, const Quaternion& turn) {
+    return score_of({{near, turn * near, 1.0}, {far, turn * far, 1.0}});
+  };
+  const Quaternion none = Quaternion::Identity(), quarter = so3_exp(Vec3(kPi / 2, 0.0, 0.0));
+  EXPECT_NEAR(score(printed_score, quarter), score(printed_score, none), 1e-9);
+  EXPECT_LT(score(corrected_score, quarter), 0.6 * score(corrected_score, none));
 
   std::vector<CommonNode> nodes = nodes_at(SE3(), 1.0, 1.0);
   EXPECT_NEAR(printed_score(nodes), 12.0, 1e-9);

@@ -242,6 +242,12 @@ TEST(LoopVerifier, AcceptsTheTruthAndTellsWhatFails) {
   changed = match;
   changed.pairs.resize(5);
   EXPECT_EQ(verifier.verify(a.map, b.map, changed, 2.0).reason, LoopReason::kTooFewInliers);
+  LocalMap askew = b.map;
+  askew.up.direction = so3_exp(radians(25.0) * askew.up.direction.unitOrthogonal()) * askew.up.direction;
+  ASSERT_TRUE(a.map.up.certain && askew.up.certain);
+  EXPECT_EQ(verifier.verify(a.map, askew, match, 2.0).reason, LoopReason::kTilt);
+  askew.up.certain = false;
+  EXPECT_NE(verifier.verify(a.map, askew, match, 2.0).reason, LoopReason::kTilt);
   changed = match;
   const Vec3 up = a.map.up.direction;
   const Vec3 middle = match.T_a_b * b.map.objects.front().spheroid.center;
@@ -266,7 +272,18 @@ TEST(LoopVerifier, RejectsAMirroredWorld) {
   match.T_a_b = SE3(so3_exp(Vec3(kPi, 0, 0)), Vec3::Zero());
   for (int i = 0; i < 8; ++i) match.pairs.push_back({i, i});
   EXPECT_TRUE(LoopVerifier::is_mirrored(a, b, match));
-  EXPECT_FALSE(LoopVerifier::is_mirrored(a, a, {SE3(), 1.0, match.pairs, 0, 0.0, 0.0, Vec3::Zero()}));
+  GraphMatch same = match;
+  same.T_a_b = SE3();
+  EXPECT_FALSE(LoopVerifier::is_mirrored(a, a, same));
+  // No residual shows it: all that is said of the match is perfect.
+  for (GraphMatch* perfect : {&match, &same}) {
+    perfect->classes = 5;
+    perfect->score = 8.0;
+    perfect->spread_m = Vec3(0.5, 0.3, 0.0);
+  }
+  const LoopVerifier verifier{LoopOptions()};
+  EXPECT_EQ(verifier.verify(a, b, match, 0.0).reason, LoopReason::kMirrored);
+  EXPECT_NE(verifier.verify(a, a, same, 0.0).reason, LoopReason::kMirrored);
 }
 
 TEST(LoopVerifier, ComparesUpDirectionsOnlyWhenCertain) {

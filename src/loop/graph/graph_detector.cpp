@@ -5,6 +5,8 @@
 #include <iterator>
 #include <set>
 
+#include "semantic_topo_loop/geometry/lie.h"
+
 namespace semantic_topo_loop::core {
 namespace {
 
@@ -29,6 +31,10 @@ constexpr int kMinEdges = kMinCandidateInliers * (kMinCandidateInliers - 1) / 2;
 constexpr double kMinSpanShare = 0.8;
 /// Submaps that share more than this of their time tell of one place.
 constexpr double kSamePlace = 0.5;
+/// Submaps whose anchors are no farther apart see a place alike, as two visits that cannot be told apart do. So many of
+/// them are enough: a handful of visits, of which each leaves one or two.
+constexpr double kAlike_m = 1.0, kAlike_rad = 0.5;
+constexpr std::size_t kEnough = 8;
 /// An odometry without a noticed break is at most this wrong over a short time, jumps that nobody saw included.
 constexpr double kMinDisagreement_m = 2.5;
 constexpr double kDriftDepth_m = 2.0;  ///< of the usual object: turns apparent drift, an angle, into metres
@@ -86,6 +92,16 @@ void SubmapIndex::insert(const std::vector<LabelledPoint>& points) {
   ++size_;
 }
 
+void SubmapIndex::erase(int number, const std::vector<LabelledPoint>& points) {
+  for_each_pair(points, options_.min_distance_m, [this, number](int p, int q, double distance) {
+    const auto entry = submaps_of_.find(key(p, q, bin(distance)));
+    if (entry == submaps_of_.end()) return;
+    std::vector<int>& submaps = entry->second;
+    submaps.erase(std::remove(submaps.begin(), submaps.end(), number), submaps.end());
+    if (submaps.empty()) submaps_of_.erase(entry);
+  });
+}
+
 std::vector<int> SubmapIndex::agreeing_pairs(const std::vector<LabelledPoint>& points, int end) const {
   std::vector<int> edges(static_cast<std::size_t>(std::max(end, 0)), 0);
   std::vector<int> last_pair(edges.size(), -1);
@@ -128,10 +144,10 @@ GraphDetector::GraphDetector(const LoopOptions& options)
     : options_(options), index_(options), matcher_(options, kMinCandidateInliers), verifier_(options) {}
 
 int GraphDetector::old_enough(const LocalMap& query) const {
-  const auto recent = std::find_if(maps_.begin(), maps_.end(), [&](const StoredMap& stored) {
-    return static_cast<double>(query.stamp_ns - stored.map.stamp_ns) < 1e9 * options_.min_gap_s;
+  const auto recent = std::find_if(maps_.begin(), maps_.end(), [&](const auto& stored) {
+    return static_cast<double>(query.stamp_ns - stored.second.map.stamp_ns) < 1e9 * options_.min_gap_s;
   });
-  return static_cast<int>(recent - maps_.begin());
+  return recent == maps_.end() ? index_.size() : recent->first;
 }
 
 /// With a free scale the index is asked at every scale that its tolerance tells from the next.
@@ -165,36 +181,56 @@ std::vector<LoopClosure> GraphDetector::detect(const LocalMap& query) {
 void GraphDetector::store(LocalMap map) {
   if (static_cast<int>(map.objects.size()) < kMinCandidateInliers) return;
   if (map.span_s < kMinSpanShare * options_.min_window_s) return;
-  const bool due =
-      maps_.empty() || static_cast<double>(map.stamp_ns - maps_.back().map.stamp_ns) >= 1e9 * options_.store_interval_s;
-  if (due) insert(std::move(map));
+  const bool due = maps_.empty() || static_cast<double>(map.stamp_ns - maps_.rbegin()->second.map.stamp_ns) >=
+                                        1e9 * options_.store_interval_s;
+  if (!due) return;
+  make_room(map);
+  insert(std::move(map));
+}
+
+void GraphDetector::make_room(const LocalMap& map) {
+  const std::vector<LabelledPoint> points = graph_of(map);
+  std::vector<int> alike;
+  for (const int number : propose(points, old_enough(map))) {
+    const std::vector<GraphMatch> matches = matcher_.match(maps_.at(number).points, points);
+    if (matches.empty() || static_cast<int>(matches.front().pairs.size()) < options_.min_inliers) continue;
+    const SE3& T_kept_map = matches.front().T_a_b;
+    const bool is_near =
+        T_kept_map.t.norm() <= kAlike_m && rotation_angle(T_kept_map.q, Quaternion::Identity()) <= kAlike_rad;
+    if (is_near) alike.push_back(number);
+  }
+  if (alike.size() < kEnough) return;
+  const int poorest = *std::min_element(alike.begin(), alike.end(), [this](int p, int q) {
+    return maps_.at(p).points.size() < maps_.at(q).points.size();
+  });
+  index_.erase(poorest, maps_.at(poorest).points);
+  maps_.erase(poorest);
 }
 
 void GraphDetector::insert(LocalMap map) {
   std::vector<LabelledPoint> points = graph_of(map);
+  maps_.emplace(index_.size(), StoredMap{std::move(map), points});
   index_.insert(points);
-  maps_.push_back({std::move(map), std::move(points)});
 }
 
-std::optional<std::size_t> GraphDetector::submap_about(std::int64_t frame_id, std::int64_t stamp_ns) const {
-  std::optional<std::size_t> best;
-  for (std::size_t i = 0; i < maps_.size(); ++i) {
-    const LocalMap& map = maps_[i].map;
+std::optional<int> GraphDetector::submap_about(std::int64_t frame_id, std::int64_t stamp_ns) const {
+  std::optional<int> best;
+  for (const auto& [number, stored] : maps_) {
+    const LocalMap& map = stored.map;
     if (frame_id < map.begin_frame || frame_id > map.end_frame) continue;
-    if (!best || std::abs(map.stamp_ns - stamp_ns) < std::abs(maps_[*best].map.stamp_ns - stamp_ns)) best = i;
+    if (!best || std::abs(map.stamp_ns - stamp_ns) < std::abs(maps_.at(*best).map.stamp_ns - stamp_ns)) best = number;
   }
   return best;
 }
 
-GraphDetector::Comparison GraphDetector::compare(std::size_t query, std::size_t match) const {
-  const StoredMap& stored = maps_[query];
-  const int number = static_cast<int>(match);
-  const int end = std::max(old_enough(stored.map), number + 1);
+GraphDetector::Comparison GraphDetector::compare(int query, int match) const {
+  const StoredMap& stored = maps_.at(query);
+  const int end = std::max(old_enough(stored.map), match + 1);
   Comparison comparison;
-  comparison.agreeing_pairs = index_.agreeing_pairs(stored.points, end)[match];
+  comparison.agreeing_pairs = index_.agreeing_pairs(stored.points, end)[static_cast<std::size_t>(match)];
   std::vector<int> numbers = propose(stored.points, end);
-  comparison.proposed = std::binary_search(numbers.begin(), numbers.end(), number);
-  if (!comparison.proposed) numbers.push_back(number);
+  comparison.proposed = std::binary_search(numbers.begin(), numbers.end(), match);
+  if (!comparison.proposed) numbers.push_back(match);
   std::vector<Candidate> candidates = examine(stored.map, stored.points, numbers);
   find_ambiguous(stored.map, &candidates);
   for (const Candidate& candidate : candidates) {
@@ -209,8 +245,8 @@ std::vector<GraphDetector::Candidate> GraphDetector::examine(const LocalMap& que
   std::vector<Candidate> candidates;
   for (const int number : numbers) {
     Candidate candidate;
-    candidate.stored = static_cast<std::size_t>(number);
-    std::vector<GraphMatch> matches = matcher_.match(maps_[candidate.stored].points, points);
+    candidate.stored = number;
+    std::vector<GraphMatch> matches = matcher_.match(maps_.at(number).points, points);
     if (matches.empty()) continue;
     candidate.second_score = matches.size() > 1 ? matches[1].score : 0.0;
     candidate.alignment = std::move(matches.front());
@@ -261,7 +297,7 @@ void GraphDetector::select(std::vector<Candidate>* candidates) const {
   const auto rejected = std::find_if_not(places.begin(), places.end(), is_accepted);
   if (rejected - places.begin() > 2) {
     std::stable_sort(places.begin() + 1, rejected, [this](const Candidate& p, const Candidate& q) {
-      return maps_[p.stored].closed_ns < maps_[q.stored].closed_ns;
+      return maps_.at(p.stored).closed_ns < maps_.at(q.stored).closed_ns;
     });
   }
   const std::size_t kept = std::min(places.size(), static_cast<std::size_t>(options_.max_candidates));
@@ -273,7 +309,7 @@ void GraphDetector::select(std::vector<Candidate>* candidates) const {
 }
 
 void GraphDetector::mark_closed(const LocalMap& match, std::int64_t query_ns) {
-  for (StoredMap& stored : maps_) {
+  for (auto& [number, stored] : maps_) {
     if (overlap(stored.map, match) > kSamePlace) stored.closed_ns = query_ns;
   }
 }

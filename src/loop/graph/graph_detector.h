@@ -1,6 +1,7 @@
 #pragma once
 
 #include <cstdint>
+#include <map>
 #include <optional>
 #include <unordered_map>
 #include <vector>
@@ -22,6 +23,8 @@ class SubmapIndex {
       : options_(options), max_returned_(max_returned) {}
   /// Submaps are numbered from 0 in the order of insertion.
   void insert(const std::vector<LabelledPoint>& points);
+  /// @param points as they were inserted; the other submaps keep their numbers
+  void erase(int number, const std::vector<LabelledPoint>& points);
   int size() const { return size_; }
   /// How many pairs of the query's objects each of the submaps 0 .. end - 1 shares.
   std::vector<int> agreeing_pairs(const std::vector<LabelledPoint>& points, int end) const;
@@ -46,7 +49,9 @@ class GraphDetector {
   /// Matches the submap with those kept at least `min_gap_s` before it.
   /// @return the best candidate, then those whose place was closed least recently, then all others
   std::vector<LoopClosure> detect(const LocalMap& query);
-  /// Keeps the submap for later queries if it spans enough time and the last one kept is old enough.
+  /// Keeps the submap for later queries if it spans enough time and the last one kept is old enough. Where enough are
+  /// kept that see the same place alike, the poorest of them goes: memory and time grow with what there is to see, not
+  /// with how often it is seen.
   void store(LocalMap map);
   /// Keeps the submap in any case.
   void insert(LocalMap map);
@@ -56,11 +61,11 @@ class GraphDetector {
     std::vector<LabelledPoint> points;
     std::int64_t closed_ns = -1;  ///< stamp of the last query that was closed with its place
   };
-  /// Submaps kept, in the order they came.
-  const std::vector<StoredMap>& submaps() const { return maps_; }
+  /// Submaps kept, by number in the order they came.
+  const std::map<int, StoredMap>& submaps() const { return maps_; }
   /// The kept submap that tells best of a keyframe: it spans the frame, and its anchor is nearest in time.
   /// @return its number, or nullopt if none spans the frame
-  std::optional<std::size_t> submap_about(std::int64_t frame_id, std::int64_t stamp_ns) const;
+  std::optional<int> submap_about(std::int64_t frame_id, std::int64_t stamp_ns) const;
 
   /// What detect() would have made of a pair of kept submaps.
   struct Comparison {
@@ -69,20 +74,21 @@ class GraphDetector {
     std::optional<LoopClosure> closure;  ///< none if no alignment of enough objects exists
   };
   /// Compares two kept submaps as if the later one had just come. Changes nothing.
-  Comparison compare(std::size_t query, std::size_t match) const;
+  Comparison compare(int query, int match) const;
 
  private:
   struct Candidate {
-    std::size_t stored = 0;
+    int stored = 0;
     GraphMatch alignment;  ///< a: match, b: query
     double second_score = 0.0;
     Verdict verdict;
   };
-  /// Number of submaps that are `min_gap_s` older than the query.
+  /// The first number whose submap is not `min_gap_s` older than the query.
   int old_enough(const LocalMap& query) const;
   /// Submaps worth matching, of the numbers below `end`.
   std::vector<int> propose(const std::vector<LabelledPoint>& points, int end) const;
-  const LocalMap& match_of(const Candidate& candidate) const { return maps_[candidate.stored].map; }
+  const LocalMap& match_of(const Candidate& candidate) const { return maps_.at(candidate.stored).map; }
+  void make_room(const LocalMap& map);
   /// Aligns and verifies the query with the submaps of these numbers.
   std::vector<Candidate> examine(const LocalMap& query, const std::vector<LabelledPoint>& points,
                                  const std::vector<int>& numbers) const;
@@ -95,7 +101,7 @@ class GraphDetector {
   SubmapIndex index_;
   GraphMatcher matcher_;
   LoopVerifier verifier_;
-  std::vector<StoredMap> maps_;
+  std::map<int, StoredMap> maps_;
 };
 
 }  // namespace semantic_topo_loop::core

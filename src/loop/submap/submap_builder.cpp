@@ -328,17 +328,20 @@ void remove_duplicates(std::vector<LocalObject>* objects) {
   *objects = std::move(kept);
 }
 
-/// Drops the frames that nothing refers to.
+/// Drops the frames that nothing refers to, and the boxes of those in which no other objects are looked for.
 void compact(LocalMap* map) {
-  std::set<int> needed(map->check_frames.begin(), map->check_frames.end());
+  const std::set<int> checked(map->check_frames.begin(), map->check_frames.end());
+  std::set<int> needed = checked;
   for (const LocalObject& object : map->objects) {
     for (const SubmapView& view : object.views) needed.insert(view.frame);
   }
   std::map<int, int> renumbered;
   std::vector<LocalFrame> frames;
+  frames.reserve(needed.size());
   for (const int i : needed) {
     renumbered[i] = static_cast<int>(frames.size());
     frames.push_back(std::move(map->frames[static_cast<std::size_t>(i)]));
+    if (checked.count(i) == 0) frames.back().boxes = {};
   }
   map->frames = std::move(frames);
   for (int& i : map->check_frames) i = renumbered[i];
