@@ -205,8 +205,8 @@ class RunRecorder::Impl {
     if (correction.frame_id >= last_T_map_odom_.first) last_T_map_odom_ = {correction.frame_id, correction.T_map_odom};
     if (!correction.changed) return;
     ++corrections_;
-    correction_ = correction;
-    S_map_keyframe_.clear();
+    odometry_ = correction.odometry;
+    for (const LoopVerdict& verdict : correction.loops) verdicts_.insert_or_assign(verdict.number, verdict);
     for (const KeyframePose& keyframe : correction.keyframes) {
       S_map_keyframe_.insert_or_assign(keyframe.keyframe_id, Sim3(keyframe.T_map_camera, keyframe.scale));
     }
@@ -360,7 +360,7 @@ class RunRecorder::Impl {
       const auto found = keyframe_frames_.find(keyframe_id);
       return found == keyframe_frames_.end() ? -1 : found->second;
     };
-    for (const LoopVerdict& verdict : correction_.loops) {
+    for (const auto& [number, verdict] : verdicts_) {
       file << csv_row(verdict.query_keyframe_id, verdict.match_keyframe_id, frame_of(verdict.query_keyframe_id),
                       frame_of(verdict.match_keyframe_id), verdict.is_extra ? 1 : 0, verdict.kept ? 1 : 0,
                       verdict.reason.empty() ? "kept" : verdict.reason);
@@ -382,7 +382,7 @@ class RunRecorder::Impl {
     std::map<std::string, int> states;
     for (const auto& [id, landmark] : landmarks_) ++states[to_string(landmark.state)];
     std::int64_t kept = 0;
-    for (const LoopVerdict& verdict : correction_.loops) kept += verdict.kept ? 1 : 0;
+    for (const auto& [number, verdict] : verdicts_) kept += verdict.kept ? 1 : 0;
     nlohmann::json summary = {{"frames", frames_.size()},
                               {"keyframes", keyframe_frames_.size()},
                               {"breaks", counts.breaks},
@@ -396,7 +396,7 @@ class RunRecorder::Impl {
                                 {"kept", kept},
                                 {"reasons", counts.reasons}}},
                               {"corrections", corrections_},
-                              {"odometry", odometry_summary(correction_.odometry)}};
+                              {"odometry", odometry_summary(odometry_)}};
     if (tracking_) summary["images"] = to_json(*tracking_);
     if (has_earlier_map_) summary["relocalisation"] = to_json(relocalisation());
     constexpr int kIndent = 2;
@@ -416,7 +416,8 @@ class RunRecorder::Impl {
   bool has_earlier_map_ = false;                          ///< there was a candidate in it
   bool has_loop_scales_ = false;                          ///< a loop states one
   std::map<std::int64_t, Sim3> S_map_keyframe_;           ///< of the last solution, by keyframe_id
-  MapCorrection correction_;                              ///< the last that changed something
+  std::map<std::int64_t, LoopVerdict> verdicts_;          ///< by the loop's number
+  OdometryReport odometry_;                               ///< of the last correction that changed something
   std::optional<TrackingReport> tracking_;
   int merges_ = 0;
   int corrections_ = 0;

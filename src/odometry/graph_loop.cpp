@@ -106,6 +106,19 @@ Result<GraphLoop> make_graph_loop(const LoopClosure& closure, int query_vertex, 
   return loop;
 }
 
+GraphLoop carried(GraphLoop loop, const Carrier& from, const Carrier& to) {
+  loop.from = from.vertex;
+  loop.to = to.vertex;
+  if (from.T_vertex_keyframe) loop.T_from_to = *from.T_vertex_keyframe * loop.T_from_to;
+  if (to.T_vertex_keyframe) {
+    const SE3 T_keyframe_vertex = to.T_vertex_keyframe->inverse();
+    const Mat6 carry = transport(T_keyframe_vertex);
+    loop.T_from_to = loop.T_from_to * T_keyframe_vertex;
+    loop.covariance = carry * loop.covariance * carry.transpose();
+  }
+  return loop;
+}
+
 double shared_evidence(const GraphLoop& a, const GraphLoop& b) {
   return interval_overlap(a.query_begin, a.query_end, b.query_begin, b.query_end) *
          interval_overlap(a.match_begin, a.match_end, b.match_begin, b.match_end);

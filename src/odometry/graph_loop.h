@@ -1,5 +1,6 @@
 #pragma once
 
+#include <optional>
 #include <vector>
 
 #include "semantic_topo_loop/types/loop_closure.h"
@@ -15,6 +16,7 @@ struct GraphLoop {
   double scale = 1.0;                    ///< of from's unit of length over to's, see LoopClosure
   Vec7 scale_covariance = Vec7::Zero();  ///< of log scale with (translation, rotation, log scale); zero: not measured
   std::int64_t query_keyframe_id = -1, match_keyframe_id = -1;
+  bool had_support = false;  ///< another loop that agreed with it has been forgotten
   std::int64_t query_begin = -1, query_end = -1, match_begin = -1, match_end = -1;  ///< frame_ids of the evidence
 
   bool has_scale() const { return scale_covariance(6) > 0.0; }
@@ -27,6 +29,15 @@ Mat7 similarity_sqrt_info(const GraphLoop& loop);
 /// @param query_vertex, match_vertex vertices of the two keyframes
 /// @return an error that names the loop and the fault if it cannot be an edge
 Result<GraphLoop> make_graph_loop(const LoopClosure& closure, int query_vertex, int match_vertex);
+
+/// What a keyframe moves with.
+struct Carrier {
+  int vertex = -1;
+  std::optional<SE3> T_vertex_keyframe;  ///< none if the vertex is the keyframe itself
+};
+
+/// The loop between the vertices that its ends move with, which may be one.
+GraphLoop carried(GraphLoop loop, const Carrier& from, const Carrier& to);
 
 /// How much two loops rest on the same evidence: the overlap of their query windows times that of their match windows,
 /// each as intersection over union, in [0, 1].

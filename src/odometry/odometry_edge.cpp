@@ -30,8 +30,18 @@ Mat6 suspected_jump_covariance(const OdometryEdge& edge) {
 
 std::size_t index(int vertex) { return static_cast<std::size_t>(vertex); }
 
-/// To take the parts of an edge's covariance asunder: what no noise changes, and what suspected jumps add.
 constexpr OdometryNoise kNoNoise{0.0, 0.0, 0.0, 0.0, 0.0, 0.0}, kOnlyJumps{0.0, 0.0, 0.0, 0.0, 0.0, 1.0};
+
+EdgeCovariance by_causes(const OdometryEdge& edge) {
+  if (edge.joined) return *edge.joined;
+  EdgeCovariance parts;
+  parts.given = odometry_covariance(edge, kNoNoise);
+  parts.suspected_jumps = odometry_covariance(edge, kOnlyJumps) - parts.given;
+  if (edge.is_break || edge.covariance) return parts;
+  parts.translation = isotropic_covariance(edge.path_m, 0.0);
+  parts.rotation = isotropic_covariance(0.0, edge.rotation_rad);
+  return parts;
+}
 
 }  // namespace
 
@@ -51,10 +61,38 @@ Mat6 odometry_covariance(const OdometryEdge& edge, const OdometryNoise& noise) {
     return isotropic_covariance(kBreakTranslation_m * kBreakTranslation_m, kBreakRotation_rad * kBreakRotation_rad);
   }
   if (edge.covariance) return *edge.covariance;
+  if (edge.joined) {
+    return edge.joined->given + noise.translation_m * noise.translation_m * edge.joined->translation +
+           noise.rotation_rad * noise.rotation_rad * edge.joined->rotation +
+           noise.jump_prior * noise.jump_prior * edge.joined->suspected_jumps;
+  }
   return floor_covariance() +
          isotropic_covariance(noise.translation_m * noise.translation_m * edge.path_m,
                               noise.rotation_rad * noise.rotation_rad * edge.rotation_rad) +
          noise.jump_prior * noise.jump_prior * suspected_jump_covariance(edge);
+}
+
+OdometryEdge join(const OdometryEdge& first, const OdometryEdge& second) {
+  const Mat6 carry = transport(second.T_from_to);
+  const auto carried = [&carry](const Mat6& m) { return Mat6(carry * m * carry.transpose()); };
+  OdometryEdge edge;
+  edge.T_from_to = first.T_from_to * second.T_from_to;
+  edge.path_m = first.path_m + second.path_m;
+  edge.rotation_rad = first.rotation_rad + second.rotation_rad;
+  edge.is_break = first.is_break || second.is_break;
+  edge.suspected_jump = carry * first.suspected_jump + second.suspected_jump;
+  if (first.covariance && second.covariance) {
+    edge.covariance = carried(*first.covariance) + *second.covariance;
+    return edge;
+  }
+  const EdgeCovariance parts = by_causes(first);
+  EdgeCovariance sum = by_causes(second);
+  sum.given += carried(parts.given);
+  sum.translation += carried(parts.translation);
+  sum.rotation += carried(parts.rotation);
+  sum.suspected_jumps += carried(parts.suspected_jumps);
+  edge.joined = std::make_shared<const EdgeCovariance>(sum);
+  return edge;
 }
 
 void OdometryAccumulator::add(const Frame& frame) {
@@ -96,9 +134,9 @@ PathNoise::PathNoise(const std::vector<SE3>& T_world_vertex, const std::vector<O
     const Mat6 to_origin = transport(T_world_vertex[i + 1].inverse());
     to_origin_.push_back(to_origin);
     const auto carried = [&to_origin](const Mat6& m) { return Mat6(to_origin * m * to_origin.transpose()); };
-    const Mat6 given = odometry_covariance(edge, kNoNoise);
-    given_[i + 1] = given_[i] + carried(given);
-    suspected_jumps_[i + 1] = suspected_jumps_[i] + carried(odometry_covariance(edge, kOnlyJumps) - given);
+    const EdgeCovariance parts = by_causes(edge);
+    given_[i + 1] = given_[i] + carried(parts.given);
+    suspected_jumps_[i + 1] = suspected_jumps_[i] + carried(parts.suspected_jumps);
     jump_[i + 1] = jump_[i] + to_origin * expected_jump(edge, kOnlyJumps);
     translation_[i + 1] = translation_[i];
     rotation_[i + 1] = rotation_[i];
@@ -107,8 +145,8 @@ PathNoise::PathNoise(const std::vector<SE3>& T_world_vertex, const std::vector<O
     if (edge.is_break) continue;
     residual_[i + 1] += to_origin * relative_pose_residual(T_world_vertex[i], T_world_vertex[i + 1], edge.T_from_to);
     if (edge.covariance) continue;
-    translation_[i + 1] += carried(isotropic_covariance(edge.path_m, 0.0));
-    rotation_[i + 1] += carried(isotropic_covariance(0.0, edge.rotation_rad));
+    translation_[i + 1] += carried(parts.translation);
+    rotation_[i + 1] += carried(parts.rotation);
   }
 }
 

@@ -1,5 +1,6 @@
 #pragma once
 
+#include <memory>
 #include <optional>
 #include <vector>
 
@@ -18,7 +19,15 @@ namespace semantic_topo_loop::core {
 // A loop is a measurement of the odometry between its ends, which is why GraphLoop (graph_loop.h) stands here and not
 // in the pose graph above.
 
-/// The odometry between two consecutive keyframes.
+/// Covariance of an edge by its causes.
+struct EdgeCovariance {
+  Mat6 given = Mat6::Zero();            ///< whatever the noise is
+  Mat6 translation = Mat6::Zero();      ///< times the square of OdometryNoise::translation_m
+  Mat6 rotation = Mat6::Zero();         ///< times the square of rotation_rad
+  Mat6 suspected_jumps = Mat6::Zero();  ///< times the square of jump_prior
+};
+
+/// The odometry between two keyframes, consecutive ones unless several edges were joined.
 struct OdometryEdge {
   SE3 T_from_to;
   double path_m = 0.0;             ///< length of the camera's path, frame by frame
@@ -29,6 +38,9 @@ struct OdometryEdge {
   /// all (translation m, rotation rad; right).
   Vec6 suspected_jump = Vec6::Zero();
   double jump_error_m = 0.0, jump_error_rad = 0.0;  ///< sigma of what a jump was more or less
+  /// Of a joined edge, unless the source states all of it: what a turn on the way does to its end is not in the figures
+  /// above.
+  std::shared_ptr<const EdgeCovariance> joined;
 };
 
 /// Noise of an odometry whose source states none: a random walk, and errors that last.
@@ -48,6 +60,9 @@ Mat6 isotropic_covariance(double translation_variance, double rotation_variance)
 Vec6 expected_jump(const OdometryEdge& edge, const OdometryNoise& noise);
 /// Covariance of an edge: the source's, or the noise model's, or next to no knowledge at a break.
 Mat6 odometry_covariance(const OdometryEdge& edge, const OdometryNoise& noise);
+
+/// The odometry over two edges, the second of which starts where the first ends.
+OdometryEdge join(const OdometryEdge& first, const OdometryEdge& second);
 
 /// Collects frames between two keyframes into an edge.
 class OdometryAccumulator {

@@ -1,17 +1,30 @@
 #include "semantic_topo_loop/pose_graph/pose_graph.h"
 
+#include <algorithm>
 #include <chrono>
 #include <cmath>
+#include <iterator>
 #include <map>
 #include <utility>
 
 #include "odometry/motion_bursts.h"
 #include "pose_graph/rejection/loop_rejection.h"
 #include "pose_graph/scale/scaled_trajectory.h"
+#include "pose_graph/solver/coarsening.h"
 #include "pose_graph/solver/graph_objects.h"
 #include "pose_graph/solver/trajectory_optimizer.h"
+#include "semantic_topo_loop/geometry/lie.h"
 
 namespace semantic_topo_loop::core {
+namespace {
+
+/// What a graph holds at most, and what it is brought down to then: a solve within a run stays below a tenth of a
+/// second on a laptop's core, and runs of some three minutes stay as they are.
+constexpr std::size_t kMaxVertices = 400, kCoarseVertices = 300, kMaxLoops = 2 * kMaxVertices;
+/// A keyframe that moved by less is not told again: no odometry resolves it.
+constexpr double kMoved_m = 2e-4, kMoved_rad = 1e-4;
+
+}  // namespace
 
 class PoseGraph::Impl {
  public:
@@ -22,11 +35,14 @@ class PoseGraph::Impl {
   }
 
   void observe(const Frame& frame, const AssociationFrame& associations) {
-    if (has_objects_ && is_vertex(frame)) objects_.add(static_cast<int>(keyframes_.size()), frame, associations);
+    if (has_objects_ && is_vertex(frame))
+      objects_.add(static_cast<int>(trajectory_.T_map_vertex.size()), frame, associations);
   }
 
   void apply(const MapUpdate& update) {
-    if (has_objects_) objects_.apply(update, vertex_of_, trajectory_.T_map_vertex);
+    if (!has_objects_) return;
+    objects_.apply(
+        update, [this](std::int64_t id) { return carrier(number(id)).vertex; }, trajectory_.T_map_vertex);
   }
 
   MapCorrection process(const Frame& frame, const std::vector<LoopClosure>& loops,
@@ -48,11 +64,13 @@ class PoseGraph::Impl {
     correction.scale = log_scale_.empty() ? 1.0 : std::exp(log_scale_.back());
     if (!keyframes_.empty()) correction.valid_to_keyframe_id = keyframes_.back().keyframe_id;
     if (correction.changed) {
-      correction.keyframes = keyframes();
+      correction.keyframes = moved_keyframes(frame.is_end);
       correction.loops =
-          loops_.verdicts([this](const GraphLoop& loop) { return chi2(loop); }, knowledge_.noise.loop_factor);
+          loops_.new_verdicts([this](const GraphLoop& loop) { return chi2(loop); }, knowledge_.noise.loop_factor);
       correction.odometry = odometry_report();
+      if (loops_.size() > kMaxLoops) loops_.bound();
     }
+    if (trajectory_.T_map_vertex.size() > kMaxVertices && !has_free_scale()) coarsen();
     return correction;
   }
 
@@ -64,20 +82,18 @@ class PoseGraph::Impl {
   }
 
   const SE3& T_map_odom() const { return T_map_odom_; }
+  Size size() const { return {trajectory_.T_map_vertex.size(), loops_.size()}; }
 
   std::vector<KeyframePose> keyframes() const {
     std::vector<KeyframePose> poses = keyframes_;
-    for (std::size_t i = 0; i < poses.size(); ++i) {
-      poses[i].T_map_camera = trajectory_.T_map_vertex[i];
-      poses[i].scale = std::exp(log_scale_[i]);
-    }
+    for (std::size_t v = 0; v < keyframe_of_.size(); ++v) follow(v, &poses);
     return poses;
   }
 
  private:
   /// Whether the frame, which is not in the graph yet, becomes a vertex of it.
   bool is_vertex(const Frame& frame) const {
-    return frame.is_keyframe && frame.T_odom_camera.is_finite() && vertex_of_.count(frame.keyframe_id) == 0;
+    return frame.is_keyframe && frame.T_odom_camera.is_finite() && number_of_.count(frame.keyframe_id) == 0;
   }
 
   bool has_free_scale() const { return options_.scale == "free"; }
@@ -96,7 +112,9 @@ class PoseGraph::Impl {
     T_odom_frame_ = frame.T_odom_camera;
     if (!is_vertex(frame)) return;
     if (!keyframes_.empty()) trajectory_.edges.push_back(accumulator_.finish(T_odom_keyframe_, frame.T_odom_camera));
-    vertex_of_[frame.keyframe_id] = static_cast<int>(keyframes_.size());
+    number_of_[frame.keyframe_id] = static_cast<int>(keyframes_.size());
+    keyframe_of_.push_back(keyframes_.size());
+    T_vertex_keyframe_.emplace_back();
     trajectory_.T_map_vertex.push_back(place(frame.T_odom_camera));
     log_scale_.push_back(log_scale_.empty() ? 0.0 : log_scale_.back());
     keyframes_.push_back({frame.keyframe_id, frame.frame_id, frame.stamp_ns, SE3()});
@@ -107,9 +125,10 @@ class PoseGraph::Impl {
 
   void add_loop(const LoopClosure& closure, bool is_extra) {
     if (!closure.accepted) return;
-    const GraphLoop* loop =
-        loops_.add(closure, vertex(closure.query_keyframe_id), vertex(closure.match_keyframe_id), is_extra);
+    const GraphLoop* loop = loops_.add(closure, number(closure.query_keyframe_id), number(closure.match_keyframe_id),
+                                       is_extra, [this](int k) { return carrier(k); });
     if (loop == nullptr) return;
+    ++loops_since_learnt_;
     const double disagreement = chi2(*loop);
     has_new_loops_ = true;
     has_outliers_ = has_outliers_ || disagreement > options_.robust_chi2;
@@ -121,9 +140,68 @@ class PoseGraph::Impl {
     return chi_squared(loop, trajectory_.T_map_vertex);
   }
 
-  int vertex(std::int64_t keyframe_id) const {
-    const auto found = vertex_of_.find(keyframe_id);
-    return found == vertex_of_.end() ? -1 : found->second;
+  /// @return -1 if the keyframe is unknown
+  int number(std::int64_t keyframe_id) const {
+    const auto found = number_of_.find(keyframe_id);
+    return found == number_of_.end() ? -1 : found->second;
+  }
+
+  Carrier carrier(int number) const {
+    if (number < 0) return {};
+    const auto k = static_cast<std::size_t>(number);
+    const auto after = std::upper_bound(keyframe_of_.begin(), keyframe_of_.end(), k);
+    Carrier carrier{static_cast<int>(after - keyframe_of_.begin()) - 1, std::nullopt};
+    if (*std::prev(after) != k) carrier.T_vertex_keyframe = T_vertex_keyframe_[k];
+    return carrier;
+  }
+
+  /// The keyframes that move with a vertex: from its own to before that of the next one.
+  std::size_t end_of(std::size_t vertex) const {
+    return vertex + 1 < keyframe_of_.size() ? keyframe_of_[vertex + 1] : keyframes_.size();
+  }
+
+  void follow(std::size_t vertex, std::vector<KeyframePose>* keyframes) const {
+    const std::size_t own = keyframe_of_[vertex];
+    const SE3& T_map_vertex = trajectory_.T_map_vertex[vertex];
+    for (std::size_t k = own; k < end_of(vertex); ++k) {
+      (*keyframes)[k].T_map_camera = k == own ? T_map_vertex : T_map_vertex * T_vertex_keyframe_[k];
+      (*keyframes)[k].scale = std::exp(log_scale_[vertex]);
+    }
+  }
+
+  std::vector<KeyframePose> moved_keyframes(bool all) {
+    std::vector<KeyframePose> moved;
+    for (std::size_t v = 0; v < keyframe_of_.size(); ++v) {
+      const KeyframePose& told = keyframes_[keyframe_of_[v]];
+      const SE3& T_map_vertex = trajectory_.T_map_vertex[v];
+      const bool is_same = keyframe_of_[v] < told_keyframes_ && told.scale == std::exp(log_scale_[v]) &&
+                           (T_map_vertex.t - told.T_map_camera.t).norm() <= kMoved_m &&
+                           rotation_angle(T_map_vertex.q, told.T_map_camera.q) <= kMoved_rad;
+      if (is_same && !all) continue;
+      follow(v, &keyframes_);
+      moved.insert(moved.end(), keyframes_.begin() + static_cast<std::ptrdiff_t>(keyframe_of_[v]),
+                   keyframes_.begin() + static_cast<std::ptrdiff_t>(end_of(v)));
+    }
+    told_keyframes_ = keyframes_.size();
+    return moved;
+  }
+
+  void coarsen() {
+    suspect_jumps();
+    const std::vector<KeyframePose> poses = keyframes();
+    const Coarsening carriers = core::coarsen(kCoarseVertices, &keyframe_of_, &trajectory_);
+    log_scale_.resize(keyframe_of_.size());  // all 0
+    for (std::size_t v = 0; v < keyframe_of_.size(); ++v) {
+      const SE3 T_vertex_map = trajectory_.T_map_vertex[v].inverse();
+      for (std::size_t k = keyframe_of_[v]; k < end_of(v); ++k) {
+        T_vertex_keyframe_[k] = T_vertex_map * poses[k].T_map_camera;
+      }
+    }
+    loops_.move([&carriers](int v) { return carriers[static_cast<std::size_t>(v)]; });
+    objects_.move(carriers);
+    for (OdometryJump& jump : knowledge_.noise.jumps) {
+      jump.edge = static_cast<std::size_t>(carriers[jump.edge].vertex);
+    }
   }
 
   /// Loops that the map agrees with can wait longer.
@@ -142,29 +220,39 @@ class PoseGraph::Impl {
   Effort effort(bool is_end) const {
     if (is_end || is_withdrawn_) return Effort::kFull;
     constexpr std::size_t kTenth = 10;
-    return loops_.size() > learnt_loops_ + learnt_loops_ / kTenth ? Effort::kLearn : Effort::kUpdate;
+    return loops_since_learnt_ > learnt_loops_ / kTenth ? Effort::kLearn : Effort::kUpdate;
   }
 
   bool optimize(bool is_end) {
     const Effort effort = this->effort(is_end);
     keyframes_since_ = 0;
     has_new_loops_ = has_outliers_ = is_urgent_ = is_withdrawn_ = false;
-    for (std::size_t i = 0; i < trajectory_.edges.size(); ++i) {
-      const MotionBursts::SuspectedJump jump = bursts_.suspected_jump(i);
-      OdometryEdge& edge = trajectory_.edges[i];
-      edge.suspected_jump.head<3>() = q_camera_odom_[i + 1] * jump.motion.head<3>();
-      edge.suspected_jump.tail<3>() = q_camera_odom_[i + 1] * jump.motion.tail<3>();
-      edge.jump_error_m = jump.error_m;
-      edge.jump_error_rad = jump.error_rad;
-    }
+    suspect_jumps();
     if (has_objects_ && is_end) trajectory_.objects.objects = objects_.objects();
     loops_.hand_over(&trajectory_, &knowledge_);
     const bool is_solved = has_free_scale() ? optimize_similarities(effort) : optimize_poses(effort);
     loops_.take_back(trajectory_, knowledge_);
     if (!is_solved) return false;
-    if (effort != Effort::kUpdate) learnt_loops_ = loops_.size();
+    if (effort != Effort::kUpdate) {
+      learnt_loops_ = loops_.size();
+      loops_since_learnt_ = 0;
+    }
     T_map_odom_ = trajectory_.T_map_vertex.back() * T_odom_keyframe_.inverse();
     return true;
+  }
+
+  /// In the edges that are not joined: those of the others were settled with them.
+  void suspect_jumps() {
+    for (std::size_t i = 0; i < trajectory_.edges.size(); ++i) {
+      if (keyframe_of_[i + 1] != keyframe_of_[i] + 1) continue;
+      const MotionBursts::SuspectedJump jump = bursts_.suspected_jump(keyframe_of_[i]);
+      const Quaternion& q_camera_odom = q_camera_odom_[keyframe_of_[i + 1]];
+      OdometryEdge& edge = trajectory_.edges[i];
+      edge.suspected_jump.head<3>() = q_camera_odom * jump.motion.head<3>();
+      edge.suspected_jump.tail<3>() = q_camera_odom * jump.motion.tail<3>();
+      edge.jump_error_m = jump.error_m;
+      edge.jump_error_rad = jump.error_rad;
+    }
   }
 
   bool optimize_poses(Effort effort) {
@@ -215,8 +303,8 @@ class PoseGraph::Impl {
     std::map<std::size_t, OdometryFault> faults;  // by edge
     const auto fault = [this, &faults](std::size_t edge) -> OdometryFault& {
       OdometryFault& fault = faults[edge];
-      fault.from_keyframe_id = keyframes_[edge].keyframe_id;
-      fault.to_keyframe_id = keyframes_[edge + 1].keyframe_id;
+      fault.from_keyframe_id = keyframes_[keyframe_of_[edge]].keyframe_id;
+      fault.to_keyframe_id = keyframes_[keyframe_of_[edge + 1]].keyframe_id;
       return fault;
     };
     for (std::size_t i = 0; i < trajectory_.edges.size(); ++i) {
@@ -233,8 +321,11 @@ class PoseGraph::Impl {
 
   PoseGraphOptions options_;
   Trajectory trajectory_;
-  std::vector<KeyframePose> keyframes_;
-  std::map<std::int64_t, int> vertex_of_;
+  std::vector<KeyframePose> keyframes_;    ///< every one; poses as told last
+  std::map<std::int64_t, int> number_of_;  ///< index of a keyframe in `keyframes_` by its id
+  std::vector<std::size_t> keyframe_of_;   ///< index of each vertex's keyframe; those up to the next move with it
+  std::vector<SE3> T_vertex_keyframe_;     ///< one a keyframe
+  std::size_t told_keyframes_ = 0;         ///< how many were in the last solution
   bool has_objects_ = false;
   ObjectMemory objects_;
   OdometryAccumulator accumulator_;
@@ -246,7 +337,7 @@ class PoseGraph::Impl {
   std::vector<double> log_scale_;  ///< of the map's unit of length over the odometry's, one a vertex; 0 unless free
   SE3 T_map_odom_;
   GraphKnowledge knowledge_;
-  std::size_t learnt_loops_ = 0;
+  std::size_t learnt_loops_ = 0, loops_since_learnt_ = 0;
   int keyframes_since_ = 0;
   bool has_new_loops_ = false, has_outliers_ = false, is_urgent_ = false, is_withdrawn_ = false;
 };
@@ -268,6 +359,7 @@ bool PoseGraph::withdraw(std::int64_t query_keyframe_id, std::int64_t match_keyf
   return impl_->withdraw(query_keyframe_id, match_keyframe_id);
 }
 const SE3& PoseGraph::T_map_odom() const { return impl_->T_map_odom(); }
+PoseGraph::Size PoseGraph::size() const { return impl_->size(); }
 std::vector<KeyframePose> PoseGraph::keyframes() const { return impl_->keyframes(); }
 
 }  // namespace semantic_topo_loop::core

@@ -50,7 +50,7 @@ class RunRecorderTest : public ::testing::Test {
       correction.keyframes.push_back(
           {k, 5 * k, kStart + 5 * k * kPeriod, T_map_keyframe_[static_cast<std::size_t>(k)]});
     }
-    correction.loops = {{1, 0, true, "", false}, {1, -1, false, "it is wrong", true}};
+    correction.loops = {{0, 1, 0, true, "", false}, {1, 1, -1, false, "it is wrong", true}};
     correction.odometry = {0, 0.25, 0.5, 0.0, 0.0, 0.0, 1.5, {{0, 1, false, 0.125, 2.0}}};
     return correction;
   }

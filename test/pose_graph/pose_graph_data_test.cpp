@@ -97,6 +97,11 @@ class Simulation {
     FrameBuilder builder{KeyframeOptions(), Camera()};
     PoseGraph graph{PoseGraphOptions()};
     std::vector<Frame> frames;
+    std::map<std::int64_t, LoopVerdict> verdicts;
+    const auto process = [&](const Frame& frame, const std::vector<LoopClosure>& loops,
+                             const std::vector<LoopClosure>& extra) {
+      for (const LoopVerdict& verdict : graph.process(frame, loops, extra).loops) verdicts[verdict.number] = verdict;
+    };
     for (const StampedPose& pose : sequence_.odometry) {
       PoseSample sample;
       sample.stamp_ns = pose.stamp_ns;
@@ -111,9 +116,10 @@ class Simulation {
       for (const LoopClosure& loop : extra_loops_) {
         if (loop.query_frame == frames.back().frame_id) extra.push_back(loop);
       }
-      graph.process(frames.back(), loops, extra);
+      process(frames.back(), loops, extra);
     }
-    judge(graph.process(builder.end(), {}).loops);
+    process(builder.end(), {}, {});
+    for (const auto& [number, verdict] : verdicts) judge(verdict);
     result_.ate_before_m = ate_m(sequence_.odometry, sequence_.ground_truth);
     result_.ate_after_m = ate_m(corrected(frames, graph.keyframes()), sequence_.ground_truth);
     return result_;
@@ -159,13 +165,11 @@ class Simulation {
     return loop;
   }
 
-  void judge(const std::vector<LoopVerdict>& verdicts) {
-    for (const LoopVerdict& verdict : verdicts) {
-      const bool is_false =
-          verdict.is_extra || is_false_.count({verdict.query_keyframe_id, verdict.match_keyframe_id}) != 0;
-      result_.false_kept += is_false && verdict.kept ? 1 : 0;
-      result_.right_rejected += !is_false && !verdict.kept ? 1 : 0;
-    }
+  void judge(const LoopVerdict& verdict) {
+    const bool is_false =
+        verdict.is_extra || is_false_.count({verdict.query_keyframe_id, verdict.match_keyframe_id}) != 0;
+    result_.false_kept += is_false && verdict.kept ? 1 : 0;
+    result_.right_rejected += !is_false && !verdict.kept ? 1 : 0;
   }
 
   StampedPoses corrected(const std::vector<Frame>& frames, const std::vector<KeyframePose>& keyframes) const {

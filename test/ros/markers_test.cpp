@@ -171,12 +171,12 @@ TEST(MapView, ACorrectionMaySayOnlyWhatHasChanged) {
   correction.valid_to_keyframe_id = 1;
   correction.T_map_odom.t.y() = 1.0;
   correction.keyframes = {pose_of(0, 0.5), pose_of(1, 1.5)};
-  correction.loops = {{2, 0, false}, {2, 1, true}};
+  correction.loops = {{0, 2, 0, false}, {1, 2, 1, true}};
   view.apply(correction);
   EXPECT_EQ(view.keyframes().at(2).T_map_camera.t, core::Vec3(2.0, 1.0, 0.0)) << "newer than the solution";
   correction.valid_to_keyframe_id = 2;
   correction.keyframes = {pose_of(1, 1.25), pose_of(2, 2.25)};
-  correction.loops = {{2, 1, false}};
+  correction.loops = {{1, 2, 1, false}};
   view.apply(correction);
   EXPECT_EQ(view.keyframes().at(0).T_map_camera.t.x(), 0.5) << "as it was";
   EXPECT_EQ(view.keyframes().at(1).T_map_camera.t.x(), 1.25);
@@ -292,7 +292,7 @@ TEST(Markers, LoopsAreGreenUntilTheOptimiserRejectsThem) {
 
   core::MapCorrection correction;
   correction.changed = true;
-  correction.loops = {{2, 0, false}};
+  correction.loops = {{0, 2, 0, false}};
   view.apply(correction);
   array = make_loop_markers(view, map_header(), {});
   ASSERT_EQ(array->markers.size(), 2u);

@@ -349,7 +349,7 @@ TEST(Messages, Correction) {
   correction.T_map_odom = random.pose();
   correction.scale = random.number();
   correction.keyframes = {{1, 2, 1311868164363181001, random.pose()}, {3, 4, 5, random.pose(), random.number()}};
-  correction.loops = {{9, 1, true, "", false}, {12, 3, false, "it is wrong", false}};
+  correction.loops = {{4, 9, 1, true, "", false}, {7, 12, 3, false, "it is wrong", false}};
   correction.odometry = {3, 0.1, 0.2, 0.3, 0.4, 0.5, 1.5, {{4, 5, true, 0.0, 0.0}, {7, 8, false, 0.6, 0.7}}};
   correction.duration_us = random.number();
   const MapCorrection generated = expect_generated_is_same(random.message<CorrectionMessage>(correction));
@@ -367,6 +367,7 @@ TEST(Messages, Correction) {
   EXPECT_EQ(generated.keyframes[0].scale, 1.0);
   EXPECT_EQ(generated.keyframes[1].scale, correction.keyframes[1].scale);
   ASSERT_EQ(generated.loops.size(), 2u);
+  EXPECT_EQ(generated.loops[1].number, 7);
   EXPECT_EQ(generated.loops[1].query_keyframe_id, 12);
   EXPECT_EQ(generated.loops[1].match_keyframe_id, 3);
   EXPECT_FALSE(generated.loops[1].kept);

@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <cmath>
 #include <iterator>
+#include <map>
 #include <vector>
 
 #include "odometry/odometry_edge.h"
@@ -13,12 +14,12 @@
 
 namespace semantic_topo_loop::core {
 
-/// A camera that goes round a room of 5 m by 3 m twice, looking inwards: truth, odometry, frames and loops between the
-/// rounds. Every frame is a keyframe.
+/// A camera that goes round a room of 5 m by 3 m, twice or more often, looking inwards: truth, odometry, frames and
+/// loops between the rounds. Every frame is a keyframe.
 class SyntheticRun {
  public:
-  explicit SyntheticRun(int keyframes_per_round = 100) : round_(keyframes_per_round) {
-    for (int k = 0; k < 2 * round_; ++k) {
+  explicit SyntheticRun(int keyframes_per_round = 100, int rounds = 2) : round_(keyframes_per_round) {
+    for (int k = 0; k < rounds * round_; ++k) {
       const double phase = 2.0 * kPi * k / round_;
       const Vec3 t(2.5 * std::cos(phase), 1.5 * std::sin(phase), 0.1 * std::sin(3.0 * phase));
       truth_.emplace_back(so3_exp(Vec3(0.0, 0.0, phase)) * so3_exp(Vec3(0.1 * std::sin(2.0 * phase), 0.05, 0.0)), t);
@@ -27,7 +28,7 @@ class SyntheticRun {
   }
 
   int round() const { return round_; }
-  int size() const { return 2 * round_; }
+  int size() const { return static_cast<int>(truth_.size()); }
   const SE3& truth(int k) const { return truth_[static_cast<std::size_t>(k)]; }
   const SE3& odometry(int k) const { return odometry_[static_cast<std::size_t>(k)]; }
   const std::vector<SE3>& odometry() const { return odometry_; }
@@ -163,7 +164,7 @@ inline std::vector<LoopClosure> loops_at(int frame, const std::vector<LoopClosur
   return result;
 }
 
-/// A pose graph that was fed a whole run, and what it said last.
+/// A pose graph that was fed a whole run, and what it said last, with what it said last of every loop.
 struct FinishedRun {
   PoseGraph graph;
   MapCorrection end;
@@ -174,13 +175,20 @@ struct FinishedRun {
 inline FinishedRun finish(const SyntheticRun& run, const std::vector<LoopClosure>& loops,
                           const PoseGraphOptions& options = {}, const std::vector<int>& breaks = {}) {
   FinishedRun finished{PoseGraph(options), {}, 0};
+  std::map<std::int64_t, LoopVerdict> verdicts;
+  const auto process = [&](const Frame& frame, const std::vector<LoopClosure>& loops_of_frame) {
+    finished.end = finished.graph.process(frame, loops_of_frame);
+    finished.changes += finished.end.changed ? 1 : 0;
+    for (const LoopVerdict& verdict : finished.end.loops) verdicts.insert_or_assign(verdict.number, verdict);
+  };
   for (int k = 0; k < run.size(); ++k) {
     Frame frame = run.frame(k);
     frame.is_break = std::find(breaks.begin(), breaks.end(), k) != breaks.end();
-    finished.changes += finished.graph.process(frame, loops_at(k, loops)).changed ? 1 : 0;
+    process(frame, loops_at(k, loops));
   }
-  finished.end = finished.graph.process(run.end_frame(), {});
-  finished.changes += finished.end.changed ? 1 : 0;
+  process(run.end_frame(), {});
+  finished.end.loops.clear();
+  for (const auto& [number, verdict] : verdicts) finished.end.loops.push_back(verdict);
   return finished;
 }
 

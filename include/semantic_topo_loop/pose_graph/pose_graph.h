@@ -1,5 +1,6 @@
 #pragma once
 
+#include <cstddef>
 #include <memory>
 #include <vector>
 
@@ -15,6 +16,8 @@ struct PoseGraphOptions;
 
 /// Owns the keyframe poses and map_from_odom: takes in odometry and loops, optimises, and says what moved. As things
 /// are:
+///   0. in a long run the past comes in coarse steps, and each place keeps its best loops (solver/coarsening.h,
+///      LoopRejection::bound), so that a solution costs the same after hours; not with a free scale;
 ///   1. frames become vertices and odometry edges, with the jumps that their motion lets suspect (src/odometry);
 ///   2. loops are rejected (src/pose_graph/rejection): pairwise consistency, robust solve, final audit;
 ///   3. the odometry's noise is learnt from the loops that are kept, and poses are solved for at that noise
@@ -39,9 +42,14 @@ class PoseGraph {
   MapCorrection process(const Frame& frame, const std::vector<LoopClosure>& loops,
                         const std::vector<LoopClosure>& extra_loops = {});
   /// Takes the accepted loops between two keyframes out again; the next frame optimises without them.
-  /// @return false if there is none
+  /// @return false if none is remembered: those that repeat others are forgotten in time
   bool withdraw(std::int64_t query_keyframe_id, std::int64_t match_keyframe_id);
   const SE3& T_map_odom() const;
+  /// What a solution costs time for: bounded, however long the run is and however many loops it finds.
+  struct Size {
+    std::size_t vertices = 0, loops = 0;
+  };
+  Size size() const;
   /// Every keyframe, in order of id.
   std::vector<KeyframePose> keyframes() const;
 

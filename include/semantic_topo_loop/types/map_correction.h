@@ -18,6 +18,7 @@ struct KeyframePose {
 
 /// Whether the optimiser believes an accepted loop.
 struct LoopVerdict {
+  std::int64_t number = -1;  ///< of the loop, counted from 0 in order of acceptance
   std::int64_t query_keyframe_id = -1, match_keyframe_id = -1;
   bool kept = false;
   std::string reason = {};  ///< why it is not kept, or what it repeats; may be empty
@@ -26,7 +27,7 @@ struct LoopVerdict {
 
 /// A stretch of odometry that is not believed.
 struct OdometryFault {
-  std::int64_t from_keyframe_id = -1, to_keyframe_id = -1;  ///< consecutive keyframes
+  std::int64_t from_keyframe_id = -1, to_keyframe_id = -1;  ///< neighbours in the graph
   bool is_break = false;                                    ///< nothing is known; else a jump that the loops gave away
   double translation_m = 0.0, rotation_rad = 0.0;           ///< sigmas of what a jump is off, on each axis
 };
@@ -41,17 +42,21 @@ struct OdometryReport {
   std::vector<OdometryFault> faults;  ///< in order of the keyframes
 };
 
-/// What the pose graph says after a frame; `changed` is false, and the lists are empty, when nothing moved.
+/// What the pose graph says after a frame; `changed` is false, and the lists are empty, when nothing moved. The lists
+/// hold what is new: who missed a correction is brought up to date by that of the end frame, whose keyframes are
+/// complete.
 struct MapCorrection {
   std::int64_t frame_id = -1;
   bool changed = false;
   std::int64_t valid_to_keyframe_id = -1;  ///< last keyframe in the solution; later ones compose on T_map_odom
   /// Right for this frame; with a free scale it moves with the camera, and only so much as the scale is off.
   SE3 T_map_odom_old, T_map_odom;
-  double scale = 1.0;                   ///< units of length of the map in one of the odometry, at this frame
-  std::vector<KeyframePose> keyframes;  ///< every keyframe in the solution, in order of id
-  std::vector<LoopVerdict> loops;       ///< every accepted loop so far, in order of acceptance
-  OdometryReport odometry;              ///< as of this solution
+  double scale = 1.0;  ///< units of length of the map in one of the odometry, at this frame
+  /// Those in the solution that are new or have moved by more than 0.2 mm or 0.1 mrad since they were last told; the
+  /// end frame's: all. In order of id.
+  std::vector<KeyframePose> keyframes;
+  std::vector<LoopVerdict> loops;  ///< those that are new or other than last told, in order of acceptance
+  OdometryReport odometry;         ///< as of this solution
   double duration_us = 0.0;
 };
 

@@ -1,6 +1,7 @@
 #include "pose_graph/rejection/loop_consistency.h"
 
 #include <cmath>
+#include <utility>
 
 #include "semantic_topo_loop/geometry/lie.h"
 
@@ -76,23 +77,31 @@ void LoopConsistency::compare_all(const std::vector<OdometryEdge>& edges, const 
   }
 }
 
-std::vector<bool> LoopConsistency::vote(const std::vector<OdometryEdge>& edges, const std::vector<GraphLoop>& loops) {
-  compare_all(edges, loops);
-  return outvote(std::vector<bool>(loops.size(), true));
+void LoopConsistency::keep(const std::vector<bool>& stays) {
+  const auto drop = [&stays](auto* list) {
+    std::size_t kept = 0;
+    for (std::size_t i = 0; i < list->size(); ++i) {
+      if (stays[i]) std::swap((*list)[kept++], (*list)[i]);
+    }
+    list->resize(kept);
+  };
+  drop(&relations_);
+  for (std::vector<Relation>& relations : relations_) drop(&relations);
 }
 
 std::vector<bool> LoopConsistency::vote(const std::vector<OdometryEdge>& edges, const std::vector<GraphLoop>& loops,
                                         std::vector<bool> eligible, const std::vector<bool>& trusted) {
   compare_all(edges, loops);
+  if (eligible.empty()) eligible.assign(loops.size(), true);
   for (std::size_t a = 0; a < loops.size(); ++a) {
-    for (std::size_t b = 0; b < loops.size() && eligible[a] && !trusted[a]; ++b) {
+    for (std::size_t b = 0; b < trusted.size() && eligible[a] && !trusted[a]; ++b) {
       if (b != a && trusted[b] && relation(a, b) == Relation::kDisagree) eligible[a] = false;
     }
   }
-  return outvote(std::move(eligible));
+  return outvote(loops, std::move(eligible));
 }
 
-std::vector<bool> LoopConsistency::outvote(std::vector<bool> votes) const {
+std::vector<bool> LoopConsistency::outvote(const std::vector<GraphLoop>& loops, std::vector<bool> votes) const {
   const std::size_t n = relations_.size();
   std::vector<int> against(n, 0);
   for (std::size_t a = 0; a < n; ++a) {
@@ -114,6 +123,7 @@ std::vector<bool> LoopConsistency::outvote(std::vector<bool> votes) const {
   }
   std::vector<bool> is_supported(n, false);
   for (std::size_t a = 0; a < n; ++a) {
+    if (votes[a] && loops[a].had_support) is_supported[a] = true;
     for (std::size_t b = 0; b < a; ++b) {
       if (votes[a] && votes[b] && relation(a, b) == Relation::kAgree) is_supported[a] = is_supported[b] = true;
     }

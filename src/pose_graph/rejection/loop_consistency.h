@@ -15,13 +15,15 @@ namespace semantic_topo_loop::core {
 class LoopConsistency {
  public:
   /// @param loops those of the last call and new ones behind them
+  /// @param eligible one a loop: those that may have a vote; empty: all
+  /// @param trusted one a loop: who disagrees with one of these has no vote; empty: none is
   /// @return whether each loop may vote
-  std::vector<bool> vote(const std::vector<OdometryEdge>& edges, const std::vector<GraphLoop>& loops);
-  /// The same among some of them. @param eligible, trusted one a loop; who disagrees with a trusted one has no vote
   std::vector<bool> vote(const std::vector<OdometryEdge>& edges, const std::vector<GraphLoop>& loops,
-                         std::vector<bool> eligible, const std::vector<bool>& trusted);
+                         std::vector<bool> eligible = {}, const std::vector<bool>& trusted = {});
   /// Forgets the loops.
   void clear() { relations_.clear(); }
+  /// Forgets some of the loops. @param stays one a loop
+  void keep(const std::vector<bool>& stays);
 
  private:
   enum class Relation : std::uint8_t { kOpen, kAgree, kDisagree };
@@ -42,7 +44,7 @@ class LoopConsistency {
   Relation compare(const GraphLoop& a, const GraphLoop& b) const;
   void compare_all(const std::vector<OdometryEdge>& edges, const std::vector<GraphLoop>& loops);
   Relation relation(std::size_t a, std::size_t b) const { return relations_[std::max(a, b)][std::min(a, b)]; }
-  std::vector<bool> outvote(std::vector<bool> votes) const;
+  std::vector<bool> outvote(const std::vector<GraphLoop>& loops, std::vector<bool> votes) const;
 
   std::vector<Progress> progress_;
   std::vector<std::vector<Relation>> relations_;  ///< of each loop with those before it

@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <iomanip>
+#include <map>
 #include <sstream>
 #include <utility>
 
@@ -9,24 +10,80 @@
 #include "odometry/noise_estimator.h"
 
 namespace semantic_topo_loop::core {
-const GraphLoop* LoopRejection::add(const LoopClosure& closure, int query_vertex, int match_vertex, bool is_extra) {
-  const Result<GraphLoop> loop = make_graph_loop(closure, query_vertex, match_vertex);
+namespace {
+
+/// A loop within one vertex says nothing that its poses do not say already.
+bool is_open(const GraphLoop& loop) { return loop.from != loop.to; }
+
+}  // namespace
+
+const GraphLoop* LoopRejection::add(const LoopClosure& closure, int query, int match, bool is_extra,
+                                    const CarrierOf& carrier) {
+  const Result<GraphLoop> loop = make_graph_loop(closure, query, match);
   Entry entry;
-  entry.query_keyframe_id = closure.query_keyframe_id;
-  entry.match_keyframe_id = closure.match_keyframe_id;
-  entry.is_extra = is_extra;
+  entry.told = {accepted_++, closure.query_keyframe_id, closure.match_keyframe_id, false, {}, is_extra};
   entry.refusal = loop.message();
-  if (loop) entry.loop = *loop;
-  entry.is_in_graph = loop && !is_repetition(*loop, entries_.size());
+  if (loop) entry.loop = carried(*loop, carrier(loop->from), carrier(loop->to));
+  entry.is_in_graph = loop && is_open(*entry.loop) && !is_repetition(*entry.loop, entries_.size());
   entries_.push_back(std::move(entry));
   return entries_.back().is_in_graph ? &*entries_.back().loop : nullptr;
 }
 
+void LoopRejection::move(const CarrierOf& carrier) {
+  std::vector<bool> stays;
+  for (Entry& entry : entries_) {
+    if (entry.loop) entry.loop = carried(*entry.loop, carrier(entry.loop->from), carrier(entry.loop->to));
+    if (!entry.is_in_graph) continue;
+    entry.loop->had_support = entry.loop->had_support || (entry.is_told && entry.may_vote);
+    entry.is_in_graph = is_open(*entry.loop);
+    stays.push_back(entry.is_in_graph);
+  }
+  consistency_.keep(stays);
+}
+
+void LoopRejection::bound() {
+  constexpr std::size_t kMaxOthers = 1000;  // a few minutes of them where loops are found all the time
+  constexpr int kLoopsOfAVertex = 2;        // so that there are at most as many loops as twice the vertices
+  std::vector<bool> stays(entries_.size());
+  std::vector<std::size_t> graph;
+  std::size_t others = 0;
+  for (std::size_t i = entries_.size(); i-- > 0;) {
+    if (entries_[i].is_in_graph) graph.push_back(i);
+    stays[i] = !entries_[i].is_in_graph && others++ < kMaxOthers;
+  }
+  std::stable_sort(graph.begin(), graph.end(), [this](std::size_t i, std::size_t j) {
+    const Entry &p = entries_[i], &q = entries_[j];
+    return p.kept != q.kept ? p.kept : p.loop->covariance.trace() < q.loop->covariance.trace();
+  });
+  std::map<int, int> loops_at;  // by vertex
+  for (const std::size_t i : graph) {
+    GraphLoop& loop = *entries_[i].loop;
+    loop.had_support = loop.had_support || entries_[i].may_vote;
+    int &at_from = loops_at[loop.from], &at_to = loops_at[loop.to];
+    stays[i] = std::min(at_from, at_to) < kLoopsOfAVertex;
+    at_from += stays[i] ? 1 : 0;
+    at_to += stays[i] ? 1 : 0;
+  }
+  std::vector<bool> graph_stays;
+  std::vector<Entry> left;
+  for (std::size_t i = 0; i < entries_.size(); ++i) {
+    if (entries_[i].is_in_graph) graph_stays.push_back(stays[i]);
+    if (stays[i]) left.push_back(std::move(entries_[i]));
+  }
+  entries_ = std::move(left);
+  consistency_.keep(graph_stays);
+}
+
 bool LoopRejection::withdraw(std::int64_t query_keyframe_id, std::int64_t match_keyframe_id) {
-  const auto rest = std::remove_if(entries_.begin(), entries_.end(), [=](const Entry& entry) {
-    return entry.query_keyframe_id == query_keyframe_id && entry.match_keyframe_id == match_keyframe_id;
+  const auto rest = std::stable_partition(entries_.begin(), entries_.end(), [=](const Entry& entry) {
+    return entry.told.query_keyframe_id != query_keyframe_id || entry.told.match_keyframe_id != match_keyframe_id;
   });
   if (rest == entries_.end()) return false;
+  for (auto entry = rest; entry != entries_.end(); ++entry) {
+    withdrawn_.push_back(entry->told);
+    withdrawn_.back().kept = false;
+    withdrawn_.back().reason = "withdrawn";
+  }
   entries_.erase(rest, entries_.end());
   consistency_.clear();
   return true;
@@ -107,8 +164,7 @@ bool LoopRejection::judge_anew(const std::vector<bool>& believed, Trajectory* tr
     const double chi2 = chi_squared(trajectory->loops[k], trajectory->T_map_vertex);
     eligible.push_back(!is_outlier && chi2 <= kFarOff * options_.robust_chi2);
   }
-  const std::vector<bool> none(eligible.size(), false);
-  trajectory->votes = consistency_.vote(trajectory->edges, trajectory->loops, eligible, none);
+  trajectory->votes = consistency_.vote(trajectory->edges, trajectory->loops, eligible);
   if (!classify(trajectory, knowledge)) return false;
   drop_outliers(eligible, trajectory, knowledge);
   return true;
@@ -134,7 +190,7 @@ void LoopRejection::drop_outliers(const std::vector<bool>& had_vote, Trajectory*
     entry.kept =
         was_in_graph ? knowledge->kept[k] : chi_squared(*entry.loop, trajectory->T_map_vertex) <= options_.robust_chi2;
     entry.may_vote = entry.kept || !was_in_graph || had_vote[k];
-    entry.is_in_graph = !entry.kept || !is_repetition(*entry.loop, i);
+    entry.is_in_graph = is_open(*entry.loop) && (!entry.kept || !is_repetition(*entry.loop, i));
     k += was_in_graph ? 1 : 0;
   }
   hand_over(trajectory, knowledge);
@@ -142,7 +198,9 @@ void LoopRejection::drop_outliers(const std::vector<bool>& had_vote, Trajectory*
 }
 
 LoopVerdict LoopRejection::verdict(const Entry& entry, const Chi2& chi2, double loop_factor) const {
-  LoopVerdict verdict{entry.query_keyframe_id, entry.match_keyframe_id, false, entry.refusal, entry.is_extra};
+  LoopVerdict verdict = entry.told;
+  verdict.kept = false;
+  verdict.reason = entry.refusal;
   if (!entry.loop) return verdict;
   const double disagreement = chi2(*entry.loop) / (loop_factor * loop_factor);
   verdict.kept = entry.is_in_graph ? entry.kept : disagreement <= options_.robust_chi2;
@@ -159,9 +217,15 @@ LoopVerdict LoopRejection::verdict(const Entry& entry, const Chi2& chi2, double 
   return verdict;
 }
 
-std::vector<LoopVerdict> LoopRejection::verdicts(const Chi2& chi2, double loop_factor) const {
-  std::vector<LoopVerdict> verdicts;
-  for (const Entry& entry : entries_) verdicts.push_back(verdict(entry, chi2, loop_factor));
+std::vector<LoopVerdict> LoopRejection::new_verdicts(const Chi2& chi2, double loop_factor) {
+  std::vector<LoopVerdict> verdicts = std::exchange(withdrawn_, {});
+  for (Entry& entry : entries_) {
+    LoopVerdict now = verdict(entry, chi2, loop_factor);
+    if (std::exchange(entry.is_told, true) && now.kept == entry.told.kept && now.reason == entry.told.reason) continue;
+    entry.told = now;
+    verdicts.push_back(std::move(now));
+  }
+  std::stable_sort(verdicts.begin(), verdicts.end(), [](const auto& a, const auto& b) { return a.number < b.number; });
   return verdicts;
 }
 

@@ -28,9 +28,19 @@ class LoopRejection {
 
   explicit LoopRejection(const PoseGraphOptions& options) : options_(options) {}
 
+  /// What the keyframe or vertex of a number moves with.
+  using CarrierOf = std::function<Carrier(int)>;
+
+  /// @param query, match numbers of the keyframes, -1 if unknown
   /// @return the loop, until the next call, if it went into the graph; null if it was refused or repeats others
-  const GraphLoop* add(const LoopClosure& closure, int query_vertex, int match_vertex, bool is_extra);
-  /// Forgets the loops between two keyframes. @return false if there is none
+  const GraphLoop* add(const LoopClosure& closure, int query, int match, bool is_extra, const CarrierOf& carrier);
+  /// Follows the vertices. @param carrier by the number that a vertex had
+  void move(const CarrierOf& carrier);
+  /// Bounds what is remembered, once it has been told; what was said last of a loop that is forgotten stands. In the
+  /// graph each vertex keeps its best two loops, the believed ones before the others, then by their stated errors. Of
+  /// the loops that repeat others the last thousand stay, to take the place of one that turns out false.
+  void bound();
+  /// Forgets the loops between two keyframes. @return false if none is remembered
   bool withdraw(std::int64_t query_keyframe_id, std::int64_t match_keyframe_id);
   /// How many loops are in the graph.
   std::size_t size() const;
@@ -47,14 +57,14 @@ class LoopRejection {
   /// @param trajectory, knowledge handed over, and voted on   @return false if there is no solution
   bool reject_outliers(Trajectory* trajectory, GraphKnowledge* knowledge);
 
-  /// On every loop, in order of acceptance.
+  /// On the loops of which something else was said before, or nothing, in order of acceptance.
   /// @param chi2 of a loop at the poses found   @param loop_factor on the sigmas that the loops state
-  std::vector<LoopVerdict> verdicts(const Chi2& chi2, double loop_factor) const;
+  std::vector<LoopVerdict> new_verdicts(const Chi2& chi2, double loop_factor);
 
  private:
   struct Entry {
-    std::int64_t query_keyframe_id = -1, match_keyframe_id = -1;
-    bool is_extra = false;          ///< given from outside
+    LoopVerdict told;  ///< what was said of it last
+    bool is_told = false;
     std::optional<GraphLoop> loop;  ///< none if it was refused
     std::string refusal;
     bool is_in_graph = false;           ///< not if it was refused or repeats others
@@ -70,7 +80,9 @@ class LoopRejection {
 
   const PoseGraphOptions& options_;
   LoopConsistency consistency_;
-  std::vector<Entry> entries_;  ///< in order of acceptance; those in the graph are its loops, in this order
+  std::vector<Entry> entries_;          ///< in order of acceptance; those in the graph are its loops, in this order
+  std::vector<LoopVerdict> withdrawn_;  ///< not told yet
+  std::int64_t accepted_ = 0;
 };
 
 /// Which of the kept loops stay if the clusters that strain the odometry most are doubted: one goes if, given the other

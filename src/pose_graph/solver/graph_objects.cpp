@@ -120,7 +120,7 @@ void ObjectMemory::add(int vertex, const Frame& frame, const AssociationFrame& a
   }
 }
 
-void ObjectMemory::apply(const MapUpdate& update, const std::map<std::int64_t, int>& vertex_of,
+void ObjectMemory::apply(const MapUpdate& update, const std::function<int(std::int64_t)>& vertex_of,
                          const std::vector<SE3>& T_map_vertex) {
   for (const LandmarkMerge& merge : update.unmerged) survivor_of_.erase(merge.merged_id);
   for (const LandmarkMerge& merge : update.merged) {
@@ -133,14 +133,29 @@ void ObjectMemory::apply(const MapUpdate& update, const std::map<std::int64_t, i
       landmarks_.erase(landmark.id);
       continue;
     }
-    const auto anchor = vertex_of.find(landmark.anchor_keyframe_id);
-    if (anchor == vertex_of.end()) continue;
-    const SE3& T_map_anchor = T_map_vertex[static_cast<std::size_t>(anchor->second)];
-    landmarks_[landmark.id] = {anchor->second,
-                               T_map_anchor.inverse() * landmark.ellipsoid->T_world_quadric,
-                               landmark.ellipsoid->semi_axes,
-                               {}};
+    const int anchor = vertex_of(landmark.anchor_keyframe_id);
+    if (anchor < 0) continue;
+    const SE3& T_map_anchor = T_map_vertex[static_cast<std::size_t>(anchor)];
+    landmarks_[landmark.id] = {
+        anchor, T_map_anchor.inverse() * landmark.ellipsoid->T_world_quadric, landmark.ellipsoid->semi_axes, {}};
   }
+}
+
+void ObjectMemory::move(const std::vector<Carrier>& carriers) {
+  const auto of = [&carriers](int vertex) -> const Carrier& { return carriers[static_cast<std::size_t>(vertex)]; };
+  for (auto& [id, object] : landmarks_) {
+    const Carrier& carrier = of(object.anchor);
+    if (carrier.T_vertex_keyframe) object.T_anchor_quadric = *carrier.T_vertex_keyframe * object.T_anchor_quadric;
+    object.anchor = carrier.vertex;
+  }
+  std::vector<Sighting> left;
+  for (Sighting& sighting : sightings_) {
+    const Carrier& carrier = of(sighting.view.vertex);
+    if (carrier.T_vertex_keyframe) continue;
+    sighting.view.vertex = carrier.vertex;
+    left.push_back(std::move(sighting));
+  }
+  sightings_ = std::move(left);
 }
 
 std::vector<GraphObject> ObjectMemory::objects() const {

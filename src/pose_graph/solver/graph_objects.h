@@ -1,10 +1,12 @@
 #pragma once
 
 #include <cstdint>
+#include <functional>
 #include <map>
 #include <optional>
 #include <vector>
 
+#include "odometry/graph_loop.h"
 #include "semantic_topo_loop/geometry/quadric.h"
 #include "semantic_topo_loop/types/detection.h"
 #include "semantic_topo_loop/types/frame.h"
@@ -80,9 +82,12 @@ class ObjectMemory {
  public:
   /// The boxes of a keyframe.
   void add(int vertex, const Frame& frame, const AssociationFrame& associations);
-  /// @param vertex_of by keyframe_id   @param T_map_vertex as they were when the update was made
-  void apply(const MapUpdate& update, const std::map<std::int64_t, int>& vertex_of,
+  /// @param vertex_of what a keyframe moves with, by its id; -1 if it is unknown
+  /// @param T_map_vertex as they were when the update was made
+  void apply(const MapUpdate& update, const std::function<int(std::int64_t)>& vertex_of,
              const std::vector<SE3>& T_map_vertex);
+  /// Follows the vertices; what was seen from those that are gone is forgotten. @param carriers one a vertex
+  void move(const std::vector<Carrier>& carriers);
 
   /// The landmarks that are confirmed, in order of id, with all their views: those that merged link all passes that
   /// saw them.
