@@ -1,0 +1,131 @@
+// Detector and pose graph together at default settings, on recorded boxes and odometry that drifts: what the README
+// promises, with some room for other versions of the libraries. docs/benchmarks.md has every file.
+
+#include <gtest/gtest.h>
+
+#include <memory>
+#include <string>
+#include <vector>
+
+#include "semantic_topo_loop/geometry/lie.h"
+#include "semantic_topo_loop/io/detection_file.h"
+#include "semantic_topo_loop/io/tum_trajectory.h"
+#include "semantic_topo_loop/pipeline/frame_builder.h"
+#include "semantic_topo_loop/pipeline/object_slam.h"
+#include "support/package_config.h"
+#include "support/test_files.h"
+#include "tools/evaluation/loop_evaluation.h"
+#include "tools/evaluation/trajectory_evaluation.h"
+
+namespace semantic_topo_loop::core {
+namespace {
+
+struct Outcome {
+  double ate_before_m = 0.0, ate_after_m = 0.0;
+  int accepted = 0, right = 0;
+  std::string name;
+
+  /// Loops to or from an image without a true pose are left out.
+  void judge(const LoopClosure& loop, const StampedPoses& truth) {
+    const StampedPose* query = find_stamp(truth, loop.query_stamp_ns, 1000);
+    const StampedPose* match = find_stamp(truth, loop.match_stamp_ns, 1000);
+    if (query == nullptr || match == nullptr) return;
+    const SE3 T_match_query = match->T_world_camera.inverse() * query->T_world_camera;
+    const double error_deg = degrees(rotation_angle(loop.T_match_query.q, T_match_query.q));
+    ++accepted;
+    right += (loop.T_match_query.t - T_match_query.t).norm() <= kLoopLimits.wide_m && error_deg <= kLoopLimits.wide_deg;
+  }
+  double gain() const { return ate_before_m / ate_after_m; }
+  double precision() const { return static_cast<double>(right) / static_cast<double>(accepted); }
+};
+
+class DriftedData : public ::testing::Test {
+ protected:
+  void SetUp() override {
+    if (!shared_data("tum/fr2_desk/")) GTEST_SKIP() << "SEMANTIC_TOPO_LOOP_DATA is not set";
+  }
+
+  /// @param file the odometry, a file of the sequence
+  static Outcome run(const std::string& sequence, const std::string& file, const Options& options = {}) {
+    const bool is_desk = sequence == "fr2_desk";
+    const std::string root = *shared_data("tum/" + sequence + "/");
+    const auto classes = shared_coco();
+    const StampedPoses odometry = checked(read_tum_trajectory(root + file));
+    const auto boxes =
+        checked(read_detections(root + (is_desk ? "detections_yolov5.json" : "detections_yolov3"), *classes));
+    const Camera camera =
+        checked(read_camera(STL_CONFIG_DIR "/camera/tum_fr" + std::string(is_desk ? "2" : "3") + ".yaml"));
+    const StampedPoses truth = checked(read_tum_ground_truth(root + "groundtruth_frames.txt"));
+    ObjectSlam slam(options, classes);
+    FrameBuilder builder(options.keyframe, camera);
+    Outcome outcome;
+    outcome.name = sequence + " " + file;
+    std::vector<Frame> frames;
+    for (const StampedPose& pose : odometry) {
+      PoseSample sample;
+      sample.stamp_ns = pose.stamp_ns;
+      sample.T_odom_camera = pose.T_world_camera;
+      frames.push_back(*builder.build(sample));
+      const DetectionFrame* seen = find_stamp(boxes.frames, pose.stamp_ns, 1000);
+      for (const LoopClosure& loop :
+           slam.process(frames.back(), seen != nullptr ? seen->detections : std::vector<Detection>()).loops) {
+        if (loop.accepted) outcome.judge(loop, truth);
+      }
+    }
+    slam.process(builder.end(), {});
+    const std::vector<KeyframePose> keyframes = slam.pose_graph().keyframes();
+    StampedPoses corrected;
+    for (const Frame& frame : frames) {
+      const KeyframePose& keyframe = keyframes[static_cast<std::size_t>(frame.keyframe_id)];
+      const SE3& T_odom_keyframe = frames[static_cast<std::size_t>(keyframe.frame_id)].T_odom_camera;
+      corrected.push_back({frame.stamp_ns, keyframe.T_map_camera * (T_odom_keyframe.inverse() * frame.T_odom_camera)});
+    }
+    const StampedPoses mocap = checked(read_tum_ground_truth(root + "groundtruth.txt"));
+    outcome.ate_before_m = checked(evaluate_trajectory(odometry, mocap)).absolute_m.rmse;
+    outcome.ate_after_m = checked(evaluate_trajectory(corrected, mocap)).absolute_m.rmse;
+    return outcome;
+  }
+};
+
+TEST_F(DriftedData, LoopsAreRightAndTakeTheDriftOut) {
+  struct Case {
+    const char *sequence, *file;
+    double least_gain;  ///< some three quarters of what it is
+    int least_loops;
+    double least_precision;
+  };
+  const Case cases[] = {{"fr2_desk", "drifted/smooth_0.3m_5deg_s1.txt", 3.0, 200, 0.99},
+                        {"fr2_desk", "drifted/jump_1m_15deg_s1.txt", 8.0, 150, 0.99},
+                        {"fr2_desk", "drifted_real/walk_0.3m_5deg_s1.txt", 1.2, 200, 0.95},
+                        {"fr2_desk", "drifted_real/slip_1m_15deg_s1.txt", 1.2, 100, 0.99},
+                        {"fr3_office", "drifted/smooth_1m_15deg_s1.txt", 3.0, 20, 0.99}};
+  for (const Case& c : cases) {
+    const Outcome outcome = run(c.sequence, c.file);
+    EXPECT_GT(outcome.gain(), c.least_gain) << outcome.name << " " << outcome.ate_before_m << " m before";
+    EXPECT_GE(outcome.accepted, c.least_loops) << outcome.name;
+    EXPECT_GE(outcome.precision(), c.least_precision) << outcome.name;
+  }
+}
+
+TEST_F(DriftedData, GoodOdometryStaysGood) {
+  const Outcome outcome = run("fr2_desk", "orbslam2_rgbd_trajectory.txt");
+  EXPECT_NEAR(outcome.ate_before_m, 0.0081, 0.0001);
+  EXPECT_LE(outcome.ate_after_m, outcome.ate_before_m);
+  EXPECT_GE(outcome.accepted, 500);
+  EXPECT_EQ(outcome.right, outcome.accepted);
+}
+
+/// Table III: 46 and 35 loops over the gap.
+TEST_F(DriftedData, PaperModeFindsItsLoops) {
+  Options options;
+  options.loop.mode = "paper";
+  const Outcome desk = run("fr2_desk", "orbslam2_rgbd_trajectory.txt", options);
+  EXPECT_NEAR(desk.accepted, 46, 4);
+  EXPECT_GE(desk.precision(), 0.85);
+  const Outcome office = run("fr3_office", "groundtruth_frames.txt", options);
+  EXPECT_NEAR(office.accepted, 35, 4);
+  EXPECT_GE(office.precision(), 0.75);
+}
+
+}  // namespace
+}  // namespace semantic_topo_loop::core
