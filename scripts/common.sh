@@ -80,10 +80,11 @@ source_ros() {
   set -u
 }
 
-# build TESTING(ON|OFF) [cmake arguments...]
-build() {
+# configure TESTING(ON|OFF) [cmake arguments...]
+configure() {
   local testing=$1
   shift
+  mkdir -p "$build_dir"
   source_ros
   say "building in $build_dir"
   # The libraries are compiled alike with and without tests; -g1 keeps the lines of a backtrace and takes two thirds of
@@ -95,7 +96,12 @@ build() {
     -DCATKIN_ENABLE_TESTING="$testing" -DSTL_WERROR="${SEMANTIC_TOPO_LOOP_WERROR:-OFF}" "$@" \
     > "$build_dir/configure.log" 2>&1 \
     || { cat "$build_dir/configure.log" >&2; return 1; }
+}
+
+# build TESTING(ON|OFF) [cmake arguments...]
+build() {
+  configure "$@"
   # catkin leaves tests out of the default target.
-  ninja -C "$build_dir" -j "$jobs" all $([ "$testing" = OFF ] || echo tests)
+  ninja -C "$build_dir" -j "$jobs" all $([ "$1" = OFF ] || echo tests)
   source_ros
 }

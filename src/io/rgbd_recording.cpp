@@ -58,7 +58,7 @@ Result<RgbdFiles> associate_images(const std::string& directory) {
   std::set<std::tuple<std::int64_t, std::int64_t, std::int64_t>> candidates;  // difference, color, depth
   for (const auto& [color_ns, unused] : *colors) {
     for (auto depth = depths->upper_bound(color_ns - kMaxDifference_ns);
-         depth != depths->end() && depth->first < color_ns + kMaxDifference_ns; ++depth) {
+         depth != depths->end() && depth->first - color_ns < kMaxDifference_ns; ++depth) {
       candidates.emplace(std::abs(depth->first - color_ns), color_ns, depth->first);
     }
   }

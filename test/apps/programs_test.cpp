@@ -67,8 +67,7 @@ TEST_F(OfflineRun, OutputThatCannotBeWrittenIsOneClearErrorBeforeTheRun) {
   expect_failure(with("d.json", "loop"), 1, "loop");
   expect_failure(with("d.json", std::string(300, 'x')), 1, "xxx");
   expect_failure(with("d.json", "run") + " --save-map @file/map.json", 1, "file/map.json");
-  std::filesystem::create_directory(directory_.path("taken"));
-  std::filesystem::create_directory(directory_.path("taken/.writable.tmp"));
+  std::filesystem::create_directories(directory_.path("taken/.writable/in the way"));
   expect_failure(with("d.json", "taken"), 1, "taken");
 }
 

@@ -1,0 +1,438 @@
+/// Changes valid files of every kind that the package reads, at random but for a seed, and gives them to their readers.
+/// A reader must come back with what it read or with one error that names the file: no exception, no crash, no hang.
+///
+///     fuzz_files FILES_A_KIND [SEED [KIND]]
+///
+/// Prints a table. Files that did harm are kept in the working directory.
+#include <fcntl.h>
+#include <unistd.h>
+
+#include <algorithm>
+#include <csignal>
+#include <cstdio>
+#include <cstdlib>
+#include <exception>
+#include <filesystem>
+#include <functional>
+#include <opencv2/imgcodecs.hpp>
+#include <string>
+#include <vector>
+
+#include "semantic_topo_loop/io/detection_file.h"
+#include "semantic_topo_loop/io/rgbd_recording.h"
+#include "semantic_topo_loop/io/run_files.h"
+#include "semantic_topo_loop/io/run_recorder.h"
+#include "semantic_topo_loop/io/submap_file.h"
+#include "semantic_topo_loop/io/tum_trajectory.h"
+#include "semantic_topo_loop/pipeline/frame_builder.h"
+#include "semantic_topo_loop/pipeline/object_slam.h"
+#include "support/package_config.h"
+#include "tools/evaluation/loop_evaluation.h"
+#include "tools/evaluation/object_evaluation.h"
+#include "tools/g2o/g2o.h"
+#include "tools/simulation/random.h"
+#include "tools/simulation/sequence.h"
+
+namespace semantic_topo_loop::core {
+namespace {
+
+constexpr unsigned kHang_s = 60;
+constexpr std::size_t kMaxSize = 1 << 18;
+
+struct Kind {
+  std::string name;
+  std::string file;                                     ///< below the directory of the reader
+  std::vector<std::string> seeds;                       ///< valid texts
+  std::function<Status(const std::string& path)> read;  ///< of the changed file
+};
+
+/// What is being read, for the alarm.
+std::string current;
+
+void on_alarm(int) {
+  // Only what is safe in a signal handler.
+  const auto unused = ::write(STDERR_FILENO, current.c_str(), current.size());
+  static_cast<void>(unused);
+  ::_exit(3);
+}
+
+template <class Value>
+Status status_of(const Result<Value>& result) {
+  return result ? Status() : Status(result.error());
+}
+
+// --- changes ------------------------------------------------------------------------------------------------------
+
+class Mutator {
+ public:
+  explicit Mutator(std::uint64_t seed) : random_(seed) {}
+
+  std::string mutate(const std::vector<std::string>& seeds) {
+    std::string text = seeds[index(seeds.size())];
+    for (int changes = random_.integer(1, 4); changes > 0; --changes) change(seeds, &text);
+    if (text.size() > kMaxSize) text.resize(kMaxSize);
+    return text;
+  }
+
+ private:
+  std::size_t index(std::size_t count) { return static_cast<std::size_t>(random_.index(static_cast<int>(count))); }
+  std::size_t place(const std::string& text) { return index(text.size() + 1); }
+
+  void change(const std::vector<std::string>& seeds, std::string* text) {
+    switch (random_.index(10)) {
+      case 0:  // bits
+        if (!text->empty()) (*text)[index(text->size())] ^= static_cast<char>(1 << random_.index(8));
+        break;
+      case 1:
+        text->resize(place(*text));
+        break;
+      case 2:  // twice
+        text->insert(place(*text), part(*text));
+        break;
+      case 3: {
+        const std::size_t from = place(*text);
+        text->erase(from, part(*text).size());
+        break;
+      }
+      case 4:
+        text->insert(place(*text), part(seeds[index(seeds.size())]));
+        break;
+      case 5:
+        text->insert(place(*text), bytes());
+        break;
+      case 6:
+        swap_lines(text);
+        break;
+      default:
+        replace_number(text);
+    }
+  }
+
+  /// From a few bytes to a few hundred.
+  std::string part(const std::string& text) {
+    return text.substr(place(text), static_cast<std::size_t>(random_.integer(1, random_.chance(0.5) ? 10 : 400)));
+  }
+  std::string bytes() {
+    static const std::vector<std::string> kTexts = {
+        "[",       "{",   "\"", "}",    ":",    ",",  "\n",   "\r\n",         " ", "\t",      "\0", "\xff", "#",
+        "&a [*a]", "!!x", "- ", "null", "true", "''", "\\u0", "\xef\xbb\xbf", "%", "../../x", "*"};
+    std::string text = kTexts[index(kTexts.size())];
+    // Deep nesting, long lines.
+    if (random_.chance(0.05)) {
+      const std::string one = text;
+      for (int i = 0; i < 20000; ++i) text += one;
+    }
+    return text;
+  }
+  void swap_lines(std::string* text) {
+    const std::size_t a = text->find('\n', place(*text));
+    if (a == std::string::npos) return;
+    const std::size_t b = text->find('\n', a + 1), c = b == std::string::npos ? b : text->find('\n', b + 1);
+    if (c == std::string::npos) return;
+    std::rotate(text->begin() + static_cast<std::ptrdiff_t>(a), text->begin() + static_cast<std::ptrdiff_t>(b),
+                text->begin() + static_cast<std::ptrdiff_t>(c));
+  }
+  void replace_number(std::string* text) {
+    static const std::vector<std::string> kNumbers = {"nan",
+                                                      "-nan",
+                                                      "inf",
+                                                      "-inf",
+                                                      "1e999",
+                                                      "-1e999",
+                                                      "1e308",
+                                                      "1e-320",
+                                                      "-1",
+                                                      "0",
+                                                      "-0",
+                                                      "4294967352",
+                                                      "1e20",
+                                                      "2147483648",
+                                                      "-2147483649",
+                                                      "9223372036854775807",
+                                                      "-9223372036854775808",
+                                                      "18446744073709551616",
+                                                      "0x10",
+                                                      "1,5",
+                                                      "",
+                                                      "1.0",
+                                                      "1e-9",
+                                                      "99999999999999999999999999"};
+    constexpr const char* kDigits = "0123456789";
+    const std::size_t from = text->find_first_of(kDigits, place(*text));
+    if (from == std::string::npos) return;
+    const std::size_t end = std::min(text->find_first_not_of("0123456789.eE+-", from), text->size());
+    text->replace(from, end - from, kNumbers[index(kNumbers.size())]);
+  }
+
+  Random random_;
+};
+
+// --- valid files --------------------------------------------------------------------------------------------------
+
+/// libpng prints about every file that is none.
+class Silence {
+ public:
+  Silence() : stderr_(::dup(STDERR_FILENO)) {
+    const int null = ::open("/dev/null", O_WRONLY);
+    ::dup2(null, STDERR_FILENO);
+    ::close(null);
+  }
+  ~Silence() {
+    ::dup2(stderr_, STDERR_FILENO);
+    ::close(stderr_);
+  }
+
+ private:
+  int stderr_;
+};
+
+/// A short run with two laps, so that there are objects, loops and submaps.
+SimulatedSequence make_sequence() {
+  const OptionTexts options = {
+      {"trajectory.duration_s", "40"}, {"trajectory.lap_s", "18"}, {"trajectory.rate_hz", "5"}};
+  return checked(simulate(checked(make_options<SimulationOptions>(options)), camera_fr2(), coco()));
+}
+
+/// Writes the files of the sequence and of a run on it.
+void write_valid_files(const std::string& directory) {
+  const SimulatedSequence sequence = make_sequence();
+  Status written = write_sequence(sequence, coco(), directory);
+  RunRecorder recorder(shared_coco());
+  const Options options;
+  ObjectSlam slam(options, shared_coco());
+  FrameBuilder builder(options.keyframe, sequence.camera);
+  const auto record = [&](const Frame& frame, const std::vector<Detection>& detections) {
+    const FrameResult result = slam.process(frame, detections);
+    recorder.record(frame);
+    recorder.record(result.associations);
+    recorder.record(result.observation);
+    recorder.record(frame.frame_id, result.loops, result.loop_us);
+    recorder.record(result.correction);
+    recorder.record(result.completion);
+  };
+  for (std::size_t i = 0; i < sequence.odometry.size(); ++i) {
+    PoseSample sample;
+    sample.stamp_ns = sequence.odometry[i].stamp_ns;
+    sample.T_odom_camera = sequence.odometry[i].T_world_camera;
+    std::vector<Detection> detections;
+    for (const SimulatedDetection& d : sequence.detections[i]) detections.push_back(d.detection);
+    record(checked(builder.build(sample)), detections);
+  }
+  record(builder.end(), {});
+  if (written) written = recorder.write(directory);
+  std::vector<LocalMap> submaps = slam.submaps_in_map();
+  submaps.resize(std::min<std::size_t>(2, submaps.size()));
+  if (written) written = write_submaps(directory + "/submaps.json", submaps);
+  if (written) written = write_given_loops(directory + "/given_loops.csv", {LoopClosure(), LoopClosure()});
+  const cv::Mat color(24, 32, CV_8UC3, cv::Scalar(50, 90, 130)), depth(24, 32, CV_16UC1, cv::Scalar(5000));
+  if (!written || !cv::imwrite(directory + "/color.png", color) || !cv::imwrite(directory + "/depth.png", depth)) {
+    std::fprintf(stderr, "fuzz_files: no valid files: %s\n", written.message().c_str());
+    std::exit(1);
+  }
+}
+
+/// The first lines of a file, which is enough and quick.
+std::string head(const std::string& path, std::size_t size = 6000) {
+  const std::string text = read_whole(path);
+  return text.size() <= size ? text : text.substr(0, text.rfind('\n', size) + 1);
+}
+
+Camera small_camera() {
+  Camera camera;
+  camera.fx = camera.fy = 50.0;
+  camera.cx = 15.5;
+  camera.cy = 11.5;
+  camera.width = 32;
+  camera.height = 24;
+  return camera;
+}
+
+const char kGraph3[] =
+    "VERTEX_SE3:QUAT 0 0 0 0 0 0 0 1\nVERTEX_SE3:QUAT 1 1 0 0 0 0 0 1\nFIX 0\nEDGE_SE3:QUAT 0 1 1 0 0 0 0 0 1 "
+    "1 0 0 0 0 0 1 0 0 0 0 1 0 0 0 1 0 0 1 0 1\nEDGE_SE3:QUAT 1 0 -1 0 0 0 0 0 1 1 0 0 0 0 0 1 0 0 0 0 1 0 0 0 1 0 0 1 "
+    "0 1\n";
+const char kGraph2[] =
+    "VERTEX_SE2 0 0 0 0\nVERTEX_SE2 1 1 0 0.1\nVERTEX_SE2 2 2 0 0.2\nEDGE_SE2 0 1 1 0 0.1 1 0 0 1 0 1\n"
+    "EDGE_SE2 1 2 1 0 0.1 1 0 0 1 0 1\nEDGE_SE2 2 0 -2 0 -0.2 1 0 0 1 0 1\n";
+
+/// @param valid directory with valid files; the reader's own directory holds the same beside the changed one
+std::vector<Kind> make_kinds(const std::string& valid) {
+  const ClassTable classes = coco();
+  const auto file = [&valid](const std::string& name) { return head(valid + "/" + name); };
+  const auto directory_of = [](const std::string& path) { return std::filesystem::path(path).parent_path().string(); };
+  const std::string detections = R"([{"file_name": "1.5.png", "detections": [{"category_id": 41, "detection_score": 0.5,
+    "bbox": [10.5, 20, 90, 80]}, {"category_id": 73, "detection_score": 0.9, "bbox": [110, 20, 190, 180]}]},
+    {"file_name": "1.7.png", "detections": []}, {"file_name": "2.0.png", "detections": [{"category_id": 39,
+    "detection_score": 1, "bbox": [1, 2, 30, 40]}]}])";
+  std::vector<std::string> cameras, tables, configs;
+  for (const auto& entry : std::filesystem::recursive_directory_iterator(STL_CONFIG_DIR)) {
+    if (entry.path().extension() != ".yaml") continue;
+    const std::string path = entry.path().string(), text = head(path, kMaxSize);
+    (path.find("/camera/") != std::string::npos  ? cameras
+     : path.find("classes") != std::string::npos ? tables
+                                                 : configs)
+        .push_back(text);
+  }
+  const auto image = [](const std::string& color, const std::string& depth) {
+    DepthOptions options;
+    options.scale = 5000.0;
+    const Silence silence;
+    return status_of(read_rgbd_image({1, color, depth}, small_camera(), options));
+  };
+  return {
+      {"detections, JSON",
+       "d.json",
+       {detections},
+       [classes](const std::string& path) { return status_of(read_detections(path, classes)); }},
+      {"detections, YOLO",
+       "yolo/1.5.txt",
+       {"41 10 20 80 60 0.5\n73 110 20 80 160 0.9\n", ""},
+       [=](const std::string& path) { return status_of(read_detections(directory_of(path), classes)); }},
+      {"trajectory",
+       "t.txt",
+       {file("trajectory.txt")},
+       [](const std::string& path) { return status_of(read_tum_trajectory(path)); }},
+      {"ground truth",
+       "g.txt",
+       {file("groundtruth.txt")},
+       [](const std::string& path) { return status_of(read_tum_ground_truth(path)); }},
+      {"associations",
+       "a.txt",
+       {"1.0 rgb/1.png 1.01 depth/1.png\n2.0 rgb/2.png 2.01 depth/2.png\n# end\n"},
+       [](const std::string& path) { return status_of(read_associations(path, "images")); }},
+      {"rgb.txt",
+       "tum/rgb.txt",
+       {"# color\n1.0 rgb/1.png\n1.05 rgb/2.png\n2.0 rgb/3.png\n"},
+       [=](const std::string& path) { return status_of(associate_images(directory_of(path))); }},
+      {"color image",
+       "c.png",
+       {read_whole(valid + "/color.png")},
+       [=](const std::string& path) { return image(path, valid + "/depth.png"); }},
+      {"depth image",
+       "z.png",
+       {read_whole(valid + "/depth.png")},
+       [=](const std::string& path) { return image(valid + "/color.png", path); }},
+      {"camera", "camera.yaml", cameras, [](const std::string& path) { return status_of(read_camera(path)); }},
+      {"class table", "classes.yaml", tables,
+       [](const std::string& path) { return status_of(read_class_table(path)); }},
+      {"config", "config.yaml", configs, [](const std::string& path) { return status_of(load_options(path, {})); }},
+      {"submaps",
+       "submaps.json",
+       {head(valid + "/submaps.json", kMaxSize)},
+       [classes](const std::string& path) { return status_of(read_submaps(path, classes)); }},
+      {"reference objects",
+       "r.csv",
+       {file("reference_objects.csv")},
+       [](const std::string& path) { return status_of(read_reference_objects(path)); }},
+      {"objects",
+       "o.csv",
+       {file("objects.csv")},
+       [](const std::string& path) { return status_of(read_objects(path)); }},
+      {"keyframes",
+       "k.csv",
+       {file("keyframes.csv")},
+       [](const std::string& path) { return status_of(read_keyframes(path)); }},
+      {"loops", "l.csv", {file("loops.csv")}, [](const std::string& path) { return status_of(read_loops(path)); }},
+      {"given loops",
+       "gl.csv",
+       {file("given_loops.csv"), file("loops.csv")},
+       [](const std::string& path) { return status_of(read_given_loops(path)); }},
+      {"sightings",
+       "run/associations.csv",
+       {file("associations.csv")},
+       [=](const std::string& path) { return status_of(read_sightings(directory_of(path))); }},
+      {"pose graph",
+       "g.g2o",
+       {kGraph3, kGraph2},
+       [](const std::string& path) {
+         G2oRefusals refusals;
+         Result<G2oGraph> graph = read_g2o(path, &refusals);
+         if (!graph) return Status(graph.error());
+         GraphOptimizerOptions options;
+         options.max_iterations = 5;
+         // What cannot be solved is an error of the graph, not of the file.
+         static_cast<void>(status_of(optimize_graph(&*graph, options)));
+         return Status();
+       }},
+  };
+}
+
+// --- the run ------------------------------------------------------------------------------------------------------
+
+struct Counts {
+  int read = 0, refused = 0, harmful = 0;
+};
+
+/// @return what is wrong with how the reader took the file; empty if nothing
+std::string judge(const Kind& kind, const std::string& path, Counts* counts) {
+  try {
+    const Status status = kind.read(path);
+    ++(status ? counts->read : counts->refused);
+    const std::string folder = std::filesystem::path(path).parent_path().string();
+    if (status || status.message().find(folder) != std::string::npos) return {};
+    return "the error does not name the file: " + status.message();
+  } catch (const std::exception& exception) {
+    return std::string("an exception: ") + exception.what();
+  }
+}
+
+int fuzz(const Kind& kind, const std::string& directory, int files, std::uint64_t seed) {
+  Mutator mutator(seed);
+  Counts counts;
+  const std::string path = directory + "/" + kind.file;
+  for (const std::string& seed_text : kind.seeds) {
+    std::ofstream(path, std::ios::binary) << seed_text;
+    const Status valid = kind.read(path);
+    if (valid) continue;
+    std::printf("fuzz_files: the valid file of %s is refused: %s\n", kind.name.c_str(), valid.message().c_str());
+    ++counts.harmful;
+  }
+  for (int i = 0; i < files; ++i) {
+    const std::string text = mutator.mutate(kind.seeds);
+    std::ofstream(path, std::ios::binary) << text;
+    current = "fuzz_files: hangs or died at " + kind.name + ", file " + std::to_string(i) + " of seed " +
+              std::to_string(seed) + ": " + path + "\n";
+    ::alarm(kHang_s);
+    const std::string harm = judge(kind, path, &counts);
+    ::alarm(0);
+    if (harm.empty()) continue;
+    if (++counts.harmful > 5) continue;
+    std::string kept = "harmful_" + std::filesystem::path(kind.file).filename().string() + "_" + std::to_string(i);
+    std::ofstream(kept, std::ios::binary) << text;
+    std::printf("fuzz_files: %s, file %d of seed %llu, kept as %s: %s\n", kind.name.c_str(), i,
+                static_cast<unsigned long long>(seed), kept.c_str(), harm.c_str());
+  }
+  std::printf("| %-17s | %7d | %7d | %7d | %7d |\n", kind.name.c_str(), files, counts.read, counts.refused,
+              counts.harmful);
+  std::fflush(stdout);
+  return counts.harmful;
+}
+
+int run(int files, std::uint64_t seed, const std::string& only) {
+  const TestDirectory valid, changed;
+  write_valid_files(valid.path(""));
+  for (const char* folder : {"yolo", "tum", "run"}) std::filesystem::create_directories(changed.path(folder));
+  changed.write("tum/depth.txt", "1.01 depth/1.png\n1.06 depth/2.png\n2.0 depth/3.png\n");
+  for (const char* name : {"objects.csv", "trajectory.txt"}) {
+    std::filesystem::copy_file(valid.path(name), changed.path(std::string("run/") + name));
+  }
+  std::printf("| kind              |   files |    read | refused | harmful |\n| --- | --- | --- | --- | --- |\n");
+  int harmful = 0;
+  for (const Kind& kind : make_kinds(valid.path(""))) {
+    if (only.empty() || kind.name == only) harmful += fuzz(kind, changed.path(""), files, seed);
+  }
+  return harmful == 0 ? 0 : 1;
+}
+
+}  // namespace
+}  // namespace semantic_topo_loop::core
+
+int main(int argc, char** argv) {
+  if (argc < 2) {
+    std::fprintf(stderr, "usage: fuzz_files FILES_A_KIND [SEED [KIND]]\n");
+    return 2;
+  }
+  ::signal(SIGALRM, semantic_topo_loop::core::on_alarm);
+  return semantic_topo_loop::core::run(std::atoi(argv[1]), argc > 2 ? std::strtoull(argv[2], nullptr, 10) : 1,
+                                       argc > 3 ? argv[3] : "");
+}
