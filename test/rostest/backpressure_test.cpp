@@ -184,6 +184,16 @@ TEST_F(Backpressure, WhatNeverArrivesIsCounted) {
   EXPECT_EQ(diagnostics_.count("Slow", "never arrived: frames"), 4U) << "a session may be joined late";
 }
 
+TEST_F(Backpressure, WhatIsOfAnotherSessionIsLeftOutAndCounted) {
+  stage_.let_go();
+  ASSERT_TRUE(wait_until([this] { return stage_.frames == 1; }));
+  session_ = 99;
+  send(1);
+  send(2);
+  EXPECT_TRUE(wait_until([this] { return diagnostics_.count("Slow", "dropped, other session") == 2; }));
+  EXPECT_EQ(stage_.frames, 1);
+}
+
 TEST_F(Backpressure, SessionsTimersAndTheEndSurviveAStall) {
   const int ticks = stage_.ticks, sessions = stage_.sessions;
   start_session(2);

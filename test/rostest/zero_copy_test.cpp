@@ -1,17 +1,25 @@
 #include <ros/publication.h>
 #include <ros/subscriber_link.h>
 #include <ros/topic_manager.h>
+#include <rosbag/bag.h>
 #include <sensor_msgs/CameraInfo.h>
+#include <sensor_msgs/Image.h>
+#include <sensor_msgs/image_encodings.h>
 #include <std_msgs/Empty.h>
 #include <visualization_msgs/MarkerArray.h>
 
 #include <deque>
+#include <map>
 #include <memory>
+#include <random>
 #include <set>
 #include <vector>
 
+#include "ros/conversions.h"
+#include "ros/tum_bag.h"
 #include "semantic_topo_loop/FrameDone.h"
 #include "semantic_topo_loop/Keyframe.h"
+#include "semantic_topo_loop/SessionAck.h"
 #include "semantic_topo_loop/ros/messages.h"
 #include "support/in_process_chain.h"
 
@@ -50,6 +58,7 @@ class PublishProbe : public ros::SubscriberLink {
 /// Listens on one topic like any stage does.
 struct Listener {
   std::string topic;
+  std::size_t least = 0;  ///< messages that there must be
   boost::shared_ptr<PublishProbe> probe = boost::make_shared<PublishProbe>();
   ros::Subscriber subscriber;
   std::mutex mutex;  ///< guards received
@@ -59,9 +68,10 @@ struct Listener {
 class ZeroCopy : public ::testing::Test {
  protected:
   template <class Message>
-  void listen(const std::string& topic) {
+  void listen(const std::string& topic, std::size_t least = 20) {
     auto& listener = *listeners_.emplace_back(std::make_unique<Listener>());
     listener.topic = ros::names::resolve(topic);
+    listener.least = least;
     const boost::function<void(const boost::shared_ptr<const Message>&)> callback =
         [&listener](const boost::shared_ptr<const Message>& message) {
           const std::lock_guard<std::mutex> lock(listener.mutex);
@@ -81,6 +91,17 @@ class ZeroCopy : public ::testing::Test {
     listen<LoopsMessage>("loop_closures");
     listen<CorrectionMessage>("map_corrections");
     listen<FrameDone>("frame_done");
+  }
+
+  void expect_nothing_copied() {
+    for (const auto& listener : listeners_) {
+      listener->subscriber.shutdown();
+      const std::lock_guard<std::mutex> lock(listener->mutex);
+      EXPECT_GE(listener->received.size(), listener->least) << listener->topic;
+      std::size_t copied = 0;
+      for (const auto& message : listener->received) copied += listener->probe->has(message.get()) ? 0 : 1;
+      EXPECT_EQ(copied, 0u) << "of " << listener->received.size() << " messages on " << listener->topic;
+    }
   }
 
   ros::NodeHandle node_;
@@ -104,14 +125,82 @@ TEST_F(ZeroCopy, WhatIsPublishedIsWhatIsReceived) {
   ASSERT_EQ(chain.wait_for_end(60.0), "finished");
   chain.unload_all();
   EXPECT_EQ(decoded_frames(), decoded_before) << "every stage reads the front end's own Frame";
-  for (const auto& listener : listeners_) {
-    listener->subscriber.shutdown();
-    const std::lock_guard<std::mutex> lock(listener->mutex);
-    EXPECT_GT(listener->received.size(), 20u) << listener->topic;
-    std::size_t copied = 0;
-    for (const auto& message : listener->received) copied += listener->probe->has(message.get()) ? 0 : 1;
-    EXPECT_EQ(copied, 0u) << "of " << listener->received.size() << " messages on " << listener->topic;
+  expect_nothing_copied();
+}
+
+/// A textured wall that moves by two pixels an image, a metre away, in the layout of the TUM bags.
+void write_bag(const std::string& file, int images) {
+  constexpr std::uint32_t kWidth = 320, kHeight = 240;
+  std::mt19937 random(1);
+  std::vector<std::uint8_t> texture(1000 * kHeight);
+  for (std::uint8_t& value : texture) value = static_cast<std::uint8_t>(random() % 256);
+  rosbag::Bag bag(file, rosbag::bagmode::Write);
+  for (int i = 0; i < images; ++i) {
+    const ros::Time stamp(1000.0 + i / 30.0);
+    sensor_msgs::CameraInfo info;
+    to_msg(core::Camera{262.5, 262.5, 159.5, 119.5, 320, 240, {}}, &info);
+    info.header = make_header(stamp, "openni_rgb_optical_frame");
+    sensor_msgs::Image color, depth;
+    color.header = depth.header = info.header;
+    color.width = depth.width = color.step = kWidth;
+    color.height = depth.height = kHeight;
+    color.encoding = sensor_msgs::image_encodings::MONO8;
+    for (std::uint32_t y = 0; y < kHeight; ++y) {
+      for (std::uint32_t x = 0; x < kWidth; ++x) {
+        // Blocks, so that there are corners to follow.
+        const std::uint32_t column = (x + 2 * static_cast<std::uint32_t>(i)) / 6;
+        color.data.push_back(texture[(y / 6) * 1000 + column]);
+      }
+    }
+    depth.encoding = sensor_msgs::image_encodings::TYPE_16UC1;
+    depth.step = 2 * kWidth;
+    for (std::uint32_t p = 0; p < kWidth * kHeight; ++p) {
+      depth.data.push_back(1000 % 256);
+      depth.data.push_back(1000 / 256);
+    }
+    bag.write(tum_topic::kCameraInfo, stamp, info);
+    bag.write(tum_topic::kColor, stamp, color);
+    bag.write(tum_topic::kDepth, stamp, depth);
   }
+}
+
+TEST_F(ZeroCopy, ImagesPointsAndReports) {
+  const core::TestDirectory directory;
+  write_bag(directory.path("wall.bag"), 40);
+  InProcessChain chain;
+  chain.configure(directory.path("data"), directory.path("results"));
+  chain.set("detection_ingestion", "source", "none");
+  chain.set("player", "mode", "bag");
+  chain.set("player", "bag_file", directory.path("wall.bag"));
+  chain.set("player", "images", true);
+  chain.set("player", "camera_file", std::string());
+  chain.set("player", "await_results", true);
+  chain.set("player", "stages", "Listener");
+  for (const auto& [name, type] : std::map<std::string, std::string>{{"detection_ingestion", "DetectionIngestion"},
+                                                                     {"object_association", "ObjectAssociation"},
+                                                                     {"quadric_mapping", "QuadricMapping"},
+                                                                     {"loop_detection", "LoopDetection"},
+                                                                     {"pose_graph", "PoseGraph"},
+                                                                     {"recorder", "Recorder"},
+                                                                     {"point_mapping", "PointMapping"},
+                                                                     {"rgbd_frontend", "RgbdFrontend"},
+                                                                     {"player", "Player"}}) {
+    chain.load(name, type);
+  }
+  listen<sensor_msgs::Image>("color");
+  listen<sensor_msgs::Image>("depth");
+  listen<KeyframePointsMessage>("keyframe_points", 1);
+  listen<TrackingMessage>("tracking_report", 1);
+  if (HasFatalFailure()) return;
+  // Playback begins now.
+  ros::Publisher acks = node_.advertise<SessionAck>("session_acks", 10);
+  SessionAck ack;
+  ack.session_id = 1;
+  ack.stage = "Listener";
+  acks.publish(ack);
+  ASSERT_EQ(chain.wait_for_end(60.0), "finished");
+  chain.unload_all();
+  expect_nothing_copied();
 }
 
 TEST_F(ZeroCopy, AFrameFromOutsideIsDecodedOnceForAllStages) {
