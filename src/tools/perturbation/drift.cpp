@@ -142,6 +142,16 @@ std::vector<StepError> jump_errors(const Replay& replay, const DriftOptions& opt
   return errors;
 }
 
+/// Between a scale whose error is within the level and one whose error is not.
+template <class Error>
+double crossing(const Error& error, double inside, double outside, double level, int iterations) {
+  for (int i = 0; i < iterations; ++i) {
+    const double middle = 0.5 * (inside + outside);
+    (error(middle) > level ? outside : inside) = middle;
+  }
+  return inside;
+}
+
 /// The largest scale in [0, infinity) whose error stays within the level, for an error that grows with the scale.
 template <class Error>
 double scale_to_level(const Error& error, double level) {
@@ -150,11 +160,7 @@ double scale_to_level(const Error& error, double level) {
     low = high;
     high *= 2.0;
   }
-  for (int i = 0; i < 30; ++i) {
-    const double middle = 0.5 * (low + high);
-    (error(middle) > level ? high : low) = middle;
-  }
-  return low;
+  return crossing(error, low, high, level, 30);
 }
 
 /// The largest distance from the truth as a function of the translation errors' scale, for given rotations: positions
@@ -182,7 +188,8 @@ class PositionError {
     const double bound = (level + (*this)(0.0)) / slope;
     const double lowest = minimiser(bound);
     if ((*this)(lowest) > level) return std::nullopt;
-    const double positive = crossing(lowest, bound, level), negative = crossing(lowest, -bound, level);
+    const double positive = crossing(*this, lowest, bound, level, kIterations);
+    const double negative = crossing(*this, lowest, -bound, level, kIterations);
     return std::abs(positive) < std::abs(negative) ? positive : negative;
   }
 
@@ -201,15 +208,6 @@ class PositionError {
       }
     }
     return 0.5 * (low + high);
-  }
-
-  /// Between a scale whose error is within the level and one whose error is not.
-  double crossing(double inside, double outside, double level) const {
-    for (int i = 0; i < kIterations; ++i) {
-      const double middle = 0.5 * (inside + outside);
-      ((*this)(middle) > level ? outside : inside) = middle;
-    }
-    return inside;
   }
 
   const std::vector<SE3>& truth_;
