@@ -184,8 +184,8 @@ void solve(const Camera& camera, int iterations, bool with_focal, BundleProblem*
     }
   }
   if (problem.NumResidualBlocks() == 0) return;
-  // Not among the poses: within a group Ceres orders by address, and this one is on the stack, which lies above the heap
-  // in one process and below in another.
+  // Not among the poses: within a group Ceres orders by address, and this one is on the stack, which lies above the
+  // heap in one process and below in another.
   ordering->AddElementToGroup(&factor, 2);
   ceres::Solver::Options options;
   options.linear_solver_type = ceres::DENSE_SCHUR;
