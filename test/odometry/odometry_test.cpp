@@ -206,7 +206,7 @@ TEST(NoiseEstimator, SuspectedJumpsCountWhereTheLoopsBearThemOut) {
 
 TEST(NoiseEstimator, LoopNoiseIsNotTakenForOdometryNoise) {
   for (std::uint64_t seed = 1; seed <= 4; ++seed) {
-    const NoiseEstimate found = estimate(make_case({1e-4, 1e-4}, 1.0, seed));
+    const NoiseEstimate found = estimate(make_case(OdometryNoise{1e-4, 1e-4}, 1.0, seed));
     EXPECT_LT(found.odometry.translation_m, 0.005) << seed;
     EXPECT_LT(found.odometry.rotation_rad, 0.003) << seed;
     EXPECT_NEAR(found.loop_factor, 1.0, 0.2) << seed;
@@ -214,20 +214,20 @@ TEST(NoiseEstimator, LoopNoiseIsNotTakenForOdometryNoise) {
 }
 
 TEST(NoiseEstimator, LoopsThatOverstateTheirPrecisionAreFoundOut) {
-  const NoiseEstimate found = estimate(make_case({0.01, 0.01}, 2.0, 3));
+  const NoiseEstimate found = estimate(make_case(OdometryNoise{0.01, 0.01}, 2.0, 3));
   EXPECT_NEAR(found.loop_factor, 2.0, 0.4);
 }
 
 TEST(NoiseEstimator, StaysInItsBounds) {
   NoisePrior prior;
   prior.factor_max = 3.0;
-  const NoiseEstimate found = estimate(make_case({0.5, 0.3}, 1.0, 2), prior);
+  const NoiseEstimate found = estimate(make_case(OdometryNoise{0.5, 0.3}, 1.0, 2), prior);
   EXPECT_NEAR(found.odometry.translation_m, 3.0 * prior.least.translation_m, 1e-9);
   EXPECT_NEAR(found.odometry.rotation_rad, 3.0 * prior.least.rotation_rad, 1e-9);
 }
 
 TEST(NoiseEstimator, RobustFactorIgnoresAMinorityOfFalseLoops) {
-  Case data = make_case({0.02, 0.012}, 1.0, 5);
+  Case data = make_case(OdometryNoise{0.02, 0.012}, 1.0, 5);
   const auto factor = [&] {
     const PathNoise path(data.vertices, data.edges);
     std::vector<double> factors;
@@ -245,7 +245,7 @@ TEST(NoiseEstimator, RobustFactorIgnoresAMinorityOfFalseLoops) {
 
 TEST(InnovationModel, DoesNotDependOnWhereItIsLinearised) {
   // At the odometry itself and at poses bent by a part of the correction the same innovations come out.
-  const Case data = make_case({0.02, 0.01}, 1.0, 7);
+  const Case data = make_case(OdometryNoise{0.02, 0.01}, 1.0, 7);
   Case bent = data;
   for (std::size_t i = 0; i < bent.vertices.size(); ++i) {
     Vec6 d = Vec6::Zero();
