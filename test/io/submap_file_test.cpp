@@ -108,8 +108,9 @@ TEST_F(SubmapFile, NamesFileAndFieldOfAnError) {
   bad["submaps"][0]["frames"][3]["anchor_from_camera"][6] = 5.0;
   EXPECT_EQ(error_of(bad), "submaps[0].frames[3].anchor_from_camera holds a quaternion that is no rotation");
   bad = json();
-  bad["submaps"][0]["frames"][3]["boxes"][1][0] = nullptr;
-  EXPECT_EQ(error_of(bad), "submaps[0].frames[3].boxes[1][0] = null must be a finite number");
+  const std::size_t k = bad["submaps"][0]["check_frames"][1];  // the others keep no boxes
+  bad["submaps"][0]["frames"][k]["boxes"][1][0] = nullptr;
+  EXPECT_EQ(error_of(bad), "submaps[0].frames[" + std::to_string(k) + "].boxes[1][0] = null must be a finite number");
   bad = json();
   bad["submaps"][0]["frames"][3]["focal_px"] = "wide";
   EXPECT_EQ(error_of(bad), "submaps[0].frames[3].focal_px = \"wide\" must be an array");

@@ -57,9 +57,14 @@ struct LongRun {
   std::map<std::int64_t, LoopVerdict> verdicts;
 };
 
+const LongRun& ten_rounds() {
+  static const LongRun run(10);
+  return run;
+}
+
 TEST(Growth, RoundsOfOneRoomFitIntoOneGraph) {
-  const LongRun many(12);
-  EXPECT_GT(many.accepted, 3500);
+  const LongRun& many = ten_rounds();
+  EXPECT_GE(many.accepted, 3000);
   EXPECT_LE(many.vertices, 400U);
   EXPECT_LE(many.loops, 900U) << "what comes between two solutions, too";
   EXPECT_EQ(many.graph.keyframes().size(), static_cast<std::size_t>(many.run.size())) << "none is lost";
@@ -68,7 +73,7 @@ TEST(Growth, RoundsOfOneRoomFitIntoOneGraph) {
 }
 
 TEST(Growth, CorrectionsSayWhatIsNew) {
-  const LongRun run(8);
+  const LongRun& run = ten_rounds();
   EXPECT_EQ(run.verdicts.size(), static_cast<std::size_t>(run.accepted)) << "one at least on every loop";
   EXPECT_LT(run.largest, run.verdicts.size() / 3);
   int kept = 0;

@@ -341,7 +341,7 @@ void compact(LocalMap* map) {
   for (const int i : needed) {
     renumbered[i] = static_cast<int>(frames.size());
     frames.push_back(std::move(map->frames[static_cast<std::size_t>(i)]));
-    if (checked.count(i) == 0) frames.back().boxes = {};
+    if (checked.count(i) == 0) std::vector<ObservedBox>().swap(frames.back().boxes);
   }
   map->frames = std::move(frames);
   for (int& i : map->check_frames) i = renumbered[i];
