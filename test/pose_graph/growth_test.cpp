@@ -69,7 +69,7 @@ TEST(Growth, RoundsOfOneRoomFitIntoOneGraph) {
   EXPECT_LE(many.loops, 900U) << "what comes between two solutions, too";
   EXPECT_EQ(many.graph.keyframes().size(), static_cast<std::size_t>(many.run.size())) << "none is lost";
   EXPECT_LT(many.run.worst_error_m(many.graph.keyframes()), 0.2);
-  EXPECT_GT(many.run.worst_odometry_error_m(), 0.5);
+  EXPECT_GT(many.run.worst_odometry_error_m(), 0.4) << "what the loops correct";
 }
 
 TEST(Growth, CorrectionsSayWhatIsNew) {
