@@ -237,16 +237,6 @@ std::string head(const std::string& path, std::size_t size = 6000) {
   return text.size() <= size ? text : text.substr(0, text.rfind('\n', size) + 1);
 }
 
-Camera small_camera() {
-  Camera camera;
-  camera.fx = camera.fy = 50.0;
-  camera.cx = 15.5;
-  camera.cy = 11.5;
-  camera.width = 32;
-  camera.height = 24;
-  return camera;
-}
-
 const char kGraph3[] =
     "VERTEX_SE3:QUAT 0 0 0 0 0 0 0 1\nVERTEX_SE3:QUAT 1 1 0 0 0 0 0 1\nFIX 0\nEDGE_SE3:QUAT 0 1 1 0 0 0 0 0 1 "
     "1 0 0 0 0 0 1 0 0 0 0 1 0 0 0 1 0 0 1 0 1\nEDGE_SE3:QUAT 1 0 -1 0 0 0 0 0 1 1 0 0 0 0 0 1 0 0 0 0 1 0 0 0 1 0 0 1 "

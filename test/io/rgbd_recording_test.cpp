@@ -8,20 +8,11 @@
 #include <vector>
 
 #include "semantic_topo_loop/types/stamp.h"
+#include "support/package_config.h"
 #include "support/test_files.h"
 
 namespace semantic_topo_loop::core {
 namespace {
-
-Camera small_camera() {
-  Camera camera;
-  camera.fx = camera.fy = 50.0;
-  camera.cx = 15.5;
-  camera.cy = 11.5;
-  camera.width = 32;
-  camera.height = 24;
-  return camera;
-}
 
 class RgbdFolder : public ::testing::Test {
  protected:

@@ -393,12 +393,3 @@ TEST(Load, SixtyBoxesAtThirtyHertz) {
 
 }  // namespace
 }  // namespace semantic_topo_loop
-
-int main(int argc, char** argv) {
-  testing::InitGoogleTest(&argc, argv);
-  ros::init(argc, argv, "backpressure_test");
-  const ros::NodeHandle node;
-  ros::AsyncSpinner spinner(3);
-  spinner.start();
-  return RUN_ALL_TESTS();
-}

@@ -437,12 +437,3 @@ TEST_F(Fuzz, Images) {
 
 }  // namespace
 }  // namespace semantic_topo_loop
-
-int main(int argc, char** argv) {
-  testing::InitGoogleTest(&argc, argv);
-  ros::init(argc, argv, "fuzz_test");
-  const ros::NodeHandle node;
-  ros::AsyncSpinner spinner(2);
-  spinner.start();
-  return RUN_ALL_TESTS();
-}

@@ -153,12 +153,3 @@ TEST(LateMapping, CostsNeitherLandmarksNorObjects) {
 
 }  // namespace
 }  // namespace semantic_topo_loop
-
-int main(int argc, char** argv) {
-  testing::InitGoogleTest(&argc, argv);
-  ros::init(argc, argv, "late_mapping_test");
-  const ros::NodeHandle node;
-  ros::AsyncSpinner spinner(2);
-  spinner.start();
-  return RUN_ALL_TESTS();
-}

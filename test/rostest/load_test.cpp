@@ -192,12 +192,3 @@ TEST(Load, AFrontEndThatIsLoadedUnderTrafficHasItsSession) {
 
 }  // namespace
 }  // namespace semantic_topo_loop
-
-int main(int argc, char** argv) {
-  testing::InitGoogleTest(&argc, argv);
-  ros::init(argc, argv, "load_test");
-  const ros::NodeHandle node;
-  ros::AsyncSpinner spinner(2);
-  spinner.start();
-  return RUN_ALL_TESTS();
-}

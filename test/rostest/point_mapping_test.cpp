@@ -273,12 +273,3 @@ TEST_F(PointMapping, SavesBelowItsDirectoryOnly) {
 
 }  // namespace
 }  // namespace semantic_topo_loop
-
-int main(int argc, char** argv) {
-  testing::InitGoogleTest(&argc, argv);
-  ros::init(argc, argv, "point_mapping_test");
-  const ros::NodeHandle node;
-  ros::AsyncSpinner spinner(2);
-  spinner.start();
-  return RUN_ALL_TESTS();
-}

@@ -9,6 +9,17 @@ namespace semantic_topo_loop::core {
 
 inline Camera camera_fr2() { return checked(read_camera(STL_CONFIG_DIR "/camera/tum_fr2.yaml")); }
 
+/// For images that are made in the test.
+inline Camera small_camera() {
+  Camera camera;
+  camera.fx = camera.fy = 50.0;
+  camera.cx = 15.5;
+  camera.cy = 11.5;
+  camera.width = 32;
+  camera.height = 24;
+  return camera;
+}
+
 inline ClassTable coco() { return checked(read_class_table(STL_CONFIG_DIR "/classes_coco.yaml")); }
 
 inline std::shared_ptr<const ClassTable> shared_coco() { return std::make_shared<const ClassTable>(coco()); }
