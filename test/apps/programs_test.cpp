@@ -1,8 +1,13 @@
 #include <gtest/gtest.h>
 
+#include <cstring>
 #include <filesystem>
+#include <vector>
 
+#include "semantic_topo_loop/io/run_files.h"
 #include "support/program_test.h"
+#include "support/test_fixtures.h"
+#include "tools/rendering/rgbd_sequence.h"
 
 namespace semantic_topo_loop::core {
 namespace {
@@ -43,6 +48,55 @@ TEST_F(OfflineProgram, FilesThatAreMissingAreOneClearError) {
   expect_failure("--rgbd @ --camera @none.yaml --output @run --classes " STL_CONFIG_DIR "/classes_coco.yaml", 1,
                  "none.yaml: cannot open the file");
   EXPECT_EQ(err_.find("--help"), std::string::npos);
+}
+
+/// Mean of the points of a PLY file, of four floats each.
+Vec3 mean_point(const std::string& path) {
+  const std::string text = read_whole(path), header_end = "end_header\n";
+  const std::size_t begin = text.find(header_end) + header_end.size(), count = (text.size() - begin) / 16;
+  Vec3 sum = Vec3::Zero();
+  for (std::size_t i = 0; i < count; ++i) {
+    Eigen::Vector3f point;
+    std::memcpy(point.data(), &text[begin + 16 * i], sizeof(float) * 3);
+    sum += point.cast<double>();
+  }
+  return sum / static_cast<double>(count);
+}
+
+TEST_F(OfflineProgram, PointsFollowTheCorrection) {
+  const SimulationOptions options = simulation_test::options_of(
+      {{"trajectory.duration_s", "4"}, {"trajectory.rate_hz", "10"}, {"scene.layout", "desk"}});
+  SimulatedSequence sequence = checked(simulate(options, {256.0, 256.0, 160.0, 120.0, 320, 240, {}}, coco()));
+  ASSERT_EQ(render_sequence(options, coco(), 1, directory_.path("in"), &sequence).message(), "");
+  ASSERT_EQ(write_sequence(sequence, coco(), directory_.path("in")).message(), "");
+  const std::string source =
+      "--rgbd @in --camera @in/camera.yaml --detections @in/detections.json --classes " STL_CONFIG_DIR
+      "/classes_coco.yaml ";
+  ASSERT_EQ(run(source + "--output @plain --points @plain.ply"), 0) << err_;
+  const std::vector<KeyframePose> keyframes = checked(read_keyframes(directory_.path("plain/keyframes.csv")));
+  ASSERT_GT(keyframes.size(), 6U);
+
+  // From the middle on everything is said to be half a metre off, by loops that outweigh the odometry.
+  std::vector<LoopClosure> loops;
+  for (std::size_t i = keyframes.size() / 2; i < keyframes.size(); ++i) {
+    LoopClosure loop;
+    loop.accepted = true;
+    loop.query_frame = keyframes[i].frame_id;
+    loop.match_frame = keyframes[0].frame_id;
+    loop.T_match_query =
+        SE3(Quaternion::Identity(), {0.5, 0.0, 0.0}) * keyframes[0].T_map_camera.inverse() * keyframes[i].T_map_camera;
+    loop.covariance = Mat6(1e-6 * Mat6::Identity());
+    loops.push_back(loop);
+  }
+  ASSERT_EQ(write_given_loops(directory_.path("loops.csv"), loops).message(), "");
+  ASSERT_EQ(run(source + "--output @moved --points @moved.ply --extra-loops @loops.csv --set pose_graph.robust=none"),
+            0)
+      << err_;
+  const std::vector<KeyframePose> moved = checked(read_keyframes(directory_.path("moved/keyframes.csv")));
+  EXPECT_NEAR((moved.back().T_map_camera.t - keyframes.back().T_map_camera.t).norm(), 0.5, 0.1);
+  const double shift_m = (mean_point(directory_.path("moved.ply")) - mean_point(directory_.path("plain.ply"))).norm();
+  EXPECT_GT(shift_m, 0.15);
+  EXPECT_LT(shift_m, 0.5);
 }
 
 class OfflineRun : public OfflineProgram {
