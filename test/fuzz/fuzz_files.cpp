@@ -5,6 +5,10 @@
 ///
 /// Prints a table. Files that did harm are kept in the working directory.
 #include <fcntl.h>
+#include <rosbag/bag.h>
+#include <sensor_msgs/CameraInfo.h>
+#include <sensor_msgs/Image.h>
+#include <tf2_msgs/TFMessage.h>
 #include <unistd.h>
 
 #include <algorithm>
@@ -18,6 +22,8 @@
 #include <string>
 #include <vector>
 
+#include "ros/conversions.h"
+#include "ros/tum_bag.h"
 #include "semantic_topo_loop/io/detection_file.h"
 #include "semantic_topo_loop/io/rgbd_recording.h"
 #include "semantic_topo_loop/io/run_files.h"
@@ -169,7 +175,7 @@ class Mutator {
 
 // --- valid files --------------------------------------------------------------------------------------------------
 
-/// libpng prints about every file that is none.
+/// libpng and roscpp print about every file that is none.
 class Silence {
  public:
   Silence() : stderr_(::dup(STDERR_FILENO)) {
@@ -191,6 +197,33 @@ SimulatedSequence make_sequence() {
   const OptionTexts options = {
       {"trajectory.duration_s", "40"}, {"trajectory.lap_s", "18"}, {"trajectory.rate_hz", "5"}};
   return checked(simulate(checked(make_options<SimulationOptions>(options)), camera_fr2(), coco()));
+}
+
+/// A bag in the official TUM layout, of three grey images with their depth.
+void write_valid_bag(const std::string& path, rosbag::CompressionType compression) {
+  rosbag::Bag bag(path, rosbag::bagmode::Write);
+  bag.setCompression(compression);
+  for (int i = 0; i < 3; ++i) {
+    const ros::Time time(100.0 + 0.05 * i);
+    tf2_msgs::TFMessage transforms;
+    transforms.transforms.push_back(make_transform(make_header(time, "/world"), "/kinect", SE3()));
+    bag.write("/tf", time, transforms);
+    sensor_msgs::CameraInfo info;
+    to_msg(small_camera(), &info);
+    sensor_msgs::Image image;
+    image.header = info.header = make_header(time, "/openni_rgb_optical_frame");
+    image.width = info.width;
+    image.height = info.height;
+    image.encoding = "rgb8";
+    image.step = 3 * image.width;
+    image.data.assign(std::size_t{image.step} * image.height, 90);
+    bag.write(tum_topic::kCameraInfo, time, info);
+    bag.write(tum_topic::kColor, time, image);
+    image.encoding = "16UC1";
+    image.step = 2 * image.width;
+    image.data.assign(std::size_t{image.step} * image.height, 4);
+    bag.write(tum_topic::kDepth, time, image);
+  }
 }
 
 /// Writes the files of the sequence and of a run on it.
@@ -224,6 +257,8 @@ void write_valid_files(const std::string& directory) {
   submaps.resize(std::min<std::size_t>(2, submaps.size()));
   if (written) written = write_submaps(directory + "/submaps.json", submaps);
   if (written) written = write_given_loops(directory + "/given_loops.csv", {LoopClosure(), LoopClosure()});
+  write_valid_bag(directory + "/plain.bag", rosbag::compression::Uncompressed);
+  write_valid_bag(directory + "/packed.bag", rosbag::compression::BZ2);
   const cv::Mat color(24, 32, CV_8UC3, cv::Scalar(50, 90, 130)), depth(24, 32, CV_16UC1, cv::Scalar(5000));
   if (!written || !cv::imwrite(directory + "/color.png", color) || !cv::imwrite(directory + "/depth.png", depth)) {
     std::fprintf(stderr, "fuzz_files: no valid files: %s\n", written.message().c_str());
@@ -302,6 +337,19 @@ std::vector<Kind> make_kinds(const std::string& valid) {
        "z.png",
        {read_whole(valid + "/depth.png")},
        [=](const std::string& path) { return image(valid + "/color.png", path); }},
+      {"bag",
+       "b.bag",
+       {read_whole(valid + "/plain.bag"), read_whole(valid + "/packed.bag")},
+       [](const std::string& path) {
+         const Silence silence;
+         const auto recording = open_tum_bag(path, small_camera(), {});
+         if (!recording) return Status(recording.error());
+         while (true) {
+           const Result<std::optional<RgbdReading>> reading = (*recording)->next();
+           if (!reading) return Status(reading.error());
+           if (!*reading) return Status();
+         }
+       }},
       {"camera", "camera.yaml", cameras, [](const std::string& path) { return status_of(read_camera(path)); }},
       {"class table", "classes.yaml", tables,
        [](const std::string& path) { return status_of(read_class_table(path)); }},
