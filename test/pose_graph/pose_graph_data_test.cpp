@@ -203,8 +203,10 @@ TEST_F(PoseGraphData, OrbSlamTrajectoryIsNotMadeWorse) {
 }
 
 TEST_F(PoseGraphData, DriftedOdometryGetsBetter) {
-  // About 40 loops a run, far fewer than the detector finds: a floor, not the package's figure (docs/benchmarks.md).
-  for (const std::string level : {"0.3m_5deg", "1m_15deg"}) {
+  // Loops made from the truth, about 40 a run: what the graph does with good loops, not the package's figure
+  // (docs/benchmarks.md). It comes to 7.7, 18 and 28 times.
+  for (const auto& [level, least] :
+       {std::pair<std::string, double>("0.3m_5deg", 6.0), {"1m_15deg", 14.0}, {"2m_30deg", 20.0}}) {
     double log_sum = 0.0;
     int count = 0;
     for (const std::string name : {"fr2_desk", "fr3_office"}) {
@@ -218,7 +220,7 @@ TEST_F(PoseGraphData, DriftedOdometryGetsBetter) {
         }
       }
     }
-    EXPECT_GT(std::exp(log_sum / count), 2.0) << level;
+    EXPECT_GT(std::exp(log_sum / count), least) << level;
   }
 }
 
@@ -228,15 +230,15 @@ TEST_F(PoseGraphData, FalseLoopsAreRejected) {
        {"drifted/smooth_0.3m_5deg_s1.txt", "drifted/jump_1m_15deg_s1.txt", "drifted/smooth_2m_30deg_s2.txt"}) {
     const Outcome clean = Simulation(sequence("fr2_desk", file), 3, 0.0).run();
     const Outcome result = Simulation(sequence("fr2_desk", file), 3, 0.2).run();
-    EXPECT_LT(result.ate_after_m, 1.5 * clean.ate_after_m + 0.01) << file;
+    EXPECT_LT(result.ate_after_m, 1.05 * clean.ate_after_m) << file;
     sum.false_loops += result.false_loops;
     sum.false_kept += result.false_kept;
     sum.loops += result.loops;
     sum.right_rejected += result.right_rejected;
   }
   EXPECT_GE(sum.false_loops, 10);
-  EXPECT_LE(sum.false_kept, sum.false_loops / 10);
-  EXPECT_LE(sum.right_rejected, sum.loops / 10);
+  EXPECT_EQ(sum.false_kept, 0);
+  EXPECT_LE(sum.right_rejected, sum.loops / 50);
 }
 
 TEST_F(PoseGraphData, RandomAndCoherentFalseLoopsAreAllRejected) {
