@@ -1,3 +1,4 @@
+#include <algorithm>
 #include <cstdio>
 #include <map>
 #include <nlohmann/json.hpp>
@@ -25,27 +26,24 @@ struct Arguments {
   bool with_scale = false;
 };
 
-std::string line(const char* name, const std::string& value) {
-  char text[256];
-  std::snprintf(text, sizeof(text), "%-34s %s\n", name, value.c_str());
-  return text;
+std::string line(std::string name, const std::string& value) {
+  constexpr std::size_t kWidth = 34;
+  name.resize(std::max(name.size(), kWidth), ' ');
+  return name + ' ' + value + '\n';
 }
 
 /// A count, ratio or error, for people and for programs.
 struct Figure {
   Figure(int count) : text(std::to_string(count)), json(count) {}
-  Figure(const Ratio& ratio) : json{{"value", ratio.value()}, {"right", ratio.right}, {"total", ratio.total}} {
-    char buffer[64];
-    std::snprintf(buffer, sizeof(buffer), "%.4f  (%d / %d)", ratio.value(), ratio.right, ratio.total);
-    text = buffer;
-  }
+  Figure(const Ratio& ratio)
+      : text(format_fixed(ratio.value(), 4) + "  (" + std::to_string(ratio.right) + " / " +
+             std::to_string(ratio.total) + ")"),
+        json{{"value", ratio.value()}, {"right", ratio.right}, {"total", ratio.total}} {}
   Figure(const ErrorStatistics& e, const char* unit)
-      : json{{"count", e.count}, {"rmse", e.rmse}, {"mean", e.mean}, {"median", e.median}, {"max", e.max}} {
-    char buffer[160];
-    std::snprintf(buffer, sizeof(buffer), "rmse %.4f  mean %.4f  median %.4f  max %.4f %s  (%zu)", e.rmse, e.mean,
-                  e.median, e.max, unit, e.count);
-    text = buffer;
-  }
+      : text("rmse " + format_fixed(e.rmse, 4) + "  mean " + format_fixed(e.mean, 4) + "  median " +
+             format_fixed(e.median, 4) + "  max " + format_fixed(e.max, 4) + " " + unit + "  (" +
+             std::to_string(e.count) + ")"),
+        json{{"count", e.count}, {"rmse", e.rmse}, {"mean", e.mean}, {"median", e.median}, {"max", e.max}} {}
 
   std::string text;
   Json json;
@@ -61,9 +59,8 @@ struct Report {
     json[key] = figure.json;
   }
   void add_detectability(const std::string& name, const Detectability& d) {
-    table += line((name + ": precision").c_str(), Figure(d.precision).text) +
-             line((name + ": recall").c_str(), Figure(d.recall).text) +
-             line((name + ": F").c_str(), format_fixed(d.f(), 4));
+    table += line(name + ": precision", Figure(d.precision).text) + line(name + ": recall", Figure(d.recall).text) +
+             line(name + ": F", format_fixed(d.f(), 4));
     json[name] = {{"precision", Figure(d.precision).json}, {"recall", Figure(d.recall).json}, {"f", d.f()}};
   }
 };

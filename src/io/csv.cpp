@@ -66,10 +66,6 @@ std::int64_t CsvTable::stamp_ns(const std::string& column) {
   return value.value_or(0);
 }
 
-Vec3 CsvTable::vector(const std::string& x, const std::string& y, const std::string& z) {
-  return {number(x), number(y), number(z)};
-}
-
 void CsvReader::operator()(const char* name, bool& flag) {
   const std::int64_t value = table_->integer(name);
   flag = value == 1;
@@ -78,7 +74,7 @@ void CsvReader::operator()(const char* name, bool& flag) {
 
 void CsvReader::operator()(const char* names, Vec3& vector) {
   const std::vector<std::string_view> n = split(names, ',');
-  vector = table_->vector(std::string(n[0]), std::string(n[1]), std::string(n[2]));
+  for (std::size_t i = 0; i < n.size(); ++i) vector[static_cast<int>(i)] = table_->number(std::string(n[i]));
 }
 
 void CsvReader::operator()(const char* names, Quaternion& rotation) {

@@ -3,6 +3,7 @@
 #include <cstdint>
 #include <map>
 #include <string>
+#include <type_traits>
 #include <vector>
 
 #include "semantic_topo_loop/io/text_file.h"
@@ -27,7 +28,6 @@ class CsvTable {
   int small_integer(const std::string& column);
   std::int64_t stamp_ns(const std::string& column);
   std::string text(const std::string& column);
-  Vec3 vector(const std::string& x, const std::string& y, const std::string& z);
   /// Notes a failure of the current row that the caller found.
   void reject(const std::string& column, const std::string& rule);
   /// Empty if nothing failed so far.
@@ -60,43 +60,33 @@ Result<std::vector<Row>> read_csv(const std::string& path, const ReadRow& read_r
   return rows;
 }
 
-/// One row of a CSV file, built field by field.
-class CsvRow {
- public:
-  CsvRow& add(const std::string& text) {
-    row_ += (row_.empty() ? "" : ",") + text;
-    return *this;
-  }
-  CsvRow& add(std::int64_t number) { return add(std::to_string(number)); }
-  CsvRow& add(double number, int decimals) { return add(format_fixed(number, decimals)); }
-  CsvRow& add(const Vec3& v) {
-    return add(v.x(), kLengthDecimals).add(v.y(), kLengthDecimals).add(v.z(), kLengthDecimals);
-  }
-  CsvRow& add(const Quaternion& q) {
-    return add(q.x(), kLengthDecimals)
-        .add(q.y(), kLengthDecimals)
-        .add(q.z(), kLengthDecimals)
-        .add(q.w(), kLengthDecimals);
-  }
-  std::string end() const { return row_ + '\n'; }
+/// A field as CSV files have it: lengths and rotations with 9 decimals, other numbers with 6, flags as 0 and 1. Numbers
+/// with other decimals are given as texts.
+inline std::string csv_field(const std::string& text) { return text; }
+inline std::string csv_field(double number) { return format_fixed(number, 6); }
+template <class Integer, class = std::enable_if_t<std::is_integral_v<Integer>>>
+std::string csv_field(Integer number) {
+  return std::to_string(number);
+}
+template <int rows>
+std::string csv_field(const Eigen::Matrix<double, rows, 1>& v) {
+  std::string text;
+  for (int i = 0; i < rows; ++i) text += (i == 0 ? "" : ",") + format_fixed(v[i], 9);
+  return text;
+}
+inline std::string csv_field(const Quaternion& q) { return csv_field(q.coeffs()); }
 
- private:
-  static constexpr int kLengthDecimals = 9;
-  std::string row_;
-};
-
-/// A row of texts and integers.
 template <class... Fields>
 std::string csv_row(const Fields&... fields) {
-  CsvRow row;
-  (row.add(fields), ...);
-  return row.end();
+  std::string row;
+  ((row += (row.empty() ? "" : ",") + csv_field(fields)), ...);
+  return row + '\n';
 }
 
 // The columns of a file are listed once, by a function `visit_columns(row, visitor)` that shows each field with the
 // name of its column. The visitors below write a row, or the first line, and read a row.
 
-/// Writes a row: lengths and rotations with 9 decimals, other numbers with 6, flags as 0 and 1, stamps in seconds.
+/// Writes a row; stamps in seconds.
 class CsvWriter {
  public:
   /// @param is_header writes the names of the columns in place of the fields
@@ -104,7 +94,7 @@ class CsvWriter {
   /// @param names of a field's columns, joined by commas
   template <class Field>
   void operator()(const char* names, const Field& field) {
-    is_header_ ? add(std::string(names)) : add(field);
+    row_ += (row_.empty() ? "" : ",") + (is_header_ ? std::string(names) : csv_field(field));
   }
   /// For columns that a file need not have to be read.
   template <class Field>
@@ -117,19 +107,11 @@ class CsvWriter {
     (*this)(names, field);
   }
   void stamp(const char* name, std::int64_t stamp_ns) { (*this)(name, format_stamp(stamp_ns)); }
-  std::string end() const { return row_.end(); }
+  std::string end() const { return row_ + '\n'; }
 
  private:
-  void add(bool flag) { row_.add(flag ? 1 : 0); }
-  void add(double number) { row_.add(number, kDecimals); }
-  template <class Field>
-  void add(const Field& field) {
-    row_.add(field);
-  }
-
-  static constexpr int kDecimals = 6;
   bool is_header_;
-  CsvRow row_;
+  std::string row_;
 };
 
 /// Reads the current row of a table. What is wrong is noted by the table.

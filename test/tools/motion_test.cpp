@@ -21,7 +21,7 @@ std::vector<SE3> poses(const std::string& layout, std::uint64_t seed, double dur
   const auto trajectory = make_trajectory(make_scene(scene_options, seed), options, seed);
   std::vector<SE3> result;
   for (double i = 0.0; i < duration_s * options.rate_hz; i += 1.0) {
-    result.push_back(trajectory->T_world_camera(i / options.rate_hz));
+    result.push_back(trajectory(i / options.rate_hz));
   }
   return result;
 }
@@ -180,9 +180,7 @@ TEST(HandheldTrajectory, an_arc_swings_to_and_fro) {
   options.wander_m = 0.0;
   const auto trajectory = make_trajectory(scene, options, 2);
   const Vec3& center = scene.desks[0].T_world_desk.t;
-  const auto direction = [&](double time_s) {
-    return Vec2((trajectory->T_world_camera(time_s).t - center).head<2>().normalized());
-  };
+  const auto direction = [&](double time_s) { return Vec2((trajectory(time_s).t - center).head<2>().normalized()); };
   double widest_deg = 0.0;
   for (double time_s = 0.0; time_s < 36.0; time_s += 0.5) {
     widest_deg = std::max(widest_deg, degrees(std::acos(std::min(1.0, direction(0.0).dot(direction(time_s))))));
@@ -198,10 +196,10 @@ TEST(RobotTrajectory, keeps_height_and_tilt_and_heads_where_it_drives) {
     TrajectoryOptions options;
     options.model = "robot";
     const Scene scene = make_scene(scene_options, seed);
-    const std::unique_ptr<CameraTrajectory> trajectory = make_trajectory(scene, options, seed);
+    const CameraTrajectory trajectory = make_trajectory(scene, options, seed);
     double slowest = 1e9, fastest = 0.0, turn_standing = 0.0;
     for (double time_s = 0.0; time_s < 60.0; time_s += 1.0 / 30.0) {
-      const SE3 T = trajectory->T_world_camera(time_s), next = trajectory->T_world_camera(time_s + 1e-3);
+      const SE3 T = trajectory(time_s), next = trajectory(time_s + 1e-3);
       EXPECT_EQ(T.t.z(), options.height_m);
       EXPECT_NEAR((T.q * Vec3::UnitX()).z(), 0.0, 1e-9) << "no roll";
       EXPECT_NEAR((T.q * Vec3::UnitZ()).z(), -std::sin(radians(18.0)), 1e-9) << "constant tilt";
@@ -254,7 +252,7 @@ TEST(RobotTrajectory, stands_where_it_is_parked_and_drives_on) {
   options.parked_share = 0.0;
   const auto driving = make_trajectory(scene, options, 1);
   const auto distance_m = [&](double parked_s, double driving_s) {
-    return (parked->T_world_camera(parked_s).inverse() * driving->T_world_camera(driving_s)).t.norm();
+    return (parked(parked_s).inverse() * driving(driving_s)).t.norm();
   };
   for (const double time_s : {0.0, 700.0, 1349.0}) EXPECT_NEAR(distance_m(time_s, time_s), 0.0, 1e-9) << time_s;
   for (const double time_s : {1350.0, 1500.0, 1799.9}) EXPECT_NEAR(distance_m(time_s, 1350.0), 0.0, 1e-9) << time_s;
@@ -378,7 +376,7 @@ TEST_P(MovedObjects, stand_free_on_another_surface) {
   for (std::uint64_t seed = 0; seed < 30; ++seed) {
     Scene scene = make_scene(options, seed);
     const auto trajectory = make_trajectory(scene, {}, seed);
-    add_dynamics(dynamics, *trajectory, 20.0, seed, &scene);
+    add_dynamics(dynamics, trajectory, 20.0, seed, &scene);
     const auto moved = moving(scene);
     ASSERT_EQ(moved.size(), 2u) << "seed " << seed;
     for (const SceneObject* object : moved) {

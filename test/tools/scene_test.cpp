@@ -212,7 +212,7 @@ TEST(Detector, clean_boxes_equal_project_box) {
     const SceneProjector projector(scene, camera);
     int compared = 0;
     for (double time_s = 0.0; time_s < 36.0; time_s += 0.5) {
-      const SE3 T = trajectory->T_world_camera(time_s);
+      const SE3 T = trajectory(time_s);
       const auto views = projector.project(T);
       for (const SimulatedDetection& d : model.detect(T)) {
         const auto i = static_cast<std::size_t>(d.object);

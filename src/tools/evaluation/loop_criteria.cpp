@@ -49,11 +49,6 @@ class Keyframes {
            (criterion.min_common_objects == 0 || common_objects(query, match) >= criterion.min_common_objects);
   }
 
-  bool is_reference(int query, const RevisitCriterion& criterion) const {
-    return std::any_of(images_.begin(), images_.end(),
-                       [&](int match) { return match < query && fulfils(query, match, criterion); });
-  }
-
  private:
   const TruePoses& truth_;
   const KeyframeViews& input_;
@@ -224,16 +219,20 @@ std::vector<LoopCurvePoint> loop_curve(const std::vector<JudgedLoop>& loops, con
   }
   revisits.sort();
   right.sort();
-  int references = 0, loopable = 0;
-  for (const int query : keyframes.images()) references += keyframes.is_reference(query, kLoopLimits.revisit) ? 1 : 0;
+  CriterionCounts paper{"paper", kLoopLimits.revisit};
+  count_references(keyframes, &paper);
+  int loopable = 0;
   count_queries(loops, truth, &loopable, &closed);
   std::sort(scores.rbegin(), scores.rend());
   scores.erase(std::unique(scores.begin(), scores.end()), scores.end());
   std::vector<LoopCurvePoint> points;
   for (const double score : scores) {
     const Ratio precision = revisits.from(score);
-    points.push_back(
-        {score, precision, {precision.right, references}, right.from(score), {closed.from(score).right, loopable}});
+    points.push_back({score,
+                      precision,
+                      {precision.right, paper.reference_loops},
+                      right.from(score),
+                      {closed.from(score).right, loopable}});
   }
   return points;
 }
@@ -242,17 +241,12 @@ std::string judged_loops_csv(const std::vector<JudgedLoop>& loops, const TruePos
   std::string text =
       "query_image,match_image,accepted,reason,score,judged,error_m,error_deg,distance_m,axes_deg,view_deg,gap_"
       "frames\n";
-  constexpr int kDecimals = 6;
   for (const JudgedLoop& loop : loops) {
     const bool has_images = loop.query >= 0 && loop.match >= 0;
     const std::int64_t gap = has_images ? truth.stamp_ns(loop.query) - truth.stamp_ns(loop.match) : 0;
-    CsvRow row;
-    row.add(loop.query).add(loop.match).add(loop.record.accepted).add(loop.record.reason_text);
-    row.add(loop.record.score, kDecimals).add(loop.is_judged);
-    for (const double figure : {loop.error_m, loop.error_deg, loop.distance_m, loop.axes_deg, loop.view_deg}) {
-      row.add(figure, kDecimals);
-    }
-    text += row.add(truth.period_ns() > 0 ? gap / truth.period_ns() : 0).end();
+    text += csv_row(loop.query, loop.match, loop.record.accepted, loop.record.reason_text, loop.record.score,
+                    loop.is_judged, loop.error_m, loop.error_deg, loop.distance_m, loop.axes_deg, loop.view_deg,
+                    truth.period_ns() > 0 ? gap / truth.period_ns() : 0);
   }
   return text;
 }
@@ -263,11 +257,11 @@ std::string reference_pairs_csv(const std::vector<ReferencePair>& pairs, const T
   text += '\n';
   constexpr int kDecimals = 3;
   for (const ReferencePair& pair : pairs) {
-    CsvRow row;
-    row.add(pair.query).add(pair.match).add(truth.distance_m(pair.query, pair.match), kDecimals);
-    row.add(truth.axes_angle_deg(pair.query, pair.match), kDecimals).add(pair.common_objects);
-    for (const bool fulfilled : pair.fulfils) row.add(fulfilled);
-    text += row.end();
+    std::string fulfils;
+    for (const bool fulfilled : pair.fulfils) fulfils += (fulfils.empty() ? "" : ",") + csv_field(fulfilled);
+    text +=
+        csv_row(pair.query, pair.match, format_fixed(truth.distance_m(pair.query, pair.match), kDecimals),
+                format_fixed(truth.axes_angle_deg(pair.query, pair.match), kDecimals), pair.common_objects, fulfils);
   }
   return text;
 }
@@ -275,12 +269,9 @@ std::string reference_pairs_csv(const std::vector<ReferencePair>& pairs, const T
 std::string loop_curve_csv(const std::vector<LoopCurvePoint>& points) {
   std::string text =
       "min_score,true_positives,real_loops,reference_loops,right_wide,judged,closed_queries,loopable_queries\n";
-  constexpr int kDecimals = 6;
-  for (const LoopCurvePoint& point : points) {
-    CsvRow row;
-    row.add(point.min_score, kDecimals).add(point.precision.right).add(point.precision.total).add(point.recall.total);
-    row.add(point.right_wide.right).add(point.right_wide.total).add(point.closed.right).add(point.closed.total);
-    text += row.end();
+  for (const LoopCurvePoint& p : points) {
+    text += csv_row(p.min_score, p.precision.right, p.precision.total, p.recall.total, p.right_wide.right,
+                    p.right_wide.total, p.closed.right, p.closed.total);
   }
   return text;
 }

@@ -146,18 +146,6 @@ void judge_viewpoints(const JudgedLoops& loops, LoopEvaluation* result) {
   }
 }
 
-/// @param loops those over the gap
-void judge_query(int query, const JudgedLoops& loops, const TruePoses& truth, LoopEvaluation* result) {
-  bool closed = false, at_once = false;
-  for (const JudgedLoop* loop : loops) {
-    if (!loop->is_right() || !loop->holds_query(truth.stamp_ns(query))) continue;
-    closed = true;
-    at_once = at_once || loop->query_end <= query + kLoopLimits.at_once_frames;
-  }
-  result->closed += closed ? 1 : 0;
-  result->closed_at_once += at_once ? 1 : 0;
-}
-
 std::optional<int> latency_frames(const Revisit& revisit, const JudgedLoops& loops) {
   std::optional<int> latency;
   for (const JudgedLoop* loop : loops) {
@@ -176,7 +164,14 @@ void judge_queries(const JudgedLoops& loops, const TruePoses& truth, LoopEvaluat
       continue;
     }
     ++result->loopable;
-    judge_query(query, loops, truth, result);
+    bool closed = false, at_once = false;
+    for (const JudgedLoop* loop : loops) {
+      if (!loop->is_right() || !loop->holds_query(truth.stamp_ns(query))) continue;
+      closed = true;
+      at_once = at_once || loop->query_end <= query + kLoopLimits.at_once_frames;
+    }
+    result->closed += closed ? 1 : 0;
+    result->closed_at_once += at_once ? 1 : 0;
     if (!is_open) result->revisits.push_back({query, query, std::nullopt});
     result->revisits.back().last = query;
     is_open = true;

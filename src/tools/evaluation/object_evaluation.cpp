@@ -17,6 +17,12 @@ struct Candidate {
   double distance_m = 0.0;
 };
 
+/// Distance up to which an object counts as the reference.
+double match_radius_m(const Vec3& semi_axes) {
+  constexpr double kMinRadius = 0.15;  // m: a cup's length, so that small objects need not be placed to centimetres
+  return std::max(kMinRadius, 0.5 * semi_axes.maxCoeff());
+}
+
 /// Matches what is still free with the references of one certainty.
 /// @return number of matches
 int match(Certainty certainty, const std::vector<ReferenceObject>& references, std::vector<Candidate>* candidates) {
@@ -87,11 +93,12 @@ void list_matches(const std::vector<Candidate>& candidates, const std::vector<Re
 
 ReferenceObject read_reference(CsvTable& table) {
   ReferenceObject object;
-  object.id = table.small_integer("id");
-  object.class_id = table.small_integer("label_id");
-  object.label = table.text("label");
-  object.center = table.vector("x", "y", "z");
-  object.semi_axes = table.vector("a", "b", "c");
+  CsvReader read(&table);
+  read("id", object.id);
+  read("label_id", object.class_id);
+  read("label", object.label);
+  read("x,y,z", object.center);
+  read("a,b,c", object.semi_axes);
   const auto name = std::find(kCertaintyNames.begin(), kCertaintyNames.end(), table.text("certainty"));
   if (name == kCertaintyNames.end()) table.reject("certainty", "must be certain, probable or marginal");
   object.certainty = static_cast<Certainty>(name - kCertaintyNames.begin());
@@ -102,16 +109,6 @@ ReferenceObject read_reference(CsvTable& table) {
 
 Result<std::vector<ReferenceObject>> read_reference_objects(const std::string& path) {
   return read_csv<ReferenceObject>(path, read_reference);
-}
-
-double Detectability::f() const {
-  const double p = precision.value(), r = recall.value();
-  return p + r > 0.0 ? 2.0 * p * r / (p + r) : 0.0;
-}
-
-double match_radius_m(const Vec3& semi_axes) {
-  constexpr double kMinRadius = 0.15;  // m: a cup's length, so that small objects need not be placed to centimetres
-  return std::max(kMinRadius, 0.5 * semi_axes.maxCoeff());
 }
 
 ObjectEvaluation evaluate_objects(const std::vector<MappedObject>& objects,

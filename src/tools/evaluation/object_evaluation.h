@@ -33,7 +33,11 @@ Result<std::vector<ReferenceObject>> read_reference_objects(const std::string& p
 /// Precision and recall with their counts.
 struct Detectability {
   Ratio precision, recall;
-  double f() const;  ///< harmonic mean, 0 if either is 0
+  /// Harmonic mean, 0 if either is 0.
+  double f() const {
+    const double p = precision.value(), r = recall.value();
+    return p + r > 0.0 ? 2.0 * p * r / (p + r) : 0.0;
+  }
 };
 
 struct ObjectMatchResult {
@@ -51,11 +55,9 @@ struct ObjectEvaluation {
   std::vector<ObjectMatchResult> matches;  ///< every confirmed object and every missed certain reference
 };
 
-/// Distance up to which an object counts as the reference: max(0.15 m, half the largest semi-axis).
-double match_radius_m(const Vec3& semi_axes);
-
-/// Matches the confirmed objects with the reference: same class, centre within match_radius_m of the reference,
-/// one to one with the most pairs and then the least distance; certain references first, then probable, then marginal.
+/// Matches the confirmed objects with the reference: same class, centre within max(0.15 m, half the largest semi-axis)
+/// of the reference, one to one with the most pairs and then the least distance; certain references first, then
+/// probable, then marginal.
 /// @param alignment takes the map frame to the reference frame
 ObjectEvaluation evaluate_objects(const std::vector<MappedObject>& objects,
                                   const std::vector<ReferenceObject>& references, const Alignment& alignment);

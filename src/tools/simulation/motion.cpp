@@ -212,104 +212,79 @@ class Lap {
   double line_length_m_ = 0.0;
 };
 
-/// What the models have in common: where on the lap they begin, and which way round they go.
-class LapTrajectory : public CameraTrajectory {
- protected:
-  LapTrajectory(const Scene& scene, const TrajectoryOptions& options, Random* random)
-      : options_(options),
-        lap_(scene, options.distance_m),
-        first_lap_(random->uniform()),
-        sense_(random->chance(0.5) ? 1.0 : -1.0) {}
-
-  TrajectoryOptions options_;
-  Lap lap_;
-  double first_lap_, sense_;
+/// Where on the lap a camera begins, and which way round it goes.
+struct LapStart {
+  explicit LapStart(Random* random) : lap(random->uniform()), sense(random->chance(0.5) ? 1.0 : -1.0) {}
+  double lap, sense;
 };
 
-class HandheldTrajectory : public LapTrajectory {
- public:
-  HandheldTrajectory(const Scene& scene, const TrajectoryOptions& options, Random random)
-      : LapTrajectory(scene, options, &random) {
-    for (SmoothNoise& noise : wander_) noise = SmoothNoise(0.03, 0.15, &random);
-    for (SmoothNoise& noise : shake_) noise = SmoothNoise(0.8, 5.0, &random);
-  }
-
-  SE3 T_world_camera(double time_s) const override {
-    const auto [line_point, outward] = lap_.at(laps(time_s));
+CameraTrajectory handheld(const TrajectoryOptions& options, const Lap& lap, Random random) {
+  const LapStart start(&random);
+  std::array<SmoothNoise, 5> wander_noise;
+  std::array<SmoothNoise, 6> shake_noise;
+  for (SmoothNoise& noise : wander_noise) noise = SmoothNoise(0.03, 0.15, &random);
+  for (SmoothNoise& noise : shake_noise) noise = SmoothNoise(0.8, 5.0, &random);
+  const auto laps = [=](double time_s) {
+    const double steady = time_s / options.lap_s;
+    if (options.arc_deg == 360.0) return start.lap + start.sense * steady;
+    return start.lap + start.sense * 0.5 * options.arc_deg / 360.0 * std::sin(2.0 * kPi * steady);
+  };
+  return [=](double time_s) {
+    const auto [line_point, outward] = lap.at(laps(time_s));
 
     std::array<double, 5> wander;
-    for (std::size_t i = 0; i < wander.size(); ++i) wander[i] = options_.wander_m * wander_[i](time_s);
-    Vec3 position = line_point + (options_.distance_m + wander[0]) * outward;
-    position.z() = options_.height_m + wander[1];
+    for (std::size_t i = 0; i < wander.size(); ++i) wander[i] = options.wander_m * wander_noise[i](time_s);
+    Vec3 position = line_point + (options.distance_m + wander[0]) * outward;
+    position.z() = options.height_m + wander[1];
     const Vec3 target = line_point + Vec3(wander[2], wander[3], 0.5 * wander[4]);
 
     Vec6 shake;
     for (int i = 0; i < 6; ++i) {
-      const double amplitude = i < 3 ? options_.shake_m : radians(options_.shake_deg);
-      shake[i] = amplitude * shake_[static_cast<std::size_t>(i)](time_s);
+      const double amplitude = i < 3 ? options.shake_m : radians(options.shake_deg);
+      shake[i] = amplitude * shake_noise[static_cast<std::size_t>(i)](time_s);
     }
     return SE3(looking(target - position), position) * se3_exp(shake);
-  }
+  };
+}
 
- private:
-  double laps(double time_s) const {
-    const double steady = time_s / options_.lap_s;
-    if (options_.arc_deg == 360.0) return first_lap_ + sense_ * steady;
-    return first_lap_ + sense_ * 0.5 * options_.arc_deg / 360.0 * std::sin(2.0 * kPi * steady);
-  }
-
-  std::array<SmoothNoise, 5> wander_;
-  std::array<SmoothNoise, 6> shake_;
-};
-
-class RobotTrajectory : public LapTrajectory {
- public:
-  RobotTrajectory(const Scene& scene, const TrajectoryOptions& options, Random random)
-      : LapTrajectory(scene, options, &random),
-        first_stop_(random.uniform(0.0, 2.0 * kPi)),
-        wander_(0.02, 0.08, &random) {}
-
-  SE3 T_world_camera(double now_s) const override {
+CameraTrajectory robot(const TrajectoryOptions& options, const Lap& lap, Random random) {
+  const LapStart start(&random);
+  const double first_stop = random.uniform(0.0, 2.0 * kPi);  // phase, rad
+  const SmoothNoise wander(0.02, 0.08, &random);
+  const auto position = [=](double laps) {
+    const auto [line_point, outward] = lap.at(laps);
+    Vec3 place = line_point + (options.distance_m + options.wander_m * wander(laps * options.lap_s)) * outward;
+    place.z() = options.height_m;
+    return place;
+  };
+  return [=](double now_s) {
     constexpr double kParkingPeriod_s = 1800.0;
     const double periods = std::floor(now_s / kParkingPeriod_s),
-                 driving_s = (1.0 - options_.parked_share) * kParkingPeriod_s;
-    const double time_s = options_.parked_share > 0.0
+                 driving_s = (1.0 - options.parked_share) * kParkingPeriod_s;
+    const double time_s = options.parked_share > 0.0
                               ? periods * driving_s + std::min(now_s - periods * kParkingPeriod_s, driving_s)
                               : now_s;
     // Speed 1 - cos(phase) of the mean: it stands where the phase is a whole turn, and turns on the spot around then.
-    const double phase = 2.0 * kPi * time_s / kStopPeriod_s + first_stop_;
-    const double way_s = time_s - kStopPeriod_s / (2.0 * kPi) * (std::sin(phase) - std::sin(first_stop_));
-    const double laps = first_lap_ + sense_ * way_s / options_.lap_s;
+    const double phase = 2.0 * kPi * time_s / kStopPeriod_s + first_stop;
+    const double way_s = time_s - kStopPeriod_s / (2.0 * kPi) * (std::sin(phase) - std::sin(first_stop));
+    const double laps = start.lap + start.sense * way_s / options.lap_s;
     const double standing = std::max(0.0, std::cos(phase));
     const double scan = radians(kScan_deg) * standing * standing * standing * std::sin(2.0 * phase);
 
     // Over a fifth of the window that smoothes the lap, so that the heading turns as smoothly as the place moves.
-    const double step = lap_.window_laps() / 10.0;
-    const Vec3 heading = sense_ * (position(laps + step) - position(laps - step));
-    const double inward = sense_ * radians(kMount_deg);
+    const double step = lap.window_laps() / 10.0;
+    const Vec3 heading = start.sense * (position(laps + step) - position(laps - step));
+    const double inward = start.sense * radians(kMount_deg);
     const Vec3 level = Quaternion(Eigen::AngleAxisd(inward + scan, Vec3::UnitZ())) * heading.normalized();
     const double tilt = radians(kTilt_deg);
-    return {looking(std::cos(tilt) * level - std::sin(tilt) * Vec3::UnitZ()), position(laps)};
-  }
-
- private:
-  Vec3 position(double laps) const {
-    const auto [line_point, outward] = lap_.at(laps);
-    Vec3 position = line_point + (options_.distance_m + options_.wander_m * wander_(laps * options_.lap_s)) * outward;
-    position.z() = options_.height_m;
-    return position;
-  }
-
-  double first_stop_;  ///< phase, rad
-  SmoothNoise wander_;
-};
+    return SE3(looking(std::cos(tilt) * level - std::sin(tilt) * Vec3::UnitZ()), position(laps));
+  };
+}
 
 }  // namespace
 
-std::unique_ptr<CameraTrajectory> make_trajectory(const Scene& scene, const TrajectoryOptions& options,
-                                                  std::uint64_t seed) {
-  if (options.model == "robot") return std::make_unique<RobotTrajectory>(scene, options, Random(seed));
-  return std::make_unique<HandheldTrajectory>(scene, options, Random(seed));
+CameraTrajectory make_trajectory(const Scene& scene, const TrajectoryOptions& options, std::uint64_t seed) {
+  return (options.model == "robot" ? robot : handheld)(options, Lap(scene, options.distance_m), Random(seed));
 }
 
 void add_dynamics(const DynamicsOptions& options, const CameraTrajectory& trajectory, double duration_s,
@@ -319,8 +294,7 @@ void add_dynamics(const DynamicsOptions& options, const CameraTrajectory& trajec
   const double table_height_m = scene->desks.front().T_world_desk.t.z();
   for (int i = 0; i < options.persons; ++i) {
     const double middle_s = duration_s * (i + 0.5) / options.persons;
-    scene->objects.push_back(
-        make_person(trajectory.T_world_camera(middle_s), table_height_m, middle_s, i % 2 == 0, &people));
+    scene->objects.push_back(make_person(trajectory(middle_s), table_height_m, middle_s, i % 2 == 0, &people));
   }
 }
 

@@ -1,7 +1,7 @@
 #pragma once
 
 #include <cstdint>
-#include <memory>
+#include <functional>
 #include <string>
 
 #include "semantic_topo_loop/types/option_visitor.h"
@@ -44,19 +44,14 @@ struct TrajectoryOptions {
   }
 };
 
-/// How a camera moves through a scene. Continuous in time, so that any sensor can sample it.
-class CameraTrajectory {
- public:
-  virtual ~CameraTrajectory() = default;
-  /// Pose of the camera's optical frame (x right, y down, z forward).
-  virtual SE3 T_world_camera(double time_s) const = 0;
-};
+/// How a camera moves through a scene: the pose T_world_camera of its optical frame (x right, y down, z forward).
+/// Continuous in time, so that any sensor can sample it.
+using CameraTrajectory = std::function<SE3(double time_s)>;
 
 /// By TrajectoryOptions::model: a handheld camera goes round the desks at a steady pace and looks at them, wandering
 /// and shaking. A wheeled robot drives round the desks: it heads where it goes, its camera keeps its height and its
 /// tilt and is mounted turned towards the desks; every few seconds it stops and turns to and fro on the spot.
-std::unique_ptr<CameraTrajectory> make_trajectory(const Scene& scene, const TrajectoryOptions& options,
-                                                  std::uint64_t seed);
+CameraTrajectory make_trajectory(const Scene& scene, const TrajectoryOptions& options, std::uint64_t seed);
 
 /// What moves in a scene while the camera looks.
 struct DynamicsOptions {

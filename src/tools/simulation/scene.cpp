@@ -14,25 +14,9 @@ constexpr double kDeskPitch_m = 2.2;     ///< office: between the middles of two
 constexpr double kRoomLength_m = 5.0;    ///< house: the same
 
 // COCO class ids of the objects that a desk may carry.
-enum Class : int {
-  kBottle = 39,
-  kCup = 41,
-  kBowl = 45,
-  kApple = 47,
-  kOrange = 49,
-  kChair = 56,
-  kPottedPlant = 58,
-  kTv = 62,
-  kLaptop = 63,
-  kMouse = 64,
-  kRemote = 65,
-  kKeyboard = 66,
-  kCellPhone = 67,
-  kBook = 73,
-  kClock = 74,
-  kVase = 75,
-  kTeddyBear = 77
-};
+constexpr int kBottle = 39, kCup = 41, kBowl = 45, kApple = 47, kOrange = 49, kChair = 56, kPottedPlant = 58, kTv = 62,
+              kLaptop = 63, kMouse = 64, kRemote = 65, kKeyboard = 66, kCellPhone = 67, kBook = 73, kClock = 74,
+              kVase = 75, kTeddyBear = 77;
 
 /// Range of semi-axes (x depth, y width, z height), m.
 struct Shape {
@@ -240,6 +224,71 @@ struct Cells {
   }
 };
 
+/// An ellipsoid as rays of one camera meet it: the unit sphere after p -> to_sphere * p + camera.
+struct Caster {
+  Mat3 to_sphere = Mat3::Identity();
+  Vec3 camera = Vec3::Zero();
+  bool below_table = false;
+  std::optional<Box> pinhole, whole;  ///< undistorted and raw, not clipped; none: out of sight
+
+  /// Distance along the ray (in lengths of `ray`) to the first hit; none if missed or behind.
+  std::optional<double> hit(const Vec3& ray) const {
+    const Vec3 d = to_sphere * ray;
+    const double a = d.squaredNorm(), b = d.dot(camera), c = camera.squaredNorm() - 1.0;
+    const double discriminant = b * b - a * c;
+    if (discriminant <= 0.0) return std::nullopt;
+    const double range = (-b - std::sqrt(discriminant)) / a;
+    return range > 0.0 ? std::optional<double>(range) : std::nullopt;
+  }
+};
+
+/// Whether a table top lies between the camera and a point.
+bool is_under_table(const std::vector<Desk>& desks, const Vec3& point_camera, const SE3& T_world_camera) {
+  return std::any_of(desks.begin(), desks.end(), [&](const Desk& desk) {
+    const SE3 T_desk_camera = desk.T_world_desk.inverse() * T_world_camera;
+    const Vec3 eye = T_desk_camera.t, point = T_desk_camera * point_camera;
+    if (!(eye.z() > 0.0 && point.z() < 0.0)) return false;
+    const Vec3 crossing = eye + eye.z() / (eye.z() - point.z()) * (point - eye);
+    return std::abs(crossing.x()) < desk.half_depth_m && std::abs(crossing.y()) < desk.half_width_m;
+  });
+}
+
+ObjectView view_of(const Caster& object, const std::vector<Caster>& all, const std::vector<Desk>& desks,
+                   const Camera& camera, const SE3& T_world_camera) {
+  ObjectView view;
+  view.whole = *object.whole;
+  view.box = clip(view.whole, camera.width, camera.height);
+  view.inside = std::min(1.0, view.box.area() / view.whole.area());
+  view.visible = 1.0;
+  std::vector<const Caster*> hiders;
+  for (const Caster& other : all) {
+    const bool overlaps = other.pinhole && intersection_area(*other.pinhole, *object.pinhole) > 0.0;
+    if (&other != &object && overlaps) hiders.push_back(&other);
+  }
+  if (hiders.empty() && !object.below_table) return view;
+
+  // The grid is laid in the undistorted image; its cells stand for the same cells of the raw box.
+  const Box grid = camera.undistort(view.box);
+  Cells covered, seen;
+  for (int i = 0; i < kGrid * kGrid; ++i) {
+    const int column = i % kGrid, row = i / kGrid;
+    const Vec3 ray =
+        camera.ray({grid.x1 + (column + 0.5) / kGrid * grid.width(), grid.y1 + (row + 0.5) / kGrid * grid.height()});
+    const std::optional<double> range = object.hit(ray);
+    if (!range) continue;
+    covered.add(column, row);
+    const bool is_hidden = std::any_of(hiders.begin(), hiders.end(), [&](const Caster* hider) {
+      const std::optional<double> nearer = hider->hit(ray);
+      return nearer && *nearer < *range;
+    });
+    if (is_hidden || (object.below_table && is_under_table(desks, ray * *range, T_world_camera))) continue;
+    seen.add(column, row);
+  }
+  if (covered.count > 0) view.visible = static_cast<double>(seen.count) / covered.count;
+  if (seen.count > 0) view.box = shrink(view.box, covered.extent, seen.extent);
+  return view;
+}
+
 }  // namespace
 
 std::optional<Ellipsoid> SceneObject::at(double time_s) const {
@@ -254,10 +303,6 @@ std::optional<Ellipsoid> SceneObject::at(double time_s) const {
   return result;
 }
 
-bool SceneObject::stays() const {
-  return phases.empty() || (phases.back().is_present && phases.back().velocity.isZero());
-}
-
 int Scene::room_of(const Vec3& p_world) const {
   if (room_length_m == 0.0) return 0;
   const Vec3& first = desks.front().T_world_desk.t;
@@ -267,24 +312,6 @@ int Scene::room_of(const Vec3& p_world) const {
 
 Scene make_scene(const SceneOptions& options, std::uint64_t seed) { return Builder().build(options, seed); }
 
-/// An ellipsoid as rays of one camera meet it: the unit sphere after p -> to_sphere * p + camera.
-struct SceneProjector::Caster {
-  Mat3 to_sphere = Mat3::Identity();
-  Vec3 camera = Vec3::Zero();
-  bool below_table = false;
-  std::optional<Box> pinhole;  ///< none: out of sight
-
-  /// Distance along the ray (in lengths of `ray`) to the first hit; none if missed or behind.
-  std::optional<double> hit(const Vec3& ray) const {
-    const Vec3 d = to_sphere * ray;
-    const double a = d.squaredNorm(), b = d.dot(camera), c = camera.squaredNorm() - 1.0;
-    const double discriminant = b * b - a * c;
-    if (discriminant <= 0.0) return std::nullopt;
-    const double range = (-b - std::sqrt(discriminant)) / a;
-    return range > 0.0 ? std::optional<double>(range) : std::nullopt;
-  }
-};
-
 SceneProjector::SceneProjector(const Scene& scene, const Camera& camera)
     : scene_(&scene), camera_(camera), undistorted_image_(undistorted_bounds(camera)) {}
 
@@ -292,23 +319,22 @@ std::vector<std::optional<ObjectView>> SceneProjector::project(const SE3& T_worl
   const Mat34 P = projection_matrix(camera_, T_world_camera);
   const int room = scene_->room_of(T_world_camera.t);
   std::vector<Caster> casters;
-  std::vector<std::optional<Box>> wholes;
   for (const SceneObject& object : scene_->objects) {
     casters.emplace_back();
-    wholes.emplace_back();
     const std::optional<Ellipsoid> ellipsoid = object.at(time_s);
     if (!ellipsoid || scene_->room_of(ellipsoid->center()) != room) continue;
     const SE3 T_quadric_camera = ellipsoid->T_world_quadric.inverse() * T_world_camera;
     const Vec3 inverse_axes = ellipsoid->semi_axes.cwiseInverse();
     casters.back() = {inverse_axes.asDiagonal() * T_quadric_camera.rotation(),
-                      inverse_axes.cwiseProduct(T_quadric_camera.t), is_below_table(*ellipsoid),
-                      project_box(*ellipsoid, P)};
-    wholes.back() = raw_box(*ellipsoid, T_world_camera);
+                      inverse_axes.cwiseProduct(T_quadric_camera.t),
+                      ellipsoid->center().z() < scene_->desks.front().T_world_desk.t.z(), project_box(*ellipsoid, P),
+                      raw_box(*ellipsoid, T_world_camera)};
   }
   std::vector<std::optional<ObjectView>> views(casters.size());
   for (std::size_t i = 0; i < casters.size(); ++i) {
-    if (!wholes[i] || !casters[i].pinhole || !clip(*wholes[i], camera_.width, camera_.height).is_valid()) continue;
-    views[i] = view(*wholes[i], i, casters, T_world_camera);
+    const Caster& caster = casters[i];
+    if (!caster.whole || !caster.pinhole || !clip(*caster.whole, camera_.width, camera_.height).is_valid()) continue;
+    views[i] = view_of(caster, casters, scene_->desks, camera_, T_world_camera);
   }
   return views;
 }
@@ -321,67 +347,6 @@ std::optional<Box> SceneProjector::raw_box(const Ellipsoid& ellipsoid, const SE3
   const auto contact = [this, &C](const Vec3& line) { return distort((*C * line).hnormalized()); };
   return Box{contact({1.0, 0.0, -pinhole->x1}).x(), contact({0.0, 1.0, -pinhole->y1}).y(),
              contact({1.0, 0.0, -pinhole->x2}).x(), contact({0.0, 1.0, -pinhole->y2}).y()};
-}
-
-ObjectView SceneProjector::view(const Box& whole, std::size_t object, const std::vector<Caster>& casters,
-                                const SE3& T_world_camera) const {
-  ObjectView view;
-  view.whole = whole;
-  view.box = clip(whole, camera_.width, camera_.height);
-  view.inside = std::min(1.0, view.box.area() / whole.area());
-  view.visible = 1.0;
-  const std::vector<const Caster*> hiders = possible_hiders(object, casters);
-  const bool below_table = casters[object].below_table;
-  if (hiders.empty() && !below_table) return view;
-
-  // The grid is laid in the undistorted image; its cells stand for the same cells of the raw box.
-  const Box grid = camera_.undistort(view.box);
-  Cells covered, seen;
-  for (int i = 0; i < kGrid * kGrid; ++i) {
-    const int column = i % kGrid, row = i / kGrid;
-    const Vec3 ray =
-        camera_.ray({grid.x1 + (column + 0.5) / kGrid * grid.width(), grid.y1 + (row + 0.5) / kGrid * grid.height()});
-    const std::optional<double> range = casters[object].hit(ray);
-    if (!range) continue;
-    covered.add(column, row);
-    if (is_hidden(ray, *range, hiders) || (below_table && is_under_table(ray * *range, T_world_camera))) continue;
-    seen.add(column, row);
-  }
-  if (covered.count > 0) view.visible = static_cast<double>(seen.count) / covered.count;
-  if (seen.count > 0) view.box = shrink(view.box, covered.extent, seen.extent);
-  return view;
-}
-
-std::vector<const SceneProjector::Caster*> SceneProjector::possible_hiders(std::size_t object,
-                                                                           const std::vector<Caster>& casters) {
-  std::vector<const Caster*> hiders;
-  for (std::size_t i = 0; i < casters.size(); ++i) {
-    if (i != object && casters[i].pinhole && intersection_area(*casters[i].pinhole, *casters[object].pinhole) > 0.0) {
-      hiders.push_back(&casters[i]);
-    }
-  }
-  return hiders;
-}
-
-bool SceneProjector::is_hidden(const Vec3& ray, double range, const std::vector<const Caster*>& hiders) {
-  return std::any_of(hiders.begin(), hiders.end(), [&](const Caster* hider) {
-    const std::optional<double> nearer = hider->hit(ray);
-    return nearer && *nearer < range;
-  });
-}
-
-bool SceneProjector::is_below_table(const Ellipsoid& ellipsoid) const {
-  return ellipsoid.center().z() < scene_->desks.front().T_world_desk.t.z();
-}
-
-bool SceneProjector::is_under_table(const Vec3& point_camera, const SE3& T_world_camera) const {
-  return std::any_of(scene_->desks.begin(), scene_->desks.end(), [&](const Desk& desk) {
-    const SE3 T_desk_camera = desk.T_world_desk.inverse() * T_world_camera;
-    const Vec3 eye = T_desk_camera.t, point = T_desk_camera * point_camera;
-    if (!(eye.z() > 0.0 && point.z() < 0.0)) return false;
-    const Vec3 crossing = eye + eye.z() / (eye.z() - point.z()) * (point - eye);
-    return std::abs(crossing.x()) < desk.half_depth_m && std::abs(crossing.y()) < desk.half_width_m;
-  });
 }
 
 Vec2 SceneProjector::distort(const Vec2& pixel) const {

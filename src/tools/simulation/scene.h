@@ -44,7 +44,7 @@ struct SceneObject {
   /// Where it is at a time; nullopt if it is not in the room then.
   std::optional<Ellipsoid> at(double time_s) const;
   /// True if it is in the room, at rest, from some time to the end.
-  bool stays() const;
+  bool stays() const { return phases.empty() || (phases.back().is_present && phases.back().velocity.isZero()); }
 };
 
 /// A rectangular table top; x is its depth (front at +x), y its width, z up, origin in the middle of the surface.
@@ -133,14 +133,6 @@ class SceneProjector {
   std::optional<Box> raw_box(const Ellipsoid& ellipsoid, const SE3& T_world_camera) const;
 
  private:
-  struct Caster;
-
-  ObjectView view(const Box& whole, std::size_t object, const std::vector<Caster>& casters,
-                  const SE3& T_world_camera) const;
-  static std::vector<const Caster*> possible_hiders(std::size_t object, const std::vector<Caster>& casters);
-  static bool is_hidden(const Vec3& ray, double range, const std::vector<const Caster*>& hiders);
-  bool is_below_table(const Ellipsoid& ellipsoid) const;
-  bool is_under_table(const Vec3& point_camera, const SE3& T_world_camera) const;
   Vec2 distort(const Vec2& pixel) const;
 
   const Scene* scene_;

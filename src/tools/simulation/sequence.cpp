@@ -23,7 +23,7 @@ StampedPoses sample(const CameraTrajectory& trajectory, double begin_s, double r
   poses.reserve(count);
   for (std::size_t i = 0; i < count; ++i) {
     const double time_s = begin_s + static_cast<double>(i) / rate_hz;
-    poses.push_back({stamp_at(time_s), trajectory.T_world_camera(time_s)});
+    poses.push_back({stamp_at(time_s), trajectory(time_s)});
   }
   return poses;
 }
@@ -81,8 +81,6 @@ double largest_angle_deg(const std::vector<Vec3>& rays) {
   return degrees(std::acos(std::clamp(smallest_cosine, -1.0, 1.0)));
 }
 
-/// How firmly a map may be asked for an object. It must be found with boxes for 3 s in all, rays 20 deg apart, and
-/// whole in the image for 1 s; it may be with boxes for 1 s and rays 10 deg apart.
 Certainty certainty_of(const SimulatedReference& object, double rate_hz) {
   const auto lasts = [rate_hz](int frames, double seconds) { return frames >= seconds * rate_hz; };
   if (lasts(object.views, 3.0) && lasts(object.whole_frames, 1.0) && object.baseline_deg >= 20.0) {
@@ -104,19 +102,13 @@ void summarise(double rate_hz, Evidence* evidence) {
   r.certainty = certainty_of(r, rate_hz);
 }
 
-/// From when on an object is where it stays; nullopt if it does not.
-std::optional<double> settled_from_s(const SceneObject& object) {
-  if (!object.stays()) return std::nullopt;
-  return object.phases.empty() ? 0.0 : object.phases.back().begin_s;
-}
-
 void collect(const SimulatedSequence& sequence, std::size_t frame, const SceneProjector& projector,
              std::vector<Evidence>* evidence) {
   const SE3& T_world_camera = sequence.truth[frame].T_world_camera;
   const double time_s = sequence.time_s(frame);
-  const auto is_settled = [&](std::size_t object) {
-    const std::optional<double> from_s = settled_from_s(sequence.scene.objects[object]);
-    return from_s && time_s >= *from_s;
+  const auto is_settled = [&](std::size_t i) {
+    const SceneObject& object = sequence.scene.objects[i];
+    return object.stays() && (object.phases.empty() || time_s >= object.phases.back().begin_s);
   };
   const double width = sequence.camera.width, height = sequence.camera.height;
   std::vector<std::optional<Box>> true_boxes;
@@ -141,33 +133,27 @@ void collect(const SimulatedSequence& sequence, std::size_t frame, const ScenePr
   }
 }
 
-constexpr int kDecimals = 4;
+std::string fixed(double value) { return format_fixed(value, 4); }
 
-/// `id,label_id,label,x,y,z,a,b,c,yaw`.
-CsvRow place_row(std::size_t id, int class_id, const Ellipsoid& ellipsoid, const ClassTable& classes) {
-  CsvRow row;
-  row.add(static_cast<std::int64_t>(id)).add(class_id).add(classes.name(class_id));
+/// Of an object, or of a place where one was.
+template <class... More>
+std::string place_row(std::size_t id, int class_id, const Ellipsoid& ellipsoid, const ClassTable& classes,
+                      const More&... more) {
   const Quaternion& q = ellipsoid.T_world_quadric.q;
-  const Vec3& center = ellipsoid.center();
-  const Vec3& axes = ellipsoid.semi_axes;
-  const double yaw = 2.0 * std::atan2(q.z(), q.w());
-  for (const double value : {center.x(), center.y(), center.z(), axes.x(), axes.y(), axes.z(), yaw}) {
-    row.add(value, kDecimals);
-  }
-  return row;
+  const Vec3 &center = ellipsoid.center(), &axes = ellipsoid.semi_axes;
+  return csv_row(id, class_id, classes.name(class_id), fixed(center.x()), fixed(center.y()), fixed(center.z()),
+                 fixed(axes.x()), fixed(axes.y()), fixed(axes.z()), fixed(2.0 * std::atan2(q.z(), q.w())), more...);
 }
 
 std::string format_row(std::size_t id, const SimulatedReference& r, const SceneObject& object,
                        const ClassTable& classes) {
-  CsvRow row = place_row(id, object.class_id, object.ellipsoid, classes).add(r.views).add(r.whole_frames);
-  for (const double value : {r.baseline_deg, r.mean_iou, r.median_iou, r.share_iou_above_half}) {
-    row.add(value, kDecimals);
-  }
   std::string others;
   for (const auto& [class_id, count] : r.other_classes) {
     others += (others.empty() ? "" : ";") + classes.name(class_id) + ":" + std::to_string(count);
   }
-  return row.add(r.first_frame).add(r.last_frame).add(others).add(name_of(r.certainty)).end();
+  return place_row(id, object.class_id, object.ellipsoid, classes, r.views, r.whole_frames, fixed(r.baseline_deg),
+                   fixed(r.mean_iou), fixed(r.median_iou), fixed(r.share_iou_above_half), r.first_frame, r.last_frame,
+                   others, name_of(r.certainty));
 }
 
 /// Adds the boxes that show an object at a place that it leaves.
@@ -185,25 +171,21 @@ void count_views(const SimulatedSequence& sequence, double from_s, double to_s, 
 
 }  // namespace
 
-double SimulatedSequence::time_s(std::size_t frame) const {
-  return 1e-9 * static_cast<double>(truth[frame].stamp_ns - truth.front().stamp_ns);
-}
-
 Result<SimulatedSequence> simulate(const SimulationOptions& options, const Camera& camera, const ClassTable& classes) {
   if (const Status status = validate(options); !status) return status.error();
   if (const Status status = camera.check(); !status) return status.error();
   SimulatedSequence sequence;
   sequence.camera = camera;
   sequence.scene = make_scene(options.scene, seed_of(options, SeedStream::kScene));
-  const std::unique_ptr<CameraTrajectory> trajectory =
+  const CameraTrajectory trajectory =
       make_trajectory(sequence.scene, options.trajectory, seed_of(options, SeedStream::kTrajectory));
   const double duration_s = options.trajectory.duration_s;
-  add_dynamics(options.dynamics, *trajectory, duration_s, seed_of(options, SeedStream::kDynamics), &sequence.scene);
+  add_dynamics(options.dynamics, trajectory, duration_s, seed_of(options, SeedStream::kDynamics), &sequence.scene);
   const double rate_hz = options.trajectory.rate_hz;
   const auto count = static_cast<std::size_t>(std::llround(duration_s * rate_hz));
-  sequence.truth = sample(*trajectory, 0.0, rate_hz, count);
-  sequence.depth = sample(*trajectory, options.rendering.depth_delay_s, rate_hz, count);
-  sequence.mocap = sample(*trajectory, -kMocapMargin_s, kMocapRate_hz,
+  sequence.truth = sample(trajectory, 0.0, rate_hz, count);
+  sequence.depth = sample(trajectory, options.rendering.depth_delay_s, rate_hz, count);
+  sequence.mocap = sample(trajectory, -kMocapMargin_s, kMocapRate_hz,
                           static_cast<std::size_t>((duration_s + 2.0 * kMocapMargin_s) * kMocapRate_hz) + 1);
   Result<StampedPoses> drifted = odometry(options, sequence.truth);
   if (!drifted) return drifted.error();
@@ -276,8 +258,7 @@ std::string format_gone_objects(const SimulatedSequence& sequence, const ClassTa
                                         [&gone](const SimulatedReference& r) { return r.object == gone.object; });
     const std::int64_t reference_id = reference == references.end() ? -1 : reference - references.begin();
     const int class_id = sequence.scene.objects[static_cast<std::size_t>(gone.object)].class_id;
-    CsvRow row = place_row(i, class_id, gone.ellipsoid, classes).add(gone.views).add(gone.last_frame);
-    text += row.add(reference_id).end();
+    text += place_row(i, class_id, gone.ellipsoid, classes, gone.views, gone.last_frame, reference_id);
   }
   return text;
 }

@@ -94,7 +94,9 @@ struct SimulatedSequence {
   std::vector<std::vector<SimulatedDetection>> detections;  ///< one vector an image
 
   /// From the first image.
-  double time_s(std::size_t frame) const;
+  double time_s(std::size_t frame) const {
+    return 1e-9 * static_cast<double>(truth[frame].stamp_ns - truth.front().stamp_ns);
+  }
 };
 
 /// The same options, camera and classes give the same sequence, bit for bit.
