@@ -35,11 +35,10 @@ Value boolean(bool* is_true) {
 }
 
 Value choice(std::string* choice, const std::vector<std::string>& choices) {
-  std::string rule = choices.front();
-  for (std::size_t i = 1; i < choices.size(); ++i) rule += (i + 1 == choices.size() ? " or " : ", ") + choices[i];
-  return checked(rule, [choices, choice](const std::string& given) {
+  const core::Range range = core::one_of(choices);
+  return checked(range.rule(), [range, choice](const std::string& given) {
     *choice = given;
-    return std::find(choices.begin(), choices.end(), given) != choices.end();
+    return range.holds(given);
   });
 }
 

@@ -6,37 +6,13 @@
 #include <sensor_msgs/image_encodings.h>
 #include <tf2_msgs/TFMessage.h>
 
+#include <boost/make_shared.hpp>
 #include <opencv2/core.hpp>
 
 #include "ros/conversions.h"
 #include "ros/tum_bag.h"
 #include "semantic_topo_loop/geometry/lie.h"
 #include "tools/rendering/rgbd_sequence.h"
-
-namespace semantic_topo_loop {
-
-/// The message of the old tf package, which the official bags carry: tf2_msgs/TFMessage under its former name.
-struct TfMessage : tf2_msgs::TFMessage {};
-
-}  // namespace semantic_topo_loop
-
-namespace ros::message_traits {
-
-template <>
-struct DataType<semantic_topo_loop::TfMessage> {
-  static const char* value() { return "tf/tfMessage"; }
-  static const char* value(const semantic_topo_loop::TfMessage&) { return value(); }
-};
-template <>
-struct MD5Sum<semantic_topo_loop::TfMessage> : MD5Sum<tf2_msgs::TFMessage> {};
-template <>
-struct Definition<semantic_topo_loop::TfMessage> : Definition<tf2_msgs::TFMessage> {};
-
-}  // namespace ros::message_traits
-
-template <>
-struct ros::serialization::Serializer<semantic_topo_loop::TfMessage>
-    : ros::serialization::Serializer<tf2_msgs::TFMessage> {};
 
 namespace semantic_topo_loop {
 namespace {
@@ -53,6 +29,14 @@ core::SE3 kinect_from_camera() { return {core::so3_exp({0.03, -0.05, 0.02}), {-0
 core::SE3 camera_from_rgb() { return {core::Quaternion::Identity(), {0.0, -0.045, 0.0}}; }
 /// x forward, y left, z up to x right, y down, z forward.
 core::SE3 rgb_from_optical() { return {core::Quaternion(0.5, -0.5, 0.5, -0.5), core::Vec3::Zero()}; }
+
+/// The official bags carry the message of the old tf package: tf2_msgs/TFMessage under its former name.
+boost::shared_ptr<ros::M_string> old_tf_connection() {
+  return boost::make_shared<ros::M_string>(
+      ros::M_string{{"type", "tf/tfMessage"},
+                    {"md5sum", ros::message_traits::md5sum<tf2_msgs::TFMessage>()},
+                    {"message_definition", ros::message_traits::definition<tf2_msgs::TFMessage>()}});
+}
 
 geometry_msgs::TransformStamped transform(std::int64_t stamp_ns, const char* parent, const char* child,
                                           const core::SE3& T_parent_child) {
@@ -112,11 +96,11 @@ class TumBag {
 
   void write_mocap(const core::StampedPose& pose) {
     const core::SE3 T_world_kinect = pose.T_world_camera * tum_kinect_from_optical().inverse();
-    TfMessage mocap;
+    tf2_msgs::TFMessage mocap;
     mocap.transforms.push_back(transform(pose.stamp_ns, "/world", "/kinect", T_world_kinect));
-    bag_.write(tum_topic::kTf, to_ros_time(pose.stamp_ns), mocap);
+    bag_.write(tum_topic::kTf, to_ros_time(pose.stamp_ns), mocap, tf_connection_);
     if (mocap_count_++ % kChainPeriod != 0) return;
-    TfMessage chain;
+    tf2_msgs::TFMessage chain;
     chain.transforms = {transform(pose.stamp_ns, "/kinect", kCameraFrame, kinect_from_camera()),
                         transform(pose.stamp_ns, kCameraFrame, "/openni_rgb_frame", camera_from_rgb()),
                         transform(pose.stamp_ns, "/openni_rgb_frame", kOpticalFrame, rgb_from_optical())};
@@ -128,7 +112,7 @@ class TumBag {
       chain.transforms.push_back(
           transform(pose.stamp_ns, "/openni_depth_frame", kDepthOpticalFrame, rgb_from_optical()));
     }
-    bag_.write(tum_topic::kTf, to_ros_time(pose.stamp_ns), chain);
+    bag_.write(tum_topic::kTf, to_ros_time(pose.stamp_ns), chain, tf_connection_);
   }
 
   /// @return an error if the frame's image cannot be read
@@ -174,6 +158,7 @@ class TumBag {
   const TumBagOptions& options_;
   const char* depth_frame_;
   sensor_msgs::CameraInfo info_, depth_info_;
+  const boost::shared_ptr<ros::M_string> tf_connection_ = old_tf_connection();
   std::size_t mocap_count_ = 0;
 };
 

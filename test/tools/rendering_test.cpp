@@ -133,7 +133,7 @@ TEST_F(SceneRendererTest, boxes_of_ellipsoids_agree_with_their_projection) {
   const SceneProjector projector(scene, camera_);
   int compared = 0;
   for (int i = 0; i < 5; ++i) {
-    const SE3 T_world_camera = trajectory->T_world_camera(7.0 * i);
+    const SE3 T_world_camera = trajectory(7.0 * i);
     const auto drawn = renderer.render(rays_, T_world_camera, 0.0, false).objects;
     const auto projected = projector.project(T_world_camera);
     for (std::size_t k = 0; k < scene.objects.size(); ++k) {
@@ -208,8 +208,8 @@ TEST_F(SceneRendererTest, same_seed_same_picture) {
   const Scene scene = make_scene({}, 4);
   const auto picture = [&](std::uint64_t seed) {
     const auto trajectory = make_trajectory(scene, {}, 1);
-    const Room room = room_around(scene, {{0, trajectory->T_world_camera(0.0)}});
-    return SceneRenderer(scene, room, seed).render(rays_, trajectory->T_world_camera(0.0));
+    const Room room = room_around(scene, {{0, trajectory(0.0)}});
+    return SceneRenderer(scene, room, seed).render(rays_, trajectory(0.0));
   };
   const RenderedImage first = picture(1), again = picture(1), other = picture(2);
   EXPECT_EQ(cv::norm(first.color, again.color, cv::NORM_INF), 0.0);
@@ -225,7 +225,7 @@ TEST(Room, holds_furniture_and_camera) {
     const Scene scene = make_scene(options, 3);
     const auto trajectory = make_trajectory(scene, {}, 3);
     StampedPoses poses;
-    for (int i = 0; i < 40; ++i) poses.push_back({i, trajectory->T_world_camera(i)});
+    for (int i = 0; i < 40; ++i) poses.push_back({i, trajectory(i)});
     const Room room = room_around(scene, poses);
     const auto margin = [&room](const Vec3& p) {
       return (room.half - (room.T_world_room.inverse() * p).cwiseAbs()).head<2>().minCoeff();
@@ -246,7 +246,7 @@ const PixelRays kSmall(camera(160, 120)), kLarge(camera(320, 240));
 
 /// An ideal picture of a slanted or upright wall.
 RenderedImage wall(const PixelRays& rays, float depth_m, float slope) {
-  const Camera& camera = rays.camera();
+  const Camera& camera = rays.camera;
   RenderedImage image;
   image.depth_m.create(camera.height, camera.width, CV_32FC1);
   image.cosine = cv::Mat(camera.height, camera.width, CV_32FC1, cv::Scalar(1.0));
@@ -324,7 +324,7 @@ TEST(KinectModel, a_near_object_shades_the_wall_on_its_left) {
     return static_cast<double>(count) / depth.rows;
   };
   // f b (1/near - 1/far), px
-  EXPECT_NEAR(holes(100, 152), kLarge.camera().fx * 0.075 * 0.5, 1.5);
+  EXPECT_NEAR(holes(100, 152), kLarge.camera.fx * 0.075 * 0.5, 1.5);
   EXPECT_LT(holes(152, 300), 1.5);
 }
 

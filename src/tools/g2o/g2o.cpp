@@ -64,12 +64,35 @@ class Reader {
 
   Status take(const Fields& fields, int line) {
     const std::string tag(fields.front());
-    if (tag == "VERTEX_SE3:QUAT") return take_vertex(fields, 7);
-    if (tag == "VERTEX_SE2") return take_vertex(fields, 3);
-    if (tag == "EDGE_SE3:QUAT") return take_edge(fields, 7, 21, line);
-    if (tag == "EDGE_SE2") return take_edge(fields, 3, 6, line);
     if (tag == "FIX") return take_fixed(fields, line);
-    return Error{"unknown tag '" + tag + "'"};
+    const bool is_planar = tag == "VERTEX_SE2" || tag == "EDGE_SE2",
+               is_edge = tag == "EDGE_SE2" || tag == "EDGE_SE3:QUAT";
+    if (!is_planar && !is_edge && tag != "VERTEX_SE3:QUAT") return Error{"unknown tag '" + tag + "'"};
+    const std::size_t pose_size = is_planar ? 3 : 7, weights = is_edge ? information_places(is_planar).size() : 0;
+    const Result<Values> values = read_values(fields, is_edge ? 2 : 1, pose_size + weights);
+    if (!values) return values.error();
+    const std::int64_t from = values->ids.front(), to = values->ids.back();
+    const std::string name =
+        is_edge ? "edge " + std::to_string(from) + " " + std::to_string(to) : "vertex " + std::to_string(from);
+    if (is_edge && from == to) return Error{name + " joins a vertex to itself"};
+    (is_planar ? has_planar_ : has_spatial_) = true;
+    const double* v = values->numbers.data();
+    constexpr double kMinNorm = 1e-6;
+    const Quaternion q = is_planar ? Quaternion::Identity() : Quaternion(v[6], v[3], v[4], v[5]);
+    if (q.norm() < kMinNorm) return Error{(is_edge ? name + ": " : "") + "quaternion of norm 0 is no rotation"};
+    const SE3 T = is_planar ? planar_pose(v) : SE3(q.normalized(), Vec3(v[0], v[1], v[2]));
+    if (is_edge) return take_edge(name, {from, to, T, Mat6::Identity(), line}, v + pose_size, is_planar);
+    return vertices_.emplace(from, G2oVertex{from, T, false}).second ? Status() : Error{name + " is given twice"};
+  }
+
+  Status take_edge(const std::string& name, G2oEdge edge, const double* information, bool is_planar) {
+    for (const auto& [r, c] : information_places(is_planar)) {
+      edge.information(r, c) = edge.information(c, r) = *information++;
+    }
+    if (!is_positive_definite(edge.information))
+      return Error{name + ": its information matrix is not positive definite"};
+    graph_.edges.push_back(edge);
+    return {};
   }
 
   static Result<std::int64_t> read_id(std::string_view field) {
@@ -108,49 +131,6 @@ class Reader {
     return values;
   }
 
-  /// @param size of the pose: 3 if it is planar, else 7
-  Result<SE3> to_pose(const std::vector<double>& v, std::size_t size) {
-    (size == 3 ? has_planar_ : has_spatial_) = true;
-    if (size == 3) return planar_pose(v.data());
-    const Quaternion q(v[6], v[3], v[4], v[5]);
-    constexpr double kMinNorm = 1e-6;
-    if (q.norm() < kMinNorm) return Error{"quaternion of norm 0 is no rotation"};
-    return SE3(q.normalized(), Vec3(v[0], v[1], v[2]));
-  }
-
-  Status take_vertex(const Fields& fields, std::size_t size) {
-    const Result<Values> values = read_values(fields, 1, size);
-    if (!values) return values.error();
-    const Result<SE3> pose = to_pose(values->numbers, size);
-    if (!pose) return pose.error();
-    const std::int64_t id = values->ids.front();
-    if (vertices_.emplace(id, G2oVertex{id, *pose, false}).second) return {};
-    return Error{"vertex " + std::to_string(id) + " is given twice"};
-  }
-
-  Status take_edge(const Fields& fields, std::size_t pose_size, std::size_t weights, int line) {
-    const Result<Values> values = read_values(fields, 2, pose_size + weights);
-    if (!values) return values.error();
-    G2oEdge edge;
-    edge.from = values->ids[0];
-    edge.to = values->ids[1];
-    edge.line = line;
-    const std::string name = "edge " + std::to_string(edge.from) + " " + std::to_string(edge.to);
-    if (edge.from == edge.to) return Error{name + " joins a vertex to itself"};
-    const Result<SE3> pose = to_pose(values->numbers, pose_size);
-    if (!pose) return Error{name + ": " + pose.message()};
-    edge.T_from_to = *pose;
-    const double* at = values->numbers.data() + pose_size;
-    for (const auto& [r, c] : information_places(pose_size == 3)) {
-      edge.information(r, c) = edge.information(c, r) = *at++;
-    }
-    if (!is_positive_definite(edge.information)) {
-      return Error{name + ": its information matrix is not positive definite"};
-    }
-    graph_.edges.push_back(edge);
-    return {};
-  }
-
   Status take_fixed(const Fields& fields, int line) {
     if (fields.size() < 2) return Error{"FIX names no vertex"};
     for (std::size_t i = 1; i < fields.size(); ++i) {
@@ -180,14 +160,14 @@ class Reader {
   }
 
   void place(const G2oEdge& edge) {
-    if (vertices_.count(edge.from) == 0 && vertices_.count(edge.to) == 0) {
-      vertices_[edge.from] = {edge.from, SE3(), false};
-    }
-    const auto from = vertices_.find(edge.from), to = vertices_.find(edge.to);
-    if (from != vertices_.end() && to == vertices_.end()) {
+    const bool knows_to = vertices_.count(edge.to) != 0;
+    if (!knows_to) vertices_.emplace(edge.from, G2oVertex{edge.from, SE3(), false});
+    const auto from = vertices_.find(edge.from);
+    if (!knows_to) {
       vertices_[edge.to] = {edge.to, from->second.T_world_vertex * edge.T_from_to, false};
-    } else if (from == vertices_.end() && to != vertices_.end()) {
-      vertices_[edge.from] = {edge.from, to->second.T_world_vertex * edge.T_from_to.inverse(), false};
+    } else if (from == vertices_.end()) {
+      const SE3& T_world_to = vertices_.at(edge.to).T_world_vertex;
+      vertices_[edge.from] = {edge.from, T_world_to * edge.T_from_to.inverse(), false};
     }
   }
 
@@ -317,8 +297,13 @@ class GraphOptimizer {
       if (const Status rejected = reject_outliers(asked, part, &outliers); !rejected) return rejected;
     }
     std::vector<SE3> best = options_.initial == "chordal" ? asked : guess(*part, "chordal");
+    const auto chi2 = [&](const std::vector<SE3>& poses) {
+      double cost = 0.0, chi2 = 0.0;
+      add_costs(*part, poses, &cost, &chi2);
+      return chi2;
+    };
     // A guess that is worse than the chordal one to begin with has nothing to offer.
-    const bool tries_asked = options_.initial != "chordal" && chi2(*part, asked) < chi2(*part, best);
+    const bool tries_asked = options_.initial != "chordal" && chi2(asked) < chi2(best);
     GraphSolution solution = solve_graph(part->graph_edges, solver_options_, &best);
     report_.iterations += solution.iterations;
     if (tries_asked) {
@@ -358,12 +343,6 @@ class GraphOptimizer {
       outliers->push_back(&graph_.edges[part->edges[k]]);
     }
     return {};
-  }
-
-  double chi2(const Part& part, const std::vector<SE3>& poses) const {
-    double cost = 0.0, chi2 = 0.0;
-    add_costs(part, poses, &cost, &chi2);
-    return chi2;
   }
 
   void add_costs(const Part& part, const std::vector<SE3>& poses, double* cost, double* chi2) const {

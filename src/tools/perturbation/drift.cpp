@@ -2,9 +2,9 @@
 #include <array>
 #include <cmath>
 #include <optional>
-#include <sstream>
 
 #include "semantic_topo_loop/geometry/lie.h"
+#include "semantic_topo_loop/types/text.h"
 #include "tools/perturbation/perturbation.h"
 #include "tools/simulation/random.h"
 
@@ -39,65 +39,53 @@ class SlowRate {
 };
 
 /// A trajectory as steps, and how errors of the steps add up.
-class Replay {
- public:
-  explicit Replay(const std::vector<SE3>& T_world_camera) : truth_(&T_world_camera) {
+struct Replay {
+  explicit Replay(const std::vector<SE3>& T_world_camera) : truth(T_world_camera) {
     double mean_angle = 0.0;
     for (std::size_t i = 1; i < T_world_camera.size(); ++i) {
-      motion_.push_back(T_world_camera[i - 1].inverse() * T_world_camera[i]);
-      mean_step_m_ += motion_.back().t.norm();
-      mean_angle += so3_log(motion_.back().q).norm();
+      motion.push_back(T_world_camera[i - 1].inverse() * T_world_camera[i]);
+      mean_step_m += motion.back().t.norm();
+      mean_angle += so3_log(motion.back().q).norm();
     }
-    const double count = static_cast<double>(std::max<std::size_t>(1, motion_.size()));
+    const double count = static_cast<double>(std::max<std::size_t>(1, motion.size()));
     // A camera at rest has no steps to compare with; its drift is then even.
-    mean_step_m_ = std::max(mean_step_m_ / count, 1e-9);
+    mean_step_m = std::max(mean_step_m / count, 1e-9);
     mean_angle = std::max(mean_angle / count, 1e-9);
-    for (const SE3& motion : motion_) {
-      const double relative = 0.5 * (motion.t.norm() / mean_step_m_ + so3_log(motion.q).norm() / mean_angle);
-      activity_.push_back(0.3 + 0.7 * relative);
+    for (const SE3& step : motion) {
+      const double relative = 0.5 * (step.t.norm() / mean_step_m + so3_log(step.q).norm() / mean_angle);
+      activity.push_back(0.3 + 0.7 * relative);
     }
   }
 
-  std::size_t steps() const { return motion_.size(); }
-  const SE3& motion(std::size_t i) const { return motion_[i]; }
-  /// A direction of the world in the camera after step i.
-  Vec3 to_camera(std::size_t i, const Vec3& direction_world) const {
-    return (*truth_)[i + 1].q.conjugate() * direction_world;
-  }
-  double mean_step_m() const { return mean_step_m_; }
-  /// How lively step i is compared with the mean step, at least 0.3.
-  double activity(std::size_t i) const { return activity_[i]; }
   std::vector<SE3> integrate(const std::vector<StepError>& errors, double rotation_scale,
                              double translation_scale) const {
-    std::vector<SE3> poses{truth_->front()};
-    poses.reserve(truth_->size());
-    for (std::size_t i = 0; i < motion_.size(); ++i) {
+    std::vector<SE3> poses{truth.front()};
+    poses.reserve(truth.size());
+    for (std::size_t i = 0; i < motion.size(); ++i) {
       const StepError& e = errors[i];
       const SE3 error(so3_exp(rotation_scale * e.rotation_scaled + e.rotation_fixed),
                       translation_scale * e.translation_scaled + e.translation_fixed);
-      poses.push_back(poses.back() * motion_[i] * error);
+      poses.push_back(poses.back() * motion[i] * error);
     }
     return poses;
   }
   /// Largest angle from the truth, rad.
   double rotation_error(const std::vector<SE3>& poses) const {
     double worst = 0.0;
-    for (std::size_t i = 0; i < poses.size(); ++i) worst = std::max(worst, rotation_angle(poses[i].q, (*truth_)[i].q));
+    for (std::size_t i = 0; i < poses.size(); ++i) worst = std::max(worst, rotation_angle(poses[i].q, truth[i].q));
     return worst;
   }
-  const std::vector<SE3>& truth() const { return *truth_; }
 
- private:
-  const std::vector<SE3>* truth_;
-  std::vector<SE3> motion_;
-  std::vector<double> activity_;
-  double mean_step_m_ = 0.0;
+  const std::vector<SE3>& truth;
+  std::vector<SE3> motion;
+  std::vector<double> activity;  ///< how lively each step is compared with the mean one, at least 0.3
+  double mean_step_m = 0.0;
 };
 
 /// The steady translation error keeps its direction in the world: fixed to a camera that goes in circles it would
 /// cancel over a lap, and a given level would mean absurd errors of every single step.
 std::vector<StepError> smooth_errors(const Replay& replay, Random* random) {
-  std::vector<StepError> errors(replay.steps());
+  std::vector<StepError> errors(replay.motion.size());
   const Vec3 rotation_axis = random->direction();
   const Vec3 translation_axis = random->direction();
   const double scale_error = random->normal();
@@ -107,17 +95,17 @@ std::vector<StepError> smooth_errors(const Replay& replay, Random* random) {
     const double share = static_cast<double>(i) / static_cast<double>(std::max<std::size_t>(1, errors.size() - 1));
     const Vec3 rotation_noise = 0.5 * random->normal3();
     const Vec3 translation_noise = 0.5 * random->normal3();
-    errors[i].rotation_scaled = replay.activity(i) * (rotation_axis * rotation_rate.at(share) + rotation_noise);
-    const Vec3 translation_bias = replay.to_camera(i, translation_axis) * translation_rate.at(share);
-    errors[i].translation_scaled = replay.activity(i) * (translation_bias + translation_noise) +
-                                   scale_error * replay.motion(i).t / replay.mean_step_m();
+    errors[i].rotation_scaled = replay.activity[i] * (rotation_axis * rotation_rate.at(share) + rotation_noise);
+    const Vec3 translation_bias = replay.truth[i + 1].q.conjugate() * translation_axis * translation_rate.at(share);
+    errors[i].translation_scaled = replay.activity[i] * (translation_bias + translation_noise) +
+                                   scale_error * replay.motion[i].t / replay.mean_step_m;
   }
   return errors;
 }
 
 /// Little drift between the bursts: 2 deg and 1 % of the way over the sequence, less if the level asked for is low.
 std::vector<StepError> jump_errors(const Replay& replay, const DriftOptions& options, Random* random) {
-  std::vector<StepError> errors(replay.steps());
+  std::vector<StepError> errors(replay.motion.size());
   const double count = static_cast<double>(errors.size());
   for (int burst = 0; burst < kBursts; ++burst) {
     const auto begin = static_cast<std::size_t>(random->uniform(0.1, 0.9) * count);
@@ -136,8 +124,8 @@ std::vector<StepError> jump_errors(const Replay& replay, const DriftOptions& opt
     const Vec3 rotation_noise = radians(0.01) * random->normal3();
     const Vec3 translation_noise = 0.0002 * random->normal3();
     errors[i].rotation_fixed =
-        rotation_level * (radians(2.0) / count * replay.activity(i) * rotation_axis + rotation_noise);
-    errors[i].translation_fixed = translation_level * (scale_error * replay.motion(i).t + translation_noise);
+        rotation_level * (radians(2.0) / count * replay.activity[i] * rotation_axis + rotation_noise);
+    errors[i].translation_fixed = translation_level * (scale_error * replay.motion[i].t + translation_noise);
   }
   return errors;
 }
@@ -168,7 +156,7 @@ double scale_to_level(const Error& error, double level) {
 class PositionError {
  public:
   PositionError(const Replay& replay, const std::vector<StepError>& errors, double rotation_scale)
-      : truth_(replay.truth()),
+      : truth_(replay.truth),
         at_zero_(replay.integrate(errors, rotation_scale, 0.0)),
         at_one_(replay.integrate(errors, rotation_scale, 1.0)) {}
 
@@ -240,11 +228,9 @@ Result<std::vector<SE3>> drift_poses(const std::vector<SE3>& T_world_camera, con
         options.model == "jump" ? jump_errors(replay, options, &random) : smooth_errors(replay, &random);
     if (auto poses = scale_errors(replay, errors, options)) return *std::move(poses);
   }
-  std::ostringstream message;
-  message << "parameter 'drift.position_m' = '" << options.position_m
-          << "' cannot be met: a rotation drift of 'drift.rotation_deg' = '" << options.rotation_deg
-          << "' always moves the camera farther";
-  return Error{message.str()};
+  return Error{"parameter 'drift.position_m' = '" + format_general(options.position_m, 6) +
+               "' cannot be met: a rotation drift of 'drift.rotation_deg' = '" +
+               format_general(options.rotation_deg, 6) + "' always moves the camera farther"};
 }
 
 std::vector<SE3> drift_scale(const std::vector<SE3>& T_world_camera, const DriftOptions& options, std::uint64_t seed) {

@@ -37,53 +37,53 @@ Box jittered(const Box& box, const Vec4& errors, double sigma) {
   return {std::min(x1, x2), std::min(y1, y2), std::max(x1, x2), std::max(y1, y2)};
 }
 
-class FalseLoops {
- public:
-  FalseLoops(const std::vector<KeyframePose>& keyframes, const FalseLoopOptions& options, std::uint64_t seed,
-             KeyframePairs taken)
-      : keyframes_(keyframes), options_(options), random_(seed), taken_(std::move(taken)) {}
+struct FalseLoops {
+  const std::vector<KeyframePose>& keyframes;
+  const FalseLoopOptions& options;
+  Random random;
+  KeyframePairs taken;
+  std::vector<LoopClosure> loops = {};
 
   std::vector<LoopClosure> make() {
-    const int last = static_cast<int>(keyframes_.size()) - 1, gap = std::max(1, options_.min_gap_keyframes);
+    const int last = static_cast<int>(keyframes.size()) - 1, gap = std::max(1, options.min_gap_keyframes);
     if (last < gap) return {};
     constexpr int kAttempts = 20;  // a loop: most pairs are free unless nearly all are taken
-    for (int i = 0; i < kAttempts * options_.count && missing() > 0; ++i) {
-      const int query = random_.integer(gap, last), match = random_.integer(0, query - gap);
+    for (int i = 0; i < kAttempts * options.count && missing() > 0; ++i) {
+      const int query = random.integer(gap, last), match = random.integer(0, query - gap);
       add_cluster(query, match);
     }
-    std::stable_sort(loops_.begin(), loops_.end(),
+    std::stable_sort(loops.begin(), loops.end(),
                      [](const LoopClosure& a, const LoopClosure& b) { return a.query_frame < b.query_frame; });
-    return std::move(loops_);
+    return std::move(loops);
   }
 
- private:
-  int missing() const { return options_.count - static_cast<int>(loops_.size()); }
-  const KeyframePose& keyframe(int i) const { return keyframes_[static_cast<std::size_t>(i)]; }
+  int missing() const { return options.count - static_cast<int>(loops.size()); }
+  const KeyframePose& keyframe(int i) const { return keyframes[static_cast<std::size_t>(i)]; }
   SE3 motion(int from, int to) const { return keyframe(from).T_map_camera.inverse() * keyframe(to).T_map_camera; }
 
   /// The members see the same two places: query and match each move on by up to two keyframes.
   void add_cluster(int query, int match) {
     const SE3 T_match_query = motion(match, query) * error();
-    const int members = std::min(std::max(1, options_.cluster_size), missing());
+    const int members = std::min(std::max(1, options.cluster_size), missing());
     int q = query, m = match;
     for (int i = 0; i < members; ++i) {
       add(q, m, motion(m, match) * T_match_query * motion(query, q));
       constexpr int kMaxStep = 2;  // keyframes: neighbouring, as a place seen for a while gives them
-      q = std::min(q + random_.integer(1, kMaxStep), static_cast<int>(keyframes_.size()) - 1);
-      m = std::min(m + random_.integer(0, kMaxStep), q - std::max(1, options_.min_gap_keyframes));
+      q = std::min(q + random.integer(1, kMaxStep), static_cast<int>(keyframes.size()) - 1);
+      m = std::min(m + random.integer(0, kMaxStep), q - std::max(1, options.min_gap_keyframes));
     }
   }
 
   SE3 error() {
-    const Vec3 t = options_.distance_m * random_.uniform(1.0, 2.0) * random_.direction();
+    const Vec3 t = options.distance_m * random.uniform(1.0, 2.0) * random.direction();
     constexpr double kMaxAngle_deg = 180.0;  // beyond, the rotation is less again
-    const double angle_deg = std::min(options_.rotation_deg * random_.uniform(1.0, 2.0), kMaxAngle_deg);
-    return {so3_exp(radians(angle_deg) * random_.direction()), t};
+    const double angle_deg = std::min(options.rotation_deg * random.uniform(1.0, 2.0), kMaxAngle_deg);
+    return {so3_exp(radians(angle_deg) * random.direction()), t};
   }
 
   void add(int query_index, int match_index, const SE3& T_match_query) {
     const KeyframePose &query = keyframe(query_index), &match = keyframe(match_index);
-    if (!taken_.insert({query.keyframe_id, match.keyframe_id}).second) return;
+    if (!taken.insert({query.keyframe_id, match.keyframe_id}).second) return;
     LoopClosure loop;
     loop.query_keyframe_id = query.keyframe_id;
     loop.match_keyframe_id = match.keyframe_id;
@@ -91,22 +91,16 @@ class FalseLoops {
     loop.match_frame = loop.match_end = match.frame_id;
     loop.query_stamp_ns = query.stamp_ns;
     loop.match_stamp_ns = match.stamp_ns;
-    loop.query_begin = std::max<std::int64_t>(0, query.frame_id - options_.window_frames);
-    loop.match_begin = std::max<std::int64_t>(0, match.frame_id - options_.window_frames);
+    loop.query_begin = std::max<std::int64_t>(0, query.frame_id - options.window_frames);
+    loop.match_begin = std::max<std::int64_t>(0, match.frame_id - options.window_frames);
     loop.accepted = true;
     loop.reason = LoopReason::kAccepted;
     loop.T_match_query = T_match_query;
     Vec6 sigmas;
-    sigmas << Vec3::Constant(options_.sigma_m), Vec3::Constant(radians(options_.sigma_deg));
+    sigmas << Vec3::Constant(options.sigma_m), Vec3::Constant(radians(options.sigma_deg));
     loop.covariance = sigmas.cwiseAbs2().asDiagonal();
-    loops_.push_back(loop);
+    loops.push_back(loop);
   }
-
-  const std::vector<KeyframePose>& keyframes_;
-  const FalseLoopOptions& options_;
-  Random random_;
-  KeyframePairs taken_;
-  std::vector<LoopClosure> loops_;
 };
 
 }  // namespace
@@ -140,7 +134,7 @@ std::vector<DetectionFrame> perturb_detections(const std::vector<DetectionFrame>
 
 std::vector<LoopClosure> make_false_loops(const std::vector<KeyframePose>& keyframes, const FalseLoopOptions& options,
                                           std::uint64_t seed, KeyframePairs taken) {
-  return FalseLoops(keyframes, options, seed, std::move(taken)).make();
+  return FalseLoops{keyframes, options, Random(seed), std::move(taken)}.make();
 }
 
 }  // namespace semantic_topo_loop::core

@@ -84,9 +84,6 @@ class Shapes {
   void add_box(int object, const SE3& T_base_shape, const Vec3& half, Paint paint) {
     shapes_.push_back({true, object, T_base_shape, half, paint});
   }
-  void add_ellipsoid(int object, const SE3& T_base_shape, const Vec3& half, Paint paint) {
-    shapes_.push_back({false, object, T_base_shape, half, paint});
-  }
 
   /// One at (+-x, +-y) each; z is that of their middle.
   void add_legs(int object, const SE3& T_base, double x, double y, double z, double half) {
@@ -126,7 +123,7 @@ class Shapes {
     const double pot = 0.25 * axes.z();
     const double leaves = axes.z() - pot;
     add_box(object, at(0.0, 0.0, pot - axes.z()), {0.5 * axes.x(), 0.5 * axes.y(), pot}, Paint::kGlaze);
-    add_ellipsoid(object, at(0.0, 0.0, axes.z() - leaves), {axes.x(), axes.y(), leaves}, Paint::kLeaves);
+    shapes_.push_back({false, object, at(0.0, 0.0, axes.z() - leaves), {axes.x(), axes.y(), leaves}, Paint::kLeaves});
   }
 
   std::vector<DrawnShape> shapes_;

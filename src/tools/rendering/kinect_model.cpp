@@ -40,10 +40,9 @@ class FastRandom {
   /// In [0, 1).
   float uniform() { return static_cast<float>(bits() >> 40) * 0x1p-24F; }
   /// Mean 0, standard deviation 1: the sum of four uniform numbers, cut off at 3.5.
-  float normal() { return normal(bits()); }
-  static float normal(std::uint64_t bits) {
-    const auto sum =
-        static_cast<float>((bits & 0xffff) + ((bits >> 16) & 0xffff) + ((bits >> 32) & 0xffff) + (bits >> 48));
+  float normal() {
+    const std::uint64_t b = bits();
+    const auto sum = static_cast<float>((b & 0xffff) + ((b >> 16) & 0xffff) + ((b >> 32) & 0xffff) + (b >> 48));
     return (sum / 65536.0F - 2.0F) * 1.7320508F;
   }
 
@@ -92,7 +91,7 @@ cv::Mat kinect_depth(const RenderedImage& ideal, const PixelRays& rays, std::uin
   };
   const auto prepare = [&](int y) {
     shadows_of(y).resize(static_cast<std::size_t>(size.width));
-    find_shadows(rays.rays().ptr<cv::Vec2f>(y), ideal.depth_m.ptr<float>(y), &shadows_of(y));
+    find_shadows(rays.rays.ptr<cv::Vec2f>(y), ideal.depth_m.ptr<float>(y), &shadows_of(y));
   };
   prepare(0);
   for (int y = 0; y < size.height; ++y) {

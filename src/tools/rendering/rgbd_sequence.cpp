@@ -90,7 +90,12 @@ class FrameWriter {
     Views views = std::move(image.objects);
     Status written = write_image(directory_ + "/" + color_name(sequence_, frame), color);
     if (!written) return written.error();
-    const RenderedImage depth = is_same_view() ? std::move(image) : depth_view(frame, time_s);
+    const RenderingOptions& rendering = options_.rendering;
+    const bool is_same_view = rendering.depth_delay_s == 0.0 && rendering.depth_offset_m == 0.0;
+    const SE3 T_world_depth = sequence_.depth[frame].T_world_camera * color_from_depth(rendering);
+    const RenderedImage depth = is_same_view
+                                    ? std::move(image)
+                                    : renderer_.render(rays_, T_world_depth, time_s + rendering.depth_delay_s, false);
     const cv::Mat measured = options_.rendering.noise ? kinect_depth(depth, rays_, seed + 1) : depth.depth_m;
     written = write_image(directory_ + "/" + depth_name(sequence_, frame), quantised(measured, options_.rendering));
     if (!written) return written.error();
@@ -98,14 +103,6 @@ class FrameWriter {
   }
 
  private:
-  bool is_same_view() const {
-    return options_.rendering.depth_delay_s == 0.0 && options_.rendering.depth_offset_m == 0.0;
-  }
-  RenderedImage depth_view(std::size_t frame, double time_s) const {
-    const SE3 T_world_depth = sequence_.depth[frame].T_world_camera * color_from_depth(options_.rendering);
-    return renderer_.render(rays_, T_world_depth, time_s + options_.rendering.depth_delay_s, false);
-  }
-
   const SimulationOptions& options_;
   const SimulatedSequence& sequence_;
   std::string directory_;

@@ -76,11 +76,11 @@ class Picture {
     const SE3 T_camera_room = T_camera_world * room.T_world_room;
     room_ = *cast_shape(walls.shape(), T_camera_room, -1);
     lamp_ = (T_camera_room.rotation() * lamp_direction()).cast<float>();
-    focal_px_ = static_cast<float>(std::min(rays.camera().fx, rays.camera().fy));
+    focal_px_ = static_cast<float>(std::min(rays.camera.fx, rays.camera.fy));
   }
 
   RenderedImage render(bool with_color) {
-    const cv::Size size = rays_.rays().size();
+    const cv::Size size = rays_.rays.size();
     image_.depth_m.create(size, CV_32FC1);
     image_.cosine.create(size, CV_32FC1);
     surfaces_.create(size, CV_32SC1);
@@ -97,7 +97,7 @@ class Picture {
 
  private:
   Eigen::Vector3f ray(int x, int y) const {
-    const auto& p = rays_.rays().at<cv::Vec2f>(y, x);
+    const auto& p = rays_.rays.at<cv::Vec2f>(y, x);
     return {p[0], p[1], 1.0F};
   }
   const CastShape& cast_of(const Hit& hit) const {
@@ -105,7 +105,7 @@ class Picture {
   }
 
   void find_candidates(const cv::Rect& tile) {
-    const Box bounds = pixel_ray_bounds(rays_.rays(), tile);
+    const Box bounds = pixel_ray_bounds(rays_.rays, tile);
     candidates_.clear();
     // A pixel's margin, for the rays between pixels too.
     for (std::size_t i = 0; i < casts_.size(); ++i) {
@@ -115,30 +115,29 @@ class Picture {
     }
   }
 
-  Hit cast(const Eigen::Vector3f& direction) const {
-    Hit hit{depth_of_exit(room_, direction), -1};
-    for (const int i : candidates_) {
-      const float depth = depth_of_entry(casts_[static_cast<std::size_t>(i)], direction);
-      if (depth < hit.depth) hit = {depth, i};
-    }
-    return hit;
-  }
-
-  /// The same, counting what the pixel's ray meets.
-  Hit cast_pixel(int x, int y) {
-    const Eigen::Vector3f direction = ray(x, y);
-    const int pixel = y * rays_.rays().cols + x;
+  /// @param meet called for each shape that the ray meets, hidden or not
+  template <class Meet>
+  Hit cast(const Eigen::Vector3f& direction, const Meet& meet) const {
     Hit hit{depth_of_exit(room_, direction), -1};
     for (const int i : candidates_) {
       const CastShape& shape = casts_[static_cast<std::size_t>(i)];
       const float depth = depth_of_entry(shape, direction);
       if (depth == kMiss) continue;
       if (depth < hit.depth) hit = {depth, i};
-      if (shape.object < 0) continue;
+      meet(shape);
+    }
+    return hit;
+  }
+
+  /// The same, counting what the pixel's ray meets.
+  Hit cast_pixel(int x, int y) {
+    const int pixel = y * rays_.rays.cols + x;
+    const Hit hit = cast(ray(x, y), [&](const CastShape& shape) {
+      if (shape.object < 0) return;
       Coverage& coverage = coverage_[static_cast<std::size_t>(shape.object)];
       if (coverage.last_pixel != pixel) ++coverage.covered;
       coverage.last_pixel = pixel;
-    }
+    });
     const int object = cast_of(hit).object;
     if (object >= 0) coverage_[static_cast<std::size_t>(object)].see(x, y);
     return hit;
@@ -201,7 +200,7 @@ class Picture {
   }
 
   void smooth_tile(const cv::Mat& is_edge, const cv::Rect& whole) {
-    const cv::Rect tile = whole & cv::Rect(0, 0, rays_.rays().cols, rays_.rays().rows);
+    const cv::Rect tile = whole & cv::Rect(0, 0, rays_.rays.cols, rays_.rays.rows);
     bool has_candidates = false;
     for (int y = tile.y; y < tile.y + tile.height; ++y) {
       for (int x = tile.x; x < tile.x + tile.width; ++x) {
@@ -219,7 +218,7 @@ class Picture {
     for (const auto& [dx, dy] :
          {std::pair(-0.5F, -1.0F), std::pair(1.0F, -0.5F), std::pair(0.5F, 1.0F), std::pair(-1.0F, 0.5F)}) {
       const Eigen::Vector3f direction = ray(x, y) + Eigen::Vector3f(dx * step, dy * step, 0.0F);
-      const Color c = look(direction, cast(direction), true).color;
+      const Color c = look(direction, cast(direction, [](const CastShape&) {}), true).color;
       sum = {sum.b + 0.25F * c.b, sum.g + 0.25F * c.g, sum.r + 0.25F * c.r};
     }
     return sum;
@@ -233,13 +232,13 @@ class Picture {
       bounds = {std::min(bounds.x1, shape.bounds.x1), std::min(bounds.y1, shape.bounds.y1),
                 std::max(bounds.x2, shape.bounds.x2), std::max(bounds.y2, shape.bounds.y2)};
     }
-    const Camera& camera = rays_.camera();
+    const Camera& camera = rays_.camera;
     return {camera.fx * bounds.x1 + camera.cx, camera.fy * bounds.y1 + camera.cy, camera.fx * bounds.x2 + camera.cx,
             camera.fy * bounds.y2 + camera.cy};
   }
 
   void measure_objects() {
-    const Camera& camera = rays_.camera();
+    const Camera& camera = rays_.camera;
     image_.objects.resize(coverage_.size());
     for (std::size_t i = 0; i < coverage_.size(); ++i) {
       const Coverage& coverage = coverage_[i];
@@ -272,11 +271,11 @@ class Picture {
 
 }  // namespace
 
-PixelRays::PixelRays(const Camera& camera) : camera_(camera), rays_(camera.height, camera.width, CV_32FC2) {
+PixelRays::PixelRays(const Camera& of_camera) : camera(of_camera), rays(camera.height, camera.width, CV_32FC2) {
   for (int y = 0; y < camera.height; ++y) {
     for (int x = 0; x < camera.width; ++x) {
       const Vec3 ray = camera.ray(camera.undistort(Vec2(x, y)));
-      rays_.at<cv::Vec2f>(y, x) = {static_cast<float>(ray.x()), static_cast<float>(ray.y())};
+      rays.at<cv::Vec2f>(y, x) = {static_cast<float>(ray.x()), static_cast<float>(ray.y())};
     }
   }
 }

@@ -5,23 +5,17 @@
 #include <vector>
 
 #include "semantic_topo_loop/types/camera.h"
-#include "tools/rendering/painted_shape.h"
+#include "tools/rendering/drawn_shape.h"
 #include "tools/simulation/scene.h"
 
 namespace semantic_topo_loop::core {
 
 /// Where each pixel of a raw image looks; computed once a camera, since undistorting is slow.
-class PixelRays {
- public:
-  explicit PixelRays(const Camera& camera);
+struct PixelRays {
+  explicit PixelRays(const Camera& of_camera);
 
-  const Camera& camera() const { return camera_; }
-  /// CV_32FC2: (x, y) of the ray with z = 1 through the middle of the pixel.
-  const cv::Mat& rays() const { return rays_; }
-
- private:
-  Camera camera_;
-  cv::Mat rays_;
+  const Camera camera;
+  cv::Mat rays;  ///< CV_32FC2: (x, y) of the ray with z = 1 through the middle of the pixel
 };
 
 /// What an ideal camera sees at one moment (global shutter).
