@@ -114,7 +114,7 @@ struct Recording {
 
 /// Every image once, read before the clock starts.
 void track_folder(benchmark::State& state, const Recording& recording) {
-  RgbdFolder folder(recording.files, recording.camera, recording.options.depth);
+  RgbdRecording folder = read_images(recording.files, recording.camera, recording.options.depth);
   RgbdFrontend frontend(recording.options.frontend, recording.camera);
   Times times;
   TrackingReport report;

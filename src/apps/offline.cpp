@@ -2,6 +2,7 @@
 
 #include <cstdio>
 #include <filesystem>
+#include <functional>
 #include <iostream>
 #include <map>
 #include <memory>
@@ -11,11 +12,12 @@
 #include <vector>
 
 #include "apps/program.h"
-#include "apps/sample_source.h"
 #include "ros/parameters.h"
 #include "ros/tum_bag.h"
+#include "semantic_topo_loop/frontend/rgbd_frontend.h"
 #include "semantic_topo_loop/io/detection_file.h"
 #include "semantic_topo_loop/io/point_cloud_file.h"
+#include "semantic_topo_loop/io/rgbd_recording.h"
 #include "semantic_topo_loop/io/run_files.h"
 #include "semantic_topo_loop/io/run_recorder.h"
 #include "semantic_topo_loop/io/submap_file.h"
@@ -24,6 +26,7 @@
 #include "semantic_topo_loop/map/point_map.h"
 #include "semantic_topo_loop/pipeline/frame_builder.h"
 #include "semantic_topo_loop/pipeline/object_slam.h"
+#include "semantic_topo_loop/pipeline/read_ahead.h"
 #include "semantic_topo_loop/types/stamp.h"
 
 namespace {
@@ -35,6 +38,128 @@ struct Arguments {
   std::string trajectory, rgbd, bag, associations, detections, camera, classes, config, extra_loops, output, map,
       save_map, points;
   OptionTexts assignments;
+};
+
+// --- camera poses -------------------------------------------------------------------------------------------------
+
+/// How far a source is, and what became of its images where there are any.
+struct SourceState {
+  std::size_t done = 0, total = 0;  ///< images gone through so far, and of all
+  /// The samples ended early because all of them should be found anew: the calibration was corrected.
+  bool needs_rewind = false;
+  std::optional<Camera> camera;          ///< of the last sample, where the source corrects its calibration
+  std::optional<TrackingReport> report;  ///< of images
+  DepthRange depth_range;                ///< of the images read so far
+  std::string warning;                   ///< at the end: what was left out; empty if nothing
+  std::string fault;                     ///< at the end: why the recording ended early; empty if it did not
+};
+
+/// Where the camera poses of a run come from.
+class SampleSource {
+ public:
+  virtual ~SampleSource() = default;
+  /// The next image that has a pose, or nullopt at the end.
+  virtual std::optional<PoseSample> next() = 0;
+  /// To the first image, the second time with what was learned of the camera.
+  virtual Status rewind() { return {}; }
+  /// What the point map keeps of the last image, where there are images.
+  virtual std::shared_ptr<const KeyframePoints> keyframe_points(int /*semi_dense_max*/) const { return nullptr; }
+  const SourceState& state() const { return state_; }
+
+ protected:
+  SourceState state_;
+};
+
+/// Poses of a trajectory file.
+class TrajectorySource : public SampleSource {
+ public:
+  explicit TrajectorySource(StampedPoses poses) : poses_(std::move(poses)) { state_.total = poses_.size(); }
+  std::optional<PoseSample> next() override {
+    if (state_.done == poses_.size()) return std::nullopt;
+    const StampedPose& pose = poses_[state_.done++];
+    PoseSample sample;
+    sample.stamp_ns = pose.stamp_ns;
+    sample.T_odom_camera = pose.T_world_camera;
+    return sample;
+  }
+
+ private:
+  StampedPoses poses_;
+};
+
+/// Poses that the RGB-D front end finds in a recording's images, which are read while others are tracked.
+class RgbdSource : public SampleSource {
+ public:
+  /// Opens the recording at its first image.
+  using Open = std::function<Result<RgbdRecording>()>;
+
+  RgbdSource(Open open_recording, RgbdFrontend frontend)
+      : open_recording_(std::move(open_recording)), frontend_(std::move(frontend)) {}
+
+  std::optional<PoseSample> next() override {
+    while (const std::optional<RgbdReading> reading = readings_->next()) {
+      ++state_.done;
+      if (!reading->left_out.empty()) {
+        DetectionReport::Cause& cause = left_out_[reading->left_out];
+        if (cause.count++ == 0) cause.first = reading->image.message();
+        continue;
+      }
+      if (!reading->image) {
+        state_.report->add_unreadable(reading->image.message());
+        continue;
+      }
+      state_.depth_range.add(reading->image->depth_range);
+      TrackedImage tracked = frontend_.track(*reading->image);
+      state_.needs_rewind = tracked.is_recalibrated;
+      if (tracked.is_recalibrated) return std::nullopt;
+      last_image_ = *reading->image;
+      state_.camera = frontend_.camera();
+      state_.report->add(tracked);
+      if (tracked.sample) return std::move(tracked.sample);
+    }
+    state_.fault = fault_;
+    for (const auto& [name, cause] : left_out_) {
+      state_.warning += (state_.warning.empty() ? "" : "; ") + std::to_string(cause.count) + " " + name +
+                        " (first: " + cause.first + ")";
+    }
+    return std::nullopt;
+  }
+  std::shared_ptr<const KeyframePoints> keyframe_points(int semi_dense_max) const override {
+    return std::make_shared<const KeyframePoints>(frontend_.keyframe_points(last_image_, semi_dense_max));
+  }
+  Status rewind() override {
+    readings_.reset();
+    Result<RgbdRecording> opened = open_recording_();
+    if (!opened) return opened.error();
+    recording_ = *std::move(opened);
+    if (state_.needs_rewind) frontend_.begin_anew();
+    state_ = {};
+    state_.total = recording_.total;
+    state_.report.emplace();
+    left_out_.clear();
+    last_image_ = {};
+    fault_.clear();
+    readings_ = std::make_unique<ReadAhead<RgbdReading>>([this] { return read(); }, kReadAhead);
+    return {};
+  }
+
+ private:
+  static constexpr std::size_t kReadAhead = 8;
+
+  /// On the reading thread.
+  std::optional<RgbdReading> read() {
+    Result<std::optional<RgbdReading>> reading = recording_.next();
+    fault_ = reading.message();
+    return reading ? *std::move(reading) : std::nullopt;
+  }
+
+  Open open_recording_;
+  RgbdRecording recording_;  ///< of the reading thread, once it runs
+  RgbdFrontend frontend_;
+  std::map<std::string, DetectionReport::Cause> left_out_;  ///< images that the recording itself does not count
+  RgbdImage last_image_;
+  std::string fault_;                                 ///< written before the reading thread ends the stream
+  std::unique_ptr<ReadAhead<RgbdReading>> readings_;  ///< last: its thread ends before what it uses
 };
 
 // --- inputs -------------------------------------------------------------------------------------------------------
@@ -50,38 +175,33 @@ struct RunInputs {
   std::optional<std::vector<LocalMap>> earlier_map;
 };
 
-/// @return what opens the recording of --bag or --rgbd
-Result<RgbdSource::Open> image_opener(const Arguments& arguments, const RunInputs& inputs) {
-  const Camera& camera = inputs.camera;
-  const DepthOptions& depth = inputs.options.depth;
-  using Opened = Result<std::unique_ptr<RgbdRecording>>;
-  if (!arguments.bag.empty()) {
-    return RgbdSource::Open([bag = arguments.bag, camera, depth]() -> Opened {
-      return semantic_topo_loop::open_tum_bag(bag, camera, depth);
-    });
-  }
-  const std::string usual = arguments.rgbd + "/associations.txt";
-  const std::string list = arguments.associations.empty() ? usual : arguments.associations;
-  std::error_code ignored;
-  const bool is_as_downloaded = list == usual && !std::filesystem::exists(usual, ignored);
-  const Result<RgbdFiles> read =
-      is_as_downloaded ? associate_images(arguments.rgbd) : read_associations(list, arguments.rgbd);
-  if (!read) return read.error();
-  if (!read->warning.empty()) std::cerr << "offline: warning: " << read->warning << '\n';
-  return RgbdSource::Open([camera, depth, files = read->files]() -> Opened {
-    return std::unique_ptr<RgbdRecording>(std::make_unique<RgbdFolder>(files, camera, depth));
-  });
-}
-
+/// The poses of --trajectory, or those found from the images of --bag or --rgbd.
 Result<std::unique_ptr<SampleSource>> open_source(const Arguments& arguments, const RunInputs& inputs) {
+  using Source = std::unique_ptr<SampleSource>;
   if (!arguments.trajectory.empty()) {
     Result<StampedPoses> trajectory = read_tum_trajectory(arguments.trajectory);
     if (!trajectory) return trajectory.error();
-    return std::unique_ptr<SampleSource>(std::make_unique<TrajectorySource>(*std::move(trajectory)));
+    return Source(std::make_unique<TrajectorySource>(*std::move(trajectory)));
   }
-  const Result<RgbdSource::Open> open_recording = image_opener(arguments, inputs);
-  if (!open_recording) return open_recording.error();
-  return RgbdSource::open(*open_recording, inputs.camera, inputs.options.frontend);
+  const Camera& camera = inputs.camera;
+  const DepthOptions& depth = inputs.options.depth;
+  RgbdSource::Open open_recording = [bag = arguments.bag, camera, depth] {
+    return semantic_topo_loop::open_tum_bag(bag, camera, depth);
+  };
+  if (arguments.bag.empty()) {
+    const std::string usual = arguments.rgbd + "/associations.txt";
+    const std::string list = arguments.associations.empty() ? usual : arguments.associations;
+    std::error_code ignored;
+    const bool is_as_downloaded = list == usual && !std::filesystem::exists(usual, ignored);
+    const Result<RgbdFiles> read =
+        is_as_downloaded ? associate_images(arguments.rgbd) : read_associations(list, arguments.rgbd);
+    if (!read) return read.error();
+    if (!read->warning.empty()) std::cerr << "offline: warning: " << read->warning << '\n';
+    open_recording = [camera, depth, files = read->files] { return read_images(files, camera, depth); };
+  }
+  Source source = std::make_unique<RgbdSource>(open_recording, RgbdFrontend(inputs.options.frontend, camera));
+  if (const Status opened = source->rewind(); !opened) return opened.error();
+  return Result<Source>(std::move(source));
 }
 
 /// Reads what may be left out.
@@ -118,10 +238,7 @@ Result<RunInputs> load(const Arguments& arguments) {
   if (!camera) return camera.error();
   const Result<ClassTable> classes = read_class_table(arguments.classes);
   if (!classes) return classes.error();
-  RunInputs inputs;
-  inputs.options = *options;
-  inputs.camera = *camera;
-  inputs.classes = std::make_shared<const ClassTable>(*classes);
+  RunInputs inputs{*options, *camera, std::make_shared<const ClassTable>(*classes), {}, {}, {}, {}};
   Result<std::unique_ptr<SampleSource>> source = open_source(arguments, inputs);
   if (!source) return source.error();
   inputs.source = *std::move(source);
@@ -155,24 +272,21 @@ class Progress {
 class ExtraLoops {
  public:
   explicit ExtraLoops(const std::vector<LoopClosure>& loops) {
-    for (const LoopClosure& loop : loops) loops_[loop.query_frame].push_back(loop);
+    for (const LoopClosure& loop : loops) loops_.emplace(loop.query_frame, loop);
   }
   std::vector<LoopClosure> at(const Frame& frame) {
     if (frame.is_keyframe) keyframe_of_[frame.frame_id] = frame.keyframe_id;
-    std::vector<LoopClosure> due = std::move(loops_[frame.frame_id]);
-    loops_.erase(frame.frame_id);
-    for (LoopClosure& loop : due) {
-      loop.query_keyframe_id = keyframe(loop.query_frame);
-      loop.match_keyframe_id = keyframe(loop.match_frame);
+    std::vector<LoopClosure> due;
+    const auto [begin, end] = loops_.equal_range(frame.frame_id);
+    for (auto loop = begin; loop != end; loop = loops_.erase(loop)) {
+      due.push_back(loop->second);
+      due.back().query_keyframe_id = keyframe(loop->second.query_frame);
+      due.back().match_keyframe_id = keyframe(loop->second.match_frame);
     }
     return due;
   }
   /// Those whose query frame never came.
-  std::size_t left() const {
-    std::size_t count = 0;
-    for (const auto& [frame, loops] : loops_) count += loops.size();
-    return count;
-  }
+  std::size_t left() const { return loops_.size(); }
 
  private:
   /// -1 where there is none: the pose graph refuses such a loop.
@@ -180,7 +294,7 @@ class ExtraLoops {
     const auto found = keyframe_of_.find(frame_id);
     return found == keyframe_of_.end() ? -1 : found->second;
   }
-  std::map<std::int64_t, std::vector<LoopClosure>> loops_;
+  std::multimap<std::int64_t, LoopClosure> loops_;  ///< by query frame, in the order given
   std::map<std::int64_t, std::int64_t> keyframe_of_;
 };
 
@@ -287,13 +401,13 @@ Status run_once(const Arguments& arguments, const RunInputs& inputs, RunRecorder
 }
 
 /// From the first image again if the source corrects its calibration.
-Result<RunRecorder> run_chain(const Arguments& arguments, const RunInputs& inputs) {
+Result<std::unique_ptr<RunRecorder>> run_chain(const Arguments& arguments, const RunInputs& inputs) {
   for (;;) {
-    RunRecorder recorder(inputs.classes);
-    const Status done = run_once(arguments, inputs, &recorder);
+    std::unique_ptr<RunRecorder> recorder = make_run_recorder(inputs.classes);
+    const Status done = run_once(arguments, inputs, recorder.get());
     if (!inputs.source->state().needs_rewind) {
       if (!done) return done.error();
-      return recorder;
+      return Result<std::unique_ptr<RunRecorder>>(std::move(recorder));
     }
     if (const Status rewound = inputs.source->rewind(); !rewound) return rewound.error();
     std::printf("the calibration was corrected: from the first image again\n");
@@ -319,10 +433,10 @@ Status run(const Arguments& arguments) {
     if (writable && !path.empty()) writable = check_writable(path);
   }
   if (!writable) return writable;
-  const Result<RunRecorder> recorder = run_chain(arguments, *inputs);
+  const Result<std::unique_ptr<RunRecorder>> recorder = run_chain(arguments, *inputs);
   if (!recorder) return recorder.error();
-  if (const Status written = recorder->write(arguments.output); !written) return written;
-  if (inputs->earlier_map) print(recorder->relocalisation());
+  if (const Status written = (*recorder)->write(arguments.output); !written) return written;
+  if (inputs->earlier_map) print((*recorder)->relocalisation());
   const std::string& fault = inputs->source->state().fault;
   if (fault.empty()) return {};
   return Error{"the recording ends early: " + fault + "; what was mapped is kept"};

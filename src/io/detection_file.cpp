@@ -240,11 +240,6 @@ std::vector<Detection> usable_boxes(const std::vector<Detection>& boxes, const C
   return kept;
 }
 
-void DetectionReport::add(DetectionProblem problem, const std::string& where) {
-  Cause& entry = causes[static_cast<std::size_t>(problem)];
-  if (entry.count++ == 0) entry.first = where;
-}
-
 std::vector<std::string> DetectionReport::warnings() const {
   std::vector<std::string> lines;
   for (std::size_t i = 0; i < causes.size(); ++i) {

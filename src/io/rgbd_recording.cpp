@@ -118,9 +118,13 @@ Result<RgbdImage> read_rgbd_image(const RgbdFile& file, const Camera& camera, co
   return image;
 }
 
-Result<std::optional<RgbdReading>> RgbdFolder::next() {
-  if (index_ == files_.size()) return std::optional<RgbdReading>();
-  return std::optional<RgbdReading>({read_rgbd_image(files_[index_++], camera_, options_), ""});
+RgbdRecording read_images(std::vector<RgbdFile> files, const Camera& camera, const DepthOptions& options) {
+  const std::size_t total = files.size();
+  auto next = [=, files = std::move(files), i = std::size_t{0}]() mutable -> Result<std::optional<RgbdReading>> {
+    if (i == files.size()) return std::optional<RgbdReading>();
+    return std::optional<RgbdReading>({read_rgbd_image(files[i++], camera, options), ""});
+  };
+  return {std::move(next), total};
 }
 
 }  // namespace semantic_topo_loop::core

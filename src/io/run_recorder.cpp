@@ -27,8 +27,6 @@ const char* level_name(AssociationLevel level) {
   return i < kNames.size() ? kNames[i] : "unknown";
 }
 
-constexpr int kRatioDecimals = 6;
-
 nlohmann::json odometry_summary(const OdometryReport& report) {
   nlohmann::json faults = nlohmann::json::array();
   for (const OdometryFault& fault : report.faults) {
@@ -164,13 +162,11 @@ struct Counts {
   }
 };
 
-}  // namespace
-
-class RunRecorder::Impl {
+class FileRecorder : public RunRecorder {
  public:
-  explicit Impl(std::shared_ptr<const ClassTable> classes) : classes_(std::move(classes)) {}
+  explicit FileRecorder(std::shared_ptr<const ClassTable> classes) : classes_(std::move(classes)) {}
 
-  void record(const Frame& frame) {
+  void record(const Frame& frame) override {
     if (frame.is_end) return;
     frames_.insert_or_assign(frame.frame_id, FramePlace{frame.stamp_ns, frame.keyframe_id, frame.T_odom_camera});
     open_[frame.frame_id].is_recorded = true;
@@ -179,9 +175,11 @@ class RunRecorder::Impl {
     settle(frame.stamp_ns);
   }
 
-  void record(const AssociationFrame& associations) { open_[associations.frame_id].associations = associations; }
+  void record(const AssociationFrame& associations) override {
+    open_[associations.frame_id].associations = associations;
+  }
 
-  void record(const MapUpdate& update) {
+  void record(const MapUpdate& update) override {
     open_[update.frame_id].mapping_us += update.duration_us;
     for (const Landmark& landmark : update.changed) landmarks_.insert_or_assign(landmark.id, landmark);
     for (const std::int64_t id : update.removed) landmarks_.erase(id);
@@ -189,7 +187,7 @@ class RunRecorder::Impl {
     merges_ += static_cast<int>(update.merged.size()) - static_cast<int>(update.unmerged.size());
   }
 
-  void record(std::int64_t frame_id, const std::vector<LoopClosure>& loops, double loop_us) {
+  void record(std::int64_t frame_id, const std::vector<LoopClosure>& loops, double loop_us) override {
     open_[frame_id].loop_us = loop_us;
     if (loops.empty()) return;
     for (const LoopClosure& loop : loops) {
@@ -199,7 +197,7 @@ class RunRecorder::Impl {
     open_[frame_id].loops = loops;
   }
 
-  void record(const MapCorrection& correction) {
+  void record(const MapCorrection& correction) override {
     open_[correction.frame_id].optimise_us = correction.duration_us;
     open_[correction.frame_id].T_map_odom = correction.T_map_odom;
     if (correction.frame_id >= last_T_map_odom_.first) last_T_map_odom_ = {correction.frame_id, correction.T_map_odom};
@@ -212,15 +210,15 @@ class RunRecorder::Impl {
     }
   }
 
-  void record(const TrackingReport& tracking) { tracking_ = tracking; }
+  void record(const TrackingReport& tracking) override { tracking_ = tracking; }
 
-  std::optional<Relocalisation> relocalisation() const {
+  std::optional<Relocalisation> relocalisation() const override {
     Relocaliser relocaliser = settled_votes_;
     for (const auto& [frame_id, frame] : open_) add_votes(frame, &relocaliser);
     return relocaliser.estimate();
   }
 
-  Status write(const std::string& directory) const {
+  Status write(const std::string& directory) const override {
     Rows open;
     SE3 T_map_odom = settled_T_map_odom_;
     for (const auto& [frame_id, frame] : open_) {
@@ -280,8 +278,7 @@ class RunRecorder::Impl {
       const double log_scale_variance = loop.scale_covariance(6);
       if (!(log_scale_variance > 0.0)) continue;
       rows[kLoopScales] +=
-          csv_row(loop.query_frame, loop.match_frame, loop.accepted ? 1 : 0, format_fixed(loop.scale, kRatioDecimals),
-                  format_fixed(std::sqrt(log_scale_variance), kRatioDecimals));
+          csv_row(loop.query_frame, loop.match_frame, loop.accepted, loop.scale, std::sqrt(log_scale_variance));
     }
     for (const Association& association : frame.associations.associations) {
       rows[kAssociations] +=
@@ -362,7 +359,7 @@ class RunRecorder::Impl {
     };
     for (const auto& [number, verdict] : verdicts_) {
       file << csv_row(verdict.query_keyframe_id, verdict.match_keyframe_id, frame_of(verdict.query_keyframe_id),
-                      frame_of(verdict.match_keyframe_id), verdict.is_extra ? 1 : 0, verdict.kept ? 1 : 0,
+                      frame_of(verdict.match_keyframe_id), verdict.is_extra, verdict.kept,
                       verdict.reason.empty() ? "kept" : verdict.reason);
     }
   }
@@ -372,7 +369,7 @@ class RunRecorder::Impl {
     for (const auto& [keyframe_id, frame_id] : keyframe_frames_) {
       const auto solution = S_map_keyframe_.find(keyframe_id);
       if (solution == S_map_keyframe_.end()) continue;
-      file << csv_row(keyframe_id, frame_id, format_fixed(solution->second.scale, kRatioDecimals));
+      file << csv_row(keyframe_id, frame_id, solution->second.scale);
     }
   }
 
@@ -423,21 +420,10 @@ class RunRecorder::Impl {
   int corrections_ = 0;
 };
 
-RunRecorder::RunRecorder(std::shared_ptr<const ClassTable> classes)
-    : impl_(std::make_unique<Impl>(std::move(classes))) {}
-RunRecorder::~RunRecorder() = default;
-RunRecorder::RunRecorder(RunRecorder&&) noexcept = default;
-RunRecorder& RunRecorder::operator=(RunRecorder&&) noexcept = default;
+}  // namespace
 
-void RunRecorder::record(const Frame& frame) { impl_->record(frame); }
-void RunRecorder::record(const AssociationFrame& associations) { impl_->record(associations); }
-void RunRecorder::record(const MapUpdate& update) { impl_->record(update); }
-void RunRecorder::record(std::int64_t frame_id, const std::vector<LoopClosure>& loops, double loop_us) {
-  impl_->record(frame_id, loops, loop_us);
+std::unique_ptr<RunRecorder> make_run_recorder(std::shared_ptr<const ClassTable> classes) {
+  return std::make_unique<FileRecorder>(std::move(classes));
 }
-void RunRecorder::record(const MapCorrection& correction) { impl_->record(correction); }
-void RunRecorder::record(const TrackingReport& tracking) { impl_->record(tracking); }
-Status RunRecorder::write(const std::string& directory) const { return impl_->write(directory); }
-std::optional<Relocalisation> RunRecorder::relocalisation() const { return impl_->relocalisation(); }
 
 }  // namespace semantic_topo_loop::core

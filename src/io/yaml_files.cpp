@@ -76,7 +76,22 @@ class YamlMap {
   YAML::Node operator[](const char* key) const { return node_[key]; }
 
   /// @return false if a key is given twice, is none of these, or a required one is missing
-  bool has_keys(const std::vector<std::string>& required, const std::vector<std::string>& optional = {}) const;
+  bool has_keys(const std::vector<std::string>& required, const std::vector<std::string>& optional = {}) const {
+    const Status unique = check_unique_keys(path_, node_);
+    if (problem_->empty()) *problem_ = unique.message();
+    std::vector<std::string> known = required;
+    known.insert(known.end(), optional.begin(), optional.end());
+    for (const auto& entry : node_) {
+      const std::string key = key_text(entry.first);
+      if (!problem_->empty() || std::find(known.begin(), known.end(), key) != known.end()) continue;
+      *problem_ = yaml_place(path_, entry.first) + ": unknown key '" + key + "' (known: " + joined(known) + ")";
+    }
+    for (const std::string& key : required) {
+      if (problem_->empty() && !has(key.c_str()))
+        *problem_ = yaml_place(path_, node_) + ": key '" + key + "' is missing";
+    }
+    return problem_->empty();
+  }
 
   /// The scalar of a key that is there.   @param rule what it must be
   template <class T>
@@ -86,36 +101,18 @@ class YamlMap {
     return value;
   }
   /// Notes that the value of a key that is there is not what it must be.
-  void reject(const char* key, const std::string& rule) const;
+  void reject(const char* key, const std::string& rule) const {
+    if (!problem_->empty()) return;
+    const YAML::Node node = node_[key];
+    const std::string value = node.IsScalar() ? " = '" + node.Scalar() + "'" : "";
+    *problem_ = yaml_place(path_, node) + ": '" + key + "'" + value + " must be " + rule;
+  }
 
  private:
   std::string path_;
   YAML::Node node_;
   std::string* problem_;
 };
-
-bool YamlMap::has_keys(const std::vector<std::string>& required, const std::vector<std::string>& optional) const {
-  const Status unique = check_unique_keys(path_, node_);
-  if (problem_->empty()) *problem_ = unique.message();
-  std::vector<std::string> known = required;
-  known.insert(known.end(), optional.begin(), optional.end());
-  for (const auto& entry : node_) {
-    const std::string key = key_text(entry.first);
-    if (!problem_->empty() || std::find(known.begin(), known.end(), key) != known.end()) continue;
-    *problem_ = yaml_place(path_, entry.first) + ": unknown key '" + key + "' (known: " + joined(known) + ")";
-  }
-  for (const std::string& key : required) {
-    if (problem_->empty() && !has(key.c_str())) *problem_ = yaml_place(path_, node_) + ": key '" + key + "' is missing";
-  }
-  return problem_->empty();
-}
-
-void YamlMap::reject(const char* key, const std::string& rule) const {
-  if (!problem_->empty()) return;
-  const YAML::Node node = node_[key];
-  const std::string value = node.IsScalar() ? " = '" + node.Scalar() + "'" : "";
-  *problem_ = yaml_place(path_, node) + ": '" + key + "'" + value + " must be " + rule;
-}
 
 // --- cameras and classes ---------------------------------------------------------------------------------------------
 

@@ -13,9 +13,9 @@
 namespace semantic_topo_loop {
 
 /// Gives each Frame its detections: exactly one DetectionArray a Frame, in order, empty if there are none.
-class DetectionIngestionNodelet : public Stage {
+class DetectionIngestionNodelet : public StageWith<DetectionParameters> {
  public:
-  DetectionIngestionNodelet() : Stage("DetectionIngestion") {}
+  DetectionIngestionNodelet() : StageWith("DetectionIngestion") {}
   ~DetectionIngestionNodelet() override { stop(); }
 
  private:
@@ -28,7 +28,7 @@ class DetectionIngestionNodelet : public Stage {
   static constexpr char kUnmatched[] = "detections without a frame";
 
   void onInit() override {
-    if (!start(&options_, &parameters_, 2)) return;
+    if (!start(2)) return;
     is_file_ = parameters_.source == "file";
     if (is_file_ && !load_file()) return;
     for (const char* counter : {kMissing, kUnmatched}) statistics().count(counter, 0);
@@ -84,28 +84,24 @@ class DetectionIngestionNodelet : public Stage {
   /// @return false if the frame must wait on
   bool resolve(const Waiting& waiting) {
     const FrameMessage& frame = *waiting.frame;
-    if (frame.is_end) {
-      emit(frame, {});
-      if (is_file_) report_unused();
-      return true;
+    const bool has_detections = !frame.is_end && parameters_.source != "none";
+    std::vector<core::Detection> detections;
+    if (has_detections && is_file_) {
+      detections = from_file(frame);
+    } else if (has_detections) {
+      const DetectionsMessage::ConstPtr message = matcher_->take(frame.stamp_ns);
+      if (!message && Clock::now() < waiting.deadline) return false;
+      if (message) {
+        detections = checked(*message);
+      } else {
+        complain(kMissing, "nothing on detections_in for stamp " + std::to_string(frame.stamp_ns) + " ns within " +
+                               std::to_string(parameters_.detection_timeout_s) + " s");
+      }
     }
-    if (parameters_.source == "none") {
-      emit(frame, {});
-      return true;
-    }
-    if (is_file_) {
-      emit(frame, from_file(frame));
-      return true;
-    }
-    const std::int64_t stamp_ns = frame.stamp_ns;
-    if (const DetectionsMessage::ConstPtr message = matcher_->take(stamp_ns)) {
-      emit(frame, checked(*message));
-      return true;
-    }
-    if (Clock::now() < waiting.deadline) return false;
-    complain(kMissing, "nothing on detections_in for stamp " + std::to_string(stamp_ns) + " ns within " +
-                           std::to_string(parameters_.detection_timeout_s) + " s");
-    emit(frame, {});
+    publish<DetectionsMessage>(publisher_, make_header(frame.header.stamp, frame.camera_frame),
+                               {frame.frame_id, std::move(detections)});
+    count_processed();
+    if (frame.is_end && is_file_) report_unused();
     return true;
   }
 
@@ -129,12 +125,6 @@ class DetectionIngestionNodelet : public Stage {
 
   std::size_t boxes_max() const { return static_cast<std::size_t>(options_.association.boxes_max); }
 
-  void emit(const FrameMessage& frame, std::vector<core::Detection> detections) {
-    publish<DetectionsMessage>(publisher_, make_header(frame.header.stamp, frame.camera_frame),
-                               {frame.frame_id, std::move(detections)});
-    count_processed();
-  }
-
   void report_unused() {
     const std::size_t unused = file_.size() - matched_;
     statistics().set(kUnmatched, unused);
@@ -143,8 +133,6 @@ class DetectionIngestionNodelet : public Stage {
                  parameters_.detections_file.c_str());
   }
 
-  core::Options options_;
-  DetectionParameters parameters_;
   ros::Publisher publisher_;
   bool is_file_ = false;
   std::vector<core::DetectionFrame> file_;

@@ -1,6 +1,5 @@
 #include <geometry_msgs/TransformStamped.h>
 #include <std_srvs/SetBool.h>
-#include <std_srvs/Trigger.h>
 
 #include <map>
 #include <memory>
@@ -18,9 +17,9 @@
 
 namespace semantic_topo_loop {
 /// Looks for loops in each frame once its observation update is there; loop closing can be switched at run time.
-class LoopDetectionNodelet : public Stage {
+class LoopDetectionNodelet : public StageWith<LoopDetectionParameters> {
  public:
-  LoopDetectionNodelet() : Stage("LoopDetection") {}
+  LoopDetectionNodelet() : StageWith("LoopDetection") {}
   ~LoopDetectionNodelet() override { stop(); }
 
  private:
@@ -29,7 +28,7 @@ class LoopDetectionNodelet : public Stage {
   static constexpr char kAccepted[] = "loops accepted";
 
   void onInit() override {
-    if (!start(&options_, &parameters_, 2)) return;
+    if (!start(2)) return;
     if (!load_earlier_map()) return;
     joiner_ = std::make_unique<Joiner>(queue_capacity());
     publisher_ = advertise<LoopsMessage>("loop_closures");
@@ -37,13 +36,16 @@ class LoopDetectionNodelet : public Stage {
     reset_session();
     serve("set_loop_closing", &LoopDetectionNodelet::on_switch);
     serve("why_loop", &LoopDetectionNodelet::on_why);
-    serve("save_map", &LoopDetectionNodelet::on_save);
+    serve_trigger("save_map", [this] {
+      const core::Error nowhere{"parameter 'save_map_file' is empty: there is no place for the submaps"};
+      return parameters_.save_map_file.empty() ? nowhere : save();
+    });
     if (!parameters_.map_file.empty()) {
       relocalisation_publisher_ = advertise<geometry_msgs::TransformStamped>("earlier_map_from_odom", true);
     }
     if (!parameters_.save_map_file.empty()) {
       subscribe("map_corrections", Keep::kAlways, &LoopDetectionNodelet::on_correction);
-      save_at_end([this] { save_and_say(); });
+      save_at_end([this] { report_written("submaps", save()); });
     }
     subscribe("quadric_map_updates", Keep::kAlways, &LoopDetectionNodelet::on_update);
     subscribe("associations", Keep::kDroppable, &LoopDetectionNodelet::on_associations);
@@ -86,12 +88,6 @@ class LoopDetectionNodelet : public Stage {
     return true;
   }
 
-  bool on_save(std_srvs::Trigger::Request&, std_srvs::Trigger::Response& response) {
-    const core::Error nowhere{"parameter 'save_map_file' is empty: there is no place for the submaps"};
-    answer(parameters_.save_map_file.empty() ? nowhere : save(), &response);
-    return true;
-  }
-
   /// @return absolute path of the file
   core::Result<std::string> save() {
     std::vector<core::LocalMap> submaps;
@@ -114,16 +110,7 @@ class LoopDetectionNodelet : public Stage {
       for (const core::KeyframePose& pose : message->keyframes) keyframes_[pose.keyframe_id] = pose;
       set_unsaved(true);
     }
-    if (message->frame_id == end_frame_id_) save_and_say();
-  }
-
-  void save_and_say() {
-    if (const core::Result<std::string> saved = save()) {
-      NODELET_INFO("submaps written to %s", saved->c_str());
-    } else {
-      statistics().set_failure(saved.message());
-      NODELET_ERROR("submaps not written: %s", saved.message().c_str());
-    }
+    if (message->frame_id == end_frame_id_) report_written("submaps", save());
   }
 
   /// Answers at once, between two frames: asking changes nothing, and waits for one frame's detection at most.
@@ -159,7 +146,14 @@ class LoopDetectionNodelet : public Stage {
     statistics().set(kIncomplete, joiner_->evicted());
     if (!joined) return;
     const FrameMessage& frame = *std::get<0>(*joined);
-    FrameLoops loops = detect(frame, *std::get<1>(*joined));
+    FrameLoops loops;
+    loops.frame_id = frame.frame_id;
+    {
+      const std::lock_guard<std::mutex> lock(mutex_);
+      const core::Stopwatch stopwatch;
+      loops.closures = detector_->detect(frame, *std::get<1>(*joined));
+      loops.duration_us = stopwatch.elapsed_us();
+    }
     bool relocalised = false;
     for (const core::LoopClosure& loop : loops.closures) {
       relocalised = relocalised || (loop.accepted && loop.T_earlier_match);
@@ -183,18 +177,6 @@ class LoopDetectionNodelet : public Stage {
     NODELET_INFO_ONCE("the run's place in the earlier map is known, by %d of %d loops", found->agreeing, found->total);
   }
 
-  FrameLoops detect(const core::Frame& frame, const core::AssociationFrame& associations) {
-    const std::lock_guard<std::mutex> lock(mutex_);
-    const core::Stopwatch stopwatch;
-    FrameLoops loops;
-    loops.frame_id = frame.frame_id;
-    loops.closures = detector_->detect(frame, associations);
-    loops.duration_us = stopwatch.elapsed_us();
-    return loops;
-  }
-
-  core::Options options_;
-  LoopDetectionParameters parameters_;
   std::optional<bool> enabled_;  ///< as set by the service; none: as configured
   std::vector<core::LocalMap> earlier_map_;
   ros::Publisher publisher_, relocalisation_publisher_;

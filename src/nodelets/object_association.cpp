@@ -11,9 +11,9 @@ namespace semantic_topo_loop {
 
 /// Associates each frame's detections with landmarks, follows the quadric map, and says when a frame is done: it is the
 /// last of the loop to change its state.
-class ObjectAssociationNodelet : public Stage {
+class ObjectAssociationNodelet : public StageWith<ClassStageParameters> {
  public:
-  ObjectAssociationNodelet() : Stage("ObjectAssociation") {}
+  ObjectAssociationNodelet() : StageWith("ObjectAssociation") {}
   ~ObjectAssociationNodelet() override { stop(); }
 
  private:
@@ -25,8 +25,7 @@ class ObjectAssociationNodelet : public Stage {
   };
 
   void onInit() override {
-    ClassStageParameters parameters;
-    if (!start(&options_, &parameters, 2)) return;
+    if (!start(2)) return;
     joiner_ = std::make_unique<Joiner>(queue_capacity());
     associations_publisher_ = advertise<AssociationsMessage>("associations");
     done_publisher_ = advertise<FrameDone>("frame_done");
@@ -90,21 +89,17 @@ class ObjectAssociationNodelet : public Stage {
   /// Corrections come in order of frames, so what is older and still open got lost on its way.
   void finish(std::int64_t frame_id) {
     for (auto it = open_.begin(); it != open_.end() && it->first <= frame_id; it = open_.erase(it)) {
-      publish_done(it->first, it->second);
+      const Open& open = it->second;
+      std::uint8_t status = FrameDone::STATUS_FAILED;
+      if (open.associated) status = open.is_end ? FrameDone::STATUS_END : FrameDone::STATUS_PROCESSED;
+      publish_done(done_publisher_, open.stamp, it->first, status, associator_->map_version());
     }
-  }
-
-  void publish_done(std::int64_t frame_id, const Open& open) {
-    const std::uint8_t status = !open.associated ? FrameDone::STATUS_FAILED
-                                                 : (open.is_end ? FrameDone::STATUS_END : FrameDone::STATUS_PROCESSED);
-    Stage::publish_done(done_publisher_, open.stamp, frame_id, status, associator_->map_version());
   }
 
   using Joiner = FrameJoiner<FrameMessage::ConstPtr, DetectionsMessage::ConstPtr>;
   static constexpr char kIncomplete[] = "dropped, frame or detections missing";
   static constexpr char kVersionGaps[] = "gaps between map versions";
 
-  core::Options options_;
   ros::Publisher associations_publisher_, done_publisher_;
   ros::Subscriber full_map_subscriber_;
   std::unique_ptr<Joiner> joiner_;

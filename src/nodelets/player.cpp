@@ -20,12 +20,28 @@
 #include "semantic_topo_loop/pipeline/read_ahead.h"
 
 namespace semantic_topo_loop {
+namespace {
+
+/// The stamps of a trajectory file.
+PlayerSource play_stamps(core::StampedPoses trajectory, const sensor_msgs::CameraInfo& camera_info) {
+  const std::size_t size = trajectory.size();
+  auto next = [=, poses = std::move(trajectory), i = std::size_t{0}]() mutable -> std::optional<PlayerItem> {
+    if (i == poses.size()) return std::nullopt;
+    PlayerItem item;
+    item.camera_info = camera_info;
+    item.camera_info.header.stamp = to_ros_time(poses[i++].stamp_ns);
+    return item;
+  };
+  return {std::move(next), [] { return core::Status(); }, size};
+}
+
+}  // namespace
 
 /// Plays a recording through the chain: with credit, so that nothing is dropped and the result is offline's, or at a
 /// rate. Says on `player_status` (latched) how it ended, for wait_for_player.
-class PlayerNodelet : public Stage {
+class PlayerNodelet : public StageWith<PlayerParameters> {
  public:
-  PlayerNodelet() : Stage("Player") {}
+  PlayerNodelet() : StageWith("Player") {}
 
   ~PlayerNodelet() override {
     {
@@ -42,7 +58,7 @@ class PlayerNodelet : public Stage {
   enum class Wait { kReady, kRewind, kStopped, kStalled };
 
   void onInit() override {
-    if (!start(&options_, &parameters_, 1)) {
+    if (!start(1)) {
       status_publisher_ = advertise<std_msgs::String>("player_status", true);
       set_status("failed: bad parameter");
       return;
@@ -113,16 +129,16 @@ class PlayerNodelet : public Stage {
     core::Status end;
     Wait wait = Wait::kRewind;
     while (wait == Wait::kRewind) {
-      const core::Result<std::unique_ptr<PlayerSource>> source = open_source();
+      const core::Result<PlayerSource> source = open_source();
       if (!source) {
         fail(source.message());
         set_status("failed: " + source.message());
         return;
       }
       if (!wait_for_stages()) return;
-      NODELET_INFO("playing %zu images", (*source)->size());
+      NODELET_INFO("playing %zu images", source->size);
       set_status("playing");
-      wait = play_images(source->get(), &end);
+      wait = play_images(*source, &end);
     }
     if (wait != Wait::kReady) return;
     if (!end) NODELET_ERROR("the recording ends early: %s; what was mapped is kept", end.message().c_str());
@@ -130,7 +146,7 @@ class PlayerNodelet : public Stage {
     set_status(end ? "finished" : "failed: " + end.message());
   }
 
-  core::Result<std::unique_ptr<PlayerSource>> open_source() const {
+  core::Result<PlayerSource> open_source() const {
     std::optional<sensor_msgs::CameraInfo> calibration;
     if (!parameters_.camera_file.empty()) {
       const core::Result<core::Camera> camera = core::read_camera(parameters_.camera_file);
@@ -143,13 +159,14 @@ class PlayerNodelet : public Stage {
       constexpr double kRecordingDelayS = 0.2;  // by which a message may stand in the bag after its stamp
       TumBagPlayback bag = parameters_.bag;
       bag.lookahead_s = parameters_.max_pose_gap_s + kRecordingDelayS;
-      core::Result<std::unique_ptr<TumBagSource>> source = TumBagSource::open(bag, calibration);
-      if (!source) return source.error();
-      return std::unique_ptr<PlayerSource>(*std::move(source));
+      core::Result<std::unique_ptr<TumBagSource>> opened = TumBagSource::open(bag, calibration);
+      if (!opened) return opened.error();
+      const std::shared_ptr<TumBagSource> source = *std::move(opened);
+      return PlayerSource{[source] { return source->next(); }, [source] { return source->end(); }, source->size()};
     }
     core::Result<core::StampedPoses> trajectory = core::read_tum_trajectory(parameters_.trajectory_file);
     if (!trajectory) return trajectory.error();
-    return std::unique_ptr<PlayerSource>(std::make_unique<FileStamps>(*std::move(trajectory), *calibration));
+    return play_stamps(*std::move(trajectory), *calibration);
   }
 
   bool wait_for_stages() {
@@ -184,11 +201,11 @@ class PlayerNodelet : public Stage {
 
   /// Plays every image, in lockstep until each has left the chain.
   /// @param end how the recording ended
-  Wait play_images(PlayerSource* source, core::Status* end) {
+  Wait play_images(const PlayerSource& source, core::Status* end) {
     constexpr auto kReportPeriod = std::chrono::seconds(5);
     constexpr std::size_t kItemsAhead = 15;  // half a second of colour and depth images, 32 MB
     // Read in a thread of its own: compressed chunks of a bag take longer than a frame.
-    core::ReadAhead<PlayerItem> items([source] { return source->next(); }, kItemsAhead);
+    core::ReadAhead<PlayerItem> items(source.next, kItemsAhead);
     Clock::time_point reported = Clock::now();
     std::size_t played = 0;
     while (const std::optional<PlayerItem> item = items.next()) {
@@ -203,10 +220,10 @@ class PlayerNodelet : public Stage {
       ++played;
       if (Clock::now() - reported > kReportPeriod) {
         reported = Clock::now();
-        NODELET_INFO("image %zu of %zu", played, source->size());
+        NODELET_INFO("image %zu of %zu", played, source.size);
       }
     }
-    *end = source->end();
+    *end = source.end();
     // The end of the stream must not overtake an image that still waits for its pose.
     return wait_until([this] { return ledger_->in_flight() == 0; });
   }
@@ -256,7 +273,9 @@ class PlayerNodelet : public Stage {
         if (is_stalled()) {
           const std::string stage = ledger_->silent_stage();
           lock.unlock();
-          report_stall(stage);
+          NODELET_FATAL("playback ends: stage %s has been silent for %.0f s", stage.c_str(),
+                        parameters_.stall_timeout_s);
+          set_status("stalled: " + stage);
           return Wait::kStalled;
         }
       } else {
@@ -296,19 +315,12 @@ class PlayerNodelet : public Stage {
     }
   }
 
-  void report_stall(const std::string& stage) {
-    NODELET_FATAL("playback ends: stage %s has been silent for %.0f s", stage.c_str(), parameters_.stall_timeout_s);
-    set_status("stalled: " + stage);
-  }
-
   void set_status(const std::string& status) {
     auto message = boost::make_shared<std_msgs::String>();
     message->data = status;
     status_publisher_.publish(message);
   }
 
-  core::Options options_;
-  PlayerParameters parameters_;
   ros::Publisher clock_publisher_, tf_publisher_, camera_info_publisher_, end_publisher_, query_publisher_;
   ros::Publisher status_publisher_, color_publisher_, depth_publisher_;
   bool publishes_clock_ = false;

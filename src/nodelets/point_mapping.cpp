@@ -10,14 +10,14 @@
 namespace semantic_topo_loop {
 /// Keeps the points of the keyframes, which move with the map's corrections. Publishes them only while somebody
 /// listens.
-class PointMappingNodelet : public Stage {
+class PointMappingNodelet : public StageWith<PointMappingParameters> {
  public:
-  PointMappingNodelet() : Stage("PointMapping") {}
+  PointMappingNodelet() : StageWith("PointMapping") {}
   ~PointMappingNodelet() override { stop(); }
 
  private:
   void onInit() override {
-    if (!start(&options_, &parameters_, 2)) return;
+    if (!start(2)) return;
     reset_session();
     sparse_.open(advertise<sensor_msgs::PointCloud2>("map_points_sparse"));
     semi_dense_.open(advertise<sensor_msgs::PointCloud2>("map_points_semi_dense"));
@@ -87,8 +87,6 @@ class PointMappingNodelet : public Stage {
     semi_dense_.mark_changed();
   }
 
-  core::Options options_;
-  PointMappingParameters parameters_;
   LazyPublisher sparse_, semi_dense_;  ///< worker thread only
   ros::Time stamp_;
   std::mutex mutex_;  ///< guards map_, which the worker fills and the service reads

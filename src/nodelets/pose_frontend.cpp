@@ -17,9 +17,9 @@ namespace semantic_topo_loop {
 
 /// Makes a Frame of each image stamp for which the odometry has a pose. Images and the end of the stream are answered
 /// in order; each waits at most `pose_timeout_s`.
-class PoseFrontendNodelet : public FrontendStage {
+class PoseFrontendNodelet : public StageWith<PoseFrontendParameters, FrontendStage> {
  public:
-  PoseFrontendNodelet() : FrontendStage("PoseFrontend") {}
+  PoseFrontendNodelet() : StageWith("PoseFrontend") {}
   ~PoseFrontendNodelet() override { stop(); }
 
  private:
@@ -31,9 +31,15 @@ class PoseFrontendNodelet : public FrontendStage {
   };
 
   void onInit() override {
-    if (!start(&options_, &parameters_, 2) || !open_source()) return;
+    if (!start(2) || !open_source()) return;
     if (!open(options_.keyframe, parameters_, transforms_)) return;
-    subscribe_all();
+    constexpr std::uint32_t kOdometryQueue = 1000;  // seconds, at the rate of an inertial odometry
+    const auto queue_size = static_cast<std::uint32_t>(queue_capacity());
+    if (odometry_) listen("odometry", Keep::kAlways, kOdometryQueue, &PoseFrontendNodelet::on_odometry);
+    if (parameters_.use_points) listen("points", Keep::kDroppable, queue_size, &PoseFrontendNodelet::on_points);
+    if (parameters_.trigger == "detections") {
+      listen("detections_in", Keep::kAlways, queue_size, &PoseFrontendNodelet::on_detections);
+    }
     follow_stream();
     constexpr double kDeadlinePeriodS = 0.02;  // below the time between two images
     start_timer(kDeadlinePeriodS, [this] { resolve(); });
@@ -56,16 +62,6 @@ class PoseFrontendNodelet : public FrontendStage {
     return true;
   }
 
-  void subscribe_all() {
-    constexpr std::uint32_t kOdometryQueue = 1000;  // seconds, at the rate of an inertial odometry
-    const auto queue_size = static_cast<std::uint32_t>(queue_capacity());
-    if (odometry_) listen("odometry", Keep::kAlways, kOdometryQueue, &PoseFrontendNodelet::on_odometry);
-    if (parameters_.use_points) listen("points", Keep::kDroppable, queue_size, &PoseFrontendNodelet::on_points);
-    if (parameters_.trigger == "detections") {
-      listen("detections_in", Keep::kAlways, queue_size, &PoseFrontendNodelet::on_detections);
-    }
-  }
-
   void forget() override {
     source_->reset();
     const auto is_image = [](const Trigger& trigger) { return !trigger.is_end; };
@@ -79,9 +75,7 @@ class PoseFrontendNodelet : public FrontendStage {
   void on_more_transforms() override { resolve(); }
 
   void on_end() override {
-    Trigger end;
-    end.is_end = true;
-    pending_.push_back(end);
+    pending_.push_back({0, {}, true});
     resolve();
   }
 
@@ -157,8 +151,6 @@ class PoseFrontendNodelet : public FrontendStage {
     return true;
   }
 
-  core::Options options_;
-  PoseFrontendParameters parameters_;
   std::shared_ptr<PoseSource> source_;
   std::shared_ptr<TfPoses> transforms_;      ///< if tf is read
   std::shared_ptr<OdometryPoses> odometry_;  ///< if source_ is odometry

@@ -76,9 +76,9 @@ class MapOdomSender {
 
 /// Owns the keyframe poses: optimises them with the loops, and with the objects if they take part, publishes
 /// corrections, paths and the transform from map to odometry.
-class PoseGraphNodelet : public Stage {
+class PoseGraphNodelet : public StageWith<PoseGraphParameters> {
  public:
-  PoseGraphNodelet() : Stage("PoseGraph") {}
+  PoseGraphNodelet() : StageWith("PoseGraph") {}
   ~PoseGraphNodelet() override { stop(); }
 
  private:
@@ -89,7 +89,7 @@ class PoseGraphNodelet : public Stage {
   static constexpr char kWithoutLoops[] = "frames whose loop detection was lost";
 
   void onInit() override {
-    if (!start(&options_, &parameters_, 2)) return;
+    if (!start(2)) return;
     // Keyframes are the graph's vertices: a frame whose loop message got lost still goes in.
     joiner_ = std::make_unique<Joiner>(queue_capacity(), [this](std::int64_t, const Joiner::Partial& partial) {
       if (std::get<0>(partial)) process(**std::get<0>(partial), {}, std::get<2>(partial).value_or(nullptr));
@@ -231,8 +231,6 @@ class PoseGraphNodelet : public Stage {
     publisher->publish(path);
   }
 
-  core::Options options_;
-  PoseGraphParameters parameters_;
   ros::Publisher correction_publisher_;
   LazyPublisher odometry_path_, corrected_path_;
   CallbackThread tf_thread_;

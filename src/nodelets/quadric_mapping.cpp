@@ -7,9 +7,9 @@
 
 namespace semantic_topo_loop {
 /// Keeps the quadric map and publishes its deltas, and the whole of it now and then for late listeners.
-class QuadricMappingNodelet : public Stage {
+class QuadricMappingNodelet : public StageWith<QuadricMappingParameters> {
  public:
-  QuadricMappingNodelet() : Stage("QuadricMapping") {}
+  QuadricMappingNodelet() : StageWith("QuadricMapping") {}
   ~QuadricMappingNodelet() override { stop(); }
 
  private:
@@ -18,7 +18,7 @@ class QuadricMappingNodelet : public Stage {
   static constexpr char kIncomplete[] = "dropped, frame or associations missing";
 
   void onInit() override {
-    if (!start(&options_, &parameters_, 2)) return;
+    if (!start(2)) return;
     joiner_ = std::make_unique<Joiner>(queue_capacity());
     update_publisher_ = advertise<MapUpdateMessage>("quadric_map_updates");
     map_publisher_ = advertise<MapMessage>("quadric_map", true);
@@ -72,8 +72,6 @@ class QuadricMappingNodelet : public Stage {
     Stage::publish<MapMessage>(map_publisher_, make_header(last_stamp_, parameters_.map_frame), std::move(map));
   }
 
-  core::Options options_;
-  QuadricMappingParameters parameters_;
   ros::Publisher update_publisher_, map_publisher_;
   std::unique_ptr<Joiner> joiner_;
   std::unique_ptr<core::QuadricMapper> mapper_;

@@ -1,5 +1,4 @@
 #include <std_msgs/String.h>
-#include <std_srvs/Trigger.h>
 
 #include <memory>
 #include <mutex>
@@ -11,9 +10,9 @@
 
 namespace semantic_topo_loop {
 /// Collects what the stages say and writes the files of the offline program.
-class RecorderNodelet : public Stage {
+class RecorderNodelet : public StageWith<RecorderParameters> {
  public:
-  RecorderNodelet() : Stage("Recorder") {}
+  RecorderNodelet() : StageWith("Recorder") {}
   ~RecorderNodelet() override { stop(); }
 
  private:
@@ -23,12 +22,14 @@ class RecorderNodelet : public Stage {
   enum Kind : std::size_t { kFrame, kAssociations, kObservation, kLoops, kCorrection, kCompletion };
 
   void onInit() override {
-    core::Options options;
-    if (!start(&options, &parameters_, 6)) return;
+    if (!start(6)) return;
     joiner_ = std::make_unique<Joiner>(queue_capacity());
     reset_session();
     written_publisher_ = advertise<std_msgs::String>("results_written", true);
-    serve("save_results", &RecorderNodelet::on_save);
+    serve_trigger("save_results", [this] {
+      const core::Error nowhere{"parameter 'output_dir' is empty: nothing was recorded"};
+      return parameters_.output_dir.empty() ? nowhere : write();
+    });
     if (parameters_.output_dir.empty()) return follow_sessions();
     subscribe("map_corrections", Keep::kAlways, &RecorderNodelet::on_correction);
     subscribe("loop_closures", Keep::kAlways, &RecorderNodelet::on_loops);
@@ -44,13 +45,7 @@ class RecorderNodelet : public Stage {
     joiner_->clear();
     const std::lock_guard<std::mutex> lock(mutex_);
     set_unsaved(false);
-    recorder_ = std::make_unique<core::RunRecorder>(classes());
-  }
-
-  bool on_save(std_srvs::Trigger::Request&, std_srvs::Trigger::Response& response) {
-    const core::Error nowhere{"parameter 'output_dir' is empty: nothing was recorded"};
-    answer(parameters_.output_dir.empty() ? nowhere : write(), &response);
-    return true;
+    recorder_ = core::make_run_recorder(classes());
   }
 
   /// @return absolute path of the directory
@@ -107,19 +102,13 @@ class RecorderNodelet : public Stage {
   }
 
   void write_results() {
-    if (const core::Result<std::string> written = write()) {
-      NODELET_INFO("results written to %s", written->c_str());
-      statistics().set_failure("");
-      auto message = boost::make_shared<std_msgs::String>();
-      message->data = *written;
-      written_publisher_.publish(message);
-    } else {
-      statistics().set_failure(written.message());
-      NODELET_ERROR("results not written: %s", written.message().c_str());
-    }
+    const core::Result<std::string> written = write();
+    if (!report_written("results", written)) return;
+    auto message = boost::make_shared<std_msgs::String>();
+    message->data = *written;
+    written_publisher_.publish(message);
   }
 
-  RecorderParameters parameters_;
   ros::Publisher written_publisher_;
   std::unique_ptr<Joiner> joiner_;
   std::mutex mutex_;  ///< guards recorder_, which the worker fills, and the service and the end read

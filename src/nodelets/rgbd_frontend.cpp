@@ -21,9 +21,9 @@ bool is_same(const core::Camera& a, const core::Camera& b) {
 }  // namespace
 
 /// Finds the camera's poses from its colour and depth images.
-class RgbdFrontendNodelet : public FrontendStage {
+class RgbdFrontendNodelet : public StageWith<RgbdFrontendParameters, FrontendStage> {
  public:
-  RgbdFrontendNodelet() : FrontendStage("RgbdFrontend") {}
+  RgbdFrontendNodelet() : StageWith("RgbdFrontend") {}
   ~RgbdFrontendNodelet() override {
     color_.unsubscribe();
     depth_.unsubscribe();
@@ -36,7 +36,7 @@ class RgbdFrontendNodelet : public FrontendStage {
   static constexpr char kSingle[] = "colour images without depth";
 
   void onInit() override {
-    if (!start(&options_, &parameters_, 1)) return;
+    if (!start(1)) return;
     std::shared_ptr<TfPoses> transforms;
     if (!parameters_.base_frame.empty()) {
       // Only the camera's place on the robot is asked for: a rigid part, whose gaps do not matter.
@@ -64,28 +64,21 @@ class RgbdFrontendNodelet : public FrontendStage {
           push("pairs of images", Keep::kDroppable, [this, color, depth] { on_pair(color, depth); });
         },
         [this](std::int64_t stamp_ns) { push(kSingle, Keep::kAlways, [this, stamp_ns] { on_single(stamp_ns); }); });
-    color_.registerCallback(
-        boost::function<void(const ImageConstPtr&)>([this](const auto& image) { on_color(image); }));
-    depth_.registerCallback(
-        boost::function<void(const ImageConstPtr&)>([this](const auto& image) { on_depth(image); }));
+    const auto hear = [this](image_transport::SubscriberFilter* filter, const char* topic, auto add) {
+      filter->registerCallback(boost::function<void(const ImageConstPtr&)>([this, topic, add](const auto& image) {
+        statistics().count_input(topic);
+        const std::lock_guard<std::mutex> lock(mutex_);
+        ((*synchronizer_).*add)(image, Clock::now());
+      }));
+    };
+    hear(&color_, "color", &RgbdSynchronizer::add_color);
+    hear(&depth_, "depth", &RgbdSynchronizer::add_depth);
     image_transport::ImageTransport transport(node);
     const ros::NodeHandle& own = getPrivateNodeHandle();
     color_.subscribe(transport, pairing.color_topic, static_cast<std::uint32_t>(parameters_.color_queue_size),
                      {parameters_.color_transport, {}, own, "color_transport"});
     depth_.subscribe(transport, pairing.depth_topic, static_cast<std::uint32_t>(parameters_.depth_queue_size),
                      {parameters_.depth_transport, {}, own, "depth_transport"});
-  }
-
-  void on_color(const ImageConstPtr& image) {
-    statistics().count_input("color");
-    const std::lock_guard<std::mutex> lock(mutex_);
-    synchronizer_->add_color(image, Clock::now());
-  }
-
-  void on_depth(const ImageConstPtr& image) {
-    statistics().count_input("depth");
-    const std::lock_guard<std::mutex> lock(mutex_);
-    synchronizer_->add_depth(image, Clock::now());
   }
 
   /// Once in a while: images that wait for too long, topics that are silent.
@@ -185,8 +178,6 @@ class RgbdFrontendNodelet : public FrontendStage {
     publish_done(image.stamp_ns, FrameDone::STATUS_NO_POSE);
   }
 
-  core::Options options_;
-  RgbdFrontendParameters parameters_;
   image_transport::SubscriberFilter color_, depth_;
   ros::Publisher report_publisher_;
   std::optional<core::RgbdFrontend> frontend_;  ///< what it found out about the camera outlives the session

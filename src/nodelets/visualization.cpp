@@ -13,15 +13,14 @@
 namespace semantic_topo_loop {
 /// Shows the map in rviz. Follows the deltas at all times, since a late listener wants the whole, but reads frames and
 /// associations, and makes markers, only while somebody listens.
-class VisualizationNodelet : public Stage {
+class VisualizationNodelet : public StageWith<VisualizationParameters> {
  public:
-  VisualizationNodelet() : Stage("Visualization") {}
+  VisualizationNodelet() : StageWith("Visualization") {}
   ~VisualizationNodelet() override { stop(); }
 
  private:
   void onInit() override {
-    core::Options options;
-    if (!start(&options, &parameters_, 2)) return;
+    if (!start(2)) return;
     quadrics_.open(advertise<visualization_msgs::MarkerArray>("markers/quadrics"));
     labels_.open(advertise<visualization_msgs::MarkerArray>("markers/labels"));
     topology_.open(advertise<visualization_msgs::MarkerArray>("markers/topology"));
@@ -115,7 +114,6 @@ class VisualizationNodelet : public Stage {
     if (keyframes_.is_due()) keyframes_.publish(make_keyframe_markers(view_, header, sizes));
   }
 
-  VisualizationParameters parameters_;
   LazyPublisher quadrics_, labels_, topology_, loops_, keyframes_;
   ros::Subscriber frame_subscriber_, association_subscriber_, full_map_subscriber_;
   std::unique_ptr<tf2_ros::StaticTransformBroadcaster> tf_broadcaster_;

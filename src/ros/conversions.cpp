@@ -6,8 +6,9 @@
 #include <algorithm>
 #include <cmath>
 #include <limits>
-#include <sstream>
 #include <utility>
+
+#include "semantic_topo_loop/types/text.h"
 
 namespace semantic_topo_loop {
 namespace {
@@ -16,9 +17,7 @@ constexpr std::int64_t kNsPerS = 1000000000;
 
 /// "<field> = <value> <rule>"
 core::Error bad(const std::string& field, double value, const std::string& rule) {
-  std::ostringstream text;
-  text << field << " = " << value << " " << rule;
-  return {text.str()};
+  return {field + " = " + core::format_general(value, 6) + " " + rule};
 }
 
 /// The cloud's x, y and z are float32 and its data is as long as its size says.

@@ -33,10 +33,7 @@ class FrameJoiner {
   /// @return the complete set if this message was the last one missing
   template <std::size_t I>
   std::optional<Set> add(std::int64_t frame_id, std::tuple_element_t<I, Set> message) {
-    if (is_past(frame_id)) {
-      ++late_;
-      return std::nullopt;
-    }
+    if (is_past(frame_id)) return std::nullopt;
     Partial& partial = pending_[frame_id];
     std::get<I>(partial) = std::move(message);
     if (!is_complete(partial)) {
@@ -58,8 +55,6 @@ class FrameJoiner {
   bool is_past(std::int64_t frame_id) const { return frame_id <= last_frame_id_; }
   /// Incomplete frames given up.
   std::uint64_t evicted() const { return evicted_; }
-  /// Messages of frames that were complete or evicted already.
-  std::uint64_t late() const { return late_; }
   std::size_t size() const { return pending_.size(); }
 
  private:
@@ -82,7 +77,7 @@ class FrameJoiner {
   EvictHandler on_evict_;
   std::map<std::int64_t, Partial> pending_;
   std::int64_t last_frame_id_ = kNone;
-  std::uint64_t evicted_ = 0, late_ = 0;
+  std::uint64_t evicted_ = 0;
 };
 
 /// Detections that arrived on a topic, waiting for the frame of their image. Bounded; not thread-safe.

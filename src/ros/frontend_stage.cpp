@@ -1,7 +1,5 @@
 #include "ros/frontend_stage.h"
 
-#include <std_srvs/Trigger.h>
-
 #include <utility>
 
 #include "semantic_topo_loop/Keyframe.h"
@@ -29,9 +27,15 @@ bool FrontendStage::open(const core::KeyframeOptions& options, const FrontendPar
   control_publisher_ = advertise<SessionControl>("session_control", true);
   // Before anything can arrive.
   push("start", Keep::kPinned, [this] { begin_session("start"); });
-  add_service("reset", "a new session begins", &FrontendStage::reset);
-  add_service("pause", "images are left out until ~resume", &FrontendStage::pause);
-  add_service("resume", "images are taken again", &FrontendStage::resume);
+  const auto add_service = [this](const std::string& service, const std::string& answer, const Worker::Task& task) {
+    serve_trigger(service, [this, service, answer, task] {
+      push(service, Keep::kPinned, task);
+      return answer;
+    });
+  };
+  add_service("reset", "a new session begins", [this] { begin_session("reset was called"); });
+  add_service("pause", "images are left out until ~resume", [this] { set_paused(true); });
+  add_service("resume", "images are taken again", [this] { set_paused(false); });
   return true;
 }
 
@@ -48,18 +52,6 @@ void FrontendStage::follow_stream() {
   listen("end_of_stream", Keep::kPinned, queue_size, &FrontendStage::on_stream_end);
   listen("camera_info", Keep::kAlways, queue_size, &FrontendStage::on_camera_info);
   open_queue();
-}
-
-void FrontendStage::add_service(const std::string& service, const std::string& answer,
-                                void (FrontendStage::*handler)()) {
-  using Request = std_srvs::Trigger::Request;
-  using Response = std_srvs::Trigger::Response;
-  serve<Request, Response>(service, [this, service, answer, handler](Request&, Response& response) {
-    push(service, Keep::kPinned, [this, handler] { (this->*handler)(); });
-    response.success = true;
-    response.message = answer;
-    return true;
-  });
 }
 
 void FrontendStage::begin_session(const std::string& reason, bool rewind) {
@@ -88,16 +80,11 @@ void FrontendStage::control(std::uint8_t command, const std::string& reason, boo
   control_publisher_.publish(control_);
 }
 
-void FrontendStage::pause() {
-  if (is_paused_) return;
-  is_paused_ = true;
-  control(SessionControl::COMMAND_PAUSE, "pause was called");
-}
-
-void FrontendStage::resume() {
-  if (!is_paused_) return;
-  is_paused_ = false;
-  control(SessionControl::COMMAND_RESUME, "resume was called");
+void FrontendStage::set_paused(bool is_paused) {
+  if (is_paused == is_paused_) return;
+  is_paused_ = is_paused;
+  control(is_paused ? SessionControl::COMMAND_PAUSE : SessionControl::COMMAND_RESUME,
+          is_paused ? "pause was called" : "resume was called");
 }
 
 void FrontendStage::on_camera_info(const sensor_msgs::CameraInfo::ConstPtr& message) {

@@ -63,11 +63,8 @@ class FrontendStage : public Stage {
   const std::string& camera_frame() const { return camera_frame_; }
 
  private:
-  void add_service(const std::string& service, const std::string& answer, void (FrontendStage::*handler)());
   void control(std::uint8_t command, const std::string& reason, bool rewind = false);
-  void reset() { begin_session("reset was called"); }
-  void pause();
-  void resume();
+  void set_paused(bool is_paused);
   bool is_in_order(std::int64_t stamp_ns);
   /// Whether an image was on its way already when the recording was asked to begin anew.
   bool is_before_rewind(std::int64_t stamp_ns);

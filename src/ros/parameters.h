@@ -30,6 +30,17 @@ struct ClassStageParameters : StageParameters {
   }
 };
 
+/// The same for stages that publish in the frame of the corrected map. @tparam Base what they are else
+template <class Base>
+struct MapStageParameters : Base {
+  std::string map_frame = "map";
+
+  void visit(core::OptionVisitor& visitor) {
+    Base::visit(visitor);
+    visitor("map_frame", map_frame, core::any(), "frame of the corrected map");
+  }
+};
+
 /// What every front end has: its calibration and its frames.
 struct FrontendParameters : StageParameters {
   std::string camera_file;
@@ -205,15 +216,13 @@ struct PlayerParameters : StageParameters {
   std::vector<std::string> stage_names() const;
 };
 
-struct PoseGraphParameters : StageParameters {
-  std::string map_frame = "map";
+struct PoseGraphParameters : MapStageParameters<StageParameters> {
   bool publish_tf = true;
   double tf_rate_hz = 20.0;
   double tf_tolerance_s = 0.1;
 
   void visit(core::OptionVisitor& visitor) {
-    StageParameters::visit(visitor);
-    visitor("map_frame", map_frame, core::any(), "frame of the corrected map");
+    MapStageParameters::visit(visitor);
     visitor("publish_tf", publish_tf, "send the transform from map_frame to the odometry's frame");
     visitor("tf_rate_hz", tf_rate_hz, core::positive(), "rate of that transform (wall time)");
     visitor("tf_tolerance_s", tf_tolerance_s, core::not_negative(),
@@ -221,15 +230,13 @@ struct PoseGraphParameters : StageParameters {
   }
 };
 
-struct PointMappingParameters : StageParameters {
-  std::string map_frame = "map";
+struct PointMappingParameters : MapStageParameters<StageParameters> {
   double rate_hz = 1.0;
   std::string save_dir;
   bool allow_any_path = false;
 
   void visit(core::OptionVisitor& visitor) {
-    StageParameters::visit(visitor);
-    visitor("map_frame", map_frame, core::any(), "frame of the corrected map");
+    MapStageParameters::visit(visitor);
     visitor("rate_hz", rate_hz, core::positive(), "most often that the points are published (wall time)");
     visitor("save_dir", save_dir, core::any(),
             "directory below which ~save_points may write; empty: the process's own, ~/.ros under roslaunch");
@@ -237,14 +244,7 @@ struct PointMappingParameters : StageParameters {
   }
 };
 
-struct QuadricMappingParameters : ClassStageParameters {
-  std::string map_frame = "map";
-
-  void visit(core::OptionVisitor& visitor) {
-    ClassStageParameters::visit(visitor);
-    visitor("map_frame", map_frame, core::any(), "frame of the corrected map");
-  }
-};
+using QuadricMappingParameters = MapStageParameters<ClassStageParameters>;
 
 struct RecorderParameters : ClassStageParameters {
   std::string output_dir;
@@ -263,15 +263,13 @@ struct MarkerSizes {
   double camera_m = 0.06;  ///< depth of a keyframe's frustum; the current camera's is twice as deep
 };
 
-struct VisualizationParameters : ClassStageParameters {
-  std::string map_frame = "map";
+struct VisualizationParameters : MapStageParameters<ClassStageParameters> {
   std::string upright_frame = "map_upright";
   double rate_hz = 5.0;
   MarkerSizes sizes;
 
   void visit(core::OptionVisitor& visitor) {
-    ClassStageParameters::visit(visitor);
-    visitor("map_frame", map_frame, core::any(), "frame of the corrected map");
+    MapStageParameters::visit(visitor);
     visitor("upright_frame", upright_frame, core::any(),
             "z-up child frame of map_frame at the first camera, for viewers; empty: none");
     visitor("rate_hz", rate_hz, core::positive(), "most often that markers are published (wall time)");

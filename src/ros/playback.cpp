@@ -2,8 +2,6 @@
 
 #include <algorithm>
 
-#include "ros/conversions.h"
-
 namespace semantic_topo_loop {
 namespace {
 
@@ -15,14 +13,6 @@ constexpr char kLastStage[] = "ObjectAssociation";
 constexpr char kRecorder[] = "Recorder";
 
 }  // namespace
-
-std::optional<PlayerItem> FileStamps::next() {
-  if (index_ == trajectory_.size()) return std::nullopt;
-  PlayerItem item;
-  item.camera_info = camera_info_;
-  item.camera_info.header.stamp = to_ros_time(trajectory_[index_++].stamp_ns);
-  return item;
-}
 
 void PlayerLedger::take(const SessionControl& control) {
   is_paused_ = control.command == SessionControl::COMMAND_PAUSE;
@@ -38,8 +28,6 @@ void PlayerLedger::take(const SessionControl& control) {
   last_seen_.fill(0);
   end_frame_id_ = kUnknownFrame;
 }
-
-void PlayerLedger::take(const SessionAck& ack) { acknowledged_[ack.stage] = ack.session_id; }
 
 std::vector<std::string> PlayerLedger::missing_stages() const {
   if (session_id_ == 0) return {frontend_};

@@ -6,8 +6,8 @@
 
 #include <array>
 #include <cstdint>
+#include <functional>
 #include <map>
-#include <memory>
 #include <optional>
 #include <string>
 #include <utility>
@@ -17,7 +17,6 @@
 #include "semantic_topo_loop/SessionAck.h"
 #include "semantic_topo_loop/SessionControl.h"
 #include "semantic_topo_loop/types/result.h"
-#include "semantic_topo_loop/types/stamp.h"
 
 namespace semantic_topo_loop {
 
@@ -32,29 +31,10 @@ struct PlayerItem {
 };
 
 /// A recording, image by image.
-class PlayerSource {
- public:
-  virtual ~PlayerSource() = default;
-  /// @return nullopt at the end
-  virtual std::optional<PlayerItem> next() = 0;
-  /// Whether the end was that of the recording, or a fault in it. Ask once `next` gave nullopt.
-  virtual core::Status end() const { return {}; }
-  /// Images in the recording, for the progress shown.
-  virtual std::size_t size() const = 0;
-};
-
-/// The stamps of a trajectory file.
-class FileStamps : public PlayerSource {
- public:
-  FileStamps(core::StampedPoses trajectory, sensor_msgs::CameraInfo camera_info)
-      : trajectory_(std::move(trajectory)), camera_info_(std::move(camera_info)) {}
-  std::optional<PlayerItem> next() override;
-  std::size_t size() const override { return trajectory_.size(); }
-
- private:
-  core::StampedPoses trajectory_;
-  sensor_msgs::CameraInfo camera_info_;
-  std::size_t index_ = 0;
+struct PlayerSource {
+  std::function<std::optional<PlayerItem>()> next;  ///< nullopt at the end
+  std::function<core::Status()> end;  ///< how the recording ended, or the fault in it; once `next` gave nullopt
+  std::size_t size = 0;               ///< images in the recording, for the progress shown
 };
 
 /// The player's book on the chain: which stages are there, which frames are on their way, and who was the last to
@@ -73,7 +53,7 @@ class PlayerLedger {
 
   /// A new session forgets the frames on their way: the stages have dropped them.
   void take(const SessionControl& control);
-  void take(const SessionAck& ack);
+  void take(const SessionAck& ack) { acknowledged_[ack.stage] = ack.session_id; }
   /// Whether the front end wants the recording from its first image; asked once, it is granted.
   bool take_rewind() { return std::exchange(wants_rewind_, false); }
   /// The front end if it has opened no session, else the stages that have not acknowledged it.

@@ -5,13 +5,13 @@
 
 #include <algorithm>
 #include <boost/bind/bind.hpp>
-#include <cstdio>
 #include <cstdlib>
 #include <exception>
 #include <utility>
 
 #include "ros/conversions.h"
 #include "semantic_topo_loop/types/stamp.h"
+#include "semantic_topo_loop/types/text.h"
 
 namespace semantic_topo_loop {
 namespace {
@@ -36,11 +36,7 @@ double seconds_between(RgbdSynchronizer::Clock::time_point begin, RgbdSynchroniz
   return std::chrono::duration<double>(end - begin).count();
 }
 
-std::string format_seconds(double seconds) {
-  char text[32];
-  std::snprintf(text, sizeof(text), "%.3f s", seconds);
-  return text;
-}
+std::string format_seconds(double seconds) { return core::format_fixed(seconds, 3) + " s"; }
 
 }  // namespace
 

@@ -29,7 +29,8 @@ core::Result<core::RgbdImage> make_rgbd_image(const sensor_msgs::Image& color, c
 class DepthPairing {
  public:
   struct Answer {
-    ros::Time received;  ///< of the colour image
+    ros::Time received;       ///< of the colour image
+    std_msgs::Header header;  ///< of the colour image
     sensor_msgs::ImagePtr color;
     sensor_msgs::ImagePtr depth;  ///< null if none belongs to it
   };
@@ -37,7 +38,7 @@ class DepthPairing {
   explicit DepthPairing(double max_delay_s) : max_delay_ns_(static_cast<std::int64_t>(1e9 * max_delay_s)) {}
 
   void add_color(const ros::Time& received, const sensor_msgs::ImagePtr& image) {
-    colors_.push_back({received, image, {}});
+    colors_.push_back({received, image->header, image, {}});
   }
   void add_depth(const sensor_msgs::ImagePtr& image);
   /// No image will follow.

@@ -1,6 +1,7 @@
 #include "ros/stage.h"
 
 #include <std_msgs/String.h>
+#include <std_srvs/Trigger.h>
 
 #include <algorithm>
 
@@ -26,11 +27,6 @@ double percentile(std::vector<double> values, double share) {
 
 }  // namespace
 
-void StageStatistics::count_input(const std::string& topic) {
-  const std::lock_guard<std::mutex> lock(mutex_);
-  ++inputs_[topic];
-}
-
 void StageStatistics::count_processed(Clock::time_point arrival) {
   const double latency_ms = std::chrono::duration<double, std::milli>(Clock::now() - arrival).count();
   const std::lock_guard<std::mutex> lock(mutex_);
@@ -41,21 +37,6 @@ void StageStatistics::count_processed(Clock::time_point arrival) {
     latencies_ms_[next_latency_] = latency_ms;
     next_latency_ = (next_latency_ + 1) % kLatencies;
   }
-}
-
-std::uint64_t StageStatistics::count(const std::string& counter, std::uint64_t n) {
-  const std::lock_guard<std::mutex> lock(mutex_);
-  return counters_[counter] += n;
-}
-
-void StageStatistics::set(const std::string& counter, std::uint64_t value) {
-  const std::lock_guard<std::mutex> lock(mutex_);
-  counters_[counter] = value;
-}
-
-void StageStatistics::set_failure(const std::string& failure) {
-  const std::lock_guard<std::mutex> lock(mutex_);
-  failure_ = failure;
 }
 
 StageStatistics::Snapshot StageStatistics::take_snapshot() {
@@ -82,6 +63,13 @@ bool Stage::fail(const std::string& error) {
   NODELET_FATAL("%s is not working: %s", name_.c_str(), error.c_str());
   statistics_.set_failure(error);
   return false;
+}
+
+bool Stage::report_written(const std::string& what, const core::Result<std::string>& written) {
+  statistics_.set_failure(written.message());
+  if (written) NODELET_INFO("%s written to %s", what.c_str(), written->c_str());
+  if (!written) NODELET_ERROR("%s not written: %s", what.c_str(), written.message().c_str());
+  return static_cast<bool>(written);
 }
 
 bool Stage::load_classes(const std::string& path) {
@@ -139,6 +127,14 @@ void Stage::count_missed(const std::string& topic, const Sequence& next, Sequenc
     statistics_.count(kMissed + topic, step - 1);
   }
   *last = next;
+}
+
+void Stage::serve_trigger(const std::string& service, const std::function<core::Result<std::string>()>& act) {
+  using Trigger = std_srvs::Trigger;
+  serve<Trigger::Request, Trigger::Response>(service, [act](Trigger::Request&, Trigger::Response& response) {
+    answer(act(), &response);
+    return true;
+  });
 }
 
 void Stage::keep_timer(double period_s, const std::function<void()>& task, CallbackThread* thread) {

@@ -45,14 +45,26 @@ class StageStatistics {
     std::string failure;                                ///< empty while the stage works
   };
 
-  void count_input(const std::string& topic);
+  void count_input(const std::string& topic) {
+    const std::lock_guard<std::mutex> lock(mutex_);
+    ++inputs_[topic];
+  }
   void count_processed(Clock::time_point arrival);
   /// Adds to a named counter ("incomplete frames"), which is shown even while it is zero once declared.
   /// @return what it counts now
-  std::uint64_t count(const std::string& counter, std::uint64_t n = 1);
+  std::uint64_t count(const std::string& counter, std::uint64_t n = 1) {
+    const std::lock_guard<std::mutex> lock(mutex_);
+    return counters_[counter] += n;
+  }
   /// Sets a named counter that somebody else counts.
-  void set(const std::string& counter, std::uint64_t value);
-  void set_failure(const std::string& failure);
+  void set(const std::string& counter, std::uint64_t value) {
+    const std::lock_guard<std::mutex> lock(mutex_);
+    counters_[counter] = value;
+  }
+  void set_failure(const std::string& failure) {
+    const std::lock_guard<std::mutex> lock(mutex_);
+    failure_ = failure;
+  }
   Snapshot take_snapshot();
 
  private:
@@ -200,6 +212,8 @@ class Stage : public nodelet::Nodelet {
       return (static_cast<Derived*>(this)->*handler)(request, response);
     });
   }
+  /// A std_srvs/Trigger that answers what `act` gives back.
+  void serve_trigger(const std::string& service, const std::function<core::Result<std::string>()>& act);
   /// Calls the task each `period_s` of wall time; shut down as a subscriber.
   /// @param thread where; null: a thread of the callbacks
   void keep_timer(double period_s, const std::function<void()>& task, CallbackThread* thread = nullptr);
@@ -235,6 +249,8 @@ class Stage : public nodelet::Nodelet {
   /// The place that a service's caller names. @param path relative to the directory, or absolute   @param anywhere
   /// it may lie elsewhere   @return an error, with path and directory, if it does not lie below, all links followed
   static core::Result<std::string> path_below(const std::string& directory, const std::string& path, bool anywhere);
+  /// Says where something was written, or why not, which is then a failure of the stage. @return whether it was
+  bool report_written(const std::string& what, const core::Result<std::string>& written);
   /// A service's success and message.
   template <class Response>
   static void answer(const core::Result<std::string>& result, Response* response) {
@@ -300,6 +316,17 @@ class Stage : public nodelet::Nodelet {
   std::promise<void> stopped_;  ///< of what save_at_end waits for
   std::atomic<bool> is_unsaved_{false};
   std::thread saver_;
+};
+
+/// A stage with the options of the core and its own parameters.   @tparam Base Stage, or what is derived from it
+template <class Own, class Base = Stage>
+class StageWith : public Base {
+ protected:
+  explicit StageWith(std::string name) : Base(std::move(name)) {}
+  bool start(std::size_t inputs) { return Base::start(&options_, &parameters_, inputs); }
+
+  core::Options options_;
+  Own parameters_;
 };
 
 }  // namespace semantic_topo_loop

@@ -20,30 +20,6 @@ std::string explain(const std::string& file, const std::string& cause) {
   return "bag '" + file + "': " + (cause.empty() ? "cannot be read" : cause);
 }
 
-class TumBagReader : public core::RgbdRecording {
- public:
-  TumBagReader(std::unique_ptr<TumBagSource> source, const core::Camera& camera, core::DepthOptions options)
-      : source_(std::move(source)), camera_(camera), options_(std::move(options)) {}
-
-  core::Result<std::optional<core::RgbdReading>> next() override {
-    const std::optional<PlayerItem> item = source_->next();
-    if (!item) {
-      if (const core::Status end = source_->end(); !end) return end.error();
-      return std::optional<core::RgbdReading>();
-    }
-    if (!item->left_out.empty()) {
-      return std::optional<core::RgbdReading>({core::Error{item->detail}, item->left_out});
-    }
-    return std::optional<core::RgbdReading>({make_rgbd_image(*item->color, *item->depth, camera_, options_), ""});
-  }
-  std::size_t total() const override { return source_->size(); }
-
- private:
-  std::unique_ptr<TumBagSource> source_;
-  core::Camera camera_;
-  core::DepthOptions options_;
-};
-
 }  // namespace
 
 core::Result<std::unique_ptr<TumBagSource>> TumBagSource::open(
@@ -52,8 +28,7 @@ core::Result<std::unique_ptr<TumBagSource>> TumBagSource::open(
   source->calibration_ = calibration;
   std::string problem;
   try {
-    source->open_bag();
-    problem = source->what_is_missing();
+    problem = source->open_bag();
     if (problem.empty()) return source;
   } catch (const rosbag::BagUnindexedException&) {
     problem = "has no index, as after an aborted recording or download; `rosbag reindex` may repair it";
@@ -63,27 +38,20 @@ core::Result<std::unique_ptr<TumBagSource>> TumBagSource::open(
   return core::Error{explain(options.file, problem)};
 }
 
-void TumBagSource::open_bag() {
+std::string TumBagSource::open_bag() {
   bag_.open(options_.file, rosbag::bagmode::Read);
+  const auto count = [this](const std::string& topic) { return rosbag::View(bag_, rosbag::TopicQuery(topic)).size(); };
   const std::string stamp_topic = options_.stamps == "image" ? tum_topic::kColor : tum_topic::kCameraInfo;
   size_ = count(stamp_topic);
+  if (size_ == 0) return "holds no message on " + stamp_topic;
   std::vector<std::string> topics = {tum_topic::kTf, tum_topic::kCameraInfo};
   if (stamp_topic == tum_topic::kColor) topics.emplace_back(tum_topic::kColor);
   if (options_.with_images) topics.emplace_back(tum_topic::kDepth);
+  if (options_.with_images && count(tum_topic::kDepth) == 0) {
+    return "holds no message on " + topics.back() + ": without depth, poses must come from elsewhere";
+  }
   view_ = std::make_unique<rosbag::View>(bag_, rosbag::TopicQuery(topics));
   position_ = view_->begin();
-}
-
-std::size_t TumBagSource::count(const std::string& topic) const {
-  return rosbag::View(bag_, rosbag::TopicQuery(topic)).size();
-}
-
-std::string TumBagSource::what_is_missing() const {
-  const std::string nothing = "holds no message on ";
-  if (size_ == 0) return nothing + (options_.stamps == "image" ? tum_topic::kColor : tum_topic::kCameraInfo);
-  if (options_.with_images && count(tum_topic::kDepth) == 0) {
-    return nothing + tum_topic::kDepth + ": without depth, poses must come from elsewhere";
-  }
   return {};
 }
 
@@ -133,9 +101,7 @@ void TumBagSource::read_message(const rosbag::MessageInstance& message) {
 }
 
 void TumBagSource::take_pairs() {
-  while (const std::optional<DepthPairing::Answer> answer = pairing_.take()) {
-    images_.push_back({answer->received, answer->color->header, answer->color, answer->depth});
-  }
+  while (const std::optional<Image> pair = pairing_.take()) images_.push_back(*pair);
 }
 
 void TumBagSource::take_transforms(const tf2_msgs::TFMessage& message) {
@@ -183,14 +149,23 @@ bool TumBagSource::is_in_order(const std_msgs::Header& header, PlayerItem* item)
   return false;
 }
 
-core::Result<std::unique_ptr<core::RgbdRecording>> open_tum_bag(const std::string& file, const core::Camera& camera,
-                                                                const core::DepthOptions& options) {
+core::Result<core::RgbdRecording> open_tum_bag(const std::string& file, const core::Camera& camera,
+                                               const core::DepthOptions& options) {
   TumBagPlayback playback;
   playback.file = file;
   playback.with_images = true;
-  core::Result<std::unique_ptr<TumBagSource>> source = TumBagSource::open(playback, std::nullopt);
-  if (!source) return source.error();
-  return std::unique_ptr<core::RgbdRecording>(std::make_unique<TumBagReader>(*std::move(source), camera, options));
+  core::Result<std::unique_ptr<TumBagSource>> opened = TumBagSource::open(playback, std::nullopt);
+  if (!opened) return opened.error();
+  const std::shared_ptr<TumBagSource> source = *std::move(opened);
+  const auto next = [source, camera, options]() -> core::Result<std::optional<core::RgbdReading>> {
+    const std::optional<PlayerItem> item = source->next();
+    if (!item && !source->end()) return source->end().error();
+    if (!item) return std::optional<core::RgbdReading>();
+    core::RgbdReading reading{core::Error{item->detail}, item->left_out};
+    if (item->left_out.empty()) reading.image = make_rgbd_image(*item->color, *item->depth, camera, options);
+    return std::optional(std::move(reading));
+  };
+  return core::RgbdRecording{next, source->size()};
 }
 
 }  // namespace semantic_topo_loop

@@ -26,27 +26,23 @@ constexpr char kCameraInfo[] = "/camera/rgb/camera_info", kTf[] = "/tf";
 /// /tf from the motion capture and the camera's chain below `/kinect`. Only the motion capture's edge is changed, so
 /// that `kinect` has one parent. Leading slashes of frame ids are stripped. Images out of order, and colour images
 /// without depth where both are wanted, are left out and said to be.
-class TumBagSource : public PlayerSource {
+class TumBagSource {
  public:
   /// @param calibration replaces the recorded camera_info, which holds the driver's defaults
   /// @return an error that names file and cause if it cannot be played
   static core::Result<std::unique_ptr<TumBagSource>> open(const TumBagPlayback& options,
                                                           const std::optional<sensor_msgs::CameraInfo>& calibration);
-  std::optional<PlayerItem> next() override;
-  core::Status end() const override { return end_; }
-  std::size_t size() const override { return size_; }
+  /// @return nullopt at the end
+  std::optional<PlayerItem> next();
+  core::Status end() const { return end_; }
+  std::size_t size() const { return size_; }
 
  private:
-  struct Image {
-    ros::Time received;
-    std_msgs::Header header;
-    sensor_msgs::ImagePtr color, depth;
-  };
+  using Image = DepthPairing::Answer;  ///< without color and depth where images are not played
 
   explicit TumBagSource(const TumBagPlayback& options) : options_(options), pairing_(options.max_depth_delay_s) {}
-  void open_bag();
-  std::size_t count(const std::string& topic) const;
-  std::string what_is_missing() const;
+  /// @return what is missing in it; empty: nothing
+  std::string open_bag();
   bool is_due() const;
   void read_message(const rosbag::MessageInstance& message);
   void take_pairs();
@@ -71,7 +67,7 @@ class TumBagSource : public PlayerSource {
 /// The colour images of a bag in the official TUM layout, with their depth, as the player gives them to the
 /// RgbdFrontend nodelet. Needs no master.
 /// @return an error that names file and cause if it cannot be read
-core::Result<std::unique_ptr<core::RgbdRecording>> open_tum_bag(const std::string& file, const core::Camera& camera,
-                                                                const core::DepthOptions& options);
+core::Result<core::RgbdRecording> open_tum_bag(const std::string& file, const core::Camera& camera,
+                                               const core::DepthOptions& options);
 
 }  // namespace semantic_topo_loop

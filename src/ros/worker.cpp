@@ -54,21 +54,6 @@ void Worker::close() {
   if (thread_.joinable()) thread_.join();
 }
 
-std::map<std::string, std::uint64_t> Worker::dropped() const {
-  const std::lock_guard<std::mutex> lock(mutex_);
-  return dropped_;
-}
-
-std::size_t Worker::size() const {
-  const std::lock_guard<std::mutex> lock(mutex_);
-  return queue_.size();
-}
-
-bool Worker::is_busy() const {
-  const std::lock_guard<std::mutex> lock(mutex_);
-  return is_busy_;
-}
-
 void Worker::run() {
   while (true) {
     Entry entry;

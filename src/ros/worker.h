@@ -41,10 +41,19 @@ class Worker {
   void close();
 
   /// Tasks dropped, by topic.
-  std::map<std::string, std::uint64_t> dropped() const;
-  std::size_t size() const;
+  std::map<std::string, std::uint64_t> dropped() const {
+    const std::lock_guard<std::mutex> lock(mutex_);
+    return dropped_;
+  }
+  std::size_t size() const {
+    const std::lock_guard<std::mutex> lock(mutex_);
+    return queue_.size();
+  }
   /// Whether a task is running.
-  bool is_busy() const;
+  bool is_busy() const {
+    const std::lock_guard<std::mutex> lock(mutex_);
+    return is_busy_;
+  }
 
  private:
   struct Entry {

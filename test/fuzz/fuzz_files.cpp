@@ -230,18 +230,18 @@ void write_valid_bag(const std::string& path, rosbag::CompressionType compressio
 void write_valid_files(const std::string& directory) {
   const SimulatedSequence sequence = make_sequence();
   Status written = write_sequence(sequence, coco(), directory);
-  RunRecorder recorder(shared_coco());
+  const std::unique_ptr<RunRecorder> recorder = make_run_recorder(shared_coco());
   const Options options;
   ObjectSlam slam(options, shared_coco());
   FrameBuilder builder(options.keyframe, sequence.camera);
   const auto record = [&](const Frame& frame, const std::vector<Detection>& detections) {
     const FrameResult result = slam.process(frame, detections);
-    recorder.record(frame);
-    recorder.record(result.associations);
-    recorder.record(result.observation);
-    recorder.record(frame.frame_id, result.loops, result.loop_us);
-    recorder.record(result.correction);
-    recorder.record(result.completion);
+    recorder->record(frame);
+    recorder->record(result.associations);
+    recorder->record(result.observation);
+    recorder->record(frame.frame_id, result.loops, result.loop_us);
+    recorder->record(result.correction);
+    recorder->record(result.completion);
   };
   for (std::size_t i = 0; i < sequence.odometry.size(); ++i) {
     PoseSample sample;
@@ -252,7 +252,7 @@ void write_valid_files(const std::string& directory) {
     record(checked(builder.build(sample)), detections);
   }
   record(builder.end(), {});
-  if (written) written = recorder.write(directory);
+  if (written) written = recorder->write(directory);
   std::vector<LocalMap> submaps = slam.submaps_in_map();
   submaps.resize(std::min<std::size_t>(2, submaps.size()));
   if (written) written = write_submaps(directory + "/submaps.json", submaps);

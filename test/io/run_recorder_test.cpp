@@ -22,7 +22,7 @@ std::shared_ptr<const ClassTable> classes() {
 /// Ten frames with keyframes at 0 and 5; after frame 7 both keyframes move.
 class RunRecorderTest : public ::testing::Test {
  protected:
-  RunRecorderTest() : recorder_(classes()) {
+  RunRecorderTest() : recorder_(make_run_recorder(classes())) {
     RandomPoses random(31);
     T_map_odom_ = random.pose(1.0);
     for (int i = 0; i < 2; ++i) T_map_keyframe_.push_back(random.pose(1.0));
@@ -57,12 +57,12 @@ class RunRecorderTest : public ::testing::Test {
 
   void record_frames(bool corrections) {
     for (const Frame& frame : frames_) {
-      recorder_.record(frame);
-      if (corrections) recorder_.record(correction(static_cast<int>(frame.frame_id)));
+      recorder_->record(frame);
+      if (corrections) recorder_->record(correction(static_cast<int>(frame.frame_id)));
     }
   }
 
-  void write() { ASSERT_EQ(recorder_.write(directory_.path("run")).message(), ""); }
+  void write() { ASSERT_EQ(recorder_->write(directory_.path("run")).message(), ""); }
   std::string text(const std::string& name) const { return read_whole(directory_.path("run/" + name)); }
   StampedPoses poses(const std::string& name) const {
     return checked(read_tum_trajectory(directory_.path("run/" + name)));
@@ -72,7 +72,7 @@ class RunRecorderTest : public ::testing::Test {
   }
 
   TestDirectory directory_;
-  RunRecorder recorder_;
+  std::unique_ptr<RunRecorder> recorder_;
   std::vector<Frame> frames_;
   SE3 T_map_odom_;
   std::vector<SE3> T_map_keyframe_;
@@ -114,7 +114,7 @@ TEST_F(RunRecorderTest, WithoutCorrectionsBothTrajectoriesAreTheOdometry) {
 TEST_F(RunRecorderTest, FramesBeyondTheSolutionUseTheLastMapFromOdom) {
   record_frames(true);
   Frame late = make_frame(10, SE3(Quaternion::Identity(), Vec3(1.0, 2.0, 3.0)));
-  recorder_.record(late);
+  recorder_->record(late);
   write();
   expect_pose(poses("trajectory.txt").back().T_world_camera, T_map_odom_ * late.T_odom_camera);
 }
@@ -124,8 +124,8 @@ TEST_F(RunRecorderTest, TheEndFrameIsNoFrame) {
   Frame end = frames_.back();
   end.frame_id = 10;
   end.is_end = true;
-  recorder_.record(end);
-  recorder_.record(correction(10));
+  recorder_->record(end);
+  recorder_->record(correction(10));
   write();
   EXPECT_EQ(poses("trajectory.txt").size(), 10u);
   const std::string timing = text("timing.csv");
@@ -169,8 +169,8 @@ TEST_F(RunRecorderTest, ObjectsAreTheLastStatesWithAnEllipsoid) {
   second.changed = {make_landmark(1, LandmarkState::kConfirmed, true), make_landmark(9, LandmarkState::kRetired, true)};
   second.merged = {{2, 1}};
   second.removed = {4};
-  recorder_.record(first);
-  recorder_.record(second);
+  recorder_->record(first);
+  recorder_->record(second);
   write();
   EXPECT_EQ(text("objects.csv"),
             "id,class_id,label,x,y,z,qx,qy,qz,qw,a,b,c,state,observations,baseline_deg,mean_iou,quality\n"
@@ -203,9 +203,9 @@ LoopClosure make_loop(std::int64_t query, bool accepted) {
 }
 
 TEST_F(RunRecorderTest, LoopsInOrderOfFrameAndPosition) {
-  recorder_.record(8, {make_loop(8, true), make_loop(7, false)}, 10.0);
-  recorder_.record(5, {make_loop(5, false)}, 10.0);
-  recorder_.record(6, {}, 10.0);
+  recorder_->record(8, {make_loop(8, true), make_loop(7, false)}, 10.0);
+  recorder_->record(5, {make_loop(5, false)}, 10.0);
+  recorder_->record(6, {}, 10.0);
   write();
   const auto loops = read_loops(directory_.path("run/loops.csv"));
   ASSERT_TRUE(loops);
@@ -222,13 +222,13 @@ TEST_F(RunRecorderTest, LoopsInOrderOfFrameAndPosition) {
 
 TEST_F(RunRecorderTest, LoopsIntoAnEarlierMapAreKeptApart) {
   const SE3 T_earlier_odom(so3_exp(Vec3(0.3, -0.2, 0.5)), Vec3(1.0, 2.0, 3.0));
-  for (const Frame& frame : frames_) recorder_.record(frame);
+  for (const Frame& frame : frames_) recorder_->record(frame);
   for (std::int64_t k = 5; k < 9; ++k) {
     LoopClosure loop = make_loop(k, true);
     loop.T_earlier_match = SE3(so3_exp(Vec3(0.1, 0.0, 0.0)), Vec3(4.0, 0.0, 0.0));
     loop.T_match_query =
         loop.T_earlier_match->inverse() * T_earlier_odom * frames_[static_cast<std::size_t>(k)].T_odom_camera;
-    recorder_.record(k, {make_loop(k, true), loop}, 10.0);
+    recorder_->record(k, {make_loop(k, true), loop}, 10.0);
   }
   write();
   EXPECT_EQ(read_loops(directory_.path("run/loops.csv"))->size(), 4u);
@@ -249,30 +249,30 @@ TEST_F(RunRecorderTest, AssociationsByNameOfLevel) {
   frame.associations[1].landmark_id = 6;
   frame.associations[2].detection_index = 2;
   frame.associations[2].level = AssociationLevel::kIgnored;
-  recorder_.record(frame);
+  recorder_->record(frame);
   write();
   EXPECT_EQ(text("associations.csv"),
             "frame_id,detection_index,landmark_id,level\n3,0,5,joint\n3,1,6,new\n3,2,-1,ignored\n");
 }
 
 TEST_F(RunRecorderTest, TimingAddsBothPhasesOfMapping) {
-  recorder_.record(frames_[0]);
+  recorder_->record(frames_[0]);
   AssociationFrame associations;
   associations.frame_id = 0;
   associations.duration_us = 1.5;
-  recorder_.record(associations);
+  recorder_->record(associations);
   MapUpdate update;
   update.frame_id = 0;
   update.duration_us = 2.0;
-  recorder_.record(update);
+  recorder_->record(update);
   update.phase = MapUpdatePhase::kCorrection;
   update.duration_us = 0.25;
-  recorder_.record(update);
-  recorder_.record(0, {}, 3.0);
+  recorder_->record(update);
+  recorder_->record(0, {}, 3.0);
   MapCorrection correction;
   correction.frame_id = 0;
   correction.duration_us = 4.0;
-  recorder_.record(correction);
+  recorder_->record(correction);
   write();
   EXPECT_EQ(text("timing.csv"), "frame_id,association_us,mapping_us,loop_us,optimise_us\n0,1.5,2.2,3.0,4.0\n");
 }
@@ -282,13 +282,13 @@ TEST_F(RunRecorderTest, SummaryCounts) {
   AssociationFrame associations;
   associations.frame_id = 3;
   associations.associations.resize(2);
-  recorder_.record(associations);
+  recorder_->record(associations);
   MapUpdate update;
   update.changed = {make_landmark(1, LandmarkState::kConfirmed, true),
                     make_landmark(2, LandmarkState::kCandidate, false)};
   update.merged = {{7, 1}};
-  recorder_.record(update);
-  recorder_.record(8, {make_loop(8, true), make_loop(7, false)}, 10.0);
+  recorder_->record(update);
+  recorder_->record(8, {make_loop(8, true), make_loop(7, false)}, 10.0);
   write();
   const nlohmann::json summary = nlohmann::json::parse(text("summary.json"));
   EXPECT_EQ(summary, nlohmann::json::parse(R"({
@@ -311,15 +311,15 @@ TEST_F(RunRecorderTest, VerdictsNameTheirFrames) {
 TEST_F(RunRecorderTest, FramesFollowTheScaleOfTheirKeyframe) {
   constexpr double kScale = 0.5;
   for (const Frame& frame : frames_) {
-    recorder_.record(frame);
+    recorder_->record(frame);
     MapCorrection with_scale = correction(static_cast<int>(frame.frame_id));
     if (with_scale.changed) with_scale.keyframes[1].scale = kScale;
-    recorder_.record(with_scale);
+    recorder_->record(with_scale);
   }
   LoopClosure loop = make_loop(8, true);
   loop.scale = 1.25;
   loop.scale_covariance(6) = 0.0004;
-  recorder_.record(8, {loop, make_loop(7, false)}, 10.0);
+  recorder_->record(8, {loop, make_loop(7, false)}, 10.0);
   write();
   const StampedPoses optimised = poses("trajectory.txt");
   ASSERT_EQ(optimised.size(), 10U);
@@ -336,7 +336,7 @@ TEST_F(RunRecorderTest, FramesFollowTheScaleOfTheirKeyframe) {
 
 TEST_F(RunRecorderTest, AFixedScaleLeavesNoFileOfScales) {
   record_frames(true);
-  recorder_.record(8, {make_loop(8, true)}, 10.0);
+  recorder_->record(8, {make_loop(8, true)}, 10.0);
   write();
   EXPECT_FALSE(std::filesystem::exists(directory_.path("run/scales.csv")));
   EXPECT_FALSE(std::filesystem::exists(directory_.path("run/loop_scales.csv")));
@@ -352,7 +352,7 @@ TEST_F(RunRecorderTest, AnEmptyRunStillWritesEveryFile) {
 
 TEST_F(RunRecorderTest, AnUnwritableDirectoryIsAnError) {
   directory_.write("file", "");
-  EXPECT_NE(recorder_.write(directory_.path("file")).message().find(directory_.path("file")), std::string::npos);
+  EXPECT_NE(recorder_->write(directory_.path("file")).message().find(directory_.path("file")), std::string::npos);
 }
 
 /// Twenty minutes of a run whose stages tell of a frame some frames late.
@@ -401,13 +401,13 @@ class LongRun {
 
 TEST_F(RunRecorderTest, ALongRunsTablesAreCompleteHoweverLateItsStagesAndWheneverItIsSaved) {
   constexpr std::int64_t kFrames = 12'000;
-  RunRecorder late(classes());
-  LongRun(0).play(&recorder_, 0, kFrames / 2);
+  const std::unique_ptr<RunRecorder> late = make_run_recorder(classes());
+  LongRun(0).play(recorder_.get(), 0, kFrames / 2);
   write();
-  LongRun(0).play(&recorder_, kFrames / 2, kFrames);
+  LongRun(0).play(recorder_.get(), kFrames / 2, kFrames);
   write();
-  LongRun(40).play(&late, 0, kFrames);
-  ASSERT_TRUE(late.write(directory_.path("late")));
+  LongRun(40).play(late.get(), 0, kFrames);
+  ASSERT_TRUE(late->write(directory_.path("late")));
   for (const char* name : {"trajectory_live.txt", "trajectory.txt", "loops.csv", "relocalisations.csv",
                            "loop_scales.csv", "associations.csv", "timing.csv", "summary.json", "keyframes.csv"}) {
     EXPECT_TRUE(text(name) == read_whole(directory_.path(std::string("late/") + name))) << name;
@@ -430,9 +430,9 @@ TEST_F(RunRecorderTest, RowsThatCannotBeKeptAreAnErrorAndNothingIsReplaced) {
   const char* folder = std::getenv("TMPDIR");
   const std::string usual = folder != nullptr ? folder : "";
   ::setenv("TMPDIR", directory_.path("none").c_str(), 1);
-  LongRun(0).play(&recorder_, 0, 12'000);
+  LongRun(0).play(recorder_.get(), 0, 12'000);
   usual.empty() ? ::unsetenv("TMPDIR") : ::setenv("TMPDIR", usual.c_str(), 1);
-  const std::string error = recorder_.write(directory_.path("run")).message();
+  const std::string error = recorder_->write(directory_.path("run")).message();
   EXPECT_NE(error.find("cannot keep the rows of the run"), std::string::npos) << error;
   EXPECT_EQ(text("loops.csv"), before);
 }

@@ -45,7 +45,10 @@ struct DetectionReport {
   int detections = 0;  ///< that were kept
   std::array<Cause, kDetectionProblemCount> causes;
 
-  void add(DetectionProblem problem, const std::string& where);
+  void add(DetectionProblem problem, const std::string& where) {
+    Cause& entry = causes[static_cast<std::size_t>(problem)];
+    if (entry.count++ == 0) entry.first = where;
+  }
   const Cause& cause(DetectionProblem problem) const { return causes[static_cast<std::size_t>(problem)]; }
   /// One line a cause that occurred: "12 boxes left out: unknown class id (first: boxes.json: ...)".
   std::vector<std::string> warnings() const;

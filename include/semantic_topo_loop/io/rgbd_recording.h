@@ -2,9 +2,9 @@
 
 #include <cstddef>
 #include <cstdint>
+#include <functional>
 #include <optional>
 #include <string>
-#include <utility>
 #include <vector>
 
 #include "semantic_topo_loop/frontend/rgbd_image.h"
@@ -19,13 +19,10 @@ struct RgbdReading {
 };
 
 /// A recording's color images with their depth, in time order.
-class RgbdRecording {
- public:
-  virtual ~RgbdRecording() = default;
+struct RgbdRecording {
   /// @return nullopt at the end, an error if the recording ends there by a fault
-  virtual Result<std::optional<RgbdReading>> next() = 0;
-  /// Images in the recording, as far as is known before it is read.
-  virtual std::size_t total() const = 0;
+  std::function<Result<std::optional<RgbdReading>>()> next;
+  std::size_t total = 0;  ///< images in it, as far as is known before it is read
 };
 
 /// A color image and the depth image that belongs to it.
@@ -55,18 +52,6 @@ Result<RgbdFiles> associate_images(const std::string& directory);
 Result<RgbdImage> read_rgbd_image(const RgbdFile& file, const Camera& camera, const DepthOptions& options);
 
 /// The images of a list, read one after the other.
-class RgbdFolder : public RgbdRecording {
- public:
-  RgbdFolder(std::vector<RgbdFile> files, const Camera& camera, const DepthOptions& options)
-      : files_(std::move(files)), camera_(camera), options_(options) {}
-  Result<std::optional<RgbdReading>> next() override;
-  std::size_t total() const override { return files_.size(); }
-
- private:
-  std::vector<RgbdFile> files_;
-  Camera camera_;
-  DepthOptions options_;
-  std::size_t index_ = 0;
-};
+RgbdRecording read_images(std::vector<RgbdFile> files, const Camera& camera, const DepthOptions& options);
 
 }  // namespace semantic_topo_loop::core

@@ -22,31 +22,26 @@ namespace semantic_topo_loop::core {
 /// of its table. Rows that will not change any more are kept on the disk, in nameless files of the temporary directory.
 class RunRecorder {
  public:
-  explicit RunRecorder(std::shared_ptr<const ClassTable> classes);
-  ~RunRecorder();
-  RunRecorder(RunRecorder&&) noexcept;
-  RunRecorder& operator=(RunRecorder&&) noexcept;
+  virtual ~RunRecorder() = default;
 
-  void record(const Frame& frame);
-  void record(const AssociationFrame& associations);
-  void record(const MapUpdate& update);
-  void record(std::int64_t frame_id, const std::vector<LoopClosure>& loops, double loop_us);
-  void record(const MapCorrection& correction);
+  virtual void record(const Frame& frame) = 0;
+  virtual void record(const AssociationFrame& associations) = 0;
+  virtual void record(const MapUpdate& update) = 0;
+  virtual void record(std::int64_t frame_id, const std::vector<LoopClosure>& loops, double loop_us) = 0;
+  virtual void record(const MapCorrection& correction) = 0;
   /// What the RGB-D front end made of the images, where there is one.
-  void record(const TrackingReport& tracking);
+  virtual void record(const TrackingReport& tracking) = 0;
 
   /// Writes trajectory_live.txt, trajectory.txt, keyframes.csv, objects.csv, loops.csv, loop_verdicts.csv,
   /// associations.csv, timing.csv and summary.json, and relocalisations.csv if there were candidates in an earlier
   /// run's map, and scales.csv and loop_scales.csv if the scale is free, creating the directory. All are written before
   /// the first takes its place. The run may go on.
   /// @return an error, with the path, if a file cannot be written
-  Status write(const std::string& directory) const;
+  virtual Status write(const std::string& directory) const = 0;
   /// Where the run is in an earlier run's map, by the loops recorded so far.
-  std::optional<Relocalisation> relocalisation() const;
-
- private:
-  class Impl;
-  std::unique_ptr<Impl> impl_;
+  virtual std::optional<Relocalisation> relocalisation() const = 0;
 };
+
+std::unique_ptr<RunRecorder> make_run_recorder(std::shared_ptr<const ClassTable> classes);
 
 }  // namespace semantic_topo_loop::core
