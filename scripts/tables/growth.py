@@ -1,7 +1,9 @@
 """What an hour of work costs more than the first minute: a recording that is gone through forwards, backwards, forwards,
-and so on, through `offline`. Time and memory of each eighth of the run, the end, and the loops."""
+and so on, through `offline`. Time and memory of each eighth of the run (of each hour, if there are several), the end, and
+the loops; of a simulated sequence also how many accepted loops are right."""
 
 import argparse
+import bisect
 import json
 import os
 import re
@@ -13,7 +15,8 @@ from decimal import Decimal
 
 from runs import Failure, find_sequences, package_folder, read_rows
 
-PARTS = 8
+PARTS = 8  # of a run of less than two hours
+SETTLED_S = 300.0  # recorded time from which on memory should hardly grow
 SLOWEST = 0.005  # share of the frames of a part whose mean is printed
 COLUMNS = ("association", "mapping", "loop", "optimise")
 
@@ -96,28 +99,41 @@ def slowest(values):
     return sum(sorted(values)[-count:]) / count
 
 
-def table(frames, memory, seconds):
+def table(frames, memory, seconds, recorded_s):
     """Milliseconds a frame by part of the run. What is in no frame is the end: the last optimisation."""
-    print("| part | ms a frame | slowest 0.5 %: " + " | ".join(COLUMNS) + " | MB at its end |")
+    hours = round(recorded_s / 3600.0)
+    parts, name = (hours, "hour") if hours > 1 else (PARTS, "part")
+    print(f"| {name} | ms a frame | slowest 0.5 %: " + " | ".join(COLUMNS) + " | MB at its end |")
     print("| --- " * (len(COLUMNS) + 3) + "|")
-    total_us = [sum(float(row[name + "_us"]) for name in COLUMNS) for row in frames]
-    spent, whole = 0.0, sum(total_us)
-    for part in range(PARTS):
-        begin, end = part * len(frames) // PARTS, (part + 1) * len(frames) // PARTS
-        spent += sum(total_us[begin:end])
-        # Memory is sampled by the clock; the clock runs with the work.
-        at = min(len(memory) - 1, int(len(memory) * spent / whole)) if memory else -1
+    spent_us = [0.0]
+    for row in frames:
+        spent_us.append(spent_us[-1] + sum(float(row[name + "_us"]) for name in COLUMNS))
+    whole_us = spent_us[-1]
+    begin_s = memory[-1][0] - seconds if memory else 0.0  # before, files are read
+
+    def memory_mb(frame):
+        """Memory is sampled by the clock; the clock runs with the work."""
+        at = bisect.bisect(memory, (begin_s + seconds * spent_us[frame] / whole_us,))
+        return memory[min(at, len(memory) - 1)][1] if memory else 0.0
+
+    for part in range(parts):
+        begin, end = part * len(frames) // parts, (part + 1) * len(frames) // parts
         cells = [slowest([float(row[name + "_us"]) for row in frames[begin:end]]) / 1000 for name in COLUMNS]
-        print(f"| {part + 1} of {PARTS} | {sum(total_us[begin:end]) / (end - begin) / 1000:.2f} | "
-              + " | ".join(f"{cell:.1f}" for cell in cells) + f" | {memory[at][1] if memory else 0:.0f} |")
-    print(f"\nin no frame (reading poses, the end): {seconds - whole / 1e6:.2f} s; most memory: "
+        print(f"| {part + 1} of {parts} | {(spent_us[end] - spent_us[begin]) / (end - begin) / 1000:.2f} | "
+              + " | ".join(f"{cell:.1f}" for cell in cells) + f" | {memory_mb(end):.0f} |")
+    print(f"\nin no frame (reading poses, the end): {seconds - whole_us / 1e6:.2f} s; most memory: "
           f"{max((mb for _, mb in memory), default=0):.0f} MB")
+    if recorded_s > 2 * SETTLED_S:
+        settled = int(len(frames) * SETTLED_S / recorded_s)
+        grown_mb = memory_mb(len(frames)) - memory_mb(settled)
+        print(f"memory from minute {SETTLED_S / 60:.0f} to {recorded_s / 60:.0f}: "
+              f"{60 * grown_mb / (recorded_s - SETTLED_S):.2f} MB a minute")
 
 
 def parse_arguments():
     parser = argparse.ArgumentParser(prog="growth", description=__doc__,
                                      formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("programs", help="folder of the program offline")
+    parser.add_argument("programs", help="folder of the programs offline and evaluate")
     parser.add_argument("--passes", type=int, default=16, help="how often fr2_desk is gone through (default: 16)")
     parser.add_argument("--data", default=os.environ.get("SEMANTIC_TOPO_LOOP_DATA")
                         or os.path.join(os.path.dirname(package_folder()), "shared"), help="folder of tum/")
@@ -147,9 +163,15 @@ def main():
         said, memory = run_offline(os.path.join(arguments.programs, "offline"), folder, camera, arguments.set, results)
         print(said + "\n")
         seconds = float(re.search(r"in ([0-9.]+) s", said).group(1))
-        table(read_rows(os.path.join(results, "timing.csv")), memory, seconds)
+        recorded_s = seconds * float(re.search(r"([0-9.]+) x real time", said).group(1))
+        table(read_rows(os.path.join(results, "timing.csv")), memory, seconds, recorded_s)
         with open(os.path.join(results, "summary.json")) as file:
             print("loops: " + json.dumps(json.load(file).get("loops", {})))
+        truth = os.path.join(folder, "groundtruth_frames.txt")
+        if os.path.exists(truth):
+            judged = subprocess.run([os.path.join(arguments.programs, "evaluate"), "loops", results, truth],
+                                    stdout=subprocess.PIPE, check=True, universal_newlines=True).stdout
+            print("\n".join(line for line in judged.splitlines() if line.startswith("right within")))
     except Failure as failure:
         sys.exit(f"growth: error: {failure}")
 

@@ -3,6 +3,7 @@
 #include <cstddef>
 #include <cstdint>
 #include <map>
+#include <utility>
 #include <vector>
 
 #include "semantic_topo_loop/types/loop_closure.h"
@@ -20,8 +21,8 @@ class PairRecord {
   const LoopFigures* find(std::int64_t query_keyframe_id, std::int64_t match_keyframe_id) const;
 
  private:
-  std::size_t capacity_, size_ = 0;
-  std::map<std::int64_t, std::vector<LoopFigures>> decisions_;  ///< by query
+  std::size_t capacity_;
+  std::map<std::pair<std::int64_t, std::int64_t>, LoopFigures> decisions_;  ///< by query and match
 };
 
 }  // namespace semantic_topo_loop::core

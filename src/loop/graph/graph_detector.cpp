@@ -144,10 +144,13 @@ GraphDetector::GraphDetector(const LoopOptions& options)
     : options_(options), index_(options), matcher_(options, kMinCandidateInliers), verifier_(options) {}
 
 int GraphDetector::old_enough(const LocalMap& query) const {
-  const auto recent = std::find_if(maps_.begin(), maps_.end(), [&](const auto& stored) {
-    return static_cast<double>(query.stamp_ns - stored.second.map.stamp_ns) < 1e9 * options_.min_gap_s;
-  });
-  return recent == maps_.end() ? index_.size() : recent->first;
+  // From the latest back, since those that are kept by themselves come in order of time.
+  int end = index_.size();
+  for (auto stored = maps_.rbegin(); stored != maps_.rend(); ++stored) {
+    if (static_cast<double>(query.stamp_ns - stored->second.map.stamp_ns) >= 1e9 * options_.min_gap_s) break;
+    end = stored->first;
+  }
+  return end;
 }
 
 /// With a free scale the index is asked at every scale that its tolerance tells from the next.
