@@ -23,4 +23,25 @@ std::vector<Item> evenly_taken(std::vector<Item> items, std::size_t count) {
   return some;
 }
 
+/// Up to `count` elements, evenly spread, first and last included.
+template <class T>
+std::vector<T> spread(const std::vector<T>& values, std::size_t count) {
+  if (values.size() <= count) return values;
+  std::vector<T> result;
+  result.reserve(count);
+  for (std::size_t i = 0; i < count; ++i) {
+    result.push_back(values[count == 1 ? values.size() / 2 : i * (values.size() - 1) / (count - 1)]);
+  }
+  return result;
+}
+
+/// Every second one goes, and its memory with it.
+template <class T>
+void halve(std::vector<T>* values) {
+  std::size_t kept = 0;
+  for (std::size_t i = 0; i < values->size(); i += 2) (*values)[kept++] = (*values)[i];
+  values->resize(kept);
+  values->shrink_to_fit();
+}
+
 }  // namespace semantic_topo_loop::core

@@ -8,6 +8,7 @@
 #include <cmath>
 #include <cstdio>
 #include <cstdlib>
+#include <cstring>
 #include <map>
 #include <nlohmann/json.hpp>
 
@@ -76,13 +77,13 @@ const Rows& headers() {
   return kHeaders;
 }
 
-/// A text that grows for as long as a run, on the disk but for its end: in a file without a name in the temporary
+/// Bytes that grow for as long as a run, on the disk but for their end: in a file without a name in the temporary
 /// directory (TMPDIR), which goes with the process.
-class TextSpool {
+class Spool {
  public:
-  void add(const std::string& text) {
+  void add(std::string_view bytes) {
     if (!status_) return;
-    end_ += text;
+    end_ += bytes;
     if (end_.size() < kEndMax) return;
     if (!file_) file_.reset(open_nameless());
     const bool is_written =
@@ -94,18 +95,20 @@ class TextSpool {
     end_.clear();
   }
 
-  /// @return an error if the disk could not take the text, or does not give it back
-  Status copy_to(std::ostream& file) const {
+  /// Calls take(bytes) in order, with so many bytes that are on the disk at a time, then with the others.
+  /// @return an error if the disk could not take the bytes, or does not give them back
+  template <class Take>
+  Status read(std::size_t part_size, const Take& take) const {
     if (!status_) return status_;
-    std::array<char, kEndMax> part{};
+    std::string part(part_size, '\0');
     ssize_t length = 0;
     for (off_t at = 0; file_; at += length) {
       length = ::pread(::fileno(file_.get()), part.data(), part.size(), at);
       if (length < 0) return Error{"the rows of the run cannot be read: " + std::system_category().message(errno)};
       if (length == 0) break;
-      file.write(part.data(), length);
+      take(std::string_view(part.data(), static_cast<std::size_t>(length)));
     }
-    file << end_;
+    take(std::string_view(end_));
     return {};
   }
 
@@ -125,19 +128,29 @@ class TextSpool {
     void operator()(std::FILE* file) const { std::fclose(file); }
   };
   std::unique_ptr<std::FILE, Close> file_;
-  std::string end_;  ///< after what the file holds
+  std::string end_;  ///< behind what the file holds
   Status status_;
 };
 
-/// Of a frame, what is needed until the end.
+/// Of a frame, what is needed at the end; plain numbers, so that its bytes can be kept.
 struct FramePlace {
-  std::int64_t stamp_ns = 0, keyframe_id = -1;
-  SE3 T_odom_camera;
+  FramePlace() = default;
+  explicit FramePlace(const Frame& frame)
+      : frame_id(frame.frame_id), keyframe_id(frame.keyframe_id), stamp_ns(frame.stamp_ns) {
+    Eigen::Map<Vec7>(pose_.data()) << frame.T_odom_camera.q.coeffs(), frame.T_odom_camera.t;
+  }
+  SE3 T_odom_camera() const { return {Quaternion(pose_.data()), Vec3(pose_.data() + 4)}; }
+
+  std::int64_t frame_id = -1, keyframe_id = -1, stamp_ns = 0;
+
+ private:
+  std::array<double, 7> pose_{};
 };
 
 /// A frame of which a stage may still tell more.
 struct OpenFrame {
-  bool is_recorded = false, is_break = false;
+  std::optional<FramePlace> place;  ///< once the frame itself has come
+  bool is_break = false;
   AssociationFrame associations;
   std::vector<LoopClosure> loops;
   std::optional<SE3> T_map_odom;  ///< after its correction
@@ -146,10 +159,11 @@ struct OpenFrame {
 
 /// Counts of the summary.
 struct Counts {
-  std::int64_t breaks = 0, detections = 0, candidates = 0, accepted = 0;
+  std::int64_t frames = 0, breaks = 0, detections = 0, candidates = 0, accepted = 0;
   std::map<std::string, int> levels, reasons;
 
   void add(const OpenFrame& frame) {
+    frames += frame.place ? 1 : 0;
     breaks += frame.is_break ? 1 : 0;
     detections += static_cast<std::int64_t>(frame.associations.associations.size());
     for (const Association& association : frame.associations.associations) ++levels[level_name(association.level)];
@@ -168,10 +182,9 @@ class FileRecorder : public RunRecorder {
 
   void record(const Frame& frame) override {
     if (frame.is_end) return;
-    frames_.insert_or_assign(frame.frame_id, FramePlace{frame.stamp_ns, frame.keyframe_id, frame.T_odom_camera});
-    open_[frame.frame_id].is_recorded = true;
+    open_[frame.frame_id].place = FramePlace(frame);
     open_[frame.frame_id].is_break = frame.is_break;
-    if (frame.is_keyframe) keyframe_frames_[frame.keyframe_id] = frame.frame_id;
+    if (frame.is_keyframe) keyframes_.insert_or_assign(frame.keyframe_id, FramePlace(frame));
     settle(frame.stamp_ns);
   }
 
@@ -230,18 +243,20 @@ class FileRecorder : public RunRecorder {
     const auto add = [&](const std::string& name, const WriteText& text) {
       files.emplace_back(directory + "/" + name, text);
     };
+    const auto require = [&kept](const Status& read, std::ostream& file) {
+      if (read) return;
+      kept = read;
+      file.setstate(std::ios::badbit);
+    };
     const auto add_table = [&](const char* name, Table table) {
       add(name, [&, table](std::ostream& file) {
         file << headers()[table];
-        if (const Status copied = settled_[table].copy_to(file); !copied) {
-          kept = copied;
-          file.setstate(std::ios::badbit);
-        }
+        require(settled_[table].read(kReadSize, [&file](std::string_view rows) { file << rows; }), file);
         file << open[table];
       });
     };
     add_table("trajectory_live.txt", kLivePoses);
-    add("trajectory.txt", [this](std::ostream& file) { write_trajectory(file); });
+    add("trajectory.txt", [&](std::ostream& file) { require(write_trajectory(file), file); });
     add("keyframes.csv", [this](std::ostream& file) { write_keyframes(file); });
     add("objects.csv", [this](std::ostream& file) { write_objects(file); });
     add_table("loops.csv", kLoops);
@@ -263,9 +278,8 @@ class FileRecorder : public RunRecorder {
   /// The frame's rows.   @param T_map_odom before its own correction, what a live user had; then after it
   Rows rows_of(std::int64_t frame_id, const OpenFrame& frame, SE3* T_map_odom) const {
     Rows rows;
-    if (frame.is_recorded) {
-      const FramePlace& place = frames_.at(frame_id);
-      rows[kLivePoses] = format_tum_pose({place.stamp_ns, *T_map_odom * place.T_odom_camera}) + '\n';
+    if (frame.place) {
+      rows[kLivePoses] = format_tum_pose({frame.place->stamp_ns, *T_map_odom * frame.place->T_odom_camera()}) + '\n';
       constexpr int kMicrosecondDecimals = 1;
       rows[kTiming] = csv_row(frame_id, format_fixed(frame.associations.duration_us, kMicrosecondDecimals),
                               format_fixed(frame.mapping_us, kMicrosecondDecimals),
@@ -290,11 +304,14 @@ class FileRecorder : public RunRecorder {
   /// Hands the frames of which nothing more will come to the disk.
   void settle(std::int64_t newest_ns) {
     constexpr std::int64_t kOpen_ns = 10'000'000'000;  // no stage is as late
-    while (!open_.empty()) {
+    for (;;) {
+      const auto recorded =
+          std::find_if(open_.begin(), open_.end(), [](const auto& frame) { return frame.second.place.has_value(); });
+      if (recorded == open_.end() || recorded->second.place->stamp_ns > newest_ns - kOpen_ns) break;
       const auto& [frame_id, frame] = *open_.begin();
-      if (frames_.lower_bound(frame_id)->second.stamp_ns > newest_ns - kOpen_ns) break;
       const Rows rows = rows_of(frame_id, frame, &settled_T_map_odom_);
       for (std::size_t table = 0; table < rows.size(); ++table) settled_[table].add(rows[table]);
+      if (frame.place) settled_places_.add({reinterpret_cast<const char*>(&*frame.place), sizeof(FramePlace)});
       settled_counts_.add(frame);
       add_votes(frame, &settled_votes_);
       open_.erase(open_.begin());
@@ -303,31 +320,42 @@ class FileRecorder : public RunRecorder {
 
   void add_votes(const OpenFrame& frame, Relocaliser* relocaliser) const {
     for (const LoopClosure& loop : frame.loops) {
-      const auto query = frames_.find(loop.query_frame);
-      if (query != frames_.end()) relocaliser->add(loop, query->second.T_odom_camera);
+      const auto query = keyframes_.find(loop.query_keyframe_id);
+      if (query != keyframes_.end()) relocaliser->add(loop, query->second.T_odom_camera());
     }
   }
 
   /// Pose after the last optimisation: hung on the frame's keyframe, or on the last T_map_odom without one.
   SE3 final_pose(const FramePlace& frame) const {
     const auto solution = S_map_keyframe_.find(frame.keyframe_id);
-    const auto keyframe_frame = keyframe_frames_.find(frame.keyframe_id);
-    if (solution == S_map_keyframe_.end() || keyframe_frame == keyframe_frames_.end()) {
-      return last_T_map_odom_.second * frame.T_odom_camera;
+    const auto keyframe = keyframes_.find(frame.keyframe_id);
+    if (solution == S_map_keyframe_.end() || keyframe == keyframes_.end()) {
+      return last_T_map_odom_.second * frame.T_odom_camera();
     }
-    const SE3& T_odom_keyframe = frames_.at(keyframe_frame->second).T_odom_camera;
-    return solution->second.pose(T_odom_keyframe.inverse() * frame.T_odom_camera);
+    return solution->second.pose(keyframe->second.T_odom_camera().inverse() * frame.T_odom_camera());
   }
 
-  void write_trajectory(std::ostream& file) const {
-    for (const auto& [frame_id, frame] : frames_) file << format_tum_pose({frame.stamp_ns, final_pose(frame)}) << '\n';
+  Status write_trajectory(std::ostream& file) const {
+    const auto write = [&](const FramePlace& frame) {
+      file << format_tum_pose({frame.stamp_ns, final_pose(frame)}) << '\n';
+    };
+    const Status read = settled_places_.read(kReadSize * sizeof(FramePlace), [&](std::string_view places) {
+      for (; places.size() >= sizeof(FramePlace); places.remove_prefix(sizeof(FramePlace))) {
+        FramePlace frame;
+        std::memcpy(&frame, places.data(), sizeof(FramePlace));
+        write(frame);
+      }
+    });
+    for (const auto& [frame_id, frame] : open_) {
+      if (frame.place) write(*frame.place);
+    }
+    return read;
   }
 
   void write_keyframes(std::ostream& file) const {
     file << keyframe_table_header();
-    for (const auto& [keyframe_id, frame_id] : keyframe_frames_) {
-      const FramePlace& frame = frames_.at(frame_id);
-      file << table_row(KeyframePose{keyframe_id, frame_id, frame.stamp_ns, final_pose(frame)});
+    for (const auto& [keyframe_id, frame] : keyframes_) {
+      file << table_row(KeyframePose{keyframe_id, frame.frame_id, frame.stamp_ns, final_pose(frame)});
     }
   }
 
@@ -354,8 +382,8 @@ class FileRecorder : public RunRecorder {
   void write_verdicts(std::ostream& file) const {
     file << "query_keyframe,match_keyframe,query_frame,match_frame,extra,kept,verdict\n";
     const auto frame_of = [this](std::int64_t keyframe_id) {
-      const auto found = keyframe_frames_.find(keyframe_id);
-      return found == keyframe_frames_.end() ? -1 : found->second;
+      const auto found = keyframes_.find(keyframe_id);
+      return found == keyframes_.end() ? -1 : found->second.frame_id;
     };
     for (const auto& [number, verdict] : verdicts_) {
       file << csv_row(verdict.query_keyframe_id, verdict.match_keyframe_id, frame_of(verdict.query_keyframe_id),
@@ -366,10 +394,10 @@ class FileRecorder : public RunRecorder {
 
   void write_scales(std::ostream& file) const {
     file << "keyframe_id,frame_id,scale\n";
-    for (const auto& [keyframe_id, frame_id] : keyframe_frames_) {
+    for (const auto& [keyframe_id, frame] : keyframes_) {
       const auto solution = S_map_keyframe_.find(keyframe_id);
       if (solution == S_map_keyframe_.end()) continue;
-      file << csv_row(keyframe_id, frame_id, solution->second.scale);
+      file << csv_row(keyframe_id, frame.frame_id, solution->second.scale);
     }
   }
 
@@ -380,8 +408,8 @@ class FileRecorder : public RunRecorder {
     for (const auto& [id, landmark] : landmarks_) ++states[to_string(landmark.state)];
     std::int64_t kept = 0;
     for (const auto& [number, verdict] : verdicts_) kept += verdict.kept ? 1 : 0;
-    nlohmann::json summary = {{"frames", frames_.size()},
-                              {"keyframes", keyframe_frames_.size()},
+    nlohmann::json summary = {{"frames", counts.frames},
+                              {"keyframes", keyframes_.size()},
                               {"breaks", counts.breaks},
                               {"detections", counts.detections},
                               {"associations", counts.levels},
@@ -401,10 +429,12 @@ class FileRecorder : public RunRecorder {
   }
 
   std::shared_ptr<const ClassTable> classes_;
-  std::map<std::int64_t, FramePlace> frames_;             ///< by frame_id, without the END frame
-  std::map<std::int64_t, std::int64_t> keyframe_frames_;  ///< keyframe_id to frame_id
-  std::map<std::int64_t, OpenFrame> open_;                ///< by frame_id
-  std::array<TextSpool, kTables> settled_;                ///< rows of the frames before
+  static constexpr std::size_t kReadSize = 1 << 12;  ///< bytes or frames that are read from the disk at a time
+
+  std::map<std::int64_t, FramePlace> keyframes_;  ///< by keyframe_id
+  std::map<std::int64_t, OpenFrame> open_;        ///< by frame_id
+  std::array<Spool, kTables> settled_;            ///< rows of the frames before
+  Spool settled_places_;                          ///< of them
   Counts settled_counts_;
   Relocaliser settled_votes_;
   SE3 settled_T_map_odom_;

@@ -137,16 +137,4 @@ class ViewSource {
   const KeyframePlaces& S_map_keyframe_;
 };
 
-/// Up to `count` elements, evenly spread, first and last included.
-template <class T>
-std::vector<T> spread(const std::vector<T>& values, std::size_t count) {
-  if (values.size() <= count) return values;
-  std::vector<T> result;
-  result.reserve(count);
-  for (std::size_t i = 0; i < count; ++i) {
-    result.push_back(values[count == 1 ? values.size() / 2 : i * (values.size() - 1) / (count - 1)]);
-  }
-  return result;
-}
-
 }  // namespace semantic_topo_loop::core

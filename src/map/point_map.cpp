@@ -5,6 +5,8 @@
 #include <cmath>
 #include <utility>
 
+#include "geometry/statistics.h"
+
 namespace semantic_topo_loop::core {
 namespace {
 
@@ -34,14 +36,6 @@ std::vector<Eigen::Vector3f> one_a_voxel(const std::vector<Eigen::Vector3f>& poi
   result.reserve(cubes.size());
   for (const auto& [cube, index] : cubes) result.push_back(points[index]);
   return result;
-}
-
-template <class T>
-void halve(std::vector<T>* values) {
-  std::size_t kept = 0;
-  for (std::size_t i = 0; i < values->size(); i += 2) (*values)[kept++] = (*values)[i];
-  values->resize(kept);
-  values->shrink_to_fit();
 }
 
 }  // namespace

@@ -6,6 +6,7 @@
 #include <set>
 
 #include "geometry/depth_points.h"
+#include "geometry/statistics.h"
 #include "map/landmark_fitter.h"
 #include "map/life_cycle.h"
 #include "map/mapped_landmark.h"
@@ -174,7 +175,7 @@ class QuadricMapper::Impl {
                                        frame.keyframe_id,
                                        association.class_id,
                                        {T_keyframe_camera, association.box, truncated, std::move(surface)}});
-      if (landmark.observations.size() > kObservationsMax) thin(&landmark.observations);
+      if (landmark.observations.size() > kObservationsMax) halve(&landmark.observations);
       landmark.state.class_id = association.landmark_class_id;
       landmark.state.observations += 1;
       landmark.last_stamp_ns = frame.stamp_ns;
@@ -208,13 +209,6 @@ class QuadricMapper::Impl {
       }
       touched_.insert(expected.id);
     }
-  }
-
-  static void thin(std::vector<Observation>* observations) {
-    std::vector<Observation> kept;
-    kept.reserve(observations->size() / 2 + 1);
-    for (std::size_t i = 0; i < observations->size(); i += 2) kept.push_back((*observations)[i]);
-    *observations = std::move(kept);
   }
 
   void count_side_by_side(const AssociationFrame& frame) {
@@ -327,7 +321,7 @@ class QuadricMapper::Impl {
     merges_.join(S_map_keyframe_, std::move(landmarks_.at(merged_id)), &survivor);
     landmarks_.erase(merged_id);
     update->merged.push_back({merged_id, survivor_id});
-    while (survivor.observations.size() > kObservationsMax) thin(&survivor.observations);
+    while (survivor.observations.size() > kObservationsMax) halve(&survivor.observations);
     changed_.insert(survivor_id);
     fit(&survivor);
   }

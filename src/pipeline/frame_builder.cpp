@@ -46,8 +46,7 @@ Result<Frame> FrameBuilder::build(const PoseSample& sample) {
 }
 
 Frame FrameBuilder::end() const {
-  Frame frame;
-  if (last_) frame = *last_;
+  Frame frame = last_.value_or(Frame());
   frame.frame_id = last_ ? last_->frame_id + 1 : 0;
   frame.is_keyframe = false;
   frame.is_break = false;

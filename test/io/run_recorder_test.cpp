@@ -224,10 +224,10 @@ TEST_F(RunRecorderTest, LoopsIntoAnEarlierMapAreKeptApart) {
   const SE3 T_earlier_odom(so3_exp(Vec3(0.3, -0.2, 0.5)), Vec3(1.0, 2.0, 3.0));
   for (const Frame& frame : frames_) recorder_->record(frame);
   for (std::int64_t k = 5; k < 9; ++k) {
-    LoopClosure loop = make_loop(k, true);
+    LoopClosure loop = make_loop(5, true);
+    loop.query_keyframe_id = 1;
     loop.T_earlier_match = SE3(so3_exp(Vec3(0.1, 0.0, 0.0)), Vec3(4.0, 0.0, 0.0));
-    loop.T_match_query =
-        loop.T_earlier_match->inverse() * T_earlier_odom * frames_[static_cast<std::size_t>(k)].T_odom_camera;
+    loop.T_match_query = loop.T_earlier_match->inverse() * T_earlier_odom * frames_[5].T_odom_camera;
     recorder_->record(k, {make_loop(k, true), loop}, 10.0);
   }
   write();
@@ -382,14 +382,15 @@ class LongRun {
     associations.associations.resize(3);
     recorder->record(associations);
     LoopClosure loop;
-    loop.query_frame = i;
+    loop.query_keyframe_id = i / 10;
+    loop.query_frame = 10 * loop.query_keyframe_id;
     loop.match_frame = i / 2;
     loop.accepted = i % 7 == 0;
     loop.reason = loop.accepted ? LoopReason::kAccepted : LoopReason::kResidual;
     loop.scale_covariance(6) = i % 5 == 0 ? 0.01 : 0.0;
     LoopClosure into_earlier = loop;
     into_earlier.T_earlier_match = SE3(Quaternion::Identity(), Vec3(5.0, 0.0, 0.0));
-    into_earlier.T_match_query.t.x() = 0.001 * static_cast<double>(i);
+    into_earlier.T_match_query.t.x() = 0.001 * static_cast<double>(loop.query_frame);
     recorder->record(i, {loop, into_earlier}, 1.0);
     MapCorrection correction;
     correction.frame_id = i;

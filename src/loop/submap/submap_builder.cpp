@@ -7,6 +7,7 @@
 #include <cstdint>
 #include <limits>
 #include <map>
+#include <numeric>
 #include <set>
 #include <utility>
 
@@ -277,17 +278,6 @@ LocalFrame make_frame(const ObservedFrame& observed, const SE3& T_anchor_odom) {
   return frame;
 }
 
-/// Indices of `count` of n items, spread evenly, ends included.
-std::vector<int> spread(int n, int count) {
-  std::vector<int> indices;
-  if (n <= count) {
-    for (int i = 0; i < n; ++i) indices.push_back(i);
-  } else {
-    for (int k = 0; k < count; ++k) indices.push_back(k * (n - 1) / (count - 1));
-  }
-  return indices;
-}
-
 std::map<int, std::vector<BoxRay>> rays_by_label(const std::vector<LocalFrame>& frames,
                                                  const LandmarkRedirects& redirects) {
   std::map<int, std::vector<BoxRay>> rays;
@@ -377,7 +367,9 @@ std::optional<LocalMap> LocalMapBuilder::build(const std::deque<ObservedFrame>& 
   map.up = up.estimate(anchor->T_odom_camera.q);
   const SE3 T_anchor_odom = anchor->T_odom_camera.inverse();
   for (const ObservedFrame& observed : window) map.frames.push_back(make_frame(observed, T_anchor_odom));
-  map.check_frames = spread(static_cast<int>(map.frames.size()), kCheckFrames);
+  std::vector<int> all(map.frames.size());
+  std::iota(all.begin(), all.end(), 0);
+  map.check_frames = spread(all, kCheckFrames);
   map.objects = find_objects(map, redirects);
   compact(&map);
   return map;
@@ -416,9 +408,7 @@ std::vector<LocalObject> LocalMapBuilder::find_objects(const LocalMap& map, cons
 std::optional<LocalObject> LocalMapBuilder::fit(const LocalMap& map, std::vector<SubmapView> views,
                                                 const Vec3& center) const {
   LocalObject object;
-  for (const int i : spread(static_cast<int>(views.size()), options_.fit_views)) {
-    object.views.push_back(views[static_cast<std::size_t>(i)]);
-  }
+  object.views = spread(views, static_cast<std::size_t>(options_.fit_views));
   const std::optional<SpheroidFit> fit = fit_spheroid(map, object.views, center);
   if (!fit) return std::nullopt;
   object.spheroid = fit->spheroid;
