@@ -30,8 +30,7 @@ std::optional<std::set<std::string>> parse_levels(const std::string& text) {
     if (name != "2d" && name != "pro" && name != "3d") return std::nullopt;
     levels.insert(name);
   }
-  if (levels.empty()) return std::nullopt;
-  return levels;
+  return levels.empty() ? std::nullopt : std::optional(levels);
 }
 
 }  // namespace

@@ -40,8 +40,7 @@ Overlap overlap(const MappedLandmark& a, const MappedLandmark& b, const ViewSour
 }
 
 Remains remains_of(const KeyframePlaces& S_map_keyframe, const LandmarkRecord& landmark) {
-  Remains remains;
-  remains.landmark = landmark;
+  Remains remains{landmark, {}, 1.0};
   const auto anchor = S_map_keyframe.find(landmark.state.anchor_keyframe_id);
   if (landmark.state.ellipsoid && anchor != S_map_keyframe.end()) {
     remains.T_anchor_quadric = anchor->second.inverse().pose(landmark.state.ellipsoid->T_world_quadric);
@@ -126,6 +125,7 @@ void MergeHistory::join(const KeyframePlaces& S_map_keyframe, MappedLandmark mer
   }
   survivor->seen_from.add(merged.seen_from);
   for (const auto& [id, count] : merged.seen_beside) survivor->seen_beside[id] += count;
+  survivor->seen_beside.erase(survivor->state.id);  // nothing is beside itself
 }
 
 MappedLandmark MergeHistory::split(const KeyframePlaces& S_map_keyframe, std::size_t index, MappedLandmark* survivor) {
@@ -151,6 +151,7 @@ MappedLandmark MergeHistory::split(const KeyframePlaces& S_map_keyframe, std::si
   survivor->state.observations -= merged.state.observations;
   survivor->sightings.add(merged.sightings, -1.0);
   for (const auto& [id, count] : merged.seen_beside) survivor->seen_beside[id] -= count;
+  survivor->seen_beside.erase(survivor->state.id);
   return merged;
 }
 

@@ -5,6 +5,7 @@
 #include <random>
 
 #include "map/landmark_fitter.h"
+#include "map/merging.h"
 #include "map/quadric_fit.h"
 #include "semantic_topo_loop/geometry/lie.h"
 #include "semantic_topo_loop/geometry/quadric.h"
@@ -384,6 +385,23 @@ TEST_F(MapperTest, MergeIsUndoneWhenACorrectionPullsTheTwoApart) {
   EXPECT_EQ(find(1)->state, LandmarkState::kConfirmed);
   EXPECT_LT((find(0)->ellipsoid->center() - kCup.center()).norm(), 0.01);
   EXPECT_LT((find(1)->ellipsoid->center() - T_new_old * kCup.center()).norm(), 0.01);
+}
+
+/// A landmark is given up with what its neighbours know of it: as its own neighbour it would be read while it goes.
+TEST(MergeHistory, ALandmarkIsNotSeenBesideItself) {
+  MappedLandmark survivor, merged;
+  survivor.state.id = 1;
+  merged.state.id = 2;
+  survivor.seen_beside = {{2, 3}, {7, 4}};
+  merged.seen_beside = {{1, 3}, {7, 2}};
+  merged.state.observations = 5;
+  MergeHistory history;
+  history.join({}, merged, &survivor);
+  EXPECT_EQ(survivor.seen_beside, (std::map<std::int64_t, int>{{2, 3}, {7, 6}}));
+  survivor.state.observations += 1;  // so that it is not simply what it was
+  const MappedLandmark back = history.split({}, 0, &survivor);
+  EXPECT_EQ(back.seen_beside, merged.seen_beside);
+  EXPECT_EQ(survivor.seen_beside, (std::map<std::int64_t, int>{{2, 3}, {7, 4}}));
 }
 
 TEST_F(MapperTest, LandmarksMoveWithTheirKeyframesAndVersionsChain) {
