@@ -1,6 +1,6 @@
 """What an hour of work costs more than the first minute: a recording that is gone through forwards, backwards, forwards,
-and so on, through `offline`. Time and memory of each eighth of the run (of each hour, if there are several), the end, and
-the loops; of a simulated sequence also how many accepted loops are right."""
+and so on, through `offline`. Time and memory of each eighth of the run (of each hour, if there are several), the end,
+and the loops; of a simulated sequence also how many accepted loops are right."""
 
 import argparse
 import bisect
@@ -16,7 +16,7 @@ from decimal import Decimal
 from runs import Failure, find_sequences, package_folder, read_rows
 
 PARTS = 8  # of a run of less than two hours
-SETTLED_S = 300.0  # recorded time from which on memory should hardly grow
+SETTLED_S = 360.0  # recorded time from which on memory should hardly grow: what is bounded is full
 SLOWEST = 0.005  # share of the frames of a part whose mean is printed
 COLUMNS = ("association", "mapping", "loop", "optimise")
 
@@ -124,10 +124,11 @@ def table(frames, memory, seconds, recorded_s):
     print(f"\nin no frame (reading poses, the end): {seconds - whole_us / 1e6:.2f} s; most memory: "
           f"{max((mb for _, mb in memory), default=0):.0f} MB")
     if recorded_s > 2 * SETTLED_S:
-        settled = int(len(frames) * SETTLED_S / recorded_s)
-        grown_mb = memory_mb(len(frames)) - memory_mb(settled)
-        print(f"memory from minute {SETTLED_S / 60:.0f} to {recorded_s / 60:.0f}: "
-              f"{60 * grown_mb / (recorded_s - SETTLED_S):.2f} MB a minute")
+        last_s = recorded_s - 60.0  # the end of the run, which writes its files, is not growth
+        grown_mb = (memory_mb(int(len(frames) * last_s / recorded_s))
+                    - memory_mb(int(len(frames) * SETTLED_S / recorded_s)))
+        print(f"memory from minute {SETTLED_S / 60:.0f} to {last_s / 60:.0f}: "
+              f"{60 * grown_mb / (last_s - SETTLED_S):.2f} MB a minute")
 
 
 def parse_arguments():

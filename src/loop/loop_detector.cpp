@@ -21,7 +21,7 @@ namespace semantic_topo_loop::core {
 namespace {
 
 constexpr std::int64_t kSettle_ns = 300'000'000;  ///< a jump may take several frames
-constexpr std::size_t kRecordCapacity = 30'000;   ///< decisions that are explained without a new comparison: some 10 MB
+constexpr std::size_t kRecordCapacity = 20'000;   ///< decisions that are explained without a new comparison: some 6 MB
 
 /// The submaps of an earlier run are never too recent, whatever its clock said.
 LoopOptions without_gap(LoopOptions options) {
