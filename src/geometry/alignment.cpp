@@ -6,27 +6,24 @@
 namespace semantic_topo_loop::core {
 
 std::optional<Alignment> align_points(const std::vector<Vec3>& points_a, const std::vector<Vec3>& points_b,
-                                      bool with_scale, const std::vector<double>& weights) {
+                                      bool with_scale) {
   const std::size_t n = points_a.size();
-  if (n < 3 || points_b.size() != n || (!weights.empty() && weights.size() != n)) return std::nullopt;
-  const auto weight = [&](std::size_t i) { return weights.empty() ? 1.0 : weights[i]; };
-
-  double total = 0.0;
+  if (n < 3 || points_b.size() != n) return std::nullopt;
+  const double total = static_cast<double>(n);
   Vec3 mean_a = Vec3::Zero(), mean_b = Vec3::Zero();
   for (std::size_t i = 0; i < n; ++i) {
-    total += weight(i);
-    mean_a += weight(i) * points_a[i];
-    mean_b += weight(i) * points_b[i];
+    mean_a += points_a[i];
+    mean_b += points_b[i];
   }
-  if (!(total > 0.0) || !mean_a.allFinite() || !mean_b.allFinite()) return std::nullopt;
+  if (!mean_a.allFinite() || !mean_b.allFinite()) return std::nullopt;
   mean_a /= total;
   mean_b /= total;
 
   Mat3 cross = Mat3::Zero(), scatter_b = Mat3::Zero();
   for (std::size_t i = 0; i < n; ++i) {
     const Vec3 b = points_b[i] - mean_b;
-    cross += weight(i) / total * (points_a[i] - mean_a) * b.transpose();
-    scatter_b += weight(i) / total * b * b.transpose();
+    cross += 1.0 / total * (points_a[i] - mean_a) * b.transpose();
+    scatter_b += 1.0 / total * b * b.transpose();
   }
   const Eigen::JacobiSVD<Mat3> svd(cross, Eigen::ComputeFullU | Eigen::ComputeFullV);
   const Vec3& singular = svd.singularValues();
@@ -44,8 +41,8 @@ std::optional<Alignment> align_points(const std::vector<Vec3>& points_a, const s
 
   double squared = 0.0;
   for (std::size_t i = 0; i < n; ++i) {
-    squared += weight(i) / total *
-               (points_a[i] - result.scale * (result.T_a_b.q * points_b[i]) - result.T_a_b.t).squaredNorm();
+    squared +=
+        1.0 / total * (points_a[i] - result.scale * (result.T_a_b.q * points_b[i]) - result.T_a_b.t).squaredNorm();
   }
   result.rms_m = std::sqrt(squared);
   return result;

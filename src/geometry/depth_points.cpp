@@ -104,12 +104,12 @@ Neighbourhood look(const FramePoints& points, const Box& box) {
   return result;
 }
 
-template <class Point, class Position>
-void remove_plane(const Plane& plane, Position position, std::vector<Point>* points) {
-  const auto lies_in = [&](const Point& point) {
-    const Vec3& p = position(point);
-    return std::abs(plane.distance(p)) <= plane_tolerance_m(p.z());
-  };
+const Vec3& position(const Vec3& point) { return point; }
+const Vec3& position(const SeenPoint& point) { return point.point_camera; }
+
+template <class Point>
+void remove_plane(const Plane& plane, std::vector<Point>* points) {
+  const auto lies_in = [&plane](const Point& point) { return plane.holds(position(point)); };
   points->erase(std::remove_if(points->begin(), points->end(), lies_in), points->end());
 }
 
@@ -120,10 +120,8 @@ std::vector<SeenPoint> without_supports(Neighbourhood neighbourhood) {
     const double share = static_cast<double>(least) / static_cast<double>(neighbourhood.around.size());
     const std::optional<Plane> plane = dominant_plane(neighbourhood.around, kHypotheses, share);
     if (!plane) break;
-    const auto of_point = [](const Vec3& p) -> const Vec3& { return p; };
-    const auto of_seen = [](const SeenPoint& p) -> const Vec3& { return p.point_camera; };
-    remove_plane(*plane, of_point, &neighbourhood.around);
-    remove_plane(*plane, of_seen, &neighbourhood.inside);
+    remove_plane(*plane, &neighbourhood.around);
+    remove_plane(*plane, &neighbourhood.inside);
   }
   return std::move(neighbourhood.inside);
 }
@@ -270,7 +268,7 @@ FramePoints::FramePoints(const std::vector<Vec3>& points_camera, const Camera& c
   seen.reserve(points_camera.size());
   for (const Vec3& p : points_camera) {
     if (!p.allFinite() || !(p.z() > 0.0)) continue;
-    const Vec2 pixel(camera.fx * p.x() / p.z() + camera.cx, camera.fy * p.y() / p.z() + camera.cy);
+    const Vec2 pixel = camera.pixel(p);
     if (pixel.allFinite()) seen.push_back({pixel, p});
   }
   grid_.sort(seen.size(), [&seen](std::size_t i) -> const Vec2& { return seen[i].pixel; });
@@ -325,7 +323,7 @@ std::shared_ptr<const Surface> make_surface(const std::vector<Vec3>& object_poin
                                             const Box& box) {
   std::array<std::vector<Vec3>, kSurfaceCells * kSurfaceCells> cells;
   for (const Vec3& p : object_points_camera) {
-    const Vec2 pixel(camera.fx * p.x() / p.z() + camera.cx, camera.fy * p.y() / p.z() + camera.cy);
+    const Vec2 pixel = camera.pixel(p);
     if (eccentricity(pixel, box) >= kMiddle) continue;
     const auto cell = [](double share) {
       return std::clamp(static_cast<int>(share * kSurfaceCells), 0, kSurfaceCells - 1);

@@ -17,16 +17,18 @@ namespace semantic_topo_loop::core {
 /// noise, so that the depth's grows with the square (Khoshelham and Elberink 2012: 1.4 mm at one metre).
 inline double depth_sigma_m(double depth_m) { return 1.4e-3 * depth_m * depth_m; }
 
+/// Distance from a plane up to which a point seen by a depth camera counts as lying in it, m.
+double plane_tolerance_m(double depth_m);
+
 /// The points x with normal.dot(x) + offset = 0.
 struct Plane {
   Vec3 normal = Vec3::UnitZ();  ///< unit
   double offset = 0.0;          ///< m
 
   double distance(const Vec3& point) const { return normal.dot(point) + offset; }
+  /// @param point in the frame of the camera that saw it
+  bool holds(const Vec3& point) const { return std::abs(distance(point)) <= plane_tolerance_m(point.z()); }
 };
-
-/// Distance from a plane up to which a point seen by a depth camera counts as lying in it, m.
-double plane_tolerance_m(double depth_m);
 
 /// The plane that holds most of the points (RANSAC with a fixed seed, then least squares over its inliers).
 /// @param points_camera finite, in the frame of the camera that saw them   @param hypotheses planes through three

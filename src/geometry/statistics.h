@@ -14,6 +14,14 @@ inline double median(std::vector<double> values) {
   return *middle;
 }
 
+/// The key with the greatest value, the lowest on ties.
+template <class Map>
+typename Map::key_type with_most(const Map& values) {
+  return std::max_element(values.begin(), values.end(),
+                          [](const auto& p, const auto& q) { return p.second < q.second; })
+      ->first;
+}
+
 /// At most `count` of the items, evenly taken, in their order.
 template <class Item>
 std::vector<Item> evenly_taken(std::vector<Item> items, std::size_t count) {

@@ -79,7 +79,7 @@ Json to_json(const LocalMap& map) {
 
 class SubmapReader {
  public:
-  explicit SubmapReader(const ClassTable& classes) : classes_(classes), labels_(classes) {}
+  explicit SubmapReader(const ClassTable& classes) : classes_(classes) {}
 
   LocalMap read(const JsonField& field) const {
     LocalMap map;
@@ -131,7 +131,7 @@ class SubmapReader {
     box.box = row.box();
     box.landmark_id = fields[4].integer();
     box.class_id = read_class(fields[5]);
-    box.label = labels_.label(box.class_id);
+    box.label = classes_.label(box.class_id);
     const std::int64_t truncated = fields[6].integer();
     if (truncated < 0 || truncated > 15) fields[6].reject("must be a sum of 1, 2, 4, 8");
     box.truncated = static_cast<std::uint8_t>(truncated);
@@ -142,7 +142,7 @@ class SubmapReader {
     LocalObject object;
     object.landmark_id = field.member("landmark_id").integer();
     object.class_id = read_class(field.member("class_id"));
-    object.label = labels_.label(object.class_id);
+    object.label = classes_.label(object.class_id);
     object.spheroid.center = field.member("center").numbers<3>();
     object.spheroid.log_axes = field.member("log_axes").numbers<2>();
     constexpr double kMaxLogAxis = 10.0;  // 22 km
@@ -168,7 +168,6 @@ class SubmapReader {
   }
 
   const ClassTable& classes_;
-  LabelTable labels_;
 };
 
 }  // namespace

@@ -31,14 +31,12 @@ LoopOptions without_gap(LoopOptions options) {
 
 }  // namespace
 
-class LoopDetector::Impl {
- public:
+struct LoopDetector::Impl {
   Impl(const LoopOptions& options, const ClassTable& classes)
       : options_(options),
         paper_mode_(options.mode == "paper"),
-        window_(paper_mode_ ? options.paper_window_s : options.window_s, options.frame_interval_s, LabelTable(classes)),
+        window_(paper_mode_ ? options.paper_window_s : options.window_s, options.frame_interval_s, classes),
         up_(options.up_window_s),
-        builder_(options),
         graph_(options),
         paper_(options, redirects_) {}
 
@@ -55,7 +53,7 @@ class LoopDetector::Impl {
     up_.push(frame);
     if (!paper_mode_) watch_odometry(frame, taken);
     if (!is_due(frame)) return {};
-    std::optional<LocalMap> map = builder_.build(window_.frames(), redirects_, up_);
+    std::optional<LocalMap> map = build_local_map(window_.frames(), redirects_, up_, options_);
     if (!map) return {};
     if (paper_mode_) {
       std::vector<LoopClosure> loops = paper_.detect(std::move(*map), options_.enabled);
@@ -80,25 +78,6 @@ class LoopDetector::Impl {
     return loops;
   }
 
-  void set_enabled(bool enabled) { options_.enabled = enabled; }
-
-  void set_earlier_map(std::vector<LocalMap> submaps) {
-    earlier_.emplace(without_gap(options_));
-    for (LocalMap& submap : submaps) {
-      submap.is_earlier = true;
-      submap.segment = -1;
-      earlier_->insert(std::move(submap));
-    }
-  }
-
-  std::optional<Relocalisation> relocalisation() const { return relocaliser_.estimate(); }
-
-  std::vector<LocalMap> submaps() const {
-    std::vector<LocalMap> submaps;
-    for (const auto& [number, stored] : graph_.submaps()) submaps.push_back(stored.map);
-    return submaps;
-  }
-
   LoopExplanation explain(std::int64_t query_id, std::int64_t match_id) const {
     for (const std::int64_t id : {query_id, match_id}) {
       if (keyframes_.count(id) == 0) return {PairStatus::kUnknownKeyframe, unknown_keyframe(id), std::nullopt};
@@ -114,7 +93,6 @@ class LoopDetector::Impl {
     return explain_by_submaps(query_id, match_id);
   }
 
- private:
   struct KeyframeTime {
     std::int64_t frame_id = -1;
     std::int64_t stamp_ns = 0;
@@ -229,7 +207,6 @@ class LoopDetector::Impl {
   BurstWatch bursts_;
   UpEstimator up_;
   LandmarkRedirects redirects_;
-  LocalMapBuilder builder_;
   GraphDetector graph_;
   PaperDetector paper_;
   std::optional<GraphDetector> earlier_;  ///< of an earlier run's submaps
@@ -239,21 +216,29 @@ class LoopDetector::Impl {
 };
 
 LoopDetector::LoopDetector(const LoopOptions& options, std::shared_ptr<const ClassTable> classes)
-    : impl_(std::make_unique<Impl>(options, *classes)) {}
-LoopDetector::~LoopDetector() = default;
-LoopDetector::LoopDetector(LoopDetector&&) noexcept = default;
-LoopDetector& LoopDetector::operator=(LoopDetector&&) noexcept = default;
+    : impl_(new Impl(options, *classes), [](Impl* impl) { delete impl; }) {}
 
 void LoopDetector::apply(const MapUpdate& update) { impl_->apply(update); }
 std::vector<LoopClosure> LoopDetector::detect(const Frame& frame, const AssociationFrame& associations) {
   return impl_->detect(frame, associations);
 }
-void LoopDetector::set_enabled(bool enabled) { impl_->set_enabled(enabled); }
+void LoopDetector::set_enabled(bool enabled) { impl_->options_.enabled = enabled; }
 LoopExplanation LoopDetector::explain(std::int64_t query_keyframe_id, std::int64_t match_keyframe_id) const {
   return impl_->explain(query_keyframe_id, match_keyframe_id);
 }
-void LoopDetector::set_earlier_map(std::vector<LocalMap> submaps) { impl_->set_earlier_map(std::move(submaps)); }
-std::optional<Relocalisation> LoopDetector::relocalisation() const { return impl_->relocalisation(); }
-std::vector<LocalMap> LoopDetector::submaps() const { return impl_->submaps(); }
+void LoopDetector::set_earlier_map(std::vector<LocalMap> submaps) {
+  GraphDetector& earlier = impl_->earlier_.emplace(without_gap(impl_->options_));
+  for (LocalMap& submap : submaps) {
+    submap.is_earlier = true;
+    submap.segment = -1;
+    earlier.insert(std::move(submap));
+  }
+}
+std::optional<Relocalisation> LoopDetector::relocalisation() const { return impl_->relocaliser_.estimate(); }
+std::vector<LocalMap> LoopDetector::submaps() const {
+  std::vector<LocalMap> submaps;
+  for (const auto& [number, stored] : impl_->graph_.submaps()) submaps.push_back(stored.map);
+  return submaps;
+}
 
 }  // namespace semantic_topo_loop::core

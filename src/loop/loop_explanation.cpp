@@ -1,9 +1,9 @@
-#include "semantic_topo_loop/loop/loop_explanation.h"
-
 #include <array>
 #include <sstream>
 
 #include "loop/pair_record.h"
+#include "semantic_topo_loop/loop/loop_detector.h"
+#include "semantic_topo_loop/loop/loop_options.h"
 
 namespace semantic_topo_loop::core {
 namespace {

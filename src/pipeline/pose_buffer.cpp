@@ -29,7 +29,7 @@ std::string find_fault(const SE3& pose) {
 PoseBuffer::PoseBuffer(double max_gap_s, double keep_s)
     : max_gap_ns_(to_nanoseconds(max_gap_s)), keep_ns_(to_nanoseconds(keep_s)) {}
 
-Result<void> PoseBuffer::add(std::int64_t stamp_ns, const SE3& pose) {
+core::Status PoseBuffer::add(std::int64_t stamp_ns, const SE3& pose) {
   std::string fault = find_fault(pose);
   if (fault.empty() && !samples_.empty() && stamp_ns < newest_ns() - keep_ns_) fault = "is older than what is kept";
   if (fault.empty() && !samples_.try_emplace(stamp_ns, pose.q.normalized(), pose.t).second) {

@@ -12,10 +12,6 @@ Result<ClassTable> ClassTable::create(std::vector<ObjectClass> classes) {
       return Error{"class id " + std::to_string(id) + " is listed twice"};
     }
   }
-  for (const auto& [id, object_class] : table.classes_) {
-    const bool is_mappable = object_class.role == ClassRole::kStatic || object_class.role == ClassRole::kMovable;
-    if (is_mappable) table.mappable_.push_back(id);
-  }
   return table;
 }
 
@@ -43,20 +39,19 @@ bool ClassTable::confusable(int a, int b) const {
   return class_a != nullptr && class_b != nullptr && !class_a->group.empty() && class_a->group == class_b->group;
 }
 
-bool ClassTable::is_mappable(int id) const { return std::binary_search(mappable_.begin(), mappable_.end(), id); }
-
-LabelTable::LabelTable(const ClassTable& classes) {
-  std::map<std::string, int> label_of_group;
-  for (const auto& [id, object_class] : classes.classes()) {
-    if (!classes.is_mappable(id)) continue;
-    const bool grouped = !object_class.group.empty();
-    label_of_class_[id] = grouped ? label_of_group.emplace(object_class.group, id).first->second : id;
-  }
+bool ClassTable::is_mappable(int id) const {
+  const ObjectClass* object_class = find(id);
+  return object_class != nullptr &&
+         (object_class->role == ClassRole::kStatic || object_class->role == ClassRole::kMovable);
 }
 
-int LabelTable::label(int class_id) const {
-  const auto it = label_of_class_.find(class_id);
-  return it == label_of_class_.end() ? -1 : it->second;
+int ClassTable::label(int id) const {
+  if (!is_mappable(id)) return -1;
+  const std::string& group = find(id)->group;
+  const auto is_alike = [this, &group](const auto& entry) {
+    return entry.second.group == group && is_mappable(entry.first);
+  };
+  return group.empty() ? id : std::find_if(classes_.begin(), classes_.end(), is_alike)->first;
 }
 
 }  // namespace semantic_topo_loop::core

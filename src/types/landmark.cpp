@@ -1,5 +1,6 @@
 #include "semantic_topo_loop/types/landmark.h"
 
+#include <algorithm>
 #include <array>
 
 namespace semantic_topo_loop::core {
@@ -21,6 +22,37 @@ const char* to_string(LandmarkState state) {
   constexpr std::array<const char*, 3> kNames = {"candidate", "confirmed", "retired"};
   const auto i = static_cast<std::size_t>(state);
   return i < kNames.size() ? kNames[i] : "unknown";
+}
+
+void LandmarkRedirects::apply(const MapUpdate& update) {
+  for (const LandmarkMerge& merge : update.unmerged) {
+    const auto it = survivor_.find(merge.merged_id);
+    if (it == survivor_.end() || it->second != merge.survivor_id) continue;
+    std::vector<std::int64_t>& merged = merged_into_[merge.survivor_id];
+    merged.erase(std::remove(merged.begin(), merged.end(), merge.merged_id), merged.end());
+    survivor_.erase(it);
+  }
+  for (const LandmarkMerge& merge : update.merged) {
+    if (resolve(merge.survivor_id) == merge.merged_id) continue;  // no id stands for itself by a detour
+    if (survivor_.emplace(merge.merged_id, merge.survivor_id).second) {
+      merged_into_[merge.survivor_id].push_back(merge.merged_id);
+    }
+  }
+}
+
+std::int64_t LandmarkRedirects::resolve(std::int64_t id) const {
+  for (auto it = survivor_.find(id); it != survivor_.end(); it = survivor_.find(id)) id = it->second;
+  return id;
+}
+
+std::vector<std::int64_t> LandmarkRedirects::aliases(std::int64_t id) const {
+  std::vector<std::int64_t> ids = {resolve(id)};
+  for (std::size_t i = 0; i < ids.size(); ++i) {
+    const auto it = merged_into_.find(ids[i]);
+    if (it != merged_into_.end()) ids.insert(ids.end(), it->second.begin(), it->second.end());
+  }
+  std::sort(ids.begin(), ids.end());
+  return ids;
 }
 
 }  // namespace semantic_topo_loop::core

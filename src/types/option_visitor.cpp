@@ -1,7 +1,6 @@
 #include "semantic_topo_loop/types/option_visitor.h"
 
 #include <algorithm>
-#include <array>
 #include <cmath>
 #include <type_traits>
 
@@ -47,17 +46,9 @@ std::string set_field(const std::string& text, std::string* field) {
 
 /// The unit in which a number of that name is; empty if it has none.
 std::string unit_of(const std::string& key) {
-  static const std::array<std::pair<const char*, const char*>, 11> kUnits = {{{"_m_s", "m/s"},
-                                                                              {"_per_s", "1/s"},
-                                                                              {"_deg_s", "deg/s"},
-                                                                              {"_s", "s"},
-                                                                              {"_m", "m"},
-                                                                              {"_px", "px"},
-                                                                              {"_deg", "deg"},
-                                                                              {"_rad", "rad"},
-                                                                              {"_hz", "Hz"},
-                                                                              {"_share", "share"},
-                                                                              {"_percent", "%"}}};
+  static constexpr std::pair<const char*, const char*> kUnits[] = {
+      {"_m_s", "m/s"}, {"_per_s", "1/s"}, {"_deg_s", "deg/s"}, {"_s", "s"},         {"_m", "m"},      {"_px", "px"},
+      {"_deg", "deg"}, {"_rad", "rad"},   {"_hz", "Hz"},       {"_share", "share"}, {"_percent", "%"}};
   for (const auto& [ending, unit] : kUnits) {
     const std::string text = ending;
     if (key.size() > text.size() && key.compare(key.size() - text.size(), text.size(), text) == 0) return unit;
@@ -152,13 +143,9 @@ std::vector<OptionRow> OptionVisitor::rows() const {
     const bool is_text = std::holds_alternative<std::string*>(option.field);
     const bool is_number = !is_text && !std::holds_alternative<bool*>(option.field);
     const std::string rule = option.range.rule(), between = rule.empty() || option.relation.empty() ? "" : "; ";
-    rows.push_back({option.key,
-                    std::visit([](const auto* field) { return to_text(*field); }, option.field),
-                    is_number ? unit_of(option.key) : "",
-                    rule + between + option.relation,
-                    option.meaning,
-                    is_text,
-                    {}});
+    const std::string value = std::visit([](const auto* field) { return to_text(*field); }, option.field);
+    const std::string unit = is_number ? unit_of(option.key) : "";
+    rows.push_back({option.key, value, unit, rule + between + option.relation, option.meaning, is_text, {}});
   }
   return rows;
 }

@@ -3,6 +3,8 @@
 #include <cstdio>
 #include <limits>
 
+#include "semantic_topo_loop/types/text.h"
+
 namespace semantic_topo_loop::core {
 namespace {
 
@@ -15,17 +17,12 @@ struct Decimal {
 };
 
 /// Reads "e+09" and the like at the end of a number; a missing exponent is 0.
-std::optional<long> parse_exponent(std::string_view text) {
+std::optional<std::int64_t> parse_exponent(std::string_view text) {
   if (text.empty()) return 0;
   if (text.front() != 'e' && text.front() != 'E') return std::nullopt;
-  text.remove_prefix(1);
-  const bool negative = !text.empty() && text.front() == '-';
-  if (!text.empty() && (text.front() == '-' || text.front() == '+')) text.remove_prefix(1);
-  constexpr std::size_t kMaxDigits = 4;  // more than doubles have, and no overflow below
-  if (text.empty() || text.size() > kMaxDigits || !std::all_of(text.begin(), text.end(), is_digit)) return std::nullopt;
-  long exponent = 0;
-  for (const char c : text) exponent = 10 * exponent + (c - '0');
-  return negative ? -exponent : exponent;
+  const std::optional<std::int64_t> exponent = parse_integer(text.substr(1));
+  constexpr std::int64_t kMax = 9999;  // more than doubles have, and no overflow below
+  return exponent && *exponent >= -kMax && *exponent <= kMax ? exponent : std::nullopt;
 }
 
 std::optional<Decimal> parse_decimal(std::string_view text) {
@@ -36,7 +33,7 @@ std::optional<Decimal> parse_decimal(std::string_view text) {
   if (i < text.size() && text[i] == '.') {
     for (++i; i < text.size() && is_digit(text[i]); ++i) decimal.digits += text[i];
   }
-  const std::optional<long> exponent = parse_exponent(text.substr(i));
+  const std::optional<std::int64_t> exponent = parse_exponent(text.substr(i));
   if (decimal.digits.empty() || !exponent) return std::nullopt;
   decimal.whole += *exponent;
   return decimal;

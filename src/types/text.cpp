@@ -33,6 +33,13 @@ std::string_view trim(std::string_view text) {
   return text.substr(begin, text.find_last_not_of(kBlanks) - begin + 1);
 }
 
+std::string print(const char* format, int digits, double value) {
+  const ClassicLocale classic;
+  char text[352];  // the longest double has 309 digits before the point
+  std::snprintf(text, sizeof(text), format, digits, value);
+  return text;
+}
+
 }  // namespace
 
 std::vector<TextLine> content_lines(std::string_view text) {
@@ -97,18 +104,8 @@ std::string at_line(const std::string& path, int line, const std::string& messag
   return path + ":" + std::to_string(line) + ": " + message;
 }
 
-std::string format_fixed(double value, int decimals) {
-  const ClassicLocale classic;
-  char text[352];  // the longest double has 309 digits before the point
-  std::snprintf(text, sizeof(text), "%.*f", decimals, value);
-  return text;
-}
+std::string format_fixed(double value, int decimals) { return print("%.*f", decimals, value); }
 
-std::string format_general(double value, int digits) {
-  const ClassicLocale classic;
-  char text[64];
-  std::snprintf(text, sizeof(text), "%.*g", digits, value);
-  return text;
-}
+std::string format_general(double value, int digits) { return print("%.*g", digits, value); }
 
 }  // namespace semantic_topo_loop::core

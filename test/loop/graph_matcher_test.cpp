@@ -52,9 +52,7 @@ Problem random_problem(std::uint64_t seed, int common, int others, int labels) {
   return problem;
 }
 
-std::vector<GraphMatch> match(const Problem& problem) {
-  return GraphMatcher(LoopOptions()).match(problem.a, problem.b);
-}
+std::vector<GraphMatch> match(const Problem& problem) { return match_graphs(problem.a, problem.b, LoopOptions()); }
 
 TEST(GraphMatcher, FindsTheCommonPartAmongOutliers) {
   int exact = 0;
@@ -78,7 +76,6 @@ TEST(GraphMatcher, FindsTheCommonPartAmongOutliers) {
 TEST(GraphMatcher, VotesForTheScale) {
   LoopOptions options;
   options.scale = "free";
-  const GraphMatcher free(options), fixed{LoopOptions()};
   std::mt19937_64 random(5);
   int exact = 0;
   for (std::uint64_t seed = 0; seed < 200; ++seed) {
@@ -88,7 +85,7 @@ TEST(GraphMatcher, VotesForTheScale) {
       point.position /= of_a_over_b;
       point.size /= of_a_over_b;
     }
-    const std::vector<GraphMatch> matches = free.match(problem.a, problem.b);
+    const std::vector<GraphMatch> matches = match_graphs(problem.a, problem.b, options);
     if (matches.empty()) continue;
     const GraphMatch& best = matches.front();
     bool close = std::abs(best.scale / of_a_over_b - 1.0) < 0.05;
@@ -97,7 +94,7 @@ TEST(GraphMatcher, VotesForTheScale) {
       close = close && (p - problem.a[static_cast<std::size_t>(i)].position).norm() < 0.1;
     }
     exact += close ? 1 : 0;
-    for (const GraphMatch& match : fixed.match(problem.a, problem.b)) EXPECT_EQ(match.scale, 1.0);
+    for (const GraphMatch& match : match(problem)) EXPECT_EQ(match.scale, 1.0);
   }
   EXPECT_GE(exact, 190);
 }
@@ -105,13 +102,12 @@ TEST(GraphMatcher, VotesForTheScale) {
 TEST(GraphMatcher, AFreeScaleFindsNothingInDegenerateInput) {
   LoopOptions options;
   options.scale = "free";
-  const GraphMatcher matcher(options);
   std::mt19937_64 random(1);
   std::vector<LabelledPoint> one_place(6, random_point(random, 1)), broken = one_place;
   for (LabelledPoint& point : broken) point.position.x() = std::numeric_limits<double>::quiet_NaN();
-  EXPECT_TRUE(matcher.match({}, {}).empty());
-  EXPECT_TRUE(matcher.match(one_place, one_place).empty());
-  EXPECT_TRUE(matcher.match(broken, one_place).empty());
+  EXPECT_TRUE(match_graphs({}, {}, options).empty());
+  EXPECT_TRUE(match_graphs(one_place, one_place, options).empty());
+  EXPECT_TRUE(match_graphs(broken, one_place, options).empty());
 }
 
 TEST(GraphMatcher, IsExactWithoutNoise) {
@@ -191,17 +187,17 @@ TEST(GraphMatcher, TwoWaysToLieAreBothReported) {
 }
 
 TEST(GraphMatcher, DegenerateInputGivesNothing) {
-  const GraphMatcher matcher{LoopOptions()};
-  EXPECT_TRUE(matcher.match({}, {}).empty());
+  const LoopOptions options;
+  EXPECT_TRUE(match_graphs({}, {}, options).empty());
   std::vector<LabelledPoint> points = random_problem(1, 3, 0, 2).a;
-  EXPECT_TRUE(matcher.match(points, points).empty()) << "too few";
+  EXPECT_TRUE(match_graphs(points, points, options).empty()) << "too few";
 
   points = random_problem(1, 8, 0, 2).a;
   for (LabelledPoint& point : points) point.position = Vec3(0.3, 0.2, 0.1);
-  EXPECT_TRUE(matcher.match(points, points).empty()) << "all in one place";
+  EXPECT_TRUE(match_graphs(points, points, options).empty()) << "all in one place";
 
   for (std::size_t i = 0; i < points.size(); ++i) points[i].position = Vec3(0.3 * static_cast<double>(i), 0, 0);
-  for (const GraphMatch& match : matcher.match(points, points)) {
+  for (const GraphMatch& match : match_graphs(points, points, options)) {
     EXPECT_TRUE(match.T_a_b.is_finite());
     EXPECT_LT(match.spread_m(1), 0.05) << "on a line";
   }
@@ -212,7 +208,7 @@ TEST(GraphMatcher, DegenerateInputGivesNothing) {
   broken[0].position.x() = nan;
   broken[1].size = nan;
   broken[2].size = -1.0;
-  for (const GraphMatch& match : matcher.match(broken, points)) {
+  for (const GraphMatch& match : match_graphs(broken, points, options)) {
     EXPECT_TRUE(match.T_a_b.is_finite());
     for (const NodePair& pair : match.pairs) EXPECT_GT(pair.a, 2);
   }
@@ -221,33 +217,33 @@ TEST(GraphMatcher, DegenerateInputGivesNothing) {
 TEST(CliqueSearch, FindsAPlantedClique) {
   std::mt19937_64 random(17);
   for (int trial = 0; trial < 50; ++trial) {
-    const int n = 90;
-    BitGraph graph(n);
-    for (int i = 0; i < n; ++i) {
-      for (int j = i + 1; j < n; ++j) {
-        if (uniform(random, 0, 1) < 0.15) graph.connect(i, j);
+    const std::size_t n = 90;
+    BitGraph graph(n, Bits(n));
+    for (std::size_t i = 0; i < n; ++i) {
+      for (std::size_t j = i + 1; j < n; ++j) {
+        if (uniform(random, 0, 1) < 0.15) graph[i][j] = graph[j][i] = true;
       }
     }
-    std::vector<int> planted;
-    for (int i = 0; i < 9; ++i) planted.push_back(static_cast<int>(uniform(random, i * 10, i * 10 + 10)));
-    for (const int i : planted) {
-      for (const int j : planted) {
-        if (i != j) graph.connect(i, j);
+    Clique planted;
+    for (int i = 0; i < 9; ++i) planted.push_back(static_cast<std::size_t>(uniform(random, i * 10, i * 10 + 10)));
+    for (const std::size_t i : planted) {
+      for (const std::size_t j : planted) {
+        if (i != j) graph[i][j] = true;
       }
     }
-    const std::vector<int> clique = largest_clique(graph, 100000);
+    const Clique clique = largest_clique(graph, 100000);
     EXPECT_GE(clique.size(), planted.size());
-    for (const int i : clique) {
-      for (const int j : clique) EXPECT_TRUE(i == j || graph.connected(i, j));
+    for (const std::size_t i : clique) {
+      for (const std::size_t j : clique) EXPECT_TRUE(i == j || graph[i][j]);
     }
-    const std::vector<int> grown = greedy_clique(graph, planted.front());
+    const Clique grown = greedy_clique(graph, planted.front());
     EXPECT_NE(std::find(grown.begin(), grown.end(), planted.front()), grown.end());
   }
 }
 
 TEST(CliqueSearch, HandlesEmptyAndLooseGraphs) {
-  EXPECT_TRUE(largest_clique(BitGraph(0), 100).empty());
-  EXPECT_EQ(largest_clique(BitGraph(5), 100).size(), 1u);
+  EXPECT_TRUE(largest_clique({}, 100).empty());
+  EXPECT_EQ(largest_clique(BitGraph(5, Bits(5)), 100).size(), 1u);
 }
 
 std::vector<LabelledPoint> random_points(std::mt19937_64& random, int count) {

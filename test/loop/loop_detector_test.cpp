@@ -14,7 +14,6 @@
 #include "loop/pair_record.h"
 #include "loop/submap/submap_builder.h"
 #include "semantic_topo_loop/geometry/lie.h"
-#include "semantic_topo_loop/loop/loop_explanation.h"
 #include "semantic_topo_loop/pipeline/options.h"
 #include "support/synthetic_desk.h"
 

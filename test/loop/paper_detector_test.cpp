@@ -102,12 +102,8 @@ TEST(ObjectIndex, CountsCommonLandmarks) {
   index.insert(0, {1, 2, 3});
   index.insert(1, {3, 4});
   index.insert(2, {1, 3, 4});
-  const auto candidates = index.query({1, 3, 9}, {}, 2);
-  ASSERT_EQ(candidates.size(), 2u);
-  EXPECT_EQ(candidates[0].keyframe, 0);
-  EXPECT_EQ(candidates[1].keyframe, 2);
-  EXPECT_EQ(candidates[1].common, 2);
-  EXPECT_TRUE(index.query({9}, {}, 1).empty());
+  EXPECT_EQ(index.query({1, 3, 9}, {}), (std::map<int, int>{{0, 2}, {1, 1}, {2, 2}}));
+  EXPECT_TRUE(index.query({9}, {}).empty());
 }
 
 TEST(ObjectIndex, FollowsMergesAndWhatTakesThemBack) {
@@ -120,14 +116,14 @@ TEST(ObjectIndex, FollowsMergesAndWhatTakesThemBack) {
   redirects.apply(update);
   EXPECT_EQ(redirects.resolve(7), 1);
   EXPECT_EQ(redirects.aliases(5), (std::vector<std::int64_t>{1, 5, 7}));
-  EXPECT_EQ(index.query({1, 2}, redirects, 2).size(), 2U);
-  EXPECT_EQ(index.query({7, 5, 1}, redirects, 1).front().common, 1);
+  EXPECT_EQ(index.query({1, 2}, redirects), (std::map<int, int>{{0, 2}, {1, 2}}));
+  EXPECT_EQ(index.query({7, 5, 1}, redirects).at(0), 1);
   MapUpdate back;
   back.unmerged = {{7, 5}, {5, 1}};
   redirects.apply(back);
   EXPECT_EQ(redirects.resolve(7), 7);
   EXPECT_EQ(redirects.aliases(1), std::vector<std::int64_t>{1});
-  EXPECT_EQ(index.query({1, 2}, redirects, 2).size(), 1U);
+  EXPECT_EQ(index.query({1, 2}, redirects), (std::map<int, int>{{0, 2}, {1, 1}}));
 }
 
 }  // namespace

@@ -34,7 +34,7 @@ struct BuiltMap {
 BuiltMap sweep(const std::vector<DeskObject>& desk, double begin_deg, double end_deg, std::uint64_t seed,
                bool one_id = false) {
   const LoopOptions options;
-  ObservationWindow window(options.window_s, options.frame_interval_s, LabelTable(*desk_classes()));
+  ObservationWindow window(options.window_s, options.frame_interval_s, *desk_classes());
   UpEstimator up(options.up_window_s);
   FrameBuilder builder(KeyframeOptions(), desk_camera());
   std::mt19937_64 random(seed);
@@ -53,7 +53,7 @@ BuiltMap sweep(const std::vector<DeskObject>& desk, double begin_deg, double end
     up.push(*frame);
     poses.push_back(pose);
   }
-  const auto map = LocalMapBuilder(options).build(window.frames(), LandmarkRedirects(), up);
+  const auto map = build_local_map(window.frames(), LandmarkRedirects(), up, options);
   return {*map, poses[static_cast<std::size_t>(map->frame_id)]};
 }
 
@@ -98,11 +98,11 @@ TEST(LocalMap, UpIsUncertainWithoutTurning) {
 TEST(LocalMap, IsEmptyWithoutAKeyframe) {
   const LoopOptions options;
   const UpEstimator up(options.up_window_s);
-  EXPECT_FALSE(LocalMapBuilder(options).build({}, LandmarkRedirects(), up).has_value());
+  EXPECT_FALSE(build_local_map({}, LandmarkRedirects(), up, options).has_value());
 }
 
 TEST(ObservationWindow, StartsAfreshAtABreak) {
-  ObservationWindow window(8.0, 0.09, LabelTable(*desk_classes()));
+  ObservationWindow window(8.0, 0.09, *desk_classes());
   Frame frame;
   frame.camera = desk_camera();
   for (std::int64_t k = 0; k < 20; ++k) {
@@ -116,7 +116,7 @@ TEST(ObservationWindow, StartsAfreshAtABreak) {
 }
 
 TEST(ObservationWindow, LeavesOutWhatIsNoLandmark) {
-  ObservationWindow window(8.0, 0.09, LabelTable(*desk_classes()));
+  ObservationWindow window(8.0, 0.09, *desk_classes());
   Frame frame;
   frame.camera = desk_camera();
   AssociationFrame associations;
@@ -218,7 +218,7 @@ TEST(SubmapRefiner, RefusesWhatCannotBeSolved) {
 TEST(LoopVerifier, AcceptsTheTruthAndTellsWhatFails) {
   const auto desk = random_desk(1, 12);
   const BuiltMap a = sweep(desk, 0.0, 60.0, 5), b = sweep(desk, 50.0, 110.0, 6);
-  const LoopVerifier verifier{LoopOptions()};
+  const LoopOptions options;
   GraphMatch match;
   match.T_a_b = a.T_world_anchor.inverse() * b.T_world_anchor;
   match.pairs = true_pairs(a, b);
@@ -227,33 +227,33 @@ TEST(LoopVerifier, AcceptsTheTruthAndTellsWhatFails) {
   match.rms_m = 0.02;
   match.spread_m = Vec3(0.5, 0.3, 0.05);
   ASSERT_GE(match.pairs.size(), 7u);
-  EXPECT_EQ(verifier.verify(a.map, b.map, match, 2.0).reason, LoopReason::kAccepted);
-  EXPECT_EQ(verifier.verify(a.map, b.map, match, 8.0).reason, LoopReason::kAmbiguous);
+  EXPECT_EQ(verify_alignment(a.map, b.map, match, 2.0, options).reason, LoopReason::kAccepted);
+  EXPECT_EQ(verify_alignment(a.map, b.map, match, 8.0, options).reason, LoopReason::kAmbiguous);
 
   GraphMatch changed = match;
   changed.classes = 2;
-  EXPECT_EQ(verifier.verify(a.map, b.map, changed, 2.0).reason, LoopReason::kTooFewLabels);
+  EXPECT_EQ(verify_alignment(a.map, b.map, changed, 2.0, options).reason, LoopReason::kTooFewLabels);
   changed = match;
   changed.spread_m = Vec3(0.5, 0.01, 0.0);
-  EXPECT_EQ(verifier.verify(a.map, b.map, changed, 2.0).reason, LoopReason::kDegenerate);
+  EXPECT_EQ(verify_alignment(a.map, b.map, changed, 2.0, options).reason, LoopReason::kDegenerate);
   changed = match;
   changed.rms_m = 0.2;
-  EXPECT_EQ(verifier.verify(a.map, b.map, changed, 2.0).reason, LoopReason::kResidual);
+  EXPECT_EQ(verify_alignment(a.map, b.map, changed, 2.0, options).reason, LoopReason::kResidual);
   changed = match;
   changed.pairs.resize(5);
-  EXPECT_EQ(verifier.verify(a.map, b.map, changed, 2.0).reason, LoopReason::kTooFewInliers);
+  EXPECT_EQ(verify_alignment(a.map, b.map, changed, 2.0, options).reason, LoopReason::kTooFewInliers);
   LocalMap askew = b.map;
   askew.up.direction = so3_exp(radians(25.0) * askew.up.direction.unitOrthogonal()) * askew.up.direction;
   ASSERT_TRUE(a.map.up.certain && askew.up.certain);
-  EXPECT_EQ(verifier.verify(a.map, askew, match, 2.0).reason, LoopReason::kTilt);
+  EXPECT_EQ(verify_alignment(a.map, askew, match, 2.0, options).reason, LoopReason::kTilt);
   askew.up.certain = false;
-  EXPECT_NE(verifier.verify(a.map, askew, match, 2.0).reason, LoopReason::kTilt);
+  EXPECT_NE(verify_alignment(a.map, askew, match, 2.0, options).reason, LoopReason::kTilt);
   changed = match;
   const Vec3 up = a.map.up.direction;
   const Vec3 middle = match.T_a_b * b.map.objects.front().spheroid.center;
   const SE3 turn(so3_exp(radians(90.0) * up), middle - so3_exp(radians(90.0) * up) * middle);
   changed.T_a_b = turn * match.T_a_b;
-  EXPECT_NE(verifier.verify(a.map, b.map, changed, 2.0).reason, LoopReason::kAccepted);
+  EXPECT_NE(verify_alignment(a.map, b.map, changed, 2.0, options).reason, LoopReason::kAccepted);
 }
 
 TEST(LoopVerifier, RejectsAMirroredWorld) {
@@ -271,38 +271,46 @@ TEST(LoopVerifier, RejectsAMirroredWorld) {
   GraphMatch match;
   match.T_a_b = SE3(so3_exp(Vec3(kPi, 0, 0)), Vec3::Zero());
   for (int i = 0; i < 8; ++i) match.pairs.push_back({i, i});
-  EXPECT_TRUE(LoopVerifier::is_mirrored(a, b, match));
+  EXPECT_TRUE(is_mirrored(a, b, match));
   GraphMatch same = match;
   same.T_a_b = SE3();
-  EXPECT_FALSE(LoopVerifier::is_mirrored(a, a, same));
+  EXPECT_FALSE(is_mirrored(a, a, same));
   // No residual shows it: all that is said of the match is perfect.
   for (GraphMatch* perfect : {&match, &same}) {
     perfect->classes = 5;
     perfect->score = 8.0;
     perfect->spread_m = Vec3(0.5, 0.3, 0.0);
   }
-  const LoopVerifier verifier{LoopOptions()};
-  EXPECT_EQ(verifier.verify(a, b, match, 0.0).reason, LoopReason::kMirrored);
-  EXPECT_NE(verifier.verify(a, a, same, 0.0).reason, LoopReason::kMirrored);
+  const LoopOptions options;
+  EXPECT_EQ(verify_alignment(a, b, match, 0.0, options).reason, LoopReason::kMirrored);
+  EXPECT_NE(verify_alignment(a, a, same, 0.0, options).reason, LoopReason::kMirrored);
 }
 
 TEST(LoopVerifier, ComparesUpDirectionsOnlyWhenCertain) {
   LocalMap a, b;
   a.up = {Vec3::UnitY(), true};
   b.up = {Vec3::UnitZ(), true};
-  EXPECT_NEAR(LoopVerifier::tilt(a, b, SE3()), kPi / 2, 1e-9);
+  EXPECT_NEAR(tilt(a, b, SE3()), kPi / 2, 1e-9);
   b.up.certain = false;
-  EXPECT_EQ(LoopVerifier::tilt(a, b, SE3()), 0.0);
+  EXPECT_EQ(tilt(a, b, SE3()), 0.0);
 }
 
 constexpr std::int64_t kFrameNs = 33'000'000;
 
-TrackedBox box_at(double x, double y, int class_id = 1, double size = 0.1) {
-  return {{x - 0.5 * size, y - 0.5 * size, x + 0.5 * size, y + 0.5 * size}, class_id, 0.9};
+ObservedBox box_at(double x, double y, int class_id = 1, double size = 0.1) {
+  ObservedBox box;
+  box.class_id = class_id;
+  box.box = {x - 0.5 * size, y - 0.5 * size, x + 0.5 * size, y + 0.5 * size};
+  return box;
+}
+
+void follow(BoxTracker* tracker, std::int64_t stamp_ns, const Quaternion& q_odom_camera,
+            std::vector<ObservedBox>* boxes) {
+  tracker->follow(stamp_ns, q_odom_camera, std::vector<double>(boxes->size(), 0.9), boxes);
 }
 
 /// A box about the direction of a point, seen by a camera of that rotation.
-TrackedBox box_of(const Vec3& point, const Quaternion& q_world_camera, int class_id = 1) {
+ObservedBox box_of(const Vec3& point, const Quaternion& q_world_camera, int class_id = 1) {
   const Vec3 p = q_world_camera.conjugate() * point;
   return box_at(p.x() / p.z(), p.y() / p.z(), class_id);
 }
@@ -312,9 +320,9 @@ TEST(BoxTracker, FollowsThroughTurnsAndGaps) {
   std::int64_t first = -1, second = -1;
   for (int k = 0; k < 40; ++k) {
     const Quaternion q = so3_exp(Vec3(0.01 * k, -0.03 * k, 0.0));  // 50 deg a second: half a box from frame to frame
-    std::vector<TrackedBox> boxes = {box_of(Vec3(-0.5, 0.0, 2.0), q), box_of(Vec3(0.4, 0.1, 2.0), q, 2)};
+    std::vector<ObservedBox> boxes = {box_of(Vec3(-0.5, 0.0, 2.0), q), box_of(Vec3(0.4, 0.1, 2.0), q, 2)};
     if (k % 10 >= 4 && k % 10 < 8) boxes.pop_back();
-    tracker.follow(k * kFrameNs, q, &boxes);
+    follow(&tracker, k * kFrameNs, q, &boxes);
     if (k == 0) first = boxes[0].track_id;
     if (k == 0) second = boxes[1].track_id;
     EXPECT_EQ(boxes[0].track_id, first) << k;
@@ -327,36 +335,36 @@ TEST(BoxTracker, FollowsThroughTurnsAndGaps) {
 
 TEST(BoxTracker, TheCommonestClassIsTheTracks) {
   BoxTracker tracker;
-  std::vector<TrackedBox> boxes;
+  std::vector<ObservedBox> boxes;
   for (int k = 0; k < 10; ++k) {
     boxes = {box_at(0.0, 0.0, k % 3 == 2 ? 5 : 7)};
-    tracker.follow(k * kFrameNs, Quaternion::Identity(), &boxes);
+    follow(&tracker, k * kFrameNs, Quaternion::Identity(), &boxes);
     EXPECT_EQ(boxes[0].track_id, 0);
-    EXPECT_EQ(boxes[0].track_class_id, 7);
+    EXPECT_EQ(boxes[0].class_id, 7);
   }
 }
 
 TEST(BoxTracker, TakesTheBoxThatOverlapsMost) {
   BoxTracker tracker;
-  std::vector<TrackedBox> boxes = {box_at(0.0, 0.0), box_at(0.07, 0.0)};
-  tracker.follow(0, Quaternion::Identity(), &boxes);
-  std::vector<TrackedBox> next = {box_at(0.075, 0.0), box_at(0.005, 0.0)};
-  tracker.follow(kFrameNs, Quaternion::Identity(), &next);
+  std::vector<ObservedBox> boxes = {box_at(0.0, 0.0), box_at(0.07, 0.0)};
+  follow(&tracker, 0, Quaternion::Identity(), &boxes);
+  std::vector<ObservedBox> next = {box_at(0.075, 0.0), box_at(0.005, 0.0)};
+  follow(&tracker, kFrameNs, Quaternion::Identity(), &next);
   EXPECT_EQ(next[0].track_id, boxes[1].track_id);
   EXPECT_EQ(next[1].track_id, boxes[0].track_id);
 }
 
 TEST(BoxTracker, EndsTracksAfterAWhileAndWhenTold) {
   BoxTracker tracker;
-  std::vector<TrackedBox> boxes = {box_at(0.0, 0.0)}, later = boxes, last = boxes;
-  tracker.follow(0, Quaternion::Identity(), &boxes);
-  tracker.follow(1'000'000'000, Quaternion::Identity(), &later);
+  std::vector<ObservedBox> boxes = {box_at(0.0, 0.0)}, later = boxes, last = boxes;
+  follow(&tracker, 0, Quaternion::Identity(), &boxes);
+  follow(&tracker, 1'000'000'000, Quaternion::Identity(), &later);
   EXPECT_NE(later[0].track_id, boxes[0].track_id);
   tracker.clear();
-  tracker.follow(1'000'000'000 + kFrameNs, Quaternion::Identity(), &last);
+  follow(&tracker, 1'000'000'000 + kFrameNs, Quaternion::Identity(), &last);
   EXPECT_NE(last[0].track_id, later[0].track_id);
-  std::vector<TrackedBox> none;
-  tracker.follow(2'000'000'000, Quaternion::Identity(), &none);
+  std::vector<ObservedBox> none;
+  follow(&tracker, 2'000'000'000, Quaternion::Identity(), &none);
   EXPECT_TRUE(none.empty());
 }
 
@@ -441,9 +449,8 @@ struct Watch {
   void run() {
     const LoopOptions options;
     const auto desk = testing::random_desk(3, 12);
-    ObservationWindow window(8.0, options.frame_interval_s, LabelTable(*testing::desk_classes()));
+    ObservationWindow window(8.0, options.frame_interval_s, *testing::desk_classes());
     UpEstimator up(options.up_window_s);
-    const LocalMapBuilder map_builder(options);
     FrameBuilder builder(KeyframeOptions(), testing::desk_camera());
     OdometryMonitor monitor;
     std::mt19937_64 random(5);
@@ -461,7 +468,7 @@ struct Watch {
         jumps_s.push_back(time_s);
         window.clear();
       }
-      const auto map = k % 3 == 0 ? map_builder.build(window.frames(), LandmarkRedirects(), up) : std::nullopt;
+      const auto map = k % 3 == 0 ? build_local_map(window.frames(), LandmarkRedirects(), up, options) : std::nullopt;
       if (map) monitor.set_reference(*map);
     }
     drift_rad_s = monitor.drift_rad_s();

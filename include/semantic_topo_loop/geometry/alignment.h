@@ -16,9 +16,8 @@ struct Alignment {
 };
 
 /// Closed-form least-squares alignment of corresponding points (Umeyama 1991).
-/// @param weights empty for equal weights, else one non-negative weight a pair
 /// @return nullopt for fewer than 3 pairs, mismatched sizes, non-finite input or points on one line
 std::optional<Alignment> align_points(const std::vector<Vec3>& points_a, const std::vector<Vec3>& points_b,
-                                      bool with_scale = false, const std::vector<double>& weights = {});
+                                      bool with_scale = false);
 
 }  // namespace semantic_topo_loop::core

@@ -30,7 +30,7 @@ class PoseBuffer {
   /// Takes a sample; one that arrives out of order is sorted in.
   /// @return an error, with the stamp and the value, for a non-finite pose, a quaternion whose norm is off by
   /// more than 1 %, a stamp that is there already, or one that is older than what is kept
-  Result<void> add(std::int64_t stamp_ns, const SE3& pose);
+  core::Status add(std::int64_t stamp_ns, const SE3& pose);
   Answer at(std::int64_t stamp_ns) const;
   void clear() { samples_.clear(); }
   bool empty() const { return samples_.empty(); }

@@ -25,6 +25,8 @@ struct Camera {
   Box undistort(const Box& box) const;
   /// Ray of an undistorted pixel in the camera frame, z = 1.
   Vec3 ray(const Vec2& pixel) const { return {(pixel.x() - cx) / fx, (pixel.y() - cy) / fy, 1.0}; }
+  /// Undistorted pixel of a point before the camera, in the camera frame.
+  Vec2 pixel(const Vec3& p) const { return {fx * p.x() / p.z() + cx, fy * p.y() / p.z() + cy}; }
   Mat3 intrinsics() const;
 };
 

@@ -34,22 +34,12 @@ class ClassTable {
   bool confusable(int a, int b) const;
   /// True if detections of this class become landmarks.
   bool is_mappable(int id) const;
+  /// One number for all classes of a group, -1 for a class that does not become a landmark.
+  int label(int id) const;
   const std::map<int, ObjectClass>& classes() const { return classes_; }
 
  private:
   std::map<int, ObjectClass> classes_;
-  std::vector<int> mappable_;  ///< ids, ascending: asked for every detection
-};
-
-/// Gives all classes of a confusable group one label.
-class LabelTable {
- public:
-  explicit LabelTable(const ClassTable& classes);
-  /// -1 for a class that does not become a landmark.
-  int label(int class_id) const;
-
- private:
-  std::map<int, int> label_of_class_;
 };
 
 }  // namespace semantic_topo_loop::core

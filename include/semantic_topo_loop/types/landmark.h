@@ -2,6 +2,7 @@
 
 #include <cmath>
 #include <cstdint>
+#include <map>
 #include <optional>
 #include <vector>
 
@@ -64,6 +65,20 @@ struct MapUpdate {
   std::vector<LandmarkMerge> unmerged;  ///< merges taken back, before `merged` is read; the last made comes first
   std::vector<LandmarkMerge> merged;    ///< redirects, in the order they were made
   double duration_us = 0.0;
+};
+
+/// Which landmark the ids of merged landmarks stand for.
+class LandmarkRedirects {
+ public:
+  /// Takes over the merges of an update and those that it takes back.
+  void apply(const MapUpdate& update);
+  std::int64_t resolve(std::int64_t id) const;
+  /// All ids that stand for the landmark of this id, ascending.
+  std::vector<std::int64_t> aliases(std::int64_t id) const;
+
+ private:
+  std::map<std::int64_t, std::int64_t> survivor_;
+  std::map<std::int64_t, std::vector<std::int64_t>> merged_into_;
 };
 
 }  // namespace semantic_topo_loop::core

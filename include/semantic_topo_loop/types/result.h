@@ -2,6 +2,7 @@
 
 #include <optional>
 #include <string>
+#include <type_traits>
 #include <utility>
 
 namespace semantic_topo_loop::core {
@@ -11,6 +12,8 @@ struct Error {
   std::string message;
 };
 
+struct Nothing {};
+
 /// What a call that can fail gives back: a value, or the error. The one way in which the core reports what is wrong
 /// with its input; programs and nodelets turn it into one line.
 template <class Value>
@@ -18,6 +21,9 @@ class [[nodiscard]] Result {
  public:
   Result(Value value) : value_(std::move(value)) {}
   Result(Error error) : error_(std::move(error)) {}
+  /// Success of a call without a value.
+  template <class Only = Value, class = std::enable_if_t<std::is_same_v<Only, Nothing>>>
+  Result() : value_(Nothing()) {}
 
   explicit operator bool() const { return value_.has_value(); }
   const Value& operator*() const& { return *value_; }
@@ -36,23 +42,6 @@ class [[nodiscard]] Result {
 };
 
 /// Success, or the error, of a call without a value.
-template <>
-class [[nodiscard]] Result<void> {
- public:
-  Result() = default;
-  Result(Error error) : error_(std::move(error)) {}
-
-  explicit operator bool() const { return !error_; }
-  const std::string& message() const {
-    static const std::string kNone;
-    return error_ ? error_->message : kNone;
-  }
-  Error error() const { return error_.value_or(Error()); }
-
- private:
-  std::optional<Error> error_;
-};
-
-using Status = Result<void>;
+using Status = Result<Nothing>;
 
 }  // namespace semantic_topo_loop::core

@@ -140,8 +140,7 @@ std::vector<int> SubmapIndex::query(const std::vector<LabelledPoint>& points, in
   return candidates;
 }
 
-GraphDetector::GraphDetector(const LoopOptions& options)
-    : options_(options), index_(options), matcher_(options, kMinCandidateInliers), verifier_(options) {}
+GraphDetector::GraphDetector(const LoopOptions& options) : options_(options), index_(options) {}
 
 int GraphDetector::old_enough(const LocalMap& query) const {
   // From the latest back, since those that are kept by themselves come in order of time.
@@ -195,7 +194,8 @@ void GraphDetector::make_room(const LocalMap& map) {
   const std::vector<LabelledPoint> points = graph_of(map);
   std::vector<int> alike;
   for (const int number : propose(points, old_enough(map))) {
-    const std::vector<GraphMatch> matches = matcher_.match(maps_.at(number).points, points);
+    const std::vector<GraphMatch> matches =
+        match_graphs(maps_.at(number).points, points, options_, kMinCandidateInliers);
     if (matches.empty() || static_cast<int>(matches.front().pairs.size()) < options_.min_inliers) continue;
     const SE3& T_kept_map = matches.front().T_a_b;
     const bool is_near =
@@ -249,13 +249,13 @@ std::vector<GraphDetector::Candidate> GraphDetector::examine(const LocalMap& que
   for (const int number : numbers) {
     Candidate candidate;
     candidate.stored = number;
-    std::vector<GraphMatch> matches = matcher_.match(maps_.at(number).points, points);
+    std::vector<GraphMatch> matches = match_graphs(maps_.at(number).points, points, options_, kMinCandidateInliers);
     if (matches.empty()) continue;
     candidate.second_score = matches.size() > 1 ? matches[1].score : 0.0;
     candidate.alignment = std::move(matches.front());
     std::optional<LocalMap> scaled;
-    candidate.verdict = verifier_.verify(match_of(candidate), in_unit(query, candidate.alignment.scale, &scaled),
-                                         candidate.alignment, candidate.second_score);
+    candidate.verdict = verify_alignment(match_of(candidate), in_unit(query, candidate.alignment.scale, &scaled),
+                                         candidate.alignment, candidate.second_score, options_);
     candidates.push_back(std::move(candidate));
   }
   return candidates;

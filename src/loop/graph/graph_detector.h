@@ -99,8 +99,6 @@ class GraphDetector {
 
   LoopOptions options_;
   SubmapIndex index_;
-  GraphMatcher matcher_;
-  LoopVerifier verifier_;
   std::map<int, StoredMap> maps_;
 };
 

@@ -41,37 +41,17 @@ Vec3 mean_position(const LocalMap& map) {
   return mean;
 }
 
-}  // namespace
-
-Verdict LoopVerifier::verify(const LocalMap& a, const LocalMap& b, const GraphMatch& match, double second_score) const {
-  Verdict verdict;
-  verdict.reason = check_alignment(match, second_score);
-  verdict.tilt_deg = degrees(tilt(a, b, match.T_a_b));
-  if (verdict.reason != LoopReason::kAccepted) return verdict;
-  if (is_mirrored(a, b, match)) {
-    verdict.reason = LoopReason::kMirrored;
-  } else if (verdict.tilt_deg > options_.max_tilt_deg) {
-    verdict.reason = LoopReason::kTilt;
-  } else {
-    verdict.reprojection = reproject_both(a, b, match.T_a_b);
-    const bool explains = verdict.reprojection->ratio > options_.min_reprojection_ratio &&
-                          verdict.reprojection->objects >= options_.min_reprojected_objects &&
-                          verdict.reprojection->explained > options_.min_explained_share;
-    if (!explains) verdict.reason = LoopReason::kReprojection;
-  }
-  return verdict;
-}
-
-LoopReason LoopVerifier::check_alignment(const GraphMatch& match, double second_score) const {
-  if (static_cast<int>(match.pairs.size()) < options_.min_inliers) return LoopReason::kTooFewInliers;
-  if (match.classes < options_.min_labels) return LoopReason::kTooFewLabels;
-  if (match.spread_m(1) < options_.min_spread_m) return LoopReason::kDegenerate;
-  if (match.rms_m > options_.max_rms_m) return LoopReason::kResidual;
-  if (match.score < options_.ambiguity_ratio * second_score) return LoopReason::kAmbiguous;
+LoopReason check_alignment(const GraphMatch& match, double second_score, const LoopOptions& options) {
+  if (static_cast<int>(match.pairs.size()) < options.min_inliers) return LoopReason::kTooFewInliers;
+  if (match.classes < options.min_labels) return LoopReason::kTooFewLabels;
+  if (match.spread_m(1) < options.min_spread_m) return LoopReason::kDegenerate;
+  if (match.rms_m > options.max_rms_m) return LoopReason::kResidual;
+  if (match.score < options.ambiguity_ratio * second_score) return LoopReason::kAmbiguous;
   return LoopReason::kAccepted;
 }
 
-Reprojection LoopVerifier::reproject(const LocalMap& a, const LocalMap& b, const SE3& T_a_b) const {
+/// Projects b's objects into a's check frames.
+Reprojection reproject(const LocalMap& a, const LocalMap& b, const SE3& T_a_b, const LoopOptions& options) {
   const Mat3 R_a_b = T_a_b.rotation();
   std::vector<std::vector<bool>> explained;
   for (const int f : a.check_frames) {
@@ -85,11 +65,11 @@ Reprojection LoopVerifier::reproject(const LocalMap& a, const LocalMap& b, const
     int expected = 0, matched = 0;
     for (std::size_t k = 0; k < a.check_frames.size(); ++k) {
       const LocalFrame& frame = a.frames[static_cast<std::size_t>(a.check_frames[k])];
-      if (!in_view(frame, center, options_.max_depth_m)) continue;
+      if (!in_view(frame, center, options.max_depth_m)) continue;
       const auto box = spheroid_box(frame.to_camera(center), frame.R_camera_local * axis, object.spheroid.log_axes);
       if (!box) continue;
       ++expected;
-      if (find_detection(frame, *box, object.label, options_.reprojection_iou, &explained[k])) ++matched;
+      if (find_detection(frame, *box, object.label, options.reprojection_iou, &explained[k])) ++matched;
     }
     if (expected < kMinExpected) continue;
     expected_total += expected * object.seen_share;
@@ -106,14 +86,37 @@ Reprojection LoopVerifier::reproject(const LocalMap& a, const LocalMap& b, const
   return result;
 }
 
-Reprojection LoopVerifier::reproject_both(const LocalMap& a, const LocalMap& b, const SE3& T_a_b) const {
-  const Reprojection there = reproject(a, b, T_a_b);
-  const Reprojection back = reproject(b, a, T_a_b.inverse());
+/// Both ways, each figure the worse.
+Reprojection reproject_both(const LocalMap& a, const LocalMap& b, const SE3& T_a_b, const LoopOptions& options) {
+  const Reprojection there = reproject(a, b, T_a_b, options);
+  const Reprojection back = reproject(b, a, T_a_b.inverse(), options);
   return {std::min(there.ratio, back.ratio), std::min(there.objects, back.objects),
           std::min(there.explained, back.explained)};
 }
 
-bool LoopVerifier::is_mirrored(const LocalMap& a, const LocalMap& b, const GraphMatch& match) {
+}  // namespace
+
+Verdict verify_alignment(const LocalMap& a, const LocalMap& b, const GraphMatch& match, double second_score,
+                         const LoopOptions& options) {
+  Verdict verdict;
+  verdict.reason = check_alignment(match, second_score, options);
+  verdict.tilt_deg = degrees(tilt(a, b, match.T_a_b));
+  if (verdict.reason != LoopReason::kAccepted) return verdict;
+  if (is_mirrored(a, b, match)) {
+    verdict.reason = LoopReason::kMirrored;
+  } else if (verdict.tilt_deg > options.max_tilt_deg) {
+    verdict.reason = LoopReason::kTilt;
+  } else {
+    verdict.reprojection = reproject_both(a, b, match.T_a_b, options);
+    const bool explains = verdict.reprojection->ratio > options.min_reprojection_ratio &&
+                          verdict.reprojection->objects >= options.min_reprojected_objects &&
+                          verdict.reprojection->explained > options.min_explained_share;
+    if (!explains) verdict.reason = LoopReason::kReprojection;
+  }
+  return verdict;
+}
+
+bool is_mirrored(const LocalMap& a, const LocalMap& b, const GraphMatch& match) {
   Vec3 middle = Vec3::Zero();
   std::vector<Vec3> points;
   for (const NodePair& pair : match.pairs) {
@@ -129,7 +132,7 @@ bool LoopVerifier::is_mirrored(const LocalMap& a, const LocalMap& b, const Graph
   return side_a * side_b < 0.0;
 }
 
-double LoopVerifier::tilt(const LocalMap& a, const LocalMap& b, const SE3& T_a_b) {
+double tilt(const LocalMap& a, const LocalMap& b, const SE3& T_a_b) {
   if (!a.up.certain || !b.up.certain) return 0.0;
   return std::acos(std::clamp(a.up.direction.dot(T_a_b.q * b.up.direction), -1.0, 1.0));
 }

@@ -25,26 +25,13 @@ struct Verdict {
 /// The acceptance tests of an alignment between two submaps: enough objects and classes, spread out and well aligned,
 /// no alternative nearly as good, not mirrored, upright, and each side's detections explained by the other side's
 /// objects.
-class LoopVerifier {
- public:
-  explicit LoopVerifier(const LoopOptions& options) : options_(options) {}
-
-  /// @param second_score of the best distinct alternative   @return the first test that fails, or kAccepted
-  Verdict verify(const LocalMap& a, const LocalMap& b, const GraphMatch& match, double second_score) const;
-  /// Projects b's objects into a's check frames.
-  Reprojection reproject(const LocalMap& a, const LocalMap& b, const SE3& T_a_b) const;
-  /// Both ways, each figure the worse.
-  Reprojection reproject_both(const LocalMap& a, const LocalMap& b, const SE3& T_a_b) const;
-  /// True if the two submaps' cameras lie on different sides of the plane through the matched objects: then one is the
-  /// mirror image of the other, which no residual shows.
-  static bool is_mirrored(const LocalMap& a, const LocalMap& b, const GraphMatch& match);
-  /// Angle between the two up directions, rad; 0 if one of them is uncertain.
-  static double tilt(const LocalMap& a, const LocalMap& b, const SE3& T_a_b);
-
- private:
-  LoopReason check_alignment(const GraphMatch& match, double second_score) const;
-
-  LoopOptions options_;
-};
+/// @param second_score of the best distinct alternative   @return the first test that fails, or kAccepted
+Verdict verify_alignment(const LocalMap& a, const LocalMap& b, const GraphMatch& match, double second_score,
+                         const LoopOptions& options);
+/// True if the two submaps' cameras lie on different sides of the plane through the matched objects: then one is the
+/// mirror image of the other, which no residual shows.
+bool is_mirrored(const LocalMap& a, const LocalMap& b, const GraphMatch& match);
+/// Angle between the two up directions, rad; 0 if one of them is uncertain.
+double tilt(const LocalMap& a, const LocalMap& b, const SE3& T_a_b);
 
 }  // namespace semantic_topo_loop::core

@@ -95,8 +95,8 @@ void ObjectIndex::insert(int keyframe, const std::vector<std::int64_t>& landmark
   }
 }
 
-std::vector<KeyframeCandidate> ObjectIndex::query(const std::vector<std::int64_t>& landmark_ids,
-                                                  const LandmarkRedirects& redirects, int min_common) const {
+std::map<int, int> ObjectIndex::query(const std::vector<std::int64_t>& landmark_ids,
+                                      const LandmarkRedirects& redirects) const {
   std::set<std::int64_t> landmarks;
   for (const std::int64_t id : landmark_ids) landmarks.insert(redirects.resolve(id));
   std::map<int, int> common;
@@ -108,15 +108,11 @@ std::vector<KeyframeCandidate> ObjectIndex::query(const std::vector<std::int64_t
     }
     for (const int keyframe : keyframes) ++common[keyframe];
   }
-  std::vector<KeyframeCandidate> candidates;
-  for (const auto& [keyframe, count] : common) {
-    if (count >= min_common) candidates.push_back({keyframe, count});
-  }
-  return candidates;
+  return common;
 }
 
 PaperDetector::PaperDetector(const LoopOptions& options, const LandmarkRedirects& redirects)
-    : options_(with_vague_edges(options)), matcher_(options, options.paper_min_common), redirects_(redirects) {}
+    : options_(with_vague_edges(options)), redirects_(redirects) {}
 
 void PaperDetector::apply(const MapUpdate& update) {
   for (const Landmark& landmark : update.changed) quality_[landmark.id] = landmark.quality;
@@ -180,12 +176,13 @@ std::optional<PaperDetector::Scored> PaperDetector::best_candidate(const Keyfram
   std::vector<std::int64_t> ids;
   for (const auto& [id, index] : query.object_of_landmark) ids.push_back(id);
   std::optional<Scored> best;
-  for (const KeyframeCandidate& candidate : index_.query(ids, redirects_, options_.paper_min_common)) {
-    const Keyframe& match = keyframes_[static_cast<std::size_t>(candidate.keyframe)];
+  for (const auto& [keyframe, common] : index_.query(ids, redirects_)) {
+    const Keyframe& match = keyframes_[static_cast<std::size_t>(keyframe)];
+    if (common < options_.paper_min_common) continue;
     if (query.map.frame_id - match.map.frame_id < options_.paper_min_gap_frames) continue;
     const double value = score(match, query);
     if (!best || value > best->score) {
-      best = Scored{candidate.keyframe, candidate.common, value, best ? best->score : 0.0};
+      best = Scored{keyframe, common, value, best ? best->score : 0.0};
     } else {
       best->second_score = std::max(best->second_score, value);
     }
@@ -235,7 +232,7 @@ void PaperDetector::align(const Keyframe& match, const Keyframe& query, LoopClos
     points_match.push_back({in_match.center, k, in_match.radius()});
     points_query.push_back({in_query.center, k, in_query.radius()});
   }
-  std::vector<GraphMatch> alignments = matcher_.match(points_match, points_query);
+  std::vector<GraphMatch> alignments = match_graphs(points_match, points_query, options_, options_.paper_min_common);
   if (alignments.empty() || alignments.front().spread_m(1) < options_.min_spread_m) {
     loop->reason = LoopReason::kDegenerate;
     return;

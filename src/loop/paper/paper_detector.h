@@ -46,22 +46,15 @@ double printed_score(const std::vector<CommonNode>& nodes);
 /// Mean over the pairs of nodes of rho exp(-(|1 - s| + theta + ||t||) / 2), in [0, 1]; 1 for identity and rho = 1.
 double corrected_score(const std::vector<CommonNode>& nodes);
 
-/// A keyframe that shares landmarks with the query.
-struct KeyframeCandidate {
-  int keyframe = -1;  ///< index given at insertion
-  int common = 0;
-};
-
 /// ObjectIndex and KeyFrameQueue of QLT-SLC: which keyframes saw a landmark. A query visits the lists of its own
 /// landmarks; pairs of keyframes are never compared.
 class ObjectIndex {
  public:
   /// @param keyframe ascending from call to call
   void insert(int keyframe, const std::vector<std::int64_t>& landmark_ids);
-  /// Keyframes with at least `min_common` of the landmarks, ascending.
+  /// How many of the landmarks each keyframe has that has any.
   /// @param redirects say which ids stand for one landmark
-  std::vector<KeyframeCandidate> query(const std::vector<std::int64_t>& landmark_ids,
-                                       const LandmarkRedirects& redirects, int min_common) const;
+  std::map<int, int> query(const std::vector<std::int64_t>& landmark_ids, const LandmarkRedirects& redirects) const;
 
  private:
   std::map<std::int64_t, std::vector<int>> keyframes_of_;
@@ -101,7 +94,6 @@ class PaperDetector {
   bool is_consistent(const Keyframe& query, std::int64_t match_stamp_ns);
 
   LoopOptions options_;
-  GraphMatcher matcher_;
   const LandmarkRedirects& redirects_;
   ObjectIndex index_;
   std::map<std::int64_t, double> quality_;

@@ -14,90 +14,56 @@
 namespace semantic_topo_loop::core {
 namespace {
 
-using Words = std::vector<std::uint64_t>;
-
-int count(const std::uint64_t* words, int n) {
-  int total = 0;
-  for (int w = 0; w < n; ++w) total += __builtin_popcountll(words[w]);
-  return total;
-}
-
-/// Calls f(vertex) for each set bit, ascending.
-template <class F>
-void for_each_bit(const Words& words, F f) {
-  for (std::size_t w = 0; w < words.size(); ++w) {
-    for (std::uint64_t rest = words[w]; rest != 0; rest &= rest - 1) {
-      f(static_cast<int>(w * 64) + __builtin_ctzll(rest));
-    }
-  }
-}
-
-void clear_bit(Words& words, int i) { words[static_cast<std::size_t>(i >> 6)] &= ~(std::uint64_t{1} << (i & 63)); }
-void set_bit(Words& words, int i) { words[static_cast<std::size_t>(i >> 6)] |= std::uint64_t{1} << (i & 63); }
-bool any(const Words& words) {
-  return std::any_of(words.begin(), words.end(), [](std::uint64_t w) { return w != 0; });
-}
-
 class CliqueSearch {
  public:
   CliqueSearch(const BitGraph& graph, int max_steps) : graph_(graph), steps_left_(max_steps) {}
 
-  std::vector<int> run() {
-    Words all(static_cast<std::size_t>(graph_.words()), 0);
-    for (int i = 0; i < graph_.size(); ++i) set_bit(all, i);
-    expand(all);
+  Clique run() {
+    expand(Bits(graph_.size()).set());
     std::sort(best_.begin(), best_.end());
     return best_;
   }
 
  private:
   struct Colored {
-    int vertex;
-    int color;
+    std::size_t vertex, color;
   };
 
   /// Greedy coloring: a clique within the vertices up to one of color c has at most c members.
-  std::vector<Colored> color(const Words& candidates) const {
+  std::vector<Colored> color(const Bits& candidates) const {
     std::vector<Colored> order;
-    Words uncolored = candidates;
-    for (int color = 1; any(uncolored); ++color) {
-      Words open = uncolored;
-      while (any(open)) {
-        int vertex = -1;
-        for (std::size_t w = 0; vertex < 0; ++w) {
-          if (open[w] != 0) vertex = static_cast<int>(w * 64) + __builtin_ctzll(open[w]);
-        }
-        clear_bit(open, vertex);
-        clear_bit(uncolored, vertex);
-        const std::uint64_t* row = graph_.row(vertex);
-        for (std::size_t w = 0; w < open.size(); ++w) open[w] &= ~row[w];
+    Bits uncolored = candidates;
+    for (std::size_t color = 1; uncolored.any(); ++color) {
+      Bits open = uncolored;
+      for (std::size_t vertex = open.find_first(); vertex != Bits::npos; vertex = open.find_next(vertex)) {
+        uncolored.reset(vertex);
+        open -= graph_[vertex];
         order.push_back({vertex, color});
       }
     }
     return order;
   }
 
-  void expand(Words candidates) {
+  void expand(Bits candidates) {
     const std::vector<Colored> order = color(candidates);
     for (auto it = order.rbegin(); it != order.rend(); ++it) {
-      if (current_.size() + static_cast<std::size_t>(it->color) <= best_.size() || steps_left_-- <= 0) return;
+      if (current_.size() + it->color <= best_.size() || steps_left_-- <= 0) return;
       current_.push_back(it->vertex);
-      Words next = candidates;
-      const std::uint64_t* row = graph_.row(it->vertex);
-      for (std::size_t w = 0; w < next.size(); ++w) next[w] &= row[w];
-      if (any(next)) {
+      Bits next = candidates;
+      next &= graph_[it->vertex];
+      if (next.any()) {
         expand(std::move(next));
       } else if (current_.size() > best_.size()) {
         best_ = current_;
       }
       current_.pop_back();
-      clear_bit(candidates, it->vertex);
+      candidates.reset(it->vertex);
     }
   }
 
   const BitGraph& graph_;
   int steps_left_;
-  std::vector<int> current_, best_;
+  Clique current_, best_;
 };
 
 /// Bound of the exact search, so that a crowded place cannot hold up an attempt; the best clique so far counts then.
@@ -125,11 +91,26 @@ bool are_distinct(const std::vector<LabelledPoint>& b, const GraphMatch& p, cons
          rotation_angle(p.T_a_b.q, q.T_a_b.q) > kDistinct_rad;
 }
 
+std::optional<Alignment> align(const std::vector<NodePair>& pairs, const std::vector<LabelledPoint>& a,
+                               const std::vector<LabelledPoint>& b, bool with_scale = false) {
+  std::vector<Vec3> points_a, points_b;
+  for (const NodePair& pair : pairs) {
+    points_a.push_back(a[static_cast<std::size_t>(pair.a)].position);
+    points_b.push_back(b[static_cast<std::size_t>(pair.b)].position);
+  }
+  return align_points(points_a, points_b, with_scale);
+}
+
 class Matching {
  public:
   Matching(const LoopOptions& options, int min_pairs, const std::vector<LabelledPoint>& a,
            const std::vector<LabelledPoint>& b)
-      : options_(options), min_pairs_(min_pairs), a_(a), b_(b), distances_a_(distances(a)), distances_b_(distances(b)) {
+      : options_(options),
+        min_pairs_(static_cast<std::size_t>(min_pairs)),
+        a_(a),
+        b_(b),
+        distances_a_(distances(a)),
+        distances_b_(distances(b)) {
     for (int i = 0; i < static_cast<int>(a.size()); ++i) {
       if (!is_usable(at(a_, i))) continue;
       for (int j = 0; j < static_cast<int>(b.size()); ++j) {
@@ -140,16 +121,15 @@ class Matching {
 
   std::vector<GraphMatch> run() const {
     std::vector<GraphMatch> matches;
-    if (static_cast<int>(candidates_.size()) < min_pairs_) return matches;
+    if (candidates_.size() < min_pairs_) return matches;
     const BitGraph graph = consistency_graph();
-    const auto min_pairs = static_cast<std::size_t>(min_pairs_);
     int aligned = 0;
-    for (const std::vector<int>& clique : cliques(graph)) {
+    for (const Clique& clique : cliques(graph)) {
       if (aligned == kMaxCliques) break;
       if (is_covered(clique, matches)) continue;
       ++aligned;
       const std::size_t best = matches.empty() ? 0 : matches.front().pairs.size();
-      std::optional<GraphMatch> match = grow(clique, std::max(min_pairs, best / 3));
+      std::optional<GraphMatch> match = grow(clique, std::max(min_pairs_, best / 3));
       if (match) insert(std::move(*match), &matches);
     }
     if (matches.size() > kMaxMatches) matches.resize(kMaxMatches);
@@ -160,7 +140,6 @@ class Matching {
   static const LabelledPoint& at(const std::vector<LabelledPoint>& points, int i) {
     return points[static_cast<std::size_t>(i)];
   }
-  const NodePair& candidate(int i) const { return candidates_[static_cast<std::size_t>(i)]; }
 
   bool may_correspond(const LabelledPoint& p, const LabelledPoint& q) const {
     return p.label == q.label && std::abs(std::log(p.size / q.size)) < options_.size_ratio_log;
@@ -183,36 +162,38 @@ class Matching {
   }
 
   BitGraph consistency_graph() const {
-    const int n = static_cast<int>(candidates_.size());
-    BitGraph graph(n);
-    for (int i = 0; i < n; ++i) {
-      for (int j = i + 1; j < n; ++j) {
-        if (is_consistent(candidate(i), candidate(j))) graph.connect(i, j);
+    const std::size_t n = candidates_.size();
+    BitGraph graph(n, Bits(n));
+    for (std::size_t i = 0; i < n; ++i) {
+      for (std::size_t j = i + 1; j < n; ++j) {
+        if (is_consistent(candidates_[i], candidates_[j])) graph[i][j] = graph[j][i] = true;
       }
     }
     return graph;
   }
 
   /// A largest clique and a greedy one about every correspondence, largest first, each once.
-  std::vector<std::vector<int>> cliques(const BitGraph& graph) const {
-    std::set<std::vector<int>> found;
-    const auto keep = [&](std::vector<int> clique) {
-      if (static_cast<int>(clique.size()) >= min_pairs_) found.insert(std::move(clique));
+  std::vector<Clique> cliques(const BitGraph& graph) const {
+    std::set<Clique> found;
+    const auto keep = [&](Clique clique) {
+      if (clique.size() >= min_pairs_) found.insert(std::move(clique));
     };
     keep(largest_clique(graph, kMaxCliqueSteps));
-    for (int i = 0; i < graph.size(); ++i) {
-      if (graph.degree(i) + 1 >= min_pairs_) keep(greedy_clique(graph, i));
+    for (std::size_t i = 0; i < graph.size(); ++i) {
+      if (graph[i].count() + 1 >= min_pairs_) keep(greedy_clique(graph, i));
     }
-    std::vector<std::vector<int>> sorted(found.begin(), found.end());
+    std::vector<Clique> sorted(found.begin(), found.end());
     std::stable_sort(sorted.begin(), sorted.end(), [](const auto& p, const auto& q) { return p.size() > q.size(); });
     return sorted;
   }
 
   /// True if most of the clique already agrees with a match found, so that it would grow into the same.
-  bool is_covered(const std::vector<int>& clique, const std::vector<GraphMatch>& matches) const {
+  bool is_covered(const Clique& clique, const std::vector<GraphMatch>& matches) const {
     return std::any_of(matches.begin(), matches.end(), [&](const GraphMatch& match) {
       const Mat3 R = match.T_a_b.rotation();
-      const auto agrees = [&](int i) { return residual(R, match.T_a_b.t, candidate(i)) < options_.inlier_distance_m; };
+      const auto agrees = [&](std::size_t i) {
+        return residual(R, match.T_a_b.t, candidates_[i]) < options_.inlier_distance_m;
+      };
       const auto agreeing = std::count_if(clique.begin(), clique.end(), agrees);
       return 4 * static_cast<std::size_t>(agreeing) > 3 * clique.size();
     });
@@ -222,28 +203,19 @@ class Matching {
     return (at(a_, pair.a).position - R_a_b * at(b_, pair.b).position - t_a_b).norm();
   }
 
-  std::optional<Alignment> align(const std::vector<NodePair>& pairs) const {
-    std::vector<Vec3> points_a, points_b;
-    for (const NodePair& pair : pairs) {
-      points_a.push_back(at(a_, pair.a).position);
-      points_b.push_back(at(b_, pair.b).position);
-    }
-    return align_points(points_a, points_b);
-  }
-
   /// One-to-one, closest first.
   std::vector<NodePair> inliers(const SE3& T_a_b) const {
     const Mat3 R = T_a_b.rotation();
-    std::vector<std::pair<double, int>> near;
-    for (int i = 0; i < static_cast<int>(candidates_.size()); ++i) {
-      const double distance = residual(R, T_a_b.t, candidate(i));
+    std::vector<std::pair<double, std::size_t>> near;
+    for (std::size_t i = 0; i < candidates_.size(); ++i) {
+      const double distance = residual(R, T_a_b.t, candidates_[i]);
       if (distance < options_.inlier_distance_m) near.emplace_back(distance, i);
     }
     std::sort(near.begin(), near.end());
     std::vector<bool> used_a(a_.size(), false), used_b(b_.size(), false);
     std::vector<NodePair> pairs;
     for (const auto& [distance, i] : near) {
-      const NodePair pair = candidate(i);
+      const NodePair& pair = candidates_[i];
       if (used_a[static_cast<std::size_t>(pair.a)] || used_b[static_cast<std::size_t>(pair.b)]) continue;
       used_a[static_cast<std::size_t>(pair.a)] = used_b[static_cast<std::size_t>(pair.b)] = true;
       pairs.push_back(pair);
@@ -253,17 +225,17 @@ class Matching {
   }
 
   /// @param min_pairs below which the clique is given up, for it would say nothing against the best match
-  std::optional<GraphMatch> grow(const std::vector<int>& clique, std::size_t min_pairs) const {
+  std::optional<GraphMatch> grow(const Clique& clique, std::size_t min_pairs) const {
     GraphMatch match;
-    for (const int i : clique) match.pairs.push_back(candidate(i));
-    std::optional<Alignment> alignment = align(match.pairs);
+    for (const std::size_t i : clique) match.pairs.push_back(candidates_[i]);
+    std::optional<Alignment> alignment = align(match.pairs, a_, b_);
     for (int round = 0; round < kRegrowRounds && alignment; ++round) {
       std::vector<NodePair> pairs = inliers(alignment->T_a_b);
       const bool settled = round > 0 && pairs == match.pairs;
       match.pairs = std::move(pairs);
       if (settled) break;
       if (match.pairs.size() < min_pairs) return std::nullopt;
-      alignment = align(match.pairs);
+      alignment = align(match.pairs, a_, b_);
     }
     if (!alignment) return std::nullopt;
     match.T_a_b = alignment->T_a_b;
@@ -299,9 +271,8 @@ class Matching {
   }
 
   const LoopOptions& options_;
-  int min_pairs_;
-  const std::vector<LabelledPoint>& a_;
-  const std::vector<LabelledPoint>& b_;
+  std::size_t min_pairs_;
+  const std::vector<LabelledPoint>&a_, &b_;
   Eigen::MatrixXd distances_a_, distances_b_;
   std::vector<NodePair> candidates_;
 };
@@ -363,54 +334,51 @@ std::vector<double> vote_scales(const std::vector<LabelledPoint>& a, const std::
   return scales;
 }
 
-}  // namespace
-
-BitGraph::BitGraph(int vertices)
-    : size_(vertices),
-      words_((vertices + 63) / 64),
-      bits_(static_cast<std::size_t>(size_) * static_cast<std::size_t>(words_), 0) {}
-
-void BitGraph::connect(int i, int j) {
-  const auto set = [this](int r, int c) {
-    bits_[static_cast<std::size_t>(r) * static_cast<std::size_t>(words_) + static_cast<std::size_t>(c >> 6)] |=
-        std::uint64_t{1} << (c & 63);
-  };
-  set(i, j);
-  set(j, i);
+/// Matches at a voted scale, then once more at the scale that the best match's inliers have.
+std::vector<GraphMatch> match_scaled(const std::vector<LabelledPoint>& a, const std::vector<LabelledPoint>& b,
+                                     double scale, const LoopOptions& options, int min_pairs) {
+  std::vector<LabelledPoint> scaled = rescaled(b, scale);
+  std::vector<GraphMatch> matches = Matching(options, min_pairs, a, scaled).run();
+  if (matches.empty()) return matches;
+  const std::optional<Alignment> alignment = align(matches.front().pairs, a, b, true);
+  if (alignment && std::abs(std::log(alignment->scale)) < std::log(kMaxScale)) {
+    scale = alignment->scale;
+    scaled = rescaled(b, scale);
+    matches = Matching(options, min_pairs, a, scaled).run();
+  }
+  for (GraphMatch& match : matches) match.scale = scale;
+  return matches;
 }
 
-int BitGraph::degree(int i) const { return count(row(i), words_); }
+}  // namespace
 
-std::vector<int> largest_clique(const BitGraph& graph, int max_steps) { return CliqueSearch(graph, max_steps).run(); }
+Clique largest_clique(const BitGraph& graph, int max_steps) { return CliqueSearch(graph, max_steps).run(); }
 
-std::vector<int> greedy_clique(const BitGraph& graph, int vertex) {
-  std::vector<int> clique{vertex};
-  Words candidates(graph.row(vertex), graph.row(vertex) + graph.words());
-  while (any(candidates)) {
-    int best = -1, best_common = -1;
-    for_each_bit(candidates, [&](int v) {
-      const std::uint64_t* row = graph.row(v);
-      int common = 0;
-      for (std::size_t w = 0; w < candidates.size(); ++w) common += __builtin_popcountll(row[w] & candidates[w]);
-      if (common > best_common) {
-        best = v;
-        best_common = common;
-      }
-    });
+Clique greedy_clique(const BitGraph& graph, std::size_t vertex) {
+  Clique clique{vertex};
+  Bits candidates = graph[vertex], common;
+  while (candidates.any()) {
+    std::size_t best = Bits::npos, best_common = 0;
+    for (std::size_t v = candidates.find_first(); v != Bits::npos; v = candidates.find_next(v)) {
+      common = candidates;
+      common &= graph[v];
+      if (best != Bits::npos && common.count() <= best_common) continue;
+      best = v;
+      best_common = common.count();
+    }
     clique.push_back(best);
-    const std::uint64_t* row = graph.row(best);
-    for (std::size_t w = 0; w < candidates.size(); ++w) candidates[w] &= row[w];
+    candidates &= graph[best];
   }
   std::sort(clique.begin(), clique.end());
   return clique;
 }
 
-std::vector<GraphMatch> GraphMatcher::match(const std::vector<LabelledPoint>& a,
-                                            const std::vector<LabelledPoint>& b) const {
-  if (options_.mode != "graph" || options_.scale != "free") return Matching(options_, min_pairs_, a, b).run();
+std::vector<GraphMatch> match_graphs(const std::vector<LabelledPoint>& a, const std::vector<LabelledPoint>& b,
+                                     const LoopOptions& options, int min_pairs) {
+  if (options.mode != "graph" || options.scale != "free") return Matching(options, min_pairs, a, b).run();
   std::vector<GraphMatch> matches;
-  for (const double scale : vote_scales(a, b, options_.min_distance_m)) {
-    for (GraphMatch& match : match_scaled(a, b, scale)) matches.push_back(std::move(match));
+  for (const double scale : vote_scales(a, b, options.min_distance_m)) {
+    for (GraphMatch& match : match_scaled(a, b, scale, options, min_pairs)) matches.push_back(std::move(match));
   }
   std::stable_sort(matches.begin(), matches.end(),
                    [](const GraphMatch& p, const GraphMatch& q) { return p.score > q.score; });
@@ -422,27 +390,6 @@ std::vector<GraphMatch> GraphMatcher::match(const std::vector<LabelledPoint>& a,
   }
   if (distinct.size() > kMaxMatches) distinct.resize(kMaxMatches);
   return distinct;
-}
-
-/// Matches at a voted scale, then once more at the scale that the best match's inliers have.
-std::vector<GraphMatch> GraphMatcher::match_scaled(const std::vector<LabelledPoint>& a,
-                                                   const std::vector<LabelledPoint>& b, double scale) const {
-  std::vector<LabelledPoint> scaled = rescaled(b, scale);
-  std::vector<GraphMatch> matches = Matching(options_, min_pairs_, a, scaled).run();
-  if (matches.empty()) return matches;
-  std::vector<Vec3> points_a, points_b;
-  for (const NodePair& pair : matches.front().pairs) {
-    points_a.push_back(a[static_cast<std::size_t>(pair.a)].position);
-    points_b.push_back(b[static_cast<std::size_t>(pair.b)].position);
-  }
-  const std::optional<Alignment> alignment = align_points(points_a, points_b, true);
-  if (alignment && std::abs(std::log(alignment->scale)) < std::log(kMaxScale)) {
-    scale = alignment->scale;
-    scaled = rescaled(b, scale);
-    matches = Matching(options_, min_pairs_, a, scaled).run();
-  }
-  for (GraphMatch& match : matches) match.scale = scale;
-  return matches;
 }
 
 }  // namespace semantic_topo_loop::core

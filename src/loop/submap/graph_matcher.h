@@ -1,7 +1,7 @@
 #pragma once
 
+#include <boost/dynamic_bitset.hpp>
 #include <cstddef>
-#include <cstdint>
 #include <vector>
 
 #include "semantic_topo_loop/loop/loop_options.h"
@@ -9,30 +9,16 @@
 
 namespace semantic_topo_loop::core {
 
-/// An undirected graph as rows of bits.
-class BitGraph {
- public:
-  explicit BitGraph(int vertices);
-
-  int size() const { return size_; }
-  int words() const { return words_; }
-  void connect(int i, int j);
-  bool connected(int i, int j) const { return ((row(i)[j >> 6] >> (j & 63)) & 1u) != 0; }
-  const std::uint64_t* row(int i) const {
-    return &bits_[static_cast<std::size_t>(i) * static_cast<std::size_t>(words_)];
-  }
-  int degree(int i) const;
-
- private:
-  int size_, words_;
-  std::vector<std::uint64_t> bits_;
-};
+/// An undirected graph: for each vertex those that it is joined to.
+using Bits = boost::dynamic_bitset<>;
+using BitGraph = std::vector<Bits>;
+using Clique = std::vector<std::size_t>;  ///< vertices, ascending
 
 /// A largest clique, by branch and bound with greedy coloring (the bound of Tomita and Seki 2003, on bit sets).
 /// @param max_steps branches visited at most; then the best so far is returned
-std::vector<int> largest_clique(const BitGraph& graph, int max_steps);
+Clique largest_clique(const BitGraph& graph, int max_steps);
 /// A maximal clique that contains `vertex`, grown by most common neighbours first, lowest index on ties.
-std::vector<int> greedy_clique(const BitGraph& graph, int vertex);
+Clique greedy_clique(const BitGraph& graph, std::size_t vertex);
 
 /// A node of an object graph.
 struct LabelledPoint {
@@ -68,19 +54,9 @@ constexpr double kMaxScale = 1.6;  ///< between two submaps, with a free scale
 /// With a free scale (graph mode), pairs of points of equal labels first vote for the log ratio of their distances;
 /// each of the best scales is matched like that, with set b rescaled (all tolerances are in a's unit), and made exact
 /// by its inliers.
-class GraphMatcher {
- public:
-  explicit GraphMatcher(const LoopOptions& options, int min_pairs = 4) : options_(options), min_pairs_(min_pairs) {}
-  /// @return distinct matches, best score first; empty if there is none of at least `min_pairs`.
-  ///         Non-finite points are left out.
-  std::vector<GraphMatch> match(const std::vector<LabelledPoint>& a, const std::vector<LabelledPoint>& b) const;
-
- private:
-  std::vector<GraphMatch> match_scaled(const std::vector<LabelledPoint>& a, const std::vector<LabelledPoint>& b,
-                                       double scale) const;
-
-  LoopOptions options_;
-  int min_pairs_;
-};
+/// @return distinct matches, best score first; empty if there is none of at least `min_pairs`.
+///         Non-finite points are left out.
+std::vector<GraphMatch> match_graphs(const std::vector<LabelledPoint>& a, const std::vector<LabelledPoint>& b,
+                                     const LoopOptions& options, int min_pairs = 4);
 
 }  // namespace semantic_topo_loop::core

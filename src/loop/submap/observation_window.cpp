@@ -5,6 +5,8 @@
 #include <optional>
 #include <tuple>
 
+#include "geometry/statistics.h"
+
 namespace semantic_topo_loop::core {
 namespace {
 
@@ -13,12 +15,6 @@ constexpr double kMinOverlap =
     0.25;  ///< of a box with its track's last, at which a pair is still one object in a fast turn
 constexpr double kOtherClassFactor = 0.7;  ///< on the overlap: detectors do rename objects, but seldom
 constexpr double kMinDepth = 0.2;          ///< of a ray of depth 1 turned into the present camera: 78 deg off its axis
-
-int commonest(const std::map<int, double>& classes) {
-  return std::max_element(classes.begin(), classes.end(),
-                          [](const auto& p, const auto& q) { return p.second < q.second; })
-      ->first;
-}
 
 /// Where a box appears after the camera turned; nothing if it left the field of view.
 std::optional<Box> turned(const Box& box, const Mat3& R_now_then) {
@@ -31,13 +27,13 @@ std::optional<Box> turned(const Box& box, const Mat3& R_now_then) {
 
 }  // namespace
 
-std::vector<int> BoxTracker::match(const Quaternion& q_odom_camera, const std::vector<TrackedBox>& boxes) const {
+std::vector<int> BoxTracker::match(const Quaternion& q_odom_camera, const std::vector<ObservedBox>& boxes) const {
   std::vector<std::tuple<double, int, int>> pairs;  // minus the overlap, track, box
   for (std::size_t t = 0; t < tracks_.size(); ++t) {
     const Track& track = tracks_[t];
     const auto box = turned(track.box, (q_odom_camera.conjugate() * track.q_odom_camera).toRotationMatrix());
     if (!box) continue;
-    const int class_id = commonest(track.classes);
+    const int class_id = with_most(track.classes);
     for (std::size_t b = 0; b < boxes.size(); ++b) {
       const double factor = boxes[b].class_id == class_id ? 1.0 : kOtherClassFactor;
       const double overlap = factor * iou(*box, boxes[b].box);
@@ -55,12 +51,13 @@ std::vector<int> BoxTracker::match(const Quaternion& q_odom_camera, const std::v
   return track_of;
 }
 
-void BoxTracker::follow(std::int64_t stamp_ns, const Quaternion& q_odom_camera, std::vector<TrackedBox>* boxes) {
+void BoxTracker::follow(std::int64_t stamp_ns, const Quaternion& q_odom_camera, const std::vector<double>& scores,
+                        std::vector<ObservedBox>* boxes) {
   const auto is_lost = [stamp_ns](const Track& track) { return stamp_ns - track.stamp_ns > kMemory_ns; };
   tracks_.erase(std::remove_if(tracks_.begin(), tracks_.end(), is_lost), tracks_.end());
   const std::vector<int> track_of = match(q_odom_camera, *boxes);
   for (std::size_t b = 0; b < boxes->size(); ++b) {
-    TrackedBox& box = (*boxes)[b];
+    ObservedBox& box = (*boxes)[b];
     if (track_of[b] < 0) {
       tracks_.emplace_back();
       tracks_.back().id = next_id_++;
@@ -69,45 +66,16 @@ void BoxTracker::follow(std::int64_t stamp_ns, const Quaternion& q_odom_camera, 
     track.stamp_ns = stamp_ns;
     track.q_odom_camera = q_odom_camera;
     track.box = box.box;
-    track.classes[box.class_id] += box.score;
+    track.classes[box.class_id] += scores[b];
     box.track_id = track.id;
-    box.track_class_id = commonest(track.classes);
+    box.class_id = with_most(track.classes);
   }
 }
 
-void LandmarkRedirects::apply(const MapUpdate& update) {
-  for (const LandmarkMerge& merge : update.unmerged) {
-    const auto it = survivor_.find(merge.merged_id);
-    if (it == survivor_.end() || it->second != merge.survivor_id) continue;
-    std::vector<std::int64_t>& merged = merged_into_[merge.survivor_id];
-    merged.erase(std::remove(merged.begin(), merged.end(), merge.merged_id), merged.end());
-    survivor_.erase(it);
-  }
-  for (const LandmarkMerge& merge : update.merged) {
-    if (resolve(merge.survivor_id) == merge.merged_id) continue;  // no id stands for itself by a detour
-    if (survivor_.emplace(merge.merged_id, merge.survivor_id).second) {
-      merged_into_[merge.survivor_id].push_back(merge.merged_id);
-    }
-  }
-}
-
-std::int64_t LandmarkRedirects::resolve(std::int64_t id) const {
-  for (auto it = survivor_.find(id); it != survivor_.end(); it = survivor_.find(id)) id = it->second;
-  return id;
-}
-
-std::vector<std::int64_t> LandmarkRedirects::aliases(std::int64_t id) const {
-  std::vector<std::int64_t> ids = {resolve(id)};
-  for (std::size_t i = 0; i < ids.size(); ++i) {
-    const auto it = merged_into_.find(ids[i]);
-    if (it != merged_into_.end()) ids.insert(ids.end(), it->second.begin(), it->second.end());
-  }
-  std::sort(ids.begin(), ids.end());
-  return ids;
-}
-
-ObservationWindow::ObservationWindow(double span_s, double interval_s, LabelTable labels)
-    : span_ns_(std::llround(1e9 * span_s)), interval_ns_(std::llround(1e9 * interval_s)), labels_(std::move(labels)) {}
+ObservationWindow::ObservationWindow(double span_s, double interval_s, ClassTable classes)
+    : span_ns_(std::llround(1e9 * span_s)),
+      interval_ns_(std::llround(1e9 * interval_s)),
+      classes_(std::move(classes)) {}
 
 bool ObservationWindow::push(const Frame& frame, const AssociationFrame& associations) {
   if (frame.is_break) {
@@ -140,19 +108,16 @@ ObservedFrame ObservationWindow::observe(const Frame& frame, const AssociationFr
     return Box{low.x(), low.y(), high.x(), high.y()};
   };
   observed.image = normalised({0.0, 0.0, static_cast<double>(camera.width), static_cast<double>(camera.height)});
-  std::vector<TrackedBox> tracked;
+  std::vector<double> scores;
   for (const Association& association : associations.associations) {
-    if (association.landmark_id < 0 || !association.box.is_valid() || labels_.label(association.class_id) < 0) continue;
-    tracked.push_back({normalised(association.box), association.class_id, association.score});
-    observed.boxes.push_back({association.landmark_id, -1, -1, -1, tracked.back().box, association.truncated});
+    if (association.landmark_id < 0 || !association.box.is_valid() || classes_.label(association.class_id) < 0)
+      continue;
+    scores.push_back(association.score);
+    observed.boxes.push_back(
+        {association.landmark_id, -1, -1, association.class_id, normalised(association.box), association.truncated});
   }
-  tracker_.follow(frame.stamp_ns, frame.T_odom_camera.q, &tracked);
-  for (std::size_t i = 0; i < tracked.size(); ++i) {
-    ObservedBox& box = observed.boxes[i];
-    box.track_id = tracked[i].track_id;
-    box.class_id = tracked[i].track_class_id;
-    box.label = labels_.label(box.class_id);
-  }
+  tracker_.follow(frame.stamp_ns, frame.T_odom_camera.q, scores, &observed.boxes);
+  for (ObservedBox& box : observed.boxes) box.label = classes_.label(box.class_id);
   return observed;
 }
 

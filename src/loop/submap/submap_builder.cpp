@@ -297,9 +297,7 @@ template <class Value>
 Value commonest(const std::vector<BoxRay>& rays, const RayCluster& cluster, Value BoxRay::*field) {
   std::map<Value, int> counts;
   for (const int i : cluster.rays) ++counts[rays[static_cast<std::size_t>(i)].*field];
-  return std::max_element(counts.begin(), counts.end(),
-                          [](const auto& p, const auto& q) { return p.second < q.second; })
-      ->first;
+  return with_most(counts);
 }
 
 /// Of two objects of one label in one place, the better seen one stays.
@@ -340,6 +338,51 @@ void compact(LocalMap* map) {
   }
 }
 
+std::optional<LocalObject> fit_object(const LocalMap& map, const std::vector<SubmapView>& views, const Vec3& center,
+                                      const LoopOptions& options) {
+  LocalObject object;
+  object.views = spread(views, static_cast<std::size_t>(options.fit_views));
+  const std::optional<SpheroidFit> fit = fit_spheroid(map, object.views, center);
+  if (!fit) return std::nullopt;
+  object.spheroid = fit->spheroid;
+  object.covariance = fit->center_covariance;
+  if ((object.spheroid.center - center).norm() > kMaxFitShift_m || object.spheroid.radius() > options.max_radius_m) {
+    return std::nullopt;
+  }
+  return object;
+}
+
+std::vector<LocalObject> find_objects(const LocalMap& map, const LandmarkRedirects& redirects,
+                                      const LoopOptions& options) {
+  std::vector<LocalObject> objects;
+  for (const auto& [label, rays] : rays_by_label(map.frames, redirects)) {
+    for (const RayCluster& cluster : Clustering(rays, map.frames, options).run()) {
+      const auto visible = std::count_if(map.frames.begin(), map.frames.end(), [&](const LocalFrame& frame) {
+        return in_view(frame, cluster.center, options.max_depth_m);
+      });
+      const double seen_share =
+          static_cast<double>(cluster.rays.size()) / std::max<double>(static_cast<double>(visible), 1.0);
+      if (seen_share < options.min_seen_share) continue;
+      std::vector<SubmapView> views;
+      for (const int i : cluster.rays) {
+        const BoxRay& ray = rays[static_cast<std::size_t>(i)];
+        if (ray.full) views.push_back({ray.frame, ray.box});
+      }
+      std::optional<LocalObject> object = fit_object(map, views, cluster.center, options);
+      if (!object) continue;
+      object->landmark_id = commonest(rays, cluster, &BoxRay::landmark_id);
+      object->label = label;
+      object->class_id = commonest(rays, cluster, &BoxRay::class_id);
+      object->frames_seen = static_cast<int>(cluster.rays.size());
+      object->seen_share = std::min(seen_share, 1.0);
+      object->parallax_deg = degrees(cluster.parallax_rad);
+      objects.push_back(std::move(*object));
+    }
+  }
+  remove_duplicates(&objects);
+  return objects;
+}
+
 }  // namespace
 
 bool in_view(const LocalFrame& frame, const Vec3& point, double max_depth_m) {
@@ -350,8 +393,8 @@ bool in_view(const LocalFrame& frame, const Vec3& point, double max_depth_m) {
   return u > frame.image.x1 + mx && u < frame.image.x2 - mx && v > frame.image.y1 + my && v < frame.image.y2 - my;
 }
 
-std::optional<LocalMap> LocalMapBuilder::build(const std::deque<ObservedFrame>& window,
-                                               const LandmarkRedirects& redirects, const UpEstimator& up) const {
+std::optional<LocalMap> build_local_map(const std::deque<ObservedFrame>& window, const LandmarkRedirects& redirects,
+                                        const UpEstimator& up, const LoopOptions& options) {
   if (window.empty()) return std::nullopt;
   const ObservedFrame* anchor = middle_keyframe(window);
   if (anchor == nullptr) return std::nullopt;
@@ -370,53 +413,9 @@ std::optional<LocalMap> LocalMapBuilder::build(const std::deque<ObservedFrame>& 
   std::vector<int> all(map.frames.size());
   std::iota(all.begin(), all.end(), 0);
   map.check_frames = spread(all, kCheckFrames);
-  map.objects = find_objects(map, redirects);
+  map.objects = find_objects(map, redirects, options);
   compact(&map);
   return map;
-}
-
-std::vector<LocalObject> LocalMapBuilder::find_objects(const LocalMap& map, const LandmarkRedirects& redirects) const {
-  std::vector<LocalObject> objects;
-  for (const auto& [label, rays] : rays_by_label(map.frames, redirects)) {
-    for (const RayCluster& cluster : Clustering(rays, map.frames, options_).run()) {
-      const auto visible = std::count_if(map.frames.begin(), map.frames.end(), [&](const LocalFrame& frame) {
-        return in_view(frame, cluster.center, options_.max_depth_m);
-      });
-      const double seen_share =
-          static_cast<double>(cluster.rays.size()) / std::max<double>(static_cast<double>(visible), 1.0);
-      if (seen_share < options_.min_seen_share) continue;
-      std::vector<SubmapView> views;
-      for (const int i : cluster.rays) {
-        const BoxRay& ray = rays[static_cast<std::size_t>(i)];
-        if (ray.full) views.push_back({ray.frame, ray.box});
-      }
-      std::optional<LocalObject> object = fit(map, std::move(views), cluster.center);
-      if (!object) continue;
-      object->landmark_id = commonest(rays, cluster, &BoxRay::landmark_id);
-      object->label = label;
-      object->class_id = commonest(rays, cluster, &BoxRay::class_id);
-      object->frames_seen = static_cast<int>(cluster.rays.size());
-      object->seen_share = std::min(seen_share, 1.0);
-      object->parallax_deg = degrees(cluster.parallax_rad);
-      objects.push_back(std::move(*object));
-    }
-  }
-  remove_duplicates(&objects);
-  return objects;
-}
-
-std::optional<LocalObject> LocalMapBuilder::fit(const LocalMap& map, std::vector<SubmapView> views,
-                                                const Vec3& center) const {
-  LocalObject object;
-  object.views = spread(views, static_cast<std::size_t>(options_.fit_views));
-  const std::optional<SpheroidFit> fit = fit_spheroid(map, object.views, center);
-  if (!fit) return std::nullopt;
-  object.spheroid = fit->spheroid;
-  object.covariance = fit->center_covariance;
-  if ((object.spheroid.center - center).norm() > kMaxFitShift_m || object.spheroid.radius() > options_.max_radius_m) {
-    return std::nullopt;
-  }
-  return object;
 }
 
 }  // namespace semantic_topo_loop::core

@@ -1,7 +1,6 @@
 #include "loop/submap/submap_refiner.h"
 
 #include <Eigen/Cholesky>
-#include <algorithm>
 #include <cmath>
 #include <utility>
 
@@ -186,10 +185,7 @@ class RefinementProblem {
 
   /// The boxes of the object whose block comes next.
   void add_object(const LocalMap& map, const LocalObject& object, bool in_b, const LoopOptions& options) {
-    const int n = static_cast<int>(object.views.size());
-    const int count = std::min(n, options.refine_views);
-    for (int k = 0; k < count; ++k) {
-      const SubmapView& view = object.views[static_cast<std::size_t>(k * n / count)];
+    for (const SubmapView& view : evenly_taken(object.views, static_cast<std::size_t>(options.refine_views))) {
       const LocalFrame& frame = map.frames[static_cast<std::size_t>(view.frame)];
       const Vec2 size_px = frame.focal_px.cwiseProduct(Vec2(view.box.width(), view.box.height()));
       const double sigma = options.refine_sigma_px + options.refine_sigma_share * std::sqrt(size_px.prod());

@@ -39,10 +39,8 @@ std::optional<Vec3> level_surface(const std::vector<Vec3>& points_camera) {
     if (!plane) return std::nullopt;
     const Vec3& n = plane->normal;
     if (-n.y() > kMinUpward && std::abs(n.x()) < kMaxSideways) return n;
-    points.erase(
-        std::remove_if(points.begin(), points.end(),
-                       [&](const Vec3& p) { return std::abs(plane->distance(p)) <= plane_tolerance_m(p.z()); }),
-        points.end());
+    const auto lies_in = [&plane](const Vec3& p) { return plane->holds(p); };
+    points.erase(std::remove_if(points.begin(), points.end(), lies_in), points.end());
   }
   return std::nullopt;
 }
