@@ -140,7 +140,7 @@ std::pair<bool, bool> agrees(const Camera& camera, const SE3& T_camera_map, cons
   const Vec3 p = T_camera_map * point;
   if (p.z() < kMinDepth_m) return {false, false};
   const bool depth = o.depth_m > 0.0 && std::abs(p.z() - o.depth_m) < kDepthGate * o.depth_sigma_m;
-  return {(pinhole(camera, p) - o.pixel).squaredNorm() < kPixelGate2 * o.pixel_sigma * o.pixel_sigma, depth};
+  return {(camera.pixel(p) - o.pixel).squaredNorm() < kPixelGate2 * o.pixel_sigma * o.pixel_sigma, depth};
 }
 
 }  // namespace

@@ -11,6 +11,10 @@
 
 namespace semantic_topo_loop::core {
 
+struct DepthRegistration;
+struct FrontendOptions;
+struct RgbdImage;
+
 /// 256 bits of an ORB feature.
 using Descriptor = std::array<std::uint64_t, 4>;
 
@@ -46,6 +50,10 @@ struct ImageFeatures {
   PointGrid grid_;
 };
 
+/// Finds ORB features, spread evenly over the image, with the depth around each.
+ImageFeatures extract_features(const RgbdImage& image, const FrontendOptions& options, const Camera& camera,
+                               const DepthRegistration& registration);
+
 /// Bits out of 256 by which two views of one point differ at most: ORB-SLAM's thresholds (Mur-Artal, Montiel and Tardos
 /// 2015). Unrelated features differ by 128 in the mean.
 constexpr int kMatchBits = 100;   ///< where the place in the image is known
@@ -58,6 +66,7 @@ struct SearchItem {
   double radius_px = 0.0;
   int level = 0;            ///< expected; one more or less is accepted
   float angle_deg = -1.0F;  ///< of the feature it was seen at before; < 0: not known
+  std::int64_t point = -1;  ///< of the map
 };
 
 /// For each item the index of its feature, or -1: the most similar one within the radius, where the second best is

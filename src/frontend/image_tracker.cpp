@@ -5,19 +5,21 @@
 #include <set>
 
 namespace semantic_topo_loop::core {
+namespace {
 
-bool ImageTracker::fit(const SE3& T_camera_map, TrackingMap* map, TrackedFeatures* image) const {
+/// Fits the pose from `T_camera_map`; features that do not agree lose their point.
+bool fit(const SE3& T_camera_map, const Camera& camera, TrackingMap* map, TrackedFeatures* image) {
   std::vector<PoseObservation> observations;
   std::vector<std::size_t> features;
   for (std::size_t i = 0; i < image->points.size(); ++i) {
     const MapPoint* point = map->point(image->points[i]);
     if (point == nullptr) continue;
-    observations.push_back(observation(image->features.features[i], *point, options_.scale_factor));
+    observations.push_back(observation(image->features.features[i], *point, map->options().scale_factor));
     features.push_back(i);
   }
   image->matches = static_cast<int>(features.size());
   image->inliers = 0;
-  const std::optional<PoseEstimate> estimate = refine_pose(camera_, T_camera_map, observations);
+  const std::optional<PoseEstimate> estimate = refine_pose(camera, T_camera_map, observations);
   if (!estimate) return false;
   image->T_camera_map = estimate->T_camera_map;
   image->covariance = estimate->covariance;
@@ -28,69 +30,7 @@ bool ImageTracker::fit(const SE3& T_camera_map, TrackingMap* map, TrackedFeature
   return true;
 }
 
-bool ImageTracker::follow(const TrackedFeatures& last, const SE3& T_camera_map, TrackingMap* map,
-                          TrackedFeatures* image) const {
-  // On level 0, as in ORB-SLAM: a turn that changes by 50 deg/s from one image to the next.
-  constexpr double kRadius_px = 15.0;
-  constexpr double kWider = 2.5;  // times, before the place is given up
-  constexpr double kRatio = 0.9;  // of the best to the second best, as in ORB-SLAM
-  for (const double factor : {1.0, kWider}) {
-    std::vector<SearchItem> items;
-    std::vector<std::int64_t> ids;
-    for (std::size_t i = 0; i < last.points.size(); ++i) {
-      const MapPoint* point = map->point(last.points[i]);
-      if (point == nullptr) continue;
-      const std::optional<Vec2> pixel = pixel_in_view(camera_, T_camera_map * point->position);
-      if (!pixel) continue;
-      const ImageFeature& feature = last.features.features[i];
-      const double radius_px = factor * kRadius_px * std::pow(options_.scale_factor, feature.level);
-      items.push_back({last.features.descriptors[i], *pixel, radius_px, feature.level, feature.angle_deg});
-      ids.push_back(point->id);
-    }
-    const std::vector<int> found =
-        search(items, image->features, std::vector<bool>(image->features.size(), false), kMatchBits, kRatio);
-    image->points.assign(image->features.size(), -1);
-    int matches = 0;
-    for (std::size_t k = 0; k < items.size(); ++k) {
-      if (found[k] < 0) continue;
-      image->points[static_cast<std::size_t>(found[k])] = ids[k];
-      ++matches;
-    }
-    if (matches < options_.min_inliers) continue;
-    // Enough to look for the rest of the map from there, which then must give min_inliers.
-    if (fit(T_camera_map, map, image) && image->inliers >= options_.min_inliers / 2 &&
-        3 * image->inliers >= image->matches) {
-      return true;
-    }
-  }
-  return false;
-}
-
-bool ImageTracker::find(const TrackingKeyframe& keyframe, TrackingMap* map, TrackedFeatures* image) const {
-  std::vector<bool> wanted(keyframe.points.size());
-  std::transform(keyframe.points.begin(), keyframe.points.end(), wanted.begin(),
-                 [](std::int64_t id) { return id >= 0; });
-  const std::vector<int> matches = match_anywhere(keyframe.features, wanted, image->features);
-  std::vector<PoseObservation> observations;
-  std::vector<std::pair<std::size_t, std::int64_t>> pairs;
-  for (std::size_t i = 0; i < matches.size(); ++i) {
-    if (matches[i] < 0) continue;
-    const auto feature = static_cast<std::size_t>(matches[i]);
-    const MapPoint* point = map->point(keyframe.points[i]);
-    observations.push_back(observation(image->features.features[feature], *point, options_.scale_factor));
-    pairs.emplace_back(feature, point->id);
-  }
-  const std::optional<PoseEstimate> estimate = find_pose(camera_, observations, options_.min_inliers / 2);
-  if (!estimate) return false;
-  image->points.assign(image->features.size(), -1);
-  for (std::size_t k = 0; k < pairs.size(); ++k) {
-    if (estimate->is_inlier[k]) image->points[pairs[k].first] = pairs[k].second;
-  }
-  image->T_camera_map = estimate->T_camera_map;
-  return true;
-}
-
-std::vector<std::int64_t> ImageTracker::local_keyframes(const TrackingMap& map, const TrackedFeatures& image) const {
+std::vector<std::int64_t> local_keyframes(const TrackingMap& map, const TrackedFeatures& image) {
   constexpr std::size_t kCovisible = 25, kMax = 45;  // bound the time of an image; 80 in ORB-SLAM
   constexpr double kNear_m = 1.0, kMinCosine = 0.7;  // 45 deg: half of what is seen from there is seen from here
   std::vector<std::int64_t> ids;
@@ -114,27 +54,30 @@ std::vector<std::int64_t> ImageTracker::local_keyframes(const TrackingMap& map, 
   return ids;
 }
 
-std::optional<SearchItem> ImageTracker::expect(const TrackingMap& map, const MapPoint& point,
-                                               const SE3& T_camera_map) const {
+/// Where a point should be seen; nullopt if it is out of view.
+std::optional<SearchItem> expect(const TrackingMap& map, const MapPoint& point, const SE3& T_camera_map,
+                                 const Camera& camera) {
   constexpr double kMinCosine = 0.5;  // 60 deg, beyond which ORB's descriptor is another one (as in ORB-SLAM)
   constexpr double kRadius_px = 8.0;  // on level 0: ORB-SLAM2's for RGB-D are 7.5 to 12
   constexpr double kFarther = 1.3;    // than level 0 shows it alike: a level and a half of the pyramid
   constexpr int kNearerLevels = 2;    // as much nearer than the last one does, and a bit
   const Vec3 p = T_camera_map * point.position;
-  const std::optional<Vec2> pixel = pixel_in_view(camera_, p);
+  const std::optional<Vec2> pixel = pixel_in_view(camera, p);
   if (!pixel) return std::nullopt;
   const double distance_m = p.norm();
   if ((T_camera_map.q * point.direction).dot(p) < kMinCosine * distance_m) return std::nullopt;
   // Nearer or farther than any level of the pyramid shows it alike.
   const double farthest_m = kFarther * point.level_0_distance_m;
-  const double nearest_m = farthest_m / std::pow(options_.scale_factor, options_.levels + kNearerLevels);
+  const double nearest_m = farthest_m / std::pow(map.options().scale_factor, map.options().levels + kNearerLevels);
   if (distance_m > farthest_m || distance_m < nearest_m) return std::nullopt;
   const int level = map.predict_level(point, distance_m);
-  return SearchItem{point.descriptor, *pixel, kRadius_px * std::pow(options_.scale_factor, level), level};
+  const double radius_px = kRadius_px * std::pow(map.options().scale_factor, level);
+  return SearchItem{point.descriptor, *pixel, radius_px, level, -1.0F, point.id};
 }
 
-void ImageTracker::match_points(const std::vector<MapPoint*>& points, const TrackingMap& map,
-                                TrackedFeatures* image) const {
+/// Looks for points in view that the image has not been matched with.
+void match_points(const std::vector<MapPoint*>& points, const TrackingMap& map, const Camera& camera,
+                  TrackedFeatures* image) {
   std::vector<bool> is_taken(image->points.size(), false);
   std::set<std::int64_t> matched;
   for (std::size_t i = 0; i < image->points.size(); ++i) {
@@ -142,23 +85,85 @@ void ImageTracker::match_points(const std::vector<MapPoint*>& points, const Trac
     if (is_taken[i]) matched.insert(image->points[i]);
   }
   std::vector<SearchItem> items;
-  std::vector<std::int64_t> ids;
   for (MapPoint* point : points) {
     if (matched.count(point->id) > 0) continue;
-    const std::optional<SearchItem> item = expect(map, *point, image->T_camera_map);
+    const std::optional<SearchItem> item = expect(map, *point, image->T_camera_map, camera);
     if (!item) continue;
-    point->expect_in(image->number);
+    point->expect_in(image->id);
     items.push_back(*item);
-    ids.push_back(point->id);
   }
   constexpr double kRatio = 0.8;  // stricter than for the last image's points, as in ORB-SLAM: there are more of them
   const std::vector<int> found = search(items, image->features, is_taken, kMatchBits, kRatio);
   for (std::size_t k = 0; k < items.size(); ++k) {
-    if (found[k] >= 0) image->points[static_cast<std::size_t>(found[k])] = ids[k];
+    if (found[k] >= 0) image->points[static_cast<std::size_t>(found[k])] = items[k].point;
   }
 }
 
-bool ImageTracker::track_local_map(TrackingMap* map, TrackedFeatures* image) const {
+}  // namespace
+
+bool follow_points(const TrackedFeatures& last, const SE3& T_camera_map, const Camera& camera, TrackingMap* map,
+                   TrackedFeatures* image) {
+  const FrontendOptions& options = map->options();
+  // On level 0, as in ORB-SLAM: a turn that changes by 50 deg/s from one image to the next.
+  constexpr double kRadius_px = 15.0;
+  constexpr double kWider = 2.5;  // times, before the place is given up
+  constexpr double kRatio = 0.9;  // of the best to the second best, as in ORB-SLAM
+  for (const double factor : {1.0, kWider}) {
+    std::vector<SearchItem> items;
+    for (std::size_t i = 0; i < last.points.size(); ++i) {
+      const MapPoint* point = map->point(last.points[i]);
+      if (point == nullptr) continue;
+      const std::optional<Vec2> pixel = pixel_in_view(camera, T_camera_map * point->position);
+      if (!pixel) continue;
+      const ImageFeature& feature = last.features.features[i];
+      const double radius_px = factor * kRadius_px * std::pow(options.scale_factor, feature.level);
+      items.push_back({last.features.descriptors[i], *pixel, radius_px, feature.level, feature.angle_deg, point->id});
+    }
+    const std::vector<int> found =
+        search(items, image->features, std::vector<bool>(image->features.size(), false), kMatchBits, kRatio);
+    image->points.assign(image->features.size(), -1);
+    int matches = 0;
+    for (std::size_t k = 0; k < items.size(); ++k) {
+      if (found[k] < 0) continue;
+      image->points[static_cast<std::size_t>(found[k])] = items[k].point;
+      ++matches;
+    }
+    if (matches < options.min_inliers) continue;
+    // Enough to look for the rest of the map from there, which then must give min_inliers.
+    if (fit(T_camera_map, camera, map, image) && image->inliers >= options.min_inliers / 2 &&
+        3 * image->inliers >= image->matches) {
+      return true;
+    }
+  }
+  return false;
+}
+
+bool find_points(const TrackingKeyframe& keyframe, const Camera& camera, TrackingMap* map, TrackedFeatures* image) {
+  const FrontendOptions& options = map->options();
+  std::vector<bool> wanted(keyframe.points.size());
+  std::transform(keyframe.points.begin(), keyframe.points.end(), wanted.begin(),
+                 [](std::int64_t id) { return id >= 0; });
+  const std::vector<int> matches = match_anywhere(keyframe.features, wanted, image->features);
+  std::vector<PoseObservation> observations;
+  std::vector<std::pair<std::size_t, std::int64_t>> pairs;
+  for (std::size_t i = 0; i < matches.size(); ++i) {
+    if (matches[i] < 0) continue;
+    const auto feature = static_cast<std::size_t>(matches[i]);
+    const MapPoint* point = map->point(keyframe.points[i]);
+    observations.push_back(observation(image->features.features[feature], *point, options.scale_factor));
+    pairs.emplace_back(feature, point->id);
+  }
+  const std::optional<PoseEstimate> estimate = find_pose(camera, observations, options.min_inliers / 2);
+  if (!estimate) return false;
+  image->points.assign(image->features.size(), -1);
+  for (std::size_t k = 0; k < pairs.size(); ++k) {
+    if (estimate->is_inlier[k]) image->points[pairs[k].first] = pairs[k].second;
+  }
+  image->T_camera_map = estimate->T_camera_map;
+  return true;
+}
+
+bool track_local_map(const Camera& camera, TrackingMap* map, TrackedFeatures* image) {
   const std::int64_t number = map->begin_search();
   std::vector<MapPoint*> points;
   for (const std::int64_t id : local_keyframes(*map, *image)) {
@@ -169,12 +174,13 @@ bool ImageTracker::track_local_map(TrackingMap* map, TrackedFeatures* image) con
       points.push_back(point);
     }
   }
-  match_points(points, *map, image);
-  if (!fit(image->T_camera_map, map, image) || image->inliers < options_.min_inliers) return false;
+  match_points(points, *map, camera, image);
+  if (!fit(image->T_camera_map, camera, map, image)) return false;
+  if (image->inliers < map->options().min_inliers) return false;
   for (const std::int64_t id : image->points) {
     MapPoint* point = map->point(id);
     if (point == nullptr) continue;
-    point->expect_in(image->number);
+    point->expect_in(image->id);
     ++point->found;
   }
   return true;

@@ -18,21 +18,23 @@ constexpr int kMinObservations = 6;    ///< three points determine a pose; as ma
 /// Errors of one observation in units of their sigmas, and their derivatives by a small motion (translation, rotation)
 /// of the camera frame, applied from the left.
 struct Linearised {
+  Vec3 p = Vec3::Zero();  ///< the point in the camera frame
   Vec2 pixel_error = Vec2::Zero();
   double depth_error = 0.0;
   Eigen::Matrix<double, 2, 6> pixel_jacobian;
   Eigen::Matrix<double, 1, 6> depth_jacobian;
 };
 
-bool errors(const Camera& camera, const SE3& T_camera_map, const PoseObservation& o, Vec3* p, Linearised* out) {
-  *p = T_camera_map * o.point_map;
-  if (p->z() < kMinDepth_m) return false;
-  out->pixel_error = (pinhole(camera, *p) - o.pixel) / o.pixel_sigma;
-  out->depth_error = o.depth_m > 0.0 ? (p->z() - o.depth_m) / o.depth_sigma_m : 0.0;
+bool errors(const Camera& camera, const SE3& T_camera_map, const PoseObservation& o, Linearised* out) {
+  const Vec3& p = out->p = T_camera_map * o.point_map;
+  if (p.z() < kMinDepth_m) return false;
+  out->pixel_error = (camera.pixel(p) - o.pixel) / o.pixel_sigma;
+  out->depth_error = o.depth_m > 0.0 ? (p.z() - o.depth_m) / o.depth_sigma_m : 0.0;
   return true;
 }
 
-void jacobians(const Camera& camera, const PoseObservation& o, const Vec3& p, Linearised* out) {
+void jacobians(const Camera& camera, const PoseObservation& o, Linearised* out) {
+  const Vec3& p = out->p;
   const double inverse_z = 1.0 / p.z();
   Eigen::Matrix<double, 3, 6> point;
   point << Mat3::Identity(), -hat(p);
@@ -60,10 +62,9 @@ NormalEquations accumulate(const Camera& camera, const SE3& T, const std::vector
                            const std::vector<bool>& used, bool is_robust) {
   NormalEquations n;
   for (std::size_t i = 0; i < observations.size(); ++i) {
-    Vec3 p;
     Linearised l;
-    if (!used[i] || !errors(camera, T, observations[i], &p, &l)) continue;
-    jacobians(camera, observations[i], p, &l);
+    if (!used[i] || !errors(camera, T, observations[i], &l)) continue;
+    jacobians(camera, observations[i], &l);
     const double pixel2 = l.pixel_error.squaredNorm(), depth2 = l.depth_error * l.depth_error;
     const double pixel_weight = is_robust ? huber_weight(pixel2, kPixelGate2) : 1.0;
     double depth_weight = huber_weight(depth2, kDepthGate2);
@@ -100,9 +101,8 @@ int classify(const Camera& camera, const SE3& T, const std::vector<PoseObservati
              std::vector<bool>* is_inlier) {
   int inliers = 0;
   for (std::size_t i = 0; i < observations.size(); ++i) {
-    Vec3 p;
     Linearised l;
-    (*is_inlier)[i] = errors(camera, T, observations[i], &p, &l) && l.pixel_error.squaredNorm() <= gate2;
+    (*is_inlier)[i] = errors(camera, T, observations[i], &l) && l.pixel_error.squaredNorm() <= gate2;
     inliers += (*is_inlier)[i] ? 1 : 0;
   }
   return inliers;

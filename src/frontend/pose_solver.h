@@ -10,11 +10,6 @@ namespace semantic_topo_loop::core {
 constexpr double kPixelGate2 = 5.991;  ///< chi square of a pixel's two values, 95 %
 constexpr double kMinDepth_m = 0.05;   ///< nearer points, and those behind, have no place in an image
 
-/// Undistorted pixel of a point before the camera, in the camera frame.
-inline Vec2 pinhole(const Camera& camera, const Vec3& p) {
-  return {camera.fx * p.x() / p.z() + camera.cx, camera.fy * p.y() / p.z() + camera.cy};
-}
-
 /// A map point found in an image.
 struct PoseObservation {
   Vec3 point_map = Vec3::Zero();

@@ -6,7 +6,7 @@
 #include <utility>
 
 #include "frontend/bundle_adjustment.h"
-#include "frontend/feature_extractor.h"
+#include "frontend/depth_registration.h"
 #include "frontend/image_tracker.h"
 #include "semantic_topo_loop/geometry/lie.h"
 
@@ -74,9 +74,6 @@ struct RgbdFrontend::Impl {
   Impl(const FrontendOptions& frontend_options, Calibration known)
       : options(frontend_options),
         calibration(std::move(known)),
-        extractor(options, calibration.camera, calibration.registration),
-        tracker(options, calibration.camera),
-        builder(options, calibration.camera),
         grid(calibration.camera, options.point_stride_px),
         map(options),
         is_calibrated(!options.self_calibration) {
@@ -109,8 +106,8 @@ struct RgbdFrontend::Impl {
     if (last_tracked_image != images - 1) return false;
     const int strong = strong_inliers(options);
     TrackedFeatures followed = *image;
-    const bool is_followed =
-        tracker.follow(*last, guess(image->stamp_ns), &map, &followed) && tracker.track_local_map(&map, &followed);
+    const bool is_followed = follow_points(*last, guess(image->stamp_ns), calibration.camera, &map, &followed) &&
+                             track_local_map(calibration.camera, &map, &followed);
     // After wide motions few points are where they were guessed, and some of them by chance.
     if (is_followed && followed.inliers >= strong) {
       *image = std::move(followed);
@@ -136,8 +133,8 @@ struct RgbdFrontend::Impl {
     std::optional<TrackedFeatures> best;
     for (const std::int64_t id : tried) {
       TrackedFeatures candidate = *image;
-      if (!tracker.find(*map.keyframe(id), &map, &candidate)) continue;
-      if (!tracker.track_local_map(&map, &candidate)) continue;
+      if (!find_points(*map.keyframe(id), calibration.camera, &map, &candidate)) continue;
+      if (!track_local_map(calibration.camera, &map, &candidate)) continue;
       const int inliers = candidate.inliers;
       if (!best || inliers > best->inliers) best = std::move(candidate);
       if (inliers >= strong) break;
@@ -164,8 +161,8 @@ struct RgbdFrontend::Impl {
     return covariance;
   }
 
-  void add_keyframe(const TrackedFeatures& image) {
-    const std::int64_t id = builder.add_keyframe(image, &map);
+  void take_in(const TrackedFeatures& image) {
+    const std::int64_t id = add_keyframe(image, calibration.camera, &map);
     if (map.keyframes().size() < 2) return;
     checks_focal = is_focal_check_due();
     refinement = std::async(std::launch::async, [this, problem = local_bundle(map, id, options)]() mutable {
@@ -246,11 +243,11 @@ struct RgbdFrontend::Impl {
 
   TrackedImage track(const RgbdImage& rgbd) {
     TrackedFeatures image;
-    image.number = images;
+    image.id = images;
     image.stamp_ns = rgbd.stamp_ns;
     if (images == 0) first_stamp_ns = rgbd.stamp_ns;
     look_for_registration(rgbd);
-    image.features = extractor.extract(rgbd);
+    image.features = extract_features(rgbd, options, calibration.camera, calibration.registration);
     image.points.assign(image.features.size(), -1);
     take_refinement();
     TrackedImage result;
@@ -279,8 +276,8 @@ struct RgbdFrontend::Impl {
       if (last && !is_break) sample.covariance = motion_covariance(image);
       result.sample = std::move(sample);
       result.is_recalibrated = correct_calibration(&image);
-      if (map.keyframes().empty() || builder.needs_keyframe(image, map)) {
-        add_keyframe(image);
+      if (map.keyframes().empty() || needs_keyframe(image, map)) {
+        take_in(image);
         image.points = map.keyframes().rbegin()->second.points;
       }
       accept(std::move(image));
@@ -291,9 +288,6 @@ struct RgbdFrontend::Impl {
 
   FrontendOptions options;
   Calibration calibration;
-  FeatureExtractor extractor;
-  ImageTracker tracker;
-  MapBuilder builder;
   DepthGrid grid;
   TrackingMap map;
   std::optional<RegistrationEstimator> registration_estimator;  ///< until it has decided
@@ -316,14 +310,11 @@ struct RgbdFrontend::Impl {
 };
 
 RgbdFrontend::RgbdFrontend(const FrontendOptions& options, const Camera& camera)
-    : impl_(std::make_unique<Impl>(options, Calibration{camera, {}, true, 0})) {}
-RgbdFrontend::~RgbdFrontend() = default;
-RgbdFrontend::RgbdFrontend(RgbdFrontend&&) noexcept = default;
-RgbdFrontend& RgbdFrontend::operator=(RgbdFrontend&&) noexcept = default;
+    : impl_(new Impl(options, Calibration{camera, {}, true, 0}), [](Impl* impl) { delete impl; }) {}
 
 TrackedImage RgbdFrontend::track(const RgbdImage& image) { return impl_->track(image); }
 
-void RgbdFrontend::begin_anew() { impl_ = std::make_unique<Impl>(impl_->options, impl_->calibration); }
+void RgbdFrontend::begin_anew() { impl_.reset(new Impl(impl_->options, impl_->calibration)); }
 
 bool RgbdFrontend::is_calibrated() const { return impl_->is_calibrated; }
 

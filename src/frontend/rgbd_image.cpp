@@ -78,7 +78,7 @@ cv::Mat registered(const cv::Mat& depth_m, const Camera& color, const Camera& de
       if (z_m <= 0.0F) continue;
       const Vec3 p = T_color_depth * Vec3(z_m * depth.ray(Vec2(u, v)));
       if (p.z() <= 0.0) continue;
-      const Vec2 pixel = color.distort(Vec2(color.fx * p.x() / p.z() + color.cx, color.fy * p.y() / p.z() + color.cy));
+      const Vec2 pixel = color.distort(color.pixel(p));
       if (!(pixel.x() > -1.0 && pixel.y() > -1.0 && pixel.x() < color.width && pixel.y() < color.height)) continue;
       const int left = static_cast<int>(std::floor(pixel.x())), top = static_cast<int>(std::floor(pixel.y()));
       for (int y = std::max(top, 0); y <= std::min(top + 1, color.height - 1); ++y) {

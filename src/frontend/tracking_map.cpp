@@ -16,6 +16,107 @@ int count_points(const TrackingMap& map, const std::vector<std::int64_t>& points
   return count;
 }
 
+void add_points(std::int64_t id, const Camera& camera, TrackingMap* map) {
+  const TrackingKeyframe& keyframe = *map->keyframe(id);
+  const SE3 T_map_camera = keyframe.T_camera_map.inverse();
+  for (std::size_t i = 0; i < keyframe.features.size(); ++i) {
+    const ImageFeature& feature = keyframe.features.features[i];
+    if (keyframe.points[i] >= 0 || !feature.has_depth()) continue;
+    const Vec3 position = T_map_camera * Vec3(feature.depth_m * camera.ray(feature.pixel));
+    map->refresh(&map->add_point(position, id, static_cast<int>(i)));
+  }
+}
+
+void fuse_into(const std::vector<std::int64_t>& points, std::int64_t id, const Camera& camera, TrackingMap* map) {
+  constexpr double kRadius_px = 3.0;  // on level 0: two sigmas of a refined point's place, as in ORB-SLAM2's fusion
+  TrackingKeyframe& keyframe = *map->keyframe(id);
+  std::vector<SearchItem> items;
+  for (const std::int64_t point_id : points) {
+    const MapPoint* point = map->point(point_id);
+    if (point == nullptr || point->views.count(id) > 0) continue;
+    const Vec3 p = keyframe.T_camera_map * point->position;
+    const std::optional<Vec2> pixel = pixel_in_view(camera, p);
+    if (!pixel) continue;
+    const int level = map->predict_level(*point, p.norm());
+    const double radius_px = kRadius_px * std::pow(map->options().scale_factor, level);
+    items.push_back({point->descriptor, *pixel, radius_px, level, -1.0F, point_id});
+  }
+  const std::vector<int> found =
+      search(items, keyframe.features, std::vector<bool>(keyframe.features.size(), false), kSimilarBits, 1.0);
+  for (std::size_t k = 0; k < items.size(); ++k) {
+    if (found[k] < 0) continue;
+    MapPoint* point = map->point(items[k].point);
+    if (point == nullptr) continue;  // merged into another one meanwhile
+    const ImageFeature& feature = keyframe.features.features[static_cast<std::size_t>(found[k])];
+    const double depth_m = (keyframe.T_camera_map * point->position).z();
+    constexpr double kGateSigmas = 3.0, kShare = 0.05;  // of the depth: what is nearer or farther is another surface
+    if (feature.has_depth() &&
+        std::abs(feature.depth_m - depth_m) > kGateSigmas * feature.depth_sigma_m + kShare * depth_m) {
+      continue;
+    }
+    const std::int64_t there = keyframe.points[static_cast<std::size_t>(found[k])];
+    if (there < 0) {
+      map->add_view(point, id, found[k]);
+      map->refresh(point);
+    } else {
+      const bool keeps_other = map->point(there)->views.size() >= point->views.size();
+      map->merge(keeps_other ? items[k].point : there, keeps_other ? there : items[k].point);
+    }
+  }
+}
+
+/// One point where two keyframes made two.
+void fuse(std::int64_t id, const Camera& camera, TrackingMap* map) {
+  constexpr std::size_t kNeighbours = 10;  // as in ORB-SLAM2: those with fewer common points hold few that were missed
+  std::vector<std::pair<std::int64_t, int>> neighbours = map->covisible(id);
+  neighbours.resize(std::min(neighbours.size(), kNeighbours));
+  for (const auto& [neighbour, shared] : neighbours) fuse_into(map->keyframe(id)->points, neighbour, camera, map);
+  std::vector<std::int64_t> around;
+  for (const auto& [neighbour, shared] : neighbours) {
+    const std::vector<std::int64_t>& points = map->keyframe(neighbour)->points;
+    around.insert(around.end(), points.begin(), points.end());
+  }
+  std::sort(around.begin(), around.end());
+  around.erase(std::unique(around.begin(), around.end()), around.end());
+  fuse_into(around, id, camera, map);
+}
+
+void drop_points(std::int64_t newest, TrackingMap* map) {
+  // Keyframes since the point was made, and the share of the images that should show it: of ORB-SLAM's order.
+  constexpr std::int64_t kYoung = 3, kSettled = 8;
+  constexpr double kMinFoundShare = 0.25;
+  std::vector<std::int64_t> dropped;
+  for (const auto& [id, point] : map->points()) {
+    const std::int64_t age = newest - point.first_keyframe;
+    if (age > kSettled) continue;
+    const bool is_rarely_found = point.found < kMinFoundShare * point.expected;
+    const bool is_alone = age >= kYoung && point.views.size() < 2;
+    if (is_rarely_found || is_alone) dropped.push_back(id);
+  }
+  for (const std::int64_t id : dropped) map->remove_point(id);
+}
+
+void drop_keyframes(std::int64_t newest, TrackingMap* map) {
+  while (static_cast<int>(map->keyframes().size()) > map->options().max_keyframes) {
+    map->remove_keyframe(map->keyframes().begin()->first);
+  }
+  // As in ORB-SLAM: nine tenths of a redundant keyframe's points are seen by three others as well.
+  constexpr double kRedundantShare = 0.9;
+  constexpr std::size_t kViews = 4;
+  constexpr std::int64_t kRecent = 2;  // keyframes, which the next images hang on
+  for (const auto& [id, shared] : map->covisible(newest)) {
+    if (newest - id <= kRecent || id == map->keyframes().begin()->first) continue;
+    int seen = 0, redundant = 0;
+    for (const std::int64_t point_id : map->keyframe(id)->points) {
+      const MapPoint* point = map->point(point_id);
+      if (point == nullptr) continue;
+      ++seen;
+      redundant += point->views.size() >= kViews ? 1 : 0;
+    }
+    if (redundant > kRedundantShare * seen) map->remove_keyframe(id);
+  }
+}
+
 }  // namespace
 
 PoseObservation observation(const ImageFeature& feature, const MapPoint& point, double scale_factor) {
@@ -25,7 +126,7 @@ PoseObservation observation(const ImageFeature& feature, const MapPoint& point, 
 std::optional<Vec2> pixel_in_view(const Camera& camera, const Vec3& p) {
   constexpr double kNearest_m = 0.1;  // what is nearer is a blur in any image
   if (p.z() < kNearest_m) return std::nullopt;
-  const Vec2 pixel = pinhole(camera, p);
+  const Vec2 pixel = camera.pixel(p);
   if (!(pixel.x() >= 0.0 && pixel.y() >= 0.0 && pixel.x() < camera.width && pixel.y() < camera.height)) {
     return std::nullopt;
   }
@@ -162,13 +263,13 @@ int TrackingMap::predict_level(const MapPoint& point, double distance_m) const {
   return static_cast<int>(std::lround(std::clamp(level, 0.0, options_.levels - 1.0)));
 }
 
-bool MapBuilder::needs_keyframe(const TrackedFeatures& image, const TrackingMap& map) const {
+bool needs_keyframe(const TrackedFeatures& image, const TrackingMap& map) {
   constexpr double kTrackedShare = 0.8;    // of the points of the keyframe with most common ones
   constexpr double kMinInterval_s = 0.12;  // about four images of 30 Hz: nearer ones show the same
   // ORB-SLAM2's: of 1000 features fewer than 100 tracked with depth while more than 70 others have depth.
-  const int few_tracked = options_.features / 10, many_untracked = options_.features / 14;
+  const int few_tracked = map.options().features / 10, many_untracked = map.options().features / 14;
   const TrackingKeyframe& last = map.keyframes().rbegin()->second;
-  const bool is_weak = image.inliers < strong_inliers(options_);
+  const bool is_weak = image.inliers < strong_inliers(map.options());
   if (!is_weak && 1e-9 * static_cast<double>(image.stamp_ns - last.stamp_ns) < kMinInterval_s) return false;
   const std::vector<std::pair<std::int64_t, int>> covisible = map.covisible(image.points);
   if (covisible.empty()) return true;
@@ -183,115 +284,14 @@ bool MapBuilder::needs_keyframe(const TrackedFeatures& image, const TrackingMap&
   return tracked < few_tracked && untracked > many_untracked;
 }
 
-std::int64_t MapBuilder::add_keyframe(const TrackedFeatures& image, TrackingMap* map) const {
+std::int64_t add_keyframe(const TrackedFeatures& image, const Camera& camera, TrackingMap* map) {
   const std::int64_t id = map->keyframes().empty() ? 0 : map->keyframes().rbegin()->first + 1;
   map->add_keyframe({id, image.stamp_ns, image.T_camera_map, image.features, image.points});
   drop_points(id, map);
-  add_points(id, map);
-  fuse(id, map);
+  add_points(id, camera, map);
+  fuse(id, camera, map);
   drop_keyframes(id, map);
   return id;
-}
-
-void MapBuilder::add_points(std::int64_t id, TrackingMap* map) const {
-  const TrackingKeyframe& keyframe = *map->keyframe(id);
-  const SE3 T_map_camera = keyframe.T_camera_map.inverse();
-  for (std::size_t i = 0; i < keyframe.features.size(); ++i) {
-    const ImageFeature& feature = keyframe.features.features[i];
-    if (keyframe.points[i] >= 0 || !feature.has_depth()) continue;
-    const Vec3 position = T_map_camera * Vec3(feature.depth_m * camera_.ray(feature.pixel));
-    map->refresh(&map->add_point(position, id, static_cast<int>(i)));
-  }
-}
-
-void MapBuilder::fuse_into(const std::vector<std::int64_t>& points, std::int64_t id, TrackingMap* map) const {
-  constexpr double kRadius_px = 3.0;  // on level 0: two sigmas of a refined point's place, as in ORB-SLAM2's fusion
-  TrackingKeyframe& keyframe = *map->keyframe(id);
-  std::vector<SearchItem> items;
-  std::vector<std::int64_t> ids;
-  for (const std::int64_t point_id : points) {
-    const MapPoint* point = map->point(point_id);
-    if (point == nullptr || point->views.count(id) > 0) continue;
-    const Vec3 p = keyframe.T_camera_map * point->position;
-    const std::optional<Vec2> pixel = pixel_in_view(camera_, p);
-    if (!pixel) continue;
-    const int level = map->predict_level(*point, p.norm());
-    items.push_back({point->descriptor, *pixel, kRadius_px * std::pow(options_.scale_factor, level), level});
-    ids.push_back(point_id);
-  }
-  const std::vector<int> found =
-      search(items, keyframe.features, std::vector<bool>(keyframe.features.size(), false), kSimilarBits, 1.0);
-  for (std::size_t k = 0; k < items.size(); ++k) {
-    if (found[k] < 0) continue;
-    MapPoint* point = map->point(ids[k]);
-    if (point == nullptr) continue;  // merged into another one meanwhile
-    const ImageFeature& feature = keyframe.features.features[static_cast<std::size_t>(found[k])];
-    const double depth_m = (keyframe.T_camera_map * point->position).z();
-    constexpr double kGateSigmas = 3.0, kShare = 0.05;  // of the depth: what is nearer or farther is another surface
-    if (feature.has_depth() &&
-        std::abs(feature.depth_m - depth_m) > kGateSigmas * feature.depth_sigma_m + kShare * depth_m) {
-      continue;
-    }
-    const std::int64_t there = keyframe.points[static_cast<std::size_t>(found[k])];
-    if (there < 0) {
-      map->add_view(point, id, found[k]);
-      map->refresh(point);
-    } else {
-      const bool keeps_other = map->point(there)->views.size() >= point->views.size();
-      map->merge(keeps_other ? ids[k] : there, keeps_other ? there : ids[k]);
-    }
-  }
-}
-
-void MapBuilder::fuse(std::int64_t id, TrackingMap* map) const {
-  constexpr std::size_t kNeighbours = 10;  // as in ORB-SLAM2: those with fewer common points hold few that were missed
-  std::vector<std::pair<std::int64_t, int>> neighbours = map->covisible(id);
-  neighbours.resize(std::min(neighbours.size(), kNeighbours));
-  for (const auto& [neighbour, shared] : neighbours) fuse_into(map->keyframe(id)->points, neighbour, map);
-  std::vector<std::int64_t> around;
-  for (const auto& [neighbour, shared] : neighbours) {
-    const std::vector<std::int64_t>& points = map->keyframe(neighbour)->points;
-    around.insert(around.end(), points.begin(), points.end());
-  }
-  std::sort(around.begin(), around.end());
-  around.erase(std::unique(around.begin(), around.end()), around.end());
-  fuse_into(around, id, map);
-}
-
-void MapBuilder::drop_points(std::int64_t newest, TrackingMap* map) const {
-  // Keyframes since the point was made, and the share of the images that should show it: of ORB-SLAM's order.
-  constexpr std::int64_t kYoung = 3, kSettled = 8;
-  constexpr double kMinFoundShare = 0.25;
-  std::vector<std::int64_t> dropped;
-  for (const auto& [id, point] : map->points()) {
-    const std::int64_t age = newest - point.first_keyframe;
-    if (age > kSettled) continue;
-    const bool is_rarely_found = point.found < kMinFoundShare * point.expected;
-    const bool is_alone = age >= kYoung && point.views.size() < 2;
-    if (is_rarely_found || is_alone) dropped.push_back(id);
-  }
-  for (const std::int64_t id : dropped) map->remove_point(id);
-}
-
-void MapBuilder::drop_keyframes(std::int64_t newest, TrackingMap* map) const {
-  while (static_cast<int>(map->keyframes().size()) > options_.max_keyframes) {
-    map->remove_keyframe(map->keyframes().begin()->first);
-  }
-  // As in ORB-SLAM: nine tenths of a redundant keyframe's points are seen by three others as well.
-  constexpr double kRedundantShare = 0.9;
-  constexpr std::size_t kViews = 4;
-  constexpr std::int64_t kRecent = 2;  // keyframes, which the next images hang on
-  for (const auto& [id, shared] : map->covisible(newest)) {
-    if (newest - id <= kRecent || id == map->keyframes().begin()->first) continue;
-    int seen = 0, redundant = 0;
-    for (const std::int64_t point_id : map->keyframe(id)->points) {
-      const MapPoint* point = map->point(point_id);
-      if (point == nullptr) continue;
-      ++seen;
-      redundant += point->views.size() >= kViews ? 1 : 0;
-    }
-    if (redundant > kRedundantShare * seen) map->remove_keyframe(id);
-  }
 }
 
 }  // namespace semantic_topo_loop::core

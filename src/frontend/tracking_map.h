@@ -31,7 +31,7 @@ struct MapPoint {
   }
 };
 
-/// An image that the map was built from, without its pixels.
+/// An image that the map is built from, without its pixels.
 struct TrackingKeyframe {
   std::int64_t id = -1;
   std::int64_t stamp_ns = 0;
@@ -41,13 +41,8 @@ struct TrackingKeyframe {
   Vec3 center() const { return T_camera_map.inverse().t; }
 };
 
-/// An image on its way through the tracker.
-struct TrackedFeatures {
-  std::int64_t number = -1;  ///< counts images
-  std::int64_t stamp_ns = 0;
-  ImageFeatures features;
-  std::vector<std::int64_t> points;  ///< map point of each feature; -1: none
-  SE3 T_camera_map;
+/// An image on its way through the tracker; its id counts images.
+struct TrackedFeatures : TrackingKeyframe {
   Mat6 covariance = Mat6::Zero();  ///< of the pose, camera frame
   int matches = 0;
   int inliers = 0;
@@ -65,6 +60,7 @@ std::optional<Vec2> pixel_in_view(const Camera& camera, const Vec3& point_camera
 class TrackingMap {
  public:
   explicit TrackingMap(const FrontendOptions& options) : options_(options) {}
+  const FrontendOptions& options() const { return options_; }
 
   TrackingKeyframe& add_keyframe(TrackingKeyframe keyframe);
   MapPoint& add_point(const Vec3& position, std::int64_t keyframe, int feature);
@@ -98,28 +94,10 @@ class TrackingMap {
   std::int64_t next_search_ = 0;
 };
 
-/// Decides which images the map is built from, and builds it.
-class MapBuilder {
- public:
-  /// @param camera must outlive this; may be corrected meanwhile
-  MapBuilder(const FrontendOptions& options, const Camera& camera) : options_(options), camera_(camera) {}
-
-  /// Whether the image shows enough that the map does not have.
-  bool needs_keyframe(const TrackedFeatures& image, const TrackingMap& map) const;
-  /// Adds the image as a keyframe, with new points from its depths, and tidies up around it.
-  /// @return id of the keyframe
-  std::int64_t add_keyframe(const TrackedFeatures& image, TrackingMap* map) const;
-
- private:
-  void add_points(std::int64_t keyframe, TrackingMap* map) const;
-  /// One point where two keyframes made two.
-  void fuse(std::int64_t keyframe, TrackingMap* map) const;
-  void fuse_into(const std::vector<std::int64_t>& points, std::int64_t keyframe, TrackingMap* map) const;
-  void drop_points(std::int64_t newest, TrackingMap* map) const;
-  void drop_keyframes(std::int64_t newest, TrackingMap* map) const;
-
-  FrontendOptions options_;
-  const Camera& camera_;
-};
+/// Whether the image shows enough that the map does not have.
+bool needs_keyframe(const TrackedFeatures& image, const TrackingMap& map);
+/// Adds the image as a keyframe, with new points from its depths, and tidies up around it.
+/// @return id of the keyframe
+std::int64_t add_keyframe(const TrackedFeatures& image, const Camera& camera, TrackingMap* map);
 
 }  // namespace semantic_topo_loop::core

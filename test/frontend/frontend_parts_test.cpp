@@ -286,7 +286,7 @@ TEST(SemiDensePoints, HaveTheDepthThatTheFoundRegistrationPutsThere) {
   const auto right_share = [&](const std::vector<Eigen::Vector3f>& points) {
     int right = 0;
     for (const Eigen::Vector3f& point : points) {
-      const Vec2 pixel = pinhole(kKinect, point.cast<double>());
+      const Vec2 pixel = kKinect.pixel(point.cast<double>());
       const cv::Rect around(static_cast<int>(pixel.x()) - 3, static_cast<int>(pixel.y()) - 3, 7, 7);
       double nearest_m = 0.0;
       cv::minMaxLoc(seen_depth_m(around & cv::Rect(0, 0, kKinect.width, kKinect.height)), &nearest_m);

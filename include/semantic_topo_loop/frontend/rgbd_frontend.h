@@ -4,7 +4,6 @@
 #include <memory>
 #include <optional>
 #include <string>
-#include <vector>
 
 #include "semantic_topo_loop/frontend/frontend_options.h"
 #include "semantic_topo_loop/frontend/rgbd_image.h"
@@ -35,9 +34,6 @@ struct TrackedImage {
 class RgbdFrontend {
  public:
   RgbdFrontend(const FrontendOptions& options, const Camera& camera);
-  ~RgbdFrontend();
-  RgbdFrontend(RgbdFrontend&&) noexcept;
-  RgbdFrontend& operator=(RgbdFrontend&&) noexcept;
 
   /// Images in time order, made by make_rgbd_image with the same camera.
   TrackedImage track(const RgbdImage& image);
@@ -55,7 +51,7 @@ class RgbdFrontend {
 
  private:
   struct Impl;
-  std::unique_ptr<Impl> impl_;
+  std::unique_ptr<Impl, void (*)(Impl*)> impl_;
 };
 
 /// What became of the images of a run.

@@ -3,7 +3,6 @@
 #include <cstdint>
 #include <opencv2/core.hpp>
 #include <string>
-#include <vector>
 
 #include "semantic_topo_loop/types/camera.h"
 #include "semantic_topo_loop/types/option_visitor.h"
