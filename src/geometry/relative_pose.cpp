@@ -25,13 +25,6 @@ void differentiate(const SE3& T_world_from, const SE3& T_world_to, const SE3& T_
   terms->J_from.bottomRightCorner<3, 3>() = -by_rotation;
 }
 
-/// T_z^-1 T_from^-1 T_to with w >= 0.
-SE3 misfit(const SE3& T_world_from, const SE3& T_world_to, const SE3& T_from_to_measured) {
-  SE3 T = T_from_to_measured.inverse() * (T_world_from.inverse() * T_world_to);
-  if (T.q.w() < 0.0) T.q.coeffs() *= -1.0;
-  return T;
-}
-
 }  // namespace
 
 RelativePoseTerms relative_pose_terms(const SE3& T_world_from, const SE3& T_world_to, const SE3& T_from_to_measured) {
@@ -41,19 +34,34 @@ RelativePoseTerms relative_pose_terms(const SE3& T_world_from, const SE3& T_worl
   return terms;
 }
 
-Vec6 quaternion_pose_residual(const SE3& T_world_from, const SE3& T_world_to, const SE3& T_from_to_measured) {
-  const SE3 T = misfit(T_world_from, T_world_to, T_from_to_measured);
-  Vec6 e;
-  e << T.t, T.q.vec();
-  return e;
-}
-
 RelativePoseTerms quaternion_pose_terms(const SE3& T_world_from, const SE3& T_world_to, const SE3& T_from_to_measured) {
-  const SE3 T = misfit(T_world_from, T_world_to, T_from_to_measured);
+  SE3 T = T_from_to_measured.inverse() * (T_world_from.inverse() * T_world_to);
+  if (T.q.w() < 0.0) T.q.coeffs() *= -1.0;
   RelativePoseTerms terms;
   terms.residual << T.t, T.q.vec();
   differentiate(T_world_from, T_world_to, T_from_to_measured, 0.5 * (T.q.w() * Mat3::Identity() + hat(T.q.vec())),
                 &terms);
+  return terms;
+}
+
+RelativeSimilarityTerms relative_similarity_terms(const Sim3& S_world_from, const Sim3& S_world_to,
+                                                  const Sim3& S_from_to_measured) {
+  // The pose of `to` that has, with a scale of 1, the relative pose that it has in the unit of `from`.
+  const Vec3& t_from = S_world_from.T.t;
+  const SE3 T_world_to{S_world_to.T.q, t_from + (S_world_to.T.t - t_from) / S_world_from.scale};
+  const RelativePoseTerms rigid = relative_pose_terms(S_world_from.T, T_world_to, S_from_to_measured.T);
+  const Mat3 by_step = rigid.J_to.topLeftCorner<3, 3>();
+  RelativeSimilarityTerms terms;
+  terms.residual << rigid.residual, std::log(S_world_to.scale / (S_world_from.scale * S_from_to_measured.scale));
+  terms.J_from.setZero();
+  terms.J_to.setZero();
+  terms.J_from.topLeftCorner<6, 6>() = rigid.J_from;
+  terms.J_to.topLeftCorner<6, 6>() = rigid.J_to;
+  terms.J_from.topLeftCorner<3, 3>() = -by_step / S_world_from.scale;
+  terms.J_to.topLeftCorner<3, 3>() = by_step / S_world_from.scale;
+  terms.J_from.topRightCorner<3, 1>() = -by_step * (T_world_to.t - t_from);
+  terms.J_from(6, 6) = -1.0;
+  terms.J_to(6, 6) = 1.0;
   return terms;
 }
 

@@ -5,12 +5,16 @@
 
 namespace semantic_topo_loop::core {
 
-/// Residual of a relative pose and its derivatives; the poses are turned in the outer frame: R <- exp(rotation) R.
-struct RelativePoseTerms {
-  Vec6 residual;  ///< (translation m, rotation rad)
-  Mat6 J_from;    ///< by (translation of from, rotation of from)
-  Mat6 J_to;      ///< by (translation of to, rotation of to)
+/// Residual of a relative pose or similarity and its derivatives; the poses are turned in the outer frame:
+/// R <- exp(rotation) R.
+template <int n>
+struct RelativeTerms {
+  Eigen::Matrix<double, n, 1> residual;  ///< (translation m, rotation rad, log scale)
+  Eigen::Matrix<double, n, n> J_from;    ///< by (translation of from, rotation of from, its log scale)
+  Eigen::Matrix<double, n, n> J_to;
 };
+using RelativePoseTerms = RelativeTerms<6>;
+using RelativeSimilarityTerms = RelativeTerms<7>;
 
 /// e = log(T_from_to_measured^-1 * T_world_from^-1 * T_world_to) = (R_z^T (t - t_z), log(R_z^T R)).
 Vec6 relative_pose_residual(const SE3& T_world_from, const SE3& T_world_to, const SE3& T_from_to_measured);
@@ -18,8 +22,12 @@ Vec6 relative_pose_residual(const SE3& T_world_from, const SE3& T_world_to, cons
 RelativePoseTerms relative_pose_terms(const SE3& T_world_from, const SE3& T_world_to, const SE3& T_from_to_measured);
 
 /// The same with the vector part of the quaternion (w >= 0) for the rotation vector, as g2o has it.
-Vec6 quaternion_pose_residual(const SE3& T_world_from, const SE3& T_world_to, const SE3& T_from_to_measured);
 RelativePoseTerms quaternion_pose_terms(const SE3& T_world_from, const SE3& T_world_to, const SE3& T_from_to_measured);
+
+/// e = (R_z^T (R_from^T (t_to - t_from) / s_from - t_z), log(R_z^T R_from^T R_to), log(s_to / (s_from s_z))): the rigid
+/// part is that of the poses in the unit of `from`, in which the measurement z was made.
+RelativeSimilarityTerms relative_similarity_terms(const Sim3& S_world_from, const Sim3& S_world_to,
+                                                  const Sim3& S_from_to_measured);
 
 /// Carries a small motion d made before T over to its end: se3_exp(d) * T = T * se3_exp(transport(T) d) + O(d^2).
 Mat6 transport(const SE3& T);

@@ -8,6 +8,7 @@
 #include <utility>
 
 #include "geometry/relative_pose.h"
+#include "geometry/statistics.h"
 
 namespace semantic_topo_loop::core {
 namespace {
@@ -157,6 +158,15 @@ std::vector<std::vector<std::size_t>> loop_clusters(const std::vector<GraphLoop>
     clusters.push_back(std::move(cluster));
   }
   return clusters;
+}
+
+std::vector<GraphLoop> some_kept(const std::vector<GraphLoop>& loops, const std::vector<bool>& kept,
+                                 std::size_t count) {
+  std::vector<GraphLoop> all;
+  for (std::size_t k = 0; k < loops.size(); ++k) {
+    if (kept[k]) all.push_back(loops[k]);
+  }
+  return evenly_taken(std::move(all), count);
 }
 
 double chi_squared(const GraphLoop& loop, const std::vector<SE3>& T_map_vertex) {

@@ -23,7 +23,7 @@ struct GraphLoop {
   Sim3 S_from_to() const { return Sim3(T_from_to, scale); }
 };
 
-/// U of |U e|^2 with e of relative_similarity_residual; its last row is zero if the scale was not measured.
+/// U of |U e|^2 with e of relative_similarity_terms; its last row is zero if the scale was not measured.
 Mat7 similarity_sqrt_info(const GraphLoop& loop);
 
 /// @param query_vertex, match_vertex vertices of the two keyframes
@@ -53,6 +53,9 @@ std::vector<double> redundancy(const std::vector<GraphLoop>& loops, const std::v
 /// @param counts one a loop: which of them are grouped
 std::vector<std::vector<std::size_t>> loop_clusters(const std::vector<GraphLoop>& loops,
                                                     const std::vector<bool>& counts);
+
+/// At most `count` of the loops that are kept, evenly taken. @param kept one a loop
+std::vector<GraphLoop> some_kept(const std::vector<GraphLoop>& loops, const std::vector<bool>& kept, std::size_t count);
 
 /// Squared error of a loop at the given poses, in sigmas as it states them.
 double chi_squared(const GraphLoop& loop, const std::vector<SE3>& T_map_vertex);

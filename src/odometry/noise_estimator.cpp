@@ -7,6 +7,8 @@
 #include <cmath>
 #include <limits>
 
+#include "geometry/statistics.h"
+
 namespace semantic_topo_loop::core {
 namespace {
 
@@ -62,16 +64,12 @@ InnovationModel::Basis InnovationModel::steady_basis(std::size_t edge) const {
 }
 
 InnovationModel::MotionBound InnovationModel::usual_motion(const std::vector<OdometryEdge>& edges) {
-  if (edges.empty()) return {};
   std::vector<double> paths, turns;
   for (const OdometryEdge& edge : edges) {
     paths.push_back(edge.path_m);
     turns.push_back(edge.rotation_rad);
   }
-  const auto middle = static_cast<std::ptrdiff_t>(edges.size() / 2);
-  std::nth_element(paths.begin(), paths.begin() + middle, paths.end());
-  std::nth_element(turns.begin(), turns.begin() + middle, turns.end());
-  return {paths[edges.size() / 2], turns[edges.size() / 2]};
+  return {median(std::move(paths)), median(std::move(turns))};
 }
 
 void InnovationModel::accumulate_edges() {
@@ -123,13 +121,14 @@ InnovationModel::InnovationModel(const std::vector<SE3>& T_world_vertex, const s
       const double shared = k == l ? 1.0 : std::min(kMaxCorrelation, shared_evidence(loops[k], loops[l]));
       loops_.block<6, 6>(row(k), row(l)) = shared * roots[k] * roots[l].transpose();
       if (begin >= end) continue;
-      const auto between = [&](const PathNoise::Sums& sums) {
-        return Mat6(from_origin_[k] * (sums[end] - sums[begin]) * from_origin_[l].transpose());
+      const auto between = [&](Mat6 EdgeCovariance::*cause) {
+        const Mat6 difference = path_.sums()[end].*cause - path_.sums()[begin].*cause;
+        return Mat6(from_origin_[k] * difference * from_origin_[l].transpose());
       };
-      given_.block<6, 6>(row(k), row(l)) = between(path_.given());
-      translation_.block<6, 6>(row(k), row(l)) = between(path_.translation());
-      rotation_.block<6, 6>(row(k), row(l)) = between(path_.rotation());
-      suspected_jumps_.block<6, 6>(row(k), row(l)) = between(path_.suspected_jumps());
+      given_.block<6, 6>(row(k), row(l)) = between(&EdgeCovariance::given);
+      translation_.block<6, 6>(row(k), row(l)) = between(&EdgeCovariance::translation);
+      rotation_.block<6, 6>(row(k), row(l)) = between(&EdgeCovariance::rotation);
+      suspected_jumps_.block<6, 6>(row(k), row(l)) = between(&EdgeCovariance::suspected_jumps);
     }
   }
   const Eigen::MatrixXd turning = columns(steady_, 0, 3), moving = columns(steady_, 3, 6);
@@ -152,8 +151,7 @@ void InnovationModel::set_jumps(const std::vector<OdometryJump>& jumps) {
   jumps_.setZero();
   for (const OdometryJump& jump : jumps) {
     const Eigen::MatrixXd by_error = effect(jump.edge);
-    jumps_ +=
-        by_error * isotropic_covariance(squared(jump.translation_m), squared(jump.rotation_rad)) * by_error.transpose();
+    jumps_ += by_error * jump.covariance() * by_error.transpose();
   }
 }
 
@@ -227,8 +225,7 @@ InnovationModel::Candidate InnovationModel::judge_jump(std::size_t edge, const W
   Candidate candidate{{edge, 1.0, 1.0}, 0.0};
   constexpr int kRounds = 3;  // few: they only have to rank the edges and to set a prior
   for (int round = 0;; ++round) {
-    const Mat6 prior =
-        isotropic_covariance(squared(candidate.jump.translation_m), squared(candidate.jump.rotation_rad));
+    const Mat6 prior = candidate.jump.covariance();
     const Mat6 inner = Mat6::Identity() + prior * information;
     const Vec6 estimate = inner.partialPivLu().solve(prior * pull);
     candidate.gain = 0.5 * pull.dot(estimate) - 0.5 * std::log(std::max(inner.determinant(), 1.0));

@@ -13,6 +13,8 @@ namespace semantic_topo_loop::core {
 struct OdometryJump {
   std::size_t edge = 0;
   double translation_m = 0.0, rotation_rad = 0.0;
+
+  Mat6 covariance() const { return isotropic_covariance(translation_m * translation_m, rotation_rad * rotation_rad); }
 };
 
 /// What the odometry's errors are taken to be.

@@ -45,6 +45,19 @@ EdgeCovariance by_causes(const OdometryEdge& edge) {
 
 }  // namespace
 
+EdgeCovariance& EdgeCovariance::operator+=(const EdgeCovariance& other) {
+  given += other.given;
+  translation += other.translation;
+  rotation += other.rotation;
+  suspected_jumps += other.suspected_jumps;
+  return *this;
+}
+
+EdgeCovariance EdgeCovariance::carried(const Mat6& J) const {
+  const auto carry = [&J](const Mat6& m) { return Mat6(J * m * J.transpose()); };
+  return {carry(given), carry(translation), carry(rotation), carry(suspected_jumps)};
+}
+
 Mat6 isotropic_covariance(double translation_variance, double rotation_variance) {
   Vec6 variances;
   variances << Vec3::Constant(translation_variance), Vec3::Constant(rotation_variance);
@@ -74,7 +87,6 @@ Mat6 odometry_covariance(const OdometryEdge& edge, const OdometryNoise& noise) {
 
 OdometryEdge join(const OdometryEdge& first, const OdometryEdge& second) {
   const Mat6 carry = transport(second.T_from_to);
-  const auto carried = [&carry](const Mat6& m) { return Mat6(carry * m * carry.transpose()); };
   OdometryEdge edge;
   edge.T_from_to = first.T_from_to * second.T_from_to;
   edge.path_m = first.path_m + second.path_m;
@@ -82,15 +94,11 @@ OdometryEdge join(const OdometryEdge& first, const OdometryEdge& second) {
   edge.is_break = first.is_break || second.is_break;
   edge.suspected_jump = carry * first.suspected_jump + second.suspected_jump;
   if (first.covariance && second.covariance) {
-    edge.covariance = carried(*first.covariance) + *second.covariance;
+    edge.covariance = Mat6(carry * *first.covariance * carry.transpose()) + *second.covariance;
     return edge;
   }
-  const EdgeCovariance parts = by_causes(first);
   EdgeCovariance sum = by_causes(second);
-  sum.given += carried(parts.given);
-  sum.translation += carried(parts.translation);
-  sum.rotation += carried(parts.rotation);
-  sum.suspected_jumps += carried(parts.suspected_jumps);
+  sum += by_causes(first).carried(carry);
   edge.joined = std::make_shared<const EdgeCovariance>(sum);
   return edge;
 }
@@ -125,7 +133,7 @@ OdometryEdge OdometryAccumulator::finish(const SE3& T_odom_from, const SE3& T_od
 PathNoise::PathNoise(const std::vector<SE3>& T_world_vertex, const std::vector<OdometryEdge>& edges)
     : vertices_(&T_world_vertex) {
   const std::size_t n = edges.size() + 1;
-  for (Sums* sums : {&given_, &translation_, &rotation_, &suspected_jumps_}) sums->assign(n, Mat6::Zero());
+  sums_.assign(n, EdgeCovariance());
   residual_.assign(n, Vec6::Zero());
   jump_.assign(n, Vec6::Zero());
   stated_.assign(n, 0);
@@ -133,20 +141,16 @@ PathNoise::PathNoise(const std::vector<SE3>& T_world_vertex, const std::vector<O
     const OdometryEdge& edge = edges[i];
     const Mat6 to_origin = transport(T_world_vertex[i + 1].inverse());
     to_origin_.push_back(to_origin);
-    const auto carried = [&to_origin](const Mat6& m) { return Mat6(to_origin * m * to_origin.transpose()); };
-    const EdgeCovariance parts = by_causes(edge);
-    given_[i + 1] = given_[i] + carried(parts.given);
-    suspected_jumps_[i + 1] = suspected_jumps_[i] + carried(parts.suspected_jumps);
+    EdgeCovariance parts = by_causes(edge);
+    if (edge.is_break) parts.translation = parts.rotation = Mat6::Zero();
+    sums_[i + 1] = sums_[i];
+    sums_[i + 1] += parts.carried(to_origin);
     jump_[i + 1] = jump_[i] + to_origin * expected_jump(edge, kOnlyJumps);
-    translation_[i + 1] = translation_[i];
-    rotation_[i + 1] = rotation_[i];
     residual_[i + 1] = residual_[i];
     stated_[i + 1] = stated_[i] + (edge.covariance ? 1 : 0);
-    if (edge.is_break) continue;
-    residual_[i + 1] += to_origin * relative_pose_residual(T_world_vertex[i], T_world_vertex[i + 1], edge.T_from_to);
-    if (edge.covariance) continue;
-    translation_[i + 1] += carried(parts.translation);
-    rotation_[i + 1] += carried(parts.rotation);
+    if (!edge.is_break) {
+      residual_[i + 1] += to_origin * relative_pose_residual(T_world_vertex[i], T_world_vertex[i + 1], edge.T_from_to);
+    }
   }
 }
 
@@ -165,13 +169,14 @@ Innovation PathNoise::innovation(const GraphLoop& loop) const {
 
 double PathNoise::explaining_factor(const GraphLoop& loop, const OdometryNoise& noise, double max_factor) const {
   const Innovation innovation = this->innovation(loop);
-  const auto along = [&](const Sums& sums) {
-    const Mat6 difference = sums[index(loop.to)] - sums[index(loop.from)];
+  const auto along = [&](Mat6 EdgeCovariance::*cause) {
+    const Mat6 difference = sums_[index(loop.to)].*cause - sums_[index(loop.from)].*cause;
     return Mat6(innovation.from_origin * difference * innovation.from_origin.transpose());
   };
-  const Mat6 base = loop.covariance + along(given_) + noise.jump_prior * noise.jump_prior * along(suspected_jumps_);
-  const Mat6 noise_part = noise.translation_m * noise.translation_m * along(translation_) +
-                          noise.rotation_rad * noise.rotation_rad * along(rotation_);
+  const Mat6 base = loop.covariance + along(&EdgeCovariance::given) +
+                    noise.jump_prior * noise.jump_prior * along(&EdgeCovariance::suspected_jumps);
+  const Mat6 noise_part = noise.translation_m * noise.translation_m * along(&EdgeCovariance::translation) +
+                          noise.rotation_rad * noise.rotation_rad * along(&EdgeCovariance::rotation);
   // In the basis of V, V^T base V = 1 and V^T noise_part V is diagonal.
   const Eigen::GeneralizedSelfAdjointEigenSolver<Mat6> both(noise_part, base);
   if (both.info() != Eigen::Success) return std::numeric_limits<double>::infinity();

@@ -25,6 +25,10 @@ struct EdgeCovariance {
   Mat6 translation = Mat6::Zero();      ///< times the square of OdometryNoise::translation_m
   Mat6 rotation = Mat6::Zero();         ///< times the square of rotation_rad
   Mat6 suspected_jumps = Mat6::Zero();  ///< times the square of jump_prior
+
+  EdgeCovariance& operator+=(const EdgeCovariance& other);
+  /// J m J^T of each.
+  EdgeCovariance carried(const Mat6& J) const;
 };
 
 /// The odometry between two keyframes, consecutive ones unless several edges were joined.
@@ -90,8 +94,6 @@ struct Innovation {
 /// the noise of the stretch between two vertices. Linear about the given poses, which need not be the odometry's.
 class PathNoise {
  public:
-  using Sums = std::vector<Mat6>;  ///< one a vertex
-
   /// @param edges edges[i] joins vertices i and i + 1; both must outlive this
   PathNoise(const std::vector<SE3>& T_world_vertex, const std::vector<OdometryEdge>& edges);
 
@@ -102,16 +104,15 @@ class PathNoise {
   /// Whether the source states a covariance somewhere between the loop's ends.
   bool has_stated(const GraphLoop& loop) const;
 
-  const Sums& given() const { return given_; }              ///< of edges whose covariance does not depend on the noise
-  const Sums& translation() const { return translation_; }  ///< per square metre of noise
-  const Sums& rotation() const { return rotation_; }        ///< per square radian of noise
-  const Sums& suspected_jumps() const { return suspected_jumps_; }  ///< per square of their prior
+  /// From the first vertex to each.
+  const std::vector<EdgeCovariance>& sums() const { return sums_; }
   /// Carries a small motion at the end of an edge to the world's origin.
   const Mat6& to_origin(std::size_t edge) const { return to_origin_[edge]; }
 
  private:
   const std::vector<SE3>* vertices_;
-  Sums given_, translation_, rotation_, suspected_jumps_, to_origin_;
+  std::vector<EdgeCovariance> sums_;
+  std::vector<Mat6> to_origin_;
   std::vector<Vec6> residual_, jump_;
   std::vector<int> stated_;
 };

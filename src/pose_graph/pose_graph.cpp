@@ -1,7 +1,6 @@
 #include "semantic_topo_loop/pose_graph/pose_graph.h"
 
 #include <algorithm>
-#include <chrono>
 #include <cmath>
 #include <iterator>
 #include <map>
@@ -14,6 +13,7 @@
 #include "pose_graph/solver/graph_objects.h"
 #include "pose_graph/solver/trajectory_optimizer.h"
 #include "semantic_topo_loop/geometry/lie.h"
+#include "semantic_topo_loop/types/stamp.h"
 
 namespace semantic_topo_loop::core {
 namespace {
@@ -26,8 +26,7 @@ constexpr double kMoved_m = 2e-4, kMoved_rad = 1e-4;
 
 }  // namespace
 
-class PoseGraph::Impl {
- public:
+struct PoseGraph::Impl {
   explicit Impl(const PoseGraphOptions& options) : options_(options), loops_(options_) {
     knowledge_.noise.odometry = noise_prior(options_).least;
     has_objects_ = options_.objects != "off" && !has_free_scale();
@@ -54,10 +53,9 @@ class PoseGraph::Impl {
     for (const LoopClosure& loop : loops) add_loop(loop, false);
     for (const LoopClosure& loop : extra_loops) add_loop(loop, true);
     if (is_due(frame)) {
-      const auto start = std::chrono::steady_clock::now();
+      const Stopwatch watch;
       correction.changed = optimize(frame.is_end);
-      correction.duration_us =
-          std::chrono::duration<double, std::micro>(std::chrono::steady_clock::now() - start).count();
+      correction.duration_us = watch.elapsed_us();
     }
     if (has_free_scale()) T_map_odom_ = place(T_odom_frame_) * T_odom_frame_.inverse();
     correction.T_map_odom = T_map_odom_;
@@ -81,16 +79,12 @@ class PoseGraph::Impl {
     return true;
   }
 
-  const SE3& T_map_odom() const { return T_map_odom_; }
-  Size size() const { return {trajectory_.T_map_vertex.size(), loops_.size()}; }
-
   std::vector<KeyframePose> keyframes() const {
     std::vector<KeyframePose> poses = keyframes_;
     for (std::size_t v = 0; v < keyframe_of_.size(); ++v) follow(v, &poses);
     return poses;
   }
 
- private:
   /// Whether the frame, which is not in the graph yet, becomes a vertex of it.
   bool is_vertex(const Frame& frame) const {
     return frame.is_keyframe && frame.T_odom_camera.is_finite() && number_of_.count(frame.keyframe_id) == 0;
@@ -208,7 +202,7 @@ class PoseGraph::Impl {
   bool is_due(const Frame& frame) const {
     if (is_withdrawn_) return true;
     if (frame.is_end && options_.objects == "on" && !objects_.empty()) return true;
-    if (loops_.empty()) return false;
+    if (loops_.size() == 0) return false;
     if (frame.is_end) return true;
     constexpr int kPatience = 4;  // times the usual interval
     const int interval = has_outliers_ ? options_.interval_keyframes : kPatience * options_.interval_keyframes;
@@ -342,10 +336,7 @@ class PoseGraph::Impl {
   bool has_new_loops_ = false, has_outliers_ = false, is_urgent_ = false, is_withdrawn_ = false;
 };
 
-PoseGraph::PoseGraph(const PoseGraphOptions& options) : impl_(std::make_unique<Impl>(options)) {}
-PoseGraph::~PoseGraph() = default;
-PoseGraph::PoseGraph(PoseGraph&&) noexcept = default;
-PoseGraph& PoseGraph::operator=(PoseGraph&&) noexcept = default;
+PoseGraph::PoseGraph(const PoseGraphOptions& options) : impl_(new Impl(options), [](Impl* impl) { delete impl; }) {}
 
 void PoseGraph::observe(const Frame& frame, const AssociationFrame& associations) {
   impl_->observe(frame, associations);
@@ -358,8 +349,8 @@ MapCorrection PoseGraph::process(const Frame& frame, const std::vector<LoopClosu
 bool PoseGraph::withdraw(std::int64_t query_keyframe_id, std::int64_t match_keyframe_id) {
   return impl_->withdraw(query_keyframe_id, match_keyframe_id);
 }
-const SE3& PoseGraph::T_map_odom() const { return impl_->T_map_odom(); }
-PoseGraph::Size PoseGraph::size() const { return impl_->size(); }
+const SE3& PoseGraph::T_map_odom() const { return impl_->T_map_odom_; }
+PoseGraph::Size PoseGraph::size() const { return {impl_->trajectory_.T_map_vertex.size(), impl_->loops_.size()}; }
 std::vector<KeyframePose> PoseGraph::keyframes() const { return impl_->keyframes(); }
 
 }  // namespace semantic_topo_loop::core

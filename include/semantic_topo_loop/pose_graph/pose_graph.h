@@ -27,9 +27,6 @@ struct PoseGraphOptions;
 class PoseGraph {
  public:
   explicit PoseGraph(const PoseGraphOptions& options);
-  ~PoseGraph();
-  PoseGraph(PoseGraph&&) noexcept;
-  PoseGraph& operator=(PoseGraph&&) noexcept;
 
   /// What the objects are tied by (pose_graph.objects): give it before `process` of the same frame. Nothing happens
   /// while objects take no part.
@@ -54,8 +51,8 @@ class PoseGraph {
   std::vector<KeyframePose> keyframes() const;
 
  private:
-  class Impl;
-  std::unique_ptr<Impl> impl_;
+  struct Impl;
+  std::unique_ptr<Impl, void (*)(Impl*)> impl_;
 };
 
 }  // namespace semantic_topo_loop::core

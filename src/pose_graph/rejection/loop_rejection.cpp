@@ -6,7 +6,6 @@
 #include <sstream>
 #include <utility>
 
-#include "geometry/statistics.h"
 #include "odometry/noise_estimator.h"
 
 namespace semantic_topo_loop::core {
@@ -92,8 +91,6 @@ bool LoopRejection::withdraw(std::int64_t query_keyframe_id, std::int64_t match_
 std::size_t LoopRejection::size() const {
   return static_cast<std::size_t>(std::count_if(entries_.begin(), entries_.end(), is_in_graph));
 }
-
-bool LoopRejection::empty() const { return std::none_of(entries_.begin(), entries_.end(), is_in_graph); }
 
 /// Whether the graph has the evidence of a loop often enough, in loops before `end` that are believed. The more of them
 /// it holds the sooner it has, so that the time of a solve hardly grows.
@@ -233,16 +230,6 @@ namespace {
 
 using Cluster = std::vector<std::size_t>;
 
-/// At most so many of those that are kept: the time of a fit grows with their cube, and each cluster needs four.
-std::vector<GraphLoop> some_of(const std::vector<GraphLoop>& loops, const std::vector<bool>& kept) {
-  constexpr std::size_t kMaxLoops = 16;
-  std::vector<GraphLoop> all;
-  for (std::size_t k = 0; k < loops.size(); ++k) {
-    if (kept[k]) all.push_back(loops[k]);
-  }
-  return evenly_taken(std::move(all), kMaxLoops);
-}
-
 /// A false loop may state any pose within some ten metres: logarithm of (10 m)^3 times all rotations, 8 pi^2.
 constexpr double kLogPlaces = 11.3;
 /// A piece of evidence is false once in ten times: logarithm of 10.
@@ -293,43 +280,31 @@ std::vector<Cluster> strained(const Trajectory& trajectory, const std::vector<bo
   return result;
 }
 
-/// The cluster that is most likely false.
-class OutlierSearch {
- public:
-  OutlierSearch(Trajectory* trajectory, const PoseGraphOptions& options, const GraphKnowledge& knowledge)
-      : trajectory_(trajectory), options_(options), knowledge_(knowledge) {}
-
-  void judge(const Cluster& cluster, double evidence) {
-    GraphKnowledge others = knowledge_;
-    for (const std::size_t k : cluster) others.kept[k] = false;
-    trajectory_->votes = others.kept;
-    OptimizedTrajectory without = optimize_trajectory(*trajectory_, options_, others, Effort::kUpdate);
-    const GraphLoop& loop = middle(cluster, *trajectory_);
-    if (!without.usable || chi_squared(loop, without.T_map_vertex) <= options_.robust_chi2) return;
-    // Linear about the poses with and without the cluster: right loops behind large jumps are likely about the former.
-    const std::vector<GraphLoop> rest = some_of(trajectory_->loops, without.knowledge.kept);
-    const NoisePrior prior = noise_prior(options_);
-    const double least = std::min(unlikelihood(loop, rest, without.T_map_vertex, trajectory_->edges, prior),
-                                  unlikelihood(loop, rest, trajectory_->T_map_vertex, trajectory_->edges, prior));
-    const double odds = least - kLogPlaces - kLogRare * evidence;
-    if (odds <= odds_) return;
-    odds_ = odds;
-    kept_ = others.kept;
-    T_map_vertex_ = std::move(without.T_map_vertex);
-  }
-
-  bool found() const { return odds_ > 0.0; }
-  const std::vector<bool>& kept_without() const { return kept_; }
-  const std::vector<SE3>& T_map_vertex_without() const { return T_map_vertex_; }
-
- private:
-  Trajectory* trajectory_;
-  const PoseGraphOptions& options_;
-  const GraphKnowledge& knowledge_;
-  double odds_ = 0.0;  ///< logarithm of those that it is false
-  std::vector<bool> kept_;
-  std::vector<SE3> T_map_vertex_;
+/// A cluster that is likely false.
+struct Outlier {
+  double odds = 0.0;  ///< logarithm of those that it is false
+  std::vector<bool> kept_without;
+  std::vector<SE3> T_map_vertex_without;
 };
+
+/// @param worst so far, which this cluster takes the place of if it is more likely false
+void judge(const Cluster& cluster, double evidence, const PoseGraphOptions& options, const GraphKnowledge& knowledge,
+           Trajectory* trajectory, Outlier* worst) {
+  constexpr std::size_t kMaxLoops = 16;  // the time of a fit grows with their cube, and each cluster needs four
+  GraphKnowledge others = knowledge;
+  for (const std::size_t k : cluster) others.kept[k] = false;
+  trajectory->votes = others.kept;
+  OptimizedTrajectory without = optimize_trajectory(*trajectory, options, others, Effort::kUpdate);
+  const GraphLoop& loop = middle(cluster, *trajectory);
+  if (!without.usable || chi_squared(loop, without.T_map_vertex) <= options.robust_chi2) return;
+  // Linear about the poses with and without the cluster: right loops behind large jumps are likely about the former.
+  const std::vector<GraphLoop> rest = some_kept(trajectory->loops, without.knowledge.kept, kMaxLoops);
+  const NoisePrior prior = noise_prior(options);
+  const double least = std::min(unlikelihood(loop, rest, without.T_map_vertex, trajectory->edges, prior),
+                                unlikelihood(loop, rest, trajectory->T_map_vertex, trajectory->edges, prior));
+  const double odds = least - kLogPlaces - kLogRare * evidence;
+  if (odds > worst->odds) *worst = {odds, std::move(others.kept), std::move(without.T_map_vertex)};
+}
 
 }  // namespace
 
@@ -338,13 +313,13 @@ std::vector<bool> audit_clusters(Trajectory trajectory, const PoseGraphOptions& 
   const NoisePrior prior = noise_prior(options);
   while (loop_clusters(trajectory.loops, knowledge.kept).size() > 1) {
     const std::vector<double> copies = redundancy(trajectory.loops, knowledge.kept);
-    OutlierSearch search(&trajectory, options, knowledge);
+    Outlier worst;
     for (const Cluster& cluster : strained(trajectory, knowledge.kept, prior)) {
-      search.judge(cluster, evidence(cluster, copies));
+      judge(cluster, evidence(cluster, copies), options, knowledge, &trajectory, &worst);
     }
-    if (!search.found()) break;
-    knowledge.kept = search.kept_without();
-    trajectory.T_map_vertex = search.T_map_vertex_without();
+    if (worst.kept_without.empty()) break;
+    knowledge.kept = std::move(worst.kept_without);
+    trajectory.T_map_vertex = std::move(worst.T_map_vertex_without);
   }
   return knowledge.kept;
 }

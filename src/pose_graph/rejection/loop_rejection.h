@@ -44,7 +44,6 @@ class LoopRejection {
   bool withdraw(std::int64_t query_keyframe_id, std::int64_t match_keyframe_id);
   /// How many loops are in the graph.
   std::size_t size() const;
-  bool empty() const;
 
   /// Sets the loops of the graph, with what was believed of them.
   void hand_over(Trajectory* trajectory, GraphKnowledge* knowledge) const;

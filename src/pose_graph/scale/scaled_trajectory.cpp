@@ -4,10 +4,7 @@
 #include <algorithm>
 #include <cmath>
 
-#include "geometry/ceres_compat.h"
 #include "geometry/relative_pose.h"
-#include "pose_graph/solver/graph_problem.h"
-#include "semantic_topo_loop/geometry/lie.h"
 
 namespace semantic_topo_loop::core {
 namespace {
@@ -173,135 +170,8 @@ bool solve_scales(const Trajectory& trajectory, const OptimizedTrajectory& rigid
 double chi_squared(const GraphLoop& loop, const std::vector<SE3>& T_map_vertex, const std::vector<double>& log_scale) {
   const Sim3 S_map_from(T_map_vertex[index(loop.from)], std::exp(log_scale[index(loop.from)]));
   const Sim3 S_map_to(T_map_vertex[index(loop.to)], std::exp(log_scale[index(loop.to)]));
-  return (similarity_sqrt_info(loop) * relative_similarity_residual(S_map_from, S_map_to, loop.S_from_to()))
-      .squaredNorm();
-}
-
-namespace {
-
-/// The pose of `to` that has, with a scale of 1, the relative pose that it has in the unit of `from`.
-SE3 in_unit_of_from(const Sim3& S_world_from, const SE3& T_world_to) {
-  const Vec3& t_from = S_world_from.T.t;
-  return {T_world_to.q, t_from + (T_world_to.t - t_from) / S_world_from.scale};
-}
-
-using RowMat73 = Eigen::Matrix<double, 7, 3, Eigen::RowMajor>;
-using RowMat74 = Eigen::Matrix<double, 7, 4, Eigen::RowMajor>;
-
-/// A vertex as Ceres holds it.
-struct Vertex {
-  Vec3 t;
-  Quaternion q;
-  double log_scale;
-
-  explicit Vertex(const Sim3& S) : t(S.T.t), q(S.T.q.normalized()), log_scale(std::log(S.scale)) {}
-  Sim3 similarity() const { return Sim3(SE3(q.normalized(), t), std::exp(log_scale)); }
-};
-
-Sim3 similarity(const double* t, const double* q, const double* log_scale) {
-  return Sim3(SE3(Quaternion(q), Vec3(t)), std::exp(*log_scale));
-}
-
-/// sqrt(w) U e over (t, q, log scale) of from and to.
-class RelativeSimilarityCost : public ceres::SizedCostFunction<7, 3, 4, 1, 3, 4, 1> {
- public:
-  explicit RelativeSimilarityCost(const SimilarityEdge& edge)
-      : S_from_to_(edge.S_from_to), sqrt_info_(std::sqrt(edge.weight) * edge.sqrt_info) {}
-
-  bool Evaluate(double const* const* parameters, double* residuals, double** jacobians) const override {
-    const Sim3 S_world_from = similarity(parameters[0], parameters[1], parameters[2]);
-    const Sim3 S_world_to = similarity(parameters[3], parameters[4], parameters[5]);
-    Eigen::Map<Vec7> e(residuals);
-    if (jacobians == nullptr) {
-      e = sqrt_info_ * relative_similarity_residual(S_world_from, S_world_to, S_from_to_);
-      return true;
-    }
-    const RelativeSimilarityTerms terms = relative_similarity_terms(S_world_from, S_world_to, S_from_to_);
-    e = sqrt_info_ * terms.residual;
-    write(sqrt_info_ * terms.J_from, S_world_from.T.q, jacobians);
-    write(sqrt_info_ * terms.J_to, S_world_to.T.q, jacobians + 3);
-    return true;
-  }
-
- private:
-  /// See RelativePoseCost for the derivative by the quaternion.
-  static void write(const Mat7& J, const Quaternion& q, double** jacobians) {
-    if (jacobians[0] != nullptr) Eigen::Map<RowMat73>{jacobians[0]} = J.leftCols<3>();
-    if (jacobians[1] != nullptr) {
-      Eigen::Map<RowMat74>{jacobians[1]} = 2.0 * J.middleCols<3>(3) * quaternion_by_rotation(q).transpose();
-    }
-    if (jacobians[2] != nullptr) Eigen::Map<Vec7>{jacobians[2]} = J.col(6);
-  }
-
-  Sim3 S_from_to_;
-  Mat7 sqrt_info_;
-};
-
-void add_vertices(const std::vector<int>& fixed, std::vector<Vertex>* vertices, ceres::Problem* problem) {
-  for (Vertex& vertex : *vertices) {
-    problem->AddParameterBlock(vertex.t.data(), 3);
-    problem->AddParameterBlock(vertex.q.coeffs().data(), 4);
-    set_quaternion_manifold(*problem, vertex.q.coeffs().data());
-    problem->AddParameterBlock(&vertex.log_scale, 1);
-  }
-  for (const int v : fixed) {
-    Vertex& vertex = (*vertices)[static_cast<std::size_t>(v)];
-    problem->SetParameterBlockConstant(vertex.t.data());
-    problem->SetParameterBlockConstant(vertex.q.coeffs().data());
-    problem->SetParameterBlockConstant(&vertex.log_scale);
-  }
-}
-
-}  // namespace
-
-Vec7 relative_similarity_residual(const Sim3& S_world_from, const Sim3& S_world_to, const Sim3& S_from_to_measured) {
-  Vec7 residual;
-  residual << relative_pose_residual(S_world_from.T, in_unit_of_from(S_world_from, S_world_to.T), S_from_to_measured.T),
-      std::log(S_world_to.scale / (S_world_from.scale * S_from_to_measured.scale));
-  return residual;
-}
-
-RelativeSimilarityTerms relative_similarity_terms(const Sim3& S_world_from, const Sim3& S_world_to,
-                                                  const Sim3& S_from_to_measured) {
-  const SE3 T_world_to = in_unit_of_from(S_world_from, S_world_to.T);
-  const RelativePoseTerms rigid = relative_pose_terms(S_world_from.T, T_world_to, S_from_to_measured.T);
-  const Mat3 by_step = rigid.J_to.topLeftCorner<3, 3>();
-  RelativeSimilarityTerms terms;
-  terms.residual << rigid.residual, std::log(S_world_to.scale / (S_world_from.scale * S_from_to_measured.scale));
-  terms.J_from.setZero();
-  terms.J_to.setZero();
-  terms.J_from.topLeftCorner<6, 6>() = rigid.J_from;
-  terms.J_to.topLeftCorner<6, 6>() = rigid.J_to;
-  terms.J_from.topLeftCorner<3, 3>() = -by_step / S_world_from.scale;
-  terms.J_to.topLeftCorner<3, 3>() = by_step / S_world_from.scale;
-  terms.J_from.topRightCorner<3, 1>() = -by_step * (T_world_to.t - S_world_from.T.t);
-  terms.J_from(6, 6) = -1.0;
-  terms.J_to(6, 6) = 1.0;
-  return terms;
-}
-
-GraphSolution solve_similarity_graph(const std::vector<SimilarityEdge>& edges, const GraphSolverOptions& options,
-                                     std::vector<Sim3>* S_world_vertex) {
-  GraphSolution solution;
-  solution.message = graph_fault(edges, options.fixed, *S_world_vertex);
-  if (!solution.message.empty()) return solution;
-  std::vector<Vertex> vertices(S_world_vertex->begin(), S_world_vertex->end());
-  ceres::Problem problem;
-  add_vertices(options.fixed, &vertices, &problem);
-  for (const SimilarityEdge& edge : edges) {
-    if (edge.weight <= 0.0) continue;
-    Vertex& from = vertices[static_cast<std::size_t>(edge.from)];
-    Vertex& to = vertices[static_cast<std::size_t>(edge.to)];
-    problem.AddResidualBlock(new RelativeSimilarityCost(edge), nullptr, from.t.data(), from.q.coeffs().data(),
-                             &from.log_scale, to.t.data(), to.q.coeffs().data(), &to.log_scale);
-  }
-  solution = solve_problem(options, &problem);
-  std::vector<Sim3> result;
-  result.reserve(vertices.size());
-  for (const Vertex& vertex : vertices) result.push_back(vertex.similarity());
-  solution.usable = solution.usable && all_finite(result);
-  if (solution.usable) accept(std::move(result), options.fixed, S_world_vertex);
-  return solution;
+  const Vec7 e = relative_similarity_terms(S_map_from, S_map_to, loop.S_from_to()).residual;
+  return (similarity_sqrt_info(loop) * e).squaredNorm();
 }
 
 }  // namespace semantic_topo_loop::core

@@ -1,12 +1,12 @@
 #include "pose_graph/solver/graph_objects.h"
 
-#include <algorithm>
+#include <ceres/ceres.h>
+
 #include <cmath>
 #include <utility>
 
 #include "geometry/depth_points.h"
 #include "geometry/statistics.h"
-#include "pose_graph/solver/graph_problem.h"
 #include "semantic_topo_loop/geometry/lie.h"
 
 namespace semantic_topo_loop::core {
@@ -122,11 +122,8 @@ void ObjectMemory::add(int vertex, const Frame& frame, const AssociationFrame& a
 
 void ObjectMemory::apply(const MapUpdate& update, const std::function<int(std::int64_t)>& vertex_of,
                          const std::vector<SE3>& T_map_vertex) {
-  for (const LandmarkMerge& merge : update.unmerged) survivor_of_.erase(merge.merged_id);
-  for (const LandmarkMerge& merge : update.merged) {
-    survivor_of_[merge.merged_id] = merge.survivor_id;
-    landmarks_.erase(merge.merged_id);
-  }
+  redirects_.apply(update);
+  for (const LandmarkMerge& merge : update.merged) landmarks_.erase(merge.merged_id);
   for (const std::int64_t id : update.removed) landmarks_.erase(id);
   for (const Landmark& landmark : update.changed) {
     if (landmark.state != LandmarkState::kConfirmed || !landmark.ellipsoid) {
@@ -161,7 +158,7 @@ void ObjectMemory::move(const std::vector<Carrier>& carriers) {
 std::vector<GraphObject> ObjectMemory::objects() const {
   std::map<std::int64_t, GraphObject> objects = landmarks_;
   for (const Sighting& sighting : sightings_) {
-    const auto object = objects.find(resolve(sighting.landmark_id));
+    const auto object = objects.find(redirects_.resolve(sighting.landmark_id));
     if (object != objects.end()) object->second.views.push_back(sighting.view);
   }
   std::vector<GraphObject> result;
@@ -170,31 +167,15 @@ std::vector<GraphObject> ObjectMemory::objects() const {
   return result;
 }
 
-std::int64_t ObjectMemory::resolve(std::int64_t id) const {
-  for (auto it = survivor_of_.find(id); it != survivor_of_.end(); it = survivor_of_.find(id)) id = it->second;
-  return id;
-}
-
 namespace {
 
 constexpr double kUnseenResidual = 20.0;  // sigmas, far outside the noise: no view may vanish to lower the cost
 constexpr double kLossScale = 3.08;       // root of the 95 % quantile of chi^2 with four degrees of freedom
 constexpr double kAxesSigma = 0.5;        // of the logarithms of the semi-axes: the map's are right to about half
 
-template <int n>
-void write(const Eigen::Matrix<double, n, 3>& J, double* target) {
-  for (int row = 0; row < n; ++row) {
-    for (int column = 0; column < 3; ++column) target[3 * row + column] = J(row, column);
-  }
-}
-
-/// Derivative by the quaternion (x, y, z, w) from that by a small rotation of the outer frame.
-template <int n>
-void write(const Eigen::Matrix<double, n, 3>& J, const Quaternion& q, double* target) {
-  const Eigen::Matrix<double, n, 4> by_quaternion = 2.0 * J * quaternion_by_rotation(q).transpose();
-  for (int row = 0; row < n; ++row) {
-    for (int column = 0; column < 4; ++column) target[4 * row + column] = by_quaternion(row, column);
-  }
+template <int n, int m>
+void write(const Eigen::Matrix<double, n, m>& J, double* target) {
+  Eigen::Map<Eigen::Matrix<double, n, m, Eigen::RowMajor>>{target} = J;
 }
 
 /// Errors / sigma of one view over (t, q, centre, log axes).
@@ -210,10 +191,13 @@ class ViewCost : public ceres::SizedCostFunction<n, 3, 4, 3, 3> {
     const ObjectTerms<n> terms = this->terms(T_world_camera, ellipsoid);
     for (int i = 0; i < n; ++i) residuals[i] = terms.error(i) / sigma_;
     if (jacobians == nullptr) return true;
-    if (jacobians[0] != nullptr) write<n>(terms.camera_t / sigma_, jacobians[0]);
-    if (jacobians[1] != nullptr) write<n>(terms.camera_rotation / sigma_, T_world_camera.q, jacobians[1]);
-    if (jacobians[2] != nullptr) write<n>(terms.center / sigma_, jacobians[2]);
-    if (jacobians[3] != nullptr) write<n>(terms.log_axes / sigma_, jacobians[3]);
+    if (jacobians[0] != nullptr) write<n, 3>(terms.camera_t / sigma_, jacobians[0]);
+    if (jacobians[1] != nullptr) {
+      const Eigen::Matrix<double, n, 3> by_rotation = terms.camera_rotation / sigma_;
+      write<n, 4>(2.0 * by_rotation * quaternion_by_rotation(T_world_camera.q).transpose(), jacobians[1]);
+    }
+    if (jacobians[2] != nullptr) write<n, 3>(terms.center / sigma_, jacobians[2]);
+    if (jacobians[3] != nullptr) write<n, 3>(terms.log_axes / sigma_, jacobians[3]);
     return true;
   }
 
@@ -240,7 +224,7 @@ class AxesCost final : public ceres::SizedCostFunction<3, 3> {
   explicit AxesCost(const Vec3& log_axes) : log_axes_(log_axes) {}
   bool Evaluate(double const* const* blocks, double* residuals, double** jacobians) const override {
     for (int i = 0; i < 3; ++i) residuals[i] = (blocks[0][i] - log_axes_(i)) / kAxesSigma;
-    if (jacobians != nullptr && jacobians[0] != nullptr) write<3>(Mat3::Identity() / kAxesSigma, jacobians[0]);
+    if (jacobians != nullptr && jacobians[0] != nullptr) write<3, 3>(Mat3::Identity() / kAxesSigma, jacobians[0]);
     return true;
   }
 
@@ -249,7 +233,7 @@ class AxesCost final : public ceres::SizedCostFunction<3, 3> {
 };
 
 /// What is in doubt of the distance of an object's visible side: a quarter of its radius, since no object is an
-/// ellipsoid, and what a Kinect adds. The camera's part is twice that of geometry/depth_noise.h, and 1 cm more: it
+/// ellipsoid, and what a Kinect adds. The camera's part is twice that of geometry/depth_points.h, and 1 cm more: it
 /// stands for a median over points that share the calibration's error, which does not average out.
 double visible_side_sigma_m(const GraphObject& object, double distance_m) {
   constexpr double kShapeShare = 0.25, kCalibration_m = 0.01, kNoisePerSquareMetre = 0.003;

@@ -1,6 +1,7 @@
 #pragma once
 
 #include <cstdint>
+#include <deque>
 #include <functional>
 #include <map>
 #include <optional>
@@ -11,6 +12,10 @@
 #include "semantic_topo_loop/types/detection.h"
 #include "semantic_topo_loop/types/frame.h"
 #include "semantic_topo_loop/types/landmark.h"
+
+namespace ceres {
+class Problem;
+}  // namespace ceres
 
 namespace semantic_topo_loop::core {
 
@@ -100,11 +105,23 @@ class ObjectMemory {
     GraphObjectView view;
   };
 
-  std::int64_t resolve(std::int64_t id) const;
-
   std::vector<Sighting> sightings_;                ///< in order of the keyframes
   std::map<std::int64_t, GraphObject> landmarks_;  ///< confirmed, without views
-  std::map<std::int64_t, std::int64_t> survivor_of_;
+  LandmarkRedirects redirects_;
+};
+
+/// The objects' unknowns in a problem and what ties them to the keyframes. Must live as long as the problem is solved.
+class ObjectBlocks {
+ public:
+  /// Adds, to a problem that has the vertices, for each view the errors of the box edges, and of the distance of the
+  /// visible side where it was measured, over (t, q) of the keyframe, centre and log axes; Cauchy loss.
+  ObjectBlocks(const GraphObjects& objects, std::vector<SE3>* T_world_vertex, ceres::Problem* problem);
+
+ private:
+  struct Unknowns {
+    Vec3 center, log_axes;
+  };
+  std::deque<Unknowns> unknowns_;  ///< addresses stay valid
 };
 
 }  // namespace semantic_topo_loop::core

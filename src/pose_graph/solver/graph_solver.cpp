@@ -5,86 +5,155 @@
 
 #include "geometry/ceres_compat.h"
 #include "geometry/relative_pose.h"
-#include "pose_graph/solver/graph_problem.h"
 #include "semantic_topo_loop/geometry/lie.h"
 
 namespace semantic_topo_loop::core {
 namespace {
 
-using RowMat63 = Eigen::Matrix<double, 6, 3, Eigen::RowMajor>;
-using RowMat64 = Eigen::Matrix<double, 6, 4, Eigen::RowMajor>;
+/// A vertex of a graph over similarities as Ceres holds it; that of a graph over poses is its SE3.
+struct ScaledVertex {
+  SE3 T;
+  double log_scale;
+};
+
+std::vector<double*> blocks_of(SE3* T) { return {T->t.data(), T->q.coeffs().data()}; }
+std::vector<double*> blocks_of(ScaledVertex* vertex) {
+  return {vertex->T.t.data(), vertex->T.q.coeffs().data(), &vertex->log_scale};
+}
+
+void read(double const* const* blocks, SE3* T) { *T = SE3(Quaternion(blocks[1]), Vec3(blocks[0])); }
+void read(double const* const* blocks, Sim3* S) {
+  read(blocks, &S->T);
+  S->scale = std::exp(*blocks[2]);
+}
 
 Vec6 residual(const SE3& T_world_from, const SE3& T_world_to, const SE3& T_from_to, GraphError error) {
   return error == GraphError::kLog ? relative_pose_residual(T_world_from, T_world_to, T_from_to)
-                                   : quaternion_pose_residual(T_world_from, T_world_to, T_from_to);
+                                   : quaternion_pose_terms(T_world_from, T_world_to, T_from_to).residual;
+}
+Vec7 residual(const Sim3& S_world_from, const Sim3& S_world_to, const Sim3& S_from_to, GraphError) {
+  return relative_similarity_terms(S_world_from, S_world_to, S_from_to).residual;
 }
 
-/// sqrt(w) U e(T_z^-1 T_from^-1 T_to) over (t_from, q_from, t_to, q_to).
-class RelativePoseCost : public ceres::SizedCostFunction<6, 3, 4, 3, 4> {
- public:
-  RelativePoseCost(const GraphEdge& edge, GraphError error)
-      : error_(error), T_from_to_(edge.T_from_to), sqrt_info_(std::sqrt(edge.weight) * edge.sqrt_info) {}
+RelativePoseTerms terms(const SE3& T_world_from, const SE3& T_world_to, const SE3& T_from_to, GraphError error) {
+  return error == GraphError::kLog ? relative_pose_terms(T_world_from, T_world_to, T_from_to)
+                                   : quaternion_pose_terms(T_world_from, T_world_to, T_from_to);
+}
+RelativeSimilarityTerms terms(const Sim3& S_world_from, const Sim3& S_world_to, const Sim3& S_from_to, GraphError) {
+  return relative_similarity_terms(S_world_from, S_world_to, S_from_to);
+}
 
-  bool Evaluate(double const* const* parameters, double* residuals, double** jacobians) const override {
-    const SE3 T_world_from{Quaternion(parameters[1]), Vec3(parameters[0])};
-    const SE3 T_world_to{Quaternion(parameters[3]), Vec3(parameters[2])};
-    Eigen::Map<Vec6> e(residuals);
+/// sqrt(w) U e over the blocks of from and to.
+template <class Transform, int n>
+class RelativeCost final : public ceres::CostFunction {
+ public:
+  using Matrix = Eigen::Matrix<double, n, n>;
+
+  RelativeCost(const Transform& from_to, const Matrix& sqrt_info, double weight, GraphError error)
+      : error_(error), from_to_(from_to), sqrt_info_(std::sqrt(weight) * sqrt_info) {
+    set_num_residuals(n);
+    for (const int size : {3, 4, 1, 3, 4, 1}) {
+      if (size > 1 || n == 7) mutable_parameter_block_sizes()->push_back(size);
+    }
+  }
+
+  bool Evaluate(double const* const* blocks, double* residuals, double** jacobians) const override {
+    constexpr int kBlocks = n - 4;  // of a vertex
+    Transform from, to;
+    read(blocks, &from);
+    read(blocks + kBlocks, &to);
+    Eigen::Map<Eigen::Matrix<double, n, 1>> e(residuals);
     if (jacobians == nullptr) {
-      e = sqrt_info_ * residual(T_world_from, T_world_to, T_from_to_, error_);
+      e = sqrt_info_ * residual(from, to, from_to_, error_);
       return true;
     }
-    const RelativePoseTerms terms = error_ == GraphError::kLog
-                                        ? relative_pose_terms(T_world_from, T_world_to, T_from_to_)
-                                        : quaternion_pose_terms(T_world_from, T_world_to, T_from_to_);
+    const RelativeTerms<n> terms = semantic_topo_loop::core::terms(from, to, from_to_, error_);
     e = sqrt_info_ * terms.residual;
-    write(sqrt_info_ * terms.J_from, T_world_from.q, jacobians[0], jacobians[1]);
-    write(sqrt_info_ * terms.J_to, T_world_to.q, jacobians[2], jacobians[3]);
+    write(sqrt_info_ * terms.J_from, Quaternion(blocks[1]), jacobians);
+    write(sqrt_info_ * terms.J_to, Quaternion(blocks[kBlocks + 1]), jacobians + kBlocks);
     return true;
   }
 
  private:
+  template <int m>
+  using Columns = Eigen::Map<Eigen::Matrix<double, n, m, m == 1 ? Eigen::ColMajor : Eigen::RowMajor>>;
+
   /// The columns of P = quaternion_by_rotation are orthonormal and the rotation is twice the tangent, so 2 J P^T is a
   /// derivative by the quaternion that its manifold projects back to the derivative by the rotation.
-  static void write(const Mat6& J, const Quaternion& q, double* by_translation, double* by_quaternion) {
-    if (by_translation != nullptr) Eigen::Map<RowMat63>{by_translation} = J.leftCols<3>();
-    if (by_quaternion != nullptr) {
-      Eigen::Map<RowMat64>{by_quaternion} = 2.0 * J.rightCols<3>() * quaternion_by_rotation(q).transpose();
+  static void write(const Matrix& J, const Quaternion& q, double** jacobians) {
+    if (jacobians[0] != nullptr) Columns<3>{jacobians[0]} = J.template leftCols<3>();
+    if (jacobians[1] != nullptr) {
+      Columns<4>{jacobians[1]} = 2.0 * J.template middleCols<3>(3) * quaternion_by_rotation(q).transpose();
+    }
+    if constexpr (n == 7) {
+      if (jacobians[2] != nullptr) Columns<1>{jacobians[2]} = J.col(6);
     }
   }
 
   GraphError error_;
-  SE3 T_from_to_;
-  Mat6 sqrt_info_;
+  Transform from_to_;
+  Matrix sqrt_info_;
 };
 
 ceres::LossFunction* make_loss(const GraphSolverOptions& options) {
   const double scale = std::sqrt(options.loss_chi2);
-  switch (options.loss) {
-    case GraphLoss::kHuber:
-      return new ceres::HuberLoss(scale);
-    case GraphLoss::kCauchy:
-      return new ceres::CauchyLoss(scale);
-    case GraphLoss::kNone:
-      break;
-  }
-  return nullptr;
+  if (options.loss == GraphLoss::kHuber) return new ceres::HuberLoss(scale);
+  return options.loss == GraphLoss::kCauchy ? new ceres::CauchyLoss(scale) : nullptr;
 }
 
-void add_vertices(const std::vector<int>& fixed, std::vector<SE3>* vertices, ceres::Problem* problem) {
-  for (SE3& T : *vertices) {
-    problem->AddParameterBlock(T.t.data(), 3);
-    problem->AddParameterBlock(T.q.coeffs().data(), 4);
-    set_quaternion_manifold(*problem, T.q.coeffs().data());
+template <class Vertex>
+void add_vertices(const std::vector<int>& fixed, std::vector<Vertex>* vertices, ceres::Problem* problem) {
+  for (Vertex& vertex : *vertices) {
+    const std::vector<double*> blocks = blocks_of(&vertex);
+    problem->AddParameterBlock(blocks[0], 3);
+    problem->AddParameterBlock(blocks[1], 4);
+    set_quaternion_manifold(*problem, blocks[1]);
+    if (blocks.size() > 2) problem->AddParameterBlock(blocks[2], 1);
   }
   for (const int v : fixed) {
-    SE3& T = (*vertices)[static_cast<std::size_t>(v)];
-    problem->SetParameterBlockConstant(T.t.data());
-    problem->SetParameterBlockConstant(T.q.coeffs().data());
+    for (double* block : blocks_of(&(*vertices)[static_cast<std::size_t>(v)]))
+      problem->SetParameterBlockConstant(block);
   }
 }
 
-}  // namespace
+template <class Vertex>
+std::vector<double*> blocks_of(int from, int to, std::vector<Vertex>* vertices) {
+  std::vector<double*> blocks = blocks_of(&(*vertices)[static_cast<std::size_t>(from)]);
+  for (double* block : blocks_of(&(*vertices)[static_cast<std::size_t>(to)])) blocks.push_back(block);
+  return blocks;
+}
 
+template <class Vertex>
+bool all_finite(const std::vector<Vertex>& vertices) {
+  return std::all_of(vertices.begin(), vertices.end(), [](const Vertex& vertex) { return vertex.is_finite(); });
+}
+
+/// @return the first fault that would make every residual meaningless, or an empty text
+template <class Edge, class Vertex>
+std::string graph_fault(const std::vector<Edge>& edges, const std::vector<int>& fixed,
+                        const std::vector<Vertex>& vertices) {
+  const auto is_known = [n = static_cast<int>(vertices.size())](int v) { return v >= 0 && v < n; };
+  if (vertices.empty()) return "no vertex";
+  if (fixed.empty()) return "no vertex is fixed";
+  if (!all_finite(vertices)) return "a vertex is not finite";
+  if (!std::all_of(fixed.begin(), fixed.end(), is_known)) return "a fixed vertex is unknown";
+  for (const Edge& edge : edges) {
+    const bool is_joined = is_known(edge.from) && is_known(edge.to) && edge.from != edge.to;
+    if (is_joined && edge.is_finite() && edge.sqrt_info.allFinite() && edge.weight >= 0.0) continue;
+    return "edge " + std::to_string(edge.from) + " to " + std::to_string(edge.to) +
+           " is not finite or joins no two vertices";
+  }
+  return {};
+}
+
+/// Takes over a solution; not even the rounding of the fixed vertices changes.
+template <class Vertex>
+void accept(std::vector<Vertex> result, const std::vector<int>& fixed, std::vector<Vertex>* vertices) {
+  for (const int v : fixed) result[static_cast<std::size_t>(v)] = (*vertices)[static_cast<std::size_t>(v)];
+  *vertices = std::move(result);
+}
+
+/// @return with the message of Ceres; usable as far as Ceres can tell
 GraphSolution solve_problem(const GraphSolverOptions& options, ceres::Problem* problem) {
   ceres::Solver::Options ceres_options;
   ceres_options.linear_solver_type = ceres::SPARSE_NORMAL_CHOLESKY;
@@ -110,6 +179,8 @@ GraphSolution solve_problem(const GraphSolverOptions& options, ceres::Problem* p
   return solution;
 }
 
+}  // namespace
+
 GraphSolution solve_graph(const std::vector<GraphEdge>& edges, const GraphSolverOptions& options,
                           std::vector<SE3>* T_world_vertex, const GraphObjects& objects) {
   GraphSolution solution;
@@ -121,10 +192,8 @@ GraphSolution solve_graph(const std::vector<GraphEdge>& edges, const GraphSolver
   add_vertices(options.fixed, &vertices, &problem);
   for (const GraphEdge& edge : edges) {
     if (edge.weight <= 0.0) continue;
-    SE3& from = vertices[static_cast<std::size_t>(edge.from)];
-    SE3& to = vertices[static_cast<std::size_t>(edge.to)];
-    problem.AddResidualBlock(new RelativePoseCost(edge, options.error), edge.robust ? make_loss(options) : nullptr,
-                             from.t.data(), from.q.coeffs().data(), to.t.data(), to.q.coeffs().data());
+    problem.AddResidualBlock(new RelativeCost<SE3, 6>(edge.T_from_to, edge.sqrt_info, edge.weight, options.error),
+                             edge.robust ? make_loss(options) : nullptr, blocks_of(edge.from, edge.to, &vertices));
   }
   const ObjectBlocks object_blocks(objects, &vertices, &problem);
   solution = solve_problem(options, &problem);
@@ -132,6 +201,28 @@ GraphSolution solve_graph(const std::vector<GraphEdge>& edges, const GraphSolver
   if (!solution.usable) return solution;
   for (SE3& T : vertices) T.q.normalize();
   accept(std::move(vertices), options.fixed, T_world_vertex);
+  return solution;
+}
+
+GraphSolution solve_similarity_graph(const std::vector<SimilarityEdge>& edges, const GraphSolverOptions& options,
+                                     std::vector<Sim3>* S_world_vertex) {
+  GraphSolution solution;
+  solution.message = graph_fault(edges, options.fixed, *S_world_vertex);
+  if (!solution.message.empty()) return solution;
+  std::vector<ScaledVertex> vertices;
+  for (const Sim3& S : *S_world_vertex) vertices.push_back({SE3(S.T.q.normalized(), S.T.t), std::log(S.scale)});
+  ceres::Problem problem;
+  add_vertices(options.fixed, &vertices, &problem);
+  for (const SimilarityEdge& edge : edges) {
+    if (edge.weight <= 0.0) continue;
+    problem.AddResidualBlock(new RelativeCost<Sim3, 7>(edge.S_from_to, edge.sqrt_info, edge.weight, options.error),
+                             nullptr, blocks_of(edge.from, edge.to, &vertices));
+  }
+  solution = solve_problem(options, &problem);
+  std::vector<Sim3> result;
+  for (const ScaledVertex& v : vertices) result.emplace_back(SE3(v.T.q.normalized(), v.T.t), std::exp(v.log_scale));
+  solution.usable = solution.usable && all_finite(result);
+  if (solution.usable) accept(std::move(result), options.fixed, S_world_vertex);
   return solution;
 }
 
@@ -212,15 +303,11 @@ class GraduatedNonConvexity {
     for (const std::size_t i : loops_)
       result_.kept.push_back(chi_squared(edges_[i], result_.T_world_vertex, options_.error) <= chi2_);
   }
-  bool solve() {
-    ++result_.solves;
-    return solve_graph(edges_, options_, &result_.T_world_vertex).usable;
-  }
+  bool solve() { return solve_graph(edges_, options_, &result_.T_world_vertex).usable; }
   /// A few iterations, or as many as it takes where these were lost on steps that led uphill.
   bool solve_round() {
     GraphSolverOptions few = options_;
     few.max_iterations = std::min(options_.max_iterations, kRoundIterations);
-    ++result_.solves;
     const GraphSolution solution = solve_graph(edges_, few, &result_.T_world_vertex);
     const bool is_stuck = !solution.converged && solution.final_cost >= solution.initial_cost;
     return is_stuck ? solve() : solution.usable;

@@ -51,6 +51,21 @@ struct GraphSolution {
 GraphSolution solve_graph(const std::vector<GraphEdge>& edges, const GraphSolverOptions& options,
                           std::vector<SE3>* T_world_vertex, const GraphObjects& objects = {});
 
+/// A measured relative similarity between two vertices.
+struct SimilarityEdge {
+  int from = -1, to = -1;
+  Sim3 S_from_to;  ///< its translation in from's unit
+  /// U of |U e|^2, e as in RelativeSimilarityTerms; rows of zeros where nothing was measured.
+  Mat7 sqrt_info = Mat7::Identity();
+  double weight = 1.0;  ///< factor on |U e|^2, >= 0; an edge of weight 0 is left out
+
+  bool is_finite() const { return S_from_to.is_finite(); }
+};
+
+/// The same over similarities; `error` and `loss` are not used, the fixed vertices keep their scale too.
+GraphSolution solve_similarity_graph(const std::vector<SimilarityEdge>& edges, const GraphSolverOptions& options,
+                                     std::vector<Sim3>* S_world_vertex);
+
 /// |U e|^2 of an edge, without its weight.
 double chi_squared(const GraphEdge& edge, const std::vector<SE3>& T_world_vertex, GraphError error = GraphError::kLog);
 
@@ -58,7 +73,6 @@ struct LoopClassification {
   bool usable = false;
   std::vector<bool> kept;           ///< one a loop edge, in their order
   std::vector<SE3> T_world_vertex;  ///< the poses at which it was decided
-  int solves = 0;
 };
 
 /// Tells right loops from false ones by graduated non-convexity with truncated least squares (Yang et al. 2020): the

@@ -3,7 +3,6 @@
 #include <algorithm>
 
 #include "geometry/relative_pose.h"
-#include "geometry/statistics.h"
 #include "semantic_topo_loop/geometry/lie.h"
 
 namespace semantic_topo_loop::core {
@@ -25,10 +24,6 @@ OdometryNoise scaled(const OdometryNoise& noise, double factor) {
 constexpr double kStrain = 2.5, kLeastStrain = 150.0, kMaxStrain = 400.0;
 
 constexpr int kFewJumps = 2, kManyJumps = 8;  // that are looked for in one go: in a run and at its end, for time
-
-Mat6 jump_covariance(const OdometryJump& jump) {
-  return isotropic_covariance(jump.translation_m * jump.translation_m, jump.rotation_rad * jump.rotation_rad);
-}
 
 class TrajectoryOptimizer {
  public:
@@ -76,7 +71,7 @@ class TrajectoryOptimizer {
     const std::vector<GraphEdge> edges =
         graph({scaled(noise_prior(options_).least, known.loose_factor), 1.0, known.noise.jumps}, false);
     if (options_.robust != "gnc") {
-      if (!report(solve_graph(edges, solver_options_, &result_.T_map_vertex))) return false;
+      if (!solve_graph(edges, solver_options_, &result_.T_map_vertex).usable) return false;
       for (std::size_t k = 0; k < kept.size(); ++k) {
         kept[k] =
             votes_[k] && chi_squared(edges[trajectory_.edges.size() + k], result_.T_map_vertex) <= options_.robust_chi2;
@@ -89,10 +84,7 @@ class TrajectoryOptimizer {
     }
     const LoopClassification classes =
         classify_loops(edges, options_.robust_chi2, solver_options_, result_.T_map_vertex, guess);
-    if (!classes.usable) {
-      result_.message = "the loops could not be classified";
-      return false;
-    }
+    if (!classes.usable) return false;
     std::size_t voter = 0;
     for (std::size_t k = 0; k < kept.size(); ++k) kept[k] = votes_[k] && classes.kept[voter++];
     result_.T_map_vertex = classes.T_world_vertex;
@@ -133,11 +125,7 @@ class TrajectoryOptimizer {
     // As many as can be afforded, at the end of a run and in it: the cost grows with their cube.
     constexpr std::size_t kManyLoops = 60, kFewLoops = 24;
     const std::size_t max_loops = starts_afresh() ? kManyLoops : kFewLoops;
-    std::vector<GraphLoop> loops;
-    for (std::size_t k = 0; k < trajectory_.loops.size(); ++k) {
-      if (result_.knowledge.kept[k]) loops.push_back(trajectory_.loops[k]);
-    }
-    const std::vector<GraphLoop> some = evenly_taken(std::move(loops), max_loops);
+    const std::vector<GraphLoop> some = some_kept(trajectory_.loops, result_.knowledge.kept, max_loops);
     InnovationModel model(result_.T_map_vertex, trajectory_.edges, some);
     NoiseEstimate& noise = result_.knowledge.noise;
     const int max_new_jumps = starts_afresh() ? kManyJumps : kFewJumps;
@@ -151,13 +139,12 @@ class TrajectoryOptimizer {
   bool solve() {
     const bool has_loss = solver_options_.loss != GraphLoss::kNone;
     result_.edges = graph(result_.knowledge.noise, !has_loss);
-    return report(solve_graph(result_.edges, solver_options_, &result_.T_map_vertex));
+    return solve_graph(result_.edges, solver_options_, &result_.T_map_vertex).usable;
   }
 
   /// From the solution without them, which stays where this finds none.
   void solve_with_objects() {
-    const bool has_loss = solver_options_.loss != GraphLoss::kNone;
-    solve_graph(graph(result_.knowledge.noise, !has_loss), solver_options_, &result_.T_map_vertex,
+    solve_graph(result_.edges, solver_options_, &result_.T_map_vertex,
                 well_seen(trajectory_.objects, result_.T_map_vertex, options_.object_views));
   }
 
@@ -165,7 +152,7 @@ class TrajectoryOptimizer {
     std::vector<GraphEdge> edges;
     std::vector<Mat6> covariances;
     for (const OdometryEdge& edge : trajectory_.edges) covariances.push_back(odometry_covariance(edge, noise.odometry));
-    for (const OdometryJump& jump : noise.jumps) covariances[jump.edge] += jump_covariance(jump);
+    for (const OdometryJump& jump : noise.jumps) covariances[jump.edge] += jump.covariance();
     for (std::size_t i = 0; i < trajectory_.edges.size(); ++i) {
       SE3 T_from_to =
           trajectory_.edges[i].T_from_to * se3_exp(expected_jump(trajectory_.edges[i], noise.odometry)).inverse();
@@ -181,11 +168,6 @@ class TrajectoryOptimizer {
                        weight, votes_[k]});
     }
     return edges;
-  }
-
-  bool report(const GraphSolution& solution) {
-    if (!solution.usable) result_.message = solution.message;
-    return solution.usable;
   }
 
   const Trajectory& trajectory_;

@@ -1,6 +1,5 @@
 #pragma once
 
-#include <string>
 #include <vector>
 
 #include "odometry/graph_loop.h"
@@ -30,7 +29,6 @@ struct GraphKnowledge {
 
 struct OptimizedTrajectory {
   bool usable = false;
-  std::string message;  ///< why it is not usable
   std::vector<SE3> T_map_vertex;
   GraphKnowledge knowledge;
   std::vector<GraphEdge> edges;  ///< of the last solve: the odometry's, then the loops
