@@ -345,7 +345,7 @@ std::vector<Kind> make_kinds(const std::string& valid) {
          const auto recording = open_tum_bag(path, small_camera(), {});
          if (!recording) return Status(recording.error());
          while (true) {
-           const Result<std::optional<RgbdReading>> reading = (*recording)->next();
+           const Result<std::optional<RgbdReading>> reading = recording->next();
            if (!reading) return Status(reading.error());
            if (!*reading) return Status();
          }
