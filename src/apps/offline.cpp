@@ -250,23 +250,15 @@ Result<RunInputs> load(const Arguments& arguments) {
 
 constexpr std::int64_t kStampTolerance_ns = 1000;  ///< stamps of files have microseconds
 
-class Progress {
- public:
-  explicit Progress(std::size_t total) : total_(total), is_terminal_(isatty(STDERR_FILENO) != 0) {}
-  void show(std::size_t done) {
-    const int percent = static_cast<int>(100 * done / total_);
-    if (!is_terminal_ || percent == percent_) return;
-    percent_ = percent;
-    constexpr int kWidth = 50;
-    const std::string bar(static_cast<std::size_t>(percent * kWidth / 100), '#');
-    std::fprintf(stderr, "\r[%-*s] %3d %%%s", kWidth, bar.c_str(), percent, done == total_ ? "\n" : "");
-  }
-
- private:
-  std::size_t total_;
-  bool is_terminal_;
-  int percent_ = -1;
-};
+/// A bar, on a terminal, whenever another percent is done.
+void show_progress(std::size_t done, std::size_t total) {
+  const int percent = static_cast<int>(100 * done / total);
+  static int shown = -1;
+  if (isatty(STDERR_FILENO) == 0 || percent == std::exchange(shown, percent)) return;
+  constexpr int kWidth = 50;
+  const std::string bar(static_cast<std::size_t>(percent * kWidth / 100), '#');
+  std::fprintf(stderr, "\r[%-*s] %3d %%%s", kWidth, bar.c_str(), percent, done == total ? "\n" : "");
+}
 
 /// Hands loops out at their query frames.
 class ExtraLoops {
@@ -357,7 +349,6 @@ Status run_once(const Arguments& arguments, const RunInputs& inputs, RunRecorder
   PointMap point_map(inputs.options.point_map);
   ExtraLoops extra_loops(inputs.extra_loops);
   const SourceState& source = inputs.source->state();
-  Progress progress(source.total);
   Counts counts;
   const std::vector<Detection> none;
   const Stopwatch stopwatch;
@@ -377,7 +368,7 @@ Status run_once(const Arguments& arguments, const RunInputs& inputs, RunRecorder
     record(*frame, result, recorder);
     if (counts.frames++ == 0) counts.first_ns = frame->stamp_ns;
     counts.last_ns = frame->stamp_ns;
-    progress.show(source.done);
+    show_progress(source.done, source.total);
   }
   if (source.needs_rewind) return {};
   if (const Status checked = check_input(inputs, counts); !checked) return checked;

@@ -24,7 +24,6 @@ struct DetectionArguments {
 };
 
 Status check(DetectionArguments* arguments) {
-  if (const Status valid = validate(arguments->options); !valid) return valid;
   std::error_code unused;
   if (std::filesystem::equivalent(arguments->input, arguments->output, unused)) {
     return Error{"'" + arguments->output + "' is the input itself"};
@@ -86,10 +85,10 @@ Command detection_command(DetectionArguments* arguments) {
                   [arguments] { return check(arguments); }};
   PerturbationOptions& options = arguments->options;
   command.words = {{"IN", &arguments->input}, {"OUT", &arguments->output}};
-  command.option("drop", number(&options.drop), "share of boxes left out")
-      .option("relabel", number(&options.relabel),
+  command.option("drop", number(&options.drop, 0.0, 1.0), "share of boxes left out")
+      .option("relabel", number(&options.relabel, 0.0, 1.0),
               "share of the remaining boxes that get another one of the classes in IN")
-      .option("jitter", number(&options.jitter),
+      .option("jitter", number(&options.jitter, 0.0, 1.0),
               "standard deviation of each corner, as a share of the box's width (x) and height (y)")
       .option("seed", number(&arguments->seed, 0), "of all random numbers (default 1)")
       .option("classes", po::value(&arguments->classes),
@@ -99,27 +98,27 @@ Command detection_command(DetectionArguments* arguments) {
 
 Command loop_command(LoopArguments* arguments) {
   constexpr int kMaxCount = 1000000;
+  constexpr double kMinSigma = 1e-6;  // without an error a loop has no finite weight
   Command command{"loops",
                   "RUN OUT [--seed N] [--share P] [--cluster N] [--distance M] [--rotation DEG] [--sigma M]\n"
                   "                     [--sigma-deg DEG] [--gap N] [--window N]",
                   "Makes loops that are wrong. RUN is a directory that `offline` wrote; OUT becomes a file for its "
                   "--extra-loops.\n",
-                  [arguments] { return make_false_loop_file(*arguments); },
-                  [arguments] { return validate(arguments->options); }};
+                  [arguments] { return make_false_loop_file(*arguments); }};
   FalseLoopOptions& options = arguments->options;
   command.words = {{"RUN", &arguments->run}, {"OUT", &arguments->out}};
   command
       .option("share", number(&arguments->share, 0.0, 100.0),
               "how many, as a share of the loops that RUN accepted (default 1)")
-      .option("cluster", number(&options.cluster_size, 0, kMaxCount),
+      .option("cluster", number(&options.cluster_size, 1, kMaxCount),
               "so many neighbouring ones agree with each other (default 1: each is wrong by itself)")
-      .option("distance", number(&options.distance_m),
+      .option("distance", number(&options.distance_m, 0.0),
               "least error of the relative position, m; it is uniform up to twice that (default 1)")
-      .option("rotation", number(&options.rotation_deg),
+      .option("rotation", number(&options.rotation_deg, 0.0),
               "least error of the rotation, degrees; uniform up to twice that (default 30)")
-      .option("sigma", number(&options.sigma_m), "precision that the loops state, m (default 0.03)")
-      .option("sigma-deg", number(&options.sigma_deg), "precision that the loops state, degrees (default 1)")
-      .option("gap", number(&options.min_gap_keyframes, 0, kMaxCount),
+      .option("sigma", number(&options.sigma_m, kMinSigma), "precision that the loops state, m (default 0.03)")
+      .option("sigma-deg", number(&options.sigma_deg, kMinSigma), "precision that the loops state, degrees (default 1)")
+      .option("gap", number(&options.min_gap_keyframes, 1, kMaxCount),
               "least number of keyframes between query and match (default 15)")
       .option("window", number(&options.window_frames, 0, kMaxCount), "frames of evidence on either side (default 200)")
       .option("seed", number(&arguments->seed, 0), "of all random numbers (default 1)");

@@ -1,13 +1,13 @@
 #include "apps/tum_bag_writer.h"
 
+#include <cv_bridge/cv_bridge.h>
 #include <rosbag/bag.h>
 #include <sensor_msgs/CameraInfo.h>
 #include <sensor_msgs/Image.h>
-#include <sensor_msgs/image_encodings.h>
 #include <tf2_msgs/TFMessage.h>
 
 #include <boost/make_shared.hpp>
-#include <opencv2/core.hpp>
+#include <opencv2/imgproc.hpp>
 
 #include "ros/conversions.h"
 #include "ros/tum_bag.h"
@@ -57,24 +57,10 @@ sensor_msgs::CameraInfo camera_info(const core::Camera& camera, const char* fram
   return message;
 }
 
-/// @param image continuous
-sensor_msgs::Image image_message(const cv::Mat& image, const char* frame, const std::string& encoding) {
-  sensor_msgs::Image message;
-  message.header.frame_id = frame;
-  message.width = static_cast<std::uint32_t>(image.cols);
-  message.height = static_cast<std::uint32_t>(image.rows);
-  message.encoding = encoding;
-  message.step = static_cast<std::uint32_t>(image.cols * static_cast<int>(image.elemSize()));
-  message.data.assign(image.data, image.data + image.total() * image.elemSize());
-  return message;
-}
-
-/// The official bags hold rgb8.
-cv::Mat swap_blue_and_red(const cv::Mat& bgr) {
-  cv::Mat rgb(bgr.size(), CV_8UC3);
-  const int bgr_to_rgb[] = {0, 2, 1, 1, 2, 0};
-  cv::mixChannels(&bgr, 1, &rgb, 1, bgr_to_rgb, 3);
-  return rgb;
+sensor_msgs::ImagePtr image_message(const cv::Mat& image, const char* frame, const std::string& encoding) {
+  std_msgs::Header header;
+  header.frame_id = frame;
+  return cv_bridge::CvImage(header, encoding, image).toImageMsg();
 }
 
 rosbag::compression::CompressionType compression_of(const std::string& name) {
@@ -94,6 +80,27 @@ class TumBag {
     bag_.setCompression(compression_of(options.compression));
   }
 
+  /// Everything in order of time.
+  /// @return an error if an image cannot be read
+  core::Status write() {
+    const core::StampedPoses &colors = sequence_.truth, &depths = sequence_.depth;
+    std::size_t color = 0, depth = 0;
+    for (const core::StampedPose& pose : sequence_.mocap) {
+      for (;;) {
+        const bool has_color = color < colors.size() && colors[color].stamp_ns <= pose.stamp_ns;
+        const bool has_depth = depth < depths.size() && depths[depth].stamp_ns <= pose.stamp_ns;
+        if (!has_color && !has_depth) break;
+        const bool is_color = has_color && (!has_depth || colors[color].stamp_ns <= depths[depth].stamp_ns);
+        const core::Status written = is_color ? write_color(color++) : write_depth(depth++);
+        if (!written) return written;
+      }
+      write_mocap(pose);
+    }
+    bag_.close();
+    return {};
+  }
+
+ private:
   void write_mocap(const core::StampedPose& pose) {
     const core::SE3 T_world_kinect = pose.T_world_camera * tum_kinect_from_optical().inverse();
     tf2_msgs::TFMessage mocap;
@@ -115,7 +122,6 @@ class TumBag {
     bag_.write(tum_topic::kTf, to_ros_time(pose.stamp_ns), chain, tf_connection_);
   }
 
-  /// @return an error if the frame's image cannot be read
   core::Status write_color(std::size_t frame) {
     const std::int64_t stamp_ns = sequence_.truth[frame].stamp_ns;
     write(tum_topic::kCameraInfo, frame, stamp_ns, &info_);
@@ -123,9 +129,9 @@ class TumBag {
     core::Result<cv::Mat> image(cv::Mat(kThumbnailHeight, kThumbnailWidth, CV_8UC3, cv::Scalar::all(128.0)));
     if (has_rendered_images()) image = core::read_rendered_color(sequence_, options_.image_directory, frame);
     if (!image) return image.error();
-    sensor_msgs::Image message =
-        image_message(swap_blue_and_red(*image), kOpticalFrame, sensor_msgs::image_encodings::RGB8);
-    write(tum_topic::kColor, frame, stamp_ns, &message);
+    // The official bags hold rgb8.
+    cv::cvtColor(*image, *image, cv::COLOR_BGR2RGB);
+    write(tum_topic::kColor, frame, stamp_ns, image_message(*image, kOpticalFrame, "rgb8").get());
     return {};
   }
 
@@ -136,14 +142,10 @@ class TumBag {
         core::read_rendered_depth(sequence_, options_.rendering, options_.image_directory, frame);
     if (!depth_m) return depth_m.error();
     write(kDepthInfoTopic, frame, stamp_ns, &depth_info_);
-    sensor_msgs::Image message = image_message(*depth_m, depth_frame_, sensor_msgs::image_encodings::TYPE_32FC1);
-    write(tum_topic::kDepth, frame, stamp_ns, &message);
+    write(tum_topic::kDepth, frame, stamp_ns, image_message(*depth_m, depth_frame_, "32FC1").get());
     return {};
   }
 
-  void close() { bag_.close(); }
-
- private:
   bool has_rendered_images() const { return options_.with_images && !options_.image_directory.empty(); }
 
   template <class Message>
@@ -162,24 +164,6 @@ class TumBag {
   std::size_t mocap_count_ = 0;
 };
 
-/// Everything in order of time.
-core::Status write_messages(const core::SimulatedSequence& sequence, TumBag* bag) {
-  std::size_t color = 0, depth = 0;
-  for (const core::StampedPose& pose : sequence.mocap) {
-    for (;;) {
-      const bool has_color = color < sequence.truth.size() && sequence.truth[color].stamp_ns <= pose.stamp_ns;
-      const bool has_depth = depth < sequence.depth.size() && sequence.depth[depth].stamp_ns <= pose.stamp_ns;
-      if (!has_color && !has_depth) break;
-      const bool is_color =
-          has_color && (!has_depth || sequence.truth[color].stamp_ns <= sequence.depth[depth].stamp_ns);
-      const core::Status written = is_color ? bag->write_color(color++) : bag->write_depth(depth++);
-      if (!written) return written;
-    }
-    bag->write_mocap(pose);
-  }
-  return {};
-}
-
 }  // namespace
 
 core::SE3 tum_kinect_from_optical() { return kinect_from_camera() * camera_from_rgb() * rgb_from_optical(); }
@@ -187,10 +171,7 @@ core::SE3 tum_kinect_from_optical() { return kinect_from_camera() * camera_from_
 core::Status write_tum_bag(const core::SimulatedSequence& sequence, const std::string& path,
                            const TumBagOptions& options) {
   try {
-    TumBag bag(path, sequence, options);
-    const core::Status written = write_messages(sequence, &bag);
-    if (written) bag.close();
-    return written;
+    return TumBag(path, sequence, options).write();
   } catch (const std::exception& exception) {
     return core::Error{path + ": cannot write the bag: " + exception.what()};
   }

@@ -54,35 +54,35 @@ std::int64_t CsvTable::integer(const std::string& column) {
   return value.value_or(0);
 }
 
-int CsvTable::small_integer(const std::string& column) {
-  const std::int64_t value = integer(column);
-  if (value != static_cast<int>(value)) reject(column, "is no integer of 32 bits");
-  return static_cast<int>(value);
+void CsvTable::stamp(const char* name, std::int64_t& stamp_ns) {
+  const std::optional<std::int64_t> value = parse_stamp(text(name));
+  if (!value) reject(name, "is no stamp in seconds");
+  stamp_ns = value.value_or(0);
 }
 
-std::int64_t CsvTable::stamp_ns(const std::string& column) {
-  const std::optional<std::int64_t> value = parse_stamp(text(column));
-  if (!value) reject(column, "is no stamp in seconds");
-  return value.value_or(0);
+void CsvTable::operator()(const char* name, int& number) {
+  const std::int64_t value = integer(name);
+  if (value != static_cast<int>(value)) reject(name, "is no integer of 32 bits");
+  number = static_cast<int>(value);
 }
 
-void CsvReader::operator()(const char* name, bool& flag) {
-  const std::int64_t value = table_->integer(name);
+void CsvTable::operator()(const char* name, bool& flag) {
+  const std::int64_t value = integer(name);
   flag = value == 1;
-  if (value != 0 && value != 1) table_->reject(name, "must be 0 or 1");
+  if (value != 0 && value != 1) reject(name, "must be 0 or 1");
 }
 
-void CsvReader::operator()(const char* names, Vec3& vector) {
+void CsvTable::operator()(const char* names, Vec3& vector) {
   const std::vector<std::string_view> n = split(names, ',');
-  for (std::size_t i = 0; i < n.size(); ++i) vector[static_cast<int>(i)] = table_->number(std::string(n[i]));
+  for (std::size_t i = 0; i < n.size(); ++i) vector[static_cast<int>(i)] = number(std::string(n[i]));
 }
 
-void CsvReader::operator()(const char* names, Quaternion& rotation) {
+void CsvTable::operator()(const char* names, Quaternion& rotation) {
   const std::vector<std::string_view> n = split(names, ',');
   std::array<double, 4> v{};
-  for (std::size_t i = 0; i < v.size(); ++i) v[i] = table_->number(std::string(n[i]));
+  for (std::size_t i = 0; i < v.size(); ++i) v[i] = number(std::string(n[i]));
   const Quaternion q(v[3], v[0], v[1], v[2]);
-  if (!is_rotation(q)) table_->reject(std::string(n[3]), "is part of a quaternion that is no rotation");
+  if (!is_rotation(q)) reject(std::string(n[3]), "is part of a quaternion that is no rotation");
   rotation = q.normalized();
 }
 

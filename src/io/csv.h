@@ -13,8 +13,8 @@
 
 namespace semantic_topo_loop::core {
 
-/// A CSV file with a header and no quoting. Getters of the current row note the first failure, with file, line, column
-/// and value, and give zero, so that a row is read in one go and checked once.
+/// A CSV file with a header and no quoting. What reads a field of the current row notes the first failure, with file,
+/// line, column and value, and gives zero, so that a row is read in one go and checked once.
 class CsvTable {
  public:
   /// @return an error, with file and line, for a missing or empty file or a row of another width
@@ -22,16 +22,31 @@ class CsvTable {
 
   std::size_t size() const { return rows_.size(); }
   void select(std::size_t row) { row_ = row; }
-  bool has(const std::string& column) const { return columns_.count(column) != 0; }
+  /// @param names of a field's columns, joined by commas
+  bool has(const std::string& names) const { return columns_.count(names.substr(0, names.find(','))) != 0; }
   double number(const std::string& column);
   std::int64_t integer(const std::string& column);
-  int small_integer(const std::string& column);
-  std::int64_t stamp_ns(const std::string& column);
   std::string text(const std::string& column);
   /// Notes a failure of the current row that the caller found.
   void reject(const std::string& column, const std::string& rule);
   /// Empty if nothing failed so far.
   const std::string& error() const { return error_; }
+
+  // As a visitor of columns, see below.
+  void operator()(const char* name, bool& flag);
+  void operator()(const char* name, int& number);
+  void operator()(const char* name, std::int64_t& value) { value = integer(name); }
+  void operator()(const char* name, double& value) { value = number(name); }
+  void operator()(const char* name, std::string& value) { value = text(name); }
+  void operator()(const char* names, Vec3& vector);
+  void operator()(const char* names, Quaternion& rotation);
+  template <class Field>
+  void optional(const char* names, Field& field) {
+    if (has(names)) (*this)(names, field);
+  }
+  template <class Field>
+  void written(const char*, const Field&) {}
+  void stamp(const char* name, std::int64_t& stamp_ns);
 
  private:
   struct Row {
@@ -84,7 +99,7 @@ std::string csv_row(const Fields&... fields) {
 }
 
 // The columns of a file are listed once, by a function `visit_columns(row, visitor)` that shows each field with the
-// name of its column. The visitors below write a row, or the first line, and read a row.
+// name of its column. The visitors are CsvWriter, which writes a row or the first line, and CsvTable, which reads one.
 
 /// Writes a row; stamps in seconds.
 class CsvWriter {
@@ -112,30 +127,6 @@ class CsvWriter {
  private:
   bool is_header_;
   std::string row_;
-};
-
-/// Reads the current row of a table. What is wrong is noted by the table.
-class CsvReader {
- public:
-  explicit CsvReader(CsvTable* table) : table_(table) {}
-  void operator()(const char* name, bool& flag);
-  void operator()(const char* name, int& number) { number = table_->small_integer(name); }
-  void operator()(const char* name, std::int64_t& number) { number = table_->integer(name); }
-  void operator()(const char* name, double& number) { number = table_->number(name); }
-  void operator()(const char* name, std::string& text) { text = table_->text(name); }
-  void operator()(const char* names, Vec3& vector);
-  void operator()(const char* names, Quaternion& rotation);
-  template <class Field>
-  void optional(const char* names, Field& field) {
-    if (table_->has(first_of(names))) (*this)(names, field);
-  }
-  template <class Field>
-  void written(const char*, const Field&) {}
-  void stamp(const char* name, std::int64_t& stamp_ns) { stamp_ns = table_->stamp_ns(name); }
-
- private:
-  static std::string first_of(const std::string& names) { return names.substr(0, names.find(',')); }
-  CsvTable* table_;
 };
 
 }  // namespace semantic_topo_loop::core

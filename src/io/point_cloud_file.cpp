@@ -1,5 +1,6 @@
 #include "semantic_topo_loop/io/point_cloud_file.h"
 
+#include <boost/algorithm/string/predicate.hpp>
 #include <cstdint>
 #include <cstring>
 #include <ostream>
@@ -9,9 +10,7 @@
 namespace semantic_topo_loop::core {
 namespace {
 
-bool ends_with(const std::string& text, const std::string& end) {
-  return text.size() >= end.size() && text.compare(text.size() - end.size(), end.size(), end) == 0;
-}
+using boost::algorithm::ends_with;
 
 std::string ply_header(std::size_t count) {
   return "ply\nformat binary_little_endian 1.0\ncomment metres, map frame; intensity 1: sparse, 0: semi-dense\n"

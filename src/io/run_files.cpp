@@ -68,8 +68,7 @@ void visit_columns(LoopFigures& loop, Visitor& visit) {
 template <class Row>
 Row read_columns(CsvTable& table) {
   Row row;
-  CsvReader reader(&table);
-  visit_columns(row, reader);
+  visit_columns(row, table);
   return row;
 }
 

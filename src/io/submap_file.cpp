@@ -77,9 +77,8 @@ Json to_json(const LocalMap& map) {
 
 // --- reading ------------------------------------------------------------------------------------------------------
 
-class SubmapReader {
- public:
-  explicit SubmapReader(const ClassTable& classes) : classes_(classes) {}
+struct SubmapReader {
+  const ClassTable& classes;
 
   LocalMap read(const JsonField& field) const {
     LocalMap map;
@@ -105,7 +104,6 @@ class SubmapReader {
     return map;
   }
 
- private:
   LocalFrame read_frame(const JsonField& field) const {
     LocalFrame frame;
     frame.frame_id = field.member("frame_id").integer();
@@ -131,7 +129,7 @@ class SubmapReader {
     box.box = row.box();
     box.landmark_id = fields[4].integer();
     box.class_id = read_class(fields[5]);
-    box.label = classes_.label(box.class_id);
+    box.label = classes.label(box.class_id);
     const std::int64_t truncated = fields[6].integer();
     if (truncated < 0 || truncated > 15) fields[6].reject("must be a sum of 1, 2, 4, 8");
     box.truncated = static_cast<std::uint8_t>(truncated);
@@ -142,7 +140,7 @@ class SubmapReader {
     LocalObject object;
     object.landmark_id = field.member("landmark_id").integer();
     object.class_id = read_class(field.member("class_id"));
-    object.label = classes_.label(object.class_id);
+    object.label = classes.label(object.class_id);
     object.spheroid.center = field.member("center").numbers<3>();
     object.spheroid.log_axes = field.member("log_axes").numbers<2>();
     constexpr double kMaxLogAxis = 10.0;  // 22 km
@@ -163,11 +161,9 @@ class SubmapReader {
 
   int read_class(const JsonField& field) const {
     const int id = field.small_integer();
-    if (!classes_.is_mappable(id)) field.reject("is no class that becomes a landmark in the class table");
+    if (!classes.is_mappable(id)) field.reject("is no class that becomes a landmark in the class table");
     return id;
   }
-
-  const ClassTable& classes_;
 };
 
 }  // namespace
@@ -189,7 +185,7 @@ Result<std::vector<LocalMap>> read_submaps(const std::string& path, const ClassT
   const JsonField file(*root, "", &problem);
   const Json* format = root->is_object() && root->contains("format") ? &(*root)["format"] : nullptr;
   if (format == nullptr || *format != kFormat) file.reject(std::string("has no \"format\": \"") + kFormat + '"');
-  const SubmapReader reader(classes);
+  const SubmapReader reader{classes};
   if (file.is_fine()) {
     for (const JsonField& submap : file.member("submaps").elements()) {
       submaps.push_back(reader.read(submap));

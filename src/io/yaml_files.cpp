@@ -3,6 +3,7 @@
 #include <yaml-cpp/yaml.h>
 
 #include <algorithm>
+#include <boost/algorithm/string/join.hpp>
 #include <map>
 #include <set>
 #include <sstream>
@@ -14,12 +15,6 @@ namespace semantic_topo_loop::core {
 namespace {
 
 std::string key_text(const YAML::Node& key) { return key.IsScalar() ? key.Scalar() : "(not a text)"; }
-
-std::string joined(const std::vector<std::string>& words) {
-  std::string text;
-  for (const std::string& word : words) text += (text.empty() ? "" : ", ") + word;
-  return text;
-}
 
 /// "<path>:<line>" of a node, for messages.
 std::string yaml_place(const std::string& path, const YAML::Node& node) {
@@ -84,7 +79,8 @@ class YamlMap {
     for (const auto& entry : node_) {
       const std::string key = key_text(entry.first);
       if (!problem_->empty() || std::find(known.begin(), known.end(), key) != known.end()) continue;
-      *problem_ = yaml_place(path_, entry.first) + ": unknown key '" + key + "' (known: " + joined(known) + ")";
+      *problem_ = yaml_place(path_, entry.first) + ": unknown key '" + key +
+                  "' (known: " + boost::algorithm::join(known, ", ") + ")";
     }
     for (const std::string& key : required) {
       if (problem_->empty() && !has(key.c_str()))

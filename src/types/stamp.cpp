@@ -6,53 +6,25 @@
 #include "semantic_topo_loop/types/text.h"
 
 namespace semantic_topo_loop::core {
-namespace {
-
-bool is_digit(char c) { return c >= '0' && c <= '9'; }
-
-/// The digits of a decimal number and how many of them stand before its point.
-struct Decimal {
-  std::string digits;
-  long whole = 0;
-};
-
-/// Reads "e+09" and the like at the end of a number; a missing exponent is 0.
-std::optional<std::int64_t> parse_exponent(std::string_view text) {
-  if (text.empty()) return 0;
-  if (text.front() != 'e' && text.front() != 'E') return std::nullopt;
-  const std::optional<std::int64_t> exponent = parse_integer(text.substr(1));
-  constexpr std::int64_t kMax = 9999;  // more than doubles have, and no overflow below
-  return exponent && *exponent >= -kMax && *exponent <= kMax ? exponent : std::nullopt;
-}
-
-std::optional<Decimal> parse_decimal(std::string_view text) {
-  Decimal decimal;
-  std::size_t i = 0;
-  for (; i < text.size() && is_digit(text[i]); ++i) decimal.digits += text[i];
-  decimal.whole = static_cast<long>(decimal.digits.size());
-  if (i < text.size() && text[i] == '.') {
-    for (++i; i < text.size() && is_digit(text[i]); ++i) decimal.digits += text[i];
-  }
-  const std::optional<std::int64_t> exponent = parse_exponent(text.substr(i));
-  if (decimal.digits.empty() || !exponent) return std::nullopt;
-  decimal.whole += *exponent;
-  return decimal;
-}
-
-}  // namespace
 
 std::optional<std::int64_t> parse_stamp(std::string_view text) {
-  const std::optional<Decimal> decimal = parse_decimal(text);
-  if (!decimal) return std::nullopt;
-  constexpr long kNanosecondDigits = 9;
+  const std::size_t e = std::min(text.find_first_of("eE"), text.size());
+  const std::optional<std::int64_t> exponent = e < text.size() ? parse_integer(text.substr(e + 1)) : 0;
+  std::string digits(text.substr(0, e));
+  const std::size_t point = std::min(digits.find('.'), digits.size());
+  if (point < digits.size()) digits.erase(point, 1);
+  constexpr std::int64_t kMaxExponent = 9999;  // more than doubles have, and no overflow below
+  const bool is_decimal = !digits.empty() && digits.find_first_not_of("0123456789") == std::string::npos;
+  if (!is_decimal || !exponent || *exponent > kMaxExponent || *exponent < -kMaxExponent) return std::nullopt;
+  constexpr std::int64_t kNanosecondDigits = 9;
   constexpr std::int64_t kMax = std::numeric_limits<std::int64_t>::max();
-  const long count = decimal->whole + kNanosecondDigits;  // digits up to the nanosecond
-  const auto digit = [&decimal](long i) -> int {
-    return i >= 0 && i < static_cast<long>(decimal->digits.size()) ? decimal->digits[static_cast<std::size_t>(i)] - '0'
-                                                                   : 0;
+  // Digits up to the nanosecond.
+  const std::int64_t count = static_cast<std::int64_t>(point) + *exponent + kNanosecondDigits;
+  const auto digit = [&digits](std::int64_t i) -> int {
+    return i >= 0 && i < static_cast<std::int64_t>(digits.size()) ? digits[static_cast<std::size_t>(i)] - '0' : 0;
   };
   std::int64_t ns = 0;
-  for (long i = 0; i < count; ++i) {
+  for (std::int64_t i = 0; i < count; ++i) {
     if (ns > (kMax - digit(i)) / 10) return std::nullopt;
     ns = 10 * ns + digit(i);
   }

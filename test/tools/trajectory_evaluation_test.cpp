@@ -35,15 +35,20 @@ TEST(ErrorStatistics, OfKnownErrors) {
 }
 
 TEST(TrajectoryEvaluation, AssociatesTheNearestStampWithinTheLimit) {
-  StampedPoses estimate(3), reference(3);
-  estimate[0].stamp_ns = 100 * kMs;
-  estimate[1].stamp_ns = 200 * kMs;
-  estimate[2].stamp_ns = 300 * kMs;
-  reference[0].stamp_ns = 119 * kMs;
-  reference[1].stamp_ns = 195 * kMs;
-  reference[2].stamp_ns = 320 * kMs;  // exactly 20 ms away is too far
-  using Pairs = std::vector<std::pair<std::size_t, std::size_t>>;
-  EXPECT_EQ(associate_stamps(estimate, reference, 0.02), (Pairs{{0, 0}, {1, 1}}));
+  StampedPoses estimate = make_path(50), reference = estimate;
+  for (std::size_t i = 0; i < 50; ++i) {
+    reference[i].stamp_ns = 30 * kMs * static_cast<std::int64_t>(i);
+    estimate[i].stamp_ns = reference[i].stamp_ns + (i % 2 == 0 ? 14 : -14) * kMs;  // 16 ms from another one
+  }
+  estimate.back().stamp_ns = reference.back().stamp_ns + 20 * kMs;  // too far by a nanosecond
+  auto e = evaluate_trajectory(estimate, reference);
+  ASSERT_TRUE(e) << e.message();
+  EXPECT_EQ(e->pairs, 49u);
+  EXPECT_NEAR(e->absolute_m.max, 0.0, 1e-9);
+  estimate.back().stamp_ns -= 1;
+  e = evaluate_trajectory(estimate, reference);
+  ASSERT_TRUE(e) << e.message();
+  EXPECT_EQ(e->pairs, 50u);
 }
 
 TEST(TrajectoryEvaluation, ARigidlyMovedTrajectoryHasNoError) {

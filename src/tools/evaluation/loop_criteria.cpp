@@ -1,5 +1,6 @@
 #include <algorithm>
 #include <cmath>
+#include <functional>
 #include <iterator>
 #include <limits>
 
@@ -115,22 +116,18 @@ void count_loops(const std::vector<KeyframeLoop>& loops, CriterionCounts* row) {
 /// Values that are right or not, counted from a score on.
 class ScoreCounts {
  public:
-  void add(double score, bool is_right) { values_.push_back({score, is_right}); }
-  void sort() {
-    std::sort(values_.begin(), values_.end(), [](const auto& a, const auto& b) { return a.first > b.first; });
-  }
+  void add(double score, bool is_right) { left_.emplace(score, is_right); }
   /// To be asked with falling scores.
   Ratio from(double min_score) {
-    for (; next_ < values_.size() && values_[next_].first >= min_score; ++next_) {
+    for (; !left_.empty() && left_.begin()->first >= min_score; left_.erase(left_.begin())) {
       ++counts_.total;
-      counts_.right += values_[next_].second ? 1 : 0;
+      counts_.right += left_.begin()->second ? 1 : 0;
     }
     return counts_;
   }
 
  private:
-  std::vector<std::pair<double, bool>> values_;
-  std::size_t next_ = 0;
+  std::multimap<double, bool, std::greater<>> left_;  ///< to be counted, the highest first
   Ratio counts_;
 };
 
@@ -149,7 +146,6 @@ void count_queries(const std::vector<JudgedLoop>& loops, const TruePoses& truth,
     }
     if (best) closed->add(*best, true);
   }
-  closed->sort();
 }
 
 }  // namespace
@@ -210,21 +206,15 @@ std::vector<LoopCurvePoint> loop_curve(const std::vector<JudgedLoop>& loops, con
   for (const auto& [keyframe, best] : best_by_keyframe(candidates)) {
     revisits.add(best.loop->record.score, best.is_true_positive);
   }
-  std::vector<double> scores;
+  std::set<double, std::greater<>> scores;
   for (const JudgedLoop& loop : loops) {
-    scores.push_back(loop.record.score);
-    if (loop.is_judged && std::isfinite(loop.error_m)) {
-      right.add(loop.record.score, loop.is_right());
-    }
+    scores.insert(loop.record.score);
+    if (loop.is_judged && std::isfinite(loop.error_m)) right.add(loop.record.score, loop.is_right());
   }
-  revisits.sort();
-  right.sort();
   CriterionCounts paper{"paper", kLoopLimits.revisit};
   count_references(keyframes, &paper);
   int loopable = 0;
   count_queries(loops, truth, &loopable, &closed);
-  std::sort(scores.rbegin(), scores.rend());
-  scores.erase(std::unique(scores.begin(), scores.end()), scores.end());
   std::vector<LoopCurvePoint> points;
   for (const double score : scores) {
     const Ratio precision = revisits.from(score);

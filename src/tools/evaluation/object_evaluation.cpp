@@ -93,12 +93,11 @@ void list_matches(const std::vector<Candidate>& candidates, const std::vector<Re
 
 ReferenceObject read_reference(CsvTable& table) {
   ReferenceObject object;
-  CsvReader read(&table);
-  read("id", object.id);
-  read("label_id", object.class_id);
-  read("label", object.label);
-  read("x,y,z", object.center);
-  read("a,b,c", object.semi_axes);
+  table("id", object.id);
+  table("label_id", object.class_id);
+  table("label", object.label);
+  table("x,y,z", object.center);
+  table("a,b,c", object.semi_axes);
   const auto name = std::find(kCertaintyNames.begin(), kCertaintyNames.end(), table.text("certainty"));
   if (name == kCertaintyNames.end()) table.reject("certainty", "must be certain, probable or marginal");
   object.certainty = static_cast<Certainty>(name - kCertaintyNames.begin());

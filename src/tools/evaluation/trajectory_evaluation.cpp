@@ -2,16 +2,18 @@
 
 #include <algorithm>
 #include <cmath>
+#include <utility>
 
 #include "semantic_topo_loop/geometry/lie.h"
 
 namespace semantic_topo_loop::core {
 namespace {
 
+/// Of estimate and reference.
 using IndexPairs = std::vector<std::pair<std::size_t, std::size_t>>;
 
-constexpr double kMaxStampDifference_s = 0.02;     // as TUM's tools
-constexpr std::int64_t kInterval_ns = 1000000000;  // between the two poses of a relative error
+constexpr std::int64_t kMaxStampDifference_ns = 20000000 - 1;  // as TUM's tools
+constexpr std::int64_t kInterval_ns = 1000000000;              // between the two poses of a relative error
 
 /// Relative errors between each pair and the first one at least the interval later, unless that is much later.
 void relative_errors(const StampedPoses& estimate, const StampedPoses& reference, const IndexPairs& pairs, double scale,
@@ -55,23 +57,16 @@ ErrorStatistics error_statistics(std::vector<double> errors) {
   return statistics;
 }
 
-IndexPairs associate_stamps(const StampedPoses& estimate, const StampedPoses& reference, double max_difference_s) {
-  IndexPairs pairs;
-  const std::int64_t max_difference_ns = std::llround(max_difference_s * 1e9) - 1;
-  for (std::size_t i = 0; i < estimate.size(); ++i) {
-    const StampedPose* nearest = find_stamp(reference, estimate[i].stamp_ns, max_difference_ns);
-    if (nearest != nullptr) pairs.emplace_back(i, static_cast<std::size_t>(nearest - reference.data()));
-  }
-  return pairs;
-}
-
 Result<TrajectoryEvaluation> evaluate_trajectory(const StampedPoses& estimate, const StampedPoses& reference,
                                                  bool with_scale) {
-  const IndexPairs pairs = associate_stamps(estimate, reference, kMaxStampDifference_s);
+  IndexPairs pairs;
   std::vector<Vec3> points_reference, points_estimate;
-  for (const auto& [i, j] : pairs) {
+  for (std::size_t i = 0; i < estimate.size(); ++i) {
+    const StampedPose* nearest = find_stamp(reference, estimate[i].stamp_ns, kMaxStampDifference_ns);
+    if (nearest == nullptr) continue;
+    pairs.emplace_back(i, static_cast<std::size_t>(nearest - reference.data()));
     points_estimate.push_back(estimate[i].T_world_camera.t);
-    points_reference.push_back(reference[j].T_world_camera.t);
+    points_reference.push_back(nearest->T_world_camera.t);
   }
   const std::optional<Alignment> alignment = align_points(points_reference, points_estimate, with_scale);
   if (!alignment) {

@@ -1,7 +1,6 @@
 #pragma once
 
 #include <cstddef>
-#include <utility>
 #include <vector>
 
 #include "semantic_topo_loop/geometry/alignment.h"
@@ -24,7 +23,8 @@ struct Ratio {
   double value() const { return total > 0 ? static_cast<double>(right) / total : 0.0; }
 };
 
-/// Absolute and relative errors of a trajectory, as TUM's tools compute them, from poses less than 0.02 s apart.
+/// Absolute and relative errors of a trajectory, as TUM's tools compute them: of each estimated pose and the
+/// reference nearest in time, where they are less than 0.02 s apart. Two estimates may share a reference.
 struct TrajectoryEvaluation {
   std::size_t estimated = 0, reference = 0;  ///< poses of the two files
   std::size_t pairs = 0;                     ///< poses that have a partner
@@ -33,12 +33,6 @@ struct TrajectoryEvaluation {
   ErrorStatistics relative_m;                ///< RPE over 1 s, translation
   ErrorStatistics relative_deg;              ///< RPE over 1 s, rotation
 };
-
-/// Pairs of indices (estimate, reference): for each estimate the reference nearest in time, if it is less than
-/// `max_difference_s` away. Two estimates may share a reference.
-std::vector<std::pair<std::size_t, std::size_t>> associate_stamps(const StampedPoses& estimate,
-                                                                  const StampedPoses& reference,
-                                                                  double max_difference_s);
 
 /// @param with_scale align by a similarity (monocular odometry)
 /// @return an error, with the cause, if fewer than 3 poses have a partner or they lie on one line

@@ -50,15 +50,9 @@ std::vector<SE3> drift_scale(const std::vector<SE3>& T_world_camera, const Drift
 
 /// How recorded detections are made worse, to measure what a detector's errors cost.
 struct PerturbationOptions {
-  double drop = 0.0;
-  double relabel = 0.0;
-  double jitter = 0.0;
-
-  void visit(OptionVisitor& visitor) {
-    visitor("drop", drop, share(), "share of boxes left out");
-    visitor("relabel", relabel, share(), "share of boxes that get another class");
-    visitor("jitter", jitter, share(), "standard deviation of a corner, share of the box's width (x) and height (y)");
-  }
+  double drop = 0.0;     ///< share of boxes left out, [0, 1]
+  double relabel = 0.0;  ///< share of boxes that get another class, [0, 1]
+  double jitter = 0.0;   ///< standard deviation of a corner, share of the box's width (x) and height (y), [0, 1]
 };
 
 struct PerturbationCounts {
@@ -81,24 +75,14 @@ std::vector<DetectionFrame> perturb_detections(const std::vector<DetectionFrame>
                                                PerturbationCounts* counts);
 
 struct FalseLoopOptions {
-  int count = 10;
-  int cluster_size = 1;
-  int min_gap_keyframes = 15;
-  int window_frames = 200;
-  double distance_m = 1.0, rotation_deg = 30.0;
-  double sigma_m = 0.03, sigma_deg = 1.0;
-
-  void visit(OptionVisitor& visitor) {
-    visitor("count", count, not_negative(), "loops");
-    visitor("cluster", cluster_size, at_least(1),
-            "loops of neighbouring keyframes that agree with each other, as aliased places give them");
-    visitor("gap", min_gap_keyframes, at_least(1), "keyframes between query and match, at least");
-    visitor("window", window_frames, not_negative(), "frames of the evidence on either side");
-    visitor("distance", distance_m, not_negative(), "a loop contradicts the odometry by 1 to 2 times this, m");
-    visitor("rotation", rotation_deg, not_negative(), "and by 1 to 2 times this angle about a random axis, degrees");
-    visitor("sigma", sigma_m, positive(), "standard deviation that the loops state, of each axis, m");
-    visitor("sigma_deg", sigma_deg, positive(), "the same of the rotation");
-  }
+  int count = 10;              ///< loops
+  int cluster_size = 1;        ///< loops of neighbouring keyframes that agree, as aliased places give them, > 0
+  int min_gap_keyframes = 15;  ///< between query and match, > 0
+  int window_frames = 200;     ///< of the evidence on either side
+  double distance_m = 1.0;     ///< a loop contradicts the odometry by 1 to 2 times this
+  double rotation_deg = 30.0;  ///< and by 1 to 2 times this angle about a random axis
+  double sigma_m = 0.03;       ///< standard deviation that the loops state, of each axis, > 0
+  double sigma_deg = 1.0;      ///< the same of the rotation
 };
 
 /// Keyframe ids of query and match.

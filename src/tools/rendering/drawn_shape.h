@@ -1,9 +1,8 @@
 #pragma once
 
+#include <array>
 #include <cstdint>
-#include <limits>
 #include <opencv2/core.hpp>
-#include <optional>
 #include <vector>
 
 #include "semantic_topo_loop/types/stamp.h"
@@ -43,13 +42,6 @@ enum class Paint {
 enum Face : int { kFront, kBack, kLeftFace, kRightFace, kTopFace, kBottomFace };  ///< +x, -x, +y, -y, +z, -z
 constexpr int kFaces = 6;
 
-/// @param p on the surface, in units of `half`
-inline Face face_of(const Eigen::Vector3f& p) {
-  const Eigen::Vector3f size = p.cwiseAbs();
-  const int axis = size.x() >= size.y() ? (size.x() >= size.z() ? 0 : 2) : (size.y() >= size.z() ? 1 : 2);
-  return static_cast<Face>(2 * axis + (p[axis] < 0.0F ? 1 : 0));
-}
-
 /// A surface that rays meet: a box or an ellipsoid.
 struct DrawnShape {
   bool is_box = true;
@@ -67,56 +59,13 @@ std::vector<DrawnShape> drawn_shapes(const Scene& scene);
 
 constexpr double kBoxShare = 0.8;
 
-/// A shape as the rays of one camera meet it: the unit cube or unit sphere after p_camera -> scale * p_camera + origin.
-struct CastShape {
-  Eigen::Matrix3f scale = Eigen::Matrix3f::Identity();
-  Eigen::Vector3f origin = Eigen::Vector3f::Zero();
-  Eigen::Matrix3f R_camera_shape = Eigen::Matrix3f::Identity();
-  Eigen::Vector3f inverse_half = Eigen::Vector3f::Ones();
-  bool is_box = true;
-  int shape = -1;   ///< index of the drawn shape
-  int object = -1;  ///< of that shape
-  Box bounds;       ///< holds every ray (x, y, 1) that can hit
-
-  Eigen::Vector3f point(const Eigen::Vector3f& ray, float depth) const { return depth * (scale * ray) + origin; }
-  /// Unit normal in the camera frame at a point of the surface (in units of `half`) and its face, outwards.
-  Eigen::Vector3f normal(const Eigen::Vector3f& point, Face face) const {
-    if (!is_box) return (R_camera_shape * point.cwiseProduct(inverse_half)).normalized();
-    const Eigen::Vector3f axis = R_camera_shape.col(face / 2);
-    return face % 2 == 0 ? axis : Eigen::Vector3f(-axis);
-  }
-};
-
-/// @return nullopt if no part of the shape lies in front of the camera
-std::optional<CastShape> cast_shape(const DrawnShape& shape, const SE3& T_camera_shape, int index);
-
-/// A ray has z = 1, so that the distance in its lengths is the depth. Infinity if it misses.
-constexpr float kMiss = std::numeric_limits<float>::infinity();
-float depth_of_entry(const CastShape& shape, const Eigen::Vector3f& ray);
-/// Where a ray leaves a box that it starts in.
-float depth_of_exit(const CastShape& shape, const Eigen::Vector3f& ray);
-
 // --- what surfaces look like (painted_shape.cpp) ------------------------------------------------------------------
 
 struct Color {
   float b = 0.0F, g = 0.0F, r = 0.0F;
 };
 
-/// A picture on a flat rectangle with its halvings (mip map), looked up at the size of a pixel's footprint.
-class SurfaceTexture {
- public:
-  /// @param image CV_8UC3, BGR   @param texels_per_m its resolution on the surface
-  SurfaceTexture(const cv::Mat& image, float texels_per_m);
-
-  /// @param u,v in [0, 1] across and down the picture   @param footprint_m width of what is averaged
-  Color sample(float u, float v, float footprint_m) const;
-
- private:
-  std::vector<cv::Mat> levels_;  ///< CV_8UC4
-  float texels_per_m_ = 1.0F;
-};
-
-/// A shape with the pictures on its six faces.
+/// A shape with the pictures on its six faces, looked up at the size of a pixel's footprint.
 class PaintedShape {
  public:
   /// @param inside  the shape is a room: its faces are seen from inside
@@ -129,7 +78,7 @@ class PaintedShape {
  private:
   DrawnShape shape_;
   bool inside_;
-  std::vector<SurfaceTexture> textures_;  ///< by Face
+  std::array<std::vector<cv::Mat>, kFaces> textures_;  ///< by Face: a picture and its halvings (mip map), CV_8UC4
 };
 
 }  // namespace semantic_topo_loop::core

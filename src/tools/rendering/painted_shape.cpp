@@ -137,7 +137,6 @@ class Canvas {
     return color;
   }
 
-  Random& random() { return *random_; }
   const cv::Mat& image() const { return image_; }
 
  private:
@@ -412,14 +411,6 @@ struct FaceAxes {
 constexpr FaceAxes kFaceAxes[kFaces] = {{1, 2, 1.0F, -1.0F}, {1, 2, -1.0F, -1.0F}, {0, 2, -1.0F, -1.0F},
                                         {0, 2, 1.0F, -1.0F}, {1, 0, 1.0F, 1.0F},   {1, 0, 1.0F, -1.0F}};
 
-/// Across and down the face as seen from outside, each in [-1, 1].
-Eigen::Vector2f face_coordinates(Face face, const Eigen::Vector3f& p) {
-  const float scale = 1.0F / p.cwiseAbs().maxCoeff();
-  const Eigen::Vector3f q = scale * p;
-  const FaceAxes& axes = kFaceAxes[face];
-  return {axes.across_sign * q[axes.across], axes.down_sign * q[axes.down]};
-}
-
 using Texel = std::uint32_t;  ///< BGRX
 
 /// Mixes the four bytes two at a time. This is where rendering spends most of its time.
@@ -443,51 +434,53 @@ Texel bilinear(const cv::Mat& image, float u, float v) {
   return mix(mix(top[0], top[right], wx), mix(bottom[0], bottom[right], wx), wy);
 }
 
-}  // namespace
-
-SurfaceTexture::SurfaceTexture(const cv::Mat& image, float texels_per_m) : texels_per_m_(texels_per_m) {
-  cv::Mat four_bytes;
-  cv::cvtColor(image, four_bytes, cv::COLOR_BGR2BGRA);
-  levels_.push_back(four_bytes);
-  while (std::max(levels_.back().cols, levels_.back().rows) > 1) {
-    const cv::Size half(std::max(1, levels_.back().cols / 2), std::max(1, levels_.back().rows / 2));
+/// @param image CV_8UC3, BGR   @return it and its halvings, CV_8UC4
+std::vector<cv::Mat> mip_map(const cv::Mat& image) {
+  std::vector<cv::Mat> levels(1);
+  cv::cvtColor(image, levels.front(), cv::COLOR_BGR2BGRA);
+  while (std::max(levels.back().cols, levels.back().rows) > 1) {
+    const cv::Size half(std::max(1, levels.back().cols / 2), std::max(1, levels.back().rows / 2));
     cv::Mat next;
-    cv::resize(levels_.back(), next, half, 0.0, 0.0, cv::INTER_AREA);
-    levels_.push_back(next);
+    cv::resize(levels.back(), next, half, 0.0, 0.0, cv::INTER_AREA);
+    levels.push_back(next);
   }
+  return levels;
 }
 
-Color SurfaceTexture::sample(float u, float v, float footprint_m) const {
-  const auto top = static_cast<float>(levels_.size() - 1);
-  const float level = std::clamp(std::log2(std::max(footprint_m * texels_per_m_, 1.0F)), 0.0F, top);
-  const auto level8 = static_cast<Texel>(256.0F * level);
-  const std::size_t lower = level8 >> 8;
-  Texel texel = bilinear(levels_[lower], u, v);
-  if ((level8 & 255) != 0) texel = mix(texel, bilinear(levels_[lower + 1], u, v), level8 & 255);
-  return {static_cast<float>(texel & 255), static_cast<float>((texel >> 8) & 255),
-          static_cast<float>((texel >> 16) & 255)};
-}
+}  // namespace
 
 PaintedShape::PaintedShape(const DrawnShape& shape, bool inside, std::uint64_t seed, std::uint64_t index)
     : shape_(shape), inside_(inside) {
   Random random(seed, index);
   const cv::Scalar base = base_color(shape.paint, &random);
   const float resolution = texels_per_m(shape.paint);
-  for (int i = 0; i < kFaces; ++i) {
-    const auto face = static_cast<Face>(i);
+  for (std::size_t i = 0; i < kFaces; ++i) {
     const Vec2 size_m(2.0 * shape.half[kFaceAxes[i].across], 2.0 * shape.half[kFaceAxes[i].down]);
     const Vec2 texels = static_cast<double>(resolution) * size_m;
     const cv::Size size(std::max(2, static_cast<int>(texels.x())), std::max(2, static_cast<int>(texels.y())));
     Canvas canvas(size, resolution, base, &random);
-    Painter{canvas, random, canvas.all()}.paint(shape.paint, face, base);
-    textures_.emplace_back(canvas.image(), resolution);
+    Painter{canvas, random, canvas.all()}.paint(shape.paint, static_cast<Face>(i), base);
+    textures_[i] = mip_map(canvas.image());
   }
 }
 
 Color PaintedShape::color(const Eigen::Vector3f& p, Face face, float footprint_m) const {
-  const Eigen::Vector2f at = face_coordinates(face, p);
-  const float across = inside_ ? -at.x() : at.x();
-  return textures_[static_cast<std::size_t>(face)].sample(0.5F + 0.5F * across, 0.5F + 0.5F * at.y(), footprint_m);
+  // Across and down the face as seen from outside, each in [-1, 1].
+  const float scale = 1.0F / p.cwiseAbs().maxCoeff();
+  const Eigen::Vector3f q = scale * p;
+  const FaceAxes& axes = kFaceAxes[face];
+  const float across = axes.across_sign * q[axes.across], down = axes.down_sign * q[axes.down];
+  const float u = 0.5F + 0.5F * (inside_ ? -across : across), v = 0.5F + 0.5F * down;
+
+  const std::vector<cv::Mat>& levels = textures_[static_cast<std::size_t>(face)];
+  const auto top = static_cast<float>(levels.size() - 1);
+  const float footprint = std::max(footprint_m * texels_per_m(shape_.paint), 1.0F);
+  const auto level8 = static_cast<Texel>(256.0F * std::clamp(std::log2(footprint), 0.0F, top));
+  const std::size_t lower = level8 >> 8;
+  Texel texel = bilinear(levels[lower], u, v);
+  if ((level8 & 255) != 0) texel = mix(texel, bilinear(levels[lower + 1], u, v), level8 & 255);
+  return {static_cast<float>(texel & 255), static_cast<float>((texel >> 8) & 255),
+          static_cast<float>((texel >> 16) & 255)};
 }
 
 }  // namespace semantic_topo_loop::core

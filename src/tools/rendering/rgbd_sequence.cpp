@@ -2,9 +2,9 @@
 
 #include <algorithm>
 #include <filesystem>
+#include <future>
 #include <limits>
 #include <opencv2/imgcodecs.hpp>
-#include <thread>
 
 #include "semantic_topo_loop/io/text_file.h"
 #include "semantic_topo_loop/io/yaml_files.h"
@@ -67,60 +67,38 @@ Result<cv::Mat> read_image(const std::string& path, int type, const Camera& came
 }
 
 /// Renders single frames; const, so that threads may share it.
-class FrameWriter {
- public:
-  FrameWriter(const SimulationOptions& options, const SimulatedSequence& sequence, const std::string& directory)
-      : options_(options),
-        sequence_(sequence),
-        directory_(directory),
-        rays_(sequence.camera),
-        renderer_(sequence.scene, room_around(sequence.scene, sequence.mocap),
-                  seed_of(options, SeedStream::kTextures)) {}
+struct FrameWriter {
+  const SimulationOptions& options;
+  const SimulatedSequence& sequence;
+  const std::string& directory;
+  const PixelRays rays{sequence.camera};
+  const SceneRenderer renderer{sequence.scene, room_around(sequence.scene, sequence.mocap),
+                               seed_of(options, SeedStream::kTextures)};
 
   using Views = std::vector<std::optional<ObjectView>>;
 
   /// Writes one frame's images.
   /// @return what the color image shows
   Result<Views> write(std::size_t frame) const {
-    const double time_s = sequence_.time_s(frame);
-    RenderedImage image = renderer_.render(rays_, sequence_.truth[frame].T_world_camera, time_s);
+    const RenderingOptions& rendering = options.rendering;
+    const double time_s = sequence.time_s(frame);
+    RenderedImage image = renderer.render(rays, sequence.truth[frame].T_world_camera, time_s);
     const std::uint64_t seed =
-        2 * (seed_of(options_, SeedStream::kImageNoise) + 16 * static_cast<std::uint64_t>(frame) * 0x10001);
-    const cv::Mat color = options_.rendering.noise ? kinect_color(image.color, seed) : image.color;
+        2 * (seed_of(options, SeedStream::kImageNoise) + 16 * static_cast<std::uint64_t>(frame) * 0x10001);
+    const cv::Mat color = rendering.noise ? kinect_color(image.color, seed) : image.color;
     Views views = std::move(image.objects);
-    Status written = write_image(directory_ + "/" + color_name(sequence_, frame), color);
+    Status written = write_image(directory + "/" + color_name(sequence, frame), color);
     if (!written) return written.error();
-    const RenderingOptions& rendering = options_.rendering;
     const bool is_same_view = rendering.depth_delay_s == 0.0 && rendering.depth_offset_m == 0.0;
-    const SE3 T_world_depth = sequence_.depth[frame].T_world_camera * color_from_depth(rendering);
-    const RenderedImage depth = is_same_view
-                                    ? std::move(image)
-                                    : renderer_.render(rays_, T_world_depth, time_s + rendering.depth_delay_s, false);
-    const cv::Mat measured = options_.rendering.noise ? kinect_depth(depth, rays_, seed + 1) : depth.depth_m;
-    written = write_image(directory_ + "/" + depth_name(sequence_, frame), quantised(measured, options_.rendering));
+    const SE3 T_world_depth = sequence.depth[frame].T_world_camera * color_from_depth(rendering);
+    const RenderedImage depth =
+        is_same_view ? std::move(image) : renderer.render(rays, T_world_depth, time_s + rendering.depth_delay_s, false);
+    const cv::Mat measured = rendering.noise ? kinect_depth(depth, rays, seed + 1) : depth.depth_m;
+    written = write_image(directory + "/" + depth_name(sequence, frame), quantised(measured, rendering));
     if (!written) return written.error();
     return views;
   }
-
- private:
-  const SimulationOptions& options_;
-  const SimulatedSequence& sequence_;
-  std::string directory_;
-  PixelRays rays_;
-  SceneRenderer renderer_;
 };
-
-/// The frames [begin, end), one thread each.
-std::vector<Result<FrameWriter::Views>> write_batch(const FrameWriter& writer, std::size_t begin, std::size_t end) {
-  std::vector<Result<FrameWriter::Views>> views(end - begin, Error{});
-  std::vector<std::thread> threads;
-  for (std::size_t i = 1; i < views.size(); ++i) {
-    threads.emplace_back([&, i] { views[i] = writer.write(begin + i); });
-  }
-  views[0] = writer.write(begin);
-  for (std::thread& thread : threads) thread.join();
-  return views;
-}
 
 Status write_lists(const SimulatedSequence& sequence, const std::string& directory) {
   std::string colors = "# colour images: timestamp filename\n", depths = "# depth images: timestamp filename\n", pairs;
@@ -165,16 +143,20 @@ Status render_sequence(const SimulationOptions& options, const ClassTable& class
                        const std::string& directory, SimulatedSequence* sequence) {
   if (Status made = make_directory(directory); !made) return made;
   if (Status cleared = clear_images(directory); !cleared) return cleared;
-  const FrameWriter writer(options, *sequence, directory);
+  const FrameWriter writer{options, *sequence, directory};
   DetectorModel detector(sequence->scene, sequence->camera, classes, options.detector, options.trajectory.rate_hz,
                          seed_of(options, SeedStream::kDetector));
   const auto batch = static_cast<std::size_t>(std::max(1, threads));
   for (std::size_t begin = 0; begin < sequence->truth.size(); begin += batch) {
     const std::size_t end = std::min(begin + batch, sequence->truth.size());
-    const std::vector<Result<FrameWriter::Views>> views = write_batch(writer, begin, end);
+    std::vector<std::future<Result<FrameWriter::Views>>> written;
     for (std::size_t i = begin; i < end; ++i) {
-      if (!views[i - begin]) return views[i - begin].error();
-      sequence->detections[i] = detector.detect(sequence->truth[i].T_world_camera, *views[i - begin]);
+      written.push_back(std::async(std::launch::async, [&writer, i] { return writer.write(i); }));
+    }
+    for (std::size_t i = begin; i < end; ++i) {
+      const Result<FrameWriter::Views> views = written[i - begin].get();
+      if (!views) return views.error();
+      sequence->detections[i] = detector.detect(sequence->truth[i].T_world_camera, *views);
     }
   }
   return write_lists(*sequence, directory);

@@ -1,9 +1,129 @@
 #include "tools/rendering/scene_renderer.h"
 
 #include <algorithm>
+#include <cmath>
+#include <limits>
 
 namespace semantic_topo_loop::core {
 namespace {
+
+// --- shapes as rays meet them ---------------------------------------------------------------------------------------
+
+/// A ray has z = 1, so that the distance in its lengths is the depth. Infinity if it misses.
+constexpr float kMiss = std::numeric_limits<float>::infinity();
+
+constexpr double kNear_m = 0.02;  ///< nearer corners of shapes count as behind the camera
+
+const Box kEverywhere{-1e6, -1e6, 1e6, 1e6};
+
+/// Around the corners; everywhere if the box reaches behind the camera; none if it is wholly behind.
+std::optional<Box> box_bounds(const SE3& T_camera_shape, const Vec3& half) {
+  Box bounds{1e6, 1e6, -1e6, -1e6};
+  int behind = 0;
+  for (int i = 0; i < 8; ++i) {
+    const Vec3 corner((i & 1) != 0 ? half.x() : -half.x(), (i & 2) != 0 ? half.y() : -half.y(),
+                      (i & 4) != 0 ? half.z() : -half.z());
+    const Vec3 p = T_camera_shape * corner;
+    if (p.z() < kNear_m) {
+      ++behind;
+      continue;
+    }
+    const Vec2 q = p.hnormalized();
+    bounds = {std::min(bounds.x1, q.x()), std::min(bounds.y1, q.y()), std::max(bounds.x2, q.x()),
+              std::max(bounds.y2, q.y())};
+  }
+  if (behind == 8) return std::nullopt;
+  return behind > 0 ? kEverywhere : bounds;
+}
+
+std::optional<Box> ellipsoid_bounds(const SE3& T_camera_shape, const Vec3& half) {
+  Mat34 P = Mat34::Identity();
+  const std::optional<Box> bounds = project_box(Ellipsoid{T_camera_shape, half}, P);
+  if (bounds) return bounds;
+  return T_camera_shape.t.z() + half.maxCoeff() < kNear_m ? std::nullopt : std::optional<Box>(kEverywhere);
+}
+
+float enter_box(const Eigen::Vector3f& o, const Eigen::Vector3f& d) {
+  float entry = -kMiss, exit = kMiss;
+  for (int i = 0; i < 3; ++i) {
+    const float inverse = 1.0F / d[i];
+    const float a = (-1.0F - o[i]) * inverse, b = (1.0F - o[i]) * inverse;
+    // A ray within a face gives 0 * infinity, which these comparisons ignore.
+    entry = std::max(entry, std::min(a, b));
+    exit = std::min(exit, std::max(a, b));
+  }
+  return entry <= exit && entry > 0.0F ? entry : kMiss;
+}
+
+float enter_sphere(const Eigen::Vector3f& o, const Eigen::Vector3f& d) {
+  // By the point nearest to the centre: b^2 - a c would lose all digits of a small sphere far away.
+  const float a = d.squaredNorm();
+  const float middle = -o.dot(d) / a;
+  const float rest = 1.0F - (o + middle * d).squaredNorm();
+  if (rest <= 0.0F) return kMiss;
+  const float depth = middle - std::sqrt(rest / a);
+  return depth > 0.0F ? depth : kMiss;
+}
+
+/// A shape as the rays of one camera meet it: the unit cube or unit sphere after p_camera -> scale * p_camera + origin.
+struct CastShape {
+  Eigen::Matrix3f scale = Eigen::Matrix3f::Identity();
+  Eigen::Vector3f origin = Eigen::Vector3f::Zero();
+  Eigen::Matrix3f R_camera_shape = Eigen::Matrix3f::Identity();
+  Eigen::Vector3f inverse_half = Eigen::Vector3f::Ones();
+  bool is_box = true;
+  int shape = -1;   ///< index of the drawn shape
+  int object = -1;  ///< of that shape
+  Box bounds;       ///< holds every ray (x, y, 1) that can hit
+
+  Eigen::Vector3f point(const Eigen::Vector3f& ray, float depth) const { return depth * (scale * ray) + origin; }
+  /// Unit normal in the camera frame at a point of the surface (in units of `half`) and its face, outwards.
+  Eigen::Vector3f normal(const Eigen::Vector3f& point, Face face) const {
+    if (!is_box) return (R_camera_shape * point.cwiseProduct(inverse_half)).normalized();
+    const Eigen::Vector3f axis = R_camera_shape.col(face / 2);
+    return face % 2 == 0 ? axis : Eigen::Vector3f(-axis);
+  }
+  float depth_of_entry(const Eigen::Vector3f& ray) const {
+    const Eigen::Vector3f direction = scale * ray;
+    return is_box ? enter_box(origin, direction) : enter_sphere(origin, direction);
+  }
+  /// Where a ray leaves a box that it starts in.
+  float depth_of_exit(const Eigen::Vector3f& ray) const {
+    const Eigen::Vector3f direction = scale * ray;
+    float exit = kMiss;
+    for (int i = 0; i < 3; ++i) {
+      if (direction[i] == 0.0F) continue;
+      exit = std::min(exit, ((direction[i] > 0.0F ? 1.0F : -1.0F) - origin[i]) / direction[i]);
+    }
+    return exit;
+  }
+};
+
+/// @return nullopt if no part of the shape lies in front of the camera
+std::optional<CastShape> cast_shape(const DrawnShape& shape, const SE3& T_camera_shape, int index) {
+  const std::optional<Box> bounds =
+      shape.is_box ? box_bounds(T_camera_shape, shape.half) : ellipsoid_bounds(T_camera_shape, shape.half);
+  if (!bounds) return std::nullopt;
+  const Vec3 inverse_half = shape.half.cwiseInverse();
+  const SE3 T_shape_camera = T_camera_shape.inverse();
+  return CastShape{(inverse_half.asDiagonal() * T_shape_camera.rotation()).cast<float>(),
+                   inverse_half.cwiseProduct(T_shape_camera.t).cast<float>(),
+                   T_camera_shape.rotation().cast<float>(),
+                   inverse_half.cast<float>(),
+                   shape.is_box,
+                   index,
+                   shape.object,
+                   *bounds};
+}
+
+/// @param p on the surface, in units of `half`
+Face face_of(const Eigen::Vector3f& p) {
+  const Eigen::Vector3f size = p.cwiseAbs();
+  const int axis = size.x() >= size.y() ? (size.x() >= size.z() ? 0 : 2) : (size.y() >= size.z() ? 1 : 2);
+  return static_cast<Face>(2 * axis + (p[axis] < 0.0F ? 1 : 0));
+}
+
+// --- one image ------------------------------------------------------------------------------------------------------
 
 constexpr int kTile_px = 16;       ///< side of the squares for which the shapes in reach are collected
 constexpr float kAmbient = 0.62F;  ///< share of the light that comes from everywhere
@@ -55,17 +175,16 @@ struct Coverage {
 /// One image in the making.
 class Picture {
  public:
-  Picture(const std::vector<PaintedShape>& shapes, const PaintedShape& walls, const Scene& scene, const Room& room,
-          const PixelRays& rays, const SE3& T_world_camera, double time_s)
-      : shapes_(shapes), walls_(walls), rays_(rays), coverage_(scene.objects.size()) {
+  Picture(const SceneRenderer& painted, const PixelRays& rays, const SE3& T_world_camera, double time_s)
+      : painted_(painted), rays_(rays), coverage_(painted.scene.objects.size()) {
     const SE3 T_camera_world = T_world_camera.inverse();
     std::vector<std::optional<SE3>> T_camera_object;
-    for (const SceneObject& object : scene.objects) {
+    for (const SceneObject& object : painted.scene.objects) {
       const std::optional<Ellipsoid> now = object.at(time_s);
       T_camera_object.push_back(now ? std::optional<SE3>(T_camera_world * now->T_world_quadric) : std::nullopt);
     }
-    for (std::size_t i = 0; i < shapes.size(); ++i) {
-      const DrawnShape& shape = shapes[i].shape();
+    for (std::size_t i = 0; i < painted.shapes.size(); ++i) {
+      const DrawnShape& shape = painted.shapes[i].shape();
       const std::optional<SE3> T_camera_base = shape.object < 0
                                                    ? std::optional<SE3>(T_camera_world)
                                                    : T_camera_object[static_cast<std::size_t>(shape.object)];
@@ -73,8 +192,8 @@ class Picture {
       const std::optional<CastShape> cast = cast_shape(shape, *T_camera_base * shape.T_base_shape, static_cast<int>(i));
       if (cast) casts_.push_back(*cast);
     }
-    const SE3 T_camera_room = T_camera_world * room.T_world_room;
-    room_ = *cast_shape(walls.shape(), T_camera_room, -1);
+    const SE3 T_camera_room = T_camera_world * painted.room.T_world_room;
+    room_ = *cast_shape(painted.walls.shape(), T_camera_room, -1);
     lamp_ = (T_camera_room.rotation() * lamp_direction()).cast<float>();
     focal_px_ = static_cast<float>(std::min(rays.camera.fx, rays.camera.fy));
   }
@@ -118,10 +237,10 @@ class Picture {
   /// @param meet called for each shape that the ray meets, hidden or not
   template <class Meet>
   Hit cast(const Eigen::Vector3f& direction, const Meet& meet) const {
-    Hit hit{depth_of_exit(room_, direction), -1};
+    Hit hit{room_.depth_of_exit(direction), -1};
     for (const int i : candidates_) {
       const CastShape& shape = casts_[static_cast<std::size_t>(i)];
-      const float depth = depth_of_entry(shape, direction);
+      const float depth = shape.depth_of_entry(direction);
       if (depth == kMiss) continue;
       if (depth < hit.depth) hit = {depth, i};
       meet(shape);
@@ -174,7 +293,8 @@ class Picture {
     if (!with_color) return seen;
     // Between the footprint's width across and along the slope.
     const float footprint_m = hit.depth / (focal_px_ * std::sqrt(seen.cosine));
-    const PaintedShape& painted = hit.cast < 0 ? walls_ : shapes_[static_cast<std::size_t>(shape.shape)];
+    const PaintedShape& painted =
+        hit.cast < 0 ? painted_.walls : painted_.shapes[static_cast<std::size_t>(shape.shape)];
     const Color color = painted.color(point, face, footprint_m);
     const float light = kAmbient + (1.0F - kAmbient) * std::max(0.0F, normal.dot(lamp_));
     seen.color = {light * color.b, light * color.g, light * color.r};
@@ -256,8 +376,7 @@ class Picture {
     }
   }
 
-  const std::vector<PaintedShape>& shapes_;
-  const PaintedShape& walls_;
+  const SceneRenderer& painted_;
   const PixelRays& rays_;
   std::vector<CastShape> casts_;
   CastShape room_;
@@ -280,15 +399,15 @@ PixelRays::PixelRays(const Camera& of_camera) : camera(of_camera), rays(camera.h
   }
 }
 
-SceneRenderer::SceneRenderer(const Scene& scene, const Room& room, std::uint64_t seed)
-    : scene_(scene), room_(room), walls_({true, -1, {}, room.half, Paint::kWalls}, true, seed, 0) {
-  const std::vector<DrawnShape> shapes = drawn_shapes(scene);
-  for (std::size_t i = 0; i < shapes.size(); ++i) shapes_.emplace_back(shapes[i], false, seed, 1 + i);
+SceneRenderer::SceneRenderer(const Scene& of_scene, const Room& of_room, std::uint64_t seed)
+    : scene(of_scene), room(of_room), walls({true, -1, {}, room.half, Paint::kWalls}, true, seed, 0) {
+  const std::vector<DrawnShape> drawn = drawn_shapes(scene);
+  for (std::size_t i = 0; i < drawn.size(); ++i) shapes.emplace_back(drawn[i], false, seed, 1 + i);
 }
 
 RenderedImage SceneRenderer::render(const PixelRays& rays, const SE3& T_world_camera, double time_s,
                                     bool with_color) const {
-  return Picture(shapes_, walls_, scene_, room_, rays, T_world_camera, time_s).render(with_color);
+  return Picture(*this, rays, T_world_camera, time_s).render(with_color);
 }
 
 }  // namespace semantic_topo_loop::core

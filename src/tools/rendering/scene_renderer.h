@@ -29,20 +29,18 @@ struct RenderedImage {
 };
 
 /// Casts rays into a scene: textured room, tables and objects. Const and safe to share between threads.
-class SceneRenderer {
- public:
+struct SceneRenderer {
   /// @param seed of the textures, which stay on their surfaces
-  SceneRenderer(const Scene& scene, const Room& room, std::uint64_t seed);
+  SceneRenderer(const Scene& of_scene, const Room& of_room, std::uint64_t seed);
 
   /// @param time_s from the first image   @param with_color false: depth, cosine and objects only
   RenderedImage render(const PixelRays& rays, const SE3& T_world_camera, double time_s = 0.0,
                        bool with_color = true) const;
 
- private:
-  Scene scene_;
-  Room room_;
-  std::vector<PaintedShape> shapes_;
-  PaintedShape walls_;
+  const Scene scene;
+  const Room room;
+  std::vector<PaintedShape> shapes;
+  PaintedShape walls;
 };
 
 /// Depth as a structured-light camera measures it, from an ideal rendering. Disparities of f b = 580 px x 7.5 cm have

@@ -168,9 +168,17 @@ class Lap {
   };
   /// @param laps whole laps repeat
   Place at(double laps) const {
-    const Station s = smooth_station(laps);
+    // A moving average rounds the corners of the pace, where straight meets arc.
+    constexpr int kSamples = 16;  // so that a step of the average is below a hundredth of a lap
+    Station mean;
+    for (int i = 0; i < kSamples; ++i) {
+      const Station s = station(laps + window_laps() * ((i + 0.5) / kSamples - 0.5));
+      mean.along_m += s.along_m / kSamples;
+      mean.angle += s.angle / kSamples;
+    }
     const Vec3 side(line_direction_.y(), -line_direction_.x(), 0.0);
-    return {line_start_ + s.along_m * line_direction_, std::cos(s.angle) * side + std::sin(s.angle) * line_direction_};
+    return {line_start_ + mean.along_m * line_direction_,
+            std::cos(mean.angle) * side + std::sin(mean.angle) * line_direction_};
   }
   /// Over which its corners are rounded: a tenth of it, but not more than the way around the end of a long row.
   double window_laps() const { return std::min(0.1, kMaxWindow_m / (2.0 * (line_length_m_ + kPi * distance_m_))); }
@@ -192,18 +200,6 @@ class Lap {
     if (way < line_length_m_ + arc) return {line_length_m_, turns + (way - line_length_m_) / distance_m_};
     if (way < 2.0 * line_length_m_ + arc) return {2.0 * line_length_m_ + arc - way, turns + kPi};
     return {0.0, turns + kPi + (way - 2.0 * line_length_m_ - arc) / distance_m_};
-  }
-
-  Station smooth_station(double laps) const {
-    // A moving average rounds the corners of the pace, where straight meets arc.
-    constexpr int kSamples = 16;  // so that a step of the average is below a hundredth of a lap
-    Station mean;
-    for (int i = 0; i < kSamples; ++i) {
-      const Station s = station(laps + window_laps() * ((i + 0.5) / kSamples - 0.5));
-      mean.along_m += s.along_m / kSamples;
-      mean.angle += s.angle / kSamples;
-    }
-    return mean;
   }
 
   double distance_m_;

@@ -102,7 +102,10 @@ class Builder {
     const bool office = options.layout == "office";
     for (std::size_t i = 0; i < scene_.desks.size(); ++i) {
       Random random(seed, options.identical_desks ? 1 : 1 + i);
-      fill_desk(scene_.desks[i], office ? kOfficeItems : kDeskItems, &random);
+      for (const Item& item : office ? kOfficeItems : kDeskItems) {
+        const int count = random.integer(item.low, item.high);
+        for (int k = 0; k < count; ++k) place_on_desk(scene_.desks[i], item, &random);
+      }
     }
     for (const Desk& desk : scene_.desks) {
       place_on_floor(desk, kChair, true, &room);
@@ -127,13 +130,6 @@ class Builder {
       const Desk desk{T_world_room * upright_pose({0.0, y, 0.0}, yaw), office ? 0.40 : 0.65, 0.80};
       scene_.desks.push_back(desk);
       taken_.push_back(footprint(desk.T_world_desk, desk.half_depth_m, desk.half_width_m));
-    }
-  }
-
-  void fill_desk(const Desk& desk, const std::vector<Item>& items, Random* random) {
-    for (const Item& item : items) {
-      const int count = random->integer(item.low, item.high);
-      for (int i = 0; i < count; ++i) place_on_desk(desk, item, random);
     }
   }
 
@@ -344,14 +340,13 @@ std::optional<Box> SceneProjector::raw_box(const Ellipsoid& ellipsoid, const SE3
   const std::optional<Box> pinhole = C ? bounding_box(*C) : std::nullopt;
   if (!pinhole || !camera_.has_distortion()) return pinhole;
   // A line l touches the conic at C* l; the four points of contact are what the lens moves.
-  const auto contact = [this, &C](const Vec3& line) { return distort((*C * line).hnormalized()); };
+  const auto contact = [this, &C](const Vec3& line) -> Vec2 {
+    const Vec2 pixel = (*C * line).hnormalized();
+    return camera_.distort({std::clamp(pixel.x(), undistorted_image_.x1, undistorted_image_.x2),
+                            std::clamp(pixel.y(), undistorted_image_.y1, undistorted_image_.y2)});
+  };
   return Box{contact({1.0, 0.0, -pinhole->x1}).x(), contact({0.0, 1.0, -pinhole->y1}).y(),
              contact({1.0, 0.0, -pinhole->x2}).x(), contact({0.0, 1.0, -pinhole->y2}).y()};
-}
-
-Vec2 SceneProjector::distort(const Vec2& pixel) const {
-  return camera_.distort({std::clamp(pixel.x(), undistorted_image_.x1, undistorted_image_.x2),
-                          std::clamp(pixel.y(), undistorted_image_.y1, undistorted_image_.y2)});
 }
 
 }  // namespace semantic_topo_loop::core

@@ -133,8 +133,6 @@ class SceneProjector {
   std::optional<Box> raw_box(const Ellipsoid& ellipsoid, const SE3& T_world_camera) const;
 
  private:
-  Vec2 distort(const Vec2& pixel) const;
-
   const Scene* scene_;
   Camera camera_;
   Box undistorted_image_;  ///< where the lens model is known to hold

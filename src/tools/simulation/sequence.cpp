@@ -145,17 +145,6 @@ std::string place_row(std::size_t id, int class_id, const Ellipsoid& ellipsoid, 
                  fixed(axes.x()), fixed(axes.y()), fixed(axes.z()), fixed(2.0 * std::atan2(q.z(), q.w())), more...);
 }
 
-std::string format_row(std::size_t id, const SimulatedReference& r, const SceneObject& object,
-                       const ClassTable& classes) {
-  std::string others;
-  for (const auto& [class_id, count] : r.other_classes) {
-    others += (others.empty() ? "" : ";") + classes.name(class_id) + ":" + std::to_string(count);
-  }
-  return place_row(id, object.class_id, object.ellipsoid, classes, r.views, r.whole_frames, fixed(r.baseline_deg),
-                   fixed(r.mean_iou), fixed(r.median_iou), fixed(r.share_iou_above_half), r.first_frame, r.last_frame,
-                   others, name_of(r.certainty));
-}
-
 /// Adds the boxes that show an object at a place that it leaves.
 void count_views(const SimulatedSequence& sequence, double from_s, double to_s, GoneObject* gone) {
   for (std::size_t frame = 0; frame < sequence.detections.size(); ++frame) {
@@ -225,8 +214,15 @@ std::string format_reference_objects(const SimulatedSequence& sequence, const Cl
       "alt_labels,certainty\n";
   const std::vector<SimulatedReference> references = reference_objects(sequence);
   for (std::size_t i = 0; i < references.size(); ++i) {
-    const auto object = static_cast<std::size_t>(references[i].object);
-    text += format_row(i, references[i], sequence.scene.objects[object], classes);
+    const SimulatedReference& r = references[i];
+    const SceneObject& object = sequence.scene.objects[static_cast<std::size_t>(r.object)];
+    std::string others;
+    for (const auto& [class_id, count] : r.other_classes) {
+      others += (others.empty() ? "" : ";") + classes.name(class_id) + ":" + std::to_string(count);
+    }
+    text += place_row(i, object.class_id, object.ellipsoid, classes, r.views, r.whole_frames, fixed(r.baseline_deg),
+                      fixed(r.mean_iou), fixed(r.median_iou), fixed(r.share_iou_above_half), r.first_frame,
+                      r.last_frame, others, name_of(r.certainty));
   }
   return text;
 }
