@@ -37,8 +37,7 @@ std::optional<std::set<std::string>> parse_levels(const std::string& text) {
 
 bool AssociatorOptions::is_level_list(const std::string& text) { return parse_levels(text).has_value(); }
 
-class ObjectAssociator::Impl {
- public:
+struct ObjectAssociator::Impl {
   Impl(const AssociatorOptions& options, std::shared_ptr<const ClassTable> classes)
       : options_(options), classes_(std::move(classes)) {
     const std::set<std::string> names = parse_levels(options_.levels).value_or(std::set<std::string>{});
@@ -77,9 +76,6 @@ class ObjectAssociator::Impl {
     return true;
   }
 
-  std::uint64_t map_version() const { return map_version_; }
-
- private:
   void merge_tracks(const LandmarkMerge& merge) {
     const Track* merged = tracks_.find(merge.merged_id);
     if (merged == nullptr) return;
@@ -321,15 +317,12 @@ class ObjectAssociator::Impl {
 };
 
 ObjectAssociator::ObjectAssociator(const AssociatorOptions& options, std::shared_ptr<const ClassTable> classes)
-    : impl_(std::make_unique<Impl>(options, std::move(classes))) {}
-ObjectAssociator::~ObjectAssociator() = default;
-ObjectAssociator::ObjectAssociator(ObjectAssociator&&) noexcept = default;
-ObjectAssociator& ObjectAssociator::operator=(ObjectAssociator&&) noexcept = default;
+    : impl_(new Impl(options, std::move(classes)), [](Impl* impl) { delete impl; }) {}
 
 AssociationFrame ObjectAssociator::associate(const Frame& frame, const std::vector<Detection>& detections) {
   return impl_->associate(frame, detections);
 }
 bool ObjectAssociator::apply(const MapUpdate& update) { return impl_->apply(update); }
-std::uint64_t ObjectAssociator::map_version() const { return impl_->map_version(); }
+std::uint64_t ObjectAssociator::map_version() const { return impl_->map_version_; }
 
 }  // namespace semantic_topo_loop::core

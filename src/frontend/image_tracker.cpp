@@ -1,8 +1,8 @@
-#include "frontend/image_tracker.h"
-
 #include <algorithm>
 #include <cmath>
 #include <set>
+
+#include "frontend/tracking_map.h"
 
 namespace semantic_topo_loop::core {
 namespace {

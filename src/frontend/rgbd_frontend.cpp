@@ -7,7 +7,6 @@
 
 #include "frontend/bundle_adjustment.h"
 #include "frontend/depth_registration.h"
-#include "frontend/image_tracker.h"
 #include "semantic_topo_loop/geometry/lie.h"
 
 namespace semantic_topo_loop::core {

@@ -29,12 +29,6 @@ std::optional<Plane> through(const Vec3& a, const Vec3& b, const Vec3& c) {
   return plane;
 }
 
-/// The camera is at the origin.
-Plane facing_camera(Plane plane) {
-  if (plane.offset < 0.0) plane = {-plane.normal, -plane.offset};
-  return plane;
-}
-
 std::optional<Plane> least_squares(const std::vector<Vec3>& points, const std::vector<double>& tolerances,
                                    const Plane& start) {
   Vec3 sum = Vec3::Zero();
@@ -259,7 +253,8 @@ std::optional<Plane> dominant_plane(const std::vector<Vec3>& points, int hypothe
   if (!best || static_cast<double>(inliers(*best)) < min_share * static_cast<double>(points.size())) {
     return std::nullopt;
   }
-  return facing_camera(*best);
+  if (best->offset < 0.0) best = Plane{-best->normal, -best->offset};  // the camera is at the origin
+  return best;
 }
 
 FramePoints::FramePoints(const std::vector<Vec3>& points_camera, const Camera& camera)

@@ -13,7 +13,6 @@
 #include "loop/paper/paper_detector.h"
 #include "loop/submap/observation_window.h"
 #include "loop/submap/submap_builder.h"
-#include "loop/submap/up_estimator.h"
 #include "odometry/motion_bursts.h"
 #include "semantic_topo_loop/loop/loop_options.h"
 
@@ -22,12 +21,6 @@ namespace {
 
 constexpr std::int64_t kSettle_ns = 300'000'000;  ///< a jump may take several frames
 constexpr std::size_t kRecordCapacity = 20'000;   ///< decisions that are explained without a new comparison: some 6 MB
-
-/// The submaps of an earlier run are never too recent, whatever its clock said.
-LoopOptions without_gap(LoopOptions options) {
-  options.min_gap_s = -std::numeric_limits<double>::infinity();
-  return options;
-}
 
 }  // namespace
 
@@ -227,7 +220,10 @@ LoopExplanation LoopDetector::explain(std::int64_t query_keyframe_id, std::int64
   return impl_->explain(query_keyframe_id, match_keyframe_id);
 }
 void LoopDetector::set_earlier_map(std::vector<LocalMap> submaps) {
-  GraphDetector& earlier = impl_->earlier_.emplace(without_gap(impl_->options_));
+  // They are never too recent, whatever the earlier run's clock said.
+  LoopOptions options = impl_->options_;
+  options.min_gap_s = -std::numeric_limits<double>::infinity();
+  GraphDetector& earlier = impl_->earlier_.emplace(options);
   for (LocalMap& submap : submaps) {
     submap.is_earlier = true;
     submap.segment = -1;

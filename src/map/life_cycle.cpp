@@ -1,8 +1,7 @@
-#include "map/life_cycle.h"
-
 #include <algorithm>
 #include <cmath>
 
+#include "map/mapped_landmark.h"
 #include "semantic_topo_loop/geometry/quadric.h"
 
 namespace semantic_topo_loop::core {

@@ -1,6 +1,7 @@
 #include "map/quadric_fit.h"
 
 #include <ceres/ceres.h>
+#include <ceres/normal_prior.h>
 
 #include <Eigen/Eigenvalues>
 #include <algorithm>
@@ -112,23 +113,6 @@ class SurfaceCost final : public ceres::CostFunction {
   double weight_;
 };
 
-/// r = weight (log axes - mean log axis of the start): keeps axes that no view bounds near a sphere.
-class RoundnessCost final : public ceres::SizedCostFunction<3, 3> {
- public:
-  RoundnessCost(double target, double weight) : target_(target), weight_(weight) {}
-  bool Evaluate(double const* const* parameters, double* residuals, double** jacobians) const override {
-    for (int i = 0; i < 3; ++i) residuals[i] = weight_ * (parameters[0][i] - target_);
-    if (jacobians != nullptr && jacobians[0] != nullptr) {
-      Eigen::Map<Mat3> jacobian(jacobians[0]);
-      jacobian = weight_ * Mat3::Identity();
-    }
-    return true;
-  }
-
- private:
-  double target_, weight_;
-};
-
 /// Standard deviation of one view's depth against an ellipsoid of the given radius.
 double surface_sigma_m(const BoxView& view, double radius_m, const QuadricFitOptions& options) {
   double depth = 0.0;
@@ -186,7 +170,9 @@ std::optional<QuadricFit> refine_quadric(const Camera& camera, const std::vector
   Vec3 center = initial.center();
   Quaternion rotation = initial.T_world_quadric.q;
   Vec3 log_axes = initial.semi_axes.array().log();
-  RoundnessCost roundness(log_axes.mean(), std::sqrt(options.roundness_weight * static_cast<double>(views.size())));
+  // Keeps axes that no view bounds near a sphere.
+  const double roundness_weight = std::sqrt(options.roundness_weight * static_cast<double>(views.size()));
+  ceres::NormalPrior roundness(roundness_weight * Mat3::Identity(), Vec3::Constant(log_axes.mean()));
   ceres::SoftLOneLoss loss(1.0);
   ceres::CauchyLoss surface_loss(1.0);  // what was taken for the object may be all of it something else
 

@@ -8,7 +8,6 @@
 #include "geometry/depth_points.h"
 #include "geometry/statistics.h"
 #include "map/landmark_fitter.h"
-#include "map/life_cycle.h"
 #include "map/mapped_landmark.h"
 #include "map/merging.h"
 #include "semantic_topo_loop/map/mapper_options.h"
@@ -25,8 +24,7 @@ constexpr double kUndoReach = 1.5;              // of the distance up to which t
 
 }  // namespace
 
-class QuadricMapper::Impl {
- public:
+struct QuadricMapper::Impl {
   Impl(const QuadricMapperOptions& options, std::shared_ptr<const ClassTable> classes)
       : options_(options),
         classes_(std::move(classes)),
@@ -87,19 +85,6 @@ class QuadricMapper::Impl {
     update.duration_us = stopwatch.elapsed_us();
     return update;
   }
-
-  std::vector<Landmark> landmarks() const {
-    std::vector<Landmark> result;
-    result.reserve(landmarks_.size());
-    for (const auto& [id, landmark] : landmarks_) result.push_back(landmark.state);
-    return result;
-  }
-
-  std::uint64_t map_version() const { return map_version_; }
-  const SE3& T_map_odom() const { return T_map_odom_; }
-
- private:
-  using Landmarks = std::map<std::int64_t, MappedLandmark>;
 
   /// How much time this frame stands for; long gaps count no more than a slow detector's interval.
   void begin_step(std::int64_t stamp_ns) {
@@ -395,7 +380,7 @@ class QuadricMapper::Impl {
   double scale_ = 1.0;  ///< units of length of the map in one of the odometry, now
   KeyframePlaces S_map_keyframe_;
   std::map<std::int64_t, SE3> T_odom_keyframe_;
-  Landmarks landmarks_;
+  std::map<std::int64_t, MappedLandmark> landmarks_;
   MergeHistory merges_;
   ViewSource views_;
   LandmarkFitter fitter_;
@@ -411,17 +396,19 @@ class QuadricMapper::Impl {
 };
 
 QuadricMapper::QuadricMapper(const QuadricMapperOptions& options, std::shared_ptr<const ClassTable> classes)
-    : impl_(std::make_unique<Impl>(options, std::move(classes))) {}
-QuadricMapper::~QuadricMapper() = default;
-QuadricMapper::QuadricMapper(QuadricMapper&&) noexcept = default;
-QuadricMapper& QuadricMapper::operator=(QuadricMapper&&) noexcept = default;
+    : impl_(new Impl(options, std::move(classes)), [](Impl* impl) { delete impl; }) {}
 
 MapUpdate QuadricMapper::integrate(const Frame& frame, const AssociationFrame& associations) {
   return impl_->integrate(frame, associations);
 }
 MapUpdate QuadricMapper::apply(const MapCorrection& correction) { return impl_->apply(correction); }
-std::vector<Landmark> QuadricMapper::landmarks() const { return impl_->landmarks(); }
-std::uint64_t QuadricMapper::map_version() const { return impl_->map_version(); }
-const SE3& QuadricMapper::T_map_odom() const { return impl_->T_map_odom(); }
+std::vector<Landmark> QuadricMapper::landmarks() const {
+  std::vector<Landmark> landmarks;
+  landmarks.reserve(impl_->landmarks_.size());
+  for (const auto& [id, landmark] : impl_->landmarks_) landmarks.push_back(landmark.state);
+  return landmarks;
+}
+std::uint64_t QuadricMapper::map_version() const { return impl_->map_version_; }
+const SE3& QuadricMapper::T_map_odom() const { return impl_->T_map_odom_; }
 
 }  // namespace semantic_topo_loop::core

@@ -11,14 +11,6 @@
 #include "ros/rgbd_images.h"
 
 namespace semantic_topo_loop {
-namespace {
-
-bool is_same(const core::Camera& a, const core::Camera& b) {
-  return std::tie(a.fx, a.fy, a.cx, a.cy, a.width, a.height, a.distortion) ==
-         std::tie(b.fx, b.fy, b.cx, b.cy, b.width, b.height, b.distortion);
-}
-
-}  // namespace
 
 /// Finds the camera's poses from its colour and depth images.
 class RgbdFrontendNodelet : public StageWith<RgbdFrontendParameters, FrontendStage> {
@@ -141,7 +133,10 @@ class RgbdFrontendNodelet : public StageWith<RgbdFrontendParameters, FrontendSta
       fail_image(stamp_ns, "images without a calibration", "neither camera_file nor a usable camera_info");
       return false;
     }
-    if (frontend_ && !is_same(*frontend_camera_, *camera())) {
+    const auto fields = [](const core::Camera& c) {
+      return std::tie(c.fx, c.fy, c.cx, c.cy, c.width, c.height, c.distortion);
+    };
+    if (frontend_ && fields(*frontend_camera_) != fields(*camera())) {
       begin_session("another calibration came");
       frontend_.reset();
     }

@@ -22,20 +22,13 @@ constexpr double kDoubt = 3.0;  // times the usual difference: so much of a burs
 
 /// Sigma of each axis, by what nine of ten differences stay below: the worst tenth may be jumps or a shaky odometry's
 /// own.
-double usual(std::vector<double> norms) {
+double usual(const boost::circular_buffer<double>& history) {
+  std::vector<double> norms(history.begin(), history.end());
   constexpr double kNinthTenth = 2.5;  // of the norm of three, in sigmas: root of the 90 % quantile of chi^2, 6.25
   const auto at = norms.begin() + static_cast<std::ptrdiff_t>(norms.size() * 9 / 10);
   std::nth_element(norms.begin(), at, norms.end());
   constexpr double kTiny = 1e-9;  // m or rad: a camera that stands still is no division by zero
   return *at / kNinthTenth + kTiny;
-}
-
-void put(double value, std::size_t turn, std::vector<double>* history) {
-  if (history->size() < kHistory) {
-    history->push_back(value);
-  } else {
-    (*history)[turn % kHistory] = value;
-  }
 }
 
 void add(const MotionBursts::SuspectedJump& more, MotionBursts::SuspectedJump* sum) {
@@ -47,7 +40,10 @@ void add(const MotionBursts::SuspectedJump& more, MotionBursts::SuspectedJump* s
 }  // namespace
 
 MotionBursts::MotionBursts() {
-  for (std::size_t i = 0; i < kLengths.size(); ++i) lengths_[i].frames = kLengths[i];
+  for (std::size_t i = 0; i < kLengths.size(); ++i) {
+    lengths_[i].frames = kLengths[i];
+    for (auto* history : {&lengths_[i].translations, &lengths_[i].rotations}) history->set_capacity(kHistory);
+  }
 }
 
 void MotionBursts::push(const Frame& frame, std::size_t section) {
@@ -88,7 +84,7 @@ MotionBursts::Burst MotionBursts::judge(Length* length) const {
   const double translation = sum.head<3>().norm(), rotation = sum.tail<3>().norm();
   Burst burst;
   if (length->translations.size() >= kMinHistory) {
-    if (length->sigma_m == 0.0 || length->next % kRefresh == 0) {
+    if (length->sigma_m == 0.0 || length->count % kRefresh == 0) {
       length->sigma_m = usual(length->translations);
       length->sigma_rad = usual(length->rotations);
     }
@@ -103,9 +99,9 @@ MotionBursts::Burst MotionBursts::judge(Length* length) const {
     burst.size = (1.0 - kDoubt / std::max(burst.strength, kDoubt)) *
                  std::hypot(translation / unit.sigma_m, rotation / unit.sigma_rad);
   }
-  put(translation, length->next, &length->translations);
-  put(rotation, length->next, &length->rotations);
-  ++length->next;
+  length->translations.push_back(translation);
+  length->rotations.push_back(rotation);
+  ++length->count;
   if (burst.strength <= kMinSigmas) return burst;
   burst.begin = count_ - window_.size() + begin;
   burst.end = count_ - window_.size() + end;

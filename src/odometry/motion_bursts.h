@@ -1,6 +1,7 @@
 #pragma once
 
 #include <array>
+#include <boost/circular_buffer.hpp>
 #include <cstddef>
 #include <deque>
 #include <optional>
@@ -40,9 +41,9 @@ class MotionBursts {
   /// How far the motion of so many frames in a row was from what was foretold.
   struct Length {
     std::size_t frames = 1;
-    std::vector<double> translations, rotations;  ///< the last ones, in no order
-    std::size_t next = 0;
-    double sigma_m = 0.0, sigma_rad = 0.0;  ///< that is usual
+    boost::circular_buffer<double> translations, rotations;  ///< the last ones
+    std::size_t count = 0;                                   ///< of all
+    double sigma_m = 0.0, sigma_rad = 0.0;                   ///< that is usual
   };
   struct Burst {
     std::size_t begin = 0, end = 0;                            ///< motions, counted from the first

@@ -63,23 +63,17 @@ InnovationModel::Basis InnovationModel::steady_basis(std::size_t edge) const {
   return basis;
 }
 
-InnovationModel::MotionBound InnovationModel::usual_motion(const std::vector<OdometryEdge>& edges) {
-  std::vector<double> paths, turns;
-  for (const OdometryEdge& edge : edges) {
-    paths.push_back(edge.path_m);
-    turns.push_back(edge.rotation_rad);
-  }
-  return {median(std::move(paths)), median(std::move(turns))};
-}
-
 void InnovationModel::accumulate_edges() {
   const std::size_t n = edges_->size() + 1;
   double path = 0.0, turn = 0.0;
+  std::vector<double> paths, turns;
   for (const OdometryEdge& edge : *edges_) {
+    paths.push_back(edge.path_m);
+    turns.push_back(edge.rotation_rad);
     path += edge.path_m;
     turn += edge.rotation_rad;
   }
-  usual_motion_ = usual_motion(*edges_);
+  usual_motion_ = {median(std::move(paths)), median(std::move(turns))};
   metres_per_radian_ = turn > 0.0 ? path / turn : 0.0;
   progress_.assign(n, 0.0);
   for (std::size_t i = 0; i + 1 < n; ++i) {

@@ -60,7 +60,6 @@ class InnovationModel {
   struct MotionBound {
     double translation_m = 0.0, rotation_rad = 0.0;
   };
-  static MotionBound usual_motion(const std::vector<OdometryEdge>& edges);
   MotionBound motion_bound(std::size_t edge) const;
 
   void accumulate_edges();

@@ -14,11 +14,6 @@ constexpr double kBreakTranslation_m = 30.0, kBreakRotation_rad = 3.0;
 /// What a standing camera's edge keeps, so that its information stays finite: well below what any odometry resolves.
 constexpr double kMinEdgeTranslation_m = 2e-4, kMinEdgeRotation_rad = 1e-4;
 
-Mat6 floor_covariance() {
-  return isotropic_covariance(kMinEdgeTranslation_m * kMinEdgeTranslation_m,
-                              kMinEdgeRotation_rad * kMinEdgeRotation_rad);
-}
-
 /// Mean and sigma of a jump by all or nothing, each as likely, as shares of it.
 constexpr double kMeanJump = 0.5, kSigmaJump = 0.5;
 
@@ -79,7 +74,8 @@ Mat6 odometry_covariance(const OdometryEdge& edge, const OdometryNoise& noise) {
            noise.rotation_rad * noise.rotation_rad * edge.joined->rotation +
            noise.jump_prior * noise.jump_prior * edge.joined->suspected_jumps;
   }
-  return floor_covariance() +
+  return isotropic_covariance(kMinEdgeTranslation_m * kMinEdgeTranslation_m,
+                              kMinEdgeRotation_rad * kMinEdgeRotation_rad) +
          isotropic_covariance(noise.translation_m * noise.translation_m * edge.path_m,
                               noise.rotation_rad * noise.rotation_rad * edge.rotation_rad) +
          noise.jump_prior * noise.jump_prior * suspected_jump_covariance(edge);

@@ -9,7 +9,6 @@
 #include "odometry/motion_bursts.h"
 #include "pose_graph/rejection/loop_rejection.h"
 #include "pose_graph/scale/scaled_trajectory.h"
-#include "pose_graph/solver/coarsening.h"
 #include "pose_graph/solver/graph_objects.h"
 #include "pose_graph/solver/trajectory_optimizer.h"
 #include "semantic_topo_loop/geometry/lie.h"
@@ -183,7 +182,7 @@ struct PoseGraph::Impl {
   void coarsen() {
     suspect_jumps();
     const std::vector<KeyframePose> poses = keyframes();
-    const Coarsening carriers = core::coarsen(kCoarseVertices, &keyframe_of_, &trajectory_);
+    const std::vector<Carrier> carriers = core::coarsen(kCoarseVertices, &keyframe_of_, &trajectory_);
     log_scale_.resize(keyframe_of_.size());  // all 0
     for (std::size_t v = 0; v < keyframe_of_.size(); ++v) {
       const SE3 T_vertex_map = trajectory_.T_map_vertex[v].inverse();

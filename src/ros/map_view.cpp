@@ -4,11 +4,6 @@
 #include <utility>
 
 namespace semantic_topo_loop {
-namespace {
-
-constexpr std::size_t kMaxWaiting = 1024;  ///< updates ahead of one that is missing: half a minute at 30 Hz
-
-}  // namespace
 
 std::vector<core::MapUpdate> MapFollower::follow(const core::MapUpdate& update) {
   if (waiting_.empty() && update.base_version == version_) {
@@ -17,6 +12,7 @@ std::vector<core::MapUpdate> MapFollower::follow(const core::MapUpdate& update) 
   }
   if (update.map_version <= version_) return {};
   if (waiting_.empty()) ++gaps_;
+  constexpr std::size_t kMaxWaiting = 1024;  // updates ahead of one that is missing: half a minute at 30 Hz
   if (waiting_.size() == kMaxWaiting) waiting_.pop_front();
   waiting_.push_back(update);
   return {};

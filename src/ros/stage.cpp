@@ -16,7 +16,6 @@ const std::string kMissed = "never arrived: ";
 constexpr char kErrors[] = "errors";
 constexpr double kDiagnosticsPeriodS = 1.0;  ///< diagnostic_updater's own
 constexpr double kErrorLogPeriodS = 5.0;     ///< an error a frame must not flood the log
-constexpr std::size_t kLatencies = 512;      ///< of the last frames: some 17 s at 30 Hz
 
 double percentile(std::vector<double> values, double share) {
   if (values.empty()) return 0.0;
@@ -31,12 +30,7 @@ void StageStatistics::count_processed(Clock::time_point arrival) {
   const double latency_ms = std::chrono::duration<double, std::milli>(Clock::now() - arrival).count();
   const std::lock_guard<std::mutex> lock(mutex_);
   ++processed_;
-  if (latencies_ms_.size() < kLatencies) {
-    latencies_ms_.push_back(latency_ms);
-  } else {
-    latencies_ms_[next_latency_] = latency_ms;
-    next_latency_ = (next_latency_ + 1) % kLatencies;
-  }
+  latencies_ms_.push_back(latency_ms);
 }
 
 StageStatistics::Snapshot StageStatistics::take_snapshot() {
@@ -50,8 +44,8 @@ StageStatistics::Snapshot StageStatistics::take_snapshot() {
   snapshot.processed = processed_;
   snapshot.processed_hz = static_cast<double>(processed_ - processed_before_) / elapsed_s;
   snapshot.counters = counters_;
-  snapshot.latency_p50_ms = percentile(latencies_ms_, 0.50);
-  snapshot.latency_p95_ms = percentile(latencies_ms_, 0.95);
+  snapshot.latency_p50_ms = percentile({latencies_ms_.begin(), latencies_ms_.end()}, 0.50);
+  snapshot.latency_p95_ms = percentile({latencies_ms_.begin(), latencies_ms_.end()}, 0.95);
   snapshot.failure = failure_;
   inputs_before_ = inputs_;
   processed_before_ = processed_;

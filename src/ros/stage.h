@@ -6,6 +6,7 @@
 #include <ros/ros.h>
 
 #include <atomic>
+#include <boost/circular_buffer.hpp>
 #include <chrono>
 #include <cstdint>
 #include <filesystem>
@@ -72,8 +73,7 @@ class StageStatistics {
   std::map<std::string, std::uint64_t> inputs_, inputs_before_;
   std::map<std::string, std::uint64_t> counters_;
   std::uint64_t processed_ = 0, processed_before_ = 0;
-  std::vector<double> latencies_ms_;  ///< ring of the last frames
-  std::size_t next_latency_ = 0;
+  boost::circular_buffer<double> latencies_ms_{512};  ///< of the last frames: some 17 s at 30 Hz
   std::string failure_;
   Clock::time_point last_snapshot_ = Clock::now();
 };

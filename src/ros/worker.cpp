@@ -5,12 +5,6 @@
 #include <utility>
 
 namespace semantic_topo_loop {
-namespace {
-
-/// Of the capacity, for tasks that must not be dropped: with so many waiting the stage has stopped, and memory counts.
-constexpr std::size_t kHardLimitFactor = 16;
-
-}  // namespace
 
 Worker::Worker(std::size_t capacity, ErrorHandler on_error)
     : capacity_(std::max<std::size_t>(capacity, 1)), on_error_(std::move(on_error)) {}
@@ -24,6 +18,9 @@ void Worker::push(Task task, Keep keep, const std::string& topic) {
   {
     const std::lock_guard<std::mutex> lock(mutex_);
     if (closed_) return;
+    // Of the capacity, for tasks that must not be dropped: with so many waiting the stage has stopped, and memory
+    // counts.
+    constexpr std::size_t kHardLimitFactor = 16;
     if (queue_.size() >= kHardLimitFactor * capacity_) drop(Keep::kAlways);
     if (keep == Keep::kDroppable) {
       if (droppable_ == capacity_) drop(Keep::kDroppable);

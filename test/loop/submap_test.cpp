@@ -4,12 +4,11 @@
 #include <cmath>
 #include <limits>
 
-#include "loop/graph/loop_verifier.h"
+#include "loop/graph/graph_detector.h"
 #include "loop/graph/odometry_monitor.h"
 #include "loop/submap/observation_window.h"
 #include "loop/submap/submap_builder.h"
 #include "loop/submap/submap_refiner.h"
-#include "loop/submap/up_estimator.h"
 #include "semantic_topo_loop/geometry/lie.h"
 #include "support/depth_scene.h"
 #include "support/synthetic_desk.h"

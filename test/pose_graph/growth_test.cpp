@@ -7,7 +7,7 @@
 #include <set>
 
 #include "geometry/relative_pose.h"
-#include "pose_graph/solver/coarsening.h"
+#include "pose_graph/solver/trajectory_optimizer.h"
 #include "semantic_topo_loop/geometry/lie.h"
 #include "semantic_topo_loop/pose_graph/pose_graph.h"
 #include "support/synthetic_run.h"
@@ -118,7 +118,7 @@ TEST(Coarsening, LeavesOutWhatIsLongAgo) {
   trajectory.edges = run.edges();
   std::vector<std::size_t> keyframes(trajectory.T_map_vertex.size());
   for (std::size_t k = 0; k < keyframes.size(); ++k) keyframes[k] = k;
-  const Coarsening carriers = coarsen(60, &keyframes, &trajectory);
+  const std::vector<Carrier> carriers = coarsen(60, &keyframes, &trajectory);
   ASSERT_EQ(keyframes.size(), 60U);
   ASSERT_EQ(trajectory.T_map_vertex.size(), 60U);
   ASSERT_EQ(trajectory.edges.size(), 59U);

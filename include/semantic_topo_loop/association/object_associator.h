@@ -16,9 +16,6 @@ struct AssociatorOptions;
 class ObjectAssociator {
  public:
   ObjectAssociator(const AssociatorOptions& options, std::shared_ptr<const ClassTable> classes);
-  ~ObjectAssociator();
-  ObjectAssociator(ObjectAssociator&&) noexcept;
-  ObjectAssociator& operator=(ObjectAssociator&&) noexcept;
 
   AssociationFrame associate(const Frame& frame, const std::vector<Detection>& detections);
   /// @return false if the update does not follow the version held, so that the caller must ask for the full map
@@ -26,8 +23,8 @@ class ObjectAssociator {
   std::uint64_t map_version() const;
 
  private:
-  class Impl;
-  std::unique_ptr<Impl> impl_;
+  struct Impl;
+  std::unique_ptr<Impl, void (*)(Impl*)> impl_;
 };
 
 }  // namespace semantic_topo_loop::core

@@ -17,9 +17,6 @@ struct QuadricMapperOptions;
 class QuadricMapper {
  public:
   QuadricMapper(const QuadricMapperOptions& options, std::shared_ptr<const ClassTable> classes);
-  ~QuadricMapper();
-  QuadricMapper(QuadricMapper&&) noexcept;
-  QuadricMapper& operator=(QuadricMapper&&) noexcept;
 
   /// Takes in a frame's associations; initialises, refines, merges, confirms and retires landmarks. The end frame
   /// changes nothing as yet: the correction of that frame comes first.
@@ -33,8 +30,8 @@ class QuadricMapper {
   const SE3& T_map_odom() const;
 
  private:
-  class Impl;
-  std::unique_ptr<Impl> impl_;
+  struct Impl;
+  std::unique_ptr<Impl, void (*)(Impl*)> impl_;
 };
 
 }  // namespace semantic_topo_loop::core

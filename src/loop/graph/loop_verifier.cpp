@@ -1,9 +1,8 @@
-#include "loop/graph/loop_verifier.h"
-
 #include <Eigen/Eigenvalues>
 #include <algorithm>
 #include <cmath>
 
+#include "loop/graph/graph_detector.h"
 #include "loop/submap/spheroid.h"
 #include "loop/submap/submap_builder.h"
 

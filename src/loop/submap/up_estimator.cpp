@@ -1,11 +1,10 @@
-#include "loop/submap/up_estimator.h"
-
 #include <Eigen/Eigenvalues>
 #include <algorithm>
 #include <cmath>
 #include <vector>
 
 #include "geometry/depth_points.h"
+#include "loop/submap/submap_builder.h"
 
 namespace semantic_topo_loop::core {
 namespace {

@@ -1,8 +1,7 @@
-#include "pose_graph/rejection/loop_consistency.h"
-
 #include <cmath>
 #include <utility>
 
+#include "pose_graph/rejection/loop_rejection.h"
 #include "semantic_topo_loop/geometry/lie.h"
 
 namespace semantic_topo_loop::core {

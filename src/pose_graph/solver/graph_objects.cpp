@@ -1,6 +1,7 @@
 #include "pose_graph/solver/graph_objects.h"
 
 #include <ceres/ceres.h>
+#include <ceres/normal_prior.h>
 
 #include <cmath>
 #include <utility>
@@ -218,20 +219,6 @@ class ViewCost : public ceres::SizedCostFunction<n, 3, 4, 3, 3> {
   double sigma_;
 };
 
-/// Keeps the logarithms of the semi-axes near their start.
-class AxesCost final : public ceres::SizedCostFunction<3, 3> {
- public:
-  explicit AxesCost(const Vec3& log_axes) : log_axes_(log_axes) {}
-  bool Evaluate(double const* const* blocks, double* residuals, double** jacobians) const override {
-    for (int i = 0; i < 3; ++i) residuals[i] = (blocks[0][i] - log_axes_(i)) / kAxesSigma;
-    if (jacobians != nullptr && jacobians[0] != nullptr) write<3, 3>(Mat3::Identity() / kAxesSigma, jacobians[0]);
-    return true;
-  }
-
- private:
-  Vec3 log_axes_;
-};
-
 /// What is in doubt of the distance of an object's visible side: a quarter of its radius, since no object is an
 /// ellipsoid, and what a Kinect adds. The camera's part is twice that of geometry/depth_points.h, and 1 cm more: it
 /// stands for a median over points that share the calibration's error, which does not average out.
@@ -239,10 +226,6 @@ double visible_side_sigma_m(const GraphObject& object, double distance_m) {
   constexpr double kShapeShare = 0.25, kCalibration_m = 0.01, kNoisePerSquareMetre = 0.003;
   const double radius = std::cbrt(object.semi_axes.prod());
   return kShapeShare * radius + kCalibration_m + kNoisePerSquareMetre * distance_m * distance_m;
-}
-
-ceres::LossFunction* make_loss(double weight) {
-  return new ceres::ScaledLoss(new ceres::CauchyLoss(kLossScale), weight, ceres::TAKE_OWNERSHIP);
 }
 
 }  // namespace
@@ -253,12 +236,15 @@ ObjectBlocks::ObjectBlocks(const GraphObjects& objects, std::vector<SE3>* T_worl
     const SE3 T_world_quadric = (*T_world_vertex)[static_cast<std::size_t>(object.anchor)] * object.T_anchor_quadric;
     unknowns_.push_back({T_world_quadric.t, object.semi_axes.array().log()});
     Unknowns& unknowns = unknowns_.back();
-    problem->AddResidualBlock(new AxesCost(unknowns.log_axes), nullptr, unknowns.log_axes.data());
+    // Keeps the semi-axes near their start.
+    problem->AddResidualBlock(new ceres::NormalPrior(Mat3::Identity() / kAxesSigma, unknowns.log_axes), nullptr,
+                              unknowns.log_axes.data());
     for (const GraphObjectView& view : object.views) {
       SE3& T_world_camera = (*T_world_vertex)[static_cast<std::size_t>(view.vertex)];
       const auto add = [&](ceres::CostFunction* cost) {
-        problem->AddResidualBlock(cost, make_loss(noise.weight), T_world_camera.t.data(),
-                                  T_world_camera.q.coeffs().data(), unknowns.center.data(), unknowns.log_axes.data());
+        auto* loss = new ceres::ScaledLoss(new ceres::CauchyLoss(kLossScale), noise.weight, ceres::TAKE_OWNERSHIP);
+        problem->AddResidualBlock(cost, loss, T_world_camera.t.data(), T_world_camera.q.coeffs().data(),
+                                  unknowns.center.data(), unknowns.log_axes.data());
       };
       const double sigma_px = noise.sigma_px + noise.sigma_share * view.box.size();
       add(new ViewCost<4>(view, T_world_quadric.q, sigma_px));
