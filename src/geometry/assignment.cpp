@@ -102,23 +102,45 @@ struct Component {
   std::vector<int> rows, columns;
 };
 
-/// Scores are mostly forbidden pairs: what no chain of allowed pairs joins can be assigned on its own.
-/// @return by the representative of each
-std::map<std::size_t, Component> components(const Scores& score) {
-  const auto rows = static_cast<std::size_t>(score.rows()), columns = static_cast<std::size_t>(score.cols());
-  boost::disjoint_sets_with_storage<> sets(rows + columns);
-  std::vector<bool> has_pair(rows + columns, false);
+/// Pairs of a row and a column that have no other choice, which is most of what there is.
+std::vector<int> lone_pairs(const Scores& score) {
+  constexpr int kNone = -1, kSeveral = -2;  // in place of a column
+  std::vector<int> column_of_row(static_cast<std::size_t>(score.rows()), kNone);
+  std::vector<bool> is_shared(static_cast<std::size_t>(score.cols()), false);
   for (int j = 0; j < score.cols(); ++j) {
+    int rows = 0;
     for (int i = 0; i < score.rows(); ++i) {
       if (!is_allowed(score(i, j))) continue;
-      const std::size_t row = static_cast<std::size_t>(i), column = rows + static_cast<std::size_t>(j);
-      sets.union_set(row, column);
-      has_pair[row] = has_pair[column] = true;
+      int& column = column_of_row[static_cast<std::size_t>(i)];
+      column = column == kNone ? j : kSeveral;
+      ++rows;
+    }
+    is_shared[static_cast<std::size_t>(j)] = rows > 1;
+  }
+  for (int& column : column_of_row) {
+    if (column == kSeveral || (column >= 0 && is_shared[static_cast<std::size_t>(column)])) column = kNone;
+  }
+  return column_of_row;
+}
+
+/// Scores are mostly forbidden pairs: what no chain of allowed pairs joins can be assigned on its own.
+/// @param assigned column of each row that is settled, else -1
+/// @return by the representative of each
+std::map<std::size_t, Component> components(const Scores& score, const std::vector<int>& assigned) {
+  const auto rows = static_cast<std::size_t>(score.rows()), columns = static_cast<std::size_t>(score.cols());
+  boost::disjoint_sets_with_storage<> sets(rows + columns);
+  bool has_pairs = false;
+  for (int j = 0; j < score.cols(); ++j) {
+    for (int i = 0; i < score.rows(); ++i) {
+      const auto row = static_cast<std::size_t>(i);
+      if (!is_allowed(score(i, j)) || assigned[row] >= 0) continue;
+      sets.union_set(row, rows + static_cast<std::size_t>(j));
+      has_pairs = true;
     }
   }
   std::map<std::size_t, Component> result;
+  if (!has_pairs) return result;
   for (std::size_t k = 0; k < rows + columns; ++k) {
-    if (!has_pair[k]) continue;
     Component& component = result[sets.find_set(k)];
     k < rows ? component.rows.push_back(static_cast<int>(k)) : component.columns.push_back(static_cast<int>(k - rows));
   }
@@ -128,6 +150,7 @@ std::map<std::size_t, Component> components(const Scores& score) {
 void assign(const Scores& score, const Component& component, std::vector<int>* column_of_row) {
   const auto n = static_cast<Eigen::Index>(component.rows.size());
   const auto m = static_cast<Eigen::Index>(component.columns.size());
+  if (n == 0 || m == 0) return;
   const bool transposed = n > m;
   Eigen::MatrixXd cost(std::min(n, m), std::max(n, m));
   for (Eigen::Index i = 0; i < n; ++i) {
@@ -150,8 +173,10 @@ void assign(const Scores& score, const Component& component, std::vector<int>* c
 }  // namespace
 
 std::vector<int> assign_max(const Eigen::Ref<const Eigen::MatrixXd>& score) {
-  std::vector<int> column_of_row(static_cast<std::size_t>(score.rows()), -1);
-  for (const auto& [representative, component] : components(score)) assign(score, component, &column_of_row);
+  std::vector<int> column_of_row = lone_pairs(score);
+  for (const auto& [representative, component] : components(score, column_of_row)) {
+    assign(score, component, &column_of_row);
+  }
   return column_of_row;
 }
 

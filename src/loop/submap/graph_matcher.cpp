@@ -362,9 +362,10 @@ Clique greedy_clique(const BitGraph& graph, std::size_t vertex) {
     for (std::size_t v = candidates.find_first(); v != Bits::npos; v = candidates.find_next(v)) {
       common = candidates;
       common &= graph[v];
-      if (best != Bits::npos && common.count() <= best_common) continue;
+      const std::size_t count = common.count();
+      if (best != Bits::npos && count <= best_common) continue;
       best = v;
-      best_common = common.count();
+      best_common = count;
     }
     clique.push_back(best);
     candidates &= graph[best];

@@ -88,8 +88,8 @@ class Clustering {
     double share;  ///< of the box size; infinite behind the camera
     double depth;
   };
-  Offset offset(const Vec3& point, int i) const {
-    const Vec3 p = frame_of(i).to_camera(point);
+  Offset offset(const Vec3& point, int i) const { return offset_in_camera(frame_of(i).to_camera(point), i); }
+  Offset offset_in_camera(const Vec3& p, int i) const {
     if (p.z() < kMinDepth_m) return {std::numeric_limits<double>::infinity(), p.z()};
     const Box& box = ray(i).box;
     const double du = std::abs(p.x() / p.z() - 0.5 * (box.x1 + box.x2)) / box.width();
@@ -149,10 +149,14 @@ class Clustering {
   }
 
   int votes(const Vec3& point) const {
-    int votes = 0, last_frame = -1;
+    int votes = 0, last_frame = -1, frame = -1;
+    Vec3 p = Vec3::Zero();  // the point in the camera of the frame
     for (int i = 0; i < static_cast<int>(rays_.size()); ++i) {
-      if (is_used(i) || ray(i).frame == last_frame || offset(point, i).share >= kVoteOffset) continue;
-      last_frame = ray(i).frame;
+      if (is_used(i) || ray(i).frame == last_frame) continue;
+      if (ray(i).frame != frame) p = frame_of(i).to_camera(point);
+      frame = ray(i).frame;
+      if (offset_in_camera(p, i).share >= kVoteOffset) continue;
+      last_frame = frame;
       ++votes;
     }
     return votes;
