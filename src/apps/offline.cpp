@@ -61,7 +61,7 @@ class SampleSource {
   /// The next image that has a pose, or nullopt at the end.
   virtual std::optional<PoseSample> next() = 0;
   /// To the first image, the second time with what was learned of the camera.
-  virtual Status rewind() { return {}; }
+  virtual Status rewind() { return Error{"the source cannot be rewound"}; }
   /// What the point map keeps of the last image, where there are images.
   virtual std::shared_ptr<const KeyframePoints> keyframe_points(int /*semi_dense_max*/) const { return nullptr; }
   const SourceState& state() const { return state_; }
@@ -238,7 +238,10 @@ Result<RunInputs> load(const Arguments& arguments) {
   if (!camera) return camera.error();
   const Result<ClassTable> classes = read_class_table(arguments.classes);
   if (!classes) return classes.error();
-  RunInputs inputs{*options, *camera, std::make_shared<const ClassTable>(*classes), {}, {}, {}, {}};
+  RunInputs inputs;
+  inputs.options = *options;
+  inputs.camera = *camera;
+  inputs.classes = std::make_shared<const ClassTable>(*classes);
   Result<std::unique_ptr<SampleSource>> source = open_source(arguments, inputs);
   if (!source) return source.error();
   inputs.source = *std::move(source);
@@ -250,11 +253,11 @@ Result<RunInputs> load(const Arguments& arguments) {
 
 constexpr std::int64_t kStampTolerance_ns = 1000;  ///< stamps of files have microseconds
 
-/// A bar, on a terminal, whenever another percent is done.
-void show_progress(std::size_t done, std::size_t total) {
+/// A bar, on a terminal, whenever another percent is done.   @param shown what it showed last
+void show_progress(std::size_t done, std::size_t total, int* shown) {
   const int percent = static_cast<int>(100 * done / total);
-  static int shown = -1;
-  if (isatty(STDERR_FILENO) == 0 || percent == std::exchange(shown, percent)) return;
+  if (isatty(STDERR_FILENO) == 0 || percent == *shown) return;
+  *shown = percent;
   constexpr int kWidth = 50;
   const std::string bar(static_cast<std::size_t>(percent * kWidth / 100), '#');
   std::fprintf(stderr, "\r[%-*s] %3d %%%s", kWidth, bar.c_str(), percent, done == total ? "\n" : "");
@@ -351,6 +354,7 @@ Status run_once(const Arguments& arguments, const RunInputs& inputs, RunRecorder
   const SourceState& source = inputs.source->state();
   Counts counts;
   const std::vector<Detection> none;
+  int shown_percent = -1;
   const Stopwatch stopwatch;
   while (const std::optional<PoseSample> sample = inputs.source->next()) {
     if (source.camera) builder.set_camera(*source.camera);
@@ -368,7 +372,7 @@ Status run_once(const Arguments& arguments, const RunInputs& inputs, RunRecorder
     record(*frame, result, recorder);
     if (counts.frames++ == 0) counts.first_ns = frame->stamp_ns;
     counts.last_ns = frame->stamp_ns;
-    show_progress(source.done, source.total);
+    show_progress(source.done, source.total, &shown_percent);
   }
   if (source.needs_rewind) return {};
   if (const Status checked = check_input(inputs, counts); !checked) return checked;

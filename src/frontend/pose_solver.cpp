@@ -26,7 +26,8 @@ struct Linearised {
 };
 
 bool errors(const Camera& camera, const SE3& T_camera_map, const PoseObservation& o, Linearised* out) {
-  const Vec3& p = out->p = T_camera_map * o.point_map;
+  const Vec3 p = T_camera_map * o.point_map;
+  out->p = p;
   if (p.z() < kMinDepth_m) return false;
   out->pixel_error = (camera.pixel(p) - o.pixel) / o.pixel_sigma;
   out->depth_error = o.depth_m > 0.0 ? (p.z() - o.depth_m) / o.depth_sigma_m : 0.0;

@@ -11,6 +11,8 @@
 #include <cstring>
 #include <map>
 #include <nlohmann/json.hpp>
+#include <string_view>
+#include <system_error>
 
 #include "io/csv.h"
 #include "loop/graph/relocalisation.h"
@@ -95,19 +97,26 @@ class Spool {
     end_.clear();
   }
 
-  /// Calls take(bytes) in order, with so many bytes that are on the disk at a time, then with the others.
+  /// Calls take(bytes) in order, part by part, each of whole rows of `row_size` bytes.
   /// @return an error if the disk could not take the bytes, or does not give them back
   template <class Take>
-  Status read(std::size_t part_size, const Take& take) const {
+  Status read(std::size_t row_size, const Take& take) const {
     if (!status_) return status_;
-    std::string part(part_size, '\0');
-    ssize_t length = 0;
-    for (off_t at = 0; file_; at += length) {
-      length = ::pread(::fileno(file_.get()), part.data(), part.size(), at);
+    std::string part(kEndMax - kEndMax % row_size, '\0');
+    std::size_t held = 0;  // bytes of a row of which the rest has not been read
+    for (off_t at = 0; file_;) {
+      const ssize_t length = ::pread(::fileno(file_.get()), part.data() + held, part.size() - held, at);
+      if (length < 0 && errno == EINTR) continue;
       if (length < 0) return Error{"the rows of the run cannot be read: " + std::system_category().message(errno)};
       if (length == 0) break;
-      take(std::string_view(part.data(), static_cast<std::size_t>(length)));
+      at += length;
+      held += static_cast<std::size_t>(length);
+      const std::size_t whole = held - held % row_size;
+      take(std::string_view(part.data(), whole));
+      held -= whole;
+      std::copy_n(part.data() + whole, held, part.data());
     }
+    if (held > 0) return Error{"the rows of the run cannot be read: they end within one"};
     take(std::string_view(end_));
     return {};
   }
@@ -251,7 +260,7 @@ class FileRecorder : public RunRecorder {
     const auto add_table = [&](const char* name, Table table) {
       add(name, [&, table](std::ostream& file) {
         file << headers()[table];
-        require(settled_[table].read(kReadSize, [&file](std::string_view rows) { file << rows; }), file);
+        require(settled_[table].read(1, [&file](std::string_view rows) { file << rows; }), file);
         file << open[table];
       });
     };
@@ -339,7 +348,7 @@ class FileRecorder : public RunRecorder {
     const auto write = [&](const FramePlace& frame) {
       file << format_tum_pose({frame.stamp_ns, final_pose(frame)}) << '\n';
     };
-    const Status read = settled_places_.read(kReadSize * sizeof(FramePlace), [&](std::string_view places) {
+    const Status read = settled_places_.read(sizeof(FramePlace), [&](std::string_view places) {
       for (; places.size() >= sizeof(FramePlace); places.remove_prefix(sizeof(FramePlace))) {
         FramePlace frame;
         std::memcpy(&frame, places.data(), sizeof(FramePlace));
@@ -429,7 +438,6 @@ class FileRecorder : public RunRecorder {
   }
 
   std::shared_ptr<const ClassTable> classes_;
-  static constexpr std::size_t kReadSize = 1 << 12;  ///< bytes or frames that are read from the disk at a time
 
   std::map<std::int64_t, FramePlace> keyframes_;  ///< by keyframe_id
   std::map<std::int64_t, OpenFrame> open_;        ///< by frame_id

@@ -7,6 +7,7 @@
 #include <memory>
 #include <vector>
 
+#include "geometry/depth_points.h"
 #include "map/quadric_fit.h"
 #include "semantic_topo_loop/map/mapper_options.h"
 #include "semantic_topo_loop/types/camera.h"

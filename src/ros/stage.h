@@ -249,7 +249,8 @@ class Stage : public nodelet::Nodelet {
   /// The place that a service's caller names. @param path relative to the directory, or absolute   @param anywhere
   /// it may lie elsewhere   @return an error, with path and directory, if it does not lie below, all links followed
   static core::Result<std::string> path_below(const std::string& directory, const std::string& path, bool anywhere);
-  /// Says where something was written, or why not, which is then a failure of the stage. @return whether it was
+  /// Says where something was written, or why not, which is a failure of the stage until the next success. @return
+  /// whether it was
   bool report_written(const std::string& what, const core::Result<std::string>& written);
   /// A service's success and message.
   template <class Response>

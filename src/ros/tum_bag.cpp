@@ -48,7 +48,7 @@ std::string TumBagSource::open_bag() {
   if (stamp_topic == tum_topic::kColor) topics.emplace_back(tum_topic::kColor);
   if (options_.with_images) topics.emplace_back(tum_topic::kDepth);
   if (options_.with_images && count(tum_topic::kDepth) == 0) {
-    return "holds no message on " + topics.back() + ": without depth, poses must come from elsewhere";
+    return std::string("holds no message on ") + tum_topic::kDepth + ": without depth, poses must come from elsewhere";
   }
   view_ = std::make_unique<rosbag::View>(bag_, rosbag::TopicQuery(topics));
   position_ = view_->begin();

@@ -2,7 +2,6 @@
 
 #include <algorithm>
 #include <cmath>
-#include <limits>
 
 #include "semantic_topo_loop/io/detection_file.h"
 #include "semantic_topo_loop/io/run_files.h"

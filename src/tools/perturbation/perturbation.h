@@ -48,7 +48,7 @@ Result<std::vector<SE3>> drift_poses(const std::vector<SE3>& T_world_camera, con
 /// @return poses that begin at the same one; those given where there is nothing to change
 std::vector<SE3> drift_scale(const std::vector<SE3>& T_world_camera, const DriftOptions& options, std::uint64_t seed);
 
-/// How recorded detections are made worse, to measure what a detector's errors cost.
+/// How recorded detections are made worse, to measure what a detector's errors cost. The program checks the ranges.
 struct PerturbationOptions {
   double drop = 0.0;     ///< share of boxes left out, [0, 1]
   double relabel = 0.0;  ///< share of boxes that get another class, [0, 1]
@@ -74,6 +74,7 @@ std::vector<DetectionFrame> perturb_detections(const std::vector<DetectionFrame>
                                                const PerturbationOptions& options, std::uint64_t seed,
                                                PerturbationCounts* counts);
 
+/// The program checks the ranges.
 struct FalseLoopOptions {
   int count = 10;              ///< loops
   int cluster_size = 1;        ///< loops of neighbouring keyframes that agree, as aliased places give them, > 0
@@ -82,7 +83,7 @@ struct FalseLoopOptions {
   double distance_m = 1.0;     ///< a loop contradicts the odometry by 1 to 2 times this
   double rotation_deg = 30.0;  ///< and by 1 to 2 times this angle about a random axis
   double sigma_m = 0.03;       ///< standard deviation that the loops state, of each axis, > 0
-  double sigma_deg = 1.0;      ///< the same of the rotation
+  double sigma_deg = 1.0;      ///< the same of the rotation, > 0
 };
 
 /// Keyframe ids of query and match.

@@ -1,7 +1,6 @@
 #include "tools/rendering/drawn_shape.h"
 
 #include <algorithm>
-#include <cmath>
 #include <limits>
 #include <map>
 

@@ -280,7 +280,8 @@ CameraTrajectory robot(const TrajectoryOptions& options, const Lap& lap, Random 
 }  // namespace
 
 CameraTrajectory make_trajectory(const Scene& scene, const TrajectoryOptions& options, std::uint64_t seed) {
-  return (options.model == "robot" ? robot : handheld)(options, Lap(scene, options.distance_m), Random(seed));
+  const Lap lap(scene, options.distance_m);
+  return options.model == "robot" ? robot(options, lap, Random(seed)) : handheld(options, lap, Random(seed));
 }
 
 void add_dynamics(const DynamicsOptions& options, const CameraTrajectory& trajectory, double duration_s,
