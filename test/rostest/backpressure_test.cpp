@@ -132,6 +132,7 @@ class Backpressure : public ::testing::Test {
     control_ = node_.advertise<SessionControl>("session_control", 10);
     stage_.load();
     start_session(1);
+    ASSERT_TRUE(wait_until([this] { return stage_.sessions == 1; })) << "a frame may overtake its session";
     send(0);
     ASSERT_TRUE(wait_until([this] { return stage_.is_stopped.load(); }));
   }
@@ -177,6 +178,7 @@ TEST_F(Backpressure, WhatNeverArrivesIsCounted) {
   EXPECT_TRUE(wait_until([this] { return diagnostics_.count("Slow", "never arrived: frames") == 4; }))
       << diagnostics_.count("Slow", "never arrived: frames");
   start_session(2);
+  ASSERT_TRUE(wait_until([this] { return stage_.sessions == 2; }));
   send(7);
   send(8);
   const int reports = diagnostics_.reports();
