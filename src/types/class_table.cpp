@@ -12,6 +12,12 @@ Result<ClassTable> ClassTable::create(std::vector<ObjectClass> classes) {
       return Error{"class id " + std::to_string(id) + " is listed twice"};
     }
   }
+  std::map<std::string, int> label_of_group;
+  for (const auto& [id, object_class] : table.classes_) {
+    if (object_class.role != ClassRole::kStatic && object_class.role != ClassRole::kMovable) continue;
+    const bool is_alone = object_class.group.empty();
+    table.labels_[id] = is_alone ? id : label_of_group.emplace(object_class.group, id).first->second;
+  }
   return table;
 }
 
@@ -39,19 +45,9 @@ bool ClassTable::confusable(int a, int b) const {
   return class_a != nullptr && class_b != nullptr && !class_a->group.empty() && class_a->group == class_b->group;
 }
 
-bool ClassTable::is_mappable(int id) const {
-  const ObjectClass* object_class = find(id);
-  return object_class != nullptr &&
-         (object_class->role == ClassRole::kStatic || object_class->role == ClassRole::kMovable);
-}
-
 int ClassTable::label(int id) const {
-  if (!is_mappable(id)) return -1;
-  const std::string& group = find(id)->group;
-  const auto is_alike = [this, &group](const auto& entry) {
-    return entry.second.group == group && is_mappable(entry.first);
-  };
-  return group.empty() ? id : std::find_if(classes_.begin(), classes_.end(), is_alike)->first;
+  const auto it = labels_.find(id);
+  return it == labels_.end() ? -1 : it->second;
 }
 
 }  // namespace semantic_topo_loop::core

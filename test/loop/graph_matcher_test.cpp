@@ -221,20 +221,22 @@ TEST(CliqueSearch, FindsAPlantedClique) {
     BitGraph graph(n, Bits(n));
     for (std::size_t i = 0; i < n; ++i) {
       for (std::size_t j = i + 1; j < n; ++j) {
-        if (uniform(random, 0, 1) < 0.15) graph[i][j] = graph[j][i] = true;
+        if (uniform(random, 0, 1) >= 0.15) continue;
+        graph[i].set(j);
+        graph[j].set(i);
       }
     }
     Clique planted;
     for (int i = 0; i < 9; ++i) planted.push_back(static_cast<std::size_t>(uniform(random, i * 10, i * 10 + 10)));
     for (const std::size_t i : planted) {
       for (const std::size_t j : planted) {
-        if (i != j) graph[i][j] = true;
+        if (i != j) graph[i].set(j);
       }
     }
     const Clique clique = largest_clique(graph, 100000);
     EXPECT_GE(clique.size(), planted.size());
     for (const std::size_t i : clique) {
-      for (const std::size_t j : clique) EXPECT_TRUE(i == j || graph[i][j]);
+      for (const std::size_t j : clique) EXPECT_TRUE(i == j || graph[i].next(j) == j);
     }
     const Clique grown = greedy_clique(graph, planted.front());
     EXPECT_NE(std::find(grown.begin(), grown.end(), planted.front()), grown.end());

@@ -33,13 +33,14 @@ class ClassTable {
   /// True for the same class and for two classes of one group.
   bool confusable(int a, int b) const;
   /// True if detections of this class become landmarks.
-  bool is_mappable(int id) const;
+  bool is_mappable(int id) const { return labels_.count(id) != 0; }
   /// One number for all classes of a group, -1 for a class that does not become a landmark.
   int label(int id) const;
   const std::map<int, ObjectClass>& classes() const { return classes_; }
 
  private:
   std::map<int, ObjectClass> classes_;
+  std::map<int, int> labels_;  ///< of the mappable classes, by id: asked for every detection
 };
 
 }  // namespace semantic_topo_loop::core

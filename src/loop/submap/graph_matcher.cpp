@@ -19,7 +19,7 @@ class CliqueSearch {
   CliqueSearch(const BitGraph& graph, int max_steps) : graph_(graph), steps_left_(max_steps) {}
 
   Clique run() {
-    expand(Bits(graph_.size()).set());
+    expand(Bits(graph_.size(), true));
     std::sort(best_.begin(), best_.end());
     return best_;
   }
@@ -35,7 +35,7 @@ class CliqueSearch {
     Bits uncolored = candidates;
     for (std::size_t color = 1; uncolored.any(); ++color) {
       Bits open = uncolored;
-      for (std::size_t vertex = open.find_first(); vertex != Bits::npos; vertex = open.find_next(vertex)) {
+      for (std::size_t vertex = open.next(0); vertex != Bits::kNone; vertex = open.next(vertex + 1)) {
         uncolored.reset(vertex);
         open -= graph_[vertex];
         order.push_back({vertex, color});
@@ -166,7 +166,9 @@ class Matching {
     BitGraph graph(n, Bits(n));
     for (std::size_t i = 0; i < n; ++i) {
       for (std::size_t j = i + 1; j < n; ++j) {
-        if (is_consistent(candidates_[i], candidates_[j])) graph[i][j] = graph[j][i] = true;
+        if (!is_consistent(candidates_[i], candidates_[j])) continue;
+        graph[i].set(j);
+        graph[j].set(i);
       }
     }
     return graph;
@@ -180,7 +182,7 @@ class Matching {
     };
     keep(largest_clique(graph, kMaxCliqueSteps));
     for (std::size_t i = 0; i < graph.size(); ++i) {
-      if (graph[i].count() + 1 >= min_pairs_) keep(greedy_clique(graph, i));
+      if (graph[i].count_common(graph[i]) + 1 >= min_pairs_) keep(greedy_clique(graph, i));
     }
     std::vector<Clique> sorted(found.begin(), found.end());
     std::stable_sort(sorted.begin(), sorted.end(), [](const auto& p, const auto& q) { return p.size() > q.size(); });
@@ -356,14 +358,12 @@ Clique largest_clique(const BitGraph& graph, int max_steps) { return CliqueSearc
 
 Clique greedy_clique(const BitGraph& graph, std::size_t vertex) {
   Clique clique{vertex};
-  Bits candidates = graph[vertex], common;
+  Bits candidates = graph[vertex];
   while (candidates.any()) {
-    std::size_t best = Bits::npos, best_common = 0;
-    for (std::size_t v = candidates.find_first(); v != Bits::npos; v = candidates.find_next(v)) {
-      common = candidates;
-      common &= graph[v];
-      const std::size_t count = common.count();
-      if (best != Bits::npos && count <= best_common) continue;
+    std::size_t best = Bits::kNone, best_common = 0;
+    for (std::size_t v = candidates.next(0); v != Bits::kNone; v = candidates.next(v + 1)) {
+      const std::size_t count = candidates.count_common(graph[v]);
+      if (best != Bits::kNone && count <= best_common) continue;
       best = v;
       best_common = count;
     }
