@@ -16,8 +16,8 @@ struct PoseGraphOptions;
 
 /// Owns the keyframe poses and map_from_odom: takes in odometry and loops, optimises, and says what moved. As things
 /// are:
-///   0. in a long run the past comes in coarse steps, and each place keeps its best loops (`coarsen` in
-///      src/pose_graph/solver, `LoopRejection::bound`), so that a solution costs the same after hours; not with a free scale;
+///   0. in a long run the past comes in coarse steps (`coarsen` in src/pose_graph/solver), and each place keeps its
+///      best loops (`LoopRejection::bound`), so that a solution costs the same after hours; not with a free scale;
 ///   1. frames become vertices and odometry edges, with the jumps that their motion lets suspect (src/odometry);
 ///   2. loops are rejected (src/pose_graph/rejection): pairwise consistency, robust solve, final audit;
 ///   3. the odometry's noise is learnt from the loops that are kept, and poses are solved for at that noise
