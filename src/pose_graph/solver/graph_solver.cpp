@@ -220,6 +220,7 @@ GraphSolution solve_similarity_graph(const std::vector<SimilarityEdge>& edges, c
   }
   solution = solve_problem(options, &problem);
   std::vector<Sim3> result;
+  result.reserve(vertices.size());
   for (const ScaledVertex& v : vertices) result.emplace_back(SE3(v.T.q.normalized(), v.T.t), std::exp(v.log_scale));
   solution.usable = solution.usable && all_finite(result);
   if (solution.usable) accept(std::move(result), options.fixed, S_world_vertex);
