@@ -293,15 +293,6 @@ class ExtraLoops {
   std::map<std::int64_t, std::int64_t> keyframe_of_;
 };
 
-void record(const Frame& frame, const FrameResult& result, RunRecorder* recorder) {
-  recorder->record(frame);
-  recorder->record(result.associations);
-  recorder->record(result.observation);
-  recorder->record(frame.frame_id, result.loops, result.loop_us);
-  recorder->record(result.correction);
-  recorder->record(result.completion);
-}
-
 /// What a run went through.
 struct Counts {
   std::size_t frames = 0;

@@ -286,7 +286,7 @@ bool needs_keyframe(const TrackedFeatures& image, const TrackingMap& map) {
 
 std::int64_t add_keyframe(const TrackedFeatures& image, const Camera& camera, TrackingMap* map) {
   const std::int64_t id = map->keyframes().empty() ? 0 : map->keyframes().rbegin()->first + 1;
-  map->add_keyframe({id, image.stamp_ns, image.T_camera_map, image.features, image.points});
+  map->add_keyframe({{id, image.stamp_ns, image.T_camera_map, image.features, image.points}});
   drop_points(id, map);
   add_points(id, camera, map);
   fuse(id, camera, map);

@@ -31,8 +31,8 @@ struct MapPoint {
   }
 };
 
-/// An image that the map is built from, without its pixels.
-struct TrackingKeyframe {
+/// An image without its pixels.
+struct FeatureImage {
   std::int64_t id = -1;
   std::int64_t stamp_ns = 0;
   SE3 T_camera_map;
@@ -41,8 +41,11 @@ struct TrackingKeyframe {
   Vec3 center() const { return T_camera_map.inverse().t; }
 };
 
-/// An image on its way through the tracker; its id counts images.
-struct TrackedFeatures : TrackingKeyframe {
+/// One that the map is built from; its id counts keyframes.
+struct TrackingKeyframe : FeatureImage {};
+
+/// One on its way through the tracker; its id counts images.
+struct TrackedFeatures : FeatureImage {
   Mat6 covariance = Mat6::Zero();  ///< of the pose, camera frame
   int matches = 0;
   int inliers = 0;

@@ -19,6 +19,7 @@
 #include "semantic_topo_loop/io/run_files.h"
 #include "semantic_topo_loop/io/text_file.h"
 #include "semantic_topo_loop/io/tum_trajectory.h"
+#include "semantic_topo_loop/pipeline/object_slam.h"
 
 namespace semantic_topo_loop::core {
 namespace {
@@ -459,6 +460,15 @@ class FileRecorder : public RunRecorder {
 };
 
 }  // namespace
+
+void record(const Frame& frame, const FrameResult& result, RunRecorder* recorder) {
+  recorder->record(frame);
+  recorder->record(result.associations);
+  recorder->record(result.observation);
+  recorder->record(frame.frame_id, result.loops, result.loop_us);
+  recorder->record(result.correction);
+  recorder->record(result.completion);
+}
 
 std::unique_ptr<RunRecorder> make_run_recorder(std::shared_ptr<const ClassTable> classes) {
   return std::make_unique<FileRecorder>(std::move(classes));

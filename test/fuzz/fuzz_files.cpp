@@ -234,14 +234,8 @@ void write_valid_files(const std::string& directory) {
   const Options options;
   ObjectSlam slam(options, shared_coco());
   FrameBuilder builder(options.keyframe, sequence.camera);
-  const auto record = [&](const Frame& frame, const std::vector<Detection>& detections) {
-    const FrameResult result = slam.process(frame, detections);
-    recorder->record(frame);
-    recorder->record(result.associations);
-    recorder->record(result.observation);
-    recorder->record(frame.frame_id, result.loops, result.loop_us);
-    recorder->record(result.correction);
-    recorder->record(result.completion);
+  const auto process = [&](const Frame& frame, const std::vector<Detection>& detections) {
+    record(frame, slam.process(frame, detections), recorder.get());
   };
   for (std::size_t i = 0; i < sequence.odometry.size(); ++i) {
     PoseSample sample;
@@ -249,9 +243,9 @@ void write_valid_files(const std::string& directory) {
     sample.T_odom_camera = sequence.odometry[i].T_world_camera;
     std::vector<Detection> detections;
     for (const SimulatedDetection& d : sequence.detections[i]) detections.push_back(d.detection);
-    record(checked(builder.build(sample)), detections);
+    process(checked(builder.build(sample)), detections);
   }
-  record(builder.end(), {});
+  process(builder.end(), {});
   if (written) written = recorder->write(directory);
   std::vector<LocalMap> submaps = slam.submaps_in_map();
   submaps.resize(std::min<std::size_t>(2, submaps.size()));

@@ -67,15 +67,7 @@ TEST(DepthPairing, UsesEachDepthOnce) {
   EXPECT_EQ(take_all(&pairing), (std::vector<std::pair<int, int>>{{0, 8}, {16, -1}}));
 }
 
-core::Camera camera() {
-  core::Camera camera;
-  camera.fx = camera.fy = 100.0;
-  camera.cx = 32.0;
-  camera.cy = 24.0;
-  camera.width = 64;
-  camera.height = 48;
-  return camera;
-}
+core::Camera camera() { return {100.0, 100.0, 32.0, 24.0, 64, 48, {}}; }
 
 sensor_msgs::Image filled(const std::string& encoding, const std::vector<std::uint8_t>& pixel) {
   sensor_msgs::Image image;

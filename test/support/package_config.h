@@ -10,15 +10,7 @@ namespace semantic_topo_loop::core {
 inline Camera camera_fr2() { return checked(read_camera(STL_CONFIG_DIR "/camera/tum_fr2.yaml")); }
 
 /// For images that are made in the test.
-inline Camera small_camera() {
-  Camera camera;
-  camera.fx = camera.fy = 50.0;
-  camera.cx = 15.5;
-  camera.cy = 11.5;
-  camera.width = 32;
-  camera.height = 24;
-  return camera;
-}
+inline Camera small_camera() { return {50.0, 50.0, 15.5, 11.5, 32, 24, {}}; }
 
 inline ClassTable coco() { return checked(read_class_table(STL_CONFIG_DIR "/classes_coco.yaml")); }
 

@@ -68,15 +68,7 @@ inline std::vector<DeskObject> random_desk(std::uint64_t seed, int count, const 
   return objects;
 }
 
-inline Camera desk_camera() {
-  Camera camera;
-  camera.fx = camera.fy = 520.0;
-  camera.cx = 320.0;
-  camera.cy = 240.0;
-  camera.width = 640;
-  camera.height = 480;
-  return camera;
-}
+inline Camera desk_camera() { return {520.0, 520.0, 320.0, 240.0, 640, 480, {}}; }
 
 struct Visit {
   double begin_s, end_s;

@@ -16,6 +16,8 @@
 
 namespace semantic_topo_loop::core {
 
+struct FrameResult;
+
 /// Collects what the stages publish and writes a run's files (docs/files.md). The offline program and the recorder
 /// nodelet feed it the same objects, so both write the same bytes. Every call is keyed by frame_id; the order between
 /// stages does not matter, the order within one stage does, and what comes ten seconds after its frame is at the end
@@ -41,6 +43,9 @@ class RunRecorder {
   /// Where the run is in an earlier run's map, by the loops recorded so far.
   virtual std::optional<Relocalisation> relocalisation() const = 0;
 };
+
+/// Records all that a frame came to.
+void record(const Frame& frame, const FrameResult& result, RunRecorder* recorder);
 
 std::unique_ptr<RunRecorder> make_run_recorder(std::shared_ptr<const ClassTable> classes);
 
