@@ -1,10 +1,9 @@
 #include "geometry/assignment.h"
 
 #include <algorithm>
-#include <boost/pending/disjoint_sets.hpp>
 #include <cmath>
 #include <limits>
-#include <map>
+#include <numeric>
 
 namespace semantic_topo_loop::core {
 namespace {
@@ -125,24 +124,35 @@ std::vector<int> lone_pairs(const Scores& score) {
 
 /// Scores are mostly forbidden pairs: what no chain of allowed pairs joins can be assigned on its own.
 /// @param assigned column of each row that is settled, else -1
-/// @return by the representative of each
-std::map<std::size_t, Component> components(const Scores& score, const std::vector<int>& assigned) {
+std::vector<Component> components(const Scores& score, const std::vector<int>& assigned) {
   const auto rows = static_cast<std::size_t>(score.rows()), columns = static_cast<std::size_t>(score.cols());
-  boost::disjoint_sets_with_storage<> sets(rows + columns);
-  bool has_pairs = false;
-  for (int j = 0; j < score.cols(); ++j) {
-    for (int i = 0; i < score.rows(); ++i) {
-      const auto row = static_cast<std::size_t>(i);
-      if (!is_allowed(score(i, j)) || assigned[row] >= 0) continue;
-      sets.union_set(row, rows + static_cast<std::size_t>(j));
-      has_pairs = true;
+  // Disjoint sets; a row stands for each set of more than one.
+  std::vector<std::size_t> parent(rows + columns);
+  std::iota(parent.begin(), parent.end(), 0);
+  const auto root = [&parent](std::size_t k) {
+    while (parent[k] != k) k = parent[k] = parent[parent[k]];
+    return k;
+  };
+  for (std::size_t j = 0; j < columns; ++j) {
+    for (std::size_t i = 0; i < rows; ++i) {
+      if (assigned[i] >= 0 || !is_allowed(score(static_cast<int>(i), static_cast<int>(j)))) continue;
+      parent[root(rows + j)] = root(i);
     }
   }
-  std::map<std::size_t, Component> result;
-  if (!has_pairs) return result;
-  for (std::size_t k = 0; k < rows + columns; ++k) {
-    Component& component = result[sets.find_set(k)];
-    k < rows ? component.rows.push_back(static_cast<int>(k)) : component.columns.push_back(static_cast<int>(k - rows));
+  std::vector<Component> result;
+  std::vector<std::size_t> index(rows, rows);
+  for (std::size_t j = 0; j < columns; ++j) {
+    const std::size_t row = root(rows + j);
+    if (row >= rows) continue;
+    if (index[row] == rows) {
+      index[row] = result.size();
+      result.emplace_back();
+    }
+    result[index[row]].columns.push_back(static_cast<int>(j));
+  }
+  for (std::size_t i = 0; i < rows; ++i) {
+    const std::size_t row = root(i);
+    if (index[row] != rows) result[index[row]].rows.push_back(static_cast<int>(i));
   }
   return result;
 }
@@ -150,7 +160,6 @@ std::map<std::size_t, Component> components(const Scores& score, const std::vect
 void assign(const Scores& score, const Component& component, std::vector<int>* column_of_row) {
   const auto n = static_cast<Eigen::Index>(component.rows.size());
   const auto m = static_cast<Eigen::Index>(component.columns.size());
-  if (n == 0 || m == 0) return;
   const bool transposed = n > m;
   Eigen::MatrixXd cost(std::min(n, m), std::max(n, m));
   for (Eigen::Index i = 0; i < n; ++i) {
@@ -174,9 +183,7 @@ void assign(const Scores& score, const Component& component, std::vector<int>* c
 
 std::vector<int> assign_max(const Eigen::Ref<const Eigen::MatrixXd>& score) {
   std::vector<int> column_of_row = lone_pairs(score);
-  for (const auto& [representative, component] : components(score, column_of_row)) {
-    assign(score, component, &column_of_row);
-  }
+  for (const Component& component : components(score, column_of_row)) assign(score, component, &column_of_row);
   return column_of_row;
 }
 
