@@ -16,7 +16,7 @@ from decimal import Decimal
 from runs import Failure, find_sequences, package_folder, read_rows
 
 PARTS = 8  # of a run of less than two hours
-SETTLED_S = 360.0  # recorded time from which on memory should hardly grow: what is bounded is full
+SETTLED_S = 300.0  # recorded time from which on memory should hardly grow: what is bounded is full
 SLOWEST = 0.005  # share of the frames of a part whose mean is printed
 COLUMNS = ("association", "mapping", "loop", "optimise")
 
@@ -121,7 +121,7 @@ def table(frames, memory, seconds, recorded_s):
         cells = [slowest([float(row[name + "_us"]) for row in frames[begin:end]]) / 1000 for name in COLUMNS]
         print(f"| {part + 1} of {parts} | {(spent_us[end] - spent_us[begin]) / (end - begin) / 1000:.2f} | "
               + " | ".join(f"{cell:.1f}" for cell in cells) + f" | {memory_mb(end):.0f} |")
-    print(f"\nin no frame (reading poses, the end): {seconds - whole_us / 1e6:.2f} s; most memory: "
+    print(f"\nin no frame (rows of results, the end): {seconds - whole_us / 1e6:.2f} s; most memory: "
           f"{max((mb for _, mb in memory), default=0):.0f} MB")
     if recorded_s > 2 * SETTLED_S:
         last_s = recorded_s - 60.0  # the end of the run, which writes its files, is not growth

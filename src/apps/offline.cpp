@@ -367,10 +367,12 @@ Status run_once(const Arguments& arguments, const RunInputs& inputs, RunRecorder
   }
   if (source.needs_rewind) return {};
   if (const Status checked = check_input(inputs, counts); !checked) return checked;
+  const Stopwatch end_stopwatch;
   const Frame end = builder.end();
   const FrameResult last = slam.process(end, none);
   point_map.apply(last.correction);
   record(end, last, recorder);
+  const double end_s = 1e-6 * end_stopwatch.elapsed_us();
   if (source.report) recorder->record(*source.report);
   if (!arguments.points.empty()) {
     if (const Status written = write_point_cloud(arguments.points, point_map.points()); !written) return written;
@@ -382,7 +384,8 @@ Status run_once(const Arguments& arguments, const RunInputs& inputs, RunRecorder
   const double seconds = 1e-6 * stopwatch.elapsed_us();
   const double recorded = 1e-9 * static_cast<double>(counts.last_ns - counts.first_ns);
   warn(inputs, counts, extra_loops.left());
-  std::printf("%zu frames in %.2f s, %.1f x real time\n", counts.frames, seconds, recorded / seconds);
+  std::printf("%zu frames in %.2f s, %.1f x real time; the end took %.2f s\n", counts.frames, seconds,
+              recorded / seconds, end_s);
   return {};
 }
 
