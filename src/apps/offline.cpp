@@ -342,6 +342,10 @@ Status run_once(const Arguments& arguments, const RunInputs& inputs, RunRecorder
   FrameBuilder builder(inputs.options.keyframe, inputs.camera);
   PointMap point_map(inputs.options.point_map);
   ExtraLoops extra_loops(inputs.extra_loops);
+  const auto take = [&](const Frame& frame, const FrameResult& result) {
+    point_map.apply(result.correction);
+    record(frame, result, recorder);
+  };
   const SourceState& source = inputs.source->state();
   Counts counts;
   const std::vector<Detection> none;
@@ -357,10 +361,8 @@ Status run_once(const Arguments& arguments, const RunInputs& inputs, RunRecorder
     const DetectionFrame* detections = find_stamp(inputs.detections, frame->stamp_ns, kStampTolerance_ns);
     if (detections != nullptr) ++counts.with_detections;
     const std::vector<Detection>& boxes = detections != nullptr ? detections->detections : none;
-    const FrameResult result = slam.process(*frame, boxes, extra_loops.at(*frame));
     point_map.add(*frame);
-    point_map.apply(result.correction);
-    record(*frame, result, recorder);
+    take(*frame, slam.process(*frame, boxes, extra_loops.at(*frame)));
     if (counts.frames++ == 0) counts.first_ns = frame->stamp_ns;
     counts.last_ns = frame->stamp_ns;
     show_progress(source.done, source.total, &shown_percent);
@@ -369,9 +371,7 @@ Status run_once(const Arguments& arguments, const RunInputs& inputs, RunRecorder
   if (const Status checked = check_input(inputs, counts); !checked) return checked;
   const Stopwatch end_stopwatch;
   const Frame end = builder.end();
-  const FrameResult last = slam.process(end, none);
-  point_map.apply(last.correction);
-  record(end, last, recorder);
+  take(end, slam.process(end, none));
   const double end_s = 1e-6 * end_stopwatch.elapsed_us();
   if (source.report) recorder->record(*source.report);
   if (!arguments.points.empty()) {

@@ -6,7 +6,7 @@ import os
 import rospy
 import rostest
 
-from playback import PACKAGE, RESULT_FILES, DirectoryTest, Launch, run_program
+from playback import PACKAGE, RESULT_FILES, DirectoryTest, Launch, differing_files, run_program
 
 
 def setUpModule():
@@ -37,6 +37,13 @@ class DemoTest(DirectoryTest):
     def test_plays_to_the_end_and_leaves_every_file(self):
         self.assertTrue(self.ended and self.launch.player_finished(), self.launch.output())
         self.assertEqual(sorted(os.listdir(self.results)), sorted(RESULT_FILES))
+
+    def test_gives_the_offline_result_with_its_loops(self):
+        inputs = {'--' + name: os.path.join(self.data, file) for name, file in (
+            ('bag', 'sequence.bag'), ('camera', 'camera.yaml'), ('detections', 'detections.json'))}
+        status, text = run_program('offline', *sum(inputs.items(), ()), '--output', self.path('offline'))
+        self.assertEqual(status, 0, text)
+        self.assertEqual(differing_files(self.path('offline'), self.results), [])
 
     def test_closes_loops_where_places_are_revisited(self):
         loops = self.evaluate('loops', self.results, os.path.join(self.data, 'groundtruth_frames.txt'))
