@@ -171,15 +171,14 @@ class PoseGraphNodelet : public StageWith<PoseGraphParameters> {
   /// Loops of a frame that went in without them are added with the next frame.
   void on_loops(const LoopsMessage::ConstPtr& loops) {
     if (!joiner_->is_past(loops->frame_id)) return process(joiner_->add<1>(loops->frame_id, loops));
-    const std::vector<core::LoopClosure> late = core::own_loops(loops->closures);
-    late_loops_.insert(late_loops_.end(), late.begin(), late.end());
+    late_loops_.insert(late_loops_.end(), loops->closures.begin(), loops->closures.end());
   }
 
   void process(const std::optional<Joiner::Set>& joined) {
     statistics().set(kWithoutLoops, joiner_->evicted());
     if (!joined) return;
     const auto& [frame, loops, associations, update] = *joined;
-    process(*frame, core::own_loops(loops->closures), associations);
+    process(*frame, loops->closures, associations);
   }
 
   /// @param associations null: none

@@ -13,21 +13,22 @@ ObjectSlam::ObjectSlam(const Options& options, std::shared_ptr<const ClassTable>
 
 FrameResult ObjectSlam::process(const Frame& frame, const std::vector<Detection>& detections,
                                 const std::vector<LoopClosure>& extra_loops) {
+  const auto tell = [this](const MapUpdate& update) {
+    associator_.apply(update);
+    loop_detector_.apply(update);
+    pose_graph_.apply(update);
+  };
   FrameResult result;
   result.associations = associator_.associate(frame, detections);
   result.observation = mapper_.integrate(frame, result.associations);
-  associator_.apply(result.observation);
-  loop_detector_.apply(result.observation);
+  tell(result.observation);
   const Stopwatch stopwatch;
   result.loops = loop_detector_.detect(frame, result.associations);
   result.loop_us = stopwatch.elapsed_us();
-  pose_graph_.apply(result.observation);
   pose_graph_.observe(frame, result.associations);
-  result.correction = pose_graph_.process(frame, own_loops(result.loops), extra_loops);
+  result.correction = pose_graph_.process(frame, result.loops, extra_loops);
   result.completion = mapper_.apply(result.correction);
-  associator_.apply(result.completion);
-  loop_detector_.apply(result.completion);
-  pose_graph_.apply(result.completion);
+  tell(result.completion);
   return result;
 }
 

@@ -117,7 +117,7 @@ struct PoseGraph::Impl {
   }
 
   void add_loop(const LoopClosure& closure, bool is_extra) {
-    if (!closure.accepted) return;
+    if (!closure.accepted || closure.T_earlier_match) return;
     const GraphLoop* loop = loops_.add(closure, number(closure.query_keyframe_id), number(closure.match_keyframe_id),
                                        is_extra, [this](int k) { return carrier(k); });
     if (loop == nullptr) return;

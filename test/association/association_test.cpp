@@ -219,6 +219,20 @@ TEST(ObjectAssociator, MergeRemovalRetirementAndVersionGap) {
   EXPECT_NE(associator.associate(frame_at(3), {{kBook, 0.9, box}}).associations[0].landmark_id, d);
 }
 
+TEST(ObjectAssociator, AMergeGivesTheSurvivorTheLabelsOfBoth) {
+  ObjectAssociator associator(options("joint"), classes());
+  const Box left = box_at(150.0, 240.0), right = box_at(450.0, 240.0);
+  const AssociationFrame first = associator.associate(frame_at(0), {{kCup, 0.9, left}, {kVase, 0.9, right}});
+  for (int i = 1; i < 3; ++i) associator.associate(frame_at(i), {{kVase, 0.9, right}});
+  MapUpdate merge;
+  merge.map_version = 1;
+  merge.merged.push_back({first.associations[1].landmark_id, first.associations[0].landmark_id});
+  ASSERT_TRUE(associator.apply(merge));
+  const AssociationFrame next = associator.associate(frame_at(3), {{kVase, 0.9, right}});
+  EXPECT_EQ(next.associations[0].landmark_id, first.associations[0].landmark_id);
+  EXPECT_EQ(next.associations[0].landmark_class_id, kVase);
+}
+
 TEST(ObjectAssociator, AMergeTakenBackGivesBothTracksTheirOwn) {
   ObjectAssociator associator(options("joint"), classes());
   const Box left = box_at(150.0, 240.0), right = box_at(450.0, 240.0);

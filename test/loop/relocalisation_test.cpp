@@ -50,7 +50,6 @@ TEST(Relocalisation, FindsARunInTheMapOfAnEarlierOne) {
     EXPECT_LT(error_deg(found->T_earlier_odom * setup.T_odom_world, SE3()), 3.0);
     EXPECT_EQ(found->total, outcome.accepted());
     for (const LoopClosure& loop : outcome.loops) EXPECT_TRUE(loop.T_earlier_match.has_value());
-    EXPECT_TRUE(own_loops(outcome.loops).empty());
   }
 }
 
@@ -69,7 +68,10 @@ TEST(Relocalisation, AMapDoesNotChangeTheRunsOwnLoops) {
   setup.end_s = 44.0;
   const std::vector<LoopClosure> alone = run(LoopOptions(), setup).loops;
   setup.earlier_map = map_of(2);
-  const std::vector<LoopClosure> own = own_loops(run(LoopOptions(), setup).loops);
+  std::vector<LoopClosure> own;
+  for (const LoopClosure& loop : run(LoopOptions(), setup).loops) {
+    if (!loop.T_earlier_match) own.push_back(loop);
+  }
   EXPECT_FALSE(alone.empty());
   ASSERT_EQ(own.size(), alone.size());
   for (std::size_t i = 0; i < own.size(); ++i) {

@@ -324,6 +324,20 @@ TEST_F(MapperTest, WhatIsNotDetectedFromBehindOrWhileHiddenHasNotGone) {
     step(pose, {{-1, 0, person}, {1, 73, book}});
   }
   EXPECT_EQ(find(0)->state, LandmarkState::kConfirmed) << "hidden";
+  Ellipsoid screen = kCup;  // a landmark; from these places it covers the cup
+  screen.T_world_quadric.t = kCup.center() + 0.5 * (poses[60].t - kCup.center());
+  screen.semi_axes = Vec3::Constant(0.25);
+  for (int i = 0; i < 600; ++i) step(poses[static_cast<std::size_t>(50 + i % 20)], {{2, 62, screen}});
+  EXPECT_EQ(find(0)->state, LandmarkState::kConfirmed) << "behind a landmark";
+}
+
+TEST_F(MapperTest, WhatWasHardlySeenIsNotGivenUpBeforeItWasExpectedForSomeTime) {
+  MappedLandmark landmark;
+  landmark.sightings.seen_s = 0.01;
+  landmark.sightings.expected_s = 5.0;
+  EXPECT_EQ(life_cycle_state(landmark, {}, false), LandmarkState::kCandidate);
+  landmark.sightings.expected_s = 10.0;
+  EXPECT_EQ(life_cycle_state(landmark, {}, false), LandmarkState::kRetired);
 }
 
 TEST_F(MapperTest, WhatDepthShowsToBeHiddenHasNotGone) {

@@ -272,11 +272,12 @@ TEST(PoseGraph, BadLoopsAreRefusedAndTheRestIsOptimised) {
   EXPECT_NEAR(run.worst_error_m(finished.graph.keyframes()), run.worst_error_m(clean.graph.keyframes()), 1e-9);
 }
 
-TEST(PoseGraph, RejectedCandidatesAreIgnored) {
+TEST(PoseGraph, RejectedCandidatesAndLoopsIntoAnEarlierMapAreIgnored) {
   SyntheticRun run;
-  LoopClosure loop = run.exact_loop(150, 50);
-  loop.accepted = false;
-  EXPECT_EQ(finish(run, {loop}).changes, 0);
+  LoopClosure rejected = run.exact_loop(150, 50), into_earlier = rejected;
+  rejected.accepted = false;
+  into_earlier.T_earlier_match = SE3();  // whose keyframes have numbers of their own
+  EXPECT_EQ(finish(run, {rejected, into_earlier}).changes, 0);
 }
 
 TEST(PoseGraph, CopiesOfALoopCountOnce) {

@@ -33,8 +33,8 @@ class PoseGraph {
   void observe(const Frame& frame, const AssociationFrame& associations);
   /// Follows the map. @param update of the frame before, or of this one before `process`
   void apply(const MapUpdate& update);
-  /// Adds the frame's keyframe and odometry edge and the accepted loops; optimises when there is reason to. An end
-  /// frame always optimises.
+  /// Adds the frame's keyframe and odometry edge and the accepted loops, but for those into an earlier run's map;
+  /// optimises when there is reason to. An end frame always optimises.
   /// @param extra_loops loops from outside, treated alike
   MapCorrection process(const Frame& frame, const std::vector<LoopClosure>& loops,
                         const std::vector<LoopClosure>& extra_loops = {});

@@ -125,7 +125,4 @@ struct Relocalisation {
   int total = 0;       ///< all accepted loops into that map
 };
 
-/// The loops within the run, without those into an earlier run's map.
-std::vector<LoopClosure> own_loops(const std::vector<LoopClosure>& loops);
-
 }  // namespace semantic_topo_loop::core
