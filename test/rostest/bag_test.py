@@ -5,7 +5,6 @@ import json
 import os
 import re
 import shutil
-import threading
 
 import rosbag
 import rospkg
@@ -31,6 +30,22 @@ def read_poses(path):
     return {row[0]: [float(value) for value in row[1:4]] for row in rows}
 
 
+def play_and_listen(test, **arguments):
+    """Plays a bag to its end while tf is listened to: the launch, and the edges of tf, each with its stamp."""
+    listener, edges = Listener(), set()
+    listener.subscribe('/tf', TFMessage, lambda message: edges.update(
+        (t.header.frame_id, t.child_frame_id, t.header.stamp) for t in message.transforms), queue_size=10000)
+    launch = Launch('tum.launch', wait_for='Listener', **arguments)
+    try:
+        test.assertTrue(listener.let_begin(), launch.output())
+        test.assertTrue(launch.wait(90), launch.output())
+    finally:
+        launch.stop()
+        listener.close()
+    test.assertTrue(launch.player_finished(), launch.output())
+    return launch, edges
+
+
 class PosesTest(DirectoryTest):
     """A simulated bag: poses from the motion capture, and from a file."""
 
@@ -40,34 +55,15 @@ class PosesTest(DirectoryTest):
         cls.bag = cls.path('simulated.bag')
         status, output = run_program('simulate', '--output', cls.directory, '--duration', '10', '--bag', cls.bag)
         assert status == 0, output
-        cls.lock = threading.Lock()
-        cls.parents = {}
-        cls.tf_listener = rospy.Subscriber('/tf', TFMessage, cls.take_tf, queue_size=10000)
-
-    @classmethod
-    def tearDownClass(cls):
-        cls.tf_listener.unregister()
-        super().tearDownClass()
-
-    @classmethod
-    def take_tf(cls, message):
-        with cls.lock:
-            for transform in message.transforms:
-                cls.parents.setdefault(transform.child_frame_id, set()).add(transform.header.frame_id)
 
     def play(self, output, **arguments):
-        with self.lock:
-            self.parents.clear()
-        launch = Launch('tum.launch', bag=self.bag, detections=self.path('detections.json'),
-                        camera=self.path('camera.yaml'), output=self.path(output), **arguments)
-        ended = launch.wait(90)
-        launch.stop()
-        self.assertTrue(ended and launch.player_finished(), launch.output())
-        # Nobody has two parents, and no name has the slash that tf2 refuses.
-        with self.lock:
-            self.assertEqual({child: len(parents) for child, parents in self.parents.items() if len(parents) > 1}, {})
-            self.assertFalse([name for name in self.parents if name.startswith('/')])
-            return {(parent, child) for child, parents in self.parents.items() for parent in parents}
+        _, stamped = play_and_listen(self, bag=self.bag, detections=self.path('detections.json'),
+                                     camera=self.path('camera.yaml'), output=self.path(output), **arguments)
+        edges = {(parent, child) for parent, child, _ in stamped}
+        children = [child for _, child in edges]
+        self.assertEqual(len(children), len(set(children)), 'nobody has two parents')
+        self.assertFalse([child for child in children if child.startswith('/')], 'tf2 refuses such names')
+        return edges
 
     def test_poses_from_the_motion_capture(self):
         edges = self.play('mocap', poses='mocap')
@@ -180,19 +176,7 @@ class ImagesTest(DirectoryTest):
         return launch
 
     def play_and_listen(self, bag, output):
-        """As `play`. Returns the edges of tf, each with its stamp."""
-        listener, edges = Listener(), set()
-        listener.subscribe('/tf', TFMessage, lambda message: edges.update(
-            (t.header.frame_id, t.child_frame_id, t.header.stamp) for t in message.transforms), queue_size=10000)
-        launch = Launch('tum.launch', bag=bag, output=self.path(output), camera=self.path('camera.yaml'),
-                        wait_for='Listener')
-        try:
-            self.assertTrue(listener.let_begin(), launch.output())
-            self.assertTrue(launch.wait(90), launch.output())
-        finally:
-            launch.stop()
-        self.assertTrue(launch.player_finished(), launch.output())
-        return launch, edges
+        return play_and_listen(self, bag=bag, output=self.path(output), camera=self.path('camera.yaml'))
 
     def run_offline(self, bag, output, *arguments, camera=None):
         return run_program('offline', '--bag', bag, '--camera', camera or self.path('camera.yaml'), '--output',

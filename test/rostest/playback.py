@@ -134,6 +134,10 @@ class Listener:
         self.publisher.publish(ack)
         return True
 
+    def close(self):
+        for subscriber in self.subscribers + [self.control_subscriber]:
+            subscriber.unregister()
+
 
 def demo(**arguments):
     """The demo on its simulated odometry, without rviz."""
