@@ -2,6 +2,7 @@
 
 #include <Eigen/Core>
 #include <algorithm>
+#include <limits>
 #include <map>
 #include <numeric>
 #include <optional>
@@ -117,7 +118,9 @@ struct ObjectAssociator::Impl {
       track = &tracks_.create(landmark.id);
       track->observations = landmark.observations;
       track->add_class_weight(landmark.class_id, landmark.observations);
-      next_id_ = std::max(next_id_, landmark.id + 1);
+      // Ids are given out one after the other: one beyond is nobody's, whatever a message says.
+      constexpr std::int64_t kBeyond = std::numeric_limits<std::int64_t>::max() / 2;
+      if (landmark.id < kBeyond) next_id_ = std::max(next_id_, landmark.id + 1);
     }
     track->state = landmark.state;
     track->has_ellipsoid = landmark.ellipsoid.has_value();

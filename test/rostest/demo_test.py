@@ -15,7 +15,8 @@ from std_srvs.srv import SetBool, Trigger
 from tf2_msgs.msg import TFMessage
 from visualization_msgs.msg import MarkerArray
 
-from playback import PACKAGE, RESULT_FILES, DirectoryTest, Listener, demo, differing_files, run_program, wait_until
+from playback import (PACKAGE, RESULT_FILES, Diagnostics, DirectoryTest, Listener, demo, differing_files, run_program,
+                      wait_until)
 from semantic_topo_loop.msg import FrameDone, QuadricMap
 from semantic_topo_loop.srv import WhyLoop, WhyLoopResponse
 
@@ -142,14 +143,33 @@ class GraphObjectsTest(DirectoryTest):
         assert default.count('objects: "off"') == 1
         with open(cls.config, 'w') as file:
             file.write(default.replace('objects: "off"', 'objects: "with_loops"'))
+        cls.diagnostics = Diagnostics()
         # Into the second lap, in which loops are closed.
         cls.launch = demo(duration='32', data=cls.path('data'), output=cls.path('lockstep'), config=cls.config,
-                          save_map=cls.path('lockstep.json'))
-        cls.ended = cls.launch.wait(100)
+                          save_map=cls.path('lockstep.json'), exit_at_end='false')
+        cls.status, _ = run_program('wait_for_player', '__ns:=/' + PACKAGE, timeout_s=100)
+
+    @classmethod
+    def tearDownClass(cls):
         cls.launch.stop()
+        super().tearDownClass()
+
+    def test_diagnostics_count_loops_as_the_summary_does(self):
+        with open(self.path('lockstep/summary.json')) as file:
+            reasons = json.load(file)['loops']['reasons']
+        self.assertGreater(len(reasons), 1)
+        expected = {'loops accepted' if reason == 'accepted' else 'loops rejected: ' + reason: count
+                    for reason, count in reasons.items()}
+
+        def counted():
+            return {name: self.diagnostics.count('LoopDetection', name) for name in expected}
+
+        wait_until(lambda: counted() == expected, 10)
+        self.assertEqual(counted(), expected)
 
     def test_lockstep_is_offline_byte_for_byte(self):
-        self.assertTrue(self.ended and self.launch.player_finished(), self.launch.output())
+        self.assertEqual(self.status, 0, self.launch.output())
+        self.assertTrue(wait_until(lambda: os.path.exists(self.path('lockstep.json')), 10), self.launch.output())
         run_offline(self, self.path('data'), self.path('offline'), '--config', self.config, '--save-map',
                     self.path('offline.json'))
         self.assertEqual(differing_files(self.path('offline'), self.path('lockstep')), [])

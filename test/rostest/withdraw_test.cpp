@@ -1,8 +1,13 @@
-// What PoseGraph makes of loops: corrections and tf, of loops that come late, and of one that is withdrawn by service.
+// What PoseGraph makes of loops: corrections and tf, of loops that come late, of one that is withdrawn by service, and
+// of a new session.
+#include <nav_msgs/Path.h>
 #include <tf2_msgs/TFMessage.h>
 
+#include <chrono>
 #include <map>
+#include <mutex>
 #include <optional>
+#include <string>
 #include <thread>
 #include <utility>
 #include <vector>
@@ -259,6 +264,52 @@ TEST(MapToOdom, FollowsTimeThatJumpsBackWithTheSession) {
     ASSERT_TRUE(feed.wait_for_tf());
     EXPECT_NEAR(feed.tf().back().header.stamp.toSec(), begin_s + 0.1, 0.01) << session;
   }
+  chain.unload_all();
+}
+
+TEST(Sessions, TheSecondKnowsNothingOfTheFirst) {
+  InProcessChain chain;
+  chain.load_correction();
+  Feed feed;
+  ASSERT_TRUE(feed.start_session());
+  core::TwoRounds run([&](const core::Frame& frame, const core::AssociationFrame& associations,
+                          const std::vector<core::LoopClosure>& loops) { feed.step(frame, associations, loops); });
+  run.first_round();
+  run.go_away();
+  run.second_round();
+  run.idle(core::TwoRounds::loops());
+  ASSERT_FALSE(feed.is_stuck());
+  ASSERT_FALSE(feed.corrections().empty());
+
+  core::Frame frame;
+  frame.frame_id = frame.keyframe_id = 0;
+  frame.is_keyframe = true;
+  frame.stamp_ns = 50'000'000'000'000;
+  std::mutex mutex;
+  std::map<std::string, std::size_t> poses;  // of the second session's paths
+  std::vector<ros::Subscriber> subscribers;
+  for (const std::string topic : {"path_odometry", "path_corrected"}) {
+    const boost::function<void(const nav_msgs::Path::ConstPtr&)> take = [&, topic](const auto& path) {
+      const std::lock_guard<std::mutex> lock(mutex);
+      if (path->header.stamp == to_ros_time(frame.stamp_ns)) poses[topic] = path->poses.size();
+    };
+    subscribers.push_back(ros::NodeHandle().subscribe<nav_msgs::Path>(topic, 10, take));
+  }
+  ASSERT_TRUE(feed.start_session(2));
+  feed.step(frame, {}, {});
+  ASSERT_TRUE(feed.wait_for_tf());
+  const geometry_msgs::Vector3 t = feed.tf().back().transform.translation;
+  EXPECT_EQ(core::Vec3(t.x, t.y, t.z), core::Vec3::Zero()) << "nothing is corrected yet";
+  const auto deadline = std::chrono::steady_clock::now() + std::chrono::duration<double>(kPatience_s);
+  const std::map<std::string, std::size_t> expected{{"path_corrected", 2}, {"path_odometry", 2}};  // keyframe and frame
+  std::map<std::string, std::size_t> seen;
+  while (seen.size() < 2 && std::chrono::steady_clock::now() < deadline) {
+    std::this_thread::sleep_for(std::chrono::milliseconds(20));
+    const std::lock_guard<std::mutex> lock(mutex);
+    seen = poses;
+  }
+  EXPECT_EQ(seen, expected);
+  for (ros::Subscriber& subscriber : subscribers) subscriber.shutdown();
   chain.unload_all();
 }
 
