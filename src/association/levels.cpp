@@ -73,7 +73,7 @@ double score_posterior(const AssociationContext& context, const TrackInFrame& ca
   const auto class_count = static_cast<double>(std::max<std::size_t>(1, context.classes.classes().size()));
   const Box& predicted = candidate.projection ? *candidate.projection : track.last_box;
   // Uncapped, a landmark seen a thousand times would swallow its neighbours.
-  const double n = std::min<double>(track.observations, options.posterior_count_max);
+  const double n = std::min(static_cast<double>(track.observations), options.posterior_count_max);
   const double label =
       (n * track.class_share(detection.class_id) + kClassSmoothing) / (n + class_count * kClassSmoothing);
   const double existing = std::log(n) + std::log(label) + log_likelihood(predicted, detection.box);
@@ -126,7 +126,7 @@ double score_joint(const AssociationContext& context, const TrackInFrame& candid
   if (overlap <= gate || (track.class_id != detection.class_id && overlap < options.iou_other_label_min)) return 0.0;
   const double label = label_agreement(context, track, detection.class_id);
   if (label == 0.0) return 0.0;
-  const double maturity = std::min(1.0, track.observations / options.mature_observations);
+  const double maturity = std::min(1.0, static_cast<double>(track.observations) / options.mature_observations);
   return overlap * (0.5 + 0.5 * label) * (1.0 + options.mature_bonus * maturity);
 }
 

@@ -106,7 +106,7 @@ struct ObjectAssociator::Impl {
     tracks_.touch(&restored);
     if (Track* survivor = tracks_.find(merge.survivor_id)) {
       for (const auto& [class_id, weight] : restored.class_weights) survivor->add_class_weight(class_id, -weight);
-      survivor->observations = std::max(1, survivor->observations - restored.observations);
+      survivor->observations = std::max<std::int64_t>(1, survivor->observations - restored.observations);
     }
     merged_tracks_.erase(record);
   }

@@ -18,7 +18,7 @@ struct Track {
   std::int64_t id = -1;
   std::vector<std::pair<int, double>> class_weights;  ///< summed detector scores by class
   int class_id = -1;                                  ///< of the largest weight
-  int observations = 0;
+  std::int64_t observations = 0;
   std::int64_t last_frame_id = -1;
   std::int64_t last_stamp_ns = 0;
   std::int64_t last_keyframe_id = -1;

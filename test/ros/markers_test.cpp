@@ -121,6 +121,7 @@ TEST(MapView, FollowsMergesThatAreTakenBack) {
   view.apply(update);
   ASSERT_EQ(view.objects_in_view().size(), 1u);
   EXPECT_EQ(view.objects_in_view()[0]->id, 1) << "who was merged is shown as its survivor";
+  EXPECT_EQ(view.landmarks().count(2), 0u);
   update = {};
   update.unmerged = {{2, 1}};
   update.changed = {b};
@@ -312,6 +313,13 @@ TEST(MapView, CorrectionMovesKeyframesAndComposesTheLaterOnes) {
   EXPECT_EQ(view.keyframes().at(1).T_map_camera.t, core::Vec3(1.0, 5.0, 0.0));
   view.add_keyframe(2, core::SE3());
   EXPECT_EQ(view.keyframes().at(2).T_map_camera.t, core::Vec3(0.0, 5.0, 0.0));
+  core::Frame frame;
+  frame.camera = {100.0, 100.0, 50.0, 50.0, 100, 100, {}};
+  frame.T_odom_camera.t = core::Vec3(3.0, 0.0, 0.0);
+  view.set_frame(frame);
+  const Marker current = make_keyframe_markers(view, map_header(), {})->markers.back();
+  EXPECT_EQ(current.points.front().x, 3.0);
+  EXPECT_EQ(current.points.front().y, 5.0);
 }
 
 TEST(MapView, UprightIsVerticalHoweverTheWorldLies) {

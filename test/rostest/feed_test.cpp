@@ -53,6 +53,21 @@ TEST(TfPoses, ComposesTheChainAtTheStamp) {
   EXPECT_EQ(answer.sample.stamp_ns, at_ms(60));
 }
 
+/// A quarter turn about z.
+geometry_msgs::TransformStamped turned(geometry_msgs::TransformStamped transform) {
+  transform.transform.rotation.z = transform.transform.rotation.w = std::sqrt(0.5);
+  return transform;
+}
+
+TEST(TfPoses, TheMountTurnsWithTheBase) {
+  TfPoses poses("odom", 0.1);
+  ASSERT_TRUE(poses.add(message_of(transform("base", "camera", 0, 2.0)), true));
+  for (const int time_ms : {0, 50}) {
+    ASSERT_TRUE(poses.add(message_of(turned(transform("odom", "base", at_ms(time_ms), 1.0))), false));
+  }
+  EXPECT_LT((poses.at(at_ms(25), "camera").sample.T_odom_camera.t - core::Vec3(1.0, 2.0, 0.0)).norm(), 1e-9);
+}
+
 TEST(TfPoses, NeitherExtrapolatesNorBridgesGaps) {
   TfPoses poses("odom", 0.1);
   fill(&poses, {0, 50, 300});
@@ -147,6 +162,32 @@ TEST(OdometryPoses, TakesTheStepsCovarianceFromTheTwist) {
   EXPECT_LT((*answer.sample.covariance - 0.01 * core::Mat6::Identity()).norm(), 1e-12) << "(0.2 m/s * 0.5 s)^2";
   poses.reset();
   EXPECT_FALSE(poses.at(at_ms(700), "base").sample.covariance);
+}
+
+TEST(OdometryPoses, CarriesTheCovarianceToTheCamera) {
+  const auto transforms = std::make_shared<TfPoses>("odom", 1.0);
+  ASSERT_TRUE(transforms->add(message_of(turned(transform("base", "camera", 0, 2.0))), true));
+  OdometryPoses poses(transforms, 1.0);
+  for (const int time_ms : {0, 500, 1000}) {
+    nav_msgs::Odometry message = odometry_at(time_ms);
+    for (std::size_t i = 0; i < 36; i += 7) message.twist.covariance[i] = 1e-9;
+    message.twist.covariance[35] = 0.04;  // of the yaw rate
+    ASSERT_TRUE(poses.add(message));
+  }
+  poses.use(at_ms(100));
+  const PoseSource::Answer answer = poses.at(at_ms(600), "camera");
+  ASSERT_TRUE(answer.sample.covariance);
+  // 2 m ahead of the base it moves to the base's left, which is where the camera's x points.
+  EXPECT_NEAR((*answer.sample.covariance)(0, 0), 0.04, 1e-6) << "(2 m * 0.2 rad/s * 0.5 s)^2";
+  EXPECT_NEAR((*answer.sample.covariance)(1, 1), 0.0, 1e-6);
+  EXPECT_NEAR((*answer.sample.covariance)(5, 5), 0.01, 1e-6);
+}
+
+TEST(OdometryPoses, FollowsTimeThatJumpsBack) {
+  OdometryPoses poses(std::make_shared<TfPoses>("odom", 0.1), 0.1);
+  for (const int time_ms : {10000, 10050, 0, 50}) ASSERT_TRUE(poses.add(odometry_at(time_ms)));
+  EXPECT_EQ(poses.at(at_ms(25), "base").status, PoseSource::Status::kFound);
+  EXPECT_EQ(poses.at(at_ms(10025), "base").status, PoseSource::Status::kNotYet);
 }
 
 TEST(OdometryPoses, LeavesBadMessagesOut) {
