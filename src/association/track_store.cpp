@@ -5,12 +5,15 @@
 namespace semantic_topo_loop::core {
 namespace {
 
-constexpr double kCell_m = 2.0;  // a desk: some hundred cells in a view of 10 m, and few landmarks in each
-constexpr int kCellsMax = 5;     // along one side of an object, so that a broken size cannot fill the grid
+constexpr double kCell_m = 2.0;        // a desk: some hundred cells in a view of 10 m, and few landmarks in each
+constexpr double kViewCellsMax = 1e5;  // a broken calibration sees more: then every track is looked at instead
+constexpr int kCellsMax = 5;           // along one side of an object, so that a broken size cannot fill the grid
 
-std::int32_t cell_of(double coordinate) {
+std::array<std::int32_t, 3> cell_of(const Vec3& point) {
   constexpr double kLimit = 1e6;  // in cells: 21 bits of a key hold them with their sign
-  return static_cast<std::int32_t>(std::floor(std::clamp(coordinate / kCell_m, -kLimit, kLimit)));
+  const Vec3 cell = (point / kCell_m).cwiseMax(-kLimit).cwiseMin(kLimit).array().floor();
+  return {static_cast<std::int32_t>(cell.x()), static_cast<std::int32_t>(cell.y()),
+          static_cast<std::int32_t>(cell.z())};
 }
 
 std::uint64_t key_of(const std::array<std::int32_t, 3>& cell) {
@@ -108,11 +111,12 @@ std::vector<const Track*> TrackStore::all() const {
 
 void TrackStore::collect_in_view(const Camera& camera, const SE3& T_map_camera, double range_m) {
   const Frustum frustum(camera, T_map_camera, range_m);
-  Cell low{}, high{};
-  for (std::size_t i = 0; i < 3; ++i) {
-    low[i] = cell_of(frustum.low(static_cast<Eigen::Index>(i)));
-    high[i] = cell_of(frustum.high(static_cast<Eigen::Index>(i)));
+  const double view_cells = ((frustum.high - frustum.low).array() / kCell_m + 1.0).prod();
+  if (!(view_cells <= kViewCellsMax)) {  // or is not a number
+    for (const auto& [id, slot] : slot_of_id_) visit(slot);
+    return;
   }
+  const Cell low = cell_of(frustum.low), high = cell_of(frustum.high);
   // From cell to cell the distances to the sides change by constants, so that a cell costs a few additions.
   const double cell_radius = 0.5 * std::sqrt(3.0) * kCell_m;
   const Vec3 first = kCell_m * Vec3(low[0] + 0.5, low[1] + 0.5, low[2] + 0.5);
@@ -173,12 +177,8 @@ TrackStore::CellRange TrackStore::cells_of(const Track& track) {
     return {};
   }
   if (!low.allFinite() || !high.allFinite()) return {};
-  CellRange cells;
-  for (std::size_t i = 0; i < 3; ++i) {
-    const auto axis = static_cast<Eigen::Index>(i);
-    cells.low[i] = cell_of(low(axis));
-    cells.high[i] = std::min(cell_of(high(axis)), cells.low[i] + kCellsMax - 1);
-  }
+  CellRange cells{cell_of(low), cell_of(high)};
+  for (std::size_t i = 0; i < 3; ++i) cells.high[i] = std::min(cells.high[i], cells.low[i] + kCellsMax - 1);
   return cells;
 }
 

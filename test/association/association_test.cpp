@@ -254,6 +254,18 @@ TEST(ObjectAssociator, AMergeTakenBackGivesBothTracksTheirOwn) {
   EXPECT_EQ(next.associations[1].landmark_class_id, kVase);
 }
 
+TEST(TrackStore, AViewWithoutBoundsDoesNotVisitEveryCell) {
+  TrackStore store;
+  Track& track = store.create(0);
+  track.has_ellipsoid = true;
+  track.center_map = Vec3(0.0, 0.0, 3.0);
+  track.shape_map = 0.01 * Mat3::Identity();
+  store.place(&track);
+  Camera camera = frame_at(0).camera;
+  camera.fx = camera.fy = 1e-6;
+  EXPECT_EQ(store.near(camera, SE3(), 10.0, [](const Track&) { return false; }).size(), 1u);
+}
+
 /// The grid may return more than what is in view, never less, and each track once, in order.
 TEST(TrackStore, FindsWhatALinearScanFindsAsLandmarksComeMoveAndGo) {
   std::mt19937_64 random(3);
