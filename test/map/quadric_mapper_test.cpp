@@ -508,11 +508,7 @@ class MappedRounds : public TwoRounds {
 
 TEST(ClosureUndo, TheMapIsAsBeforeWhenTheLoopsAreWithdrawn) {
   MappedRounds with, without;
-  for (MappedRounds* run : {&with, &without}) {
-    run->first_round();
-    run->go_away();
-    run->second_round();
-  }
+  for (MappedRounds* run : {&with, &without}) run->both_rounds();
   ASSERT_EQ(with.landmarks().size(), 2U);
   with.idle(TwoRounds::loops());
   EXPECT_EQ(with.merged(), 1);

@@ -3,9 +3,8 @@
 #include <nav_msgs/Path.h>
 #include <tf2_msgs/TFMessage.h>
 
-#include <chrono>
+#include <algorithm>
 #include <map>
-#include <mutex>
 #include <optional>
 #include <string>
 #include <thread>
@@ -39,6 +38,14 @@ class Feed {
     corrections_ = node_.subscribe<CorrectionMessage>("map_corrections", 1000, &Feed::take_correction, this);
     updates_ = node_.subscribe<MapUpdateMessage>("quadric_map_updates", 1000, &Feed::take_update, this);
     tf_ = node_.subscribe<tf2_msgs::TFMessage>("/tf", 1000, &Feed::take_tf, this);
+    for (const char* topic : {"path_odometry", "path_corrected"}) {
+      const boost::function<void(const nav_msgs::Path::ConstPtr&)> take = [this, topic](const auto& path) {
+        const std::lock_guard<std::mutex> lock(mutex_);
+        paths_[topic] = path;
+        changed_.notify_all();
+      };
+      path_subscribers_.push_back(node_.subscribe<nav_msgs::Path>(topic, 10, take));
+    }
   }
 
   bool start_session(std::uint32_t session = kSession) {
@@ -85,6 +92,19 @@ class Feed {
   bool wait_for_tf() {
     const std::size_t before = tf().size();
     return wait([this, before] { return tf_sent_.size() > before + 1; });
+  }
+
+  /// Poses of each path, once both have the stamp.
+  std::map<std::string, std::size_t> path_sizes(const ros::Time& stamp) {
+    EXPECT_TRUE(wait([this, &stamp] {
+      return paths_.size() == 2 && std::all_of(paths_.begin(), paths_.end(), [&stamp](const auto& path) {
+               return path.second->header.stamp == stamp;
+             });
+    }));
+    const std::lock_guard<std::mutex> lock(mutex_);
+    std::map<std::string, std::size_t> sizes;
+    for (const auto& [topic, path] : paths_) sizes[topic] = path->poses.size();
+    return sizes;
   }
 
   bool is_stuck() const { return is_stuck_; }
@@ -138,6 +158,7 @@ class Feed {
   ros::NodeHandle node_;
   ros::Publisher control_, frames_, associations_, loops_;
   ros::Subscriber acks_, corrections_, updates_, tf_;
+  std::vector<ros::Subscriber> path_subscribers_;
   std::uint32_t session_ = kSession;
   bool is_stuck_ = false;
   std::mutex mutex_;  ///< guards all below but the condition
@@ -147,7 +168,16 @@ class Feed {
   std::vector<core::MapCorrection> changes_;
   std::vector<core::LandmarkMerge> merged_, unmerged_;
   std::vector<geometry_msgs::TransformStamped> tf_sent_;
+  std::map<std::string, nav_msgs::Path::ConstPtr> paths_;  ///< the last by topic
 };
+
+core::Frame first_frame(double time_s) {
+  core::Frame frame;
+  frame.frame_id = frame.keyframe_id = 0;
+  frame.is_keyframe = true;
+  frame.stamp_ns = static_cast<std::int64_t>(time_s * 1e9);
+  return frame;
+}
 
 core::Vec3 old_position(const core::MapCorrection& correction) { return correction.T_map_odom_old.t; }
 core::Vec3 new_position(const core::MapCorrection& correction) { return correction.T_map_odom.t; }
@@ -160,9 +190,7 @@ TEST(WithdrawLoop, TakesBackTheVerdictTheCorrectionAndTheMerge) {
   core::TwoRounds run([&feed](const core::Frame& frame, const core::AssociationFrame& associations,
                               const std::vector<core::LoopClosure>& loops) { feed.step(frame, associations, loops); });
   const std::vector<core::LoopClosure> loops = core::TwoRounds::loops();
-  run.first_round();
-  run.go_away();
-  run.second_round();
+  run.both_rounds();
   run.idle(loops);
   ASSERT_FALSE(feed.is_stuck());
   ASSERT_FALSE(feed.corrections().empty());
@@ -235,9 +263,7 @@ TEST(LateLoops, OfAFrameThatWentInWithoutThemCloseWithALaterOne) {
     feed.step(frame, associations, {});
     if (late_frame) feed.publish_loops(*std::exchange(late_frame, std::nullopt), late_loops);
   });
-  run.first_round();
-  run.go_away();
-  run.second_round();
+  run.both_rounds();
   run.idle(core::TwoRounds::loops());
   ASSERT_FALSE(feed.is_stuck());
   ASSERT_FALSE(feed.corrections().empty());
@@ -250,17 +276,13 @@ TEST(MapToOdom, FollowsTimeThatJumpsBackWithTheSession) {
   InProcessChain chain;
   chain.load_correction();
   Feed feed;
-  core::Frame frame;
-  frame.frame_id = frame.keyframe_id = 0;
-  frame.is_keyframe = true;
   for (const std::uint32_t session : {1U, 2U}) {
     ASSERT_TRUE(feed.start_session(session));
     const std::size_t before = feed.tf().size();
     std::this_thread::sleep_for(std::chrono::milliseconds(300));
     EXPECT_LE(feed.tf().size(), before + 1) << "nothing is said before the session's first pose";
     const double begin_s = session == 1 ? 1000.0 : 10.0;
-    frame.stamp_ns = static_cast<std::int64_t>(begin_s * 1e9);
-    feed.step(frame, {}, {});
+    feed.step(first_frame(begin_s), {}, {});
     ASSERT_TRUE(feed.wait_for_tf());
     EXPECT_NEAR(feed.tf().back().header.stamp.toSec(), begin_s + 0.1, 0.01) << session;
   }
@@ -274,42 +296,19 @@ TEST(Sessions, TheSecondKnowsNothingOfTheFirst) {
   ASSERT_TRUE(feed.start_session());
   core::TwoRounds run([&](const core::Frame& frame, const core::AssociationFrame& associations,
                           const std::vector<core::LoopClosure>& loops) { feed.step(frame, associations, loops); });
-  run.first_round();
-  run.go_away();
-  run.second_round();
+  run.both_rounds();
   run.idle(core::TwoRounds::loops());
   ASSERT_FALSE(feed.is_stuck());
   ASSERT_FALSE(feed.corrections().empty());
 
-  core::Frame frame;
-  frame.frame_id = frame.keyframe_id = 0;
-  frame.is_keyframe = true;
-  frame.stamp_ns = 50'000'000'000'000;
-  std::mutex mutex;
-  std::map<std::string, std::size_t> poses;  // of the second session's paths
-  std::vector<ros::Subscriber> subscribers;
-  for (const std::string topic : {"path_odometry", "path_corrected"}) {
-    const boost::function<void(const nav_msgs::Path::ConstPtr&)> take = [&, topic](const auto& path) {
-      const std::lock_guard<std::mutex> lock(mutex);
-      if (path->header.stamp == to_ros_time(frame.stamp_ns)) poses[topic] = path->poses.size();
-    };
-    subscribers.push_back(ros::NodeHandle().subscribe<nav_msgs::Path>(topic, 10, take));
-  }
   ASSERT_TRUE(feed.start_session(2));
+  const core::Frame frame = first_frame(50000.0);
   feed.step(frame, {}, {});
   ASSERT_TRUE(feed.wait_for_tf());
   const geometry_msgs::Vector3 t = feed.tf().back().transform.translation;
   EXPECT_EQ(core::Vec3(t.x, t.y, t.z), core::Vec3::Zero()) << "nothing is corrected yet";
-  const auto deadline = std::chrono::steady_clock::now() + std::chrono::duration<double>(kPatience_s);
   const std::map<std::string, std::size_t> expected{{"path_corrected", 2}, {"path_odometry", 2}};  // keyframe and frame
-  std::map<std::string, std::size_t> seen;
-  while (seen.size() < 2 && std::chrono::steady_clock::now() < deadline) {
-    std::this_thread::sleep_for(std::chrono::milliseconds(20));
-    const std::lock_guard<std::mutex> lock(mutex);
-    seen = poses;
-  }
-  EXPECT_EQ(seen, expected);
-  for (ros::Subscriber& subscriber : subscribers) subscriber.shutdown();
+  EXPECT_EQ(feed.path_sizes(to_ros_time(frame.stamp_ns)), expected);
   chain.unload_all();
 }
 

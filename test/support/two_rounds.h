@@ -24,14 +24,15 @@ class TwoRounds {
 
   explicit TwoRounds(Step take_step) : take_step_(std::move(take_step)) {}
 
-  void first_round() { round(0); }
-  void second_round() { round(1); }
-  void go_away() {
+  /// Round the cup, away and back, and round it again.
+  void both_rounds() {
+    round(0);
     for (int i = 0; i < kAway; ++i) {
       constexpr double kDrift_m = 0.01;
       T_odom_world_.t.y() += kDrift_m;
       step(away(std::min(i, kAway - 1 - i)), -1, {});
     }
+    round(1);
   }
   /// Looks at nothing; the loops are handed over first.
   void idle(std::vector<LoopClosure> loops) {
