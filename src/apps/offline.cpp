@@ -11,6 +11,7 @@
 #include <utility>
 #include <vector>
 
+#include "apps/image_detections.h"
 #include "apps/program.h"
 #include "ros/parameters.h"
 #include "ros/tum_bag.h"
@@ -204,6 +205,27 @@ Result<std::unique_ptr<SampleSource>> open_source(const Arguments& arguments, co
   return Result<Source>(std::move(source));
 }
 
+/// What the detector finds in the images of --bag or --rgbd.
+Status find_detections(const Arguments& arguments, RunInputs* inputs) {
+  if (!arguments.trajectory.empty()) return Error{"detector.model needs images: --rgbd or --bag"};
+  if (!arguments.detections.empty()) return Error{"there are both --detections and detector.model"};
+  const auto detector = ObjectDetector::load(inputs->options.detector, *inputs->classes);
+  if (!detector) return detector.error();
+  auto frames = detect_in_recording(arguments.rgbd.empty() ? arguments.bag : arguments.rgbd, detector->get());
+  if (!frames) return frames.error();
+  inputs->detections = *std::move(frames);
+  DetectionReport report;
+  for (DetectionFrame& frame : inputs->detections) {
+    const auto leave_out = [&](std::size_t, DetectionProblem problem, const std::string& value) {
+      report.add(problem, "stamp " + format_stamp(frame.stamp_ns) + ": " + value);
+    };
+    frame.detections = usable_boxes(frame.detections, *inputs->classes,
+                                    static_cast<std::size_t>(inputs->options.association.boxes_max), leave_out);
+  }
+  for (const std::string& warning : report.warnings()) std::cerr << "offline: warning: " << warning << '\n';
+  return {};
+}
+
 /// Reads what may be left out.
 Status load_optional(const Arguments& arguments, RunInputs* inputs) {
   if (!arguments.detections.empty()) {
@@ -214,6 +236,9 @@ Status load_optional(const Arguments& arguments, RunInputs* inputs) {
       std::cerr << "offline: warning: " << warning << '\n';
     }
     inputs->detections = std::move(recording->frames);
+  }
+  if (!inputs->options.detector.model.empty()) {
+    if (const Status found = find_detections(arguments, inputs); !found) return found;
   }
   if (!arguments.extra_loops.empty()) {
     Result<std::vector<LoopClosure>> loops = read_given_loops(arguments.extra_loops);
@@ -451,14 +476,18 @@ Command run_command(Arguments* arguments) {
       "--trajectory FILE --detections FILE_OR_DIR --camera YAML --output DIR\n"
       "               [--classes YAML] [--config YAML] [--set module.field=value ...]\n"
       "               [--extra-loops CSV] [--map FILE] [--save-map FILE] [--points FILE]\n"
-      "       offline --rgbd DIR --camera YAML --output DIR [--associations FILE] [--detections FILE_OR_DIR] "
-      "...\n"
-      "       offline --bag FILE --camera YAML --output DIR [--detections FILE_OR_DIR] ...",
+      "       offline --rgbd DIR --camera YAML --output DIR [--associations FILE]\n"
+      "               [--detections FILE_OR_DIR | --detector ONNX] ...\n"
+      "       offline --bag FILE --camera YAML --output DIR [--detections FILE_OR_DIR | --detector ONNX] ...",
       "Runs the whole chain on recorded files, without a ROS master.\n", [arguments] { return run(*arguments); },
       [arguments] { return check(arguments); }};
   const auto take_points = [arguments](const std::string& given) {
     arguments->points = given;
     return given.empty() || is_point_cloud_path(given);
+  };
+  const auto take_model = [arguments](const std::string& given) {
+    arguments->assignments["detector.model"] = given;
+    return !given.empty();
   };
   command
       .option("trajectory", po::value(&arguments->trajectory),
@@ -472,6 +501,8 @@ Command run_command(Arguments* arguments) {
       .option("detections", po::value(&arguments->detections),
               "OA-SLAM JSON file, or directory of YOLO text files <stamp>.txt; with --rgbd and --bag they may be left "
               "out: odometry only")
+      .option("detector", checked("an ONNX file", take_model),
+              "with --rgbd and --bag: the network that finds the objects in the images; see detector.*")
       .option("camera", path(&arguments->camera), "calibration, see config/camera")
       .option("classes", po::value(&arguments->classes),
               "class table (default: config/classes_coco.yaml of the package)")

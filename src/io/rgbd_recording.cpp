@@ -2,7 +2,6 @@
 
 #include <cstdlib>
 #include <filesystem>
-#include <map>
 #include <opencv2/imgcodecs.hpp>
 #include <set>
 #include <tuple>
@@ -108,8 +107,16 @@ Result<RgbdFiles> read_associations(const std::string& path, const std::string& 
   return read;
 }
 
+Result<std::map<std::int64_t, std::string>> list_color_images(const std::string& directory) {
+  std::error_code missing;
+  const bool is_as_downloaded = std::filesystem::exists(joined(directory, "rgb.txt"), missing);
+  return read_image_list(directory, is_as_downloaded ? "rgb.txt" : "associations.txt");
+}
+
+Result<cv::Mat> read_color_image(const std::string& path) { return read_image(path, cv::IMREAD_COLOR); }
+
 Result<RgbdImage> read_rgbd_image(const RgbdFile& file, const Camera& camera, const DepthOptions& options) {
-  const Result<cv::Mat> color = read_image(file.color, cv::IMREAD_COLOR);
+  const Result<cv::Mat> color = read_color_image(file.color);
   if (!color) return color.error();
   const Result<cv::Mat> depth = read_image(file.depth, cv::IMREAD_UNCHANGED);
   if (!depth) return depth.error();

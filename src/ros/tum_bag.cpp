@@ -1,8 +1,10 @@
 #include "ros/tum_bag.h"
 
+#include <cv_bridge/cv_bridge.h>
 #include <rosbag/exceptions.h>
 #include <rosbag/query.h>
 #include <sensor_msgs/Image.h>
+#include <sensor_msgs/image_encodings.h>
 
 #include <exception>
 #include <utility>
@@ -166,6 +168,27 @@ core::Result<core::RgbdRecording> open_tum_bag(const std::string& file, const co
     return std::optional(std::move(reading));
   };
   return core::RgbdRecording{next, source->size()};
+}
+
+core::Status for_each_color_image(
+    const std::string& file, const std::function<core::Status(std::int64_t stamp_ns, const cv::Mat& color)>& take) {
+  std::size_t images = 0;
+  try {
+    const rosbag::Bag bag(file);
+    for (const rosbag::MessageInstance& message : rosbag::View(bag, rosbag::TopicQuery(tum_topic::kColor))) {
+      const auto image = message.instantiate<sensor_msgs::Image>();
+      if (!image) continue;
+      const cv::Mat color = cv_bridge::toCvCopy(image, sensor_msgs::image_encodings::BGR8)->image;
+      if (const core::Status taken = take(to_stamp_ns(image->header.stamp), color); !taken) {
+        return core::Error{explain(file, taken.message())};
+      }
+      ++images;
+    }
+  } catch (const std::exception& exception) {
+    return core::Error{explain(file, std::string("is no bag, or damaged: ") + exception.what())};
+  }
+  if (images == 0) return core::Error{explain(file, std::string("holds no image on ") + tum_topic::kColor)};
+  return {};
 }
 
 }  // namespace semantic_topo_loop

@@ -3,6 +3,7 @@
 #include <cstddef>
 #include <cstdint>
 #include <functional>
+#include <map>
 #include <optional>
 #include <string>
 #include <vector>
@@ -47,6 +48,14 @@ Result<RgbdFiles> read_associations(const std::string& path, const std::string& 
 /// warning tells how many.
 /// @return an error, with file, line and value, for a missing or empty file or a line that is none, or no pair
 Result<RgbdFiles> associate_images(const std::string& directory);
+
+/// Path of each color image of a TUM folder by its stamp, ns: those of rgb.txt or, where that is missing, of
+/// associations.txt.
+/// @return an error, with file, line and value, for a missing or empty file or a line that is none
+Result<std::map<std::int64_t, std::string>> list_color_images(const std::string& directory);
+
+/// @return CV_8UC3 as BGR; an error, with path and cause, if the file is missing or no image
+Result<cv::Mat> read_color_image(const std::string& path);
 
 /// @return an error, with path and cause, if a file is missing, no image, or not what the camera makes
 Result<RgbdImage> read_rgbd_image(const RgbdFile& file, const Camera& camera, const DepthOptions& options);

@@ -1,6 +1,7 @@
 #pragma once
 
 #include "semantic_topo_loop/association/associator_options.h"
+#include "semantic_topo_loop/detector/object_detector.h"
 #include "semantic_topo_loop/frontend/frontend_options.h"
 #include "semantic_topo_loop/frontend/rgbd_image.h"
 #include "semantic_topo_loop/loop/loop_options.h"
@@ -16,6 +17,7 @@ namespace semantic_topo_loop::core {
 struct Options {
   DepthOptions depth;
   FrontendOptions frontend;
+  ObjectDetectorOptions detector;
   KeyframeOptions keyframe;
   AssociatorOptions association;
   QuadricMapperOptions mapping;
@@ -26,6 +28,7 @@ struct Options {
   void visit(OptionVisitor& visitor) {
     depth.visit(visitor);
     frontend.visit(visitor);
+    detector.visit(visitor);
     keyframe.visit(visitor);
     association.visit(visitor);
     mapping.visit(visitor);

@@ -1,0 +1,178 @@
+#include "semantic_topo_loop/detector/object_detector.h"
+
+#include <algorithm>
+#include <fstream>
+#include <opencv2/core/utils/logger.hpp>
+#include <opencv2/dnn.hpp>
+#include <opencv2/imgproc.hpp>
+#include <string>
+#include <utility>
+
+#include "detector/yolo_output.h"
+
+namespace semantic_topo_loop::core {
+namespace {
+
+/// OpenCV logs what it throws, too.
+class Silence {
+ public:
+  Silence() : level_(cv::utils::logging::setLogLevel(cv::utils::logging::LOG_LEVEL_SILENT)) {}
+  ~Silence() { cv::utils::logging::setLogLevel(level_); }
+  Silence(const Silence&) = delete;
+  Silence& operator=(const Silence&) = delete;
+
+ private:
+  cv::utils::logging::LogLevel level_;
+};
+
+/// The first line of what OpenCV says.
+std::string cause(const cv::Exception& exception) {
+  const std::string& text = exception.err.empty() ? exception.msg : exception.err;
+  return text.substr(0, text.find('\n'));
+}
+
+/// An image on the model's square, as the model was trained.
+struct Letterbox {
+  double scale = 1.0;          ///< model pixels in one of the image
+  Vec2 offset = Vec2::Zero();  ///< of the image's corner, model pixels
+  cv::Mat blob;                ///< 1 x 3 x S x S
+};
+
+Letterbox letterbox(const cv::Mat& color, int input_px, YoloLayout layout) {
+  cv::Mat bgr = color;
+  if (color.channels() == 1) cv::cvtColor(color, bgr, cv::COLOR_GRAY2BGR);
+  Letterbox box;
+  box.scale = std::min(static_cast<double>(input_px) / bgr.cols, static_cast<double>(input_px) / bgr.rows);
+  const int width = std::clamp(static_cast<int>(bgr.cols * box.scale), 1, input_px);
+  const int height = std::clamp(static_cast<int>(bgr.rows * box.scale), 1, input_px);
+  // YOLOX is trained with the image in the corner, on values of 0 to 255 in OpenCV's order; the others with it in the
+  // middle, on 0 to 1 in red, green, blue.
+  const bool is_yolox = layout == YoloLayout::kYolox;
+  const int left = is_yolox ? 0 : (input_px - width) / 2, top = is_yolox ? 0 : (input_px - height) / 2;
+  box.offset = {left, top};
+  constexpr double kGray = 114.0;  // of the border, in all of these trainings
+  cv::Mat square(input_px, input_px, CV_8UC3, cv::Scalar::all(kGray));
+  cv::resize(bgr, square(cv::Rect(left, top, width, height)), {width, height});
+  cv::dnn::blobFromImage(square, box.blob, is_yolox ? 1.0 : 1.0 / 255.0, {}, {}, !is_yolox);
+  return box;
+}
+
+}  // namespace
+
+class ObjectDetector::Impl {
+ public:
+  explicit Impl(const ObjectDetectorOptions& options) : options_(options) {}
+
+  Status load(const ClassTable& classes) {
+    const Silence silence;
+    try {
+      net_ = cv::dnn::readNetFromONNX(options_.model);
+    } catch (const cv::Exception& exception) {
+      return failure("cannot be read as an ONNX model: " + cause(exception));
+    }
+    using namespace cv::dnn;
+    net_.setPreferableBackend(options_.backend == "cuda" ? DNN_BACKEND_CUDA : DNN_BACKEND_OPENCV);
+    net_.setPreferableTarget(options_.backend == "cuda"     ? DNN_TARGET_CUDA
+                             : options_.backend == "opencl" ? DNN_TARGET_OPENCL
+                                                            : DNN_TARGET_CPU);
+    if (options_.threads > 0) cv::setNumThreads(options_.threads);
+    if (const Status tried = try_sizes(); !tried) return tried;
+    return name_classes(classes);
+  }
+
+  Result<std::vector<Detection>> detect(const cv::Mat& color) {
+    if (color.empty() || (color.type() != CV_8UC3 && color.type() != CV_8UC1)) {
+      return Error{"image of " + std::to_string(color.cols) + " x " + std::to_string(color.rows) + " pixels and type " +
+                   cv::typeToString(color.type()) + ", not 8UC3 or 8UC1"};
+    }
+    const Letterbox box = letterbox(color, input_px_, layout_);
+    std::vector<Detection> detections;
+    try {
+      const cv::Mat output = run(box.blob);
+      for (Detection detection :
+           suppress_overlapping(read_yolo(output, layout_, input_px_, options_.score), options_.nms_iou)) {
+        detection.class_id = class_ids_[static_cast<std::size_t>(detection.class_id)];
+        const Vec4 edges = (detection.box.edges() - box.offset.replicate<2, 1>()) / box.scale;
+        detection.box = clip({edges[0], edges[1], edges[2], edges[3]}, color.cols, color.rows);
+        if (detection.class_id >= 0 && detection.box.is_valid()) detections.push_back(detection);
+      }
+    } catch (const cv::Exception& exception) {
+      return failure(cause(exception)).error();
+    }
+    return detections;
+  }
+
+ private:
+  Status failure(const std::string& what) const { return Error{options_.model + ": " + what}; }
+
+  cv::Mat run(const cv::Mat& blob) {
+    net_.setInput(blob);
+    return net_.forward();
+  }
+
+  /// Finds the size of the input and the layout of the output.
+  Status try_sizes() {
+    const std::vector<int> sizes = options_.input_px > 0 ? std::vector<int>{options_.input_px} : std::vector{416, 640};
+    std::string problem;
+    for (const int size : sizes) {
+      const std::string with = "with an input of " + std::to_string(size) + " x " + std::to_string(size) + " px ";
+      try {
+        const cv::Mat output = run(cv::Mat(std::vector<int>{1, 3, size, size}, CV_32FC1, cv::Scalar(0.0)));
+        const Result<YoloLayout> layout = find_yolo_layout(output, size, options_.layout);
+        if (layout) {
+          layout_ = *layout;
+          input_px_ = size;
+          class_count_ = yolo_class_count(output, layout_);
+          return {};
+        }
+        problem += (problem.empty() ? "" : "; ") + with + layout.message();
+      } catch (const cv::Exception& exception) {
+        problem += (problem.empty() ? "" : "; ") + with + "it fails: " + cause(exception);
+      }
+    }
+    return failure(problem + " (detector.input_px, detector.layout)");
+  }
+
+  Status name_classes(const ClassTable& classes) {
+    if (options_.names.empty()) {
+      for (int id = 0; id < class_count_; ++id) class_ids_.push_back(classes.find(id) != nullptr ? id : -1);
+    } else {
+      std::ifstream file(options_.names);
+      if (!file) return Error{options_.names + ": cannot open the file"};
+      for (std::string name; std::getline(file, name);) {
+        if (!name.empty() && name.back() == '\r') name.pop_back();
+        if (name.empty()) continue;
+        const ObjectClass* found = classes.find(name);
+        class_ids_.push_back(found != nullptr ? found->id : -1);
+      }
+      if (class_ids_.size() != static_cast<std::size_t>(class_count_)) {
+        return Error{options_.names + ": " + std::to_string(class_ids_.size()) + " names, but the output of " +
+                     options_.model + " has " + std::to_string(class_count_) + " classes"};
+      }
+    }
+    if (std::all_of(class_ids_.begin(), class_ids_.end(), [](int id) { return id < 0; })) {
+      return failure("the class table has none of its " + std::to_string(class_count_) + " classes");
+    }
+    return {};
+  }
+
+  const ObjectDetectorOptions options_;
+  cv::dnn::Net net_;
+  YoloLayout layout_ = YoloLayout::kYolox;
+  int input_px_ = 0, class_count_ = 0;
+  std::vector<int> class_ids_;  ///< of the table, by the model's; -1 where it has none
+};
+
+ObjectDetector::ObjectDetector(std::unique_ptr<Impl> impl) : impl_(std::move(impl)) {}
+ObjectDetector::~ObjectDetector() = default;
+
+Result<std::unique_ptr<ObjectDetector>> ObjectDetector::load(const ObjectDetectorOptions& options,
+                                                             const ClassTable& classes) {
+  auto impl = std::make_unique<Impl>(options);
+  if (const Status loaded = impl->load(classes); !loaded) return loaded.error();
+  return std::unique_ptr<ObjectDetector>(new ObjectDetector(std::move(impl)));
+}
+
+Result<std::vector<Detection>> ObjectDetector::detect(const cv::Mat& color) { return impl_->detect(color); }
+
+}  // namespace semantic_topo_loop::core

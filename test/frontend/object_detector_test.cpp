@@ -1,0 +1,222 @@
+#include "semantic_topo_loop/detector/object_detector.h"
+
+#include <gtest/gtest.h>
+
+#include <algorithm>
+#include <cmath>
+#include <opencv2/imgproc.hpp>
+
+#include "detector/yolo_output.h"
+#include "semantic_topo_loop/io/detection_file.h"
+#include "semantic_topo_loop/io/rgbd_recording.h"
+#include "support/package_config.h"
+
+namespace semantic_topo_loop::core {
+namespace {
+
+constexpr int kInput_px = 64;  ///< 8 x 8, 4 x 4 and 2 x 2 cells
+constexpr int kCells = 64 + 16 + 4;
+constexpr int kClasses = 3;
+
+/// A network's output of zeros.
+cv::Mat make_output(int rows, int columns) { return {std::vector<int>{1, rows, columns}, CV_32FC1, cv::Scalar(0.0)}; }
+
+void set_row(cv::Mat* output, int row, const std::vector<double>& values) {
+  for (std::size_t i = 0; i < values.size(); ++i) {
+    output->at<float>(0, row, static_cast<int>(i)) = static_cast<float>(values[i]);
+  }
+}
+
+void expect_box(const Detection& detection, int class_id, double score, const Vec4& edges) {
+  EXPECT_EQ(detection.class_id, class_id);
+  EXPECT_NEAR(detection.score, score, 1e-6);
+  EXPECT_LT((detection.box.edges() - edges).cwiseAbs().maxCoeff(), 1e-4) << detection.box.edges().transpose();
+}
+
+TEST(YoloOutput, LayoutsAreToldApartByShape) {
+  const auto layout = [](int rows, int columns) {
+    return find_yolo_layout(make_output(rows, columns), kInput_px, "auto");
+  };
+  EXPECT_EQ(checked(layout(kCells, 5 + kClasses)), YoloLayout::kYolox);
+  EXPECT_EQ(checked(layout(3 * kCells, 5 + kClasses)), YoloLayout::kYolov5);
+  EXPECT_EQ(checked(layout(4 + kClasses, kCells)), YoloLayout::kYolov8);
+  EXPECT_EQ(layout(100, 6).message(), "the output is 1 x 100 x 6, which is not the shape of a YOLOX, YOLOv5 or YOLOv8");
+  EXPECT_EQ(find_yolo_layout(make_output(kCells, 8), kInput_px, "yolov5").message(),
+            "the output is 1 x 84 x 8, which is not that of yolov5");
+  EXPECT_FALSE(find_yolo_layout(cv::Mat(3, 4, CV_32FC1), kInput_px, "auto"));
+}
+
+TEST(YoloOutput, YoloxBoxesAreInTheirCells) {
+  cv::Mat output = make_output(kCells, 5 + kClasses);
+  // Of the second grid, of stride 16, the cell (1, 2).
+  set_row(&output, 64 + 2 * 4 + 1, {0.5, 0.25, std::log(2.0), std::log(0.5), 0.8, 0.1, 0.2, 0.5});
+  const std::vector<Detection> found = read_yolo(output, YoloLayout::kYolox, kInput_px, 0.3);
+  ASSERT_EQ(found.size(), 1U);
+  expect_box(found[0], 2, 0.4, {24.0 - 16.0, 36.0 - 4.0, 24.0 + 16.0, 36.0 + 4.0});
+  EXPECT_TRUE(read_yolo(output, YoloLayout::kYolox, kInput_px, 0.41).empty());
+}
+
+TEST(YoloOutput, Yolov5AndYolov8BoxesAreInPixels) {
+  cv::Mat v5 = make_output(3 * kCells, 5 + kClasses);
+  set_row(&v5, 200, {30.0, 20.0, 10.0, 8.0, 0.5, 0.1, 0.8, 0.3});
+  const std::vector<Detection> of_v5 = read_yolo(v5, YoloLayout::kYolov5, kInput_px, 0.3);
+  ASSERT_EQ(of_v5.size(), 1U);
+  expect_box(of_v5[0], 1, 0.4, {25.0, 16.0, 35.0, 24.0});
+
+  cv::Mat v8 = make_output(4 + kClasses, kCells);
+  const double values[] = {30.0, 20.0, 10.0, 8.0, 0.1, 0.4, 0.3};
+  for (int i = 0; i < 7; ++i) v8.at<float>(0, i, 17) = static_cast<float>(values[i]);
+  const std::vector<Detection> of_v8 = read_yolo(v8, YoloLayout::kYolov8, kInput_px, 0.3);
+  ASSERT_EQ(of_v8.size(), 1U);
+  expect_box(of_v8[0], 1, 0.4, {25.0, 16.0, 35.0, 24.0});
+}
+
+TEST(YoloOutput, NothingIsFoundWhereScoresAreNotNumbers) {
+  cv::Mat output = make_output(kCells, 5 + kClasses);
+  output.setTo(std::nan(""));
+  EXPECT_TRUE(read_yolo(output, YoloLayout::kYolox, kInput_px, 0.0).empty());
+}
+
+TEST(YoloOutput, TheBestOfOverlappingBoxesOfAClassStays) {
+  const Box box{0.0, 0.0, 10.0, 10.0}, beside{6.0, 0.0, 16.0, 10.0}, on_it{1.0, 0.0, 11.0, 10.0};
+  const std::vector<Detection> kept = suppress_overlapping(
+      {{1, 0.5, on_it}, {1, 0.9, box}, {2, 0.4, on_it}, {1, 0.3, beside}, {3, 0.2, box}, {3, 0.2, on_it}}, 0.5);
+  ASSERT_EQ(kept.size(), 4U);
+  expect_box(kept[0], 1, 0.9, box.edges());
+  expect_box(kept[1], 2, 0.4, on_it.edges());
+  expect_box(kept[2], 1, 0.3, beside.edges());
+  expect_box(kept[3], 3, 0.2, box.edges());
+}
+
+TEST(ObjectDetectorOptions, InputIsOfWholeCells) {
+  const auto with = [](const std::string& px) {
+    return make_options<ObjectDetectorOptions>({{"detector.input_px", px}});
+  };
+  EXPECT_TRUE(with("640"));
+  EXPECT_NE(with("417").message().find("detector.input_px"), std::string::npos) << with("417").message();
+}
+
+TEST(ObjectDetector, FilesThatAreNoModelAreOneError) {
+  const TestDirectory directory;
+  for (const std::string& path : {directory.path("none.onnx"), directory.write("empty.onnx", ""),
+                                  directory.write("text.onnx", "no model\n"), directory.path("")}) {
+    ObjectDetectorOptions options;
+    options.model = path;
+    const auto detector = ObjectDetector::load(options, coco());
+    ASSERT_FALSE(detector) << path;
+    EXPECT_EQ(detector.message().find(path + ": cannot be read as an ONNX model: "), 0U) << detector.message();
+    EXPECT_EQ(detector.message().find('\n'), std::string::npos);
+  }
+}
+
+/// A real network on real images.
+class YoloxNano : public ::testing::Test {
+ protected:
+  void SetUp() override {
+    const auto model = shared_data("models/yolox_nano.onnx"), folder = shared_data("tum/fr1_xyz");
+    if (!model) GTEST_SKIP() << "SEMANTIC_TOPO_LOOP_DATA is not set";
+    options_.model = *model;
+    folder_ = *folder;
+  }
+  std::unique_ptr<ObjectDetector> load() const {
+    auto detector = ObjectDetector::load(options_, coco());
+    EXPECT_TRUE(detector) << detector.message();
+    return *std::move(detector);
+  }
+  cv::Mat image(std::size_t index) const {
+    const auto images = checked(list_color_images(folder_));
+    return checked(read_color_image(std::next(images.begin(), static_cast<std::ptrdiff_t>(index))->second));
+  }
+
+  ObjectDetectorOptions options_;
+  std::string folder_;
+};
+
+TEST_F(YoloxNano, FindsWhatItIsKnownToFind) {
+  const std::unique_ptr<ObjectDetector> detector = load();
+  const std::vector<DetectionFrame> known =
+      checked(read_detections(folder_ + "/detections_yolox_nano.json", coco())).frames;
+  const auto images = checked(list_color_images(folder_));
+  for (const std::size_t i : {0U, 300U, 650U}) {
+    const auto [stamp_ns, path] = *std::next(images.begin(), i);
+    const auto frame = std::find_if(known.begin(), known.end(), [stamp = stamp_ns](const DetectionFrame& k) {
+      return std::abs(k.stamp_ns - stamp) < 1000;
+    });
+    ASSERT_NE(frame, known.end());
+    const std::vector<Detection> found = checked(detector->detect(checked(read_color_image(path))));
+    ASSERT_GE(found.size(), 3U);
+    EXPECT_NEAR(static_cast<double>(found.size()), static_cast<double>(frame->detections.size()), 1.0);
+    // Known from the images before they were compressed: the sure ones, roughly.
+    for (const Detection& box : frame->detections) {
+      if (box.score < 0.4) continue;
+      const auto is_it = [&box](const Detection& f) {
+        return f.class_id == box.class_id && std::abs(f.score - box.score) < 0.1 && iou(f.box, box.box) > 0.85;
+      };
+      EXPECT_TRUE(std::any_of(found.begin(), found.end(), is_it))
+          << "image " << i << " class " << box.class_id << " score " << box.score;
+    }
+  }
+}
+
+TEST_F(YoloxNano, SameImageSameBoxesWhateverTheThreads) {
+  const cv::Mat color = image(100);
+  const auto boxes = [&color](ObjectDetector* detector) {
+    std::vector<double> values;
+    for (const Detection& d : checked(detector->detect(color))) {
+      for (const double value : {static_cast<double>(d.class_id), d.score, d.box.x1, d.box.y1, d.box.x2, d.box.y2}) {
+        values.push_back(value);
+      }
+    }
+    return values;
+  };
+  const int threads = cv::getNumThreads();
+  options_.threads = 2;
+  const auto two = load();
+  const std::vector<double> first = boxes(two.get());
+  EXPECT_EQ(first, boxes(two.get()));
+  options_.threads = 1;
+  EXPECT_EQ(first, boxes(load().get()));
+  cv::setNumThreads(threads);
+}
+
+TEST_F(YoloxNano, ImagesOfOtherShapesAndKinds) {
+  const std::unique_ptr<ObjectDetector> detector = load();
+  cv::Mat color = image(100), gray;
+  cv::cvtColor(color, gray, cv::COLOR_BGR2GRAY);
+  EXPECT_FALSE(checked(detector->detect(gray)).empty());
+  // Upright: the empty part of the input is at the side.
+  cv::Mat tall(2 * color.rows, color.cols, CV_8UC3, cv::Scalar::all(114));
+  color.copyTo(tall(cv::Rect(0, color.rows, color.cols, color.rows)));
+  const std::vector<Detection> found = checked(detector->detect(tall));
+  ASSERT_FALSE(found.empty());
+  for (const Detection& detection : found) EXPECT_GT(detection.box.y1, color.rows - 20.0);
+  EXPECT_EQ(detector->detect({}).message(), "image of 0 x 0 pixels and type CV_8UC1, not 8UC3 or 8UC1");
+  EXPECT_FALSE(detector->detect(cv::Mat(4, 4, CV_32FC1)));
+}
+
+TEST_F(YoloxNano, NamesAreThoseOfTheModel) {
+  const TestDirectory directory;
+  options_.names = directory.write("three.names", "person\nbicycle\ncar\n");
+  const auto refused = ObjectDetector::load(options_, coco());
+  ASSERT_FALSE(refused);
+  EXPECT_EQ(refused.message(), options_.names + ": 3 names, but the output of " + options_.model + " has 80 classes");
+
+  // Names that the table does not have are left out; the others are found whatever their place.
+  std::string names;
+  for (int i = 0; i < 80; ++i) names += coco().name((i + 1) % 80) == "book" ? "unheard of\n" : coco().name(i) + "\n";
+  options_.names = directory.write("all.names", names);
+  EXPECT_FALSE(checked(load()->detect(image(100))).empty());
+  options_.names = directory.path("none.names");
+  EXPECT_EQ(ObjectDetector::load(options_, coco()).message(), options_.names + ": cannot open the file");
+}
+
+TEST_F(YoloxNano, LayoutThatItDoesNotHave) {
+  options_.layout = "yolov8";
+  const auto refused = ObjectDetector::load(options_, coco());
+  ASSERT_FALSE(refused);
+  EXPECT_NE(refused.message().find("the output is 1 x 3549 x 85, which is not that of yolov8"), std::string::npos)
+      << refused.message();
+}
+
+}  // namespace
+}  // namespace semantic_topo_loop::core
