@@ -373,7 +373,6 @@ Status run_once(const Arguments& arguments, const RunInputs& inputs, RunRecorder
   };
   const SourceState& source = inputs.source->state();
   Counts counts;
-  const std::vector<Detection> none;
   int shown_percent = -1;
   const Stopwatch stopwatch;
   while (const std::optional<PoseSample> sample = inputs.source->next()) {
@@ -385,9 +384,9 @@ Status run_once(const Arguments& arguments, const RunInputs& inputs, RunRecorder
     }
     const DetectionFrame* detections = find_stamp(inputs.detections, frame->stamp_ns, kStampTolerance_ns);
     if (detections != nullptr) ++counts.with_detections;
-    const std::vector<Detection>& boxes = detections != nullptr ? detections->detections : none;
     point_map.add(*frame);
-    take(*frame, slam.process(*frame, boxes, extra_loops.at(*frame)));
+    take(*frame,
+         slam.process(*frame, detections != nullptr ? &detections->detections : nullptr, extra_loops.at(*frame)));
     if (counts.frames++ == 0) counts.first_ns = frame->stamp_ns;
     counts.last_ns = frame->stamp_ns;
     show_progress(source.done, source.total, &shown_percent);
@@ -396,7 +395,7 @@ Status run_once(const Arguments& arguments, const RunInputs& inputs, RunRecorder
   if (const Status checked = check_input(inputs, counts); !checked) return checked;
   const Stopwatch end_stopwatch;
   const Frame end = builder.end();
-  take(end, slam.process(end, none));
+  take(end, slam.process(end, nullptr));
   const double end_s = 1e-6 * end_stopwatch.elapsed_us();
   if (source.report) recorder->record(*source.report);
   if (!arguments.points.empty()) {

@@ -40,7 +40,7 @@ double share_of_points_in_box(const std::vector<Vec3>& points_map, const Mat34& 
 }
 
 bool is_in_previous_frame(const AssociationContext& context, const Track& track) {
-  return track.last_frame_id == context.frame->frame_id - 1;
+  return track.last_answer == context.answer - 1;
 }
 
 double iou_3d(const TrackInFrame& candidate, const PreparedDetection& detection) {

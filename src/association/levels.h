@@ -28,7 +28,8 @@ struct AssociationContext {
   const AssociatorOptions& options;
   const ClassTable& classes;
   const Frame* frame = nullptr;
-  double interval_s = 0.0;  ///< since the frame before
+  std::int64_t answer = -1;  ///< which of the detector's answers this is, counted from 0
+  double interval_s = 0.0;   ///< since the answer before
   Mat34 P_image_map = Mat34::Zero();
   std::vector<PreparedDetection> detections = {};
   std::vector<TrackInFrame> tracks = {};

@@ -49,9 +49,7 @@ struct ObjectAssociator::Impl {
 
   AssociationFrame associate(const Frame& frame, const std::vector<Detection>& detections) {
     const Stopwatch stopwatch;
-    AssociationFrame result;
-    result.frame_id = frame.frame_id;
-    result.map_version = map_version_;
+    AssociationFrame result = begin(frame);
     if (!frame.is_end) {
       points_.reset();
       prepare(frame, detections, &result);
@@ -61,6 +59,13 @@ struct ObjectAssociator::Impl {
     // What the map's changes cost here belongs to the frame that profits from them.
     result.duration_us = stopwatch.elapsed_us() + update_us_;
     update_us_ = 0.0;
+    return result;
+  }
+
+  AssociationFrame begin(const Frame& frame) const {
+    AssociationFrame result;
+    result.frame_id = frame.frame_id;
+    result.map_version = map_version_;
     return result;
   }
 
@@ -85,8 +90,8 @@ struct ObjectAssociator::Impl {
       merged_tracks_[merge.merged_id] = *merged;
       for (const auto& [class_id, weight] : merged->class_weights) survivor->add_class_weight(class_id, weight);
       survivor->observations += merged->observations;
-      if (merged->last_frame_id > survivor->last_frame_id) {
-        survivor->last_frame_id = merged->last_frame_id;
+      if (merged->last_answer > survivor->last_answer) {
+        survivor->last_answer = merged->last_answer;
         survivor->last_stamp_ns = merged->last_stamp_ns;
         survivor->last_keyframe_id = merged->last_keyframe_id;
         survivor->last_box = merged->last_box;
@@ -139,6 +144,7 @@ struct ObjectAssociator::Impl {
     context.detections.clear();
     context.tracks.clear();
     context.frame = &frame;
+    ++context.answer;
     context.interval_s = last_stamp_ns_ ? 1e-9 * static_cast<double>(frame.stamp_ns - *last_stamp_ns_) : 0.0;
     const SE3 T_map_camera = T_map_odom_ * frame.T_odom_camera;
     context.P_image_map = projection_matrix(frame.camera, T_map_camera);
@@ -215,8 +221,8 @@ struct ObjectAssociator::Impl {
   }
 
   bool is_recent(const Track& track, const Frame& frame) const {
-    constexpr std::int64_t kFrames = 2;  // one frame missed, however slow the detector
-    return frame.frame_id - track.last_frame_id <= kFrames ||
+    constexpr std::int64_t kAnswers = 2;  // one missed, however slow the detector
+    return context_.answer - track.last_answer <= kAnswers ||
            frame.stamp_ns - track.last_stamp_ns <= static_cast<std::int64_t>(options_.memory_s * 1e9);
   }
 
@@ -284,7 +290,7 @@ struct ObjectAssociator::Impl {
   void add_observation(const Frame& frame, const PreparedDetection& detection, Track* track) {
     track->add_class_weight(detection.class_id, detection.score);
     track->observations += 1;
-    track->last_frame_id = frame.frame_id;
+    track->last_answer = context_.answer;
     track->last_stamp_ns = frame.stamp_ns;
     track->last_keyframe_id = frame.keyframe_id;
     track->last_box = detection.box;
@@ -308,7 +314,7 @@ struct ObjectAssociator::Impl {
   std::uint64_t map_version_ = 0;
   SE3 T_map_odom_;
   std::optional<FramePoints> points_;          ///< of the frame, once a track without an ellipsoid needs them
-  std::optional<std::int64_t> last_stamp_ns_;  ///< of the frame before
+  std::optional<std::int64_t> last_stamp_ns_;  ///< of the answer before
   double update_us_ = 0.0;                     ///< spent on map updates since then
 
   // Of the frame at hand; kept, so that a frame hardly allocates.
@@ -324,6 +330,11 @@ ObjectAssociator::ObjectAssociator(const AssociatorOptions& options, std::shared
 
 AssociationFrame ObjectAssociator::associate(const Frame& frame, const std::vector<Detection>& detections) {
   return impl_->associate(frame, detections);
+}
+AssociationFrame ObjectAssociator::pass(const Frame& frame) {
+  AssociationFrame result = impl_->begin(frame);
+  result.unanswered = true;
+  return result;
 }
 bool ObjectAssociator::apply(const MapUpdate& update) { return impl_->apply(update); }
 std::uint64_t ObjectAssociator::map_version() const { return impl_->map_version_; }

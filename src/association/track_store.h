@@ -4,6 +4,7 @@
 #include <array>
 #include <cstdint>
 #include <deque>
+#include <limits>
 #include <unordered_map>
 #include <utility>
 #include <vector>
@@ -15,11 +16,13 @@ namespace semantic_topo_loop::core {
 
 /// What association remembers of a landmark.
 struct Track {
+  static constexpr std::int64_t kNever = std::numeric_limits<std::int64_t>::min() / 2;
+
   std::int64_t id = -1;
   std::vector<std::pair<int, double>> class_weights;  ///< summed detector scores by class
   int class_id = -1;                                  ///< of the largest weight
   std::int64_t observations = 0;
-  std::int64_t last_frame_id = -1;
+  std::int64_t last_answer = kNever;  ///< which of the detector's answers had it last, counted from 0
   std::int64_t last_stamp_ns = 0;
   std::int64_t last_keyframe_id = -1;
   Box last_box;  ///< undistorted, px

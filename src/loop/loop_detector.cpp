@@ -45,7 +45,7 @@ struct LoopDetector::Impl {
     const bool taken = window_.push(frame, associations);
     up_.push(frame);
     if (!paper_mode_) watch_odometry(frame, taken);
-    if (!is_due(frame)) return {};
+    if (associations.unanswered || !is_due(frame)) return {};
     std::optional<LocalMap> map = build_local_map(window_.frames(), redirects_, up_, options_);
     if (!map) return {};
     if (paper_mode_) {

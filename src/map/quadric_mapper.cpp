@@ -39,12 +39,8 @@ struct QuadricMapper::Impl {
       end_frame_id_ = frame.frame_id;
     } else {
       camera_ = frame.camera;
-      begin_step(frame.stamp_ns);
-      std::optional<FramePoints> points;
-      if (frame.points_camera) points.emplace(*frame.points_camera, frame.camera);
       add_keyframe(frame);
-      add_observations(frame, points ? &*points : nullptr, associations);
-      count_expected(frame, points ? &*points : nullptr, associations);
+      if (!associations.unanswered) look(frame, associations);
       fit_due_landmarks();
       if (1e-9 * static_cast<double>(frame.stamp_ns - last_maintenance_ns_) >= options_.maintenance_interval_s) {
         last_maintenance_ns_ = frame.stamp_ns;
@@ -55,6 +51,15 @@ struct QuadricMapper::Impl {
     end_update(&update);
     update.duration_us = stopwatch.elapsed_us();
     return update;
+  }
+
+  /// Takes in what the detector saw, and what it missed.
+  void look(const Frame& frame, const AssociationFrame& associations) {
+    begin_step(frame.stamp_ns);
+    std::optional<FramePoints> points;
+    if (frame.points_camera) points.emplace(*frame.points_camera, frame.camera);
+    add_observations(frame, points ? &*points : nullptr, associations);
+    count_expected(frame, points ? &*points : nullptr, associations);
   }
 
   MapUpdate apply(const MapCorrection& correction) {
@@ -86,7 +91,7 @@ struct QuadricMapper::Impl {
     return update;
   }
 
-  /// How much time this frame stands for; long gaps count no more than a slow detector's interval.
+  /// How much time this answer stands for; long gaps count no more than a slow detector's interval.
   void begin_step(std::int64_t stamp_ns) {
     const double since_s = last_stamp_ns_ ? 1e-9 * static_cast<double>(stamp_ns - *last_stamp_ns_) : 0.0;
     step_s_ = std::clamp(since_s, 0.0, kStepMax_s);
@@ -385,9 +390,9 @@ struct QuadricMapper::Impl {
   ViewSource views_;
   LandmarkFitter fitter_;
   DuplicateTest duplicates_;
-  std::optional<std::int64_t> last_stamp_ns_;  ///< of the frame before
+  std::optional<std::int64_t> last_stamp_ns_;  ///< of the answer before
   std::int64_t last_maintenance_ns_ = 0;
-  double step_s_ = 0.0;  ///< the time that this frame stands for
+  double step_s_ = 0.0;  ///< the time that this answer stands for
   std::uint64_t map_version_ = 0;
   std::optional<std::int64_t> end_frame_id_;  ///< of the end frame, whose correction finishes the map
   std::set<std::int64_t> fit_due_;            ///< a correction moved their views

@@ -1,6 +1,7 @@
 #include <chrono>
 #include <deque>
 #include <memory>
+#include <optional>
 #include <pluginlib/class_list_macros.hpp>
 #include <string>
 #include <vector>
@@ -24,7 +25,7 @@ class DetectionIngestionNodelet : public StageWith<DetectionParameters> {
     FrameMessage::ConstPtr frame;
     Clock::time_point deadline;
   };
-  static constexpr char kMissing[] = "frames without detections";
+  static constexpr char kMissing[] = "frames without an answer of the detector";
   static constexpr char kUnmatched[] = "detections without a frame";
 
   void onInit() override {
@@ -85,32 +86,36 @@ class DetectionIngestionNodelet : public StageWith<DetectionParameters> {
   bool resolve(const Waiting& waiting) {
     const FrameMessage& frame = *waiting.frame;
     const bool has_detections = !frame.is_end && parameters_.source != "none";
-    std::vector<core::Detection> detections;
+    std::optional<std::vector<core::Detection>> answer;
     if (has_detections && is_file_) {
-      detections = from_file(frame);
+      answer = from_file(frame);
     } else if (has_detections) {
       const DetectionsMessage::ConstPtr message = matcher_->take(frame.stamp_ns);
-      if (!message && Clock::now() < waiting.deadline) return false;
-      if (message) {
-        detections = checked(*message);
-      } else {
+      if (!message && !matcher_->is_past(frame.stamp_ns) && Clock::now() < waiting.deadline) return false;
+      if (!message) {
         complain(kMissing, "nothing on detections_in for stamp " + std::to_string(frame.stamp_ns) + " ns within " +
-                               std::to_string(parameters_.detection_timeout_s) + " s");
+                               std::to_string(parameters_.detection_timeout_s) + " s, or not before a later one's");
+      } else if (message->unanswered) {
+        statistics().count(kMissing);
+      } else {
+        answer = checked(*message);
       }
     }
-    publish<DetectionsMessage>(publisher_, make_header(frame.header.stamp, frame.camera_frame),
-                               {frame.frame_id, std::move(detections)});
+    const bool unanswered = !answer;
+    publish<DetectionsMessage>(
+        publisher_, make_header(frame.header.stamp, frame.camera_frame),
+        {frame.frame_id, unanswered, std::move(answer).value_or(std::vector<core::Detection>())});
     count_processed();
     if (frame.is_end && is_file_) report_unused();
     return true;
   }
 
-  std::vector<core::Detection> from_file(const FrameMessage& frame) {
+  std::optional<std::vector<core::Detection>> from_file(const FrameMessage& frame) {
     const std::int64_t stamp_ns = frame.stamp_ns;
     const core::DetectionFrame* found = core::find_stamp(file_, stamp_ns, kStampTolerance_ns);
     if (found == nullptr) {
       complain(kMissing, parameters_.detections_file + " has no image with stamp " + std::to_string(stamp_ns) + " ns");
-      return {};
+      return std::nullopt;
     }
     ++matched_;
     return found->detections;

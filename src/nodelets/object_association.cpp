@@ -64,7 +64,8 @@ class ObjectAssociationNodelet : public StageWith<ClassStageParameters> {
     statistics().set(kIncomplete, joiner_->evicted());
     if (!joined) return;
     const auto& [frame, detections] = *joined;
-    core::AssociationFrame associations = associator_->associate(*frame, detections->detections);
+    core::AssociationFrame associations =
+        detections->unanswered ? associator_->pass(*frame) : associator_->associate(*frame, detections->detections);
     open_[frame->frame_id].associated = true;
     publish<AssociationsMessage>(associations_publisher_, make_header(frame->header.stamp, frame->camera_frame),
                                  std::move(associations));

@@ -11,7 +11,7 @@ ObjectSlam::ObjectSlam(const Options& options, std::shared_ptr<const ClassTable>
       loop_detector_(options.loop, classes),
       pose_graph_(options.pose_graph) {}
 
-FrameResult ObjectSlam::process(const Frame& frame, const std::vector<Detection>& detections,
+FrameResult ObjectSlam::process(const Frame& frame, const std::vector<Detection>* detections,
                                 const std::vector<LoopClosure>& extra_loops) {
   const auto tell = [this](const MapUpdate& update) {
     associator_.apply(update);
@@ -19,7 +19,7 @@ FrameResult ObjectSlam::process(const Frame& frame, const std::vector<Detection>
     pose_graph_.apply(update);
   };
   FrameResult result;
-  result.associations = associator_.associate(frame, detections);
+  result.associations = detections != nullptr ? associator_.associate(frame, *detections) : associator_.pass(frame);
   result.observation = mapper_.integrate(frame, result.associations);
   tell(result.observation);
   const Stopwatch stopwatch;

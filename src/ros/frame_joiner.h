@@ -115,6 +115,14 @@ class DetectionMatcher {
     return detections;
   }
 
+  /// Whether a later image's detections are there: a detector answers in order, so this one's will not come. What is
+  /// more than a second later is of another time.
+  bool is_past(std::int64_t stamp_ns) const {
+    return std::any_of(waiting_.begin(), waiting_.end(), [stamp_ns](const DetectionsMessage::ConstPtr& d) {
+      return stamp_of(d) > stamp_ns + kStampTolerance_ns && stamp_of(d) <= stamp_ns + kJumpBack_ns;
+    });
+  }
+
   /// Detections that no frame ever asked for, or only before they came.
   std::uint64_t unmatched() const { return unmatched_; }
 

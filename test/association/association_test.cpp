@@ -82,6 +82,22 @@ TEST_P(EveryMode, TracksAMovingBoxAndStartsANewLandmarkForAnotherObject) {
   EXPECT_NE(other.associations[0].landmark_id, id);
 }
 
+TEST(ObjectAssociator, WhereTheDetectorDidNotLookNothingIsForgotten) {
+  for (const bool looks : {true, false}) {
+    SCOPED_TRACE(looks);
+    ObjectAssociator associator(options("joint"), classes());
+    const std::int64_t id =
+        associator.associate(frame_at(0), {{kCup, 0.9, box_at(300.0, 220.0)}}).associations[0].landmark_id;
+    for (int k = 1; k < 60; ++k) {
+      const AssociationFrame between = looks ? associator.associate(frame_at(k), {}) : associator.pass(frame_at(k));
+      EXPECT_EQ(between.unanswered, !looks);
+      EXPECT_EQ(between.frame_id, k);
+    }
+    const AssociationFrame result = associator.associate(frame_at(60), {{kCup, 0.9, box_at(302.0, 220.0)}});
+    EXPECT_EQ(result.associations[0].landmark_id == id, !looks);
+  }
+}
+
 TEST_P(EveryMode, QuadricBringsALandmarkBackAfterALongAbsence) {
   ObjectAssociator associator(options(GetParam()), classes());
   const Box box = box_at(300.0, 220.0);

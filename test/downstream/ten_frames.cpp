@@ -34,7 +34,8 @@ int main() {
     detection.class_id = kCup;
     detection.score = 0.9;
     detection.box = {u - 25.0, 215.0, u + 25.0, 265.0};
-    const core::FrameResult result = slam.process(frame, {detection});
+    const std::vector<core::Detection> detections = {detection};
+    const core::FrameResult result = slam.process(frame, &detections);
     if (result.associations.associations.size() != 1) return std::fprintf(stderr, "frame %d: no association\n", i), 1;
   }
   const auto landmarks = slam.mapper().landmarks();

@@ -234,7 +234,7 @@ void write_valid_files(const std::string& directory) {
   const Options options;
   ObjectSlam slam(options, shared_coco());
   FrameBuilder builder(options.keyframe, sequence.camera);
-  const auto process = [&](const Frame& frame, const std::vector<Detection>& detections) {
+  const auto process = [&](const Frame& frame, const std::vector<Detection>* detections) {
     record(frame, slam.process(frame, detections), recorder.get());
   };
   for (std::size_t i = 0; i < sequence.odometry.size(); ++i) {
@@ -243,9 +243,9 @@ void write_valid_files(const std::string& directory) {
     sample.T_odom_camera = sequence.odometry[i].T_world_camera;
     std::vector<Detection> detections;
     for (const SimulatedDetection& d : sequence.detections[i]) detections.push_back(d.detection);
-    process(checked(builder.build(sample)), detections);
+    process(checked(builder.build(sample)), &detections);
   }
-  process(builder.end(), {});
+  process(builder.end(), nullptr);
   if (written) written = recorder->write(directory);
   std::vector<LocalMap> submaps = slam.submaps_in_map();
   submaps.resize(std::min<std::size_t>(2, submaps.size()));

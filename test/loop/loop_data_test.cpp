@@ -52,7 +52,7 @@ Recording record(const std::string& sequence, const std::string& trajectory, con
     sample.T_odom_camera = (*poses)[i].T_world_camera;
     const auto frame = builder.build(sample);
     const DetectionFrame* seen = find_stamp(boxes->frames, frame->stamp_ns, 1000);
-    FrameResult result = slam.process(*frame, seen != nullptr ? seen->detections : std::vector<Detection>());
+    FrameResult result = slam.process(*frame, seen != nullptr ? &seen->detections : nullptr);
     std::vector<LandmarkMerge> merged = result.observation.merged;
     merged.insert(merged.end(), result.completion.merged.begin(), result.completion.merged.end());
     steps.push_back({*frame, std::move(result.associations), std::move(merged)});

@@ -114,6 +114,22 @@ TEST(ObservationWindow, StartsAfreshAtABreak) {
   EXPECT_EQ(window.frames().front().frame_id, 15);
 }
 
+TEST(ObservationWindow, LeavesOutWhereTheDetectorDidNotLook) {
+  ObservationWindow window(8.0, 0.09, *desk_classes());
+  Frame frame;
+  frame.camera = desk_camera();
+  for (std::int64_t k = 0; k < 20; ++k) {
+    frame.frame_id = k;
+    frame.stamp_ns = k * 100'000'000;
+    frame.is_break = k == 4;
+    AssociationFrame associations;
+    associations.unanswered = k % 3 != 0;
+    EXPECT_EQ(window.push(frame, associations), k % 3 == 0);
+  }
+  ASSERT_EQ(window.frames().size(), 5u);
+  EXPECT_EQ(window.frames().front().frame_id, 6) << "the break counts, whether the detector looked or not";
+}
+
 TEST(ObservationWindow, LeavesOutWhatIsNoLandmark) {
   ObservationWindow window(8.0, 0.09, *desk_classes());
   Frame frame;

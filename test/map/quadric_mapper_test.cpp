@@ -171,6 +171,39 @@ TEST_F(MapperTest, CandidateBecomesConfirmedWithViewsAndParallax) {
   EXPECT_LE(find(0)->quality, 1.0);
 }
 
+TEST_F(MapperTest, ASlowDetectorConfirmsAsSoonAsAFastOne) {
+  for (const bool is_slow : {false, true}) {
+    SCOPED_TRACE(is_slow);
+    const std::int64_t id = is_slow ? 1 : 0;
+    Ellipsoid cup = kCup;
+    cup.T_world_quadric.t.x() += static_cast<double>(id);
+    std::optional<std::size_t> confirmed_at;
+    const std::vector<SE3> poses = arc(90, 90.0);
+    for (std::size_t i = 0; i < poses.size(); ++i) {
+      const SE3 pose(poses[i].q, poses[i].t + Vec3(static_cast<double>(id), 0.0, 0.0));
+      if (is_slow && i % 3 != 0) {
+        pass(pose);
+      } else {
+        step(pose, {{id, 41, cup}});
+      }
+      if (!confirmed_at && find(id) != nullptr && find(id)->state == LandmarkState::kConfirmed) confirmed_at = i;
+    }
+    ASSERT_TRUE(confirmed_at);
+    EXPECT_LT(*confirmed_at, 60U);
+  }
+}
+
+TEST_F(MapperTest, WhatNobodyLookedForIsNotMissed) {
+  const std::vector<SE3> poses = arc(120, 120.0);
+  for (const SE3& pose : poses) step(pose, {{0, 41, kCup}});
+  ASSERT_EQ(find(0)->state, LandmarkState::kConfirmed);
+  const double quality = find(0)->quality;
+  for (int i = 0; i < 900; ++i) EXPECT_TRUE(pass(poses[static_cast<std::size_t>(i % 120)]).changed.empty());
+  end();
+  EXPECT_EQ(find(0)->state, LandmarkState::kConfirmed);
+  EXPECT_GE(find(0)->quality, quality);
+}
+
 TEST_F(MapperTest, ObjectWithoutParallaxStaysACandidate) {
   for (int i = 0; i < 60; ++i) step(arc(60, 1.0)[static_cast<std::size_t>(i)], {{0, 41, kCup}});
   EXPECT_EQ(find(0)->state, LandmarkState::kCandidate);

@@ -67,12 +67,11 @@ class DriftedData : public ::testing::Test {
       sample.T_odom_camera = pose.T_world_camera;
       frames.push_back(*builder.build(sample));
       const DetectionFrame* seen = find_stamp(boxes.frames, pose.stamp_ns, 1000);
-      for (const LoopClosure& loop :
-           slam.process(frames.back(), seen != nullptr ? seen->detections : std::vector<Detection>()).loops) {
+      for (const LoopClosure& loop : slam.process(frames.back(), seen != nullptr ? &seen->detections : nullptr).loops) {
         if (loop.accepted) outcome.judge(loop, truth);
       }
     }
-    slam.process(builder.end(), {});
+    slam.process(builder.end(), nullptr);
     const std::vector<KeyframePose> keyframes = slam.pose_graph().keyframes();
     StampedPoses corrected;
     for (const Frame& frame : frames) {

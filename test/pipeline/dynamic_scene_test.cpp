@@ -71,7 +71,7 @@ Outcome run(const SimulatedSequence& sequence, const std::vector<std::vector<Det
     const auto frame = builder.build(sample);
     EXPECT_TRUE(frame) << frame.message();
     if (!frame) break;
-    const FrameResult result = slam.process(*frame, detections[i]);
+    const FrameResult result = slam.process(*frame, &detections[i]);
     for (const Association& a : result.associations.associations) {
       if (a.class_id != kPerson) continue;
       ++outcome.person_boxes;
@@ -80,7 +80,7 @@ Outcome run(const SimulatedSequence& sequence, const std::vector<std::vector<Det
     outcome.loops.insert(outcome.loops.end(), result.loops.begin(), result.loops.end());
     if (2 * i == sequence.odometry.size()) outcome.landmarks_halfway = slam.mapper().landmarks();
   }
-  slam.process(builder.end(), {});
+  slam.process(builder.end(), nullptr);
   outcome.landmarks = slam.mapper().landmarks();
   return outcome;
 }

@@ -45,9 +45,9 @@ Outcome run(const SimulatedSequence& sequence, const std::shared_ptr<const Class
     const auto frame = builder.build(sample);
     std::vector<Detection> detections;
     for (const SimulatedDetection& d : sequence.detections[i]) detections.push_back(d.detection);
-    slam.process(*frame, detections);
+    slam.process(*frame, &detections);
   }
-  slam.process(builder.end(), {});
+  slam.process(builder.end(), nullptr);
   Outcome outcome;
   for (const KeyframePose& keyframe : slam.pose_graph().keyframes()) {
     outcome.keyframes.push_back({keyframe.stamp_ns, keyframe.T_map_camera});

@@ -64,9 +64,9 @@ class RecordedDesk : public testing::Test {
       EXPECT_TRUE(frame) << frame.message();
       if (!frame) break;
       const DetectionFrame* seen = find_stamp(detections, frame->stamp_ns, kStampTolerance_ns);
-      slam.process(*frame, seen != nullptr ? seen->detections : std::vector<Detection>{});
+      slam.process(*frame, seen != nullptr ? &seen->detections : nullptr);
     }
-    slam.process(builder.end(), {});
+    slam.process(builder.end(), nullptr);
     std::vector<MappedObject> objects;
     for (const Landmark& landmark : slam.mapper().landmarks()) {
       if (!landmark.ellipsoid) continue;

@@ -235,6 +235,15 @@ TEST(DetectionMatcher, IsBoundedAndFollowsTimeThatJumpsBack) {
   EXPECT_NE(matcher.take(at_ms(0)), nullptr);
 }
 
+TEST(DetectionMatcher, ALaterAnswerSaysThatNoneWillCome) {
+  DetectionMatcher matcher(10);
+  matcher.add(detections_at(at_ms(5099)));
+  EXPECT_TRUE(matcher.is_past(at_ms(5066)));
+  EXPECT_FALSE(matcher.is_past(at_ms(5099) - 1000)) << "it is there";
+  EXPECT_FALSE(matcher.is_past(at_ms(5132)));
+  EXPECT_FALSE(matcher.is_past(at_ms(0))) << "of another time";
+}
+
 SessionControl start_of(std::uint32_t session_id) {
   SessionControl control;
   control.header.stamp = ros::Time(session_id, 0);

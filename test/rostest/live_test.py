@@ -176,7 +176,7 @@ class TfTest(DetectorTest):
         self.assert_status(1.307, FrameDone.STATUS_FAILED)
         self.assert_counted('PoseFrontend', 'camera_info without a usable calibration')
         self.assert_counted('PoseFrontend', 'bad transforms')
-        self.assert_counted('DetectionIngestion', 'frames without detections')
+        self.assert_counted('DetectionIngestion', 'frames without an answer of the detector')
 
     def test_3_no_pose_is_no_frame(self):
         self.move(2.0, 2.2)

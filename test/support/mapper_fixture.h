@@ -28,10 +28,8 @@ class MapperFixture : public ::testing::Test {
     std::uint8_t truncated = 0;  ///< sides said to be cut by the border
   };
 
-  MapUpdate step(const SE3& pose, const std::vector<Seen>& seen,
-                 std::shared_ptr<const std::vector<Vec3>> points_camera = nullptr) {
+  Frame next_frame(const SE3& pose) {
     Frame frame;
-    frame.points_camera = std::move(points_camera);
     frame.frame_id = next_frame_;
     frame.stamp_ns = next_frame_ * 33333333;
     frame.is_keyframe = next_frame_ % 5 == 0;
@@ -39,6 +37,13 @@ class MapperFixture : public ::testing::Test {
     frame.T_odom_camera = pose;
     frame.camera = kMapperCamera;
     ++next_frame_;
+    return frame;
+  }
+
+  MapUpdate step(const SE3& pose, const std::vector<Seen>& seen,
+                 std::shared_ptr<const std::vector<Vec3>> points_camera = nullptr) {
+    Frame frame = next_frame(pose);
+    frame.points_camera = std::move(points_camera);
     AssociationFrame associations;
     associations.frame_id = frame.frame_id;
     for (const Seen& object : seen) {
@@ -50,6 +55,15 @@ class MapperFixture : public ::testing::Test {
       association.box = *project_box(object.ellipsoid, projection_matrix(kMapperCamera, pose));
       associations.associations.push_back(association);
     }
+    return mapper_.integrate(frame, associations);
+  }
+
+  /// The detector does not look.
+  MapUpdate pass(const SE3& pose) {
+    const Frame frame = next_frame(pose);
+    AssociationFrame associations;
+    associations.frame_id = frame.frame_id;
+    associations.unanswered = true;
     return mapper_.integrate(frame, associations);
   }
 

@@ -29,8 +29,9 @@ class ObjectSlam {
  public:
   ObjectSlam(const Options& options, std::shared_ptr<const ClassTable> classes);
 
+  /// @param detections null: the detector did not look at this frame's image
   /// @param extra_loops handed to the pose graph beside those that are found
-  FrameResult process(const Frame& frame, const std::vector<Detection>& detections,
+  FrameResult process(const Frame& frame, const std::vector<Detection>* detections,
                       const std::vector<LoopClosure>& extra_loops = {});
   /// Looks for the run's place in the submaps of an earlier run (io/submap_file.h), too. Call it before the first
   /// frame.

@@ -67,6 +67,7 @@ struct PointsKeyframe : core::Frame {
 
 struct FrameDetections {
   std::int64_t frame_id = 0;
+  bool unanswered = false;  ///< the detector did not look at the image
   std::vector<core::Detection> detections;
 };
 
@@ -264,8 +265,9 @@ SEMANTIC_TOPO_LOOP_FIELDS(core::OdometryFault, m.from_keyframe_id, m.to_keyframe
                           m.rotation_rad)
 SEMANTIC_TOPO_LOOP_FIELDS(core::OdometryReport, m.stated_edges, m.translation_m, m.rotation_rad, m.steady_translation,
                           m.steady_rotation_rad, m.scale, m.loop_factor, m.faults)
-SEMANTIC_TOPO_LOOP_FIELDS(semantic_topo_loop::FrameDetections, m.frame_id, m.detections)
-SEMANTIC_TOPO_LOOP_FIELDS(core::AssociationFrame, m.frame_id, m.map_version, m.duration_us, m.associations)
+SEMANTIC_TOPO_LOOP_FIELDS(semantic_topo_loop::FrameDetections, m.frame_id, m.unanswered, m.detections)
+SEMANTIC_TOPO_LOOP_FIELDS(core::AssociationFrame, m.frame_id, m.unanswered, m.map_version, m.duration_us,
+                          m.associations)
 SEMANTIC_TOPO_LOOP_FIELDS(core::MapUpdate, m.frame_id, m.phase, m.base_version, m.map_version, m.T_map_odom, m.changed,
                           m.removed, m.unmerged, m.merged, m.duration_us)
 SEMANTIC_TOPO_LOOP_FIELDS(semantic_topo_loop::FullMap, m.map_version, m.T_map_odom, m.changed)

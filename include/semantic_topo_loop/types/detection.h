@@ -47,6 +47,7 @@ struct Association {
 
 struct AssociationFrame {
   std::int64_t frame_id = -1;
+  bool unanswered = false;                ///< the detector did not look at the image: what is missing tells nothing
   std::uint64_t map_version = 0;          ///< of the quadric map that was associated against
   std::vector<Association> associations;  ///< in order of detection_index, every detection once
   double duration_us = 0.0;

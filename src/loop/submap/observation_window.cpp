@@ -82,6 +82,7 @@ bool ObservationWindow::push(const Frame& frame, const AssociationFrame& associa
     frames_.clear();
     tracker_.clear();
   }
+  if (associations.unanswered) return false;
   ObservedFrame observed = observe(frame, associations);
   const bool sampled = frames_.empty() || frame.stamp_ns - last_sampled_ns_ >= interval_ns_;
   if (sampled) last_sampled_ns_ = frame.stamp_ns;

@@ -59,7 +59,7 @@ class ObservationWindow {
   /// @param interval_s frames closer to the last kept one are left out unless they are keyframes
   ObservationWindow(double span_s, double interval_s, ClassTable classes);
 
-  /// @return true if the frame was taken in
+  /// @return true if the frame was taken in; one that the detector did not look at never is
   bool push(const Frame& frame, const AssociationFrame& associations);
   void set_span(double span_s);
   void clear() { frames_.clear(); }
