@@ -19,12 +19,16 @@ core::Result<std::vector<core::DetectionFrame>> detect_in_recording(const std::s
   };
   std::error_code missing;
   if (!std::filesystem::is_directory(folder_or_bag, missing)) {
-    if (const core::Status read = for_each_color_image(folder_or_bag, detect); !read) return read.error();
+    const core::Status read = for_each_color_image(folder_or_bag, [&](std::int64_t stamp_ns, const cv::Mat& color) {
+      return detector->is_due(stamp_ns) ? detect(stamp_ns, color) : core::Status();
+    });
+    if (!read) return read.error();
     return frames;
   }
   const auto images = core::list_color_images(folder_or_bag);
   if (!images) return images.error();
   for (const auto& [stamp_ns, path] : *images) {
+    if (!detector->is_due(stamp_ns)) continue;
     const core::Result<cv::Mat> color = core::read_color_image(path);
     if (!color) return color.error();
     if (const core::Status detected = detect(stamp_ns, *color); !detected) {

@@ -3,7 +3,7 @@
 #include <string>
 #include <vector>
 
-#include "semantic_topo_loop/detector/object_detector.h"
+#include "semantic_topo_loop/frontend/object_detector.h"
 #include "semantic_topo_loop/types/detection.h"
 #include "semantic_topo_loop/types/result.h"
 

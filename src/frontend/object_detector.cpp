@@ -1,14 +1,16 @@
-#include "semantic_topo_loop/detector/object_detector.h"
+#include "semantic_topo_loop/frontend/object_detector.h"
 
 #include <algorithm>
+#include <cmath>
 #include <fstream>
 #include <opencv2/core/utils/logger.hpp>
 #include <opencv2/dnn.hpp>
 #include <opencv2/imgproc.hpp>
+#include <optional>
 #include <string>
 #include <utility>
 
-#include "detector/yolo_output.h"
+#include "frontend/yolo_output.h"
 
 namespace semantic_topo_loop::core {
 namespace {
@@ -78,6 +80,13 @@ class ObjectDetector::Impl {
     if (options_.threads > 0) cv::setNumThreads(options_.threads);
     if (const Status tried = try_sizes(); !tried) return tried;
     return name_classes(classes);
+  }
+
+  /// The first image of each slot of time, which slots are the same for every run over a recording.
+  bool is_due(std::int64_t stamp_ns) {
+    if (options_.rate_hz == 0.0) return true;
+    const auto slot = static_cast<std::int64_t>(std::floor(1e-9 * static_cast<double>(stamp_ns) * options_.rate_hz));
+    return std::exchange(last_slot_, slot) != slot;
   }
 
   Result<std::vector<Detection>> detect(const cv::Mat& color) {
@@ -160,6 +169,7 @@ class ObjectDetector::Impl {
   cv::dnn::Net net_;
   YoloLayout layout_ = YoloLayout::kYolox;
   int input_px_ = 0, class_count_ = 0;
+  std::optional<std::int64_t> last_slot_;
   std::vector<int> class_ids_;  ///< of the table, by the model's; -1 where it has none
 };
 
@@ -168,11 +178,13 @@ ObjectDetector::~ObjectDetector() = default;
 
 Result<std::unique_ptr<ObjectDetector>> ObjectDetector::load(const ObjectDetectorOptions& options,
                                                              const ClassTable& classes) {
+  if (options.model.empty()) return Error{"detector.model is empty: it must name an ONNX file"};
   auto impl = std::make_unique<Impl>(options);
   if (const Status loaded = impl->load(classes); !loaded) return loaded.error();
   return std::unique_ptr<ObjectDetector>(new ObjectDetector(std::move(impl)));
 }
 
+bool ObjectDetector::is_due(std::int64_t stamp_ns) { return impl_->is_due(stamp_ns); }
 Result<std::vector<Detection>> ObjectDetector::detect(const cv::Mat& color) { return impl_->detect(color); }
 
 }  // namespace semantic_topo_loop::core

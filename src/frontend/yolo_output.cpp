@@ -1,4 +1,4 @@
-#include "detector/yolo_output.h"
+#include "frontend/yolo_output.h"
 
 #include <algorithm>
 #include <array>

@@ -78,6 +78,7 @@ std::vector<core::OptionRow> list_nodelet_parameters() {
   add_rows<FrontendParameters, StageParameters>("both front ends", &rows);
   add_rows<PoseFrontendParameters, FrontendParameters>("PoseFrontend", &rows);
   add_rows<RgbdFrontendParameters, FrontendParameters>("RgbdFrontend", &rows);
+  add_rows<ObjectDetectorParameters, ClassStageParameters>("ObjectDetector", &rows);
   add_rows<DetectionParameters, ClassStageParameters>("DetectionIngestion", &rows);
   add_rows<LoopDetectionParameters, ClassStageParameters>("LoopDetection", &rows);
   add_rows<PlayerParameters, StageParameters>("Player", &rows);

@@ -12,7 +12,7 @@ namespace semantic_topo_loop {
 
 /// Parameters that every stage has; a stage's own struct inherits it.
 struct StageParameters {
-  int queue_size = 30;
+  int queue_size = 60;
 
   void visit(core::OptionVisitor& visitor) {
     visitor("queue_size", queue_size, core::at_least(2),
@@ -120,11 +120,23 @@ struct RgbdFrontendParameters : FrontendParameters {
   }
 };
 
+/// How ObjectDetector takes its images.
+struct ObjectDetectorParameters : ClassStageParameters {
+  std::string color_transport = "raw";
+  bool lockstep = false;
+
+  void visit(core::OptionVisitor& visitor) {
+    ClassStageParameters::visit(visitor);
+    visitor("color_transport", color_transport, core::given(), "image_transport of color: raw, compressed, ...");
+    visitor("lockstep", lockstep, "look at every image, however long it takes; false: at the newest");
+  }
+};
+
 /// Where DetectionIngestion finds detections.
 struct DetectionParameters : ClassStageParameters {
   std::string source = "topic";
   std::string detections_file;
-  double detection_timeout_s = 0.5;
+  double detection_timeout_s = 1.0;
 
   void visit(core::OptionVisitor& visitor) {
     ClassStageParameters::visit(visitor);

@@ -1,4 +1,4 @@
-#include "semantic_topo_loop/detector/object_detector.h"
+#include "semantic_topo_loop/frontend/object_detector.h"
 
 #include <gtest/gtest.h>
 
@@ -6,7 +6,7 @@
 #include <cmath>
 #include <opencv2/imgproc.hpp>
 
-#include "detector/yolo_output.h"
+#include "frontend/yolo_output.h"
 #include "semantic_topo_loop/io/detection_file.h"
 #include "semantic_topo_loop/io/rgbd_recording.h"
 #include "support/package_config.h"
@@ -144,7 +144,7 @@ TEST_F(YoloxNano, FindsWhatItIsKnownToFind) {
     });
     ASSERT_NE(frame, known.end());
     const std::vector<Detection> found = checked(detector->detect(checked(read_color_image(path))));
-    ASSERT_GE(found.size(), 3U);
+    ASSERT_GE(found.size(), 2U);
     EXPECT_NEAR(static_cast<double>(found.size()), static_cast<double>(frame->detections.size()), 1.0);
     // Known from the images before they were compressed: the sure ones, roughly.
     for (const Detection& box : frame->detections) {
@@ -192,6 +192,19 @@ TEST_F(YoloxNano, ImagesOfOtherShapesAndKinds) {
   for (const Detection& detection : found) EXPECT_GT(detection.box.y1, color.rows - 20.0);
   EXPECT_EQ(detector->detect({}).message(), "image of 0 x 0 pixels and type CV_8UC1, not 8UC3 or 8UC1");
   EXPECT_FALSE(detector->detect(cv::Mat(4, 4, CV_32FC1)));
+}
+
+TEST_F(YoloxNano, LooksAtNoMoreImagesThanAreWanted) {
+  const auto due = [this](double rate_hz) {
+    options_.rate_hz = rate_hz;
+    const auto detector = load();
+    int count = 0;
+    for (std::int64_t k = 0; k < 90; ++k) count += detector->is_due(1'305'031'102'000'000'000 + k * 33'333'333) ? 1 : 0;
+    return count;
+  };
+  EXPECT_EQ(due(0.0), 90);
+  EXPECT_EQ(due(10.0), 30);
+  EXPECT_EQ(due(60.0), 90);
 }
 
 TEST_F(YoloxNano, NamesAreThoseOfTheModel) {

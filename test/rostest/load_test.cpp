@@ -27,6 +27,7 @@ namespace {
 const std::vector<std::pair<std::string, std::string>> kNodelets = {{"pose_frontend", "PoseFrontend"},
                                                                     {"rgbd_frontend", "RgbdFrontend"},
                                                                     {"detection_ingestion", "DetectionIngestion"},
+                                                                    {"object_detector", "ObjectDetector"},
                                                                     {"object_association", "ObjectAssociation"},
                                                                     {"quadric_mapping", "QuadricMapping"},
                                                                     {"loop_detection", "LoopDetection"},
@@ -140,6 +141,10 @@ TEST(Load, EveryNodeletComesAndGoesUnderTraffic) {
   chain.configure_player(directory.path("data"), true);
   chain.set("pose_frontend", "pose_source", "tf");
   chain.set("detection_ingestion", "source", "topic");
+  chain.set("object_detector", "class_table", STL_CONFIG_DIR "/classes_coco.yaml");
+  if (const auto model = core::shared_data("models/yolox_nano.onnx")) {
+    chain.set("object_detector", "detector/model", *model);
+  }
   const Traffic traffic;
   std::set<std::string> loaded;
   const auto toggle = [&](const std::pair<std::string, std::string>& nodelet) {

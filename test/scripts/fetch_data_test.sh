@@ -15,22 +15,23 @@ fail() {
 }
 
 name=rgbd_dataset_freiburg3_long_office_household
-mkdir -p server/freiburg3 server/yolo_txts data/tum/fr3_office
-head -c 100000 /dev/urandom > "server/freiburg3/$name.bag"
-echo '# truth' > "server/freiburg3/$name-groundtruth.txt"
+mkdir -p server/yolo_txts data/tum/fr3_office
+head -c 100000 /dev/urandom > "server/$name.bag"
+echo '# truth' > "server/$name-groundtruth.txt"
 echo '41 1 2 3 4 0.9' > server/yolo_txts/1.000000.txt
-tar -czf server/detections.tar.gz -C server yolo_txts
+tar -czf server/yolo_txts.tar.gz -C server yolo_txts
+echo a model > server/yolox_nano.onnx
 fetch() {
-  "$script" fr3_office --into data --tum-url "file://$work/server" \
-    --detections-url "file://$work/server/detections.tar.gz" > log 2>&1
+  "$script" fr3_office yolox_nano --into data --mirror "file://$work/server" > log 2>&1
 }
 
 # What an interrupted download has left is not fetched again: the other bytes are.
-head -c 40000 "server/freiburg3/$name.bag" > data/tum/fr3_office/fr3_office.bag.part
+head -c 40000 "server/$name.bag" > data/tum/fr3_office/fr3_office.bag.part
 fetch || fail "a whole sequence"
-cmp "server/freiburg3/$name.bag" data/tum/fr3_office/fr3_office.bag || fail "the bag's bytes"
+cmp "server/$name.bag" data/tum/fr3_office/fr3_office.bag || fail "the bag's bytes"
 [ -f data/tum/fr3_office/groundtruth.txt ] && [ -f data/tum/fr3_office/detections_yolov3/1.000000.txt ] || fail "layout"
-[ "$(wc -l < data/checksums.sha256)" = 3 ] || fail "checksums recorded"
+[ "$(cat data/models/yolox_nano.onnx)" = "a model" ] || fail "the detector"
+[ "$(wc -l < data/checksums.sha256)" = 4 ] || fail "checksums recorded"
 
 rm -r server
 fetch || fail "everything is there: nothing is fetched"
@@ -41,5 +42,5 @@ rm data/tum/fr3_office/groundtruth.txt
 if fetch; then fail "a server that is not there"; fi
 grep -q 'cannot fetch' log || fail "the address is named"
 if "$script" fr9_desk > log 2>&1; then fail "an unknown name"; fi
-grep -q "unknown sequence 'fr9_desk'" log || fail "the unknown name is named"
+grep -q "unknown name 'fr9_desk'" log || fail "the unknown name is named"
 echo ok

@@ -1,5 +1,6 @@
 #pragma once
 
+#include <cstdint>
 #include <memory>
 #include <opencv2/core.hpp>
 #include <string>
@@ -19,6 +20,7 @@ struct ObjectDetectorOptions {
   int input_px = 0;
   double score = 0.25;
   double nms_iou = 0.5;
+  double rate_hz = 0.0;
   std::string backend = "cpu";
   int threads = 0;
 
@@ -34,6 +36,8 @@ struct ObjectDetectorOptions {
             "width and height of the model's input; 0: 416 or 640, the first that the model takes");
     visitor("score", score, share(), "boxes of lower scores are left out");
     visitor("nms_iou", nms_iou, share(), "of two boxes of a class that overlap more the better one stays");
+    visitor("rate_hz", rate_hz, not_negative(),
+            "most images looked at in a second of their stamps; 0: all, in real time as many as there is time for");
     visitor("backend", backend, one_of({"cpu", "cuda", "opencl"}), "what computes; OpenCV must have been built for it");
     visitor("threads", threads, not_negative(), "of OpenCV, in the whole process; 0: as many as it likes");
     visitor.require("input_px", input_px % 32 == 0, "a multiple of 32, the coarsest cell of the models");
@@ -52,6 +56,9 @@ class ObjectDetector {
   ObjectDetector(const ObjectDetector&) = delete;
   ObjectDetector& operator=(const ObjectDetector&) = delete;
 
+  /// Whether an image is to be looked at: at most `rate_hz` a second are, whatever the camera's rate. Asked once an
+  /// image, in order.
+  bool is_due(std::int64_t stamp_ns);
   /// @param color CV_8UC3 as BGR, or CV_8UC1
   /// @return boxes in pixels of the image, cut at its border, in order of falling score; without those whose name the
   /// class table does not have

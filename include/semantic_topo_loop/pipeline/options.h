@@ -1,8 +1,8 @@
 #pragma once
 
 #include "semantic_topo_loop/association/associator_options.h"
-#include "semantic_topo_loop/detector/object_detector.h"
 #include "semantic_topo_loop/frontend/frontend_options.h"
+#include "semantic_topo_loop/frontend/object_detector.h"
 #include "semantic_topo_loop/frontend/rgbd_image.h"
 #include "semantic_topo_loop/loop/loop_options.h"
 #include "semantic_topo_loop/map/mapper_options.h"

@@ -1,0 +1,115 @@
+#include "semantic_topo_loop/frontend/object_detector.h"
+
+#include <cv_bridge/cv_bridge.h>
+#include <image_transport/image_transport.h>
+#include <sensor_msgs/image_encodings.h>
+
+#include <exception>
+#include <memory>
+#include <mutex>
+#include <pluginlib/class_list_macros.hpp>
+#include <utility>
+#include <vector>
+
+#include "ros/stage.h"
+
+namespace semantic_topo_loop {
+
+/// Looks for objects in the newest colour image, or in lockstep in each. Every image has its DetectionArray, in order;
+/// those that there was no time for are unanswered.
+class ObjectDetectorNodelet : public StageWith<ObjectDetectorParameters> {
+ public:
+  ObjectDetectorNodelet() : StageWith("ObjectDetector") {}
+  ~ObjectDetectorNodelet() override {
+    subscriber_.shutdown();
+    stop();
+  }
+
+ private:
+  static constexpr char kLeftOut[] = "images left out";
+
+  void onInit() override {
+    if (!start(1)) return;
+    auto detector = core::ObjectDetector::load(options_.detector, *classes());
+    if (!detector) {
+      fail(detector.message());
+      return;
+    }
+    detector_ = *std::move(detector);
+    statistics().count(kLeftOut, 0);
+    publisher_ = advertise<DetectionsMessage>("detections_in");
+    look_at_waiting_ = once_in_queue([this] { look_at_waiting(); });
+    image_transport::ImageTransport transport(getNodeHandle());
+    constexpr std::uint32_t kImages = 10;  // that wait for the callback, which is short
+    subscriber_ = transport.subscribe("color", kImages, &ObjectDetectorNodelet::on_image, this,
+                                      {parameters_.color_transport, {}, getPrivateNodeHandle(), "color_transport"});
+    follow_sessions();
+  }
+
+  void on_image(const sensor_msgs::ImageConstPtr& image) {
+    if (parameters_.lockstep) return push("color", Keep::kAlways, [this, image] { look_at(*image); });
+    statistics().count_input("color");
+    {
+      const std::lock_guard<std::mutex> lock(mutex_);
+      waiting_.push_back(image);
+      // Their pixels are not needed any more.
+      if (waiting_.size() > 1) waiting_[waiting_.size() - 2] = header_only(*waiting_[waiting_.size() - 2]);
+    }
+    look_at_waiting_();
+  }
+
+  static sensor_msgs::ImageConstPtr header_only(const sensor_msgs::Image& image) {
+    auto header = boost::make_shared<sensor_msgs::Image>();
+    header->header = image.header;
+    return header;
+  }
+
+  /// At the newest; it is too late for the others.
+  void look_at_waiting() {
+    std::vector<sensor_msgs::ImageConstPtr> images;
+    {
+      const std::lock_guard<std::mutex> lock(mutex_);
+      images.swap(waiting_);
+    }
+    if (images.empty()) return;
+    for (auto image = images.begin(); image != images.end() - 1; ++image) leave_out((*image)->header);
+    look_at(*images.back());
+  }
+
+  void look_at(const sensor_msgs::Image& image) {
+    if (!detector_->is_due(to_stamp_ns(image.header.stamp))) return leave_out(image.header);
+    core::Result<std::vector<core::Detection>> found = detect(image);
+    if (!found) {
+      complain("unusable images", found.message());
+      return leave_out(image.header);
+    }
+    publish<DetectionsMessage>(publisher_, image.header, {0, false, *std::move(found)});
+    count_processed();
+  }
+
+  core::Result<std::vector<core::Detection>> detect(const sensor_msgs::Image& image) {
+    try {
+      return detector_->detect(cv_bridge::toCvCopy(image, sensor_msgs::image_encodings::BGR8)->image);
+    } catch (const std::exception& exception) {
+      // cv_bridge's own exceptions, and OpenCV's for sizes that a pattern cannot have.
+      return core::Error{"color image, " + std::to_string(image.width) + " x " + std::to_string(image.height) +
+                         ", encoding '" + image.encoding + "': " + exception.what()};
+    }
+  }
+
+  void leave_out(const std_msgs::Header& header) {
+    statistics().count(kLeftOut);
+    publish<DetectionsMessage>(publisher_, header, {0, true, {}});
+  }
+
+  std::unique_ptr<core::ObjectDetector> detector_;
+  ros::Publisher publisher_;
+  image_transport::Subscriber subscriber_;
+  std::function<void()> look_at_waiting_;
+  std::mutex mutex_;                                 ///< guards all below
+  std::vector<sensor_msgs::ImageConstPtr> waiting_;  ///< in order of arrival; all but the last without pixels
+};
+
+}  // namespace semantic_topo_loop
+
+PLUGINLIB_EXPORT_CLASS(semantic_topo_loop::ObjectDetectorNodelet, nodelet::Nodelet)

@@ -1,0 +1,156 @@
+// A real network on real images in the chain's first part: front end, detector, ingestion.
+#include <sensor_msgs/CameraInfo.h>
+#include <sensor_msgs/Image.h>
+#include <sensor_msgs/image_encodings.h>
+#include <tf2_msgs/TFMessage.h>
+
+#include <algorithm>
+#include <condition_variable>
+#include <iterator>
+#include <memory>
+#include <mutex>
+#include <string>
+#include <vector>
+
+#include "ros/conversions.h"
+#include "semantic_topo_loop/frontend/object_detector.h"
+#include "semantic_topo_loop/io/rgbd_recording.h"
+#include "semantic_topo_loop/ros/messages.h"
+#include "support/in_process_chain.h"
+#include "support/package_config.h"
+
+namespace semantic_topo_loop {
+namespace {
+
+class DetectorInTheChain : public testing::Test {
+ protected:
+  void SetUp() override {
+    const auto model = core::shared_data("models/yolox_nano.onnx"), folder = core::shared_data("tum/fr1_xyz");
+    if (!model) GTEST_SKIP() << "SEMANTIC_TOPO_LOOP_DATA is not set";
+    model_ = *model;
+    for (const auto& [stamp_ns, path] : core::checked(core::list_color_images(*folder))) {
+      images_.push_back({stamp_ns, path});
+    }
+  }
+
+  void load(bool lockstep, double rate_hz) {
+    info_ = node_.advertise<sensor_msgs::CameraInfo>("camera_info", 100);
+    color_ = node_.advertise<sensor_msgs::Image>("color", 100);
+    tf_ = node_.advertise<tf2_msgs::TFMessage>("/tf", 100);
+    answers_ = node_.subscribe("detections", 100, &DetectorInTheChain::take, this);
+    chain_ = std::make_unique<InProcessChain>();
+    chain_->set("object_detector", "class_table", STL_CONFIG_DIR "/classes_coco.yaml");
+    chain_->set("object_detector", "lockstep", lockstep);
+    chain_->set("object_detector", "detector/model", model_);
+    chain_->set("object_detector", "detector/rate_hz", rate_hz);
+    chain_->set("detection_ingestion", "class_table", STL_CONFIG_DIR "/classes_coco.yaml");
+    constexpr double kForever = 60.0;
+    chain_->set("detection_ingestion", "detection_timeout_s", kForever);
+    chain_->set("pose_frontend", "pose_source", "tf");
+    chain_->set("pose_frontend", "pose_timeout_s", kForever);
+    chain_->load("detection_ingestion", "DetectionIngestion");
+    chain_->load("object_detector", "ObjectDetector");
+    chain_->load("pose_frontend", "PoseFrontend");
+  }
+  void TearDown() override {
+    answers_.shutdown();
+    if (chain_) chain_->unload_all();
+  }
+
+  void send(std::size_t index) {
+    const cv::Mat pixels = core::checked(core::read_color_image(images_[index].second));
+    auto image = boost::make_shared<sensor_msgs::Image>();
+    image->header = make_header(to_ros_time(images_[index].first), "camera");
+    image->width = static_cast<std::uint32_t>(pixels.cols);
+    image->height = static_cast<std::uint32_t>(pixels.rows);
+    image->step = static_cast<std::uint32_t>(pixels.step);
+    image->encoding = sensor_msgs::image_encodings::BGR8;
+    image->data.assign(pixels.datastart, pixels.dataend);
+    auto transforms = boost::make_shared<tf2_msgs::TFMessage>();
+    transforms->transforms.push_back(make_transform(make_header(image->header.stamp, "odom"), "camera", core::SE3()));
+    tf_.publish(transforms);
+    auto info = boost::make_shared<sensor_msgs::CameraInfo>();
+    to_msg(core::Camera{517.3, 516.5, 318.6, 255.3, 640, 480, {}}, info.get());
+    info->header = image->header;
+    info_.publish(info);
+    color_.publish(image);
+  }
+
+  void take(const DetectionsMessage::ConstPtr& answer) {
+    const std::lock_guard<std::mutex> lock(mutex_);
+    received_.push_back(answer);
+    changed_.notify_all();
+  }
+  /// What ingestion says of the first `count` frames; fewer after a minute.
+  std::vector<DetectionsMessage::ConstPtr> wait_for(std::size_t count) {
+    std::unique_lock<std::mutex> lock(mutex_);
+    changed_.wait_for(lock, std::chrono::minutes(1), [this, count] { return received_.size() >= count; });
+    return received_;
+  }
+
+  std::string model_;
+  std::vector<std::pair<std::int64_t, std::string>> images_;
+
+ private:
+  ros::NodeHandle node_;
+  ros::Publisher info_, color_, tf_;
+  ros::Subscriber answers_;
+  std::unique_ptr<InProcessChain> chain_;
+  std::mutex mutex_;  ///< guards received_
+  std::condition_variable changed_;
+  std::vector<DetectionsMessage::ConstPtr> received_;
+};
+
+TEST_F(DetectorInTheChain, InLockstepEveryImageThatIsDueHasItsBoxes) {
+  constexpr std::size_t kImages = 12;
+  constexpr double kRate_hz = 10.0;
+  load(true, kRate_hz);
+  core::ObjectDetectorOptions options;
+  options.model = model_;
+  options.rate_hz = kRate_hz;
+  const auto detector =
+      core::ObjectDetector::load(options, core::checked(core::read_class_table(STL_CONFIG_DIR "/classes_coco.yaml")));
+  ASSERT_TRUE(detector) << detector.message();
+  std::size_t answered = 0;
+  for (std::size_t i = 0; i < kImages; ++i) {
+    send(i);
+    const auto received = wait_for(i + 1);
+    ASSERT_EQ(received.size(), i + 1);
+    const DetectionsMessage& answer = *received.back();
+    EXPECT_EQ(answer.frame_id, static_cast<std::int64_t>(i));
+    EXPECT_EQ(answer.unanswered, !(*detector)->is_due(images_[i].first));
+    if (answer.unanswered) continue;
+    ++answered;
+    const auto boxes = core::checked((*detector)->detect(core::checked(core::read_color_image(images_[i].second))));
+    ASSERT_EQ(answer.detections.size(), boxes.size());
+    for (std::size_t k = 0; k < boxes.size(); ++k) {
+      EXPECT_EQ(answer.detections[k].class_id, boxes[k].class_id);
+      EXPECT_EQ(answer.detections[k].score, boxes[k].score);
+      EXPECT_EQ(answer.detections[k].box.edges(), boxes[k].box.edges());
+    }
+  }
+  EXPECT_GE(answered, 3U);
+  EXPECT_LE(answered, 6U);
+}
+
+TEST_F(DetectorInTheChain, InRealTimeTheNewestImageHasItsBoxesAndNoFrameWaitsForMore) {
+  constexpr std::size_t kImages = 20;
+  load(false, 0.0);
+  send(0);
+  ASSERT_EQ(wait_for(1).size(), 1U) << "everything is up";
+  for (std::size_t i = 1; i < kImages; ++i) send(i);
+  const auto received = wait_for(kImages);
+  ASSERT_EQ(received.size(), kImages);
+  std::size_t unanswered = 0;
+  for (std::size_t i = 0; i < kImages; ++i) {
+    EXPECT_EQ(received[i]->frame_id, static_cast<std::int64_t>(i));
+    EXPECT_EQ(to_stamp_ns(received[i]->header.stamp), images_[i].first);
+    if (received[i]->unanswered) ++unanswered;
+    EXPECT_EQ(received[i]->unanswered, received[i]->detections.empty()) << "the desk is never empty";
+  }
+  EXPECT_GE(unanswered, 1U) << "images come faster than they can be looked at";
+  EXPECT_FALSE(received.back()->unanswered) << "nothing was newer";
+}
+
+}  // namespace
+}  // namespace semantic_topo_loop
