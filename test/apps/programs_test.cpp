@@ -50,6 +50,48 @@ TEST_F(OfflineProgram, FilesThatAreMissingAreOneClearError) {
   EXPECT_EQ(err_.find("--help"), std::string::npos);
 }
 
+class DetectProgram : public ProgramTest {
+ protected:
+  DetectProgram() : ProgramTest(STL_PROGRAM_DIR "/detect") {}
+  const std::string classes_ = " --classes " STL_CONFIG_DIR "/classes_coco.yaml";
+};
+
+TEST_F(DetectProgram, WhatDoesNotFitIsOneClearError) {
+  directory_.write("text.onnx", "no model\n");
+  expect_failure("@ @text.onnx @d.json" + classes_, 1, "text.onnx: cannot be read as an ONNX model: ");
+  expect_failure("@ @text.onnx @d.json --set detector.score=2" + classes_, 1, "detector.score");
+  expect_failure("@ @text.onnx @d.json --set loop.mode=paper" + classes_, 1, "loop.mode");
+  expect_failure("@ @text.onnx" + classes_, 2, "OUT.json");
+}
+
+/// A real network on the first of real images: the boxes that `detect` writes are those that `offline` finds.
+TEST_F(DetectProgram, WritesWhatOfflineFinds) {
+  const auto model = shared_data("models/yolox_nano.onnx"), recording = shared_data("tum/fr1_xyz");
+  if (!model) GTEST_SKIP() << "SEMANTIC_TOPO_LOOP_DATA is not set";
+  for (const char* list : {"rgb.txt", "depth.txt"}) {
+    const std::string text = read_whole(*recording + "/" + list);
+    std::size_t end = 0;
+    for (int lines = 0; lines < 63; ++lines) end = text.find('\n', end) + 1;
+    directory_.write(std::string("tum/") + list, text.substr(0, end));
+  }
+  for (const char* images : {"rgb", "depth"}) {
+    std::filesystem::create_directory_symlink(*recording + "/" + images, directory_.path(std::string("tum/") + images));
+  }
+  ASSERT_EQ(run("@tum " + *model + " @d.json --set detector.rate_hz=10" + classes_), 0) << err_;
+  EXPECT_EQ(out_.find("22 images, "), 0U) << out_;
+  program_ = STL_PROGRAM_DIR "/offline";
+  const std::string arguments =
+      "--rgbd @tum --set depth.scale=5000 --camera " STL_CONFIG_DIR "/camera/tum_fr1.yaml" + classes_;
+  ASSERT_EQ(run(arguments + " --detections @d.json --output @recorded"), 0) << err_;
+  ASSERT_EQ(run(arguments + " --detector " + *model + " --set detector.rate_hz=10 --output @found"), 0) << err_;
+  EXPECT_NE(err_.find("frames have no detections"), std::string::npos) << err_;
+  const std::string found = read_whole(directory_.path("found/associations.csv"));
+  EXPECT_GT(std::count(found.begin(), found.end(), '\n'), 60);
+  EXPECT_EQ(found, read_whole(directory_.path("recorded/associations.csv")));
+  EXPECT_EQ(run(arguments + " --detections @d.json --detector " + *model + " --output @both"), 1);
+  EXPECT_NE(err_.find("there are both --detections and detector.model"), std::string::npos) << err_;
+}
+
 /// Mean of the points of a PLY file, of four floats each.
 Vec3 mean_point(const std::string& path) {
   const std::string text = read_whole(path), header_end = "end_header\n";
