@@ -1,16 +1,15 @@
 #include "semantic_topo_loop/frontend/object_detector.h"
 
-#include <cv_bridge/cv_bridge.h>
 #include <image_transport/image_transport.h>
 #include <sensor_msgs/image_encodings.h>
 
-#include <exception>
 #include <memory>
 #include <mutex>
 #include <pluginlib/class_list_macros.hpp>
 #include <utility>
 #include <vector>
 
+#include "ros/rgbd_images.h"
 #include "ros/stage.h"
 
 namespace semantic_topo_loop {
@@ -88,13 +87,9 @@ class ObjectDetectorNodelet : public StageWith<ObjectDetectorParameters> {
   }
 
   core::Result<std::vector<core::Detection>> detect(const sensor_msgs::Image& image) {
-    try {
-      return detector_->detect(cv_bridge::toCvCopy(image, sensor_msgs::image_encodings::BGR8)->image);
-    } catch (const std::exception& exception) {
-      // cv_bridge's own exceptions, and OpenCV's for sizes that a pattern cannot have.
-      return core::Error{"color image, " + std::to_string(image.width) + " x " + std::to_string(image.height) +
-                         ", encoding '" + image.encoding + "': " + exception.what()};
-    }
+    const core::Result<cv::Mat> pixels = to_mat(image, sensor_msgs::image_encodings::BGR8, "colour");
+    if (!pixels) return pixels.error();
+    return detector_->detect(*pixels);
   }
 
   void leave_out(const std_msgs::Header& header) {

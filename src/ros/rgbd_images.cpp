@@ -18,17 +18,6 @@ namespace {
 
 namespace encodings = sensor_msgs::image_encodings;
 
-/// A copy of the pixels, for the front end may keep the image longer than the message lives.
-core::Result<cv::Mat> to_mat(const sensor_msgs::Image& image, const std::string& encoding, const char* what) {
-  try {
-    return cv_bridge::toCvCopy(image, encoding)->image;
-  } catch (const std::exception& exception) {
-    // cv_bridge's own exceptions, and OpenCV's for sizes that a pattern cannot have.
-    return core::Error{std::string(what) + " image, " + std::to_string(image.width) + " x " +
-                       std::to_string(image.height) + ", encoding '" + image.encoding + "': " + exception.what()};
-  }
-}
-
 /// Colour images that wait for a depth topic which has fallen silent.
 constexpr std::size_t kMaxWaiting = 30;
 
@@ -39,6 +28,16 @@ double seconds_between(RgbdSynchronizer::Clock::time_point begin, RgbdSynchroniz
 std::string format_seconds(double seconds) { return core::format_fixed(seconds, 3) + " s"; }
 
 }  // namespace
+
+core::Result<cv::Mat> to_mat(const sensor_msgs::Image& image, const std::string& encoding, const char* what) {
+  try {
+    return cv_bridge::toCvCopy(image, encoding)->image;
+  } catch (const std::exception& exception) {
+    // cv_bridge's own exceptions, and OpenCV's for sizes that a pattern cannot have.
+    return core::Error{std::string(what) + " image, " + std::to_string(image.width) + " x " +
+                       std::to_string(image.height) + ", encoding '" + image.encoding + "': " + exception.what()};
+  }
+}
 
 core::Result<core::RgbdImage> make_rgbd_image(const sensor_msgs::Image& color, const sensor_msgs::Image& depth,
                                               const core::Camera& camera, const core::DepthOptions& options) {

@@ -18,6 +18,10 @@
 
 namespace semantic_topo_loop {
 
+/// A copy of an image's pixels in an encoding of sensor_msgs, since they may be kept for longer than the message lives.
+/// @param what "colour" or "depth", for the error, which names size and encoding
+core::Result<cv::Mat> to_mat(const sensor_msgs::Image& image, const std::string& encoding, const char* what);
+
 /// A colour image and its depth as the front end takes them: every colour encoding of cv_bridge, Bayer patterns and
 /// mono8 included, and depth as 32FC1 (metres), 16UC1 or mono16. The stamp is the colour image's.
 /// @return an error that names topic and value for an encoding or size that cannot be used

@@ -1,6 +1,5 @@
 #include "ros/tum_bag.h"
 
-#include <cv_bridge/cv_bridge.h>
 #include <rosbag/exceptions.h>
 #include <rosbag/query.h>
 #include <sensor_msgs/Image.h>
@@ -178,10 +177,9 @@ core::Status for_each_color_image(
     for (const rosbag::MessageInstance& message : rosbag::View(bag, rosbag::TopicQuery(tum_topic::kColor))) {
       const auto image = message.instantiate<sensor_msgs::Image>();
       if (!image) continue;
-      const cv::Mat color = cv_bridge::toCvCopy(image, sensor_msgs::image_encodings::BGR8)->image;
-      if (const core::Status taken = take(to_stamp_ns(image->header.stamp), color); !taken) {
-        return core::Error{explain(file, taken.message())};
-      }
+      const core::Result<cv::Mat> color = to_mat(*image, sensor_msgs::image_encodings::BGR8, "colour");
+      const core::Status taken = color ? take(to_stamp_ns(image->header.stamp), *color) : core::Status(color.error());
+      if (!taken) return core::Error{explain(file, taken.message())};
       ++images;
     }
   } catch (const std::exception& exception) {
