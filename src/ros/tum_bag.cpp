@@ -8,6 +8,7 @@
 #include <exception>
 #include <utility>
 
+#include "ros/bag_structure.h"
 #include "ros/conversions.h"
 #include "semantic_topo_loop/types/stamp.h"
 
@@ -40,6 +41,7 @@ core::Result<std::unique_ptr<TumBagSource>> TumBagSource::open(
 }
 
 std::string TumBagSource::open_bag() {
+  if (const core::Status intact = check_bag_structure(options_.file); !intact) return intact.message();
   bag_.open(options_.file, rosbag::bagmode::Read);
   const auto count = [this](const std::string& topic) { return rosbag::View(bag_, rosbag::TopicQuery(topic)).size(); };
   const std::string stamp_topic = options_.stamps == "image" ? tum_topic::kColor : tum_topic::kCameraInfo;
@@ -171,6 +173,9 @@ core::Result<core::RgbdRecording> open_tum_bag(const std::string& file, const co
 
 core::Status for_each_color_image(
     const std::string& file, const std::function<core::Status(std::int64_t stamp_ns, const cv::Mat& color)>& take) {
+  if (const core::Status intact = check_bag_structure(file); !intact) {
+    return core::Error{explain(file, intact.message())};
+  }
   std::size_t images = 0;
   try {
     const rosbag::Bag bag(file);

@@ -87,7 +87,10 @@ class Mutator {
   void change(const std::vector<std::string>& seeds, std::string* text) {
     switch (random_.index(10)) {
       case 0:  // bits
-        if (!text->empty()) (*text)[index(text->size())] ^= static_cast<char>(1 << random_.index(8));
+        if (!text->empty()) {
+          char& byte = (*text)[index(text->size())];
+          byte = static_cast<char>(byte ^ 1 << random_.index(8));
+        }
         break;
       case 1:
         text->resize(place(*text));

@@ -19,7 +19,7 @@ class DemoTest(DirectoryTest):
         super().setUpClass()
         cls.data, cls.results = cls.path('data'), cls.path('data/results')
         cls.launch = Launch('demo.launch', rviz='false', data=cls.data)
-        cls.ended = cls.launch.wait(270)
+        cls.ended = cls.launch.wait(540)
         cls.launch.stop()
 
     def evaluate(self, kind, *arguments):

@@ -329,10 +329,11 @@ TEST(PlayerLedger, NamesTheFirstStageThatHasNotShownTheFrame) {
 }
 
 /// A bag as the TUM ones, with an image each 100 ms and the motion capture each 20 ms.
-std::string write_bag(const core::TestDirectory& directory, int duration_ms) {
+std::string write_bag(const core::TestDirectory& directory, int duration_ms,
+                      rosbag::CompressionType compression = rosbag::compression::BZ2) {
   const std::string file = directory.path("recording.bag");
   rosbag::Bag bag(file, rosbag::bagmode::Write);
-  bag.setCompression(rosbag::compression::BZ2);
+  bag.setCompression(compression);
   bag.setChunkThreshold(4096);
   for (int time_ms = 0; time_ms <= duration_ms; time_ms += 20) {
     const ros::Time time = to_ros_time(at_ms(time_ms));
@@ -424,6 +425,30 @@ TEST(TumBagSource, SaysWhatIsWrongWithAFile) {
   const std::string other = directory.path("other.bag");
   rosbag::Bag(other, rosbag::bagmode::Write).write("/imu", ros::Time(1), message_of(transform("a", "b", 0, 0.0)));
   expect_in("/camera/rgb/image_color", problem(other));
+}
+
+TEST(TumBagSource, NoChangedByteLeadsAstray) {
+  const core::TestDirectory directory;
+  for (const rosbag::CompressionType compression : {rosbag::compression::Uncompressed, rosbag::compression::BZ2}) {
+    const std::string whole = core::read_whole(write_bag(directory, 200, compression));
+    int refused = 0, read = 0;
+    for (std::size_t i = 0; i < whole.size(); i += 11) {
+      std::string bytes = whole;
+      bytes[i] = '\xfe';
+      const auto opened = TumBagSource::open(playback_of(directory.write("changed.bag", bytes)), std::nullopt);
+      int images = 0;
+      while (opened && (*opened)->next()) ++images;
+      EXPECT_LE(images, 3) << "byte " << i;
+      ++(opened ? read : refused);
+    }
+    EXPECT_GT(refused, 50);
+    EXPECT_GT(read, 50) << "what lies in an image harms nothing";
+  }
+  std::string cut = core::read_whole(write_bag(directory, 200, rosbag::compression::Uncompressed));
+  cut.resize(cut.size() - 10);
+  const auto opened = TumBagSource::open(playback_of(directory.write("cut.bag", cut)), std::nullopt);
+  EXPECT_NE(opened.message().find("cut.bag': is damaged or cut short, from byte "), std::string::npos)
+      << opened.message();
 }
 
 TEST(TumBagSource, EndsWhereTheFileIsDamaged) {
