@@ -33,7 +33,7 @@ std::string joined(const std::string& directory, std::string_view path) {
 Result<std::map<std::int64_t, std::string>> read_image_list(const std::string& directory, const char* name) {
   const std::string path = joined(directory, name);
   const Result<std::string> text = read_text_file(path);
-  if (!text) return text.error();
+  if (!text) return Error{text.message() + "; a folder without associations.txt needs rgb.txt and depth.txt"};
   std::map<std::int64_t, std::string> images;
   for (const TextLine& line : content_lines(*text)) {
     const std::vector<std::string_view> fields = split_blanks(line.text);

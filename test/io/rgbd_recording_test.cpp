@@ -81,6 +81,14 @@ TEST(RgbdFolderAsDownloaded, IsJoinedByTheNearestStamps) {
       << files->warning;
 }
 
+TEST(RgbdFolderAsDownloaded, MissingListsAreNamed) {
+  const TestDirectory directory;
+  const std::string needed = " cannot open the file; a folder without associations.txt needs rgb.txt and depth.txt";
+  EXPECT_EQ(associate_images(directory.path("none")).message(), directory.path("none/rgb.txt:") + needed);
+  directory.write("rgb.txt", "1 a.png\n");
+  EXPECT_EQ(associate_images(directory.path("")).message(), directory.path("depth.txt:") + needed);
+}
+
 TEST(RgbdFolderAsDownloaded, BadListsAreNamed) {
   const TestDirectory directory;
   const auto problem = [&directory](const std::string& rgb, const std::string& depth) {
