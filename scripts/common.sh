@@ -26,7 +26,8 @@ common_packages="build-essential cmake ninja-build curl pkg-config xvfb libbench
 debian_packages="catkin libcv-bridge-dev libdiagnostic-msgs-dev libdiagnostic-updater-dev libgeometry-msgs-dev
   libimage-transport-dev libmessage-filters-dev libnav-msgs-dev libnodelet-dev libros-rosgraph-msgs-dev librosbag-dev
   librosbag-storage-dev libroscpp-dev libroslib-dev librostest-dev libsensor-msgs-dev libstd-msgs-dev libstd-srvs-dev
-  libtf2-dev libtf2-msgs-dev libtf2-ros-dev libvisualization-msgs-dev libnodeletlib-dev libnodeletlib-tools
+  libtf2-dev libtf2-msgs-dev libtf2-ros-dev libtopic-tools-dev libvisualization-msgs-dev libnodeletlib-dev
+  libnodeletlib-tools
   python3-diagnostic-msgs python3-geometry-msgs python3-nav-msgs python3-rosbag python3-roslaunch python3-rospy
   python3-rostest python3-sensor-msgs python3-std-srvs python3-tf2-msgs python3-visualization-msgs ros-diagnostic-msgs
   ros-geometry-msgs ros-message-generation ros-nav-msgs ros-sensor-msgs ros-std-msgs ros-visualization-msgs rosbash
@@ -35,7 +36,7 @@ debian_packages="catkin libcv-bridge-dev libdiagnostic-msgs-dev libdiagnostic-up
 # ROS's own packages on Ubuntu 20.04; their repository (packages.ros.org) must be set up, as for every use of Noetic.
 noetic_packages="catkin cv-bridge diagnostic-msgs diagnostic-updater geometry-msgs image-transport message-filters
   message-generation message-runtime nav-msgs nodelet rosbag rosbag-storage rosbash roscpp rosgraph-msgs roslaunch
-  roslib rospy rostest rviz sensor-msgs std-msgs std-srvs tf2 tf2-msgs tf2-ros visualization-msgs"
+  roslib rospy rostest rviz sensor-msgs std-msgs std-srvs tf2 tf2-msgs tf2-ros topic-tools visualization-msgs"
 
 required_packages() {
   local id version

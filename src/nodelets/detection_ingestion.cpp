@@ -6,6 +6,7 @@
 #include <string>
 #include <vector>
 
+#include "ros/detector_messages.h"
 #include "ros/frame_joiner.h"
 #include "ros/stage.h"
 #include "semantic_topo_loop/io/detection_file.h"
@@ -72,8 +73,10 @@ class DetectionIngestionNodelet : public StageWith<DetectionParameters> {
     resolve();
   }
 
-  void on_input(const DetectionsMessage::ConstPtr& message) {
-    matcher_->add(message);
+  void on_input(const DetectorMessage::ConstPtr& message) {
+    core::Result<core::DetectionFrame> detections = read_detector_message(*message, *classes(), leave_out());
+    if (!detections) return complain("messages that are no detections", "on detections_in: " + detections.message());
+    matcher_->add(*std::move(detections));
     resolve();
     statistics().set(kUnmatched, matcher_->unmatched());
   }
@@ -90,15 +93,15 @@ class DetectionIngestionNodelet : public StageWith<DetectionParameters> {
     if (has_detections && is_file_) {
       answer = from_file(frame);
     } else if (has_detections) {
-      const DetectionsMessage::ConstPtr message = matcher_->take(frame.stamp_ns);
-      if (!message && !matcher_->is_past(frame.stamp_ns) && Clock::now() < waiting.deadline) return false;
-      if (!message) {
+      const std::optional<core::DetectionFrame> found = matcher_->take(frame.stamp_ns);
+      if (!found && !matcher_->is_past(frame.stamp_ns) && Clock::now() < waiting.deadline) return false;
+      if (!found) {
         complain(kMissing, "nothing on detections_in for stamp " + std::to_string(frame.stamp_ns) + " ns within " +
                                std::to_string(parameters_.detection_timeout_s) + " s, or not before a later one's");
-      } else if (message->unanswered) {
+      } else if (found->unanswered) {
         statistics().count(kMissing);
       } else {
-        answer = checked(*message);
+        answer = core::usable_boxes(found->detections, *classes(), boxes_max(), leave_out());
       }
     }
     const bool unanswered = !answer;
@@ -121,11 +124,10 @@ class DetectionIngestionNodelet : public StageWith<DetectionParameters> {
     return found->detections;
   }
 
-  std::vector<core::Detection> checked(const DetectionsMessage& message) {
-    const auto leave_out = [this](std::size_t, core::DetectionProblem problem, const std::string& value) {
+  core::OnLeftOut leave_out() {
+    return [this](std::size_t, core::DetectionProblem problem, const std::string& value) {
       complain(core::to_string(problem), "a box on detections_in is left out: " + value);
     };
-    return core::usable_boxes(message.detections, *classes(), boxes_max(), leave_out);
   }
 
   std::size_t boxes_max() const { return static_cast<std::size_t>(options_.association.boxes_max); }

@@ -9,6 +9,7 @@
 #include <pluginlib/class_list_macros.hpp>
 #include <string>
 
+#include "ros/detector_messages.h"
 #include "ros/frontend_stage.h"
 #include "ros/pose_source.h"
 #include "semantic_topo_loop/io/tum_trajectory.h"
@@ -79,7 +80,12 @@ class PoseFrontendNodelet : public StageWith<PoseFrontendParameters, FrontendSta
     resolve();
   }
 
-  void on_detections(const DetectionsMessage::ConstPtr& message) { take_trigger(to_stamp_ns(message->header.stamp)); }
+  void on_detections(const DetectorMessage::ConstPtr& message) {
+    // Of the stamp alone: DetectionIngestion reads the boxes, and knows the classes.
+    const auto detections = read_detector_message(*message, {}, [](auto&&...) {});
+    if (!detections) return complain("messages that are no detections", "on detections_in: " + detections.message());
+    take_trigger(detections->stamp_ns);
+  }
 
   void on_odometry(const nav_msgs::Odometry::ConstPtr& message) {
     if (const core::Status added = odometry_->add(*message); !added) complain("bad odometry", added.message());

@@ -12,7 +12,7 @@
 #include <utility>
 
 #include "ros/conversions.h"
-#include "semantic_topo_loop/ros/messages.h"
+#include "semantic_topo_loop/types/detection.h"
 
 namespace semantic_topo_loop {
 
@@ -86,13 +86,12 @@ class DetectionMatcher {
   explicit DetectionMatcher(std::size_t capacity) : capacity_(capacity) {}
 
   /// Time that jumps back by more than a second makes what waits worthless.
-  void add(const DetectionsMessage::ConstPtr& detections) {
-    const bool jumped_back = !waiting_.empty() && stamp_of(detections) < stamp_of(waiting_.back()) - kJumpBack_ns;
-    if (jumped_back) {
+  void add(core::DetectionFrame detections) {
+    if (!waiting_.empty() && detections.stamp_ns < waiting_.back().stamp_ns - kJumpBack_ns) {
       unmatched_ += waiting_.size();
       waiting_.clear();
     }
-    waiting_.push_back(detections);
+    waiting_.push_back(std::move(detections));
     if (waiting_.size() > capacity_) {
       ++unmatched_;
       waiting_.pop_front();
@@ -101,14 +100,14 @@ class DetectionMatcher {
 
   /// The detections of the image with this stamp (within 1 us), which are then gone, as are older ones: frames come in
   /// order.
-  DetectionsMessage::ConstPtr take(std::int64_t stamp_ns) {
-    const auto found = std::find_if(waiting_.begin(), waiting_.end(), [stamp_ns](const DetectionsMessage::ConstPtr& d) {
-      return std::abs(stamp_of(d) - stamp_ns) <= kStampTolerance_ns;
+  std::optional<core::DetectionFrame> take(std::int64_t stamp_ns) {
+    const auto found = std::find_if(waiting_.begin(), waiting_.end(), [stamp_ns](const core::DetectionFrame& d) {
+      return std::abs(d.stamp_ns - stamp_ns) <= kStampTolerance_ns;
     });
-    if (found == waiting_.end()) return nullptr;
-    const DetectionsMessage::ConstPtr detections = *found;
+    if (found == waiting_.end()) return std::nullopt;
+    std::optional<core::DetectionFrame> detections = std::move(*found);
     waiting_.erase(found);
-    const auto is_older = [stamp_ns](const DetectionsMessage::ConstPtr& d) { return stamp_of(d) < stamp_ns; };
+    const auto is_older = [stamp_ns](const core::DetectionFrame& d) { return d.stamp_ns < stamp_ns; };
     const auto end = std::remove_if(waiting_.begin(), waiting_.end(), is_older);
     unmatched_ += static_cast<std::uint64_t>(std::distance(end, waiting_.end()));
     waiting_.erase(end, waiting_.end());
@@ -118,8 +117,8 @@ class DetectionMatcher {
   /// Whether a later image's detections are there: a detector answers in order, so this one's will not come. What is
   /// more than a second later is of another time.
   bool is_past(std::int64_t stamp_ns) const {
-    return std::any_of(waiting_.begin(), waiting_.end(), [stamp_ns](const DetectionsMessage::ConstPtr& d) {
-      return stamp_of(d) > stamp_ns + kStampTolerance_ns && stamp_of(d) <= stamp_ns + kJumpBack_ns;
+    return std::any_of(waiting_.begin(), waiting_.end(), [stamp_ns](const core::DetectionFrame& d) {
+      return d.stamp_ns > stamp_ns + kStampTolerance_ns && d.stamp_ns <= stamp_ns + kJumpBack_ns;
     });
   }
 
@@ -127,12 +126,8 @@ class DetectionMatcher {
   std::uint64_t unmatched() const { return unmatched_; }
 
  private:
-  static std::int64_t stamp_of(const DetectionsMessage::ConstPtr& detections) {
-    return to_stamp_ns(detections->header.stamp);
-  }
-
   const std::size_t capacity_;
-  std::deque<DetectionsMessage::ConstPtr> waiting_;  ///< in order of arrival
+  std::deque<core::DetectionFrame> waiting_;  ///< in order of arrival
   std::uint64_t unmatched_ = 0;
 };
 

@@ -210,29 +210,23 @@ TEST(FilePoses, KnowsItsOwnStampsOnly) {
   EXPECT_NE(answer.problem.find("1311868164.396"), std::string::npos) << answer.problem;
 }
 
-DetectionsMessage::ConstPtr detections_at(std::int64_t stamp_ns) {
-  const auto message = boost::make_shared<DetectionsMessage>();
-  message->header.stamp = to_ros_time(stamp_ns);
-  return message;
-}
-
 TEST(DetectionMatcher, JoinsWithinAMicrosecondAndCountsTheRest) {
   DetectionMatcher matcher(10);
-  for (const int time_ms : {0, 33, 66, 99}) matcher.add(detections_at(at_ms(time_ms)));
-  EXPECT_EQ(matcher.take(at_ms(33) + 2000), nullptr);
-  EXPECT_NE(matcher.take(at_ms(66) - 1000), nullptr);
+  for (const int time_ms : {0, 33, 66, 99}) matcher.add({at_ms(time_ms), {}});
+  EXPECT_FALSE(matcher.take(at_ms(33) + 2000));
+  EXPECT_TRUE(matcher.take(at_ms(66) - 1000));
   EXPECT_EQ(matcher.unmatched(), 2u) << "those before";
-  EXPECT_EQ(matcher.take(at_ms(66)), nullptr) << "given out already";
-  EXPECT_NE(matcher.take(at_ms(99)), nullptr);
+  EXPECT_FALSE(matcher.take(at_ms(66))) << "given out already";
+  EXPECT_TRUE(matcher.take(at_ms(99)));
 }
 
 TEST(DetectionMatcher, IsBoundedAndFollowsTimeThatJumpsBack) {
   DetectionMatcher matcher(3);
-  for (const int time_ms : {5000, 5033, 5066, 5099}) matcher.add(detections_at(at_ms(time_ms)));
+  for (const int time_ms : {5000, 5033, 5066, 5099}) matcher.add({at_ms(time_ms), {}});
   EXPECT_EQ(matcher.unmatched(), 1u);
-  matcher.add(detections_at(at_ms(0)));
+  matcher.add({at_ms(0), {}});
   EXPECT_EQ(matcher.unmatched(), 4u);
-  EXPECT_NE(matcher.take(at_ms(0)), nullptr);
+  EXPECT_TRUE(matcher.take(at_ms(0)));
 }
 
 TEST(DetectionMatcher, ALaterAnswerSaysThatNoneWillCome) {

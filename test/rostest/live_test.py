@@ -17,6 +17,7 @@ from tf2_msgs.msg import TFMessage
 
 import wall
 from playback import PACKAGE, Diagnostics, Launch, wait_until
+from darknet_ros_msgs.msg import BoundingBox, BoundingBoxes
 from semantic_topo_loop.msg import Detection, DetectionArray, Frame, FrameDone, SessionControl
 
 START_S = 1000.0
@@ -92,6 +93,7 @@ class LiveTest(unittest.TestCase):
 
 class DetectorTest(LiveTest):
     """A camera whose images are known by their camera_info, with a detector, on a base that moves."""
+    detector_type = DetectionArray
 
     @classmethod
     def start(cls, **arguments):
@@ -99,7 +101,7 @@ class DetectorTest(LiveTest):
                       detection_timeout_s='0.4', pose_timeout_s='0.4', **arguments)
         cls.tf, cls.tf_static = cls.publisher('/tf', TFMessage), cls.publisher('/tf_static', TFMessage, latch=True)
         cls.camera_info = cls.publisher('/camera_info', CameraInfo)
-        cls.detections = cls.publisher('/detector', DetectionArray)
+        cls.detections = cls.publisher('/detector', cls.detector_type)
         cls.tf_static.publish(TFMessage([cls.transform('/base_link', '/lens', 0.0, 0.0)]))
 
     @staticmethod
@@ -125,13 +127,17 @@ class DetectorTest(LiveTest):
         self.camera_info.publish(info)
         if not with_detections:
             return
+        self.detections.publish(self.detected(info.header.stamp, boxes))
+
+    def detected(self, stamp, boxes):
+        """What the detector says of the image with this stamp."""
         message = DetectionArray()
-        message.header.stamp = info.header.stamp
+        message.header.stamp = stamp
         for x1, y1, x2, y2 in boxes:
             detection = Detection(class_id=CUP, score=0.9)
             detection.box.x1, detection.box.y1, detection.box.x2, detection.box.y2 = x1, y1, x2, y2
             message.detections.append(detection)
-        self.detections.publish(message)
+        return message
 
     def call(self, service):
         name = '/%s/pose_frontend/%s' % (PACKAGE, service)
@@ -218,7 +224,15 @@ class TfTest(DetectorTest):
 
 
 class OdometryTest(DetectorTest):
-    """nav_msgs/Odometry, frames made by the detector's stamps, and a cloud with each image."""
+    """nav_msgs/Odometry, frames made by the stamps of a detector, which is darknet_ros, and a cloud with each image."""
+    detector_type = BoundingBoxes
+
+    def detected(self, stamp, boxes):
+        message = BoundingBoxes()
+        message.header.stamp = stamp + rospy.Duration(0.05)
+        message.image_header.stamp = stamp
+        message.bounding_boxes = [BoundingBox(0.9, *box, 0, name) for box in boxes for name in ('cup', 'jug')]
+        return message
 
     @classmethod
     def setUpClass(cls):
@@ -261,6 +275,9 @@ class OdometryTest(DetectorTest):
         self.assertAlmostEqual(frame.covariance[0], 0.01 * 0.1 ** 2, places=7)
         self.assertTrue(frame.has_points)
         self.assertEqual((frame.points.width, frame.points.header.frame_id), (2, 'lens'))
+        joined = self.joined.at(0.307).detections
+        self.assertEqual([(d.class_id, d.box.x2) for d in joined], [(CUP, 200.0)])
+        self.assert_counted('DetectionIngestion', 'unknown class id', 3)
 
     def test_unusable_points_are_counted(self):
         self.drive(1.0, 2.0)

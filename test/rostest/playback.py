@@ -15,7 +15,7 @@ from diagnostic_msgs.msg import DiagnosticArray
 PACKAGE = 'semantic_topo_loop'
 
 if os.environ.get('STL_DEVEL_PYTHON'):
-    sys.path.insert(1, os.environ['STL_DEVEL_PYTHON'])
+    sys.path[1:1] = os.environ['STL_DEVEL_PYTHON'].split(os.pathsep)
 try:
     import semantic_topo_loop.msg  # noqa: F401, only to say here what is missing where
 except ImportError as error:

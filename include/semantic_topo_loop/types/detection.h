@@ -18,6 +18,7 @@ struct Detection {
 struct DetectionFrame {
   std::int64_t stamp_ns = 0;
   std::vector<Detection> detections;
+  bool unanswered = false;  ///< the detector did not look at the image
 };
 
 /// How a detection came to its landmark, or why it has none.
