@@ -498,7 +498,8 @@ Command run_command(Arguments* arguments) {
               "which depth belongs to which color image (default: associations.txt of the folder; without it, rgb.txt "
               "and depth.txt are joined)")
       .option("detections", po::value(&arguments->detections),
-              "OA-SLAM JSON file, or directory of YOLO text files <stamp>.txt; with --rgbd and --bag they may be left "
+              "JSON file as OA-SLAM's or COCO's results, or directory of YOLO text files <stamp>.txt; with --rgbd and "
+              "--bag they may be left "
               "out: odometry only")
       .option("detector", checked("an ONNX file", take_model),
               "with --rgbd and --bag: the network that finds the objects in the images; see detector.*")

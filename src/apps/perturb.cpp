@@ -79,7 +79,7 @@ Status make_false_loop_file(const LoopArguments& arguments) {
 
 Command detection_command(DetectionArguments* arguments) {
   Command command{"detections", "IN OUT [--seed N] [--drop P] [--relabel P] [--jitter P] [--classes YAML]",
-                  "Makes recorded detections worse. IN is an OA-SLAM JSON file or a directory of YOLO text files; OUT "
+                  "Makes recorded detections worse. IN is a JSON file or a directory of YOLO text files; OUT "
                   "becomes the\nsame. In this order:\n",
                   [arguments] { return perturb_detection_files(*arguments); },
                   [arguments] { return check(arguments); }};

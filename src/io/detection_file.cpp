@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <filesystem>
 #include <limits>
+#include <map>
 #include <set>
 
 #include "io/json_field.h"
@@ -67,20 +68,22 @@ std::optional<std::int64_t> stamp_of_file_name(const std::string& name) {
   return parse_stamp(std::filesystem::path(name).stem().string());
 }
 
-// --- OA-SLAM JSON -------------------------------------------------------------------------------------------------
+// --- JSON: images of OA-SLAM, boxes of COCO's results -------------------------------------------------------------
 
-Detection read_detection(const JsonField& field) {
+/// @param is_xywh the box's numbers are x, y, width, height instead of two corners
+Detection read_detection(const JsonField& field, const char* score, bool is_xywh) {
   Detection detection;
   detection.class_id = field.member("category_id").small_integer();
-  detection.score = field.member("detection_score").number_or_nan();
+  detection.score = field.member(score).number_or_nan();
   const JsonField bbox = field.member("bbox");
-  const std::vector<JsonField> corners = bbox.elements();
-  if (corners.size() != 4) {
-    bbox.reject("= " + bbox.json().dump() + " must be four numbers [x1, y1, x2, y2]");
+  const std::vector<JsonField> v = bbox.elements();
+  if (v.size() != 4) {
+    bbox.reject("= " + bbox.json().dump() + " must be four numbers " + (is_xywh ? "[x, y, w, h]" : "[x1, y1, x2, y2]"));
     return detection;
   }
-  detection.box = {corners[0].number_or_nan(), corners[1].number_or_nan(), corners[2].number_or_nan(),
-                   corners[3].number_or_nan()};
+  Box& box = detection.box;
+  box = {v[0].number_or_nan(), v[1].number_or_nan(), v[2].number_or_nan(), v[3].number_or_nan()};
+  if (is_xywh) box = {box.x1, box.y1, box.x1 + box.x2, box.y1 + box.y2};
   return detection;
 }
 
@@ -92,11 +95,34 @@ void collect_json_frame(const JsonField& field, const std::string& path, Collect
   if (!field.is_fine()) return;
   DetectionFrame frame{*stamp_ns, {}};
   for (const JsonField& box : detections) {
-    frame.detections.push_back(read_detection(box));
+    frame.detections.push_back(read_detection(box, "detection_score", false));
     if (!field.is_fine()) return;
   }
   collector->add(frame, path + ": " + name.place(),
                  [&](std::size_t index) { return path + ": " + detections[index].name(); });
+}
+
+/// Boxes of COCO's results, which come one by one, by the stamp of their image.
+struct CocoImage {
+  DetectionFrame frame;
+  std::vector<std::string> places;  ///< of the boxes
+};
+using CocoImages = std::map<std::int64_t, CocoImage>;
+
+void collect_coco_box(const JsonField& field, CocoImages* images) {
+  const JsonField id = field.member("image_id");
+  const std::string name = id.json().is_number_float() ? id.json().dump() : id.text();
+  std::optional<std::int64_t> stamp_ns = parse_stamp(name);
+  if (!stamp_ns) stamp_ns = stamp_of_file_name(name);
+  if (!stamp_ns) {
+    return id.reject(std::string("must be the stamp of the image in seconds, 1311868164.363181, or its file name") +
+                     (id.json().is_number_integer() ? ": the list that integers count in is not in the file" : ""));
+  }
+  const Detection detection = read_detection(field, "score", true);
+  CocoImage& image = (*images)[*stamp_ns];
+  image.frame.stamp_ns = *stamp_ns;
+  image.frame.detections.push_back(detection);
+  image.places.push_back(field.name());
 }
 
 Status collect_json(const std::string& path, Collector* collector) {
@@ -104,21 +130,30 @@ Status collect_json(const std::string& path, Collector* collector) {
   if (!text) return text.error();
   // Image by image, each forgotten as soon as it is read: the tree of a long recording takes ten times its file.
   bool is_array = false;
-  std::size_t images = 0;
+  std::size_t elements = 0;
+  CocoImages coco;
   std::string problem;
   const auto take = [&](int depth, Json::parse_event_t event, Json& parsed) {
     if (depth == 0 && event == Json::parse_event_t::array_start) is_array = true;
     const bool is_whole = event == Json::parse_event_t::object_end || event == Json::parse_event_t::array_end ||
                           event == Json::parse_event_t::value;
     if (!is_array || depth != 1 || !is_whole) return true;
-    const JsonField field(parsed, "[" + std::to_string(images++) + "]", &problem);
-    if (problem.empty()) collect_json_frame(field, path, collector);
+    const JsonField field(parsed, "[" + std::to_string(elements++) + "]", &problem);
+    if (!problem.empty()) return false;
+    const bool is_coco = parsed.is_object() && parsed.contains("image_id");
+    is_coco ? collect_coco_box(field, &coco) : collect_json_frame(field, path, collector);
     return false;
   };
   const Result<Json> emptied = parse_json(*text, take);
-  if (problem.empty() && !emptied) problem = (is_array ? "[" + std::to_string(images) + "]: " : "") + emptied.message();
-  if (problem.empty() && !is_array) problem = "must be an array of images";
+  if (problem.empty() && !emptied)
+    problem = (is_array ? "[" + std::to_string(elements) + "]: " : "") + emptied.message();
+  if (problem.empty() && !is_array) problem = "must be an array of images, or of boxes as COCO's results";
   if (!problem.empty()) return Error{path + ": " + problem};
+  for (const auto& [stamp_ns, image] : coco) {
+    const std::vector<std::string>& places = image.places;
+    collector->add(image.frame, path + ": " + places.front(),
+                   [&](std::size_t index) { return path + ": " + places[index]; });
+  }
   return {};
 }
 

@@ -142,7 +142,8 @@ struct DetectionParameters : ClassStageParameters {
     ClassStageParameters::visit(visitor);
     visitor("source", source, core::one_of({"topic", "file", "none"}),
             "where detections come from: topic (detections_in), file, or none");
-    visitor("detections_file", detections_file, core::any(), "file: OA-SLAM JSON, or a directory of YOLO text files");
+    visitor("detections_file", detections_file, core::any(),
+            "file: JSON as OA-SLAM's or COCO's results, or a directory of YOLO text files");
     visitor("detection_timeout_s", detection_timeout_s, core::not_negative(),
             "topic: how long a frame waits for its detections, wall time");
     visitor.require("detections_file", source != "file" || !detections_file.empty(), "given with source file");

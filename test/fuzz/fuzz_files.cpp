@@ -286,6 +286,8 @@ std::vector<Kind> make_kinds(const std::string& valid) {
     "bbox": [10.5, 20, 90, 80]}, {"category_id": 73, "detection_score": 0.9, "bbox": [110, 20, 190, 180]}]},
     {"file_name": "1.7.png", "detections": []}, {"file_name": "2.0.png", "detections": [{"category_id": 39,
     "detection_score": 1, "bbox": [1, 2, 30, 40]}]}])";
+  const std::string results = R"([{"image_id": 1.5, "category_id": 41, "bbox": [10.5, 20, 90, 80], "score": 0.5},
+    {"image_id": "2.0.png", "category_id": 73, "bbox": [110, 20, 80, 160], "score": 0.9}])";
   std::vector<std::string> cameras, tables, configs;
   for (const auto& entry : std::filesystem::recursive_directory_iterator(STL_CONFIG_DIR)) {
     if (entry.path().extension() != ".yaml") continue;
@@ -304,7 +306,7 @@ std::vector<Kind> make_kinds(const std::string& valid) {
   return {
       {"detections, JSON",
        "d.json",
-       {detections},
+       {detections, results},
        [classes](const std::string& path) { return status_of(read_detections(path, classes)); }},
       {"detections, YOLO",
        "yolo/1.5.txt",

@@ -88,6 +88,45 @@ TEST_F(DetectionReader, ReadsADirectoryOfYoloFiles) {
   EXPECT_EQ(frames_[1].detections[1].score, 0.909657);
 }
 
+TEST_F(DetectionReader, ReadsResultsOfCoco) {
+  ASSERT_TRUE(read(R"([
+    {"image_id": 1311868164.399026, "category_id": 41, "bbox": [1, 2, 30.5, 40], "score": 0.5},
+    {"image_id": "1311868164.363181", "category_id": 77, "bbox": [293, 68, 66.5, 29], "score": 0.25, "area": 1928.5},
+    {"image_id": "rgb/1311868164.399026.png", "category_id": 73, "bbox": [5, 6, 7, 8], "score": 1}])"))
+      << error_;
+  ASSERT_EQ(frames_.size(), 2u);
+  EXPECT_EQ(frames_[0].stamp_ns, 1311868164363181000);
+  EXPECT_EQ(frames_[1].stamp_ns, 1311868164399026000);
+  ASSERT_EQ(frames_[0].detections.size(), 1u);
+  EXPECT_EQ(frames_[0].detections[0].class_id, 77);
+  EXPECT_EQ(frames_[0].detections[0].score, 0.25);
+  EXPECT_EQ(frames_[0].detections[0].box.edges(), Vec4(293.0, 68.0, 359.5, 97.0));
+  ASSERT_EQ(frames_[1].detections.size(), 2u);
+  EXPECT_EQ(frames_[1].detections[1].class_id, 73);
+  EXPECT_TRUE(report_.warnings().empty());
+}
+
+TEST_F(DetectionReader, BadResultsOfCocoAreNamed) {
+  const auto box = [](const std::string& id, const std::string& rest) {
+    return R"([{"image_id": )" + id + R"(, "category_id": 41, )" + rest + "}]";
+  };
+  const std::string good = R"("score": 0.5, "bbox": [1, 2, 3, 4])";
+  EXPECT_FALSE(read(box("42", good)));
+  expect_error({"boxes.json: [0].image_id = 42 must be the stamp of the image", "integers count"});
+  EXPECT_FALSE(read(box("\"left.png\"", good)));
+  expect_error({"[0].image_id = \"left.png\" must be the stamp of the image in seconds"});
+  EXPECT_FALSE(read(box("-1.5", good)));
+  expect_error({"[0].image_id = -1.5"});
+  EXPECT_FALSE(read(box("1.5", R"("score": 0.5)")));
+  expect_error({"[0] has no 'bbox'"});
+  EXPECT_FALSE(read(box("1.5", R"("score": 0.5, "bbox": [1, 2, 3])")));
+  expect_error({"[0].bbox", "[x, y, w, h]"});
+  EXPECT_FALSE(read(box("1.5", R"("bbox": [1, 2, 3, 4])")));
+  expect_error({"[0] has no 'score'"});
+  ASSERT_TRUE(read(box("1.5", R"("score": 0.5, "bbox": [5, 2, -3, 4])"))) << error_;
+  expect_left_out(DetectionProblem::kBoxInverted, "boxes.json: [0]: box [5, 2, 2, 6]");
+}
+
 TEST_F(DetectionReader, LeavesOutAndCountsBadBoxes) {
   ASSERT_TRUE(read(one_box("91", "0.5", "[1, 2, 3, 4]"))) << error_;
   expect_left_out(DetectionProblem::kUnknownClass, "boxes.json: [0].detections[0]: class id 91");
