@@ -1,11 +1,13 @@
 #include <chrono>
 #include <deque>
 #include <memory>
+#include <mutex>
 #include <optional>
 #include <pluginlib/class_list_macros.hpp>
 #include <string>
 #include <vector>
 
+#include "ros/detection_watch.h"
 #include "ros/detector_messages.h"
 #include "ros/frame_joiner.h"
 #include "ros/stage.h"
@@ -28,20 +30,25 @@ class DetectionIngestionNodelet : public StageWith<DetectionParameters> {
   };
   static constexpr char kMissing[] = "frames without an answer of the detector";
   static constexpr char kUnmatched[] = "detections without a frame";
+  static constexpr char kApart[] = "times that frames and detections did not meet";
 
   void onInit() override {
     if (!start(2)) return;
     is_file_ = parameters_.source == "file";
     if (is_file_ && !load_file()) return;
-    for (const char* counter : {kMissing, kUnmatched}) statistics().count(counter, 0);
+    for (const char* counter : {kMissing, kUnmatched, kApart}) statistics().count(counter, 0);
     // A detector that is late must find its frames still waiting, and one that is ahead its detections still kept.
     constexpr std::size_t kKeptPerFrame = 10;
     matcher_ = std::make_unique<DetectionMatcher>(queue_capacity() * kKeptPerFrame);
     publisher_ = advertise<DetectionsMessage>("detections");
     if (parameters_.source == "topic") {
+      watch_.emplace(getNodeHandle().resolveName("frames"), getNodeHandle().resolveName("detections_in"));
       listen("detections_in", Keep::kDroppable, 100, &DetectionIngestionNodelet::on_input);
       constexpr double kDeadlinePeriodS = 0.02;  // below the time between two frames
-      start_timer(kDeadlinePeriodS, [this] { resolve(); });
+      start_timer(kDeadlinePeriodS, [this] {
+        resolve();
+        watch();
+      });
     }
     subscribe("frames", Keep::kDroppable, &DetectionIngestionNodelet::on_frame);
     follow_sessions();
@@ -70,19 +77,36 @@ class DetectionIngestionNodelet : public StageWith<DetectionParameters> {
   void on_frame(const FrameMessage::ConstPtr& frame) {
     const std::chrono::duration<double> timeout(parameters_.detection_timeout_s);
     waiting_.push_back({frame, Clock::now() + std::chrono::duration_cast<Clock::duration>(timeout)});
+    if (watch_ && !frame->is_end) watch_->hear_frame(frame->stamp_ns, Clock::now());
     resolve();
   }
 
   void on_input(const DetectorMessage::ConstPtr& message) {
     core::Result<core::DetectionFrame> detections = read_detector_message(*message, *classes(), leave_out());
     if (!detections) return complain("messages that are no detections", "on detections_in: " + detections.message());
+    watch_->hear_detections(detections->stamp_ns, Clock::now());
     matcher_->add(*std::move(detections));
     resolve();
-    statistics().set(kUnmatched, matcher_->unmatched());
+  }
+
+  void watch() {
+    const std::string starvation = watch_->starvation(Clock::now());
+    const std::lock_guard<std::mutex> lock(mutex_);
+    if (starvation_.empty() && !starvation.empty()) {
+      statistics().count(kApart);
+      NODELET_WARN("%s", starvation.c_str());
+    }
+    starvation_ = starvation;
+  }
+
+  void add_diagnostics(diagnostic_updater::DiagnosticStatusWrapper& status) override {
+    const std::lock_guard<std::mutex> lock(mutex_);
+    if (!starvation_.empty()) status.mergeSummary(diagnostic_msgs::DiagnosticStatus::WARN, starvation_);
   }
 
   void resolve() {
     while (!waiting_.empty() && resolve(waiting_.front())) waiting_.pop_front();
+    if (!is_file_) statistics().set(kUnmatched, matcher_->unmatched());
   }
 
   /// @return false if the frame must wait on
@@ -95,6 +119,8 @@ class DetectionIngestionNodelet : public StageWith<DetectionParameters> {
     } else if (has_detections) {
       const std::optional<core::DetectionFrame> found = matcher_->take(frame.stamp_ns);
       if (!found && !matcher_->is_past(frame.stamp_ns) && Clock::now() < waiting.deadline) return false;
+      matcher_->forget_before(frame.stamp_ns);
+      if (found) watch_->meet();
       if (!found) {
         complain(kMissing, "nothing on detections_in for stamp " + std::to_string(frame.stamp_ns) + " ns within " +
                                std::to_string(parameters_.detection_timeout_s) + " s, or not before a later one's");
@@ -146,6 +172,10 @@ class DetectionIngestionNodelet : public StageWith<DetectionParameters> {
   std::size_t matched_ = 0;  ///< images of the file that met a frame, this session
   std::deque<Waiting> waiting_;
   std::unique_ptr<DetectionMatcher> matcher_;
+  std::optional<DetectionWatch> watch_;  ///< of source topic
+
+  std::mutex mutex_;  ///< guards what follows, which worker and diagnostics share
+  std::string starvation_;
 };
 
 }  // namespace semantic_topo_loop

@@ -98,8 +98,7 @@ class DetectionMatcher {
     }
   }
 
-  /// The detections of the image with this stamp (within 1 us), which are then gone, as are older ones: frames come in
-  /// order.
+  /// The detections of the image with this stamp (within 1 us), which are then gone.
   std::optional<core::DetectionFrame> take(std::int64_t stamp_ns) {
     const auto found = std::find_if(waiting_.begin(), waiting_.end(), [stamp_ns](const core::DetectionFrame& d) {
       return std::abs(d.stamp_ns - stamp_ns) <= kStampTolerance_ns;
@@ -107,11 +106,15 @@ class DetectionMatcher {
     if (found == waiting_.end()) return std::nullopt;
     std::optional<core::DetectionFrame> detections = std::move(*found);
     waiting_.erase(found);
+    return detections;
+  }
+
+  /// The frame of this stamp waits no longer: what is older will stay alone, for frames come in order.
+  void forget_before(std::int64_t stamp_ns) {
     const auto is_older = [stamp_ns](const core::DetectionFrame& d) { return d.stamp_ns < stamp_ns; };
     const auto end = std::remove_if(waiting_.begin(), waiting_.end(), is_older);
     unmatched_ += static_cast<std::uint64_t>(std::distance(end, waiting_.end()));
     waiting_.erase(end, waiting_.end());
-    return detections;
   }
 
   /// Whether a later image's detections are there: a detector answers in order, so this one's will not come. What is

@@ -6,6 +6,7 @@
 #include <limits>
 
 #include "ros/conversions.h"
+#include "ros/detection_watch.h"
 #include "ros/frame_joiner.h"
 #include "ros/playback.h"
 #include "ros/pose_source.h"
@@ -215,6 +216,7 @@ TEST(DetectionMatcher, JoinsWithinAMicrosecondAndCountsTheRest) {
   for (const int time_ms : {0, 33, 66, 99}) matcher.add({at_ms(time_ms), {}});
   EXPECT_FALSE(matcher.take(at_ms(33) + 2000));
   EXPECT_TRUE(matcher.take(at_ms(66) - 1000));
+  matcher.forget_before(at_ms(66) - 1000);
   EXPECT_EQ(matcher.unmatched(), 2u) << "those before";
   EXPECT_FALSE(matcher.take(at_ms(66))) << "given out already";
   EXPECT_TRUE(matcher.take(at_ms(99)));
@@ -231,11 +233,69 @@ TEST(DetectionMatcher, IsBoundedAndFollowsTimeThatJumpsBack) {
 
 TEST(DetectionMatcher, ALaterAnswerSaysThatNoneWillCome) {
   DetectionMatcher matcher(10);
-  matcher.add(detections_at(at_ms(5099)));
+  matcher.add({at_ms(5099), {}});
   EXPECT_TRUE(matcher.is_past(at_ms(5066)));
   EXPECT_FALSE(matcher.is_past(at_ms(5099) - 1000)) << "it is there";
   EXPECT_FALSE(matcher.is_past(at_ms(5132)));
   EXPECT_FALSE(matcher.is_past(at_ms(0))) << "of another time";
+}
+
+class WatchedDetections : public ::testing::Test {
+ protected:
+  /// @param frame_ms, detections_ms what comes each 100 ms for so long, stamped from there on; negative: nothing
+  void run(double seconds, int frame_ms, int detections_ms, bool meet = false) {
+    for (int i = 0; i < static_cast<int>(10.0 * seconds); ++i, now_ += std::chrono::milliseconds(100)) {
+      if (frame_ms >= 0) watch_.hear_frame(at_ms(frame_ms + 100 * i), now_);
+      if (detections_ms >= 0) watch_.hear_detections(at_ms(detections_ms + 100 * i), now_);
+      if (meet) watch_.meet();
+    }
+  }
+  void expect(const std::string& begin, const std::string& end) const {
+    const std::string text = watch_.starvation(now_);
+    EXPECT_EQ(text.find(begin), 0u) << text;
+    EXPECT_EQ(text.substr(text.size() - std::min(text.size(), end.size())), end);
+  }
+
+  DetectionWatch watch_{"/frames", "/boxes"};
+  DetectionWatch::Clock::time_point now_ = DetectionWatch::Clock::now();
+};
+
+TEST_F(WatchedDetections, FramesWithoutDetections) {
+  expect("", "");
+  run(2.9, 0, -1);
+  EXPECT_EQ(watch_.starvation(now_), "");
+  run(0.5, 2900, -1);
+  expect("frames on '/frames', but no detections on '/boxes'; '/frames': last stamp 1311868167.66",
+         "'/boxes': nothing yet");
+  run(0.1, 3400, 3400, true);
+  EXPECT_EQ(watch_.starvation(now_), "");
+}
+
+TEST_F(WatchedDetections, DetectionsWithoutFrames) {
+  run(4.0, 0, 0, true);
+  run(4.0, -1, 4000);
+  expect("detections on '/boxes', but no frames on '/frames'; ", "; gap 4.000000 s");
+}
+
+TEST_F(WatchedDetections, StampsThatAreNeverTheSame) {
+  run(4.0, 0, 12);
+  expect("frames on '/frames' and detections on '/boxes', but none with the stamp of the other", "; gap 0.012000 s");
+}
+
+TEST_F(WatchedDetections, SilenceOfBothIsNoStarvation) {
+  run(2.0, 0, -1);
+  now_ += std::chrono::seconds(60);
+  EXPECT_EQ(watch_.starvation(now_), "");
+  run(2.0, 62000, -1);
+  EXPECT_EQ(watch_.starvation(now_), "") << "detections may come yet";
+}
+
+TEST_F(WatchedDetections, ASlowDetectorIsNone) {
+  for (int i = 0; i < 5; ++i) {
+    run(2.0, 2000 * i, -1);
+    run(0.1, 2000 * i, 2000 * i, true);
+    EXPECT_EQ(watch_.starvation(now_), "");
+  }
 }
 
 SessionControl start_of(std::uint32_t session_id) {

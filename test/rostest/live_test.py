@@ -70,7 +70,8 @@ class LiveTest(unittest.TestCase):
 
     @classmethod
     def wait_until_up(cls):
-        up = wait_until(lambda: cls.control.messages and all(p.get_num_connections() > 0 for p in cls.publishers), 40)
+        ends = cls.publishers + [topic.subscriber for topic in (cls.frames, cls.joined, cls.done)]
+        up = wait_until(lambda: cls.control.messages and all(end.get_num_connections() > 0 for end in ends), 40)
         assert up, cls.launch.output()
 
     @classmethod
@@ -119,7 +120,8 @@ class DetectorTest(LiveTest):
         for i in range(round(50 * begin_s), round(50 * end_s) + 1):
             self.tf.publish(TFMessage([self.transform('/odom', '/base_link', i / 50.0, i / 50.0)]))
 
-    def see(self, time_s, with_detections=True, boxes=((100, 100, 200, 200),), focal_length=500.0):
+    def see(self, time_s, with_detections=True, boxes=((100, 100, 200, 200),), focal_length=500.0,
+            detector_clock_s=0.0):
         info = CameraInfo(width=640, height=480, distortion_model='plumb_bob', D=[0.0] * 5)
         info.header.frame_id = '/lens'
         info.header.stamp = rospy.Time.from_sec(START_S + time_s)
@@ -127,7 +129,7 @@ class DetectorTest(LiveTest):
         self.camera_info.publish(info)
         if not with_detections:
             return
-        self.detections.publish(self.detected(info.header.stamp, boxes))
+        self.detections.publish(self.detected(info.header.stamp + rospy.Duration(detector_clock_s), boxes))
 
     def detected(self, stamp, boxes):
         """What the detector says of the image with this stamp."""
@@ -221,6 +223,31 @@ class TfTest(DetectorTest):
         self.assertIsNotNone(self.frames.at(1.507))
         self.assertEqual(self.frames.at(1.507).session_id, before + 1)
         self.assertEqual(self.frames.at(1.507).frame_id, 0)
+
+
+    def test_6_frames_and_detections_that_do_not_meet_are_reported(self):
+        self.move(2.0, 13.0)
+
+        def summary():
+            return self.diagnostics.summaries.get('DetectionIngestion', '')
+
+        def see_until(begin_s, text, **how):
+            deadline, i = time.monotonic() + 5.0, 0
+            while text not in summary() and time.monotonic() < deadline:
+                self.see(begin_s + 0.1 * i, **how)
+                i += 1
+                time.sleep(0.1)
+            self.assertIn(text, summary())
+
+        alone = "frames on '/%s/frames', but no detections on '/detector'" % PACKAGE
+        see_until(2.057, alone, with_detections=False)
+        self.assertIn('; gap ', summary())
+        self.assert_counted('DetectionIngestion', 'times that frames and detections did not meet')
+        self.see(7.357)
+        self.assertTrue(wait_until(lambda: alone not in summary(), 5), summary())
+        see_until(7.457, 'but none with the stamp of the other; ', detector_clock_s=0.012)
+        self.assertIn('; gap 0.012', summary())
+        self.assert_counted('DetectionIngestion', 'detections without a frame', 5)
 
 
 class OdometryTest(DetectorTest):
