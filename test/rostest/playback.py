@@ -30,10 +30,10 @@ RESULT_FILES = ['trajectory_live.txt', 'trajectory.txt', 'keyframes.csv', 'objec
 
 
 class Launch:
-    """A launch file in a roslaunch of its own, on the test's master; its output is kept."""
+    """A launch file, of the package or by its path, in a roslaunch of its own on the test's master; its output is kept."""
 
     def __init__(self, launch_file, **arguments):
-        command = ['roslaunch', PACKAGE, launch_file]
+        command = ['roslaunch'] + ([launch_file] if os.path.isabs(launch_file) else [PACKAGE, launch_file])
         command += ['%s:=%s' % argument for argument in sorted(arguments.items())]
         self.lines = []
         self.process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT,
