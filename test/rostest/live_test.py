@@ -22,6 +22,7 @@ from semantic_topo_loop.msg import Detection, DetectionArray, Frame, FrameDone, 
 
 START_S = 1000.0
 CUP = 41
+STAGES = ('DetectionIngestion', 'ObjectAssociation', 'QuadricMapping', 'LoopDetection', 'PoseGraph')
 DEPTH_DELAY_S = 0.006
 
 
@@ -71,7 +72,10 @@ class LiveTest(unittest.TestCase):
     @classmethod
     def wait_until_up(cls):
         ends = cls.publishers + [topic.subscriber for topic in (cls.frames, cls.joined, cls.done)]
-        up = wait_until(lambda: cls.control.messages and all(end.get_num_connections() > 0 for end in ends), 40)
+        # A stage shows what it has heard once it has: before it knows the session it drops what comes.
+        heard = [(stage, 'session_control rate') for stage in STAGES]
+        up = wait_until(lambda: cls.control.messages and all(end.get_num_connections() > 0 for end in ends) and
+                        all(key in cls.diagnostics.values for key in heard), 40)
         assert up, cls.launch.output()
 
     @classmethod
