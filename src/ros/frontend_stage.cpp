@@ -188,7 +188,8 @@ void FrontendStage::publish_odom_tf(const core::Frame& frame) {
     constexpr std::int64_t kPatience_ns = 1'000'000'000;
     if (!unknown_since_ns_) unknown_since_ns_ = frame.stamp_ns;
     if (frame.stamp_ns - *unknown_since_ns_ < kPatience_ns) return;
-    statistics().count("tf sent to the camera, whose place on base_frame is unknown");
+    complain("tf sent to the camera, whose place on base_frame is unknown",
+             "nothing in tf has '" + camera_frame_ + "' below '" + child + "'");
     child = camera_frame_;
   }
   if (child != camera_frame_) {

@@ -258,7 +258,9 @@ class ImagesTest(DirectoryTest):
             recorder.step(i, wall.PERIOD_S * i, with_rig=False)
         recorder.close()
         launch, edges = self.play_and_listen(bag, 'no_rig')
-        self.assertNotIn('no tf', launch.output())
+        warnings = [line for line in launch.lines if 'nothing in tf has' in line]
+        self.assertEqual(len(warnings), 1, launch.output())
+        self.assertIn("'%s' below 'kinect'" % wall.FRAME[1:], warnings[0])
         parents = {parent for parent, child, _ in edges if child == wall.FRAME[1:]}
         self.assertEqual(parents, {'odom'}, 'the camera is all there is to move')
 
