@@ -190,9 +190,10 @@ TEST(Messages, KeyframePointsAndBadOnesAreNamed) {
 TEST(Messages, Detections) {
   Random random(3);
   const DetectionsMessage message = random.message<DetectionsMessage>(
-      FrameDetections{random.integer(), {{62, random.number(), random.box()}, {-1, 0.1, random.box()}}});
+      FrameDetections{random.integer(), true, {{62, random.number(), random.box()}, {-1, 0.1, random.box()}}});
   const DetectionArray generated = expect_generated_is_same(message);
   EXPECT_EQ(generated.frame_id, message.frame_id);
+  EXPECT_TRUE(generated.unanswered);
   ASSERT_EQ(generated.detections.size(), 2u);
   EXPECT_EQ(generated.detections[0].class_id, 62);
   EXPECT_EQ(generated.detections[0].score, message.detections[0].score);
@@ -202,7 +203,7 @@ TEST(Messages, Detections) {
 
 TEST(Messages, Associations) {
   Random random(4);
-  core::AssociationFrame associations{random.integer(), 1ull << 40, {}, random.number()};
+  core::AssociationFrame associations{random.integer(), true, 1ull << 40, {}, random.number()};
   for (int level = 0; level <= 8; ++level) {
     associations.associations.push_back({level, random.integer(), static_cast<core::AssociationLevel>(level),
                                          random.small(), random.number(), random.box(),
@@ -211,6 +212,7 @@ TEST(Messages, Associations) {
   const AssociationsMessage message = random.message<AssociationsMessage>(associations);
   const AssociationArray generated = expect_generated_is_same(message);
   EXPECT_EQ(generated.frame_id, message.frame_id);
+  EXPECT_TRUE(generated.unanswered);
   EXPECT_EQ(generated.map_version, message.map_version);
   EXPECT_EQ(generated.duration_us, message.duration_us);
   ASSERT_EQ(generated.associations.size(), 9u);
