@@ -134,7 +134,7 @@ ClassRole read_role(const YamlMap& map) {
 
 ObjectClass read_class(const YamlMap& map) {
   ObjectClass read;
-  if (!map.has_keys({"id", "name", "role"}, {"group", "size_prior_m"})) return read;
+  if (!map.has_keys({"id", "name", "role"}, {"group", "size_prior_m", "size_range_m"})) return read;
   read.id = map.value<int>("id", "an integer");
   read.name = map.value<std::string>("name", "a text");
   // Names are fields of the CSV files.
@@ -142,9 +142,16 @@ ObjectClass read_class(const YamlMap& map) {
   if (!is_field) map.reject("name", "a text without commas and quotes");
   read.role = read_role(map);
   if (map.has("group")) read.group = map.value<std::string>("group", "a text");
-  if (!map.has("size_prior_m")) return read;
-  read.size_prior_m = map.value<double>("size_prior_m", "a number > 0");
-  if (!(read.size_prior_m > 0.0)) map.reject("size_prior_m", "a number > 0");
+  if (map.has("size_prior_m")) {
+    read.size_prior_m = map.value<double>("size_prior_m", "a number > 0");
+    if (!(read.size_prior_m > 0.0)) map.reject("size_prior_m", "a number > 0");
+  }
+  if (map.has("size_range_m")) {
+    const YAML::Node range = map["size_range_m"];
+    const bool ok = range.IsSequence() && range.size() == 2 && decode(range[0], &read.size_min_m) &&
+                    decode(range[1], &read.size_max_m) && read.size_min_m >= 0.0 && read.size_min_m < read.size_max_m;
+    if (!ok) map.reject("size_range_m", "two numbers [least, largest], 0 <= least < largest");
+  }
   return read;
 }
 
@@ -217,7 +224,8 @@ Result<ClassTable> read_class_table(const std::string& path) {
   std::vector<ObjectClass> classes;
   for (std::size_t i = 0; problem.empty() && i < list.size(); ++i) {
     if (!list[i].IsMap())
-      return Error{yaml_place(path, list[i]) + ": a class must be a map {id, name, role, group, size_prior_m}"};
+      return Error{yaml_place(path, list[i]) +
+                   ": a class must be a map {id, name, role, group, size_prior_m, size_range_m}"};
     classes.push_back(read_class(YamlMap(path, list[i], &problem)));
   }
   if (!problem.empty()) return Error{problem};

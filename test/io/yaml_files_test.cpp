@@ -37,15 +37,17 @@ std::string replaced(std::string text, const std::string& from, const std::strin
 }
 
 TEST_F(YamlFiles, ClassTable) {
-  const auto table =
-      read_class_table(write("classes:\n"
-                             "  - {id: 41, name: cup, role: movable, group: vessel, size_prior_m: 0.1}\n"
-                             "  - {id: 0, name: person, role: dynamic}\n"));
+  const auto table = read_class_table(
+      write("classes:\n"
+            "  - {id: 41, name: cup, role: movable, group: vessel, size_prior_m: 0.1, size_range_m: [0.05, 0.2]}\n"
+            "  - {id: 0, name: person, role: dynamic}\n"));
   ASSERT_TRUE(table) << table.message();
   EXPECT_EQ(table->classes().size(), 2u);
   EXPECT_EQ(table->find(41)->name, "cup");
   EXPECT_EQ(table->find(41)->group, "vessel");
   EXPECT_EQ(table->find(41)->size_prior_m, 0.1);
+  EXPECT_EQ(table->find(41)->size_min_m, 0.05);
+  EXPECT_EQ(table->find(41)->size_max_m, 0.2);
   EXPECT_EQ(table->find(0)->role, ClassRole::kDynamic);
   EXPECT_TRUE(table->find(0)->group.empty());
 }
@@ -57,6 +59,10 @@ TEST_F(YamlFiles, ClassTableErrors) {
   expect_bad_classes("classes:\n  - {id: 1, role: static}\n", "key 'name' is missing");
   expect_bad_classes("classes:\n  - {id: one, name: a, role: static}\n", ":2: 'id' = 'one' must be an integer");
   expect_bad_classes("classes:\n  - {id: 1, name: a, role: static, size_prior_m: -1}\n", "'size_prior_m' = '-1'");
+  for (const char* range : {"0.1", "[0.1]", "[0.2, 0.1]", "[-1, 1]", "[0.1, .nan]"}) {
+    expect_bad_classes(std::string("classes:\n  - {id: 1, name: a, role: static, size_range_m: ") + range + "}\n",
+                       "'size_range_m'");
+  }
   expect_bad_classes("classes:\n  - {id: 1, name: 'a,b', role: static}\n", "'name' = 'a,b'");
   expect_bad_classes("classes:\n  - {id: 1, name: a, role: static}\n  - {id: 1, name: b, role: static}\n",
                      "class id 1 is listed twice");

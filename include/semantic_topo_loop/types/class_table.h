@@ -1,5 +1,6 @@
 #pragma once
 
+#include <limits>
 #include <map>
 #include <string>
 #include <vector>
@@ -17,6 +18,9 @@ struct ObjectClass {
   ClassRole role = ClassRole::kStatic;
   std::string group;          ///< classes a detector confuses share a group; empty: none
   double size_prior_m = 0.3;  ///< typical diameter, m
+  /// Longer side of a box around one of them, as depth measures it, from the smallest seen from its narrow side to the
+  /// diagonal of the largest, m.
+  double size_min_m = 0.0, size_max_m = std::numeric_limits<double>::infinity();
 };
 
 /// The detector's classes by id, read from config/classes_*.yaml.
