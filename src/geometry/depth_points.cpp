@@ -1,17 +1,13 @@
 #include "geometry/depth_points.h"
 
-#include <pcl/filters/statistical_outlier_removal.h>
-#include <pcl/point_cloud.h>
-#include <pcl/point_types.h>
-#include <pcl/search/kdtree.h>
-#include <pcl/segmentation/extract_clusters.h>
-
 #include <Eigen/Eigenvalues>
 #include <algorithm>
 #include <array>
 #include <cmath>
 #include <random>
 #include <utility>
+
+#include "geometry/statistics.h"
 
 namespace semantic_topo_loop::core {
 namespace {
@@ -58,18 +54,14 @@ bool contains(const Box& box, const Vec2& pixel) {
   return pixel.x() >= box.x1 && pixel.x() <= box.x2 && pixel.y() >= box.y1 && pixel.y() <= box.y2;
 }
 
-using Cloud = pcl::PointCloud<pcl::PointXYZ>;
-
-constexpr std::size_t kMinPoints = 5;    // of an object or a cluster: fewer are noise or a rim
-constexpr std::size_t kPointsMax = 400;  // around a box: more make nothing better and every step slower
-constexpr double kRing = 0.25;           // of the box's sides, on each side: what lies around the object
-constexpr int kPlanesMax = 2;            // table and wall
-constexpr int kHypotheses = 40;          // finds a plane of half of the points in 99.5 % of all cases
-constexpr double kPlaneShare = 0.3;      // of the points around the box, from which on a plane is the object's support
-constexpr double kMiddle = 0.8;          // of the box: the ellipse that a convex object fills
-constexpr double kFlatShare = 0.15;      // of the middle above the support, below which the object is flat
-constexpr int kSurfaceCells = 3;         // along each side of the box
-constexpr double kStrip_px = 10.0;       // along a side, inside of it: two or three points of a frame's grid
+constexpr std::size_t kMinPoints = 5;         // of an object: fewer are noise or a rim
+constexpr std::size_t kPointsMax = 300;       // of a box: more make nothing better and every step slower
+constexpr double kRing = 0.25;                // of the box's sides, on each side: what lies around the object
+constexpr int kHypotheses = 40;               // finds a plane of half of the points in 99.5 % of all cases
+constexpr double kMiddle = 0.8;               // of the box: the ellipse that a convex object fills
+constexpr double kNearShare = 0.35;           // of the points in it: less than the part that anything but a frame fills
+constexpr double kReach = 0.5;                // of the box's longer side, before and behind that
+constexpr double kStrip_px = 10.0;            // along a side, inside of it: two or three points of a frame's grid
 constexpr std::size_t kStripPointsMax = 100;  // twenty times those that it takes
 constexpr double kOccluderShare = 0.6;  // of what lies outside of a side in one plane, and inside of it behind that
 
@@ -79,115 +71,8 @@ double eccentricity(const Vec2& pixel, const Box& box) {
   return std::hypot(2.0 * offset.x() / box.width(), 2.0 * offset.y() / box.height());
 }
 
-/// What is around and in a box.
-struct Neighbourhood {
-  std::vector<SeenPoint> inside;
-  std::vector<Vec3> around;
-};
-
-Neighbourhood look(const FramePoints& points, const Box& box) {
-  const double dx = kRing * box.width(), dy = kRing * box.height();
-  Neighbourhood result;
-  for (const SeenPoint& p : points.in({box.x1 - dx, box.y1 - dy, box.x2 + dx, box.y2 + dy}, kPointsMax)) {
-    if (contains(box, p.pixel)) {
-      result.inside.push_back(p);
-    } else {
-      result.around.push_back(p.point_camera);
-    }
-  }
-  return result;
-}
-
-const Vec3& position(const Vec3& point) { return point; }
-const Vec3& position(const SeenPoint& point) { return point.point_camera; }
-
-template <class Point>
-void remove_plane(const Plane& plane, std::vector<Point>* points) {
-  const auto lies_in = [&plane](const Point& point) { return plane.holds(position(point)); };
-  points->erase(std::remove_if(points->begin(), points->end(), lies_in), points->end());
-}
-
-/// The points inside the box that belong to none of the planes that go on around it.
-std::vector<SeenPoint> without_supports(Neighbourhood neighbourhood) {
-  const auto least = static_cast<std::size_t>(kPlaneShare * static_cast<double>(neighbourhood.around.size()));
-  for (int i = 0; i < kPlanesMax && neighbourhood.around.size() > std::max(kMinPoints, least); ++i) {
-    const double share = static_cast<double>(least) / static_cast<double>(neighbourhood.around.size());
-    const std::optional<Plane> plane = dominant_plane(neighbourhood.around, kHypotheses, share);
-    if (!plane) break;
-    remove_plane(*plane, &neighbourhood.around);
-    remove_plane(*plane, &neighbourhood.inside);
-  }
-  return std::move(neighbourhood.inside);
-}
-
-std::size_t in_middle(const std::vector<SeenPoint>& points, const Box& box) {
-  return static_cast<std::size_t>(std::count_if(
-      points.begin(), points.end(), [&](const SeenPoint& p) { return eccentricity(p.pixel, box) < kMiddle; }));
-}
-
-Cloud::Ptr to_cloud(const std::vector<SeenPoint>& points) {
-  Cloud::Ptr cloud(new Cloud);
-  for (const SeenPoint& p : points) {
-    const Eigen::Vector3f q = p.point_camera.cast<float>();
-    cloud->push_back({q.x(), q.y(), q.z()});
-  }
-  return cloud;
-}
-
-Cloud::Ptr without_outliers(const Cloud::Ptr& cloud) {
-  pcl::StatisticalOutlierRemoval<pcl::PointXYZ> filter;
-  filter.setInputCloud(cloud);
-  filter.setMeanK(static_cast<int>(kMinPoints) - 1);
-  filter.setStddevMulThresh(2.0);
-  Cloud::Ptr filtered(new Cloud);
-  filter.filter(*filtered);
-  return filtered;
-}
-
-std::vector<pcl::PointIndices> clusters(const Cloud::Ptr& cloud, const Camera& camera, const Box& box) {
-  double mean_depth = 0.0;
-  for (const pcl::PointXYZ& p : *cloud) mean_depth += p.z / static_cast<double>(cloud->size());
-  pcl::search::KdTree<pcl::PointXYZ>::Ptr tree(new pcl::search::KdTree<pcl::PointXYZ>);
-  tree->setInputCloud(cloud);
-  pcl::EuclideanClusterExtraction<pcl::PointXYZ> clustering;
-  // Surfaces within a third of the object's own size belong together.
-  clustering.setClusterTolerance(std::max(0.01, box.size() * mean_depth / camera.fx / 3.0));
-  clustering.setMinClusterSize(static_cast<int>(kMinPoints));
-  clustering.setSearchMethod(tree);
-  clustering.setInputCloud(cloud);
-  std::vector<pcl::PointIndices> found;
-  clustering.extract(found);
-  return found;
-}
-
-/// How much of the box's middle a cluster fills.
-double weight(const Cloud& cloud, const pcl::PointIndices& cluster, const Camera& camera, const Box& box) {
-  double sum = 0.0;
-  for (const int index : cluster.indices) {
-    const pcl::PointXYZ& p = cloud[static_cast<std::size_t>(index)];
-    const Vec2 pixel(camera.fx * p.x / p.z + camera.cx, camera.fy * p.y / p.z + camera.cy);
-    const double e = eccentricity(pixel, box);
-    sum += std::max(0.0, 1.0 - e * e);
-  }
-  return sum;
-}
-
-std::vector<Vec3> middle_cluster(const std::vector<SeenPoint>& seen, const Camera& camera, const Box& box) {
-  const Cloud::Ptr cloud = without_outliers(to_cloud(seen));
-  std::vector<Vec3> points;
-  if (cloud->size() < kMinPoints) return points;
-  double most = 0.0;
-  for (const pcl::PointIndices& cluster : clusters(cloud, camera, box)) {
-    const double value = weight(*cloud, cluster, camera, box);
-    if (value <= most) continue;
-    most = value;
-    points.clear();
-    for (const int index : cluster.indices) {
-      const pcl::PointXYZ& p = (*cloud)[static_cast<std::size_t>(index)];
-      points.emplace_back(p.x, p.y, p.z);
-    }
-  }
-  return points;
+double longer_side(const Box& box, const Camera& camera) {
+  return std::max(box.width() / camera.fx, box.height() / camera.fy);
 }
 
 /// The strips along a side, inside and outside of the box.
@@ -301,39 +186,31 @@ std::uint8_t hidden_sides(const FramePoints& points, const Box& box) {
 }
 
 std::vector<Vec3> object_points(const FramePoints& points, const Box& box) {
-  if (!box.is_valid()) return {};
-  Neighbourhood neighbourhood = look(points, box);
-  if (neighbourhood.inside.size() < kMinPoints) return {};
-  std::vector<SeenPoint> all = neighbourhood.inside;
-  const std::vector<SeenPoint> above = without_supports(std::move(neighbourhood));
-  const double share = static_cast<double>(in_middle(above, box)) / static_cast<double>(in_middle(all, box) + 1);
-  if (above.size() >= kMinPoints && share >= kFlatShare) return middle_cluster(above, points.camera(), box);
-  all.erase(
-      std::remove_if(all.begin(), all.end(), [&](const SeenPoint& p) { return eccentricity(p.pixel, box) >= kMiddle; }),
-      all.end());
-  return all.size() < kMinPoints ? std::vector<Vec3>{} : middle_cluster(all, points.camera(), box);
+  std::vector<Vec3> middle;
+  for (const SeenPoint& p : points.in(box, kPointsMax)) {
+    if (eccentricity(p.pixel, box) < kMiddle) middle.push_back(p.point_camera);
+  }
+  if (middle.size() < kMinPoints) return {};
+  std::vector<double> depths;
+  depths.reserve(middle.size());
+  for (const Vec3& point : middle) depths.push_back(point.z());
+  const auto near = depths.begin() + static_cast<std::ptrdiff_t>(kNearShare * static_cast<double>(depths.size()));
+  std::nth_element(depths.begin(), near, depths.end());
+  const double reach_m = kReach * longer_side(box, points.camera()) * *near;
+  middle.erase(std::remove_if(middle.begin(), middle.end(),
+                              [&](const Vec3& point) { return std::abs(point.z() - *near) > reach_m; }),
+               middle.end());
+  return middle.size() < kMinPoints ? std::vector<Vec3>{} : middle;
 }
 
-std::shared_ptr<const Surface> make_surface(const std::vector<Vec3>& object_points_camera, const Camera& camera,
-                                            const Box& box) {
-  std::array<std::vector<Vec3>, kSurfaceCells * kSurfaceCells> cells;
-  for (const Vec3& p : object_points_camera) {
-    const Vec2 pixel = camera.pixel(p);
-    if (eccentricity(pixel, box) >= kMiddle) continue;
-    const auto cell = [](double share) {
-      return std::clamp(static_cast<int>(share * kSurfaceCells), 0, kSurfaceCells - 1);
-    };
-    const int column = cell((pixel.x() - box.x1) / box.width()), row = cell((pixel.y() - box.y1) / box.height());
-    cells[static_cast<std::size_t>(row * kSurfaceCells + column)].push_back(p);
-  }
-  Surface surface;
-  for (std::vector<Vec3>& cell : cells) {
-    if (cell.empty()) continue;
-    const auto middle = cell.begin() + static_cast<std::ptrdiff_t>(cell.size() / 2);
-    std::nth_element(cell.begin(), middle, cell.end(), [](const Vec3& a, const Vec3& b) { return a.z() < b.z(); });
-    surface.push_back(middle->cast<float>());
-  }
-  return surface.empty() ? nullptr : std::make_shared<const Surface>(std::move(surface));
+std::optional<Placement> place(const FramePoints& points, const Box& box) {
+  const std::vector<Vec3> found = object_points(points, box);
+  if (found.empty()) return std::nullopt;
+  std::vector<double> depths;
+  depths.reserve(found.size());
+  for (const Vec3& point : found) depths.push_back(point.z());
+  const double depth = median(std::move(depths));
+  return Placement{depth * points.camera().ray(box.center()), depth * longer_side(box, points.camera())};
 }
 
 }  // namespace semantic_topo_loop::core

@@ -60,27 +60,26 @@ class FramePoints {
   std::vector<SeenPoint> points_;  ///< in the order of the grid
 };
 
-/// What a frame saw of an object's near side: a few points spread over the middle of its box, camera frame, m.
-using Surface = std::vector<Eigen::Vector3f>;
-
-/// The points of one object: those inside its box, without the planes that go on around the box (the table it stands
-/// on, the wall behind it: RANSAC with a fixed seed), without outliers (PCL statistical removal), and of what is left
-/// the cluster that fills the middle of the box (PCL Euclidean clustering). What hardly rises above its support, a
-/// sheet of paper, is given as the part of the support that its box shows.
+/// The points of one object: those in the middle of its box about the depth that a third of them do not reach, as far
+/// before and behind it as half of the box's longer side is long. An object is in front of what is behind it, holes
+/// in it and where depth is missing notwithstanding.
 /// @param box undistorted, px
 /// @return camera frame, m; empty if too few points are left
 std::vector<Vec3> object_points(const FramePoints& points, const Box& box);
+
+/// Where depth puts what a box shows, and how large it makes it.
+struct Placement {
+  Vec3 center = Vec3::Zero();  ///< of the near side, on the ray through the middle of the box; camera frame, m
+  double size_m = 0.0;         ///< longer side of the box at that depth
+};
+
+/// @param box undistorted, px   @return nullopt without object_points
+std::optional<Placement> place(const FramePoints& points, const Box& box);
 
 /// The sides of a box at which something in front ends it, as Truncation bits: what lies just inside of them is behind
 /// the plane of what lies outside (RANSAC with a fixed seed). Of a chair behind a desk that is the lower side. The
 /// object goes on there, so that these sides bound nothing; what an object stands on, and walls behind it, hide none.
 /// @param box undistorted, px   @return 0 too where too few points are known
 std::uint8_t hidden_sides(const FramePoints& points, const Box& box);
-
-/// The near side of an object as the fit of its ellipsoid needs it: of each ninth of the box the point of median depth,
-/// where it lies in the ellipse that a convex object fills.
-/// @param object_points_camera as object_points gives them   @return null if there are none
-std::shared_ptr<const Surface> make_surface(const std::vector<Vec3>& object_points_camera, const Camera& camera,
-                                            const Box& box);
 
 }  // namespace semantic_topo_loop::core

@@ -16,7 +16,6 @@ using Vec5 = Eigen::Matrix<double, 5, 1>;
 
 constexpr double kMinDepth_m = 0.2;        // of a centre: no camera of a robot sees an object whole from nearer
 constexpr int kMinNewViews = 5;            // before the next fit, so that a young landmark is not fitted in every frame
-constexpr std::size_t kSurfaceViews = 24;  // more show nothing new and each costs as much as a box
 constexpr double kCauchyScale_m = 0.05;    // distance from a tangent plane at which its weight is halved
 constexpr double kMinConditioning = 1e-5;  // smallest over largest: about the square of the parallax, 0.2 deg
 constexpr double kDepthRatioMax = 3.0;     // of the axis along the view to the two across it
@@ -103,24 +102,19 @@ std::optional<Ellipsoid> initialise_sphere(const Camera& camera, const std::vect
   return Ellipsoid{SE3(views.front().T_world_camera.q, center), Vec3::Constant(radius)};
 }
 
-std::optional<Ellipsoid> initialise_from_surface(const Camera& camera, const BoxView& view, double size_prior_m) {
-  if (!view.surface || view.surface->empty() || view.truncated != 0 || !view.box.is_valid()) return std::nullopt;
-  std::vector<double> z;
-  z.reserve(view.surface->size());
-  for (const Eigen::Vector3f& point : *view.surface) z.push_back(static_cast<double>(point.z()));
-  const double surface_depth = median(std::move(z));
-  if (!(surface_depth > 0.0)) return std::nullopt;
-  const double half_width = 0.5 * view.box.width() * surface_depth / camera.fx;
-  const double half_height = 0.5 * view.box.height() * surface_depth / camera.fy;
+std::optional<Ellipsoid> initialise_from_depth(const Camera& camera, const BoxView& view, double size_prior_m) {
+  if (!(view.near_m > 0.0) || !view.box.is_valid()) return std::nullopt;
+  const double half_width = 0.5 * view.box.width() * view.near_m / camera.fx;
+  const double half_height = 0.5 * view.box.height() * view.near_m / camera.fy;
   const double symmetric = std::sqrt(half_width * half_height);
   double half_depth = symmetric;
   if (size_prior_m > 0.0) {
     const double of_class = std::pow(0.5 * size_prior_m, 3.0) / (half_width * half_height);
     half_depth = std::clamp(std::sqrt(symmetric * of_class), symmetric / kDepthRatioMax, symmetric * kDepthRatioMax);
   }
-  const Vec3 center_camera = camera.ray(view.box.center()) * (surface_depth + half_depth);
-  return Ellipsoid{SE3(view.T_world_camera.q, view.T_world_camera * center_camera),
-                   Vec3(half_width, half_height, half_depth)};
+  const Vec3 semi_axes(half_width, half_height, half_depth);
+  const Vec3 center_camera = camera.ray(view.box.center()) * (view.near_m + near_side_m(semi_axes.minCoeff()));
+  return Ellipsoid{SE3(view.T_world_camera.q, view.T_world_camera * center_camera), semi_axes};
 }
 
 bool LandmarkFitter::fit(const ViewSource& source, MappedLandmark* landmark) const {
@@ -128,8 +122,7 @@ bool LandmarkFitter::fit(const ViewSource& source, MappedLandmark* landmark) con
   landmark->next_fit_at =
       state.observations + std::max(kMinNewViews, static_cast<int>(options_.refit_growth * state.observations));
   const std::vector<BoxView> views = fit_views(source, *landmark);
-  const bool has_depth =
-      std::any_of(views.begin(), views.end(), [](const BoxView& view) { return view.surface != nullptr; });
+  const bool has_depth = std::any_of(views.begin(), views.end(), [](const BoxView& view) { return view.near_m > 0.0; });
   if (!has_depth && static_cast<int>(views.size()) < options_.min_views) return false;
   const std::optional<Ellipsoid> initial = state.ellipsoid ? state.ellipsoid : start(source.camera(), views, state);
   if (!initial) return false;
@@ -147,10 +140,13 @@ bool LandmarkFitter::fit(const ViewSource& source, MappedLandmark* landmark) con
 std::optional<Ellipsoid> LandmarkFitter::start(const Camera& camera, const std::vector<BoxView>& views,
                                                const Landmark& state) const {
   const ObjectClass* object_class = classes_.find(state.class_id);
-  for (auto view = views.rbegin(); view != views.rend(); ++view) {
-    const std::optional<Ellipsoid> ellipsoid =
-        initialise_from_surface(camera, *view, object_class != nullptr ? object_class->size_prior_m : 0.0);
-    if (ellipsoid) return ellipsoid;
+  for (const bool is_cut : {false, true}) {
+    for (auto view = views.rbegin(); view != views.rend(); ++view) {
+      if ((view->truncated != 0) != is_cut) continue;
+      const std::optional<Ellipsoid> ellipsoid =
+          initialise_from_depth(camera, *view, object_class != nullptr ? object_class->size_prior_m : 0.0);
+      if (ellipsoid) return ellipsoid;
+    }
   }
   if (static_cast<int>(views.size()) < options_.min_views) return std::nullopt;
   const std::optional<Ellipsoid> sphere = initialise_sphere(camera, views);
@@ -158,18 +154,17 @@ std::optional<Ellipsoid> LandmarkFitter::start(const Camera& camera, const std::
 }
 
 /// Boxes of the landmark's class or one confused with it, whole ones first; what the image border cuts fills up, since
-/// of a large object seen from near there may be nothing else. Those with depth come before both.
+/// of a large object seen from near there may be nothing else.
 std::vector<BoxView> LandmarkFitter::fit_views(const ViewSource& source, const MappedLandmark& landmark) const {
-  std::vector<Observation> with_depth, whole, cut;
+  std::vector<Observation> whole, cut;
   for (const Observation& observation : landmark.observations) {
     if (!classes_.confusable(observation.class_id, landmark.state.class_id)) continue;
-    (observation.view.surface ? with_depth : observation.view.truncated == 0 ? whole : cut).push_back(observation);
+    (observation.view.truncated == 0 ? whole : cut).push_back(observation);
   }
   const auto wanted = static_cast<std::size_t>(options_.fit_views_max);
-  std::vector<BoxView> views = source.views(spread(with_depth, std::min(wanted, kSurfaceViews)));
-  for (const std::vector<Observation>* rest : {&whole, &cut}) {
-    if (views.size() >= wanted) break;
-    const std::vector<BoxView> more = source.views(spread(*rest, wanted - views.size()));
+  std::vector<BoxView> views = source.views(spread(whole, wanted));
+  if (views.size() < wanted) {
+    const std::vector<BoxView> more = source.views(spread(cut, wanted - views.size()));
     views.insert(views.end(), more.begin(), more.end());
   }
   return views;

@@ -16,11 +16,11 @@ double parallax_deg(const std::vector<BoxView>& views, const Vec3& point_world);
 /// r, solved by least squares with Cauchy weights. A box that is cut still counts with its other sides.
 /// @return nullopt for fewer than 2 views, views without parallax, or a centre behind many of the cameras
 std::optional<Ellipsoid> initialise_sphere(const Camera& camera, const std::vector<BoxView>& views);
-/// An ellipsoid from one whole box with a surface. The surface is that of the near side; what lies behind it is
-/// guessed: two axes along the image from the box, the third such that the object is as deep as it is wide and high in
-/// the mean, drawn halfway towards the volume of its class's typical size where that is known.
-/// @param size_prior_m typical diameter, 0 if unknown   @return nullopt without a surface, or if the box is cut
-std::optional<Ellipsoid> initialise_from_surface(const Camera& camera, const BoxView& view, double size_prior_m);
+/// An ellipsoid from one box with depth; of a box that is cut, from what is seen. Two axes are along the image, from
+/// the box at the depth of the near side; the third is such that the object is as deep as it is wide and high in the
+/// mean, drawn halfway towards the volume of its class's typical size where that is known.
+/// @param size_prior_m typical diameter, 0 if unknown   @return nullopt without depth
+std::optional<Ellipsoid> initialise_from_depth(const Camera& camera, const BoxView& view, double size_prior_m);
 
 /// Gives a landmark its ellipsoid from its boxes.
 class LandmarkFitter {

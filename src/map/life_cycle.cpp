@@ -7,11 +7,15 @@
 namespace semantic_topo_loop::core {
 namespace {
 
+constexpr double kPlacedShare = 0.5;       // of the time seen
+constexpr double kBoundedShare = 0.2;      // of the time to be seen for: what no image shows the end of is no object
 constexpr double kTransparentShare = 0.1;  // of the time seen: what shows more of its background has holes
 constexpr double kMinWidth_px = 12.0, kMinHeight_px = 8.0;  // of a projection that a detector may be expected to box
 constexpr double kFullyVisibleShare = 0.8;                  // of its area, inside the image
 constexpr double kHiddenShare = 0.5;                        // of the box, from which on it counts as hidden
 constexpr double kSigmas = 2.5;            // of a depth, beyond which it is in front or behind: 1 in 80 by chance
+constexpr double kUneven_m = 0.01;         // of a surface against its ellipsoid
+constexpr double kUnevenShare = 0.15;      // the same, as a share of its radius
 constexpr double kMiddle = 0.6;            // of the sides of the projection
 constexpr double kSeenThroughShare = 0.5;  // of its middle, from which on nothing seems to be there
 constexpr std::size_t kMinPoints = 5;      // fewer could all be wrong
@@ -48,23 +52,27 @@ DepthThere depth_there(const Candidate& candidate, const FramePoints& points, co
   const double half_width = 0.5 * kMiddle * candidate.whole.width();
   const double half_height = 0.5 * kMiddle * candidate.whole.height();
   const Box box{middle.x() - half_width, middle.y() - half_height, middle.x() + half_width, middle.y() + half_height};
-  const QuadricFitOptions shape;
-  const double uneven = shape.surface_sigma_m + shape.surface_share * candidate.ellipsoid->radius();
+  const double uneven = kUneven_m + kUnevenShare * candidate.ellipsoid->radius();
   std::size_t known = 0, in_front = 0, behind = 0;
   for (const SeenPoint& p : points.in(box, kPointsMax)) {
     const double z = p.point_camera.z();
-    const std::optional<RayDepth> there =
-        surface_depth(*candidate.ellipsoid, T_map_camera.t, T_map_camera.q * Vec3(p.point_camera / z));
+    const std::optional<double> there =
+        ray_depth(*candidate.ellipsoid, T_map_camera.t, T_map_camera.q * Vec3(p.point_camera / z));
     if (!there) continue;
     const double margin = kSigmas * (uneven + depth_sigma_m(z));
     ++known;
-    if (z < there->depth - margin) ++in_front;
-    if (z > there->depth + margin) ++behind;
+    if (z < *there - margin) ++in_front;
+    if (z > *there + margin) ++behind;
   }
   if (known < kMinPoints) return DepthThere::kUnknown;
   const auto share = [known](std::size_t count) { return static_cast<double>(count) / static_cast<double>(known); };
   if (share(in_front) > kHiddenShare) return DepthThere::kInFront;
   return share(behind) > kSeenThroughShare ? DepthThere::kBehind : DepthThere::kAtIt;
+}
+
+/// Whether depth has told most of the time where it is.
+bool is_placed(const MappedLandmark& landmark) {
+  return landmark.sightings.placed_s > kPlacedShare * landmark.sightings.seen_s;
 }
 
 }  // namespace
@@ -102,9 +110,9 @@ std::vector<ExpectedLandmark> expected_landmarks(const std::map<std::int64_t, Ma
 
 double landmark_quality(const MappedLandmark& landmark) {
   const Landmark& state = landmark.state;
+  const double from_around = is_placed(landmark) ? 1.0 : 1.0 - std::exp(-state.baseline_deg / 15.0);
   const double sigma = std::sqrt(std::max(0.0, state.center_covariance.trace() / 3.0));
-  return state.mean_iou * (1.0 - std::exp(-state.baseline_deg / 15.0)) *
-         (1.0 - std::exp(-landmark.sightings.seen_s / 0.7)) / (1.0 + sigma / 0.05);
+  return state.mean_iou * from_around * (1.0 - std::exp(-landmark.sightings.seen_s / 0.7)) / (1.0 + sigma / 0.05);
 }
 
 LandmarkState life_cycle_state(const MappedLandmark& landmark, const QuadricMapperOptions& options, bool is_movable) {
@@ -122,10 +130,15 @@ LandmarkState life_cycle_state(const MappedLandmark& landmark, const QuadricMapp
       (is_movable && sightings.missed_since_s * sightings.familiar_share() > options.retire_missed_s)) {
     return LandmarkState::kRetired;
   }
-  const bool confirmed =
-      state.ellipsoid && state.observations >= options.min_views && sightings.whole_s >= options.confirm_seen_s &&
-      state.baseline_deg >= options.confirm_baseline_deg && state.mean_iou >= options.confirm_mean_iou &&
-      seen_share >= options.confirm_seen_share && landmark_quality(landmark) >= options.confirm_quality;
+  // Boxes alone need several directions; depth needs none, and what is cut counts, if every side was seen to end.
+  const bool is_known =
+      is_placed(landmark)
+          ? sightings.placed_s >= options.confirm_seen_s &&
+                sightings.bounded_s.minCoeff() >= kBoundedShare * options.confirm_seen_s
+          : sightings.whole_s >= options.confirm_seen_s && state.baseline_deg >= options.confirm_baseline_deg;
+  const bool confirmed = state.ellipsoid && state.observations >= options.min_views && is_known &&
+                         state.mean_iou >= options.confirm_mean_iou && seen_share >= options.confirm_seen_share &&
+                         landmark_quality(landmark) >= options.confirm_quality;
   return confirmed ? LandmarkState::kConfirmed : LandmarkState::kCandidate;
 }
 

@@ -30,11 +30,15 @@ struct Observation {
   BoxView view;  ///< with the keyframe for a world, in the odometry's unit of length
 };
 
-/// How long a landmark was seen and should have been. Time, not counts, so that 6 Hz and 30 Hz behave alike.
+/// How long a landmark was seen and should have been. Time, not counts, so that 6 Hz and 30 Hz behave alike. Where
+/// depth tells of what one box shows, the time that it was seen is weighed by the detector's score.
 struct Sightings {
   double seen_s = 0.0;      ///< with a box
   double whole_s = 0.0;     ///< with a box that the image border does not cut
   double expected_s = 0.0;  ///< in view, large enough and not hidden
+  /// With a box that depth places, and for each side with such a box that is not cut there.
+  double placed_s = 0.0;
+  Vec4 bounded_s = Vec4::Zero();
   /// Expected from where it had been seen before: with a box, without one, and without one since the last box.
   double familiar_seen_s = 0.0, familiar_missed_s = 0.0, missed_since_s = 0.0;
   /// In view where depth shows what lies behind it: while it had a box (it has holes, or is misplaced), and without a
@@ -51,6 +55,8 @@ struct Sightings {
   void add(const Sightings& other, double sign = 1.0) {
     seen_s += sign * other.seen_s;
     whole_s += sign * other.whole_s;
+    placed_s += sign * other.placed_s;
+    bounded_s += sign * other.bounded_s;
     familiar_seen_s += sign * other.familiar_seen_s;
     familiar_missed_s += sign * other.familiar_missed_s;
     transparent_s += sign * other.transparent_s;
@@ -118,8 +124,8 @@ class ViewSource {
   BoxView view(const Observation& observation) const {
     const Sim3& S_map_keyframe = S_map_keyframe_.at(observation.keyframe_id);
     const BoxView& view = observation.view;
-    return {S_map_keyframe.pose(view.T_world_camera), view.box, view.truncated,
-            scaled(view.surface, S_map_keyframe.scale)};
+    // Depth is in the odometry's unit of length, as its translations are.
+    return {S_map_keyframe.pose(view.T_world_camera), view.box, view.truncated, S_map_keyframe.scale * view.near_m};
   }
   std::vector<BoxView> views(const std::vector<Observation>& observations) const {
     std::vector<BoxView> result;
@@ -129,14 +135,6 @@ class ViewSource {
   }
 
  private:
-  /// Depth is in the odometry's unit of length, as its translations are.
-  static std::shared_ptr<const Surface> scaled(const std::shared_ptr<const Surface>& surface, double scale) {
-    if (!surface || scale == 1.0) return surface;
-    auto result = std::make_shared<Surface>(*surface);
-    for (Eigen::Vector3f& point : *result) point *= static_cast<float>(scale);
-    return result;
-  }
-
   const Camera& camera_;
   const KeyframePlaces& S_map_keyframe_;
 };
@@ -157,7 +155,7 @@ std::vector<ExpectedLandmark> expected_landmarks(const std::map<std::int64_t, Ma
 
 /// rho in [0, 1]: 1 for an object well seen from all around, 0 for a guess.
 ///   rho = mean IoU (1 - e^(-baseline / 15 deg)) (1 - e^(-seen / 0.7 s)) / (1 + sigma / 5 cm),
-/// with sigma the root mean variance of the centre.
+/// with sigma the root mean variance of the centre; without the baseline where depth places it.
 double landmark_quality(const MappedLandmark& landmark);
 
 /// Candidate, confirmed or retired, from what is known now; only what is movable can have gone.

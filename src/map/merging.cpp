@@ -13,6 +13,8 @@ constexpr std::size_t kVotingViews = 30;  // spread over all: the median of more
 constexpr double kMinReach_m = 0.25;      // for small objects, whose fits scatter by more than their size
 constexpr double kPartInside = 0.7;       // median share of a part's boxes inside the whole's projection
 constexpr double kPartSeen = 0.3;    // of the time for which the whole is seen, at most: what is seen more is a thing
+constexpr double kOnePlace = 0.4;    // of the smaller size, between centres of one thing that depth places
+constexpr double kOneSize = 0.5;     // smaller over larger, of such
 constexpr double kSameCenter = 0.5;  // mean semi-axes: centres nearer than this are one object's, whatever the boxes
 
 struct Overlap {
@@ -39,6 +41,15 @@ Overlap overlap(const MappedLandmark& a, const MappedLandmark& b, const ViewSour
   return {median(ious), median(insides)};
 }
 
+/// Whether depth puts both in one place with about one size.
+bool is_one_place(const MappedLandmark& a, const MappedLandmark& b) {
+  const double size_a = 2.0 * a.state.ellipsoid->semi_axes.maxCoeff();
+  const double size_b = 2.0 * b.state.ellipsoid->semi_axes.maxCoeff();
+  return a.sightings.placed_s > 0.0 && b.sightings.placed_s > 0.0 &&
+         std::min(size_a, size_b) > kOneSize * std::max(size_a, size_b) &&
+         (a.state.ellipsoid->center() - b.state.ellipsoid->center()).norm() < kOnePlace * std::min(size_a, size_b);
+}
+
 Remains remains_of(const KeyframePlaces& S_map_keyframe, const LandmarkRecord& landmark) {
   Remains remains{landmark, {}, 1.0};
   const auto anchor = S_map_keyframe.find(landmark.state.anchor_keyframe_id);
@@ -63,7 +74,8 @@ double DuplicateTest::reach_m(double longest_a_m, double longest_b_m) {
 
 bool DuplicateTest::is_duplicate(const MappedLandmark& a, const MappedLandmark& b, const ViewSource& views) const {
   const bool same = a.state.class_id == b.state.class_id;
-  if (!same && !classes_.confusable(a.state.class_id, b.state.class_id)) return false;
+  const bool confusable = classes_.confusable(a.state.class_id, b.state.class_id);
+  if (!confusable && !is_one_place(a, b)) return false;
   const double distance = (a.state.ellipsoid->center() - b.state.ellipsoid->center()).norm();
   if (distance > reach_m(a.state.ellipsoid->semi_axes.maxCoeff(), b.state.ellipsoid->semi_axes.maxCoeff()))
     return false;
@@ -71,7 +83,8 @@ bool DuplicateTest::is_duplicate(const MappedLandmark& a, const MappedLandmark& 
   const int common = beside == a.seen_beside.end() ? 0 : beside->second;
   const bool vetoed = common >= options_.merge_veto_share * b.state.observations;
   const Overlap o = overlap(a, b, views);
-  if (!same) return o.iou > options_.merge_iou_confusable;
+  if (!vetoed && is_one_place(a, b) && o.inside > kPartInside) return true;
+  if (!same) return confusable && o.iou > options_.merge_iou_confusable;
   const double closeness =
       kSameCenter * std::min(a.state.ellipsoid->semi_axes.mean(), b.state.ellipsoid->semi_axes.mean());
   return !vetoed && (o.iou > options_.merge_iou || distance < closeness);

@@ -17,7 +17,7 @@ class DuplicateTest {
       : options_(options), classes_(classes) {}
 
   /// True if b, the less observed one, is the same object as a: class group, overlap of b's boxes with a's projection,
-  /// not seen side by side.
+  /// not seen side by side; where depth places both, also one thing of two names: same place, about one size.
   bool is_duplicate(const MappedLandmark& a, const MappedLandmark& b, const ViewSource& views) const;
   /// True if b is a part of a that the detector boxed alone: little seen, inside a much-seen one of its class group.
   bool is_part(const MappedLandmark& a, const MappedLandmark& b, const ViewSource& views) const;

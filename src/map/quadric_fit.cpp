@@ -5,20 +5,18 @@
 
 #include <Eigen/Eigenvalues>
 #include <algorithm>
+#include <array>
 #include <cmath>
 #include <deque>
 
 #include "geometry/ceres_compat.h"
+#include "geometry/depth_points.h"
 #include "geometry/statistics.h"
 #include "semantic_topo_loop/geometry/lie.h"
 #include "semantic_topo_loop/geometry/quadric.h"
 
 namespace semantic_topo_loop::core {
 namespace {
-
-/// Squared closest approach of a ray to the centre, in semi-axes, beyond which its depth is that of the approach.
-constexpr double kOutline = 0.81;
-constexpr double kBeforeApproach = 1.0 - kOutline;  // squared, so that both depths agree at the outline
 
 constexpr double kInvalidResidual = 20.0;  // far outside the noise: no view may vanish to lower the cost
 
@@ -27,7 +25,11 @@ class BoxEdgeCost final : public ceres::SizedCostFunction<4, 3, 4, 3> {
  public:
   BoxEdgeCost(const Mat34& P_image_world, const BoxView& view, double sigma)
       : P_(P_image_world), edges_(view.box.edges()) {
-    for (int i = 0; i < 4; ++i) weights_(i) = (view.truncated & (1 << i)) != 0 ? 0.0 : 1.0 / sigma;
+    for (int i = 0; i < 4; ++i) {
+      const bool is_cut = (view.truncated & (1 << i)) != 0;
+      weights_(i) = is_cut && !(view.near_m > 0.0) ? 0.0 : 1.0 / sigma;
+      is_least_[static_cast<std::size_t>(i)] = is_cut;
+    }
   }
 
   bool Evaluate(double const* const* parameters, double* residuals, double** jacobians) const override {
@@ -38,8 +40,13 @@ class BoxEdgeCost final : public ceres::SizedCostFunction<4, 3, 4, 3> {
     BoxJacobian J;
     const std::optional<Box> box = project_box(ellipsoid, P_, jacobians != nullptr ? &J : nullptr);
     Eigen::Map<Vec4> r(residuals);
-    r = box ? Vec4(weights_.cwiseProduct(box->edges() - edges_))
-            : Vec4((weights_.array() > 0.0).select(kInvalidResidual, Vec4::Zero()));
+    Vec4 weights = weights_;
+    for (Eigen::Index i = 0; box && i < 4; ++i) {
+      const double beyond = (i < 2 ? -1.0 : 1.0) * (box->edges()(i) - edges_(i));
+      if (is_least_[static_cast<std::size_t>(i)] && beyond > 0.0) weights(i) = 0.0;
+    }
+    r = box ? Vec4(weights.cwiseProduct(box->edges() - edges_))
+            : Vec4((weights.array() > 0.0).select(kInvalidResidual, Vec4::Zero()));
     if (jacobians == nullptr) return true;
     if (!box)
       J = {Eigen::Matrix<double, 4, 3>::Zero(), Eigen::Matrix<double, 4, 3>::Zero(),
@@ -49,12 +56,12 @@ class BoxEdgeCost final : public ceres::SizedCostFunction<4, 3, 4, 3> {
       Eigen::Map<Eigen::Matrix<double, 4, Value::ColsAtCompileTime, Eigen::RowMajor>> map(target);
       map = value;
     };
-    if (jacobians[0] != nullptr) write(jacobians[0], (weights_.asDiagonal() * J.center).eval());
+    if (jacobians[0] != nullptr) write(jacobians[0], (weights.asDiagonal() * J.center).eval());
     if (jacobians[1] != nullptr) {
       const Eigen::Matrix<double, 4, 3> plus = quaternion_by_rotation(Quaternion(rotation));
-      write(jacobians[1], (weights_.asDiagonal() * (2.0 * J.rotation) * plus.transpose()).eval());
+      write(jacobians[1], (weights.asDiagonal() * (2.0 * J.rotation) * plus.transpose()).eval());
     }
-    if (jacobians[2] != nullptr) write(jacobians[2], (weights_.asDiagonal() * J.log_axes).eval());
+    if (jacobians[2] != nullptr) write(jacobians[2], (weights.asDiagonal() * J.log_axes).eval());
     return true;
   }
 
@@ -62,68 +69,48 @@ class BoxEdgeCost final : public ceres::SizedCostFunction<4, 3, 4, 3> {
   Mat34 P_;
   Vec4 edges_;
   Vec4 weights_;
+  std::array<bool, 4> is_least_{};  ///< the side is cut there: the object reaches so far or farther
 };
 
-/// r = (depth of the ellipsoid - measured depth) / (sigma sqrt(number of points)) over centre, rotation (Eigen
-/// quaternion) and log semi-axes.
-class SurfaceCost final : public ceres::CostFunction {
+/// r = (depth of the centre - near_side_m of the smallest semi-axis - depth of the near side) / sigma over centre and
+/// log semi-axes.
+class NearSideCost final : public ceres::SizedCostFunction<1, 3, 3> {
  public:
-  /// @param view has a surface
-  SurfaceCost(const BoxView& view, double sigma_m)
+  NearSideCost(const BoxView& view, double sigma_m)
       : origin_(view.T_world_camera.t),
-        weight_(1.0 / (sigma_m * std::sqrt(static_cast<double>(view.surface->size())))) {
-    for (const Eigen::Vector3f& p : *view.surface) {
-      const Vec3 point = p.cast<double>();
-      rays_.push_back({view.T_world_camera.q * Vec3(point / point.z()), point.z()});
-    }
-    set_num_residuals(static_cast<int>(rays_.size()));
-    for (const int size : {3, 4, 3}) mutable_parameter_block_sizes()->push_back(size);
-  }
+        axis_(view.T_world_camera.q * Vec3::UnitZ()),
+        near_m_(view.near_m),
+        weight_(1.0 / sigma_m) {}
 
   bool Evaluate(double const* const* parameters, double* residuals, double** jacobians) const override {
-    const Eigen::Map<const Vec3> center(parameters[0]);
-    const Eigen::Map<const Quaternion> rotation(parameters[1]);
-    const Eigen::Map<const Vec3> log_axes(parameters[2]);
-    const Ellipsoid ellipsoid{SE3(Quaternion(rotation), Vec3(center)), log_axes.array().exp()};
-    const Eigen::Matrix<double, 3, 4> lift = 2.0 * quaternion_by_rotation(Quaternion(rotation)).transpose();
-    const auto write = [&](int block, std::size_t row, const auto& value) {
-      constexpr int kColumns = std::decay_t<decltype(value)>::ColsAtCompileTime;
-      if (jacobians == nullptr || jacobians[block] == nullptr) return;
-      Eigen::Map<Eigen::Matrix<double, 1, kColumns>> target(jacobians[block] + kColumns * static_cast<int>(row));
-      target = value;
-    };
-    for (std::size_t i = 0; i < rays_.size(); ++i) {
-      const std::optional<RayDepth> surface = surface_depth(ellipsoid, origin_, rays_[i].direction_world);
-      const RayDepth s = surface.value_or(RayDepth{});
-      residuals[i] = surface ? weight_ * (s.depth - rays_[i].depth) : kInvalidResidual;
-      write(0, i, Eigen::RowVector3d(weight_ * s.by_center.transpose()));
-      write(1, i, Eigen::Matrix<double, 1, 4>(weight_ * s.by_rotation.transpose() * lift));
-      write(2, i, Eigen::RowVector3d(weight_ * s.by_log_axes.transpose()));
+    const Eigen::Map<const Vec3> center(parameters[0]), log_axes(parameters[1]);
+    Eigen::Index smallest = 0;
+    const double thickness = std::exp(log_axes.minCoeff(&smallest));
+    const double before = near_side_m(thickness);
+    residuals[0] = weight_ * (axis_.dot(center - origin_) - before - near_m_);
+    if (jacobians == nullptr) return true;
+    const std::array<Vec3, 2> by{weight_ * axis_,
+                                 (thickness < kThickest_m ? -weight_ * before : 0.0) * Vec3::Unit(smallest)};
+    for (std::size_t i = 0; i < 2; ++i) {
+      if (jacobians[i] != nullptr) std::copy_n(by[i].data(), 3, jacobians[i]);
     }
     return true;
   }
 
  private:
-  struct Ray {
-    Vec3 direction_world;  ///< depth 1
-    double depth;          ///< measured, m
-  };
-  Vec3 origin_;
-  std::vector<Ray> rays_;
-  double weight_;
+  Vec3 origin_, axis_;
+  double near_m_, weight_;
 };
 
-/// Standard deviation of one view's depth against an ellipsoid of the given radius.
-double surface_sigma_m(const BoxView& view, double radius_m, const QuadricFitOptions& options) {
-  double depth = 0.0;
-  for (const Eigen::Vector3f& p : *view.surface) depth += static_cast<double>(p.z());
-  depth /= static_cast<double>(view.surface->size());
-  return options.surface_sigma_m + options.surface_share * radius_m + depth_sigma_m(depth);
+/// Standard deviation of a view's near side against an ellipsoid of the given radius.
+double near_sigma_m(const BoxView& view, double radius_m, const QuadricFitOptions& options) {
+  const double share = view.truncated != 0 ? options.near_share_cut : options.near_share;
+  return options.near_sigma_m + share * radius_m + depth_sigma_m(view.near_m);
 }
 
 /// Covariance of the centre from the weighted normal matrix of box edges and depth, rotation held fixed.
 Mat3 center_covariance(const std::vector<Mat34>& projections, const std::vector<BoxView>& views,
-                       const std::vector<double>& sigmas, const std::vector<double>& surface_sigmas,
+                       const std::vector<double>& sigmas, const std::vector<double>& near_sigmas,
                        const Ellipsoid& ellipsoid) {
   Mat6 H = 1e-9 * Mat6::Identity();
   for (std::size_t i = 0; i < views.size(); ++i) {
@@ -135,16 +122,13 @@ Mat3 center_covariance(const std::vector<Mat34>& projections, const std::vector<
       row << J.center.row(k).transpose(), J.log_axes.row(k).transpose();
       H += row * row.transpose() / (sigmas[i] * sigmas[i]);
     }
-    if (!views[i].surface) continue;
-    const double n = static_cast<double>(views[i].surface->size());
-    for (const Eigen::Vector3f& p : *views[i].surface) {
-      const Vec3 ray = views[i].T_world_camera.q * Vec3(p.cast<double>() / static_cast<double>(p.z()));
-      const std::optional<RayDepth> depth = surface_depth(ellipsoid, views[i].T_world_camera.t, ray);
-      if (!depth) continue;
-      Vec6 row;
-      row << depth->by_center, depth->by_log_axes;
-      H += row * row.transpose() / (n * surface_sigmas[i] * surface_sigmas[i]);
-    }
+    if (!(views[i].near_m > 0.0)) continue;
+    Vec6 row = Vec6::Zero();
+    row.head<3>() = views[i].T_world_camera.q * Vec3::UnitZ();
+    Eigen::Index smallest = 0;
+    const double thickness = ellipsoid.semi_axes.minCoeff(&smallest);
+    row(3 + smallest) = thickness < kThickest_m ? -near_side_m(thickness) : 0.0;
+    H += row * row.transpose() / (near_sigmas[i] * near_sigmas[i]);
   }
   H.bottomRightCorner<3, 3>() += Mat3::Identity();  // log axes are known to about e^1 in any case
   return Mat6(H.inverse()).topLeftCorner<3, 3>();
@@ -157,24 +141,27 @@ std::optional<QuadricFit> refine_quadric(const Camera& camera, const std::vector
   if (views.empty() || !initial.T_world_quadric.is_finite() || !(initial.semi_axes.minCoeff() > 0.0))
     return std::nullopt;
   std::vector<Mat34> projections;
-  std::vector<double> sigmas, surface_sigmas;
+  std::vector<double> sigmas, near_sigmas;
   std::deque<BoxEdgeCost> costs;  // cost functions cannot be moved
-  std::deque<SurfaceCost> surface_costs;
+  std::deque<NearSideCost> near_costs;
   for (const BoxView& view : views) {
     projections.push_back(projection_matrix(camera, view.T_world_camera));
     sigmas.push_back(options.sigma_px + options.sigma_share * view.box.size());
     costs.emplace_back(projections.back(), view, sigmas.back());
-    surface_sigmas.push_back(view.surface ? surface_sigma_m(view, initial.radius(), options) : 0.0);
-    if (view.surface) surface_costs.emplace_back(view, surface_sigmas.back());
+    near_sigmas.push_back(near_sigma_m(view, initial.radius(), options));
+    if (view.near_m > 0.0) near_costs.emplace_back(view, near_sigmas.back());
   }
   Vec3 center = initial.center();
   Quaternion rotation = initial.T_world_quadric.q;
   Vec3 log_axes = initial.semi_axes.array().log();
   // Keeps axes that no view bounds near a sphere.
-  const double roundness_weight = std::sqrt(options.roundness_weight * static_cast<double>(views.size()));
+  const double with_depth = static_cast<double>(near_costs.size());
+  const double roundness_weight =
+      std::sqrt(options.roundness_weight * (static_cast<double>(views.size()) - with_depth) +
+                options.near_roundness_weight * with_depth);
   ceres::NormalPrior roundness(roundness_weight * Mat3::Identity(), Vec3::Constant(log_axes.mean()));
   ceres::SoftLOneLoss loss(1.0);
-  ceres::CauchyLoss surface_loss(1.0);  // what was taken for the object may be all of it something else
+  ceres::CauchyLoss near_loss(1.0);  // what was taken for the object may be all of it something else
 
   ceres::Problem::Options problem_options;
   problem_options.cost_function_ownership = ceres::DO_NOT_TAKE_OWNERSHIP;
@@ -186,9 +173,7 @@ std::optional<QuadricFit> refine_quadric(const Camera& camera, const std::vector
   for (BoxEdgeCost& cost : costs) {
     problem.AddResidualBlock(&cost, &loss, center.data(), rotation.coeffs().data(), log_axes.data());
   }
-  for (SurfaceCost& cost : surface_costs) {
-    problem.AddResidualBlock(&cost, &surface_loss, center.data(), rotation.coeffs().data(), log_axes.data());
-  }
+  for (NearSideCost& cost : near_costs) problem.AddResidualBlock(&cost, &near_loss, center.data(), log_axes.data());
   problem.AddResidualBlock(&roundness, nullptr, log_axes.data());
 
   ceres::Solver::Options solver_options;
@@ -215,39 +200,18 @@ std::optional<QuadricFit> refine_quadric(const Camera& camera, const std::vector
       fit.mean_iou += iou(clip(*box, camera.width, camera.height), clip(views[i].box, camera.width, camera.height));
   }
   fit.mean_iou /= static_cast<double>(views.size());
-  fit.center_covariance = center_covariance(projections, views, sigmas, surface_sigmas, fit.ellipsoid);
+  fit.center_covariance = center_covariance(projections, views, sigmas, near_sigmas, fit.ellipsoid);
   return fit;
 }
 
-std::optional<RayDepth> surface_depth(const Ellipsoid& ellipsoid, const Vec3& origin, const Vec3& direction) {
-  // With W = R diag(1/a^2) R' and u = origin - centre, x = origin + t d is on the ellipsoid where A t^2 + 2 B t + C =
-  // 0.
-  const Mat3 R = ellipsoid.T_world_quadric.rotation();
-  const Vec3 inverse_squares = ellipsoid.semi_axes.cwiseAbs2().cwiseInverse();
-  const Vec3 u = origin - ellipsoid.center();
-  const Vec3 u_axes = R.transpose() * u, d_axes = R.transpose() * direction;
-  const Vec3 Wu = R * inverse_squares.cwiseProduct(u_axes), Wd = R * inverse_squares.cwiseProduct(d_axes);
-  const double A = direction.dot(Wd), B = u.dot(Wd), C = u.dot(Wu) - 1.0;
+std::optional<double> ray_depth(const Ellipsoid& ellipsoid, const Vec3& origin, const Vec3& direction) {
+  // In semi-axes, about the centre: |u + t d|^2 = 1.
+  const Quaternion to_axes = ellipsoid.T_world_quadric.q.conjugate();
+  const Vec3 u = (to_axes * (origin - ellipsoid.center())).cwiseQuotient(ellipsoid.semi_axes);
+  const Vec3 d = (to_axes * direction).cwiseQuotient(ellipsoid.semi_axes);
+  const double A = d.squaredNorm(), B = u.dot(d), C = u.squaredNorm() - 1.0;
   if (!(C > 0.0 && B < 0.0)) return std::nullopt;
-  RayDepth result;
-  const double discriminant = B * B - A * C;
-  if (discriminant > kBeforeApproach * A) {
-    result.depth = (-B - std::sqrt(discriminant)) / A;
-    const Vec3 x = u + result.depth * direction;
-    const Vec3 x_axes = R.transpose() * x, Wx = R * inverse_squares.cwiseProduct(x_axes);
-    const double by_depth = direction.dot(Wx);  // half of the derivative of x'Wx
-    result.by_center = Wx / by_depth;
-    result.by_rotation = x.cross(Wx) / by_depth;
-    result.by_log_axes = inverse_squares.cwiseProduct(x_axes.cwiseAbs2()) / by_depth;
-    return result;
-  }
-  const double by_A = B / (A * A) + 0.5 * std::sqrt(kBeforeApproach / A) / A;
-  result.depth = -B / A - std::sqrt(kBeforeApproach / A);
-  result.by_center = Wd / A;
-  result.by_rotation = (u.cross(Wd) + direction.cross(Wu)) / A - 2.0 * by_A * direction.cross(Wd);
-  result.by_log_axes =
-      inverse_squares.cwiseProduct(2.0 / A * u_axes.cwiseProduct(d_axes) - 2.0 * by_A * d_axes.cwiseAbs2());
-  return result;
+  return (-B - std::sqrt(std::max(0.0, B * B - A * C))) / A;
 }
 
 }  // namespace semantic_topo_loop::core

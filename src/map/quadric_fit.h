@@ -1,10 +1,9 @@
 #pragma once
 
-#include <memory>
+#include <algorithm>
 #include <optional>
 #include <vector>
 
-#include "geometry/depth_points.h"
 #include "semantic_topo_loop/types/camera.h"
 #include "semantic_topo_loop/types/landmark.h"
 
@@ -13,9 +12,9 @@ namespace semantic_topo_loop::core {
 /// One box of an object and the camera that saw it.
 struct BoxView {
   SE3 T_world_camera;
-  Box box;                                 ///< undistorted, px
-  std::uint8_t truncated = 0;              ///< Truncation bits: these sides bound nothing
-  std::shared_ptr<const Surface> surface;  ///< what depth there was inside the box; null without
+  Box box;                     ///< undistorted, px
+  std::uint8_t truncated = 0;  ///< Truncation bits: these sides bound nothing
+  double near_m = 0.0;         ///< depth of the near side, in the middle of the box; 0 where it is not known
 
   double depth(const Vec3& point_world) const {
     return (T_world_camera.q.conjugate() * (point_world - T_world_camera.t)).z();
@@ -26,9 +25,11 @@ struct QuadricFitOptions {
   int max_iterations = 12;  ///< of a fit that is repeated as views come in
   double sigma_px = 3.0;    ///< noise of a box edge: sigma_px + sigma_share * box size
   double sigma_share = 0.1;
-  double roundness_weight = 0.01;  ///< pull of the three log axes to their common start, per view
-  double surface_sigma_m = 0.01;   ///< of depth against the ellipsoid, beside the camera's noise: no object is one
-  double surface_share = 0.15;     ///< the same, as a share of the ellipsoid's radius
+  double roundness_weight = 0.01;        ///< pull of the three log axes to their common start, per view
+  double near_roundness_weight = 0.002;  ///< the same, per view with depth, which does not leave the distance open
+  double near_sigma_m = 0.01;            ///< of the near side's depth, beside the camera's noise
+  double near_share = 0.1;               ///< the same, as a share of the ellipsoid's radius
+  double near_share_cut = 0.5;           ///< the same, where the box is cut: of what is slanted it shows one end
 };
 
 /// An ellipsoid with the evidence of its fit.
@@ -40,22 +41,22 @@ struct QuadricFit {
 };
 
 /// Refines all nine parameters on the box edges: residual (projected edge - detected edge) / sigma, soft-L1 loss a
-/// view, sides cut by the image border left out (Ceres, Levenberg-Marquardt). Where a view has a surface, also on its
-/// depth: residual (depth of the ellipsoid along the ray - measured depth) / sigma, Cauchy loss a view; the points of
-/// one view share one error, that of the shape, and count as one measurement.
+/// view, sides cut by the image border left out (Ceres, Levenberg-Marquardt). Where a view has depth, the object
+/// reaches at least to where its box is cut, and there is one more residual, (depth of the centre - 0.8 smallest
+/// semi-axis - depth of the near side) / sigma, Cauchy loss: a ball's near side is 0.8 radii before its centre in the
+/// mean over the middle, and that of what is flat, seen at whatever slant, in the centre.
 /// @return nullopt if the solver finds no usable solution
 std::optional<QuadricFit> refine_quadric(const Camera& camera, const std::vector<BoxView>& views,
                                          const Ellipsoid& initial, const QuadricFitOptions& options = {});
 
-/// Depth at which a ray meets an ellipsoid, with its derivatives as in BoxJacobian.
-struct RayDepth {
-  double depth = 0.0;  ///< in lengths of the ray's direction
-  Vec3 by_center = Vec3::Zero(), by_rotation = Vec3::Zero(), by_log_axes = Vec3::Zero();
-};
+/// Of a smallest semi-axis, m: boxes that fit loosely make things thicker than they are, and most are thin.
+constexpr double kThickest_m = 0.03;
+/// How far before the centre the near side is, m, by the smallest semi-axis.
+inline double near_side_m(double thickness_m) { return 0.8 * std::min(thickness_m, kThickest_m); }
 
-/// A ray that passes near the outline or misses it is taken to end a little before its closest approach to the centre,
-/// so that the depth goes on smoothly.
+/// Depth at which a ray meets an ellipsoid, in lengths of its direction; of a ray that misses it, where it passes the
+/// centre.
 /// @return nullopt if the ellipsoid is behind the origin of the ray or around it
-std::optional<RayDepth> surface_depth(const Ellipsoid& ellipsoid, const Vec3& origin, const Vec3& direction);
+std::optional<double> ray_depth(const Ellipsoid& ellipsoid, const Vec3& origin, const Vec3& direction);
 
 }  // namespace semantic_topo_loop::core

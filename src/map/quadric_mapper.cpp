@@ -20,6 +20,7 @@ constexpr std::size_t kObservationsMax = 1200;  // of a landmark: 0.2 MB; a fit 
 constexpr double kSeparateBoxesIou = 0.6;       // two boxes that overlap less show two things
 constexpr int kRefitsPerFrame = 4;              // after a correction, so that no frame is held up
 constexpr double kStepMax_s = 0.2;              // the time that a frame stands for at most: a slow detector's interval
+constexpr double kSureScore = 0.5;              // of a detector, from which on a box counts in full
 constexpr double kUndoReach = 1.5;              // of the distance up to which two landmarks may merge
 
 }  // namespace
@@ -152,30 +153,39 @@ struct QuadricMapper::Impl {
         landmark.state.id = id;
         landmark.next_fit_at = options_.min_views;
       }
-      // Depth of every keyframe is plenty; until there is an ellipsoid any frame may give it.
-      std::shared_ptr<const Surface> surface;
-      if (points != nullptr && (frame.is_keyframe || !landmark.state.ellipsoid)) {
-        surface = make_surface(object_points(*points, association.box), frame.camera, association.box);
-      }
-      if (surface && !landmark.state.ellipsoid) landmark.next_fit_at = 1;
+      const std::optional<Placement> placement =
+          points != nullptr ? place(*points, association.box) : std::optional<Placement>();
+      count_seen(association, points != nullptr, placement.has_value(), &landmark.sightings);
+      if (placement && !landmark.state.ellipsoid) landmark.next_fit_at = 1;
       const int hidden = points != nullptr ? hidden_sides(*points, association.box) : 0;
       const auto truncated = static_cast<std::uint8_t>(association.truncated | hidden);
-      landmark.observations.push_back({frame.frame_id,
-                                       association.landmark_id,
-                                       frame.keyframe_id,
-                                       association.class_id,
-                                       {T_keyframe_camera, association.box, truncated, std::move(surface)}});
+      landmark.observations.push_back(
+          {frame.frame_id,
+           association.landmark_id,
+           frame.keyframe_id,
+           association.class_id,
+           {T_keyframe_camera, association.box, truncated, placement ? placement->center.z() : 0.0}});
       if (landmark.observations.size() > kObservationsMax) halve(&landmark.observations);
       landmark.state.class_id = association.landmark_class_id;
       landmark.state.observations += 1;
       landmark.last_stamp_ns = frame.stamp_ns;
-      landmark.sightings.seen_s += step_s_;
-      if (association.truncated == 0) landmark.sightings.whole_s += step_s_;
-      landmark.sightings.missed_since_s = 0.0;
-      landmark.sightings.seen_through_since_s = 0.0;
       changed_.insert(id);
     }
     count_side_by_side(associations);
+  }
+
+  void count_seen(const Association& association, bool has_points, bool is_placed, Sightings* sightings) const {
+    const double seen_s = has_points ? step_s_ * std::min(1.0, association.score / kSureScore) : step_s_;
+    sightings->seen_s += seen_s;
+    if (association.truncated == 0) sightings->whole_s += seen_s;
+    if (is_placed) {
+      sightings->placed_s += seen_s;
+      for (int side = 0; side < 4; ++side) {
+        if ((association.truncated & (1 << side)) == 0) sightings->bounded_s(side) += seen_s;
+      }
+    }
+    sightings->missed_since_s = 0.0;
+    sightings->seen_through_since_s = 0.0;
   }
 
   void count_expected(const Frame& frame, const FramePoints* points, const AssociationFrame& associations) {

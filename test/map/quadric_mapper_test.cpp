@@ -40,7 +40,7 @@ std::vector<BoxView> views_of(const Ellipsoid& ellipsoid, const std::vector<SE3>
   for (const SE3& pose : poses) {
     Box box = *project_box(ellipsoid, projection_matrix(kCamera, pose));
     for (double* edge : {&box.x1, &box.y1, &box.x2, &box.y2}) *edge += noise_px * noise(random);
-    views.push_back({pose, box, 0, nullptr});
+    views.push_back({pose, box, 0, 0.0});
   }
   return views;
 }

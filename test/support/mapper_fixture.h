@@ -26,6 +26,7 @@ class MapperFixture : public ::testing::Test {
     int class_id;
     Ellipsoid ellipsoid;
     std::uint8_t truncated = 0;  ///< sides said to be cut by the border
+    double score = 1.0;
   };
 
   Frame next_frame(const SE3& pose) {
@@ -52,6 +53,7 @@ class MapperFixture : public ::testing::Test {
       if (object.id < 0) association.level = AssociationLevel::kIgnored;
       association.class_id = association.landmark_class_id = object.class_id;
       association.truncated = object.truncated;
+      association.score = object.score;
       association.box = *project_box(object.ellipsoid, projection_matrix(kMapperCamera, pose));
       associations.associations.push_back(association);
     }
