@@ -43,6 +43,29 @@ bool is_in_previous_frame(const AssociationContext& context, const Track& track)
   return track.last_answer == context.answer - 1;
 }
 
+constexpr double kReachFloor_m = 0.15;  // of depth's place of an object about the centre of its landmark, for a thing
+constexpr double kReachShare = 0.5;     // of no size, and what half a thing adds: of a box that is cut there is a half
+constexpr double kOnePlace = 0.4;       // of the smaller size: between centres of what is one thing
+constexpr double kOneSize = 0.5;        // smaller over larger
+constexpr double kInside = 0.7;         // of the smaller box: more than neighbours in a row hide of each other
+
+bool is_one_size(double a, double b) { return std::min(a, b) > kOneSize * std::max(a, b); }
+
+/// 1 where depth puts the box on the landmark's centre, 0 where it puts it beyond all that can be it; nullopt where it
+/// does not tell.
+std::optional<double> closeness(const Track& track, const PreparedDetection& detection) {
+  if (!detection.placement || !track.has_ellipsoid) return std::nullopt;
+  const double reach_m = kReachFloor_m + kReachShare * std::max(track.size_m, detection.placement->size_m);
+  return std::max(0.0, 1.0 - (detection.placement->center - track.center_map).norm() / reach_m);
+}
+
+bool is_same_thing(const Track& track, const PreparedDetection& detection) {
+  if (!detection.placement || !track.has_ellipsoid) return false;
+  const double smaller = std::min(track.size_m, detection.placement->size_m);
+  return is_one_size(track.size_m, detection.placement->size_m) &&
+         (detection.placement->center - track.center_map).norm() < kOnePlace * smaller;
+}
+
 double iou_3d(const TrackInFrame& candidate, const PreparedDetection& detection) {
   return candidate.projection ? iou(*candidate.projection, detection.visible) : 0.0;
 }
@@ -57,6 +80,13 @@ double label_agreement(const AssociationContext& context, const Track& track, in
 }
 
 }  // namespace
+
+bool show_one_thing(const PreparedDetection& a, const PreparedDetection& b) {
+  if (!a.placement || !b.placement || !is_one_size(a.placement->size_m, b.placement->size_m)) return false;
+  const double smaller = std::min(a.placement->size_m, b.placement->size_m);
+  return (a.placement->center - b.placement->center).norm() < kOnePlace * smaller &&
+         intersection_area(a.visible, b.visible) > kInside * std::min(a.visible.area(), b.visible.area());
+}
 
 double score_2d(const AssociationContext& context, const TrackInFrame& candidate, const PreparedDetection& detection) {
   const Track& track = *candidate.track;
@@ -106,7 +136,7 @@ double score_joint(const AssociationContext& context, const TrackInFrame& candid
   const AssociatorOptions& options = context.options;
   const double overlap_3d = iou_3d(candidate, detection);
   const double iou_2d = candidate.is_recent ? iou(track.last_box, detection.box) : 0.0;
-  if (iou_2d == 0.0 && overlap_3d == 0.0 && track.points_map.empty()) return 0.0;  // most pairs
+  if (iou_2d == 0.0 && overlap_3d == 0.0 && track.points_map.empty() && !detection.placement) return 0.0;  // most pairs
   const double age_s = 1e-9 * static_cast<double>(context.frame->stamp_ns - track.last_stamp_ns);
   const double decay =
       std::clamp(options.memory_decay_per_s * (age_s - context.interval_s), 0.0, options.memory_decay_max);
@@ -123,8 +153,12 @@ double score_joint(const AssociationContext& context, const TrackInFrame& candid
     const double share = share_of_points_in_box(track.points_map, context.P_image_map, detection.visible);
     if (share > options.points_in_box_min) overlap = std::max(overlap, options.iou_3d_min + gate * share);
   }
+  const std::optional<double> close = closeness(track, detection);
+  if (close == 0.0) return 0.0;
+  if (close) overlap = std::max(overlap, *close);
   if (overlap <= gate || (track.class_id != detection.class_id && overlap < options.iou_other_label_min)) return 0.0;
-  const double label = label_agreement(context, track, detection.class_id);
+  double label = label_agreement(context, track, detection.class_id);
+  if (is_same_thing(track, detection)) label = std::max(label, options.label_agreement_place);
   if (label == 0.0) return 0.0;
   const double maturity = std::min(1.0, static_cast<double>(track.observations) / options.mature_observations);
   return overlap * (0.5 + 0.5 * label) * (1.0 + options.mature_bonus * maturity);

@@ -4,6 +4,7 @@
 #include <vector>
 
 #include "association/track_store.h"
+#include "geometry/depth_points.h"
 #include "semantic_topo_loop/association/associator_options.h"
 #include "semantic_topo_loop/types/class_table.h"
 #include "semantic_topo_loop/types/detection.h"
@@ -13,7 +14,8 @@ namespace semantic_topo_loop::core {
 
 /// A detection ready to be associated.
 struct PreparedDetection : Association {
-  Box visible;  ///< the box, clipped to the image
+  Box visible;                         ///< the box, clipped to the image
+  std::optional<Placement> placement;  ///< in the map frame; where the frame has points
 };
 
 /// A track that this frame may see, with what its prediction needs.
@@ -53,8 +55,14 @@ double score_posterior(const AssociationContext& context, const TrackInFrame& ca
 /// without a quadric the share of their map points inside the box above delta3.
 double score_3d(const AssociationContext& context, const TrackInFrame& candidate, const PreparedDetection& detection);
 
+/// Whether depth puts two boxes of one image on one thing, though it may have two names: one box in the other, near
+/// each other and of about one size.
+bool show_one_thing(const PreparedDetection& a, const PreparedDetection& b);
+
 /// Score of the joint one-to-one assignment: box overlap (quadric or last box) times label agreement, above the gates
-/// of the levels. Measured far more robust to missed and mislabelled boxes than the cascade (docs/algorithms.md).
+/// of the levels. Where depth tells where the box's object is, it must be where the landmark is, and a landmark of
+/// any label in the same place with the same size is it. Measured far more robust to missed and mislabelled boxes than
+/// the cascade (docs/algorithms.md).
 double score_joint(const AssociationContext& context, const TrackInFrame& candidate,
                    const PreparedDetection& detection);
 

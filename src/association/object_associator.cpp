@@ -133,6 +133,7 @@ struct ObjectAssociator::Impl {
     if (track->has_ellipsoid) {
       track->center_map = landmark.ellipsoid->center();
       track->shape_map = landmark.ellipsoid->shape();
+      track->size_m = 2.0 * landmark.ellipsoid->semi_axes.maxCoeff();
       track->points_map.clear();
     }
     tracks_.place(track);
@@ -168,6 +169,8 @@ struct ObjectAssociator::Impl {
 
   void prepare_detections(const Frame& frame, const std::vector<Detection>& detections, AssociationFrame* result) {
     const Camera& camera = frame.camera;
+    const SE3 T_map_camera = T_map_odom_ * frame.T_odom_camera;
+    if (frame.points_camera && !detections.empty()) points_.emplace(*frame.points_camera, camera);
     result->associations.resize(detections.size());
     gated_.clear();
     for (std::size_t i = 0; i < detections.size(); ++i) {
@@ -183,10 +186,24 @@ struct ObjectAssociator::Impl {
       } else if (detection.score < options_.min_score) {
         association.level = AssociationLevel::kLowScore;
       } else {
-        gated_.push_back({association, clip(association.box, camera.width, camera.height)});
+        std::optional<Placement> placement = points_ ? place(*points_, association.box) : std::nullopt;
+        if (placement && !is_plausible(association, placement->size_m)) {
+          association.level = AssociationLevel::kWrongSize;
+          continue;
+        }
+        if (placement) placement->center = T_map_camera * placement->center;
+        gated_.push_back({association, clip(association.box, camera.width, camera.height), placement});
       }
     }
     suppress(result);
+  }
+
+  /// Whether there are things of this class so large; what the border cuts may be larger than it seems.
+  bool is_plausible(const Association& association, double size_m) const {
+    const ObjectClass* object_class = classes_->find(association.class_id);
+    const double factor = 1.0 + options_.size_tolerance;
+    return object_class == nullptr || (size_m <= factor * object_class->size_max_m &&
+                                       (association.truncated != 0 || factor * size_m >= object_class->size_min_m));
   }
 
   /// Cross-class non-maximum suppression: detectors box one object under two names.
@@ -199,7 +216,8 @@ struct ObjectAssociator::Impl {
     is_kept_.assign(gated_.size(), false);
     for (const std::size_t i : by_score_) {
       is_kept_[i] = std::none_of(by_score_.begin(), by_score_.end(), [&](std::size_t j) {
-        return is_kept_[j] && iou(gated_[i].box, gated_[j].box) >= options_.suppression_iou;
+        return is_kept_[j] &&
+               (iou(gated_[i].box, gated_[j].box) >= options_.suppression_iou || show_one_thing(gated_[i], gated_[j]));
       });
     }
     for (std::size_t i = 0; i < gated_.size(); ++i) {
@@ -295,8 +313,7 @@ struct ObjectAssociator::Impl {
     track->last_keyframe_id = frame.keyframe_id;
     track->last_box = detection.box;
     tracks_.touch(track);
-    if (track->has_ellipsoid || !frame.points_camera) return;
-    if (!points_) points_.emplace(*frame.points_camera, frame.camera);
+    if (track->has_ellipsoid || !points_) return;
     const std::vector<Vec3> points = object_points(*points_, detection.box);
     if (points.empty()) return;
     const SE3 T_map_camera = T_map_odom_ * frame.T_odom_camera;
@@ -313,7 +330,7 @@ struct ObjectAssociator::Impl {
   std::int64_t next_id_ = 0;
   std::uint64_t map_version_ = 0;
   SE3 T_map_odom_;
-  std::optional<FramePoints> points_;          ///< of the frame, once a track without an ellipsoid needs them
+  std::optional<FramePoints> points_;          ///< of the frame, if it has any and detections
   std::optional<std::int64_t> last_stamp_ns_;  ///< of the answer before
   double update_us_ = 0.0;                     ///< spent on map updates since then
 

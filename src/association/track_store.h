@@ -31,6 +31,7 @@ struct Track {
   bool is_provisional = false;  ///< the ellipsoid comes from depth as yet, not from several directions
   Vec3 center_map = Vec3::Zero();
   Mat3 shape_map = Mat3::Zero();  ///< R diag(a^2) R^T
+  double size_m = 0.0;            ///< longest axis
   std::vector<Vec3> points_map;   ///< of its last observation with points, while without ellipsoid
 
   double class_share(int id_of_class) const {

@@ -25,8 +25,8 @@ namespace semantic_topo_loop::core {
 namespace {
 
 const char* level_name(AssociationLevel level) {
-  constexpr std::array<const char*, 9> kNames = {"new", "2d",      "pro",        "3d",       "joint",
-                                                 "jda", "ignored", "suppressed", "low_score"};
+  constexpr std::array<const char*, 10> kNames = {"new", "2d",      "pro",        "3d",        "joint",
+                                                  "jda", "ignored", "suppressed", "low_score", "wrong_size"};
   const auto i = static_cast<std::size_t>(level);
   return i < kNames.size() ? kNames[i] : "unknown";
 }

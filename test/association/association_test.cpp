@@ -1,6 +1,7 @@
 #include <gtest/gtest.h>
 
 #include <random>
+#include <tuple>
 
 #include "association/levels.h"
 #include "association/track_store.h"
@@ -201,6 +202,79 @@ TEST(ObjectAssociator, PointsStandInForAMissingQuadric) {
   const AssociationFrame result = associator.associate(moved, {{kCup, 0.9, box_at(270.0, 240.0, 70.0)}});
   EXPECT_EQ(result.associations[0].landmark_id, id);
   EXPECT_EQ(result.associations[0].level, AssociationLevel::k3d);
+}
+
+/// A grid of points at a depth, in a square of pixels.
+void add_wall(const Box& pixels, double depth_m, std::vector<Vec3>* points) {
+  for (double u = pixels.x1; u <= pixels.x2; u += 4.0) {
+    for (double v = pixels.y1; v <= pixels.y2; v += 4.0) points->push_back(depth_m * kCamera.ray(Vec2(u, v)));
+  }
+}
+
+Frame frame_with(std::int64_t id, std::vector<Vec3> points) {
+  Frame frame = frame_at(id);
+  frame.points_camera = std::make_shared<const std::vector<Vec3>>(std::move(points));
+  return frame;
+}
+
+std::shared_ptr<const ClassTable> sized_classes() {
+  return std::make_shared<const ClassTable>(
+      *ClassTable::create({{kCup, "cup", ClassRole::kMovable, "", 0.1, 0.05, 0.2},
+                           {kBook, "book", ClassRole::kMovable, "", 0.25, 0.1, 0.5}}));
+}
+
+TEST(ObjectAssociator, WhatDepthMakesTooLargeOrTooSmallForItsClassIsLeftOut) {
+  ObjectAssociator associator(options("joint"), sized_classes());
+  const Box box = box_at(320.0, 240.0, 100.0), at_border{0.0, 200.0, 60.0, 260.0};
+  for (const auto& [depth_m, is_cup, is_book] :
+       {std::tuple(0.2, false, false), std::tuple(0.5, true, true), std::tuple(1.5, false, true)}) {
+    for (const auto& [class_id, fits] : {std::pair(kCup, is_cup), std::pair(kBook, is_book)}) {
+      std::vector<Vec3> points;
+      add_wall(box, depth_m, &points);
+      const AssociationFrame result = associator.associate(frame_with(0, points), {{class_id, 0.9, box}});
+      EXPECT_EQ(result.associations[0].level == AssociationLevel::kWrongSize, !fits) << depth_m << ' ' << class_id;
+      EXPECT_EQ(result.associations[0].landmark_id >= 0, fits);
+    }
+  }
+  std::vector<Vec3> points;
+  add_wall(at_border, 0.3, &points);
+  EXPECT_GE(associator.associate(frame_with(1, points), {{kBook, 0.9, at_border}}).associations[0].landmark_id, 0)
+      << "the rest of it is not in the image";
+}
+
+TEST(ObjectAssociator, DepthTellsWhatStandsInFrontAndWhatIsOneThingUnderTwoNames) {
+  ObjectAssociator associator(options("joint"), sized_classes());
+  const Box box = box_at(320.0, 240.0);
+  std::vector<Vec3> at_2m, at_1m;
+  add_wall(box, 2.0, &at_2m);
+  add_wall(box, 1.0, &at_1m);
+  const std::int64_t book = associator.associate(frame_with(0, at_2m), {{kBook, 0.9, box}}).associations[0].landmark_id;
+  ASSERT_TRUE(associator.apply(sphere_update(associator, book, kBook, box)));
+  EXPECT_NE(associator.associate(frame_with(1, at_1m), {{kBook, 0.9, box}}).associations[0].landmark_id, book)
+      << "the same box, a metre in front";
+  // The book's box called a cup would be too large for one; what is 0.2 m may be either.
+  std::vector<Vec3> near;
+  add_wall(box, 1.5, &near);
+  ObjectAssociator other(options("joint"), sized_classes());
+  const std::int64_t cup = other.associate(frame_with(0, near), {{kCup, 0.9, box}}).associations[0].landmark_id;
+  MapUpdate update = sphere_update(other, cup, kCup, box);
+  update.changed[0].ellipsoid->T_world_quadric.t *= 0.75;
+  update.changed[0].ellipsoid->semi_axes *= 0.75;
+  ASSERT_TRUE(other.apply(update));
+  const AssociationFrame renamed = other.associate(frame_with(1, near), {{kBook, 0.4, box}});
+  EXPECT_EQ(renamed.associations[0].landmark_id, cup);
+  EXPECT_EQ(renamed.associations[0].landmark_class_id, kCup) << "0.9 against 0.4";
+}
+
+TEST(ObjectAssociator, ABoxInsideAnotherOnTheSameThingIsSuppressed) {
+  ObjectAssociator associator(options("joint"), sized_classes());
+  const Box box{290.0, 200.0, 350.0, 280.0}, lower{290.0, 228.0, 350.0, 280.0};
+  std::vector<Vec3> points;
+  add_wall(box, 1.0, &points);
+  const std::vector<Detection> two{{kCup, 0.8, box}, {kBook, 0.4, lower}};
+  EXPECT_EQ(associator.associate(frame_with(0, points), two).associations[1].level, AssociationLevel::kSuppressed);
+  ObjectAssociator blind(options("joint"), sized_classes());
+  EXPECT_EQ(blind.associate(frame_at(0), two).associations[1].level, AssociationLevel::kNew);
 }
 
 TEST(ObjectAssociator, MergeRemovalRetirementAndVersionGap) {

@@ -204,7 +204,7 @@ TEST(Messages, Detections) {
 TEST(Messages, Associations) {
   Random random(4);
   core::AssociationFrame associations{random.integer(), true, 1ull << 40, {}, random.number()};
-  for (int level = 0; level <= 8; ++level) {
+  for (int level = 0; level <= 9; ++level) {
     associations.associations.push_back({level, random.integer(), static_cast<core::AssociationLevel>(level),
                                          random.small(), random.number(), random.box(),
                                          static_cast<std::uint8_t>(2 * level), random.small()});
@@ -215,16 +215,16 @@ TEST(Messages, Associations) {
   EXPECT_TRUE(generated.unanswered);
   EXPECT_EQ(generated.map_version, message.map_version);
   EXPECT_EQ(generated.duration_us, message.duration_us);
-  ASSERT_EQ(generated.associations.size(), 9u);
+  ASSERT_EQ(generated.associations.size(), 10u);
   const Association& last = generated.associations.back();
-  EXPECT_EQ(last.detection_index, 8);
-  EXPECT_EQ(last.landmark_id, associations.associations[8].landmark_id);
-  EXPECT_EQ(last.level, Association::LEVEL_LOW_SCORE);
-  EXPECT_EQ(last.class_id, associations.associations[8].class_id);
-  EXPECT_EQ(last.score, associations.associations[8].score);
-  EXPECT_TRUE(same(last.box, associations.associations[8].box));
-  EXPECT_EQ(last.truncated, 16);
-  EXPECT_EQ(last.landmark_class_id, associations.associations[8].landmark_class_id);
+  EXPECT_EQ(last.detection_index, 9);
+  EXPECT_EQ(last.landmark_id, associations.associations[9].landmark_id);
+  EXPECT_EQ(last.level, Association::LEVEL_WRONG_SIZE);
+  EXPECT_EQ(last.class_id, associations.associations[9].class_id);
+  EXPECT_EQ(last.score, associations.associations[9].score);
+  EXPECT_TRUE(same(last.box, associations.associations[9].box));
+  EXPECT_EQ(last.truncated, 18);
+  EXPECT_EQ(last.landmark_class_id, associations.associations[9].landmark_class_id);
 }
 
 void expect_same(const Quadric& message, const core::Landmark& landmark) {

@@ -26,7 +26,9 @@ struct AssociatorOptions {
   double iou_other_label_min = 0.5;
   double label_agreement_confusable = 0.5;
   double label_agreement_history = 0.8;
+  double label_agreement_place = 0.3;
   double label_history_min_share = 0.1;
+  double size_tolerance = 0.1;
   double mature_observations = 30.0;
   double mature_bonus = 0.15;
   int window_keyframes = 100;
@@ -65,8 +67,12 @@ struct AssociatorOptions {
             "joint mode: agreement of a label with another one of its group (1 with itself, 0 with others)");
     visitor("label_agreement_history", label_agreement_history, share(),
             "joint mode: agreement with a label that the landmark has often had");
+    visitor("label_agreement_place", label_agreement_place, share(),
+            "joint mode: agreement with any label of a landmark to which depth gives the same place and size");
     visitor("label_history_min_share", label_history_min_share, share(),
             "joint mode: share of a landmark's summed scores from which on it has had a label often");
+    visitor("size_tolerance", size_tolerance, not_negative(),
+            "boxes that depth makes larger or smaller than anything of their class, by this share, are left out");
     visitor("mature_observations", mature_observations, positive(),
             "joint mode: boxes from which on a landmark is fully established (30 are a second at 30 Hz)");
     visitor("mature_bonus", mature_bonus, not_negative(),

@@ -32,6 +32,7 @@ enum class AssociationLevel : std::uint8_t {
   kIgnored = 6,     ///< class role dynamic or ignore
   kSuppressed = 7,  ///< another box of higher score covers it
   kLowScore = 8,    ///< below the score gate
+  kWrongSize = 9,   ///< depth makes it larger or smaller than anything of its class
 };
 
 /// One detection with its landmark.
