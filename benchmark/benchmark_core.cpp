@@ -24,7 +24,7 @@ std::vector<BoxView> views_of(const Ellipsoid& ellipsoid, int n) {
   for (int i = 0; i < n; ++i) {
     const double angle = radians(60.0) * i / n - radians(30.0);
     const SE3 T_world_camera(so3_exp(Vec3(0.0, -angle, 0.0)), Vec3(1.5 * std::sin(angle), 0.0, -1.5 * std::cos(angle)));
-    views.push_back({T_world_camera, *project_box(ellipsoid, projection_matrix(kCamera, T_world_camera)), 0, nullptr});
+    views.push_back({T_world_camera, *project_box(ellipsoid, projection_matrix(kCamera, T_world_camera)), 0, 0.0});
   }
   return views;
 }
