@@ -82,7 +82,7 @@ TEST(NodeletParameters, RulesBetweenThemAreChecked) {
   EXPECT_EQ(core::validate(player).message(), "parameter 'rate' = '-1' must be > 0");
   player.rate = 1.0;
   player.credit = player.queue_size;
-  EXPECT_EQ(core::validate(player).message(), "parameter 'credit' = '30' must be less than queue_size")
+  EXPECT_EQ(core::validate(player).message(), "parameter 'credit' = '60' must be less than queue_size")
       << "so many would be dropped";
 
   PoseFrontendParameters frontend;

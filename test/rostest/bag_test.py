@@ -197,7 +197,7 @@ class ImagesTest(DirectoryTest):
             stamp = wall.stamp_at(wall.PERIOD_S * i)
             left = 150 - wall.STEP_PX * i
             detections.append({'file_name': '%d.%09d.png' % (stamp.secs, stamp.nsecs),
-                               'detections': [{'category_id': 41, 'detection_score': 0.9,
+                               'detections': [{'category_id': 75, 'detection_score': 0.9,
                                                'bbox': [left, 100, left + 60, 160]}]})
         with open(self.path('detections.json'), 'w') as file:
             json.dump(detections, file)
