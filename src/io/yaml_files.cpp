@@ -26,7 +26,8 @@ Result<YAML::Node> read_yaml_map(const std::string& path) {
   const Result<std::string> text = read_text_file(path);
   if (!text) return text.error();
   try {
-    YAML::Node root = YAML::Load(*text);
+    // yaml-cpp 0.6 waits for ever for what follows a colon that ends the text.
+    YAML::Node root = YAML::Load(*text + '\n');
     if (root.IsMap()) return root;
     return Error{path + ": must be a YAML map"};
   } catch (const YAML::Exception& exception) {

@@ -143,6 +143,7 @@ TEST_F(YamlFiles, OptionErrors) {
   expect_bad_options("association:\n  mode: [joint]\n", ":2: 'association.mode' must be a single value");
   expect_bad_options("association\n", "must be a YAML map");
   expect_bad_options("a: [", "f.yaml:");
+  expect_bad_options("a: {b:", "f.yaml:");
 }
 
 TEST_F(YamlFiles, AssignmentsOverrideTheFile) {
