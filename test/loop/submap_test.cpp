@@ -3,6 +3,8 @@
 #include <algorithm>
 #include <cmath>
 #include <limits>
+#include <memory>
+#include <vector>
 
 #include "loop/graph/graph_detector.h"
 #include "loop/graph/odometry_monitor.h"
@@ -228,6 +230,45 @@ TEST(SubmapRefiner, RefusesWhatCannotBeSolved) {
   SE3 broken = truth;
   broken.t.x() = std::nan("");
   EXPECT_FALSE(refine_submaps(a.map, b.map, broken, true_pairs(a, b), LoopOptions()).has_value());
+}
+
+/// A wall that the anchor looks at.
+std::shared_ptr<const std::vector<Surfel>> wall_at(float depth_m) {
+  auto surfels = std::make_shared<std::vector<Surfel>>();
+  for (int i = -20; i <= 20; ++i) {
+    for (int j = -20; j <= 20; ++j) {
+      const Eigen::Vector3f position(0.03F * static_cast<float>(i), 0.03F * static_cast<float>(j), 1.0F);
+      surfels->push_back({depth_m * position, -Eigen::Vector3f::UnitZ()});
+    }
+  }
+  return surfels;
+}
+
+TEST(SubmapRefiner, ALoopThatSurfacesContradictIsRefusedWithThatReason) {
+  const auto desk = random_desk(1, 12);
+  BuiltMap a = sweep(desk, 0.0, 60.0, 5), b = sweep(desk, 50.0, 110.0, 6);
+  GraphMatch match;
+  match.T_a_b = a.T_world_anchor.inverse() * b.T_world_anchor;
+  match.pairs = true_pairs(a, b);
+  LoopOptions options;
+  const auto decide = [&] {
+    LoopClosure loop = make_closure(a.map, b.map);
+    refine_and_decide(a.map, b.map, match, options, &loop);
+    return loop;
+  };
+  const LoopClosure by_boxes = decide();
+  EXPECT_EQ(by_boxes.reason, LoopReason::kAccepted);
+  a.map.surfels = wall_at(0.6F);
+  EXPECT_EQ(decide().T_match_query.t, by_boxes.T_match_query.t) << "one side alone says nothing";
+  b.map = a.map;  // the same place, where the wall has gone
+  b.map.surfels = wall_at(3.0F);
+  match.T_a_b = SE3();
+  match.pairs.clear();
+  for (int i = 0; i < static_cast<int>(a.map.objects.size()); ++i) match.pairs.push_back({i, i});
+  EXPECT_EQ(decide().reason, LoopReason::kContradicted);
+  EXPECT_FALSE(decide().accepted);
+  options.use_points = false;
+  EXPECT_EQ(decide().reason, LoopReason::kAccepted);
 }
 
 TEST(LoopVerifier, AcceptsTheTruthAndTellsWhatFails) {

@@ -55,6 +55,7 @@ struct LoopOptions {
   double covariance_inflation = 2.0;
   double max_sigma_m = 0.15;
   double max_sigma_deg = 4.5;
+  bool use_points = true;
 
   int paper_min_common = 3;
   int paper_min_gap_frames = 1000;
@@ -115,6 +116,7 @@ struct LoopOptions {
     visitor("covariance_inflation", covariance_inflation, positive(), "factor on the refinement's standard deviations");
     visitor("max_sigma_m", max_sigma_m, positive(), "stated error of an accepted loop's translation, at most");
     visitor("max_sigma_deg", max_sigma_deg, positive(), "stated error of an accepted loop's rotation, at most");
+    visitor("use_points", use_points, "graph mode: points that come with the frames refine and check the loops");
     visitor("paper_min_common", paper_min_common, at_least(3), "paper mode: th_objs, common landmarks of a candidate");
     visitor("paper_min_gap_frames", paper_min_gap_frames, at_least(1),
             "paper mode: th_ids, frames between the keyframes");

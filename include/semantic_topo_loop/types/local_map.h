@@ -2,6 +2,7 @@
 
 #include <cmath>
 #include <cstdint>
+#include <memory>
 #include <vector>
 
 #include "semantic_topo_loop/types/box.h"
@@ -65,6 +66,12 @@ struct LocalObject {
   std::vector<SubmapView> views;
 };
 
+/// A piece of a surface, some centimetres wide.
+struct Surfel {
+  Eigen::Vector3f position = Eigen::Vector3f::Zero();  ///< m
+  Eigen::Vector3f normal = Eigen::Vector3f::UnitZ();   ///< unit, towards the cameras that saw it
+};
+
 /// Submap: the objects seen within a few seconds, placed by these frames alone.
 struct LocalMap {
   std::int64_t keyframe_id = -1;  ///< the anchor, a keyframe near the middle
@@ -81,9 +88,11 @@ struct LocalMap {
   std::vector<LocalFrame> frames;  ///< those that views or checks refer to
   std::vector<int> check_frames;   ///< indices of frames, spread evenly over the window
   std::vector<LocalObject> objects;
+  std::shared_ptr<const std::vector<Surfel>> surfels;  ///< local frame; null if no frame came with points
 };
 
 /// The submap in a unit of length of which `scale` make one of the old; boxes on the plane z = 1 do not depend on it.
+/// Its surfels are left out: a camera that measures depth knows the unit.
 inline LocalMap rescaled(LocalMap map, double scale) {
   for (LocalFrame& frame : map.frames) {
     frame.position *= scale;
@@ -94,6 +103,7 @@ inline LocalMap rescaled(LocalMap map, double scale) {
     object.spheroid.log_axes.array() += std::log(scale);
     object.covariance *= scale * scale;
   }
+  map.surfels.reset();
   return map;
 }
 

@@ -25,6 +25,7 @@ enum class LoopReason : std::uint8_t {
   kLowScore = 11,      ///< paper mode: below the score threshold
   kInconsistent = 12,  ///< paper mode: not repeated over consecutive keyframes
   kOutranked = 13,     ///< passed every test on the alignment, but a better candidate speaks for its place
+  kContradicted = 14,  ///< surfaces of one submap are where the other's cameras see through
 };
 
 const char* to_string(LoopReason reason);

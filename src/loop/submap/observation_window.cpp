@@ -16,6 +16,24 @@ constexpr double kMinOverlap =
 constexpr double kOtherClassFactor = 0.7;  ///< on the overlap: detectors do rename objects, but seldom
 constexpr double kMinDepth = 0.2;          ///< of a ray of depth 1 turned into the present camera: 78 deg off its axis
 
+constexpr std::int64_t kPointInterval_ns = 500'000'000;  ///< a hand-held camera sees new things no sooner
+constexpr std::size_t kPointsMax = 2000;  ///< of a frame: one in 5 cm x 5 cm of what a camera sees 2 m away
+/// Farther, a structured-light camera's depth is off by more than 3 cm, and its distortion by more still.
+constexpr double kMaxRange_m = 4.5;
+
+/// Some of the points, evenly taken.
+std::shared_ptr<const std::vector<Eigen::Vector3f>> thinned(const std::vector<Vec3>& points_camera) {
+  std::size_t step = points_camera.size() / kPointsMax + 1;
+  step |= 1;  // odd, so that it does not fall in step with the lines of an even grid
+  auto points = std::make_shared<std::vector<Eigen::Vector3f>>();
+  points->reserve(points_camera.size() / step + 1);
+  for (std::size_t i = 0; i < points_camera.size(); i += step) {
+    const Vec3& point = points_camera[i];
+    if (point.allFinite() && point.z() > 0.0 && point.z() < kMaxRange_m) points->push_back(point.cast<float>());
+  }
+  return points;
+}
+
 /// Where a box appears after the camera turned; nothing if it left the field of view.
 std::optional<Box> turned(const Box& box, const Mat3& R_now_then) {
   const Vec2 center = box.center();
@@ -87,6 +105,10 @@ bool ObservationWindow::push(const Frame& frame, const AssociationFrame& associa
   const bool sampled = frames_.empty() || frame.stamp_ns - last_sampled_ns_ >= interval_ns_;
   if (sampled) last_sampled_ns_ = frame.stamp_ns;
   const bool taken = sampled || frame.is_keyframe;
+  if (taken && frame.points_camera && (frames_.empty() || frame.stamp_ns - last_points_ns_ >= kPointInterval_ns)) {
+    observed.points = thinned(*frame.points_camera);
+    last_points_ns_ = frame.stamp_ns;
+  }
   if (taken) frames_.push_back(std::move(observed));
   while (!frames_.empty() && frame.stamp_ns - frames_.front().stamp_ns > span_ns_) frames_.pop_front();
   return taken;

@@ -3,6 +3,7 @@
 #include <cstdint>
 #include <deque>
 #include <map>
+#include <memory>
 #include <vector>
 
 #include "semantic_topo_loop/types/box.h"
@@ -51,6 +52,8 @@ struct ObservedFrame {
   Vec2 focal_px = Vec2::Ones();
   Box image;  ///< the image's rectangle on the plane z = 1
   std::vector<ObservedBox> boxes;
+  /// Camera frame, m; of two frames a second, if they come with points. Null for all others.
+  std::shared_ptr<const std::vector<Eigen::Vector3f>> points;
 };
 
 /// The last seconds of frames with their boxes; starts afresh at a break of the odometry.
@@ -73,6 +76,7 @@ class ObservationWindow {
   BoxTracker tracker_;
   std::deque<ObservedFrame> frames_;
   std::int64_t last_sampled_ns_ = 0;
+  std::int64_t last_points_ns_ = 0;
 };
 
 }  // namespace semantic_topo_loop::core

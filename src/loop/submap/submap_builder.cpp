@@ -13,6 +13,7 @@
 
 #include "geometry/statistics.h"
 #include "loop/submap/spheroid.h"
+#include "loop/submap/surfels.h"
 
 namespace semantic_topo_loop::core {
 namespace {
@@ -419,6 +420,7 @@ std::optional<LocalMap> build_local_map(const std::deque<ObservedFrame>& window,
   map.check_frames = spread(all, kCheckFrames);
   map.objects = find_objects(map, redirects, options);
   compact(&map);
+  map.surfels = make_surfels(window, T_anchor_odom);
   return map;
 }
 

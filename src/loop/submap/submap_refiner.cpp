@@ -7,6 +7,7 @@
 #include "geometry/least_squares.h"
 #include "geometry/statistics.h"
 #include "loop/submap/spheroid.h"
+#include "loop/submap/surface_alignment.h"
 #include "semantic_topo_loop/geometry/lie.h"
 
 namespace semantic_topo_loop::core {
@@ -253,6 +254,30 @@ void set_alignment(const LocalMap& match, const LocalMap& query, const GraphMatc
   }
 }
 
+namespace {
+
+void state_sigmas(const Mat6& covariance, LoopClosure* loop) {
+  loop->sigma_m = std::sqrt(covariance.topLeftCorner<3, 3>().trace());
+  loop->sigma_deg = degrees(std::sqrt(covariance.bottomRightCorner<3, 3>().trace()));
+}
+
+/// Refines the loop's pose on the surfaces of both submaps, where they meet.
+/// @return false if they cannot be the same
+bool agree_on_surfaces(const LocalMap& match, const LocalMap& query, LoopClosure* loop) {
+  constexpr int kMinJudged = 200;            // surfels, 1 m^2: fewer may be what was moved
+  constexpr double kMaxContradicted = 0.35;  // right loops: 0.22 at most, wrong ones: hardly ever below 0.5
+  const std::optional<SurfaceAlignment> aligned = align_surfaces(match, query, loop->T_match_query, loop->covariance);
+  if (aligned) {
+    loop->T_match_query = aligned->T_a_b;
+    loop->covariance = aligned->covariance;
+    state_sigmas(aligned->covariance, loop);
+  }
+  const SurfaceAgreement agreement = compare_surfaces(match, query, loop->T_match_query);
+  return agreement.judged < kMinJudged || agreement.contradicted < kMaxContradicted * agreement.judged;
+}
+
+}  // namespace
+
 void refine_and_decide(const LocalMap& match, const LocalMap& query, const GraphMatch& alignment,
                        const LoopOptions& options, LoopClosure* loop) {
   loop->reason = LoopReason::kRefinement;
@@ -261,8 +286,7 @@ void refine_and_decide(const LocalMap& match, const LocalMap& query, const Graph
   loop->refine_residual = refined->median_residual;
   loop->refine_shift_m = (alignment.T_a_b.inverse() * refined->T_a_b).t.norm();
   loop->refine_shift_deg = degrees(rotation_angle(alignment.T_a_b.q, refined->T_a_b.q));
-  loop->sigma_m = std::sqrt(refined->covariance.topLeftCorner<3, 3>().trace());
-  loop->sigma_deg = degrees(std::sqrt(refined->covariance.bottomRightCorner<3, 3>().trace()));
+  state_sigmas(refined->covariance, loop);
   if (loop->refine_residual > options.refine_max_residual || loop->refine_shift_m > options.refine_max_shift_m ||
       loop->refine_shift_deg > options.refine_max_shift_deg) {
     return;
@@ -271,6 +295,11 @@ void refine_and_decide(const LocalMap& match, const LocalMap& query, const Graph
   loop->covariance = refined->covariance;
   loop->scale *= refined->scale;
   loop->scale_covariance = refined->scale_covariance;
+  const bool has_surfels = options.use_points && options.scale == "fixed" && match.surfels && query.surfels;
+  if (has_surfels && !agree_on_surfaces(match, query, loop)) {
+    loop->reason = LoopReason::kContradicted;
+    return;
+  }
   if (loop->sigma_m > options.max_sigma_m || loop->sigma_deg > options.max_sigma_deg) return;
   loop->reason = LoopReason::kAccepted;
   loop->accepted = true;
