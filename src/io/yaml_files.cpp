@@ -27,7 +27,8 @@ Result<YAML::Node> read_yaml_map(const std::string& path) {
   if (!text) return text.error();
   try {
     // yaml-cpp 0.6 waits for ever for what follows a colon that ends the text.
-    YAML::Node root = YAML::Load(*text + '\n');
+    const bool ends_a_line = !text->empty() && text->back() == '\n';
+    YAML::Node root = YAML::Load(ends_a_line ? *text : *text + '\n');
     if (root.IsMap()) return root;
     return Error{path + ": must be a YAML map"};
   } catch (const YAML::Exception& exception) {
