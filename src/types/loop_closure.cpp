@@ -8,8 +8,7 @@ const char* to_string(LoopReason reason) {
   constexpr std::array<const char*, 15> kNames = {
       "accepted",   "too_few_objects", "too_few_inliers", "too_few_labels", "degenerate",
       "residual",   "ambiguous",       "reprojection",    "mirrored",       "tilt",
-      "refinement", "low_score",       "inconsistent",    "outranked",
-      "contradicted"};
+      "refinement", "low_score",       "inconsistent",    "outranked",      "contradicted"};
   const auto i = static_cast<std::size_t>(reason);
   return i < kNames.size() ? kNames[i] : "unknown";
 }
