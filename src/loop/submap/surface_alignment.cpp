@@ -13,7 +13,6 @@
 #include <utility>
 #include <vector>
 
-#include "geometry/relative_pose.h"
 #include "geometry/statistics.h"
 #include "semantic_topo_loop/geometry/lie.h"
 
