@@ -45,11 +45,7 @@ bool is_in_previous_frame(const AssociationContext& context, const Track& track)
 
 constexpr double kReachFloor_m = 0.15;  // of depth's place of an object about the centre of its landmark, for a thing
 constexpr double kReachShare = 0.5;     // of no size, and what half a thing adds: of a box that is cut there is a half
-constexpr double kOnePlace = 0.4;       // of the smaller size: between centres of what is one thing
-constexpr double kOneSize = 0.5;        // smaller over larger
 constexpr double kInside = 0.7;         // of the smaller box: more than neighbours in a row hide of each other
-
-bool is_one_size(double a, double b) { return std::min(a, b) > kOneSize * std::max(a, b); }
 
 /// 1 where depth puts the box on the landmark's centre, 0 where it puts it beyond all that can be it; nullopt where it
 /// does not tell.
@@ -60,10 +56,8 @@ std::optional<double> closeness(const Track& track, const PreparedDetection& det
 }
 
 bool is_same_thing(const Track& track, const PreparedDetection& detection) {
-  if (!detection.placement || !track.has_ellipsoid) return false;
-  const double smaller = std::min(track.size_m, detection.placement->size_m);
-  return is_one_size(track.size_m, detection.placement->size_m) &&
-         (detection.placement->center - track.center_map).norm() < kOnePlace * smaller;
+  return detection.placement && track.has_ellipsoid &&
+         is_one_thing(*detection.placement, {track.center_map, track.size_m});
 }
 
 double iou_3d(const TrackInFrame& candidate, const PreparedDetection& detection) {
@@ -82,9 +76,7 @@ double label_agreement(const AssociationContext& context, const Track& track, in
 }  // namespace
 
 bool show_one_thing(const PreparedDetection& a, const PreparedDetection& b) {
-  if (!a.placement || !b.placement || !is_one_size(a.placement->size_m, b.placement->size_m)) return false;
-  const double smaller = std::min(a.placement->size_m, b.placement->size_m);
-  return (a.placement->center - b.placement->center).norm() < kOnePlace * smaller &&
+  return a.placement && b.placement && is_one_thing(*a.placement, *b.placement) &&
          intersection_area(a.visible, b.visible) > kInside * std::min(a.visible.area(), b.visible.area());
 }
 

@@ -203,6 +203,12 @@ std::vector<Vec3> object_points(const FramePoints& points, const Box& box) {
   return middle.size() < kMinPoints ? std::vector<Vec3>{} : middle;
 }
 
+bool is_one_thing(const Placement& a, const Placement& b) {
+  constexpr double kOnePlace = 0.4, kOneSize = 0.5;
+  const auto [smaller, larger] = std::minmax(a.size_m, b.size_m);
+  return smaller > kOneSize * larger && (a.center - b.center).norm() < kOnePlace * smaller;
+}
+
 std::optional<Placement> place(const FramePoints& points, const Box& box) {
   const std::vector<Vec3> found = object_points(points, box);
   if (found.empty()) return std::nullopt;

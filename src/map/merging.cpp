@@ -13,8 +13,6 @@ constexpr std::size_t kVotingViews = 30;  // spread over all: the median of more
 constexpr double kMinReach_m = 0.25;      // for small objects, whose fits scatter by more than their size
 constexpr double kPartInside = 0.7;       // median share of a part's boxes inside the whole's projection
 constexpr double kPartSeen = 0.3;    // of the time for which the whole is seen, at most: what is seen more is a thing
-constexpr double kOnePlace = 0.4;    // of the smaller size, between centres of one thing that depth places
-constexpr double kOneSize = 0.5;     // smaller over larger, of such
 constexpr double kSameCenter = 0.5;  // mean semi-axes: centres nearer than this are one object's, whatever the boxes
 
 struct Overlap {
@@ -43,11 +41,10 @@ Overlap overlap(const MappedLandmark& a, const MappedLandmark& b, const ViewSour
 
 /// Whether depth puts both in one place with about one size.
 bool is_one_place(const MappedLandmark& a, const MappedLandmark& b) {
-  const double size_a = 2.0 * a.state.ellipsoid->semi_axes.maxCoeff();
-  const double size_b = 2.0 * b.state.ellipsoid->semi_axes.maxCoeff();
-  return a.sightings.placed_s > 0.0 && b.sightings.placed_s > 0.0 &&
-         std::min(size_a, size_b) > kOneSize * std::max(size_a, size_b) &&
-         (a.state.ellipsoid->center() - b.state.ellipsoid->center()).norm() < kOnePlace * std::min(size_a, size_b);
+  const auto placement = [](const MappedLandmark& landmark) {
+    return Placement{landmark.state.ellipsoid->center(), 2.0 * landmark.state.ellipsoid->semi_axes.maxCoeff()};
+  };
+  return a.sightings.placed_s > 0.0 && b.sightings.placed_s > 0.0 && is_one_thing(placement(a), placement(b));
 }
 
 Remains remains_of(const KeyframePlaces& S_map_keyframe, const LandmarkRecord& landmark) {
