@@ -96,38 +96,60 @@ TEST(LocalMap, UpIsUncertainWithoutTurning) {
   EXPECT_FALSE(built.map.up.certain);
 }
 
+TEST(LocalMap, HasTheSurfacesOfItsFramesWherePointsAreUsed) {
+  ObservationWindow window(15.0, 0.09, *desk_classes());
+  std::vector<Vec3> wall;
+  for (int i = 0; i < 900; ++i) {
+    const int column = i % 30, row = i / 30;
+    wall.emplace_back(0.03 * column, 0.03 * row, 2.0);
+  }
+  Frame frame;
+  frame.camera = desk_camera();
+  frame.is_keyframe = true;
+  frame.points_camera = std::make_shared<const std::vector<Vec3>>(std::move(wall));
+  window.push(frame, {});
+  LoopOptions options;
+  const UpEstimator up(options.up_window_s);
+  const auto surfels = [&] { return build_local_map(window.frames(), LandmarkRedirects(), up, options)->surfels; };
+  ASSERT_NE(surfels(), nullptr);
+  EXPECT_GT(surfels()->size(), 100U);
+  options.scale = "free";
+  EXPECT_EQ(surfels(), nullptr);
+  options.scale = "fixed";
+  options.use_points = false;
+  EXPECT_EQ(surfels(), nullptr);
+}
+
 TEST(LocalMap, IsEmptyWithoutAKeyframe) {
   const LoopOptions options;
   const UpEstimator up(options.up_window_s);
   EXPECT_FALSE(build_local_map({}, LandmarkRedirects(), up, options).has_value());
 }
 
-TEST(ObservationWindow, StartsAfreshAtABreak) {
+/// Twenty frames without a box at 10 Hz.   @param answer_each of so many frames the detector looked at one
+ObservationWindow window_with_break(std::int64_t at, std::int64_t answer_each) {
   ObservationWindow window(8.0, 0.09, *desk_classes());
   Frame frame;
   frame.camera = desk_camera();
   for (std::int64_t k = 0; k < 20; ++k) {
     frame.frame_id = k;
     frame.stamp_ns = k * 100'000'000;
-    frame.is_break = k == 15;
-    window.push(frame, {});
+    frame.is_break = k == at;
+    AssociationFrame associations;
+    associations.unanswered = k % answer_each != 0;
+    EXPECT_EQ(window.push(frame, associations), !associations.unanswered);
   }
+  return window;
+}
+
+TEST(ObservationWindow, StartsAfreshAtABreak) {
+  const ObservationWindow window = window_with_break(15, 1);
   ASSERT_EQ(window.frames().size(), 5u);
   EXPECT_EQ(window.frames().front().frame_id, 15);
 }
 
 TEST(ObservationWindow, LeavesOutWhereTheDetectorDidNotLook) {
-  ObservationWindow window(8.0, 0.09, *desk_classes());
-  Frame frame;
-  frame.camera = desk_camera();
-  for (std::int64_t k = 0; k < 20; ++k) {
-    frame.frame_id = k;
-    frame.stamp_ns = k * 100'000'000;
-    frame.is_break = k == 4;
-    AssociationFrame associations;
-    associations.unanswered = k % 3 != 0;
-    EXPECT_EQ(window.push(frame, associations), k % 3 == 0);
-  }
+  const ObservationWindow window = window_with_break(4, 3);
   ASSERT_EQ(window.frames().size(), 5u);
   EXPECT_EQ(window.frames().front().frame_id, 6) << "the break counts, whether the detector looked or not";
 }
@@ -250,7 +272,7 @@ TEST(SubmapRefiner, ALoopThatSurfacesContradictIsRefusedWithThatReason) {
   GraphMatch match;
   match.T_a_b = a.T_world_anchor.inverse() * b.T_world_anchor;
   match.pairs = true_pairs(a, b);
-  LoopOptions options;
+  const LoopOptions options;
   const auto decide = [&] {
     LoopClosure loop = make_closure(a.map, b.map);
     refine_and_decide(a.map, b.map, match, options, &loop);
@@ -267,7 +289,7 @@ TEST(SubmapRefiner, ALoopThatSurfacesContradictIsRefusedWithThatReason) {
   for (int i = 0; i < static_cast<int>(a.map.objects.size()); ++i) match.pairs.push_back({i, i});
   EXPECT_EQ(decide().reason, LoopReason::kContradicted);
   EXPECT_FALSE(decide().accepted);
-  options.use_points = false;
+  b.map.surfels.reset();
   EXPECT_EQ(decide().reason, LoopReason::kAccepted);
 }
 

@@ -420,7 +420,8 @@ std::optional<LocalMap> build_local_map(const std::deque<ObservedFrame>& window,
   map.check_frames = spread(all, kCheckFrames);
   map.objects = find_objects(map, redirects, options);
   compact(&map);
-  map.surfels = make_surfels(window, T_anchor_odom);
+  // Where the unit of length is free, the odometry is one without depth.
+  if (options.use_points && options.scale == "fixed") map.surfels = make_surfels(window, T_anchor_odom);
   return map;
 }
 

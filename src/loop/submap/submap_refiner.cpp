@@ -295,8 +295,7 @@ void refine_and_decide(const LocalMap& match, const LocalMap& query, const Graph
   loop->covariance = refined->covariance;
   loop->scale *= refined->scale;
   loop->scale_covariance = refined->scale_covariance;
-  const bool has_surfels = options.use_points && options.scale == "fixed" && match.surfels && query.surfels;
-  if (has_surfels && !agree_on_surfaces(match, query, loop)) {
+  if (match.surfels && query.surfels && !agree_on_surfaces(match, query, loop)) {
     loop->reason = LoopReason::kContradicted;
     return;
   }
