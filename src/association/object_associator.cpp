@@ -191,7 +191,10 @@ struct ObjectAssociator::Impl {
           association.level = AssociationLevel::kWrongSize;
           continue;
         }
-        if (placement) placement->center = T_map_camera * placement->center;
+        if (placement) {
+          association.near_m = placement->center.z();
+          placement->center = T_map_camera * placement->center;
+        }
         gated_.push_back({association, clip(association.box, camera.width, camera.height), placement});
       }
     }

@@ -153,10 +153,8 @@ struct QuadricMapper::Impl {
         landmark.state.id = id;
         landmark.next_fit_at = options_.min_views;
       }
-      const std::optional<Placement> placement =
-          points != nullptr ? place(*points, association.box) : std::optional<Placement>();
-      count_seen(association, points != nullptr, placement.has_value(), &landmark.sightings);
-      if (placement && !landmark.state.ellipsoid) landmark.next_fit_at = 1;
+      count_seen(association, points != nullptr, &landmark.sightings);
+      if (association.has_depth() && !landmark.state.ellipsoid) landmark.next_fit_at = 1;
       const int hidden = points != nullptr ? hidden_sides(*points, association.box) : 0;
       const auto truncated = static_cast<std::uint8_t>(association.truncated | hidden);
       landmark.observations.push_back(
@@ -164,7 +162,7 @@ struct QuadricMapper::Impl {
            association.landmark_id,
            frame.keyframe_id,
            association.class_id,
-           {T_keyframe_camera, association.box, truncated, placement ? placement->center.z() : 0.0}});
+           {T_keyframe_camera, association.box, truncated, association.has_depth() ? association.near_m : 0.0}});
       if (landmark.observations.size() > kObservationsMax) halve(&landmark.observations);
       landmark.state.class_id = association.landmark_class_id;
       landmark.state.observations += 1;
@@ -174,11 +172,11 @@ struct QuadricMapper::Impl {
     count_side_by_side(associations);
   }
 
-  void count_seen(const Association& association, bool has_points, bool is_placed, Sightings* sightings) const {
+  void count_seen(const Association& association, bool has_points, Sightings* sightings) const {
     const double seen_s = has_points ? step_s_ * std::min(1.0, association.score / kSureScore) : step_s_;
     sightings->seen_s += seen_s;
     if (association.truncated == 0) sightings->whole_s += seen_s;
-    if (is_placed) {
+    if (association.has_depth()) {
       sightings->placed_s += seen_s;
       for (int side = 0; side < 4; ++side) {
         if ((association.truncated & (1 << side)) == 0) sightings->bounded_s(side) += seen_s;

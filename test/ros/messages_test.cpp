@@ -207,7 +207,7 @@ TEST(Messages, Associations) {
   for (int level = 0; level <= 9; ++level) {
     associations.associations.push_back({level, random.integer(), static_cast<core::AssociationLevel>(level),
                                          random.small(), random.number(), random.box(),
-                                         static_cast<std::uint8_t>(2 * level), random.small()});
+                                         static_cast<std::uint8_t>(2 * level), random.small(), random.number()});
   }
   const AssociationsMessage message = random.message<AssociationsMessage>(associations);
   const AssociationArray generated = expect_generated_is_same(message);
@@ -225,6 +225,7 @@ TEST(Messages, Associations) {
   EXPECT_TRUE(same(last.box, associations.associations[9].box));
   EXPECT_EQ(last.truncated, 18);
   EXPECT_EQ(last.landmark_class_id, associations.associations[9].landmark_class_id);
+  EXPECT_EQ(last.near_m, associations.associations[9].near_m);
 }
 
 void expect_same(const Quadric& message, const core::Landmark& landmark) {

@@ -6,6 +6,7 @@
 #include <utility>
 #include <vector>
 
+#include "geometry/depth_points.h"
 #include "semantic_topo_loop/geometry/quadric.h"
 #include "semantic_topo_loop/map/mapper_options.h"
 #include "semantic_topo_loop/map/quadric_mapper.h"
@@ -55,6 +56,10 @@ class MapperFixture : public ::testing::Test {
       association.truncated = object.truncated;
       association.score = object.score;
       association.box = *project_box(object.ellipsoid, projection_matrix(kMapperCamera, pose));
+      if (frame.points_camera) {
+        const auto placement = place(FramePoints(*frame.points_camera, frame.camera), association.box);
+        if (placement) association.near_m = placement->center.z();
+      }
       associations.associations.push_back(association);
     }
     return mapper_.integrate(frame, associations);

@@ -253,7 +253,7 @@ SEMANTIC_TOPO_LOOP_FIELDS(core::SE3, m.t, m.q.coeffs())
 SEMANTIC_TOPO_LOOP_FIELDS(core::Box, m.x1, m.y1, m.x2, m.y2)
 SEMANTIC_TOPO_LOOP_FIELDS(core::Detection, m.class_id, m.score, m.box)
 SEMANTIC_TOPO_LOOP_FIELDS(core::Association, m.detection_index, m.landmark_id, m.level, m.class_id, m.score, m.box,
-                          m.truncated, m.landmark_class_id)
+                          m.truncated, m.landmark_class_id, m.near_m)
 SEMANTIC_TOPO_LOOP_FIELDS(core::Ellipsoid, m.T_world_quadric, m.semi_axes)
 SEMANTIC_TOPO_LOOP_FIELDS(core::Landmark, m.id, m.class_id, m.state, m.ellipsoid, m.center_covariance,
                           m.anchor_keyframe_id, m.observations, m.baseline_deg, m.mean_iou, m.quality)

@@ -1,5 +1,6 @@
 #pragma once
 
+#include <cmath>
 #include <cstdint>
 #include <vector>
 
@@ -45,6 +46,9 @@ struct Association {
   Box box;                     ///< undistorted, px
   std::uint8_t truncated = 0;  ///< Truncation bits
   int landmark_class_id = -1;  ///< most frequent class of the landmark, this detection included
+  double near_m = 0.0;         ///< depth of the near side of what the box shows; 0 where the frame does not tell
+
+  bool has_depth() const { return std::isfinite(near_m) && near_m > 0.0; }
 };
 
 struct AssociationFrame {

@@ -6,7 +6,6 @@
 #include <cmath>
 #include <utility>
 
-#include "geometry/depth_points.h"
 #include "geometry/statistics.h"
 #include "semantic_topo_loop/geometry/lie.h"
 
@@ -26,19 +25,11 @@ bool overlaps(const GraphObjectView& view, const Box& projected) {
   return iou({edges(0), edges(1), edges(2), edges(3)}, projected) > kMinOverlap;
 }
 
-/// @return none where the frame has too few points on the object, or only a part of it is in the image
-std::optional<SurfaceDepth> surface_depth(const std::optional<FramePoints>& frame_points,
-                                          const Association& association) {
-  if (!frame_points || association.truncated != 0) return std::nullopt;
-  const std::vector<Vec3> points = object_points(*frame_points, association.box);
-  if (points.empty()) return std::nullopt;
-  SurfaceDepth depth;
-  depth.ray_camera = frame_points->camera().ray(association.box.center()).normalized();
-  std::vector<double> distances;
-  distances.reserve(points.size());
-  for (const Vec3& point : points) distances.push_back(depth.ray_camera.dot(point));
-  depth.distance_m = median(std::move(distances));
-  return depth;
+/// @return none where the frame does not tell the depth of the object, or only a part of it is in the image
+std::optional<SurfaceDepth> surface_depth(const Camera& camera, const Association& association) {
+  if (!association.has_depth() || association.truncated != 0) return std::nullopt;
+  const Vec3 ray = camera.ray(association.box.center());
+  return SurfaceDepth{ray.normalized(), association.near_m * ray.norm()};
 }
 
 }  // namespace
@@ -111,13 +102,11 @@ GraphObjects well_seen(const GraphObjects& objects, const std::vector<SE3>& T_wo
 
 void ObjectMemory::add(int vertex, const Frame& frame, const AssociationFrame& associations) {
   const Camera& camera = frame.camera;
-  std::optional<FramePoints> points;
-  if (frame.points_camera) points.emplace(*frame.points_camera, camera);
   for (const Association& association : associations.associations) {
     if (association.landmark_id < 0) continue;
     sightings_.push_back({association.landmark_id,
                           {vertex, Vec4(camera.fx, camera.fy, camera.cx, camera.cy), association.box,
-                           association.truncated, surface_depth(points, association)}});
+                           association.truncated, surface_depth(camera, association)}});
   }
 }
 
