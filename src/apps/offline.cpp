@@ -163,6 +163,8 @@ class RgbdSource : public SampleSource {
   std::unique_ptr<ReadAhead<RgbdReading>> readings_;  ///< last: its thread ends before what it uses
 };
 
+void say(const std::string& warning) { std::cerr << "offline: warning: " << warning << '\n'; }
+
 // --- inputs -------------------------------------------------------------------------------------------------------
 
 /// What a run works on.
@@ -197,7 +199,7 @@ Result<std::unique_ptr<SampleSource>> open_source(const Arguments& arguments, co
     const Result<RgbdFiles> read =
         is_as_downloaded ? associate_images(arguments.rgbd) : read_associations(list, arguments.rgbd);
     if (!read) return read.error();
-    if (!read->warning.empty()) std::cerr << "offline: warning: " << read->warning << '\n';
+    if (!read->warning.empty()) say(read->warning);
     open_recording = [camera, depth, files = read->files] { return read_images(files, camera, depth); };
   }
   Source source = std::make_unique<RgbdSource>(open_recording, RgbdFrontend(inputs.options.frontend, camera));
@@ -222,7 +224,7 @@ Status find_detections(const Arguments& arguments, RunInputs* inputs) {
     frame.detections = usable_boxes(frame.detections, *inputs->classes,
                                     static_cast<std::size_t>(inputs->options.association.boxes_max), leave_out);
   }
-  for (const std::string& warning : report.warnings()) std::cerr << "offline: warning: " << warning << '\n';
+  for (const std::string& warning : report.warnings()) say(warning);
   return {};
 }
 
@@ -232,9 +234,7 @@ Status load_optional(const Arguments& arguments, RunInputs* inputs) {
     Result<DetectionRecording> recording = read_detections(
         arguments.detections, *inputs->classes, static_cast<std::size_t>(inputs->options.association.boxes_max));
     if (!recording) return recording.error();
-    for (const std::string& warning : recording->report.warnings()) {
-      std::cerr << "offline: warning: " << warning << '\n';
-    }
+    for (const std::string& warning : recording->report.warnings()) say(warning);
     inputs->detections = std::move(recording->frames);
   }
   if (!inputs->options.detector.model.empty()) {
@@ -326,7 +326,6 @@ struct Counts {
 };
 
 void warn(const RunInputs& inputs, const Counts& counts, std::size_t loops_left) {
-  const auto say = [](const std::string& text) { std::cerr << "offline: warning: " << text << '\n'; };
   const std::size_t images = inputs.detections.size();
   if (images > 0 && counts.with_detections < counts.frames) {
     say(std::to_string(counts.frames - counts.with_detections) + " of " + std::to_string(counts.frames) +

@@ -1,7 +1,6 @@
 #include <chrono>
 #include <deque>
 #include <memory>
-#include <mutex>
 #include <optional>
 #include <pluginlib/class_list_macros.hpp>
 #include <string>
@@ -90,18 +89,7 @@ class DetectionIngestionNodelet : public StageWith<DetectionParameters> {
   }
 
   void watch() {
-    const std::string starvation = watch_->starvation(Clock::now());
-    const std::lock_guard<std::mutex> lock(mutex_);
-    if (starvation_.empty() && !starvation.empty()) {
-      statistics().count(kApart);
-      NODELET_WARN("%s", starvation.c_str());
-    }
-    starvation_ = starvation;
-  }
-
-  void add_diagnostics(diagnostic_updater::DiagnosticStatusWrapper& status) override {
-    const std::lock_guard<std::mutex> lock(mutex_);
-    if (!starvation_.empty()) status.mergeSummary(diagnostic_msgs::DiagnosticStatus::WARN, starvation_);
+    if (warn_while("topics", watch_->starvation(Clock::now()))) statistics().count(kApart);
   }
 
   void resolve() {
@@ -173,9 +161,6 @@ class DetectionIngestionNodelet : public StageWith<DetectionParameters> {
   std::deque<Waiting> waiting_;
   std::unique_ptr<DetectionMatcher> matcher_;
   std::optional<DetectionWatch> watch_;  ///< of source topic
-
-  std::mutex mutex_;  ///< guards what follows, which worker and diagnostics share
-  std::string starvation_;
 };
 
 }  // namespace semantic_topo_loop

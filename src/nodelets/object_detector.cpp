@@ -37,7 +37,7 @@ class ObjectDetectorNodelet : public StageWith<ObjectDetectorParameters> {
     detector_ = *std::move(detector);
     statistics().count(kLeftOut, 0);
     publisher_ = advertise<DetectionsMessage>("detections_in");
-    look_at_waiting_ = once_in_queue([this] { look_at_waiting(); });
+    look_at_newest_ = once_in_queue([this] { look_at_newest(); });
     image_transport::ImageTransport transport(getNodeHandle());
     constexpr std::uint32_t kImages = 10;  // that wait for the callback, which is short
     subscriber_ = transport.subscribe("color", kImages, &ObjectDetectorNodelet::on_image, this,
@@ -50,29 +50,22 @@ class ObjectDetectorNodelet : public StageWith<ObjectDetectorParameters> {
     statistics().count_input("color");
     {
       const std::lock_guard<std::mutex> lock(mutex_);
-      waiting_.push_back(image);
-      // Their pixels are not needed any more.
-      if (waiting_.size() > 1) waiting_[waiting_.size() - 2] = header_only(*waiting_[waiting_.size() - 2]);
+      if (newest_) overtaken_.push_back(newest_->header);
+      newest_ = image;
     }
-    look_at_waiting_();
+    look_at_newest_();
   }
 
-  static sensor_msgs::ImageConstPtr header_only(const sensor_msgs::Image& image) {
-    auto header = boost::make_shared<sensor_msgs::Image>();
-    header->header = image.header;
-    return header;
-  }
-
-  /// At the newest; it is too late for the others.
-  void look_at_waiting() {
-    std::vector<sensor_msgs::ImageConstPtr> images;
+  void look_at_newest() {
+    std::vector<std_msgs::Header> overtaken;
+    sensor_msgs::ImageConstPtr newest;
     {
       const std::lock_guard<std::mutex> lock(mutex_);
-      images.swap(waiting_);
+      overtaken.swap(overtaken_);
+      newest.swap(newest_);
     }
-    if (images.empty()) return;
-    for (auto image = images.begin(); image != images.end() - 1; ++image) leave_out((*image)->header);
-    look_at(*images.back());
+    for (const std_msgs::Header& header : overtaken) leave_out(header);
+    if (newest) look_at(*newest);
   }
 
   void look_at(const sensor_msgs::Image& image) {
@@ -100,9 +93,10 @@ class ObjectDetectorNodelet : public StageWith<ObjectDetectorParameters> {
   std::unique_ptr<core::ObjectDetector> detector_;
   ros::Publisher publisher_;
   image_transport::Subscriber subscriber_;
-  std::function<void()> look_at_waiting_;
-  std::mutex mutex_;                                 ///< guards all below
-  std::vector<sensor_msgs::ImageConstPtr> waiting_;  ///< in order of arrival; all but the last without pixels
+  std::function<void()> look_at_newest_;
+  std::mutex mutex_;                         ///< guards all below
+  sensor_msgs::ImageConstPtr newest_;        ///< that nobody has looked at yet
+  std::vector<std_msgs::Header> overtaken_;  ///< of images before it, in order of arrival
 };
 
 }  // namespace semantic_topo_loop

@@ -78,16 +78,7 @@ class RgbdFrontendNodelet : public StageWith<RgbdFrontendParameters, FrontendSta
     const Clock::time_point now = Clock::now();
     const std::lock_guard<std::mutex> lock(mutex_);
     synchronizer_->expire(now);
-    const std::string starvation = synchronizer_->starvation(now);
-    if (starvation_.empty() && !starvation.empty()) NODELET_WARN("%s", starvation.c_str());
-    starvation_ = starvation;
-  }
-
-  void add_diagnostics(diagnostic_updater::DiagnosticStatusWrapper& status) override {
-    const std::lock_guard<std::mutex> lock(mutex_);
-    for (const std::string& warning : {starvation_, depth_warning_}) {
-      if (!warning.empty()) status.mergeSummary(diagnostic_msgs::DiagnosticStatus::WARN, warning);
-    }
+    warn_while("topics", synchronizer_->starvation(now));
   }
 
   void forget() override {
@@ -95,8 +86,7 @@ class RgbdFrontendNodelet : public StageWith<RgbdFrontendParameters, FrontendSta
     image_ = {};
     report_ = {};
     depth_range_ = {};
-    const std::lock_guard<std::mutex> lock(mutex_);
-    depth_warning_.clear();
+    warn_while("depth", "");
   }
 
   void on_end() override {
@@ -150,10 +140,7 @@ class RgbdFrontendNodelet : public StageWith<RgbdFrontendParameters, FrontendSta
   /// Looks at where the depth lies. Worker thread.
   void watch_depth(const core::RgbdImage& image) {
     depth_range_.add(image.depth_range);
-    const std::string warning = depth_range_.warning(options_.depth);
-    const std::lock_guard<std::mutex> lock(mutex_);
-    if (depth_warning_.empty() && !warning.empty()) NODELET_WARN("%s", warning.c_str());
-    depth_warning_ = warning;
+    warn_while("depth", depth_range_.warning(options_.depth));
   }
 
   void track(const core::RgbdImage& image) {
@@ -181,9 +168,8 @@ class RgbdFrontendNodelet : public StageWith<RgbdFrontendParameters, FrontendSta
   core::TrackingReport report_;
   core::DepthRange depth_range_;
 
-  std::mutex mutex_;  ///< guards all below, which callbacks, worker and diagnostics share; nothing else is locked in it
+  std::mutex mutex_;  ///< guards synchronizer_, which the callbacks share
   std::unique_ptr<RgbdSynchronizer> synchronizer_;
-  std::string starvation_, depth_warning_;
 };
 
 }  // namespace semantic_topo_loop

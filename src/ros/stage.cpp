@@ -46,6 +46,9 @@ StageStatistics::Snapshot StageStatistics::take_snapshot() {
   snapshot.counters = counters_;
   snapshot.latency_p50_ms = percentile({latencies_ms_.begin(), latencies_ms_.end()}, 0.50);
   snapshot.latency_p95_ms = percentile({latencies_ms_.begin(), latencies_ms_.end()}, 0.95);
+  for (const auto& [subject, warning] : warnings_) {
+    if (!warning.empty()) snapshot.warnings.push_back(warning);
+  }
   snapshot.failure = failure_;
   inputs_before_ = inputs_;
   processed_before_ = processed_;
@@ -76,6 +79,12 @@ bool Stage::load_classes(const std::string& path) {
 void Stage::complain(const std::string& cause, const std::string& detail) {
   if (statistics_.count(cause) > 1) return;
   NODELET_WARN("%s: %s (further ones are counted in the diagnostics)", cause.c_str(), detail.c_str());
+}
+
+bool Stage::warn_while(const std::string& subject, const std::string& warning) {
+  const bool has_begun = statistics_.set_warning(subject, warning);
+  if (has_begun) NODELET_WARN("%s", warning.c_str());
+  return has_begun;
 }
 
 void Stage::stop() {
@@ -222,7 +231,9 @@ void Stage::report(diagnostic_updater::DiagnosticStatusWrapper& status) {
   status.addf("latency p95", "%.2f ms", snapshot.latency_p95_ms);
   for (const auto& [name, n] : snapshot.counters) status.add(name, n);
   if (worker_) status.add("queue length", worker_->size());
-  add_diagnostics(status);
+  for (const std::string& warning : snapshot.warnings) {
+    status.mergeSummary(diagnostic_msgs::DiagnosticStatus::WARN, warning);
+  }
 }
 
 bool Stage::is_current(std::uint32_t session_id) {

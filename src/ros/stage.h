@@ -18,6 +18,7 @@
 #include <string>
 #include <thread>
 #include <type_traits>
+#include <utility>
 #include <vector>
 
 #include "ros/conversions.h"
@@ -43,6 +44,7 @@ class StageStatistics {
     std::uint64_t processed = 0;
     std::map<std::string, std::uint64_t> counters;
     double latency_p50_ms = 0.0, latency_p95_ms = 0.0;  ///< of the last 512 frames
+    std::vector<std::string> warnings;                  ///< that hold now
     std::string failure;                                ///< empty while the stage works
   };
 
@@ -62,6 +64,11 @@ class StageStatistics {
     const std::lock_guard<std::mutex> lock(mutex_);
     counters_[counter] = value;
   }
+  /// @param warning what is wrong now; empty: nothing   @return whether that has just begun
+  bool set_warning(const std::string& subject, const std::string& warning) {
+    const std::lock_guard<std::mutex> lock(mutex_);
+    return std::exchange(warnings_[subject], warning).empty() && !warning.empty();
+  }
   void set_failure(const std::string& failure) {
     const std::lock_guard<std::mutex> lock(mutex_);
     failure_ = failure;
@@ -74,6 +81,7 @@ class StageStatistics {
   std::map<std::string, std::uint64_t> counters_;
   std::uint64_t processed_ = 0, processed_before_ = 0;
   boost::circular_buffer<double> latencies_ms_{512};  ///< of the last frames: some 17 s at 30 Hz
+  std::map<std::string, std::string> warnings_;       ///< by what they are about
   std::string failure_;
   Clock::time_point last_snapshot_ = Clock::now();
 };
@@ -153,6 +161,9 @@ class Stage : public nodelet::Nodelet {
   void complain(const std::string& cause, const std::string& detail);
   /// Of the stages whose parameters are ClassStageParameters; never null there.
   const std::shared_ptr<const core::ClassTable>& classes() const { return classes_; }
+  /// Warns when something begins to be wrong, and in the diagnostics for as long as it is. Thread-safe.
+  /// @param warning what is wrong now; empty: nothing   @return whether it has just begun
+  bool warn_while(const std::string& subject, const std::string& warning);
   /// Shuts down what brings work, closes the queue and joins the thread. May be called twice.
   void stop();
 
@@ -168,8 +179,6 @@ class Stage : public nodelet::Nodelet {
   void set_unsaved(bool unsaved) { is_unsaved_ = unsaved; }
   /// A new session has begun: forget everything.
   virtual void reset_session() {}
-  /// Adds a stage's own figures to its diagnostics. Called on the callback thread: read atomics or lock.
-  virtual void add_diagnostics(diagnostic_updater::DiagnosticStatusWrapper&) {}
 
   /// Messages of the current session reach `handler`; those of another one are dropped and counted.
   template <class Message, class Derived>

@@ -158,6 +158,14 @@ def read_rows(path):
         return [line.split() for line in file if line.strip() and not line.startswith('#')]
 
 
+def record(path, images, **arguments):
+    """A bag of so many steps, one a period."""
+    recorder = Recorder(path)
+    for i in range(images):
+        recorder.step(i, wall.PERIOD_S * i, **arguments)
+    recorder.close()
+
+
 class ImagesTest(DirectoryTest):
     """Poses found from the bag's images."""
 
@@ -188,10 +196,7 @@ class ImagesTest(DirectoryTest):
 
     def test_lockstep_gives_the_offline_result(self):
         bag = self.path('whole.bag')
-        recorder = Recorder(bag)
-        for i in range(FRAMES):
-            recorder.step(i, wall.PERIOD_S * i)
-        recorder.close()
+        record(bag, FRAMES)
         detections = []
         for i in range(FRAMES):
             stamp = wall.stamp_at(wall.PERIOD_S * i)
@@ -253,10 +258,7 @@ class ImagesTest(DirectoryTest):
 
     def test_a_bag_whose_tf_does_not_know_the_camera(self):
         bag = self.path('no_rig.bag')
-        recorder = Recorder(bag)
-        for i in range(45):
-            recorder.step(i, wall.PERIOD_S * i, with_rig=False)
-        recorder.close()
+        record(bag, 45, with_rig=False)
         launch, edges = self.play_and_listen(bag, 'no_rig')
         warnings = [line for line in launch.lines if 'nothing in tf has' in line]
         self.assertEqual(len(warnings), 1, launch.output())
@@ -313,10 +315,7 @@ class ImagesTest(DirectoryTest):
 
     def test_a_damaged_bag_is_one_error_and_keeps_what_was_mapped(self):
         bag = self.path('damaged.bag')
-        recorder = Recorder(bag)
-        for i in range(30):
-            recorder.step(i, wall.PERIOD_S * i)
-        recorder.close()
+        record(bag, 30)
         with open(bag, 'r+b') as file:
             content = file.read()
             # In the middle of a compressed chunk's data; the index at the end stays whole.
@@ -333,10 +332,7 @@ class ImagesTest(DirectoryTest):
 
     def test_a_bag_without_depth_says_so(self):
         bag = self.path('color.bag')
-        recorder = Recorder(bag)
-        for i in range(3):
-            recorder.step(i, wall.PERIOD_S * i, with_depth=False)
-        recorder.close()
+        record(bag, 3, with_depth=False)
         status, output = self.run_offline(bag, 'color')
         self.assertEqual(status, 1, output)
         self.assertIn('holds no message on /camera/depth/image', output)

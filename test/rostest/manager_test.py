@@ -8,7 +8,7 @@ import rospy
 import rostest
 
 import wall
-from bag_test import Recorder
+from bag_test import record
 from playback import PACKAGE, DirectoryTest, Launch, Listener, wait_until
 
 MANAGER = '/camera/driver'
@@ -47,10 +47,7 @@ class ManagerTest(DirectoryTest):
 
     def test_images_are_not_copied(self):
         bag = self.path('wall.bag')
-        recorder = Recorder(bag)
-        for i in range(20):
-            recorder.step(i, wall.PERIOD_S * i)
-        recorder.close()
+        record(bag, 20)
         with open(self.path('camera.yaml'), 'w') as file:
             file.write(wall.camera_yaml())
         listener = Listener()
