@@ -38,7 +38,7 @@ class ObjectDetectorNodelet : public StageWith<ObjectDetectorParameters> {
     statistics().count(kLeftOut, 0);
     publisher_ = advertise<DetectionsMessage>("detections_in");
     look_at_newest_ = once_in_queue([this] { look_at_newest(); });
-    image_transport::ImageTransport transport(getNodeHandle());
+    image_transport::ImageTransport transport(subscriber_node());
     constexpr std::uint32_t kImages = 10;  // that wait for the callback, which is short
     subscriber_ = transport.subscribe("color", kImages, &ObjectDetectorNodelet::on_image, this,
                                       {parameters_.color_transport, {}, getPrivateNodeHandle(), "color_transport"});

@@ -117,7 +117,7 @@ class PlayerNodelet : public StageWith<PlayerParameters> {
           }
           changed_.notify_all();
         };
-    keep_subscriber(getNodeHandle().subscribe<Message>(topic, 1000, callback));
+    keep_subscriber(subscriber_node().subscribe<Message>(topic, 1000, callback));
   }
 
   template <class Message>

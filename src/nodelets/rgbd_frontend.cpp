@@ -45,7 +45,7 @@ class RgbdFrontendNodelet : public StageWith<RgbdFrontendParameters, FrontendSta
   }
 
   void subscribe_images() {
-    const ros::NodeHandle node = getNodeHandle();
+    const ros::NodeHandle node = subscriber_node();
     PairingParameters pairing = parameters_.pairing;
     // Remapped here, as the names that image_transport makes of them ("color/compressed") have remappings of their own.
     pairing.color_topic = node.resolveName("color");

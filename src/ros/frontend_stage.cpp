@@ -48,7 +48,7 @@ void FrontendStage::follow_stream() {
   }
   const boost::function<void(const std_msgs::Empty::ConstPtr&)> query =
       [repeat = once_in_queue([this] { control_publisher_.publish(control_); })](const auto&) { repeat(); };
-  keep_subscriber(getNodeHandle().subscribe<std_msgs::Empty>("session_queries", queue_size, query));
+  keep_subscriber(subscriber_node().subscribe<std_msgs::Empty>("session_queries", queue_size, query));
   listen("end_of_stream", Keep::kPinned, queue_size, &FrontendStage::on_stream_end);
   listen("camera_info", Keep::kAlways, queue_size, &FrontendStage::on_camera_info);
   open_queue();

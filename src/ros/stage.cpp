@@ -92,6 +92,7 @@ void Stage::stop() {
   for (ros::ServiceServer& service : services_) service.shutdown();
   for (ros::WallTimer& timer : timers_) timer.stop();
   service_thread_.reset();
+  message_thread_.spinner.stop();
   if (worker_) worker_->close();
   if (saver_.joinable()) {
     stopped_.set_value();

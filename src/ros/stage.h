@@ -128,8 +128,8 @@ constexpr bool is_for_each_frame =
 
 /// What the nodelets share: strict parameters, a worker, sessions, diagnostics, and an order of destruction that makes
 /// unloading safe at any time. Callbacks only push to the worker; everything a stage overrides or hands to `subscribe`
-/// runs on the worker's one thread, so that a stage needs no lock. Services, which may wait, are called on a thread of
-/// their own.
+/// runs on the worker's one thread, so that a stage needs no lock. Messages are received on a thread of their own, and
+/// so are services, which may wait.
 ///
 /// A derived class calls `start` first in onInit, then advertises, subscribes and follows the sessions, which lets the
 /// worker begin; its destructor calls `stop`.
@@ -194,7 +194,14 @@ class Stage : public nodelet::Nodelet {
     const boost::function<void(const ConstPtr&)> callback = [this, topic, keep, handler](const ConstPtr& message) {
       push(topic, keep, [this, message, handler] { (static_cast<Derived*>(this)->*handler)(message); });
     };
-    keep_subscriber(getNodeHandle().template subscribe<Message>(topic, queue_size, callback));
+    keep_subscriber(subscriber_node().template subscribe<Message>(topic, queue_size, callback));
+  }
+  /// For every subscription. A nodelet's own queue is shut during onInit: of a topic whose latched message comes by
+  /// then, each message would be delivered when the next one comes.
+  ros::NodeHandle subscriber_node() {
+    ros::NodeHandle node(getNodeHandle());
+    node.setCallbackQueue(&message_thread_.queue);
+    return node;
   }
   /// As `subscribe`, while wanted, and only then.
   template <class Message, class Derived>
@@ -297,7 +304,7 @@ class Stage : public nodelet::Nodelet {
         if (is_current(message->session_id)) (static_cast<Derived*>(this)->*handler)(message);
       });
     };
-    return getNodeHandle().template subscribe<Message>(topic, queue_size_, callback);
+    return subscriber_node().template subscribe<Message>(topic, queue_size_, callback);
   }
   /// roscpp's own queue drops without a word: a frame that is left out of the sequence tells.
   void count_missed(const std::string& topic, const Sequence& next, Sequence* last);
@@ -318,6 +325,7 @@ class Stage : public nodelet::Nodelet {
   StageStatistics statistics_;
   std::unique_ptr<diagnostic_updater::Updater> updater_;
   ros::Publisher ack_publisher_, working_publisher_;
+  CallbackThread message_thread_;  ///< outlives the subscriptions
   std::vector<ros::Subscriber> subscribers_;
   std::vector<ros::ServiceServer> services_;
   std::vector<ros::WallTimer> timers_;

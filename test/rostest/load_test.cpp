@@ -9,6 +9,9 @@
 
 #include <algorithm>
 #include <atomic>
+#include <functional>
+#include <map>
+#include <mutex>
 #include <random>
 #include <set>
 #include <thread>
@@ -17,6 +20,7 @@
 
 #include "ros/conversions.h"
 #include "semantic_topo_loop/FrameDone.h"
+#include "semantic_topo_loop/SessionAck.h"
 #include "semantic_topo_loop/SessionControl.h"
 #include "semantic_topo_loop/ros/messages.h"
 #include "support/in_process_chain.h"
@@ -171,6 +175,14 @@ TEST(Load, EveryNodeletComesAndGoesUnderTraffic) {
   chain.unload_all();
 }
 
+bool wait_until(const std::function<bool()>& condition) {
+  const auto deadline = std::chrono::steady_clock::now() + std::chrono::seconds(20);
+  while (!condition() && std::chrono::steady_clock::now() < deadline) {
+    std::this_thread::sleep_for(std::chrono::milliseconds(2));
+  }
+  return condition();
+}
+
 TEST(Load, AFrontEndThatIsLoadedUnderTrafficHasItsSession) {
   InProcessChain chain;
   chain.set("pose_frontend", "pose_source", "tf");
@@ -184,15 +196,40 @@ TEST(Load, AFrontEndThatIsLoadedUnderTrafficHasItsSession) {
       };
       ros::NodeHandle node;
       ros::Subscriber subscriber = node.subscribe<SessionControl>("session_control", 10, hear);
-      const auto deadline = std::chrono::steady_clock::now() + std::chrono::seconds(20);
-      while (!is_open && std::chrono::steady_clock::now() < deadline) {
-        std::this_thread::sleep_for(std::chrono::milliseconds(2));
-      }
+      EXPECT_TRUE(wait_until([&is_open] { return is_open.load(); })) << type << ", the " << i << ". time";
       subscriber.shutdown();
-      EXPECT_TRUE(is_open) << type << ", the " << i << ". time";
       chain.unload(name);
     }
   }
+}
+
+TEST(Load, AStageThatIsLoadedLateHearsOfEverySessionAtOnce) {
+  std::mutex mutex;  // guards acknowledged
+  std::map<std::string, std::uint32_t> acknowledged;
+  const boost::function<void(const SessionAck::ConstPtr&)> hear = [&](const SessionAck::ConstPtr& ack) {
+    const std::lock_guard<std::mutex> lock(mutex);
+    acknowledged[ack->stage] = ack->session_id;
+  };
+  ros::NodeHandle node;
+  const ros::Subscriber subscriber = node.subscribe<SessionAck>("session_acks", 100, hear);
+  const auto has_acknowledged = [&](const std::string& stage, std::uint32_t session_id) {
+    return wait_until([&] {
+      const std::lock_guard<std::mutex> lock(mutex);
+      return acknowledged[stage] == session_id;
+    });
+  };
+  InProcessChain chain;
+  chain.set("pose_frontend", "pose_source", "tf");
+  chain.load("pose_frontend", "PoseFrontend");
+  const std::vector<std::string> stages = {"PoseGraph", "PointMapping"};
+  for (const auto& [name, type] : kNodelets) {
+    if (std::count(stages.begin(), stages.end(), type) > 0) chain.load(name, type);
+  }
+  for (const std::string& stage : stages) EXPECT_TRUE(has_acknowledged(stage, 1)) << stage;
+  std_srvs::Trigger reset;
+  ASSERT_TRUE(ros::service::call("/pose_frontend/reset", reset));
+  for (const std::string& stage : stages) EXPECT_TRUE(has_acknowledged(stage, 2)) << stage;
+  chain.unload_all();
 }
 
 }  // namespace
