@@ -66,8 +66,8 @@ TEST_F(DetectProgram, WhatDoesNotFitIsOneClearError) {
 
 /// A real network on the first of real images: the boxes that `detect` writes are those that `offline` finds.
 TEST_F(DetectProgram, WritesWhatOfflineFinds) {
-  const auto model = shared_data("models/yolox_nano.onnx"), recording = shared_data("tum/fr1_xyz");
-  if (!model) GTEST_SKIP() << "SEMANTIC_TOPO_LOOP_DATA is not set";
+  const auto model = shared_detector(), recording = shared_data("tum/fr1_xyz");
+  if (!model) GTEST_SKIP() << "SEMANTIC_TOPO_LOOP_DATA is not set, or OpenCV too old";
   for (const char* list : {"rgb.txt", "depth.txt"}) {
     const std::string text = read_whole(*recording + "/" + list);
     std::size_t end = 0;

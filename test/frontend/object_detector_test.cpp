@@ -113,8 +113,8 @@ TEST(ObjectDetector, FilesThatAreNoModelAreOneError) {
 class YoloxNano : public ::testing::Test {
  protected:
   void SetUp() override {
-    const auto model = shared_data("models/yolox_nano.onnx"), folder = shared_data("tum/fr1_xyz");
-    if (!model) GTEST_SKIP() << "SEMANTIC_TOPO_LOOP_DATA is not set";
+    const auto model = shared_detector(), folder = shared_data("tum/fr1_xyz");
+    if (!model) GTEST_SKIP() << "SEMANTIC_TOPO_LOOP_DATA is not set, or OpenCV too old";
     options_.model = *model;
     folder_ = *folder;
   }

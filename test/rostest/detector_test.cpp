@@ -25,8 +25,8 @@ namespace {
 class DetectorInTheChain : public testing::Test {
  protected:
   void SetUp() override {
-    const auto model = core::shared_data("models/yolox_nano.onnx"), folder = core::shared_data("tum/fr1_xyz");
-    if (!model) GTEST_SKIP() << "SEMANTIC_TOPO_LOOP_DATA is not set";
+    const auto model = core::shared_detector(), folder = core::shared_data("tum/fr1_xyz");
+    if (!model) GTEST_SKIP() << "SEMANTIC_TOPO_LOOP_DATA is not set, or OpenCV too old";
     model_ = *model;
     for (const auto& [stamp_ns, path] : core::checked(core::list_color_images(*folder))) {
       images_.push_back({stamp_ns, path});

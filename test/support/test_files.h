@@ -5,6 +5,7 @@
 #include <cstdlib>
 #include <filesystem>
 #include <fstream>
+#include <opencv2/core/version.hpp>
 #include <optional>
 #include <sstream>
 #include <string>
@@ -63,6 +64,12 @@ inline std::optional<std::string> shared_data(const std::string& name) {
   const char* root = std::getenv("SEMANTIC_TOPO_LOOP_DATA");
   if (root == nullptr || *root == '\0') return std::nullopt;
   return std::string(root) + "/" + name;
+}
+
+/// A real network, or nullopt where there is none or OpenCV cannot run it: GTEST_SKIP() then.
+inline std::optional<std::string> shared_detector() {
+  constexpr bool kHasStridedSlices = CV_VERSION_MAJOR * 100 + CV_VERSION_MINOR >= 406;  // 4.5.1 has none
+  return kHasStridedSlices ? shared_data("models/yolox_nano.onnx") : std::nullopt;
 }
 
 }  // namespace semantic_topo_loop::core
