@@ -1,6 +1,7 @@
 #pragma once
 
 #include <Eigen/Core>
+#include <algorithm>
 #include <cmath>
 #include <cstdint>
 #include <memory>
@@ -17,6 +18,11 @@ namespace semantic_topo_loop::core {
 /// Standard deviation of the depth that a structured-light camera measures at `depth_m`: its disparity has a fixed
 /// noise, so that the depth's grows with the square (Khoshelham and Elberink 2012: 1.4 mm at one metre).
 inline double depth_sigma_m(double depth_m) { return 1.4e-3 * depth_m * depth_m; }
+
+/// Of a smallest semi-axis, m: boxes that fit loosely make things thicker than they are, and most are thin.
+constexpr double kThickest_m = 0.03;
+/// How far before the centre of an object its near side is, m, by the smallest semi-axis.
+inline double near_side_m(double thickness_m) { return 0.8 * std::min(thickness_m, kThickest_m); }
 
 /// Distance from a plane up to which a point seen by a depth camera counts as lying in it, m.
 double plane_tolerance_m(double depth_m);

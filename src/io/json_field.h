@@ -23,6 +23,8 @@ class JsonField {
   JsonField(const Json& json, std::string name, std::string* problem)
       : json_(json), name_(std::move(name)), problem_(problem) {}
 
+  bool has(const char* key) const { return json_.is_object() && json_.contains(key); }
+
   JsonField member(const char* key) const {
     if (!json_.is_object()) {
       reject("must be an object");

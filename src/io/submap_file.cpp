@@ -49,6 +49,10 @@ Json to_json(const LocalObject& object) {
   for (const SubmapView& view : object.views) {
     Json row = array_of(view.box.edges());
     row.push_back(view.frame);
+    if (view.depth_m > 0.0) {
+      row.push_back(rounded(view.depth_m));
+      row.push_back(view.truncated);
+    }
     views.push_back(std::move(row));
   }
   return {{"landmark_id", object.landmark_id},          {"class_id", object.class_id},
@@ -56,23 +60,37 @@ Json to_json(const LocalObject& object) {
           {"seen_share", rounded(object.seen_share)},   {"views", std::move(views)}};
 }
 
+/// Millimetres, and thousandths of the normal: the noise of depth is above.
+Json to_json(const Surfel& surfel) {
+  Json row = Json::array();
+  for (const Eigen::Vector3f& v : {surfel.position, surfel.normal}) {
+    for (Eigen::Index i = 0; i < v.size(); ++i) row.push_back(std::round(1e3 * static_cast<double>(v(i))) / 1e3);
+  }
+  return row;
+}
+
 Json to_json(const LocalMap& map) {
   Json frames = Json::array(), objects = Json::array();
   for (const LocalFrame& frame : map.frames) frames.push_back(to_json(frame));
   for (const LocalObject& object : map.objects) objects.push_back(to_json(object));
-  return {{"keyframe_id", map.keyframe_id},
-          {"frame_id", map.frame_id},
-          {"stamp_ns", map.stamp_ns},
-          {"begin_frame", map.begin_frame},
-          {"end_frame", map.end_frame},
-          {"end_ns", map.end_ns},
-          {"span_s", map.span_s},
-          {"map_from_anchor", to_json(map.T_odom_anchor)},
-          {"up", array_of(map.up.direction)},
-          {"up_certain", map.up.certain},
-          {"check_frames", map.check_frames},
-          {"frames", std::move(frames)},
-          {"objects", std::move(objects)}};
+  Json json = {{"keyframe_id", map.keyframe_id},
+               {"frame_id", map.frame_id},
+               {"stamp_ns", map.stamp_ns},
+               {"begin_frame", map.begin_frame},
+               {"end_frame", map.end_frame},
+               {"end_ns", map.end_ns},
+               {"span_s", map.span_s},
+               {"map_from_anchor", to_json(map.T_odom_anchor)},
+               {"up", array_of(map.up.direction)},
+               {"up_certain", map.up.certain},
+               {"check_frames", map.check_frames},
+               {"frames", std::move(frames)},
+               {"objects", std::move(objects)}};
+  if (map.surfels) {
+    Json& surfels = json["surfels"] = Json::array();
+    for (const Surfel& surfel : *map.surfels) surfels.push_back(to_json(surfel));
+  }
+  return json;
 }
 
 // --- reading ------------------------------------------------------------------------------------------------------
@@ -100,6 +118,11 @@ struct SubmapReader {
     }
     for (const JsonField& object : field.member("objects").elements()) {
       map.objects.push_back(read_object(object, map.frames.size()));
+    }
+    if (field.has("surfels")) {
+      std::vector<Surfel> surfels;
+      for (const JsonField& row : field.member("surfels").elements()) surfels.push_back(read_surfel(row));
+      map.surfels = std::make_shared<const std::vector<Surfel>>(std::move(surfels));
     }
     return map;
   }
@@ -130,10 +153,14 @@ struct SubmapReader {
     box.landmark_id = fields[4].integer();
     box.class_id = read_class(fields[5]);
     box.label = classes.label(box.class_id);
-    const std::int64_t truncated = fields[6].integer();
-    if (truncated < 0 || truncated > 15) fields[6].reject("must be a sum of 1, 2, 4, 8");
-    box.truncated = static_cast<std::uint8_t>(truncated);
+    box.truncated = read_truncation(fields[6]);
     return box;
+  }
+
+  static std::uint8_t read_truncation(const JsonField& field) {
+    const std::int64_t truncated = field.integer();
+    if (truncated < 0 || truncated > 15) field.reject("must be a sum of 1, 2, 4, 8");
+    return static_cast<std::uint8_t>(truncated);
   }
 
   LocalObject read_object(const JsonField& field, std::size_t frames) const {
@@ -150,13 +177,27 @@ struct SubmapReader {
     object.seen_share = field.member("seen_share").number();
     for (const JsonField& row : field.member("views").elements()) {
       const std::vector<JsonField> fields = row.elements();
-      if (fields.size() != 5) {
-        row.reject("must have 5 fields");
+      if (fields.size() != 5 && fields.size() != 7) {
+        row.reject("must have 5 or 7 fields");
         break;
       }
-      object.views.push_back({fields[4].index(frames), row.box()});
+      SubmapView view{fields[4].index(frames), row.box()};
+      if (fields.size() == 7) {
+        view.depth_m = fields[5].number();
+        if (!(view.depth_m > 0.0)) fields[5].reject("must be > 0");
+        view.truncated = read_truncation(fields[6]);
+      }
+      object.views.push_back(view);
     }
     return object;
+  }
+
+  /// x, y, z, normal.
+  static Surfel read_surfel(const JsonField& row) {
+    const Eigen::Matrix<float, 6, 1> v = row.numbers<6>().cast<float>();
+    constexpr float kTolerance = 0.01F;  // on the length of a rounded normal
+    if (!(std::abs(v.tail<3>().norm() - 1.0F) < kTolerance)) row.reject("has no unit normal");
+    return {v.head<3>(), v.tail<3>().normalized()};
   }
 
   int read_class(const JsonField& field) const {

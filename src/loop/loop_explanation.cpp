@@ -41,7 +41,9 @@ std::string describe(const LoopFigures& loop, const LoopOptions& options) {
         .stream()
         .str();
   }
-  return sentence.add("aligned objects", loop.inliers, ">=", options.min_inliers)
+  const bool is_confirmed = loop.accepted && loop.inliers < options.min_inliers;
+  const int min_inliers = is_confirmed ? options.min_confirmed_inliers : options.min_inliers;
+  return sentence.add("aligned objects", loop.inliers, ">=", min_inliers)
       .add("classes", loop.labels, ">=", options.min_labels)
       .add("spread m", loop.spread_m, ">=", options.min_spread_m)
       .add("rms m", loop.rms_m, "<=", options.max_rms_m)

@@ -49,11 +49,6 @@ struct QuadricFit {
 std::optional<QuadricFit> refine_quadric(const Camera& camera, const std::vector<BoxView>& views,
                                          const Ellipsoid& initial, const QuadricFitOptions& options = {});
 
-/// Of a smallest semi-axis, m: boxes that fit loosely make things thicker than they are, and most are thin.
-constexpr double kThickest_m = 0.03;
-/// How far before the centre the near side is, m, by the smallest semi-axis.
-inline double near_side_m(double thickness_m) { return 0.8 * std::min(thickness_m, kThickest_m); }
-
 /// Depth at which a ray meets an ellipsoid, in lengths of its direction; of a ray that misses it, where it passes the
 /// centre.
 /// @return nullopt if the ellipsoid is behind the origin of the ray or around it

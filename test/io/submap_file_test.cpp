@@ -78,6 +78,50 @@ TEST_F(SubmapFile, KeepsWhatMatchingNeeds) {
   }
 }
 
+/// The same with what frames with depth add.
+std::vector<LocalMap> submaps_with_depth() {
+  std::vector<LocalMap> submaps = desk_submaps();
+  SubmapView& view = submaps[0].objects[0].views[0];
+  view.depth_m = 1.25;
+  view.truncated = 6;
+  const Eigen::Vector3f normal = Eigen::Vector3f(1.0F, -2.0F, 2.0F) / 3.0F;
+  submaps[0].surfels = std::make_shared<const std::vector<Surfel>>(
+      std::vector<Surfel>{{{0.1F, -0.2F, 1.5F}, normal}, {{-0.3F, 0.0F, 2.0F}, -Eigen::Vector3f::UnitZ()}});
+  return submaps;
+}
+
+TEST_F(SubmapFile, KeepsDepthsAndSurfaces) {
+  const std::vector<LocalMap> submaps = submaps_with_depth();
+  ASSERT_EQ(write_submaps(path_, submaps).message(), "");
+  const auto read = read_submaps(path_, *testing::desk_classes());
+  ASSERT_TRUE(read) << read.message();
+  const SubmapView& view = (*read)[0].objects[0].views[0];
+  EXPECT_EQ(view.depth_m, 1.25);
+  EXPECT_EQ(view.truncated, 6);
+  EXPECT_EQ((*read)[0].objects[0].views[1].depth_m, 0.0);
+  ASSERT_NE((*read)[0].surfels, nullptr);
+  ASSERT_EQ((*read)[0].surfels->size(), 2U);
+  constexpr float kMillimetre = 0.001F;
+  for (std::size_t i = 0; i < 2; ++i) {
+    const Surfel &a = (*submaps[0].surfels)[i], &b = (*(*read)[0].surfels)[i];
+    EXPECT_LT((a.position - b.position).norm(), kMillimetre);
+    EXPECT_LT((a.normal - b.normal).norm(), kMillimetre);
+    EXPECT_NEAR(b.normal.norm(), 1.0F, 1e-6F);
+  }
+  EXPECT_EQ((*read)[1].surfels, nullptr);
+  nlohmann::json bad = json();
+  bad["submaps"][0]["surfels"][1][5] = 0.5;
+  EXPECT_EQ(error_of(bad), "submaps[0].surfels[1] has no unit normal");
+  bad = json();
+  bad["submaps"][0]["surfels"][1].erase(5);
+  EXPECT_EQ(error_of(bad), "submaps[0].surfels[1] must have 6 numbers");
+  bad = json();
+  bad["submaps"][0]["objects"][0]["views"][0][5] = -1.0;
+  EXPECT_EQ(error_of(bad), "submaps[0].objects[0].views[0][5] = -1.0 must be > 0");
+  bad["submaps"][0]["objects"][0]["views"][0].erase(6);
+  EXPECT_EQ(error_of(bad), "submaps[0].objects[0].views[0] must have 5 or 7 fields");
+}
+
 TEST_F(SubmapFile, IsTheSameBytesAgain) {
   const auto read = read_submaps(path_, *testing::desk_classes());
   ASSERT_TRUE(read);

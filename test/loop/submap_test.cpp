@@ -2,10 +2,12 @@
 
 #include <algorithm>
 #include <cmath>
+#include <functional>
 #include <limits>
 #include <memory>
 #include <vector>
 
+#include "geometry/depth_points.h"
 #include "loop/graph/graph_detector.h"
 #include "loop/graph/odometry_monitor.h"
 #include "loop/submap/observation_window.h"
@@ -32,9 +34,10 @@ struct BuiltMap {
 };
 
 /// A submap from a sweep around the desk. `mirrored` flips the world and the images.
+/// @param change of what is observed in a frame
 BuiltMap sweep(const std::vector<DeskObject>& desk, double begin_deg, double end_deg, std::uint64_t seed,
-               bool one_id = false) {
-  const LoopOptions options;
+               const std::function<void(const SE3& T_world_camera, Association*)>& change = nullptr,
+               const LoopOptions& options = {}) {
   ObservationWindow window(options.window_s, options.frame_interval_s, *desk_classes());
   UpEstimator up(options.up_window_s);
   FrameBuilder builder(KeyframeOptions(), desk_camera());
@@ -47,8 +50,8 @@ BuiltMap sweep(const std::vector<DeskObject>& desk, double begin_deg, double end
     sample.T_odom_camera = pose;
     const auto frame = builder.build(sample);
     AssociationFrame associations = testing::observe(desk, *frame, pose, 0, random);
-    if (one_id) {
-      for (Association& association : associations.associations) association.landmark_id = association.class_id;
+    for (Association& association : associations.associations) {
+      if (change) change(pose, &association);
     }
     window.push(*frame, associations);
     up.push(*frame);
@@ -81,7 +84,8 @@ TEST(LocalMap, FindsTheObjects) {
 
 TEST(LocalMap, SplitsAnIdThatHoldsSeveralObjects) {
   const auto desk = random_desk(1, 12);
-  const BuiltMap built = sweep(desk, 0.0, 60.0, 5, true);
+  const BuiltMap built =
+      sweep(desk, 0.0, 60.0, 5, [](const SE3&, Association* seen) { seen->landmark_id = seen->class_id; });
   EXPECT_GE(right_objects(built, desk), 11);
 }
 
@@ -118,6 +122,52 @@ TEST(LocalMap, HasTheSurfacesOfItsFramesWherePointsAreUsed) {
   options.scale = "fixed";
   options.use_points = false;
   EXPECT_EQ(surfels(), nullptr);
+}
+
+/// Of what is seen of the desk, such that its centre is told.
+double near_m(const std::vector<DeskObject>& desk, const SE3& T_world_camera, const Association& seen) {
+  const DeskObject& object = desk[static_cast<std::size_t>(seen.landmark_id)];
+  const double depth_m = (T_world_camera.inverse() * object.spheroid.center).z();
+  const double narrow_px = std::min(seen.box.width(), seen.box.height());
+  return depth_m - near_side_m(0.5 * depth_m * narrow_px / desk_camera().fx);
+}
+
+TEST(LocalMap, DepthPlacesWhatIsSeenFromOneSide) {
+  const auto desk = random_desk(1, 12);
+  LoopOptions options;
+  options.min_parallax_deg = 60.0;  // the rays of this sweep meet at less
+  EXPECT_TRUE(sweep(desk, 0.0, 30.0, 5, nullptr, options).map.objects.empty());
+  const auto with_depth = [&desk](const SE3& pose, Association* seen) { seen->near_m = near_m(desk, pose, *seen); };
+  const BuiltMap built = sweep(desk, 0.0, 30.0, 5, with_depth, options);
+  EXPECT_GE(right_objects(built, desk), 10);
+  EXPECT_LE(built.map.objects.size(), 13U);
+}
+
+TEST(LocalMap, WhatTheBorderCutsIsFoundByTheSidesThatAreSeen) {
+  const auto desk = random_desk(1, 12);
+  constexpr std::int64_t kCut = 3;
+  const auto find = [&desk](bool has_depth, int frames_a_side) {
+    int frame = 0;
+    const BuiltMap built = sweep(desk, 0.0, 30.0, 5, [&](const SE3& pose, Association* seen) {
+      if (seen->landmark_id != kCut) return;
+      // Two thirds of it, by turns without its right and its left.
+      Box& box = seen->box;
+      const double third = box.width() / 3.0;
+      const bool is_right = frame++ / frames_a_side % 2 == 0;
+      (is_right ? box.x2 : box.x1) += is_right ? -third : third;
+      seen->truncated |= is_right ? 4 : 1;
+      if (has_depth) seen->near_m = near_m(desk, pose, *seen);
+    });
+    double nearest_m = std::numeric_limits<double>::infinity();
+    const Vec3 truth = built.T_world_anchor.inverse() * desk[kCut].spheroid.center;
+    for (const LocalObject& object : built.map.objects) {
+      if (object.landmark_id == kCut) nearest_m = std::min(nearest_m, (object.spheroid.center - truth).norm());
+    }
+    return nearest_m;
+  };
+  EXPECT_LT(find(true, 10), 0.03);
+  EXPECT_LT(find(true, 1000), 0.06) << "one side is never seen";
+  EXPECT_GT(find(false, 10), 1.0) << "without depth it has no place";
 }
 
 TEST(LocalMap, IsEmptyWithoutAKeyframe) {
@@ -291,6 +341,34 @@ TEST(SubmapRefiner, ALoopThatSurfacesContradictIsRefusedWithThatReason) {
   EXPECT_FALSE(decide().accepted);
   b.map.surfels.reset();
   EXPECT_EQ(decide().reason, LoopReason::kAccepted);
+}
+
+TEST(SubmapRefiner, FewObjectsSufficeWhereSurfacesConfirmThem) {
+  const auto desk = random_desk(1, 12);
+  BuiltMap built = sweep(desk, 0.0, 60.0, 5);
+  LocalMap& match = built.map;
+  LocalMap query = match;
+  GraphMatch alignment;
+  for (int i = 0; i < 4; ++i) alignment.pairs.push_back({i, i});
+  alignment.classes = 3;
+  alignment.score = 9.0;
+  alignment.spread_m = Vec3(0.5, 0.3, 0.05);
+  const LoopOptions options;
+  const auto verify = [&] { return verify_alignment(match, query, alignment, 2.0, options).reason; };
+  const auto decide = [&] {
+    LoopClosure loop = make_closure(match, query);
+    set_alignment(match, query, alignment, &loop);
+    refine_and_decide(match, query, alignment, options, &loop);
+    return loop.reason;
+  };
+  EXPECT_EQ(verify(), LoopReason::kTooFewInliers);
+  match.surfels = query.surfels = wall_at(0.8F);
+  EXPECT_EQ(verify(), LoopReason::kAccepted);
+  EXPECT_EQ(decide(), LoopReason::kAccepted);
+  query.surfels = wall_at(3.0F);
+  EXPECT_EQ(decide(), LoopReason::kContradicted);
+  query.surfels = std::make_shared<const std::vector<Surfel>>();
+  EXPECT_EQ(decide(), LoopReason::kTooFewInliers) << "surfaces that do not meet confirm nothing";
 }
 
 TEST(LoopVerifier, AcceptsTheTruthAndTellsWhatFails) {

@@ -36,6 +36,7 @@ struct LoopOptions {
   double inlier_distance_m = 0.12;
 
   int min_inliers = 6;
+  int min_confirmed_inliers = 4;
   int min_labels = 3;
   double max_rms_m = 0.09;
   double min_spread_m = 0.05;
@@ -97,6 +98,7 @@ struct LoopOptions {
     visitor("inlier_distance_m", inlier_distance_m, positive(),
             "an object is an inlier of an alignment within this distance");
     visitor("min_inliers", min_inliers, at_least(3), "aligned objects of an accepted loop");
+    visitor("min_confirmed_inliers", min_confirmed_inliers, at_least(4), "the same where surfaces confirm the loop");
     visitor("min_labels", min_labels, at_least(1), "different classes of an accepted loop");
     visitor("max_rms_m", max_rms_m, positive(), "alignment error of an accepted loop");
     visitor("min_spread_m", min_spread_m, not_negative(), "second singular value of the aligned objects' spread");

@@ -33,6 +33,7 @@ struct ObservedBox {
   int class_id = -1;           ///< of the track
   Box box;                     ///< on the plane z = 1 of the camera (undistorted, without intrinsics)
   std::uint8_t truncated = 0;  ///< Truncation bits
+  double depth_m = 0.0;        ///< of the object's centre; 0 where the frame does not tell
 };
 
 /// A camera of a submap. The submap's frame is its anchor camera, so that the odometry's world never matters.
@@ -50,8 +51,10 @@ struct LocalFrame {
 
 /// A box that an object was fitted to.
 struct SubmapView {
-  int frame = -1;  ///< index in LocalMap::frames
-  Box box;         ///< on the plane z = 1
+  int frame = -1;              ///< index in LocalMap::frames
+  Box box;                     ///< on the plane z = 1
+  double depth_m = 0.0;        ///< of the object's centre; 0 where the frame does not tell
+  std::uint8_t truncated = 0;  ///< Truncation bits: these sides bound nothing
 };
 
 struct LocalObject {

@@ -262,17 +262,22 @@ std::vector<GraphDetector::Candidate> GraphDetector::examine(const LocalMap& que
 }
 
 /// Abstains where two places look alike: two submaps that the query fits nearly as well, or the submap and the place
-/// where an unbroken odometry sees itself, too far apart for drift. The odometry decides nothing else.
+/// where an unbroken odometry sees itself, too far apart for drift. The odometry decides nothing else. Few objects,
+/// whose surfaces nobody has looked at yet, speak against few only.
 void GraphDetector::find_ambiguous(const LocalMap& query, std::vector<Candidate>* candidates) const {
   std::vector<Candidate*> accepted;
   for (Candidate& candidate : *candidates) {
     if (candidate.verdict.reason == LoopReason::kAccepted) accepted.push_back(&candidate);
   }
+  const auto has_few = [this](const Candidate& candidate) {
+    return static_cast<int>(candidate.alignment.pairs.size()) < options_.min_inliers;
+  };
   for (Candidate* candidate : accepted) {
     const LocalMap& match = match_of(*candidate);
     const SE3 pose = implied_pose(match, candidate->alignment);
     bool ambiguous = are_apart(match, pose, query, query.T_odom_anchor);
     for (const Candidate* other : accepted) {
+      if (has_few(*other) && !has_few(*candidate)) continue;
       if (options_.ambiguity_ratio * other->alignment.score < candidate->alignment.score) continue;
       if (!are_apart(match, pose, match_of(*other), implied_pose(match_of(*other), other->alignment))) continue;
       candidate->second_score = std::max(candidate->second_score, other->alignment.score);

@@ -40,8 +40,11 @@ Vec3 mean_position(const LocalMap& map) {
   return mean;
 }
 
-LoopReason check_alignment(const GraphMatch& match, double second_score, const LoopOptions& options) {
-  if (static_cast<int>(match.pairs.size()) < options.min_inliers) return LoopReason::kTooFewInliers;
+LoopReason check_alignment(const GraphMatch& match, bool has_surfaces, double second_score,
+                           const LoopOptions& options) {
+  const int min_inliers =
+      has_surfaces ? std::min(options.min_inliers, options.min_confirmed_inliers) : options.min_inliers;
+  if (static_cast<int>(match.pairs.size()) < min_inliers) return LoopReason::kTooFewInliers;
   if (match.classes < options.min_labels) return LoopReason::kTooFewLabels;
   if (match.spread_m(1) < options.min_spread_m) return LoopReason::kDegenerate;
   if (match.rms_m > options.max_rms_m) return LoopReason::kResidual;
@@ -98,7 +101,7 @@ Reprojection reproject_both(const LocalMap& a, const LocalMap& b, const SE3& T_a
 Verdict verify_alignment(const LocalMap& a, const LocalMap& b, const GraphMatch& match, double second_score,
                          const LoopOptions& options) {
   Verdict verdict;
-  verdict.reason = check_alignment(match, second_score, options);
+  verdict.reason = check_alignment(match, a.surfels && b.surfels, second_score, options);
   verdict.tilt_deg = degrees(tilt(a, b, match.T_a_b));
   if (verdict.reason != LoopReason::kAccepted) return verdict;
   if (is_mirrored(a, b, match)) {

@@ -5,6 +5,7 @@
 #include <optional>
 #include <tuple>
 
+#include "geometry/depth_points.h"
 #include "geometry/statistics.h"
 
 namespace semantic_topo_loop::core {
@@ -136,8 +137,10 @@ ObservedFrame ObservationWindow::observe(const Frame& frame, const AssociationFr
     if (association.landmark_id < 0 || !association.box.is_valid() || classes_.label(association.class_id) < 0)
       continue;
     scores.push_back(association.score);
-    observed.boxes.push_back(
-        {association.landmark_id, -1, -1, association.class_id, normalised(association.box), association.truncated});
+    const Box box = normalised(association.box);
+    const double thickness_m = 0.5 * association.near_m * std::min(box.width(), box.height());
+    observed.boxes.push_back({association.landmark_id, -1, -1, association.class_id, box, association.truncated,
+                              association.has_depth() ? association.near_m + near_side_m(thickness_m) : 0.0});
   }
   tracker_.follow(frame.stamp_ns, frame.T_odom_camera.q, scores, &observed.boxes);
   for (ObservedBox& box : observed.boxes) box.label = classes_.label(box.class_id);

@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <cmath>
 
+#include "geometry/depth_points.h"
 #include "geometry/least_squares.h"
 #include "geometry/statistics.h"
 
@@ -54,22 +55,42 @@ std::optional<Tangent> tangent(double C_ii, double C_i2, double C_22, double sig
   return Tangent{u, Vec3(d_C_ii, d_C_i2, d_C_22)};
 }
 
+/// Half of a box's extent between two opposite sides; of those that are cut, it is the least that it can be.
+class HalfSizes {
+ public:
+  void add(double half_m, bool is_cut) { (is_cut ? cut_ : whole_).push_back(half_m); }
+  double log_of_usual() {
+    const bool is_known = !whole_.empty() && 3 * whole_.size() >= cut_.size();
+    const double half_m = is_known ? median(std::move(whole_)) : high(std::move(cut_));
+    return std::log(std::max(half_m, kMinHalfSize_m));
+  }
+
+ private:
+  /// A tenth are higher.
+  static double high(std::vector<double> values) {
+    const auto at = values.begin() + static_cast<std::ptrdiff_t>(values.size() * 9 / 10);
+    std::nth_element(values.begin(), at, values.end());
+    return *at;
+  }
+  std::vector<double> whole_, cut_;
+};
+
 /// Half width and half height of the boxes at their depths, as logs.
 Vec2 log_axes_of_boxes(const LocalMap& map, const std::vector<SubmapView>& views, const Vec3& center) {
-  std::vector<double> halves_x, halves_y;
+  HalfSizes halves_x, halves_y;
   for (const SubmapView& view : views) {
     const double depth = map.frames[static_cast<std::size_t>(view.frame)].to_camera(center).z();
-    halves_x.push_back(0.5 * depth * view.box.width());
-    halves_y.push_back(0.5 * depth * view.box.height());
+    halves_x.add(0.5 * depth * view.box.width(), (view.truncated & 0b0101) != 0);
+    halves_y.add(0.5 * depth * view.box.height(), (view.truncated & 0b1010) != 0);
   }
-  return {std::log(std::max(median(halves_x), kMinHalfSize_m)), std::log(std::max(median(halves_y), kMinHalfSize_m))};
+  return {halves_x.log_of_usual(), halves_y.log_of_usual()};
 }
 
 /// Shared unknowns: centre and log axes. There are no blocks; their size says nothing.
 using Equations = ArrowEquations<5, 5>;
 using Unknowns = ArrowUnknowns<5, 5>;
 
-/// The box edges with soft-L1 weights and a weak prior on the axes.
+/// The box edges and depths with soft-L1 weights and a weak prior on the axes.
 struct FitProblem {
   const LocalMap& map;
   const std::vector<SubmapView>& views;
@@ -92,8 +113,8 @@ struct FitProblem {
       const auto projection =
           project_spheroid(frame.to_camera(center), frame.R_camera_local * map.up.direction, log_axes);
       if (!projection) return false;
-      const Vec4 scale =
-          Vec4(frame.focal_px.x(), frame.focal_px.y(), frame.focal_px.x(), frame.focal_px.y()) / kFitSigmaPx;
+      Vec4 scale = Vec4(frame.focal_px.x(), frame.focal_px.y(), frame.focal_px.x(), frame.focal_px.y()) / kFitSigmaPx;
+      leave_out_cut(view, &scale);
       Eigen::Matrix<double, 4, 5> J;
       J << projection->d_center * frame.R_camera_local, projection->d_log_axes;
       J = scale.asDiagonal() * J;
@@ -103,8 +124,18 @@ struct FitProblem {
       equations->cost += 2.0 * (root.sum() - 4.0);
       H += J.transpose() * weight.asDiagonal() * J;
       g += J.transpose() * weight.cwiseProduct(r);
+      if (view.depth_m > 0.0) add_depth(view, frame, center, equations);
     }
     return std::isfinite(equations->cost);
+  }
+
+  static void add_depth(const SubmapView& view, const LocalFrame& frame, const Vec3& center, Equations* equations) {
+    const double sigma = depth_sigma_m(view), r = (frame.to_camera(center).z() - view.depth_m) / sigma;
+    const Vec3 J = frame.R_camera_local.row(2).transpose() / sigma;
+    const double root = std::sqrt(1.0 + r * r);
+    equations->cost += 2.0 * (root - 1.0);
+    equations->H_shared.topLeftCorner<3, 3>() += J * J.transpose() / root;
+    equations->g_shared.head<3>() += J * (r / root);
   }
 };
 
@@ -149,6 +180,18 @@ std::optional<Box> spheroid_box(const Vec3& c, const Vec3& w, const Vec2& log_ax
     edges[2 + i] = (C_i2 - root) / C_22;
   }
   return Box{edges[0], edges[1], edges[2], edges[3]};
+}
+
+void leave_out_cut(const SubmapView& view, Vec4* weights) {
+  for (int side = 0; side < 4; ++side) {
+    if ((view.truncated & 1 << side) != 0) (*weights)(side) = 0.0;
+  }
+}
+
+double depth_sigma_m(const SubmapView& view) {
+  constexpr double kNoise_m = 0.01, kNoiseShare = 0.1;  // of what is in the middle of the box, by its size
+  const double radius_m = 0.5 * view.depth_m * view.box.size();
+  return kNoise_m + kNoiseShare * radius_m + depth_sigma_m(view.depth_m);
 }
 
 std::optional<SpheroidFit> fit_spheroid(const LocalMap& map, const std::vector<SubmapView>& views, const Vec3& center) {

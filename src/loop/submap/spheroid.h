@@ -22,12 +22,19 @@ std::optional<SpheroidProjection> project_spheroid(const Vec3& center_camera, co
 /// The box alone.
 std::optional<Box> spheroid_box(const Vec3& center_camera, const Vec3& axis_camera, const Vec2& log_axes);
 
+/// Puts 0 for the sides that are cut.
+void leave_out_cut(const SubmapView& view, Vec4* weights);
+
+/// Standard deviation of a view's depth of the object's centre, m; only where it has one.
+double depth_sigma_m(const SubmapView& view);
+
 struct SpheroidFit {
   Spheroid spheroid;
   Mat3 center_covariance = Mat3::Identity();  ///< m^2
 };
 
-/// Fits a spheroid about the submap's up direction to the boxes of an object, from a centre near its own.
+/// Fits a spheroid about the submap's up direction to the boxes of an object, and to the depths of its centre where
+/// frames tell them, from a centre near its own.
 /// @return nullopt if a view cannot see it or the fit fails
 std::optional<SpheroidFit> fit_spheroid(const LocalMap& map, const std::vector<SubmapView>& views, const Vec3& center);
 

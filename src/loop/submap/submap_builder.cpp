@@ -32,14 +32,22 @@ struct BoxRay {
   std::int64_t track_id = -1;
   int class_id = -1;
   Box box;                         ///< on the plane z = 1
-  bool full = false;               ///< no side is cut
+  std::uint8_t truncated = 0;      ///< Truncation bits
   Vec3 direction = Vec3::UnitZ();  ///< unit, local frame
+  double depth_m = 0.0;            ///< of the object's centre; 0 where the frame does not tell
+  Vec3 point = Vec3::Zero();       ///< where the depth puts that centre, local frame
+
+  bool is_whole() const { return truncated == 0; }
+  bool is_placed() const { return depth_m > 0.0; }
+  /// Of a box that is cut, depth tells where at least what it shows is.
+  bool tells_place() const { return is_whole() || is_placed(); }
 };
 
 struct RayCluster {
   Vec3 center = Vec3::Zero();  ///< local frame, m
   std::vector<int> rays;       ///< at most one a frame, ascending
-  double parallax_rad = 0.0;   ///< largest angle between two of its full rays
+  double parallax_rad = 0.0;   ///< largest angle between two of its whole boxes' rays
+  int placed = 0;              ///< rays whose depth is known
 };
 
 constexpr double kMinDepth_m = 0.2;     ///< no object is nearer to a camera that sees it whole
@@ -50,6 +58,8 @@ constexpr int kRefineRounds = 4;        ///< of choosing the boxes and meeting t
 constexpr int kPairsPerGroup = 32;  ///< of a track's boxes; with half of them on one object, a quarter of the pairs is
 constexpr int kGroupRounds = 3;     ///< objects looked for on one track
 constexpr int kAnyPairs = 64;       ///< of all boxes of a label, which hold several objects
+/// 1/m^2, where the angle of a ray has one: boxes' centres are known to 10 px, depths of centres to 5 cm.
+constexpr double kAlongWeight = 0.16;
 constexpr double kMinPairAngle = 0.05;  ///< rad, 3 deg: below it the depth of the meeting point is anyone's guess
 
 /// Finds the points at which the boxes of one label meet. Tracks propose points; the boxes decide: a track that
@@ -76,11 +86,11 @@ class Clustering {
   const LocalFrame& frame_of(int i) const { return frames_[static_cast<std::size_t>(ray(i).frame)]; }
   bool is_used(int i) const { return used_[static_cast<std::size_t>(i)]; }
 
-  /// The boxes without cut sides that belong to no cluster yet.
+  /// The boxes that tell a place and belong to no cluster yet.
   std::vector<int> unused() const {
     std::vector<int> indices;
     for (int i = 0; i < static_cast<int>(rays_.size()); ++i) {
-      if (ray(i).full && !is_used(i)) indices.push_back(i);
+      if (ray(i).tells_place() && !is_used(i)) indices.push_back(i);
     }
     return indices;
   }
@@ -93,13 +103,23 @@ class Clustering {
   Offset offset_in_camera(const Vec3& p, int i) const {
     if (p.z() < kMinDepth_m) return {std::numeric_limits<double>::infinity(), p.z()};
     const Box& box = ray(i).box;
-    const double du = std::abs(p.x() / p.z() - 0.5 * (box.x1 + box.x2)) / box.width();
-    const double dv = std::abs(p.y() / p.z() - 0.5 * (box.y1 + box.y2)) / box.height();
-    return {std::max(du, dv), p.z()};
+    const double du = (p.x() / p.z() - 0.5 * (box.x1 + box.x2)) / box.width();
+    const double dv = (p.y() / p.z() - 0.5 * (box.y1 + box.y2)) / box.height();
+    if (!ray(i).is_placed()) return {std::max(std::abs(du), std::abs(dv)), p.z()};
+    return {std::max(beyond(du, ray(i).truncated), beyond(dv, ray(i).truncated >> 1)), p.z()};
+  }
+  /// How far outside the shares of a box its object's centre may be: up to a box size on the other side of a cut.
+  /// @param cut bit 0: the lower side, bit 2: the upper side
+  static double beyond(double share, int cut) {
+    const bool is_cut = (cut & (share < 0.0 ? 1 : 4)) != 0;
+    return is_cut ? std::max(std::abs(share) - 1.0, 0.0) : std::abs(share);
   }
 
-  /// Middle of the shortest segment between two rays, if it lies before both cameras.
+  /// Where depth puts the first, or the middle of the shortest segment between two rays, if it lies before both
+  /// cameras.
   std::optional<Vec3> meet(int i, int j) const {
+    if (ray(i).is_placed() && ray(i).depth_m < options_.max_depth_m) return ray(i).point;
+    if (!ray(i).is_whole() || !ray(j).is_whole()) return std::nullopt;
     const Vec3 &o1 = frame_of(i).position, &o2 = frame_of(j).position;
     const Vec3 &d1 = ray(i).direction, &d2 = ray(j).direction;
     const double cosine = d1.dot(d2);
@@ -180,7 +200,8 @@ class Clustering {
       bounds.erase(bounds.begin() + static_cast<std::ptrdiff_t>(best));
       if (!cluster) continue;
       for (const int i : cluster->rays) used_[static_cast<std::size_t>(i)] = true;
-      if (cluster->parallax_rad >= radians(options_.min_parallax_deg)) clusters_.push_back(*cluster);
+      const bool is_placed = cluster->placed >= options_.min_views;
+      if (is_placed || cluster->parallax_rad >= radians(options_.min_parallax_deg)) clusters_.push_back(*cluster);
     }
   }
 
@@ -194,6 +215,8 @@ class Clustering {
       cluster.center = *center;
     }
     cluster.parallax_rad = parallax(cluster);
+    cluster.placed = static_cast<int>(
+        std::count_if(cluster.rays.begin(), cluster.rays.end(), [this](int i) { return ray(i).is_placed(); }));
     return cluster;
   }
 
@@ -222,18 +245,22 @@ class Clustering {
     return result;
   }
 
-  /// Least squares of the distances to the full rays, over depth.
+  /// Least squares of the distances to the rays, over depth, and along them to where depth puts the object.
   std::optional<Vec3> triangulate(const RayCluster& cluster) const {
     Mat3 A = Mat3::Zero();
     Vec3 b = Vec3::Zero();
     int views = 0;
     for (const int i : cluster.rays) {
-      if (!ray(i).full) continue;
+      if (!ray(i).tells_place()) continue;
       const double depth = std::max(frame_of(i).to_camera(cluster.center).z(), kMinVisibleDepth_m);
       const Mat3 across = (Mat3::Identity() - ray(i).direction * ray(i).direction.transpose()) / (depth * depth);
       A += across;
       b += across * frame_of(i).position;
       ++views;
+      if (!ray(i).is_placed()) continue;
+      const Mat3 along = kAlongWeight * ray(i).direction * ray(i).direction.transpose();
+      A += along;
+      b += along * ray(i).point;
     }
     if (views < options_.min_views) return std::nullopt;
     const Vec3 center = A.ldlt().solve(b);
@@ -244,9 +271,9 @@ class Clustering {
   double parallax(const RayCluster& cluster) const {
     double smallest_cosine = 1.0;
     for (std::size_t p = 0; p < cluster.rays.size(); ++p) {
-      if (!ray(cluster.rays[p]).full) continue;
+      if (!ray(cluster.rays[p]).is_whole()) continue;
       for (std::size_t q = p + 1; q < cluster.rays.size(); ++q) {
-        if (!ray(cluster.rays[q]).full) continue;
+        if (!ray(cluster.rays[q]).is_whole()) continue;
         smallest_cosine = std::min(smallest_cosine, ray(cluster.rays[p]).direction.dot(ray(cluster.rays[q]).direction));
       }
     }
@@ -283,15 +310,21 @@ LocalFrame make_frame(const ObservedFrame& observed, const SE3& T_anchor_odom) {
   return frame;
 }
 
+/// Where the unit of length is free, the odometry is one without depth.
+bool uses_depth(const LoopOptions& options) { return options.use_points && options.scale == "fixed"; }
+
 std::map<int, std::vector<BoxRay>> rays_by_label(const std::vector<LocalFrame>& frames,
-                                                 const LandmarkRedirects& redirects) {
+                                                 const LandmarkRedirects& redirects, const LoopOptions& options) {
   std::map<int, std::vector<BoxRay>> rays;
   for (std::size_t f = 0; f < frames.size(); ++f) {
     for (const ObservedBox& box : frames[f].boxes) {
       const Vec2 center = box.box.center();
-      const Vec3 direction = frames[f].R_camera_local.transpose() * Vec3(center.x(), center.y(), 1.0).normalized();
+      const Vec3 ray_camera(center.x(), center.y(), 1.0);
+      const Vec3 direction = frames[f].R_camera_local.transpose() * ray_camera.normalized();
+      const double depth_m = uses_depth(options) ? box.depth_m : 0.0;
       rays[box.label].push_back({static_cast<int>(f), redirects.resolve(box.landmark_id), box.track_id, box.class_id,
-                                 box.box, box.truncated == 0, direction});
+                                 box.box, box.truncated, direction, depth_m,
+                                 frames[f].position + depth_m * ray_camera.norm() * direction});
     }
   }
   return rays;
@@ -343,10 +376,39 @@ void compact(LocalMap* map) {
   }
 }
 
+/// Detectors draw a box that the border cuts up to there, or nearly: a side that few boxes bound, none does.
+/// @return the views without such bounds, spread over time; none if more than one side is open
+std::vector<SubmapView> bounded_views(std::vector<SubmapView> views, std::size_t count) {
+  constexpr std::size_t kMinShare = 5;  // one in so many
+  int open_sides = 0;
+  for (int side = 0; side < 4; ++side) {
+    const auto bit = static_cast<std::uint8_t>(1 << side);
+    const auto bounds = static_cast<std::size_t>(std::count_if(
+        views.begin(), views.end(), [bit](const SubmapView& view) { return (view.truncated & bit) == 0; }));
+    if (kMinShare * bounds >= views.size()) continue;
+    ++open_sides;
+    for (SubmapView& view : views) view.truncated = static_cast<std::uint8_t>(view.truncated | bit);
+  }
+  return open_sides > 1 ? std::vector<SubmapView>() : spread(views, count);
+}
+
+/// The whole boxes, or, where depth is known for most, those with depth, cut or not.
+std::vector<SubmapView> views_of(const RayCluster& cluster, const std::vector<BoxRay>& rays) {
+  std::vector<SubmapView> whole, placed;
+  for (const int i : cluster.rays) {
+    const BoxRay& ray = rays[static_cast<std::size_t>(i)];
+    const SubmapView view{ray.frame, ray.box, ray.depth_m, ray.truncated};
+    if (ray.is_whole()) whole.push_back(view);
+    if (ray.is_placed()) placed.push_back(view);
+  }
+  return 2 * placed.size() < whole.size() ? whole : placed;
+}
+
 std::optional<LocalObject> fit_object(const LocalMap& map, const std::vector<SubmapView>& views, const Vec3& center,
                                       const LoopOptions& options) {
   LocalObject object;
-  object.views = spread(views, static_cast<std::size_t>(options.fit_views));
+  object.views = bounded_views(views, static_cast<std::size_t>(options.fit_views));
+  if (object.views.empty()) return std::nullopt;
   const std::optional<SpheroidFit> fit = fit_spheroid(map, object.views, center);
   if (!fit) return std::nullopt;
   object.spheroid = fit->spheroid;
@@ -360,7 +422,7 @@ std::optional<LocalObject> fit_object(const LocalMap& map, const std::vector<Sub
 std::vector<LocalObject> find_objects(const LocalMap& map, const LandmarkRedirects& redirects,
                                       const LoopOptions& options) {
   std::vector<LocalObject> objects;
-  for (const auto& [label, rays] : rays_by_label(map.frames, redirects)) {
+  for (const auto& [label, rays] : rays_by_label(map.frames, redirects, options)) {
     for (const RayCluster& cluster : Clustering(rays, map.frames, options).run()) {
       const auto visible = std::count_if(map.frames.begin(), map.frames.end(), [&](const LocalFrame& frame) {
         return in_view(frame, cluster.center, options.max_depth_m);
@@ -368,12 +430,7 @@ std::vector<LocalObject> find_objects(const LocalMap& map, const LandmarkRedirec
       const double seen_share =
           static_cast<double>(cluster.rays.size()) / std::max<double>(static_cast<double>(visible), 1.0);
       if (seen_share < options.min_seen_share) continue;
-      std::vector<SubmapView> views;
-      for (const int i : cluster.rays) {
-        const BoxRay& ray = rays[static_cast<std::size_t>(i)];
-        if (ray.full) views.push_back({ray.frame, ray.box});
-      }
-      std::optional<LocalObject> object = fit_object(map, views, cluster.center, options);
+      std::optional<LocalObject> object = fit_object(map, views_of(cluster, rays), cluster.center, options);
       if (!object) continue;
       object->landmark_id = commonest(rays, cluster, &BoxRay::landmark_id);
       object->label = label;
@@ -420,8 +477,7 @@ std::optional<LocalMap> build_local_map(const std::deque<ObservedFrame>& window,
   map.check_frames = spread(all, kCheckFrames);
   map.objects = find_objects(map, redirects, options);
   compact(&map);
-  // Where the unit of length is free, the odometry is one without depth.
-  if (options.use_points && options.scale == "fixed") map.surfels = make_surfels(window, T_anchor_odom);
+  if (uses_depth(options)) map.surfels = make_surfels(window, T_anchor_odom);
   return map;
 }
 
