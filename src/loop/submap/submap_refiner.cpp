@@ -374,7 +374,8 @@ void refine_and_decide(const LocalMap& match, const LocalMap& query, const Graph
     loop->reason = LoopReason::kContradicted;
     return;
   }
-  const bool has_few = static_cast<int>(alignment.pairs.size()) < options.min_inliers;
+  // The paper's mode counts common landmarks by itself.
+  const bool has_few = options.mode == "graph" && static_cast<int>(alignment.pairs.size()) < options.min_inliers;
   if (has_few && verdict != SurfaceVerdict::kConfirms) {
     loop->reason = LoopReason::kTooFewInliers;
     return;
