@@ -79,8 +79,8 @@ struct Placement {
   double size_m = 0.0;         ///< longer side of the box at that depth
 };
 
-/// Whether two places and sizes are those of one thing, whatever it is called: of about one size, and nearer to each
-/// other than half of the smaller one.
+/// Whether two places and sizes are those of one thing, whatever it is called: the smaller is more than half of the
+/// larger, and they are nearer to each other than 0.4 of the smaller.
 bool is_one_thing(const Placement& a, const Placement& b);
 
 /// @param box undistorted, px   @return nullopt without object_points

@@ -294,6 +294,28 @@ TEST(SubmapRefiner, RemovesAnErrorAndStatesItsCovariance) {
   EXPECT_GT(refined->covariance.diagonal().head<3>().minCoeff(), 0.001 * 0.001);
 }
 
+TEST(SubmapRefiner, ThicknessOfThingsSeenFromTwoSidesDoesNotMoveThePose) {
+  const auto desk = random_desk(1, 12);
+  const auto thick = [&desk](const SE3& pose, Association* seen) { seen->near_m = near_m(desk, pose, *seen) - 0.03; };
+  const BuiltMap a = sweep(desk, 0.0, 60.0, 5, thick), b = sweep(desk, 100.0, 160.0, 6, thick);
+  const SE3 truth = a.T_world_anchor.inverse() * b.T_world_anchor;
+  LoopOptions options;
+  std::vector<NodePair> pairs = true_pairs(a, b);
+  ASSERT_GE(pairs.size(), 6U);
+  ASSERT_GT(a.map.objects[0].views[0].depth_m, 0.0);
+  Vec6 error;
+  error << 0.05, -0.06, 0.04, 0.03, 0.04, -0.02;
+  const auto refined = refine_submaps(a.map, b.map, truth * se3_exp(error), pairs, options);
+  ASSERT_TRUE(refined.has_value());
+  const Vec6 left = se3_log(truth.inverse() * refined->T_a_b);
+  EXPECT_LT(left.head<3>().norm(), 0.02);
+  EXPECT_LT(left.tail<3>().norm(), radians(1.0));
+  options.use_points = false;
+  const auto by_boxes = refine_submaps(a.map, b.map, truth * se3_exp(error), pairs, options);
+  ASSERT_TRUE(by_boxes.has_value());
+  EXPECT_GT(by_boxes->covariance.trace(), refined->covariance.trace()) << "depth tells something";
+}
+
 TEST(SubmapRefiner, RefusesWhatCannotBeSolved) {
   const auto desk = random_desk(1, 12);
   const BuiltMap a = sweep(desk, 0.0, 60.0, 5), b = sweep(desk, 50.0, 110.0, 6);
@@ -325,7 +347,7 @@ TEST(SubmapRefiner, ALoopThatSurfacesContradictIsRefusedWithThatReason) {
   const LoopOptions options;
   const auto decide = [&] {
     LoopClosure loop = make_closure(a.map, b.map);
-    refine_and_decide(a.map, b.map, match, options, &loop);
+    refine_and_decide(a.map, b.map, match, false, options, &loop);
     return loop;
   };
   const LoopClosure by_boxes = decide();
@@ -358,7 +380,7 @@ TEST(SubmapRefiner, FewObjectsSufficeWhereSurfacesConfirmThem) {
   const auto decide = [&] {
     LoopClosure loop = make_closure(match, query);
     set_alignment(match, query, alignment, &loop);
-    refine_and_decide(match, query, alignment, options, &loop);
+    refine_and_decide(match, query, alignment, true, options, &loop);
     return loop.reason;
   };
   EXPECT_EQ(verify(), LoopReason::kTooFewInliers);

@@ -269,9 +269,6 @@ void GraphDetector::find_ambiguous(const LocalMap& query, std::vector<Candidate>
   for (Candidate& candidate : *candidates) {
     if (candidate.verdict.reason == LoopReason::kAccepted) accepted.push_back(&candidate);
   }
-  const auto has_few = [this](const Candidate& candidate) {
-    return static_cast<int>(candidate.alignment.pairs.size()) < options_.min_inliers;
-  };
   for (Candidate* candidate : accepted) {
     const LocalMap& match = match_of(*candidate);
     const SE3 pose = implied_pose(match, candidate->alignment);
@@ -337,7 +334,7 @@ LoopClosure GraphDetector::finish(const LocalMap& query, const Candidate& candid
   if (loop.reason == LoopReason::kAccepted) {
     std::optional<LocalMap> scaled;
     refine_and_decide(match_of(candidate), in_unit(query, candidate.alignment.scale, &scaled), candidate.alignment,
-                      options_, &loop);
+                      has_few(candidate), options_, &loop);
   }
   return loop;
 }

@@ -113,6 +113,10 @@ class GraphDetector {
   /// Submaps worth matching, of the numbers below `end`.
   std::vector<int> propose(const std::vector<LabelledPoint>& points, int end) const;
   const LocalMap& match_of(const Candidate& candidate) const { return maps_.at(candidate.stored).map; }
+  /// Fewer objects than a loop needs whose surfaces do not confirm it.
+  bool has_few(const Candidate& candidate) const {
+    return static_cast<int>(candidate.alignment.pairs.size()) < options_.min_inliers;
+  }
   void make_room(const LocalMap& map);
   /// Aligns and verifies the query with the submaps of these numbers.
   std::vector<Candidate> examine(const LocalMap& query, const std::vector<LabelledPoint>& points,

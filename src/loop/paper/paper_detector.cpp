@@ -244,7 +244,7 @@ void PaperDetector::align(const Keyframe& match, const Keyframe& query, LoopClos
     loop->reason = LoopReason::kResidual;
     return;
   }
-  refine_and_decide(match.map, query.map, alignment, options_, loop);
+  refine_and_decide(match.map, query.map, alignment, false, options_, loop);
 }
 
 }  // namespace semantic_topo_loop::core
