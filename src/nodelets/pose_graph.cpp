@@ -232,8 +232,8 @@ class PoseGraphNodelet : public StageWith<PoseGraphParameters> {
 
   ros::Publisher correction_publisher_;
   LazyPublisher odometry_path_, corrected_path_;
-  CallbackThread tf_thread_;
   std::unique_ptr<MapOdomSender> tf_sender_;
+  CallbackThread tf_thread_;  ///< stopped before the sender goes: to stop a timer does not wait for its task
   std::unique_ptr<Joiner> joiner_;
   std::unique_ptr<core::PoseGraph> graph_;
   std::vector<core::LoopClosure> late_loops_;

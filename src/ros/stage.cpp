@@ -144,7 +144,7 @@ void Stage::serve_trigger(const std::string& service, const std::function<core::
 void Stage::keep_timer(double period_s, const std::function<void()>& task, CallbackThread* thread) {
   const boost::function<void(const ros::WallTimerEvent&)> callback = [task](const ros::WallTimerEvent&) { task(); };
   ros::NodeHandle node(getNodeHandle());
-  if (thread != nullptr) node.setCallbackQueue(&thread->queue);
+  node.setCallbackQueue(thread != nullptr ? &thread->queue : &message_thread_.queue);
   timers_.push_back(node.createWallTimer(ros::WallDuration(period_s), callback));
 }
 

@@ -19,6 +19,7 @@
 #include <vector>
 
 #include "ros/conversions.h"
+#include "ros/stage.h"
 #include "semantic_topo_loop/FrameDone.h"
 #include "semantic_topo_loop/SessionAck.h"
 #include "semantic_topo_loop/SessionControl.h"
@@ -201,6 +202,35 @@ TEST(Load, AFrontEndThatIsLoadedUnderTrafficHasItsSession) {
       chain.unload(name);
     }
   }
+}
+
+/// Its timer's task takes longer than anything else in `stop`.
+class SlowTicker : public Stage {
+ public:
+  SlowTicker() : Stage("SlowTicker") {}
+  ~SlowTicker() override { end(); }
+  void end() { stop(); }
+  std::atomic<int> begun{0}, ended{0};
+
+ private:
+  void onInit() override {
+    keep_timer(0.01, [this] {
+      ++begun;
+      std::this_thread::sleep_for(std::chrono::milliseconds(500));
+      ++ended;
+    });
+  }
+};
+
+TEST(Load, AStageDoesNotGoBeforeItsTimersTaskIsOver) {
+  ros::CallbackQueue queue;  // as a nodelet manager's
+  ros::AsyncSpinner spinner(1, &queue);
+  spinner.start();
+  SlowTicker stage;
+  stage.init("/slow_ticker", {}, {}, &queue, &queue);
+  ASSERT_TRUE(wait_until([&stage] { return stage.begun > 0; }));
+  stage.end();
+  EXPECT_EQ(stage.begun, stage.ended);
 }
 
 TEST(Load, AStageThatIsLoadedLateHearsOfEverySessionAtOnce) {
