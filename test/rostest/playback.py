@@ -1,4 +1,5 @@
 """What the tests of whole launch files share."""
+import itertools
 import os
 import shutil
 import signal
@@ -152,19 +153,20 @@ def run_program(name, *arguments, timeout_s=120):
 
 
 def differing_files(a, b):
-    """Files of two runs that are not the same bytes, timing.csv aside."""
+    """Files of two runs that are not the same bytes, timing.csv aside, each with the first lines that differ."""
     names = set(os.listdir(a)) | set(os.listdir(b))
     differing = []
     for name in sorted(names - {'timing.csv'}):
-        contents = []
+        lines = []
         for directory in (a, b):
             try:
-                with open(os.path.join(directory, name), 'rb') as file:
-                    contents.append(file.read())
+                with open(os.path.join(directory, name)) as file:
+                    lines.append(file.read().split('\n'))
             except OSError:
-                contents.append(None)
-        if contents[0] != contents[1]:
-            differing.append(name)
+                lines.append(['no file'])
+        if lines[0] != lines[1]:
+            pairs = itertools.zip_longest(*lines, fillvalue='end of file')
+            differing.append((name, [pair for pair in pairs if pair[0] != pair[1]][:5]))
     return differing
 
 
