@@ -92,6 +92,7 @@ void Stage::stop() {
   for (ros::ServiceServer& service : services_) service.shutdown();
   for (ros::WallTimer& timer : timers_) timer.stop();
   service_thread_.reset();
+  timer_thread_.spinner.stop();
   message_thread_.spinner.stop();
   if (worker_) worker_->close();
   if (saver_.joinable()) {
@@ -144,7 +145,7 @@ void Stage::serve_trigger(const std::string& service, const std::function<core::
 void Stage::keep_timer(double period_s, const std::function<void()>& task, CallbackThread* thread) {
   const boost::function<void(const ros::WallTimerEvent&)> callback = [task](const ros::WallTimerEvent&) { task(); };
   ros::NodeHandle node(getNodeHandle());
-  node.setCallbackQueue(thread != nullptr ? &thread->queue : &message_thread_.queue);
+  node.setCallbackQueue(thread != nullptr ? &thread->queue : &timer_thread_.queue);
   timers_.push_back(node.createWallTimer(ros::WallDuration(period_s), callback));
 }
 

@@ -128,8 +128,8 @@ constexpr bool is_for_each_frame =
 
 /// What the nodelets share: strict parameters, a worker, sessions, diagnostics, and an order of destruction that makes
 /// unloading safe at any time. Callbacks only push to the worker; everything a stage overrides or hands to `subscribe`
-/// runs on the worker's one thread, so that a stage needs no lock. Messages and timers come on a thread of their own,
-/// and so do services, which may wait.
+/// runs on the worker's one thread, so that a stage needs no lock. Messages come on a
+/// thread of their own, and so do timers and services, which may wait.
 ///
 /// A derived class calls `start` first in onInit, then advertises, subscribes and follows the sessions, which lets the
 /// worker begin; its destructor calls `stop`.
@@ -232,7 +232,7 @@ class Stage : public nodelet::Nodelet {
   void serve_trigger(const std::string& service, const std::function<core::Result<std::string>()>& act);
   /// Calls the task each `period_s` of wall time; shut down as a subscriber. Not on the nodelet's own queue: to stop a
   /// timer does not wait for its task, to stop the thread does.
-  /// @param thread where; null: that of the messages
+  /// @param thread where; null: that of the timers
   void keep_timer(double period_s, const std::function<void()>& task, CallbackThread* thread = nullptr);
   /// @return what queues the task, unless it waits there already
   std::function<void()> once_in_queue(const Worker::Task& task);
@@ -327,6 +327,7 @@ class Stage : public nodelet::Nodelet {
   std::unique_ptr<diagnostic_updater::Updater> updater_;
   ros::Publisher ack_publisher_, working_publisher_;
   CallbackThread message_thread_;  ///< outlives the subscriptions
+  CallbackThread timer_thread_;    ///< the diagnostics ask the master now and then: no message shall wait for that
   std::vector<ros::Subscriber> subscribers_;
   std::vector<ros::ServiceServer> services_;
   std::vector<ros::WallTimer> timers_;

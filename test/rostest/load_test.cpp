@@ -210,10 +210,12 @@ class SlowTicker : public Stage {
   SlowTicker() : Stage("SlowTicker") {}
   ~SlowTicker() override { end(); }
   void end() { stop(); }
-  std::atomic<int> begun{0}, ended{0};
+  std::atomic<int> begun{0}, ended{0}, heard{0};
 
  private:
   void onInit() override {
+    const boost::function<void(const std_msgs::Empty::ConstPtr&)> hear = [this](const auto&) { ++heard; };
+    keep_subscriber(subscriber_node().subscribe<std_msgs::Empty>("slow_ticker_input", 10, hear));
     keep_timer(0.01, [this] {
       ++begun;
       std::this_thread::sleep_for(std::chrono::milliseconds(500));
@@ -222,13 +224,18 @@ class SlowTicker : public Stage {
   }
 };
 
-TEST(Load, AStageDoesNotGoBeforeItsTimersTaskIsOver) {
+TEST(Load, NoMessageWaitsForATimersTaskAndTheStageDoesNotGoBeforeIt) {
   ros::CallbackQueue queue;  // as a nodelet manager's
   ros::AsyncSpinner spinner(1, &queue);
   spinner.start();
   SlowTicker stage;
   stage.init("/slow_ticker", {}, {}, &queue, &queue);
+  ros::NodeHandle node;
+  const ros::Publisher publisher = node.advertise<std_msgs::Empty>("slow_ticker_input", 10);
   ASSERT_TRUE(wait_until([&stage] { return stage.begun > 0; }));
+  publisher.publish(boost::make_shared<std_msgs::Empty>());
+  EXPECT_TRUE(wait_until([&stage] { return stage.heard > 0; }));
+  EXPECT_EQ(stage.ended, 0) << "the task takes half a second";
   stage.end();
   EXPECT_EQ(stage.begun, stage.ended);
 }
