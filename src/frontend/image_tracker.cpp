@@ -41,6 +41,7 @@ std::vector<std::int64_t> local_keyframes(const TrackingMap& map, const TrackedF
   const SE3 T_map_camera = image.T_camera_map.inverse();
   std::vector<std::pair<double, std::int64_t>> near;
   for (const auto& [id, keyframe] : map.keyframes()) {
+    if (keyframe.section != image.section) continue;
     const double distance_m = (keyframe.center() - T_map_camera.t).norm();
     const Quaternion turn = image.T_camera_map.q * keyframe.T_camera_map.q.conjugate();
     const double cosine = (turn * Vec3::UnitZ()).z();
@@ -160,6 +161,7 @@ bool find_points(const TrackingKeyframe& keyframe, const Camera& camera, Trackin
     if (estimate->is_inlier[k]) image->points[pairs[k].first] = pairs[k].second;
   }
   image->T_camera_map = estimate->T_camera_map;
+  image->section = keyframe.section;
   return true;
 }
 

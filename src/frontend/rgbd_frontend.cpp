@@ -67,6 +67,13 @@ struct Calibration {
   int restarts = 0;            ///< advised so far
 };
 
+/// A section of the map that an image of another one sees.
+struct Sighting {
+  int section = 0, seen_from = 0;
+  SE3 T_here_there;  ///< of the two sections
+  std::int64_t stamp_ns = 0;
+};
+
 }  // namespace
 
 struct RgbdFrontend::Impl {
@@ -96,8 +103,7 @@ struct RgbdFrontend::Impl {
     image->T_camera_map = last ? last->T_camera_map : SE3();
     image->inliers = image->matches = 0;
     image->points.assign(image->features.size(), -1);
-    map = TrackingMap(options);
-    ++starts;
+    image->section = next_section++;
     return true;
   }
 
@@ -112,16 +118,18 @@ struct RgbdFrontend::Impl {
       *image = std::move(followed);
       return true;
     }
-    const bool is_found = find_again(image);
+    const bool is_found = find_again(image, false);
     if (is_followed && (!is_found || followed.inliers >= image->inliers)) *image = std::move(followed);
     return is_followed || is_found;
   }
 
-  bool find_again(TrackedFeatures* image) {
+  bool find_again(TrackedFeatures* image, bool in_all_sections) {
     // Bounds the time of a lost image; with the images that follow, every keyframe has its turn.
     constexpr std::size_t kNewest = 3, kOthers = 3;
     std::vector<std::int64_t> ids;
-    for (auto it = map.keyframes().rbegin(); it != map.keyframes().rend(); ++it) ids.push_back(it->first);
+    for (auto it = map.keyframes().rbegin(); it != map.keyframes().rend(); ++it) {
+      if (in_all_sections || it->second.section == last->section) ids.push_back(it->first);
+    }
     std::vector<std::int64_t> tried(ids.begin(),
                                     ids.begin() + static_cast<std::ptrdiff_t>(std::min(kNewest, ids.size())));
     for (std::size_t i = 0; i < kOthers && ids.size() > kNewest; ++i) {
@@ -135,11 +143,80 @@ struct RgbdFrontend::Impl {
       if (!find_points(*map.keyframe(id), calibration.camera, &map, &candidate)) continue;
       if (!track_local_map(calibration.camera, &map, &candidate)) continue;
       const int inliers = candidate.inliers;
+      if (candidate.section != last->section) {
+        if (inliers < strong) continue;
+        candidate.source_loop = loop_to(*map.keyframe(id), candidate);
+      }
       if (!best || inliers > best->inliers) best = std::move(candidate);
       if (inliers >= strong) break;
     }
     if (best) *image = std::move(*best);
     return best.has_value();
+  }
+
+  /// Keyframes of other sections that look most like an image, best first; the newer of two that are equally alike.
+  std::vector<std::int64_t> most_alike_elsewhere(const TrackedFeatures& image, std::size_t count) const {
+    std::vector<std::pair<int, std::int64_t>> alike;
+    std::vector<std::uint32_t> words;
+    for (const auto& [id, keyframe] : map.keyframes()) {
+      if (keyframe.section == image.section) continue;
+      if (words.empty()) words = visual_words(image.features);
+      alike.emplace_back(common_words(words, keyframe.words), id);
+    }
+    std::sort(alike.rbegin(), alike.rend());
+    alike.resize(std::min(alike.size(), count));
+    std::vector<std::int64_t> ids;
+    for (const auto& [common, id] : alike) ids.push_back(id);
+    return ids;
+  }
+
+  /// @param there this image, found by an earlier keyframe
+  static SourceLoop loop_to(const TrackingKeyframe& earlier, const TrackedFeatures& there) {
+    constexpr double kSigma_m = 0.01, kSigma_rad = 0.005;  // of what the map around the keyframe is bent
+    SourceLoop loop;
+    loop.stamp_ns = earlier.stamp_ns;
+    loop.T_odom_camera = earlier.T_odom_camera * (earlier.T_camera_map * there.T_camera_map.inverse());
+    loop.covariance = there.covariance;
+    loop.covariance.diagonal().head<3>().array() += kSigma_m * kSigma_m;
+    loop.covariance.diagonal().tail<3>().array() += kSigma_rad * kSigma_rad;
+    loop.points = there.inliers;
+    return loop;
+  }
+
+  /// Looks for what a keyframe sees in the sections that were left by a loss. What is found twice alike joins the
+  /// keyframe's section: its poses go on as they are.
+  std::optional<SourceLoop> look_back(const TrackedFeatures& image) {
+    constexpr std::size_t kTried = 3;  // bounds the time of a keyframe
+    for (const std::int64_t id : most_alike_elsewhere(image, kTried)) {
+      const TrackingKeyframe& keyframe = *map.keyframe(id);
+      TrackedFeatures there = image;
+      if (!find_points(keyframe, calibration.camera, &map, &there)) continue;
+      if (!track_local_map(calibration.camera, &map, &there) || there.inliers < strong_inliers(options)) continue;
+      const SourceLoop found = loop_to(keyframe, there);
+      constexpr double kAlike_m = 0.05, kAlike_rad = 0.05;  // of two sightings: the drift of a second or so
+      const SE3 T_here_there = image.T_camera_map.inverse() * there.T_camera_map;
+      if (sighting && sighting->section == there.section && sighting->seen_from == image.section) {
+        const SE3 again = sighting->T_here_there * there.T_camera_map.inverse();
+        const bool is_alike = (again.t - image.center()).norm() < kAlike_m &&
+                              rotation_angle(again.q.conjugate(), image.T_camera_map.q) < kAlike_rad;
+        if (is_alike) {
+          map.join(there.section, image.section, T_here_there);
+          sighting.reset();
+          return found;
+        }
+      }
+      sighting = Sighting{there.section, image.section, T_here_there, image.stamp_ns};
+      return found;
+    }
+    return std::nullopt;
+  }
+
+  /// Whether a section was seen that is worth a second look.
+  bool is_sighting_open(const TrackedFeatures& image) const {
+    constexpr std::int64_t kSoon_ns = 200'000'000, kLate_ns = 1'000'000'000;  // another view, not yet another place
+    if (!sighting) return false;
+    const std::int64_t age_ns = image.stamp_ns - sighting->stamp_ns;
+    return age_ns > kSoon_ns && age_ns < kLate_ns;
   }
 
   Mat6 motion_covariance(const TrackedFeatures& image) const {
@@ -163,7 +240,8 @@ struct RgbdFrontend::Impl {
   void take_in(const TrackedFeatures& image) {
     const std::int64_t id = add_keyframe(image, calibration.camera, &map);
     if (map.keyframes().size() < 2) return;
-    checks_focal = is_focal_check_due();
+    // Blurred images with few points would explain their errors by any focal length.
+    checks_focal = image.inliers >= strong_inliers(options) && is_focal_check_due();
     refinement = std::async(std::launch::async, [this, problem = local_bundle(map, id, options)]() mutable {
       solve(calibration.camera, options.window_iterations, false, &problem);
       if (checks_focal) {
@@ -248,6 +326,7 @@ struct RgbdFrontend::Impl {
     look_for_registration(rgbd);
     image.features = extract_features(rgbd, options, calibration.camera, calibration.registration);
     image.points.assign(image.features.size(), -1);
+    if (last) image.section = last->section;
     take_refinement();
     TrackedImage result;
     bool is_break = false;
@@ -257,8 +336,9 @@ struct RgbdFrontend::Impl {
       result.state = start(&image) ? TrackingState::kStarted : TrackingState::kUnusable;
     } else if (follow(&image)) {
       result.state = TrackingState::kTracked;
-    } else if (last_tracked_image != images - 1 && find_again(&image)) {
+    } else if (last_tracked_image != images - 1 && find_again(&image, true)) {
       result.state = TrackingState::kRelocalised;
+      is_break = image.section != last->section;
     } else if (1e-9 * static_cast<double>(image.stamp_ns - last->stamp_ns) > options.restart_after_s && start(&image)) {
       result.state = TrackingState::kStarted;
       is_break = true;
@@ -273,11 +353,15 @@ struct RgbdFrontend::Impl {
       sample.is_break = is_break;
       sample.points_camera = grid.points(rgbd.depth_m, calibration.registration, calibration.camera);
       if (last && !is_break) sample.covariance = motion_covariance(image);
+      sample.source_loop = image.source_loop;
       result.sample = std::move(sample);
       result.is_recalibrated = correct_calibration(&image);
       if (map.keyframes().empty() || needs_keyframe(image, map)) {
         take_in(image);
         image.points = map.keyframes().rbegin()->second.points;
+        if (!image.source_loop) result.sample->source_loop = look_back(image);
+      } else if (is_sighting_open(image)) {
+        result.sample->source_loop = look_back(image);
       }
       accept(std::move(image));
     }
@@ -300,8 +384,10 @@ struct RgbdFrontend::Impl {
   std::int64_t first_stamp_ns = 0;
   std::future<BundleProblem> refinement;  ///< of the map around the last image, a keyframe
   std::int64_t images = 0;
-  std::int64_t starts = 0;              ///< maps begun: each counts its points from 0
-  std::size_t next_candidate = 0;       ///< of the keyframes that are tried in turn after a loss
+  std::int64_t starts = 1;  ///< maps begun: each counts its points from 0
+  int next_section = 0;
+  std::optional<Sighting> sighting;     ///< the last one
+  std::size_t next_candidate = 0;       ///< of the keyframes that are tried in turn
   std::optional<TrackedFeatures> last;  ///< the last image that has a pose
   std::int64_t last_tracked_image = -1;
   SE3 T_last_before;  ///< motion of the camera over the last two images, in the camera frame

@@ -202,6 +202,20 @@ void TrackingMap::merge(std::int64_t from, std::int64_t into) {
   refresh(&target);
 }
 
+void TrackingMap::join(int from, int into, const SE3& T_into_from) {
+  for (auto& [id, point] : points_) {
+    if (keyframes_.at(point.views.begin()->first).section != from) continue;
+    point.position = T_into_from * point.position;
+    point.direction = T_into_from.q * point.direction;
+  }
+  const SE3 T_from_into = T_into_from.inverse();
+  for (auto& [id, keyframe] : keyframes_) {
+    if (keyframe.section != from) continue;
+    keyframe.T_camera_map = keyframe.T_camera_map * T_from_into;
+    keyframe.section = into;
+  }
+}
+
 void TrackingMap::refresh(MapPoint* point) const {
   std::vector<const Descriptor*> descriptors;
   point->direction.setZero();
@@ -273,7 +287,8 @@ bool needs_keyframe(const TrackedFeatures& image, const TrackingMap& map) {
   if (!is_weak && 1e-9 * static_cast<double>(image.stamp_ns - last.stamp_ns) < kMinInterval_s) return false;
   const std::vector<std::pair<std::int64_t, int>> covisible = map.covisible(image.points);
   if (covisible.empty()) return true;
-  const std::size_t min_views = map.keyframes().size() > 2 ? 2 : 1;
+  const auto is_here = [&image](const auto& entry) { return entry.second.section == image.section; };
+  const std::size_t min_views = std::count_if(map.keyframes().begin(), map.keyframes().end(), is_here) > 2 ? 2 : 1;
   const int reference = count_points(map, map.keyframes().at(covisible.front().first).points, min_views);
   if (image.inliers < kTrackedShare * reference) return true;
   // Parts of the image with depth that the map has nothing of.
@@ -286,7 +301,9 @@ bool needs_keyframe(const TrackedFeatures& image, const TrackingMap& map) {
 
 std::int64_t add_keyframe(const TrackedFeatures& image, const Camera& camera, TrackingMap* map) {
   const std::int64_t id = map->keyframes().empty() ? 0 : map->keyframes().rbegin()->first + 1;
-  map->add_keyframe({{id, image.stamp_ns, image.T_camera_map, image.features, image.points}});
+  map->add_keyframe({{id, image.stamp_ns, image.T_camera_map, image.section, image.features, image.points},
+                     image.T_camera_map.inverse(),
+                     visual_words(image.features)});
   drop_points(id, map);
   add_points(id, camera, map);
   fuse(id, camera, map);

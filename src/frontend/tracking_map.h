@@ -8,6 +8,7 @@
 #include "frontend/image_features.h"
 #include "frontend/pose_solver.h"
 #include "semantic_topo_loop/frontend/frontend_options.h"
+#include "semantic_topo_loop/types/frame.h"
 
 namespace semantic_topo_loop::core {
 
@@ -36,19 +37,24 @@ struct FeatureImage {
   std::int64_t id = -1;
   std::int64_t stamp_ns = 0;
   SE3 T_camera_map;
+  int section = 0;  ///< of the map; how sections lie to each other is not known, as the camera was lost in between
   ImageFeatures features;
   std::vector<std::int64_t> points;  ///< of each feature; -1: none
   Vec3 center() const { return T_camera_map.inverse().t; }
 };
 
 /// One that the map is built from; its id counts keyframes.
-struct TrackingKeyframe : FeatureImage {};
+struct TrackingKeyframe : FeatureImage {
+  SE3 T_odom_camera;                 ///< as it was told
+  std::vector<std::uint32_t> words;  ///< visual_words of its features
+};
 
 /// One on its way through the tracker; its id counts images.
 struct TrackedFeatures : FeatureImage {
   Mat6 covariance = Mat6::Zero();  ///< of the pose, camera frame
   int matches = 0;
   int inliers = 0;
+  std::optional<SourceLoop> source_loop;  ///< of the section that it was found in after a loss
 };
 
 /// Inliers that leave no doubt of a pose; with fewer, other ways to it are tried, and the map is built on.
@@ -73,6 +79,8 @@ class TrackingMap {
   void remove_keyframe(std::int64_t keyframe);
   /// One point for two: `from` is removed, its views become those of `into`.
   void merge(std::int64_t from, std::int64_t into);
+  /// Makes a section part of another one, which stays where it is. @param T_into_from of their coordinates
+  void join(int from, int into, const SE3& T_into_from);
   /// Descriptor, direction and distance, from the views.
   void refresh(MapPoint* point) const;
 

@@ -6,6 +6,7 @@
 #include <map>
 #include <sstream>
 
+#include "geometry/relative_pose.h"
 #include "loop/graph/graph_detector.h"
 #include "loop/graph/odometry_monitor.h"
 #include "loop/graph/relocalisation.h"
@@ -40,7 +41,40 @@ struct LoopDetector::Impl {
 
   std::vector<LoopClosure> detect(const Frame& frame, const AssociationFrame& associations) {
     if (frame.is_end || !frame.T_odom_camera.is_finite()) return {};
-    if (frame.is_keyframe) keyframes_[frame.keyframe_id] = {frame.frame_id, frame.stamp_ns};
+    if (frame.is_keyframe) keyframes_[frame.keyframe_id] = {frame.frame_id, frame.stamp_ns, frame.T_odom_camera};
+    std::vector<LoopClosure> loops = detect_by_objects(frame, associations);
+    if (std::optional<LoopClosure> loop = take_source_loop(frame)) loops.push_back(*std::move(loop));
+    return loops;
+  }
+
+  /// What the odometry's source found itself, as a loop between keyframes.
+  std::optional<LoopClosure> take_source_loop(const Frame& frame) {
+    if (!frame.source_loop || !options_.enabled) return std::nullopt;
+    const SourceLoop& found = *frame.source_loop;
+    const auto match = std::find_if(keyframes_.rbegin(), keyframes_.rend(),
+                                    [&found](const auto& entry) { return entry.second.stamp_ns <= found.stamp_ns; });
+    const auto query = keyframes_.find(frame.keyframe_id);
+    if (match == keyframes_.rend() || query == keyframes_.end() || match->first == query->first) return std::nullopt;
+    LoopClosure loop;
+    loop.query_keyframe_id = query->first;
+    loop.match_keyframe_id = match->first;
+    loop.query_frame = loop.query_begin = loop.query_end = query->second.frame_id;
+    loop.match_frame = loop.match_begin = loop.match_end = match->second.frame_id;
+    loop.query_stamp_ns = query->second.stamp_ns;
+    loop.match_stamp_ns = match->second.stamp_ns;
+    loop.accepted = true;
+    loop.reason = LoopReason::kFoundBySource;
+    loop.inliers = found.points;
+    const SE3 T_frame_query = frame.T_odom_camera.inverse() * query->second.T_odom_camera;
+    loop.T_match_query = match->second.T_odom_camera.inverse() * found.T_odom_camera * T_frame_query;
+    const Mat6 carry = transport(T_frame_query);
+    loop.covariance = carry * found.covariance * carry.transpose();
+    loop.state_sigmas(loop.covariance);
+    record_.add({loop});
+    return loop;
+  }
+
+  std::vector<LoopClosure> detect_by_objects(const Frame& frame, const AssociationFrame& associations) {
     if (frame.stamp_ns < settled_ns_) return {};
     const bool taken = window_.push(frame, associations);
     up_.push(frame);
@@ -89,6 +123,7 @@ struct LoopDetector::Impl {
   struct KeyframeTime {
     std::int64_t frame_id = -1;
     std::int64_t stamp_ns = 0;
+    SE3 T_odom_camera;
   };
 
   std::string unknown_keyframe(std::int64_t id) const {

@@ -34,6 +34,10 @@ std::string describe(const LoopFigures& loop, const LoopOptions& options) {
   Sentence sentence;
   sentence.stream().precision(3);
   sentence.stream() << (loop.accepted ? "accepted" : "rejected: ") << (loop.accepted ? "" : to_string(loop.reason));
+  if (loop.reason == LoopReason::kFoundBySource) {
+    sentence.stream() << ": the odometry's source found the place itself, by " << loop.inliers << " points";
+    return sentence.stream().str();
+  }
   if (options.mode == "paper") {
     const bool printed = options.score == "printed";
     return sentence.add("common landmarks", loop.inliers, ">=", options.paper_min_common)

@@ -17,6 +17,7 @@ Result<Frame> FrameBuilder::build(const PoseSample& sample) {
   frame.stamp_ns = sample.stamp_ns;
   frame.T_odom_camera = sample.T_odom_camera;
   frame.covariance = sample.covariance;
+  frame.source_loop = sample.source_loop;
   frame.points_camera = sample.points_camera;
   frame.camera = camera_;
 
@@ -52,6 +53,7 @@ Frame FrameBuilder::end() const {
   frame.is_break = false;
   frame.is_end = true;
   frame.covariance.reset();
+  frame.source_loop.reset();
   frame.points_camera.reset();
   frame.keyframe_points.reset();
   return frame;

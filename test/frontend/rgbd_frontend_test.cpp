@@ -213,6 +213,70 @@ TEST(RgbdFrontend, LostForLongItStartsAnewWithABreak) {
   EXPECT_LT((tracked.sample->T_odom_camera.t - last.t).norm(), 1e-3);
 }
 
+/// A front end that has followed the walk, was lost and has begun anew at the other end of the room.
+RgbdFrontend begun_anew(int walked, int* next_image) {
+  FrontendOptions options;
+  options.restart_after_s = 0.2;
+  options.self_calibration = false;
+  RgbdFrontend frontend = after_walk(walked, options);
+  TrackedImage tracked;
+  for (*next_image = walked; !tracked.sample && *next_image < walked + 20; ++*next_image) {
+    tracked = frontend.track(elsewhere(*next_image));
+  }
+  EXPECT_EQ(tracked.state, TrackingState::kStarted);
+  return frontend;
+}
+
+TEST(RgbdFrontend, WhatItSawBeforeItBeganAnewIsFoundAgain) {
+  constexpr int kWalked = 15;
+  int next = 0;
+  RgbdFrontend frontend = begun_anew(kWalked, &next);
+  const TrackedImage again = frontend.track(kRoom.render(stamp_of(next), pose_on_walk(kInterval_s * 7)));
+  ASSERT_EQ(again.state, TrackingState::kLost) << "the new map is asked first";
+  TrackedImage found;
+  for (int i = 0; i < 5 && !found.sample; ++i) {
+    found = frontend.track(kRoom.render(stamp_of(++next), pose_on_walk(kInterval_s * 7)));
+  }
+  ASSERT_EQ(found.state, TrackingState::kRelocalised);
+  EXPECT_TRUE(found.sample->is_break) << "how the two maps lie to each other is not known";
+  EXPECT_LT(error_m(found, 7), 0.012) << "in the first map";
+  ASSERT_TRUE(found.sample->source_loop);
+  EXPECT_LT(found.sample->source_loop->stamp_ns, stamp_of(kWalked));
+  EXPECT_LT((found.sample->source_loop->T_odom_camera.t - true_motion(0, 7).t).norm(), 0.012);
+}
+
+TEST(RgbdFrontend, AMapFromBeforeALossJoinsTheNewOneWithoutAJump) {
+  constexpr int kWalked = 15, kTurn = 40, kStay = 20, kTowards = 7;
+  int next = 0;
+  RgbdFrontend frontend = begun_anew(kWalked, &next);
+  const SE3 T_room_target = pose_on_walk(kInterval_s * kTowards);
+  SE3 T_room_before, T_odom_before;
+  std::vector<SourceLoop> loops;
+  for (int i = 1; i <= kTurn + kStay; ++i, ++next) {
+    const double share = std::min(1.0, i / static_cast<double>(kTurn));
+    const SE3 T_room_camera(so3_exp(Vec3(0.0, kPi * (1.0 - share), 0.0)) * T_room_target.q,
+                            (1.0 - share) * Vec3(0.0, 0.3, 0.5) + share * T_room_target.t);
+    const TrackedImage tracked = frontend.track(kRoom.render(stamp_of(next), T_room_camera));
+    ASSERT_EQ(tracked.state, TrackingState::kTracked) << i;
+    EXPECT_FALSE(tracked.sample->is_break) << i;
+    const SE3 true_step = T_room_before.inverse() * T_room_camera;
+    const SE3 step = T_odom_before.inverse() * tracked.sample->T_odom_camera;
+    if (i > 1) {
+      EXPECT_LT((step.t - true_step.t).norm(), 0.03) << i;
+    }
+    T_room_before = T_room_camera;
+    T_odom_before = tracked.sample->T_odom_camera;
+    if (!tracked.sample->source_loop) continue;
+    loops.push_back(*tracked.sample->source_loop);
+    const SE3 truth = pose_on_walk(0.0).inverse() * T_room_camera;  // in the first map
+    EXPECT_LT((loops.back().T_odom_camera.t - truth.t).norm(), 0.02) << i;
+    EXPECT_LT(degrees(rotation_angle(loops.back().T_odom_camera.q, truth.q)), 0.5) << i;
+    EXPECT_LT(loops.back().stamp_ns, stamp_of(kWalked)) << i;
+    EXPECT_GE(loops.back().points, 60) << i;
+  }
+  EXPECT_EQ(loops.size(), 2U) << "seen twice alike, the maps are one";
+}
+
 TEST(RgbdFrontend, DistortedImages) {
   Camera camera = kCamera;
   camera.distortion = {0.2, -0.5, 0.002, -0.001, 0.3};

@@ -74,6 +74,55 @@ TEST(LoopDetector, ClosesAcrossARestartOfTheOdometry) {
   expect_right(outcome);
 }
 
+TEST(LoopDetector, PassesOnWhatTheOdometrysSourceFound) {
+  const SE3 T_odom_match(so3_exp(Vec3(0.1, 0.2, -0.3)), Vec3(1.0, 2.0, 3.0));
+  const SE3 T_match_image(so3_exp(Vec3(0.0, 0.05, 0.0)), Vec3(0.02, 0.0, 0.03));  // of the image that was found again
+  const SE3 T_image_now(so3_exp(Vec3(0.2, 0.0, 0.1)), Vec3(0.3, -0.1, 0.2));
+  const SE3 T_odom_query(so3_exp(Vec3(-0.4, 0.0, 0.0)), Vec3(-1.0, 0.0, 0.5));
+  const SE3 T_query_now(so3_exp(Vec3(0.0, 0.0, 0.03)), Vec3(0.0, 0.04, 0.0));
+  LoopDetector detector(LoopOptions(), std::make_shared<const ClassTable>());
+  const auto detect = [&detector](std::int64_t id, std::int64_t keyframe_id, bool is_keyframe, const SE3& T_odom_camera,
+                                  const std::optional<SourceLoop>& source_loop) {
+    Frame frame;
+    frame.frame_id = id;
+    frame.stamp_ns = 1'000'000'000 * (id + 1);
+    frame.keyframe_id = keyframe_id;
+    frame.is_keyframe = is_keyframe;
+    frame.T_odom_camera = T_odom_camera;
+    frame.source_loop = source_loop;
+    return detector.detect(frame, {});
+  };
+  EXPECT_TRUE(detect(0, 0, true, T_odom_match, {}).empty());
+  EXPECT_TRUE(detect(1, 0, false, T_odom_match * T_match_image, {}).empty());
+  EXPECT_TRUE(detect(2, 1, true, T_odom_query, {}).empty());
+  SourceLoop found;
+  found.stamp_ns = 2'000'000'000;
+  found.T_odom_camera = T_odom_match * T_match_image * T_image_now;
+  found.covariance = 1e-4 * Mat6::Identity();
+  found.points = 80;
+  const std::vector<LoopClosure> loops = detect(3, 1, false, T_odom_query * T_query_now, found);
+  ASSERT_EQ(loops.size(), 1U);
+  const LoopClosure& loop = loops[0];
+  EXPECT_TRUE(loop.accepted);
+  EXPECT_EQ(loop.reason, LoopReason::kFoundBySource);
+  EXPECT_EQ(loop.query_keyframe_id, 1);
+  EXPECT_EQ(loop.match_keyframe_id, 0);
+  EXPECT_EQ(loop.query_frame, 2);
+  EXPECT_EQ(loop.match_frame, 0);
+  const SE3 truth = T_match_image * T_image_now * T_query_now.inverse();
+  EXPECT_LT(error_m(loop.T_match_query, truth), 1e-9);
+  EXPECT_LT(error_deg(loop.T_match_query, truth), 1e-6);
+  EXPECT_GT(loop.covariance(0, 0), 1e-4) << "a turn at the frame moves the keyframe";
+  EXPECT_NEAR(loop.sigma_m, std::sqrt(loop.covariance.topLeftCorner<3, 3>().trace()), 1e-12);
+  EXPECT_EQ(loop.inliers, 80);
+  EXPECT_NE(detector.explain(1, 0).text.find("80 points"), std::string::npos);
+  found.stamp_ns = 0;  // before the run
+  EXPECT_TRUE(detect(4, 1, false, T_odom_query, found).empty());
+  detector.set_enabled(false);
+  found.stamp_ns = 2'000'000'000;
+  EXPECT_TRUE(detect(5, 1, false, T_odom_query, found).empty());
+}
+
 /// T_match_query of a scaled odometry has the match's unit of length, which is the true one here.
 TEST(LoopDetector, AFreeScaleClosesWhereTheOdometrysScaleHasDrifted) {
   LoopOptions free;

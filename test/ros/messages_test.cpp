@@ -110,6 +110,9 @@ CameraFrame random_frame(Random* random) {
   frame.is_end = random->flag();
   frame.T_odom_camera = random->pose();
   if (random->flag()) frame.covariance = random->matrix<core::Mat6>();
+  if (random->flag()) {
+    frame.source_loop = core::SourceLoop{random->integer(), random->pose(), random->matrix<core::Mat6>(), 87};
+  }
   frame.camera = {520.9 + random->number(), 521.0, random->number(), random->number(), 640, 480, {}};
   for (double& value : frame.camera.distortion) value = random->number();
   if (random->flag()) {
@@ -133,6 +136,13 @@ TEST(Messages, Frame) {
     EXPECT_TRUE(same(generated.odom_from_camera, message.T_odom_camera));
     ASSERT_EQ(generated.has_covariance != 0, message.covariance.has_value());
     EXPECT_EQ(generated.covariance[1], message.covariance ? (*message.covariance)(0, 1) : 0.0) << "row-major";
+    ASSERT_EQ(generated.has_source_loop != 0, message.source_loop.has_value());
+    if (message.source_loop) {
+      EXPECT_EQ(generated.source_loop.stamp_ns, message.source_loop->stamp_ns);
+      EXPECT_TRUE(same(generated.source_loop.odom_from_camera, message.source_loop->T_odom_camera));
+      EXPECT_EQ(generated.source_loop.covariance[1], message.source_loop->covariance(0, 1)) << "row-major";
+      EXPECT_EQ(generated.source_loop.points, 87);
+    }
     EXPECT_EQ(generated.camera_frame, message.camera_frame);
     EXPECT_TRUE(same(generated.camera.header.stamp, message.header.stamp));
     EXPECT_EQ(generated.camera.header.frame_id, message.camera_frame);

@@ -15,14 +15,14 @@ namespace semantic_topo_loop::core {
 enum class TrackingState {
   kStarted,      ///< the first image of an odometry: at the start, or anew after a loss (then the sample is a break)
   kTracked,      ///< followed from the image before
-  kRelocalised,  ///< found again in recent keyframes after a loss
+  kRelocalised,  ///< found again after a loss; a break if that was in an older part of the map
   kLost,         ///< no pose
   kUnusable,     ///< no pose: the image shows nothing to follow (too few features or depths)
 };
 
 struct TrackedImage {
   TrackingState state = TrackingState::kLost;
-  std::optional<PoseSample> sample;  ///< unless lost: T_odom_camera, covariance, break flag, points_camera
+  std::optional<PoseSample> sample;  ///< unless lost: T_odom_camera, covariance, break flag, source_loop, points_camera
   int matches = 0;                   ///< map points found in the image
   int inliers = 0;                   ///< of these, how many the pose explains
   /// The calibration was corrected so early that it pays to begin anew: every pose until now has the old one's error.

@@ -250,6 +250,7 @@ struct Serializer<core::MapUpdatePhase> : semantic_topo_loop::wire::EnumSerializ
   };
 // A pose: the coefficients of Eigen's quaternion lie in the order x, y, z, w.
 SEMANTIC_TOPO_LOOP_FIELDS(core::SE3, m.t, m.q.coeffs())
+SEMANTIC_TOPO_LOOP_FIELDS(core::SourceLoop, m.stamp_ns, m.T_odom_camera, m.covariance, m.points)
 SEMANTIC_TOPO_LOOP_FIELDS(core::Box, m.x1, m.y1, m.x2, m.y2)
 SEMANTIC_TOPO_LOOP_FIELDS(core::Detection, m.class_id, m.score, m.box)
 SEMANTIC_TOPO_LOOP_FIELDS(core::Association, m.detection_index, m.landmark_id, m.level, m.class_id, m.score, m.box,
@@ -302,7 +303,7 @@ struct Serializer<semantic_topo_loop::FrameMessage> {
   template <class Stream, class T>
   static void allInOne(Stream& stream, T m) {
     next(stream, m.header, m.session_id, m.frame_id, m.keyframe_id, m.is_keyframe, m.is_break, m.is_end,
-         m.T_odom_camera, m.covariance, m.camera_frame);
+         m.T_odom_camera, m.covariance, m.source_loop, m.camera_frame);
     semantic_topo_loop::wire::FrameSensors sensors;
     if constexpr (!semantic_topo_loop::wire::kIsInput<Stream>) sensors.take_from(m);
     next(stream, sensors.camera, sensors.has_points, sensors.points);

@@ -21,12 +21,21 @@ struct KeyframePoints {
   std::vector<Eigen::Vector3f> semi_dense;  ///< on edges of the image, camera frame, m
 };
 
+/// A place of long ago that the odometry's source itself found again, as by points of its images.
+struct SourceLoop {
+  std::int64_t stamp_ns = 0;           ///< of the earlier image
+  SE3 T_odom_camera;                   ///< of this image, had the odometry not drifted since the earlier one
+  Mat6 covariance = Mat6::Identity();  ///< of that motion from the earlier image: (translation m, rotation rad), right
+  int points = 0;                      ///< how many agree
+};
+
 /// A camera pose of the odometry at the stamp of an image.
 struct PoseSample {
   std::int64_t stamp_ns = 0;
   SE3 T_odom_camera;
   std::optional<Mat6> covariance;  ///< of the motion since the previous sample
   bool is_break = false;           ///< as stated by the source
+  std::optional<SourceLoop> source_loop;
   std::shared_ptr<const std::vector<Vec3>> points_camera;
 };
 
@@ -40,6 +49,7 @@ struct Frame {
   bool is_end = false;    ///< no image: the stream is over and every stage shall finish its work
   SE3 T_odom_camera;
   std::optional<Mat6> covariance;  ///< of the motion since the previous frame: (translation m, rotation rad)
+  std::optional<SourceLoop> source_loop;
   Camera camera;
   std::shared_ptr<const std::vector<Vec3>> points_camera;  ///< optional points seen by this frame, camera frame, m
   std::shared_ptr<const KeyframePoints> keyframe_points;   ///< optional, of keyframes: what the point map keeps of it

@@ -15,17 +15,18 @@ enum class LoopReason : std::uint8_t {
   kTooFewObjects = 1,  ///< a submap or the common set is too small
   kTooFewInliers = 2,
   kTooFewLabels = 3,
-  kDegenerate = 4,     ///< objects on a line or in a point
-  kResidual = 5,       ///< alignment error too large
-  kAmbiguous = 6,      ///< a second, different alignment or place explains nearly as much
-  kReprojection = 7,   ///< the matched objects do not reproject onto the detections
-  kMirrored = 8,       ///< the cameras lie on different sides of the objects' plane
-  kTilt = 9,           ///< the local up directions disagree
-  kRefinement = 10,    ///< the refinement on boxes failed or moved too far
-  kLowScore = 11,      ///< paper mode: below the score threshold
-  kInconsistent = 12,  ///< paper mode: not repeated over consecutive keyframes
-  kOutranked = 13,     ///< passed every test on the alignment, but a better candidate speaks for its place
-  kContradicted = 14,  ///< surfaces of one submap are where the other's cameras see through
+  kDegenerate = 4,      ///< objects on a line or in a point
+  kResidual = 5,        ///< alignment error too large
+  kAmbiguous = 6,       ///< a second, different alignment or place explains nearly as much
+  kReprojection = 7,    ///< the matched objects do not reproject onto the detections
+  kMirrored = 8,        ///< the cameras lie on different sides of the objects' plane
+  kTilt = 9,            ///< the local up directions disagree
+  kRefinement = 10,     ///< the refinement on boxes failed or moved too far
+  kLowScore = 11,       ///< paper mode: below the score threshold
+  kInconsistent = 12,   ///< paper mode: not repeated over consecutive keyframes
+  kOutranked = 13,      ///< passed every test on the alignment, but a better candidate speaks for its place
+  kContradicted = 14,   ///< surfaces of one submap are where the other's cameras see through
+  kFoundBySource = 15,  ///< accepted: found by the odometry's source itself (SourceLoop), not by objects
 };
 
 const char* to_string(LoopReason reason);
@@ -58,11 +59,14 @@ struct LoopFigures {
   double refine_shift_deg = -1.0;    ///< and turned it
   double sigma_m = -1.0;             ///< stated error of the translation: root of the covariance's trace
   double sigma_deg = -1.0;           ///< and of the rotation
-  int inliers = 0;
-  int labels = 0;     ///< different classes among the matched objects
-  SE3 T_match_query;  ///< of the cameras at query_frame and match_frame
+  int inliers = 0;                   ///< matched objects; points of a kFoundBySource
+  int labels = 0;                    ///< different classes among the matched objects
+  SE3 T_match_query;                 ///< of the cameras at query_frame and match_frame
   /// Of the match's unit of length over the query's: p_match = scale * (q * p_query) + t, with (q, t) = T_match_query.
   double scale = 1.0;
+
+  /// @param covariance of T_match_query
+  void state_sigmas(const Mat6& covariance);
 };
 
 /// A loop candidate with what it takes to close it.

@@ -323,11 +323,6 @@ void set_alignment(const LocalMap& match, const LocalMap& query, const GraphMatc
 
 namespace {
 
-void state_sigmas(const Mat6& covariance, LoopClosure* loop) {
-  loop->sigma_m = std::sqrt(covariance.topLeftCorner<3, 3>().trace());
-  loop->sigma_deg = degrees(std::sqrt(covariance.bottomRightCorner<3, 3>().trace()));
-}
-
 /// What the surfaces of both submaps make of a loop.
 enum class SurfaceVerdict { kSilent, kContradicts, kConfirms };
 
@@ -338,7 +333,7 @@ SurfaceVerdict judge_surfaces(const LocalMap& match, const LocalMap& query, Loop
   if (aligned) {
     loop->T_match_query = aligned->T_a_b;
     loop->covariance = aligned->covariance;
-    state_sigmas(aligned->covariance, loop);
+    loop->state_sigmas(aligned->covariance);
   }
   constexpr int kMinJudged = 200;            // surfels, 1 m^2: fewer may be what was moved
   constexpr double kMaxContradicted = 0.35;  // nine in ten right ones: below 0.22, wrong ones: above 0.47
@@ -361,7 +356,7 @@ void refine_and_decide(const LocalMap& match, const LocalMap& query, const Graph
   loop->refine_residual = refined->median_residual;
   loop->refine_shift_m = (alignment.T_a_b.inverse() * refined->T_a_b).t.norm();
   loop->refine_shift_deg = degrees(rotation_angle(alignment.T_a_b.q, refined->T_a_b.q));
-  state_sigmas(refined->covariance, loop);
+  loop->state_sigmas(refined->covariance);
   if (loop->refine_residual > options.refine_max_residual || loop->refine_shift_m > options.refine_max_shift_m ||
       loop->refine_shift_deg > options.refine_max_shift_deg) {
     return;
