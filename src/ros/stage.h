@@ -305,7 +305,9 @@ class Stage : public nodelet::Nodelet {
         if (is_current(message->session_id)) (static_cast<Derived*>(this)->*handler)(message);
       });
     };
-    return subscriber_node().template subscribe<Message>(topic, queue_size_, callback);
+    // The recorder of a run in lockstep is waited for by nobody, and may be a tenth of a second behind at any time.
+    const std::uint32_t room = keep == Keep::kDroppable ? queue_size_ : kRoomForState * queue_size_;
+    return subscriber_node().template subscribe<Message>(topic, room, callback);
   }
   /// roscpp's own queue drops without a word: a frame that is left out of the sequence tells.
   void count_missed(const std::string& topic, const Sequence& next, Sequence* last);

@@ -20,8 +20,7 @@ void Worker::push(Task task, Keep keep, const std::string& topic) {
     if (closed_) return;
     // Of the capacity, for tasks that must not be dropped: with so many waiting the stage has stopped, and memory
     // counts.
-    constexpr std::size_t kHardLimitFactor = 16;
-    if (queue_.size() >= kHardLimitFactor * capacity_) drop(Keep::kAlways);
+    if (queue_.size() >= kRoomForState * capacity_) drop(Keep::kAlways);
     if (keep == Keep::kDroppable) {
       if (droppable_ == capacity_) drop(Keep::kDroppable);
       ++droppable_;

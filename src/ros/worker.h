@@ -19,6 +19,9 @@ enum class Keep {
   kPinned,     ///< sessions, timers, the end of a stream: without them nothing would go on
 };
 
+/// Of what is not droppable so many times as many are held, in roscpp's queues and in the worker's.
+constexpr std::uint32_t kRoomForState = 16;
+
 /// A bounded queue and one thread that runs its tasks in order of arrival, once it was started. Pushing never waits.
 class Worker {
  public:
@@ -33,8 +36,8 @@ class Worker {
   Worker& operator=(const Worker&) = delete;
 
   void start();
-  /// Drops the oldest droppable task when `capacity` of them wait, and the oldest that is not pinned when 16 times as
-  /// many tasks of any kind do. After close() nothing is taken.
+  /// Drops the oldest droppable task when `capacity` of them wait, and the oldest that is not pinned when kRoomForState
+  /// times as many tasks of any kind do. After close() nothing is taken.
   /// @param topic what brought the task, to count drops by
   void push(Task task, Keep keep = Keep::kDroppable, const std::string& topic = {});
   /// Forgets what waits, lets the running task end, and joins the thread. Never call it from a task.

@@ -240,6 +240,51 @@ TEST(Load, NoMessageWaitsForATimersTaskAndTheStageDoesNotGoBeforeIt) {
   EXPECT_EQ(stage.begun, stage.ended);
 }
 
+/// Hears nothing for a while.
+class BusyListener : public StageWith<StageParameters> {
+ public:
+  BusyListener() : StageWith("BusyListener") {}
+  ~BusyListener() override { end(); }
+  void end() { stop(); }
+  std::atomic<bool> is_busy{false};
+  std::atomic<int> heard{0};
+
+ private:
+  void onInit() override {
+    if (!start(1)) return;
+    set_session(1);
+    const boost::function<void(const std_msgs::Empty::ConstPtr&)> wait = [this](const auto&) {
+      is_busy = true;
+      std::this_thread::sleep_for(std::chrono::milliseconds(300));
+    };
+    keep_subscriber(subscriber_node().subscribe<std_msgs::Empty>("busy_listener_wait", 1, wait));
+    subscribe("busy_listener_input", Keep::kAlways, &BusyListener::on_frame);
+    open_queue();
+  }
+  void on_frame(const FrameMessage::ConstPtr&) { ++heard; }
+};
+
+TEST(Load, WhatLaterFramesBuildOnIsNotLostWhileAStageHearsNothing) {
+  ros::CallbackQueue queue;  // as a nodelet manager's
+  ros::AsyncSpinner spinner(1, &queue);
+  spinner.start();
+  BusyListener stage;
+  stage.init("/busy_listener", {}, {}, &queue, &queue);
+  ros::NodeHandle node;
+  const ros::Publisher wait = node.advertise<std_msgs::Empty>("busy_listener_wait", 10);
+  const ros::Publisher frames = node.advertise<FrameMessage>("busy_listener_input", 10);
+  wait.publish(boost::make_shared<std_msgs::Empty>());
+  ASSERT_TRUE(wait_until([&stage] { return stage.is_busy.load(); }));
+  constexpr int kFrames = 500;
+  for (int i = 0; i < kFrames; ++i) {
+    const auto frame = boost::make_shared<FrameMessage>();
+    frame->session_id = 1;
+    frame->frame_id = i;
+    frames.publish(frame);
+  }
+  EXPECT_TRUE(wait_until([&stage] { return stage.heard == kFrames; })) << stage.heard;
+}
+
 TEST(Load, AStageThatIsLoadedLateHearsOfEverySessionAtOnce) {
   std::mutex mutex;  // guards acknowledged
   std::map<std::string, std::uint32_t> acknowledged;
