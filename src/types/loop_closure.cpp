@@ -3,7 +3,7 @@
 #include <array>
 #include <cmath>
 
-#include "semantic_topo_loop/geometry/lie.h"
+#include "semantic_topo_loop/types/eigen.h"
 
 namespace semantic_topo_loop::core {
 
