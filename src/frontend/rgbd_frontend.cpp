@@ -165,8 +165,8 @@ struct RgbdFrontend::Impl {
     }
     std::sort(alike.rbegin(), alike.rend());
     alike.resize(std::min(alike.size(), count));
-    std::vector<std::int64_t> ids;
-    for (const auto& [common, id] : alike) ids.push_back(id);
+    std::vector<std::int64_t> ids(alike.size());
+    std::transform(alike.begin(), alike.end(), ids.begin(), [](const auto& entry) { return entry.second; });
     return ids;
   }
 
