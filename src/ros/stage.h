@@ -128,8 +128,8 @@ constexpr bool is_for_each_frame =
 
 /// What the nodelets share: strict parameters, a worker, sessions, diagnostics, and an order of destruction that makes
 /// unloading safe at any time. Callbacks only push to the worker; everything a stage overrides or hands to `subscribe`
-/// runs on the worker's one thread, so that a stage needs no lock. Messages come on a
-/// thread of their own, and so do timers and services, which may wait.
+/// runs on the worker's one thread, so that a stage needs no lock. Messages come on a thread of
+/// their own, and so do timers and services, which may wait.
 ///
 /// A derived class calls `start` first in onInit, then advertises, subscribes and follows the sessions, which lets the
 /// worker begin; its destructor calls `stop`.

@@ -204,12 +204,24 @@ TEST(Load, AFrontEndThatIsLoadedUnderTrafficHasItsSession) {
   }
 }
 
+/// A stage on a queue like a nodelet manager's.
+template <class StageType>
+struct Managed {
+  explicit Managed(const std::string& name) {
+    spinner.start();
+    stage.init(name, {}, {}, &queue, &queue);
+  }
+  ros::CallbackQueue queue;
+  ros::AsyncSpinner spinner{1, &queue};
+  StageType stage;
+};
+
 /// Its timer's task takes longer than anything else in `stop`.
 class SlowTicker : public Stage {
  public:
   SlowTicker() : Stage("SlowTicker") {}
-  ~SlowTicker() override { end(); }
-  void end() { stop(); }
+  ~SlowTicker() override { stop(); }
+  using Stage::stop;
   std::atomic<int> begun{0}, ended{0}, heard{0};
 
  private:
@@ -225,18 +237,15 @@ class SlowTicker : public Stage {
 };
 
 TEST(Load, NoMessageWaitsForATimersTaskAndTheStageDoesNotGoBeforeIt) {
-  ros::CallbackQueue queue;  // as a nodelet manager's
-  ros::AsyncSpinner spinner(1, &queue);
-  spinner.start();
-  SlowTicker stage;
-  stage.init("/slow_ticker", {}, {}, &queue, &queue);
+  Managed<SlowTicker> managed("/slow_ticker");
+  SlowTicker& stage = managed.stage;
   ros::NodeHandle node;
   const ros::Publisher publisher = node.advertise<std_msgs::Empty>("slow_ticker_input", 10);
   ASSERT_TRUE(wait_until([&stage] { return stage.begun > 0; }));
   publisher.publish(boost::make_shared<std_msgs::Empty>());
   EXPECT_TRUE(wait_until([&stage] { return stage.heard > 0; }));
   EXPECT_EQ(stage.ended, 0) << "the task takes half a second";
-  stage.end();
+  stage.stop();
   EXPECT_EQ(stage.begun, stage.ended);
 }
 
@@ -244,8 +253,7 @@ TEST(Load, NoMessageWaitsForATimersTaskAndTheStageDoesNotGoBeforeIt) {
 class BusyListener : public StageWith<StageParameters> {
  public:
   BusyListener() : StageWith("BusyListener") {}
-  ~BusyListener() override { end(); }
-  void end() { stop(); }
+  ~BusyListener() override { stop(); }
   std::atomic<bool> is_busy{false};
   std::atomic<int> heard{0};
 
@@ -265,11 +273,8 @@ class BusyListener : public StageWith<StageParameters> {
 };
 
 TEST(Load, WhatLaterFramesBuildOnIsNotLostWhileAStageHearsNothing) {
-  ros::CallbackQueue queue;  // as a nodelet manager's
-  ros::AsyncSpinner spinner(1, &queue);
-  spinner.start();
-  BusyListener stage;
-  stage.init("/busy_listener", {}, {}, &queue, &queue);
+  Managed<BusyListener> managed("/busy_listener");
+  BusyListener& stage = managed.stage;
   ros::NodeHandle node;
   const ros::Publisher wait = node.advertise<std_msgs::Empty>("busy_listener_wait", 10);
   const ros::Publisher frames = node.advertise<FrameMessage>("busy_listener_input", 10);

@@ -337,9 +337,9 @@ SurfaceVerdict judge_surfaces(const LocalMap& match, const LocalMap& query, Loop
   }
   constexpr int kMinJudged = 200;            // surfels, 1 m^2: fewer may be what was moved
   constexpr double kMaxContradicted = 0.35;  // nine in ten right ones: below 0.22, wrong ones: above 0.47
-  constexpr int kMinSeen = 400;              // to confirm
-  constexpr double kMaxDissent =
-      0.1;  // fr1_xyz: 188 right ones up to 0.013; in a rendered office 260 wrong ones from 0.16
+  // To confirm: of fr1_xyz 188 right ones dissent by up to 0.013, in a rendered office 260 wrong ones from 0.16 on.
+  constexpr int kMinSeen = 400;
+  constexpr double kMaxDissent = 0.1;
   const SurfaceAgreement agreement = compare_surfaces(match, query, loop->T_match_query);
   const auto is_below = [&agreement](double share) { return agreement.contradicted < share * agreement.judged; };
   if (agreement.judged >= kMinJudged && !is_below(kMaxContradicted)) return SurfaceVerdict::kContradicts;
