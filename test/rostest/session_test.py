@@ -2,10 +2,13 @@
 """What happens to the chain in mid-stream: the session's services, a parameter that nobody knows, an unloaded stage."""
 import json
 import os
+import signal
 import subprocess
 import threading
 import time
+from xmlrpc.client import ServerProxy
 
+import rosgraph
 import rospy
 import rostest
 from diagnostic_msgs.msg import DiagnosticArray
@@ -59,6 +62,20 @@ class ControlTest(DirectoryTest):
         self.assertEqual(second, list(range(len(second))), 'a session counts its own frames')
         with open(os.path.join(results, 'trajectory.txt')) as file:
             self.assertEqual(sum(1 for _ in file), len(second) - 1, 'the files are those of the last session')
+
+    def test_a_starved_loader_unloads_nothing(self):
+        launch = demo(duration='10', data=self.path('starved'), lockstep='false')
+        try:
+            self.assertTrue(wait_until(lambda: len(self.done) > 30, 60), launch.output())
+            node = rosgraph.Master(rospy.get_name()).lookupNode('/%s/quadric_mapping' % PACKAGE)
+            loader = ServerProxy(node).getPid(rospy.get_name())[2]
+            os.kill(loader, signal.SIGSTOP)
+            time.sleep(5.5)  # a bond breaks after 4 s
+            os.kill(loader, signal.SIGCONT)
+            self.assertTrue(launch.wait(40), launch.output())
+        finally:
+            launch.stop()
+        self.assertTrue(launch.player_finished(), launch.output())
 
     def test_an_unknown_parameter_is_named(self):
         config = self.path('config.yaml')
