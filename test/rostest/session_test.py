@@ -64,13 +64,13 @@ class ControlTest(DirectoryTest):
             self.assertEqual(sum(1 for _ in file), len(second) - 1, 'the files are those of the last session')
 
     def test_a_starved_loader_unloads_nothing(self):
-        launch = demo(duration='10', data=self.path('starved'), lockstep='false')
+        launch = demo(duration='20', data=self.path('starved'), lockstep='false', stall_timeout_s='4')
         try:
-            self.assertTrue(wait_until(lambda: len(self.done) > 30, 60), launch.output())
+            self.assertTrue(wait_until(lambda: len(self.done) > 150, 60), launch.output())
             node = rosgraph.Master(rospy.get_name()).lookupNode('/%s/quadric_mapping' % PACKAGE)
             loader = ServerProxy(node).getPid(rospy.get_name())[2]
             os.kill(loader, signal.SIGSTOP)
-            time.sleep(5.5)  # a bond breaks after 4 s
+            time.sleep(6.0)  # a bond that has formed breaks after 4 s
             os.kill(loader, signal.SIGCONT)
             self.assertTrue(launch.wait(40), launch.output())
         finally:
