@@ -28,13 +28,14 @@ Status run(const Arguments& arguments) {
   if (!detector) return detector.error();
   if (const Status writable = check_writable(arguments.out); !writable) return writable;
   const Stopwatch stopwatch;
-  const auto frames = detect_in_recording(arguments.images, detector->get());
-  if (!frames) return frames.error();
+  const auto found = detect_in_recording(arguments.images, detector->get());
+  if (!found) return found.error();
   const double seconds = 1e-6 * stopwatch.elapsed_us();
   std::size_t boxes = 0;
-  for (const DetectionFrame& frame : *frames) boxes += frame.detections.size();
-  std::printf("%zu images, %zu boxes in %.1f s\n", frames->size(), boxes, seconds);
-  return write_detections_json(arguments.out, *frames);
+  for (const DetectionFrame& frame : found->frames) boxes += frame.detections.size();
+  std::printf("%zu images, %zu boxes in %.1f s\n", found->frames.size(), boxes, seconds);
+  if (!found->warning.empty()) std::fprintf(stderr, "detect: warning: %s\n", found->warning.c_str());
+  return write_detections_json(arguments.out, found->frames);
 }
 
 }  // namespace

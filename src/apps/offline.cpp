@@ -213,9 +213,10 @@ Status find_detections(const Arguments& arguments, RunInputs* inputs) {
   if (!arguments.detections.empty()) return Error{"there are both --detections and detector.model"};
   const auto detector = ObjectDetector::load(inputs->options.detector, *inputs->classes);
   if (!detector) return detector.error();
-  auto frames = detect_in_recording(arguments.rgbd.empty() ? arguments.bag : arguments.rgbd, detector->get());
-  if (!frames) return frames.error();
-  inputs->detections = *std::move(frames);
+  auto found = detect_in_recording(arguments.rgbd.empty() ? arguments.bag : arguments.rgbd, detector->get());
+  if (!found) return found.error();
+  if (!found->warning.empty()) say("no detections: " + found->warning);
+  inputs->detections = std::move(found->frames);
   DetectionReport report;
   for (DetectionFrame& frame : inputs->detections) {
     const auto leave_out = [&](std::size_t, DetectionProblem problem, const std::string& value) {

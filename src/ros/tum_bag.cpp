@@ -172,7 +172,8 @@ core::Result<core::RgbdRecording> open_tum_bag(const std::string& file, const co
 }
 
 core::Status for_each_color_image(
-    const std::string& file, const std::function<core::Status(std::int64_t stamp_ns, const cv::Mat& color)>& take) {
+    const std::string& file,
+    const std::function<core::Status(std::int64_t stamp_ns, const core::Result<cv::Mat>& color)>& take) {
   if (const core::Status intact = check_bag_structure(file); !intact) {
     return core::Error{explain(file, intact.message())};
   }
@@ -182,8 +183,8 @@ core::Status for_each_color_image(
     for (const rosbag::MessageInstance& message : rosbag::View(bag, rosbag::TopicQuery(tum_topic::kColor))) {
       const auto image = message.instantiate<sensor_msgs::Image>();
       if (!image) continue;
-      const core::Result<cv::Mat> color = to_mat(*image, sensor_msgs::image_encodings::BGR8, "colour");
-      const core::Status taken = color ? take(to_stamp_ns(image->header.stamp), *color) : core::Status(color.error());
+      const core::Status taken =
+          take(to_stamp_ns(image->header.stamp), to_mat(*image, sensor_msgs::image_encodings::BGR8, "colour"));
       if (!taken) return core::Error{explain(file, taken.message())};
       ++images;
     }

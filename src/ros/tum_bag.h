@@ -71,10 +71,11 @@ class TumBagSource {
 core::Result<core::RgbdRecording> open_tum_bag(const std::string& file, const core::Camera& camera,
                                                const core::DepthOptions& options);
 
-/// Gives `take` the colour images of such a bag, CV_8UC3 as BGR, in the order in which they were recorded, until it
-/// fails. Needs neither depth nor a master.
+/// Gives `take` the colour images of such a bag, CV_8UC3 as BGR or why one cannot be read, in the order in which they
+/// were recorded, until it fails. Needs neither depth nor a master.
 /// @return the error of `take` with the bag's name, or one that names file and cause if it cannot be read
-core::Status for_each_color_image(const std::string& file,
-                                  const std::function<core::Status(std::int64_t stamp_ns, const cv::Mat& color)>& take);
+core::Status for_each_color_image(
+    const std::string& file,
+    const std::function<core::Status(std::int64_t stamp_ns, const core::Result<cv::Mat>& color)>& take);
 
 }  // namespace semantic_topo_loop

@@ -107,6 +107,20 @@ TEST_F(DetectProgram, WritesWhatOfflineFinds) {
   EXPECT_NE(err_.find("there are both --detections and detector.model"), std::string::npos) << err_;
 }
 
+TEST_F(DetectProgram, LeavesOutAnImageThatCannotBeRead) {
+  const auto model = shared_detector(), recording = shared_data("tum/fr1_xyz");
+  if (!model) GTEST_SKIP() << "SEMANTIC_TOPO_LOOP_DATA is not set, or OpenCV too old";
+  write_part(*recording, 0.0, 0.1, "tum", directory_);
+  const std::string list = read_whole(directory_.path("tum/rgb.txt")), missing = "4000000000.0 rgb/missing.png\n";
+  directory_.write("tum/rgb.txt", list + missing);
+  ASSERT_EQ(run("@tum " + *model + " @d.json" + classes_), 0) << err_;
+  EXPECT_NE(err_.find("1 images left out (first: "), std::string::npos) << err_;
+  EXPECT_NE(err_.find("missing.png"), std::string::npos) << err_;
+  EXPECT_EQ(out_.find(std::to_string(std::count(list.begin(), list.end(), '\n')) + " images, "), 0U) << out_;
+  directory_.write("tum/rgb.txt", missing);
+  expect_failure("@tum " + *model + " @none.json" + classes_, 1, "no image can be read (first: ");
+}
+
 /// While most of what is on the desk is cut by the image border: four or five objects, and surfaces, tell the place.
 TEST_F(OfflineProgram, FindsItsPlaceInTheMapOfAnotherRunByObjectsAndSurfaces) {
   const auto recording = shared_data("tum/fr1_xyz");
