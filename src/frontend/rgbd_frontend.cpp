@@ -357,6 +357,9 @@ struct RgbdFrontend::Impl {
       result.sample = std::move(sample);
       result.is_recalibrated = correct_calibration(&image);
       if (map.keyframes().empty() || needs_keyframe(image, map)) {
+        // What hangs on a weak pose may lie wrong against the rest: it is looked for there as after a loss.
+        const bool is_weak = result.state == TrackingState::kTracked && image.inliers < strong_inliers(options);
+        if (is_weak) image.section = next_section++;
         take_in(image);
         image.points = map.keyframes().rbegin()->second.points;
         if (!image.source_loop) result.sample->source_loop = look_back(image);

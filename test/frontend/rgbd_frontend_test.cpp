@@ -277,6 +277,30 @@ TEST(RgbdFrontend, AMapFromBeforeALossJoinsTheNewOneWithoutAJump) {
   EXPECT_EQ(loops.size(), 2U) << "seen twice alike, the maps are one";
 }
 
+TEST(RgbdFrontend, WhatItSawBeforeASpellOfFewPointsIsFoundAgain) {
+  constexpr int kWalked = 20, kSpell = 20, kAfter = 10;
+  FrontendOptions options;
+  options.self_calibration = false;
+  RgbdFrontend frontend = after_walk(kWalked, options);
+  int weak = 0, loops = 0;
+  for (int i = kWalked; i < kWalked + kSpell + kAfter; ++i) {
+    RgbdImage image = on_walk(i);
+    const bool is_dim = i < kWalked + kSpell;
+    if (is_dim) image.gray.convertTo(image.gray, -1, 0.1, 100.0);
+    const TrackedImage tracked = frontend.track(image);
+    ASSERT_EQ(tracked.state, TrackingState::kTracked) << i;
+    EXPECT_FALSE(tracked.sample->is_break) << i;
+    if (is_dim && tracked.inliers < 3 * options.min_inliers) ++weak;
+    if (!tracked.sample->source_loop) continue;
+    ++loops;
+    const SourceLoop& loop = *tracked.sample->source_loop;
+    EXPECT_LT((loop.T_odom_camera.t - true_motion(0, i).t).norm(), 0.02) << i;
+    EXPECT_LT(degrees(rotation_angle(loop.T_odom_camera.q, true_motion(0, i).q)), 0.5) << i;
+  }
+  EXPECT_GT(weak, 5);
+  EXPECT_GT(loops, 0);
+}
+
 TEST(RgbdFrontend, DistortedImages) {
   Camera camera = kCamera;
   camera.distortion = {0.2, -0.5, 0.002, -0.001, 0.3};
