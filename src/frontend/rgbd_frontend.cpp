@@ -12,6 +12,7 @@
 namespace semantic_topo_loop::core {
 namespace {
 
+constexpr int kFocalKeyframes = 6;   ///< fewer have not turned enough to tell a focal length
 constexpr double kMaxGuess_s = 0.5;  ///< motion is not carried on for longer: a hand turns back within a second
 
 /// Camera-frame points of an even grid of depth pixels.
@@ -240,9 +241,11 @@ struct RgbdFrontend::Impl {
   void take_in(const TrackedFeatures& image) {
     const std::int64_t id = add_keyframe(image, calibration.camera, &map);
     if (map.keyframes().size() < 2) return;
-    // Blurred images with few points would explain their errors by any focal length.
-    checks_focal = image.inliers >= strong_inliers(options) && is_focal_check_due();
-    refinement = std::async(std::launch::async, [this, problem = local_bundle(map, id, options)]() mutable {
+    BundleProblem around = local_bundle(map, id, options);
+    // Blurred images with few points, and few keyframes, would explain their errors by any focal length.
+    checks_focal = image.inliers >= strong_inliers(options) &&
+                   static_cast<int>(around.poses.size()) >= kFocalKeyframes && is_focal_check_due();
+    refinement = std::async(std::launch::async, [this, problem = std::move(around)]() mutable {
       solve(calibration.camera, options.window_iterations, false, &problem);
       if (checks_focal) {
         problem.focal_factor = check_focal_length(calibration.camera, problem, calibration.is_focal_given);
@@ -379,9 +382,9 @@ struct RgbdFrontend::Impl {
   std::optional<RegistrationEstimator> registration_estimator;  ///< until it has decided
   std::int64_t last_registration_ns = 0;                        ///< stamp of the last image it took
   bool has_new_registration = false;
-  double new_focal_factor = 1.0;  ///< to be applied
-  int next_focal_check = 6;       ///< keyframes of the map; fewer have not turned enough to tell a focal length
-  bool checks_focal = false;      ///< in the refinement that runs
+  double new_focal_factor = 1.0;           ///< to be applied
+  int next_focal_check = kFocalKeyframes;  ///< keyframes of the map
+  bool checks_focal = false;               ///< in the refinement that runs
   int passed_focal_checks = 0;
   bool is_calibrated;  ///< no restart is advised any more
   std::int64_t first_stamp_ns = 0;

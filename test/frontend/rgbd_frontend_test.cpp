@@ -217,7 +217,6 @@ TEST(RgbdFrontend, LostForLongItStartsAnewWithABreak) {
 RgbdFrontend begun_anew(int walked, int* next_image) {
   FrontendOptions options;
   options.restart_after_s = 0.2;
-  options.self_calibration = false;
   RgbdFrontend frontend = after_walk(walked, options);
   TrackedImage tracked;
   for (*next_image = walked; !tracked.sample && *next_image < walked + 20; ++*next_image) {
