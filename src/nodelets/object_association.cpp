@@ -28,7 +28,7 @@ class ObjectAssociationNodelet : public StageWith<ClassStageParameters> {
     if (!start(2)) return;
     joiner_ = std::make_unique<Joiner>(queue_capacity());
     associations_publisher_ = advertise<AssociationsMessage>("associations");
-    done_publisher_ = advertise<FrameDone>("frame_done");
+    done_publisher_ = advertise_done();
     for (const char* counter : {kIncomplete, kVersionGaps}) statistics().count(counter, 0);
     reset_session();
     subscribe("quadric_map_updates", Keep::kAlways, &ObjectAssociationNodelet::on_update);

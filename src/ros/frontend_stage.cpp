@@ -22,7 +22,7 @@ bool FrontendStage::open(const core::KeyframeOptions& options, const FrontendPar
   frame_publisher_ = advertise<FrameMessage>("frames");
   keyframe_publisher_ = advertise<Keyframe>("keyframes");
   points_publisher_ = advertise<KeyframePointsMessage>("keyframe_points");
-  done_publisher_ = advertise<FrameDone>("frame_done");
+  done_publisher_ = advertise_done();
   if (parameters_.publish_odom_tf) broadcaster_ = std::make_unique<tf2_ros::TransformBroadcaster>();
   control_publisher_ = advertise<SessionControl>("session_control", true);
   // Before anything can arrive.

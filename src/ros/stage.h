@@ -252,6 +252,10 @@ class Stage : public nodelet::Nodelet {
   /// @param frame_id -1: the image gave no frame
   void publish_done(const ros::Publisher& publisher, const ros::Time& stamp, std::int64_t frame_id, std::uint8_t status,
                     std::uint64_t map_version = 0) const;
+  /// Who counts the frames of a run in lockstep from outside is waited for by nobody.
+  ros::Publisher advertise_done() {
+    return getNodeHandle().advertise<FrameDone>("frame_done", kRoomForState * queue_size_);
+  }
 
   /// Has something written where a user wants it. @param write takes the absolute path and returns a Status
   /// @return the absolute path, or the error

@@ -162,7 +162,8 @@ class UnloadTest(DirectoryTest):
             self.assertTrue(launch.wait(40), launch.output())
         finally:
             launch.stop()
-        fatal = [line for line in launch.lines if 'FATAL' in line]
+        # The stage's loader, which cannot know, may say at the end that there is nothing to unload.
+        fatal = [line for line in launch.lines if 'FATAL' in line and 'Failed to unload nodelet' not in line]
         self.assertEqual(len(fatal), 1, fatal)
         self.assertIn('QuadricMapping', fatal[0])
         self.assertIn('player: stalled: QuadricMapping', launch.output())
