@@ -215,23 +215,34 @@ void solve(const Camera& camera, int iterations, bool with_focal, BundleProblem*
   bundle->is_solved = true;
 }
 
-double check_focal_length(const Camera& camera, const BundleProblem& problem, bool is_given) {
-  constexpr int kIterations = 20;         // to convergence, unlike those of the window
-  constexpr double kLargestFactor = 1.3;  // no camera is stated that wrongly: the scene does not determine it
-  constexpr double kMinGain = 0.01;       // of the cost
-  // A calibrated camera (fr3_cabinet's) seems to be off by up to 0.4 % in single windows.
-  const double min_change = is_given ? 0.02 : 0.005;
+FocalEstimate& FocalEstimate::operator+=(const FocalEstimate& other) {
+  const double sum = information + other.information;
+  if (sum > 0.0) log_factor = (information * log_factor + other.information * other.log_factor) / sum;
+  information = sum;
+  return *this;
+}
+
+std::optional<FocalEstimate> estimate_focal_length(const Camera& camera, const BundleProblem& problem) {
+  constexpr int kIterations = 20;  // to convergence, unlike those of the window
   BundleProblem as_given = problem;
   // Fixed keyframes would hold on to the focal length that they were placed with.
   for (BundleProblem::Pose& pose : as_given.poses) pose.is_fixed = false;
   as_given.poses.back().is_fixed = true;
   BundleProblem corrected = as_given;
-  solve(camera, kIterations, false, &as_given);
   solve(camera, kIterations, true, &corrected);
-  const double factor = corrected.focal_factor;
-  if (!as_given.is_solved || !corrected.is_solved || std::abs(factor - 1.0) < min_change) return 1.0;
-  if (factor > kLargestFactor || factor < 1.0 / kLargestFactor) return 1.0;
-  return corrected.cost_after < (1.0 - kMinGain) * as_given.cost_after ? factor : 1.0;
+  const double log_factor = std::log(corrected.focal_factor);
+  // What the views say of the focal length is seen away from the best one.
+  constexpr double kAside = 0.01;
+  const double aside = std::abs(log_factor) > kAside ? 0.0 : log_factor + kAside;
+  Camera stated = camera;
+  stated.fx *= std::exp(aside);
+  stated.fy *= std::exp(aside);
+  solve(stated, kIterations, false, &as_given);
+  constexpr double kLargest = 0.26;  // a factor of 1.3: no camera is stated that wrongly
+  if (!as_given.is_solved || !corrected.is_solved || !(corrected.cost_after > 0.0)) return std::nullopt;
+  if (std::abs(log_factor) > kLargest) return std::nullopt;
+  const double off = aside - log_factor;
+  return FocalEstimate{log_factor, std::max(0.0, as_given.cost_after / corrected.cost_after - 1.0) / (off * off)};
 }
 
 void apply(const BundleProblem& problem, TrackingMap* map) {

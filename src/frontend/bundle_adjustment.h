@@ -1,6 +1,7 @@
 #pragma once
 
 #include <cstdint>
+#include <optional>
 #include <vector>
 
 #include "frontend/pose_solver.h"
@@ -40,9 +41,20 @@ BundleProblem local_bundle(const TrackingMap& map, std::int64_t keyframe, const 
 /// @param with_focal fits focal_factor, too
 void solve(const Camera& camera, int iterations, bool with_focal, BundleProblem* problem);
 
-/// Factor by which the focal lengths are off, if that explains the views clearly better; else 1.
-/// @param is_given the focal lengths are the user's, not found here: less readily corrected
-double check_focal_length(const Camera& camera, const BundleProblem& problem, bool is_given);
+/// What the views of a window say of the focal lengths: around log_factor, the cost is the least one times
+///   1 + information (log(factor) - log_factor)^2
+struct FocalEstimate {
+  double log_factor = 0.0;  ///< of the camera's focal lengths
+  double information = 0.0;
+
+  /// The share of the cost that the change takes off.
+  double gain() const { return information * log_factor * log_factor; }
+  /// What several windows say: their costs added up.
+  FocalEstimate& operator+=(const FocalEstimate& other);
+};
+
+/// @return nullopt if the views determine no focal length
+std::optional<FocalEstimate> estimate_focal_length(const Camera& camera, const BundleProblem& problem);
 
 /// Takes over what was refined, and takes views back that do not agree with it.
 void apply(const BundleProblem& problem, TrackingMap* map);

@@ -68,6 +68,19 @@ struct Calibration {
   int restarts = 0;            ///< advised so far
 };
 
+/// Whether a focal length should be changed.   @param is_given it is the user's, which is less readily changed
+bool is_clear(const FocalEstimate& estimate, bool is_given) {
+  // Where depth is off by per cents, so is the best focal length.
+  const double min_change = is_given ? 0.02 : 0.005, min_gain = is_given ? 0.01 : 0.005;
+  return std::abs(estimate.log_factor) > min_change && estimate.gain() > min_gain;
+}
+
+/// What a keyframe's refinement gives.
+struct Refined {
+  BundleProblem problem;
+  std::optional<FocalEstimate> focal;
+};
+
 /// A section of the map that an image of another one sees.
 struct Sighting {
   int section = 0, seen_from = 0;
@@ -82,8 +95,7 @@ struct RgbdFrontend::Impl {
       : options(frontend_options),
         calibration(std::move(known)),
         grid(calibration.camera, options.point_stride_px),
-        map(options),
-        is_calibrated(!options.self_calibration) {
+        map(options) {
     if (options.self_calibration && calibration.registration.is_identity()) {
       registration_estimator.emplace(calibration.camera);
     }
@@ -247,21 +259,22 @@ struct RgbdFrontend::Impl {
                    static_cast<int>(around.poses.size()) >= kFocalKeyframes && is_focal_check_due();
     refinement = std::async(std::launch::async, [this, problem = std::move(around)]() mutable {
       solve(calibration.camera, options.window_iterations, false, &problem);
-      if (checks_focal) {
-        problem.focal_factor = check_focal_length(calibration.camera, problem, calibration.is_focal_given);
-      }
-      return std::move(problem);
+      Refined refined;
+      if (checks_focal) refined.focal = estimate_focal_length(calibration.camera, problem);
+      refined.problem = std::move(problem);
+      return refined;
     });
   }
 
   void take_refinement() {
     if (!refinement.valid()) return;
-    const BundleProblem problem = refinement.get();
-    apply(problem, &map);
-    new_focal_factor = problem.focal_factor;
-    // What a few images gave is looked at again with more of them.
-    const int needed = calibration.is_focal_given ? 1 : 2;
-    if (checks_focal && new_focal_factor == 1.0 && ++passed_focal_checks >= needed) is_calibrated = true;
+    const Refined refined = refinement.get();
+    apply(refined.problem, &map);
+    if (refined.focal) {
+      focal_estimate += *refined.focal;
+      const FocalEstimate& judged = calibration.is_focal_given ? *refined.focal : focal_estimate;
+      if (is_clear(judged, calibration.is_focal_given)) new_focal_factor = std::exp(judged.log_factor);
+    }
     const TrackingKeyframe& newest = map.keyframes().rbegin()->second;
     last->T_camera_map = newest.T_camera_map;
     last->points = newest.points;
@@ -296,7 +309,6 @@ struct RgbdFrontend::Impl {
     constexpr std::int64_t kEarly_ns =
         15'000'000'000;               // so much of a recording is read twice, or lost of a live session
     constexpr int kMostRestarts = 4;  // registration, then focal lengths that converge
-    if (image->stamp_ns - first_stamp_ns > kEarly_ns || calibration.restarts == kMostRestarts) is_calibrated = true;
     if (!has_new_registration && new_focal_factor == 1.0) return false;
     if (new_focal_factor != 1.0) calibration.is_focal_given = false;
     Camera& camera = calibration.camera;
@@ -304,11 +316,12 @@ struct RgbdFrontend::Impl {
     camera.fy *= new_focal_factor;
     has_new_registration = false;
     new_focal_factor = 1.0;
+    focal_estimate = {};
     grid = DepthGrid(camera, options.point_stride_px);
     map = TrackingMap(options);
     ++starts;
     image->points.assign(image->features.size(), -1);
-    if (is_calibrated) return false;
+    if (image->stamp_ns - first_stamp_ns > kEarly_ns || calibration.restarts == kMostRestarts) return false;
     ++calibration.restarts;
     return true;
   }
@@ -382,13 +395,12 @@ struct RgbdFrontend::Impl {
   std::optional<RegistrationEstimator> registration_estimator;  ///< until it has decided
   std::int64_t last_registration_ns = 0;                        ///< stamp of the last image it took
   bool has_new_registration = false;
+  FocalEstimate focal_estimate;            ///< of all checks of this map
   double new_focal_factor = 1.0;           ///< to be applied
   int next_focal_check = kFocalKeyframes;  ///< keyframes of the map
   bool checks_focal = false;               ///< in the refinement that runs
-  int passed_focal_checks = 0;
-  bool is_calibrated;  ///< no restart is advised any more
   std::int64_t first_stamp_ns = 0;
-  std::future<BundleProblem> refinement;  ///< of the map around the last image, a keyframe
+  std::future<Refined> refinement;  ///< of the map around the last image, a keyframe
   std::int64_t images = 0;
   std::int64_t starts = 1;  ///< maps begun: each counts its points from 0
   int next_section = 0;
@@ -406,8 +418,6 @@ RgbdFrontend::RgbdFrontend(const FrontendOptions& options, const Camera& camera)
 TrackedImage RgbdFrontend::track(const RgbdImage& image) { return impl_->track(image); }
 
 void RgbdFrontend::begin_anew() { impl_.reset(new Impl(impl_->options, impl_->calibration)); }
-
-bool RgbdFrontend::is_calibrated() const { return impl_->is_calibrated; }
 
 const Camera& RgbdFrontend::camera() const { return impl_->calibration.camera; }
 

@@ -156,8 +156,27 @@ TEST(BundleAdjustment, FindsAWrongFocalLengthAndLeavesARightOne) {
   Camera wide = kKinect;
   wide.fx *= 0.9;
   wide.fy *= 0.9;
-  EXPECT_NEAR(check_focal_length(kKinect, bundle(wide, &noise), true), 0.9, 0.01);
-  EXPECT_EQ(check_focal_length(kKinect, bundle(kKinect, &noise), true), 1.0);
+  const std::optional<FocalEstimate> of_wrong = estimate_focal_length(kKinect, bundle(wide, &noise));
+  const std::optional<FocalEstimate> of_right = estimate_focal_length(kKinect, bundle(kKinect, &noise));
+  ASSERT_TRUE(of_wrong && of_right);
+  EXPECT_NEAR(of_wrong->log_factor, std::log(0.9), 0.01);
+  EXPECT_GT(of_wrong->gain(), 0.1);
+  EXPECT_NEAR(of_right->log_factor, 0.0, 0.005);
+  EXPECT_LT(of_right->gain(), 0.001);
+  // How well a focal length is determined is a matter of the views, not of how far off the stated one is.
+  EXPECT_GT(of_right->information, 0.3 * of_wrong->information);
+  EXPECT_LT(of_right->information, 3.0 * of_wrong->information);
+}
+
+TEST(FocalEstimate, OfSeveralWindowsIsThatOfTheirCostsTogether) {
+  FocalEstimate sum{0.02, 30.0};
+  sum += {-0.04, 10.0};
+  EXPECT_NEAR(sum.log_factor, 0.005, 1e-12);
+  EXPECT_NEAR(sum.information, 40.0, 1e-12);
+  EXPECT_NEAR(sum.gain(), 0.001, 1e-12);
+  FocalEstimate none;
+  none += FocalEstimate();
+  EXPECT_EQ(none.gain(), 0.0);
 }
 
 /// Rectangles in front of a wall, seen in depth and, by another camera beside it, in color.

@@ -73,7 +73,6 @@ TEST(RgbdFrontend, BeginsAnewWithTheFocalLengthItFound) {
   for (int i = 0; i < kImages; ++i) images.push_back(kRoom.render(stamp_of(i), pose(i)));
   const auto is_recalibrated = [&images](RgbdFrontend* frontend) {
     for (const RgbdImage& image : images) {
-      if (frontend->is_calibrated()) break;
       if (frontend->track(image).is_recalibrated) return true;
     }
     return false;
@@ -98,13 +97,6 @@ TEST(RgbdFrontend, BeginsAnewWithTheFocalLengthItFound) {
   FrontendOptions as_stated;
   as_stated.self_calibration = false;
   EXPECT_LT(rmse_m(std::move(frontend)), 0.4 * rmse_m(RgbdFrontend(as_stated, stated)));
-}
-
-TEST(RgbdFrontend, WithoutSelfCalibrationTheCameraIsAsGiven) {
-  FrontendOptions options;
-  options.self_calibration = false;
-  const RgbdFrontend frontend(options, kCamera);
-  EXPECT_TRUE(frontend.is_calibrated());
 }
 
 TEST(RgbdFrontend, PointsAreThoseOfTheDepthImageAndExactInFloat) {

@@ -26,6 +26,7 @@ struct TrackedImage {
   int matches = 0;                   ///< map points found in the image
   int inliers = 0;                   ///< of these, how many the pose explains
   /// The calibration was corrected so early that it pays to begin anew: every pose until now has the old one's error.
+  /// A correction found later begins a new map at the pose reached.
   bool is_recalibrated = false;
 };
 
@@ -40,8 +41,6 @@ class RgbdFrontend {
   /// Forgets images, poses and points, but keeps what self-calibration found: for the first image again, or for the
   /// next recording of the same camera.
   void begin_anew();
-  /// Whether no image to come is `is_recalibrated`. A correction found later begins a new map at the pose reached.
-  bool is_calibrated() const;
   /// The color camera, with its focal lengths as self-calibration corrected them; else as given.
   const Camera& camera() const;
   /// What the last image with a pose adds to the map: the map points that it sees, with ids that are never used twice,
