@@ -1,9 +1,15 @@
 #include <cstdio>
+#include <filesystem>
+#include <opencv2/core.hpp>
 #include <string>
+#include <utility>
+#include <vector>
 
-#include "apps/image_detections.h"
 #include "apps/program.h"
+#include "ros/tum_bag.h"
+#include "semantic_topo_loop/frontend/object_detector.h"
 #include "semantic_topo_loop/io/detection_file.h"
+#include "semantic_topo_loop/io/rgbd_recording.h"
 #include "semantic_topo_loop/io/yaml_files.h"
 #include "semantic_topo_loop/types/stamp.h"
 
@@ -16,6 +22,52 @@ struct Arguments {
   std::string images, model, out, classes;
   OptionTexts assignments;
 };
+
+struct ImageDetections {
+  std::vector<DetectionFrame> frames;  ///< in order of their stamps
+  std::string warning;                 ///< images that could not be read; empty if none
+};
+
+/// What a detector finds in every color image of a recording: of a TUM folder (those of rgb.txt or, where that is
+/// missing, of associations.txt) or of a bag in the layout of the TUM RGB-D bags.
+/// @return an error, with file and cause, if the recording or none of its images can be read, or the model fails
+Result<ImageDetections> detect_in_recording(const std::string& folder_or_bag, ObjectDetector* detector) {
+  ImageDetections found;
+  DetectionReport::Cause unreadable;
+  const auto detect = [&](std::int64_t stamp_ns, const Result<cv::Mat>& color) -> Status {
+    if (!color) {
+      if (unreadable.count++ == 0) unreadable.first = color.message();
+      return {};
+    }
+    Result<std::vector<Detection>> detections = detector->detect(*color);
+    if (!detections) return detections.error();
+    found.frames.push_back({stamp_ns, *std::move(detections)});
+    return {};
+  };
+  const auto finish = [&]() -> Result<ImageDetections> {
+    if (unreadable.count == 0) return std::move(found);
+    if (found.frames.empty()) return Error{"no image can be read (first: " + unreadable.first + ")"};
+    found.warning = std::to_string(unreadable.count) + " images left out (first: " + unreadable.first + ")";
+    return std::move(found);
+  };
+  std::error_code missing;
+  if (!std::filesystem::is_directory(folder_or_bag, missing)) {
+    const auto take = [&](std::int64_t stamp_ns, const Result<cv::Mat>& color) {
+      return detector->is_due(stamp_ns) ? detect(stamp_ns, color) : Status();
+    };
+    if (const Status read = semantic_topo_loop::for_each_color_image(folder_or_bag, take); !read) return read.error();
+    return finish();
+  }
+  const auto images = list_color_images(folder_or_bag);
+  if (!images) return images.error();
+  for (const auto& [stamp_ns, path] : *images) {
+    if (!detector->is_due(stamp_ns)) continue;
+    if (const Status detected = detect(stamp_ns, read_color_image(path)); !detected) {
+      return Error{path + ": " + detected.message()};
+    }
+  }
+  return finish();
+}
 
 Status run(const Arguments& arguments) {
   OptionTexts texts = arguments.assignments;

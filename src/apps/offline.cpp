@@ -11,8 +11,8 @@
 #include <utility>
 #include <vector>
 
-#include "apps/image_detections.h"
 #include "apps/program.h"
+#include "geometry/up_estimator.h"
 #include "ros/parameters.h"
 #include "ros/tum_bag.h"
 #include "semantic_topo_loop/frontend/rgbd_frontend.h"
@@ -63,6 +63,8 @@ class SampleSource {
   virtual std::optional<PoseSample> next() = 0;
   /// To the first image, the second time with what was learned of the camera.
   virtual Status rewind() { return Error{"the source cannot be rewound"}; }
+  /// The color image of the last sample; empty where there are no images.
+  virtual cv::Mat color() const { return {}; }
   /// What the point map keeps of the last image, where there are images.
   virtual std::shared_ptr<const KeyframePoints> keyframe_points(int /*semi_dense_max*/) const { return nullptr; }
   const SourceState& state() const { return state_; }
@@ -125,6 +127,7 @@ class RgbdSource : public SampleSource {
     }
     return std::nullopt;
   }
+  cv::Mat color() const override { return last_image_.color; }
   std::shared_ptr<const KeyframePoints> keyframe_points(int semi_dense_max) const override {
     return std::make_shared<const KeyframePoints>(frontend_.keyframe_points(last_image_, semi_dense_max));
   }
@@ -173,7 +176,8 @@ struct RunInputs {
   Camera camera;
   std::shared_ptr<const ClassTable> classes;
   std::unique_ptr<SampleSource> source;
-  std::vector<DetectionFrame> detections;
+  std::vector<DetectionFrame> detections;    ///< as they were recorded
+  std::unique_ptr<ObjectDetector> detector;  ///< null: none
   std::vector<LoopClosure> extra_loops;
   std::optional<std::vector<LocalMap>> earlier_map;
 };
@@ -207,28 +211,6 @@ Result<std::unique_ptr<SampleSource>> open_source(const Arguments& arguments, co
   return Result<Source>(std::move(source));
 }
 
-/// What the detector finds in the images of --bag or --rgbd.
-Status find_detections(const Arguments& arguments, RunInputs* inputs) {
-  if (!arguments.trajectory.empty()) return Error{"detector.model needs images: --rgbd or --bag"};
-  if (!arguments.detections.empty()) return Error{"there are both --detections and detector.model"};
-  const auto detector = ObjectDetector::load(inputs->options.detector, *inputs->classes);
-  if (!detector) return detector.error();
-  auto found = detect_in_recording(arguments.rgbd.empty() ? arguments.bag : arguments.rgbd, detector->get());
-  if (!found) return found.error();
-  if (!found->warning.empty()) say("no detections: " + found->warning);
-  inputs->detections = std::move(found->frames);
-  DetectionReport report;
-  for (DetectionFrame& frame : inputs->detections) {
-    const auto leave_out = [&](std::size_t, DetectionProblem problem, const std::string& value) {
-      report.add(problem, "stamp " + format_stamp(frame.stamp_ns) + ": " + value);
-    };
-    frame.detections = usable_boxes(frame.detections, *inputs->classes,
-                                    static_cast<std::size_t>(inputs->options.association.boxes_max), leave_out);
-  }
-  for (const std::string& warning : report.warnings()) say(warning);
-  return {};
-}
-
 /// Reads what may be left out.
 Status load_optional(const Arguments& arguments, RunInputs* inputs) {
   if (!arguments.detections.empty()) {
@@ -239,7 +221,11 @@ Status load_optional(const Arguments& arguments, RunInputs* inputs) {
     inputs->detections = std::move(recording->frames);
   }
   if (!inputs->options.detector.model.empty()) {
-    if (const Status found = find_detections(arguments, inputs); !found) return found;
+    if (!arguments.trajectory.empty()) return Error{"detector.model needs images: --rgbd or --bag"};
+    if (!arguments.detections.empty()) return Error{"there are both --detections and detector.model"};
+    auto detector = ObjectDetector::load(inputs->options.detector, *inputs->classes);
+    if (!detector) return detector.error();
+    inputs->detector = *std::move(detector);
   }
   if (!arguments.extra_loops.empty()) {
     Result<std::vector<LoopClosure>> loops = read_given_loops(arguments.extra_loops);
@@ -319,6 +305,39 @@ class ExtraLoops {
   std::map<std::int64_t, std::int64_t> keyframe_of_;
 };
 
+/// Knows what is in the images of a run: from the recorded detections, or from the detector.
+class DetectionSource {
+ public:
+  explicit DetectionSource(const RunInputs& inputs) : inputs_(&inputs), up_(inputs.options.loop.up_window_s) {}
+
+  /// Of the next frame.   @return nullptr if nobody looked at its image
+  Result<const std::vector<Detection>*> next(const Frame& frame) {
+    using Found = Result<const std::vector<Detection>*>;
+    if (inputs_->detector == nullptr) {
+      const DetectionFrame* recorded = find_stamp(inputs_->detections, frame.stamp_ns, kStampTolerance_ns);
+      return Found(recorded != nullptr ? &recorded->detections : nullptr);
+    }
+    up_.push(frame);
+    if (!inputs_->detector->is_due(frame.stamp_ns)) return Found(nullptr);
+    const Result<std::vector<Detection>> boxes =
+        inputs_->detector->detect(inputs_->source->color(), up_.roll_rad(frame.T_odom_camera.q));
+    if (!boxes) return boxes.error();
+    const auto leave_out = [&](std::size_t, DetectionProblem problem, const std::string& value) {
+      report_.add(problem, "stamp " + format_stamp(frame.stamp_ns) + ": " + value);
+    };
+    found_ = usable_boxes(*boxes, *inputs_->classes, static_cast<std::size_t>(inputs_->options.association.boxes_max),
+                          leave_out);
+    return Found(&found_);
+  }
+  std::vector<std::string> warnings() const { return report_.warnings(); }
+
+ private:
+  const RunInputs* inputs_;
+  UpEstimator up_;
+  std::vector<Detection> found_;  ///< in the last image
+  DetectionReport report_;
+};
+
 /// What a run went through.
 struct Counts {
   std::size_t frames = 0;
@@ -328,7 +347,7 @@ struct Counts {
 
 void warn(const RunInputs& inputs, const Counts& counts, std::size_t loops_left) {
   const std::size_t images = inputs.detections.size();
-  if (images > 0 && counts.with_detections < counts.frames) {
+  if ((images > 0 || inputs.detector != nullptr) && counts.with_detections < counts.frames) {
     say(std::to_string(counts.frames - counts.with_detections) + " of " + std::to_string(counts.frames) +
         " frames have no detections");
   }
@@ -367,6 +386,7 @@ Status run_once(const Arguments& arguments, const RunInputs& inputs, RunRecorder
   FrameBuilder builder(inputs.options.keyframe, inputs.camera);
   PointMap point_map(inputs.options.point_map);
   ExtraLoops extra_loops(inputs.extra_loops);
+  DetectionSource detection_source(inputs);
   const auto take = [&](const Frame& frame, const FrameResult& result) {
     point_map.apply(result.correction);
     record(frame, result, recorder);
@@ -382,11 +402,11 @@ Status run_once(const Arguments& arguments, const RunInputs& inputs, RunRecorder
     if (frame->is_keyframe && !arguments.points.empty()) {
       frame->keyframe_points = inputs.source->keyframe_points(inputs.options.point_map.semi_dense_max);
     }
-    const DetectionFrame* detections = find_stamp(inputs.detections, frame->stamp_ns, kStampTolerance_ns);
-    if (detections != nullptr) ++counts.with_detections;
+    const Result<const std::vector<Detection>*> detections = detection_source.next(*frame);
+    if (!detections) return detections.error();
+    if (*detections != nullptr) ++counts.with_detections;
     point_map.add(*frame);
-    take(*frame,
-         slam.process(*frame, detections != nullptr ? &detections->detections : nullptr, extra_loops.at(*frame)));
+    take(*frame, slam.process(*frame, *detections, extra_loops.at(*frame)));
     if (counts.frames++ == 0) counts.first_ns = frame->stamp_ns;
     counts.last_ns = frame->stamp_ns;
     show_progress(source.done, source.total, &shown_percent);
@@ -407,6 +427,7 @@ Status run_once(const Arguments& arguments, const RunInputs& inputs, RunRecorder
 
   const double seconds = 1e-6 * stopwatch.elapsed_us();
   const double recorded = 1e-9 * static_cast<double>(counts.last_ns - counts.first_ns);
+  for (const std::string& warning : detection_source.warnings()) say(warning);
   warn(inputs, counts, extra_loops.left());
   std::printf("%zu frames in %.2f s, %.1f x real time; the end took %.2f s\n", counts.frames, seconds,
               recorded / seconds, end_s);

@@ -33,28 +33,51 @@ std::string cause(const cv::Exception& exception) {
   return text.substr(0, text.find('\n'));
 }
 
-/// An image on the model's square, as the model was trained.
+/// An image on the model's square, as the model was trained:  model pixel = scale R (image pixel) + offset
 struct Letterbox {
-  double scale = 1.0;          ///< model pixels in one of the image
-  Vec2 offset = Vec2::Zero();  ///< of the image's corner, model pixels
-  cv::Mat blob;                ///< 1 x 3 x S x S
+  double scale = 1.0;                               ///< model pixels in one of the image
+  Eigen::Matrix2d R = Eigen::Matrix2d::Identity();  ///< that turns the image upright
+  Vec2 offset = Vec2::Zero();                       ///< model pixels
+  cv::Mat blob;                                     ///< 1 x 3 x S x S
+
+  /// The box, in the image, of the ellipse that touches a box on the square from inside.
+  Box to_image(const Box& box) const {
+    const Vec4 edges = (box.edges() - offset.replicate<2, 1>()) / scale;
+    if (R.isIdentity(0.0)) return {edges[0], edges[1], edges[2], edges[3]};
+    const Vec2 center = R.transpose() * (0.5 * (edges.head<2>() + edges.tail<2>()));
+    const Vec2 half = 0.5 * (edges.tail<2>() - edges.head<2>());
+    const Vec2 in_image = (R.transpose().cwiseAbs2() * half.cwiseAbs2()).cwiseSqrt();
+    const Vec2 min = center - in_image, max = center + in_image;
+    return {min.x(), min.y(), max.x(), max.y()};
+  }
 };
 
-Letterbox letterbox(const cv::Mat& color, int input_px, YoloLayout layout) {
+Letterbox letterbox(const cv::Mat& color, double roll_rad, int input_px, YoloLayout layout) {
+  constexpr double kUpright_rad = 0.35;  // 20 deg, up to which detectors hardly mind
   cv::Mat bgr = color;
   if (color.channels() == 1) cv::cvtColor(color, bgr, cv::COLOR_GRAY2BGR);
   Letterbox box;
-  box.scale = std::min(static_cast<double>(input_px) / bgr.cols, static_cast<double>(input_px) / bgr.rows);
-  const int width = std::clamp(static_cast<int>(bgr.cols * box.scale), 1, input_px);
-  const int height = std::clamp(static_cast<int>(bgr.rows * box.scale), 1, input_px);
+  if (std::abs(roll_rad) > kUpright_rad) box.R = Eigen::Rotation2Dd(roll_rad).toRotationMatrix();
+  const Vec2 size = box.R.cwiseAbs() * Vec2(bgr.cols, bgr.rows);  // of the image, turned
+  box.scale = std::min(static_cast<double>(input_px) / size.x(), static_cast<double>(input_px) / size.y());
+  const int width = std::clamp(static_cast<int>(size.x() * box.scale), 1, input_px);
+  const int height = std::clamp(static_cast<int>(size.y() * box.scale), 1, input_px);
   // YOLOX is trained with the image in the corner, on values of 0 to 255 in OpenCV's order; the others with it in the
   // middle, on 0 to 1 in red, green, blue.
   const bool is_yolox = layout == YoloLayout::kYolox;
   const int left = is_yolox ? 0 : (input_px - width) / 2, top = is_yolox ? 0 : (input_px - height) / 2;
-  box.offset = {left, top};
   constexpr double kGray = 114.0;  // of the border, in all of these trainings
   cv::Mat square(input_px, input_px, CV_8UC3, cv::Scalar::all(kGray));
-  cv::resize(bgr, square(cv::Rect(left, top, width, height)), {width, height});
+  if (box.R.isIdentity(0.0)) {
+    box.offset = {left, top};
+    cv::resize(bgr, square(cv::Rect(left, top, width, height)), {width, height});
+  } else {
+    const Eigen::Matrix2d A = box.scale * box.R;
+    box.offset = Vec2(left + 0.5 * width, top + 0.5 * height) - A * Vec2(0.5 * bgr.cols, 0.5 * bgr.rows);
+    const cv::Matx23d to_square(A(0, 0), A(0, 1), box.offset.x(), A(1, 0), A(1, 1), box.offset.y());
+    cv::warpAffine(bgr, square, to_square, square.size(), cv::INTER_LINEAR, cv::BORDER_CONSTANT,
+                   cv::Scalar::all(kGray));
+  }
   cv::dnn::blobFromImage(square, box.blob, is_yolox ? 1.0 : 1.0 / 255.0, {}, {}, !is_yolox);
   return box;
 }
@@ -89,20 +112,19 @@ class ObjectDetector::Impl {
     return std::exchange(last_slot_, slot) != slot;
   }
 
-  Result<std::vector<Detection>> detect(const cv::Mat& color) {
+  Result<std::vector<Detection>> detect(const cv::Mat& color, double roll_rad) {
     if (color.empty() || (color.type() != CV_8UC3 && color.type() != CV_8UC1)) {
       return Error{"image of " + std::to_string(color.cols) + " x " + std::to_string(color.rows) + " pixels and type " +
                    cv::typeToString(color.type()) + ", not 8UC3 or 8UC1"};
     }
-    const Letterbox box = letterbox(color, input_px_, layout_);
+    const Letterbox box = letterbox(color, roll_rad, input_px_, layout_);
     std::vector<Detection> detections;
     try {
       const cv::Mat output = run(box.blob);
       for (Detection detection :
            suppress_overlapping(read_yolo(output, layout_, input_px_, options_.score), options_.nms_iou)) {
         detection.class_id = class_ids_[static_cast<std::size_t>(detection.class_id)];
-        const Vec4 edges = (detection.box.edges() - box.offset.replicate<2, 1>()) / box.scale;
-        detection.box = clip({edges[0], edges[1], edges[2], edges[3]}, color.cols, color.rows);
+        detection.box = clip(box.to_image(detection.box), color.cols, color.rows);
         if (detection.class_id >= 0 && detection.box.is_valid()) detections.push_back(detection);
       }
     } catch (const cv::Exception& exception) {
@@ -185,6 +207,8 @@ Result<std::unique_ptr<ObjectDetector>> ObjectDetector::load(const ObjectDetecto
 }
 
 bool ObjectDetector::is_due(std::int64_t stamp_ns) { return impl_->is_due(stamp_ns); }
-Result<std::vector<Detection>> ObjectDetector::detect(const cv::Mat& color) { return impl_->detect(color); }
+Result<std::vector<Detection>> ObjectDetector::detect(const cv::Mat& color, double roll_rad) {
+  return impl_->detect(color, roll_rad);
+}
 
 }  // namespace semantic_topo_loop::core

@@ -169,6 +169,7 @@ Result<RgbdImage> make_rgbd_image(std::int64_t stamp_ns, const cv::Mat& color, c
   }
   RgbdImage image;
   image.stamp_ns = stamp_ns;
+  image.color = color;
   if (color.type() == CV_8UC3) {
     cv::cvtColor(color, image.gray, cv::COLOR_BGR2GRAY);
   } else {

@@ -3,19 +3,23 @@
 #include <image_transport/image_transport.h>
 #include <sensor_msgs/image_encodings.h>
 
+#include <deque>
+#include <map>
 #include <memory>
 #include <mutex>
 #include <pluginlib/class_list_macros.hpp>
 #include <utility>
 #include <vector>
 
+#include "geometry/up_estimator.h"
 #include "ros/rgbd_images.h"
 #include "ros/stage.h"
 
 namespace semantic_topo_loop {
 
-/// Looks for objects in the newest colour image, or in lockstep in each. Every image has its DetectionArray, in order;
-/// those that there was no time for are unanswered.
+/// Looks for objects in the newest colour image, or in lockstep in each that has a pose. Every image has its
+/// DetectionArray, in order; those that nobody looked at are unanswered. Frames tell how the camera is rolled: in
+/// lockstep each image's own, else the last one.
 class ObjectDetectorNodelet : public StageWith<ObjectDetectorParameters> {
  public:
   ObjectDetectorNodelet() : StageWith("ObjectDetector") {}
@@ -28,13 +32,14 @@ class ObjectDetectorNodelet : public StageWith<ObjectDetectorParameters> {
   static constexpr char kLeftOut[] = "images left out";
 
   void onInit() override {
-    if (!start(1)) return;
+    if (!start(2)) return;
     auto detector = core::ObjectDetector::load(options_.detector, *classes());
     if (!detector) {
       fail(detector.message());
       return;
     }
     detector_ = *std::move(detector);
+    reset_session();
     statistics().count(kLeftOut, 0);
     publisher_ = advertise<DetectionsMessage>("detections_in");
     look_at_newest_ = once_in_queue([this] { look_at_newest(); });
@@ -42,11 +47,23 @@ class ObjectDetectorNodelet : public StageWith<ObjectDetectorParameters> {
     constexpr std::uint32_t kImages = 10;  // that wait for the callback, which is short
     subscriber_ = transport.subscribe("color", kImages, &ObjectDetectorNodelet::on_image, this,
                                       {parameters_.color_transport, {}, getPrivateNodeHandle(), "color_transport"});
+    subscribe("frames", Keep::kAlways, &ObjectDetectorNodelet::on_frame);
     follow_sessions();
   }
 
+  void reset_session() override {
+    up_ = std::make_unique<core::UpEstimator>(options_.loop.up_window_s);
+    waiting_.clear();
+    roll_rad_.clear();
+  }
+
   void on_image(const sensor_msgs::ImageConstPtr& image) {
-    if (parameters_.lockstep) return push("color", Keep::kAlways, [this, image] { look_at(*image); });
+    if (parameters_.lockstep) {
+      return push("color", Keep::kAlways, [this, image] {
+        waiting_.push_back(image);
+        look_at_waiting();
+      });
+    }
     statistics().count_input("color");
     {
       const std::lock_guard<std::mutex> lock(mutex_);
@@ -54,6 +71,34 @@ class ObjectDetectorNodelet : public StageWith<ObjectDetectorParameters> {
       newest_ = image;
     }
     look_at_newest_();
+  }
+
+  void on_frame(const FrameMessage::ConstPtr& frame) {
+    const bool has_pose = !frame->is_end && frame->T_odom_camera.is_finite();
+    if (has_pose) up_->push(*frame);
+    if (parameters_.lockstep) {
+      // No image comes after the end.
+      const ros::Time stamp = frame->is_end ? ros::TIME_MAX : frame->header.stamp;
+      roll_rad_[stamp] = has_pose ? up_->roll_rad(frame->T_odom_camera.q) : 0.0;
+      look_at_waiting();
+    } else if (has_pose) {
+      last_orientation_ = frame->T_odom_camera.q;
+    }
+  }
+
+  /// Images whose frame has come, or a later one, so that none will.
+  void look_at_waiting() {
+    for (; !waiting_.empty(); waiting_.pop_front()) {
+      const sensor_msgs::Image& image = *waiting_.front();
+      const auto frame = roll_rad_.lower_bound(image.header.stamp);
+      roll_rad_.erase(roll_rad_.begin(), frame);
+      if (frame == roll_rad_.end()) return;
+      if (frame->first == image.header.stamp) {
+        look_at(image, frame->second);
+      } else {
+        leave_out(image.header);
+      }
+    }
   }
 
   void look_at_newest() {
@@ -65,12 +110,12 @@ class ObjectDetectorNodelet : public StageWith<ObjectDetectorParameters> {
       newest.swap(newest_);
     }
     for (const std_msgs::Header& header : overtaken) leave_out(header);
-    if (newest) look_at(*newest);
+    if (newest) look_at(*newest, up_->roll_rad(last_orientation_));
   }
 
-  void look_at(const sensor_msgs::Image& image) {
+  void look_at(const sensor_msgs::Image& image, double roll_rad) {
     if (!detector_->is_due(to_stamp_ns(image.header.stamp))) return leave_out(image.header);
-    core::Result<std::vector<core::Detection>> found = detect(image);
+    core::Result<std::vector<core::Detection>> found = detect(image, roll_rad);
     if (!found) {
       complain("unusable images", found.message());
       return leave_out(image.header);
@@ -79,10 +124,10 @@ class ObjectDetectorNodelet : public StageWith<ObjectDetectorParameters> {
     count_processed();
   }
 
-  core::Result<std::vector<core::Detection>> detect(const sensor_msgs::Image& image) {
+  core::Result<std::vector<core::Detection>> detect(const sensor_msgs::Image& image, double roll_rad) {
     const core::Result<cv::Mat> pixels = to_mat(image, sensor_msgs::image_encodings::BGR8, "colour");
     if (!pixels) return pixels.error();
-    return detector_->detect(*pixels);
+    return detector_->detect(*pixels, roll_rad);
   }
 
   void leave_out(const std_msgs::Header& header) {
@@ -94,6 +139,10 @@ class ObjectDetectorNodelet : public StageWith<ObjectDetectorParameters> {
   ros::Publisher publisher_;
   image_transport::Subscriber subscriber_;
   std::function<void()> look_at_newest_;
+  std::unique_ptr<core::UpEstimator> up_;
+  core::Quaternion last_orientation_ = core::Quaternion::Identity();  ///< of the camera in the odometry's world
+  std::deque<sensor_msgs::ImageConstPtr> waiting_;                    ///< lockstep: for their frames
+  std::map<ros::Time, double> roll_rad_;     ///< lockstep: by stamp, of frames whose image may still come
   std::mutex mutex_;                         ///< guards all below
   sensor_msgs::ImageConstPtr newest_;        ///< that nobody has looked at yet
   std::vector<std_msgs::Header> overtaken_;  ///< of images before it, in order of arrival

@@ -10,6 +10,7 @@
 #include "semantic_topo_loop/io/detection_file.h"
 #include "semantic_topo_loop/io/rgbd_recording.h"
 #include "support/package_config.h"
+#include "support/rolled_image.h"
 
 namespace semantic_topo_loop::core {
 namespace {
@@ -192,6 +193,48 @@ TEST_F(YoloxNano, ImagesOfOtherShapesAndKinds) {
   for (const Detection& detection : found) EXPECT_GT(detection.box.y1, color.rows - 20.0);
   EXPECT_EQ(detector->detect({}).message(), "image of 0 x 0 pixels and type CV_8UC1, not 8UC3 or 8UC1");
   EXPECT_FALSE(detector->detect(cv::Mat(4, 4, CV_32FC1)));
+}
+
+/// How many of the boxes found in an upright image are found in the same one rolled, as the boxes of their ellipses,
+/// which turn with the image.
+int count_found_again(const std::vector<Detection>& upright, const std::vector<Detection>& found, const cv::Mat& image,
+                      double roll_rad) {
+  const Vec2 middle(0.5 * image.cols, 0.5 * image.rows);
+  const Eigen::Matrix2d turn = Eigen::Rotation2Dd(-roll_rad).toRotationMatrix();
+  int count = 0;
+  for (const Detection& box : upright) {
+    const Vec2 center = middle + turn * (box.box.center() - middle);
+    const Eigen::Matrix2d axes = turn * Vec2(0.5 * box.box.width(), 0.5 * box.box.height()).asDiagonal();
+    const Vec2 half = axes.rowwise().norm();
+    const Box turned =
+        clip({center.x() - half.x(), center.y() - half.y(), center.x() + half.x(), center.y() + half.y()}, image.cols,
+             image.rows);
+    const auto is_it = [&](const Detection& f) { return f.class_id == box.class_id && iou(f.box, turned) > 0.6; };
+    if (std::any_of(found.begin(), found.end(), is_it)) ++count;
+  }
+  return count;
+}
+
+TEST_F(YoloxNano, ARolledCameraFindsWhatAnUprightOneDoes) {
+  const std::unique_ptr<ObjectDetector> detector = load();
+  for (const double roll_rad : {-2.6, -1.0, 0.8, 1.6}) {
+    int in_upright = 0, turned_upright = 0, as_it_is = 0;
+    for (const std::size_t i : {100U, 300U, 500U, 700U}) {
+      const cv::Mat upright = image(i), color = testing::rolled(upright, roll_rad);
+      const std::vector<Detection> known = checked(detector->detect(upright));
+      in_upright += static_cast<int>(known.size());
+      turned_upright += count_found_again(known, checked(detector->detect(color, roll_rad)), color, roll_rad);
+      as_it_is += count_found_again(known, checked(detector->detect(color)), color, roll_rad);
+    }
+    EXPECT_GT(turned_upright, 2 * in_upright / 5) << roll_rad << " of " << in_upright;
+    EXPECT_GT(turned_upright, 2 * as_it_is) << roll_rad << " of " << in_upright;
+  }
+  // What is hardly rolled is looked at as it is.
+  const cv::Mat color = image(100);
+  const std::vector<Detection> as_it_is = checked(detector->detect(color)),
+                               level = checked(detector->detect(color, 0.3));
+  ASSERT_EQ(as_it_is.size(), level.size());
+  for (std::size_t i = 0; i < level.size(); ++i) EXPECT_EQ(as_it_is[i].box.edges(), level[i].box.edges());
 }
 
 TEST_F(YoloxNano, LooksAtNoMoreImagesThanAreWanted) {

@@ -592,6 +592,25 @@ TEST(UpEstimator, ATableTellsUpToACameraThatHardlyTurnsAndIsHeldAskew) {
   EXPECT_FALSE(with_points.estimate(pose.q).certain) << "what was before a break is of another frame";
 }
 
+TEST(UpEstimator, TellsHowFarACameraIsRolledThatHasLookedAroundWithoutRoll) {
+  UpEstimator up(33.0);
+  SE3 pose;
+  for (int k = 0; k < 12; ++k) {
+    pose = pose_at(8.0 * k, 30.0, 0.0);
+    up.push(frame_at(k, pose, nullptr));
+  }
+  EXPECT_NEAR(up.roll_rad(pose.q), 0.0, 1e-6);
+  for (const double roll_deg : {-120.0, -40.0, 40.0, 170.0}) {
+    // Clockwise as it sees: its x axis turns towards its y axis.
+    const Quaternion rolled = pose.q * so3_exp(Vec3(0.0, 0.0, radians(roll_deg)));
+    EXPECT_NEAR(up.roll_rad(rolled), radians(roll_deg), 1e-6);
+    const Vec3 up_camera = rolled.conjugate() * Vec3::UnitZ();
+    EXPECT_GT(std::sin(radians(roll_deg)) * -up_camera.x(), 0.0);
+  }
+  EXPECT_EQ(up.roll_rad(pose_at(0.0, 80.0, 0.0).q * so3_exp(Vec3(0.0, 0.0, 1.0))), 0.0) << "it looks down";
+  EXPECT_EQ(UpEstimator(33.0).roll_rad(pose.q), 0.0);
+}
+
 TEST(UpEstimator, AWallIsNotTakenForAFloor) {
   UpEstimator up(33.0);
   auto wall = std::make_shared<std::vector<Vec3>>();

@@ -12,15 +12,28 @@
 #include <string>
 #include <vector>
 
+#include "geometry/up_estimator.h"
 #include "ros/conversions.h"
 #include "semantic_topo_loop/frontend/object_detector.h"
+#include "semantic_topo_loop/geometry/lie.h"
 #include "semantic_topo_loop/io/rgbd_recording.h"
+#include "semantic_topo_loop/loop/loop_options.h"
 #include "semantic_topo_loop/ros/messages.h"
 #include "support/in_process_chain.h"
 #include "support/package_config.h"
+#include "support/rolled_image.h"
 
 namespace semantic_topo_loop {
 namespace {
+
+void expect_same(const std::vector<core::Detection>& a, const std::vector<core::Detection>& b) {
+  ASSERT_EQ(a.size(), b.size());
+  for (std::size_t k = 0; k < b.size(); ++k) {
+    EXPECT_EQ(a[k].class_id, b[k].class_id);
+    EXPECT_EQ(a[k].score, b[k].score);
+    EXPECT_EQ(a[k].box.edges(), b[k].box.edges());
+  }
+}
 
 class DetectorInTheChain : public testing::Test {
  protected:
@@ -57,8 +70,12 @@ class DetectorInTheChain : public testing::Test {
     if (chain_) chain_->unload_all();
   }
 
-  void send(std::size_t index) {
-    const cv::Mat pixels = core::checked(core::read_color_image(images_[index].second));
+  cv::Mat image(std::size_t index) const { return core::checked(core::read_color_image(images_[index].second)); }
+
+  void send(std::size_t index, const core::Quaternion& q_odom_camera = core::Quaternion::Identity()) {
+    send(index, image(index), q_odom_camera);
+  }
+  void send(std::size_t index, const cv::Mat& pixels, const core::Quaternion& q_odom_camera) {
     auto image = boost::make_shared<sensor_msgs::Image>();
     image->header = make_header(to_ros_time(images_[index].first), "camera");
     image->width = static_cast<std::uint32_t>(pixels.cols);
@@ -67,7 +84,8 @@ class DetectorInTheChain : public testing::Test {
     image->encoding = sensor_msgs::image_encodings::BGR8;
     image->data.assign(pixels.datastart, pixels.dataend);
     auto transforms = boost::make_shared<tf2_msgs::TFMessage>();
-    transforms->transforms.push_back(make_transform(make_header(image->header.stamp, "odom"), "camera", core::SE3()));
+    transforms->transforms.push_back(make_transform(make_header(image->header.stamp, "odom"), "camera",
+                                                    core::SE3(q_odom_camera, core::Vec3::Zero())));
     tf_.publish(transforms);
     auto info = boost::make_shared<sensor_msgs::CameraInfo>();
     to_msg(core::Camera{517.3, 516.5, 318.6, 255.3, 640, 480, {}}, info.get());
@@ -121,16 +139,45 @@ TEST_F(DetectorInTheChain, InLockstepEveryImageThatIsDueHasItsBoxes) {
     EXPECT_EQ(answer.unanswered, !(*detector)->is_due(images_[i].first));
     if (answer.unanswered) continue;
     ++answered;
-    const auto boxes = core::checked((*detector)->detect(core::checked(core::read_color_image(images_[i].second))));
-    ASSERT_EQ(answer.detections.size(), boxes.size());
-    for (std::size_t k = 0; k < boxes.size(); ++k) {
-      EXPECT_EQ(answer.detections[k].class_id, boxes[k].class_id);
-      EXPECT_EQ(answer.detections[k].score, boxes[k].score);
-      EXPECT_EQ(answer.detections[k].box.edges(), boxes[k].box.edges());
-    }
+    const auto boxes = core::checked((*detector)->detect(image(i)));
+    expect_same(answer.detections, boxes);
   }
   EXPECT_GE(answered, 3U);
   EXPECT_LE(answered, 6U);
+}
+
+TEST_F(DetectorInTheChain, InLockstepEachImageIsTurnedUprightByItsOwnPose) {
+  constexpr std::size_t kLevel = 30, kApart = 3;  // images: what is up is estimated from frames 0.1 s apart
+  load(true, 0.0);
+  core::UpEstimator up(core::LoopOptions().up_window_s);
+  core::Quaternion q;
+  const auto push = [&](std::size_t index) {
+    core::Frame frame;
+    frame.stamp_ns = images_[index].first;
+    frame.T_odom_camera.q = q;
+    up.push(frame);
+  };
+  for (std::size_t i = 0; i < kLevel; ++i) {
+    q = core::so3_exp(core::Vec3(0.0, 0.06 * static_cast<double>(i), 0.0));
+    push(kApart * i);
+    send(kApart * i, q);
+    ASSERT_EQ(wait_for(i + 1).size(), i + 1);
+  }
+  const double roll_rad = 1.0;
+  constexpr std::size_t kClear = 300;  // an image with much in it
+  const cv::Mat color = core::testing::rolled(image(kClear), roll_rad);
+  q = q * core::so3_exp(core::Vec3(0.0, 0.0, roll_rad));
+  push(kApart * kLevel);
+  send(kApart * kLevel, color, q);
+  const auto received = wait_for(kLevel + 1);
+  ASSERT_EQ(received.size(), kLevel + 1);
+  EXPECT_NEAR(up.roll_rad(q), roll_rad, 0.1);
+  core::ObjectDetectorOptions options;
+  options.model = model_;
+  const auto detector =
+      core::ObjectDetector::load(options, core::checked(core::read_class_table(STL_CONFIG_DIR "/classes_coco.yaml")));
+  expect_same(received.back()->detections, core::checked((*detector)->detect(color, up.roll_rad(q))));
+  EXPECT_GE(received.back()->detections.size(), 2U);
 }
 
 TEST_F(DetectorInTheChain, InRealTimeTheNewestImageHasItsBoxesAndNoFrameWaitsForMore) {

@@ -60,10 +60,13 @@ class ObjectDetector {
   /// image, in order.
   bool is_due(std::int64_t stamp_ns);
   /// @param color CV_8UC3 as BGR, or CV_8UC1
+  /// @param roll_rad how far the camera is rolled, clockwise as it sees, since the networks are trained on upright
+  /// images: beyond 20 deg they are given the image turned back. Each box found there stands for the ellipse in it,
+  /// whose box in the image is returned
   /// @return boxes in pixels of the image, cut at its border, in order of falling score; without those whose name the
   /// class table does not have
   /// @return an error for an image of another type or an empty one
-  Result<std::vector<Detection>> detect(const cv::Mat& color);
+  Result<std::vector<Detection>> detect(const cv::Mat& color, double roll_rad = 0.0);
 
  private:
   class Impl;

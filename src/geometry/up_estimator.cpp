@@ -1,10 +1,11 @@
+#include "geometry/up_estimator.h"
+
 #include <Eigen/Eigenvalues>
 #include <algorithm>
 #include <cmath>
 #include <vector>
 
 #include "geometry/depth_points.h"
-#include "loop/submap/submap_builder.h"
 
 namespace semantic_topo_loop::core {
 namespace {
@@ -109,6 +110,13 @@ UpDirection UpEstimator::estimate(const Quaternion& q_odom_camera) const {
   if (up.direction.dot(image_up) < 0.0) up.direction = -up.direction;
   up.certain = true;
   return up;
+}
+
+double UpEstimator::roll_rad(const Quaternion& q_odom_camera) const {
+  constexpr double kMinInImage = 0.35;  // of up: the camera looks no nearer than 20 deg to the vertical
+  const UpDirection up = estimate(q_odom_camera);
+  if (!up.certain || up.direction.head<2>().norm() < kMinInImage) return 0.0;
+  return std::atan2(-up.direction.x(), -up.direction.y());
 }
 
 }  // namespace semantic_topo_loop::core
