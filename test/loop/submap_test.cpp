@@ -155,7 +155,7 @@ TEST(LocalMap, WhatTheBorderCutsIsFoundByTheSidesThatAreSeen) {
       const double third = box.width() / 3.0;
       const bool is_right = frame++ / frames_a_side % 2 == 0;
       (is_right ? box.x2 : box.x1) += is_right ? -third : third;
-      seen->truncated |= is_right ? 4 : 1;
+      seen->truncated = static_cast<std::uint8_t>(seen->truncated | (is_right ? 4 : 1));
       if (has_depth) seen->near_m = near_m(desk, pose, *seen);
     });
     double nearest_m = std::numeric_limits<double>::infinity();
