@@ -70,8 +70,8 @@ struct Calibration {
 
 /// Whether a focal length should be changed.   @param is_given it is the user's, which is less readily changed
 bool is_clear(const FocalEstimate& estimate, bool is_given) {
-  // Where depth is off by per cents, so is the best focal length.
-  const double min_change = is_given ? 0.02 : 0.005, min_gain = is_given ? 0.01 : 0.005;
+  // Where depth is off by per cents, or taken at other times, so is the best focal length.
+  const double min_change = is_given ? 0.03 : 0.005, min_gain = is_given ? 0.02 : 0.005;
   return std::abs(estimate.log_factor) > min_change && estimate.gain() > min_gain;
 }
 
@@ -272,8 +272,7 @@ struct RgbdFrontend::Impl {
     apply(refined.problem, &map);
     if (refined.focal) {
       focal_estimate += *refined.focal;
-      const FocalEstimate& judged = calibration.is_focal_given ? *refined.focal : focal_estimate;
-      if (is_clear(judged, calibration.is_focal_given)) new_focal_factor = std::exp(judged.log_factor);
+      if (is_clear(focal_estimate, calibration.is_focal_given)) new_focal_factor = std::exp(focal_estimate.log_factor);
     }
     const TrackingKeyframe& newest = map.keyframes().rbegin()->second;
     last->T_camera_map = newest.T_camera_map;
