@@ -192,7 +192,8 @@ void solve(const Camera& camera, int iterations, bool with_focal, BundleProblem*
   options.linear_solver_ordering = ordering;
   options.num_threads = 1;
   options.max_num_iterations = iterations;
-  // The costs with and without are compared to a per cent; poses of a window are refined again with the next keyframe.
+  // Costs at several focal lengths are compared to a fraction of a per cent; poses of a window are refined again with
+  // the next keyframe.
   options.function_tolerance = with_focal ? 1e-6 : 1e-4;
   options.logging_type = ceres::SILENT;
   ceres::Solver::Summary summary;
@@ -210,8 +211,7 @@ void solve(const Camera& camera, int iterations, bool with_focal, BundleProblem*
         !agrees(camera, bundle->poses[view.pose].T_camera_map, points[view.point], view.observation).first;
   }
   bundle->focal_factor = factor;
-  bundle->cost_before = summary.initial_cost;
-  bundle->cost_after = summary.final_cost;
+  bundle->cost = summary.final_cost;
   bundle->is_solved = true;
 }
 
@@ -224,25 +224,23 @@ FocalEstimate& FocalEstimate::operator+=(const FocalEstimate& other) {
 
 std::optional<FocalEstimate> estimate_focal_length(const Camera& camera, const BundleProblem& problem) {
   constexpr int kIterations = 20;  // to convergence, unlike those of the window
-  BundleProblem as_given = problem;
+  BundleProblem beside = problem;
   // Fixed keyframes would hold on to the focal length that they were placed with.
-  for (BundleProblem::Pose& pose : as_given.poses) pose.is_fixed = false;
-  as_given.poses.back().is_fixed = true;
-  BundleProblem corrected = as_given;
+  for (BundleProblem::Pose& pose : beside.poses) pose.is_fixed = false;
+  beside.poses.back().is_fixed = true;
+  BundleProblem corrected = beside;
   solve(camera, kIterations, true, &corrected);
   const double log_factor = std::log(corrected.focal_factor);
   // What the views say of the focal length is seen away from the best one.
   constexpr double kAside = 0.01;
   const double aside = std::abs(log_factor) > kAside ? 0.0 : log_factor + kAside;
-  Camera stated = camera;
-  stated.fx *= std::exp(aside);
-  stated.fy *= std::exp(aside);
-  solve(stated, kIterations, false, &as_given);
+  beside.focal_factor = std::exp(aside);
+  solve(camera, kIterations, false, &beside);
   constexpr double kLargest = 0.26;  // a factor of 1.3: no camera is stated that wrongly
-  if (!as_given.is_solved || !corrected.is_solved || !(corrected.cost_after > 0.0)) return std::nullopt;
+  if (!beside.is_solved || !corrected.is_solved || !(corrected.cost > 0.0)) return std::nullopt;
   if (std::abs(log_factor) > kLargest) return std::nullopt;
   const double off = aside - log_factor;
-  return FocalEstimate{log_factor, std::max(0.0, as_given.cost_after / corrected.cost_after - 1.0) / (off * off)};
+  return FocalEstimate{log_factor, std::max(0.0, beside.cost / corrected.cost - 1.0) / (off * off)};
 }
 
 void apply(const BundleProblem& problem, TrackingMap* map) {

@@ -29,7 +29,7 @@ struct BundleProblem {
   std::vector<Point> points;
   std::vector<View> views;
   double focal_factor = 1.0;  ///< of the camera's focal lengths
-  double cost_before = 0.0, cost_after = 0.0;
+  double cost = 0.0;          ///< once it is solved
   bool is_solved = false;
 };
 
@@ -38,7 +38,7 @@ struct BundleProblem {
 BundleProblem local_bundle(const TrackingMap& map, std::int64_t keyframe, const FrontendOptions& options);
 
 /// Refines poses and points: reprojection and depth errors, robust. Same problem, same result, bit for bit.
-/// @param with_focal fits focal_factor, too
+/// @param with_focal fits focal_factor, too; else it is held
 void solve(const Camera& camera, int iterations, bool with_focal, BundleProblem* problem);
 
 /// What the views of a window say of the focal lengths: around log_factor, the cost is the least one times

@@ -43,7 +43,6 @@ struct Letterbox {
   /// The box, in the image, of the ellipse that touches a box on the square from inside.
   Box to_image(const Box& box) const {
     const Vec4 edges = (box.edges() - offset.replicate<2, 1>()) / scale;
-    if (R.isIdentity(0.0)) return {edges[0], edges[1], edges[2], edges[3]};
     const Vec2 center = R.transpose() * (0.5 * (edges.head<2>() + edges.tail<2>()));
     const Vec2 half = 0.5 * (edges.tail<2>() - edges.head<2>());
     const Vec2 in_image = (R.transpose().cwiseAbs2() * half.cwiseAbs2()).cwiseSqrt();

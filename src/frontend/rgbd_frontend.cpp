@@ -255,9 +255,9 @@ struct RgbdFrontend::Impl {
     if (map.keyframes().size() < 2) return;
     BundleProblem around = local_bundle(map, id, options);
     // Blurred images with few points, and few keyframes, would explain their errors by any focal length.
-    checks_focal = image.inliers >= strong_inliers(options) &&
-                   static_cast<int>(around.poses.size()) >= kFocalKeyframes && is_focal_check_due();
-    refinement = std::async(std::launch::async, [this, problem = std::move(around)]() mutable {
+    const bool checks_focal = image.inliers >= strong_inliers(options) &&
+                              static_cast<int>(around.poses.size()) >= kFocalKeyframes && is_focal_check_due();
+    refinement = std::async(std::launch::async, [this, checks_focal, problem = std::move(around)]() mutable {
       solve(calibration.camera, options.window_iterations, false, &problem);
       Refined refined;
       if (checks_focal) refined.focal = estimate_focal_length(calibration.camera, problem);
@@ -397,7 +397,6 @@ struct RgbdFrontend::Impl {
   FocalEstimate focal_estimate;            ///< of all checks of this map
   double new_focal_factor = 1.0;           ///< to be applied
   int next_focal_check = kFocalKeyframes;  ///< keyframes of the map
-  bool checks_focal = false;               ///< in the refinement that runs
   std::int64_t first_stamp_ns = 0;
   std::future<Refined> refinement;  ///< of the map around the last image, a keyframe
   std::int64_t images = 0;

@@ -76,14 +76,11 @@ class ObjectDetectorNodelet : public StageWith<ObjectDetectorParameters> {
   void on_frame(const FrameMessage::ConstPtr& frame) {
     const bool has_pose = !frame->is_end && frame->T_odom_camera.is_finite();
     if (has_pose) up_->push(*frame);
-    if (parameters_.lockstep) {
-      // No image comes after the end.
-      const ros::Time stamp = frame->is_end ? ros::TIME_MAX : frame->header.stamp;
-      roll_rad_[stamp] = has_pose ? up_->roll_rad(frame->T_odom_camera.q) : 0.0;
-      look_at_waiting();
-    } else if (has_pose) {
-      last_orientation_ = frame->T_odom_camera.q;
-    }
+    if (!parameters_.lockstep) roll_rad_.clear();
+    // No image comes after the end.
+    const ros::Time stamp = frame->is_end ? ros::TIME_MAX : frame->header.stamp;
+    roll_rad_[stamp] = has_pose ? up_->roll_rad(frame->T_odom_camera.q) : 0.0;
+    if (parameters_.lockstep) look_at_waiting();
   }
 
   /// Images whose frame has come, or a later one, so that none will.
@@ -110,7 +107,7 @@ class ObjectDetectorNodelet : public StageWith<ObjectDetectorParameters> {
       newest.swap(newest_);
     }
     for (const std_msgs::Header& header : overtaken) leave_out(header);
-    if (newest) look_at(*newest, up_->roll_rad(last_orientation_));
+    if (newest) look_at(*newest, roll_rad_.empty() ? 0.0 : roll_rad_.begin()->second);
   }
 
   void look_at(const sensor_msgs::Image& image, double roll_rad) {
@@ -140,12 +137,11 @@ class ObjectDetectorNodelet : public StageWith<ObjectDetectorParameters> {
   image_transport::Subscriber subscriber_;
   std::function<void()> look_at_newest_;
   std::unique_ptr<core::UpEstimator> up_;
-  core::Quaternion last_orientation_ = core::Quaternion::Identity();  ///< of the camera in the odometry's world
-  std::deque<sensor_msgs::ImageConstPtr> waiting_;                    ///< lockstep: for their frames
-  std::map<ros::Time, double> roll_rad_;     ///< lockstep: by stamp, of frames whose image may still come
-  std::mutex mutex_;                         ///< guards all below
-  sensor_msgs::ImageConstPtr newest_;        ///< that nobody has looked at yet
-  std::vector<std_msgs::Header> overtaken_;  ///< of images before it, in order of arrival
+  std::deque<sensor_msgs::ImageConstPtr> waiting_;  ///< lockstep: for their frames
+  std::map<ros::Time, double> roll_rad_;            ///< by stamp: of frames whose image may still come, or the last one
+  std::mutex mutex_;                                ///< guards all below
+  sensor_msgs::ImageConstPtr newest_;               ///< that nobody has looked at yet
+  std::vector<std_msgs::Header> overtaken_;         ///< of images before it, in order of arrival
 };
 
 }  // namespace semantic_topo_loop

@@ -97,6 +97,9 @@ TEST(RgbdFrontend, BeginsAnewWithTheFocalLengthItFound) {
   FrontendOptions as_stated;
   as_stated.self_calibration = false;
   EXPECT_LT(rmse_m(std::move(frontend)), 0.4 * rmse_m(RgbdFrontend(as_stated, stated)));
+  RgbdFrontend uncorrected(as_stated, stated);
+  EXPECT_FALSE(is_recalibrated(&uncorrected));
+  EXPECT_EQ(uncorrected.camera().fx, stated.fx);
 }
 
 TEST(RgbdFrontend, PointsAreThoseOfTheDepthImageAndExactInFloat) {

@@ -55,7 +55,7 @@ struct DepthRange {
 /// A color image with its depth, as the front end works on it.
 struct RgbdImage {
   std::int64_t stamp_ns = 0;
-  cv::Mat color;    ///< as make_rgbd_image was given it: CV_8UC3 as BGR, or CV_8UC1
+  cv::Mat color;    ///< for the detector: CV_8UC3 as BGR, or CV_8UC1 where make_rgbd_image was given no more
   cv::Mat gray;     ///< CV_8UC1, raw (distorted) pixels
   cv::Mat depth_m;  ///< CV_32FC1 of the same size: m along the color camera's z axis; 0 where there is none
   DepthRange depth_range;
