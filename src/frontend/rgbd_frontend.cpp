@@ -137,17 +137,20 @@ struct RgbdFrontend::Impl {
   }
 
   bool find_again(TrackedFeatures* image, bool in_all_sections) {
-    // Bounds the time of a lost image; with the images that follow, every keyframe has its turn.
-    constexpr std::size_t kNewest = 3, kOthers = 3;
-    std::vector<std::int64_t> ids;
-    for (auto it = map.keyframes().rbegin(); it != map.keyframes().rend(); ++it) {
-      if (in_all_sections || it->second.section == last->section) ids.push_back(it->first);
+    // Bounds the time of a lost image.
+    constexpr std::size_t kNewest = 3, kAlike = 3;
+    const auto is_asked = [&](const TrackingKeyframe& keyframe) {
+      return in_all_sections || keyframe.section == last->section;
+    };
+    std::vector<std::int64_t> tried;
+    for (auto it = map.keyframes().rbegin(); it != map.keyframes().rend() && tried.size() < kNewest; ++it) {
+      if (is_asked(it->second)) tried.push_back(it->first);
     }
-    std::vector<std::int64_t> tried(ids.begin(),
-                                    ids.begin() + static_cast<std::ptrdiff_t>(std::min(kNewest, ids.size())));
-    for (std::size_t i = 0; i < kOthers && ids.size() > kNewest; ++i) {
-      tried.push_back(ids[kNewest + next_candidate++ % (ids.size() - kNewest)]);
-    }
+    const std::int64_t oldest_tried = tried.empty() ? 0 : tried.back();
+    const std::vector<std::int64_t> alike = most_alike(*image, kAlike, [&](const TrackingKeyframe& keyframe) {
+      return keyframe.id < oldest_tried && is_asked(keyframe);
+    });
+    tried.insert(tried.end(), alike.begin(), alike.end());
     // The pose that explains most: a wrong one is seldom that.
     const int strong = strong_inliers(options);
     std::optional<TrackedFeatures> best;
@@ -167,12 +170,13 @@ struct RgbdFrontend::Impl {
     return best.has_value();
   }
 
-  /// Keyframes of other sections that look most like an image, best first; the newer of two that are equally alike.
-  std::vector<std::int64_t> most_alike_elsewhere(const TrackedFeatures& image, std::size_t count) const {
+  /// The keyframes asked for that look most like an image, best first; the newer of two that are equally alike.
+  template <typename Predicate>
+  std::vector<std::int64_t> most_alike(const TrackedFeatures& image, std::size_t count, Predicate is_asked) const {
     std::vector<std::pair<int, std::int64_t>> alike;
     std::vector<std::uint32_t> words;
     for (const auto& [id, keyframe] : map.keyframes()) {
-      if (keyframe.section == image.section) continue;
+      if (!is_asked(keyframe)) continue;
       if (words.empty()) words = visual_words(image.features);
       alike.emplace_back(common_words(words, keyframe.words), id);
     }
@@ -200,7 +204,8 @@ struct RgbdFrontend::Impl {
   /// keyframe's section: its poses go on as they are.
   std::optional<SourceLoop> look_back(const TrackedFeatures& image) {
     constexpr std::size_t kTried = 3;  // bounds the time of a keyframe
-    for (const std::int64_t id : most_alike_elsewhere(image, kTried)) {
+    const auto is_elsewhere = [&](const TrackingKeyframe& keyframe) { return keyframe.section != image.section; };
+    for (const std::int64_t id : most_alike(image, kTried, is_elsewhere)) {
       const TrackingKeyframe& keyframe = *map.keyframe(id);
       TrackedFeatures there = image;
       if (!find_points(keyframe, calibration.camera, &map, &there)) continue;
@@ -403,7 +408,6 @@ struct RgbdFrontend::Impl {
   std::int64_t starts = 1;  ///< maps begun: each counts its points from 0
   int next_section = 0;
   std::optional<Sighting> sighting;     ///< the last one
-  std::size_t next_candidate = 0;       ///< of the keyframes that are tried in turn
   std::optional<TrackedFeatures> last;  ///< the last image that has a pose
   std::int64_t last_tracked_image = -1;
   SE3 T_last_before;  ///< motion of the camera over the last two images, in the camera frame

@@ -185,6 +185,24 @@ TEST(RgbdFrontend, LostElsewhereAndFoundAgain) {
   EXPECT_LT(error_m(tracked, 20), 0.02);
 }
 
+TEST(RgbdFrontend, PutElsewhereItIsFoundAtOnceByWhatLooksAlike) {
+  constexpr int kTurn = 80;  // images, once round
+  const auto turned = [](int image) { return SE3(so3_exp(Vec3(0.0, 2.0 * kPi * image / kTurn, 0.0)), Vec3::Zero()); };
+  RgbdFrontend frontend({}, kCamera);
+  int next = 0;
+  for (; next < kTurn; ++next) {
+    ASSERT_TRUE(frontend.track(kRoom.render(stamp_of(next), turned(next))).sample) << next;
+  }
+  for (const int target : {20, 60, 35, 50, 10}) {
+    RgbdImage covered = on_walk(next++);
+    covered.gray.setTo(0);
+    EXPECT_EQ(frontend.track(covered).state, TrackingState::kUnusable);
+    const TrackedImage found = frontend.track(kRoom.render(stamp_of(next++), turned(target)));
+    ASSERT_EQ(found.state, TrackingState::kRelocalised) << target;
+    EXPECT_LT(found.sample->T_odom_camera.t.norm(), 0.05) << target;
+  }
+}
+
 TEST(RgbdFrontend, LostForLongItStartsAnewWithABreak) {
   FrontendOptions options;
   options.restart_after_s = 0.2;
