@@ -55,10 +55,13 @@ void OdometryMonitor::restart() {
 bool OdometryMonitor::push(const ObservedFrame& frame) {
   const Shift shift = common_shift(frame);
   const double age_s = 1e-9 * static_cast<double>(frame.stamp_ns - reference_ns_);
-  if (shift.support < kMinSupport || !(age_s > 0.0)) return false;
+  const bool is_in_place = shift.support <= 2 * shift.in_place;
+  if (shift.support < kMinSupport || !(age_s > 0.0)) {
+    if (is_in_place && shift.support > 0) jumped_frames_ = 0;  // few, but they speak against a jump
+    return false;
+  }
   const double usual = drift_rad_s().value_or(0.0) * age_s;
-  const bool jumped =
-      shift.support > 2 * shift.in_place && shift.offset.norm() > std::max(kMinJump, kJumpFactor * usual);
+  const bool jumped = !is_in_place && shift.offset.norm() > std::max(kMinJump, kJumpFactor * usual);
   jumped_frames_ = jumped ? jumped_frames_ + 1 : 0;
   if (jumped_frames_ >= kJumpFrames) {
     restart();
