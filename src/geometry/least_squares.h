@@ -13,6 +13,8 @@ template <int kShared, int kBlock>
 struct ArrowUnknowns {
   Eigen::Matrix<double, kShared, 1> shared = Eigen::Matrix<double, kShared, 1>::Zero();
   std::vector<Eigen::Matrix<double, kBlock, 1>> blocks;
+
+  bool is_finite() const { return shared.allFinite(); }
 };
 
 /// Its normal equations H step = -g; residuals add J^T w J to H and J^T w r to g.
@@ -73,20 +75,21 @@ struct LeastSquaresOptions {
 
 /// Levenberg-Marquardt for a handful of shared unknowns and blocks of a few, for which Ceres' set-up costs more than
 /// the solution.
+/// @tparam Equations ArrowEquations, or the like: with Unknowns, cost and reduce()
 /// @param linearise bool(unknowns, equations*): overwrites the equations; false where the cost is not defined
 /// @param unknowns the start, then the best found   @param equations there, overwritten
 /// @return false if the start has no cost or a step is not finite
-template <int kShared, int kBlock, class Linearise>
-bool minimise(const LeastSquaresOptions& options, const Linearise& linearise, ArrowUnknowns<kShared, kBlock>* unknowns,
-              ArrowEquations<kShared, kBlock>* equations) {
+template <class Equations, class Linearise>
+bool minimise(const LeastSquaresOptions& options, const Linearise& linearise, typename Equations::Unknowns* unknowns,
+              Equations* equations) {
   constexpr double kMaxDamping = 1e6;  // steps are a millionth of the gradient's then: nothing is to be gained
   if (!linearise(*unknowns, equations)) return false;
-  ArrowEquations<kShared, kBlock> next_equations(unknowns->blocks.size());
+  Equations next_equations = *equations;
   double damping = options.damping;
   for (int i = 0; i < options.max_iterations && damping < kMaxDamping; ++i) {
-    ArrowUnknowns<kShared, kBlock> next;
+    typename Equations::Unknowns next;
     equations->reduce(damping, *unknowns, &next);
-    if (!next.shared.allFinite()) return false;
+    if (!next.is_finite()) return false;
     const bool better = linearise(next, &next_equations) && next_equations.cost < equations->cost;
     damping *= better ? 0.1 : 10.0;
     if (!better) continue;

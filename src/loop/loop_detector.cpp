@@ -14,6 +14,7 @@
 #include "loop/paper/paper_detector.h"
 #include "loop/submap/observation_window.h"
 #include "loop/submap/submap_builder.h"
+#include "loop/submap/window_solver.h"
 #include "odometry/motion_bursts.h"
 #include "semantic_topo_loop/loop/loop_options.h"
 
@@ -80,7 +81,10 @@ struct LoopDetector::Impl {
     up_.push(frame);
     if (!paper_mode_) watch_odometry(frame, taken);
     if (associations.unanswered || !is_due(frame)) return {};
-    std::optional<LocalMap> map = build_local_map(window_.frames(), redirects_, up_, options_);
+    const std::optional<std::size_t> anchor = middle_keyframe(window_.frames());
+    if (!anchor) return {};
+    std::optional<LocalMap> map = build_local_map(
+        paper_mode_ ? window_.frames() : solver_.solve(window_.frames(), *anchor), redirects_, up_, options_);
     if (!map) return {};
     if (paper_mode_) {
       std::vector<LoopClosure> loops = paper_.detect(std::move(*map), options_.enabled);
@@ -198,7 +202,7 @@ struct LoopDetector::Impl {
     return true;
   }
 
-  /// A submap must not straddle a jump of the odometry, and spans less time the faster the odometry drifts.
+  /// A submap must not straddle a jump of the odometry, and spans less time the less is known of its motion.
   void watch_odometry(const Frame& frame, bool taken) {
     if (frame.is_break) {
       monitor_.restart();
@@ -218,10 +222,8 @@ struct LoopDetector::Impl {
       ++segment_;
       settled_ns_ = frame.stamp_ns + kSettle_ns;
     }
-    const std::optional<double> drift = monitor_.drift_rad_s();
-    if (drift) {
-      const double span_s = radians(options_.window_drift_deg) / std::max(*drift, 1e-9);
-      window_.set_span(std::clamp(span_s, options_.min_window_s, options_.window_s));
+    if (const std::optional<double> span_s = solver_.span_s(radians(options_.window_sigma_deg))) {
+      window_.set_span(std::clamp(*span_s, options_.min_window_s, options_.window_s));
     }
   }
 
@@ -231,6 +233,7 @@ struct LoopDetector::Impl {
   int segment_ = 0;
   std::int64_t settled_ns_ = 0;  ///< frames before are left out, after a jump
   ObservationWindow window_;
+  WindowSolver solver_;
   OdometryMonitor monitor_;
   BurstWatch bursts_;
   UpEstimator up_;

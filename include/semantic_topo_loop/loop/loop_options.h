@@ -18,7 +18,7 @@ struct LoopOptions {
 
   double window_s = 15.0;
   double min_window_s = 6.0;
-  double window_drift_deg = 1.7;
+  double window_sigma_deg = 1.0;
   double frame_interval_s = 0.09;
   double store_interval_s = 2.0;
   int min_views = 6;
@@ -78,7 +78,8 @@ struct LoopOptions {
             "loops are looked for this often, and at keyframes");
     visitor("window_s", window_s, positive(), "graph mode: time span of a submap, at most");
     visitor("min_window_s", min_window_s, positive(), "and at least, however poor the odometry is");
-    visitor("window_drift_deg", window_drift_deg, positive(), "the odometry's apparent drift within a submap, at most");
+    visitor("window_sigma_deg", window_sigma_deg, positive(),
+            "what may be in doubt of the orientation at the ends of a submap, once it is solved (1 sigma)");
     visitor("frame_interval_s", frame_interval_s, not_negative(), "frames of a submap are at least this far apart");
     visitor("store_interval_s", store_interval_s, positive(), "a submap is kept for later matches every so often");
     visitor("min_views", min_views, at_least(3), "frames of a submap that see an object, at least");

@@ -287,16 +287,6 @@ class Clustering {
   std::vector<RayCluster> clusters_;
 };
 
-const ObservedFrame* middle_keyframe(const std::deque<ObservedFrame>& window) {
-  const std::int64_t middle = window.front().stamp_ns + (window.back().stamp_ns - window.front().stamp_ns) / 2;
-  const ObservedFrame* best = nullptr;
-  for (const ObservedFrame& frame : window) {
-    if (!frame.is_keyframe) continue;
-    if (best == nullptr || std::abs(frame.stamp_ns - middle) < std::abs(best->stamp_ns - middle)) best = &frame;
-  }
-  return best;
-}
-
 LocalFrame make_frame(const ObservedFrame& observed, const SE3& T_anchor_odom) {
   const SE3 T_local_camera = T_anchor_odom * observed.T_odom_camera;
   LocalFrame frame;
@@ -455,11 +445,22 @@ bool in_view(const LocalFrame& frame, const Vec3& point, double max_depth_m) {
   return u > frame.image.x1 + mx && u < frame.image.x2 - mx && v > frame.image.y1 + my && v < frame.image.y2 - my;
 }
 
+std::optional<std::size_t> middle_keyframe(const std::deque<ObservedFrame>& window) {
+  if (window.empty()) return std::nullopt;
+  const std::int64_t middle = window.front().stamp_ns + (window.back().stamp_ns - window.front().stamp_ns) / 2;
+  const auto distance = [&](std::size_t i) { return std::abs(window[i].stamp_ns - middle); };
+  std::optional<std::size_t> best;
+  for (std::size_t i = 0; i < window.size(); ++i) {
+    if (window[i].is_keyframe && (!best || distance(i) < distance(*best))) best = i;
+  }
+  return best;
+}
+
 std::optional<LocalMap> build_local_map(const std::deque<ObservedFrame>& window, const LandmarkRedirects& redirects,
                                         const UpEstimator& up, const LoopOptions& options) {
-  if (window.empty()) return std::nullopt;
-  const ObservedFrame* anchor = middle_keyframe(window);
-  if (anchor == nullptr) return std::nullopt;
+  const std::optional<std::size_t> middle = middle_keyframe(window);
+  if (!middle) return std::nullopt;
+  const ObservedFrame* anchor = &window[*middle];
   LocalMap map;
   map.keyframe_id = anchor->keyframe_id;
   map.frame_id = anchor->frame_id;

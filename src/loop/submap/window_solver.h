@@ -1,0 +1,49 @@
+#pragma once
+
+#include <cstddef>
+#include <cstdint>
+#include <deque>
+#include <optional>
+
+#include "loop/submap/observation_window.h"
+
+namespace semantic_topo_loop::core {
+
+/// What is taken for the errors of an odometry over some seconds (1 sigma an axis): steps that are independent, and a
+/// drift that lasts; and for those of the boxes.
+struct WindowNoise {
+  double step_m = 0.001, step_rad = 0.001;        ///< after a second, grow with the root of the time
+  double drift_mps = 0.001, drift_radps = 0.001;  ///< m/s and rad/s, the same for kDriftSpan_s
+  double box_factor = 1.0;                        ///< on the sigmas that boxes are usually known by
+};
+
+/// Squares of what was found, over how many of them the boxes determine: a variance.
+struct VarianceEvidence {
+  double squares = 0.0, count = 0.0;
+};
+struct WindowEvidence {
+  VarianceEvidence step_translation, step_rotation, drift_translation, drift_rotation;
+  double box_factor = 1.0;
+  double doubt_radps = 0.0;  ///< what is left in doubt of the camera's orientation, a second away from the anchor
+};
+
+/// Solves a window of frames for the camera's motion and the objects on all sides of their boxes, since an odometry of
+/// robots and cameras is off by centimetres within the seconds of a submap. How far the odometry is to be trusted is
+/// learnt from window to window by the evidence of the boxes (MacKay's fixed point), so that a good odometry is left as
+/// it is. In seconds, metres and radians: any frame rate.
+class WindowSolver {
+ public:
+  /// @param window frames, poses in any world   @param anchor index of the frame that stays where it is
+  /// @return the same frames at the poses found; as they are if they are few, or not in order of time
+  std::deque<ObservedFrame> solve(std::deque<ObservedFrame> window, std::size_t anchor);
+  WindowNoise noise() const;
+  /// How long a window may be for the orientation at its ends, seen from the middle, to be known to a sigma (rad).
+  /// @return nullopt before anything is learnt
+  std::optional<double> span_s(double sigma_rad) const;
+
+ private:
+  WindowEvidence evidence_;
+  std::int64_t learnt_ns_ = 0;  ///< stamp of the window that was learnt from last
+};
+
+}  // namespace semantic_topo_loop::core

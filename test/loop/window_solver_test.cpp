@@ -1,0 +1,132 @@
+#include "loop/submap/window_solver.h"
+
+#include <gtest/gtest.h>
+
+#include <cmath>
+#include <deque>
+#include <random>
+
+#include "loop/submap/submap_builder.h"
+#include "semantic_topo_loop/geometry/lie.h"
+#include "support/synthetic_desk.h"
+
+namespace semantic_topo_loop::core {
+namespace {
+
+using testing::desk_camera;
+using testing::desk_classes;
+using testing::random_desk;
+
+/// Errors of an odometry: a velocity and a turn rate that come and go within two seconds, 1 sigma.
+struct Drift {
+  double velocity_mps = 0.0, turn_radps = 0.0;
+};
+
+struct Errors {
+  double before_m = 0.0, before_rad = 0.0, after_m = 0.0, after_rad = 0.0;  ///< rms at the ends, seen from the middle
+  WindowNoise noise;
+};
+
+/// A camera goes to and fro around a desk; windows of 6 s are solved every half second. The last half of them counts.
+Errors go_round(const Drift& drift, std::uint64_t seed, double rate_hz = 10.0) {
+  constexpr double kDuration_s = 40.0, kSolveInterval_s = 0.5, kMemory_s = 2.0;
+  const auto desk = random_desk(seed, 12);
+  ObservationWindow window(6.0, 0.0, *desk_classes());
+  FrameBuilder builder(KeyframeOptions(), desk_camera());
+  std::mt19937_64 random(seed);
+  WindowSolver solver;
+  Errors errors;
+  std::vector<SE3> truth;
+  SE3 T_odom_camera;
+  Vec6 rate = Vec6::Zero();
+  const double dt = 1.0 / rate_hz, kept = std::exp(-dt / kMemory_s);
+  int judged = 0;
+  double next_s = 6.0;
+  for (int k = 0; k * dt < kDuration_s; ++k) {
+    const double time_s = k * dt;
+    const SE3 pose = testing::desk_pose({{0.0, kDuration_s, 0.0, 200.0}}, time_s);
+    for (int i = 0; i < 6; ++i) {
+      const double sigma = i < 3 ? drift.velocity_mps : drift.turn_radps;
+      rate(i) = kept * rate(i) + std::sqrt(1.0 - kept * kept) * sigma * testing::noise(random);
+    }
+    T_odom_camera = truth.empty() ? pose : T_odom_camera * (truth.back().inverse() * pose) * se3_exp(dt * rate);
+    truth.push_back(pose);
+    PoseSample sample;
+    sample.stamp_ns = std::llround(1e9 * (1.0 + time_s));
+    sample.T_odom_camera = T_odom_camera;
+    const auto frame = builder.build(sample);
+    window.push(*frame, testing::observe(desk, *frame, pose, 0, random));
+    if (time_s < next_s) continue;
+    next_s += kSolveInterval_s;
+    const std::deque<ObservedFrame>& raw = window.frames();
+    const std::size_t anchor = middle_keyframe(raw).value();
+    const std::deque<ObservedFrame> solved = solver.solve(raw, anchor);
+    EXPECT_LT((solved[anchor].T_odom_camera.t - raw[anchor].T_odom_camera.t).norm(), 1e-6);
+    if (time_s < 0.5 * kDuration_s) continue;
+    for (const std::size_t end : {std::size_t{0}, raw.size() - 1}) {
+      const auto pose_of = [&](std::size_t i) { return truth[static_cast<std::size_t>(raw[i].frame_id)]; };
+      const SE3 right = pose_of(anchor).inverse() * pose_of(end);
+      const auto error = [&](const std::deque<ObservedFrame>& frames) {
+        return se3_log(right.inverse() * (frames[anchor].T_odom_camera.inverse() * frames[end].T_odom_camera));
+      };
+      errors.before_m += error(raw).head<3>().squaredNorm();
+      errors.before_rad += error(raw).tail<3>().squaredNorm();
+      errors.after_m += error(solved).head<3>().squaredNorm();
+      errors.after_rad += error(solved).tail<3>().squaredNorm();
+      ++judged;
+    }
+  }
+  for (double* sum : {&errors.before_m, &errors.before_rad, &errors.after_m, &errors.after_rad}) {
+    *sum = std::sqrt(*sum / judged);
+  }
+  errors.noise = solver.noise();
+  return errors;
+}
+
+TEST(WindowSolver, FindsMostOfWhatTheOdometryIsOff) {
+  for (const std::uint64_t seed : {1, 2, 3}) {
+    const Errors errors = go_round({0.02, 0.015}, seed);
+    EXPECT_GT(errors.before_m, 0.03) << seed;
+    EXPECT_LT(errors.after_m, 0.5 * errors.before_m) << seed;
+    EXPECT_LT(errors.after_rad, 0.5 * errors.before_rad) << seed;
+  }
+}
+
+TEST(WindowSolver, LeavesAGoodOdometryAsItIs) {
+  for (const std::uint64_t seed : {1, 2, 3}) {
+    const Errors errors = go_round({}, seed);
+    EXPECT_LT(errors.after_m, 0.003) << seed;
+    EXPECT_LT(degrees(errors.after_rad), 0.15) << seed;
+  }
+}
+
+TEST(WindowSolver, LearnsHowGoodTheOdometryIsAtAnyFrameRate) {
+  const WindowNoise good = go_round({}, 4).noise;
+  const WindowNoise slow = go_round({0.02, 0.015}, 4).noise, fast = go_round({0.02, 0.015}, 4, 30.0).noise;
+  const auto lasting = [](const WindowNoise& noise) { return noise.drift_mps + noise.step_m; };
+  EXPECT_LT(lasting(good), 0.004);
+  for (const WindowNoise& noise : {slow, fast}) {
+    EXPECT_GT(lasting(noise), 3.0 * lasting(good));
+    EXPECT_LT(lasting(noise), 0.06);
+    EXPECT_NEAR(noise.box_factor, 1.0, 0.5);
+  }
+}
+
+TEST(WindowSolver, WithoutBoxesThereIsNothingToFind) {
+  std::deque<ObservedFrame> window(30);
+  for (std::size_t i = 0; i < window.size(); ++i) {
+    window[i].stamp_ns = static_cast<std::int64_t>(i) * 100'000'000;
+    window[i].T_odom_camera.t = Vec3(0.02 * static_cast<double>(i), 0.0, 0.0);
+  }
+  WindowSolver solver;
+  EXPECT_EQ(solver.span_s(0.01), std::nullopt);
+  const std::deque<ObservedFrame> solved = solver.solve(window, 12);
+  for (std::size_t i = 0; i < window.size(); ++i) {
+    EXPECT_LT((solved[i].T_odom_camera.t - window[i].T_odom_camera.t).norm(), 1e-9) << i;
+  }
+  window.resize(1);
+  EXPECT_EQ(solver.solve(window, 0).size(), 1u);
+}
+
+}  // namespace
+}  // namespace semantic_topo_loop::core
