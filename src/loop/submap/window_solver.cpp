@@ -42,6 +42,7 @@ constexpr double kMemory_s = 10.0;        ///< in which evidence is forgotten
 constexpr double kLearnInterval_s = 0.6;  ///< windows closer in time say the same
 constexpr double kBoxRate = 0.1;          ///< by which the boxes' errors are learnt, a window
 constexpr std::size_t kMinSides = 80;     ///< of boxes, for that
+constexpr double kMaxBoxFactor = 5.0;     ///< either way: boxes of a simulation may be exact
 
 using Vec5 = Eigen::Matrix<double, 5, 1>;
 using Mat5 = Eigen::Matrix<double, 5, 5>;
@@ -386,6 +387,7 @@ void learn(const Problem& problem, const Unknowns& unknowns, const Equations& eq
   const Eigen::MatrixXd information = equations.reduce(0.0, unknowns, nullptr);
   const Eigen::MatrixXd covariance = information.selfadjointView<Eigen::Lower>().llt().solve(
       Eigen::MatrixXd::Identity(information.rows(), information.cols()));
+  if (!covariance.allFinite()) return;
   const WindowNoise& noise = problem.noise;
   for (std::size_t i = 0; i < problem.steps(); ++i) {
     const double dt = problem.duration_s(i);
@@ -410,7 +412,8 @@ void learn(const Problem& problem, const Unknowns& unknowns, const Equations& eq
   const double ends = covariance.diagonal().segment<3>(3).mean() + covariance.diagonal().segment<3>(last + 3).mean();
   evidence->doubt_radps = std::sqrt(2.0 * ends) / (problem.times_s.back() - problem.times_s.front());
   if (const std::optional<double> variance = box_variance(problem, unknowns)) {
-    evidence->box_factor *= std::sqrt(1.0 + kBoxRate * (*variance - 1.0));
+    const double factor = evidence->box_factor * std::sqrt(1.0 + kBoxRate * (*variance - 1.0));
+    evidence->box_factor = std::clamp(factor, 1.0 / kMaxBoxFactor, kMaxBoxFactor);
   }
 }
 
