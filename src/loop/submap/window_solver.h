@@ -13,7 +13,7 @@ namespace semantic_topo_loop::core {
 /// drift that lasts; and for those of the boxes.
 struct WindowNoise {
   double step_m = 0.001, step_rad = 0.001;        ///< after a second, grow with the root of the time
-  double drift_mps = 0.001, drift_radps = 0.001;  ///< m/s and rad/s, the same for kDriftSpan_s
+  double drift_mps = 0.001, drift_radps = 0.001;  ///< m/s and rad/s, the same for seconds on end
   double box_factor = 1.0;                        ///< on the sigmas that boxes are usually known by
 };
 
