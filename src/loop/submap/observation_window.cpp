@@ -22,6 +22,8 @@ constexpr std::size_t kPointsMax = 2000;  ///< of a frame: one in 5 cm x 5 cm of
 /// Farther, a structured-light camera's depth is off by more than 3 cm, and its distortion by more still.
 constexpr double kMaxRange_m = 4.5;
 
+constexpr double kBoxSigma_px = 1.5, kBoxSigmaShare = 0.02;  ///< the second of the box size
+
 /// Some of the points, evenly taken.
 std::shared_ptr<const std::vector<Eigen::Vector3f>> thinned(const std::vector<Vec3>& points_camera) {
   std::size_t step = points_camera.size() / kPointsMax + 1;
@@ -45,6 +47,10 @@ std::optional<Box> turned(const Box& box, const Mat3& R_now_then) {
 }
 
 }  // namespace
+
+double box_sigma(const Box& box, const Vec2& focal_px) {
+  return kBoxSigma_px / focal_px.mean() + kBoxSigmaShare * box.size();
+}
 
 std::vector<int> BoxTracker::match(const Quaternion& q_odom_camera, const std::vector<ObservedBox>& boxes) const {
   std::vector<std::tuple<double, int, int>> pairs;  // minus the overlap, track, box

@@ -43,12 +43,16 @@ class BoxTracker {
   std::int64_t next_id_ = 0;
 };
 
+/// What the sides of a box are usually off by (1 sigma), on the plane z = 1.
+double box_sigma(const Box& box, const Vec2& focal_px);
+
 struct ObservedFrame {
   std::int64_t frame_id = -1;
   std::int64_t keyframe_id = -1;
   std::int64_t stamp_ns = 0;
   bool is_keyframe = false;
   SE3 T_odom_camera;
+  double frozen_s = 0.0;  ///< since the frame before, if the odometry stood still though what is in view moved; else 0
   Vec2 focal_px = Vec2::Ones();
   Box image;  ///< the image's rectangle on the plane z = 1
   std::vector<ObservedBox> boxes;

@@ -14,6 +14,7 @@
 #include "geometry/least_squares.h"
 #include "geometry/relative_pose.h"
 #include "geometry/statistics.h"
+#include "loop/submap/frozen_odometry.h"
 #include "semantic_topo_loop/geometry/lie.h"
 
 namespace semantic_topo_loop::core {
@@ -23,9 +24,10 @@ namespace {
 // differently.
 constexpr double kKnotInterval_s = 0.45;  ///< poses are solved for this often: boxes of closer frames are off alike
 constexpr double kDriftSpan_s = 3.0;      ///< for which a drift lasts
-constexpr double kBoxSigma_px = 1.5, kBoxSigmaShare = 0.02;  ///< of a box side: usual, and a share of the box size
-constexpr double kBoxWeight = 0.5;                           ///< what is left of that by errors that neighbours share
-constexpr double kBoxDoubt = 2.0;                            ///< sigmas, from which on boxes count less (Cauchy)
+constexpr double kBoxWeight = 0.5;        ///< what is left of a box's by errors that neighbours share
+constexpr double kBoxDoubt = 2.0;         ///< sigmas, from which on boxes count less (Cauchy)
+/// m/s and rad/s: how a camera may move while the odometry stands still.
+constexpr double kUnseenRate = 0.5;
 constexpr std::size_t kMinViews = 4;
 constexpr int kMaxCutSides = 2;
 constexpr double kMinDepth_m = 0.15;    ///< of an object before the camera
@@ -34,11 +36,11 @@ constexpr double kUnseenChi2 = 2300.0;  ///< of an object behind the camera: mor
 constexpr double kStartSigma = 1.0;
 
 /// What an odometry is at least off by, a root second or a second, and the degrees of freedom that this counts as.
-constexpr double kLeast_m = 0.001, kLeastCount = 3.0;
+constexpr double kLeast_m = 0.0005, kLeastCount = 3.0;
 /// Metres that a radian is worth, since the boxes of few objects do not tell turning from moving: the distance at which
 /// they are usually seen. Degrees of freedom by which errors of the two, and of both together, are held to each other.
 constexpr double kLever_m = 1.4, kTogetherCount = 30.0;
-constexpr double kMemory_s = 10.0;        ///< in which evidence is forgotten
+constexpr double kMemory_s = 20.0;        ///< in which evidence is forgotten
 constexpr double kLearnInterval_s = 0.6;  ///< windows closer in time say the same
 constexpr double kBoxRate = 0.1;          ///< by which the boxes' errors are learnt, a window
 constexpr std::size_t kMinSides = 80;     ///< of boxes, for that
@@ -47,6 +49,13 @@ constexpr double kMaxBoxFactor = 5.0;     ///< either way: boxes of a simulation
 using Vec5 = Eigen::Matrix<double, 5, 1>;
 using Mat5 = Eigen::Matrix<double, 5, 5>;
 using Mat65 = Eigen::Matrix<double, 6, 5>;
+
+Vec6 by_kind(double translation, double rotation) {
+  Vec6 values;
+  values << Vec3::Constant(translation), Vec3::Constant(rotation);
+  return values;
+}
+double squared(double x) { return x * x; }
 
 struct View {
   int knot = -1;
@@ -71,8 +80,10 @@ struct Track {
 
 struct Problem {
   std::vector<SE3> T_odom_knot;  ///< as the odometry has them
+  std::vector<SE3> start;        ///< the same, turned by what the boxes moved while it was frozen
   std::vector<double> times_s;
-  std::vector<int> drift_of;  ///< of each step, from a knot to the next
+  std::vector<int> drift_of;     ///< of each step, from a knot to the next
+  std::vector<double> frozen_s;  ///< of each step: for how long the odometry stood still though the view moved
   std::vector<Track> tracks;
   int anchor = 0;
   WindowNoise noise;
@@ -80,6 +91,13 @@ struct Problem {
   std::size_t steps() const { return T_odom_knot.size() - 1; }
   double duration_s(std::size_t step) const { return times_s[step + 1] - times_s[step]; }
   SE3 odometry(std::size_t step) const { return T_odom_knot[step].inverse() * T_odom_knot[step + 1]; }
+  bool is_frozen(std::size_t step) const { return frozen_s[step] > 0.0; }
+  /// Of the errors of a step, the drift taken off.
+  Vec6 step_variances(std::size_t step) const {
+    const double unseen = kUnseenRate * frozen_s[step];
+    return duration_s(step) * by_kind(squared(noise.step_m), squared(noise.step_rad)) +
+           by_kind(squared(unseen), squared(unseen));
+  }
 };
 
 struct Unknowns {
@@ -91,13 +109,6 @@ struct Unknowns {
     return std::all_of(T_odom_knot.begin(), T_odom_knot.end(), [](const SE3& T) { return T.is_finite(); });
   }
 };
-
-Vec6 by_kind(double translation, double rotation) {
-  Vec6 values;
-  values << Vec3::Constant(translation), Vec3::Constant(rotation);
-  return values;
-}
-double squared(double x) { return x * x; }
 
 /// Normal equations of knots, then drifts, with the objects apart: H step = -g, the lower triangle of H.
 struct Equations {
@@ -182,11 +193,10 @@ Eigen::Index drift_row(const Problem& problem, std::size_t drift) {
 
 void add_odometry(const Problem& problem, const Unknowns& unknowns, Equations* equations) {
   Eigen::MatrixXd& H = equations->H;
-  const Vec6 per_second = by_kind(1.0 / squared(problem.noise.step_m), 1.0 / squared(problem.noise.step_rad));
   for (std::size_t i = 0; i < problem.steps(); ++i) {
     const double dt = problem.duration_s(i);
     const RelativePoseTerms terms = step_terms(problem, unknowns, i);
-    const Vec6 weights = per_second / dt;
+    const Vec6 weights = problem.step_variances(i).cwiseInverse();
     equations->cost += terms.residual.dot(weights.asDiagonal() * terms.residual);
     const Mat6 from = terms.J_from.transpose() * weights.asDiagonal();
     const Mat6 to = terms.J_to.transpose() * weights.asDiagonal();
@@ -307,8 +317,28 @@ double seconds_into(const std::deque<ObservedFrame>& window, std::size_t frame) 
   return 1e-9 * static_cast<double>(window[frame].stamp_ns - window.front().stamp_ns);
 }
 
+/// Where the knots are if the odometry stands as it is, and turns by the boxes while it is frozen.
+/// @param frozen see frozen_motions
+void start_knots(const std::deque<ObservedFrame>& window, const std::vector<std::size_t>& knots,
+                 const std::vector<bool>& frozen, Problem* problem) {
+  problem->start = problem->T_odom_knot;
+  problem->frozen_s.assign(problem->steps(), 0.0);
+  for (std::size_t step = 0; step < problem->steps(); ++step) {
+    Quaternion turn = Quaternion::Identity();
+    for (std::size_t i = knots[step]; i < knots[step + 1]; ++i) {
+      if (!frozen[i]) continue;
+      problem->frozen_s[step] += seconds_into(window, i + 1) - seconds_into(window, i);
+      turn = turn * turn_by_boxes(window[i], window[i + 1]);
+    }
+    problem->start[step + 1] = problem->start[step] * problem->odometry(step) * SE3(turn, Vec3::Zero());
+  }
+  const auto anchor = static_cast<std::size_t>(problem->anchor);
+  const SE3 T_odom_start = problem->T_odom_knot[anchor] * problem->start[anchor].inverse();
+  for (SE3& pose : problem->start) pose = T_odom_start * pose;
+}
+
 Problem make_problem(const std::deque<ObservedFrame>& window, const std::vector<std::size_t>& knots, std::size_t anchor,
-                     const WindowNoise& noise) {
+                     const std::vector<bool>& frozen, const WindowNoise& noise) {
   Problem problem;
   problem.noise = noise;
   std::map<std::int64_t, Track> tracks;
@@ -320,23 +350,24 @@ Problem make_problem(const std::deque<ObservedFrame>& window, const std::vector<
     for (const ObservedBox& box : frame.boxes) {
       View view{static_cast<int>(k), box.box, box.truncated, 0.0};
       if (view.cut_sides() > kMaxCutSides) continue;
-      view.sigma = noise.box_factor * (kBoxSigma_px / frame.focal_px.mean() + kBoxSigmaShare * box.box.size());
+      view.sigma = noise.box_factor * box_sigma(box.box, frame.focal_px);
       tracks[box.track_id].views.push_back(view);
     }
   }
   for (std::size_t i = 0; i < problem.steps(); ++i) {
     problem.drift_of.push_back(static_cast<int>(0.5 * (problem.times_s[i] + problem.times_s[i + 1]) / kDriftSpan_s));
   }
+  start_knots(window, knots, frozen, &problem);
   for (auto& [id, track] : tracks) {
     if (track.views.size() < kMinViews) continue;
-    track.start = start_of(track.views, problem.T_odom_knot);
+    track.start = start_of(track.views, problem.start);
     problem.tracks.push_back(std::move(track));
   }
   return problem;
 }
 
 bool solve(const Problem& problem, Unknowns* unknowns, Equations* equations) {
-  unknowns->T_odom_knot = problem.T_odom_knot;
+  unknowns->T_odom_knot = problem.start;
   unknowns->drifts.assign(static_cast<std::size_t>(problem.drift_of.back()) + 1, Vec6::Zero());
   for (const Track& track : problem.tracks) unknowns->objects.push_back(track.start);
   const auto linearise = [&problem](const Unknowns& at, Equations* normal) {
@@ -350,7 +381,9 @@ bool solve(const Problem& problem, Unknowns* unknowns, Equations* equations) {
     return std::isfinite(normal->cost);
   };
   LeastSquaresOptions options;
-  options.max_iterations = 4;
+  const auto is_frozen = [](double seconds) { return seconds > 0.0; };
+  const bool starts_far = std::any_of(problem.frozen_s.begin(), problem.frozen_s.end(), is_frozen);
+  options.max_iterations = starts_far ? 12 : 4;
   options.min_decrease = 1e-2;  // of a window that is solved again, a little later
   return minimise(options, linearise, unknowns, equations);
 }
@@ -390,6 +423,7 @@ void learn(const Problem& problem, const Unknowns& unknowns, const Equations& eq
   if (!covariance.allFinite()) return;
   const WindowNoise& noise = problem.noise;
   for (std::size_t i = 0; i < problem.steps(); ++i) {
+    if (problem.is_frozen(i)) continue;
     const double dt = problem.duration_s(i);
     const RelativePoseTerms terms = step_terms(problem, unknowns, i);
     const auto row = static_cast<Eigen::Index>(6 * i);
@@ -399,8 +433,8 @@ void learn(const Problem& problem, const Unknowns& unknowns, const Equations& eq
     const Mat6 by_drift = J * covariance.block<12, 6>(row, drift);
     const Mat6 left = J * covariance.block<12, 12>(row, row) * J.transpose() - dt * (by_drift + by_drift.transpose()) +
                       dt * dt * covariance.block<6, 6>(drift, drift);
-    add(terms.residual, left.diagonal(), dt * by_kind(squared(noise.step_m), squared(noise.step_rad)), 1.0 / dt,
-        &evidence->step_translation, &evidence->step_rotation);
+    add(terms.residual, left.diagonal(), problem.step_variances(i), 1.0 / dt, &evidence->step_translation,
+        &evidence->step_rotation);
   }
   for (std::size_t k = 0; k < unknowns.drifts.size(); ++k) {
     const Eigen::Index drift = drift_row(problem, k);
@@ -459,7 +493,8 @@ std::deque<ObservedFrame> WindowSolver::solve(std::deque<ObservedFrame> window, 
   if (std::adjacent_find(window.begin(), window.end(), std::not_fn(is_in_order)) != window.end()) return window;
   const std::vector<std::size_t> knots = knots_of(window, anchor);
   if (knots.size() < kMinViews) return window;
-  const Problem problem = make_problem(window, knots, anchor, noise());
+  const std::vector<bool> frozen = frozen_motions(window);
+  const Problem problem = make_problem(window, knots, anchor, frozen, noise());
   Unknowns unknowns;
   Equations equations;
   if (!core::solve(problem, &unknowns, &equations)) return window;
@@ -477,6 +512,7 @@ std::deque<ObservedFrame> WindowSolver::solve(std::deque<ObservedFrame> window, 
     const SE3 error = problem.odometry(step).inverse() * (T_odom_knot.inverse() * unknowns.T_odom_knot[step + 1]);
     const SE3 T_knot_camera = problem.T_odom_knot[step].inverse() * window[i].T_odom_camera;
     window[i].T_odom_camera = T_odom_knot * T_knot_camera * se3_exp(share * se3_log(error));
+    if (i > 0 && frozen[i - 1]) window[i].frozen_s = seconds_into(window, i) - seconds_into(window, i - 1);
   }
   return window;
 }
