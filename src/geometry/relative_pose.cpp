@@ -66,6 +66,11 @@ RelativeSimilarityTerms relative_similarity_terms(const Sim3& S_world_from, cons
   return terms;
 }
 
+SE3 motion_on_the_way(const SE3& T_from_camera_measured, const SE3& T_from_to_measured, const SE3& T_from_to,
+                      double share) {
+  return T_from_camera_measured * se3_exp(share * se3_log(T_from_to_measured.inverse() * T_from_to));
+}
+
 Mat6 transport(const SE3& T) {
   const Mat3 R_transposed = T.rotation().transpose();
   Mat6 adjoint = Mat6::Zero();

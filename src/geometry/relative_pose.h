@@ -29,6 +29,12 @@ RelativePoseTerms quaternion_pose_terms(const SE3& T_world_from, const SE3& T_wo
 RelativeSimilarityTerms relative_similarity_terms(const Sim3& S_world_from, const Sim3& S_world_to,
                                                   const Sim3& S_from_to_measured);
 
+/// Where a camera is on the way between two poses that were solved for: its motion as measured, and of what the motion
+/// of the whole way was off, its share.
+/// @param share of the way's time, 0 to 1
+SE3 motion_on_the_way(const SE3& T_from_camera_measured, const SE3& T_from_to_measured, const SE3& T_from_to,
+                      double share);
+
 /// Carries a small motion d made before T over to its end: se3_exp(d) * T = T * se3_exp(transport(T) d) + O(d^2).
 Mat6 transport(const SE3& T);
 /// Covariance of T^-1 from the covariance of T, both on the right: T * se3_exp(noise).

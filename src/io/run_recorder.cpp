@@ -9,11 +9,13 @@
 #include <cstdio>
 #include <cstdlib>
 #include <cstring>
+#include <iterator>
 #include <map>
 #include <nlohmann/json.hpp>
 #include <string_view>
 #include <system_error>
 
+#include "geometry/relative_pose.h"
 #include "io/csv.h"
 #include "loop/graph/relocalisation.h"
 #include "semantic_topo_loop/io/run_files.h"
@@ -34,11 +36,13 @@ const char* level_name(AssociationLevel level) {
 nlohmann::json odometry_summary(const OdometryReport& report) {
   nlohmann::json faults = nlohmann::json::array();
   for (const OdometryFault& fault : report.faults) {
+    const char* kind = fault.is_break ? "break" : fault.frozen_s > 0.0 ? "freeze" : "jump";
     faults.push_back({{"from_keyframe", fault.from_keyframe_id},
                       {"to_keyframe", fault.to_keyframe_id},
-                      {"kind", fault.is_break ? "break" : "jump"},
+                      {"kind", kind},
                       {"translation_m", fault.translation_m},
-                      {"rotation_rad", fault.rotation_rad}});
+                      {"rotation_rad", fault.rotation_rad},
+                      {"frozen_s", fault.frozen_s}});
   }
   return {{"stated_edges", report.stated_edges},
           {"translation_m", report.translation_m},
@@ -335,14 +339,34 @@ class FileRecorder : public RunRecorder {
     }
   }
 
-  /// Pose after the last optimisation: hung on the frame's keyframe, or on the last T_map_odom without one.
+  /// Pose after the last optimisation: on the way from the frame's keyframe to the next, or hung on the last T_map_odom
+  /// without one.
   SE3 final_pose(const FramePlace& frame) const {
     const auto solution = S_map_keyframe_.find(frame.keyframe_id);
     const auto keyframe = keyframes_.find(frame.keyframe_id);
     if (solution == S_map_keyframe_.end() || keyframe == keyframes_.end()) {
       return last_T_map_odom_.second * frame.T_odom_camera();
     }
-    return solution->second.pose(keyframe->second.T_odom_camera().inverse() * frame.T_odom_camera());
+    const SE3 T_keyframe_odom = keyframe->second.T_odom_camera().inverse();
+    const SE3 T_keyframe_camera = T_keyframe_odom * frame.T_odom_camera();
+    const auto next = std::next(keyframe);
+    const auto next_solution = next == keyframes_.end() ? S_map_keyframe_.end() : S_map_keyframe_.find(next->first);
+    if (next_solution == S_map_keyframe_.end() || is_broken_after(frame.keyframe_id)) {
+      return solution->second.pose(T_keyframe_camera);
+    }
+    SE3 T_keyframe_next = solution->second.T.inverse() * next_solution->second.T;
+    T_keyframe_next.t /= solution->second.scale;
+    const double share = static_cast<double>(frame.stamp_ns - keyframe->second.stamp_ns) /
+                         static_cast<double>(next->second.stamp_ns - keyframe->second.stamp_ns);
+    return solution->second.pose(
+        motion_on_the_way(T_keyframe_camera, T_keyframe_odom * next->second.T_odom_camera(), T_keyframe_next, share));
+  }
+
+  /// True if the odometry broke on the way to the next keyframe.
+  bool is_broken_after(std::int64_t keyframe_id) const {
+    return std::any_of(odometry_.faults.begin(), odometry_.faults.end(), [keyframe_id](const OdometryFault& fault) {
+      return fault.is_break && fault.from_keyframe_id <= keyframe_id && keyframe_id < fault.to_keyframe_id;
+    });
   }
 
   Status write_trajectory(std::ostream& file) const {

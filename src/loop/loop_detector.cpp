@@ -12,17 +12,21 @@
 #include "loop/graph/relocalisation.h"
 #include "loop/pair_record.h"
 #include "loop/paper/paper_detector.h"
+#include "loop/submap/frozen_odometry.h"
 #include "loop/submap/observation_window.h"
 #include "loop/submap/submap_builder.h"
 #include "loop/submap/window_solver.h"
 #include "odometry/motion_bursts.h"
+#include "semantic_topo_loop/geometry/lie.h"
 #include "semantic_topo_loop/loop/loop_options.h"
 
 namespace semantic_topo_loop::core {
 namespace {
 
 constexpr std::int64_t kSettle_ns = 300'000'000;  ///< a jump may take several frames
-constexpr std::size_t kRecordCapacity = 20'000;   ///< decisions that are explained without a new comparison: some 6 MB
+/// A frozen odometry that goes on stands out as a burst does, which is told at most so much later.
+constexpr std::int64_t kResume_ns = 1'500'000'000;
+constexpr std::size_t kRecordCapacity = 20'000;  ///< decisions that are explained without a new comparison: some 6 MB
 
 }  // namespace
 
@@ -41,6 +45,7 @@ struct LoopDetector::Impl {
   }
 
   std::vector<LoopClosure> detect(const Frame& frame, const AssociationFrame& associations) {
+    motions_.clear();
     if (frame.is_end || !frame.T_odom_camera.is_finite()) return {};
     if (frame.is_keyframe) keyframes_[frame.keyframe_id] = {frame.frame_id, frame.stamp_ns, frame.T_odom_camera};
     std::vector<LoopClosure> loops = detect_by_objects(frame, associations);
@@ -83,8 +88,9 @@ struct LoopDetector::Impl {
     if (associations.unanswered || !is_due(frame)) return {};
     const std::optional<std::size_t> anchor = middle_keyframe(window_.frames());
     if (!anchor) return {};
-    std::optional<LocalMap> map = build_local_map(
-        paper_mode_ ? window_.frames() : solver_.solve(window_.frames(), *anchor), redirects_, up_, options_);
+    const std::deque<ObservedFrame> window = paper_mode_ ? window_.frames() : solver_.solve(window_.frames(), *anchor);
+    if (!paper_mode_ && options_.enabled) tell_motions(window, window[*anchor].keyframe_id);
+    std::optional<LocalMap> map = build_local_map(window, redirects_, up_, options_);
     if (!map) return {};
     if (paper_mode_) {
       std::vector<LoopClosure> loops = paper_.detect(std::move(*map), options_.enabled);
@@ -107,6 +113,31 @@ struct LoopDetector::Impl {
     }
     graph_.store(std::move(*map));
     return loops;
+  }
+
+  /// From where the last window was known best, its middle.
+  void tell_motions(const std::deque<ObservedFrame>& window, std::int64_t middle_keyframe_id) {
+    const ObservedFrame *from = nullptr, *last = nullptr;
+    SolvedMotion motion;
+    for (const ObservedFrame& frame : window) {
+      if (from != nullptr) {
+        const SE3 step = last->T_odom_camera.inverse() * frame.T_odom_camera;
+        motion.path_m += step.t.norm();
+        motion.rotation_rad += rotation_angle(step.q, Quaternion::Identity());
+        motion.frozen_s += frame.frozen_s;
+      }
+      last = &frame;
+      if (!frame.is_keyframe) continue;
+      if (from != nullptr && from->keyframe_id >= told_from_) {
+        motion.from_keyframe_id = from->keyframe_id;
+        motion.to_keyframe_id = frame.keyframe_id;
+        motion.T_from_to = from->T_odom_camera.inverse() * frame.T_odom_camera;
+        motions_.push_back(motion);
+      }
+      from = &frame;
+      motion = SolvedMotion();
+    }
+    told_from_ = middle_keyframe_id;
   }
 
   LoopExplanation explain(std::int64_t query_id, std::int64_t match_id) const {
@@ -213,15 +244,18 @@ struct LoopDetector::Impl {
     const bool has_shift = taken && !window_.frames().empty() && monitor_.push(window_.frames().back());
     if (has_burst || has_shift) {
       monitor_.restart();
-      window_.clear();
-      up_.clear();
+      // What a frozen odometry missed is solved for.
+      const std::optional<std::int64_t> frozen_ns = last_frozen_ns(window_.frames());
+      const bool is_missed = frozen_ns && (has_shift || frame.stamp_ns - *frozen_ns < kResume_ns);
+      if (!is_missed) {
+        window_.clear();
+        up_.clear();
+        if (has_shift) settled_ns_ = frame.stamp_ns + kSettle_ns;
+      }
     }
     // A burst is small, and may be a jolt of the camera itself: where the odometry sees itself still tells places
     // apart.
-    if (has_shift) {
-      ++segment_;
-      settled_ns_ = frame.stamp_ns + kSettle_ns;
-    }
+    if (has_shift) ++segment_;
     if (const std::optional<double> span_s = solver_.span_s(radians(options_.window_sigma_deg))) {
       window_.set_span(std::clamp(*span_s, options_.min_window_s, options_.window_s));
     }
@@ -237,6 +271,8 @@ struct LoopDetector::Impl {
   OdometryMonitor monitor_;
   BurstWatch bursts_;
   UpEstimator up_;
+  std::vector<SolvedMotion> motions_;  ///< see LoopDetector::motions
+  std::int64_t told_from_ = -1;        ///< keyframe from which they are next told
   LandmarkRedirects redirects_;
   GraphDetector graph_;
   PaperDetector paper_;
@@ -253,6 +289,7 @@ void LoopDetector::apply(const MapUpdate& update) { impl_->apply(update); }
 std::vector<LoopClosure> LoopDetector::detect(const Frame& frame, const AssociationFrame& associations) {
   return impl_->detect(frame, associations);
 }
+const std::vector<SolvedMotion>& LoopDetector::motions() const { return impl_->motions_; }
 void LoopDetector::set_enabled(bool enabled) { impl_->options_.enabled = enabled; }
 LoopExplanation LoopDetector::explain(std::int64_t query_keyframe_id, std::int64_t match_keyframe_id) const {
   return impl_->explain(query_keyframe_id, match_keyframe_id);

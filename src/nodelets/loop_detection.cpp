@@ -152,6 +152,7 @@ class LoopDetectionNodelet : public StageWith<LoopDetectionParameters> {
       const std::lock_guard<std::mutex> lock(mutex_);
       const core::Stopwatch stopwatch;
       loops.closures = detector_->detect(frame, *std::get<1>(*joined));
+      loops.motions = detector_->motions();
       loops.duration_us = stopwatch.elapsed_us();
     }
     bool relocalised = false;

@@ -171,6 +171,7 @@ class PoseGraphNodelet : public StageWith<PoseGraphParameters> {
   /// Loops of a frame that went in without them are added with the next frame.
   void on_loops(const LoopsMessage::ConstPtr& loops) {
     if (!joiner_->is_past(loops->frame_id)) return process(joiner_->add<1>(loops->frame_id, loops));
+    graph_->refine(loops->motions);
     late_loops_.insert(late_loops_.end(), loops->closures.begin(), loops->closures.end());
   }
 
@@ -178,6 +179,7 @@ class PoseGraphNodelet : public StageWith<PoseGraphParameters> {
     statistics().set(kWithoutLoops, joiner_->evicted());
     if (!joined) return;
     const auto& [frame, loops, associations, update] = *joined;
+    graph_->refine(loops->motions);
     process(*frame, loops->closures, associations);
   }
 

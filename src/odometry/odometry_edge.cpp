@@ -14,6 +14,9 @@ constexpr double kBreakTranslation_m = 30.0, kBreakRotation_rad = 3.0;
 /// What a standing camera's edge keeps, so that its information stays finite: well below what any odometry resolves.
 constexpr double kMinEdgeTranslation_m = 2e-4, kMinEdgeRotation_rad = 1e-4;
 
+/// m/s and rad/s: sigma of what is solved for while the odometry is frozen.
+constexpr double kFrozenRate = 0.15;
+
 /// Mean and sigma of a jump by all or nothing, each as likely, as shares of it.
 constexpr double kMeanJump = 0.5, kSigmaJump = 0.5;
 
@@ -74,11 +77,21 @@ Mat6 odometry_covariance(const OdometryEdge& edge, const OdometryNoise& noise) {
            noise.rotation_rad * noise.rotation_rad * edge.joined->rotation +
            noise.jump_prior * noise.jump_prior * edge.joined->suspected_jumps;
   }
-  return isotropic_covariance(kMinEdgeTranslation_m * kMinEdgeTranslation_m,
-                              kMinEdgeRotation_rad * kMinEdgeRotation_rad) +
+  const double frozen = kFrozenRate * edge.frozen_s;
+  return isotropic_covariance(kMinEdgeTranslation_m * kMinEdgeTranslation_m + frozen * frozen,
+                              kMinEdgeRotation_rad * kMinEdgeRotation_rad + frozen * frozen) +
          isotropic_covariance(noise.translation_m * noise.translation_m * edge.path_m,
                               noise.rotation_rad * noise.rotation_rad * edge.rotation_rad) +
          noise.jump_prior * noise.jump_prior * suspected_jump_covariance(edge);
+}
+
+bool OdometryEdge::refine(const SolvedMotion& motion) {
+  if (is_break || covariance || joined) return false;
+  T_from_to = motion.T_from_to;
+  path_m = motion.path_m;
+  rotation_rad = motion.rotation_rad;
+  frozen_s = motion.frozen_s;
+  return true;
 }
 
 OdometryEdge join(const OdometryEdge& first, const OdometryEdge& second) {
@@ -88,6 +101,7 @@ OdometryEdge join(const OdometryEdge& first, const OdometryEdge& second) {
   edge.path_m = first.path_m + second.path_m;
   edge.rotation_rad = first.rotation_rad + second.rotation_rad;
   edge.is_break = first.is_break || second.is_break;
+  edge.frozen_s = first.frozen_s + second.frozen_s;
   edge.suspected_jump = carry * first.suspected_jump + second.suspected_jump;
   if (first.covariance && second.covariance) {
     edge.covariance = Mat6(carry * *first.covariance * carry.transpose()) + *second.covariance;

@@ -6,12 +6,15 @@
 
 #include "odometry/graph_loop.h"
 #include "semantic_topo_loop/types/frame.h"
+#include "semantic_topo_loop/types/solved_motion.h"
 
 namespace semantic_topo_loop::core {
 
 // How good is this odometry, and where did it break? As things are:
 //   1. OdometryAccumulator makes an edge of the frames between two keyframes, with the breaks and the covariances that
 //      the source states;
+//      what the loop detector solved for with the objects in view takes the place of the odometry's motion there, with
+//      the freezes that it found (SolvedMotion);
 //   2. MotionBursts (motion_bursts.h) suspects jumps in the motion alone; the loop detector asks BurstWatch;
 //   3. PathNoise asks of one loop how noisy the odometry would have to be to explain it, see Innovation;
 //   4. InnovationModel and estimate_noise_and_jumps (noise_estimator.h) learn the noise from all loops that are
@@ -38,6 +41,7 @@ struct OdometryEdge {
   double rotation_rad = 0.0;       ///< sum of the rotation angles, frame by frame
   std::optional<Mat6> covariance;  ///< stated by the source: (translation m, rotation rad), right
   bool is_break = false;           ///< nothing is known about this motion
+  double frozen_s = 0.0;           ///< for how long of it the odometry stood still though what was in view moved
   /// Motion that stands out of that before and after, see MotionBursts: the odometry may have jumped by it, or not at
   /// all (translation m, rotation rad; right).
   Vec6 suspected_jump = Vec6::Zero();
@@ -45,6 +49,11 @@ struct OdometryEdge {
   /// Of a joined edge, unless the source states all of it: what a turn on the way does to its end is not in the figures
   /// above.
   std::shared_ptr<const EdgeCovariance> joined;
+
+  /// Takes over a solved motion between the same keyframes, unless this one is a break, joined, or of a source that
+  /// states how good it is.
+  /// @return whether it did
+  bool refine(const SolvedMotion& motion);
 };
 
 /// Noise of an odometry whose source states none: a random walk, and errors that last.

@@ -71,6 +71,17 @@ struct PoseGraph::Impl {
     return correction;
   }
 
+  void refine(const std::vector<SolvedMotion>& motions) {
+    for (const SolvedMotion& motion : motions) {
+      const Carrier from = carrier(number(motion.from_keyframe_id)), to = carrier(number(motion.to_keyframe_id));
+      const bool are_neighbours =
+          from.vertex >= 0 && to.vertex == from.vertex + 1 && !from.T_vertex_keyframe && !to.T_vertex_keyframe;
+      if (!are_neighbours || !motion.T_from_to.is_finite()) continue;
+      const bool is_taken = trajectory_.edges[static_cast<std::size_t>(from.vertex)].refine(motion);
+      is_refined_ = is_refined_ || is_taken;
+    }
+  }
+
   bool withdraw(std::int64_t query_keyframe_id, std::int64_t match_keyframe_id) {
     const std::size_t before = loops_.size();
     if (!loops_.withdraw(query_keyframe_id, match_keyframe_id)) return false;
@@ -201,6 +212,7 @@ struct PoseGraph::Impl {
   bool is_due(const Frame& frame) const {
     if (is_withdrawn_) return true;
     if (frame.is_end && options_.objects == "on" && !objects_.empty()) return true;
+    if (frame.is_end && is_refined_) return true;
     if (loops_.size() == 0) return false;
     if (frame.is_end) return true;
     constexpr int kPatience = 4;  // times the usual interval
@@ -303,6 +315,7 @@ struct PoseGraph::Impl {
     for (std::size_t i = 0; i < trajectory_.edges.size(); ++i) {
       report.stated_edges += trajectory_.edges[i].covariance ? 1 : 0;
       if (trajectory_.edges[i].is_break) fault(i).is_break = true;
+      if (trajectory_.edges[i].frozen_s > 0.0) fault(i).frozen_s = trajectory_.edges[i].frozen_s;
     }
     for (const OdometryJump& jump : noise.jumps) {
       fault(jump.edge).translation_m = jump.translation_m;
@@ -332,6 +345,7 @@ struct PoseGraph::Impl {
   GraphKnowledge knowledge_;
   std::size_t learnt_loops_ = 0, loops_since_learnt_ = 0;
   int keyframes_since_ = 0;
+  bool is_refined_ = false;  ///< some edge is not the odometry's own
   bool has_new_loops_ = false, has_outliers_ = false, is_urgent_ = false, is_withdrawn_ = false;
 };
 
@@ -341,6 +355,7 @@ void PoseGraph::observe(const Frame& frame, const AssociationFrame& associations
   impl_->observe(frame, associations);
 }
 void PoseGraph::apply(const MapUpdate& update) { impl_->apply(update); }
+void PoseGraph::refine(const std::vector<SolvedMotion>& motions) { impl_->refine(motions); }
 MapCorrection PoseGraph::process(const Frame& frame, const std::vector<LoopClosure>& loops,
                                  const std::vector<LoopClosure>& extra_loops) {
   return impl_->process(frame, loops, extra_loops);

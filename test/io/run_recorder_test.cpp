@@ -51,7 +51,7 @@ class RunRecorderTest : public ::testing::Test {
           {k, 5 * k, kStart + 5 * k * kPeriod, T_map_keyframe_[static_cast<std::size_t>(k)]});
     }
     correction.loops = {{0, 1, 0, true, "", false}, {1, 1, -1, false, "it is wrong", true}};
-    correction.odometry = {0, 0.25, 0.5, 0.0, 0.0, 0.0, 1.5, {{0, 1, false, 0.125, 2.0}}};
+    correction.odometry = {0, 0.25, 0.5, 0.0, 0.0, 0.0, 1.5, {{0, 1, true, 0.125, 2.0}}};
     return correction;
   }
 
@@ -78,7 +78,7 @@ class RunRecorderTest : public ::testing::Test {
   std::vector<SE3> T_map_keyframe_;
 };
 
-TEST_F(RunRecorderTest, FramesHangOnTheirFinalKeyframes) {
+TEST_F(RunRecorderTest, BeforeABreakFramesHangOnTheirFinalKeyframes) {
   record_frames(true);
   write();
   const StampedPoses final_poses = poses("trajectory.txt");
@@ -88,6 +88,30 @@ TEST_F(RunRecorderTest, FramesHangOnTheirFinalKeyframes) {
     EXPECT_EQ(final_poses[i].stamp_ns, frames_[i].stamp_ns);
     expect_pose(final_poses[i].T_world_camera,
                 T_map_keyframe_[k] * frames_[5 * k].T_odom_camera.inverse() * frames_[i].T_odom_camera);
+  }
+}
+
+TEST_F(RunRecorderTest, FramesLeadToTheNextKeyframe) {
+  for (const Frame& frame : frames_) {
+    recorder_->record(frame);
+    MapCorrection steady = correction(static_cast<int>(frame.frame_id));
+    for (OdometryFault& fault : steady.odometry.faults) fault.is_break = false;
+    // The first keyframe stays, the second is half a metre off the odometry, straight ahead of the camera.
+    if (steady.changed) {
+      steady.keyframes[0].T_map_camera = frames_[0].T_odom_camera;
+      steady.keyframes[1].T_map_camera = frames_[5].T_odom_camera * SE3(Quaternion::Identity(), Vec3(0.0, 0.0, 0.5));
+    }
+    recorder_->record(steady);
+  }
+  write();
+  const StampedPoses final_poses = poses("trajectory.txt");
+  ASSERT_EQ(final_poses.size(), 10u);
+  for (std::size_t i = 0; i < 10; ++i) {
+    const double share = std::min(static_cast<double>(i) / 5.0, 1.0);
+    expect_pose(final_poses[i].T_world_camera,
+                i < 5 ? frames_[i].T_odom_camera * SE3(Quaternion::Identity(), Vec3(0.0, 0.0, 0.5 * share))
+                      : frames_[5].T_odom_camera * SE3(Quaternion::Identity(), Vec3(0.0, 0.0, 0.5)) *
+                            frames_[5].T_odom_camera.inverse() * frames_[i].T_odom_camera);
   }
 }
 
@@ -297,7 +321,8 @@ TEST_F(RunRecorderTest, SummaryCounts) {
     "loops": {"candidates": 2, "accepted": 1, "kept": 1, "reasons": {"accepted": 1, "tilt": 1}},
     "odometry": {"stated_edges": 0, "translation_m": 0.25, "rotation_rad": 0.5, "steady_translation": 0.0,
       "steady_rotation_rad": 0.0, "scale": 0.0, "loop_factor": 1.5, "faults": [
-        {"from_keyframe": 0, "to_keyframe": 1, "kind": "jump", "translation_m": 0.125, "rotation_rad": 2.0}]}})"));
+        {"from_keyframe": 0, "to_keyframe": 1, "kind": "break", "translation_m": 0.125, "rotation_rad": 2.0,
+         "frozen_s": 0.0}]}})"));
 }
 
 TEST_F(RunRecorderTest, VerdictsNameTheirFrames) {

@@ -217,6 +217,61 @@ TEST(LoopDetector, AnotherDeskIsNoLoop) {
   EXPECT_GT(candidates, 0U) << "some looked alike at first";
 }
 
+/// Motions of a run along a desk; what comes later holds. @param drift_mps straight ahead, beside the true motion
+std::map<std::int64_t, SolvedMotion> motions_along_a_desk(LoopDetector* detector, double drift_mps,
+                                                          std::vector<SE3>* keyframes) {
+  const auto desk = random_desk(6, 10);
+  FrameBuilder builder(KeyframeOptions(), testing::desk_camera());
+  std::mt19937_64 random(2);
+  std::map<std::int64_t, SolvedMotion> motions;
+  for (std::int64_t k = 0; k < 200; ++k) {
+    const double time_s = 0.1 * static_cast<double>(k);
+    const SE3 pose = testing::desk_pose({{0.0, 20.0, 0.0, 120.0}}, time_s);
+    PoseSample sample;
+    sample.stamp_ns = 1'000'000'000 + k * 100'000'000;
+    sample.T_odom_camera = SE3(Quaternion::Identity(), Vec3(drift_mps * time_s, 0.0, 0.0)) * pose;
+    const auto frame = builder.build(sample);
+    if (frame->is_keyframe) keyframes->push_back(pose);
+    detector->detect(*frame, testing::observe(desk, *frame, pose, 0, random));
+    for (const SolvedMotion& motion : detector->motions()) motions[motion.from_keyframe_id] = motion;
+  }
+  detector->detect(builder.end(), {});
+  EXPECT_TRUE(detector->motions().empty()) << "they are told once";
+  return motions;
+}
+
+TEST(LoopDetector, TellsHowTheCameraMovedFromKeyframeToKeyframe) {
+  LoopDetector detector(LoopOptions(), testing::desk_classes());
+  std::vector<SE3> truth;
+  constexpr double kDrift_mps = 0.03;
+  const auto motions = motions_along_a_desk(&detector, kDrift_mps, &truth);
+  EXPECT_GT(motions.size() + 4, truth.size()) << "but for those of the last frames";
+  double path_m = 0.0;
+  SE3 T_first_last;
+  for (const auto& [from, motion] : motions) {
+    EXPECT_EQ(motion.to_keyframe_id, from + 1);
+    EXPECT_GE(motion.path_m, (1.0 - 1e-9) * motion.T_from_to.t.norm());
+    EXPECT_EQ(motion.frozen_s, 0.0);
+    path_m += motion.path_m;
+    T_first_last = T_first_last * motion.T_from_to;
+  }
+  const std::size_t last = static_cast<std::size_t>(motions.rbegin()->second.to_keyframe_id);
+  const SE3 error = (truth.front().inverse() * truth[last]).inverse() * T_first_last;
+  EXPECT_LT(error.t.norm(), 0.5 * 20.0 * kDrift_mps);
+  EXPECT_NEAR(path_m, 4.3, 0.4) << "the length of the way around the desk, up and down";
+}
+
+TEST(LoopDetector, NothingIsSolvedForWhileLoopClosingIsOffNorInPaperMode) {
+  std::vector<SE3> truth;
+  LoopDetector off(LoopOptions(), testing::desk_classes());
+  off.set_enabled(false);
+  EXPECT_TRUE(motions_along_a_desk(&off, 0.0, &truth).empty());
+  LoopOptions options;
+  options.mode = "paper";
+  LoopDetector paper(options, testing::desk_classes());
+  EXPECT_TRUE(motions_along_a_desk(&paper, 0.0, &truth).empty());
+}
+
 TEST(LoopDetector, TwoIdenticalGroupsAreAmbiguous) {
   // The first visit sees two equal groups side by side, the second visit one of them.
   RunSetup setup = drifted_revisit(4);

@@ -248,6 +248,81 @@ TEST(PoseGraph, TheSourcesCovarianceIsUsed) {
   EXPECT_LT(run.worst_error_m(graph.keyframes()), 0.005);
 }
 
+SolvedMotion true_motion(const SyntheticRun& run, int from, int to) {
+  SolvedMotion motion;
+  motion.from_keyframe_id = from;
+  motion.to_keyframe_id = to;
+  motion.T_from_to = run.truth(from).inverse() * run.truth(to);
+  motion.path_m = motion.T_from_to.t.norm();
+  motion.rotation_rad = rotation_angle(motion.T_from_to.q, Quaternion::Identity());
+  return motion;
+}
+
+TEST(PoseGraph, SolvedMotionsTakeThePlaceOfTheOdometrys) {
+  SyntheticRun run;
+  run.drift(0.01, 0.005, 1);
+  PoseGraph graph{PoseGraphOptions()};
+  for (int k = 0; k < run.size(); ++k) {
+    std::vector<SolvedMotion> motions;
+    for (int from = std::max(0, k - 5); from + 1 < k; ++from) motions.push_back(true_motion(run, from, from + 1));
+    graph.refine(motions);
+    graph.process(run.frame(k), {});
+  }
+  graph.refine({true_motion(run, run.size() - 2, run.size() - 1)});
+  EXPECT_TRUE(graph.process(run.end_frame(), {}).changed);
+  ASSERT_GT(run.worst_odometry_error_m(), 0.1);
+  EXPECT_LT(run.worst_error_m(graph.keyframes()), 1e-6);
+}
+
+TEST(PoseGraph, WhatNoNeighboursOrAKnownNoiseTellIsNotReplaced) {
+  SyntheticRun run;
+  run.drift(0.01, 0.005, 1);
+  PoseGraph graph{PoseGraphOptions()};
+  for (int k = 0; k < 20; ++k) {
+    Frame frame = run.frame(k);
+    frame.is_break = k == 5;
+    if (k == 8) frame.covariance = 1e-4 * Mat6::Identity();
+    graph.process(frame, {});
+  }
+  SolvedMotion wrong = true_motion(run, 10, 11);
+  wrong.T_from_to.t.x() = std::numeric_limits<double>::quiet_NaN();
+  graph.refine({true_motion(run, 4, 5), true_motion(run, 7, 8), true_motion(run, 2, 4), true_motion(run, 3, 2),
+                true_motion(run, 19, 20), true_motion(run, 3, 3), wrong, SolvedMotion()});
+  EXPECT_FALSE(graph.process(run.end_frame(), {}).changed);
+}
+
+TEST(PoseGraph, LoopsMendWhatAFrozenOdometryMissed) {
+  // The odometry stood still for a second; what was solved for is half a metre off, which only the loops tell.
+  SyntheticRun run;
+  run.drift(0.0003, 0.0001, 3);
+  SolvedMotion frozen = true_motion(run, 60, 61);
+  frozen.T_from_to = frozen.T_from_to * SE3(so3_exp(Vec3(0.0, 0.05, 0.1)), Vec3(0.4, -0.3, 0.0));
+  const auto worst_error = [&](double frozen_s, OdometryReport* report) {
+    frozen.frozen_s = frozen_s;
+    PoseGraph graph{PoseGraphOptions()};
+    const std::vector<LoopClosure> loops = noisy_loops(run, 3, 2);
+    for (int k = 0; k < run.size(); ++k) {
+      std::vector<LoopClosure> now;
+      for (const LoopClosure& loop : loops) {
+        if (loop.query_frame == k) now.push_back(loop);
+      }
+      if (k == 66) graph.refine({frozen});
+      graph.process(run.frame(k), now);
+    }
+    *report = graph.process(run.end_frame(), {}).odometry;
+    return run.worst_error_m(graph.keyframes());
+  };
+  OdometryReport report;
+  EXPECT_LT(worst_error(4.0, &report), 0.06);
+  const auto fault =
+      std::find_if(report.faults.begin(), report.faults.end(), [](const OdometryFault& f) { return f.frozen_s > 0.0; });
+  ASSERT_NE(fault, report.faults.end());
+  EXPECT_EQ(fault->from_keyframe_id, 60);
+  EXPECT_EQ(fault->to_keyframe_id, 61);
+  EXPECT_EQ(fault->frozen_s, 4.0);
+  EXPECT_FALSE(fault->is_break);
+}
+
 TEST(PoseGraph, BadLoopsAreRefusedAndTheRestIsOptimised) {
   SyntheticRun run;
   run.drift(0.005, 0.002, 2);

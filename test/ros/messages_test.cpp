@@ -312,7 +312,7 @@ TEST(Messages, LoopClosureNamesItsFieldsAsTheMessageDoes) {
 
 TEST(Messages, Loops) {
   Random random(7);
-  FrameLoops loops{random.integer(), random.number(), {}};
+  FrameLoops loops{random.integer(), random.number(), {}, {}};
   for (int i = 0; i < 6; ++i) {
     core::LoopClosure loop;
     core::visit_fields(loop, [&random](const char*, auto& field) {
@@ -334,6 +334,10 @@ TEST(Messages, Loops) {
     if (i % 2 == 0) loop.T_earlier_match = random.pose();
     loops.closures.push_back(loop);
   }
+  for (int i = 0; i < 3; ++i) {
+    loops.motions.push_back(
+        {random.integer(), random.integer(), random.pose(), random.number(), random.number(), random.number()});
+  }
   const LoopsMessage message = random.message<LoopsMessage>(loops);
   const LoopClosureArray generated = expect_generated_is_same(message);
   EXPECT_EQ(generated.frame_id, loops.frame_id);
@@ -349,6 +353,13 @@ TEST(Messages, Loops) {
     EXPECT_EQ(generated.closures[i].matches[1].query_landmark_id, loop.matches[1].query_landmark_id);
     EXPECT_EQ(generated.closures[i].in_earlier_map != 0, loop.T_earlier_match.has_value());
     EXPECT_TRUE(same(generated.closures[i].earlier_map_from_match, loop.T_earlier_match.value_or(core::SE3())));
+  }
+  ASSERT_EQ(generated.motions.size(), 3u);
+  for (std::size_t i = 0; i < 3; ++i) {
+    EXPECT_EQ(generated.motions[i].to_keyframe_id, loops.motions[i].to_keyframe_id);
+    EXPECT_TRUE(same(generated.motions[i].pose, loops.motions[i].T_from_to));
+    EXPECT_EQ(generated.motions[i].path_m, loops.motions[i].path_m);
+    EXPECT_EQ(generated.motions[i].frozen_s, loops.motions[i].frozen_s);
   }
 }
 

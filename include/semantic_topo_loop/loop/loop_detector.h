@@ -11,6 +11,7 @@
 #include "semantic_topo_loop/types/frame.h"
 #include "semantic_topo_loop/types/landmark.h"
 #include "semantic_topo_loop/types/loop_closure.h"
+#include "semantic_topo_loop/types/solved_motion.h"
 
 namespace semantic_topo_loop::core {
 
@@ -53,6 +54,10 @@ class LoopDetector {
   /// Takes in a frame; at keyframes looks for loops. Call after `apply` of the frame's observation update.
   /// @return every candidate that reached verification, accepted or not
   std::vector<LoopClosure> detect(const Frame& frame, const AssociationFrame& associations);
+  /// Graph mode: how the camera moved about the last frame given to detect(), solved for with the objects in view: from
+  /// the middle of the last seconds on, each keyframe to the next. What comes later holds. Empty for most frames, and
+  /// while loop closing is off.
+  const std::vector<SolvedMotion>& motions() const;
   /// Loop closing can be switched at run time; frames are taken in all the same.
   void set_enabled(bool enabled);
   /// Why two keyframes of the run were closed, or were not. Pairs that the run did not compare are compared for the

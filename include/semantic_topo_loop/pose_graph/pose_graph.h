@@ -9,6 +9,7 @@
 #include "semantic_topo_loop/types/landmark.h"
 #include "semantic_topo_loop/types/loop_closure.h"
 #include "semantic_topo_loop/types/map_correction.h"
+#include "semantic_topo_loop/types/solved_motion.h"
 
 namespace semantic_topo_loop::core {
 
@@ -18,7 +19,8 @@ struct PoseGraphOptions;
 /// are:
 ///   0. in a long run the past comes in coarse steps (`coarsen` in src/pose_graph/solver), and each place keeps its
 ///      best loops (`LoopRejection::bound`), so that a solution costs the same after hours; not with a free scale;
-///   1. frames become vertices and odometry edges, with the jumps that their motion lets suspect (src/odometry);
+///   1. frames become vertices and odometry edges, with the jumps that their motion lets suspect (src/odometry); the
+///      loop detector's solved motions take the place of the odometry's;
 ///   2. loops are rejected (src/pose_graph/rejection): pairwise consistency, robust solve, final audit;
 ///   3. the odometry's noise is learnt from the loops that are kept, and poses are solved for at that noise
 ///      (src/pose_graph/solver); at the end of a run once more with the objects;
@@ -33,6 +35,9 @@ class PoseGraph {
   void observe(const Frame& frame, const AssociationFrame& associations);
   /// Follows the map. @param update of the frame before, or of this one before `process`
   void apply(const MapUpdate& update);
+  /// Puts solved motions in the place of the odometry's, but for breaks and where the odometry's source states how good
+  /// it is. Motions between keyframes that are not known, or no neighbours, are left out.
+  void refine(const std::vector<SolvedMotion>& motions);
   /// Adds the frame's keyframe and odometry edge and the accepted loops, but for those into an earlier run's map;
   /// optimises when there is reason to. An end frame always optimises.
   /// @param extra_loops loops from outside, treated alike

@@ -29,6 +29,7 @@
 #include "semantic_topo_loop/types/landmark.h"
 #include "semantic_topo_loop/types/loop_closure.h"
 #include "semantic_topo_loop/types/map_correction.h"
+#include "semantic_topo_loop/types/solved_motion.h"
 
 /// The core's values as messages: roscpp's adapted types. What is published as one of the *Message types below goes by
 /// the type, the MD5 sum and the bytes of its .msg file, so that rostopic, rosbag, Python and subscribers of the
@@ -71,11 +72,12 @@ struct FrameDetections {
   std::vector<core::Detection> detections;
 };
 
-/// Every candidate of one frame.
+/// Every candidate of one frame, and the motions solved for with it.
 struct FrameLoops {
   std::int64_t frame_id = 0;
   double duration_us = 0.0;
   std::vector<core::LoopClosure> closures;
+  std::vector<core::SolvedMotion> motions;
 };
 
 /// The full map as an update of every landmark; what it follows is left to the holder.
@@ -263,7 +265,9 @@ SEMANTIC_TOPO_LOOP_FIELDS(core::ObjectMatch, m.query_landmark_id, m.match_landma
 SEMANTIC_TOPO_LOOP_FIELDS(core::KeyframePose, m.keyframe_id, m.frame_id, m.stamp_ns, m.T_map_camera, m.scale)
 SEMANTIC_TOPO_LOOP_FIELDS(core::LoopVerdict, m.number, m.query_keyframe_id, m.match_keyframe_id, m.kept, m.reason)
 SEMANTIC_TOPO_LOOP_FIELDS(core::OdometryFault, m.from_keyframe_id, m.to_keyframe_id, m.is_break, m.translation_m,
-                          m.rotation_rad)
+                          m.rotation_rad, m.frozen_s)
+SEMANTIC_TOPO_LOOP_FIELDS(core::SolvedMotion, m.from_keyframe_id, m.to_keyframe_id, m.T_from_to, m.path_m,
+                          m.rotation_rad, m.frozen_s)
 SEMANTIC_TOPO_LOOP_FIELDS(core::OdometryReport, m.stated_edges, m.translation_m, m.rotation_rad, m.steady_translation,
                           m.steady_rotation_rad, m.scale, m.loop_factor, m.faults)
 SEMANTIC_TOPO_LOOP_FIELDS(semantic_topo_loop::FrameDetections, m.frame_id, m.unanswered, m.detections)
@@ -272,7 +276,7 @@ SEMANTIC_TOPO_LOOP_FIELDS(core::AssociationFrame, m.frame_id, m.unanswered, m.ma
 SEMANTIC_TOPO_LOOP_FIELDS(core::MapUpdate, m.frame_id, m.phase, m.base_version, m.map_version, m.T_map_odom, m.changed,
                           m.removed, m.unmerged, m.merged, m.duration_us)
 SEMANTIC_TOPO_LOOP_FIELDS(semantic_topo_loop::FullMap, m.map_version, m.T_map_odom, m.changed)
-SEMANTIC_TOPO_LOOP_FIELDS(semantic_topo_loop::FrameLoops, m.frame_id, m.duration_us, m.closures)
+SEMANTIC_TOPO_LOOP_FIELDS(semantic_topo_loop::FrameLoops, m.frame_id, m.duration_us, m.closures, m.motions)
 SEMANTIC_TOPO_LOOP_FIELDS(core::MapCorrection, m.frame_id, m.changed, m.valid_to_keyframe_id, m.T_map_odom_old,
                           m.T_map_odom, m.scale, m.keyframes, m.loops, m.odometry, m.duration_us)
 SEMANTIC_TOPO_LOOP_FIELDS(core::TrackingReport, m.images, m.tracked, m.relocalised, m.restarts, m.lost, m.unusable,

@@ -509,9 +509,10 @@ std::deque<ObservedFrame> WindowSolver::solve(std::deque<ObservedFrame> window, 
     while (step + 1 < problem.steps() && knots[step + 1] <= i) ++step;
     const double share = (seconds_into(window, i) - problem.times_s[step]) / problem.duration_s(step);
     const SE3& T_odom_knot = unknowns.T_odom_knot[step];
-    const SE3 error = problem.odometry(step).inverse() * (T_odom_knot.inverse() * unknowns.T_odom_knot[step + 1]);
     const SE3 T_knot_camera = problem.T_odom_knot[step].inverse() * window[i].T_odom_camera;
-    window[i].T_odom_camera = T_odom_knot * T_knot_camera * se3_exp(share * se3_log(error));
+    window[i].T_odom_camera =
+        T_odom_knot * motion_on_the_way(T_knot_camera, problem.odometry(step),
+                                        T_odom_knot.inverse() * unknowns.T_odom_knot[step + 1], share);
     if (i > 0 && frozen[i - 1]) window[i].frozen_s = seconds_into(window, i) - seconds_into(window, i - 1);
   }
   return window;

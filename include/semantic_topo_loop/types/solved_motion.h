@@ -1,0 +1,18 @@
+#pragma once
+
+#include <cstdint>
+
+#include "semantic_topo_loop/types/transform.h"
+
+namespace semantic_topo_loop::core {
+
+/// How the camera moved from a keyframe to the next, solved for with the objects that it saw on the way.
+struct SolvedMotion {
+  std::int64_t from_keyframe_id = -1, to_keyframe_id = -1;
+  SE3 T_from_to;
+  double path_m = 0.0;        ///< length of the way
+  double rotation_rad = 0.0;  ///< sum of the rotation angles on it
+  double frozen_s = 0.0;      ///< for how long of that time the odometry stood still though what was in view moved
+};
+
+}  // namespace semantic_topo_loop::core
