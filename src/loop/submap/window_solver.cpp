@@ -416,11 +416,23 @@ void add(const Vec6& error, const Vec6& variances, const Vec6& prior, double per
   rotation->count += determined.tail<3>().sum();
 }
 
+/// R of R^T R = information^-1, lower triangular: of it and of L no more is computed than is not zero.
+/// @param information its lower triangle, in blocks of 6
+Eigen::MatrixXd covariance_root(const Eigen::MatrixXd& information) {
+  const Eigen::LLT<Eigen::MatrixXd> llt = information.selfadjointView<Eigen::Lower>().llt();
+  const auto n = information.rows();
+  Eigen::MatrixXd root = Eigen::MatrixXd::Identity(n, n);
+  for (Eigen::Index begin = 0; begin < n; begin += 6) {
+    auto column = root.block(begin, begin, n - begin, 6);
+    llt.matrixLLT().bottomRightCorner(n - begin, n - begin).triangularView<Eigen::Lower>().solveInPlace(column);
+  }
+  return root;
+}
+
 void learn(const Problem& problem, const Unknowns& unknowns, const Equations& equations, WindowEvidence* evidence) {
-  const Eigen::MatrixXd information = equations.reduce(0.0, unknowns, nullptr);
-  const Eigen::MatrixXd covariance = information.selfadjointView<Eigen::Lower>().llt().solve(
-      Eigen::MatrixXd::Identity(information.rows(), information.cols()));
-  if (!covariance.allFinite()) return;
+  const Eigen::MatrixXd root = covariance_root(equations.reduce(0.0, unknowns, nullptr));
+  if (!root.allFinite()) return;
+  const auto variances = [&root](Eigen::Index row) -> Vec6 { return root.middleCols<6>(row).colwise().squaredNorm(); };
   const WindowNoise& noise = problem.noise;
   for (std::size_t i = 0; i < problem.steps(); ++i) {
     if (problem.is_frozen(i)) continue;
@@ -428,22 +440,19 @@ void learn(const Problem& problem, const Unknowns& unknowns, const Equations& eq
     const RelativePoseTerms terms = step_terms(problem, unknowns, i);
     const auto row = static_cast<Eigen::Index>(6 * i);
     const Eigen::Index drift = drift_row(problem, static_cast<std::size_t>(problem.drift_of[i]));
-    Eigen::Matrix<double, 6, 12> J;
-    J << terms.J_from, terms.J_to;
-    const Mat6 by_drift = J * covariance.block<12, 6>(row, drift);
-    const Mat6 left = J * covariance.block<12, 12>(row, row) * J.transpose() - dt * (by_drift + by_drift.transpose()) +
-                      dt * dt * covariance.block<6, 6>(drift, drift);
-    add(terms.residual, left.diagonal(), problem.step_variances(i), 1.0 / dt, &evidence->step_translation,
+    const Eigen::Matrix<double, Eigen::Dynamic, 6> left = root.middleCols<6>(row) * terms.J_from.transpose() +
+                                                          root.middleCols<6>(row + 6) * terms.J_to.transpose() -
+                                                          dt * root.middleCols<6>(drift);
+    add(terms.residual, left.colwise().squaredNorm(), problem.step_variances(i), 1.0 / dt, &evidence->step_translation,
         &evidence->step_rotation);
   }
   for (std::size_t k = 0; k < unknowns.drifts.size(); ++k) {
-    const Eigen::Index drift = drift_row(problem, k);
-    add(unknowns.drifts[k], covariance.diagonal().segment<6>(drift),
+    add(unknowns.drifts[k], variances(drift_row(problem, k)),
         by_kind(squared(noise.drift_mps), squared(noise.drift_radps)), 1.0, &evidence->drift_translation,
         &evidence->drift_rotation);
   }
   const auto last = static_cast<Eigen::Index>(6 * problem.steps());
-  const double ends = covariance.diagonal().segment<3>(3).mean() + covariance.diagonal().segment<3>(last + 3).mean();
+  const double ends = variances(0).tail<3>().mean() + variances(last).tail<3>().mean();
   evidence->doubt_radps = std::sqrt(2.0 * ends) / (problem.times_s.back() - problem.times_s.front());
   if (const std::optional<double> variance = box_variance(problem, unknowns)) {
     const double factor = evidence->box_factor * std::sqrt(1.0 + kBoxRate * (*variance - 1.0));
