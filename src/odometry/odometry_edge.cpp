@@ -1,6 +1,7 @@
 #include "odometry/odometry_edge.h"
 
 #include <Eigen/Eigenvalues>
+#include <cmath>
 #include <limits>
 
 #include "geometry/relative_pose.h"
@@ -29,6 +30,12 @@ Mat6 suspected_jump_covariance(const OdometryEdge& edge) {
 std::size_t index(int vertex) { return static_cast<std::size_t>(vertex); }
 
 constexpr OdometryNoise kNoNoise{0.0, 0.0, 0.0, 0.0, 0.0, 0.0}, kOnlyJumps{0.0, 0.0, 0.0, 0.0, 0.0, 1.0};
+
+bool is_motion(const SolvedMotion& motion) {
+  const auto is_length = [](double value) { return std::isfinite(value) && value >= 0.0; };
+  return motion.T_from_to.is_finite() && is_rotation(motion.T_from_to.q) && is_length(motion.path_m) &&
+         is_length(motion.rotation_rad) && is_length(motion.frozen_s);
+}
 
 EdgeCovariance by_causes(const OdometryEdge& edge) {
   if (edge.joined) return *edge.joined;
@@ -86,7 +93,7 @@ Mat6 odometry_covariance(const OdometryEdge& edge, const OdometryNoise& noise) {
 }
 
 bool OdometryEdge::refine(const SolvedMotion& motion) {
-  if (is_break || covariance || joined) return false;
+  if (is_break || covariance || joined || !is_motion(motion)) return false;
   T_from_to = motion.T_from_to;
   path_m = motion.path_m;
   rotation_rad = motion.rotation_rad;

@@ -76,7 +76,7 @@ struct PoseGraph::Impl {
       const Carrier from = carrier(number(motion.from_keyframe_id)), to = carrier(number(motion.to_keyframe_id));
       const bool are_neighbours =
           from.vertex >= 0 && to.vertex == from.vertex + 1 && !from.T_vertex_keyframe && !to.T_vertex_keyframe;
-      if (!are_neighbours || !motion.T_from_to.is_finite()) continue;
+      if (!are_neighbours) continue;
       const bool is_taken = trajectory_.edges[static_cast<std::size_t>(from.vertex)].refine(motion);
       is_refined_ = is_refined_ || is_taken;
     }

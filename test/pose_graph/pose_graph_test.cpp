@@ -284,10 +284,14 @@ TEST(PoseGraph, WhatNoNeighboursOrAKnownNoiseTellIsNotReplaced) {
     if (k == 8) frame.covariance = 1e-4 * Mat6::Identity();
     graph.process(frame, {});
   }
-  SolvedMotion wrong = true_motion(run, 10, 11);
-  wrong.T_from_to.t.x() = std::numeric_limits<double>::quiet_NaN();
+  std::vector<SolvedMotion> wrong(4, true_motion(run, 10, 11));
+  wrong[0].T_from_to.t.x() = std::numeric_limits<double>::quiet_NaN();
+  wrong[1].T_from_to.q.coeffs().setZero();
+  wrong[2].path_m = std::numeric_limits<double>::infinity();
+  wrong[3].frozen_s = -1.0;
+  graph.refine(wrong);
   graph.refine({true_motion(run, 4, 5), true_motion(run, 7, 8), true_motion(run, 2, 4), true_motion(run, 3, 2),
-                true_motion(run, 19, 20), true_motion(run, 3, 3), wrong, SolvedMotion()});
+                true_motion(run, 19, 20), true_motion(run, 3, 3), SolvedMotion()});
   EXPECT_FALSE(graph.process(run.end_frame(), {}).changed);
 }
 

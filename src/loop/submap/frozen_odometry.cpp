@@ -13,8 +13,8 @@ namespace {
 
 /// An odometry stands if it moves by less between two frames: boxes tell no smaller motion.
 constexpr double kStill_m = 0.001, kStill_rad = 0.001;
-constexpr std::int64_t kStretch_ns =
-    1'500'000'000;                    ///< is judged at a time: longer, a standing camera sees things pass
+/// What is judged at a time: for longer, a standing camera sees things pass.
+constexpr std::int64_t kStretch_ns = 1'500'000'000;
 constexpr double kMovedSigmas = 4.0;  ///< of a box's sides, root mean square
 constexpr int kMinSides = 2;          ///< that both boxes of a track bound
 constexpr int kMinMoved = 2;          ///< tracks: a single thing may move by itself
