@@ -50,8 +50,8 @@ struct OdometryEdge {
   /// above.
   std::shared_ptr<const EdgeCovariance> joined;
 
-  /// Takes over a solved motion between the same keyframes, unless that has figures that no motion has, or this one is a
-  /// break, joined, or of a source that states how good it is.
+  /// Takes over a solved motion between the same keyframes, unless that has figures that no motion has, or this one is
+  /// a break, joined, or of a source that states how good it is.
   /// @return whether it did
   bool refine(const SolvedMotion& motion);
 };
