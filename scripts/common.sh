@@ -20,7 +20,7 @@ as_root() {
 }
 
 common_packages="build-essential cmake ninja-build curl pkg-config xvfb libbenchmark-dev libboost-all-dev
-  libceres-dev libeigen3-dev libgtest-dev libopencv-dev libyaml-cpp-dev nlohmann-json3-dev python3-numpy
+  libceres-dev libeigen3-dev libgtest-dev libopencv-dev libsqlite3-dev libyaml-cpp-dev nlohmann-json3-dev python3-numpy
   python3-matplotlib"
 
 debian_packages="catkin libcv-bridge-dev libdiagnostic-msgs-dev libdiagnostic-updater-dev libgeometry-msgs-dev

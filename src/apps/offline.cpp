@@ -13,15 +13,16 @@
 
 #include "apps/program.h"
 #include "geometry/up_estimator.h"
+#include "pipeline/map_state.h"
 #include "ros/parameters.h"
 #include "ros/tum_bag.h"
 #include "semantic_topo_loop/frontend/rgbd_frontend.h"
 #include "semantic_topo_loop/io/detection_file.h"
+#include "semantic_topo_loop/io/map_file.h"
 #include "semantic_topo_loop/io/point_cloud_file.h"
 #include "semantic_topo_loop/io/rgbd_recording.h"
 #include "semantic_topo_loop/io/run_files.h"
 #include "semantic_topo_loop/io/run_recorder.h"
-#include "semantic_topo_loop/io/submap_file.h"
 #include "semantic_topo_loop/io/tum_trajectory.h"
 #include "semantic_topo_loop/io/yaml_files.h"
 #include "semantic_topo_loop/map/point_map.h"
@@ -38,6 +39,7 @@ using namespace semantic_topo_loop::core;
 struct Arguments {
   std::string trajectory, rgbd, bag, associations, detections, camera, classes, config, extra_loops, output, map,
       save_map, points;
+  bool frozen = false;
   OptionTexts assignments;
 };
 
@@ -179,7 +181,7 @@ struct RunInputs {
   std::vector<DetectionFrame> detections;    ///< as they were recorded
   std::unique_ptr<ObjectDetector> detector;  ///< null: none
   std::vector<LoopClosure> extra_loops;
-  std::optional<std::vector<LocalMap>> earlier_map;
+  std::shared_ptr<const MapState> earlier_map;  ///< null: none
 };
 
 /// The poses of --trajectory, or those found from the images of --bag or --rgbd.
@@ -236,9 +238,13 @@ Status load_optional(const Arguments& arguments, RunInputs* inputs) {
     if (inputs->options.loop.mode != "graph") {
       return Error{"argument --map = '" + arguments.map + "' needs loop.mode = graph"};
     }
-    Result<std::vector<LocalMap>> submaps = read_submaps(arguments.map, *inputs->classes);
-    if (!submaps) return submaps.error();
-    inputs->earlier_map = *std::move(submaps);
+    Result<std::shared_ptr<const MapState>> map = read_map(arguments.map, *inputs->classes);
+    if (!map) return map.error();
+    inputs->earlier_map = *std::move(map);
+    if (inputs->earlier_map->submaps.empty()) return Error{arguments.map + ": holds no place to be found at"};
+    if (!arguments.frozen && inputs->earlier_map->sessions.empty()) {
+      return Error{arguments.map + ": holds submaps only, so that it can only be used with --frozen"};
+    }
   }
   return {};
 }
@@ -382,8 +388,15 @@ Status check_input(const RunInputs& inputs, const Counts& counts) {
 /// rewound the result means nothing
 Status run_once(const Arguments& arguments, const RunInputs& inputs, RunRecorder* recorder) {
   ObjectSlam slam(inputs.options, inputs.classes);
-  if (inputs.earlier_map) slam.set_earlier_map(*inputs.earlier_map);
   FrameBuilder builder(inputs.options.keyframe, inputs.camera);
+  if (inputs.earlier_map != nullptr) {
+    if (arguments.frozen) {
+      slam.set_earlier_map(inputs.earlier_map->submaps_in_unit());
+    } else {
+      recorder->record(slam.restore(*inputs.earlier_map, inputs.camera));
+      builder.count_from(inputs.earlier_map->next_frame_id, inputs.earlier_map->next_keyframe_id());
+    }
+  }
   PointMap point_map(inputs.options.point_map);
   ExtraLoops extra_loops(inputs.extra_loops);
   DetectionSource detection_source(inputs);
@@ -422,7 +435,7 @@ Status run_once(const Arguments& arguments, const RunInputs& inputs, RunRecorder
     if (const Status written = write_point_cloud(arguments.points, point_map.points()); !written) return written;
   }
   if (!arguments.save_map.empty()) {
-    if (const Status written = write_submaps(arguments.save_map, slam.submaps_in_map()); !written) return written;
+    if (const Status written = write_map(arguments.save_map, *slam.map(), *inputs.classes); !written) return written;
   }
 
   const double seconds = 1e-6 * stopwatch.elapsed_us();
@@ -458,6 +471,14 @@ void print(const std::optional<Relocalisation>& found) {
               T.t.z(), T.q.x(), T.q.y(), T.q.z(), T.q.w(), found->agreeing, found->total);
 }
 
+void print(const std::optional<JoinedMap>& joined) {
+  if (!joined) {
+    std::printf("not found in the earlier map: the run stands beside it\n");
+    return;
+  }
+  std::printf("joined the earlier map after %.1f s, by %d loops\n", joined->after_s, joined->loops);
+}
+
 Status run(const Arguments& arguments) {
   const Result<RunInputs> inputs = load(arguments);
   if (!inputs) return inputs.error();
@@ -470,7 +491,13 @@ Status run(const Arguments& arguments) {
   const Result<std::unique_ptr<RunRecorder>> recorder = run_chain(arguments, *inputs);
   if (!recorder) return recorder.error();
   if (const Status written = (*recorder)->write(arguments.output); !written) return written;
-  if (inputs->earlier_map) print((*recorder)->relocalisation());
+  if (inputs->earlier_map != nullptr) {
+    if (arguments.frozen) {
+      print((*recorder)->relocalisation());
+    } else {
+      print((*recorder)->joined_map());
+    }
+  }
   const std::string& fault = inputs->source->state().fault;
   if (fault.empty()) return {};
   return Error{"the recording ends early: " + fault + "; what was mapped is kept"};
@@ -486,6 +513,7 @@ Status check(Arguments* arguments) {
     return Error{"argument --detections is missing"};
   }
   if (!arguments->associations.empty() && arguments->rgbd.empty()) return Error{"argument --associations needs --rgbd"};
+  if (arguments->frozen && arguments->map.empty()) return Error{"argument --frozen needs --map"};
   if (!arguments->points.empty() && arguments->rgbd.empty()) return Error{"argument --points needs --rgbd"};
   return default_to_package("classes_coco.yaml", "--classes", &arguments->classes);
 }
@@ -495,7 +523,7 @@ Command run_command(Arguments* arguments) {
       "",
       "--trajectory FILE --detections FILE_OR_DIR --camera YAML --output DIR\n"
       "               [--classes YAML] [--config YAML] [--set module.field=value ...]\n"
-      "               [--extra-loops CSV] [--map FILE] [--save-map FILE] [--points FILE]\n"
+      "               [--extra-loops CSV] [--map FILE [--frozen]] [--save-map FILE] [--points FILE]\n"
       "       offline --rgbd DIR --camera YAML --output DIR [--associations FILE]\n"
       "               [--detections FILE_OR_DIR | --detector ONNX] ...\n"
       "       offline --bag FILE --camera YAML --output DIR [--detections FILE_OR_DIR | --detector ONNX] ...",
@@ -534,8 +562,10 @@ Command run_command(Arguments* arguments) {
               "loops for the pose graph beside those that are found, as loops.csv, see docs/files.md")
       .option("output", path(&arguments->output), "directory of the results, made if missing")
       .option("map", po::value(&arguments->map),
-              "submaps that an earlier run saved: the run's place in its map is looked for")
-      .option("save-map", po::value(&arguments->save_map), "file for this run's submaps, for later runs")
+              "map that earlier runs saved: this run goes on with it, as a further session")
+      .option("frozen", po::bool_switch(&arguments->frozen),
+              "the run's place in the map is looked for, and the map stays as it is")
+      .option("save-map", po::value(&arguments->save_map), "file for the map at the end, for later runs")
       .option("points", checked("a path that ends in .ply or .pcd", take_points),
               "with --rgbd: file for the map's points");
   return command;

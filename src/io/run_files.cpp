@@ -116,6 +116,22 @@ std::string row_of(Row row, bool is_header = false) {
 
 }  // namespace
 
+MappedObject mapped_object(const Landmark& landmark, const ClassTable& classes) {
+  MappedObject object;
+  object.id = landmark.id;
+  object.class_id = landmark.class_id;
+  object.label = classes.name(landmark.class_id);
+  object.center = landmark.ellipsoid->T_world_quadric.t;
+  object.rotation = landmark.ellipsoid->T_world_quadric.q;
+  object.semi_axes = landmark.ellipsoid->semi_axes;
+  object.state = to_string(landmark.state);
+  object.observations = landmark.observations;
+  object.baseline_deg = landmark.baseline_deg;
+  object.mean_iou = landmark.mean_iou;
+  object.quality = landmark.quality;
+  return object;
+}
+
 std::string keyframe_table_header() { return row_of(KeyframePose(), true); }
 std::string object_table_header() { return row_of(MappedObject(), true); }
 std::string loop_table_header() { return row_of(LoopFigures(), true); }

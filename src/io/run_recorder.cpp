@@ -245,6 +245,19 @@ class FileRecorder : public RunRecorder {
     return relocaliser.estimate();
   }
 
+  std::optional<JoinedMap> joined_map() const override {
+    if (keyframes_.empty()) return std::nullopt;
+    const auto& [first_id, first] = *keyframes_.begin();
+    std::optional<JoinedMap> joined;
+    for (const auto& [number, verdict] : verdicts_) {
+      const auto query = keyframes_.find(verdict.query_keyframe_id);
+      if (!verdict.kept || verdict.match_keyframe_id >= first_id || query == keyframes_.end()) continue;
+      const double after_s = 1e-9 * static_cast<double>(query->second.stamp_ns - first.stamp_ns);
+      joined = joined ? JoinedMap{std::min(joined->after_s, after_s), joined->loops + 1} : JoinedMap{after_s, 1};
+    }
+    return joined;
+  }
+
   Status write(const std::string& directory) const override {
     Rows open;
     SE3 T_map_odom = settled_T_map_odom_;
@@ -397,19 +410,7 @@ class FileRecorder : public RunRecorder {
     file << object_table_header();
     for (const auto& [id, landmark] : landmarks_) {
       if (!landmark.ellipsoid) continue;
-      MappedObject object;
-      object.id = id;
-      object.class_id = landmark.class_id;
-      object.label = classes_->name(landmark.class_id);
-      object.center = landmark.ellipsoid->T_world_quadric.t;
-      object.rotation = landmark.ellipsoid->T_world_quadric.q;
-      object.semi_axes = landmark.ellipsoid->semi_axes;
-      object.state = to_string(landmark.state);
-      object.observations = landmark.observations;
-      object.baseline_deg = landmark.baseline_deg;
-      object.mean_iou = landmark.mean_iou;
-      object.quality = landmark.quality;
-      file << table_row(object);
+      file << table_row(mapped_object(landmark, *classes_));
     }
   }
 
@@ -457,6 +458,9 @@ class FileRecorder : public RunRecorder {
                               {"corrections", corrections_},
                               {"odometry", odometry_summary(odometry_)}};
     if (tracking_) summary["images"] = to_json(*tracking_);
+    if (const std::optional<JoinedMap> joined = joined_map()) {
+      summary["joined_map"] = {{"after_s", joined->after_s}, {"loops", joined->loops}};
+    }
     if (has_earlier_map_) summary["relocalisation"] = to_json(relocalisation());
     constexpr int kIndent = 2;
     file << summary.dump(kIndent) << '\n';

@@ -27,17 +27,8 @@ class TemporaryFile {
   TemporaryFile& operator=(const TemporaryFile&) = delete;
 
   Status write(const WriteText& write) {
-    static std::atomic<std::uint64_t> next{0};
-    int descriptor = -1;
-    do {  // O_EXCL refuses what is there, links included; then the next number
-      temporary_ = path_ + "." + std::to_string(::getpid()) + "-" + std::to_string(next++) + ".tmp";
-      constexpr mode_t kMode = 0666;  // less the umask, as std::ofstream makes files
-      descriptor = ::open(temporary_.c_str(), O_WRONLY | O_CREAT | O_EXCL | O_NOFOLLOW | O_CLOEXEC, kMode);
-    } while (descriptor < 0 && errno == EEXIST);
-    if (descriptor < 0) {
-      temporary_.clear();
-      return failure("cannot write the file");
-    }
+    const int descriptor = create();
+    if (descriptor < 0) return failure("cannot write the file");
     __gnu_cxx::stdio_filebuf<char> buffer(descriptor, std::ios::out | std::ios::binary);
     std::ostream stream(&buffer);
     stream.imbue(std::locale::classic());
@@ -47,6 +38,17 @@ class TemporaryFile {
     return is_written && buffer.close() != nullptr ? Status() : failure("cannot write the file");
   }
 
+  /// @param write writes the file of the name it is given, which is there and empty
+  Status write(const std::function<Status(const std::string&)>& write) {
+    const int descriptor = create();
+    if (descriptor < 0) return failure("cannot write the file");
+    const Status written = write(temporary_);
+    errno = 0;
+    const bool is_on_disk = ::fsync(descriptor) == 0;
+    ::close(descriptor);
+    return is_on_disk || !written ? written : failure("cannot write the file");
+  }
+
   Status put_in_place() {
     if (std::rename(temporary_.c_str(), path_.c_str()) != 0) return failure("cannot rename the temporary file");
     temporary_.clear();
@@ -54,6 +56,19 @@ class TemporaryFile {
   }
 
  private:
+  /// @return descriptor of a new file, < 0 if there cannot be one
+  int create() {
+    static std::atomic<std::uint64_t> next{0};
+    int descriptor = -1;
+    do {  // O_EXCL refuses what is there, links included; then the next number
+      temporary_ = path_ + "." + std::to_string(::getpid()) + "-" + std::to_string(next++) + ".tmp";
+      constexpr mode_t kMode = 0666;  // less the umask, as std::ofstream makes files
+      descriptor = ::open(temporary_.c_str(), O_WRONLY | O_CREAT | O_EXCL | O_NOFOLLOW | O_CLOEXEC, kMode);
+    } while (descriptor < 0 && errno == EEXIST);
+    if (descriptor < 0) temporary_.clear();
+    return descriptor;
+  }
+
   Error failure(const std::string& what) const {
     return Error{path_ + ": " + what + (errno == 0 ? "" : ": " + std::system_category().message(errno))};
   }
@@ -89,6 +104,12 @@ Status write_files(const FileTexts& files) {
     if (const Status status = file.put_in_place(); !status) return status;
   }
   return {};
+}
+
+Status replace_file(const std::string& path, const std::function<Status(const std::string&)>& write) {
+  TemporaryFile file(path);
+  const Status written = file.write(write);
+  return written ? file.put_in_place() : written;
 }
 
 Status make_directory(const std::string& path) {

@@ -2,7 +2,6 @@
 
 #include <algorithm>
 #include <cmath>
-#include <limits>
 #include <map>
 #include <sstream>
 
@@ -295,15 +294,29 @@ LoopExplanation LoopDetector::explain(std::int64_t query_keyframe_id, std::int64
   return impl_->explain(query_keyframe_id, match_keyframe_id);
 }
 void LoopDetector::set_earlier_map(std::vector<LocalMap> submaps) {
-  // They are never too recent, whatever the earlier run's clock said.
-  LoopOptions options = impl_->options_;
-  options.min_gap_s = -std::numeric_limits<double>::infinity();
-  GraphDetector& earlier = impl_->earlier_.emplace(options);
+  GraphDetector& earlier = impl_->earlier_.emplace(impl_->options_);
   for (LocalMap& submap : submaps) {
     submap.is_earlier = true;
-    submap.segment = -1;
+    submap.segment = LocalMap::kOtherSession;
     earlier.insert(std::move(submap));
   }
+}
+void LoopDetector::restore(std::vector<LocalMap> submaps, const std::vector<KeyframePose>& keyframes) {
+  for (const KeyframePose& keyframe : keyframes) {
+    impl_->keyframes_[keyframe.keyframe_id] = {keyframe.frame_id, keyframe.stamp_ns, keyframe.T_map_camera};
+  }
+  for (LocalMap& submap : submaps) {
+    submap.segment = LocalMap::kOtherSession;
+    impl_->graph_.insert(std::move(submap));
+  }
+}
+std::vector<LoopClosure> LoopDetector::detect(const std::vector<LocalMap>& queries) {
+  std::vector<LoopClosure> loops;
+  for (LocalMap query : queries) {
+    query.segment = 0;  // where it stands beside the submaps kept so far means nothing
+    for (LoopClosure& loop : impl_->graph_.detect(query)) loops.push_back(std::move(loop));
+  }
+  return loops;
 }
 std::optional<Relocalisation> LoopDetector::relocalisation() const { return impl_->relocaliser_.estimate(); }
 std::vector<LocalMap> LoopDetector::submaps() const {

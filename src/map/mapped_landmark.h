@@ -84,8 +84,13 @@ class SeenFrom {
     return smallest > 0.0F && box_size_px >= static_cast<double>(smallest);
   }
 
- private:
   static constexpr int kSteps = 4;  // along each side of a cube's face
+  using Bins = std::array<float, 6 * kSteps * kSteps>;
+  /// Smallest boxes by direction, px; 0 where it was not seen from.
+  const Bins& smallest_px() const { return smallest_px_; }
+  explicit SeenFrom(const Bins& smallest_px = {}) : smallest_px_(smallest_px) {}
+
+ private:
 
   static std::size_t bin(const Vec3& direction) {
     Eigen::Index axis = 0;
@@ -97,7 +102,7 @@ class SeenFrom {
     return static_cast<std::size_t>((face * kSteps + step((axis + 1) % 3)) * kSteps + step((axis + 2) % 3));
   }
 
-  std::array<float, 6 * kSteps * kSteps> smallest_px_{};
+  Bins smallest_px_;
 };
 
 /// What is known of a landmark beside its boxes.

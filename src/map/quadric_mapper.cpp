@@ -9,6 +9,7 @@
 #include "geometry/statistics.h"
 #include "map/landmark_fitter.h"
 #include "map/mapped_landmark.h"
+#include "map/mapper_state.h"
 #include "map/merging.h"
 #include "semantic_topo_loop/map/mapper_options.h"
 #include "semantic_topo_loop/types/stamp.h"
@@ -90,6 +91,40 @@ struct QuadricMapper::Impl {
     end_update(&update);
     update.duration_us = stopwatch.elapsed_us();
     return update;
+  }
+
+  MapperState state() const {
+    MapperState state;
+    state.camera = camera_;
+    for (const auto& [id, landmark] : landmarks_) state.landmarks.push_back(landmark);
+    return state;
+  }
+
+  MapUpdate restore(MapperState state, const std::vector<KeyframePose>& keyframes, const Camera& camera,
+                    const SE3& T_map_odom) {
+    MapUpdate update = begin_update(-1, MapUpdatePhase::kCorrection);
+    camera_ = camera;
+    T_map_odom_ = T_map_odom;
+    for (const KeyframePose& keyframe : keyframes) {
+      T_odom_keyframe_[keyframe.keyframe_id] = keyframe.T_map_camera;
+      S_map_keyframe_[keyframe.keyframe_id] = Sim3(keyframe.T_map_camera, keyframe.scale);
+    }
+    for (MappedLandmark& landmark : state.landmarks) {
+      for (Observation& observation : landmark.observations) {
+        observation.view.box = in_pixels_of(camera, state.camera, observation.view.box);
+      }
+      changed_.insert(landmark.state.id);
+      landmarks_[landmark.state.id] = std::move(landmark);
+    }
+    end_update(&update);
+    return update;
+  }
+
+  static Box in_pixels_of(const Camera& camera, const Camera& other, const Box& box) {
+    const auto moved = [&](const Vec2& pixel) -> Vec2 { return camera.pixel(other.ray(pixel)); };
+    const Vec4 edges = box.edges();
+    const Vec2 low = moved(edges.head<2>()), high = moved(edges.tail<2>());
+    return {low.x(), low.y(), high.x(), high.y()};
   }
 
   /// How much time this answer stands for; long gaps count no more than a slow detector's interval.
@@ -415,6 +450,11 @@ MapUpdate QuadricMapper::integrate(const Frame& frame, const AssociationFrame& a
   return impl_->integrate(frame, associations);
 }
 MapUpdate QuadricMapper::apply(const MapCorrection& correction) { return impl_->apply(correction); }
+MapperState QuadricMapper::state() const { return impl_->state(); }
+MapUpdate QuadricMapper::restore(MapperState state, const std::vector<KeyframePose>& keyframes, const Camera& camera,
+                                 const SE3& T_map_odom) {
+  return impl_->restore(std::move(state), keyframes, camera, T_map_odom);
+}
 std::vector<Landmark> QuadricMapper::landmarks() const {
   std::vector<Landmark> landmarks;
   landmarks.reserve(impl_->landmarks_.size());

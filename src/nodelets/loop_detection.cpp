@@ -7,10 +7,11 @@
 #include <optional>
 #include <pluginlib/class_list_macros.hpp>
 
+#include "pipeline/map_state.h"
 #include "ros/frame_joiner.h"
 #include "ros/stage.h"
 #include "semantic_topo_loop/WhyLoop.h"
-#include "semantic_topo_loop/io/submap_file.h"
+#include "semantic_topo_loop/io/map_file.h"
 #include "semantic_topo_loop/loop/loop_detector.h"
 #include "semantic_topo_loop/pipeline/object_slam.h"
 #include "semantic_topo_loop/types/stamp.h"
@@ -70,9 +71,10 @@ class LoopDetectionNodelet : public StageWith<LoopDetectionParameters> {
     if (options_.loop.mode != "graph") {
       return fail("parameter 'map_file' = '" + parameters_.map_file + "' needs loop/mode graph");
     }
-    core::Result<std::vector<core::LocalMap>> submaps = core::read_submaps(parameters_.map_file, *classes());
-    if (!submaps) return fail(submaps.message());
-    earlier_map_ = std::move(*submaps);
+    const auto map = core::read_map(parameters_.map_file, *classes());
+    if (!map) return fail(map.message());
+    earlier_map_ = (*map)->submaps_in_unit();
+    if (earlier_map_.empty()) return fail(parameters_.map_file + ": holds no place to be found at");
     return true;
   }
 
@@ -90,17 +92,18 @@ class LoopDetectionNodelet : public StageWith<LoopDetectionParameters> {
 
   /// @return absolute path of the file
   core::Result<std::string> save() {
-    std::vector<core::LocalMap> submaps;
+    core::MapState map;  // of the submaps alone
     {
       const std::lock_guard<std::mutex> lock(mutex_);
-      submaps = detector_->submaps();
+      map.submaps = detector_->submaps();
       std::vector<core::KeyframePose> keyframes;
       for (const auto& [id, pose] : keyframes_) keyframes.push_back(pose);
-      core::move_to_map(keyframes, T_map_odom_, &submaps);
+      core::move_to_map(keyframes, T_map_odom_, &map.submaps);
+      core::rescale(keyframes, &map.submaps);
       set_unsaved(false);
     }
     return write_to(parameters_.save_map_file,
-                    [&submaps](const std::string& file) { return core::write_submaps(file, submaps); });
+                    [&](const std::string& file) { return core::write_map(file, map, *classes()); });
   }
 
   void on_correction(const CorrectionMessage::ConstPtr& message) {

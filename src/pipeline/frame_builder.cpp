@@ -13,7 +13,7 @@ Result<Frame> FrameBuilder::build(const PoseSample& sample) {
                  " ns"};
   }
   Frame frame;
-  frame.frame_id = last_ ? last_->frame_id + 1 : 0;
+  frame.frame_id = last_ ? last_->frame_id + 1 : first_frame_id_;
   frame.stamp_ns = sample.stamp_ns;
   frame.T_odom_camera = sample.T_odom_camera;
   frame.covariance = sample.covariance;
@@ -40,7 +40,7 @@ Result<Frame> FrameBuilder::build(const PoseSample& sample) {
     frame.is_keyframe =
         has_waited || distance_m >= options_.min_translation_m || angle_deg >= options_.min_rotation_deg;
   }
-  frame.keyframe_id = (last_keyframe_ ? last_keyframe_->keyframe_id : -1) + (frame.is_keyframe ? 1 : 0);
+  frame.keyframe_id = last_keyframe_ ? last_keyframe_->keyframe_id + (frame.is_keyframe ? 1 : 0) : first_keyframe_id_;
   last_ = frame;
   if (frame.is_keyframe) last_keyframe_ = frame;
   return frame;
@@ -48,7 +48,7 @@ Result<Frame> FrameBuilder::build(const PoseSample& sample) {
 
 Frame FrameBuilder::end() const {
   Frame frame = last_.value_or(Frame());
-  frame.frame_id = last_ ? last_->frame_id + 1 : 0;
+  frame.frame_id = last_ ? last_->frame_id + 1 : first_frame_id_;
   frame.is_keyframe = false;
   frame.is_break = false;
   frame.is_end = true;

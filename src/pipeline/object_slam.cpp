@@ -1,23 +1,40 @@
 #include "semantic_topo_loop/pipeline/object_slam.h"
 
 #include <algorithm>
+#include <utility>
 
+#include "pipeline/map_state.h"
 #include "semantic_topo_loop/types/stamp.h"
 
 namespace semantic_topo_loop::core {
+namespace {
+
+/// @param keyframes ascending   @return null if it is unknown
+const KeyframePose* find_keyframe(const std::vector<KeyframePose>& keyframes, std::int64_t id) {
+  const auto found =
+      std::lower_bound(keyframes.begin(), keyframes.end(), id,
+                       [](const KeyframePose& keyframe, std::int64_t other) { return keyframe.keyframe_id < other; });
+  return found != keyframes.end() && found->keyframe_id == id ? &*found : nullptr;
+}
+
+}  // namespace
+
 ObjectSlam::ObjectSlam(const Options& options, std::shared_ptr<const ClassTable> classes)
     : associator_(options.association, classes),
       mapper_(options.mapping, classes),
       loop_detector_(options.loop, classes),
       pose_graph_(options.pose_graph) {}
 
+void ObjectSlam::tell(const MapUpdate& update) {
+  associator_.apply(update);
+  loop_detector_.apply(update);
+  pose_graph_.apply(update);
+}
+
 FrameResult ObjectSlam::process(const Frame& frame, const std::vector<Detection>* detections,
                                 const std::vector<LoopClosure>& extra_loops) {
-  const auto tell = [this](const MapUpdate& update) {
-    associator_.apply(update);
-    loop_detector_.apply(update);
-    pose_graph_.apply(update);
-  };
+  if (!first_ && !frame.is_end) first_ = frame;
+  last_ = frame;
   FrameResult result;
   result.associations = detections != nullptr ? associator_.associate(frame, *detections) : associator_.pass(frame);
   result.observation = mapper_.integrate(frame, result.associations);
@@ -33,23 +50,76 @@ FrameResult ObjectSlam::process(const Frame& frame, const std::vector<Detection>
   return result;
 }
 
-std::vector<LocalMap> ObjectSlam::submaps_in_map() const {
-  std::vector<LocalMap> submaps = loop_detector_.submaps();
-  move_to_map(pose_graph_.keyframes(), pose_graph_.T_map_odom(), &submaps);
-  return submaps;
+MapUpdate ObjectSlam::restore(const MapState& map, const Camera& camera) {
+  earlier_ = std::make_shared<const MapState>(map);
+  const SE3 T_map_odom = place_beside(map);
+  const std::vector<KeyframePose> keyframes = map.keyframe_poses();
+  MapUpdate update = mapper_.restore(map.objects, keyframes, camera, T_map_odom);
+  update.frame_id = map.next_frame_id;
+  loop_detector_.restore(map.submaps, keyframes);
+  pose_graph_.restore(map.graph, T_map_odom);
+  tell(update);
+  return update;
+}
+
+std::shared_ptr<const MapState> ObjectSlam::map() const {
+  auto map = std::make_shared<MapState>();
+  if (earlier_) {
+    map->sessions = earlier_->sessions;
+    map->next_frame_id = earlier_->next_frame_id;
+  }
+  if (first_) {
+    map->sessions.push_back({first_->keyframe_id, first_->stamp_ns, last_.stamp_ns});
+    map->next_frame_id = last_.frame_id + 1;
+  }
+  map->graph = pose_graph_.state();
+  map->objects = mapper_.state();
+  map->submaps = loop_detector_.submaps();
+  move_to_map(map->keyframe_poses(), pose_graph_.T_map_odom(), &map->submaps);
+  return map;
 }
 
 void move_to_map(const std::vector<KeyframePose>& keyframes, const SE3& T_map_odom, std::vector<LocalMap>* submaps) {
+  for (LocalMap& submap : *submaps) {
+    const KeyframePose* pose = find_keyframe(keyframes, submap.keyframe_id);
+    submap.T_odom_anchor = pose != nullptr ? pose->T_map_camera : T_map_odom * submap.T_odom_anchor;
+  }
+}
+
+void rescale(const std::vector<KeyframePose>& keyframes, std::vector<LocalMap>* submaps) {
   const double last_scale = keyframes.empty() ? 1.0 : keyframes.back().scale;  // of what comes after the last solution
   for (LocalMap& submap : *submaps) {
-    const auto pose =
-        std::lower_bound(keyframes.begin(), keyframes.end(), submap.keyframe_id,
-                         [](const KeyframePose& keyframe, std::int64_t id) { return keyframe.keyframe_id < id; });
-    const bool solved = pose != keyframes.end() && pose->keyframe_id == submap.keyframe_id;
-    const double scale = solved ? pose->scale : last_scale;
+    const KeyframePose* pose = find_keyframe(keyframes, submap.keyframe_id);
+    const double scale = pose != nullptr ? pose->scale : last_scale;
     if (scale != 1.0) submap = rescaled(std::move(submap), scale);
-    submap.T_odom_anchor = solved ? pose->T_map_camera : T_map_odom * submap.T_odom_anchor;
   }
+}
+
+MergedMaps merge_maps(const MapState& a, MapState b, const Options& options,
+                      std::shared_ptr<const ClassTable> classes) {
+  MapState both = a;
+  both.append(std::move(b));
+  const auto theirs = both.submaps.begin() + static_cast<std::ptrdiff_t>(a.submaps.size());
+  const std::vector<LocalMap> queries(theirs, both.submaps.end());
+  LoopDetector detector(options.loop, classes);
+  detector.restore(a.submaps, a.keyframe_poses());
+  MergedMaps merged;
+  merged.loops = detector.detect(queries);
+
+  ObjectSlam slam(options, std::move(classes));
+  slam.restore(both, both.objects.camera);
+  slam.last_.is_end = true;
+  slam.last_.frame_id = both.next_frame_id;
+  slam.mapper_.integrate(slam.last_, slam.associator_.pass(slam.last_));
+  const MapCorrection correction = slam.pose_graph_.process(slam.last_, merged.loops);
+  slam.mapper_.apply(correction);
+  for (const LoopVerdict& verdict : correction.loops) {
+    const bool is_between =
+        verdict.match_keyframe_id < a.next_keyframe_id() && verdict.query_keyframe_id >= a.next_keyframe_id();
+    merged.kept_loops += is_between && verdict.kept ? 1 : 0;
+  }
+  merged.map = slam.map();
+  return merged;
 }
 
 }  // namespace semantic_topo_loop::core

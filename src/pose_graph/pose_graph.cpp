@@ -7,6 +7,7 @@
 #include <utility>
 
 #include "odometry/motion_bursts.h"
+#include "pose_graph/graph_state.h"
 #include "pose_graph/rejection/loop_rejection.h"
 #include "pose_graph/scale/scaled_trajectory.h"
 #include "pose_graph/solver/graph_objects.h"
@@ -48,7 +49,11 @@ struct PoseGraph::Impl {
     MapCorrection correction;
     correction.frame_id = frame.frame_id;
     correction.T_map_odom_old = T_map_odom_;
-    if (!frame.is_end) add_frame(frame);
+    if (frame.is_end) {
+      suspect_jumps();
+    } else {
+      add_frame(frame);
+    }
     for (const LoopClosure& loop : loops) add_loop(loop, false);
     for (const LoopClosure& loop : extra_loops) add_loop(loop, true);
     if (is_due(frame)) {
@@ -80,6 +85,45 @@ struct PoseGraph::Impl {
       const bool is_taken = trajectory_.edges[static_cast<std::size_t>(from.vertex)].refine(motion);
       is_refined_ = is_refined_ || is_taken;
     }
+  }
+
+  GraphState state() const {
+    GraphState state;
+    std::size_t vertex = 0;
+    for (const KeyframePose& pose : keyframes()) {
+      const std::size_t k = state.keyframes.size();
+      while (vertex + 1 < keyframe_of_.size() && keyframe_of_[vertex + 1] <= k) ++vertex;
+      const bool is_vertex = keyframe_of_[vertex] == k;
+      state.keyframes.push_back({pose, is_vertex ? std::nullopt : std::optional(T_vertex_keyframe_[k])});
+    }
+    state.edges = trajectory_.edges;
+    state.loops = loops_.remembered();
+    state.accepted_loops = loops_.accepted();
+    state.noise = knowledge_.noise;
+    state.loose_factor = knowledge_.loose_factor;
+    return state;
+  }
+
+  void restore(GraphState state, const SE3& T_map_odom) {
+    for (const auto& [pose, T_vertex_keyframe] : state.keyframes) {
+      const std::size_t k = keyframes_.size();
+      number_of_[pose.keyframe_id] = static_cast<int>(k);
+      if (!T_vertex_keyframe) {
+        keyframe_of_.push_back(k);
+        trajectory_.T_map_vertex.push_back(pose.T_map_camera);
+        log_scale_.push_back(std::log(pose.scale));
+      }
+      T_vertex_keyframe_.push_back(T_vertex_keyframe.value_or(SE3()));
+      q_camera_odom_.emplace_back(Quaternion::Identity());
+      keyframes_.push_back(pose);
+    }
+    trajectory_.edges = std::move(state.edges);
+    loops_.restore(std::move(state.loops), state.accepted_loops);
+    knowledge_.noise = std::move(state.noise);
+    knowledge_.loose_factor = state.loose_factor;
+    restored_ = told_keyframes_ = keyframes_.size();
+    learnt_loops_ = loops_.size();
+    T_map_odom_ = T_map_odom;
   }
 
   bool withdraw(std::int64_t query_keyframe_id, std::int64_t match_keyframe_id) {
@@ -115,7 +159,11 @@ struct PoseGraph::Impl {
     accumulator_.add(frame);
     T_odom_frame_ = frame.T_odom_camera;
     if (!is_vertex(frame)) return;
-    if (!keyframes_.empty()) trajectory_.edges.push_back(accumulator_.finish(T_odom_keyframe_, frame.T_odom_camera));
+    if (!keyframes_.empty()) {
+      trajectory_.edges.push_back(accumulator_.finish(T_odom_keyframe_, frame.T_odom_camera));
+      // Nothing is known of the way from an earlier session to this one.
+      if (keyframes_.size() == restored_) trajectory_.edges.back().is_break = true;
+    }
     number_of_[frame.keyframe_id] = static_cast<int>(keyframes_.size());
     keyframe_of_.push_back(keyframes_.size());
     T_vertex_keyframe_.emplace_back();
@@ -246,10 +294,10 @@ struct PoseGraph::Impl {
     return true;
   }
 
-  /// In the edges that are not joined: those of the others were settled with them.
+  /// In this session's edges that are not joined: those of the others are settled.
   void suspect_jumps() {
     for (std::size_t i = 0; i < trajectory_.edges.size(); ++i) {
-      if (keyframe_of_[i + 1] != keyframe_of_[i] + 1) continue;
+      if (keyframe_of_[i + 1] != keyframe_of_[i] + 1 || keyframe_of_[i] < restored_) continue;
       const MotionBursts::SuspectedJump jump = bursts_.suspected_jump(keyframe_of_[i]);
       const Quaternion& q_camera_odom = q_camera_odom_[keyframe_of_[i + 1]];
       OdometryEdge& edge = trajectory_.edges[i];
@@ -332,6 +380,7 @@ struct PoseGraph::Impl {
   std::vector<std::size_t> keyframe_of_;   ///< index of each vertex's keyframe; those up to the next move with it
   std::vector<SE3> T_vertex_keyframe_;     ///< one a keyframe
   std::size_t told_keyframes_ = 0;         ///< how many were in the last solution
+  std::size_t restored_ = 0;               ///< how many are of earlier sessions
   bool has_objects_ = false;
   ObjectMemory objects_;
   OdometryAccumulator accumulator_;
@@ -360,6 +409,8 @@ MapCorrection PoseGraph::process(const Frame& frame, const std::vector<LoopClosu
                                  const std::vector<LoopClosure>& extra_loops) {
   return impl_->process(frame, loops, extra_loops);
 }
+GraphState PoseGraph::state() const { return impl_->state(); }
+void PoseGraph::restore(GraphState state, const SE3& T_map_odom) { impl_->restore(std::move(state), T_map_odom); }
 bool PoseGraph::withdraw(std::int64_t query_keyframe_id, std::int64_t match_keyframe_id) {
   return impl_->withdraw(query_keyframe_id, match_keyframe_id);
 }

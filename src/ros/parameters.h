@@ -157,7 +157,7 @@ struct LoopDetectionParameters : ClassStageParameters {
   void visit(core::OptionVisitor& visitor) {
     ClassStageParameters::visit(visitor);
     visitor("map_file", map_file, core::any(),
-            "submaps of an earlier run, in which the run's place is looked for; empty: none");
+            "map of earlier runs, in which the run's place is looked for; it stays as it is; empty: none");
     visitor("save_map_file", save_map_file, core::any(),
             "where the run's submaps go at its end, also by Ctrl-C, or by ~save_map; empty: they are not kept");
     visitor("earlier_map_frame", earlier_map_frame, core::any(),

@@ -7,11 +7,14 @@
 #include <string>
 #include <vector>
 
+#include "semantic_topo_loop/io/map_file.h"
 #include "semantic_topo_loop/io/run_files.h"
 #include "semantic_topo_loop/io/tum_trajectory.h"
 #include "support/program_test.h"
+#include "support/simulated_run.h"
 #include "support/test_fixtures.h"
 #include "tools/evaluation/trajectory_evaluation.h"
+#include "tools/g2o/g2o.h"
 #include "tools/rendering/rgbd_sequence.h"
 
 namespace semantic_topo_loop::core {
@@ -45,6 +48,7 @@ TEST_F(OfflineProgram, ArgumentsThatDoNotFitAreOneClearError) {
   expect_bad_arguments("--trajectory @t.txt", "argument --detections is missing");
   expect_bad_arguments("--bag @b.bag --associations @a.txt", "argument --associations needs --rgbd");
   expect_bad_arguments("--bag @b.bag --points a.ply", "argument --points needs --rgbd");
+  expect_bad_arguments("--bag @b.bag --frozen", "argument --frozen needs --map");
   expect_bad_arguments("--rgbd @ --points a.obj",
                        "the argument ('a.obj') for option '--points' must be a path that ends in .ply or .pcd");
 }
@@ -133,8 +137,8 @@ TEST_F(OfflineProgram, FindsItsPlaceInTheMapOfAnotherRunByObjectsAndSurfaces) {
   const std::string source = " --set depth.scale=5000 --camera " STL_CONFIG_DIR
                              "/camera/tum_fr1.yaml --classes " STL_CONFIG_DIR "/classes_coco.yaml --detections " +
                              *recording + "/detections_yolox_nano.json";
-  ASSERT_EQ(run("--rgbd @first --output @one --save-map @map.json" + source), 0) << err_;
-  ASSERT_EQ(run("--rgbd @second --output @two --map @map.json" + source), 0) << err_;
+  ASSERT_EQ(run("--rgbd @first --output @one --save-map @map.db" + source), 0) << err_;
+  ASSERT_EQ(run("--rgbd @second --output @two --frozen --map @map.db" + source), 0) << err_;
   const nlohmann::json found = nlohmann::json::parse(read_whole(directory_.path("two/summary.json")))["relocalisation"];
   ASSERT_TRUE(found.is_object());
   EXPECT_GT(found["agreeing"], 20);
@@ -145,9 +149,20 @@ TEST_F(OfflineProgram, FindsItsPlaceInTheMapOfAnotherRunByObjectsAndSurfaces) {
   for (const StampedPose& pose : checked(read_tum_trajectory(directory_.path("two/trajectory.txt")))) {
     poses.push_back({pose.stamp_ns, T_map_odom * pose.T_world_camera});
   }
-  const TrajectoryEvaluation both =
-      checked(evaluate_trajectory(poses, checked(read_tum_ground_truth(*recording + "/groundtruth.txt"))));
-  EXPECT_LT(both.absolute_m.rmse, 0.025);
+  const StampedPoses mocap = checked(read_tum_ground_truth(*recording + "/groundtruth.txt"));
+  EXPECT_LT(checked(evaluate_trajectory(poses, mocap)).absolute_m.rmse, 0.025);
+
+  // As a session of the map, in which it has its place at once.
+  ASSERT_EQ(run("--rgbd @second --output @three --map @map.db --save-map @both.db" + source), 0) << err_;
+  EXPECT_EQ(out_.find("joined the earlier map after "), out_.rfind("joined")) << out_;
+  const nlohmann::json joined = nlohmann::json::parse(read_whole(directory_.path("three/summary.json")))["joined_map"];
+  ASSERT_TRUE(joined.is_object());
+  EXPECT_LT(joined["after_s"], 10.0);
+  EXPECT_GT(joined["loops"], 20);
+  poses = checked(read_tum_trajectory(directory_.path("one/trajectory.txt")));
+  const StampedPoses second = checked(read_tum_trajectory(directory_.path("three/trajectory.txt")));
+  poses.insert(poses.end(), second.begin(), second.end());
+  EXPECT_LT(checked(evaluate_trajectory(poses, mocap)).absolute_m.rmse, 0.02);
 }
 
 /// Mean of the points of a PLY file, of four floats each.
@@ -217,7 +232,7 @@ TEST_F(OfflineRun, OutputThatCannotBeWrittenIsOneClearErrorBeforeTheRun) {
   expect_failure(with("d.json", "file/run"), 1, "file/run");
   expect_failure(with("d.json", "loop"), 1, "loop");
   expect_failure(with("d.json", std::string(300, 'x')), 1, "xxx");
-  expect_failure(with("d.json", "run") + " --save-map @file/map.json", 1, "file/map.json");
+  expect_failure(with("d.json", "run") + " --save-map @file/map.db", 1, "file/map.db");
   std::filesystem::create_directories(directory_.path("taken/.writable/in the way"));
   expect_failure(with("d.json", "taken"), 1, "taken");
 }
@@ -227,6 +242,64 @@ TEST_F(OfflineRun, NumbersThatNothingHoldsAreOneClearError) {
                                 R"(1e999, "bbox": [1, 2, 30, 40]}]}])");
   EXPECT_EQ(run(with("huge.json", "run")), 1);
   expect_one_line_error("offline: error: ");
+}
+
+/// What a map is asked for.
+class InspectMapProgram : public ProgramTest {
+ protected:
+  InspectMapProgram() : ProgramTest(STL_PROGRAM_DIR "/inspect_map") {
+    const SimulationOptions options = simulation_test::options_of(
+        {{"trajectory.duration_s", "30"}, {"trajectory.rate_hz", "10"}, {"scene.layout", "desk"}});
+    const SimulatedSequence sequence = checked(simulate(options, camera_fr2(), coco()));
+    const auto map = testing::map_of(sequence, 0, sequence.odometry.size(), shared_coco());
+    EXPECT_EQ(write_map(directory_.path("map.db"), *map, coco()).message(), "");
+  }
+  const std::string classes_ = " --classes " STL_CONFIG_DIR "/classes_coco.yaml";
+};
+
+TEST_F(InspectMapProgram, CountsAndExports) {
+  ASSERT_EQ(run("@map.db --objects @o.json --trajectory @t.txt --graph @g.g2o" + classes_), 0) << err_;
+  EXPECT_EQ(out_.find("integrity   ok\nsessions    1\n"), 0U) << out_;
+  const nlohmann::json objects = nlohmann::json::parse(read_whole(directory_.path("o.json")));
+  ASSERT_GT(objects.size(), 5U);
+  EXPECT_GE(objects[0]["classes"][std::string(objects[0]["label"])], 1);
+  const std::size_t keyframes = checked(read_tum_trajectory(directory_.path("t.txt"))).size();
+  EXPECT_NE(out_.find("keyframes   " + std::to_string(keyframes) + "\n"), std::string::npos) << out_;
+  const G2oGraph graph = checked(read_g2o(directory_.path("g.g2o"), nullptr));
+  EXPECT_EQ(graph.vertices.size(), keyframes);
+  EXPECT_GT(graph.edges.size(), keyframes);  // loops, too
+  ASSERT_EQ(run("@map.db --objects @o.csv" + classes_), 0) << err_;
+  EXPECT_EQ(checked(read_objects(directory_.path("o.csv"))).size(), objects.size());
+  ASSERT_EQ(run("@map.db --dump"), 0) << err_;
+  EXPECT_EQ(out_.find("class "), 0U);
+}
+
+TEST_F(InspectMapProgram, WhatDoesNotFitIsOneClearError) {
+  expect_failure("@none.db" + classes_, 1, "none.db: cannot open the file");
+  expect_failure("@none.db --dump", 1, "none.db: cannot open the file");
+  expect_failure("@map.db --objects @o.txt" + classes_, 2, "must be a path that ends in .csv or .json");
+  directory_.write("text.db", "no map\n");
+  expect_failure("@text.db" + classes_, 1, "text.db: file is not a database");
+}
+
+class MergeMapsProgram : public ProgramTest {
+ protected:
+  MergeMapsProgram() : ProgramTest(STL_PROGRAM_DIR "/merge_maps") {}
+};
+
+TEST_F(MergeMapsProgram, MapsOfTwoPlacesAreNotJoined) {
+  for (const char* layout : {"desk", "office"}) {
+    const SimulationOptions options = simulation_test::options_of(
+        {{"trajectory.duration_s", "30"}, {"trajectory.rate_hz", "10"}, {"scene.layout", layout}});
+    const SimulatedSequence sequence = checked(simulate(options, camera_fr2(), coco()));
+    const auto map = testing::map_of(sequence, 0, sequence.odometry.size(), shared_coco());
+    ASSERT_EQ(write_map(directory_.path(std::string(layout) + ".db"), *map, coco()).message(), "");
+  }
+  expect_failure("@desk.db @office.db @both.db --classes " STL_CONFIG_DIR "/classes_coco.yaml", 1,
+                 "have no place in common");
+  EXPECT_FALSE(std::filesystem::exists(directory_.path("both.db")));
+  ASSERT_EQ(run("@desk.db @desk.db @both.db --classes " STL_CONFIG_DIR "/classes_coco.yaml"), 0) << err_;
+  EXPECT_NE(out_.find(" loops join the maps; "), std::string::npos) << out_;
 }
 
 class OptimiseGraphProgram : public ProgramTest {

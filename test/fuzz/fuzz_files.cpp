@@ -22,13 +22,14 @@
 #include <string>
 #include <vector>
 
+#include "pipeline/map_state.h"
 #include "ros/conversions.h"
 #include "ros/tum_bag.h"
 #include "semantic_topo_loop/io/detection_file.h"
+#include "semantic_topo_loop/io/map_file.h"
 #include "semantic_topo_loop/io/rgbd_recording.h"
 #include "semantic_topo_loop/io/run_files.h"
 #include "semantic_topo_loop/io/run_recorder.h"
-#include "semantic_topo_loop/io/submap_file.h"
 #include "semantic_topo_loop/io/tum_trajectory.h"
 #include "semantic_topo_loop/pipeline/frame_builder.h"
 #include "semantic_topo_loop/pipeline/object_slam.h"
@@ -250,9 +251,15 @@ void write_valid_files(const std::string& directory) {
   }
   process(builder.end(), nullptr);
   if (written) written = recorder->write(directory);
-  std::vector<LocalMap> submaps = slam.submaps_in_map();
-  submaps.resize(std::min<std::size_t>(2, submaps.size()));
-  if (written) written = write_submaps(directory + "/submaps.json", submaps);
+  MapState map = *slam.map();
+  map.submaps.resize(1);
+  map.submaps[0].frames.resize(20);
+  for (LocalObject& object : map.submaps[0].objects) object.views.clear();
+  map.submaps[0].check_frames.clear();
+  map.graph.loops.clear();
+  map.objects.landmarks.resize(1);
+  map.objects.landmarks[0].observations.resize(1);
+  if (written) written = write_map(directory + "/map.db", map, *shared_coco());
   if (written) written = write_given_loops(directory + "/given_loops.csv", {LoopClosure(), LoopClosure()});
   write_valid_bag(directory + "/plain.bag", rosbag::compression::Uncompressed);
   write_valid_bag(directory + "/packed.bag", rosbag::compression::BZ2);
@@ -353,10 +360,10 @@ std::vector<Kind> make_kinds(const std::string& valid) {
       {"class table", "classes.yaml", tables,
        [](const std::string& path) { return status_of(read_class_table(path)); }},
       {"config", "config.yaml", configs, [](const std::string& path) { return status_of(load_options(path, {})); }},
-      {"submaps",
-       "submaps.json",
-       {head(valid + "/submaps.json", kMaxSize)},
-       [classes](const std::string& path) { return status_of(read_submaps(path, classes)); }},
+      {"map",
+       "map.db",
+       {read_whole(valid + "/map.db")},
+       [classes](const std::string& path) { return status_of(read_map(path, classes)); }},
       {"reference objects",
        "r.csv",
        {file("reference_objects.csv")},

@@ -18,7 +18,9 @@ LocalMap submap_at(std::int64_t keyframe_id, double x) {
 
 TEST(MoveToMap, SolvedAnchorsTakeTheirKeyframesPoseAndScaleOthersTheLast) {
   std::vector<LocalMap> submaps{submap_at(3, 1.0), submap_at(8, 2.0)};
-  move_to_map({{3, 30, 0, at(10.0), 2.0}, {5, 50, 0, at(20.0), 3.0}}, at(100.0), &submaps);
+  const std::vector<KeyframePose> keyframes{{3, 30, 0, at(10.0), 2.0}, {5, 50, 0, at(20.0), 3.0}};
+  move_to_map(keyframes, at(100.0), &submaps);
+  rescale(keyframes, &submaps);
   EXPECT_EQ(submaps[0].T_odom_anchor.t.x(), 10.0);
   EXPECT_EQ(submaps[0].objects[0].spheroid.center.z(), 2.0);
   EXPECT_EQ(submaps[1].T_odom_anchor.t.x(), 102.0);

@@ -1,9 +1,11 @@
 #!/usr/bin/env python3
 """demo.launch on its simulated odometry, from end to end: what it says on its topics, offline's files, objects in the
 last correction, and a run that finds its place in the map of an earlier one."""
+import contextlib
 import csv
 import json
 import os
+import sqlite3
 import threading
 
 import rospkg
@@ -54,6 +56,12 @@ class Heard:
             self.last[topic] = message
 
 
+def submaps_of(path):
+    """Rows of a map's submaps."""
+    with contextlib.closing(sqlite3.connect(path)) as database:
+        return database.execute('SELECT * FROM submap ORDER BY number').fetchall()
+
+
 def run_offline(test, data, output, *arguments):
     """offline on the demo's files."""
     status, text = run_program('offline', '--trajectory', os.path.join(data, 'odometry.txt'), '--detections',
@@ -66,7 +74,7 @@ class DemoTest(DirectoryTest):
     @classmethod
     def setUpClass(cls):
         super().setUpClass()
-        cls.data, cls.results, cls.submaps = cls.path('data'), cls.path('results'), cls.path('submaps.json')
+        cls.data, cls.results, cls.submaps = cls.path('data'), cls.path('results'), cls.path('submaps.db')
         cls.heard = Heard()
         # It stays up at the end, so that what is published at intervals can be heard.
         cls.launch = demo(duration='16', data=cls.data, output=cls.results, exit_at_end='false', save_map=cls.submaps,
@@ -123,12 +131,11 @@ class DemoTest(DirectoryTest):
         self.assertGreaterEqual(too_recent[0].closure.inliers, 4)
 
     def test_lockstep_is_offline_byte_for_byte(self):
-        offline, submaps = self.path('offline'), self.path('offline_submaps.json')
+        offline, submaps = self.path('offline'), self.path('offline.db')
         run_offline(self, self.data, offline, '--save-map', submaps)
         self.assertEqual(differing_files(offline, self.results), [])
         self.assertTrue(wait_until(lambda: os.path.exists(self.submaps), 10), self.launch.output())
-        with open(submaps, 'rb') as ours, open(self.submaps, 'rb') as theirs:
-            self.assertEqual(ours.read(), theirs.read())
+        self.assertEqual(submaps_of(submaps), submaps_of(self.submaps))
 
 
 class GraphObjectsTest(DirectoryTest):
@@ -146,7 +153,7 @@ class GraphObjectsTest(DirectoryTest):
         cls.diagnostics = Diagnostics()
         # Into the second lap, in which loops are closed.
         cls.launch = demo(duration='32', data=cls.path('data'), output=cls.path('lockstep'), config=cls.config,
-                          save_map=cls.path('lockstep.json'), exit_at_end='false')
+                          save_map=cls.path('lockstep.db'), exit_at_end='false')
         cls.status, _ = run_program('wait_for_player', '__ns:=/' + PACKAGE, timeout_s=100)
 
     @classmethod
@@ -169,12 +176,11 @@ class GraphObjectsTest(DirectoryTest):
 
     def test_lockstep_is_offline_byte_for_byte(self):
         self.assertEqual(self.status, 0, self.launch.output())
-        self.assertTrue(wait_until(lambda: os.path.exists(self.path('lockstep.json')), 10), self.launch.output())
+        self.assertTrue(wait_until(lambda: os.path.exists(self.path('lockstep.db')), 10), self.launch.output())
         run_offline(self, self.path('data'), self.path('offline'), '--config', self.config, '--save-map',
-                    self.path('offline.json'))
+                    self.path('offline.db'))
         self.assertEqual(differing_files(self.path('offline'), self.path('lockstep')), [])
-        with open(self.path('offline.json'), 'rb') as ours, open(self.path('lockstep.json'), 'rb') as theirs:
-            self.assertEqual(ours.read(), theirs.read(), 'submaps, corrected')
+        self.assertEqual(submaps_of(self.path('offline.db')), submaps_of(self.path('lockstep.db')), 'corrected')
         with open(self.path('lockstep/summary.json')) as file:
             self.assertGreater(json.load(file)['loops']['kept'], 5)
         run_offline(self, self.path('data'), self.path('without'))
@@ -219,7 +225,7 @@ class EarlierMapTest(DirectoryTest):
         return launch
 
     def test_a_later_run_finds_its_place(self):
-        submaps = self.path('submaps.json')
+        submaps = self.path('submaps.db')
         # A relative path is one below the nodes' working directory.
         launch = self.play('first', save_map=os.path.relpath(submaps, os.path.realpath(rospkg.get_ros_home())))
         try:
@@ -235,7 +241,7 @@ class EarlierMapTest(DirectoryTest):
                 self.assertEqual(file.read(), at_end)
         finally:
             launch.stop()
-        self.assertGreater(len(json.loads(at_end.decode())['submaps']), 1)
+        self.assertGreater(len(submaps_of(submaps)), 1)
 
         launch = self.play('second', map=submaps)
         try:
@@ -256,12 +262,12 @@ class EarlierMapTest(DirectoryTest):
         self.assertIn("parameter 'save_map_file' is empty", answer.message)
 
     def test_a_file_that_is_none_is_named(self):
-        launch = demo(duration='4', data=self.path('none'), map=self.path('no_such_file.json'))
+        launch = demo(duration='4', data=self.path('none'), map=self.path('no_such_file.db'))
         try:
             self.assertTrue(wait_until(lambda: 'LoopDetection is not working' in launch.output(), 30), launch.output())
         finally:
             launch.stop()
-        self.assertTrue(any('no_such_file.json' in line and 'FATAL' in line for line in launch.lines), launch.output())
+        self.assertTrue(any('no_such_file.db' in line and 'FATAL' in line for line in launch.lines), launch.output())
 
 
 if __name__ == '__main__':

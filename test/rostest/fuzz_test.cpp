@@ -367,7 +367,7 @@ class Fuzz : public ::testing::Test {
     chain_.set("pose_frontend", "pose_timeout_s", 0.05);
     chain_.set("detection_ingestion", "source", "topic");
     chain_.set("detection_ingestion", "detection_timeout_s", 0.05);
-    chain_.set("loop_detection", "save_map_file", directory.path("submaps.json"));
+    chain_.set("loop_detection", "save_map_file", directory.path("submaps.db"));
     chain_.set("point_mapping", "save_dir", directory.path("points"));
     for (const auto& [name, stage] : std::map<std::string, std::string>{{"detection_ingestion", "DetectionIngestion"},
                                                                         {"object_association", "ObjectAssociation"},

@@ -1,8 +1,9 @@
 #!/usr/bin/env python3
 """What happens to the chain in mid-stream: the session's services, a parameter that nobody knows, an unloaded stage."""
-import json
+import contextlib
 import os
 import signal
+import sqlite3
 import subprocess
 import threading
 import time
@@ -98,7 +99,7 @@ class ControlTest(DirectoryTest):
 
 class InterruptTest(DirectoryTest):
     def test_what_was_mapped_is_saved_by_ctrl_c(self):
-        results, submaps = self.path('results'), self.path('submaps.json')
+        results, submaps = self.path('results'), self.path('submaps.db')
         listener = Listener()
         done = []
         listener.subscribe('/%s/frame_done' % PACKAGE, FrameDone, done.append, queue_size=1000)
@@ -115,8 +116,8 @@ class InterruptTest(DirectoryTest):
             self.assertGreaterEqual(sum(1 for _ in file), answered - 5)
         with open(os.path.join(results, 'objects.csv')) as file:
             self.assertGreater(sum(1 for _ in file), 1)
-        with open(submaps) as file:
-            self.assertIn('submaps', json.load(file))
+        with contextlib.closing(sqlite3.connect(submaps)) as database:
+            self.assertGreaterEqual(database.execute('SELECT COUNT(*) FROM submap').fetchone()[0], 1)
         self.assertNotIn('escalating to SIGTERM', launch.output())
 
 

@@ -84,7 +84,7 @@ TEST_F(RunFiles, SightingsAreThoseOfConfirmedObjects) {
   directory_.write("associations.csv", header + "0,0,7,joint\n0,1,8,joint\n1,0,9,joint\n1,1,-1,ignored\n");
   const auto sightings = read_sightings(directory_.path("."));
   ASSERT_TRUE(sightings) << sightings.message();
-  EXPECT_EQ(*sightings, (Sightings{{1000000000, {7}}}));
+  EXPECT_EQ(*sightings, (SightingsByStamp{{1000000000, {7}}}));
   directory_.write("associations.csv", header + "2,0,7,joint\n");
   EXPECT_NE(read_sightings(directory_.path("."))
                 .message()

@@ -4,6 +4,8 @@
 #include <string>
 #include <vector>
 
+#include "semantic_topo_loop/types/class_table.h"
+#include "semantic_topo_loop/types/landmark.h"
 #include "semantic_topo_loop/types/loop_closure.h"
 #include "semantic_topo_loop/types/map_correction.h"
 #include "semantic_topo_loop/types/result.h"
@@ -22,6 +24,9 @@ struct MappedObject {
   Quaternion rotation = Quaternion::Identity();
   double baseline_deg = 0.0, mean_iou = 0.0, quality = 0.0;
 };
+
+/// @param landmark with an ellipsoid
+MappedObject mapped_object(const Landmark& landmark, const ClassTable& classes);
 
 /// A row of loops.csv. The pose is the identity for a candidate that was rejected before it had one.
 struct LoopRecord : LoopFigures {

@@ -18,6 +18,12 @@ namespace semantic_topo_loop::core {
 
 struct FrameResult;
 
+/// How a run found its place in the map of earlier sessions that it goes on with.
+struct JoinedMap {
+  double after_s = 0.0;  ///< from its first keyframe to that of the first loop into the map
+  int loops = 0;         ///< into the map, of those that are kept
+};
+
 /// Collects what the stages publish and writes a run's files (docs/files.md). The offline program and the recorder
 /// nodelet feed it the same objects, so both write the same bytes. Every call is keyed by frame_id; the order between
 /// stages does not matter, the order within one stage does, and what comes ten seconds after its frame is at the end
@@ -42,6 +48,8 @@ class RunRecorder {
   virtual Status write(const std::string& directory) const = 0;
   /// Where the run is in an earlier run's map, by the loops recorded so far.
   virtual std::optional<Relocalisation> relocalisation() const = 0;
+  /// nullopt without a loop into the map of earlier sessions, or without such a map.
+  virtual std::optional<JoinedMap> joined_map() const = 0;
 };
 
 /// Records all that a frame came to.

@@ -26,6 +26,9 @@ Status write_file(const std::string& path, const WriteText& write);
 /// The same for files that belong together: all are written before the first is put in place.
 Status write_files(const FileTexts& files);
 
+/// The same for a file that a library writes. @param write into the file of the name that it is given, there and empty
+Status replace_file(const std::string& path, const std::function<Status(const std::string&)>& write);
+
 /// Succeeds if the directory is there already.
 Status make_directory(const std::string& path);
 

@@ -11,6 +11,7 @@
 #include "semantic_topo_loop/types/frame.h"
 #include "semantic_topo_loop/types/landmark.h"
 #include "semantic_topo_loop/types/loop_closure.h"
+#include "semantic_topo_loop/types/map_correction.h"
 #include "semantic_topo_loop/types/solved_motion.h"
 
 namespace semantic_topo_loop::core {
@@ -64,12 +65,19 @@ class LoopDetector {
   /// answer; nothing changes by it.
   LoopExplanation explain(std::int64_t query_keyframe_id, std::int64_t match_keyframe_id) const;
 
-  /// Graph mode: looks for the place in an earlier run's submaps, too (io/submap_file.h). Call it before the first
+  /// Graph mode: looks for the place in an earlier run's submaps, too (io/map_file.h). Call it before the first
   /// frame.
   void set_earlier_map(std::vector<LocalMap> submaps);
   /// Where the run is in the earlier run's map, by the last accepted loops into it.
   std::optional<Relocalisation> relocalisation() const;
-  /// The submaps kept so far, poses in the odometry's world.
+  /// Goes on with the submaps of earlier sessions, poses in the map: loops into them are loops of one graph. Call it
+  /// before the first frame.
+  /// @param keyframes of these sessions
+  void restore(std::vector<LocalMap> submaps, const std::vector<KeyframePose>& keyframes);
+  /// Graph mode: looks for the places of another map in the submaps kept so far.
+  /// @return every candidate that reached verification, accepted or not
+  std::vector<LoopClosure> detect(const std::vector<LocalMap>& queries);
+  /// The submaps kept so far, poses in the odometry's world; those of earlier sessions in the map.
   std::vector<LocalMap> submaps() const;
 
  private:

@@ -11,6 +11,7 @@
 
 namespace semantic_topo_loop::core {
 
+struct MapperState;
 struct QuadricMapperOptions;
 
 /// The quadric map: alone owns geometry, state and merges of the landmarks.
@@ -28,6 +29,13 @@ class QuadricMapper {
   std::vector<Landmark> landmarks() const;
   std::uint64_t map_version() const;
   const SE3& T_map_odom() const;
+  /// What a later session goes on with (src/map/mapper_state.h).
+  MapperState state() const;
+  /// Goes on with earlier sessions' objects. Call it before the first frame.
+  /// @param keyframes that they hang on   @param camera of this session
+  /// @param T_map_odom where this session stands for now   @return all of them, for those who follow the map
+  MapUpdate restore(MapperState state, const std::vector<KeyframePose>& keyframes, const Camera& camera,
+                    const SE3& T_map_odom);
 
  private:
   struct Impl;

@@ -1,5 +1,6 @@
 #pragma once
 
+#include <cstdint>
 #include <optional>
 
 #include "semantic_topo_loop/types/frame.h"
@@ -40,10 +41,16 @@ class FrameBuilder {
   /// The frame without an image that ends a stream.
   Frame end() const;
   void set_camera(const Camera& camera) { camera_ = camera; }
+  /// Counts on from an earlier session. Call it before the first frame.
+  void count_from(std::int64_t frame_id, std::int64_t keyframe_id) {
+    first_frame_id_ = frame_id;
+    first_keyframe_id_ = keyframe_id;
+  }
 
  private:
   KeyframeOptions options_;
   Camera camera_;
+  std::int64_t first_frame_id_ = 0, first_keyframe_id_ = 0;
   std::optional<Frame> last_;
   std::optional<Frame> last_keyframe_;
 };

@@ -1,6 +1,7 @@
 #pragma once
 
 #include <memory>
+#include <optional>
 #include <utility>
 #include <vector>
 
@@ -12,6 +13,9 @@
 #include "semantic_topo_loop/types/local_map.h"
 
 namespace semantic_topo_loop::core {
+
+struct MapState;
+struct MergedMaps;
 
 /// What the stages made of one frame, in the order they ran.
 struct FrameResult {
@@ -33,23 +37,46 @@ class ObjectSlam {
   /// @param extra_loops handed to the pose graph beside those that are found
   FrameResult process(const Frame& frame, const std::vector<Detection>* detections,
                       const std::vector<LoopClosure>& extra_loops = {});
-  /// Looks for the run's place in the submaps of an earlier run (io/submap_file.h), too. Call it before the first
+  /// Goes on with earlier sessions' map (io/map_file.h): loops into it are loops of one graph, and until one is found
+  /// this session stands beside it. Call it before the first frame, whose ids go on from the map's.
+  /// @param camera of this session   @return the map's objects, for who follows the map
+  MapUpdate restore(const MapState& map, const Camera& camera);
+  /// The map so far.
+  std::shared_ptr<const MapState> map() const;
+  /// Only looks for the run's place in the submaps of an earlier run, which stays as it is. Call it before the first
   /// frame.
   void set_earlier_map(std::vector<LocalMap> submaps) { loop_detector_.set_earlier_map(std::move(submaps)); }
-  /// The run's own submaps, in its map.
-  std::vector<LocalMap> submaps_in_map() const;
   const QuadricMapper& mapper() const { return mapper_; }
   const PoseGraph& pose_graph() const { return pose_graph_; }
 
  private:
+  friend MergedMaps merge_maps(const MapState& a, MapState b, const Options& options,
+                               std::shared_ptr<const ClassTable> classes);
+  void tell(const MapUpdate& update);
+
   ObjectAssociator associator_;
   QuadricMapper mapper_;
   LoopDetector loop_detector_;
   PoseGraph pose_graph_;
+  std::shared_ptr<const MapState> earlier_;  ///< null: there is none
+  std::optional<Frame> first_;               ///< of this session
+  Frame last_;
 };
 
-/// Takes submaps from the odometry's world and unit of length to the map's, so that a later run can be placed in it.
+/// Joins two maps of which neither knows where it is in the other: places of both are compared, and what they have in
+/// common decides. Objects of both become one.
+struct MergedMaps {
+  std::shared_ptr<const MapState> map;
+  std::vector<LoopClosure> loops;  ///< candidates between the two
+  std::size_t kept_loops = 0;      ///< of them; without any the maps could not be joined
+};
+/// @param options of the stages that judge and solve; loop.mode must be graph
+MergedMaps merge_maps(const MapState& a, MapState b, const Options& options, std::shared_ptr<const ClassTable> classes);
+
+/// Takes submaps from the odometry's world to the map, so that a later run can be placed in it.
 /// @param keyframes of the last solution, ascending; submaps of later keyframes move with T_map_odom
 void move_to_map(const std::vector<KeyframePose>& keyframes, const SE3& T_map_odom, std::vector<LocalMap>* submaps);
+/// Takes submaps from the odometry's unit of length to the map's.
+void rescale(const std::vector<KeyframePose>& keyframes, std::vector<LocalMap>* submaps);
 
 }  // namespace semantic_topo_loop::core

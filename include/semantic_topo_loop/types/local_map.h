@@ -83,7 +83,8 @@ struct LocalMap {
   std::int64_t begin_frame = -1, end_frame = -1;
   std::int64_t end_ns = 0;  ///< stamp of the last frame
   double span_s = 0.0;
-  int segment = 0;                 ///< of the odometry, counted from break to break
+  static constexpr int kOtherSession = -1;
+  int segment = 0;                 ///< of the odometry, counted from break to break; or kOtherSession
   double drift_rad_s = 0.0;        ///< apparent drift of the odometry at the time
   bool is_earlier = false;         ///< of an earlier run, whose map is then what T_odom_anchor leads to
   SE3 T_odom_anchor;               ///< for the comparison with frames that follow, not with other submaps

@@ -53,6 +53,12 @@ const LocalMap& in_unit(const LocalMap& query, double scale, std::optional<Local
   return scale == 1.0 ? query : scaled->emplace(rescaled(query, scale));
 }
 
+/// What its stamps say of another session's clock means nothing here.
+bool is_of_other_session(const LocalMap& map) { return map.segment == LocalMap::kOtherSession; }
+double seconds_since(const LocalMap& earlier, const LocalMap& later) {
+  return 1e-9 * static_cast<double>(later.stamp_ns - earlier.stamp_ns);
+}
+
 /// Share of the shorter window that two windows have in common.
 double overlap(const LocalMap& p, const LocalMap& q) {
   const auto common = std::min(p.end_frame, q.end_frame) - std::max(p.begin_frame, q.begin_frame);
@@ -146,7 +152,8 @@ int GraphDetector::old_enough(const LocalMap& query) const {
   // From the latest back, since those that are kept by themselves come in order of time.
   int end = index_.size();
   for (auto stored = maps_.rbegin(); stored != maps_.rend(); ++stored) {
-    if (static_cast<double>(query.stamp_ns - stored->second.map.stamp_ns) >= 1e9 * options_.min_gap_s) break;
+    const LocalMap& map = stored->second.map;
+    if (is_of_other_session(map) || seconds_since(map, query) >= options_.min_gap_s) break;
     end = stored->first;
   }
   return end;
@@ -183,9 +190,10 @@ std::vector<LoopClosure> GraphDetector::detect(const LocalMap& query) {
 void GraphDetector::store(LocalMap map) {
   if (static_cast<int>(map.objects.size()) < kMinCandidateInliers) return;
   if (map.span_s < kMinSpanShare * options_.min_window_s) return;
-  const bool due = maps_.empty() || static_cast<double>(map.stamp_ns - maps_.rbegin()->second.map.stamp_ns) >=
-                                        1e9 * options_.store_interval_s;
-  if (!due) return;
+  if (!maps_.empty()) {
+    const LocalMap& last = maps_.rbegin()->second.map;
+    if (!is_of_other_session(last) && seconds_since(last, map) < options_.store_interval_s) return;
+  }
   make_room(map);
   insert(std::move(map));
 }

@@ -88,6 +88,12 @@ bool LoopRejection::withdraw(std::int64_t query_keyframe_id, std::int64_t match_
   return true;
 }
 
+void LoopRejection::restore(std::vector<RememberedLoop> loops, std::int64_t accepted) {
+  entries_ = std::move(loops);
+  accepted_ = accepted;
+  consistency_.clear();
+}
+
 std::size_t LoopRejection::size() const {
   return static_cast<std::size_t>(std::count_if(entries_.begin(), entries_.end(), is_in_graph));
 }

@@ -7,6 +7,7 @@
 #include <string>
 #include <vector>
 
+#include "pose_graph/graph_state.h"
 #include "pose_graph/solver/trajectory_optimizer.h"
 #include "semantic_topo_loop/pose_graph/pose_graph_options.h"
 #include "semantic_topo_loop/types/loop_closure.h"
@@ -83,6 +84,11 @@ class LoopRejection {
   void bound();
   /// Forgets the loops between two keyframes. @return false if none is remembered
   bool withdraw(std::int64_t query_keyframe_id, std::int64_t match_keyframe_id);
+  /// Every loop that is remembered, and how many were accepted so far.
+  const std::vector<RememberedLoop>& remembered() const { return entries_; }
+  std::int64_t accepted() const { return accepted_; }
+  /// Goes on with those of an earlier session.
+  void restore(std::vector<RememberedLoop> loops, std::int64_t accepted);
   /// How many loops are in the graph.
   std::size_t size() const;
 
@@ -102,14 +108,7 @@ class LoopRejection {
   std::vector<LoopVerdict> new_verdicts(const Chi2& chi2, double loop_factor);
 
  private:
-  struct Entry {
-    LoopVerdict told;  ///< what was said of it last
-    bool is_told = false;
-    std::optional<GraphLoop> loop;  ///< none if it was refused
-    std::string refusal;
-    bool is_in_graph = false;           ///< not if it was refused or repeats others
-    bool may_vote = true, kept = true;  ///< of those in the graph
-  };
+  using Entry = RememberedLoop;
   static bool is_in_graph(const Entry& entry) { return entry.is_in_graph; }
 
   bool is_repetition(const GraphLoop& loop, std::size_t end) const;

@@ -150,7 +150,7 @@ void count_queries(const std::vector<JudgedLoop>& loops, const TruePoses& truth,
 
 }  // namespace
 
-Result<Sightings> read_sightings(const std::string& directory) {
+Result<SightingsByStamp> read_sightings(const std::string& directory) {
   const auto objects = read_objects(directory + "/objects.csv");
   if (!objects) return objects.error();
   const auto frames = read_tum_trajectory(directory + "/trajectory.txt");
@@ -159,7 +159,7 @@ Result<Sightings> read_sightings(const std::string& directory) {
   for (const MappedObject& object : *objects) {
     if (object.state == "confirmed") confirmed.insert(object.id);
   }
-  Sightings sightings;
+  SightingsByStamp sightings;
   const auto read_row = [&](CsvTable& table) {
     const std::int64_t frame = table.integer("frame_id"), id = table.integer("landmark_id");
     const bool is_known = frame >= 0 && frame < static_cast<std::int64_t>(frames->size());

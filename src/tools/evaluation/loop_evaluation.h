@@ -147,11 +147,11 @@ struct KeyframeViews {
 };
 
 /// Confirmed objects that were detected in a frame, by its stamp.
-using Sightings = std::map<std::int64_t, std::set<std::int64_t>>;
+using SightingsByStamp = std::map<std::int64_t, std::set<std::int64_t>>;
 
 /// From trajectory.txt, associations.csv and objects.csv of a run's directory.
 /// @return an error, with file, line, column and value
-Result<Sightings> read_sightings(const std::string& directory);
+Result<SightingsByStamp> read_sightings(const std::string& directory);
 
 /// A criterion of the literature and what it makes of a run.
 struct CriterionCounts {

@@ -1,0 +1,25 @@
+#pragma once
+
+#include <memory>
+#include <ostream>
+#include <string>
+
+#include "semantic_topo_loop/types/class_table.h"
+#include "semantic_topo_loop/types/result.h"
+
+namespace semantic_topo_loop::core {
+
+struct MapState;
+
+/// Writes a map as a SQLite database (docs/files.md), beside the file whose place it then takes: a crash or a full disk
+/// leaves what was there.
+Status write_map(const std::string& path, const MapState& map, const ClassTable& classes);
+
+/// @param classes must have every class of the map under the same name, and map it
+/// @return an error, with file, row and field, if the file is damaged or of a newer version, or does not fit together
+Result<std::shared_ptr<const MapState>> read_map(const std::string& path, const ClassTable& classes);
+
+/// Prints every row of a map, in order, with what is packed in it as JSON: two maps are the same if their dumps are.
+Status dump_map(const std::string& path, std::ostream& out);
+
+}  // namespace semantic_topo_loop::core

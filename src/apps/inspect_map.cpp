@@ -1,0 +1,170 @@
+#include <Eigen/LU>
+#include <cmath>
+#include <cstdio>
+#include <iostream>
+#include <map>
+#include <memory>
+#include <nlohmann/json.hpp>
+#include <string>
+#include <vector>
+
+#include "apps/program.h"
+#include "pipeline/map_state.h"
+#include "semantic_topo_loop/io/map_file.h"
+#include "semantic_topo_loop/io/run_files.h"
+#include "semantic_topo_loop/io/text_file.h"
+#include "semantic_topo_loop/io/tum_trajectory.h"
+#include "semantic_topo_loop/io/yaml_files.h"
+#include "semantic_topo_loop/types/stamp.h"
+#include "tools/g2o/g2o.h"
+
+namespace {
+
+using namespace semantic_topo_loop::apps;
+using namespace semantic_topo_loop::core;
+
+struct Arguments {
+  std::string map, classes, objects, trajectory, graph;
+  bool dump = false;
+};
+
+bool ends_with(const std::string& text, const std::string& end) {
+  return text.size() >= end.size() && text.compare(text.size() - end.size(), end.size(), end) == 0;
+}
+
+void print_counts(const MapState& map, const ClassTable& classes) {
+  std::printf("integrity   ok\nsessions    %zu\n", map.sessions.size());
+  for (const Session& session : map.sessions) {
+    std::printf("            from keyframe %lld, stamps %s to %s\n", static_cast<long long>(session.first_keyframe_id),
+                format_stamp(session.begin_ns).c_str(), format_stamp(session.end_ns).c_str());
+  }
+  std::size_t kept = 0;
+  for (const RememberedLoop& loop : map.graph.loops) kept += loop.told.kept ? 1 : 0;
+  std::map<std::string, int> states, labels;
+  for (const MappedLandmark& landmark : map.objects.landmarks) {
+    ++states[to_string(landmark.state.state)];
+    if (landmark.state.state == LandmarkState::kConfirmed) ++labels[classes.name(landmark.state.class_id)];
+  }
+  std::printf("keyframes   %zu\nedges       %zu\nloops       %zu, %zu of them kept\nsubmaps     %zu\n",
+              map.graph.keyframes.size(), map.graph.edges.size(), map.graph.loops.size(), kept, map.submaps.size());
+  std::printf("objects     %zu\n", map.objects.landmarks.size());
+  for (const auto& [state, count] : states) std::printf("            %d %s\n", count, state.c_str());
+  std::printf("confirmed  ");
+  for (const auto& [label, count] : labels) std::printf(" %d %s", count, label.c_str());
+  std::printf("\n");
+}
+
+/// How often each class was boxed, of the boxes that are kept.
+std::map<std::string, int> class_histogram(const MappedLandmark& landmark, const ClassTable& classes) {
+  std::map<std::string, int> histogram;
+  for (const Observation& observation : landmark.observations) ++histogram[classes.name(observation.class_id)];
+  return histogram;
+}
+
+nlohmann::json to_json(const MappedLandmark& landmark, const ClassTable& classes) {
+  const Landmark& state = landmark.state;
+  const Ellipsoid& ellipsoid = *state.ellipsoid;
+  const auto& [q, center] = ellipsoid.T_world_quadric;
+  const Vec3& axes = ellipsoid.semi_axes;
+  return {{"id", state.id},
+          {"class_id", state.class_id},
+          {"label", classes.name(state.class_id)},
+          {"classes", class_histogram(landmark, classes)},
+          {"state", to_string(state.state)},
+          {"center_m", {center.x(), center.y(), center.z()}},
+          {"rotation_xyzw", {q.x(), q.y(), q.z(), q.w()}},
+          {"semi_axes_m", {axes.x(), axes.y(), axes.z()}},
+          {"sigma_m", std::sqrt(state.center_covariance.trace() / 3.0)},
+          {"observations", state.observations},
+          {"quality", state.quality},
+          {"last_seen_ns", landmark.last_stamp_ns}};
+}
+
+Status write_objects(const std::string& path, const MapState& map, const ClassTable& classes) {
+  nlohmann::json array = nlohmann::json::array();
+  std::string table = object_table_header();
+  for (const MappedLandmark& landmark : map.objects.landmarks) {
+    if (!landmark.state.ellipsoid) continue;
+    array.push_back(to_json(landmark, classes));
+    table += table_row(mapped_object(landmark.state, classes));
+  }
+  constexpr int kIndent = 2;
+  return write_text_file(path, ends_with(path, ".json") ? array.dump(kIndent) + '\n' : table);
+}
+
+/// Every keyframe, in order of the sessions, whose stamps may overlap.
+Status write_trajectory(const std::string& path, const MapState& map) {
+  StampedPoses poses;
+  for (const KeyframePose& pose : map.keyframe_poses()) poses.push_back({pose.stamp_ns, pose.T_map_camera});
+  return write_tum_trajectory(path, poses);
+}
+
+/// Vertices, their odometry edges and the loops that are kept, with the noise that was found.
+Status write_graph(const std::string& path, const MapState& map) {
+  G2oGraph graph;
+  std::vector<std::int64_t> ids;
+  for (const GraphKeyframe& keyframe : map.graph.keyframes) {
+    if (keyframe.T_vertex_keyframe) continue;
+    ids.push_back(keyframe.pose.keyframe_id);
+    graph.vertices.push_back({ids.back(), keyframe.pose.T_map_camera, ids.size() == 1});
+  }
+  const auto add = [&](std::size_t from, std::size_t to, const SE3& T, const Mat6& covariance) {
+    Vec6 by_quaternion;  // whose vector part, in g2o's errors, is half the rotation
+    by_quaternion << Vec3::Ones(), Vec3::Constant(2.0);
+    const Mat6 information = by_quaternion.asDiagonal() * covariance.inverse() * by_quaternion.asDiagonal();
+    graph.edges.push_back({ids[from], ids[to], T, 0.5 * (information + information.transpose())});
+  };
+  for (std::size_t i = 0; i < map.graph.edges.size(); ++i) {
+    const OdometryEdge& edge = map.graph.edges[i];
+    add(i, i + 1, edge.T_from_to, odometry_covariance(edge, map.graph.noise.odometry));
+  }
+  for (const RememberedLoop& loop : map.graph.loops) {
+    if (!loop.is_in_graph || !loop.kept) continue;
+    const auto from = static_cast<std::size_t>(loop.loop->from), to = static_cast<std::size_t>(loop.loop->to);
+    add(from, to, loop.loop->T_from_to, loop.loop->covariance);
+  }
+  return write_g2o(path, graph);
+}
+
+Status run(const Arguments& arguments) {
+  if (arguments.dump) return dump_map(arguments.map, std::cout);
+  const Result<ClassTable> classes = read_class_table(arguments.classes);
+  if (!classes) return classes.error();
+  const auto read = read_map(arguments.map, *classes);
+  if (!read) return read.error();
+  const MapState& map = **read;
+  print_counts(map, *classes);
+  Status written;
+  if (!arguments.objects.empty()) written = write_objects(arguments.objects, map, *classes);
+  if (written && !arguments.trajectory.empty()) written = write_trajectory(arguments.trajectory, map);
+  if (written && !arguments.graph.empty()) written = write_graph(arguments.graph, map);
+  return written;
+}
+
+}  // namespace
+
+int main(int argc, char** argv) {
+  Arguments arguments;
+  Command command{"", "MAP.db [--objects FILE] [--trajectory FILE] [--graph FILE] [--dump] [--classes YAML]",
+                  "Says what a map holds and whether it is whole, and takes parts of it out.\n",
+                  [&arguments] { return run(arguments); },
+                  [&arguments] {
+                    if (arguments.dump) return Status();
+                    return default_to_package("classes_coco.yaml", "--classes", &arguments.classes);
+                  }};
+  command.words = {{"MAP.db", &arguments.map}};
+  const auto take_objects = [&arguments](const std::string& given) {
+    arguments.objects = given;
+    return ends_with(given, ".csv") || ends_with(given, ".json");
+  };
+  command
+      .option("objects", checked("a path that ends in .csv or .json", take_objects),
+              "file for the objects: the columns of objects.csv, or these and how often each class was seen")
+      .option("trajectory", po::value(&arguments.trajectory),
+              "file for the keyframes of all sessions, TUM format, in the map")
+      .option("graph", po::value(&arguments.graph), "file for the pose graph, g2o")
+      .option("dump", po::bool_switch(&arguments.dump), "prints every row, in order, and nothing else")
+      .option("classes", po::value(&arguments.classes),
+              "class table (default: config/classes_coco.yaml of the package)");
+  return run_program("inspect_map", {command}, argc, argv);
+}

@@ -1,0 +1,67 @@
+#include <cstdio>
+#include <memory>
+#include <string>
+
+#include "apps/program.h"
+#include "pipeline/map_state.h"
+#include "semantic_topo_loop/io/map_file.h"
+#include "semantic_topo_loop/io/yaml_files.h"
+#include "semantic_topo_loop/pipeline/object_slam.h"
+#include "semantic_topo_loop/types/stamp.h"
+
+namespace {
+
+using namespace semantic_topo_loop::apps;
+using namespace semantic_topo_loop::core;
+
+struct Arguments {
+  std::string a, b, out, classes, config;
+  OptionTexts assignments;
+};
+
+std::size_t confirmed(const MapState& map) {
+  std::size_t count = 0;
+  for (const MappedLandmark& landmark : map.objects.landmarks) {
+    count += landmark.state.state == LandmarkState::kConfirmed ? 1 : 0;
+  }
+  return count;
+}
+
+Status run(const Arguments& arguments) {
+  const Result<Options> options = load_options(arguments.config, arguments.assignments);
+  if (!options) return options.error();
+  const Result<ClassTable> classes = read_class_table(arguments.classes);
+  if (!classes) return classes.error();
+  const auto a = read_map(arguments.a, *classes), b = read_map(arguments.b, *classes);
+  for (const auto* map : {&a, &b}) {
+    if (!*map) return map->error();
+    if ((**map)->sessions.empty()) return Error{(map == &a ? arguments.a : arguments.b) + ": holds submaps only"};
+  }
+  const Stopwatch stopwatch;
+  const MergedMaps merged = merge_maps(**a, **b, *options, std::make_shared<const ClassTable>(*classes));
+  if (merged.kept_loops == 0) {
+    return Error{arguments.a + " and " + arguments.b + " have no place in common that " +
+                 std::to_string(merged.loops.size()) + " candidates agree on; nothing is written"};
+  }
+  std::printf("%zu loops join the maps; %zu and %zu confirmed objects are %zu; %.1f s\n", merged.kept_loops,
+              confirmed(**a), confirmed(**b), confirmed(*merged.map), 1e-6 * stopwatch.elapsed_us());
+  return write_map(arguments.out, *merged.map, *classes);
+}
+
+}  // namespace
+
+int main(int argc, char** argv) {
+  Arguments arguments;
+  Command command{"", "A.db B.db OUT.db [--config YAML] [--set module.field=value ...] [--classes YAML]",
+                  "Joins two maps, each in a frame of its own, by what both saw; the result is in A's frame.\n",
+                  [&arguments] { return run(arguments); },
+                  [&arguments] { return default_to_package("classes_coco.yaml", "--classes", &arguments.classes); }};
+  command.words = {{"A.db", &arguments.a}, {"B.db", &arguments.b}, {"OUT.db", &arguments.out}};
+  command
+      .option("classes", po::value(&arguments.classes),
+              "class table (default: config/classes_coco.yaml of the package)")
+      .option("config", po::value(&arguments.config),
+              "parameters (default: the built-in ones, those of config/default.yaml)")
+      .option("set", assignments(&arguments.assignments), "one parameter, over --config; may be repeated");
+  return run_program("merge_maps", {command}, argc, argv);
+}

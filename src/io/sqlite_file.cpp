@@ -1,0 +1,102 @@
+#include "io/sqlite_file.h"
+
+#include <algorithm>
+#include <filesystem>
+#include <utility>
+
+namespace semantic_topo_loop::core {
+
+SqliteFile::SqliteFile(std::string path, Mode mode) : path_(std::move(path)) {
+  if (mode == Mode::kRead) {
+    std::error_code code;
+    if (std::filesystem::is_directory(path_, code)) reject("is a directory, not a file");
+    if (!std::filesystem::exists(path_, code)) reject("cannot open the file");
+    if (!is_fine()) return;
+  }
+  sqlite3* database = nullptr;
+  const int flags = mode == Mode::kRead ? SQLITE_OPEN_READONLY : SQLITE_OPEN_READWRITE | SQLITE_OPEN_CREATE;
+  const int opened = sqlite3_open_v2(path_.c_str(), &database, flags, nullptr);
+  database_.reset(database);
+  note(opened);
+}
+
+void SqliteFile::reject(const std::string& problem) {
+  if (!problem_.empty()) return;
+  problem_ = path_ + ": " + problem;
+  std::replace(problem_.begin(), problem_.end(), '\n', ' ');
+}
+
+void SqliteFile::note(int code) {
+  if (code == SQLITE_OK || code == SQLITE_ROW || code == SQLITE_DONE) return;
+  reject(database_ ? sqlite3_errmsg(database_.get()) : sqlite3_errstr(code));
+}
+
+void SqliteFile::run(const std::string& sql) {
+  if (is_fine()) note(sqlite3_exec(database_.get(), sql.c_str(), nullptr, nullptr, nullptr));
+}
+
+std::int64_t SqliteFile::number(const std::string& sql) {
+  SqliteStatement statement(this, sql);
+  return statement.next() ? statement.integer(0) : 0;
+}
+
+SqliteStatement::SqliteStatement(SqliteFile* file, const std::string& sql) : file_(file) {
+  if (!file_->is_fine()) return;
+  sqlite3_stmt* statement = nullptr;
+  file_->note(sqlite3_prepare_v2(file_->database_.get(), sql.c_str(), -1, &statement, nullptr));
+  statement_.reset(statement);
+}
+
+SqliteStatement& SqliteStatement::operator<<(std::int64_t value) {
+  if (file_->is_fine()) file_->note(sqlite3_bind_int64(statement_.get(), ++bound_, value));
+  return *this;
+}
+SqliteStatement& SqliteStatement::operator<<(double value) {
+  if (file_->is_fine()) file_->note(sqlite3_bind_double(statement_.get(), ++bound_, value));
+  return *this;
+}
+SqliteStatement& SqliteStatement::operator<<(const std::string& text) {
+  if (file_->is_fine()) {
+    file_->note(
+        sqlite3_bind_text64(statement_.get(), ++bound_, text.data(), text.size(), SQLITE_TRANSIENT, SQLITE_UTF8));
+  }
+  return *this;
+}
+SqliteStatement& SqliteStatement::operator<<(std::nullptr_t) {
+  ++bound_;  // null is what a parameter is that is not bound
+  return *this;
+}
+SqliteStatement& SqliteStatement::blob(const std::string& bytes) {
+  if (file_->is_fine()) {
+    file_->note(sqlite3_bind_blob64(statement_.get(), ++bound_, bytes.data(), bytes.size(), SQLITE_TRANSIENT));
+  }
+  return *this;
+}
+
+void SqliteStatement::run() {
+  next();
+  if (!file_->is_fine()) return;
+  file_->note(sqlite3_reset(statement_.get()));
+  sqlite3_clear_bindings(statement_.get());
+  bound_ = 0;
+}
+
+bool SqliteStatement::next() {
+  if (!file_->is_fine()) return false;
+  const int code = sqlite3_step(statement_.get());
+  file_->note(code);
+  return code == SQLITE_ROW;
+}
+
+bool SqliteStatement::is_null(int column) const { return sqlite3_column_type(statement_.get(), column) == SQLITE_NULL; }
+bool SqliteStatement::is_blob(int column) const { return sqlite3_column_type(statement_.get(), column) == SQLITE_BLOB; }
+int SqliteStatement::columns() const { return sqlite3_column_count(statement_.get()); }
+std::int64_t SqliteStatement::integer(int column) const { return sqlite3_column_int64(statement_.get(), column); }
+double SqliteStatement::number(int column) const { return sqlite3_column_double(statement_.get(), column); }
+std::string SqliteStatement::bytes(int column) const {
+  const void* data = sqlite3_column_blob(statement_.get(), column);
+  const auto size = static_cast<std::size_t>(sqlite3_column_bytes(statement_.get(), column));
+  return data == nullptr ? std::string() : std::string(static_cast<const char*>(data), size);
+}
+
+}  // namespace semantic_topo_loop::core

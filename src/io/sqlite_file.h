@@ -1,0 +1,70 @@
+#pragma once
+
+#include <sqlite3.h>
+
+#include <cstdint>
+#include <memory>
+#include <string>
+
+namespace semantic_topo_loop::core {
+
+/// A SQLite database. The first problem is kept, with the file's name, so that a row of calls is made in one go and
+/// checked once; what is read after it means nothing.
+class SqliteFile {
+ public:
+  enum class Mode { kRead, kWrite };
+  SqliteFile(std::string path, Mode mode);
+
+  const std::string& problem() const { return problem_; }
+  bool is_fine() const { return problem_.empty(); }
+  void reject(const std::string& problem);
+  /// Statements without a result.
+  void run(const std::string& sql);
+  /// First column of the first row; 0 without one.
+  std::int64_t number(const std::string& sql);
+
+ private:
+  friend class SqliteStatement;
+  struct Close {
+    void operator()(sqlite3* database) const { sqlite3_close(database); }
+  };
+  void note(int code);
+
+  std::string path_;
+  std::unique_ptr<sqlite3, Close> database_;
+  std::string problem_;
+};
+
+/// A prepared statement: bind its parameters in order, or step through its rows.
+class SqliteStatement {
+ public:
+  SqliteStatement(SqliteFile* file, const std::string& sql);
+
+  SqliteStatement& operator<<(std::int64_t value);
+  SqliteStatement& operator<<(double value);
+  SqliteStatement& operator<<(const std::string& text);
+  SqliteStatement& operator<<(std::nullptr_t);
+  /// Bytes, not text.
+  SqliteStatement& blob(const std::string& bytes);
+  /// Runs it with what was bound, to be bound anew.
+  void run();
+
+  /// To the next row. @return false if there is none
+  bool next();
+  int columns() const;
+  bool is_null(int column) const;
+  bool is_blob(int column) const;
+  std::int64_t integer(int column) const;
+  double number(int column) const;
+  std::string bytes(int column) const;
+
+ private:
+  struct Finalize {
+    void operator()(sqlite3_stmt* statement) const { sqlite3_finalize(statement); }
+  };
+  SqliteFile* file_;
+  std::unique_ptr<sqlite3_stmt, Finalize> statement_;
+  int bound_ = 0;
+};
+
+}  // namespace semantic_topo_loop::core

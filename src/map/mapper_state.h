@@ -1,0 +1,16 @@
+#pragma once
+
+#include <vector>
+
+#include "map/mapped_landmark.h"
+#include "semantic_topo_loop/types/camera.h"
+
+namespace semantic_topo_loop::core {
+
+/// All that a later session needs of a map of objects to go on with it. Merges are settled: they are not taken back.
+struct MapperState {
+  Camera camera;                          ///< whose pixels the observations' boxes are in
+  std::vector<MappedLandmark> landmarks;  ///< in order of id
+};
+
+}  // namespace semantic_topo_loop::core

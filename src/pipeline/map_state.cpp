@@ -1,0 +1,144 @@
+#include "pipeline/map_state.h"
+
+#include <algorithm>
+#include <iterator>
+#include <set>
+#include <utility>
+
+#include "semantic_topo_loop/pipeline/object_slam.h"
+
+namespace semantic_topo_loop::core {
+namespace {
+
+/// Beyond what a camera sees of the objects of a map, and within what a break leaves open.
+constexpr double kBeside_m = 20.0;
+
+std::int64_t next_landmark_id(const MapState& map) {
+  return map.objects.landmarks.empty() ? 0 : map.objects.landmarks.back().state.id + 1;
+}
+
+void raise(std::int64_t by, std::int64_t* id) {
+  if (*id >= 0) *id += by;
+}
+
+void raise_ids(std::int64_t frames, std::int64_t keyframes, RememberedLoop* loop) {
+  raise(keyframes, &loop->told.query_keyframe_id);
+  raise(keyframes, &loop->told.match_keyframe_id);
+  if (!loop->loop) return;
+  for (std::int64_t* id : {&loop->loop->query_keyframe_id, &loop->loop->match_keyframe_id}) raise(keyframes, id);
+  for (std::int64_t* id :
+       {&loop->loop->query_begin, &loop->loop->query_end, &loop->loop->match_begin, &loop->loop->match_end}) {
+    raise(frames, id);
+  }
+}
+
+void raise_ids(std::int64_t frames, std::int64_t keyframes, std::int64_t landmarks, MappedLandmark* landmark) {
+  raise(landmarks, &landmark->state.id);
+  raise(keyframes, &landmark->state.anchor_keyframe_id);
+  for (Observation& observation : landmark->observations) {
+    raise(frames, &observation.frame_id);
+    raise(keyframes, &observation.keyframe_id);
+    raise(landmarks, &observation.source_id);
+  }
+  std::map<std::int64_t, int> seen_beside;
+  for (const auto& [id, count] : landmark->seen_beside) seen_beside[id + landmarks] = count;
+  landmark->seen_beside = std::move(seen_beside);
+}
+
+void raise_ids(std::int64_t frames, std::int64_t keyframes, std::int64_t landmarks, LocalMap* submap) {
+  raise(keyframes, &submap->keyframe_id);
+  for (std::int64_t* id : {&submap->frame_id, &submap->begin_frame, &submap->end_frame}) raise(frames, id);
+  for (LocalFrame& frame : submap->frames) {
+    raise(frames, &frame.frame_id);
+    for (ObservedBox& box : frame.boxes) raise(landmarks, &box.landmark_id);
+  }
+  for (LocalObject& object : submap->objects) raise(landmarks, &object.landmark_id);
+}
+
+void move(const SE3& T_new_old, MapState* map) {
+  for (GraphKeyframe& keyframe : map->graph.keyframes) {
+    keyframe.pose.T_map_camera = T_new_old * keyframe.pose.T_map_camera;
+  }
+  for (MappedLandmark& landmark : map->objects.landmarks) {
+    std::optional<Ellipsoid>& ellipsoid = landmark.state.ellipsoid;
+    if (ellipsoid) ellipsoid->T_world_quadric = T_new_old * ellipsoid->T_world_quadric;
+  }
+  for (LocalMap& submap : map->submaps) submap.T_odom_anchor = T_new_old * submap.T_odom_anchor;
+}
+
+}  // namespace
+
+std::vector<KeyframePose> MapState::keyframe_poses() const {
+  std::vector<KeyframePose> poses;
+  poses.reserve(graph.keyframes.size());
+  for (const GraphKeyframe& keyframe : graph.keyframes) poses.push_back(keyframe.pose);
+  return poses;
+}
+
+std::vector<LocalMap> MapState::submaps_in_unit() const {
+  std::vector<LocalMap> result = submaps;
+  rescale(keyframe_poses(), &result);
+  return result;
+}
+
+void MapState::append(MapState other) {
+  move(place_beside(*this) * place_beside(other), &other);
+  const std::int64_t frames = next_frame_id, keyframes = next_keyframe_id(), landmarks = next_landmark_id(*this);
+  for (Session& session : other.sessions) {
+    session.first_keyframe_id += keyframes;
+    sessions.push_back(session);
+  }
+  for (GraphKeyframe& keyframe : other.graph.keyframes) {
+    raise(keyframes, &keyframe.pose.keyframe_id);
+    raise(frames, &keyframe.pose.frame_id);
+  }
+  for (RememberedLoop& loop : other.graph.loops) raise_ids(frames, keyframes, &loop);
+  graph.append(std::move(other.graph));
+  for (MappedLandmark& landmark : other.objects.landmarks) {
+    raise_ids(frames, keyframes, landmarks, &landmark);
+    objects.landmarks.push_back(std::move(landmark));
+  }
+  for (LocalMap& submap : other.submaps) {
+    raise_ids(frames, keyframes, landmarks, &submap);
+    submaps.push_back(std::move(submap));
+  }
+  next_frame_id += other.next_frame_id;
+}
+
+SE3 place_beside(const MapState& map) {
+  double reach_m = 0.0;
+  for (const GraphKeyframe& keyframe : map.graph.keyframes) {
+    reach_m = std::max(reach_m, keyframe.pose.T_map_camera.t.norm());
+  }
+  return {Quaternion::Identity(), Vec3(reach_m + kBeside_m, 0.0, 0.0)};
+}
+
+Status check(const MapState& map) {
+  if (const Status graph = check(map.graph); !graph) return graph;
+  std::set<std::int64_t> keyframes;
+  for (const GraphKeyframe& keyframe : map.graph.keyframes) {
+    if (keyframe.pose.frame_id >= map.next_frame_id) {
+      return Error{"keyframe " + std::to_string(keyframe.pose.keyframe_id) + " is of frame " +
+                   std::to_string(keyframe.pose.frame_id) + ", but the next frame is " +
+                   std::to_string(map.next_frame_id)};
+    }
+    keyframes.insert(keyframe.pose.keyframe_id);
+  }
+  std::int64_t last = -1;
+  for (const MappedLandmark& landmark : map.objects.landmarks) {
+    const std::string name = "object " + std::to_string(landmark.state.id);
+    if (landmark.state.id <= last) return Error{name + " does not follow " + std::to_string(last)};
+    last = landmark.state.id;
+    for (const Observation& observation : landmark.observations) {
+      if (keyframes.count(observation.keyframe_id) == 0) {
+        return Error{name + " was seen in keyframe " + std::to_string(observation.keyframe_id) + ", not there"};
+      }
+    }
+    if (landmark.state.ellipsoid && keyframes.count(landmark.state.anchor_keyframe_id) == 0) {
+      return Error{name + " hangs on keyframe " + std::to_string(landmark.state.anchor_keyframe_id) + ", not there"};
+    }
+  }
+  return {};
+}
+
+}  // namespace semantic_topo_loop::core

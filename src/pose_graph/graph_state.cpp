@@ -1,0 +1,66 @@
+#include "pose_graph/graph_state.h"
+
+#include <algorithm>
+#include <utility>
+
+namespace semantic_topo_loop::core {
+namespace {
+
+int count_vertices(const GraphState& state) {
+  return static_cast<int>(std::count_if(state.keyframes.begin(), state.keyframes.end(),
+                                        [](const GraphKeyframe& keyframe) { return !keyframe.T_vertex_keyframe; }));
+}
+
+}  // namespace
+
+void GraphState::append(GraphState other) {
+  const int vertices = count_vertices(*this);
+  if (vertices > 0 && !other.keyframes.empty()) {
+    OdometryEdge unknown;
+    unknown.is_break = true;
+    edges.push_back(unknown);
+  }
+  std::move(other.edges.begin(), other.edges.end(), std::back_inserter(edges));
+  std::move(other.keyframes.begin(), other.keyframes.end(), std::back_inserter(keyframes));
+  for (RememberedLoop& loop : other.loops) {
+    loop.told.number += accepted_loops;
+    if (loop.loop) {
+      loop.loop->from += vertices;
+      loop.loop->to += vertices;
+    }
+    loops.push_back(std::move(loop));
+  }
+  accepted_loops += other.accepted_loops;
+  for (OdometryJump& jump : other.noise.jumps) {
+    jump.edge += static_cast<std::size_t>(vertices);
+    noise.jumps.push_back(jump);
+  }
+}
+
+Status check(const GraphState& state) {
+  const auto is_unordered = [](const GraphKeyframe& p, const GraphKeyframe& q) {
+    return p.pose.keyframe_id >= q.pose.keyframe_id;
+  };
+  const auto& keyframes = state.keyframes;
+  const auto unordered = std::adjacent_find(keyframes.begin(), keyframes.end(), is_unordered);
+  if (unordered != keyframes.end()) {
+    return Error{"keyframe " + std::to_string(unordered->pose.keyframe_id) + " is not before the next one"};
+  }
+  if (!keyframes.empty() && keyframes.front().T_vertex_keyframe) return Error{"the first keyframe is no vertex"};
+  const int vertices = count_vertices(state);
+  if (static_cast<int>(state.edges.size()) != std::max(0, vertices - 1)) {
+    return Error{std::to_string(state.edges.size()) + " edges do not join " + std::to_string(vertices) + " vertices"};
+  }
+  for (const RememberedLoop& loop : state.loops) {
+    const bool is_fine =
+        !loop.loop || (0 <= loop.loop->from && loop.loop->from <= loop.loop->to && loop.loop->to < vertices);
+    if (!is_fine) return Error{"loop " + std::to_string(loop.told.number) + " joins vertices that are not there"};
+    if (!loop.loop && loop.is_in_graph) return Error{"loop " + std::to_string(loop.told.number) + " has no pose"};
+  }
+  for (const OdometryJump& jump : state.noise.jumps) {
+    if (jump.edge >= state.edges.size()) return Error{"a jump is in edge " + std::to_string(jump.edge) + ", not there"};
+  }
+  return {};
+}
+
+}  // namespace semantic_topo_loop::core

@@ -1,0 +1,49 @@
+#pragma once
+
+#include <cstdint>
+#include <optional>
+#include <string>
+#include <vector>
+
+#include "odometry/graph_loop.h"
+#include "odometry/noise_estimator.h"
+#include "odometry/odometry_edge.h"
+#include "semantic_topo_loop/types/map_correction.h"
+#include "semantic_topo_loop/types/result.h"
+
+namespace semantic_topo_loop::core {
+
+/// An accepted loop, as the graph remembers it.
+struct RememberedLoop {
+  LoopVerdict told;  ///< what was said of it last
+  bool is_told = false;
+  std::optional<GraphLoop> loop;  ///< none if it was refused
+  std::string refusal;
+  bool is_in_graph = false;           ///< not if it was refused or repeats others
+  bool may_vote = true, kept = true;  ///< of those in the graph
+};
+
+/// A keyframe and what it moves with.
+struct GraphKeyframe {
+  KeyframePose pose;
+  std::optional<SE3> T_vertex_keyframe;  ///< from the last vertex before it; none: it is one itself
+};
+
+/// All that a later session needs of a pose graph to go on with it.
+struct GraphState {
+  std::vector<GraphKeyframe> keyframes;  ///< in order of id; the first is a vertex
+  std::vector<OdometryEdge> edges;       ///< edges[i] joins vertices i and i + 1
+  std::vector<RememberedLoop> loops;     ///< in order of acceptance
+  std::int64_t accepted_loops = 0;       ///< so far, forgotten ones too
+  NoiseEstimate noise;
+  double loose_factor = 0.0;  ///< see GraphKnowledge
+
+  /// Adds a graph about which nothing is known but its own frame: ids and loop numbers are raised to what follows, and
+  /// a break leads to it.
+  void append(GraphState other);
+};
+
+/// @return an error that names what does not fit together
+Status check(const GraphState& state);
+
+}  // namespace semantic_topo_loop::core

@@ -1,0 +1,192 @@
+#include "semantic_topo_loop/io/map_file.h"
+
+#include <gtest/gtest.h>
+#include <sqlite3.h>
+
+#include <fstream>
+#include <map>
+#include <memory>
+#include <sstream>
+#include <string>
+
+#include "io/archive.h"
+#include "pipeline/map_state.h"
+#include "semantic_topo_loop/io/text_file.h"
+#include "support/package_config.h"
+#include "support/simulated_run.h"
+#include "support/test_files.h"
+
+namespace semantic_topo_loop::core {
+namespace {
+
+/// A map of a desk that was gone round twice.
+const MapState& desk() {
+  static const std::shared_ptr<const MapState> map = [] {
+    SimulationOptions options;
+    options.scene.layout = "desk";
+    options.trajectory.duration_s = 30.0;
+    options.trajectory.rate_hz = 10.0;
+    const SimulatedSequence sequence =
+        checked(simulate(options, checked(read_camera(STL_CONFIG_DIR "/camera/tum_fr2.yaml")), *shared_coco()));
+    return testing::map_of(sequence, 0, sequence.odometry.size(), shared_coco());
+  }();
+  return *map;
+}
+
+std::string dump_of(const std::string& path) {
+  std::ostringstream text;
+  EXPECT_EQ(dump_map(path, text).message(), "");
+  return text.str();
+}
+
+class MapFile : public ::testing::Test {
+ protected:
+  void SetUp() override { ASSERT_EQ(write_map(path_, desk(), *shared_coco()).message(), ""); }
+  /// The error that the map gives once a statement has changed it.
+  std::string error_after(const std::string& sql) {
+    EXPECT_EQ(write_map(path_, desk(), *shared_coco()).message(), "");
+    sqlite3* database = nullptr;
+    EXPECT_EQ(sqlite3_open(path_.c_str(), &database), SQLITE_OK);
+    EXPECT_EQ(sqlite3_exec(database, sql.c_str(), nullptr, nullptr, nullptr), SQLITE_OK) << sql;
+    sqlite3_close(database);
+    return error();
+  }
+  /// What is said behind the path, in one line.
+  std::string error() const {
+    const std::string message = read_map(path_, *shared_coco()).message();
+    EXPECT_EQ(message.find(path_ + ": "), 0U) << message;
+    EXPECT_EQ(message.find('\n'), std::string::npos) << message;
+    return message.substr(std::min(message.size(), path_.size() + 2));
+  }
+  /// With one value of a packed body changed.
+  std::string error_with(const std::string& table, const std::string& pointer, const Json& value) {
+    sqlite3* database = nullptr;
+    EXPECT_EQ(write_map(path_, desk(), *shared_coco()).message(), "");
+    EXPECT_EQ(sqlite3_open(path_.c_str(), &database), SQLITE_OK);
+    sqlite3_stmt* select = nullptr;
+    sqlite3_prepare_v2(database, ("SELECT rowid, body FROM " + table + " LIMIT 1").c_str(), -1, &select, nullptr);
+    EXPECT_EQ(sqlite3_step(select), SQLITE_ROW);
+    const auto* bytes = static_cast<const std::uint8_t*>(sqlite3_column_blob(select, 1));
+    Json body = Json::from_cbor(bytes, bytes + sqlite3_column_bytes(select, 1));
+    const std::int64_t row = sqlite3_column_int64(select, 0);
+    sqlite3_finalize(select);
+    EXPECT_TRUE(body.contains(Json::json_pointer(pointer))) << pointer << " " << body.dump().substr(0, 500);
+    body[Json::json_pointer(pointer)] = value;
+    const std::vector<std::uint8_t> packed = Json::to_cbor(body);
+    sqlite3_stmt* update = nullptr;
+    sqlite3_prepare_v2(database, ("UPDATE " + table + " SET body = ? WHERE rowid = ?").c_str(), -1, &update, nullptr);
+    sqlite3_bind_blob(update, 1, packed.data(), static_cast<int>(packed.size()), SQLITE_STATIC);
+    sqlite3_bind_int64(update, 2, row);
+    EXPECT_EQ(sqlite3_step(update), SQLITE_DONE);
+    sqlite3_finalize(update);
+    sqlite3_close(database);
+    return error();
+  }
+
+  TestDirectory directory_;
+  const std::string path_ = directory_.path("map.db");
+};
+
+TEST_F(MapFile, WhatIsReadAndWrittenAgainIsTheSameToTheLastBit) {
+  const auto read = read_map(path_, *shared_coco());
+  ASSERT_TRUE(read) << read.message();
+  const MapState &a = desk(), &b = **read;
+  ASSERT_GT(a.graph.loops.size(), 10U);
+  ASSERT_GT(a.submaps.size(), 3U);
+  EXPECT_EQ(a.sessions.size(), 1U);
+  EXPECT_EQ(b.next_frame_id, 301);  // the end is a frame, too
+  ASSERT_EQ(a.graph.keyframes.size(), b.graph.keyframes.size());
+  EXPECT_EQ(a.graph.keyframes.back().pose.T_map_camera.t, b.graph.keyframes.back().pose.T_map_camera.t);
+  ASSERT_EQ(a.objects.landmarks.size(), b.objects.landmarks.size());
+  EXPECT_EQ(a.submaps[0].objects[0].label, b.submaps[0].objects[0].label);
+  EXPECT_TRUE(a.submaps[0].frames[2].t_camera_local.isApprox(b.submaps[0].frames[2].t_camera_local, 1e-12));
+  const std::string again = directory_.path("again.db");
+  ASSERT_EQ(write_map(again, b, *shared_coco()).message(), "");
+  const std::string dump = dump_of(path_);
+  EXPECT_GT(dump.size(), 100'000U);
+  EXPECT_TRUE(dump == dump_of(again));
+  EXPECT_TRUE(read_whole(path_) == read_whole(again));
+}
+
+TEST_F(MapFile, KeepsSurfaces) {
+  MapState map = desk();
+  const Eigen::Vector3f normal = Eigen::Vector3f(1.0F, -2.0F, 2.0F) / 3.0F;
+  map.submaps[0].surfels =
+      std::make_shared<const std::vector<Surfel>>(std::vector<Surfel>{{{0.1F, -0.2F, 1.5F}, normal}});
+  ASSERT_EQ(write_map(path_, map, *shared_coco()).message(), "");
+  const auto read = checked(read_map(path_, *shared_coco()));
+  ASSERT_NE(read->submaps[0].surfels, nullptr);
+  EXPECT_EQ((*read->submaps[0].surfels)[0].position, map.submaps[0].surfels->front().position);
+  EXPECT_EQ((*read->submaps[0].surfels)[0].normal, normal);
+  EXPECT_EQ(read->submaps[1].surfels, nullptr);
+}
+
+TEST_F(MapFile, NamesWhatIsWrong) {
+  EXPECT_EQ(error_after("PRAGMA user_version = 9"), "is a map of version 9; this program reads 1");
+  EXPECT_EQ(error_after("PRAGMA application_id = 9"), "is no map of semantic_topo_loop");
+  EXPECT_EQ(error_after("DELETE FROM meta WHERE key = 'noise'"), "meta has no 'noise'");
+  EXPECT_EQ(error_after("UPDATE meta SET value = '{' WHERE key = 'noise'"), "meta 'noise' is damaged");
+  EXPECT_EQ(error_after("UPDATE meta SET value = '\"far\"' WHERE key = 'next_frame'"),
+            "meta 'next_frame' = \"far\" must be an integer");
+  EXPECT_EQ(error_after("DROP TABLE edge"), "no such table: edge");
+  EXPECT_EQ(error_after("UPDATE edge SET body = x'00' WHERE number = 3"), "edge 3 = 0 must be an object");
+  EXPECT_EQ(error_after("UPDATE edge SET body = x'ff' WHERE number = 3"), "edge 3 is damaged");
+  EXPECT_EQ(error_after("UPDATE keyframe SET qw = 9.0 WHERE id = 2"), "keyframe 2 has no pose");
+  EXPECT_EQ(error_after("UPDATE keyframe SET frame = 1000 WHERE id = 2"),
+            "keyframe 2 is of frame 1000, but the next frame is 301");
+  EXPECT_NE(error_after("DELETE FROM keyframe WHERE id = 2").find("edges do not join"), std::string::npos);
+  EXPECT_EQ(error_after("UPDATE class SET name = 'spoke' WHERE name = 'cup'"),
+            "class 41 is 'spoke' in the map and 'cup' in the class table");
+  EXPECT_EQ(error_after("UPDATE class SET id = 1000 WHERE name = 'cup'"),
+            "class 1000 ('cup') is no class that becomes a landmark in the class table");
+}
+
+TEST_F(MapFile, NamesTheFieldOfAPackedRow) {
+  EXPECT_EQ(error_with("edge", "/path_m", nullptr), "edge 0.path_m = null must be a finite number");
+  EXPECT_EQ(error_with("edge", "/T_from_to/6", 5.0), "edge 0.T_from_to holds a quaternion that is no rotation");
+  EXPECT_EQ(error_with("loop", "/loop/to", 100000), "loop 0 joins vertices that are not there");
+  const std::string id = std::to_string(desk().objects.landmarks.front().state.id);
+  EXPECT_EQ(error_with("object", "/observations/0/keyframe_id", 777),
+            "object " + id + " was seen in keyframe 777, not there");
+  EXPECT_EQ(error_with("object", "/observations/0/view/truncated", 16),
+            "object " + id + ": truncated = 16 must be a sum of 1, 2, 4, 8");
+  EXPECT_EQ(error_with("object", "/observations/0/view/truncated", 256),
+            "object " + id + ".observations[0].view.truncated = 256 is out of range");
+  EXPECT_EQ(error_with("object", "/observations/0/view/truncated", -1),
+            "object " + id + ".observations[0].view.truncated = -1 is out of range");
+  EXPECT_EQ(error_with("object", "/state/state", 3), "object " + id + ".state.state = 3 is no state");
+  EXPECT_EQ(error_with("object", "/seen_from/3", "far"),
+            "object " + id + ".seen_from[3] = \"far\" must be a finite number");
+  EXPECT_EQ(error_with("submap", "/objects/0/views/0/frame", 100000), "submap 0: a view has frame 100000, not there");
+  EXPECT_EQ(error_with("submap", "/objects/0/class_id", 0), "submap 0: an object has class 0");
+  EXPECT_EQ(error_with("submap", "/check_frames/0", -1), "submap 0: check_frames: -1 is no index of a frame");
+  EXPECT_EQ(error_with("submap", "/frames/3/focal_px/0", 0.0), "submap 0.frames[3].focal_px must be > 0");
+}
+
+TEST_F(MapFile, DamagedAndMissingFilesAreErrors) {
+  const std::string whole = read_whole(path_);
+  for (const std::size_t size :
+       {std::size_t{0}, std::size_t{10}, std::size_t{5000}, whole.size() / 2, whole.size() - 1}) {
+    std::ofstream(path_, std::ios::binary | std::ios::trunc) << whole.substr(0, size);
+    EXPECT_FALSE(error().empty()) << size;
+  }
+  std::ofstream(path_, std::ios::binary | std::ios::trunc) << "{\"format\": \"semantic_topo_loop submaps 1\"}";
+  EXPECT_EQ(error(), "file is not a database");
+  EXPECT_EQ(read_map(directory_.path("none.db"), *shared_coco()).message(),
+            directory_.path("none.db") + ": cannot open the file");
+  EXPECT_NE(write_map(directory_.path("no/such/folder.db"), desk(), *shared_coco()).message().find("no/such/folder.db"),
+            std::string::npos);
+}
+
+TEST_F(MapFile, AFailureLeavesWhatWasThere) {
+  const std::string before = read_whole(path_);
+  const auto fail = [](const std::string& temporary) -> Status {
+    std::ofstream(temporary) << "half";
+    return Error{"no more space"};
+  };
+  EXPECT_EQ(replace_file(path_, fail).message(), "no more space");
+  EXPECT_TRUE(read_whole(path_) == before);
+}
+
+}  // namespace
+}  // namespace semantic_topo_loop::core

@@ -1,0 +1,176 @@
+// A map of earlier sessions: one that goes on with it, and two that are joined.
+
+#include <gtest/gtest.h>
+
+#include <cmath>
+#include <memory>
+#include <string>
+#include <utility>
+#include <vector>
+
+#include "pipeline/map_state.h"
+#include "semantic_topo_loop/geometry/lie.h"
+#include "semantic_topo_loop/io/detection_file.h"
+#include "semantic_topo_loop/io/map_file.h"
+#include "semantic_topo_loop/io/tum_trajectory.h"
+#include "semantic_topo_loop/pipeline/frame_builder.h"
+#include "semantic_topo_loop/pipeline/object_slam.h"
+#include "support/package_config.h"
+#include "support/random_poses.h"
+#include "support/test_files.h"
+#include "tools/evaluation/trajectory_evaluation.h"
+
+namespace semantic_topo_loop::core {
+namespace {
+
+using Map = std::shared_ptr<const MapState>;
+
+struct Recording {
+  StampedPoses odometry, mocap;
+  DetectionRecording detections;
+  Camera camera;
+};
+
+/// What came of a session.
+struct SessionResult {
+  Map map;
+  double first_loop_s = -1.0;  ///< into the earlier map, from the first frame; -1: none
+};
+
+StampedPoses keyframes_of(const MapState& map) {
+  StampedPoses poses;
+  for (const KeyframePose& pose : map.keyframe_poses()) poses.push_back({pose.stamp_ns, pose.T_map_camera});
+  return poses;
+}
+
+double ate_m(const MapState& map, const Recording& recording) {
+  return checked(evaluate_trajectory(keyframes_of(map), recording.mocap)).absolute_m.rmse;
+}
+
+class MapSessions : public ::testing::Test {
+ protected:
+  void SetUp() override {
+    if (!shared_data("tum/fr2_desk/")) GTEST_SKIP() << "SEMANTIC_TOPO_LOOP_DATA is not set";
+  }
+
+  Recording read(const std::string& sequence, const std::string& odometry, const std::string& detections,
+                 const std::string& camera) const {
+    const std::string root = *shared_data("tum/" + sequence + "/");
+    return {checked(read_tum_trajectory(root + odometry)), checked(read_tum_ground_truth(root + "groundtruth.txt")),
+            checked(read_detections(root + detections, *classes_)),
+            checked(read_camera(STL_CONFIG_DIR "/camera/" + camera))};
+  }
+  Recording desk() const {
+    return read("fr2_desk", "orbslam2_rgbd_trajectory.txt", "detections_yolov5.json", "tum_fr2.yaml");
+  }
+  Recording office() const { return read("fr3_office", "groundtruth_frames.txt", "detections_yolov3", "tum_fr3.yaml"); }
+
+  /// Poses `begin` to `end` of the recording, whose odometry starts anywhere.
+  /// @param earlier null without
+  SessionResult run(const Recording& recording, std::size_t begin, std::size_t end, const SE3& T_odom_world,
+                    const Map& earlier = nullptr) const {
+    const Options options;
+    ObjectSlam slam(options, classes_);
+    FrameBuilder builder(options.keyframe, recording.camera);
+    if (earlier != nullptr) {
+      slam.restore(*earlier, recording.camera);
+      builder.count_from(earlier->next_frame_id, earlier->next_keyframe_id());
+    }
+    SessionResult result;
+    for (std::size_t i = begin; i < end; ++i) {
+      const StampedPose& pose = recording.odometry[i];
+      PoseSample sample;
+      sample.stamp_ns = pose.stamp_ns;
+      sample.T_odom_camera = T_odom_world * pose.T_world_camera;
+      const DetectionFrame* seen = find_stamp(recording.detections.frames, pose.stamp_ns, 1000);
+      const FrameResult frame =
+          slam.process(checked(builder.build(sample)), seen != nullptr ? &seen->detections : nullptr);
+      for (const LoopClosure& loop : frame.loops) {
+        const bool is_into_map =
+            loop.accepted && earlier != nullptr && loop.match_keyframe_id < earlier->next_keyframe_id();
+        if (!is_into_map || result.first_loop_s >= 0.0) continue;
+        result.first_loop_s = 1e-9 * static_cast<double>(pose.stamp_ns - recording.odometry[begin].stamp_ns);
+      }
+    }
+    slam.process(builder.end(), nullptr);
+    result.map = slam.map();
+    return result;
+  }
+
+  /// Through a file and back.
+  Map stored(const Map& map) const {
+    const std::string path = directory_.path("map.db");
+    EXPECT_EQ(write_map(path, *map, *classes_).message(), "");
+    return checked(read_map(path, *classes_));
+  }
+
+  const std::shared_ptr<const ClassTable> classes_ = shared_coco();
+  TestDirectory directory_;
+};
+
+std::size_t confirmed(const MapState& map) {
+  std::size_t count = 0;
+  for (const MappedLandmark& landmark : map.objects.landmarks) {
+    count += landmark.state.state == LandmarkState::kConfirmed ? 1 : 0;
+  }
+  return count;
+}
+
+TEST_F(MapSessions, ALaterSessionInAFrameOfItsOwnBecomesOneGraphWithTheMap) {
+  const Recording recording = desk();
+  constexpr std::size_t kFirst = 1400;
+  const Map first = stored(run(recording, 0, kFirst, SE3()).map);
+  RandomPoses random(5);
+  for (const std::size_t begin : {kFirst, kFirst + 300, kFirst + 600}) {
+    const SessionResult second = run(recording, begin, recording.odometry.size(), random.pose(5.0), first);
+    EXPECT_GE(second.first_loop_s, 0.0);
+    EXPECT_LE(second.first_loop_s, 10.0);
+    ASSERT_EQ(second.map->sessions.size(), 2U);
+    EXPECT_EQ(second.map->sessions[1].first_keyframe_id, first->next_keyframe_id());
+    EXPECT_LE(ate_m(*second.map, recording), 0.012) << "of both sessions, in one frame";
+    EXPECT_LE(confirmed(*second.map), confirmed(*first) + 6) << "objects of both are the same";
+    // And a third one goes on with both.
+    const Map both = stored(second.map);
+    const SessionResult third = run(recording, 900, 1300, random.pose(5.0), both);
+    EXPECT_GE(third.first_loop_s, 0.0);
+    EXPECT_EQ(third.map->sessions.size(), 3U);
+    EXPECT_LE(ate_m(*third.map, recording), 0.012);
+  }
+}
+
+TEST_F(MapSessions, AnotherPlaceStandsBesideTheMap) {
+  const Recording first = desk(), second = office();
+  const Map map = run(first, 0, 1400, SE3()).map;
+  const SessionResult result = run(second, 0, second.odometry.size() / 2, SE3(), map);
+  EXPECT_LT(result.first_loop_s, 0.0);
+  const std::vector<KeyframePose> poses = result.map->keyframe_poses();
+  const auto at = static_cast<std::size_t>(result.map->sessions[1].first_keyframe_id);
+  for (std::size_t k = at; k < poses.size(); ++k) {
+    for (std::size_t i = 0; i < at; ++i) {
+      ASSERT_GT((poses[k].T_map_camera.t - poses[i].T_map_camera.t).norm(), 5.0);
+    }
+  }
+  const Map other = run(second, 0, second.odometry.size() / 2, SE3()).map;
+  EXPECT_EQ(merge_maps(*map, *other, Options(), classes_).kept_loops, 0U);
+}
+
+TEST_F(MapSessions, TwoMapsOfOnePlaceAreJoined) {
+  const Recording recording = desk();
+  RandomPoses random(6);
+  const std::size_t half = recording.odometry.size() / 2;
+  const Map a = stored(run(recording, 0, half, random.pose(5.0)).map);
+  const Map b = stored(run(recording, half, recording.odometry.size(), random.pose(5.0)).map);
+  const MergedMaps merged = merge_maps(*a, *b, Options(), classes_);
+  EXPECT_GT(merged.kept_loops, 10U);
+  EXPECT_EQ(merged.map->sessions.size(), 2U);
+  EXPECT_EQ(check(*merged.map).message(), "");
+  EXPECT_LE(ate_m(*merged.map, recording), 0.012);
+  EXPECT_LE(confirmed(*merged.map), std::max(confirmed(*a), confirmed(*b)) + 4);
+  // What comes out is a map like any other.
+  const SessionResult third = run(recording, 1000, 1400, random.pose(5.0), stored(merged.map));
+  EXPECT_GE(third.first_loop_s, 0.0);
+  EXPECT_LE(ate_m(*third.map, recording), 0.012);
+}
+
+}  // namespace
+}  // namespace semantic_topo_loop::core
