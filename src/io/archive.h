@@ -51,6 +51,38 @@ class ArchiveReader {
 
 namespace archive {
 
+/// Whether a struct is written as an array of its members in their order: there are many of it, and the names would be
+/// most of it.
+template <class T>
+inline constexpr bool is_row = false;
+
+class RowWriter {
+ public:
+  template <class T>
+  void operator()(const char*, const T& value) {
+    json_.push_back(to_archive(value));
+  }
+  Json take() { return std::move(json_); }
+
+ private:
+  Json json_ = Json::array();
+};
+
+class RowReader {
+ public:
+  explicit RowReader(const JsonField& field) : field_(field), elements_(field.elements()) {}
+  template <class T>
+  void operator()(const char* name, T& value) {
+    if (next_ == elements_.size()) return field_.reject(std::string("has no '") + name + "'");
+    from_archive(elements_[next_++], &value);
+  }
+
+ private:
+  const JsonField& field_;
+  std::vector<JsonField> elements_;
+  std::size_t next_ = 0;
+};
+
 template <class T>
 struct Codec {
   static Json write(const T& value) {
@@ -59,7 +91,7 @@ struct Codec {
     } else if constexpr (std::is_arithmetic_v<T>) {
       return value;
     } else {
-      ArchiveWriter writer;
+      std::conditional_t<is_row<T>, RowWriter, ArchiveWriter> writer;
       visit_members(const_cast<T&>(value), writer);  // a writer changes nothing
       return writer.take();
     }
@@ -75,7 +107,7 @@ struct Codec {
       if (number < 0 ? std::is_unsigned_v<T> : static_cast<std::uint64_t>(number) != static_cast<std::uint64_t>(*value))
         field.reject("is out of range");
     } else if constexpr (!std::is_enum_v<T>) {
-      ArchiveReader reader(field);
+      std::conditional_t<is_row<T>, RowReader, ArchiveReader> reader(field);
       visit_members(*value, reader);
     } else {
       static_assert(!std::is_enum_v<T>, "say which values there are: a Codec of its own");

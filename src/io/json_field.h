@@ -20,8 +20,9 @@ using Json = nlohmann::json;
 /// tree is read in one go and checked once; what is read after it means nothing.
 class JsonField {
  public:
-  JsonField(const Json& json, std::string name, std::string* problem)
-      : json_(json), name_(std::move(name)), problem_(problem) {}
+  /// @param is_named without, a problem does not say where it is, and a large tree is read in half the time
+  JsonField(const Json& json, std::string name, std::string* problem, bool is_named = true)
+      : json_(json), name_(std::move(name)), problem_(problem), is_named_(is_named) {}
 
   bool has(const char* key) const { return json_.is_object() && json_.contains(key); }
 
@@ -29,18 +30,20 @@ class JsonField {
     if (!json_.is_object()) {
       reject("must be an object");
     } else if (const auto it = json_.find(key); it != json_.end()) {
-      return {*it, name_ + (name_.empty() ? "" : ".") + key, problem_};
+      return child(*it, [&] { return (name_.empty() ? "" : ".") + std::string(key); });
     } else {
       reject(std::string("has no '") + key + "'");
     }
-    return {kNothing, name_, problem_};
+    return {kNothing, name_, problem_, is_named_};
   }
 
   std::vector<JsonField> elements() const {
     std::vector<JsonField> fields;
     if (!json_.is_array()) reject("must be an array");
-    for (std::size_t i = 0; json_.is_array() && i < json_.size(); ++i) {
-      fields.emplace_back(json_[i], name_ + '[' + std::to_string(i) + ']', problem_);
+    if (!json_.is_array()) return fields;
+    fields.reserve(json_.size());
+    for (std::size_t i = 0; i < json_.size(); ++i) {
+      fields.push_back(child(json_[i], [i] { return '[' + std::to_string(i) + ']'; }));
     }
     return fields;
   }
@@ -91,10 +94,14 @@ class JsonField {
   template <int n>
   Eigen::Matrix<double, n, 1> numbers() const {
     Eigen::Matrix<double, n, 1> v = Eigen::Matrix<double, n, 1>::Zero();
-    const std::vector<JsonField> fields = elements();
-    if (fields.size() < static_cast<std::size_t>(n)) reject("must have " + std::to_string(n) + " numbers");
-    for (std::size_t i = 0; i < fields.size() && i < static_cast<std::size_t>(n); ++i) {
-      v(static_cast<Eigen::Index>(i)) = fields[i].number();
+    if (!json_.is_array()) {
+      reject("must be an array");
+    } else if (json_.size() < static_cast<std::size_t>(n)) {
+      reject("must have " + std::to_string(n) + " numbers");
+    } else {
+      for (std::size_t i = 0; i < static_cast<std::size_t>(n); ++i) {
+        v(static_cast<Eigen::Index>(i)) = child(json_[i], [i] { return '[' + std::to_string(i) + ']'; }).number();
+      }
     }
     return v;
   }
@@ -130,10 +137,16 @@ class JsonField {
   bool is_fine() const { return problem_->empty(); }
 
  private:
+  template <class Suffix>
+  JsonField child(const Json& json, const Suffix& suffix) const {
+    return {json, is_named_ ? name_ + suffix() : std::string(), problem_, is_named_};
+  }
+
   inline static const Json kNothing;
   const Json& json_;
   std::string name_;
   std::string* problem_;
+  bool is_named_;
 };
 
 /// @param take nlohmann's callback, or null   @return an error that names line and column, or key and value

@@ -18,6 +18,17 @@ namespace semantic_topo_loop::core {
 namespace archive {
 
 template <>
+inline constexpr bool is_row<Observation> = true;
+template <>
+inline constexpr bool is_row<BoxView> = true;
+template <>
+inline constexpr bool is_row<ObservedBox> = true;
+template <>
+inline constexpr bool is_row<SubmapView> = true;
+template <>
+inline constexpr bool is_row<Surfel> = true;
+
+template <>
 struct Codec<LandmarkState> {
   static Json write(LandmarkState value) { return static_cast<int>(value); }
   static void read(const JsonField& field, LandmarkState* value) {
@@ -233,8 +244,11 @@ void unpack(SqliteFile* file, const std::string& place, const Json& json, T* val
   if (!file->is_fine()) return;
   if (json.is_discarded()) return file->reject(place + " is damaged");
   std::string problem;
+  from_archive(JsonField(json, place, &problem, false), value);
+  if (problem.empty()) return;
+  problem.clear();  // once more, to say where
   from_archive(JsonField(json, place, &problem), value);
-  if (!problem.empty()) file->reject(problem);
+  file->reject(problem);
 }
 template <class T>
 void unpack(SqliteFile* file, const std::string& place, const std::string& bytes, T* value) {

@@ -146,18 +146,18 @@ TEST_F(MapFile, NamesTheFieldOfAPackedRow) {
   EXPECT_EQ(error_with("edge", "/T_from_to/6", 5.0), "edge 0.T_from_to holds a quaternion that is no rotation");
   EXPECT_EQ(error_with("loop", "/loop/to", 100000), "loop 0 joins vertices that are not there");
   const std::string id = std::to_string(desk().objects.landmarks.front().state.id);
-  EXPECT_EQ(error_with("object", "/observations/0/keyframe_id", 777),
+  EXPECT_EQ(error_with("object", "/observations/0/2", 777),
             "object " + id + " was seen in keyframe 777, not there");
-  EXPECT_EQ(error_with("object", "/observations/0/view/truncated", 16),
+  EXPECT_EQ(error_with("object", "/observations/0/4/2", 16),
             "object " + id + ": truncated = 16 must be a sum of 1, 2, 4, 8");
-  EXPECT_EQ(error_with("object", "/observations/0/view/truncated", 256),
-            "object " + id + ".observations[0].view.truncated = 256 is out of range");
-  EXPECT_EQ(error_with("object", "/observations/0/view/truncated", -1),
-            "object " + id + ".observations[0].view.truncated = -1 is out of range");
+  EXPECT_EQ(error_with("object", "/observations/0/4/2", 256),
+            "object " + id + ".observations[0][4][2] = 256 is out of range");
+  EXPECT_EQ(error_with("object", "/observations/0/4/2", -1),
+            "object " + id + ".observations[0][4][2] = -1 is out of range");
   EXPECT_EQ(error_with("object", "/state/state", 3), "object " + id + ".state.state = 3 is no state");
   EXPECT_EQ(error_with("object", "/seen_from/3", "far"),
             "object " + id + ".seen_from[3] = \"far\" must be a finite number");
-  EXPECT_EQ(error_with("submap", "/objects/0/views/0/frame", 100000), "submap 0: a view has frame 100000, not there");
+  EXPECT_EQ(error_with("submap", "/objects/0/views/0/0", 100000), "submap 0: a view has frame 100000, not there");
   EXPECT_EQ(error_with("submap", "/objects/0/class_id", 0), "submap 0: an object has class 0");
   EXPECT_EQ(error_with("submap", "/check_frames/0", -1), "submap 0: check_frames: -1 is no index of a frame");
   EXPECT_EQ(error_with("submap", "/frames/3/focal_px/0", 0.0), "submap 0.frames[3].focal_px must be > 0");
