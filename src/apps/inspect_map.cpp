@@ -9,6 +9,7 @@
 #include <vector>
 
 #include "apps/program.h"
+#include "pipeline/map_changes.h"
 #include "pipeline/map_state.h"
 #include "semantic_topo_loop/io/map_file.h"
 #include "semantic_topo_loop/io/run_files.h"
@@ -52,6 +53,33 @@ void print_counts(const MapState& map, const ClassTable& classes) {
   std::printf("confirmed  ");
   for (const auto& [label, count] : labels) std::printf(" %d %s", count, label.c_str());
   std::printf("\n");
+}
+
+void print_changes(const MapState& map, const ClassTable& classes) {
+  const auto object = [&](std::int64_t id) {
+    for (const MappedLandmark& landmark : map.objects.landmarks) {
+      if (landmark.state.id != id) continue;
+      const Vec3& at = landmark.state.ellipsoid->center();
+      return classes.name(landmark.state.class_id) + " " + std::to_string(id) + " (" + format_fixed(at.x(), 2) + " " +
+             format_fixed(at.y(), 2) + " " + format_fixed(at.z(), 2) + ")";
+    }
+    return std::string();
+  };
+  const std::vector<MapChange> changes = map_changes(map);
+  std::printf("changes     %zu since the session before the last\n", changes.size());
+  for (const MapChange& change : changes) {
+    std::string text = std::string("            ") + to_string(change.kind) + ":";
+    if (change.before_id) {
+      text += " " + object(*change.before_id) + ", " + std::to_string(change.boxes_before) +
+              " boxes before, missed for " + format_fixed(change.missed_s, 1) + " s";
+    }
+    if (change.before_id && change.after_id) text += ";";
+    if (change.after_id) {
+      text += " " + object(*change.after_id) + ", " + std::to_string(change.boxes_after) + " boxes now, where " +
+              std::to_string(change.looked_at_before) + " keyframes before showed none";
+    }
+    std::printf("%s\n", text.c_str());
+  }
 }
 
 /// How often each class was boxed, of the boxes that are kept.
@@ -134,6 +162,7 @@ Status run(const Arguments& arguments) {
   if (!read) return read.error();
   const MapState& map = **read;
   print_counts(map, *classes);
+  if (map.sessions.size() > 1) print_changes(map, *classes);
   Status written;
   if (!arguments.objects.empty()) written = write_objects(arguments.objects, map, *classes);
   if (written && !arguments.trajectory.empty()) written = write_trajectory(arguments.trajectory, map);

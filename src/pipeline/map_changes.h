@@ -1,0 +1,31 @@
+#pragma once
+
+#include <cstdint>
+#include <optional>
+#include <vector>
+
+#include "pipeline/map_state.h"
+
+namespace semantic_topo_loop::core {
+
+/// What the last session found other than the ones before it had left it, with the evidence.
+struct MapChange {
+  enum class Kind { kGone, kMoved, kNew };
+  Kind kind = Kind::kGone;
+  std::optional<std::int64_t> before_id;  ///< the object as it was: gone, or moved from there
+  std::optional<std::int64_t> after_id;   ///< the object as it is: new, or moved there
+  int boxes_before = 0;                   ///< boxes kept of it from the sessions before
+  double missed_s = 0.0;     ///< for which the last session looked where it had been seen from, and found nothing
+  int boxes_after = 0;       ///< boxes kept of it from the last session
+  int looked_at_before = 0;  ///< keyframes of the sessions before that had the place of `after_id` in view
+};
+const char* to_string(MapChange::Kind kind);
+
+/// Changes between the last session of a map and the ones before. An object is gone if it was retired and the last
+/// session has no box of it; new if only the last session has boxes of it, although the ones before had its place long
+/// in view and no such object there; one that is gone and a new one of its class and about its size are one that moved,
+/// the nearest first.
+/// @return in order of ids; nothing if there is one session
+std::vector<MapChange> map_changes(const MapState& map);
+
+}  // namespace semantic_topo_loop::core

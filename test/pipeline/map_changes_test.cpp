@@ -1,0 +1,114 @@
+#include "pipeline/map_changes.h"
+
+#include <gtest/gtest.h>
+
+#include <algorithm>
+#include <map>
+#include <string>
+#include <utility>
+#include <vector>
+
+#include "support/package_config.h"
+#include "support/random_poses.h"
+#include "support/simulated_run.h"
+#include "tools/simulation/sequence.h"
+
+namespace semantic_topo_loop::core {
+namespace {
+
+/// Two laps round a desk; between them one object is moved, one goes and one comes.
+struct TwoDays {
+  SimulatedSequence sequence;
+  std::size_t second = 0;                 ///< first image of the second lap
+  int moved = -1, gone = -1, added = -1;  ///< objects of the scene
+};
+
+TwoDays two_days(int seed) {
+  SimulationOptions options;
+  options.seed = seed;
+  options.trajectory.duration_s = 72.0;
+  options.trajectory.rate_hz = 15.0;
+  options.dynamics.moved_objects = 1;
+  TwoDays days;
+  days.sequence = checked(simulate(options, camera_fr2(), coco()));
+  SimulatedSequence& sequence = days.sequence;
+  while (sequence.time_s(days.second) < options.dynamics.move_time_s) ++days.second;
+  days.moved = gone_objects(sequence).front().object;
+  // Objects that are often seen in both laps and may be carried.
+  std::map<int, std::pair<int, int>> boxes;
+  for (std::size_t i = 0; i < sequence.detections.size(); ++i) {
+    for (const SimulatedDetection& d : sequence.detections[i]) {
+      if (d.object >= 0) ++(i < days.second ? boxes[d.object].first : boxes[d.object].second);
+    }
+  }
+  const ClassTable classes = coco();
+  constexpr int kOften = 200;
+  for (const auto& [object, count] : boxes) {
+    const int class_id = sequence.scene.objects[static_cast<std::size_t>(object)].class_id;
+    const bool is_movable = classes.find(class_id)->role == ClassRole::kMovable;
+    if (object == days.moved || !is_movable || std::min(count.first, count.second) < kOften) continue;
+    (days.gone < 0 ? days.gone : days.added) = object;
+    if (days.added >= 0) break;
+  }
+  for (std::size_t i = 0; i < sequence.detections.size(); ++i) {
+    std::vector<SimulatedDetection>& found = sequence.detections[i];
+    const int hidden = i < days.second ? days.added : days.gone;
+    found.erase(std::remove_if(found.begin(), found.end(), [=](const auto& d) { return d.object == hidden; }),
+                found.end());
+  }
+  return days;
+}
+
+/// "moved cup", in order.
+std::vector<std::string> listed(const MapState& map) {
+  const auto name = [&map](std::int64_t id) {
+    const auto found = std::find_if(map.objects.landmarks.begin(), map.objects.landmarks.end(),
+                                    [id](const MappedLandmark& landmark) { return landmark.state.id == id; });
+    return coco().name(found->state.class_id);
+  };
+  std::vector<std::string> texts;
+  for (const MapChange& change : map_changes(map)) {
+    texts.push_back(std::string(to_string(change.kind)) + " " +
+                    name(change.before_id.value_or(change.after_id.value_or(-1))));
+  }
+  std::sort(texts.begin(), texts.end());
+  return texts;
+}
+
+TEST(MapChanges, WhatMovedWentAndCameIsListedAndNothingElse) {
+  for (const int seed : {1, 2, 9}) {
+    const TwoDays days = two_days(seed);
+    RandomPoses random(static_cast<std::uint64_t>(seed));
+    const auto first = testing::map_of(days.sequence, 0, days.second, shared_coco());
+    EXPECT_TRUE(map_changes(*first).empty());
+    const auto both = testing::map_of(days.sequence, days.second, days.sequence.odometry.size(), shared_coco(),
+                                      random.pose(5.0), first);
+    const auto name = [&](const char* kind, int object) {
+      const int class_id = days.sequence.scene.objects[static_cast<std::size_t>(object)].class_id;
+      return std::string(kind) + " " + coco().name(class_id);
+    };
+    std::vector<std::string> expected{name("gone", days.gone), name("moved", days.moved), name("new", days.added)};
+    EXPECT_EQ(listed(*both), expected) << "seed " << seed;
+    for (const MapChange& change : map_changes(*both)) {
+      EXPECT_TRUE(!change.before_id || change.missed_s > 3.0) << change.missed_s;
+      EXPECT_TRUE(!change.after_id || change.looked_at_before > 20) << change.looked_at_before;
+    }
+  }
+}
+
+TEST(MapChanges, WhatWasNotLookedAtBeforeIsNotNew) {
+  SimulationOptions options;
+  options.seed = 3;
+  options.trajectory.duration_s = 60.0;
+  options.trajectory.rate_hz = 15.0;
+  const SimulatedSequence sequence = checked(simulate(options, camera_fr2(), coco()));
+  const std::size_t part = 150, all = sequence.odometry.size();  // a quarter of the first lap
+  const auto first = testing::map_of(sequence, 0, part, shared_coco());
+  const auto both = testing::map_of(sequence, part, all, shared_coco(), {}, first);
+  ASSERT_EQ(both->sessions.size(), 2U);
+  EXPECT_GT(both->objects.landmarks.size(), first->objects.landmarks.size());
+  EXPECT_EQ(listed(*both), std::vector<std::string>());
+}
+
+}  // namespace
+}  // namespace semantic_topo_loop::core
