@@ -91,7 +91,6 @@ class SeenFrom {
   explicit SeenFrom(const Bins& smallest_px = {}) : smallest_px_(smallest_px) {}
 
  private:
-
   static std::size_t bin(const Vec3& direction) {
     Eigen::Index axis = 0;
     const double largest = direction.cwiseAbs().maxCoeff(&axis);
