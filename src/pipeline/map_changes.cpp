@@ -11,13 +11,13 @@ namespace {
 /// second or two of each.
 constexpr int kMinBoxes = 30;
 constexpr double kMinMissed_s = 2.0;
-/// Keyframes that must have had a place in view: detectors miss an object for seconds on end.
-constexpr int kMinLooks = 30;
+/// Keyframes that must have had a place in view, since detectors miss an object for seconds on end; and of one that
+/// moved there, since it is gone elsewhere.
+constexpr int kMinLooks = 10, kMinLooksOfMoved = 2;
 /// Of the boxes of an object that is gone, what the last session may have by mistake.
 constexpr double kMistakenShare = 0.05;
 /// An object that is boxed for longer than it is in view, by this factor, is not where the map has it.
 constexpr double kMaxSeenShare = 1.25;
-constexpr double kSmallest_px = 25.0;  ///< of a box that any detector finds
 /// Of the radii of one object, as two sessions have them.
 constexpr double kMaxRatio = 1.6;
 
@@ -33,11 +33,14 @@ Boxes count_boxes(const MappedLandmark& landmark, std::int64_t first_keyframe_id
   return boxes;
 }
 
-/// Keyframes before `first_keyframe_id` in which a detector should have boxed what is there now, by the landmark's id.
+/// Keyframes before `first_keyframe_id` in which a detector should have boxed what is there now, since it did from
+/// there later; by the landmark's id.
 std::map<std::int64_t, int> count_looks(const MapState& map, std::int64_t first_keyframe_id) {
   std::map<std::int64_t, MappedLandmark> landmarks;
   for (const MappedLandmark& landmark : map.objects.landmarks) {
-    if (landmark.state.state != LandmarkState::kCandidate) landmarks[landmark.state.id].state = landmark.state;
+    if (landmark.state.state != LandmarkState::kCandidate) {
+      static_cast<LandmarkRecord&>(landmarks[landmark.state.id]) = landmark;
+    }
   }
   std::map<std::int64_t, int> looks;
   Frame frame;
@@ -45,7 +48,9 @@ std::map<std::int64_t, int> count_looks(const MapState& map, std::int64_t first_
   for (const auto& [pose, T_vertex_keyframe] : map.graph.keyframes) {
     if (pose.keyframe_id >= first_keyframe_id) break;
     for (const ExpectedLandmark& expected : expected_landmarks(landmarks, frame, nullptr, pose.T_map_camera, {})) {
-      if (expected.size_px >= kSmallest_px) ++looks[expected.id];
+      const MappedLandmark& landmark = landmarks.at(expected.id);
+      const Vec3 direction = landmark.state.ellipsoid->center() - pose.T_map_camera.t;
+      if (landmark.seen_from.covers(direction, expected.size_px)) ++looks[expected.id];
     }
   }
   return looks;
@@ -61,7 +66,7 @@ bool was_there(const MapState& map, const MappedLandmark& landmark, std::int64_t
   });
 }
 
-/// Joins what is gone with what is new of its class.
+/// Joins what is gone with what is new of its class, and drops what is hardly new.
 void find_moves(const MapState& map, std::vector<MapChange>* gone, std::vector<MapChange>* added) {
   const auto landmark = [&map](std::int64_t id) -> const Landmark& {
     return std::lower_bound(map.objects.landmarks.begin(), map.objects.landmarks.end(), id,
@@ -88,8 +93,10 @@ void find_moves(const MapState& map, std::vector<MapChange>* gone, std::vector<M
     from.looked_at_before = to.looked_at_before;
     to.after_id.reset();
   }
-  added->erase(std::remove_if(added->begin(), added->end(), [](const MapChange& change) { return !change.after_id; }),
-               added->end());
+  const auto is_no_more = [](const MapChange& change) {
+    return !change.after_id || change.looked_at_before < kMinLooks;
+  };
+  added->erase(std::remove_if(added->begin(), added->end(), is_no_more), added->end());
 }
 
 }  // namespace
@@ -129,7 +136,7 @@ std::vector<MapChange> map_changes(const MapState& map) {
       change.after_id = state.id;
       change.boxes_after = after;
       change.looked_at_before = looks[state.id];
-      if (change.looked_at_before >= kMinLooks && !was_there(map, landmark, first)) added.push_back(change);
+      if (change.looked_at_before >= kMinLooksOfMoved && !was_there(map, landmark, first)) added.push_back(change);
     }
   }
   find_moves(map, &gone, &added);

@@ -17,7 +17,7 @@ struct MapChange {
   int boxes_before = 0;                   ///< boxes kept of it from the sessions before
   double missed_s = 0.0;     ///< for which the last session looked where it had been seen from, and found nothing
   int boxes_after = 0;       ///< boxes kept of it from the last session
-  int looked_at_before = 0;  ///< keyframes of the sessions before that had the place of `after_id` in view
+  int looked_at_before = 0;  ///< keyframes before that had its place in view from where it is seen now
 };
 const char* to_string(MapChange::Kind kind);
 
