@@ -65,7 +65,6 @@ const MapState& large_map() {
     const std::size_t times = kKeyframes / minute.graph.keyframes.size() + 1;
     minute.objects.landmarks.resize(std::min(minute.objects.landmarks.size(), kObjects / times + 1));
     for (std::size_t i = 0; i < times; ++i) large.append(minute);
-    large.objects.camera = minute.objects.camera;
     return large;
   }();
   return map;

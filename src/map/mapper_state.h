@@ -11,6 +11,9 @@ namespace semantic_topo_loop::core {
 struct MapperState {
   Camera camera;                          ///< whose pixels the observations' boxes are in
   std::vector<MappedLandmark> landmarks;  ///< in order of id
+
+  /// Takes the boxes to the pixels of another camera, which sees along the same rays.
+  void move_to(const Camera& other);
 };
 
 }  // namespace semantic_topo_loop::core

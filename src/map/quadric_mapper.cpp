@@ -109,22 +109,13 @@ struct QuadricMapper::Impl {
       T_odom_keyframe_[keyframe.keyframe_id] = keyframe.T_map_camera;
       S_map_keyframe_[keyframe.keyframe_id] = Sim3(keyframe.T_map_camera, keyframe.scale);
     }
+    state.move_to(camera);
     for (MappedLandmark& landmark : state.landmarks) {
-      for (Observation& observation : landmark.observations) {
-        observation.view.box = in_pixels_of(camera, state.camera, observation.view.box);
-      }
       changed_.insert(landmark.state.id);
       landmarks_[landmark.state.id] = std::move(landmark);
     }
     end_update(&update);
     return update;
-  }
-
-  static Box in_pixels_of(const Camera& camera, const Camera& other, const Box& box) {
-    const auto moved = [&](const Vec2& pixel) -> Vec2 { return camera.pixel(other.ray(pixel)); };
-    const Vec4 edges = box.edges();
-    const Vec2 low = moved(edges.head<2>()), high = moved(edges.tail<2>());
-    return {low.x(), low.y(), high.x(), high.y()};
   }
 
   /// How much time this answer stands for; long gaps count no more than a slow detector's interval.

@@ -94,6 +94,8 @@ void MapState::append(MapState other) {
   }
   for (RememberedLoop& loop : other.graph.loops) raise_ids(frames, keyframes, &loop);
   graph.append(std::move(other.graph));
+  if (objects.landmarks.empty()) objects.camera = other.objects.camera;
+  other.objects.move_to(objects.camera);
   for (MappedLandmark& landmark : other.objects.landmarks) {
     raise_ids(frames, keyframes, landmarks, &landmark);
     objects.landmarks.push_back(std::move(landmark));

@@ -51,7 +51,10 @@ FrameResult ObjectSlam::process(const Frame& frame, const std::vector<Detection>
 }
 
 MapUpdate ObjectSlam::restore(const MapState& map, const Camera& camera) {
-  earlier_ = std::make_shared<const MapState>(map);
+  auto earlier = std::make_shared<MapState>();  // of which the stages know nothing
+  earlier->sessions = map.sessions;
+  earlier->next_frame_id = map.next_frame_id;
+  earlier_ = std::move(earlier);
   const SE3 T_map_odom = place_beside(map);
   const std::vector<KeyframePose> keyframes = map.keyframe_poses();
   MapUpdate update = mapper_.restore(map.objects, keyframes, camera, T_map_odom);
@@ -63,11 +66,7 @@ MapUpdate ObjectSlam::restore(const MapState& map, const Camera& camera) {
 }
 
 std::shared_ptr<const MapState> ObjectSlam::map() const {
-  auto map = std::make_shared<MapState>();
-  if (earlier_) {
-    map->sessions = earlier_->sessions;
-    map->next_frame_id = earlier_->next_frame_id;
-  }
+  auto map = earlier_ ? std::make_shared<MapState>(*earlier_) : std::make_shared<MapState>();
   if (first_) {
     map->sessions.push_back({first_->keyframe_id, first_->stamp_ns, last_.stamp_ns});
     map->next_frame_id = last_.frame_id + 1;

@@ -154,6 +154,25 @@ TEST_F(MapSessions, AnotherPlaceStandsBesideTheMap) {
   EXPECT_EQ(merge_maps(*map, *other, Options(), classes_).kept_loops, 0U);
 }
 
+/// The map of another camera: what its boxes show stays where it is.
+TEST(MapState, BoxesOfAnotherCameraKeepTheirRays) {
+  MapState map, other;
+  map.objects.camera = camera_fr2();
+  map.objects.landmarks.emplace_back().state.id = 4;
+  other.objects.camera = small_camera();
+  MappedLandmark& landmark = other.objects.landmarks.emplace_back();
+  landmark.state.id = 2;
+  Observation& observation = landmark.observations.emplace_back();
+  observation.view.box = {5.0, 6.0, 20.0, 15.0};
+  map.append(other);
+  ASSERT_EQ(map.objects.landmarks.size(), 2U);
+  EXPECT_EQ(map.objects.landmarks[1].state.id, 7);
+  const Box& box = map.objects.landmarks[1].observations[0].view.box;
+  const Vec2 corner(box.x2, box.y2);
+  EXPECT_LT((camera_fr2().ray(corner) - small_camera().ray({20.0, 15.0})).norm(), 1e-12);
+  EXPECT_EQ(map.objects.camera.fx, camera_fr2().fx);
+}
+
 TEST_F(MapSessions, TwoMapsOfOnePlaceAreJoined) {
   const Recording recording = desk();
   RandomPoses random(6);

@@ -58,7 +58,7 @@ class ObjectSlam {
   QuadricMapper mapper_;
   LoopDetector loop_detector_;
   PoseGraph pose_graph_;
-  std::shared_ptr<const MapState> earlier_;  ///< null: there is none
+  std::shared_ptr<const MapState> earlier_;  ///< its sessions and counts alone; null: there is none
   std::optional<Frame> first_;               ///< of this session
   Frame last_;
 };
