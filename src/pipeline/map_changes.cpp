@@ -38,9 +38,10 @@ Boxes count_boxes(const MappedLandmark& landmark, std::int64_t first_keyframe_id
 std::map<std::int64_t, int> count_looks(const MapState& map, std::int64_t first_keyframe_id) {
   std::map<std::int64_t, MappedLandmark> landmarks;
   for (const MappedLandmark& landmark : map.objects.landmarks) {
-    if (landmark.state.state != LandmarkState::kCandidate) {
-      static_cast<LandmarkRecord&>(landmarks[landmark.state.id]) = landmark;
-    }
+    if (landmark.state.state == LandmarkState::kCandidate) continue;
+    MappedLandmark& known = landmarks[landmark.state.id];
+    known.state = landmark.state;
+    known.seen_from = landmark.seen_from;
   }
   std::map<std::int64_t, int> looks;
   Frame frame;

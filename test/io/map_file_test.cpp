@@ -146,8 +146,7 @@ TEST_F(MapFile, NamesTheFieldOfAPackedRow) {
   EXPECT_EQ(error_with("edge", "/T_from_to/6", 5.0), "edge 0.T_from_to holds a quaternion that is no rotation");
   EXPECT_EQ(error_with("loop", "/loop/to", 100000), "loop 0 joins vertices that are not there");
   const std::string id = std::to_string(desk().objects.landmarks.front().state.id);
-  EXPECT_EQ(error_with("object", "/observations/0/2", 777),
-            "object " + id + " was seen in keyframe 777, not there");
+  EXPECT_EQ(error_with("object", "/observations/0/2", 777), "object " + id + " was seen in keyframe 777, not there");
   EXPECT_EQ(error_with("object", "/observations/0/4/2", 16),
             "object " + id + ": truncated = 16 must be a sum of 1, 2, 4, 8");
   EXPECT_EQ(error_with("object", "/observations/0/4/2", 256),
