@@ -145,6 +145,7 @@ TEST_F(MapFile, NamesTheFieldOfAPackedRow) {
   EXPECT_EQ(error_with("edge", "/path_m", nullptr), "edge 0.path_m = null must be a finite number");
   EXPECT_EQ(error_with("edge", "/T_from_to/6", 5.0), "edge 0.T_from_to holds a quaternion that is no rotation");
   EXPECT_EQ(error_with("loop", "/loop/to", 100000), "loop 0 joins vertices that are not there");
+  EXPECT_EQ(error_with("loop", "/loop/from", -4294967296), "loop 0.loop.from = -4294967296 is out of range");
   const std::string id = std::to_string(desk().objects.landmarks.front().state.id);
   EXPECT_EQ(error_with("object", "/observations/0/2", 777), "object " + id + " was seen in keyframe 777, not there");
   EXPECT_EQ(error_with("object", "/observations/0/4/2", 16),
