@@ -79,6 +79,14 @@ class SeenFrom {
       if (theirs > 0.0F) ours = ours == 0.0F ? theirs : std::min(ours, theirs);
     }
   }
+  /// With the map: what was seen from a direction was seen from where that is now.
+  void turn(const Quaternion& q_new_old) {
+    SeenFrom turned;
+    for (std::size_t i = 0; i < smallest_px_.size(); ++i) {
+      if (smallest_px_[i] > 0.0F) turned.add(q_new_old * middle(i), static_cast<double>(smallest_px_[i]));
+    }
+    *this = turned;
+  }
   bool covers(const Vec3& direction_map, double box_size_px) const {
     const float smallest = smallest_px_[bin(direction_map)];
     return smallest > 0.0F && box_size_px >= static_cast<double>(smallest);
@@ -99,6 +107,17 @@ class SeenFrom {
     };
     const int face = static_cast<int>(axis) + (direction(axis) < 0.0 ? 3 : 0);
     return static_cast<std::size_t>((face * kSteps + step((axis + 1) % 3)) * kSteps + step((axis + 2) % 3));
+  }
+
+  /// A direction in the middle of a bin.
+  static Vec3 middle(std::size_t bin) {
+    const auto step = [](std::size_t i) { return (2.0 * static_cast<double>(i % kSteps) + 1.0) / kSteps - 1.0; };
+    const auto face = static_cast<Eigen::Index>(bin / (kSteps * kSteps));
+    Vec3 direction;
+    direction(face % 3) = face < 3 ? 1.0 : -1.0;
+    direction((face + 1) % 3) = step(bin / kSteps);
+    direction((face + 2) % 3) = step(bin);
+    return direction;
   }
 
   Bins smallest_px_;

@@ -11,6 +11,7 @@
 #include "map/mapped_landmark.h"
 #include "map/mapper_state.h"
 #include "map/merging.h"
+#include "semantic_topo_loop/geometry/lie.h"
 #include "semantic_topo_loop/map/mapper_options.h"
 #include "semantic_topo_loop/types/stamp.h"
 
@@ -22,6 +23,7 @@ constexpr double kSeparateBoxesIou = 0.6;       // two boxes that overlap less s
 constexpr int kRefitsPerFrame = 4;              // after a correction, so that no frame is held up
 constexpr double kStepMax_s = 0.2;              // the time that a frame stands for at most: a slow detector's interval
 constexpr double kSureScore = 0.5;              // of a detector, from which on a box counts in full
+constexpr double kTurned_rad = 0.2;             // of a correction: half of a bin of SeenFrom, less stays in its bin
 constexpr double kUndoReach = 1.5;              // of the distance up to which two landmarks may merge
 
 }  // namespace
@@ -381,6 +383,7 @@ struct QuadricMapper::Impl {
     landmark->state.ellipsoid->T_world_quadric = S_new_old.pose(landmark->state.ellipsoid->T_world_quadric);
     landmark->state.ellipsoid->semi_axes *= S_new_old.scale;
     landmark->state.center_covariance *= S_new_old.scale * S_new_old.scale;
+    if (rotation_angle(S_new_old.T.q, Quaternion::Identity()) > kTurned_rad) landmark->seen_from.turn(S_new_old.T.q);
     if (landmark->state.mean_iou > 0.0) fit_due_.insert(landmark->state.id);
     changed_.insert(landmark->state.id);
   }

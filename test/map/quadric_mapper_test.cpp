@@ -574,6 +574,22 @@ TEST(ClosureUndo, TheMapIsAsBeforeWhenTheLoopsAreWithdrawn) {
   }
 }
 
+TEST(SeenFrom, DirectionsTurnWithTheMap) {
+  const Vec3 direction(1.0, 0.25, -0.75);
+  const Quaternion quarter = so3_exp(Vec3(0.0, 0.0, 0.5 * M_PI));
+  SeenFrom seen;
+  seen.add(direction, 40.0);
+  EXPECT_TRUE(seen.covers(direction, 40.0));
+  EXPECT_FALSE(seen.covers(direction, 39.0)) << "farther away";
+  EXPECT_FALSE(seen.covers(quarter * direction, 40.0));
+  seen.turn(quarter);
+  EXPECT_TRUE(seen.covers(quarter * direction, 40.0));
+  EXPECT_FALSE(seen.covers(direction, 40.0));
+  // By less than half a bin nothing changes.
+  seen.turn(so3_exp(Vec3(0.05, -0.05, 0.05)));
+  EXPECT_TRUE(seen.covers(quarter * direction, 40.0));
+}
+
 TEST(QuadricMapperOptions, RejectsValuesOutOfRangeByName) {
   QuadricMapperOptions options;
   options.merge_iou = 1.5;
