@@ -34,8 +34,10 @@ bool ends_with(const std::string& text, const std::string& end) {
 }
 
 void print_counts(const MapState& map, const ClassTable& classes) {
-  std::printf("integrity   ok\nsessions    %zu\n", map.sessions.size());
-  for (const Session& session : map.sessions) {
+  std::printf("integrity   ok");
+  if (map.left_out > 0) std::printf(", %zu boxes and submaps newer than the graph left out", map.left_out);
+  std::printf("\nsessions    %zu\n", map.graph.sessions.size());
+  for (const Session& session : map.graph.sessions) {
     std::printf("            from keyframe %lld, stamps %s to %s\n", static_cast<long long>(session.first_keyframe_id),
                 format_stamp(session.begin_ns).c_str(), format_stamp(session.end_ns).c_str());
   }
@@ -162,7 +164,7 @@ Status run(const Arguments& arguments) {
   if (!read) return read.error();
   const MapState& map = **read;
   print_counts(map, *classes);
-  if (map.sessions.size() > 1) print_changes(map, *classes);
+  if (map.graph.sessions.size() > 1) print_changes(map, *classes);
   Status written;
   if (!arguments.objects.empty()) written = write_objects(arguments.objects, map, *classes);
   if (written && !arguments.trajectory.empty()) written = write_trajectory(arguments.trajectory, map);

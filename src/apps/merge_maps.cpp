@@ -35,7 +35,7 @@ Status run(const Arguments& arguments) {
   const auto a = read_map(arguments.a, *classes), b = read_map(arguments.b, *classes);
   for (const auto* map : {&a, &b}) {
     if (!*map) return map->error();
-    if ((**map)->sessions.empty()) return Error{(map == &a ? arguments.a : arguments.b) + ": holds submaps only"};
+    if ((**map)->graph.sessions.empty()) return Error{(map == &a ? arguments.a : arguments.b) + ": holds submaps only"};
   }
   const Stopwatch stopwatch;
   const MergedMaps merged = merge_maps(**a, **b, *options, std::make_shared<const ClassTable>(*classes));

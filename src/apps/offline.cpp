@@ -18,6 +18,7 @@
 #include "ros/tum_bag.h"
 #include "semantic_topo_loop/frontend/rgbd_frontend.h"
 #include "semantic_topo_loop/io/detection_file.h"
+#include "semantic_topo_loop/io/map_database.h"
 #include "semantic_topo_loop/io/map_file.h"
 #include "semantic_topo_loop/io/point_cloud_file.h"
 #include "semantic_topo_loop/io/rgbd_recording.h"
@@ -242,7 +243,7 @@ Status load_optional(const Arguments& arguments, RunInputs* inputs) {
     if (!map) return map.error();
     inputs->earlier_map = *std::move(map);
     if (inputs->earlier_map->submaps.empty()) return Error{arguments.map + ": holds no place to be found at"};
-    if (!arguments.frozen && inputs->earlier_map->sessions.empty()) {
+    if (!arguments.frozen && inputs->earlier_map->graph.sessions.empty()) {
       return Error{arguments.map + ": holds submaps only, so that it can only be used with --frozen"};
     }
   }
@@ -393,10 +394,14 @@ Status run_once(const Arguments& arguments, const RunInputs& inputs, RunRecorder
     if (arguments.frozen) {
       slam.set_earlier_map(inputs.earlier_map->submaps_in_unit());
     } else {
-      recorder->record(slam.restore(*inputs.earlier_map, inputs.camera));
-      builder.count_from(inputs.earlier_map->next_frame_id, inputs.earlier_map->next_keyframe_id());
+      recorder->record(slam.restore(*inputs.earlier_map));
+      const GraphState& graph = inputs.earlier_map->graph;
+      builder.count_from(graph.next_frame_id, graph.next_keyframe_id());
     }
   }
+  std::optional<MapDatabase> database;
+  if (!arguments.save_map.empty()) database.emplace(arguments.save_map, inputs.classes);
+  SavePoints save_points;
   PointMap point_map(inputs.options.point_map);
   ExtraLoops extra_loops(inputs.extra_loops);
   DetectionSource detection_source(inputs);
@@ -420,6 +425,7 @@ Status run_once(const Arguments& arguments, const RunInputs& inputs, RunRecorder
     if (*detections != nullptr) ++counts.with_detections;
     point_map.add(*frame);
     take(*frame, slam.process(*frame, *detections, extra_loops.at(*frame)));
+    if (database && save_points.is_due(frame->stamp_ns) && !database->is_behind()) database->write(slam.take_delta());
     if (counts.frames++ == 0) counts.first_ns = frame->stamp_ns;
     counts.last_ns = frame->stamp_ns;
     show_progress(source.done, source.total, &shown_percent);
@@ -434,8 +440,9 @@ Status run_once(const Arguments& arguments, const RunInputs& inputs, RunRecorder
   if (!arguments.points.empty()) {
     if (const Status written = write_point_cloud(arguments.points, point_map.points()); !written) return written;
   }
-  if (!arguments.save_map.empty()) {
-    if (const Status written = write_map(arguments.save_map, *slam.map(), *inputs.classes); !written) return written;
+  if (database) {
+    database->write(slam.take_delta());
+    if (const Status written = database->close(); !written) return written;
   }
 
   const double seconds = 1e-6 * stopwatch.elapsed_us();
@@ -487,6 +494,7 @@ Status run(const Arguments& arguments) {
   for (const std::string& path : {arguments.output + "/", arguments.save_map, arguments.points}) {
     if (writable && !path.empty()) writable = check_writable(path);
   }
+  if (writable && !arguments.save_map.empty()) writable = check_map_place(arguments.save_map);
   if (!writable) return writable;
   const Result<std::unique_ptr<RunRecorder>> recorder = run_chain(arguments, *inputs);
   if (!recorder) return recorder.error();
@@ -565,7 +573,8 @@ Command run_command(Arguments* arguments) {
               "map that earlier runs saved: this run goes on with it, as a further session")
       .option("frozen", po::bool_switch(&arguments->frozen),
               "the run's place in the map is looked for, and the map stays as it is")
-      .option("save-map", po::value(&arguments->save_map), "file for the map at the end, for later runs")
+      .option("save-map", po::value(&arguments->save_map),
+              "file for the map, written once a second of the recording, for later runs")
       .option("points", checked("a path that ends in .ply or .pcd", take_points),
               "with --rgbd: file for the map's points");
   return command;

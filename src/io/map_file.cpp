@@ -1,233 +1,16 @@
 #include "semantic_topo_loop/io/map_file.h"
 
-#include <Eigen/LU>
-#include <functional>
-#include <set>
 #include <utility>
 #include <vector>
 
-#include "io/archive.h"
+#include "io/map_codecs.h"
+#include "io/map_tables.h"
 #include "io/sqlite_file.h"
 #include "pipeline/map_state.h"
 #include "semantic_topo_loop/io/text_file.h"
 
 namespace semantic_topo_loop::core {
-
-// --- what the members of each struct are called -------------------------------------------------------------------
-
-namespace archive {
-
-template <>
-inline constexpr bool is_row<Observation> = true;
-template <>
-inline constexpr bool is_row<BoxView> = true;
-template <>
-inline constexpr bool is_row<ObservedBox> = true;
-template <>
-inline constexpr bool is_row<SubmapView> = true;
-template <>
-inline constexpr bool is_row<Surfel> = true;
-
-template <>
-struct Codec<LandmarkState> {
-  static Json write(LandmarkState value) { return static_cast<int>(value); }
-  static void read(const JsonField& field, LandmarkState* value) {
-    const int number = field.small_integer();
-    if (number < 0 || number > static_cast<int>(LandmarkState::kRetired)) return field.reject("is no state");
-    *value = static_cast<LandmarkState>(number);
-  }
-};
-
-template <>
-struct Codec<SeenFrom> {
-  static Json write(const SeenFrom& value) { return to_archive(value.smallest_px()); }
-  static void read(const JsonField& field, SeenFrom* value) {
-    SeenFrom::Bins bins{};
-    from_archive(field, &bins);
-    *value = SeenFrom(bins);
-  }
-};
-
-/// By its camera's rotation and place, from which the rest follows.
-template <>
-struct Codec<LocalFrame> {
-  static Json write(const LocalFrame& value) {
-    return {{"frame_id", value.frame_id},
-            {"camera_from_anchor_rotation", to_archive(value.R_camera_local)},
-            {"position", to_archive(value.position)},
-            {"focal_px", to_archive(value.focal_px)},
-            {"image", to_archive(value.image)},
-            {"boxes", to_archive(value.boxes)}};
-  }
-  static void read(const JsonField& field, LocalFrame* value) {
-    from_archive(field.member("frame_id"), &value->frame_id);
-    from_archive(field.member("camera_from_anchor_rotation"), &value->R_camera_local);
-    from_archive(field.member("position"), &value->position);
-    from_archive(field.member("focal_px"), &value->focal_px);
-    from_archive(field.member("image"), &value->image);
-    from_archive(field.member("boxes"), &value->boxes);
-    constexpr double kTolerance = 1e-6;
-    if (!value->R_camera_local.isUnitary(kTolerance) || value->R_camera_local.determinant() < 0.0) {
-      field.member("camera_from_anchor_rotation").reject("is no rotation");
-    }
-    value->t_camera_local = -value->R_camera_local * value->position;
-    if (!(value->focal_px.minCoeff() > 0.0)) field.member("focal_px").reject("must be > 0");
-  }
-};
-
-}  // namespace archive
-
-// The members' own names.
-#define VISIT_MEMBERS(Struct, ...)                    \
-  template <class Visitor>                            \
-  void visit_members(Struct& value, Visitor& visit) { \
-    __VA_ARGS__                                       \
-  }
-#define MEMBER(name) visit(#name, value.name);
-
-VISIT_MEMBERS(Camera, MEMBER(fx) MEMBER(fy) MEMBER(cx) MEMBER(cy) MEMBER(width) MEMBER(height) MEMBER(distortion))
-VISIT_MEMBERS(LoopVerdict, MEMBER(number) MEMBER(query_keyframe_id) MEMBER(match_keyframe_id) MEMBER(kept)
-                               MEMBER(reason) MEMBER(is_extra))
-VISIT_MEMBERS(EdgeCovariance, MEMBER(given) MEMBER(translation) MEMBER(rotation) MEMBER(suspected_jumps))
-VISIT_MEMBERS(OdometryEdge,
-              MEMBER(T_from_to) MEMBER(path_m) MEMBER(rotation_rad) MEMBER(covariance) MEMBER(is_break) MEMBER(frozen_s)
-                  MEMBER(suspected_jump) MEMBER(jump_error_m) MEMBER(jump_error_rad) MEMBER(joined))
-VISIT_MEMBERS(GraphLoop,
-              MEMBER(from) MEMBER(to) MEMBER(T_from_to) MEMBER(covariance) MEMBER(scale) MEMBER(scale_covariance)
-                  MEMBER(query_keyframe_id) MEMBER(match_keyframe_id) MEMBER(had_support) MEMBER(query_begin)
-                      MEMBER(query_end) MEMBER(match_begin) MEMBER(match_end))
-VISIT_MEMBERS(RememberedLoop, MEMBER(told) MEMBER(is_told) MEMBER(loop) MEMBER(refusal) MEMBER(is_in_graph)
-                                  MEMBER(may_vote) MEMBER(kept))
-VISIT_MEMBERS(OdometryNoise, MEMBER(translation_m) MEMBER(rotation_rad) MEMBER(steady_translation)
-                                 MEMBER(steady_rotation_rad) MEMBER(scale) MEMBER(jump_prior))
-VISIT_MEMBERS(OdometryJump, MEMBER(edge) MEMBER(translation_m) MEMBER(rotation_rad))
-VISIT_MEMBERS(NoiseEstimate, MEMBER(odometry) MEMBER(loop_factor) MEMBER(jumps))
-VISIT_MEMBERS(Ellipsoid, MEMBER(T_world_quadric) MEMBER(semi_axes))
-VISIT_MEMBERS(Landmark,
-              MEMBER(id) MEMBER(class_id) MEMBER(state) MEMBER(ellipsoid) MEMBER(center_covariance)
-                  MEMBER(anchor_keyframe_id) MEMBER(observations) MEMBER(baseline_deg) MEMBER(mean_iou) MEMBER(quality))
-VISIT_MEMBERS(Sightings, MEMBER(seen_s) MEMBER(whole_s) MEMBER(expected_s) MEMBER(placed_s) MEMBER(bounded_s)
-                             MEMBER(familiar_seen_s) MEMBER(familiar_missed_s) MEMBER(missed_since_s)
-                                 MEMBER(transparent_s) MEMBER(seen_through_since_s))
-VISIT_MEMBERS(BoxView, MEMBER(T_world_camera) MEMBER(box) MEMBER(truncated) MEMBER(near_m))
-VISIT_MEMBERS(Observation, MEMBER(frame_id) MEMBER(source_id) MEMBER(keyframe_id) MEMBER(class_id) MEMBER(view))
-VISIT_MEMBERS(MappedLandmark, MEMBER(state) MEMBER(seen_beside) MEMBER(sightings) MEMBER(seen_from)
-                                  MEMBER(last_stamp_ns) MEMBER(next_fit_at) MEMBER(observations))
-VISIT_MEMBERS(UpDirection, MEMBER(direction) MEMBER(certain))
-VISIT_MEMBERS(Spheroid, MEMBER(center) MEMBER(log_axes))
-VISIT_MEMBERS(ObservedBox, MEMBER(landmark_id) MEMBER(class_id) MEMBER(box) MEMBER(truncated) MEMBER(depth_m))
-VISIT_MEMBERS(SubmapView, MEMBER(frame) MEMBER(box) MEMBER(depth_m) MEMBER(truncated))
-VISIT_MEMBERS(LocalObject, MEMBER(landmark_id) MEMBER(class_id) MEMBER(spheroid) MEMBER(covariance) MEMBER(frames_seen)
-                               MEMBER(seen_share) MEMBER(parallax_deg) MEMBER(views))
-VISIT_MEMBERS(Surfel, MEMBER(position) MEMBER(normal))
-VISIT_MEMBERS(LocalMap, MEMBER(keyframe_id) MEMBER(frame_id) MEMBER(stamp_ns) MEMBER(begin_frame) MEMBER(end_frame)
-                            MEMBER(end_ns) MEMBER(span_s) MEMBER(drift_rad_s) MEMBER(T_odom_anchor) MEMBER(up)
-                                MEMBER(frames) MEMBER(check_frames) MEMBER(objects) MEMBER(surfels))
-
-#undef MEMBER
-#undef VISIT_MEMBERS
-
 namespace {
-
-constexpr std::int64_t kApplicationId = 0x53544c6d;  // "STLm"
-constexpr std::int64_t kVersion = 1;
-constexpr char kSchema[] =
-    "CREATE TABLE meta(key TEXT PRIMARY KEY, value TEXT NOT NULL) WITHOUT ROWID;"
-    "CREATE TABLE session(first_keyframe INTEGER PRIMARY KEY, begin_ns INTEGER, end_ns INTEGER);"
-    "CREATE TABLE class(id INTEGER PRIMARY KEY, name TEXT NOT NULL);"
-    "CREATE TABLE keyframe(id INTEGER PRIMARY KEY, frame INTEGER, stamp_ns INTEGER, x REAL, y REAL, z REAL, qx REAL, "
-    "qy REAL, qz REAL, qw REAL, scale REAL, vertex_from_keyframe BLOB);"
-    "CREATE TABLE edge(number INTEGER PRIMARY KEY, body BLOB NOT NULL);"
-    "CREATE TABLE loop(number INTEGER PRIMARY KEY, query INTEGER, match INTEGER, kept INTEGER, reason TEXT, "
-    "body BLOB NOT NULL);"
-    "CREATE TABLE object(id INTEGER PRIMARY KEY, class INTEGER, state TEXT, observations INTEGER, quality REAL, x "
-    "REAL, "
-    "y REAL, z REAL, body BLOB NOT NULL);"
-    "CREATE TABLE submap(number INTEGER PRIMARY KEY, keyframe INTEGER, stamp_ns INTEGER, objects INTEGER, "
-    "body BLOB NOT NULL);";
-
-// --- writing ------------------------------------------------------------------------------------------------------
-
-template <class T>
-std::string packed(const T& value) {
-  std::string bytes;
-  Json::to_cbor(to_archive(value), bytes);
-  return bytes;
-}
-
-void write_meta(const MapState& map, SqliteFile* file) {
-  SqliteStatement insert(file, "INSERT INTO meta VALUES(?, ?)");
-  const auto write = [&insert](const std::string& key, const Json& value) { (insert << key << value.dump()).run(); };
-  write("next_frame", map.next_frame_id);
-  write("accepted_loops", map.graph.accepted_loops);
-  write("noise", to_archive(map.graph.noise));
-  write("loose_factor", map.graph.loose_factor);
-  write("camera", to_archive(map.objects.camera));
-}
-
-std::set<int> classes_of(const MapState& map) {
-  std::set<int> ids;
-  for (const MappedLandmark& landmark : map.objects.landmarks) {
-    ids.insert(landmark.state.class_id);
-    for (const Observation& observation : landmark.observations) ids.insert(observation.class_id);
-  }
-  for (const LocalMap& submap : map.submaps) {
-    for (const LocalObject& object : submap.objects) ids.insert(object.class_id);
-    for (const LocalFrame& frame : submap.frames) {
-      for (const ObservedBox& box : frame.boxes) ids.insert(box.class_id);
-    }
-  }
-  return ids;
-}
-
-void write_graph(const GraphState& graph, SqliteFile* file) {
-  SqliteStatement keyframes(file, "INSERT INTO keyframe VALUES(?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?)");
-  for (const auto& [pose, T_vertex_keyframe] : graph.keyframes) {
-    keyframes << pose.keyframe_id << pose.frame_id << pose.stamp_ns;
-    for (int i = 0; i < 3; ++i) keyframes << pose.T_map_camera.t(i);
-    for (int i = 0; i < 4; ++i) keyframes << pose.T_map_camera.q.coeffs()(i);
-    keyframes << pose.scale;
-    if (T_vertex_keyframe) keyframes.blob(packed(*T_vertex_keyframe));
-    keyframes.run();
-  }
-  SqliteStatement edges(file, "INSERT INTO edge VALUES(?, ?)");
-  for (std::size_t i = 0; i < graph.edges.size(); ++i) {
-    (edges << static_cast<std::int64_t>(i)).blob(packed(graph.edges[i])).run();
-  }
-  SqliteStatement loops(file, "INSERT INTO loop VALUES(?, ?, ?, ?, ?, ?)");
-  for (const RememberedLoop& loop : graph.loops) {
-    const LoopVerdict& told = loop.told;
-    loops << told.number << told.query_keyframe_id << told.match_keyframe_id << static_cast<std::int64_t>(told.kept);
-    (loops << told.reason).blob(packed(loop)).run();
-  }
-}
-
-void write_objects(const MapperState& objects, SqliteFile* file) {
-  SqliteStatement insert(file, "INSERT INTO object VALUES(?, ?, ?, ?, ?, ?, ?, ?, ?)");
-  for (const MappedLandmark& landmark : objects.landmarks) {
-    const Landmark& state = landmark.state;
-    insert << state.id << static_cast<std::int64_t>(state.class_id) << std::string(to_string(state.state));
-    insert << static_cast<std::int64_t>(state.observations) << state.quality;
-    for (int i = 0; i < 3; ++i) {
-      if (state.ellipsoid) {
-        insert << state.ellipsoid->center()(i);
-      } else {
-        insert << nullptr;
-      }
-    }
-    insert.blob(packed(landmark)).run();
-  }
-}
-
-void write_submaps(const std::vector<LocalMap>& submaps, SqliteFile* file) {
-  SqliteStatement insert(file, "INSERT INTO submap VALUES(?, ?, ?, ?, ?)");
-  for (std::size_t i = 0; i < submaps.size(); ++i) {
-    insert << static_cast<std::int64_t>(i) << submaps[i].keyframe_id << submaps[i].stamp_ns;
-    (insert << static_cast<std::int64_t>(submaps[i].objects.size())).blob(packed(submaps[i])).run();
-  }
-}
-
-// --- reading ------------------------------------------------------------------------------------------------------
 
 /// @return discarded if it is none
 Json from_cbor(const std::string& bytes) {
@@ -275,6 +58,59 @@ std::vector<T> read_bodies(const char* table, const char* key, SqliteFile* file)
   return values;
 }
 
+/// From a column on: x, y, z, qx, qy, qz, qw.
+SE3 read_pose(const SqliteStatement& row, int column) {
+  const auto next = [&row, &column] { return row.number(column++); };
+  const Vec3 t = {next(), next(), next()};
+  const double x = next(), y = next(), z = next(), w = next();
+  return {Quaternion(w, x, y, z), t};
+}
+
+Status check_truncation(std::int64_t truncated) {
+  constexpr std::int64_t kAllSides = kLeft | kTop | kRight | kBottom;
+  if (truncated >= 0 && truncated <= kAllSides) return {};
+  return Error{"truncated = " + std::to_string(truncated) + " must be a sum of 1, 2, 4, 8"};
+}
+
+std::vector<MappedLandmark> read_objects(SqliteFile* file) {
+  std::vector<MappedLandmark> landmarks;
+  for (LandmarkRecord& record : read_bodies<LandmarkRecord>("object", "id", file)) {
+    static_cast<LandmarkRecord&>(landmarks.emplace_back()) = std::move(record);
+  }
+  SqliteStatement rows(file,
+                       "SELECT object, number, frame, source, keyframe, class, x, y, z, qx, qy, qz, qw, x1, y1, x2, "
+                       "y2, truncated, near_m FROM observation ORDER BY object, number");
+  auto landmark = landmarks.begin();
+  while (rows.next()) {
+    const auto name = [&] {
+      return "observation " + std::to_string(rows.integer(1)) + " of object " + std::to_string(rows.integer(0));
+    };
+    while (landmark != landmarks.end() && landmark->state.id < rows.integer(0)) ++landmark;
+    if (landmark == landmarks.end() || landmark->state.id != rows.integer(0)) {
+      file->reject(name() + ": there is no such object");
+      return {};
+    }
+    if (rows.integer(1) != static_cast<std::int64_t>(landmark->observations.size())) {
+      file->reject(name() + " does not follow the one before");
+    }
+    Observation& observation = landmark->observations.emplace_back();
+    BoxView& view = observation.view;
+    observation.frame_id = rows.integer(2);
+    observation.source_id = rows.integer(3);
+    observation.keyframe_id = rows.integer(4);
+    observation.class_id = static_cast<int>(rows.integer(5));
+    view.T_world_camera = read_pose(rows, 6);
+    view.box = {rows.number(13), rows.number(14), rows.number(15), rows.number(16)};
+    const std::int64_t truncated = rows.integer(17);
+    view.truncated = static_cast<std::uint8_t>(truncated);
+    view.near_m = rows.number(18);
+    if (!view.T_world_camera.is_finite() || !is_rotation(view.T_world_camera.q)) file->reject(name() + " has no pose");
+    if (!view.box.is_finite()) file->reject(name() + " has no box");
+    if (const Status sides = check_truncation(truncated); !sides) file->reject(name() + ": " + sides.message());
+  }
+  return landmarks;
+}
+
 std::vector<GraphKeyframe> read_keyframes(SqliteFile* file) {
   std::vector<GraphKeyframe> keyframes;
   SqliteStatement rows(file,
@@ -286,8 +122,7 @@ std::vector<GraphKeyframe> read_keyframes(SqliteFile* file) {
     pose.keyframe_id = rows.integer(0);
     pose.frame_id = rows.integer(1);
     pose.stamp_ns = rows.integer(2);
-    pose.T_map_camera.t = {rows.number(3), rows.number(4), rows.number(5)};
-    pose.T_map_camera.q = Quaternion(rows.number(9), rows.number(6), rows.number(7), rows.number(8));
+    pose.T_map_camera = read_pose(rows, 3);
     pose.scale = rows.number(10);
     const bool is_fine = pose.T_map_camera.is_finite() && is_rotation(pose.T_map_camera.q) && pose.scale > 0.0;
     if (!is_fine) file->reject(row_name("keyframe", rows) + " has no pose");
@@ -314,12 +149,6 @@ Status check_classes(const ClassTable& classes, SqliteFile* file) {
                    "' in the class table"};
     }
   }
-  return {};
-}
-
-Status check_truncation(std::uint8_t truncated) {
-  constexpr int kAllSides = kLeft | kTop | kRight | kBottom;
-  if (truncated > kAllSides) return Error{"truncated = " + std::to_string(truncated) + " must be a sum of 1, 2, 4, 8"};
   return {};
 }
 
@@ -359,20 +188,16 @@ Status check_objects(const std::vector<MappedLandmark>& landmarks, const ClassTa
       return Error{name + " has class " + std::to_string(landmark.state.class_id)};
     }
     if (ellipsoid && !(ellipsoid->semi_axes.minCoeff() > 0.0)) return Error{name + " has an axis <= 0"};
-    for (const Observation& observation : landmark.observations) {
-      if (const Status sides = check_truncation(observation.view.truncated); !sides) {
-        return Error{name + ": " + sides.message()};
-      }
-    }
   }
   return {};
 }
 
-void read_all(const ClassTable& classes, SqliteFile* file, MapState* map) {
-  if (file->number("PRAGMA application_id") != kApplicationId) return file->reject("is no map of semantic_topo_loop");
-  if (const std::int64_t version = file->number("PRAGMA user_version"); version != kVersion) {
+void read_all(const ClassTable& classes, MapParts parts, SqliteFile* file, MapState* map) {
+  if (file->number("PRAGMA application_id") != kMapApplicationId)
+    return file->reject("is no map of semantic_topo_loop");
+  if (const std::int64_t version = file->number("PRAGMA user_version"); version != kMapVersion) {
     return file->reject("is a map of version " + std::to_string(version) + "; this program reads " +
-                        std::to_string(kVersion));
+                        std::to_string(kMapVersion));
   }
   SqliteStatement checked(file, "PRAGMA quick_check(1)");
   if (checked.next() && checked.bytes(0) != "ok") return file->reject("is damaged: " + checked.bytes(0));
@@ -380,27 +205,28 @@ void read_all(const ClassTable& classes, SqliteFile* file, MapState* map) {
     if (!status) file->reject(status.message());
   };
   require(check_classes(classes, file));
-  read_meta("next_frame", file, &map->next_frame_id);
+  read_meta("next_frame", file, &map->graph.next_frame_id);
   read_meta("accepted_loops", file, &map->graph.accepted_loops);
   read_meta("noise", file, &map->graph.noise);
   read_meta("loose_factor", file, &map->graph.loose_factor);
   read_meta("camera", file, &map->objects.camera);
   SqliteStatement sessions(file, "SELECT first_keyframe, begin_ns, end_ns FROM session ORDER BY first_keyframe");
   while (sessions.next()) {
-    map->sessions.push_back({sessions.integer(0), sessions.integer(1), sessions.integer(2)});
+    map->graph.sessions.push_back({sessions.integer(0), sessions.integer(1), sessions.integer(2)});
   }
   map->graph.keyframes = read_keyframes(file);
   map->graph.edges = read_bodies<OdometryEdge>("edge", "number", file);
   map->graph.loops = read_bodies<RememberedLoop>("loop", "number", file);
-  map->objects.landmarks = read_bodies<MappedLandmark>("object", "id", file);
-  map->submaps = read_bodies<LocalMap>("submap", "number", file);
+  if (parts.objects) map->objects.landmarks = read_objects(file);
+  if (parts.submaps) map->submaps = read_bodies<LocalMap>("submap", "frame", file);
   if (!file->is_fine()) return;
+  map->left_out = leave_out_unplaced(map);
   require(check(*map));
   require(check_objects(map->objects.landmarks, classes));
   if (!map->objects.landmarks.empty()) require(map->objects.camera.check());
   for (std::size_t i = 0; i < map->submaps.size(); ++i) {
     if (const Status completed = complete(classes, &map->submaps[i]); !completed) {
-      return file->reject("submap " + std::to_string(i) + ": " + completed.message());
+      return file->reject("submap " + std::to_string(map->submaps[i].frame_id) + ": " + completed.message());
     }
   }
 }
@@ -410,19 +236,13 @@ void read_all(const ClassTable& classes, SqliteFile* file, MapState* map) {
 Status write_map(const std::string& path, const MapState& map, const ClassTable& classes) {
   return replace_file(path, [&](const std::string& temporary) -> Status {
     SqliteFile file(temporary, SqliteFile::Mode::kWrite);
-    file.run("PRAGMA journal_mode = OFF; PRAGMA synchronous = OFF; PRAGMA application_id = " +
-             std::to_string(kApplicationId) + "; PRAGMA user_version = " + std::to_string(kVersion) + "; BEGIN");
-    file.run(kSchema);
-    write_meta(map, &file);
-    SqliteStatement sessions(&file, "INSERT INTO session VALUES(?, ?, ?)");
-    for (const Session& session : map.sessions) {
-      (sessions << session.first_keyframe_id << session.begin_ns << session.end_ns).run();
-    }
-    SqliteStatement names(&file, "INSERT INTO class VALUES(?, ?)");
-    for (const int id : classes_of(map)) (names << static_cast<std::int64_t>(id) << classes.name(id)).run();
-    write_graph(map.graph, &file);
-    write_objects(map.objects, &file);
-    write_submaps(map.submaps, &file);
+    file.run("PRAGMA journal_mode = OFF; PRAGMA synchronous = OFF; BEGIN");
+    create_map_tables(&file);
+    MapTables tables(&file, classes);
+    tables.write(map.graph);
+    tables.write(map.objects.camera);
+    for (const MappedLandmark& landmark : map.objects.landmarks) tables.write(landmark, landmark.observations, 0);
+    for (const LocalMap& submap : map.submaps) tables.write(submap);
     file.run("COMMIT");
     return file.is_fine() ? Status() : Error{file.problem()};
   });
@@ -433,11 +253,17 @@ Status dump_map(const std::string& path, std::ostream& out) {
   SqliteStatement tables(&file, "SELECT name FROM sqlite_master WHERE type = 'table' ORDER BY name");
   while (tables.next()) {
     const std::string table = tables.bytes(0);
-    SqliteStatement rows(&file, "SELECT * FROM " + table + " ORDER BY 1");
+    SqliteStatement rows(&file, "SELECT * FROM " + table + " ORDER BY 1, 2");
     while (rows.next()) {
       out << table;
       for (int column = 0; column < rows.columns(); ++column) {
-        out << ' ' << (rows.is_blob(column) ? from_cbor(rows.bytes(column)).dump() : rows.bytes(column));
+        constexpr int kDigits = 17;  // all of a double
+        out << ' ';
+        if (rows.is_blob(column)) {
+          out << from_cbor(rows.bytes(column)).dump();
+        } else {
+          out << (rows.is_real(column) ? format_general(rows.number(column), kDigits) : rows.bytes(column));
+        }
       }
       out << '\n';
     }
@@ -445,10 +271,10 @@ Status dump_map(const std::string& path, std::ostream& out) {
   return file.is_fine() ? Status() : Error{file.problem()};
 }
 
-Result<std::shared_ptr<const MapState>> read_map(const std::string& path, const ClassTable& classes) {
+Result<std::shared_ptr<const MapState>> read_map(const std::string& path, const ClassTable& classes, MapParts parts) {
   SqliteFile file(path, SqliteFile::Mode::kRead);
   auto map = std::make_shared<MapState>();
-  if (file.is_fine()) read_all(classes, &file, map.get());
+  if (file.is_fine()) read_all(classes, parts, &file, map.get());
   if (!file.is_fine()) return Error{file.problem()};
   return std::shared_ptr<const MapState>(std::move(map));
 }

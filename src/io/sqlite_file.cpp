@@ -28,6 +28,7 @@ void SqliteFile::reject(const std::string& problem) {
 
 void SqliteFile::note(int code) {
   if (code == SQLITE_OK || code == SQLITE_ROW || code == SQLITE_DONE) return;
+  if (code == SQLITE_BUSY) return reject("is being written by another program");
   reject(database_ ? sqlite3_errmsg(database_.get()) : sqlite3_errstr(code));
 }
 
@@ -90,6 +91,9 @@ bool SqliteStatement::next() {
 
 bool SqliteStatement::is_null(int column) const { return sqlite3_column_type(statement_.get(), column) == SQLITE_NULL; }
 bool SqliteStatement::is_blob(int column) const { return sqlite3_column_type(statement_.get(), column) == SQLITE_BLOB; }
+bool SqliteStatement::is_real(int column) const {
+  return sqlite3_column_type(statement_.get(), column) == SQLITE_FLOAT;
+}
 int SqliteStatement::columns() const { return sqlite3_column_count(statement_.get()); }
 std::int64_t SqliteStatement::integer(int column) const { return sqlite3_column_int64(statement_.get(), column); }
 double SqliteStatement::number(int column) const { return sqlite3_column_double(statement_.get(), column); }

@@ -54,6 +54,7 @@ class SqliteStatement {
   int columns() const;
   bool is_null(int column) const;
   bool is_blob(int column) const;
+  bool is_real(int column) const;
   std::int64_t integer(int column) const;
   double number(int column) const;
   std::string bytes(int column) const;

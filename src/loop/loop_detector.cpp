@@ -2,7 +2,9 @@
 
 #include <algorithm>
 #include <cmath>
+#include <iterator>
 #include <map>
+#include <set>
 #include <sstream>
 
 #include "geometry/relative_pose.h"
@@ -137,6 +139,23 @@ struct LoopDetector::Impl {
       motion = SolvedMotion();
     }
     told_from_ = middle_keyframe_id;
+  }
+
+  SubmapDelta take_delta(bool whole) {
+    SubmapDelta delta;
+    delta.is_whole = whole || told_submaps_.empty();
+    std::set<std::int64_t> kept;
+    for (const auto& [number, stored] : graph_.submaps()) {
+      const std::int64_t frame_id = stored.map.frame_id;
+      kept.insert(frame_id);
+      if (delta.is_whole || told_submaps_.count(frame_id) == 0) delta.added.push_back(stored.map);
+    }
+    if (!delta.is_whole) {
+      std::set_difference(told_submaps_.begin(), told_submaps_.end(), kept.begin(), kept.end(),
+                          std::back_inserter(delta.forgotten));
+    }
+    told_submaps_ = std::move(kept);
+    return delta;
   }
 
   LoopExplanation explain(std::int64_t query_id, std::int64_t match_id) const {
@@ -279,6 +298,7 @@ struct LoopDetector::Impl {
   Relocaliser relocaliser_;
   PairRecord record_{kRecordCapacity};
   std::map<std::int64_t, KeyframeTime> keyframes_;
+  std::set<std::int64_t> told_submaps_;  ///< frame_ids of those that take_delta told of
 };
 
 LoopDetector::LoopDetector(const LoopOptions& options, std::shared_ptr<const ClassTable> classes)
@@ -319,6 +339,7 @@ std::vector<LoopClosure> LoopDetector::detect(const std::vector<LocalMap>& queri
   return loops;
 }
 std::optional<Relocalisation> LoopDetector::relocalisation() const { return impl_->relocaliser_.estimate(); }
+SubmapDelta LoopDetector::take_delta(bool whole) { return impl_->take_delta(whole); }
 std::vector<LocalMap> LoopDetector::submaps() const {
   std::vector<LocalMap> submaps;
   for (const auto& [number, stored] : impl_->graph_.submaps()) submaps.push_back(stored.map);

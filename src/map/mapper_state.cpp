@@ -2,18 +2,15 @@
 
 namespace semantic_topo_loop::core {
 
-void MapperState::move_to(const Camera& other) {
-  const bool is_same = camera.fx == other.fx && camera.fy == other.fy && camera.cx == other.cx && camera.cy == other.cy;
-  const auto moved = [&](double x, double y) -> Vec2 { return other.pixel(camera.ray({x, y})); };
-  for (MappedLandmark& landmark : landmarks) {
-    for (Observation& observation : landmark.observations) {
-      if (is_same) break;
-      Box& box = observation.view.box;
-      const Vec2 low = moved(box.x1, box.y1), high = moved(box.x2, box.y2);
-      box = {low.x(), low.y(), high.x(), high.y()};
-    }
+bool move_boxes(const Camera& from, const Camera& to, std::vector<Observation>* observations) {
+  if (from.fx == to.fx && from.fy == to.fy && from.cx == to.cx && from.cy == to.cy) return false;
+  const auto moved = [&](double x, double y) -> Vec2 { return to.pixel(from.ray({x, y})); };
+  for (Observation& observation : *observations) {
+    Box& box = observation.view.box;
+    const Vec2 low = moved(box.x1, box.y1), high = moved(box.x2, box.y2);
+    box = {low.x(), low.y(), high.x(), high.y()};
   }
-  camera = other;
+  return true;
 }
 
 }  // namespace semantic_topo_loop::core

@@ -42,7 +42,7 @@ struct QuadricMapper::Impl {
     if (frame.is_end) {
       end_frame_id_ = frame.frame_id;
     } else {
-      camera_ = frame.camera;
+      take_camera(frame.camera);
       add_keyframe(frame);
       if (!associations.unanswered) look(frame, associations);
       fit_due_landmarks();
@@ -102,22 +102,62 @@ struct QuadricMapper::Impl {
     return state;
   }
 
-  MapUpdate restore(MapperState state, const std::vector<KeyframePose>& keyframes, const Camera& camera,
-                    const SE3& T_map_odom) {
+  MapperDelta take_delta(bool whole) {
+    MapperDelta delta;
+    delta.is_whole = whole || told_.empty();
+    delta.camera = camera_;
+    for (const auto& [id, landmark] : landmarks_) {
+      const auto told = told_.find(id);
+      if (!delta.is_whole && told != told_.end() && !told->second.is_changed) continue;
+      LandmarkDelta& changed = delta.changed.emplace_back();
+      changed.record = landmark;
+      const bool is_anew = delta.is_whole || told == told_.end() || told->second.is_rewritten;
+      changed.first = is_anew ? 0 : told->second.observations;
+      changed.observations.assign(landmark.observations.begin() + static_cast<std::ptrdiff_t>(changed.first),
+                                  landmark.observations.end());
+      told_[id] = {landmark.observations.size(), false, false};
+    }
+    for (auto it = told_.begin(); it != told_.end();) {
+      const bool is_gone = landmarks_.count(it->first) == 0;
+      if (is_gone && !delta.is_whole) delta.removed.push_back(it->first);
+      it = is_gone ? told_.erase(it) : std::next(it);
+    }
+    return delta;
+  }
+
+  MapUpdate restore(MapperState state, const std::vector<KeyframePose>& keyframes, const SE3& T_map_odom) {
     MapUpdate update = begin_update(-1, MapUpdatePhase::kCorrection);
-    camera_ = camera;
+    camera_ = state.camera;
     T_map_odom_ = T_map_odom;
     for (const KeyframePose& keyframe : keyframes) {
       T_odom_keyframe_[keyframe.keyframe_id] = keyframe.T_map_camera;
       S_map_keyframe_[keyframe.keyframe_id] = Sim3(keyframe.T_map_camera, keyframe.scale);
     }
-    state.move_to(camera);
     for (MappedLandmark& landmark : state.landmarks) {
       changed_.insert(landmark.state.id);
       landmarks_[landmark.state.id] = std::move(landmark);
     }
     end_update(&update);
     return update;
+  }
+
+  /// Boxes are kept in the pixels of one camera.
+  void take_camera(const Camera& camera) {
+    for (auto& [id, landmark] : landmarks_) {
+      if (!move_boxes(camera_, camera, &landmark.observations)) break;
+      note_rewritten(id);
+    }
+    camera_ = camera;
+  }
+
+  /// To be told by take_delta, with all its observations.
+  void note_rewritten(std::int64_t id) {
+    const auto told = told_.find(id);
+    if (told != told_.end()) told->second.is_changed = told->second.is_rewritten = true;
+  }
+  void note_changed(std::int64_t id) {
+    const auto told = told_.find(id);
+    if (told != told_.end()) told->second.is_changed = true;
   }
 
   /// How much time this answer stands for; long gaps count no more than a slow detector's interval.
@@ -142,6 +182,7 @@ struct QuadricMapper::Impl {
   void end_update(MapUpdate* update) {
     touched_.insert(changed_.begin(), changed_.end());
     for (const std::int64_t id : touched_) {
+      note_changed(id);
       const auto it = landmarks_.find(id);
       if (it == landmarks_.end()) continue;
       Landmark& landmark = it->second.state;
@@ -191,7 +232,10 @@ struct QuadricMapper::Impl {
            frame.keyframe_id,
            association.class_id,
            {T_keyframe_camera, association.box, truncated, association.has_depth() ? association.near_m : 0.0}});
-      if (landmark.observations.size() > kObservationsMax) halve(&landmark.observations);
+      if (landmark.observations.size() > kObservationsMax) {
+        halve(&landmark.observations);
+        note_rewritten(id);
+      }
       landmark.state.class_id = association.landmark_class_id;
       landmark.state.observations += 1;
       landmark.last_stamp_ns = frame.stamp_ns;
@@ -280,9 +324,12 @@ struct QuadricMapper::Impl {
       }
       for (const auto& [other, frames] : landmark.seen_beside) {
         const auto neighbour = landmarks_.find(other);
-        if (neighbour != landmarks_.end()) neighbour->second.seen_beside.erase(id);
+        if (neighbour == landmarks_.end()) continue;
+        neighbour->second.seen_beside.erase(id);
+        note_changed(other);
       }
       update->removed.push_back(id);
+      note_rewritten(id);
       it = landmarks_.erase(it);
     }
   }
@@ -346,6 +393,7 @@ struct QuadricMapper::Impl {
     MappedLandmark& survivor = landmarks_.at(survivor_id);
     merges_.join(S_map_keyframe_, std::move(landmarks_.at(merged_id)), &survivor);
     landmarks_.erase(merged_id);
+    for (const std::int64_t id : {merged_id, survivor_id}) note_rewritten(id);
     update->merged.push_back({merged_id, survivor_id});
     while (survivor.observations.size() > kObservationsMax) halve(&survivor.observations);
     changed_.insert(survivor_id);
@@ -366,6 +414,7 @@ struct QuadricMapper::Impl {
       const LandmarkMerge merge = record.merge;
       landmarks_[merge.merged_id] = merges_.split(S_map_keyframe_, i, &holder->second);
       update->unmerged.push_back(merge);
+      for (const std::int64_t id : {merge.merged_id, merge.survivor_id}) note_rewritten(id);
       changed_.insert({merge.merged_id, merge.survivor_id});
       // They were fitted in the map that has just been corrected.
       for (const std::int64_t id : {merge.merged_id, merge.survivor_id}) {
@@ -405,6 +454,7 @@ struct QuadricMapper::Impl {
         if (landmarks_.count(ids[i]) == 0 || landmarks_.count(ids[j]) == 0) continue;
         if (!duplicates_.is_part(landmarks_.at(ids[i]), landmarks_.at(ids[j]), views_)) continue;
         landmarks_.erase(ids[j]);
+        note_rewritten(ids[j]);
         update->removed.push_back(ids[j]);
       }
     }
@@ -412,6 +462,7 @@ struct QuadricMapper::Impl {
 
   void fit(MappedLandmark* landmark) {
     fit_due_.erase(landmark->state.id);
+    note_changed(landmark->state.id);
     if (fitter_.fit(views_, landmark)) changed_.insert(landmark->state.id);
   }
 
@@ -430,6 +481,12 @@ struct QuadricMapper::Impl {
   std::optional<std::int64_t> last_stamp_ns_;  ///< of the answer before
   std::int64_t last_maintenance_ns_ = 0;
   double step_s_ = 0.0;  ///< the time that this answer stands for
+  /// Of a landmark that take_delta told of: how many of its observations, and whether they, or anything, is other now.
+  struct Told {
+    std::size_t observations = 0;
+    bool is_changed = false, is_rewritten = false;
+  };
+  std::map<std::int64_t, Told> told_;
   std::uint64_t map_version_ = 0;
   std::optional<std::int64_t> end_frame_id_;  ///< of the end frame, whose correction finishes the map
   std::set<std::int64_t> fit_due_;            ///< a correction moved their views
@@ -445,9 +502,9 @@ MapUpdate QuadricMapper::integrate(const Frame& frame, const AssociationFrame& a
 }
 MapUpdate QuadricMapper::apply(const MapCorrection& correction) { return impl_->apply(correction); }
 MapperState QuadricMapper::state() const { return impl_->state(); }
-MapUpdate QuadricMapper::restore(MapperState state, const std::vector<KeyframePose>& keyframes, const Camera& camera,
-                                 const SE3& T_map_odom) {
-  return impl_->restore(std::move(state), keyframes, camera, T_map_odom);
+MapperDelta QuadricMapper::take_delta(bool whole) { return impl_->take_delta(whole); }
+MapUpdate QuadricMapper::restore(MapperState state, const std::vector<KeyframePose>& keyframes, const SE3& T_map_odom) {
+  return impl_->restore(std::move(state), keyframes, T_map_odom);
 }
 std::vector<Landmark> QuadricMapper::landmarks() const {
   std::vector<Landmark> landmarks;

@@ -115,8 +115,8 @@ const char* to_string(MapChange::Kind kind) {
 }
 
 std::vector<MapChange> map_changes(const MapState& map) {
-  if (map.sessions.size() < 2) return {};
-  const std::int64_t first = map.sessions.back().first_keyframe_id;
+  if (map.graph.sessions.size() < 2) return {};
+  const std::int64_t first = map.graph.sessions.back().first_keyframe_id;
   std::map<std::int64_t, int> looks = count_looks(map, first);
   std::vector<MapChange> gone, added;
   for (const MappedLandmark& landmark : map.objects.landmarks) {

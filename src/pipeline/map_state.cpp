@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <iterator>
+#include <map>
 #include <set>
 #include <utility>
 
@@ -83,11 +84,10 @@ std::vector<LocalMap> MapState::submaps_in_unit() const {
 
 void MapState::append(MapState other) {
   move(place_beside(*this) * place_beside(other), &other);
-  const std::int64_t frames = next_frame_id, keyframes = next_keyframe_id(), landmarks = next_landmark_id(*this);
-  for (Session& session : other.sessions) {
-    session.first_keyframe_id += keyframes;
-    sessions.push_back(session);
-  }
+  const std::int64_t frames = graph.next_frame_id, keyframes = graph.next_keyframe_id();
+  const std::int64_t landmarks = next_landmark_id(*this);
+  for (Session& session : other.graph.sessions) session.first_keyframe_id += keyframes;
+  other.graph.next_frame_id += frames;
   for (GraphKeyframe& keyframe : other.graph.keyframes) {
     raise(keyframes, &keyframe.pose.keyframe_id);
     raise(frames, &keyframe.pose.frame_id);
@@ -95,8 +95,8 @@ void MapState::append(MapState other) {
   for (RememberedLoop& loop : other.graph.loops) raise_ids(frames, keyframes, &loop);
   graph.append(std::move(other.graph));
   if (objects.landmarks.empty()) objects.camera = other.objects.camera;
-  other.objects.move_to(objects.camera);
   for (MappedLandmark& landmark : other.objects.landmarks) {
+    move_boxes(other.objects.camera, objects.camera, &landmark.observations);
     raise_ids(frames, keyframes, landmarks, &landmark);
     objects.landmarks.push_back(std::move(landmark));
   }
@@ -104,7 +104,6 @@ void MapState::append(MapState other) {
     raise_ids(frames, keyframes, landmarks, &submap);
     submaps.push_back(std::move(submap));
   }
-  next_frame_id += other.next_frame_id;
 }
 
 SE3 place_beside(const MapState& map) {
@@ -115,15 +114,44 @@ SE3 place_beside(const MapState& map) {
   return {Quaternion::Identity(), Vec3(reach_m + kBeside_m, 0.0, 0.0)};
 }
 
+std::size_t leave_out_unplaced(MapState* map) {
+  std::map<std::int64_t, const SE3*> places;
+  for (const GraphKeyframe& keyframe : map->graph.keyframes) {
+    places[keyframe.pose.keyframe_id] = &keyframe.pose.T_map_camera;
+  }
+  std::size_t left_out = 0;
+  for (MappedLandmark& landmark : map->objects.landmarks) {
+    std::vector<Observation>& all = landmark.observations;
+    const auto end = std::remove_if(all.begin(), all.end(), [&](const Observation& observation) {
+      return observation.frame_id >= map->graph.next_frame_id || places.count(observation.keyframe_id) == 0;
+    });
+    left_out += static_cast<std::size_t>(all.end() - end);
+    all.erase(end, all.end());
+    if (all.empty() || !landmark.state.ellipsoid || places.count(landmark.state.anchor_keyframe_id) > 0) continue;
+    landmark.state.anchor_keyframe_id = all[all.size() / 2].keyframe_id;
+  }
+  std::vector<MappedLandmark>& landmarks = map->objects.landmarks;
+  landmarks.erase(std::remove_if(landmarks.begin(), landmarks.end(),
+                                 [](const MappedLandmark& landmark) { return landmark.observations.empty(); }),
+                  landmarks.end());
+  std::vector<LocalMap> placed;
+  for (LocalMap& submap : map->submaps) {
+    const auto place = places.find(submap.keyframe_id);
+    if (place == places.end() || submap.frame_id >= map->graph.next_frame_id) {
+      ++left_out;
+      continue;
+    }
+    submap.T_odom_anchor = *place->second;
+    placed.push_back(std::move(submap));
+  }
+  map->submaps = std::move(placed);
+  return left_out;
+}
+
 Status check(const MapState& map) {
   if (const Status graph = check(map.graph); !graph) return graph;
   std::set<std::int64_t> keyframes;
   for (const GraphKeyframe& keyframe : map.graph.keyframes) {
-    if (keyframe.pose.frame_id >= map.next_frame_id) {
-      return Error{"keyframe " + std::to_string(keyframe.pose.keyframe_id) + " is of frame " +
-                   std::to_string(keyframe.pose.frame_id) + ", but the next frame is " +
-                   std::to_string(map.next_frame_id)};
-    }
     keyframes.insert(keyframe.pose.keyframe_id);
   }
   std::int64_t last = -1;

@@ -1,6 +1,8 @@
 #pragma once
 
 #include <cstdint>
+#include <optional>
+#include <utility>
 #include <vector>
 
 #include "map/mapper_state.h"
@@ -10,23 +12,13 @@
 
 namespace semantic_topo_loop::core {
 
-/// One run of a robot. Ids go on from one session to the next.
-struct Session {
-  std::int64_t first_keyframe_id = 0;
-  std::int64_t begin_ns = 0, end_ns = 0;  ///< stamps of its first and last keyframe
-};
-
 /// A map of one or more sessions: what a later one goes on with.
 struct MapState {
-  std::vector<Session> sessions;  ///< in order of their keyframes
-  std::int64_t next_frame_id = 0;
   GraphState graph;
   MapperState objects;
+  std::size_t left_out = 0;       ///< boxes and submaps, see leave_out_unplaced
   std::vector<LocalMap> submaps;  ///< in the odometry's unit of length; T_odom_anchor leads to the map
 
-  std::int64_t next_keyframe_id() const {
-    return graph.keyframes.empty() ? 0 : graph.keyframes.back().pose.keyframe_id + 1;
-  }
   std::vector<KeyframePose> keyframe_poses() const;
   /// The submaps in the map's unit of length.
   std::vector<LocalMap> submaps_in_unit() const;
@@ -34,8 +26,32 @@ struct MapState {
   void append(MapState other);
 };
 
+/// What is new in a map: of those stages that tell.
+struct MapDelta {
+  std::optional<GraphState> graph;  ///< all of it, which is little
+  std::optional<MapperDelta> objects;
+  std::optional<SubmapDelta> submaps;
+};
+
+/// Once a second, by the stamps of the data, in which a map is saved.
+class SavePoints {
+ public:
+  bool is_due(std::int64_t stamp_ns) {
+    constexpr std::int64_t kInterval_ns = 1'000'000'000;
+    return std::exchange(last_, stamp_ns / kInterval_ns) != stamp_ns / kInterval_ns;
+  }
+
+ private:
+  std::optional<std::int64_t> last_;
+};
+
 /// Where something unplaced stands, so that nothing of the map is taken for what it shows: some way beside it, along x.
 SE3 place_beside(const MapState& map);
+
+/// Leaves out what hangs on keyframes that the graph does not have: what came after the graph was saved last, or while
+/// its stage did not keep up. Submaps are put where their keyframes are.
+/// @return how many boxes and submaps were left out
+std::size_t leave_out_unplaced(MapState* map);
 
 /// @return an error that names what does not fit together
 Status check(const MapState& map);

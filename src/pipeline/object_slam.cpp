@@ -33,8 +33,6 @@ void ObjectSlam::tell(const MapUpdate& update) {
 
 FrameResult ObjectSlam::process(const Frame& frame, const std::vector<Detection>* detections,
                                 const std::vector<LoopClosure>& extra_loops) {
-  if (!first_ && !frame.is_end) first_ = frame;
-  last_ = frame;
   FrameResult result;
   result.associations = detections != nullptr ? associator_.associate(frame, *detections) : associator_.pass(frame);
   result.observation = mapper_.integrate(frame, result.associations);
@@ -50,15 +48,11 @@ FrameResult ObjectSlam::process(const Frame& frame, const std::vector<Detection>
   return result;
 }
 
-MapUpdate ObjectSlam::restore(const MapState& map, const Camera& camera) {
-  auto earlier = std::make_shared<MapState>();  // of which the stages know nothing
-  earlier->sessions = map.sessions;
-  earlier->next_frame_id = map.next_frame_id;
-  earlier_ = std::move(earlier);
+MapUpdate ObjectSlam::restore(const MapState& map) {
   const SE3 T_map_odom = place_beside(map);
   const std::vector<KeyframePose> keyframes = map.keyframe_poses();
-  MapUpdate update = mapper_.restore(map.objects, keyframes, camera, T_map_odom);
-  update.frame_id = map.next_frame_id;
+  MapUpdate update = mapper_.restore(map.objects, keyframes, T_map_odom);
+  update.frame_id = map.graph.next_frame_id;
   loop_detector_.restore(map.submaps, keyframes);
   pose_graph_.restore(map.graph, T_map_odom);
   tell(update);
@@ -66,16 +60,16 @@ MapUpdate ObjectSlam::restore(const MapState& map, const Camera& camera) {
 }
 
 std::shared_ptr<const MapState> ObjectSlam::map() const {
-  auto map = earlier_ ? std::make_shared<MapState>(*earlier_) : std::make_shared<MapState>();
-  if (first_) {
-    map->sessions.push_back({first_->keyframe_id, first_->stamp_ns, last_.stamp_ns});
-    map->next_frame_id = last_.frame_id + 1;
-  }
+  auto map = std::make_shared<MapState>();
   map->graph = pose_graph_.state();
   map->objects = mapper_.state();
   map->submaps = loop_detector_.submaps();
   move_to_map(map->keyframe_poses(), pose_graph_.T_map_odom(), &map->submaps);
   return map;
+}
+
+MapDelta ObjectSlam::take_delta() {
+  return {pose_graph_.state(), mapper_.take_delta(false), loop_detector_.take_delta(false)};
 }
 
 void move_to_map(const std::vector<KeyframePose>& keyframes, const SE3& T_map_odom, std::vector<LocalMap>* submaps) {
@@ -106,15 +100,16 @@ MergedMaps merge_maps(const MapState& a, MapState b, const Options& options,
   merged.loops = detector.detect(queries);
 
   ObjectSlam slam(options, std::move(classes));
-  slam.restore(both, both.objects.camera);
-  slam.last_.is_end = true;
-  slam.last_.frame_id = both.next_frame_id;
-  slam.mapper_.integrate(slam.last_, slam.associator_.pass(slam.last_));
-  const MapCorrection correction = slam.pose_graph_.process(slam.last_, merged.loops);
+  slam.restore(both);
+  Frame end;
+  end.is_end = true;
+  end.frame_id = both.graph.next_frame_id;
+  slam.mapper_.integrate(end, slam.associator_.pass(end));
+  const MapCorrection correction = slam.pose_graph_.process(end, merged.loops);
   slam.mapper_.apply(correction);
+  const std::int64_t first_of_b = a.graph.next_keyframe_id();
   for (const LoopVerdict& verdict : correction.loops) {
-    const bool is_between =
-        verdict.match_keyframe_id < a.next_keyframe_id() && verdict.query_keyframe_id >= a.next_keyframe_id();
+    const bool is_between = verdict.match_keyframe_id < first_of_b && verdict.query_keyframe_id >= first_of_b;
     merged.kept_loops += is_between && verdict.kept ? 1 : 0;
   }
   merged.map = slam.map();

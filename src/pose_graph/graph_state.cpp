@@ -15,6 +15,8 @@ int count_vertices(const GraphState& state) {
 
 void GraphState::append(GraphState other) {
   const int vertices = count_vertices(*this);
+  sessions.insert(sessions.end(), other.sessions.begin(), other.sessions.end());
+  next_frame_id = std::max(next_frame_id, other.next_frame_id);
   if (vertices > 0 && !other.keyframes.empty()) {
     OdometryEdge unknown;
     unknown.is_break = true;
@@ -45,6 +47,13 @@ Status check(const GraphState& state) {
   const auto unordered = std::adjacent_find(keyframes.begin(), keyframes.end(), is_unordered);
   if (unordered != keyframes.end()) {
     return Error{"keyframe " + std::to_string(unordered->pose.keyframe_id) + " is not before the next one"};
+  }
+  for (const GraphKeyframe& keyframe : keyframes) {
+    if (keyframe.pose.frame_id >= state.next_frame_id) {
+      return Error{"keyframe " + std::to_string(keyframe.pose.keyframe_id) + " is of frame " +
+                   std::to_string(keyframe.pose.frame_id) + ", but the next frame is " +
+                   std::to_string(state.next_frame_id)};
+    }
   }
   if (!keyframes.empty() && keyframes.front().T_vertex_keyframe) return Error{"the first keyframe is no vertex"};
   const int vertices = count_vertices(state);

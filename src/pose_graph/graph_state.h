@@ -29,8 +29,16 @@ struct GraphKeyframe {
   std::optional<SE3> T_vertex_keyframe;  ///< from the last vertex before it; none: it is one itself
 };
 
+/// One run of a robot. Ids go on from one session to the next.
+struct Session {
+  std::int64_t first_keyframe_id = 0;
+  std::int64_t begin_ns = 0, end_ns = 0;  ///< stamps of its first keyframe and its last frame
+};
+
 /// All that a later session needs of a pose graph to go on with it.
 struct GraphState {
+  std::vector<Session> sessions;  ///< in order of their keyframes
+  std::int64_t next_frame_id = 0;
   std::vector<GraphKeyframe> keyframes;  ///< in order of id; the first is a vertex
   std::vector<OdometryEdge> edges;       ///< edges[i] joins vertices i and i + 1
   std::vector<RememberedLoop> loops;     ///< in order of acceptance
@@ -38,8 +46,9 @@ struct GraphState {
   NoiseEstimate noise;
   double loose_factor = 0.0;  ///< see GraphKnowledge
 
-  /// Adds a graph about which nothing is known but its own frame: ids and loop numbers are raised to what follows, and
-  /// a break leads to it.
+  std::int64_t next_keyframe_id() const { return keyframes.empty() ? 0 : keyframes.back().pose.keyframe_id + 1; }
+  /// Adds a graph about which nothing is known but its own frame: numbers of vertices, edges and loops are raised to
+  /// what follows, and a break leads to it. Ids are as they come.
   void append(GraphState other);
 };
 

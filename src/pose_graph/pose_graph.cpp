@@ -49,6 +49,7 @@ struct PoseGraph::Impl {
     MapCorrection correction;
     correction.frame_id = frame.frame_id;
     correction.T_map_odom_old = T_map_odom_;
+    last_frame_id_ = frame.frame_id;
     if (frame.is_end) {
       suspect_jumps();
     } else {
@@ -89,6 +90,12 @@ struct PoseGraph::Impl {
 
   GraphState state() const {
     GraphState state;
+    state.sessions = sessions_;
+    state.next_frame_id = next_frame_id_;
+    if (keyframes_.size() > restored_) {
+      state.sessions.push_back({keyframes_[restored_].keyframe_id, keyframes_[restored_].stamp_ns, last_stamp_ns_});
+      state.next_frame_id = last_frame_id_ + 1;
+    }
     std::size_t vertex = 0;
     for (const KeyframePose& pose : keyframes()) {
       const std::size_t k = state.keyframes.size();
@@ -105,6 +112,8 @@ struct PoseGraph::Impl {
   }
 
   void restore(GraphState state, const SE3& T_map_odom) {
+    sessions_ = std::move(state.sessions);
+    next_frame_id_ = state.next_frame_id;
     for (const auto& [pose, T_vertex_keyframe] : state.keyframes) {
       const std::size_t k = keyframes_.size();
       number_of_[pose.keyframe_id] = static_cast<int>(k);
@@ -156,6 +165,7 @@ struct PoseGraph::Impl {
   void add_frame(const Frame& frame) {
     if (!frame.T_odom_camera.is_finite()) return;
     bursts_.push(frame, keyframes_.empty() ? 0 : keyframes_.size() - 1);
+    last_stamp_ns_ = frame.stamp_ns;
     accumulator_.add(frame);
     T_odom_frame_ = frame.T_odom_camera;
     if (!is_vertex(frame)) return;
@@ -381,6 +391,9 @@ struct PoseGraph::Impl {
   std::vector<SE3> T_vertex_keyframe_;     ///< one a keyframe
   std::size_t told_keyframes_ = 0;         ///< how many were in the last solution
   std::size_t restored_ = 0;               ///< how many are of earlier sessions
+  std::vector<Session> sessions_;          ///< the earlier ones
+  std::int64_t next_frame_id_ = 0;         ///< after those
+  std::int64_t last_frame_id_ = -1, last_stamp_ns_ = 0;
   bool has_objects_ = false;
   ObjectMemory objects_;
   OdometryAccumulator accumulator_;

@@ -44,12 +44,15 @@ class MapFile : public ::testing::Test {
   void SetUp() override { ASSERT_EQ(write_map(path_, desk(), *shared_coco()).message(), ""); }
   /// The error that the map gives once a statement has changed it.
   std::string error_after(const std::string& sql) {
+    change(sql);
+    return error();
+  }
+  void change(const std::string& sql) const {
     EXPECT_EQ(write_map(path_, desk(), *shared_coco()).message(), "");
     sqlite3* database = nullptr;
     EXPECT_EQ(sqlite3_open(path_.c_str(), &database), SQLITE_OK);
     EXPECT_EQ(sqlite3_exec(database, sql.c_str(), nullptr, nullptr, nullptr), SQLITE_OK) << sql;
     sqlite3_close(database);
-    return error();
   }
   /// What is said behind the path, in one line.
   std::string error() const {
@@ -93,8 +96,8 @@ TEST_F(MapFile, WhatIsReadAndWrittenAgainIsTheSameToTheLastBit) {
   const MapState &a = desk(), &b = **read;
   ASSERT_GT(a.graph.loops.size(), 10U);
   ASSERT_GT(a.submaps.size(), 3U);
-  EXPECT_EQ(a.sessions.size(), 1U);
-  EXPECT_EQ(b.next_frame_id, 301);  // the end is a frame, too
+  EXPECT_EQ(a.graph.sessions.size(), 1U);
+  EXPECT_EQ(b.graph.next_frame_id, 301);  // the end is a frame, too
   ASSERT_EQ(a.graph.keyframes.size(), b.graph.keyframes.size());
   EXPECT_EQ(a.graph.keyframes.back().pose.T_map_camera.t, b.graph.keyframes.back().pose.T_map_camera.t);
   ASSERT_EQ(a.objects.landmarks.size(), b.objects.landmarks.size());
@@ -147,20 +150,53 @@ TEST_F(MapFile, NamesTheFieldOfAPackedRow) {
   EXPECT_EQ(error_with("loop", "/loop/to", 100000), "loop 0 joins vertices that are not there");
   EXPECT_EQ(error_with("loop", "/loop/from", -4294967296), "loop 0.loop.from = -4294967296 is out of range");
   const std::string id = std::to_string(desk().objects.landmarks.front().state.id);
-  EXPECT_EQ(error_with("object", "/observations/0/2", 777), "object " + id + " was seen in keyframe 777, not there");
-  EXPECT_EQ(error_with("object", "/observations/0/4/2", 16),
-            "object " + id + ": truncated = 16 must be a sum of 1, 2, 4, 8");
-  EXPECT_EQ(error_with("object", "/observations/0/4/2", 256),
-            "object " + id + ".observations[0][4][2] = 256 is out of range");
-  EXPECT_EQ(error_with("object", "/observations/0/4/2", -1),
-            "object " + id + ".observations[0][4][2] = -1 is out of range");
   EXPECT_EQ(error_with("object", "/state/state", 3), "object " + id + ".state.state = 3 is no state");
   EXPECT_EQ(error_with("object", "/seen_from/3", "far"),
             "object " + id + ".seen_from[3] = \"far\" must be a finite number");
-  EXPECT_EQ(error_with("submap", "/objects/0/views/0/0", 100000), "submap 0: a view has frame 100000, not there");
-  EXPECT_EQ(error_with("submap", "/objects/0/class_id", 0), "submap 0: an object has class 0");
-  EXPECT_EQ(error_with("submap", "/check_frames/0", -1), "submap 0: check_frames: -1 is no index of a frame");
-  EXPECT_EQ(error_with("submap", "/frames/3/focal_px/0", 0.0), "submap 0.frames[3].focal_px must be > 0");
+  const std::string submap = "submap " + std::to_string(desk().submaps.front().frame_id);
+  EXPECT_EQ(error_with("submap", "/objects/0/views/0/0", 100000), submap + ": a view has frame 100000, not there");
+  EXPECT_EQ(error_with("submap", "/objects/0/class_id", 0), submap + ": an object has class 0");
+  EXPECT_EQ(error_with("submap", "/check_frames/0", -1), submap + ": check_frames: -1 is no index of a frame");
+  EXPECT_EQ(error_with("submap", "/frames/3/focal_px/0", 0.0), submap + ".frames[3].focal_px must be > 0");
+}
+
+TEST_F(MapFile, NamesTheObservationThatIsWrong) {
+  const std::string id = std::to_string(desk().objects.landmarks.front().state.id);
+  const auto error = [&](const std::string& change, int number = 2) {
+    return error_after("UPDATE observation SET " + change + " WHERE object = " + id +
+                       " AND number = " + std::to_string(number));
+  };
+  const std::string name = "observation 2 of object " + id;
+  EXPECT_EQ(error("truncated = 16"), name + ": truncated = 16 must be a sum of 1, 2, 4, 8");
+  EXPECT_EQ(error("truncated = -1"), name + ": truncated = -1 must be a sum of 1, 2, 4, 8");
+  EXPECT_EQ(error("qw = 3.0"), name + " has no pose");
+  EXPECT_EQ(error("x = 9e999"), name + " has no pose");
+  EXPECT_EQ(error("y2 = 9e999"), name + " has no box");
+  EXPECT_EQ(error("number = 90000"), "observation 3 of object " + id + " does not follow the one before");
+  EXPECT_EQ(error("object = 90000"), "observation 3 of object " + id + " does not follow the one before");
+  EXPECT_EQ(error_after("DELETE FROM object WHERE id = " + id),
+            "observation 0 of object " + id + ": there is no such object");
+}
+
+TEST_F(MapFile, WhatIsNewerThanTheGraphIsLeftOut) {
+  const auto read_after = [this](const std::string& sql) {
+    change(sql);
+    return checked(read_map(path_, *shared_coco()));
+  };
+  const MappedLandmark& landmark = desk().objects.landmarks.front();
+  const std::string id = std::to_string(landmark.state.id);
+  const auto without_box = read_after("UPDATE observation SET frame = 301 WHERE number = 2 AND object = " + id);
+  EXPECT_EQ(without_box->left_out, 1U);
+  EXPECT_EQ(without_box->objects.landmarks.front().observations.size(), landmark.observations.size() - 1);
+  const auto unseen = read_after("UPDATE observation SET keyframe = 777 WHERE object = " + id);
+  EXPECT_EQ(unseen->left_out, landmark.observations.size());
+  EXPECT_EQ(unseen->objects.landmarks.size(), desk().objects.landmarks.size() - 1);
+  MapState later = desk();
+  later.submaps.back().keyframe_id = 777;
+  ASSERT_EQ(write_map(path_, later, *shared_coco()).message(), "");
+  const auto without_submap = checked(read_map(path_, *shared_coco()));
+  EXPECT_EQ(without_submap->left_out, 1U);
+  EXPECT_EQ(without_submap->submaps.size(), desk().submaps.size() - 1);
 }
 
 TEST_F(MapFile, DamagedAndMissingFilesAreErrors) {

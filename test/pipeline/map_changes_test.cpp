@@ -105,7 +105,7 @@ TEST(MapChanges, WhatWasNotLookedAtBeforeIsNotNew) {
   const std::size_t part = 150, all = sequence.odometry.size();  // a quarter of the first lap
   const auto first = testing::map_of(sequence, 0, part, shared_coco());
   const auto both = testing::map_of(sequence, part, all, shared_coco(), {}, first);
-  ASSERT_EQ(both->sessions.size(), 2U);
+  ASSERT_EQ(both->graph.sessions.size(), 2U);
   EXPECT_GT(both->objects.landmarks.size(), first->objects.landmarks.size());
   EXPECT_EQ(listed(*both), std::vector<std::string>());
 }

@@ -73,8 +73,8 @@ class MapSessions : public ::testing::Test {
     ObjectSlam slam(options, classes_);
     FrameBuilder builder(options.keyframe, recording.camera);
     if (earlier != nullptr) {
-      slam.restore(*earlier, recording.camera);
-      builder.count_from(earlier->next_frame_id, earlier->next_keyframe_id());
+      slam.restore(*earlier);
+      builder.count_from(earlier->graph.next_frame_id, earlier->graph.next_keyframe_id());
     }
     SessionResult result;
     for (std::size_t i = begin; i < end; ++i) {
@@ -87,7 +87,7 @@ class MapSessions : public ::testing::Test {
           slam.process(checked(builder.build(sample)), seen != nullptr ? &seen->detections : nullptr);
       for (const LoopClosure& loop : frame.loops) {
         const bool is_into_map =
-            loop.accepted && earlier != nullptr && loop.match_keyframe_id < earlier->next_keyframe_id();
+            loop.accepted && earlier != nullptr && loop.match_keyframe_id < earlier->graph.next_keyframe_id();
         if (!is_into_map || result.first_loop_s >= 0.0) continue;
         result.first_loop_s = 1e-9 * static_cast<double>(pose.stamp_ns - recording.odometry[begin].stamp_ns);
       }
@@ -125,15 +125,15 @@ TEST_F(MapSessions, ALaterSessionInAFrameOfItsOwnBecomesOneGraphWithTheMap) {
     const SessionResult second = run(recording, begin, recording.odometry.size(), random.pose(5.0), first);
     EXPECT_GE(second.first_loop_s, 0.0);
     EXPECT_LE(second.first_loop_s, 10.0);
-    ASSERT_EQ(second.map->sessions.size(), 2U);
-    EXPECT_EQ(second.map->sessions[1].first_keyframe_id, first->next_keyframe_id());
+    ASSERT_EQ(second.map->graph.sessions.size(), 2U);
+    EXPECT_EQ(second.map->graph.sessions[1].first_keyframe_id, first->graph.next_keyframe_id());
     EXPECT_LE(ate_m(*second.map, recording), 0.012) << "of both sessions, in one frame";
     EXPECT_LE(confirmed(*second.map), confirmed(*first) + 6) << "objects of both are the same";
     // And a third one goes on with both.
     const Map both = stored(second.map);
     const SessionResult third = run(recording, 900, 1300, random.pose(5.0), both);
     EXPECT_GE(third.first_loop_s, 0.0);
-    EXPECT_EQ(third.map->sessions.size(), 3U);
+    EXPECT_EQ(third.map->graph.sessions.size(), 3U);
     EXPECT_LE(ate_m(*third.map, recording), 0.012);
   }
 }
@@ -144,7 +144,7 @@ TEST_F(MapSessions, AnotherPlaceStandsBesideTheMap) {
   const SessionResult result = run(second, 0, second.odometry.size() / 2, SE3(), map);
   EXPECT_LT(result.first_loop_s, 0.0);
   const std::vector<KeyframePose> poses = result.map->keyframe_poses();
-  const auto at = static_cast<std::size_t>(result.map->sessions[1].first_keyframe_id);
+  const auto at = static_cast<std::size_t>(result.map->graph.sessions[1].first_keyframe_id);
   for (std::size_t k = at; k < poses.size(); ++k) {
     for (std::size_t i = 0; i < at; ++i) {
       ASSERT_GT((poses[k].T_map_camera.t - poses[i].T_map_camera.t).norm(), 5.0);
@@ -181,7 +181,7 @@ TEST_F(MapSessions, TwoMapsOfOnePlaceAreJoined) {
   const Map b = stored(run(recording, half, recording.odometry.size(), random.pose(5.0)).map);
   const MergedMaps merged = merge_maps(*a, *b, Options(), classes_);
   EXPECT_GT(merged.kept_loops, 10U);
-  EXPECT_EQ(merged.map->sessions.size(), 2U);
+  EXPECT_EQ(merged.map->graph.sessions.size(), 2U);
   EXPECT_EQ(check(*merged.map).message(), "");
   EXPECT_LE(ate_m(*merged.map, recording), 0.012);
   EXPECT_LE(confirmed(*merged.map), std::max(confirmed(*a), confirmed(*b)) + 4);

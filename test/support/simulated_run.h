@@ -4,6 +4,7 @@
 
 #include <cstddef>
 #include <memory>
+#include <utility>
 #include <vector>
 
 #include "pipeline/map_state.h"
@@ -14,29 +15,65 @@
 
 namespace semantic_topo_loop::core::testing {
 
-/// The map after images `begin` to `end` of a simulated sequence.
-/// @param T_new_odom where the odometry starts   @param earlier null, or the map that the run goes on with
+/// The whole chain on a simulated sequence, image by image.
+class ChainRun {
+ public:
+  /// @param T_new_odom where the odometry starts   @param earlier null, or the map that the run goes on with
+  ChainRun(const SimulatedSequence& sequence, const std::shared_ptr<const ClassTable>& classes, SE3 T_new_odom = {},
+           const std::shared_ptr<const MapState>& earlier = nullptr, std::size_t begin = 0)
+      : sequence_(sequence),
+        T_new_odom_(std::move(T_new_odom)),
+        slam_(options_, classes),
+        builder_(options_.keyframe, sequence.camera),
+        done_(begin) {
+    if (earlier == nullptr) return;
+    slam_.restore(*earlier);
+    builder_.count_from(earlier->graph.next_frame_id, earlier->graph.next_keyframe_id());
+  }
+
+  /// @return stamp of the image
+  std::int64_t next() {
+    PoseSample sample;
+    sample.stamp_ns = sequence_.odometry[done_].stamp_ns;
+    sample.T_odom_camera = T_new_odom_ * sequence_.odometry[done_].T_world_camera;
+    std::vector<Detection> detections;
+    for (const SimulatedDetection& d : sequence_.detections[done_]) detections.push_back(d.detection);
+    count(slam_.process(checked(builder_.build(sample)), &detections));
+    ++done_;
+    return sample.stamp_ns;
+  }
+  void end() { count(slam_.process(builder_.end(), nullptr)); }
+
+  std::size_t done() const { return done_; }
+  ObjectSlam& slam() { return slam_; }
+  int corrections() const { return corrections_; }
+  std::size_t merges() const { return merges_; }
+
+ private:
+  void count(const FrameResult& result) {
+    corrections_ += result.correction.changed ? 1 : 0;
+    merges_ += result.observation.merged.size() + result.completion.merged.size();
+  }
+
+  const SimulatedSequence& sequence_;
+  const SE3 T_new_odom_;
+  const Options options_;
+  ObjectSlam slam_;
+  FrameBuilder builder_;
+  std::size_t done_;
+  int corrections_ = 0;
+  std::size_t merges_ = 0;
+};
+
+/// The map after images `begin` to `end` of a simulated sequence, see ChainRun.
 inline std::shared_ptr<const MapState> map_of(const SimulatedSequence& sequence, std::size_t begin, std::size_t end,
                                               const std::shared_ptr<const ClassTable>& classes,
                                               const SE3& T_new_odom = {},
                                               const std::shared_ptr<const MapState>& earlier = nullptr) {
-  const Options options;
-  ObjectSlam slam(options, classes);
-  FrameBuilder builder(options.keyframe, sequence.camera);
-  if (earlier != nullptr) {
-    slam.restore(*earlier, sequence.camera);
-    builder.count_from(earlier->next_frame_id, earlier->next_keyframe_id());
-  }
-  for (std::size_t i = begin; i < end; ++i) {
-    PoseSample sample;
-    sample.stamp_ns = sequence.odometry[i].stamp_ns;
-    sample.T_odom_camera = T_new_odom * sequence.odometry[i].T_world_camera;
-    std::vector<Detection> detections;
-    for (const SimulatedDetection& d : sequence.detections[i]) detections.push_back(d.detection);
-    slam.process(checked(builder.build(sample)), &detections);
-  }
-  slam.process(builder.end(), nullptr);
-  return slam.map();
+  ChainRun run(sequence, classes, T_new_odom, earlier, begin);
+  while (run.done() < end) run.next();
+  run.end();
+  return run.slam().map();
 }
 
 }  // namespace semantic_topo_loop::core::testing

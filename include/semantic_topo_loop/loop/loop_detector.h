@@ -17,6 +17,7 @@
 namespace semantic_topo_loop::core {
 
 struct LocalMap;
+struct SubmapDelta;
 struct LoopOptions;
 
 /// What became of a pair of keyframes.
@@ -79,6 +80,8 @@ class LoopDetector {
   std::vector<LoopClosure> detect(const std::vector<LocalMap>& queries);
   /// The submaps kept so far, poses in the odometry's world; those of earlier sessions in the map.
   std::vector<LocalMap> submaps() const;
+  /// What is new in them since the last call, or all there is. @param whole also if it was told before
+  SubmapDelta take_delta(bool whole);
 
  private:
   struct Impl;

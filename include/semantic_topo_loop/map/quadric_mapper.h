@@ -11,6 +11,7 @@
 
 namespace semantic_topo_loop::core {
 
+struct MapperDelta;
 struct MapperState;
 struct QuadricMapperOptions;
 
@@ -31,11 +32,11 @@ class QuadricMapper {
   const SE3& T_map_odom() const;
   /// What a later session goes on with (src/map/mapper_state.h).
   MapperState state() const;
+  /// What is new since the last call, or all there is. @param whole also if it was told before
+  MapperDelta take_delta(bool whole);
   /// Goes on with earlier sessions' objects. Call it before the first frame.
-  /// @param keyframes that they hang on   @param camera of this session
-  /// @param T_map_odom where this session stands for now   @return all of them, for those who follow the map
-  MapUpdate restore(MapperState state, const std::vector<KeyframePose>& keyframes, const Camera& camera,
-                    const SE3& T_map_odom);
+  /// @param keyframes that they hang on   @param T_map_odom where this session stands for now   @return all of them, for those who follow the map
+  MapUpdate restore(MapperState state, const std::vector<KeyframePose>& keyframes, const SE3& T_map_odom);
 
  private:
   struct Impl;

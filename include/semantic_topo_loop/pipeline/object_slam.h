@@ -1,7 +1,6 @@
 #pragma once
 
 #include <memory>
-#include <optional>
 #include <utility>
 #include <vector>
 
@@ -14,6 +13,7 @@
 
 namespace semantic_topo_loop::core {
 
+struct MapDelta;
 struct MapState;
 struct MergedMaps;
 
@@ -39,10 +39,12 @@ class ObjectSlam {
                       const std::vector<LoopClosure>& extra_loops = {});
   /// Goes on with earlier sessions' map (io/map_file.h): loops into it are loops of one graph, and until one is found
   /// this session stands beside it. Call it before the first frame, whose ids go on from the map's.
-  /// @param camera of this session   @return the map's objects, for who follows the map
-  MapUpdate restore(const MapState& map, const Camera& camera);
+  /// @return the map's objects, for who follows the map
+  MapUpdate restore(const MapState& map);
   /// The map so far.
   std::shared_ptr<const MapState> map() const;
+  /// What is new in it since the last call, for io/map_database.h.
+  MapDelta take_delta();
   /// Only looks for the run's place in the submaps of an earlier run, which stays as it is. Call it before the first
   /// frame.
   void set_earlier_map(std::vector<LocalMap> submaps) { loop_detector_.set_earlier_map(std::move(submaps)); }
@@ -58,9 +60,6 @@ class ObjectSlam {
   QuadricMapper mapper_;
   LoopDetector loop_detector_;
   PoseGraph pose_graph_;
-  std::shared_ptr<const MapState> earlier_;  ///< its sessions and counts alone; null: there is none
-  std::optional<Frame> first_;               ///< of this session
-  Frame last_;
 };
 
 /// Joins two maps of which neither knows where it is in the other: places of both are compared, and what they have in

@@ -95,6 +95,13 @@ struct LocalMap {
   std::shared_ptr<const std::vector<Surfel>> surfels;  ///< local frame; null if no frame came with points
 };
 
+/// What is new in a collection of submaps.
+struct SubmapDelta {
+  bool is_whole = true;                 ///< what is not in it is not kept
+  std::vector<LocalMap> added;          ///< in order of frame_id
+  std::vector<std::int64_t> forgotten;  ///< frame_ids
+};
+
 /// The submap in a unit of length of which `scale` make one of the old; boxes on the plane z = 1 do not depend on it.
 /// Its surfels are left out: a camera that measures depth knows the unit.
 inline LocalMap rescaled(LocalMap map, double scale) {

@@ -1,0 +1,51 @@
+#pragma once
+
+#include <cstdint>
+#include <memory>
+#include <string>
+
+#include "semantic_topo_loop/types/class_table.h"
+#include "semantic_topo_loop/types/result.h"
+
+namespace semantic_topo_loop::core {
+
+struct MapDelta;
+
+/// How much a map's file holds.
+struct MapCounts {
+  std::int64_t sessions = 0, keyframes = 0, objects = 0, submaps = 0, loops = 0;
+};
+
+/// A map's file (io/map_file.h) while the map grows: what is new is written by a thread of its own, each time as one
+/// transaction, so that whatever ends the program, what was written before is a map. The first one, which holds all
+/// there is, takes the place of a map that was there. What cannot be written (a full disk) is kept and tried again.
+/// Thread-safe.
+class MapDatabase {
+ public:
+  MapDatabase(std::string path, std::shared_ptr<const ClassTable> classes);
+  /// As `close`.
+  ~MapDatabase();
+  MapDatabase(const MapDatabase&) = delete;
+  MapDatabase& operator=(const MapDatabase&) = delete;
+
+  /// Returns at once. @param delta the first one must be whole
+  void write(MapDelta delta);
+  /// Whether something waits to be written: who can tell more at once later may wait with it.
+  bool is_behind() const;
+  /// Writes what waits, leaves one file without a journal beside it, and ends. @return what could not be written, and
+  /// why
+  Status close();
+  /// What keeps it from writing now.
+  Status problem() const;
+  /// A copy of what is written, which takes the place of what was there in one go.
+  Result<MapCounts> copy_to(const std::string& path) const;
+
+ private:
+  class Impl;
+  std::unique_ptr<Impl> impl_;
+};
+
+/// @return an error if a map cannot be written there: no place, another program writes it, or it is no map's file
+Status check_map_place(const std::string& path);
+
+}  // namespace semantic_topo_loop::core

@@ -1,0 +1,124 @@
+#pragma once
+
+#include <Eigen/LU>
+
+#include "io/archive.h"
+#include "pipeline/map_state.h"
+
+namespace semantic_topo_loop::core {
+
+// What the members of a map's structs are called in its file.
+
+namespace archive {
+
+template <>
+inline constexpr bool is_row<Observation> = true;
+template <>
+inline constexpr bool is_row<BoxView> = true;
+template <>
+inline constexpr bool is_row<ObservedBox> = true;
+template <>
+inline constexpr bool is_row<SubmapView> = true;
+template <>
+inline constexpr bool is_row<Surfel> = true;
+
+template <>
+struct Codec<LandmarkState> {
+  static Json write(LandmarkState value) { return static_cast<int>(value); }
+  static void read(const JsonField& field, LandmarkState* value) {
+    const int number = field.small_integer();
+    if (number < 0 || number > static_cast<int>(LandmarkState::kRetired)) return field.reject("is no state");
+    *value = static_cast<LandmarkState>(number);
+  }
+};
+
+template <>
+struct Codec<SeenFrom> {
+  static Json write(const SeenFrom& value) { return to_archive(value.smallest_px()); }
+  static void read(const JsonField& field, SeenFrom* value) {
+    SeenFrom::Bins bins{};
+    from_archive(field, &bins);
+    *value = SeenFrom(bins);
+  }
+};
+
+/// By its camera's rotation and place, from which the rest follows.
+template <>
+struct Codec<LocalFrame> {
+  static Json write(const LocalFrame& value) {
+    return {{"frame_id", value.frame_id},
+            {"camera_from_anchor_rotation", to_archive(value.R_camera_local)},
+            {"position", to_archive(value.position)},
+            {"focal_px", to_archive(value.focal_px)},
+            {"image", to_archive(value.image)},
+            {"boxes", to_archive(value.boxes)}};
+  }
+  static void read(const JsonField& field, LocalFrame* value) {
+    from_archive(field.member("frame_id"), &value->frame_id);
+    from_archive(field.member("camera_from_anchor_rotation"), &value->R_camera_local);
+    from_archive(field.member("position"), &value->position);
+    from_archive(field.member("focal_px"), &value->focal_px);
+    from_archive(field.member("image"), &value->image);
+    from_archive(field.member("boxes"), &value->boxes);
+    constexpr double kTolerance = 1e-6;
+    if (!value->R_camera_local.isUnitary(kTolerance) || value->R_camera_local.determinant() < 0.0) {
+      field.member("camera_from_anchor_rotation").reject("is no rotation");
+    }
+    value->t_camera_local = -value->R_camera_local * value->position;
+    if (!(value->focal_px.minCoeff() > 0.0)) field.member("focal_px").reject("must be > 0");
+  }
+};
+
+}  // namespace archive
+
+// The members' own names.
+#define VISIT_MEMBERS(Struct, ...)                    \
+  template <class Visitor>                            \
+  void visit_members(Struct& value, Visitor& visit) { \
+    __VA_ARGS__                                       \
+  }
+#define MEMBER(name) visit(#name, value.name);
+
+VISIT_MEMBERS(Camera, MEMBER(fx) MEMBER(fy) MEMBER(cx) MEMBER(cy) MEMBER(width) MEMBER(height) MEMBER(distortion))
+VISIT_MEMBERS(LoopVerdict, MEMBER(number) MEMBER(query_keyframe_id) MEMBER(match_keyframe_id) MEMBER(kept)
+                               MEMBER(reason) MEMBER(is_extra))
+VISIT_MEMBERS(EdgeCovariance, MEMBER(given) MEMBER(translation) MEMBER(rotation) MEMBER(suspected_jumps))
+VISIT_MEMBERS(OdometryEdge,
+              MEMBER(T_from_to) MEMBER(path_m) MEMBER(rotation_rad) MEMBER(covariance) MEMBER(is_break) MEMBER(frozen_s)
+                  MEMBER(suspected_jump) MEMBER(jump_error_m) MEMBER(jump_error_rad) MEMBER(joined))
+VISIT_MEMBERS(GraphLoop,
+              MEMBER(from) MEMBER(to) MEMBER(T_from_to) MEMBER(covariance) MEMBER(scale) MEMBER(scale_covariance)
+                  MEMBER(query_keyframe_id) MEMBER(match_keyframe_id) MEMBER(had_support) MEMBER(query_begin)
+                      MEMBER(query_end) MEMBER(match_begin) MEMBER(match_end))
+VISIT_MEMBERS(RememberedLoop, MEMBER(told) MEMBER(is_told) MEMBER(loop) MEMBER(refusal) MEMBER(is_in_graph)
+                                  MEMBER(may_vote) MEMBER(kept))
+VISIT_MEMBERS(OdometryNoise, MEMBER(translation_m) MEMBER(rotation_rad) MEMBER(steady_translation)
+                                 MEMBER(steady_rotation_rad) MEMBER(scale) MEMBER(jump_prior))
+VISIT_MEMBERS(OdometryJump, MEMBER(edge) MEMBER(translation_m) MEMBER(rotation_rad))
+VISIT_MEMBERS(NoiseEstimate, MEMBER(odometry) MEMBER(loop_factor) MEMBER(jumps))
+VISIT_MEMBERS(Ellipsoid, MEMBER(T_world_quadric) MEMBER(semi_axes))
+VISIT_MEMBERS(Landmark,
+              MEMBER(id) MEMBER(class_id) MEMBER(state) MEMBER(ellipsoid) MEMBER(center_covariance)
+                  MEMBER(anchor_keyframe_id) MEMBER(observations) MEMBER(baseline_deg) MEMBER(mean_iou) MEMBER(quality))
+VISIT_MEMBERS(Sightings, MEMBER(seen_s) MEMBER(whole_s) MEMBER(expected_s) MEMBER(placed_s) MEMBER(bounded_s)
+                             MEMBER(familiar_seen_s) MEMBER(familiar_missed_s) MEMBER(missed_since_s)
+                                 MEMBER(transparent_s) MEMBER(seen_through_since_s))
+VISIT_MEMBERS(BoxView, MEMBER(T_world_camera) MEMBER(box) MEMBER(truncated) MEMBER(near_m))
+VISIT_MEMBERS(Observation, MEMBER(frame_id) MEMBER(source_id) MEMBER(keyframe_id) MEMBER(class_id) MEMBER(view))
+VISIT_MEMBERS(LandmarkRecord, MEMBER(state) MEMBER(seen_beside) MEMBER(sightings) MEMBER(seen_from)
+                                  MEMBER(last_stamp_ns) MEMBER(next_fit_at))
+VISIT_MEMBERS(UpDirection, MEMBER(direction) MEMBER(certain))
+VISIT_MEMBERS(Spheroid, MEMBER(center) MEMBER(log_axes))
+VISIT_MEMBERS(ObservedBox, MEMBER(landmark_id) MEMBER(class_id) MEMBER(box) MEMBER(truncated) MEMBER(depth_m))
+VISIT_MEMBERS(SubmapView, MEMBER(frame) MEMBER(box) MEMBER(depth_m) MEMBER(truncated))
+VISIT_MEMBERS(LocalObject, MEMBER(landmark_id) MEMBER(class_id) MEMBER(spheroid) MEMBER(covariance) MEMBER(frames_seen)
+                               MEMBER(seen_share) MEMBER(parallax_deg) MEMBER(views))
+VISIT_MEMBERS(Surfel, MEMBER(position) MEMBER(normal))
+VISIT_MEMBERS(LocalMap, MEMBER(keyframe_id) MEMBER(frame_id) MEMBER(stamp_ns) MEMBER(begin_frame) MEMBER(end_frame)
+                            MEMBER(end_ns) MEMBER(span_s) MEMBER(drift_rad_s) MEMBER(up) MEMBER(frames)
+                                MEMBER(check_frames) MEMBER(objects) MEMBER(surfels))
+
+#undef MEMBER
+#undef VISIT_MEMBERS
+
+}  // namespace semantic_topo_loop::core

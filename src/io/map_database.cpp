@@ -1,0 +1,182 @@
+#include "semantic_topo_loop/io/map_database.h"
+
+#include <chrono>
+#include <condition_variable>
+#include <deque>
+#include <filesystem>
+#include <mutex>
+#include <optional>
+#include <thread>
+#include <utility>
+
+#include "io/map_tables.h"
+#include "io/sqlite_file.h"
+#include "pipeline/map_state.h"
+#include "semantic_topo_loop/io/text_file.h"
+
+namespace semantic_topo_loop::core {
+namespace {
+
+constexpr std::chrono::seconds kRetry(1);
+
+Status status_of(const SqliteFile& file) { return file.is_fine() ? Status() : Error{file.problem()}; }
+
+/// A database that this program writes from now on: who else tries is told so.
+class OpenMap {
+ public:
+  OpenMap(const std::string& path, const ClassTable& classes)
+      : file_(path, SqliteFile::Mode::kWrite), tables_(&file_, classes) {
+    file_.run("PRAGMA journal_mode = WAL; PRAGMA synchronous = NORMAL; BEGIN IMMEDIATE");
+  }
+  Status write(const MapDelta& delta) {
+    tables_.write(delta);
+    file_.run("COMMIT; BEGIN IMMEDIATE");
+    return status_of(file_);
+  }
+  Status close() {
+    file_.run("COMMIT; PRAGMA journal_mode = DELETE");
+    return status_of(file_);
+  }
+
+ private:
+  SqliteFile file_;
+  MapTables tables_;
+};
+
+}  // namespace
+
+Status check_map_place(const std::string& path) {
+  std::error_code code;
+  if (!std::filesystem::exists(path, code) || std::filesystem::file_size(path, code) == 0) return {};
+  SqliteFile file(path, SqliteFile::Mode::kWrite);
+  const std::int64_t application = file.number("PRAGMA application_id");
+  if (file.is_fine() && application != kMapApplicationId) file.reject("is there already, and is no map");
+  // What a writer that was killed left in its journal goes into the file, and the journal with it.
+  file.run("BEGIN IMMEDIATE; COMMIT; PRAGMA journal_mode = DELETE");
+  return status_of(file);
+}
+
+class MapDatabase::Impl {
+ public:
+  Impl(std::string path, std::shared_ptr<const ClassTable> classes)
+      : path_(std::move(path)), classes_(std::move(classes)), thread_([this] { run(); }) {}
+
+  void write(MapDelta delta) {
+    const std::lock_guard<std::mutex> lock(mutex_);
+    if (delta.graph) {
+      // This one is newer, and whole; but what makes the file needs one.
+      for (std::size_t i = is_made_ ? 0 : 1; i < waiting_.size(); ++i) waiting_[i].graph.reset();
+    }
+    waiting_.push_back(std::move(delta));
+    wake_.notify_one();
+  }
+
+  bool is_behind() const {
+    const std::lock_guard<std::mutex> lock(mutex_);
+    return is_writing_ || !waiting_.empty();
+  }
+
+  Status problem() const {
+    const std::lock_guard<std::mutex> lock(mutex_);
+    return problem_;
+  }
+
+  Status close() {
+    {
+      const std::lock_guard<std::mutex> lock(mutex_);
+      is_closed_ = true;
+      wake_.notify_one();
+    }
+    if (thread_.joinable()) thread_.join();
+    return problem_;
+  }
+
+  Result<MapCounts> copy_to(const std::string& path) const {
+    MapCounts counts;
+    const auto copy = [&](const std::string& temporary) -> Status {
+      SqliteFile file(path_, SqliteFile::Mode::kRead);
+      (SqliteStatement(&file, "VACUUM INTO ?") << temporary).run();
+      if (!file.is_fine()) return status_of(file);
+      SqliteFile copied(temporary, SqliteFile::Mode::kRead);
+      const auto count = [&copied](const char* table) {
+        return copied.number(std::string("SELECT count(*) FROM ") + table);
+      };
+      counts = {count("session"), count("keyframe"), count("object"), count("submap"), count("loop")};
+      return status_of(copied);
+    };
+    if (const Status written = replace_file(path, copy); !written) return written.error();
+    return counts;
+  }
+
+ private:
+  void run() {
+    std::unique_lock<std::mutex> lock(mutex_);
+    for (;;) {
+      wake_.wait(lock, [this] { return is_closed_ || !waiting_.empty(); });
+      if (waiting_.empty()) break;
+      MapDelta delta = std::move(waiting_.front());
+      waiting_.pop_front();
+      is_writing_ = true;
+      const bool is_first = !is_made_;
+      lock.unlock();
+      const Status written = write_now(delta, is_first);
+      lock.lock();
+      is_writing_ = false;
+      problem_ = written;
+      is_made_ = is_made_ || written;
+      if (written) continue;
+      waiting_.push_front(std::move(delta));
+      if (is_closed_) return;
+      wake_.wait_for(lock, kRetry, [this] { return is_closed_; });
+    }
+    if (!map_) return;
+    lock.unlock();
+    const Status closed = map_->close();
+    map_.reset();
+    lock.lock();
+    problem_ = closed;
+  }
+
+  Status write_now(const MapDelta& delta, bool is_first) {
+    if (is_first) return make(delta);
+    if (!map_) map_.emplace(path_, *classes_);
+    const Status written = map_->write(delta);
+    if (!written) map_.reset();  // what was begun is undone
+    return written;
+  }
+
+  /// The file with all there is: later ones change rows of it.
+  Status make(const MapDelta& whole) {
+    if (const Status place = check_map_place(path_); !place) return place;
+    return replace_file(path_, [&](const std::string& temporary) -> Status {
+      SqliteFile file(temporary, SqliteFile::Mode::kWrite);
+      file.run("PRAGMA journal_mode = OFF; PRAGMA synchronous = OFF; BEGIN");
+      create_map_tables(&file);
+      MapTables(&file, *classes_).write(whole);
+      file.run("COMMIT");
+      return status_of(file);
+    });
+  }
+
+  const std::string path_;
+  const std::shared_ptr<const ClassTable> classes_;
+  mutable std::mutex mutex_;  ///< guards all below but map_, which is the thread's alone
+  std::condition_variable wake_;
+  std::deque<MapDelta> waiting_;
+  Status problem_;
+  bool is_writing_ = false, is_closed_ = false;
+  bool is_made_ = false;  ///< the file is this one's
+  std::optional<OpenMap> map_;
+  std::thread thread_;
+};
+
+MapDatabase::MapDatabase(std::string path, std::shared_ptr<const ClassTable> classes)
+    : impl_(std::make_unique<Impl>(std::move(path), std::move(classes))) {}
+MapDatabase::~MapDatabase() { static_cast<void>(close()); }
+void MapDatabase::write(MapDelta delta) { impl_->write(std::move(delta)); }
+bool MapDatabase::is_behind() const { return impl_->is_behind(); }
+Status MapDatabase::close() { return impl_->close(); }
+Status MapDatabase::problem() const { return impl_->problem(); }
+Result<MapCounts> MapDatabase::copy_to(const std::string& path) const { return impl_->copy_to(path); }
+
+}  // namespace semantic_topo_loop::core

@@ -1,0 +1,197 @@
+#include "io/map_tables.h"
+
+#include <utility>
+
+#include "io/map_codecs.h"
+
+namespace semantic_topo_loop::core {
+namespace {
+
+constexpr char kSchema[] = R"(
+CREATE TABLE meta(key TEXT PRIMARY KEY, value TEXT NOT NULL) WITHOUT ROWID;
+CREATE TABLE session(first_keyframe INTEGER PRIMARY KEY, begin_ns INTEGER NOT NULL, end_ns INTEGER NOT NULL);
+CREATE TABLE class(id INTEGER PRIMARY KEY, name TEXT NOT NULL);
+CREATE TABLE keyframe(id INTEGER PRIMARY KEY, frame INTEGER NOT NULL, stamp_ns INTEGER NOT NULL,
+  x REAL NOT NULL, y REAL NOT NULL, z REAL NOT NULL,
+  qx REAL NOT NULL, qy REAL NOT NULL, qz REAL NOT NULL, qw REAL NOT NULL, scale REAL NOT NULL,
+  vertex_from_keyframe BLOB);
+CREATE TABLE edge(number INTEGER PRIMARY KEY, body BLOB NOT NULL);
+CREATE TABLE loop(number INTEGER PRIMARY KEY, query INTEGER NOT NULL, match INTEGER NOT NULL, kept INTEGER NOT NULL,
+  reason TEXT NOT NULL, body BLOB NOT NULL);
+CREATE TABLE object(id INTEGER PRIMARY KEY, class INTEGER NOT NULL, state TEXT NOT NULL, observations INTEGER NOT NULL,
+  quality REAL NOT NULL, x REAL, y REAL, z REAL, body BLOB NOT NULL);
+CREATE TABLE observation(object INTEGER, number INTEGER, frame INTEGER NOT NULL, source INTEGER NOT NULL,
+  keyframe INTEGER NOT NULL, class INTEGER NOT NULL, x REAL NOT NULL, y REAL NOT NULL, z REAL NOT NULL,
+  qx REAL NOT NULL, qy REAL NOT NULL, qz REAL NOT NULL, qw REAL NOT NULL,
+  x1 REAL NOT NULL, y1 REAL NOT NULL, x2 REAL NOT NULL, y2 REAL NOT NULL, truncated INTEGER NOT NULL,
+  near_m REAL NOT NULL, PRIMARY KEY(object, number)) WITHOUT ROWID;
+CREATE TABLE submap(frame INTEGER PRIMARY KEY, keyframe INTEGER NOT NULL, stamp_ns INTEGER NOT NULL,
+  objects INTEGER NOT NULL, body BLOB NOT NULL);
+)";
+
+template <class T>
+std::string packed(const T& value) {
+  std::string bytes;
+  Json::to_cbor(to_archive(value), bytes);
+  return bytes;
+}
+
+SqliteStatement& operator<<(SqliteStatement& statement, const SE3& pose) {
+  for (int i = 0; i < 3; ++i) statement << pose.t(i);
+  for (int i = 0; i < 4; ++i) statement << pose.q.coeffs()(i);
+  return statement;
+}
+
+/// The bytes of numbers, to tell whether they have changed.
+template <class... Numbers>
+std::string bytes_of(const Numbers&... numbers) {
+  std::string bytes;
+  (bytes.append(reinterpret_cast<const char*>(&numbers), sizeof(numbers)), ...);
+  return bytes;
+}
+
+std::string bytes_of(const GraphKeyframe& keyframe) {
+  const KeyframePose& pose = keyframe.pose;
+  std::string bytes = bytes_of(pose.frame_id, pose.stamp_ns, pose.scale);
+  const auto append = [&bytes](const SE3& T) {
+    for (int i = 0; i < 3; ++i) bytes += bytes_of(T.t(i));
+    for (int i = 0; i < 4; ++i) bytes += bytes_of(T.q.coeffs()(i));
+  };
+  append(pose.T_map_camera);
+  if (keyframe.T_vertex_keyframe) append(*keyframe.T_vertex_keyframe);
+  return bytes;
+}
+
+}  // namespace
+
+void create_map_tables(SqliteFile* file) {
+  file->run("PRAGMA application_id = " + std::to_string(kMapApplicationId) +
+            "; PRAGMA user_version = " + std::to_string(kMapVersion));
+  file->run(kSchema);
+}
+
+MapTables::MapTables(SqliteFile* file, const ClassTable& classes) : file_(file), classes_(classes) {}
+
+bool MapTables::Mirror::take(std::int64_t key, std::string row) {
+  const auto found = rows.find(key);
+  const bool is_other = found == rows.end() || found->second != row;
+  next.emplace_hint(next.end(), key, std::move(row));
+  return is_other;
+}
+
+void MapTables::finish(const char* table, const char* key, Mirror* mirror) {
+  SqliteStatement remove(file_, std::string("DELETE FROM ") + table + " WHERE " + key + " = ?");
+  for (const auto& [number, row] : mirror->rows) {
+    if (mirror->next.count(number) == 0) (remove << number).run();
+  }
+  mirror->rows = std::exchange(mirror->next, {});
+}
+
+void MapTables::write_meta(const std::string& key, const std::string& value) {
+  (SqliteStatement(file_, "INSERT OR REPLACE INTO meta VALUES(?, ?)") << key << value).run();
+}
+
+void MapTables::name_class(int class_id) {
+  if (!named_.insert(class_id).second) return;
+  SqliteStatement insert(file_, "INSERT OR REPLACE INTO class VALUES(?, ?)");
+  (insert << static_cast<std::int64_t>(class_id) << classes_.name(class_id)).run();
+}
+
+void MapTables::write(const GraphState& graph) {
+  if (!has_graph_) file_->run("DELETE FROM keyframe; DELETE FROM edge; DELETE FROM loop; DELETE FROM session");
+  has_graph_ = true;
+  write_meta("next_frame", Json(graph.next_frame_id).dump());
+  write_meta("accepted_loops", Json(graph.accepted_loops).dump());
+  write_meta("noise", to_archive(graph.noise).dump());
+  write_meta("loose_factor", Json(graph.loose_factor).dump());
+  SqliteStatement sessions(file_, "INSERT OR REPLACE INTO session VALUES(?, ?, ?)");
+  for (const Session& session : graph.sessions) {
+    (sessions << session.first_keyframe_id << session.begin_ns << session.end_ns).run();
+  }
+  SqliteStatement keyframes(file_, "INSERT OR REPLACE INTO keyframe VALUES(?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?)");
+  for (const GraphKeyframe& keyframe : graph.keyframes) {
+    const KeyframePose& pose = keyframe.pose;
+    if (!keyframes_.take(pose.keyframe_id, bytes_of(keyframe))) continue;
+    keyframes << pose.keyframe_id << pose.frame_id << pose.stamp_ns << pose.T_map_camera << pose.scale;
+    if (keyframe.T_vertex_keyframe) keyframes.blob(packed(*keyframe.T_vertex_keyframe));
+    keyframes.run();
+  }
+  finish("keyframe", "id", &keyframes_);
+  SqliteStatement edges(file_, "INSERT OR REPLACE INTO edge VALUES(?, ?)");
+  for (std::size_t i = 0; i < graph.edges.size(); ++i) {
+    const std::string body = packed(graph.edges[i]);
+    if (edges_.take(static_cast<std::int64_t>(i), body)) (edges << static_cast<std::int64_t>(i)).blob(body).run();
+  }
+  finish("edge", "number", &edges_);
+  SqliteStatement loops(file_, "INSERT OR REPLACE INTO loop VALUES(?, ?, ?, ?, ?, ?)");
+  for (const RememberedLoop& loop : graph.loops) {
+    const LoopVerdict& told = loop.told;
+    const std::string body = packed(loop);
+    if (!loops_.take(told.number, body)) continue;
+    loops << told.number << told.query_keyframe_id << told.match_keyframe_id << static_cast<std::int64_t>(told.kept);
+    (loops << told.reason).blob(body).run();
+  }
+  finish("loop", "number", &loops_);
+}
+
+void MapTables::write(const Camera& camera) { write_meta("camera", to_archive(camera).dump()); }
+
+void MapTables::write(const LandmarkRecord& record, const std::vector<Observation>& observations, std::size_t first) {
+  const Landmark& state = record.state;
+  SqliteStatement insert(file_, "INSERT OR REPLACE INTO object VALUES(?, ?, ?, ?, ?, ?, ?, ?, ?)");
+  name_class(state.class_id);
+  insert << state.id << static_cast<std::int64_t>(state.class_id) << std::string(to_string(state.state));
+  insert << static_cast<std::int64_t>(state.observations) << state.quality;
+  for (int i = 0; i < 3; ++i) {
+    if (state.ellipsoid) {
+      insert << state.ellipsoid->center()(i);
+    } else {
+      insert << nullptr;
+    }
+  }
+  insert.blob(packed(record)).run();
+  auto number = static_cast<std::int64_t>(first);
+  (SqliteStatement(file_, "DELETE FROM observation WHERE object = ? AND number >= ?") << state.id << number).run();
+  SqliteStatement rows(file_,
+                       "INSERT INTO observation VALUES(?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?)");
+  for (const Observation& observation : observations) {
+    const BoxView& view = observation.view;
+    name_class(observation.class_id);
+    rows << state.id << number++ << observation.frame_id << observation.source_id << observation.keyframe_id;
+    rows << static_cast<std::int64_t>(observation.class_id) << view.T_world_camera;
+    rows << view.box.x1 << view.box.y1 << view.box.x2 << view.box.y2;
+    (rows << static_cast<std::int64_t>(view.truncated) << view.near_m).run();
+  }
+}
+
+void MapTables::write(const LocalMap& submap) {
+  for (const LocalObject& object : submap.objects) name_class(object.class_id);
+  for (const LocalFrame& frame : submap.frames) {
+    for (const ObservedBox& box : frame.boxes) name_class(box.class_id);
+  }
+  SqliteStatement insert(file_, "INSERT OR REPLACE INTO submap VALUES(?, ?, ?, ?, ?)");
+  insert << submap.frame_id << submap.keyframe_id << submap.stamp_ns;
+  (insert << static_cast<std::int64_t>(submap.objects.size())).blob(packed(submap)).run();
+}
+
+void MapTables::write(const MapDelta& delta) {
+  if (delta.graph) write(*delta.graph);
+  if (delta.objects) {
+    if (delta.objects->is_whole) file_->run("DELETE FROM object; DELETE FROM observation");
+    write(delta.objects->camera);
+    for (const char* sql : {"DELETE FROM object WHERE id = ?", "DELETE FROM observation WHERE object = ?"}) {
+      SqliteStatement remove(file_, sql);
+      for (const std::int64_t id : delta.objects->removed) (remove << id).run();
+    }
+    for (const LandmarkDelta& landmark : delta.objects->changed) {
+      write(landmark.record, landmark.observations, landmark.first);
+    }
+  }
+  if (!delta.submaps) return;
+  if (delta.submaps->is_whole) file_->run("DELETE FROM submap");
+  SqliteStatement forget(file_, "DELETE FROM submap WHERE frame = ?");
+  for (const std::int64_t frame_id : delta.submaps->forgotten) (forget << frame_id).run();
+  for (const LocalMap& submap : delta.submaps->added) write(submap);
+}
+
+}  // namespace semantic_topo_loop::core

@@ -1,0 +1,55 @@
+#pragma once
+
+#include <cstdint>
+#include <map>
+#include <set>
+#include <string>
+#include <vector>
+
+#include "io/sqlite_file.h"
+#include "pipeline/map_state.h"
+#include "semantic_topo_loop/types/class_table.h"
+
+namespace semantic_topo_loop::core {
+
+constexpr std::int64_t kMapApplicationId = 0x53544c6d;  ///< "STLm"
+constexpr std::int64_t kMapVersion = 1;
+
+/// Makes the empty tables of a map (docs/files.md).
+void create_map_tables(SqliteFile* file);
+
+/// Fills them, within a transaction of the caller's. Of the graph, which is given as a whole, only rows that are other
+/// than what this object wrote last are touched.
+class MapTables {
+ public:
+  /// @param file outlives this
+  MapTables(SqliteFile* file, const ClassTable& classes);
+
+  void write(const GraphState& graph);
+  void write(const Camera& camera);
+  /// @param first number of the first of the observations; what there is from it on is replaced
+  void write(const LandmarkRecord& record, const std::vector<Observation>& observations, std::size_t first);
+  void write(const LocalMap& submap);
+  void write(const MapDelta& delta);
+
+ private:
+  /// The rows of a table that is given as a whole.
+  struct Mirror {
+    std::map<std::int64_t, std::string> rows;  ///< what was written last, by key
+    std::map<std::int64_t, std::string> next;  ///< what is given now
+    /// @return whether the row is new or other
+    bool take(std::int64_t key, std::string row);
+  };
+  /// Removes the rows that were not given again.
+  void finish(const char* table, const char* key, Mirror* mirror);
+  void write_meta(const std::string& key, const std::string& value);
+  void name_class(int class_id);
+
+  SqliteFile* file_;
+  const ClassTable& classes_;
+  bool has_graph_ = false;  ///< what the tables hold of it is what this object wrote
+  Mirror keyframes_, edges_, loops_;
+  std::set<int> named_;  ///< classes that are in the table
+};
+
+}  // namespace semantic_topo_loop::core

@@ -1,0 +1,214 @@
+#include "semantic_topo_loop/io/map_database.h"
+
+#include <gtest/gtest.h>
+#include <sys/mman.h>
+#include <sys/resource.h>
+#include <sys/wait.h>
+#include <unistd.h>
+
+#include <atomic>
+#include <chrono>
+#include <csignal>
+#include <memory>
+#include <random>
+#include <sstream>
+#include <string>
+#include <thread>
+#include <utility>
+
+#include "pipeline/map_state.h"
+#include "semantic_topo_loop/io/map_file.h"
+#include "support/package_config.h"
+#include "support/simulated_run.h"
+#include "support/test_files.h"
+
+namespace semantic_topo_loop::core {
+namespace {
+
+using testing::ChainRun;
+
+/// Laps round a desk with enough drift for corrections that move everything, and for merges.
+const SimulatedSequence& laps() {
+  static const SimulatedSequence sequence = [] {
+    SimulationOptions options;
+    options.trajectory.duration_s = 60.0;
+    options.trajectory.lap_s = 20.0;
+    options.trajectory.rate_hz = 10.0;
+    options.drift.position_m = 0.6;
+    options.drift.rotation_deg = 10.0;
+    return checked(simulate(options, camera_fr2(), coco()));
+  }();
+  return sequence;
+}
+
+/// Every row but those of the names of classes, which stay when an object goes.
+std::string rows_of(const std::string& path) {
+  std::ostringstream text;
+  EXPECT_EQ(dump_map(path, text).message(), "");
+  std::istringstream lines(text.str());
+  std::string rows;
+  for (std::string line; std::getline(lines, line);) {
+    if (line.rfind("class ", 0) != 0) rows += line + '\n';
+  }
+  return rows;
+}
+
+void wait_for(const MapDatabase& database) {
+  while (database.is_behind() && database.problem()) std::this_thread::sleep_for(std::chrono::microseconds(100));
+}
+
+/// Runs to image `end`, and tells the database once a second.
+void run_to(std::size_t end, ChainRun* run, SavePoints* save_points, MapDatabase* database) {
+  while (run->done() < end) {
+    const std::int64_t stamp_ns = run->next();
+    if (save_points->is_due(stamp_ns)) database->write(run->slam().take_delta());
+  }
+}
+
+class MapDatabaseTest : public ::testing::Test {
+ protected:
+  TestDirectory directory_;
+  const std::string path_ = directory_.path("map.db");
+};
+
+TEST_F(MapDatabaseTest, WhatIsWrittenBitByBitIsTheWholeMap) {
+  ChainRun run(laps(), shared_coco());
+  SavePoints save_points;
+  MapDatabase database(path_, shared_coco());
+  const auto expect_whole = [&](const std::string& written, const char* when) {
+    const std::string whole = directory_.path("whole.db");
+    ASSERT_EQ(write_map(whole, *run.slam().map(), *shared_coco()).message(), "");
+    EXPECT_TRUE(rows_of(written) == rows_of(whole)) << when;
+  };
+  run_to(250, &run, &save_points, &database);
+  database.write(run.slam().take_delta());
+  wait_for(database);
+  expect_whole(path_, "while it grows");
+
+  const std::string copy = directory_.path("copy.db");
+  const MapCounts counts = checked(database.copy_to(copy));
+  expect_whole(copy, "a copy");
+  EXPECT_EQ(counts.sessions, 1);
+  EXPECT_GT(counts.keyframes, 50);
+  EXPECT_GT(counts.submaps, 3);
+  EXPECT_EQ(checked(read_map(copy, *shared_coco()))->submaps.size(), static_cast<std::size_t>(counts.submaps));
+
+  run_to(laps().odometry.size(), &run, &save_points, &database);
+  run.end();
+  database.write(run.slam().take_delta());
+  EXPECT_EQ(database.close().message(), "");
+  expect_whole(path_, "at the end");
+  EXPECT_GT(run.corrections(), 3) << "of the whole map, or nothing was rewritten";
+  EXPECT_GT(run.merges(), 0);
+  EXPECT_FALSE(std::filesystem::exists(path_ + "-wal")) << "it is one file then";
+}
+
+TEST_F(MapDatabaseTest, KilledAtAnyMomentTheLastSecondIsLostAtMost) {
+  // Of the last frame that was through when the program went, in memory that outlives it.
+  auto* last_ns = static_cast<std::atomic<std::int64_t>*>(
+      ::mmap(nullptr, sizeof(std::atomic<std::int64_t>), PROT_READ | PROT_WRITE, MAP_SHARED | MAP_ANONYMOUS, -1, 0));
+  ASSERT_NE(static_cast<void*>(last_ns), MAP_FAILED);
+  std::mt19937 random(7);
+  std::uniform_int_distribution<int> images(40, 590);
+  std::uniform_int_distribution<int> instant_us(0, 20'000);
+  const SimulatedSequence& sequence = laps();
+  for (int i = 0; i < 12; ++i) {
+    const auto end = static_cast<std::size_t>(images(random));
+    last_ns->store(0);
+    const pid_t child = ::fork();
+    ASSERT_GE(child, 0);
+    if (child == 0) {
+      ChainRun run(sequence, shared_coco());
+      SavePoints save_points;
+      MapDatabase database(path_, shared_coco());
+      for (;;) {
+        const std::int64_t stamp_ns = run.next();
+        if (save_points.is_due(stamp_ns)) {
+          wait_for(database);  // it has a second on a robot
+          database.write(run.slam().take_delta());
+        }
+        last_ns->store(stamp_ns);
+        if (run.done() == sequence.odometry.size()) ::_exit(0);
+      }
+    }
+    while (last_ns->load() < sequence.odometry[end].stamp_ns) std::this_thread::yield();
+    std::this_thread::sleep_for(std::chrono::microseconds(instant_us(random)));
+    ::kill(child, SIGKILL);
+    ::waitpid(child, nullptr, 0);
+
+    const auto map = read_map(path_, *shared_coco());
+    ASSERT_TRUE(map) << map.message();
+    const double lost_s = 1e-9 * static_cast<double>(last_ns->load() - (*map)->graph.sessions.back().end_ns);
+    EXPECT_LE(lost_s, 2.0 + 0.1) << "a second, and what was being written";
+    ChainRun next(sequence, shared_coco(), SE3(), *map);
+    for (int frame = 0; frame < 20; ++frame) next.next();
+    EXPECT_EQ(next.slam().map()->graph.sessions.size(), 2U) << "the run goes on";
+  }
+  ::munmap(last_ns, sizeof(*last_ns));
+}
+
+TEST_F(MapDatabaseTest, OneProgramWritesAtATime) {
+  ChainRun run(laps(), shared_coco());
+  for (int i = 0; i < 20; ++i) run.next();
+  {
+    MapDatabase first(path_, shared_coco());
+    first.write(run.slam().take_delta());
+    run.next();
+    first.write(run.slam().take_delta());
+    wait_for(first);
+    ASSERT_EQ(first.problem().message(), "");
+    const std::string busy = path_ + ": is being written by another program";
+    EXPECT_EQ(check_map_place(path_).message(), busy);
+    ChainRun other(laps(), shared_coco());
+    other.next();
+    MapDatabase second(path_, shared_coco());
+    second.write(other.slam().take_delta());
+    EXPECT_EQ(second.close().message(), busy);
+  }
+  EXPECT_EQ(checked(read_map(path_, *shared_coco()))->graph.keyframes.size(), run.slam().map()->graph.keyframes.size());
+  EXPECT_EQ(check_map_place(path_).message(), "");
+}
+
+TEST_F(MapDatabaseTest, WhatIsNoMapStaysAsItIs) {
+  ChainRun run(laps(), shared_coco());
+  run.next();
+  const std::string path = directory_.write("notes.txt", std::string(1000, 'x'));
+  MapDatabase database(path, shared_coco());
+  database.write(run.slam().take_delta());
+  EXPECT_NE(database.close().message().find("notes.txt: file is not a database"), std::string::npos);
+  EXPECT_EQ(read_whole(path), std::string(1000, 'x'));
+}
+
+TEST_F(MapDatabaseTest, WhatAFullDiskRefusesIsWrittenOnceThereIsRoom) {
+  const pid_t child = ::fork();  // a limit of the whole process
+  ASSERT_GE(child, 0);
+  if (child == 0) {
+    ::signal(SIGXFSZ, SIG_IGN);
+    ChainRun run(laps(), shared_coco());
+    SavePoints save_points;
+    MapDatabase database(path_, shared_coco());
+    run_to(100, &run, &save_points, &database);
+    wait_for(database);
+    rlimit limit{};
+    ::getrlimit(RLIMIT_FSIZE, &limit);
+    limit.rlim_cur = 100'000;
+    ::setrlimit(RLIMIT_FSIZE, &limit);
+    run_to(300, &run, &save_points, &database);
+    wait_for(database);
+    if (database.problem().message().find(path_ + ": ") != 0) ::_exit(1);
+    limit.rlim_cur = limit.rlim_max;
+    ::setrlimit(RLIMIT_FSIZE, &limit);
+    run_to(350, &run, &save_points, &database);
+    database.write(run.slam().take_delta());
+    if (!database.close()) ::_exit(2);
+    if (!write_map(directory_.path("whole.db"), *run.slam().map(), *shared_coco())) ::_exit(3);
+    ::_exit(rows_of(path_) == rows_of(directory_.path("whole.db")) ? 0 : 4);
+  }
+  int status = 0;
+  ::waitpid(child, &status, 0);
+  ASSERT_TRUE(WIFEXITED(status));
+  EXPECT_EQ(WEXITSTATUS(status), 0);
+}
+
+}  // namespace
+}  // namespace semantic_topo_loop::core
