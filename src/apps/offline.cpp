@@ -425,7 +425,7 @@ Status run_once(const Arguments& arguments, const RunInputs& inputs, RunRecorder
     if (*detections != nullptr) ++counts.with_detections;
     point_map.add(*frame);
     take(*frame, slam.process(*frame, *detections, extra_loops.at(*frame)));
-    if (database && save_points.is_due(frame->stamp_ns) && !database->is_behind()) database->write(slam.take_delta());
+    if (database && save_points.is_due(frame->stamp_ns) && !database->is_behind()) database->write({slam.take_delta()});
     if (counts.frames++ == 0) counts.first_ns = frame->stamp_ns;
     counts.last_ns = frame->stamp_ns;
     show_progress(source.done, source.total, &shown_percent);
@@ -441,7 +441,7 @@ Status run_once(const Arguments& arguments, const RunInputs& inputs, RunRecorder
     if (const Status written = write_point_cloud(arguments.points, point_map.points()); !written) return written;
   }
   if (database) {
-    database->write(slam.take_delta());
+    database->write({slam.take_delta()});
     if (const Status written = database->close(); !written) return written;
   }
 

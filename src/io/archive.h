@@ -229,4 +229,14 @@ void from_archive(const JsonField& field, T* value) {
   archive::Codec<T>::read(field, value);
 }
 
+/// @param bytes a string or a vector of them   @return discarded if they are no CBOR
+template <class Bytes>
+Json from_cbor(const Bytes& bytes) {
+  try {
+    return Json::from_cbor(bytes);
+  } catch (const Json::exception&) {  // some it throws whether or not it may
+    return Json(Json::value_t::discarded);
+  }
+}
+
 }  // namespace semantic_topo_loop::core

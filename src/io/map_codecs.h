@@ -21,6 +21,10 @@ template <>
 inline constexpr bool is_row<SubmapView> = true;
 template <>
 inline constexpr bool is_row<Surfel> = true;
+template <>
+inline constexpr bool is_row<KeyframePose> = true;
+template <>
+inline constexpr bool is_row<GraphKeyframe> = true;
 
 template <>
 struct Codec<LandmarkState> {
@@ -117,6 +121,16 @@ VISIT_MEMBERS(Surfel, MEMBER(position) MEMBER(normal))
 VISIT_MEMBERS(LocalMap, MEMBER(keyframe_id) MEMBER(frame_id) MEMBER(stamp_ns) MEMBER(begin_frame) MEMBER(end_frame)
                             MEMBER(end_ns) MEMBER(span_s) MEMBER(drift_rad_s) MEMBER(up) MEMBER(frames)
                                 MEMBER(check_frames) MEMBER(objects) MEMBER(surfels))
+
+VISIT_MEMBERS(KeyframePose, MEMBER(keyframe_id) MEMBER(frame_id) MEMBER(stamp_ns) MEMBER(T_map_camera) MEMBER(scale))
+VISIT_MEMBERS(GraphKeyframe, MEMBER(pose) MEMBER(T_vertex_keyframe))
+VISIT_MEMBERS(Session, MEMBER(first_keyframe_id) MEMBER(begin_ns) MEMBER(end_ns))
+VISIT_MEMBERS(GraphState, MEMBER(sessions) MEMBER(next_frame_id) MEMBER(keyframes) MEMBER(edges) MEMBER(loops)
+                              MEMBER(accepted_loops) MEMBER(noise) MEMBER(loose_factor))
+VISIT_MEMBERS(LandmarkDelta, MEMBER(record) MEMBER(first) MEMBER(observations))
+VISIT_MEMBERS(MapperDelta, MEMBER(is_whole) MEMBER(camera) MEMBER(changed) MEMBER(removed))
+VISIT_MEMBERS(SubmapDelta, MEMBER(is_whole) MEMBER(added) MEMBER(forgotten))
+VISIT_MEMBERS(MapDelta, MEMBER(graph) MEMBER(objects) MEMBER(submaps))
 
 #undef MEMBER
 #undef VISIT_MEMBERS

@@ -28,8 +28,8 @@ class OpenMap {
       : file_(path, SqliteFile::Mode::kWrite), tables_(&file_, classes) {
     file_.run("PRAGMA journal_mode = WAL; PRAGMA synchronous = NORMAL; BEGIN IMMEDIATE");
   }
-  Status write(const MapDelta& delta) {
-    tables_.write(delta);
+  Status write(const MapDatabase::Parts& parts) {
+    for (const auto& part : parts) tables_.write(*part);
     file_.run("COMMIT; BEGIN IMMEDIATE");
     return status_of(file_);
   }
@@ -61,13 +61,9 @@ class MapDatabase::Impl {
   Impl(std::string path, std::shared_ptr<const ClassTable> classes)
       : path_(std::move(path)), classes_(std::move(classes)), thread_([this] { run(); }) {}
 
-  void write(MapDelta delta) {
+  void write(Parts parts) {
     const std::lock_guard<std::mutex> lock(mutex_);
-    if (delta.graph) {
-      // This one is newer, and whole; but what makes the file needs one.
-      for (std::size_t i = is_made_ ? 0 : 1; i < waiting_.size(); ++i) waiting_[i].graph.reset();
-    }
-    waiting_.push_back(std::move(delta));
+    waiting_.push_back(std::move(parts));
     wake_.notify_one();
   }
 
@@ -114,18 +110,18 @@ class MapDatabase::Impl {
     for (;;) {
       wake_.wait(lock, [this] { return is_closed_ || !waiting_.empty(); });
       if (waiting_.empty()) break;
-      MapDelta delta = std::move(waiting_.front());
+      Parts parts = std::move(waiting_.front());
       waiting_.pop_front();
       is_writing_ = true;
       const bool is_first = !is_made_;
       lock.unlock();
-      const Status written = write_now(delta, is_first);
+      const Status written = write_now(parts, is_first);
       lock.lock();
       is_writing_ = false;
       problem_ = written;
       is_made_ = is_made_ || written;
       if (written) continue;
-      waiting_.push_front(std::move(delta));
+      waiting_.push_front(std::move(parts));
       if (is_closed_) return;
       wake_.wait_for(lock, kRetry, [this] { return is_closed_; });
     }
@@ -137,22 +133,23 @@ class MapDatabase::Impl {
     problem_ = closed;
   }
 
-  Status write_now(const MapDelta& delta, bool is_first) {
-    if (is_first) return make(delta);
+  Status write_now(const Parts& parts, bool is_first) {
+    if (is_first) return make(parts);
     if (!map_) map_.emplace(path_, *classes_);
-    const Status written = map_->write(delta);
+    const Status written = map_->write(parts);
     if (!written) map_.reset();  // what was begun is undone
     return written;
   }
 
   /// The file with all there is: later ones change rows of it.
-  Status make(const MapDelta& whole) {
+  Status make(const Parts& whole) {
     if (const Status place = check_map_place(path_); !place) return place;
     return replace_file(path_, [&](const std::string& temporary) -> Status {
       SqliteFile file(temporary, SqliteFile::Mode::kWrite);
       file.run("PRAGMA journal_mode = OFF; PRAGMA synchronous = OFF; BEGIN");
       create_map_tables(&file);
-      MapTables(&file, *classes_).write(whole);
+      MapTables tables(&file, *classes_);
+      for (const auto& part : whole) tables.write(*part);
       file.run("COMMIT");
       return status_of(file);
     });
@@ -162,7 +159,7 @@ class MapDatabase::Impl {
   const std::shared_ptr<const ClassTable> classes_;
   mutable std::mutex mutex_;  ///< guards all below but map_, which is the thread's alone
   std::condition_variable wake_;
-  std::deque<MapDelta> waiting_;
+  std::deque<Parts> waiting_;
   Status problem_;
   bool is_writing_ = false, is_closed_ = false;
   bool is_made_ = false;  ///< the file is this one's
@@ -173,7 +170,7 @@ class MapDatabase::Impl {
 MapDatabase::MapDatabase(std::string path, std::shared_ptr<const ClassTable> classes)
     : impl_(std::make_unique<Impl>(std::move(path), std::move(classes))) {}
 MapDatabase::~MapDatabase() { static_cast<void>(close()); }
-void MapDatabase::write(MapDelta delta) { impl_->write(std::move(delta)); }
+void MapDatabase::write(Parts parts) { impl_->write(std::move(parts)); }
 bool MapDatabase::is_behind() const { return impl_->is_behind(); }
 Status MapDatabase::close() { return impl_->close(); }
 Status MapDatabase::problem() const { return impl_->problem(); }

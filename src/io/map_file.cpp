@@ -12,15 +12,6 @@
 namespace semantic_topo_loop::core {
 namespace {
 
-/// @return discarded if it is none
-Json from_cbor(const std::string& bytes) {
-  try {
-    return Json::from_cbor(bytes);
-  } catch (const Json::exception&) {  // some it throws whether or not it may
-    return Json(Json::value_t::discarded);
-  }
-}
-
 /// The text of JSON or the bytes of CBOR into a value. @param place of it, for messages
 template <class T>
 void unpack(SqliteFile* file, const std::string& place, const Json& json, T* value) {

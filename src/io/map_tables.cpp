@@ -194,4 +194,15 @@ void MapTables::write(const MapDelta& delta) {
   for (const LocalMap& submap : delta.submaps->added) write(submap);
 }
 
+std::vector<std::uint8_t> pack(const MapDelta& delta) { return Json::to_cbor(to_archive(delta)); }
+
+std::shared_ptr<const MapDelta> unpack_map_delta(const std::vector<std::uint8_t>& bytes) {
+  const Json json = from_cbor(bytes);
+  if (json.is_discarded()) return nullptr;
+  std::string problem;
+  auto delta = std::make_shared<MapDelta>();
+  from_archive(JsonField(json, "part of a map", &problem, false), delta.get());
+  return problem.empty() ? delta : nullptr;
+}
+
 }  // namespace semantic_topo_loop::core

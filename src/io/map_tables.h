@@ -2,6 +2,7 @@
 
 #include <cstdint>
 #include <map>
+#include <memory>
 #include <set>
 #include <string>
 #include <vector>
@@ -51,5 +52,10 @@ class MapTables {
   Mirror keyframes_, edges_, loops_;
   std::set<int> named_;  ///< classes that are in the table
 };
+
+/// A delta as bytes (CBOR), to be sent to another process, without the labels of submaps' objects.
+std::vector<std::uint8_t> pack(const MapDelta& delta);
+/// @return null if the bytes are none
+std::shared_ptr<const MapDelta> unpack_map_delta(const std::vector<std::uint8_t>& bytes);
 
 }  // namespace semantic_topo_loop::core

@@ -112,7 +112,7 @@ struct LoopDetector::Impl {
         }
       }
     }
-    graph_.store(std::move(*map));
+    if (!is_fixed_) graph_.store(std::move(*map));
     return loops;
   }
 
@@ -298,6 +298,7 @@ struct LoopDetector::Impl {
   Relocaliser relocaliser_;
   PairRecord record_{kRecordCapacity};
   std::map<std::int64_t, KeyframeTime> keyframes_;
+  bool is_fixed_ = false;
   std::set<std::int64_t> told_submaps_;  ///< frame_ids of those that take_delta told of
 };
 
@@ -339,6 +340,7 @@ std::vector<LoopClosure> LoopDetector::detect(const std::vector<LocalMap>& queri
   return loops;
 }
 std::optional<Relocalisation> LoopDetector::relocalisation() const { return impl_->relocaliser_.estimate(); }
+void LoopDetector::set_fixed(bool fixed) { impl_->is_fixed_ = fixed; }
 SubmapDelta LoopDetector::take_delta(bool whole) { return impl_->take_delta(whole); }
 std::vector<LocalMap> LoopDetector::submaps() const {
   std::vector<LocalMap> submaps;

@@ -44,9 +44,9 @@ struct QuadricMapper::Impl {
     } else {
       take_camera(frame.camera);
       add_keyframe(frame);
-      if (!associations.unanswered) look(frame, associations);
+      if (!associations.unanswered && !is_fixed_) look(frame, associations);
       fit_due_landmarks();
-      if (1e-9 * static_cast<double>(frame.stamp_ns - last_maintenance_ns_) >= options_.maintenance_interval_s) {
+      if (!is_fixed_ && 1e-9 * static_cast<double>(frame.stamp_ns - last_maintenance_ns_) >= options_.maintenance_interval_s) {
         last_maintenance_ns_ = frame.stamp_ns;
         merge_duplicates(&update);
         forget_stale_candidates(frame.stamp_ns, &update);
@@ -480,6 +480,7 @@ struct QuadricMapper::Impl {
   DuplicateTest duplicates_;
   std::optional<std::int64_t> last_stamp_ns_;  ///< of the answer before
   std::int64_t last_maintenance_ns_ = 0;
+  bool is_fixed_ = false;
   double step_s_ = 0.0;  ///< the time that this answer stands for
   /// Of a landmark that take_delta told of: how many of its observations, and whether they, or anything, is other now.
   struct Told {
@@ -512,6 +513,11 @@ std::vector<Landmark> QuadricMapper::landmarks() const {
   for (const auto& [id, landmark] : impl_->landmarks_) landmarks.push_back(landmark.state);
   return landmarks;
 }
+std::optional<std::int64_t> QuadricMapper::last_seen_ns(std::int64_t landmark_id) const {
+  const auto found = impl_->landmarks_.find(landmark_id);
+  return found == impl_->landmarks_.end() ? std::nullopt : std::optional(found->second.last_stamp_ns);
+}
+void QuadricMapper::set_fixed(bool fixed) { impl_->is_fixed_ = fixed; }
 std::uint64_t QuadricMapper::map_version() const { return impl_->map_version_; }
 const SE3& QuadricMapper::T_map_odom() const { return impl_->T_map_odom_; }
 

@@ -9,6 +9,7 @@
 
 #include "pipeline/map_state.h"
 #include "ros/frame_joiner.h"
+#include "ros/map_part_sender.h"
 #include "ros/stage.h"
 #include "semantic_topo_loop/WhyLoop.h"
 #include "semantic_topo_loop/io/map_file.h"
@@ -30,24 +31,15 @@ class LoopDetectionNodelet : public StageWith<LoopDetectionParameters> {
 
   void onInit() override {
     if (!start(2)) return;
-    if (!load_earlier_map()) return;
     joiner_ = std::make_unique<Joiner>(queue_capacity());
     publisher_ = advertise<LoopsMessage>("loop_closures");
     for (const char* counter : {kIncomplete, kAccepted}) statistics().count(counter, 0);
     reset_session();
     serve("set_loop_closing", &LoopDetectionNodelet::on_switch);
     serve("why_loop", &LoopDetectionNodelet::on_why);
-    serve_trigger("save_map", [this] {
-      const core::Error nowhere{"parameter 'save_map_file' is empty: there is no place for the submaps"};
-      return parameters_.save_map_file.empty() ? nowhere : save();
-    });
-    if (!parameters_.map_file.empty()) {
-      relocalisation_publisher_ = advertise<geometry_msgs::TransformStamped>("earlier_map_from_odom", true);
-    }
-    if (!parameters_.save_map_file.empty()) {
-      subscribe("map_corrections", Keep::kAlways, &LoopDetectionNodelet::on_correction);
-      save_at_end([this] { report_written("submaps", save()); });
-    }
+    relocalisation_publisher_ = advertise<geometry_msgs::TransformStamped>("earlier_map_from_odom", true);
+    map_parts_.open(getNodeHandle(), queue_capacity());
+    subscribe("map_corrections", Keep::kAlways, &LoopDetectionNodelet::on_correction);
     subscribe("quadric_map_updates", Keep::kAlways, &LoopDetectionNodelet::on_update);
     subscribe("associations", Keep::kDroppable, &LoopDetectionNodelet::on_associations);
     subscribe("frames", Keep::kDroppable, &LoopDetectionNodelet::on_frame);
@@ -59,23 +51,30 @@ class LoopDetectionNodelet : public StageWith<LoopDetectionParameters> {
     const std::lock_guard<std::mutex> lock(mutex_);
     detector_ = std::make_unique<core::LoopDetector>(options_.loop, classes());
     if (enabled_) detector_->set_enabled(*enabled_);
-    if (!earlier_map_.empty()) detector_->set_earlier_map(earlier_map_);
-    keyframes_.clear();
-    T_map_odom_ = core::SE3();
-    end_frame_id_ = -1;
+    map_parts_.reset_session();
+    take_map();
   }
 
-  /// @return false after fail()
-  bool load_earlier_map() {
-    if (parameters_.map_file.empty()) return true;
+  void take_map() {
+    const std::string& file = session().map_file;
+    if (file.empty()) return;
     if (options_.loop.mode != "graph") {
-      return fail("parameter 'map_file' = '" + parameters_.map_file + "' needs loop/mode graph");
+      fail("a session that goes on with the map '" + file + "' needs loop/mode graph");
+      return;
     }
-    const auto map = core::read_map(parameters_.map_file, *classes());
-    if (!map) return fail(map.message());
-    earlier_map_ = (*map)->submaps_in_unit();
-    if (earlier_map_.empty()) return fail(parameters_.map_file + ": holds no place to be found at");
-    return true;
+    const auto map = core::read_map(file, *classes());
+    if (!map) {
+      fail(map.message());
+      return;
+    }
+    if (session().frozen) return detector_->set_earlier_map((*map)->submaps_in_unit());
+    detector_->restore((*map)->submaps, (*map)->keyframe_poses());
+    detector_->apply(core::objects_of(**map, options_, classes()));
+  }
+
+  void set_localization(bool localization) override {
+    const std::lock_guard<std::mutex> lock(mutex_);
+    detector_->set_fixed(localization);
   }
 
   bool on_switch(std_srvs::SetBool::Request& request, std_srvs::SetBool::Response& response) {
@@ -90,30 +89,10 @@ class LoopDetectionNodelet : public StageWith<LoopDetectionParameters> {
     return true;
   }
 
-  /// @return absolute path of the file
-  core::Result<std::string> save() {
-    core::MapState map;  // of the submaps alone
-    {
-      const std::lock_guard<std::mutex> lock(mutex_);
-      map.submaps = detector_->submaps();
-      std::vector<core::KeyframePose> keyframes;
-      for (const auto& [id, pose] : keyframes_) keyframes.push_back(pose);
-      core::move_to_map(keyframes, T_map_odom_, &map.submaps);
-      core::rescale(keyframes, &map.submaps);
-      set_unsaved(false);
-    }
-    return write_to(parameters_.save_map_file,
-                    [&](const std::string& file) { return core::write_map(file, map, *classes()); });
-  }
-
   void on_correction(const CorrectionMessage::ConstPtr& message) {
-    {
-      const std::lock_guard<std::mutex> lock(mutex_);
-      T_map_odom_ = message->T_map_odom;
-      for (const core::KeyframePose& pose : message->keyframes) keyframes_[pose.keyframe_id] = pose;
-      set_unsaved(true);
-    }
-    if (message->frame_id == end_frame_id_) report_written("submaps", save());
+    const std::lock_guard<std::mutex> lock(mutex_);
+    map_parts_.follow(message->header, session_id(), message->frame_id,
+                      [this](bool whole, core::MapDelta* delta) { delta->submaps = detector_->take_delta(whole); });
   }
 
   /// Answers at once, between two frames: asking changes nothing, and waits for one frame's detection at most.
@@ -128,7 +107,7 @@ class LoopDetectionNodelet : public StageWith<LoopDetectionParameters> {
   }
 
   void on_frame(const FrameMessage::ConstPtr& frame) {
-    if (frame->is_end) end_frame_id_ = frame->frame_id;
+    if (frame->is_end) map_parts_.set_end(frame->frame_id);
     detect(joiner_->add<0>(frame->frame_id, frame));
   }
 
@@ -182,14 +161,11 @@ class LoopDetectionNodelet : public StageWith<LoopDetectionParameters> {
   }
 
   std::optional<bool> enabled_;  ///< as set by the service; none: as configured
-  std::vector<core::LocalMap> earlier_map_;
   ros::Publisher publisher_, relocalisation_publisher_;
   std::unique_ptr<Joiner> joiner_;
-  std::int64_t end_frame_id_ = -1;  ///< of the session's END frame, once it came
-  std::mutex mutex_;                ///< guards all below, which the worker feeds, and ~why_loop and ~save_map ask
+  MapPartSender map_parts_{MapPart::STAGE_LOOP_DETECTION};
+  std::mutex mutex_;  ///< guards the detector, which the worker feeds, and ~why_loop asks
   std::unique_ptr<core::LoopDetector> detector_;
-  std::map<std::int64_t, core::KeyframePose> keyframes_;  ///< as last solved, by keyframe_id
-  core::SE3 T_map_odom_;
 };
 
 }  // namespace semantic_topo_loop

@@ -2,10 +2,12 @@
 #include <memory>
 #include <pluginlib/class_list_macros.hpp>
 
+#include "pipeline/map_state.h"
 #include "ros/frame_joiner.h"
 #include "ros/map_view.h"
 #include "ros/stage.h"
 #include "semantic_topo_loop/association/object_associator.h"
+#include "semantic_topo_loop/pipeline/object_slam.h"
 
 namespace semantic_topo_loop {
 
@@ -44,11 +46,18 @@ class ObjectAssociationNodelet : public StageWith<ClassStageParameters> {
     joiner_->clear();
     open_.clear();
     has_frames_ = false;
+    first_frame_id_ = 0;
+    core::MapParts parts;
+    parts.submaps = false;
+    const auto map = session_map(parts);
+    if (!map) return;
+    first_frame_id_ = map->graph.next_frame_id;
+    take_over(follower_.follow(core::objects_of(*map, options_, classes())));
   }
 
   void on_frame(const FrameMessage::ConstPtr& frame) {
     open_[frame->frame_id] = {frame->header.stamp, frame->is_end, false};
-    if (!has_frames_ && frame->frame_id > 0) {
+    if (!has_frames_ && frame->frame_id > first_frame_id_) {
       follower_.join_late();  // landmark ids may have been given out before this nodelet was loaded
       take_over({});
     }
@@ -108,6 +117,7 @@ class ObjectAssociationNodelet : public StageWith<ClassStageParameters> {
   MapFollower follower_;
   std::map<std::int64_t, Open> open_;  ///< by frame_id
   bool has_frames_ = false;            ///< of this session
+  std::int64_t first_frame_id_ = 0;    ///< of this session
 };
 
 }  // namespace semantic_topo_loop

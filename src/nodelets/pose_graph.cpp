@@ -4,9 +4,7 @@
 #include <tf2_ros/transform_broadcaster.h>
 
 #include <algorithm>
-#include <chrono>
 #include <cmath>
-#include <future>
 #include <memory>
 #include <mutex>
 #include <optional>
@@ -15,9 +13,14 @@
 #include <utility>
 #include <vector>
 
+#include "pipeline/map_state.h"
 #include "ros/frame_joiner.h"
+#include "ros/map_part_sender.h"
 #include "ros/stage.h"
+#include "semantic_topo_loop/SaveTrajectory.h"
 #include "semantic_topo_loop/WithdrawLoop.h"
+#include "semantic_topo_loop/io/tum_trajectory.h"
+#include "semantic_topo_loop/pipeline/object_slam.h"
 
 namespace semantic_topo_loop {
 namespace {
@@ -107,7 +110,9 @@ class PoseGraphNodelet : public StageWith<PoseGraphParameters> {
       keep_timer(
           1.0 / parameters_.tf_rate_hz, [this] { tf_sender_->send(); }, &tf_thread_);
     }
+    map_parts_.open(getNodeHandle(), queue_capacity());
     serve("withdraw_loop", &PoseGraphNodelet::on_withdraw);
+    serve("save_trajectory", &PoseGraphNodelet::on_save_trajectory);
     subscribe("loop_closures", Keep::kAlways, &PoseGraphNodelet::on_loops);
     if (has_objects()) {
       subscribe("associations", Keep::kAlways, &PoseGraphNodelet::on_associations);
@@ -124,25 +129,52 @@ class PoseGraphNodelet : public StageWith<PoseGraphParameters> {
     late_loops_.clear();
     odometry_keyframes_.clear();
     last_frame_.reset();
+    map_parts_.reset_session();
+    restored_keyframes_ = 0;
+    is_joined_ = false;
     if (tf_sender_) tf_sender_->reset();
+    core::MapParts parts;
+    parts.objects = has_objects();
+    parts.submaps = false;
+    const auto map = session_map(parts);
+    if (!map) return;
+    graph_->restore(map->graph, core::place_beside(*map));
+    graph_->apply(core::objects_of(*map, options_, classes()));
+    restored_keyframes_ = map->graph.next_keyframe_id();
+  }
+
+  bool on_save_trajectory(SaveTrajectory::Request& request, SaveTrajectory::Response& response) {
+    const core::Result<std::string> place = path_below(parameters_.save_dir, request.path, parameters_.allow_any_path);
+    const auto poses = ask("save_trajectory", [this] { return trajectory(); });
+    const auto write = [&poses](const std::string& path) -> core::Status {
+      return poses ? core::write_tum_trajectory(path, *poses) : core::Error{"the pose graph is busy: ask again"};
+    };
+    answer(place ? write_to(*place, write) : place, &response);
+    return true;
+  }
+
+  /// The keyframes of this session.
+  core::StampedPoses trajectory() const {
+    core::StampedPoses poses;
+    for (const core::KeyframePose& keyframe : graph_->keyframes()) {
+      if (keyframe.keyframe_id >= restored_keyframes_) poses.push_back({keyframe.stamp_ns, keyframe.T_map_camera});
+    }
+    return poses;
   }
 
   /// Asks the worker, which owns the graph, and waits for its answer.
   bool on_withdraw(WithdrawLoop::Request& request, WithdrawLoop::Response& response) {
-    const auto answer = std::make_shared<std::promise<bool>>();
-    std::future<bool> is_found = answer->get_future();
-    push("withdraw_loop", Keep::kAlways,
-         [this, answer, query = request.query_keyframe_id, match = request.match_keyframe_id] {
-           answer->set_value(graph_->withdraw(query, match));
-         });
-    constexpr std::chrono::seconds kPatience(2);  // some solves of a large graph
-    if (is_found.wait_for(kPatience) != std::future_status::ready) {
+    const auto is_found =
+        ask("withdraw_loop", [this, query = request.query_keyframe_id, match = request.match_keyframe_id] {
+          return graph_->withdraw(query, match);
+        });
+    if (!is_found) {
       response.message = "the pose graph is busy; the loop is withdrawn when it comes to it";
       return true;
     }
     const std::string name =
         std::to_string(request.query_keyframe_id) + " and " + std::to_string(request.match_keyframe_id);
-    response.success = is_found.get();
+    response.success = *is_found;
     response.message = response.success ? "the loop of keyframes " + name + " is out from the next frame"
                                         : "there is no accepted loop of keyframes " + name;
     return true;
@@ -190,6 +222,7 @@ class PoseGraphNodelet : public StageWith<PoseGraphParameters> {
     std::vector<core::LoopClosure> loops = std::exchange(late_loops_, {});
     loops.insert(loops.end(), frame_loops.begin(), frame_loops.end());
     core::MapCorrection correction = graph_->process(frame, loops);
+    announce_joining(correction);
     if (tf_sender_) tf_sender_->update(graph_->T_map_odom(), session_id());
     publish<CorrectionMessage>(correction_publisher_, make_header(frame.header.stamp, parameters_.map_frame),
                                std::move(correction));
@@ -197,8 +230,21 @@ class PoseGraphNodelet : public StageWith<PoseGraphParameters> {
     if (frame.is_keyframe) odometry_keyframes_.push_back(*last_frame_);
     odometry_path_.mark_changed();
     corrected_path_.mark_changed();
+    if (frame.is_end) map_parts_.set_end(frame.frame_id);
+    map_parts_.follow(frame.header, session_id(), frame.frame_id,
+                      [this](bool, core::MapDelta* delta) { delta->graph = graph_->state(); });
     if (frame.is_end) publish_paths();  // the recording may be over before the timer comes round
     count_processed();
+  }
+
+  void announce_joining(const core::MapCorrection& correction) {
+    for (const core::LoopVerdict& loop : correction.loops) {
+      if (is_joined_ || !loop.kept || loop.match_keyframe_id >= restored_keyframes_) continue;
+      is_joined_ = true;
+      NODELET_INFO(
+          "joined the map of earlier sessions at keyframe %ld: the transform from map to odometry jumps by %.2f m",
+          static_cast<long>(loop.query_keyframe_id), (correction.T_map_odom.t - correction.T_map_odom_old.t).norm());
+    }
   }
 
   geometry_msgs::PoseStamped stamped(const ros::Time& stamp, const core::SE3& T_map_camera) const {
@@ -238,7 +284,10 @@ class PoseGraphNodelet : public StageWith<PoseGraphParameters> {
   CallbackThread tf_thread_;  ///< stopped before the sender goes: to stop a timer does not wait for its task
   std::unique_ptr<Joiner> joiner_;
   std::unique_ptr<core::PoseGraph> graph_;
+  MapPartSender map_parts_{MapPart::STAGE_POSE_GRAPH};
   std::vector<core::LoopClosure> late_loops_;
+  std::int64_t restored_keyframes_ = 0;  ///< ids below are of earlier sessions
+  bool is_joined_ = false;               ///< a loop into them is kept
   std::vector<geometry_msgs::PoseStamped> odometry_keyframes_;
   std::optional<geometry_msgs::PoseStamped> last_frame_;  ///< in the odometry's frame
 };

@@ -1,9 +1,19 @@
+#include <algorithm>
 #include <memory>
+#include <optional>
 #include <pluginlib/class_list_macros.hpp>
+#include <set>
+#include <string>
+#include <utility>
+#include <vector>
 
+#include "map/mapper_state.h"
 #include "ros/frame_joiner.h"
+#include "ros/map_part_sender.h"
 #include "ros/stage.h"
+#include "semantic_topo_loop/QueryObjects.h"
 #include "semantic_topo_loop/map/quadric_mapper.h"
+#include "semantic_topo_loop/pipeline/object_slam.h"
 
 namespace semantic_topo_loop {
 /// Keeps the quadric map and publishes its deltas, and the whole of it now and then for late listeners.
@@ -23,6 +33,8 @@ class QuadricMappingNodelet : public StageWith<QuadricMappingParameters> {
     update_publisher_ = advertise<MapUpdateMessage>("quadric_map_updates");
     map_publisher_ = advertise<MapMessage>("quadric_map", true);
     statistics().count(kIncomplete, 0);
+    map_parts_.open(getNodeHandle(), queue_capacity());
+    serve("query_objects", &QuadricMappingNodelet::on_query);
     reset_session();
     subscribe("map_corrections", Keep::kAlways, &QuadricMappingNodelet::on_correction);
     subscribe("associations", Keep::kDroppable, &QuadricMappingNodelet::on_associations);
@@ -35,6 +47,54 @@ class QuadricMappingNodelet : public StageWith<QuadricMappingParameters> {
     mapper_ = std::make_unique<core::QuadricMapper>(options_.mapping, classes());
     joiner_->clear();
     published_version_ = 0;
+    map_parts_.reset_session();
+    core::MapParts parts;
+    parts.submaps = false;
+    if (const auto map = session_map(parts)) core::restore_objects(*map, mapper_.get());
+    publish_map();
+  }
+
+  void set_localization(bool localization) override { mapper_->set_fixed(localization); }
+
+  bool on_query(QueryObjects::Request& request, QueryObjects::Response& response) {
+    std::set<int> class_ids;
+    for (const std::string& label : request.labels) {
+      const core::ObjectClass* object_class = classes()->find(label);
+      if (object_class == nullptr) {
+        response.message = "label '" + label + "' is none of the class table";
+        return true;
+      }
+      class_ids.insert(object_class->id);
+    }
+    const auto found = ask("query_objects", [this, request, class_ids] {
+      std::vector<core::Landmark> objects;
+      for (core::Landmark& landmark : mapper_->landmarks()) {
+        if (is_asked_for(landmark, request, class_ids)) objects.push_back(std::move(landmark));
+      }
+      return objects;
+    });
+    if (!found) response.message = "the map is busy: ask again";
+    for (const core::Landmark& landmark : found.value_or(std::vector<core::Landmark>())) {
+      response.objects.push_back(to_generated<Quadric>(landmark));
+      response.labels.push_back(classes()->name(landmark.class_id));
+    }
+    return true;
+  }
+
+  bool is_asked_for(const core::Landmark& landmark, const QueryObjects::Request& request,
+                    const std::set<int>& class_ids) const {
+    if (!class_ids.empty() && class_ids.count(landmark.class_id) == 0) return false;
+    const auto state = static_cast<std::uint8_t>(landmark.state);
+    const auto& states = request.states;
+    if (!states.empty() && std::find(states.begin(), states.end(), state) == states.end()) return false;
+    const core::Vec3 low(request.low.x, request.low.y, request.low.z);
+    const core::Vec3 high(request.high.x, request.high.y, request.high.z);
+    if (low != high) {
+      if (!landmark.ellipsoid) return false;
+      const core::Vec3& center = landmark.ellipsoid->center();
+      if ((center.array() < low.array()).any() || (center.array() > high.array()).any()) return false;
+    }
+    return request.since.isZero() || mapper_->last_seen_ns(landmark.id) >= to_stamp_ns(request.since);
   }
 
   void on_frame(const FrameMessage::ConstPtr& frame) { integrate(joiner_->add<0>(frame->frame_id, frame)); }
@@ -47,12 +107,15 @@ class QuadricMappingNodelet : public StageWith<QuadricMappingParameters> {
     statistics().set(kIncomplete, joiner_->evicted());
     if (!joined) return;
     const auto& [frame, associations] = *joined;
+    if (frame->is_end) map_parts_.set_end(frame->frame_id);
     publish(mapper_->integrate(*frame, *associations), frame->header.stamp);
     count_processed();
   }
 
   void on_correction(const CorrectionMessage::ConstPtr& correction) {
     publish(mapper_->apply(*correction), correction->header.stamp);
+    map_parts_.follow(correction->header, session_id(), correction->frame_id,
+                      [this](bool whole, core::MapDelta* delta) { delta->objects = mapper_->take_delta(whole); });
     if (correction->changed) publish_map();
   }
 
@@ -73,6 +136,7 @@ class QuadricMappingNodelet : public StageWith<QuadricMappingParameters> {
   }
 
   ros::Publisher update_publisher_, map_publisher_;
+  MapPartSender map_parts_{MapPart::STAGE_QUADRIC_MAPPING};
   std::unique_ptr<Joiner> joiner_;
   std::unique_ptr<core::QuadricMapper> mapper_;
   std::uint64_t published_version_ = 0;

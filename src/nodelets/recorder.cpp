@@ -4,9 +4,11 @@
 #include <mutex>
 #include <pluginlib/class_list_macros.hpp>
 
+#include "pipeline/map_state.h"
 #include "ros/frame_joiner.h"
 #include "ros/stage.h"
 #include "semantic_topo_loop/io/run_recorder.h"
+#include "semantic_topo_loop/pipeline/object_slam.h"
 
 namespace semantic_topo_loop {
 /// Collects what the stages say and writes the files of the offline program.
@@ -46,6 +48,10 @@ class RecorderNodelet : public StageWith<RecorderParameters> {
     const std::lock_guard<std::mutex> lock(mutex_);
     set_unsaved(false);
     recorder_ = core::make_run_recorder(classes());
+    core::MapParts parts;
+    parts.submaps = false;
+    if (parameters_.output_dir.empty()) return;
+    if (const auto map = session_map(parts)) recorder_->record(core::objects_of(*map, options_, classes()));
   }
 
   /// @return absolute path of the directory

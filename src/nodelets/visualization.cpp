@@ -4,11 +4,13 @@
 #include <optional>
 #include <pluginlib/class_list_macros.hpp>
 
+#include "pipeline/map_state.h"
 #include "ros/map_view.h"
 #include "ros/markers.h"
 #include "ros/stage.h"
 #include "semantic_topo_loop/Keyframe.h"
 #include "semantic_topo_loop/geometry/lie.h"
+#include "semantic_topo_loop/pipeline/object_slam.h"
 
 namespace semantic_topo_loop {
 /// Shows the map in rviz. Follows the deltas at all times, since a late listener wants the whole, but reads frames and
@@ -39,6 +41,14 @@ class VisualizationNodelet : public StageWith<VisualizationParameters> {
     view_ = MapView();
     follower_ = MapFollower();
     sent_upright_.reset();
+    core::MapParts parts;
+    parts.submaps = false;
+    if (const auto map = session_map(parts)) {
+      for (const core::KeyframePose& pose : map->keyframe_poses()) {
+        view_.add_keyframe(pose.keyframe_id, pose.T_map_camera);
+      }
+      take_over(follower_.follow(core::objects_of(*map, options_, classes())));
+    }
     for (LazyPublisher* publisher : {&quadrics_, &labels_, &topology_, &loops_, &keyframes_}) publisher->mark_changed();
   }
 

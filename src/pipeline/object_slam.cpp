@@ -49,12 +49,9 @@ FrameResult ObjectSlam::process(const Frame& frame, const std::vector<Detection>
 }
 
 MapUpdate ObjectSlam::restore(const MapState& map) {
-  const SE3 T_map_odom = place_beside(map);
-  const std::vector<KeyframePose> keyframes = map.keyframe_poses();
-  MapUpdate update = mapper_.restore(map.objects, keyframes, T_map_odom);
-  update.frame_id = map.graph.next_frame_id;
-  loop_detector_.restore(map.submaps, keyframes);
-  pose_graph_.restore(map.graph, T_map_odom);
+  const MapUpdate update = restore_objects(map, &mapper_);
+  loop_detector_.restore(map.submaps, map.keyframe_poses());
+  pose_graph_.restore(map.graph, place_beside(map));
   tell(update);
   return update;
 }
@@ -68,8 +65,23 @@ std::shared_ptr<const MapState> ObjectSlam::map() const {
   return map;
 }
 
-MapDelta ObjectSlam::take_delta() {
-  return {pose_graph_.state(), mapper_.take_delta(false), loop_detector_.take_delta(false)};
+std::shared_ptr<const MapDelta> ObjectSlam::take_delta() {
+  auto delta = std::make_shared<MapDelta>();
+  delta->graph = pose_graph_.state();
+  delta->objects = mapper_.take_delta(false);
+  delta->submaps = loop_detector_.take_delta(false);
+  return delta;
+}
+
+MapUpdate restore_objects(const MapState& map, QuadricMapper* mapper) {
+  MapUpdate update = mapper->restore(map.objects, map.keyframe_poses(), place_beside(map));
+  update.frame_id = map.graph.next_frame_id;
+  return update;
+}
+
+MapUpdate objects_of(const MapState& map, const Options& options, std::shared_ptr<const ClassTable> classes) {
+  QuadricMapper mapper(options.mapping, std::move(classes));
+  return restore_objects(map, &mapper);
 }
 
 void move_to_map(const std::vector<KeyframePose>& keyframes, const SE3& T_map_odom, std::vector<LocalMap>* submaps) {

@@ -1,7 +1,11 @@
 #include "ros/frontend_stage.h"
 
+#include <std_srvs/SetBool.h>
+
+#include <filesystem>
 #include <utility>
 
+#include "pipeline/map_state.h"
 #include "semantic_topo_loop/Keyframe.h"
 #include "semantic_topo_loop/io/yaml_files.h"
 
@@ -19,6 +23,7 @@ bool FrontendStage::open(const core::KeyframeOptions& options, const FrontendPar
     camera_ = *camera;
     has_camera_file_ = true;
   }
+  if (const core::Status map = set_map(parameters_.map_file, parameters_.frozen); !map) return fail(map.message());
   frame_publisher_ = advertise<FrameMessage>("frames");
   keyframe_publisher_ = advertise<Keyframe>("keyframes");
   points_publisher_ = advertise<KeyframePointsMessage>("keyframe_points");
@@ -36,7 +41,55 @@ bool FrontendStage::open(const core::KeyframeOptions& options, const FrontendPar
   add_service("reset", "a new session begins", [this] { begin_session("reset was called"); });
   add_service("pause", "images are left out until ~resume", [this] { set_paused(true); });
   add_service("resume", "images are taken again", [this] { set_paused(false); });
+  serve("load_map", &FrontendStage::on_load_map);
+  serve<std_srvs::SetBool::Request, std_srvs::SetBool::Response>(
+      "set_localization_mode", [this](std_srvs::SetBool::Request& request, std_srvs::SetBool::Response& response) {
+        push("set_localization_mode", Keep::kPinned, [this, wanted = request.data != 0] {
+          is_localizing_ = wanted;
+          control(SessionControl::COMMAND_LOCALIZATION, wanted ? "the map is fixed" : "the map grows");
+        });
+        response.success = true;
+        response.message = request.data != 0 ? "the map is fixed from now on" : "the map grows from now on";
+        return true;
+      });
   return true;
+}
+
+core::Status FrontendStage::set_map(const std::string& file, bool frozen) {
+  SessionMap next;
+  if (!file.empty()) {
+    std::error_code code;
+    next.file = std::filesystem::absolute(file, code).lexically_normal().string();
+    next.frozen = frozen;
+    const auto map = core::read_map(next.file, *classes());
+    if (!map) return map.error();
+    if (frozen && (*map)->submaps.empty()) return core::Error{file + ": holds no place to be found at"};
+    if (!frozen) {
+      next.next_frame_id = (*map)->graph.next_frame_id;
+      next.next_keyframe_id = (*map)->graph.next_keyframe_id();
+    }
+  }
+  map_ = next;
+  return {};
+}
+
+bool FrontendStage::on_load_map(LoadMap::Request& request, LoadMap::Response& response) {
+  const core::Result<std::string> place = path_below(parameters_.save_dir, request.path, parameters_.allow_any_path);
+  answer(place, &response);
+  if (!place) return true;
+  const auto loaded = ask("load_map", [this, file = *place, frozen = request.frozen != 0] {
+    const core::Status map = set_map(file, frozen);
+    if (map) begin_session("load_map was called");
+    return map;
+  });
+  if (!loaded) response.message += ": is being read";
+  if (loaded && !*loaded) answer(core::Result<std::string>(loaded->error()), &response);
+  return true;
+}
+
+void FrontendStage::make_builder(const core::Camera& camera) {
+  builder_.emplace(keyframe_options_, camera);
+  builder_->count_from(map_.next_frame_id, map_.next_keyframe_id);
 }
 
 void FrontendStage::follow_stream() {
@@ -75,6 +128,9 @@ void FrontendStage::control(std::uint8_t command, const std::string& reason, boo
   message->command = command;
   message->reason = reason;
   message->rewind = rewind;
+  message->map_file = map_.file;
+  message->frozen = map_.frozen;
+  message->localization = is_localizing_;
   NODELET_INFO("session %u: %s", message->session_id, reason.c_str());
   control_ = message;
   control_publisher_.publish(control_);
@@ -146,11 +202,11 @@ void FrontendStage::emit(const core::PoseSample& sample, const std::optional<cor
   if (!camera) {
     return fail_image(sample.stamp_ns, "images without a calibration", "neither camera_file nor a usable camera_info");
   }
-  if (!builder_) builder_.emplace(keyframe_options_, *camera);
+  if (!builder_) make_builder(*camera);
   builder_->set_camera(*camera);
   core::Result<core::Frame> frame = builder_->build(sample);
   if (!frame) return fail_image(sample.stamp_ns, "images left out", frame.message());
-  if (frame->is_break && frame->frame_id > 0) statistics().count("breaks of the odometry");
+  if (frame->is_break && frame->frame_id > map_.next_frame_id) statistics().count("breaks of the odometry");
   if (frame->is_keyframe && points_publisher_.getNumSubscribers() > 0) frame->keyframe_points = keyframe_points();
   publish_frame(*frame);
   if (broadcaster_) publish_odom_tf(*frame);
@@ -158,7 +214,7 @@ void FrontendStage::emit(const core::PoseSample& sample, const std::optional<cor
 }
 
 void FrontendStage::emit_end() {
-  if (!builder_) builder_.emplace(keyframe_options_, camera_.value_or(core::Camera()));
+  if (!builder_) make_builder(camera_.value_or(core::Camera()));
   publish_frame(builder_->end());
 }
 

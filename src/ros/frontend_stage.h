@@ -13,6 +13,7 @@
 #include "ros/parameters.h"
 #include "ros/pose_source.h"
 #include "ros/stage.h"
+#include "semantic_topo_loop/LoadMap.h"
 #include "semantic_topo_loop/pipeline/frame_builder.h"
 
 namespace semantic_topo_loop {
@@ -63,6 +64,10 @@ class FrontendStage : public Stage {
   const std::string& camera_frame() const { return camera_frame_; }
 
  private:
+  /// What the sessions to come go on with. @param file a map's, or empty   @return an error if it cannot be read
+  core::Status set_map(const std::string& file, bool frozen);
+  void make_builder(const core::Camera& camera);
+  bool on_load_map(LoadMap::Request& request, LoadMap::Response& response);
   void control(std::uint8_t command, const std::string& reason, bool rewind = false);
   void set_paused(bool is_paused);
   bool is_in_order(std::int64_t stamp_ns);
@@ -89,7 +94,14 @@ class FrontendStage : public Stage {
   std::optional<std::int64_t> rewound_at_ns_;     ///< the last image before the rewind that this session waits for
   std::size_t before_rewind_ = 0;                 ///< images left out since
   std::optional<std::int64_t> unknown_since_ns_;  ///< tf does not know the camera
-  bool is_paused_ = false;
+  bool is_paused_ = false, is_localizing_ = false;
+  /// The map that a session begins with.
+  struct SessionMap {
+    std::string file;  ///< empty: none
+    bool frozen = false;
+    std::int64_t next_frame_id = 0, next_keyframe_id = 0;
+  };
+  SessionMap map_;
   SessionControlPtr control_;  ///< the last command; never null once the worker runs
   std::unique_ptr<tf2_ros::TransformBroadcaster> broadcaster_;
   ros::Publisher control_publisher_, frame_publisher_, keyframe_publisher_, points_publisher_, done_publisher_;

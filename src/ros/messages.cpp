@@ -3,6 +3,7 @@
 #include <atomic>
 #include <memory>
 
+#include "io/map_tables.h"
 #include "ros/conversions.h"
 
 namespace semantic_topo_loop {
@@ -64,6 +65,12 @@ void KeyframeClouds::give_to(KeyframePointsMessage* keyframe) const {
   for (const core::Vec3& point : *semi_dense_points) points->semi_dense.push_back(point.cast<float>());
   keyframe->keyframe_points = std::move(points);
 }
+
+void MapBody::take_from(const MapPartMessage& part) {
+  if (part.delta) bytes = core::pack(*part.delta);
+}
+
+void MapBody::give_to(MapPartMessage* part) const { part->delta = core::unpack_map_delta(bytes); }
 
 }  // namespace wire
 }  // namespace semantic_topo_loop

@@ -75,18 +75,21 @@ std::vector<core::OptionRow> list_nodelet_parameters() {
   std::vector<core::OptionRow> rows;
   add_rows<StageParameters, Nothing>("every stage", &rows);
   add_rows<ClassStageParameters, StageParameters>("those that need classes", &rows);
-  add_rows<FrontendParameters, StageParameters>("both front ends", &rows);
+  add_rows<FileStageParameters<ClassStageParameters>, ClassStageParameters>("those with services that name files",
+                                                                            &rows);
+  add_rows<FrontendParameters, FileStageParameters<ClassStageParameters>>("both front ends", &rows);
   add_rows<PoseFrontendParameters, FrontendParameters>("PoseFrontend", &rows);
   add_rows<RgbdFrontendParameters, FrontendParameters>("RgbdFrontend", &rows);
   add_rows<ObjectDetectorParameters, ClassStageParameters>("ObjectDetector", &rows);
   add_rows<DetectionParameters, ClassStageParameters>("DetectionIngestion", &rows);
   add_rows<LoopDetectionParameters, ClassStageParameters>("LoopDetection", &rows);
   add_rows<PlayerParameters, StageParameters>("Player", &rows);
-  add_rows<PoseGraphParameters, StageParameters>("PoseGraph", &rows);
-  add_rows<PointMappingParameters, StageParameters>("PointMapping", &rows);
-  add_rows<QuadricMappingParameters, ClassStageParameters>("QuadricMapping", &rows);
+  add_rows<QuadricMappingParameters, ClassStageParameters>("those that publish in the map", &rows);
+  add_rows<PoseGraphParameters, FileStageParameters<MapStageParameters<ClassStageParameters>>>("PoseGraph", &rows);
+  add_rows<PointMappingParameters, FileStageParameters<MapStageParameters<StageParameters>>>("PointMapping", &rows);
+  add_rows<MapDatabaseParameters, FileStageParameters<ClassStageParameters>>("MapDatabase", &rows);
   add_rows<RecorderParameters, ClassStageParameters>("Recorder", &rows);
-  add_rows<VisualizationParameters, ClassStageParameters>("Visualization", &rows);
+  add_rows<VisualizationParameters, QuadricMappingParameters>("Visualization", &rows);
   return rows;
 }
 

@@ -41,21 +41,39 @@ struct MapStageParameters : Base {
   }
 };
 
-/// What every front end has: its calibration and its frames.
-struct FrontendParameters : StageParameters {
+/// The same for stages with services that name files. @tparam Base what they are else
+template <class Base>
+struct FileStageParameters : Base {
+  std::string save_dir;
+  bool allow_any_path = false;
+
+  void visit(core::OptionVisitor& visitor) {
+    Base::visit(visitor);
+    visitor("save_dir", save_dir, core::any(),
+            "directory below which the files lie that services name; empty: the process's own, ~/.ros under roslaunch");
+    visitor("allow_any_path", allow_any_path, "services may name files anywhere");
+  }
+};
+
+/// What every front end has: its calibration, its frames, and the map that a session begins with.
+struct FrontendParameters : FileStageParameters<ClassStageParameters> {
   std::string camera_file;
   std::string odom_frame = "odom";
   std::string base_frame, camera_frame;
   bool publish_odom_tf = false;
+  std::string map_file;
+  bool frozen = false;
 
   void visit(core::OptionVisitor& visitor) {
-    StageParameters::visit(visitor);
+    FileStageParameters::visit(visitor);
     visitor("camera_file", camera_file, core::any(),
             "calibration that replaces camera_info's, see config/camera; empty: none");
     visitor("odom_frame", odom_frame, core::given(), "tf frame of the odometry");
     visitor("base_frame", base_frame, core::any(), "tf frame that publish_odom_tf moves; empty: the camera's");
     visitor("camera_frame", camera_frame, core::any(), "tf frame of the camera's optical frame; empty: camera_info's");
     visitor("publish_odom_tf", publish_odom_tf, "send odom_frame -> base_frame, for poses that are not in tf");
+    visitor("map_file", map_file, core::any(), "map of earlier sessions that this one goes on with; empty: none");
+    visitor("frozen", frozen, "with map_file: the place in the map is looked for, and the map stays as it is");
   }
 };
 
@@ -151,15 +169,10 @@ struct DetectionParameters : ClassStageParameters {
 };
 
 struct LoopDetectionParameters : ClassStageParameters {
-  std::string map_file, save_map_file;
   std::string earlier_map_frame = "earlier_map";
 
   void visit(core::OptionVisitor& visitor) {
     ClassStageParameters::visit(visitor);
-    visitor("map_file", map_file, core::any(),
-            "map of earlier runs, in which the run's place is looked for; it stays as it is; empty: none");
-    visitor("save_map_file", save_map_file, core::any(),
-            "where the run's submaps go at its end, also by Ctrl-C, or by ~save_map; empty: they are not kept");
     visitor("earlier_map_frame", earlier_map_frame, core::any(),
             "name of the earlier run's map frame in earlier_map_from_odom");
   }
@@ -229,13 +242,13 @@ struct PlayerParameters : StageParameters {
   std::vector<std::string> stage_names() const;
 };
 
-struct PoseGraphParameters : MapStageParameters<StageParameters> {
+struct PoseGraphParameters : FileStageParameters<MapStageParameters<ClassStageParameters>> {
   bool publish_tf = true;
   double tf_rate_hz = 20.0;
   double tf_tolerance_s = 0.1;
 
   void visit(core::OptionVisitor& visitor) {
-    MapStageParameters::visit(visitor);
+    FileStageParameters::visit(visitor);
     visitor("publish_tf", publish_tf, "send the transform from map_frame to the odometry's frame");
     visitor("tf_rate_hz", tf_rate_hz, core::positive(), "rate of that transform (wall time)");
     visitor("tf_tolerance_s", tf_tolerance_s, core::not_negative(),
@@ -243,17 +256,24 @@ struct PoseGraphParameters : MapStageParameters<StageParameters> {
   }
 };
 
-struct PointMappingParameters : MapStageParameters<StageParameters> {
+struct PointMappingParameters : FileStageParameters<MapStageParameters<StageParameters>> {
   double rate_hz = 1.0;
-  std::string save_dir;
-  bool allow_any_path = false;
 
   void visit(core::OptionVisitor& visitor) {
-    MapStageParameters::visit(visitor);
+    FileStageParameters::visit(visitor);
     visitor("rate_hz", rate_hz, core::positive(), "most often that the points are published (wall time)");
-    visitor("save_dir", save_dir, core::any(),
-            "directory below which ~save_points may write; empty: the process's own, ~/.ros under roslaunch");
-    visitor("allow_any_path", allow_any_path, "~save_points may write anywhere");
+  }
+};
+
+/// Where MapDatabase keeps the map.
+struct MapDatabaseParameters : FileStageParameters<ClassStageParameters> {
+  std::string save_map_file;
+
+  void visit(core::OptionVisitor& visitor) {
+    FileStageParameters::visit(visitor);
+    visitor("save_map_file", save_map_file, core::any(),
+            "file that the map is written to, once a second of data; it may be the map that the session goes on with; "
+            "empty: none");
   }
 };
 

@@ -5,6 +5,7 @@
 
 #include <algorithm>
 
+#include "pipeline/map_state.h"
 #include "semantic_topo_loop/io/yaml_files.h"
 
 namespace semantic_topo_loop {
@@ -99,6 +100,13 @@ void Stage::stop() {
     stopped_.set_value();
     saver_.join();
   }
+}
+
+std::shared_ptr<const core::MapState> Stage::session_map(core::MapParts parts) {
+  if (session_->map_file.empty() || session_->frozen) return nullptr;
+  const auto map = core::read_map(session_->map_file, *classes_, parts);
+  if (!map) fail(map.message());
+  return map ? *map : nullptr;
 }
 
 void Stage::save_at_end(std::function<void()> save) {
@@ -250,8 +258,12 @@ void Stage::handle_session(const SessionControl::ConstPtr& control) {
   const bool is_start = control->command == SessionControl::COMMAND_START;
   if (control->session_id != session_id_ || (is_start && control->header.stamp != session_stamp_)) {
     session_id_ = control->session_id;
+    session_ = control;
     reset_session();
+    set_localization(control->localization != 0);
   }
+  if (control->localization != session_->localization) set_localization(control->localization != 0);
+  session_ = control;
   if (is_start) session_stamp_ = control->header.stamp;
   auto ack = boost::make_shared<SessionAck>();
   ack->header.stamp = control->header.stamp;

@@ -15,6 +15,7 @@
 #include <map>
 #include <memory>
 #include <mutex>
+#include <optional>
 #include <string>
 #include <thread>
 #include <type_traits>
@@ -27,6 +28,7 @@
 #include "semantic_topo_loop/FrameDone.h"
 #include "semantic_topo_loop/SessionAck.h"
 #include "semantic_topo_loop/SessionControl.h"
+#include "semantic_topo_loop/io/map_file.h"
 #include "semantic_topo_loop/ros/messages.h"
 #include "semantic_topo_loop/types/class_table.h"
 
@@ -177,8 +179,15 @@ class Stage : public nodelet::Nodelet {
   void save_at_end(std::function<void()> save);
   /// @param unsaved there is something that save_at_end has to save. Thread-safe
   void set_unsaved(bool unsaved) { is_unsaved_ = unsaved; }
-  /// A new session has begun: forget everything.
+  /// A new session has begun: forget everything, and take over what `session_map` gives.
   virtual void reset_session() {}
+  /// From now on the map is fixed, or grows again.
+  virtual void set_localization(bool /*localization*/) {}
+  /// As the front end said last.
+  const SessionControl& session() const { return *session_; }
+  /// For reset_session, of stages with classes: the map that the session goes on with, of which this stage needs these
+  /// parts.   @return null: there is none, the map is frozen, or fail() was called
+  std::shared_ptr<const core::MapState> session_map(core::MapParts parts);
 
   /// Messages of the current session reach `handler`; those of another one are dropped and counted.
   template <class Message, class Derived>
@@ -227,6 +236,22 @@ class Stage : public nodelet::Nodelet {
     serve<Request, Response>(service, [this, handler](Request& request, Response& response) {
       return (static_cast<Derived*>(this)->*handler)(request, response);
     });
+  }
+  /// For services that ask what the worker owns: waits for its answer.
+  /// @return nullopt if it is busy for longer than that, or ends
+  template <class Question>
+  auto ask(const std::string& service, Question question) {
+    using Answer = decltype(question());
+    constexpr std::chrono::seconds kPatience(2);  // some solves of a large graph
+    const auto answer = std::make_shared<std::promise<Answer>>();
+    std::future<Answer> future = answer->get_future();
+    push(service, Keep::kPinned, [answer, question] { answer->set_value(question()); });
+    if (future.wait_for(kPatience) != std::future_status::ready) return std::optional<Answer>();
+    try {
+      return std::optional<Answer>(future.get());
+    } catch (const std::future_error&) {  // the task was forgotten
+      return std::optional<Answer>();
+    }
   }
   /// A std_srvs/Trigger that answers what `act` gives back.
   void serve_trigger(const std::string& service, const std::function<core::Result<std::string>()>& act);
@@ -326,9 +351,10 @@ class Stage : public nodelet::Nodelet {
   const std::string name_;
   std::uint32_t queue_size_ = 1;
   std::shared_ptr<const core::ClassTable> classes_;
-  std::uint32_t session_id_ = 0;                       ///< worker thread only
-  ros::Time session_stamp_;                            ///< of the START that began it; worker thread only
-  StageStatistics::Clock::time_point task_arrival_{};  ///< worker thread only
+  std::uint32_t session_id_ = 0;  ///< worker thread only
+  ros::Time session_stamp_;       ///< of the START that began it; worker thread only
+  SessionControl::ConstPtr session_ = boost::make_shared<SessionControl>();  ///< worker thread only
+  StageStatistics::Clock::time_point task_arrival_{};                        ///< worker thread only
   StageStatistics statistics_;
   std::unique_ptr<diagnostic_updater::Updater> updater_;
   ros::Publisher ack_publisher_, working_publisher_;

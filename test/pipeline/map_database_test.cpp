@@ -61,7 +61,7 @@ void wait_for(const MapDatabase& database) {
 void run_to(std::size_t end, ChainRun* run, SavePoints* save_points, MapDatabase* database) {
   while (run->done() < end) {
     const std::int64_t stamp_ns = run->next();
-    if (save_points->is_due(stamp_ns)) database->write(run->slam().take_delta());
+    if (save_points->is_due(stamp_ns)) database->write({run->slam().take_delta()});
   }
 }
 
@@ -81,7 +81,7 @@ TEST_F(MapDatabaseTest, WhatIsWrittenBitByBitIsTheWholeMap) {
     EXPECT_TRUE(rows_of(written) == rows_of(whole)) << when;
   };
   run_to(250, &run, &save_points, &database);
-  database.write(run.slam().take_delta());
+  database.write({run.slam().take_delta()});
   wait_for(database);
   expect_whole(path_, "while it grows");
 
@@ -95,7 +95,7 @@ TEST_F(MapDatabaseTest, WhatIsWrittenBitByBitIsTheWholeMap) {
 
   run_to(laps().odometry.size(), &run, &save_points, &database);
   run.end();
-  database.write(run.slam().take_delta());
+  database.write({run.slam().take_delta()});
   EXPECT_EQ(database.close().message(), "");
   expect_whole(path_, "at the end");
   EXPECT_GT(run.corrections(), 3) << "of the whole map, or nothing was rewritten";
@@ -125,7 +125,7 @@ TEST_F(MapDatabaseTest, KilledAtAnyMomentTheLastSecondIsLostAtMost) {
         const std::int64_t stamp_ns = run.next();
         if (save_points.is_due(stamp_ns)) {
           wait_for(database);  // it has a second on a robot
-          database.write(run.slam().take_delta());
+          database.write({run.slam().take_delta()});
         }
         last_ns->store(stamp_ns);
         if (run.done() == sequence.odometry.size()) ::_exit(0);
@@ -152,9 +152,9 @@ TEST_F(MapDatabaseTest, OneProgramWritesAtATime) {
   for (int i = 0; i < 20; ++i) run.next();
   {
     MapDatabase first(path_, shared_coco());
-    first.write(run.slam().take_delta());
+    first.write({run.slam().take_delta()});
     run.next();
-    first.write(run.slam().take_delta());
+    first.write({run.slam().take_delta()});
     wait_for(first);
     ASSERT_EQ(first.problem().message(), "");
     const std::string busy = path_ + ": is being written by another program";
@@ -162,7 +162,7 @@ TEST_F(MapDatabaseTest, OneProgramWritesAtATime) {
     ChainRun other(laps(), shared_coco());
     other.next();
     MapDatabase second(path_, shared_coco());
-    second.write(other.slam().take_delta());
+    second.write({other.slam().take_delta()});
     EXPECT_EQ(second.close().message(), busy);
   }
   EXPECT_EQ(checked(read_map(path_, *shared_coco()))->graph.keyframes.size(), run.slam().map()->graph.keyframes.size());
@@ -174,7 +174,7 @@ TEST_F(MapDatabaseTest, WhatIsNoMapStaysAsItIs) {
   run.next();
   const std::string path = directory_.write("notes.txt", std::string(1000, 'x'));
   MapDatabase database(path, shared_coco());
-  database.write(run.slam().take_delta());
+  database.write({run.slam().take_delta()});
   EXPECT_NE(database.close().message().find("notes.txt: file is not a database"), std::string::npos);
   EXPECT_EQ(read_whole(path), std::string(1000, 'x'));
 }
@@ -199,7 +199,7 @@ TEST_F(MapDatabaseTest, WhatAFullDiskRefusesIsWrittenOnceThereIsRoom) {
     limit.rlim_cur = limit.rlim_max;
     ::setrlimit(RLIMIT_FSIZE, &limit);
     run_to(350, &run, &save_points, &database);
-    database.write(run.slam().take_delta());
+    database.write({run.slam().take_delta()});
     if (!database.close()) ::_exit(2);
     if (!write_map(directory_.path("whole.db"), *run.slam().map(), *shared_coco())) ::_exit(3);
     ::_exit(rows_of(path_) == rows_of(directory_.path("whole.db")) ? 0 : 4);

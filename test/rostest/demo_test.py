@@ -1,26 +1,26 @@
 #!/usr/bin/env python3
 """demo.launch on its simulated odometry, from end to end: what it says on its topics, offline's files, objects in the
 last correction, and a run that finds its place in the map of an earlier one."""
-import contextlib
 import csv
 import json
 import os
-import sqlite3
+import shutil
 import threading
 
 import rospkg
 import rospy
 import rostest
-from geometry_msgs.msg import TransformStamped
+from geometry_msgs.msg import Point, TransformStamped
 from nav_msgs.msg import Path
-from std_srvs.srv import SetBool, Trigger
+from std_srvs.srv import SetBool
 from tf2_msgs.msg import TFMessage
 from visualization_msgs.msg import MarkerArray
 
 from playback import (PACKAGE, RESULT_FILES, Diagnostics, DirectoryTest, Listener, demo, differing_files, run_program,
                       wait_until)
-from semantic_topo_loop.msg import FrameDone, QuadricMap
-from semantic_topo_loop.srv import WhyLoop, WhyLoopResponse
+from semantic_topo_loop.msg import FrameDone, Quadric, QuadricMap
+from semantic_topo_loop.srv import (LoadMap, QueryObjects, QueryObjectsRequest, SaveMap, SaveTrajectory, WhyLoop,
+                                    WhyLoopResponse)
 
 
 def setUpModule():
@@ -56,10 +56,16 @@ class Heard:
             self.last[topic] = message
 
 
-def submaps_of(path):
-    """Rows of a map's submaps."""
-    with contextlib.closing(sqlite3.connect(path)) as database:
-        return database.execute('SELECT * FROM submap ORDER BY number').fetchall()
+def rows_of(test, path):
+    """All rows of a map, packed ones unpacked, but for the classes: those of objects that went stay."""
+    status, text = run_program('inspect_map', path, '--dump')
+    test.assertEqual(status, 0, text)
+    return [line for line in text.splitlines() if not line.startswith('class ')]
+
+
+def is_closed(path):
+    """Whether a map is there and nobody writes it any more."""
+    return os.path.exists(path) and not os.path.exists(path + '-wal')
 
 
 def run_offline(test, data, output, *arguments):
@@ -74,10 +80,10 @@ class DemoTest(DirectoryTest):
     @classmethod
     def setUpClass(cls):
         super().setUpClass()
-        cls.data, cls.results, cls.submaps = cls.path('data'), cls.path('results'), cls.path('submaps.db')
+        cls.data, cls.results, cls.saved = cls.path('data'), cls.path('results'), cls.path('map.db')
         cls.heard = Heard()
         # It stays up at the end, so that what is published at intervals can be heard.
-        cls.launch = demo(duration='16', data=cls.data, output=cls.results, exit_at_end='false', save_map=cls.submaps,
+        cls.launch = demo(duration='16', data=cls.data, output=cls.results, exit_at_end='false', save_map=cls.saved,
                           wait_for='Listener')
         assert cls.heard.listener.let_begin(), cls.launch.output()
         cls.status, cls.said = run_program('wait_for_player', '__ns:=/' + PACKAGE, timeout_s=90)
@@ -131,11 +137,37 @@ class DemoTest(DirectoryTest):
         self.assertGreaterEqual(too_recent[0].closure.inliers, 4)
 
     def test_lockstep_is_offline_byte_for_byte(self):
-        offline, submaps = self.path('offline'), self.path('offline.db')
-        run_offline(self, self.data, offline, '--save-map', submaps)
+        offline, saved = self.path('offline'), self.path('offline.db')
+        run_offline(self, self.data, offline, '--save-map', saved)
         self.assertEqual(differing_files(offline, self.results), [])
-        self.assertTrue(wait_until(lambda: os.path.exists(self.submaps), 10), self.launch.output())
-        self.assertEqual(submaps_of(submaps), submaps_of(self.submaps))
+        self.assertTrue(wait_until(lambda: is_closed(self.saved), 10), self.launch.output())
+        self.assertTrue(rows_of(self, saved) == rows_of(self, self.saved))
+
+    def test_objects_are_asked_for(self):
+        query = rospy.ServiceProxy('/%s/quadric_mapping/query_objects' % PACKAGE, QueryObjects)
+        everything = query(QueryObjectsRequest())
+        with open(os.path.join(self.results, 'objects.csv')) as file:
+            rows = list(csv.DictReader(file))
+        self.assertEqual([o.id for o in everything.objects if o.has_ellipsoid], [int(row['id']) for row in rows])
+        confirmed = query(QueryObjectsRequest(states=[Quadric.STATE_CONFIRMED]))
+        self.assertEqual(len(confirmed.objects), sum(row['state'] == 'confirmed' for row in rows))
+        label = confirmed.labels[0]
+        same = query(QueryObjectsRequest(labels=[label]))
+        self.assertTrue(same.objects and set(same.labels) == {label})
+        at = confirmed.objects[0].map_from_quadric.position
+        near = query(QueryObjectsRequest(low=Point(at.x - 0.01, at.y - 0.01, at.z - 0.01),
+                                         high=Point(at.x + 0.01, at.y + 0.01, at.z + 0.01)))
+        self.assertEqual([o.id for o in near.objects], [confirmed.objects[0].id])
+        self.assertEqual(len(query(QueryObjectsRequest(since=rospy.Time(1500000000))).objects), 0)
+        self.assertIn("label 'nothing'", query(QueryObjectsRequest(labels=['nothing'])).message)
+
+    def test_the_trajectory_is_saved_where_it_may(self):
+        save = rospy.ServiceProxy('/%s/pose_graph/save_trajectory' % PACKAGE, SaveTrajectory)
+        answer = save('semantic_topo_loop_test/keyframes.txt')
+        self.assertTrue(answer.success or 'No such file' in answer.message, answer.message)
+        refused = save('/tmp/elsewhere.txt')
+        self.assertFalse(refused.success)
+        self.assertIn('is not below', refused.message)
 
 
 class GraphObjectsTest(DirectoryTest):
@@ -176,11 +208,11 @@ class GraphObjectsTest(DirectoryTest):
 
     def test_lockstep_is_offline_byte_for_byte(self):
         self.assertEqual(self.status, 0, self.launch.output())
-        self.assertTrue(wait_until(lambda: os.path.exists(self.path('lockstep.db')), 10), self.launch.output())
+        self.assertTrue(wait_until(lambda: is_closed(self.path('lockstep.db')), 10), self.launch.output())
         run_offline(self, self.path('data'), self.path('offline'), '--config', self.config, '--save-map',
                     self.path('offline.db'))
         self.assertEqual(differing_files(self.path('offline'), self.path('lockstep')), [])
-        self.assertEqual(submaps_of(self.path('offline.db')), submaps_of(self.path('lockstep.db')), 'corrected')
+        self.assertTrue(rows_of(self, self.path('offline.db')) == rows_of(self, self.path('lockstep.db')), 'corrected')
         with open(self.path('lockstep/summary.json')) as file:
             self.assertGreater(json.load(file)['loops']['kept'], 5)
         run_offline(self, self.path('data'), self.path('without'))
@@ -210,7 +242,7 @@ class SwitchTest(DirectoryTest):
 
 
 class EarlierMapTest(DirectoryTest):
-    """A run's submaps, saved by service, and a later run that finds its place among them."""
+    """A run's map, and later runs that find their place in it and go on with it."""
 
     def play(self, name, **arguments):
         """Plays the room to its end; the nodes stay up."""
@@ -224,29 +256,38 @@ class EarlierMapTest(DirectoryTest):
             raise
         return launch
 
-    def test_a_later_run_finds_its_place(self):
-        submaps = self.path('submaps.db')
+    @classmethod
+    def setUpClass(cls):
+        super().setUpClass()
+        cls.map = cls.path('map.db')
+        cls.home = os.path.realpath(rospkg.get_ros_home())
+
+    def test_1_a_run_saves_its_map(self):
         # A relative path is one below the nodes' working directory.
-        launch = self.play('first', save_map=os.path.relpath(submaps, os.path.realpath(rospkg.get_ros_home())))
+        launch = self.play('first', save_map=os.path.relpath(self.map, self.home))
+        copy = os.path.join(self.home, 'semantic_topo_loop_test_copy.db')
         try:
-            self.assertTrue(wait_until(lambda: os.path.exists(submaps), 10), launch.output())
-            with open(submaps, 'rb') as file:
-                at_end = file.read()
-            os.remove(submaps)
-            answer = rospy.ServiceProxy('/%s/loop_detection/save_map' % PACKAGE, Trigger)()
+            self.assertTrue(wait_until(lambda: is_closed(self.map), 10), launch.output())
+            save = rospy.ServiceProxy('/%s/map_database/save_map' % PACKAGE, SaveMap)
+            answer = save(os.path.basename(copy))
             self.assertTrue(answer.success, answer.message)
-            self.assertEqual(os.path.realpath(answer.message), os.path.realpath(submaps))
-            self.assertTrue(os.path.isabs(answer.message), answer.message)
-            with open(submaps, 'rb') as file:
-                self.assertEqual(file.read(), at_end)
+            self.assertEqual(os.path.realpath(answer.message), copy)
+            self.assertEqual(rows_of(self, copy), rows_of(self, self.map))
+            self.assertEqual(answer.sessions, 1)
+            self.assertGreater(min(answer.keyframes, answer.objects, answer.submaps), 1)
+            refused = save('/tmp/elsewhere.db')
+            self.assertFalse(refused.success)
+            self.assertIn('is not below', refused.message)
         finally:
             launch.stop()
-        self.assertGreater(len(submaps_of(submaps)), 1)
+            if os.path.exists(copy):
+                os.remove(copy)
 
-        launch = self.play('second', map=submaps)
+    def test_2_a_later_run_finds_its_place(self):
+        launch = self.play('second', map=self.map, frozen='true')
         try:
             transform = rospy.wait_for_message('/%s/earlier_map_from_odom' % PACKAGE, TransformStamped, 10)
-            answer = rospy.ServiceProxy('/%s/loop_detection/save_map' % PACKAGE, Trigger)()
+            answer = rospy.ServiceProxy('/%s/map_database/save_map' % PACKAGE, SaveMap)('any.db')
         finally:
             launch.stop()
         # The same odometry twice: both runs begin at the origin of their maps.
@@ -261,10 +302,49 @@ class EarlierMapTest(DirectoryTest):
         self.assertFalse(answer.success)
         self.assertIn("parameter 'save_map_file' is empty", answer.message)
 
+    def test_3_a_later_run_goes_on_with_it_as_offline_does(self):
+        both = self.path('both.db')
+        launch = self.play('third', map=self.map, save_map=both)
+        try:
+            self.assertTrue(wait_until(lambda: is_closed(both), 10), launch.output())
+        finally:
+            launch.stop()
+        self.assertTrue(any('joined the map of earlier sessions' in line for line in launch.lines), launch.output())
+        offline = self.path('offline')
+        run_offline(self, self.path('third'), offline, '--map', self.map, '--save-map', self.path('offline.db'))
+        self.assertEqual(differing_files(offline, self.path('third/results')), [])
+        self.assertTrue(rows_of(self, both) == rows_of(self, self.path('offline.db')))
+        with open(os.path.join(offline, 'summary.json')) as file:
+            self.assertGreaterEqual(json.load(file)['joined_map']['loops'], 1)
+
+    def test_4_a_map_is_loaded_while_the_robot_runs(self):
+        there = os.path.join(self.home, 'semantic_topo_loop_test_map.db')
+        shutil.copy(self.map, there)
+        launch = demo(duration='20', data=self.path('fourth'), lockstep='false', exit_at_end='false', rate='2',
+                      save_map=self.path('fourth.db'))
+        try:
+            load = '/%s/pose_frontend/load_map' % PACKAGE
+            rospy.wait_for_service(load, 60)
+            self.assertIn('is not below', rospy.ServiceProxy(load, LoadMap)('/tmp/elsewhere.db', False).message)
+            self.assertIn('cannot open the file', rospy.ServiceProxy(load, LoadMap)('none.db', False).message)
+            answer = rospy.ServiceProxy(load, LoadMap)(os.path.basename(there), False)
+            self.assertTrue(answer.success, answer.message)
+            fixed = '/%s/pose_frontend/set_localization_mode' % PACKAGE
+            self.assertTrue(rospy.ServiceProxy(fixed, SetBool)(True).success)
+            query = rospy.ServiceProxy('/%s/quadric_mapping/query_objects' % PACKAGE, QueryObjects)
+            self.assertTrue(wait_until(lambda: len(query(QueryObjectsRequest()).objects) > 5, 10))
+            known = {o.id for o in query(QueryObjectsRequest()).objects}
+            run_program('wait_for_player', '__ns:=/' + PACKAGE, timeout_s=60)
+            self.assertLessEqual({o.id for o in query(QueryObjectsRequest()).objects}, known, 'the map is fixed')
+        finally:
+            launch.stop()
+            os.remove(there)
+        self.assertTrue(any('joined the map of earlier sessions' in line for line in launch.lines), launch.output())
+
     def test_a_file_that_is_none_is_named(self):
         launch = demo(duration='4', data=self.path('none'), map=self.path('no_such_file.db'))
         try:
-            self.assertTrue(wait_until(lambda: 'LoopDetection is not working' in launch.output(), 30), launch.output())
+            self.assertTrue(wait_until(lambda: 'PoseFrontend is not working' in launch.output(), 30), launch.output())
         finally:
             launch.stop()
         self.assertTrue(any('no_such_file.db' in line and 'FATAL' in line for line in launch.lines), launch.output())

@@ -22,7 +22,12 @@
 #include "ros/conversions.h"
 #include "semantic_topo_loop/FrameDone.h"
 #include "semantic_topo_loop/Keyframe.h"
+#include "semantic_topo_loop/LoadMap.h"
+#include "semantic_topo_loop/MapPart.h"
+#include "semantic_topo_loop/QueryObjects.h"
+#include "semantic_topo_loop/SaveMap.h"
 #include "semantic_topo_loop/SavePoints.h"
+#include "semantic_topo_loop/SaveTrajectory.h"
 #include "semantic_topo_loop/SessionAck.h"
 #include "semantic_topo_loop/SessionControl.h"
 #include "semantic_topo_loop/WhyLoop.h"
@@ -298,15 +303,22 @@ class Fuzzer {
     add_stage<Keyframe>("keyframes");
     add_stage<KeyframePoints>("keyframe_points");
     add_stage<TrackingReport>("tracking_report");
+    add_stage<MapPart>("map_parts");
     add_stage<SessionAck>("session_acks");
   }
 
   void add_services() {
     for (const char* name : {"pose_frontend/reset", "pose_frontend/pause", "pose_frontend/resume",
-                             "rgbd_frontend/reset", "recorder/save_results", "loop_detection/save_map"}) {
+                             "rgbd_frontend/reset", "recorder/save_results"}) {
       add_service<std_srvs::Trigger>("/" + std::string(name));
     }
-    add_service<std_srvs::SetBool>("/loop_detection/set_loop_closing");
+    for (const char* name : {"loop_detection/set_loop_closing", "pose_frontend/set_localization_mode"}) {
+      add_service<std_srvs::SetBool>("/" + std::string(name));
+    }
+    add_service<LoadMap>("/pose_frontend/load_map");
+    add_service<SaveMap>("/map_database/save_map");
+    add_service<QueryObjects>("/quadric_mapping/query_objects");
+    add_service<SaveTrajectory>("/pose_graph/save_trajectory");
     add_service<WhyLoop>("/loop_detection/why_loop");
     add_service<WithdrawLoop>("/pose_graph/withdraw_loop");
     add_service<SavePoints>("/point_mapping/save_points");
@@ -367,12 +379,15 @@ class Fuzz : public ::testing::Test {
     chain_.set("pose_frontend", "pose_timeout_s", 0.05);
     chain_.set("detection_ingestion", "source", "topic");
     chain_.set("detection_ingestion", "detection_timeout_s", 0.05);
-    chain_.set("loop_detection", "save_map_file", directory.path("submaps.db"));
-    chain_.set("point_mapping", "save_dir", directory.path("points"));
+    chain_.set("map_database", "save_map_file", directory.path("map.db"));
+    for (const char* name : {"point_mapping", "map_database", "pose_graph", "pose_frontend", "rgbd_frontend"}) {
+      chain_.set(name, "save_dir", directory.path("saved"));
+    }
     for (const auto& [name, stage] : std::map<std::string, std::string>{{"detection_ingestion", "DetectionIngestion"},
                                                                         {"object_association", "ObjectAssociation"},
                                                                         {"quadric_mapping", "QuadricMapping"},
                                                                         {"loop_detection", "LoopDetection"},
+                                                                        {"map_database", "MapDatabase"},
                                                                         {"pose_graph", "PoseGraph"},
                                                                         {"point_mapping", "PointMapping"},
                                                                         {"visualization", "Visualization"},

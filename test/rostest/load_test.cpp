@@ -36,6 +36,7 @@ const std::vector<std::pair<std::string, std::string>> kNodelets = {{"pose_front
                                                                     {"object_association", "ObjectAssociation"},
                                                                     {"quadric_mapping", "QuadricMapping"},
                                                                     {"loop_detection", "LoopDetection"},
+                                                                    {"map_database", "MapDatabase"},
                                                                     {"pose_graph", "PoseGraph"},
                                                                     {"point_mapping", "PointMapping"},
                                                                     {"visualization", "Visualization"},

@@ -61,21 +61,15 @@ class InProcessChain {
     set("detection_ingestion", "source", "file");
     set("detection_ingestion", "detections_file", data + "/detections.json");
     set("recorder", "output_dir", output);
-    for (const char* nodelet : {"detection_ingestion", "object_association", "quadric_mapping", "loop_detection",
-                                "recorder", "visualization"}) {
-      set(nodelet, "class_table", STL_CONFIG_DIR "/classes_coco.yaml");
-    }
   }
   /// Who only looks on.
   void load_viewers() {
-    set("visualization", "class_table", STL_CONFIG_DIR "/classes_coco.yaml");
     set("visualization", "rate_hz", 50.0);
     load("visualization", "Visualization", {});
     load("point_mapping", "PointMapping", {});
   }
   /// The pose graph and the map that follows it; the test plays the other stages.
   void load_correction() {
-    set("quadric_mapping", "class_table", STL_CONFIG_DIR "/classes_coco.yaml");
     load("pose_graph", "PoseGraph", {});
     load("quadric_mapping", "QuadricMapping", {});
   }
@@ -99,6 +93,10 @@ class InProcessChain {
   }
   void load(const std::string& name, const std::string& type, const Remappings& remappings = {}) {
     Remappings resolved;
+    const bool has_classes = type != "Player" && type != "PointMapping";
+    if (has_classes && !ros::param::has("/" + name + "/class_table")) {
+      set(name, "class_table", STL_CONFIG_DIR "/classes_coco.yaml");
+    }
     for (const auto& [from, to] : remappings) resolved[ros::names::resolve(from)] = ros::names::resolve(to);
     ASSERT_TRUE(loader_.load("/" + name, "semantic_topo_loop/" + type, resolved, {})) << name;
   }

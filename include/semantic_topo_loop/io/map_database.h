@@ -3,6 +3,7 @@
 #include <cstdint>
 #include <memory>
 #include <string>
+#include <vector>
 
 #include "semantic_topo_loop/types/class_table.h"
 #include "semantic_topo_loop/types/result.h"
@@ -28,8 +29,10 @@ class MapDatabase {
   MapDatabase(const MapDatabase&) = delete;
   MapDatabase& operator=(const MapDatabase&) = delete;
 
-  /// Returns at once. @param delta the first one must be whole
-  void write(MapDelta delta);
+  /// What is written together.
+  using Parts = std::vector<std::shared_ptr<const MapDelta>>;
+  /// Returns at once. @param parts of the first call: whole, and of every stage
+  void write(Parts parts);
   /// Whether something waits to be written: who can tell more at once later may wait with it.
   bool is_behind() const;
   /// Writes what waits, leaves one file without a journal beside it, and ends. @return what could not be written, and

@@ -80,6 +80,8 @@ class LoopDetector {
   std::vector<LoopClosure> detect(const std::vector<LocalMap>& queries);
   /// The submaps kept so far, poses in the odometry's world; those of earlier sessions in the map.
   std::vector<LocalMap> submaps() const;
+  /// While places are fixed, no submap is kept; loops into those that are there are found.
+  void set_fixed(bool fixed);
   /// What is new in them since the last call, or all there is. @param whole also if it was told before
   SubmapDelta take_delta(bool whole);
 

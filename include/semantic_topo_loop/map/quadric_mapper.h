@@ -1,6 +1,8 @@
 #pragma once
 
+#include <cstdint>
 #include <memory>
+#include <optional>
 #include <vector>
 
 #include "semantic_topo_loop/types/class_table.h"
@@ -28,6 +30,10 @@ class QuadricMapper {
   MapUpdate apply(const MapCorrection& correction);
   /// Every landmark that has not been merged away or given up, in order of id.
   std::vector<Landmark> landmarks() const;
+  /// Stamp of the last image with a box of the landmark, ns; nullopt if there is no such landmark.
+  std::optional<std::int64_t> last_seen_ns(std::int64_t landmark_id) const;
+  /// While the map is fixed, what is seen changes nothing in it; corrections still move it.
+  void set_fixed(bool fixed);
   std::uint64_t map_version() const;
   const SE3& T_map_odom() const;
   /// What a later session goes on with (src/map/mapper_state.h).
@@ -35,7 +41,8 @@ class QuadricMapper {
   /// What is new since the last call, or all there is. @param whole also if it was told before
   MapperDelta take_delta(bool whole);
   /// Goes on with earlier sessions' objects. Call it before the first frame.
-  /// @param keyframes that they hang on   @param T_map_odom where this session stands for now   @return all of them, for those who follow the map
+  /// @param keyframes that they hang on   @param T_map_odom where this session stands for now   @return all of them,
+  /// for those who follow the map
   MapUpdate restore(MapperState state, const std::vector<KeyframePose>& keyframes, const SE3& T_map_odom);
 
  private:

@@ -44,7 +44,7 @@ class ObjectSlam {
   /// The map so far.
   std::shared_ptr<const MapState> map() const;
   /// What is new in it since the last call, for io/map_database.h.
-  MapDelta take_delta();
+  std::shared_ptr<const MapDelta> take_delta();
   /// Only looks for the run's place in the submaps of an earlier run, which stays as it is. Call it before the first
   /// frame.
   void set_earlier_map(std::vector<LocalMap> submaps) { loop_detector_.set_earlier_map(std::move(submaps)); }
@@ -61,6 +61,11 @@ class ObjectSlam {
   LoopDetector loop_detector_;
   PoseGraph pose_graph_;
 };
+
+/// Has a mapper go on with a map, beside which the new session stands.   @return all objects, for who follows the map
+MapUpdate restore_objects(const MapState& map, QuadricMapper* mapper);
+/// What that returns, for stages that only follow the map.
+MapUpdate objects_of(const MapState& map, const Options& options, std::shared_ptr<const ClassTable> classes);
 
 /// Joins two maps of which neither knows where it is in the other: places of both are compared, and what they have in
 /// common decides. Objects of both become one.

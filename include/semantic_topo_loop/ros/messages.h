@@ -8,6 +8,7 @@
 
 #include <boost/shared_ptr.hpp>
 #include <cstdint>
+#include <memory>
 #include <optional>
 #include <string>
 #include <type_traits>
@@ -20,6 +21,7 @@
 #include "semantic_topo_loop/KeyframePoints.h"
 #include "semantic_topo_loop/LoopClosureArray.h"
 #include "semantic_topo_loop/MapCorrection.h"
+#include "semantic_topo_loop/MapPart.h"
 #include "semantic_topo_loop/QuadricMap.h"
 #include "semantic_topo_loop/QuadricMapUpdate.h"
 #include "semantic_topo_loop/TrackingReport.h"
@@ -38,6 +40,10 @@
 ///
 /// Nothing is rounded or normalised on the way but the points of a Frame, which travel as float32.
 namespace semantic_topo_loop {
+
+namespace core {
+struct MapDelta;
+}
 
 /// A value of the core with the header and the session of the stage that says it.
 /// @tparam GeneratedType the message of which it has name, sum and bytes
@@ -83,6 +89,14 @@ struct FrameLoops {
 /// The full map as an update of every landmark; what it follows is left to the holder.
 struct FullMap : core::MapUpdate {};
 
+/// What is new in a stage's part of the map.
+struct MapPartValue {
+  std::int64_t frame_id = 0;
+  std::uint8_t stage = MapPart::STAGE_POSE_GRAPH;
+  bool is_end = false;                          ///< nothing follows in this session
+  std::shared_ptr<const core::MapDelta> delta;  ///< null: what came over a socket is none
+};
+
 using FrameMessage = Stamped<CameraFrame, Frame>;
 using KeyframePointsMessage = Stamped<PointsKeyframe, KeyframePoints>;
 using DetectionsMessage = Stamped<FrameDetections, DetectionArray>;
@@ -91,6 +105,7 @@ using MapUpdateMessage = Stamped<core::MapUpdate, QuadricMapUpdate>;
 using MapMessage = Stamped<FullMap, QuadricMap>;
 using LoopsMessage = Stamped<FrameLoops, LoopClosureArray>;
 using CorrectionMessage = Stamped<core::MapCorrection, MapCorrection>;
+using MapPartMessage = Stamped<MapPartValue, MapPart>;
 using TrackingMessage = Stamped<core::TrackingReport, TrackingReport>;
 
 /// Frames that this process has decoded so far: one for each that came over a socket.
@@ -130,6 +145,14 @@ struct KeyframeClouds {
 
   std::vector<std::int64_t> sparse_ids;
   sensor_msgs::PointCloud2 sparse, semi_dense;
+};
+
+/// The part of MapPart.msg that holds the delta.
+struct MapBody {
+  void take_from(const MapPartMessage& part);
+  void give_to(MapPartMessage* part) const;
+
+  std::vector<std::uint8_t> bytes;
 };
 
 template <class Stream>
@@ -324,6 +347,19 @@ struct Serializer<semantic_topo_loop::KeyframePointsMessage> {
     if constexpr (!semantic_topo_loop::wire::kIsInput<Stream>) clouds.take_from(m);
     next(stream, clouds.sparse_ids, clouds.sparse, clouds.semi_dense);
     if constexpr (semantic_topo_loop::wire::kIsInput<Stream>) clouds.give_to(&m);
+  }
+  ROS_DECLARE_ALLINONE_SERIALIZER
+};
+
+template <>
+struct Serializer<semantic_topo_loop::MapPartMessage> {
+  template <class Stream, class T>
+  static void allInOne(Stream& stream, T m) {
+    next(stream, m.header, m.session_id, m.frame_id, m.stage, m.is_end);
+    semantic_topo_loop::wire::MapBody body;
+    if constexpr (!semantic_topo_loop::wire::kIsInput<Stream>) body.take_from(m);
+    next(stream, body.bytes);
+    if constexpr (semantic_topo_loop::wire::kIsInput<Stream>) body.give_to(&m);
   }
   ROS_DECLARE_ALLINONE_SERIALIZER
 };

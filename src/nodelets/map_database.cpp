@@ -1,0 +1,160 @@
+#include "semantic_topo_loop/io/map_database.h"
+
+#include <array>
+#include <atomic>
+#include <filesystem>
+#include <memory>
+#include <mutex>
+#include <pluginlib/class_list_macros.hpp>
+#include <string>
+#include <utility>
+
+#include "pipeline/map_state.h"
+#include "ros/frame_joiner.h"
+#include "ros/stage.h"
+#include "semantic_topo_loop/SaveMap.h"
+
+namespace semantic_topo_loop {
+/// Keeps the map in a file while it grows: what the stages say is new in their parts is written together.
+class MapDatabaseNodelet : public StageWith<MapDatabaseParameters> {
+ public:
+  MapDatabaseNodelet() : StageWith("MapDatabase") {}
+  ~MapDatabaseNodelet() override { stop(); }
+
+ private:
+  using Part = MapPartMessage::ConstPtr;
+  using Joiner = FrameJoiner<Part, Part, Part>;
+  static constexpr char kIncomplete[] = "saved without all stages";
+  static constexpr double kWatchPeriodS = 0.5;
+
+  void onInit() override {
+    if (!start(3)) return;
+    serve("save_map", &MapDatabaseNodelet::on_save);
+    if (parameters_.save_map_file.empty()) return follow_sessions();
+    const auto place = write_to(parameters_.save_map_file, core::check_map_place);
+    if (!place) {
+      fail(place.message());
+      return;
+    }
+    path_ = *place;
+    // A part that never comes does not hold up the others.
+    joiner_ = std::make_unique<Joiner>(queue_capacity(), [this](std::int64_t, const Joiner::Partial& parts) {
+      std::apply([this](const auto&... part) { (add(part.value_or(nullptr)), ...); }, parts);
+      write();
+    });
+    statistics().count(kIncomplete, 0);
+    save_at_end([this] { close(); });
+    subscribe("map_parts", Keep::kAlways, &MapDatabaseNodelet::on_part);
+    start_timer(kWatchPeriodS, [this] { watch(); });
+    follow_sessions();
+  }
+
+  void reset_session() override {
+    if (!joiner_) return;
+    joiner_->clear();
+    close();
+    waiting_.clear();
+    has_whole_ = {};
+    // What another session of this process mapped stays, unless this one goes on with it or has its images again.
+    std::error_code code;
+    if (is_kept_ && !session().rewind && session().map_file != path_) std::filesystem::rename(path_, path_ + "~", code);
+    if (code) complain("maps of earlier sessions that were overwritten", path_ + ": " + code.message());
+    is_kept_ = false;
+    const std::lock_guard<std::mutex> lock(mutex_);
+    database_ = std::make_shared<core::MapDatabase>(path_, classes());
+  }
+
+  void on_part(const Part& part) {
+    if (!part->delta) return complain("unreadable parts of the map", "of frame " + std::to_string(part->frame_id));
+    std::optional<Joiner::Set> joined;
+    switch (part->stage) {
+      case MapPart::STAGE_POSE_GRAPH:
+        joined = joiner_->add<MapPart::STAGE_POSE_GRAPH>(part->frame_id, part);
+        break;
+      case MapPart::STAGE_QUADRIC_MAPPING:
+        joined = joiner_->add<MapPart::STAGE_QUADRIC_MAPPING>(part->frame_id, part);
+        break;
+      case MapPart::STAGE_LOOP_DETECTION:
+        joined = joiner_->add<MapPart::STAGE_LOOP_DETECTION>(part->frame_id, part);
+        break;
+      default:
+        return complain("parts of the map of no stage", "stage " + std::to_string(part->stage));
+    }
+    statistics().set(kIncomplete, joiner_->evicted());
+    if (!joined) return;
+    std::apply([this](const auto&... each) { (add(each), ...); }, *joined);
+    write();
+    count_processed();
+    if (part->is_end) close();
+  }
+
+  /// Only what follows a whole part can be written.
+  void add(const Part& part) {
+    if (!part) return;
+    const core::MapDelta& delta = *part->delta;
+    const bool is_whole =
+        delta.graph || (delta.objects && delta.objects->is_whole) || (delta.submaps && delta.submaps->is_whole);
+    has_whole_.at(part->stage) = has_whole_.at(part->stage) || is_whole;
+    if (has_whole_.at(part->stage)) waiting_.push_back(part->delta);
+  }
+
+  void write() {
+    if (!has_whole_[0] || !has_whole_[1] || !has_whole_[2]) return;
+    database()->write(std::exchange(waiting_, {}));
+    is_kept_ = true;
+    set_unsaved(true);
+  }
+
+  std::shared_ptr<core::MapDatabase> database() const {
+    const std::lock_guard<std::mutex> lock(mutex_);
+    return database_;
+  }
+
+  void watch() {
+    if (const auto database = this->database()) warn_while("map", database->problem().message());
+  }
+
+  /// What is written by then is a map, and one file.
+  void close() {
+    const auto database = this->database();
+    if (!database || !is_kept_) return;
+    const core::Status closed = database->close();
+    set_unsaved(false);
+    report_written("map", closed ? core::Result<std::string>(path_) : closed.error());
+  }
+
+  bool on_save(SaveMap::Request& request, SaveMap::Response& response) {
+    const auto database = this->database();
+    if (!database || !is_kept_) {
+      response.message = parameters_.save_map_file.empty() ? "parameter 'save_map_file' is empty: no map is kept"
+                                                           : "nothing is mapped yet";
+      return true;
+    }
+    const core::Result<std::string> place = path_below(parameters_.save_dir, request.path, parameters_.allow_any_path);
+    answer(place, &response);
+    if (!place) return true;
+    const core::Result<core::MapCounts> copied = database->copy_to(*place);
+    if (!copied) {
+      answer(core::Result<std::string>(copied.error()), &response);
+      return true;
+    }
+    response.sessions = copied->sessions;
+    response.keyframes = copied->keyframes;
+    response.objects = copied->objects;
+    response.submaps = copied->submaps;
+    response.loops = copied->loops;
+    return true;
+  }
+
+  std::string path_;  ///< absolute
+  std::unique_ptr<Joiner> joiner_;
+  std::array<bool, 3> has_whole_{};   ///< by stage
+  core::MapDatabase::Parts waiting_;  ///< until each stage has sent its part as a whole
+  std::atomic<bool> is_kept_{false};  ///< something of this session went to the database
+  mutable std::mutex mutex_;          ///< guards the pointer
+  std::shared_ptr<core::MapDatabase> database_;
+};
+
+}  // namespace semantic_topo_loop
+
+PLUGINLIB_EXPORT_CLASS(semantic_topo_loop::MapDatabaseNodelet, nodelet::Nodelet)
