@@ -46,7 +46,8 @@ struct QuadricMapper::Impl {
       add_keyframe(frame);
       if (!associations.unanswered && !is_fixed_) look(frame, associations);
       fit_due_landmarks();
-      if (!is_fixed_ && 1e-9 * static_cast<double>(frame.stamp_ns - last_maintenance_ns_) >= options_.maintenance_interval_s) {
+      if (!is_fixed_ &&
+          1e-9 * static_cast<double>(frame.stamp_ns - last_maintenance_ns_) >= options_.maintenance_interval_s) {
         last_maintenance_ns_ = frame.stamp_ns;
         merge_duplicates(&update);
         forget_stale_candidates(frame.stamp_ns, &update);
