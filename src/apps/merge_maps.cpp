@@ -45,7 +45,9 @@ Status run(const Arguments& arguments) {
   }
   std::printf("%zu loops join the maps; %zu and %zu confirmed objects are %zu; %.1f s\n", merged.kept_loops,
               confirmed(**a), confirmed(**b), confirmed(*merged.map), 1e-6 * stopwatch.elapsed_us());
-  return write_map(arguments.out, *merged.map, *classes);
+  MapState map = *merged.map;
+  map.configuration = format_options_yaml(list_options(*options));
+  return write_map(arguments.out, map, *classes);
 }
 
 }  // namespace

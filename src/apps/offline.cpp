@@ -400,7 +400,9 @@ Status run_once(const Arguments& arguments, const RunInputs& inputs, RunRecorder
     }
   }
   std::optional<MapDatabase> database;
-  if (!arguments.save_map.empty()) database.emplace(arguments.save_map, inputs.classes);
+  if (!arguments.save_map.empty()) {
+    database.emplace(arguments.save_map, inputs.classes, format_options_yaml(list_options(inputs.options)));
+  }
   SavePoints save_points;
   PointMap point_map(inputs.options.point_map);
   ExtraLoops extra_loops(inputs.extra_loops);

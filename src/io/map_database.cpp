@@ -58,8 +58,11 @@ Status check_map_place(const std::string& path) {
 
 class MapDatabase::Impl {
  public:
-  Impl(std::string path, std::shared_ptr<const ClassTable> classes)
-      : path_(std::move(path)), classes_(std::move(classes)), thread_([this] { run(); }) {}
+  Impl(std::string path, std::shared_ptr<const ClassTable> classes, std::string configuration)
+      : path_(std::move(path)),
+        classes_(std::move(classes)),
+        configuration_(std::move(configuration)),
+        thread_([this] { run(); }) {}
 
   void write(Parts parts) {
     const std::lock_guard<std::mutex> lock(mutex_);
@@ -149,6 +152,7 @@ class MapDatabase::Impl {
       file.run("PRAGMA journal_mode = OFF; PRAGMA synchronous = OFF; BEGIN");
       create_map_tables(&file);
       MapTables tables(&file, *classes_);
+      tables.write_configuration(configuration_);
       for (const auto& part : whole) tables.write(*part);
       file.run("COMMIT");
       return status_of(file);
@@ -157,6 +161,7 @@ class MapDatabase::Impl {
 
   const std::string path_;
   const std::shared_ptr<const ClassTable> classes_;
+  const std::string configuration_;
   mutable std::mutex mutex_;  ///< guards all below but map_, which is the thread's alone
   std::condition_variable wake_;
   std::deque<Parts> waiting_;
@@ -167,8 +172,8 @@ class MapDatabase::Impl {
   std::thread thread_;
 };
 
-MapDatabase::MapDatabase(std::string path, std::shared_ptr<const ClassTable> classes)
-    : impl_(std::make_unique<Impl>(std::move(path), std::move(classes))) {}
+MapDatabase::MapDatabase(std::string path, std::shared_ptr<const ClassTable> classes, std::string configuration)
+    : impl_(std::make_unique<Impl>(std::move(path), std::move(classes), std::move(configuration))) {}
 MapDatabase::~MapDatabase() { static_cast<void>(close()); }
 void MapDatabase::write(Parts parts) { impl_->write(std::move(parts)); }
 bool MapDatabase::is_behind() const { return impl_->is_behind(); }

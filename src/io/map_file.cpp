@@ -196,6 +196,7 @@ void read_all(const ClassTable& classes, MapParts parts, SqliteFile* file, MapSt
     if (!status) file->reject(status.message());
   };
   require(check_classes(classes, file));
+  read_meta("configuration", file, &map->configuration);
   read_meta("next_frame", file, &map->graph.next_frame_id);
   read_meta("accepted_loops", file, &map->graph.accepted_loops);
   read_meta("noise", file, &map->graph.noise);
@@ -230,6 +231,7 @@ Status write_map(const std::string& path, const MapState& map, const ClassTable&
     file.run("PRAGMA journal_mode = OFF; PRAGMA synchronous = OFF; BEGIN");
     create_map_tables(&file);
     MapTables tables(&file, classes);
+    tables.write_configuration(map.configuration);
     tables.write(map.graph);
     tables.write(map.objects.camera);
     for (const MappedLandmark& landmark : map.objects.landmarks) tables.write(landmark, landmark.observations, 0);

@@ -134,6 +134,8 @@ void MapTables::write(const GraphState& graph) {
   finish("loop", "number", &loops_);
 }
 
+void MapTables::write_configuration(const std::string& text) { write_meta("configuration", Json(text).dump()); }
+
 void MapTables::write(const Camera& camera) { write_meta("camera", to_archive(camera).dump()); }
 
 void MapTables::write(const LandmarkRecord& record, const std::vector<Observation>& observations, std::size_t first) {

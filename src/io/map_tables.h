@@ -27,6 +27,7 @@ class MapTables {
   MapTables(SqliteFile* file, const ClassTable& classes);
 
   void write(const GraphState& graph);
+  void write_configuration(const std::string& text);
   void write(const Camera& camera);
   /// @param first number of the first of the observations; what there is from it on is replaced
   void write(const LandmarkRecord& record, const std::vector<Observation>& observations, std::size_t first);

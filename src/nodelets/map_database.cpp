@@ -13,6 +13,7 @@
 #include "ros/frame_joiner.h"
 #include "ros/stage.h"
 #include "semantic_topo_loop/SaveMap.h"
+#include "semantic_topo_loop/io/yaml_files.h"
 
 namespace semantic_topo_loop {
 /// Keeps the map in a file while it grows: what the stages say is new in their parts is written together.
@@ -61,7 +62,8 @@ class MapDatabaseNodelet : public StageWith<MapDatabaseParameters> {
     if (code) complain("maps of earlier sessions that were overwritten", path_ + ": " + code.message());
     is_kept_ = false;
     const std::lock_guard<std::mutex> lock(mutex_);
-    database_ = std::make_shared<core::MapDatabase>(path_, classes());
+    database_ =
+        std::make_shared<core::MapDatabase>(path_, classes(), core::format_options_yaml(core::list_options(options_)));
   }
 
   void on_part(const Part& part) {

@@ -2,6 +2,7 @@
 
 #include <cstdint>
 #include <optional>
+#include <string>
 #include <utility>
 #include <vector>
 
@@ -14,6 +15,7 @@ namespace semantic_topo_loop::core {
 
 /// A map of one or more sessions: what a later one goes on with.
 struct MapState {
+  std::string configuration;  ///< options of the last session (YAML), for who wonders how it came about
   GraphState graph;
   MapperState objects;
   std::size_t left_out = 0;       ///< boxes and submaps, see leave_out_unplaced

@@ -23,7 +23,8 @@ struct MapCounts {
 /// Thread-safe.
 class MapDatabase {
  public:
-  MapDatabase(std::string path, std::shared_ptr<const ClassTable> classes);
+  /// @param configuration kept for who wonders how the map came about
+  MapDatabase(std::string path, std::shared_ptr<const ClassTable> classes, std::string configuration = {});
   /// As `close`.
   ~MapDatabase();
   MapDatabase(const MapDatabase&) = delete;
