@@ -21,6 +21,14 @@ constexpr std::chrono::seconds kRetry(1);
 
 Status status_of(const SqliteFile& file) { return file.is_fine() ? Status() : Error{file.problem()}; }
 
+bool is_there(const std::string& path) {
+  std::error_code code;
+  return std::filesystem::exists(path, code) && std::filesystem::file_size(path, code) > 0;
+}
+
+/// What a writer that was killed left in its journal goes into the file, and the journal with it.
+void take_in_journal(SqliteFile* file) { file->run("BEGIN IMMEDIATE; COMMIT; PRAGMA journal_mode = DELETE"); }
+
 /// A database that this program writes from now on: who else tries is told so.
 class OpenMap {
  public:
@@ -46,14 +54,24 @@ class OpenMap {
 }  // namespace
 
 Status check_map_place(const std::string& path) {
-  std::error_code code;
-  if (!std::filesystem::exists(path, code) || std::filesystem::file_size(path, code) == 0) return {};
+  if (!is_there(path)) return {};
   SqliteFile file(path, SqliteFile::Mode::kWrite);
   const std::int64_t application = file.number("PRAGMA application_id");
   if (file.is_fine() && application != kMapApplicationId) file.reject("is there already, and is no map");
-  // What a writer that was killed left in its journal goes into the file, and the journal with it.
-  file.run("BEGIN IMMEDIATE; COMMIT; PRAGMA journal_mode = DELETE");
+  take_in_journal(&file);
   return status_of(file);
+}
+
+Result<std::string> link_loaded_map(const std::string& path) {
+  if (!is_there(path)) return path;
+  SqliteFile file(path, SqliteFile::Mode::kWrite);
+  take_in_journal(&file);
+  if (file.is_busy()) return Error{file.problem()};
+  const std::string link = path + ".loaded";
+  std::error_code code;
+  std::filesystem::remove(link, code);
+  std::filesystem::create_hard_link(path, link, code);
+  return code ? path : link;
 }
 
 class MapDatabase::Impl {

@@ -17,6 +17,8 @@ class SqliteFile {
 
   const std::string& problem() const { return problem_; }
   bool is_fine() const { return problem_.empty(); }
+  /// Whether the problem is that another program writes it.
+  bool is_busy() const { return is_busy_; }
   void reject(const std::string& problem);
   /// Statements without a result.
   void run(const std::string& sql);
@@ -33,6 +35,7 @@ class SqliteFile {
   std::string path_;
   std::unique_ptr<sqlite3, Close> database_;
   std::string problem_;
+  bool is_busy_ = false;
 };
 
 /// A prepared statement: bind its parameters in order, or step through its rows.

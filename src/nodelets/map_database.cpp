@@ -56,9 +56,9 @@ class MapDatabaseNodelet : public StageWith<MapDatabaseParameters> {
     close();
     waiting_.clear();
     has_whole_ = {};
-    // What another session of this process mapped stays, unless this one goes on with it or has its images again.
+    // What another session of this process mapped stays, unless this one has its images again.
     std::error_code code;
-    if (is_kept_ && !session().rewind && session().map_file != path_) std::filesystem::rename(path_, path_ + "~", code);
+    if (is_kept_ && !session().rewind) std::filesystem::rename(path_, path_ + "~", code);
     if (code) complain("maps of earlier sessions that were overwritten", path_ + ": " + code.message());
     is_kept_ = false;
     const std::lock_guard<std::mutex> lock(mutex_);

@@ -7,6 +7,7 @@
 
 #include "pipeline/map_state.h"
 #include "semantic_topo_loop/Keyframe.h"
+#include "semantic_topo_loop/io/map_database.h"
 #include "semantic_topo_loop/io/yaml_files.h"
 
 namespace semantic_topo_loop {
@@ -59,7 +60,11 @@ core::Status FrontendStage::set_map(const std::string& file, bool frozen) {
   SessionMap next;
   if (!file.empty()) {
     std::error_code code;
-    next.file = std::filesystem::absolute(file, code).lexically_normal().string();
+    const std::string absolute = std::filesystem::absolute(file, code).lexically_normal().string();
+    const auto loaded = core::link_loaded_map(absolute);
+    if (!loaded) return loaded.error();
+    next.file = *loaded;
+    next.is_link = *loaded != absolute;
     next.frozen = frozen;
     const auto map = core::read_map(next.file, *classes());
     if (!map) return map.error();
@@ -69,8 +74,14 @@ core::Status FrontendStage::set_map(const std::string& file, bool frozen) {
       next.next_keyframe_id = (*map)->graph.next_keyframe_id();
     }
   }
+  if (next.file != map_.file) remove_link();
   map_ = next;
   return {};
+}
+
+void FrontendStage::remove_link() const {
+  std::error_code code;
+  if (map_.is_link) std::filesystem::remove(map_.file, code);
 }
 
 bool FrontendStage::on_load_map(LoadMap::Request& request, LoadMap::Response& response) {

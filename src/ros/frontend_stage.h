@@ -26,6 +26,10 @@ namespace semantic_topo_loop {
 class FrontendStage : public Stage {
  protected:
   explicit FrontendStage(std::string name) : Stage(std::move(name)) {}
+  ~FrontendStage() override {
+    stop();
+    remove_link();
+  }
 
   /// Reads the calibration, advertises, and makes the session the worker's first task.
   /// @param transforms filled from tf; null if tf is not needed   @return false after fail()
@@ -66,6 +70,7 @@ class FrontendStage : public Stage {
  private:
   /// What the sessions to come go on with. @param file a map's, or empty   @return an error if it cannot be read
   core::Status set_map(const std::string& file, bool frozen);
+  void remove_link() const;
   void make_builder(const core::Camera& camera);
   bool on_load_map(LoadMap::Request& request, LoadMap::Response& response);
   void control(std::uint8_t command, const std::string& reason, bool rewind = false);
@@ -97,7 +102,8 @@ class FrontendStage : public Stage {
   bool is_paused_ = false, is_localizing_ = false;
   /// The map that a session begins with.
   struct SessionMap {
-    std::string file;  ///< empty: none
+    std::string file;      ///< as its sessions read it, see link_loaded_map; empty: none
+    bool is_link = false;  ///< made for them
     bool frozen = false;
     std::int64_t next_frame_id = 0, next_keyframe_id = 0;
   };

@@ -304,7 +304,8 @@ class EarlierMapTest(DirectoryTest):
 
     def test_3_a_later_run_goes_on_with_it_as_offline_does(self):
         both = self.path('both.db')
-        launch = self.play('third', map=self.map, save_map=both)
+        shutil.copy(self.map, both)
+        launch = self.play('third', map=both, save_map=both)
         try:
             self.assertTrue(wait_until(lambda: is_closed(both), 10), launch.output())
         finally:
@@ -314,6 +315,7 @@ class EarlierMapTest(DirectoryTest):
         run_offline(self, self.path('third'), offline, '--map', self.map, '--save-map', self.path('offline.db'))
         self.assertEqual(differing_files(offline, self.path('third/results')), [])
         self.assertTrue(rows_of(self, both) == rows_of(self, self.path('offline.db')))
+        self.assertFalse(os.path.exists(both + '.loaded'), 'what the session read')
         with open(os.path.join(offline, 'summary.json')) as file:
             self.assertGreaterEqual(json.load(file)['joined_map']['loops'], 1)
 
@@ -336,6 +338,7 @@ class EarlierMapTest(DirectoryTest):
             known = {o.id for o in query(QueryObjectsRequest()).objects}
             run_program('wait_for_player', '__ns:=/' + PACKAGE, timeout_s=60)
             self.assertLessEqual({o.id for o in query(QueryObjectsRequest()).objects}, known, 'the map is fixed')
+            self.assertTrue(is_closed(self.path('fourth.db~')), 'what the session before it had mapped')
         finally:
             launch.stop()
             os.remove(there)

@@ -52,4 +52,8 @@ class MapDatabase {
 /// @return an error if a map cannot be written there: no place, another program writes it, or it is no map's file
 Status check_map_place(const std::string& path);
 
+/// A name under which a map stays as it is now, although another takes its place: a link beside it, FILE.loaded, or its
+/// own name where no link can be made.   @return an error if another program writes it
+Result<std::string> link_loaded_map(const std::string& path);
+
 }  // namespace semantic_topo_loop::core
