@@ -46,6 +46,23 @@ TEST_P(TrajectoryTest, looks_at_a_desk_from_above_with_the_image_upright) {
   }
 }
 
+TEST(Trajectory, goes_round_the_desks_it_is_to_visit) {
+  SceneOptions scene_options;
+  scene_options.layout = "house";
+  scene_options.desks = 6;
+  const Scene scene = make_scene(scene_options, 3);
+  for (const char* model : {"handheld", "robot"}) {
+    TrajectoryOptions options;
+    options.model = model;
+    options.first_desk = 2;
+    options.desks = 3;
+    const auto trajectory = make_trajectory(scene, options, 3);
+    std::set<int> rooms;
+    for (double time_s = 0.0; time_s < options.lap_s; time_s += 0.1) rooms.insert(scene.room_of(trajectory(time_s).t));
+    EXPECT_EQ(rooms, (std::set<int>{1, 2, 3})) << model;
+  }
+}
+
 TEST_P(TrajectoryTest, moves_as_smoothly_as_a_hand) {
   for (std::uint64_t seed = 0; seed < 10; ++seed) {
     const std::vector<SE3> T = poses(GetParam(), seed);

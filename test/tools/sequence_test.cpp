@@ -141,32 +141,73 @@ TEST(Sequence, a_few_views_do_not_make_an_object_certain) {
 
 TEST(SimulationOptions, bad_values_are_named) {
   const std::vector<std::pair<std::string, std::string>> bad = {
-      {"simulation.seed", "-1"},          {"simulation.odometry_frame", "mars"},
-      {"scene.layout", "kitchen"},        {"scene.desks", "0"},
-      {"trajectory.duration_s", "-5"},    {"trajectory.duration_s", "0.01"},
-      {"trajectory.rate_hz", "0"},        {"trajectory.lap_s", "0"},
-      {"trajectory.distance_m", "0"},     {"trajectory.height_m", "0.5"},
-      {"trajectory.wander_m", "1"},       {"trajectory.shake_m", "-1"},
-      {"trajectory.shake_deg", "90"},     {"drift.model", "walk"},
-      {"drift.position_m", "-1"},         {"drift.rotation_deg", "200"},
-      {"detector.miss_rate", "1.5"},      {"detector.small_box_px", "-1"},
-      {"detector.mislabel_rate", "2"},    {"detector.false_rate", "-0.1"},
-      {"detector.jitter_px", "-1"},       {"detector.jitter_ratio", "2"},
-      {"detector.persistence_s", "-1"},   {"detector.min_visible", "2"},
-      {"detector.min_inside", "-1"},      {"detector.min_score", "1"},
-      {"detector.color", "red"},          {"detector.miss_rate", "nan"},
-      {"trajectory.rate_hz", "fast"},     {"trajectory.model", "drone"},
-      {"trajectory.arc_deg", "0"},        {"dynamics.persons", "-1"},
-      {"dynamics.moved_objects", "-2"},   {"dynamics.move_time_s", "0"},
-      {"rendering.depth_scale", "0"},     {"rendering.depth_scale", "nan"},
-      {"rendering.far_value", "7"},       {"rendering.depth_delay_s", "1"},
-      {"rendering.depth_offset_m", "-3"}, {"rendering.noise", "much"},
+      {"simulation.seed", "-1"},
+      {"simulation.odometry_frame", "mars"},
+      {"scene.layout", "kitchen"},
+      {"scene.desks", "0"},
+      {"trajectory.duration_s", "-5"},
+      {"trajectory.duration_s", "0.01"},
+      {"trajectory.rate_hz", "0"},
+      {"trajectory.lap_s", "0"},
+      {"trajectory.distance_m", "0"},
+      {"trajectory.height_m", "0.5"},
+      {"trajectory.wander_m", "1"},
+      {"trajectory.shake_m", "-1"},
+      {"trajectory.shake_deg", "90"},
+      {"drift.model", "walk"},
+      {"drift.position_m", "-1"},
+      {"drift.rotation_deg", "200"},
+      {"detector.miss_rate", "1.5"},
+      {"detector.small_box_px", "-1"},
+      {"detector.mislabel_rate", "2"},
+      {"detector.false_rate", "-0.1"},
+      {"detector.jitter_px", "-1"},
+      {"detector.jitter_ratio", "2"},
+      {"detector.persistence_s", "-1"},
+      {"detector.min_visible", "2"},
+      {"detector.min_inside", "-1"},
+      {"detector.min_score", "1"},
+      {"detector.color", "red"},
+      {"detector.miss_rate", "nan"},
+      {"trajectory.rate_hz", "fast"},
+      {"trajectory.model", "drone"},
+      {"trajectory.arc_deg", "0"},
+      {"dynamics.persons", "-1"},
+      {"dynamics.moved_objects", "-2"},
+      {"dynamics.move_time_s", "0"},
+      {"rendering.depth_scale", "0"},
+      {"rendering.depth_scale", "nan"},
+      {"rendering.far_value", "7"},
+      {"rendering.depth_delay_s", "1"},
+      {"rendering.depth_offset_m", "-3"},
+      {"rendering.noise", "much"},
+      {"scene.seed", "-2"},
+      {"trajectory.first_desk", "0"},
+      {"trajectory.first_desk", "2"},
+      {"trajectory.desks", "2"},
   };
   for (const auto& [key, value] : bad) {
     const std::string error = make_options<SimulationOptions>({{key, value}}).message();
     EXPECT_NE(error.find("'" + key + "'"), std::string::npos) << error;
     EXPECT_NE(error.find("'" + value + "'"), std::string::npos) << key << ": " << error;
   }
+}
+
+TEST(Sequence, robots_in_one_scene_differ_in_all_but_the_scene) {
+  OptionTexts texts{{"scene.layout", "office"}, {"scene.seed", "7"}, {"trajectory.duration_s", "2"}};
+  texts["simulation.seed"] = "1";
+  const SimulatedSequence first = simulate_fr2(texts);
+  texts["simulation.seed"] = "2";
+  const SimulatedSequence second = simulate_fr2(texts);
+  ASSERT_EQ(first.scene.objects.size(), second.scene.objects.size());
+  for (std::size_t i = 0; i < first.scene.objects.size(); ++i) {
+    EXPECT_EQ(first.scene.objects[i].ellipsoid.center(), second.scene.objects[i].ellipsoid.center());
+  }
+  EXPECT_GT((first.truth[0].T_world_camera.t - second.truth[0].T_world_camera.t).norm(), 0.1);
+  const auto motion = [](const StampedPoses& poses) {
+    return poses.front().T_world_camera.inverse() * poses.back().T_world_camera;
+  };
+  EXPECT_GT((motion(first.odometry).t - motion(second.odometry).t).norm(), 1e-3);
 }
 
 TEST(SimulationOptions, documentation_is_what_the_code_says) {

@@ -150,12 +150,15 @@ class SmoothNoise {
   std::array<Wave, 4> waves_;
 };
 
-/// The lap that trajectories follow: an oval around the desks' middle line, without corners in the pace.
+/// The lap that trajectories follow: an oval around the middle line of the desks that are visited, without corners in
+/// the pace.
 class Lap {
  public:
-  Lap(const Scene& scene, double distance_m) : distance_m_(distance_m) {
-    line_start_ = scene.desks.front().T_world_desk.t;
-    const Vec3 line = scene.desks.back().T_world_desk.t - line_start_;
+  Lap(const Scene& scene, const TrajectoryOptions& options) : distance_m_(options.distance_m) {
+    const auto first = static_cast<std::size_t>(options.first_desk) - 1;
+    const std::size_t count = options.desks > 0 ? static_cast<std::size_t>(options.desks) : scene.desks.size() - first;
+    line_start_ = scene.desks[first].T_world_desk.t;
+    const Vec3 line = scene.desks[first + count - 1].T_world_desk.t - line_start_;
     line_length_m_ = line.norm();
     // A single desk is circled; any direction serves as its middle line.
     line_direction_ = line_length_m_ > 1e-6 ? Vec3(line / line_length_m_) : Vec3::UnitX();
@@ -280,7 +283,7 @@ CameraTrajectory robot(const TrajectoryOptions& options, const Lap& lap, Random 
 }  // namespace
 
 CameraTrajectory make_trajectory(const Scene& scene, const TrajectoryOptions& options, std::uint64_t seed) {
-  const Lap lap(scene, options.distance_m);
+  const Lap lap(scene, options);
   return options.model == "robot" ? robot(options, lap, Random(seed)) : handheld(options, lap, Random(seed));
 }
 

@@ -15,6 +15,8 @@ struct TrajectoryOptions {
   double duration_s = 60.0;
   double rate_hz = 30.0;
   double lap_s = 36.0;
+  int first_desk = 1;
+  int desks = 0;
   double arc_deg = 360.0;
   double distance_m = 1.6;
   double height_m = 1.45;
@@ -31,6 +33,8 @@ struct TrajectoryOptions {
     visitor("duration_s", duration_s, positive(), "length of the sequence");
     visitor("rate_hz", rate_hz, positive(), "images per second");
     visitor("lap_s", lap_s, positive(), "time of one lap around the desks; what comes later revisits");
+    visitor("first_desk", first_desk, at_least(1), "office, house: the desk where the row that is visited begins");
+    visitor("desks", desks, not_negative(), "office, house: how many desks are visited; 0: all from the first one on");
     visitor("arc_deg", arc_deg, above(0).at_most(360),
             "handheld: less than 360 swings to and fro over that share of a lap");
     visitor("distance_m", distance_m, at_least(0.5), "horizontal distance from the desks' middle line");

@@ -118,7 +118,7 @@ class Builder {
  private:
   void add_desks(const SceneOptions& options, Random* random) {
     const bool office = options.layout == "office", house = options.layout == "house";
-    const int count = office || house ? options.desks : 1;
+    const int count = options.desk_count();
     if (house) scene_.room_length_m = kRoomLength_m;
     const double room_yaw = random->uniform(-kPi, kPi);
     Vec3 room_origin(0.0, 0.0, kTableHeight_m);

@@ -15,7 +15,9 @@ struct SceneOptions {
   std::string layout = "desk";
   int desks = 3;
   bool identical_desks = false;
+  int seed = -1;
 
+  int desk_count() const { return layout == "desk" ? 1 : desks; }
   void visit(OptionVisitor& visitor) {
     visitor.module("scene");
     visitor("layout", layout, one_of({"desk", "office", "house"}),
@@ -24,6 +26,8 @@ struct SceneOptions {
     visitor("desks", desks, between(1, 50), "office, house: number of desks");
     visitor("identical_desks", identical_desks,
             "office, house: every desk carries the same objects at the same places");
+    visitor("seed", seed, at_least(-1),
+            "of desks, objects and their looks, for sequences of several robots in one scene; -1: simulation.seed");
   }
 };
 

@@ -59,6 +59,9 @@ struct SimulationOptions {
             "world of the odometry: first_camera (its first pose is the identity), random, or world (as the truth)");
     scene.visit(visitor);
     trajectory.visit(visitor);
+    visitor.require("first_desk", trajectory.first_desk <= scene.desk_count(), "a desk of the scene");
+    visitor.require("desks", trajectory.first_desk - 1 + trajectory.desks <= scene.desk_count(),
+                    "no more than the scene has from trajectory.first_desk on");
     drift.visit(visitor);
     dynamics.visit(visitor);
     detector.visit(visitor);
@@ -80,7 +83,9 @@ enum class SeedStream : std::uint64_t {
 };
 
 inline std::uint64_t seed_of(const SimulationOptions& options, SeedStream stream) {
-  return static_cast<std::uint64_t>(options.seed) * 16 + static_cast<std::uint64_t>(stream);
+  const bool is_of_scene = stream == SeedStream::kScene || stream == SeedStream::kTextures;
+  const int seed = is_of_scene && options.scene.seed >= 0 ? options.scene.seed : options.seed;
+  return static_cast<std::uint64_t>(seed) * 16 + static_cast<std::uint64_t>(stream);
 }
 
 /// What a recorded sequence has, with the truth.
