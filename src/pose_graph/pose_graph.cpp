@@ -11,6 +11,7 @@
 #include "pose_graph/rejection/loop_rejection.h"
 #include "pose_graph/scale/scaled_trajectory.h"
 #include "pose_graph/solver/graph_objects.h"
+#include "pose_graph/solver/segment_placement.h"
 #include "pose_graph/solver/trajectory_optimizer.h"
 #include "semantic_topo_loop/geometry/lie.h"
 #include "semantic_topo_loop/types/stamp.h"
@@ -320,6 +321,7 @@ struct PoseGraph::Impl {
 
   bool optimize_poses(Effort effort) {
     if (options_.robust == "gnc") trajectory_.votes = loops_.vote(trajectory_);
+    place_segments(&trajectory_);
     const bool is_doubted = effort == Effort::kFull && options_.robust == "gnc";
     if (is_doubted && !loops_.reject_outliers(&trajectory_, &knowledge_)) return false;
     OptimizedTrajectory result =

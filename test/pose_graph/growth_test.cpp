@@ -142,6 +142,24 @@ TEST(Coarsening, LeavesOutWhatIsLongAgo) {
   }
 }
 
+TEST(Coarsening, NothingMovesWithWhatWasBeforeABreak) {
+  SyntheticRun run;
+  Trajectory trajectory;
+  trajectory.T_map_vertex = run.odometry();
+  trajectory.edges = run.edges();
+  std::vector<std::size_t> keyframes(trajectory.T_map_vertex.size());
+  for (std::size_t k = 0; k < keyframes.size(); ++k) keyframes[k] = k;
+  constexpr std::size_t kBreak = 20;
+  trajectory.edges[kBreak].is_break = true;
+  coarsen(30, &keyframes, &trajectory);
+  ASSERT_EQ(keyframes.size(), 30U);
+  const auto after = std::find(keyframes.begin(), keyframes.end(), kBreak + 1);
+  ASSERT_NE(after, keyframes.end());
+  for (std::size_t v = 0; v < trajectory.edges.size(); ++v) {
+    EXPECT_EQ(trajectory.edges[v].is_break, keyframes[v + 1] == *after);
+  }
+}
+
 TEST(Coarsening, JoinedOdometryIsAsUncertainAsItsParts) {
   SyntheticRun run;
   const std::vector<OdometryEdge> edges = run.edges();

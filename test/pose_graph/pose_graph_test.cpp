@@ -230,6 +230,35 @@ TEST(PoseGraph, ABreakIsBridgedByLoops) {
   EXPECT_LT(run.worst_error_m(finished.graph.keyframes()), 0.08);
 }
 
+TEST(PoseGraph, ARestartAnywhereIsPutWhereItsLoopsHaveIt) {
+  // The loops come at once, as of two maps that are joined. One in three is wrong.
+  for (const double angle : {0.5, 1.5, 3.0}) {
+    SyntheticRun run;
+    run.drift(0.004, 0.002, 7);
+    run.restart(run.round(), SE3(so3_exp(angle * Vec3(0.6, -0.64, 0.48)), Vec3(80.0, -60.0, 20.0)));
+    PoseGraph graph{PoseGraphOptions()};
+    Random random(8);
+    std::vector<LoopClosure> loops;
+    for (int k = run.round(); k < run.size(); ++k) {
+      if (k % 4 != 0) continue;
+      const bool is_right = k % 3 != 0;
+      const Vec6 noise = is_right ? random_tangent(&random, kSigma_m, kSigma_rad) : random_tangent(&random, 3.0, 1.0);
+      loops.push_back(run.loop(k, k - run.round(), noise, kSigma_m, kSigma_rad));
+    }
+    for (int k = 0; k < run.size(); ++k) {
+      Frame frame = run.frame(k);
+      frame.is_break = k == run.round();
+      graph.process(frame, {});
+    }
+    const MapCorrection correction = graph.process(run.end_frame(), loops);
+    ASSERT_EQ(correction.loops.size(), loops.size());
+    for (const LoopVerdict& verdict : correction.loops)
+      EXPECT_TRUE(!verdict.kept || verdict.query_keyframe_id % 3 != 0);
+    EXPECT_GE(3 * count_kept(correction.loops), static_cast<int>(loops.size()));
+    EXPECT_LT(run.worst_error_m(graph.keyframes()), 0.15) << angle << " rad";
+  }
+}
+
 TEST(PoseGraph, TheSourcesCovarianceIsUsed) {
   // The odometry errs in one motion only and its source says so: the correction belongs there.
   SyntheticRun run;

@@ -201,15 +201,17 @@ std::vector<Carrier> coarsen(std::size_t size, std::vector<std::size_t>* keyfram
   for (std::size_t v = 0; v < left.size(); ++v) left[v] = v;
   const auto keyframe = [&](std::size_t i) { return (*keyframes)[left[i]]; };
   while (left.size() > std::max<std::size_t>(size, 2)) {
-    std::size_t closest = 1;
+    std::size_t closest = 0;
     double least = std::numeric_limits<double>::infinity();
     for (std::size_t i = 1; i + 1 < left.size(); ++i) {
+      if (trajectory->edges[left[i] - 1].is_break) continue;
       const double share =
           static_cast<double>(keyframe(i + 1) - keyframe(i - 1)) / static_cast<double>(keyframes->back() - keyframe(i));
       if (share >= least) continue;
       closest = i;
       least = share;
     }
+    if (closest == 0) break;
     left.erase(left.begin() + static_cast<std::ptrdiff_t>(closest));
   }
   std::vector<Carrier> result;
