@@ -18,6 +18,8 @@ SqliteFile::SqliteFile(std::string path, Mode mode) : path_(std::move(path)) {
   const int opened = sqlite3_open_v2(path_.c_str(), &database, flags, nullptr);
   database_.reset(database);
   note(opened);
+  constexpr int kPatience_ms = 1000;  // for who only takes a look; a writer stays
+  if (is_fine()) sqlite3_busy_timeout(database, kPatience_ms);
 }
 
 void SqliteFile::reject(const std::string& problem) {

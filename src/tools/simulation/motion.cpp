@@ -35,6 +35,8 @@ constexpr int kMaxTries = 300;          ///< for a free place; without one an ob
 /// COCO ids of what people carry about, in the order in which it is moved: cup, bottle, bowl, vase, apple, orange,
 /// clock, remote, cell phone, book.
 constexpr int kCarried[] = {41, 39, 45, 75, 47, 49, 74, 65, 67, 73};
+/// What is taken away, chairs first, and what is brought, bottles first.
+constexpr int kRemoved[] = {56, 41, 45, 75}, kBrought[] = {39, 45, 41, 75};
 
 Vec3 horizontal(const Vec3& v) { return {v.x(), v.y(), 0.0}; }
 
@@ -123,6 +125,24 @@ void move_objects(const DynamicsOptions& options, Random* random, Scene* scene) 
       object.phases = {before, after};
       taken.push_back(footprint(object.ellipsoid));
       ++moved;
+    }
+  }
+}
+
+/// Has objects come or go: the first that stay, of these classes in their order.
+template <class Classes>
+void appear_or_vanish(const Classes& classes, int count, bool appears, double time_s, Scene* scene) {
+  for (const int class_id : classes) {
+    for (SceneObject& object : scene->objects) {
+      if (count == 0) return;
+      if (object.class_id != class_id || !object.phases.empty()) continue;
+      ObjectPhase before, after;
+      before.T_world_object = after.T_world_object = object.ellipsoid.T_world_quadric;
+      before.is_present = !appears;
+      after.is_present = appears;
+      after.begin_s = time_s;
+      object.phases = {before, after};
+      --count;
     }
   }
 }
@@ -291,6 +311,8 @@ void add_dynamics(const DynamicsOptions& options, const CameraTrajectory& trajec
                   std::uint64_t seed, Scene* scene) {
   Random movers(seed, 0), people(seed, 1);
   move_objects(options, &movers, scene);
+  appear_or_vanish(kRemoved, options.removed_objects, false, options.move_time_s, scene);
+  appear_or_vanish(kBrought, options.new_objects, true, options.move_time_s, scene);
   const double table_height_m = scene->desks.front().T_world_desk.t.z();
   for (int i = 0; i < options.persons; ++i) {
     const double middle_s = duration_s * (i + 0.5) / options.persons;

@@ -60,7 +60,7 @@ CameraTrajectory make_trajectory(const Scene& scene, const TrajectoryOptions& op
 /// What moves in a scene while the camera looks.
 struct DynamicsOptions {
   int persons = 0;
-  int moved_objects = 0;
+  int moved_objects = 0, removed_objects = 0, new_objects = 0;
   double move_time_s = 36.0;
 
   void visit(OptionVisitor& visitor) {
@@ -68,7 +68,9 @@ struct DynamicsOptions {
     visitor("persons", persons, between(0, 10000), "people who walk through the view, one after the other");
     visitor("moved_objects", moved_objects, not_negative(),
             "small objects, cups first, that are moved to another place");
-    visitor("move_time_s", move_time_s, positive(), "when they are moved");
+    visitor("removed_objects", removed_objects, not_negative(), "objects, chairs first, that are taken away");
+    visitor("new_objects", new_objects, not_negative(), "small objects, bottles first, that are there only then");
+    visitor("move_time_s", move_time_s, positive(), "when they are moved, taken away or brought");
   }
 };
 
@@ -78,6 +80,7 @@ struct DynamicsOptions {
 ///   at and before it, where they hide it. They are in the room only while they walk, and pass through furniture.
 /// - Moved objects are at their first place until `move_time_s` and from then on at another one, on another desk if
 ///   there is one, else at least half a metre away on the same. An object that finds no free place is not moved.
+///   Removed ones are there until then, new ones from then on.
 ///
 /// @param trajectory of the camera, in the scene
 void add_dynamics(const DynamicsOptions& options, const CameraTrajectory& trajectory, double duration_s,
