@@ -39,9 +39,8 @@ Status run(const Arguments& arguments) {
   }
   const Stopwatch stopwatch;
   const MergedMaps merged = merge_maps(**a, **b, *options, std::make_shared<const ClassTable>(*classes));
-  if (merged.kept_loops == 0) {
-    return Error{arguments.a + " and " + arguments.b + " have no place in common that " +
-                 std::to_string(merged.loops.size()) + " candidates agree on; nothing is written"};
+  if (!merged.joined) {
+    return Error{arguments.a + " and " + arguments.b + " have " + merged.joined.message() + "; nothing is written"};
   }
   std::printf("%zu loops join the maps; %zu and %zu confirmed objects are %zu; %.1f s\n", merged.kept_loops,
               confirmed(**a), confirmed(**b), confirmed(*merged.map), 1e-6 * stopwatch.elapsed_us());

@@ -12,8 +12,8 @@ namespace {
 constexpr int kMinBoxes = 30;
 constexpr double kMinMissed_s = 2.0;
 /// Keyframes that must have had a place in view, since detectors miss an object for seconds on end; and of one that
-/// moved there, since it is gone elsewhere.
-constexpr int kMinLooks = 10, kMinLooksOfMoved = 2;
+/// moved there, since it is gone elsewhere; and where many objects are asked about at once.
+constexpr int kMinLooks = 10, kMinLooksOfMoved = 2, kMinLooksOfMany = 2;
 /// Of the boxes of an object that is gone, what the last session may have by mistake.
 constexpr double kMistakenShare = 0.05;
 /// An object that is boxed for longer than it is in view, by this factor, is not where the map has it.
@@ -33,9 +33,9 @@ Boxes count_boxes(const MappedLandmark& landmark, std::int64_t first_keyframe_id
   return boxes;
 }
 
-/// Keyframes before `first_keyframe_id` in which a detector should have boxed what is there now, since it did from
-/// there later; by the landmark's id.
-std::map<std::int64_t, int> count_looks(const MapState& map, std::int64_t first_keyframe_id) {
+/// Keyframes from `begin` to before `end` in which a detector should have boxed what the map has there, since it did
+/// from there at some time; by the landmark's id.
+std::map<std::int64_t, int> count_looks(const MapState& map, std::int64_t begin, std::int64_t end) {
   std::map<std::int64_t, MappedLandmark> landmarks;
   for (const MappedLandmark& landmark : map.objects.landmarks) {
     if (landmark.state.state == LandmarkState::kCandidate) continue;
@@ -47,7 +47,8 @@ std::map<std::int64_t, int> count_looks(const MapState& map, std::int64_t first_
   Frame frame;
   frame.camera = map.objects.camera;
   for (const auto& [pose, T_vertex_keyframe] : map.graph.keyframes) {
-    if (pose.keyframe_id >= first_keyframe_id) break;
+    if (pose.keyframe_id < begin) continue;
+    if (pose.keyframe_id >= end) break;
     for (const ExpectedLandmark& expected : expected_landmarks(landmarks, frame, nullptr, pose.T_map_camera, {})) {
       const MappedLandmark& landmark = landmarks.at(expected.id);
       const Vec3 direction = landmark.state.ellipsoid->center() - pose.T_map_camera.t;
@@ -117,7 +118,7 @@ const char* to_string(MapChange::Kind kind) {
 std::vector<MapChange> map_changes(const MapState& map) {
   if (map.graph.sessions.size() < 2) return {};
   const std::int64_t first = map.graph.sessions.back().first_keyframe_id;
-  std::map<std::int64_t, int> looks = count_looks(map, first);
+  std::map<std::int64_t, int> looks = count_looks(map, 0, first);
   std::vector<MapChange> gone, added;
   for (const MappedLandmark& landmark : map.objects.landmarks) {
     const Landmark& state = landmark.state;
@@ -143,6 +144,24 @@ std::vector<MapChange> map_changes(const MapState& map) {
   find_moves(map, &gone, &added);
   gone.insert(gone.end(), added.begin(), added.end());
   return gone;
+}
+
+MapAgreement map_agreement(const MapState& map, std::int64_t first_keyframe_id) {
+  std::map<std::int64_t, int> looks_before = count_looks(map, 0, first_keyframe_id);
+  std::map<std::int64_t, int> looks_after = count_looks(map, first_keyframe_id, map.graph.next_keyframe_id());
+  MapAgreement agreement;
+  for (const MappedLandmark& landmark : map.objects.landmarks) {
+    if (landmark.state.state != LandmarkState::kConfirmed) continue;
+    const auto [before, after] = count_boxes(landmark, first_keyframe_id);
+    if (before > 0 && after > 0) {
+      ++agreement.common;
+    } else if (before > 0 && looks_after[landmark.state.id] >= kMinLooksOfMany) {
+      ++agreement.only_first;
+    } else if (after > 0 && looks_before[landmark.state.id] >= kMinLooksOfMany) {
+      ++agreement.only_second;
+    }
+  }
+  return agreement;
 }
 
 }  // namespace semantic_topo_loop::core

@@ -1,5 +1,6 @@
 #pragma once
 
+#include <algorithm>
 #include <cstdint>
 #include <optional>
 #include <vector>
@@ -27,5 +28,20 @@ const char* to_string(MapChange::Kind kind);
 /// the nearest first.
 /// @return in order of ids; nothing if there is one session
 std::vector<MapChange> map_changes(const MapState& map);
+
+/// What two parts of a map say of the places that both have looked at.
+struct MapAgreement {
+  int common = 0;  ///< confirmed objects with boxes of both
+  /// Confirmed objects with boxes of the first part alone, or of the second, although keyframes of the other looked at
+  /// their places from where they were seen.
+  int only_first = 0, only_second = 0;
+
+  /// The smaller share of what one part should have seen of the other's that it has seen.
+  double ratio() const {
+    return common > 0 ? static_cast<double>(common) / (common + std::max(only_first, only_second)) : 0.0;
+  }
+};
+/// @param first_keyframe_id of the second part
+MapAgreement map_agreement(const MapState& map, std::int64_t first_keyframe_id);
 
 }  // namespace semantic_topo_loop::core

@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <utility>
 
+#include "pipeline/map_changes.h"
 #include "pipeline/map_state.h"
 #include "semantic_topo_loop/types/stamp.h"
 
@@ -100,6 +101,25 @@ void rescale(const std::vector<KeyframePose>& keyframes, std::vector<LocalMap>* 
   }
 }
 
+namespace {
+
+/// What holds for a loop holds for what it joins: enough objects in common, and most of what one side has where the
+/// other looked.
+Status check_join(const MergedMaps& merged, std::int64_t first_of_b, const LoopOptions& options) {
+  if (merged.kept_loops == 0) {
+    return Error{"no place in common that " + std::to_string(merged.loops.size()) + " candidates agree on"};
+  }
+  constexpr double kMost = 0.5;
+  const MapAgreement agreement = map_agreement(*merged.map, first_of_b);
+  if (agreement.common >= options.min_inliers && agreement.ratio() > kMost) return {};
+  return Error{"places that look alike, but are not the same: where " + std::to_string(merged.kept_loops) +
+               " loops put them, " + std::to_string(agreement.common) + " objects are of both, and " +
+               std::to_string(agreement.only_first) + " and " + std::to_string(agreement.only_second) +
+               " of one that the other should have seen"};
+}
+
+}  // namespace
+
 MergedMaps merge_maps(const MapState& a, MapState b, const Options& options,
                       std::shared_ptr<const ClassTable> classes) {
   MapState both = a;
@@ -125,6 +145,7 @@ MergedMaps merge_maps(const MapState& a, MapState b, const Options& options,
     merged.kept_loops += is_between && verdict.kept ? 1 : 0;
   }
   merged.map = slam.map();
+  merged.joined = check_join(merged, first_of_b, options.loop);
   return merged;
 }
 

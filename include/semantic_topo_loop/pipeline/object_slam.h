@@ -10,6 +10,7 @@
 #include "semantic_topo_loop/pipeline/options.h"
 #include "semantic_topo_loop/pose_graph/pose_graph.h"
 #include "semantic_topo_loop/types/local_map.h"
+#include "semantic_topo_loop/types/result.h"
 
 namespace semantic_topo_loop::core {
 
@@ -72,7 +73,10 @@ MapUpdate objects_of(const MapState& map, const Options& options, std::shared_pt
 struct MergedMaps {
   std::shared_ptr<const MapState> map;
   std::vector<LoopClosure> loops;  ///< candidates between the two
-  std::size_t kept_loops = 0;      ///< of them; without any the maps could not be joined
+  std::size_t kept_loops = 0;      ///< of them
+  /// Why the maps are not one: no loop is kept, or what they then have in one place does not agree. A few loops between
+  /// places that look alike contradict nothing where no odometry leads from one map to the other; the objects about do.
+  Status joined;
 };
 /// @param options of the stages that judge and solve; loop.mode must be graph
 MergedMaps merge_maps(const MapState& a, MapState b, const Options& options, std::shared_ptr<const ClassTable> classes);
