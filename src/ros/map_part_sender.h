@@ -23,12 +23,12 @@ class MapPartSender {
 
   void open(ros::NodeHandle node, std::size_t queue_size) {
     publisher_ = node.advertise<MapPartMessage>("map_parts", static_cast<std::uint32_t>(queue_size),
-                                                [this](const ros::SingleSubscriberPublisher&) { is_awaited_ = true; });
+                                                [is_awaited = is_awaited_](const auto&) { *is_awaited = true; });
   }
   void reset_session() {
     save_points_ = core::SavePoints();
     end_frame_id_ = -1;
-    is_awaited_ = true;
+    *is_awaited_ = true;
   }
   void set_end(std::int64_t frame_id) { end_frame_id_ = frame_id; }
 
@@ -43,7 +43,7 @@ class MapPartSender {
     part.stage = stage_;
     part.is_end = is_end;
     auto delta = std::make_shared<core::MapDelta>();
-    take(is_awaited_.exchange(false), delta.get());
+    take(is_awaited_->exchange(false), delta.get());
     part.delta = std::move(delta);
     publisher_.publish(boost::make_shared<MapPartMessage>(header, session_id, std::move(part)));
   }
@@ -53,7 +53,8 @@ class MapPartSender {
   ros::Publisher publisher_;
   core::SavePoints save_points_;
   std::int64_t end_frame_id_ = -1;
-  std::atomic<bool> is_awaited_{true};  ///< somebody who has not heard of the map yet
+  /// By somebody who has not heard of the map yet. Shared: a callback may outlive this.
+  std::shared_ptr<std::atomic<bool>> is_awaited_ = std::make_shared<std::atomic<bool>>(true);
 };
 
 }  // namespace semantic_topo_loop

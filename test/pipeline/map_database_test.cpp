@@ -15,7 +15,9 @@
 #include <string>
 #include <thread>
 #include <utility>
+#include <vector>
 
+#include "io/map_tables.h"
 #include "pipeline/map_state.h"
 #include "semantic_topo_loop/io/map_file.h"
 #include "support/package_config.h"
@@ -145,6 +147,30 @@ TEST_F(MapDatabaseTest, KilledAtAnyMomentTheLastSecondIsLostAtMost) {
     EXPECT_EQ(next.slam().map()->graph.sessions.size(), 2U) << "the run goes on";
   }
   ::munmap(last_ns, sizeof(*last_ns));
+}
+
+TEST_F(MapDatabaseTest, PartsThatCameOverASocketAreTheSame) {
+  ChainRun run(laps(), shared_coco());
+  SavePoints save_points;
+  {
+    MapDatabase database(path_, shared_coco());
+    while (run.done() < 150) {
+      if (!save_points.is_due(run.next())) continue;
+      const auto delta = run.slam().take_delta();
+      const auto received = unpack_map_delta(pack(*delta));
+      ASSERT_NE(received, nullptr);
+      EXPECT_TRUE(pack(*received) == pack(*delta));
+      database.write({received});
+    }
+    database.write({run.slam().take_delta()});
+    EXPECT_EQ(database.close().message(), "");
+  }
+  ASSERT_EQ(write_map(directory_.path("whole.db"), *run.slam().map(), *shared_coco()).message(), "");
+  EXPECT_TRUE(rows_of(path_) == rows_of(directory_.path("whole.db")));
+  std::vector<std::uint8_t> bytes = pack(*run.slam().take_delta());
+  bytes.resize(bytes.size() / 2);
+  EXPECT_EQ(unpack_map_delta(bytes), nullptr);
+  EXPECT_EQ(unpack_map_delta({}), nullptr);
 }
 
 TEST_F(MapDatabaseTest, OneProgramWritesAtATime) {

@@ -86,6 +86,7 @@ TEST(NodeletParameters, RulesBetweenThemAreChecked) {
       << "so many would be dropped";
 
   PoseFrontendParameters frontend;
+  frontend.class_table = "coco.yaml";
   EXPECT_TRUE(core::validate(frontend)) << core::validate(frontend).message();
   frontend.pose_source = "file";
   EXPECT_EQ(core::validate(frontend).message(), "parameter 'trajectory_file' = '' must be given with pose_source file");
