@@ -164,12 +164,15 @@ TEST(ReadAhead, CanBeLeftInTheMiddle) {
 }
 
 TEST(RgbdFrontendParameters, AreStrict) {
-  const auto good = make_nodelet_parameters<RgbdFrontendParameters>({{"depth.scale_correction", "0.96"}});
+  const auto good = make_nodelet_parameters<RgbdFrontendParameters>(
+      {{"class_table", "coco.yaml"}, {"depth.scale_correction", "0.96"}});
   ASSERT_TRUE(good) << good.message();
   EXPECT_EQ(good->options.depth.scale_correction, 0.96);
-  EXPECT_EQ(make_nodelet_parameters<RgbdFrontendParameters>({{"sync_queue_size", "0"}}).message(),
-            "parameter 'sync_queue_size' = '0' must be >= 1");
-  EXPECT_FALSE(make_nodelet_parameters<RgbdFrontendParameters>({{"odom_frame", ""}}));
+  const auto error_of = [](const std::string& key, const std::string& value) {
+    return make_nodelet_parameters<RgbdFrontendParameters>({{"class_table", "coco.yaml"}, {key, value}}).message();
+  };
+  EXPECT_EQ(error_of("sync_queue_size", "0"), "parameter 'sync_queue_size' = '0' must be >= 1");
+  EXPECT_EQ(error_of("odom_frame", ""), "parameter 'odom_frame' = '' must be given");
 }
 
 using Clock = RgbdSynchronizer::Clock;
