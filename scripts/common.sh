@@ -21,7 +21,7 @@ as_root() {
 
 common_packages="build-essential cmake ninja-build curl pkg-config xvfb libbenchmark-dev libboost-all-dev
   libceres-dev libeigen3-dev libgtest-dev libopencv-dev libsqlite3-dev libyaml-cpp-dev nlohmann-json3-dev python3-numpy
-  python3-matplotlib"
+  python3-matplotlib zlib1g-dev"
 
 debian_packages="catkin libcv-bridge-dev libdiagnostic-msgs-dev libdiagnostic-updater-dev libgeometry-msgs-dev
   libimage-transport-dev libmessage-filters-dev libnav-msgs-dev libnodelet-dev libros-rosgraph-msgs-dev librosbag-dev

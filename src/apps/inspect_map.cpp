@@ -2,6 +2,7 @@
 #include <cmath>
 #include <cstdio>
 #include <iostream>
+#include <limits>
 #include <map>
 #include <memory>
 #include <nlohmann/json.hpp>
@@ -12,10 +13,12 @@
 #include "pipeline/map_changes.h"
 #include "pipeline/map_state.h"
 #include "semantic_topo_loop/io/map_file.h"
+#include "semantic_topo_loop/io/point_cloud_file.h"
 #include "semantic_topo_loop/io/run_files.h"
 #include "semantic_topo_loop/io/text_file.h"
 #include "semantic_topo_loop/io/tum_trajectory.h"
 #include "semantic_topo_loop/io/yaml_files.h"
+#include "semantic_topo_loop/map/point_map.h"
 #include "semantic_topo_loop/types/stamp.h"
 #include "tools/g2o/g2o.h"
 
@@ -25,7 +28,7 @@ using namespace semantic_topo_loop::apps;
 using namespace semantic_topo_loop::core;
 
 struct Arguments {
-  std::string map, classes, objects, trajectory, graph;
+  std::string map, classes, objects, trajectory, graph, points;
   bool dump = false;
 };
 
@@ -35,11 +38,16 @@ bool ends_with(const std::string& text, const std::string& end) {
 
 void print_counts(const MapState& map, const ClassTable& classes) {
   std::printf("integrity   ok");
-  if (map.left_out > 0) std::printf(", %zu boxes and submaps newer than the graph left out", map.left_out);
+  if (map.left_out > 0) std::printf(", %zu boxes, submaps and points newer than the graph left out", map.left_out);
   std::printf("\nsessions    %zu\n", map.graph.sessions.size());
   for (const Session& session : map.graph.sessions) {
     std::printf("            from keyframe %lld, stamps %s to %s\n", static_cast<long long>(session.first_keyframe_id),
                 format_stamp(session.begin_ns).c_str(), format_stamp(session.end_ns).c_str());
+  }
+  std::size_t sparse = 0, semi_dense = 0;
+  for (const PointsOfKeyframe& keyframe : map.points) {
+    sparse += keyframe.points->sparse.size();
+    semi_dense += keyframe.points->semi_dense.size();
   }
   std::size_t kept = 0;
   for (const RememberedLoop& loop : map.graph.loops) kept += loop.told.kept ? 1 : 0;
@@ -50,6 +58,7 @@ void print_counts(const MapState& map, const ClassTable& classes) {
   }
   std::printf("keyframes   %zu\nedges       %zu\nloops       %zu, %zu of them kept\nsubmaps     %zu\n",
               map.graph.keyframes.size(), map.graph.edges.size(), map.graph.loops.size(), kept, map.submaps.size());
+  std::printf("points      %zu sparse, %zu semi-dense, in %zu keyframes\n", sparse, semi_dense, map.points.size());
   std::printf("objects     %zu\n", map.objects.landmarks.size());
   for (const auto& [state, count] : states) std::printf("            %d %s\n", count, state.c_str());
   std::printf("confirmed  ");
@@ -156,6 +165,16 @@ Status write_graph(const std::string& path, const MapState& map) {
   return write_g2o(path, graph);
 }
 
+/// All points, with the objects that they lie on.
+Status write_points(const std::string& path, const MapState& map) {
+  PointMapOptions options;
+  options.points_max = std::numeric_limits<int>::max();
+  PointMap point_map(options);
+  restore_points(map, &point_map);
+  const MapPoints points = point_map.points();
+  return write_point_cloud(path, points, objects_under(points, map));
+}
+
 Status run(const Arguments& arguments) {
   if (arguments.dump) return dump_map(arguments.map, std::cout);
   const Result<ClassTable> classes = read_class_table(arguments.classes);
@@ -169,6 +188,7 @@ Status run(const Arguments& arguments) {
   if (!arguments.objects.empty()) written = write_objects(arguments.objects, map, *classes);
   if (written && !arguments.trajectory.empty()) written = write_trajectory(arguments.trajectory, map);
   if (written && !arguments.graph.empty()) written = write_graph(arguments.graph, map);
+  if (written && !arguments.points.empty()) written = write_points(arguments.points, map);
   return written;
 }
 
@@ -176,17 +196,22 @@ Status run(const Arguments& arguments) {
 
 int main(int argc, char** argv) {
   Arguments arguments;
-  Command command{"", "MAP.db [--objects FILE] [--trajectory FILE] [--graph FILE] [--dump] [--classes YAML]",
-                  "Says what a map holds and whether it is whole, and takes parts of it out.\n",
-                  [&arguments] { return run(arguments); },
-                  [&arguments] {
-                    if (arguments.dump) return Status();
-                    return default_to_package("classes_coco.yaml", "--classes", &arguments.classes);
-                  }};
+  Command command{
+      "", "MAP.db [--objects FILE] [--trajectory FILE] [--graph FILE] [--points FILE] [--dump] [--classes YAML]",
+      "Says what a map holds and whether it is whole, and takes parts of it out.\n",
+      [&arguments] { return run(arguments); },
+      [&arguments] {
+        if (arguments.dump) return Status();
+        return default_to_package("classes_coco.yaml", "--classes", &arguments.classes);
+      }};
   command.words = {{"MAP.db", &arguments.map}};
   const auto take_objects = [&arguments](const std::string& given) {
     arguments.objects = given;
     return ends_with(given, ".csv") || ends_with(given, ".json");
+  };
+  const auto take_points = [&arguments](const std::string& given) {
+    arguments.points = given;
+    return is_point_cloud_path(given);
   };
   command
       .option("objects", checked("a path that ends in .csv or .json", take_objects),
@@ -194,6 +219,8 @@ int main(int argc, char** argv) {
       .option("trajectory", po::value(&arguments.trajectory),
               "file for the keyframes of all sessions, TUM format, in the map")
       .option("graph", po::value(&arguments.graph), "file for the pose graph, g2o")
+      .option("points", checked("a path that ends in .ply or .pcd", take_points),
+              "file for the points, with the objects that they lie on")
       .option("dump", po::bool_switch(&arguments.dump), "prints every row, in order, and nothing else")
       .option("classes", po::value(&arguments.classes),
               "class table (default: config/classes_coco.yaml of the package)");

@@ -390,21 +390,29 @@ Status check_input(const RunInputs& inputs, const Counts& counts) {
 Status run_once(const Arguments& arguments, const RunInputs& inputs, RunRecorder* recorder) {
   ObjectSlam slam(inputs.options, inputs.classes);
   FrameBuilder builder(inputs.options.keyframe, inputs.camera);
+  PointMap point_map(inputs.options.point_map);
   if (inputs.earlier_map != nullptr) {
     if (arguments.frozen) {
       slam.set_earlier_map(inputs.earlier_map->submaps_in_unit());
     } else {
       recorder->record(slam.restore(*inputs.earlier_map));
+      restore_points(*inputs.earlier_map, &point_map);
       const GraphState& graph = inputs.earlier_map->graph;
       builder.count_from(graph.next_frame_id, graph.next_keyframe_id());
     }
   }
   std::optional<MapDatabase> database;
   if (!arguments.save_map.empty()) {
-    database.emplace(arguments.save_map, inputs.classes, format_options_yaml(list_options(inputs.options)));
+    database.emplace(arguments.save_map, inputs.classes, format_options_yaml(list_options(inputs.options)),
+                     arguments.frozen ? std::string() : arguments.map);
   }
+  std::vector<PointsOfKeyframe> new_points;
+  const auto save = [&] {
+    const auto points = std::make_shared<MapDelta>();
+    points->points = std::exchange(new_points, {});
+    database->write({slam.take_delta(), points});
+  };
   SavePoints save_points;
-  PointMap point_map(inputs.options.point_map);
   ExtraLoops extra_loops(inputs.extra_loops);
   DetectionSource detection_source(inputs);
   const auto take = [&](const Frame& frame, const FrameResult& result) {
@@ -419,15 +427,19 @@ Status run_once(const Arguments& arguments, const RunInputs& inputs, RunRecorder
     if (source.camera) builder.set_camera(*source.camera);
     Result<Frame> frame = builder.build(*sample);
     if (!frame) return frame.error();
-    if (frame->is_keyframe && !arguments.points.empty()) {
+    if (frame->is_keyframe && (database || !arguments.points.empty())) {
       frame->keyframe_points = inputs.source->keyframe_points(inputs.options.point_map.semi_dense_max);
+    }
+    if (database && frame->keyframe_points) {
+      const auto points = std::make_shared<KeyframePoints>(reduced(*frame->keyframe_points, inputs.options.point_map));
+      new_points.push_back({frame->keyframe_id, points});
     }
     const Result<const std::vector<Detection>*> detections = detection_source.next(*frame);
     if (!detections) return detections.error();
     if (*detections != nullptr) ++counts.with_detections;
     point_map.add(*frame);
     take(*frame, slam.process(*frame, *detections, extra_loops.at(*frame)));
-    if (database && save_points.is_due(frame->stamp_ns) && !database->is_behind()) database->write({slam.take_delta()});
+    if (database && save_points.is_due(frame->stamp_ns) && !database->is_behind()) save();
     if (counts.frames++ == 0) counts.first_ns = frame->stamp_ns;
     counts.last_ns = frame->stamp_ns;
     show_progress(source.done, source.total, &shown_percent);
@@ -443,7 +455,7 @@ Status run_once(const Arguments& arguments, const RunInputs& inputs, RunRecorder
     if (const Status written = write_point_cloud(arguments.points, point_map.points()); !written) return written;
   }
   if (database) {
-    database->write({slam.take_delta()});
+    save();
     if (const Status written = database->close(); !written) return written;
   }
 

@@ -1,6 +1,11 @@
 #pragma once
 
 #include <Eigen/LU>
+#include <algorithm>
+#include <array>
+#include <cmath>
+#include <utility>
+#include <vector>
 
 #include "io/archive.h"
 #include "pipeline/map_state.h"
@@ -73,6 +78,61 @@ struct Codec<LocalFrame> {
   }
 };
 
+/// In whole millimetres, each point as the way from the one before: neighbours are near, and compress well.
+class PointsOfWays {
+ public:
+  static Json write(const std::vector<Eigen::Vector3f>& points) {
+    Json array = Json::array();
+    std::array<std::int64_t, 3> last{};
+    for (const Eigen::Vector3f& point : points) {
+      for (std::size_t k = 0; k < 3; ++k) {
+        const double metres = static_cast<double>(point(static_cast<Eigen::Index>(k)));
+        const std::int64_t now = std::llround(std::clamp(1e3 * metres, -kMost, kMost));
+        array.push_back(now - std::exchange(last[k], now));
+      }
+    }
+    return array;
+  }
+  static void read(const JsonField& field, std::vector<Eigen::Vector3f>* points) {
+    const std::vector<JsonField> numbers = field.elements();
+    if (numbers.size() % 3 != 0) return field.reject("must have three numbers a point");
+    Eigen::Vector3d last = Eigen::Vector3d::Zero();
+    for (std::size_t i = 0; i < numbers.size(); i += 3) {
+      for (std::size_t k = 0; k < 3; ++k) last(static_cast<Eigen::Index>(k)) += numbers[i + k].number();
+      points->push_back((1e-3 * last).cast<float>());
+    }
+  }
+
+ private:
+  static constexpr double kMost = 1e9;  // 1,000 km
+};
+
+template <>
+struct Codec<KeyframePoints> {
+  static Json write(const KeyframePoints& value) {
+    Json ids = Json::array();
+    std::vector<Eigen::Vector3f> sparse;
+    std::int64_t last = 0;
+    for (const SparsePoint& point : value.sparse) {
+      ids.push_back(point.id - std::exchange(last, point.id));
+      sparse.push_back(point.point_camera);
+    }
+    return {{"sparse_id_steps", ids},
+            {"sparse_mm_steps", PointsOfWays::write(sparse)},
+            {"semi_dense_mm_steps", PointsOfWays::write(value.semi_dense)}};
+  }
+  static void read(const JsonField& field, KeyframePoints* value) {
+    std::vector<std::int64_t> steps;
+    from_archive(field.member("sparse_id_steps"), &steps);
+    std::vector<Eigen::Vector3f> sparse;
+    PointsOfWays::read(field.member("sparse_mm_steps"), &sparse);
+    PointsOfWays::read(field.member("semi_dense_mm_steps"), &value->semi_dense);
+    if (steps.size() != sparse.size()) return field.member("sparse_id_steps").reject("has not one number a point");
+    std::int64_t id = 0;
+    for (std::size_t i = 0; i < steps.size(); ++i) value->sparse.push_back({id += steps[i], sparse[i]});
+  }
+};
+
 }  // namespace archive
 
 // The members' own names.
@@ -130,7 +190,8 @@ VISIT_MEMBERS(GraphState, MEMBER(sessions) MEMBER(next_frame_id) MEMBER(keyframe
 VISIT_MEMBERS(LandmarkDelta, MEMBER(record) MEMBER(first) MEMBER(observations))
 VISIT_MEMBERS(MapperDelta, MEMBER(is_whole) MEMBER(camera) MEMBER(changed) MEMBER(removed))
 VISIT_MEMBERS(SubmapDelta, MEMBER(is_whole) MEMBER(added) MEMBER(forgotten))
-VISIT_MEMBERS(MapDelta, MEMBER(graph) MEMBER(objects) MEMBER(submaps))
+VISIT_MEMBERS(PointsOfKeyframe, MEMBER(keyframe_id) MEMBER(points))
+VISIT_MEMBERS(MapDelta, MEMBER(graph) MEMBER(objects) MEMBER(submaps) MEMBER(points))
 
 #undef MEMBER
 #undef VISIT_MEMBERS

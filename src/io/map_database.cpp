@@ -76,10 +76,11 @@ Result<std::string> link_loaded_map(const std::string& path) {
 
 class MapDatabase::Impl {
  public:
-  Impl(std::string path, std::shared_ptr<const ClassTable> classes, std::string configuration)
+  Impl(std::string path, std::shared_ptr<const ClassTable> classes, std::string configuration, std::string earlier)
       : path_(std::move(path)),
         classes_(std::move(classes)),
         configuration_(std::move(configuration)),
+        earlier_(std::move(earlier)),
         thread_([this] { run(); }) {}
 
   void write(Parts parts) {
@@ -167,8 +168,13 @@ class MapDatabase::Impl {
     if (const Status place = check_map_place(path_); !place) return place;
     return replace_file(path_, [&](const std::string& temporary) -> Status {
       SqliteFile file(temporary, SqliteFile::Mode::kWrite);
-      file.run("PRAGMA journal_mode = OFF; PRAGMA synchronous = OFF; BEGIN");
+      file.run("PRAGMA journal_mode = OFF; PRAGMA synchronous = OFF");
+      if (!earlier_.empty()) (SqliteStatement(&file, "ATTACH ? AS earlier") << earlier_).run();
+      file.run("BEGIN");
       create_map_tables(&file);
+      if (!earlier_.empty() && file.number("PRAGMA earlier.user_version") > 1) {  // before, maps had none
+        file.run("INSERT INTO points SELECT * FROM earlier.points");
+      }
       MapTables tables(&file, *classes_);
       tables.write_configuration(configuration_);
       for (const auto& part : whole) tables.write(*part);
@@ -179,7 +185,7 @@ class MapDatabase::Impl {
 
   const std::string path_;
   const std::shared_ptr<const ClassTable> classes_;
-  const std::string configuration_;
+  const std::string configuration_, earlier_;
   mutable std::mutex mutex_;  ///< guards all below but map_, which is the thread's alone
   std::condition_variable wake_;
   std::deque<Parts> waiting_;
@@ -190,8 +196,10 @@ class MapDatabase::Impl {
   std::thread thread_;
 };
 
-MapDatabase::MapDatabase(std::string path, std::shared_ptr<const ClassTable> classes, std::string configuration)
-    : impl_(std::make_unique<Impl>(std::move(path), std::move(classes), std::move(configuration))) {}
+MapDatabase::MapDatabase(std::string path, std::shared_ptr<const ClassTable> classes, std::string configuration,
+                         std::string earlier)
+    : impl_(std::make_unique<Impl>(std::move(path), std::move(classes), std::move(configuration), std::move(earlier))) {
+}
 MapDatabase::~MapDatabase() { static_cast<void>(close()); }
 void MapDatabase::write(Parts parts) { impl_->write(std::move(parts)); }
 bool MapDatabase::is_behind() const { return impl_->is_behind(); }

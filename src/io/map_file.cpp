@@ -3,6 +3,7 @@
 #include <utility>
 #include <vector>
 
+#include "io/compression.h"
 #include "io/map_codecs.h"
 #include "io/map_tables.h"
 #include "io/sqlite_file.h"
@@ -125,6 +126,17 @@ std::vector<GraphKeyframe> read_keyframes(SqliteFile* file) {
   return keyframes;
 }
 
+std::vector<PointsOfKeyframe> read_points(SqliteFile* file) {
+  std::vector<PointsOfKeyframe> points;
+  SqliteStatement rows(file, "SELECT keyframe, body FROM points ORDER BY keyframe");
+  while (rows.next()) {
+    auto of_keyframe = std::make_shared<KeyframePoints>();
+    unpack(file, row_name("points", rows), inflated(rows.bytes(1)), of_keyframe.get());
+    points.push_back({rows.integer(0), std::move(of_keyframe)});
+  }
+  return points;
+}
+
 /// @return an error that names a class that the table has not, or by another name
 Status check_classes(const ClassTable& classes, SqliteFile* file) {
   SqliteStatement rows(file, "SELECT id, name FROM class ORDER BY id");
@@ -186,8 +198,9 @@ Status check_objects(const std::vector<MappedLandmark>& landmarks, const ClassTa
 void read_all(const ClassTable& classes, MapParts parts, SqliteFile* file, MapState* map) {
   if (file->number("PRAGMA application_id") != kMapApplicationId)
     return file->reject("is no map of semantic_topo_loop");
-  if (const std::int64_t version = file->number("PRAGMA user_version"); version != kMapVersion) {
-    return file->reject("is a map of version " + std::to_string(version) + "; this program reads " +
+  const std::int64_t version = file->number("PRAGMA user_version");
+  if (version < 1 || version > kMapVersion) {
+    return file->reject("is a map of version " + std::to_string(version) + "; this program reads 1 to " +
                         std::to_string(kMapVersion));
   }
   SqliteStatement checked(file, "PRAGMA quick_check(1)");
@@ -211,6 +224,7 @@ void read_all(const ClassTable& classes, MapParts parts, SqliteFile* file, MapSt
   map->graph.loops = read_bodies<RememberedLoop>("loop", "number", file);
   if (parts.objects) map->objects.landmarks = read_objects(file);
   if (parts.submaps) map->submaps = read_bodies<LocalMap>("submap", "frame", file);
+  if (parts.points && version > 1) map->points = read_points(file);
   if (!file->is_fine()) return;
   map->left_out = leave_out_unplaced(map);
   require(check(*map));
@@ -236,6 +250,7 @@ Status write_map(const std::string& path, const MapState& map, const ClassTable&
     tables.write(map.objects.camera);
     for (const MappedLandmark& landmark : map.objects.landmarks) tables.write(landmark, landmark.observations, 0);
     for (const LocalMap& submap : map.submaps) tables.write(submap);
+    for (const PointsOfKeyframe& keyframe : map.points) tables.write(keyframe);
     file.run("COMMIT");
     return file.is_fine() ? Status() : Error{file.problem()};
   });
@@ -253,7 +268,8 @@ Status dump_map(const std::string& path, std::ostream& out) {
         constexpr int kDigits = 17;  // all of a double
         out << ' ';
         if (rows.is_blob(column)) {
-          out << from_cbor(rows.bytes(column)).dump();
+          const std::string blob = rows.bytes(column);
+          out << from_cbor(is_compressed(blob) ? inflated(blob) : blob).dump();
         } else {
           out << (rows.is_real(column) ? format_general(rows.number(column), kDigits) : rows.bytes(column));
         }

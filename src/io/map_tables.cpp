@@ -2,6 +2,7 @@
 
 #include <utility>
 
+#include "io/compression.h"
 #include "io/map_codecs.h"
 
 namespace semantic_topo_loop::core {
@@ -27,6 +28,8 @@ CREATE TABLE observation(object INTEGER, number INTEGER, frame INTEGER NOT NULL,
   near_m REAL NOT NULL, PRIMARY KEY(object, number)) WITHOUT ROWID;
 CREATE TABLE submap(frame INTEGER PRIMARY KEY, keyframe INTEGER NOT NULL, stamp_ns INTEGER NOT NULL,
   objects INTEGER NOT NULL, body BLOB NOT NULL);
+CREATE TABLE points(keyframe INTEGER PRIMARY KEY, sparse INTEGER NOT NULL, semi_dense INTEGER NOT NULL,
+  body BLOB NOT NULL);
 )";
 
 template <class T>
@@ -176,7 +179,15 @@ void MapTables::write(const LocalMap& submap) {
   (insert << static_cast<std::int64_t>(submap.objects.size())).blob(packed(submap)).run();
 }
 
+void MapTables::write(const PointsOfKeyframe& keyframe) {
+  SqliteStatement insert(file_, "INSERT OR REPLACE INTO points VALUES(?, ?, ?, ?)");
+  insert << keyframe.keyframe_id << static_cast<std::int64_t>(keyframe.points->sparse.size());
+  insert << static_cast<std::int64_t>(keyframe.points->semi_dense.size());
+  insert.blob(compressed(packed(*keyframe.points))).run();
+}
+
 void MapTables::write(const MapDelta& delta) {
+  for (const PointsOfKeyframe& keyframe : delta.points) write(keyframe);
   if (delta.graph) write(*delta.graph);
   if (delta.objects) {
     if (delta.objects->is_whole) file_->run("DELETE FROM object; DELETE FROM observation");

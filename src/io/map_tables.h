@@ -14,7 +14,7 @@
 namespace semantic_topo_loop::core {
 
 constexpr std::int64_t kMapApplicationId = 0x53544c6d;  ///< "STLm"
-constexpr std::int64_t kMapVersion = 1;
+constexpr std::int64_t kMapVersion = 2;                 ///< 2: points. Of version 1 all is read
 
 /// Makes the empty tables of a map (docs/files.md).
 void create_map_tables(SqliteFile* file);
@@ -32,6 +32,7 @@ class MapTables {
   /// @param first number of the first of the observations; what there is from it on is replaced
   void write(const LandmarkRecord& record, const std::vector<Observation>& observations, std::size_t first);
   void write(const LocalMap& submap);
+  void write(const PointsOfKeyframe& keyframe);
   void write(const MapDelta& delta);
 
  private:

@@ -40,17 +40,35 @@ std::vector<Eigen::Vector3f> one_a_voxel(const std::vector<Eigen::Vector3f>& poi
 
 }  // namespace
 
+KeyframePoints reduced(const KeyframePoints& points, const PointMapOptions& options) {
+  KeyframePoints result;
+  for (const SparsePoint& point : points.sparse) {
+    if (point.point_camera.allFinite()) result.sparse.push_back(point);
+  }
+  result.semi_dense = one_a_voxel(points.semi_dense, options.voxel_m);
+  return result;
+}
+
 void PointMap::add(const Frame& frame) {
   if (!frame.is_keyframe || !frame.keyframe_points || keyframes_.count(frame.keyframe_id) != 0) return;
   Keyframe keyframe;
   keyframe.T_odom_camera = frame.T_odom_camera;
   keyframe.S_map_camera = Sim3(T_map_odom_ * frame.T_odom_camera, scale_);
-  for (const SparsePoint& point : frame.keyframe_points->sparse) {
-    if (point.point_camera.allFinite()) keyframe.points.sparse.push_back(point);
-  }
-  keyframe.points.semi_dense = one_a_voxel(frame.keyframe_points->semi_dense, options_.voxel_m);
+  keyframe.points = reduced(*frame.keyframe_points, options_);
+  insert(frame.keyframe_id, std::move(keyframe));
+}
+
+void PointMap::restore(const PointsOfKeyframe& keyframe, const Sim3& S_map_camera) {
+  Keyframe restored;
+  restored.S_map_camera = S_map_camera;
+  restored.points = *keyframe.points;
+  insert(keyframe.keyframe_id, std::move(restored));
+}
+
+void PointMap::insert(std::int64_t keyframe_id, Keyframe keyframe) {
+  keyframe.session = session_;
   size_ += count(keyframe.points);
-  keyframes_.emplace(frame.keyframe_id, std::move(keyframe));
+  keyframes_.emplace(keyframe_id, std::move(keyframe));
   bound();
 }
 
@@ -95,12 +113,13 @@ void PointMap::bound() {
 
 MapPoints PointMap::points() const {
   MapPoints result;
-  std::map<std::int64_t, Eigen::Vector3f> sparse;  // the newest keyframe that sees a point knows best
+  std::map<std::pair<int, std::int64_t>, Eigen::Vector3f> sparse;  // the newest keyframe that sees a point knows best
   for (const auto& [id, keyframe] : keyframes_) {
     const Sim3& S_map_camera = keyframe.S_map_camera;
     const Eigen::Matrix3f R = (S_map_camera.scale * S_map_camera.T.rotation()).cast<float>();
     const Eigen::Vector3f t = S_map_camera.T.t.cast<float>();
-    for (const SparsePoint& point : keyframe.points.sparse) sparse[point.id] = R * point.point_camera + t;
+    for (const SparsePoint& point : keyframe.points.sparse)
+      sparse[{keyframe.session, point.id}] = R * point.point_camera + t;
     for (const Eigen::Vector3f& point : keyframe.points.semi_dense) result.semi_dense.push_back(R * point + t);
   }
   result.sparse.reserve(sparse.size());

@@ -45,6 +45,7 @@ class MapDatabaseNodelet : public StageWith<MapDatabaseParameters> {
     });
     statistics().count(kIncomplete, 0);
     save_at_end([this] { close(); });
+    subscribe("keyframe_points", Keep::kAlways, &MapDatabaseNodelet::on_points);
     subscribe("map_parts", Keep::kAlways, &MapDatabaseNodelet::on_part);
     start_timer(kWatchPeriodS, [this] { watch(); });
     follow_sessions();
@@ -63,7 +64,16 @@ class MapDatabaseNodelet : public StageWith<MapDatabaseParameters> {
     is_kept_ = false;
     const std::lock_guard<std::mutex> lock(mutex_);
     database_ =
-        std::make_shared<core::MapDatabase>(path_, classes(), core::format_options_yaml(core::list_options(options_)));
+        std::make_shared<core::MapDatabase>(path_, classes(), core::format_options_yaml(core::list_options(options_)),
+                                            session().frozen ? std::string() : session().map_file);
+  }
+
+  void on_points(const KeyframePointsMessage::ConstPtr& message) {
+    if (!message->keyframe_points) return complain("unusable points of keyframes", message->problem);
+    auto delta = std::make_shared<core::MapDelta>();
+    const core::KeyframePoints points = core::reduced(*message->keyframe_points, options_.point_map);
+    delta->points.push_back({message->keyframe_id, std::make_shared<const core::KeyframePoints>(points)});
+    waiting_.push_back(std::move(delta));
   }
 
   void on_part(const Part& part) {

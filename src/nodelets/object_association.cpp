@@ -48,7 +48,7 @@ class ObjectAssociationNodelet : public StageWith<ClassStageParameters> {
     has_frames_ = false;
     first_frame_id_ = 0;
     core::MapParts parts;
-    parts.submaps = false;
+    parts.objects = true;
     const auto map = session_map(parts);
     if (!map) return;
     first_frame_id_ = map->graph.next_frame_id;

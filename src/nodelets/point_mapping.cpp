@@ -2,6 +2,7 @@
 #include <mutex>
 #include <pluginlib/class_list_macros.hpp>
 
+#include "pipeline/map_state.h"
 #include "ros/stage.h"
 #include "semantic_topo_loop/SavePoints.h"
 #include "semantic_topo_loop/io/point_cloud_file.h"
@@ -31,6 +32,9 @@ class PointMappingNodelet : public StageWith<PointMappingParameters> {
   void reset_session() override {
     const std::lock_guard<std::mutex> lock(mutex_);
     map_ = std::make_unique<core::PointMap>(options_.point_map);
+    core::MapParts parts;
+    parts.points = true;
+    if (const auto map = session_map(parts)) core::restore_points(*map, map_.get());
     mark_changed();
   }
 

@@ -135,7 +135,6 @@ class PoseGraphNodelet : public StageWith<PoseGraphParameters> {
     if (tf_sender_) tf_sender_->reset();
     core::MapParts parts;
     parts.objects = has_objects();
-    parts.submaps = false;
     const auto map = session_map(parts);
     if (!map) return;
     graph_->restore(map->graph, core::place_beside(*map));

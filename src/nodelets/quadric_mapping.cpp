@@ -49,7 +49,7 @@ class QuadricMappingNodelet : public StageWith<QuadricMappingParameters> {
     published_version_ = 0;
     map_parts_.reset_session();
     core::MapParts parts;
-    parts.submaps = false;
+    parts.objects = true;
     if (const auto map = session_map(parts)) core::restore_objects(*map, mapper_.get());
     publish_map();
   }

@@ -49,7 +49,7 @@ class RecorderNodelet : public StageWith<RecorderParameters> {
     set_unsaved(false);
     recorder_ = core::make_run_recorder(classes());
     core::MapParts parts;
-    parts.submaps = false;
+    parts.objects = true;
     if (parameters_.output_dir.empty()) return;
     if (const auto map = session_map(parts)) recorder_->record(core::objects_of(*map, options_, classes()));
   }

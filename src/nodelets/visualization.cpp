@@ -42,7 +42,7 @@ class VisualizationNodelet : public StageWith<VisualizationParameters> {
     follower_ = MapFollower();
     sent_upright_.reset();
     core::MapParts parts;
-    parts.submaps = false;
+    parts.objects = true;
     if (const auto map = session_map(parts)) {
       for (const core::KeyframePose& pose : map->keyframe_poses()) {
         view_.add_keyframe(pose.keyframe_id, pose.T_map_camera);

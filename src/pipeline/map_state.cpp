@@ -1,6 +1,7 @@
 #include "pipeline/map_state.h"
 
 #include <algorithm>
+#include <cmath>
 #include <iterator>
 #include <map>
 #include <set>
@@ -104,6 +105,7 @@ void MapState::append(MapState other) {
     raise_ids(frames, keyframes, landmarks, &submap);
     submaps.push_back(std::move(submap));
   }
+  for (const PointsOfKeyframe& of : other.points) points.push_back({of.keyframe_id + keyframes, of.points});
 }
 
 SE3 place_beside(const MapState& map) {
@@ -112,6 +114,45 @@ SE3 place_beside(const MapState& map) {
     reach_m = std::max(reach_m, keyframe.pose.T_map_camera.t.norm());
   }
   return {Quaternion::Identity(), Vec3(reach_m + kBeside_m, 0.0, 0.0)};
+}
+
+void restore_points(const MapState& map, PointMap* points) {
+  auto session = map.graph.sessions.begin();
+  auto keyframe = map.graph.keyframes.begin();
+  for (const PointsOfKeyframe& of : map.points) {
+    while (session != map.graph.sessions.end() && session->first_keyframe_id <= of.keyframe_id) {
+      points->begin_session();
+      ++session;
+    }
+    while (keyframe->pose.keyframe_id < of.keyframe_id) ++keyframe;  // each has one: see leave_out_unplaced
+    points->restore(of, Sim3(keyframe->pose.T_map_camera, keyframe->pose.scale));
+  }
+  points->begin_session();
+}
+
+std::vector<std::int64_t> objects_under(const MapPoints& points, const MapState& map) {
+  constexpr double kMargin = 1.1;  // of the semi-axes: depth is off by centimetres, quadrics are rounder than things
+  const auto object_under = [&map](const Eigen::Vector3f& point_map) {
+    std::int64_t id = -1;
+    double depth = kMargin;
+    for (const MappedLandmark& landmark : map.objects.landmarks) {
+      if (landmark.state.state != LandmarkState::kConfirmed) continue;
+      const Ellipsoid& ellipsoid = *landmark.state.ellipsoid;
+      const Vec3 offset = point_map.cast<double>() - ellipsoid.center();
+      if (offset.squaredNorm() > std::pow(kMargin * ellipsoid.semi_axes.maxCoeff(), 2)) continue;
+      const Vec3 inside = ellipsoid.T_world_quadric.q.conjugate() * offset;
+      const double now = inside.cwiseQuotient(ellipsoid.semi_axes).norm();
+      if (now >= depth) continue;
+      depth = now;
+      id = landmark.state.id;
+    }
+    return id;
+  };
+  std::vector<std::int64_t> objects;
+  for (const auto* part : {&points.sparse, &points.semi_dense}) {
+    std::transform(part->begin(), part->end(), std::back_inserter(objects), object_under);
+  }
+  return objects;
 }
 
 std::size_t leave_out_unplaced(MapState* map) {
@@ -145,6 +186,10 @@ std::size_t leave_out_unplaced(MapState* map) {
     placed.push_back(std::move(submap));
   }
   map->submaps = std::move(placed);
+  const auto is_unplaced = [&](const PointsOfKeyframe& of) { return places.count(of.keyframe_id) == 0; };
+  const auto end = std::remove_if(map->points.begin(), map->points.end(), is_unplaced);
+  left_out += static_cast<std::size_t>(map->points.end() - end);
+  map->points.erase(end, map->points.end());
   return left_out;
 }
 

@@ -8,6 +8,7 @@
 
 #include "map/mapper_state.h"
 #include "pose_graph/graph_state.h"
+#include "semantic_topo_loop/map/point_map.h"
 #include "semantic_topo_loop/types/local_map.h"
 #include "semantic_topo_loop/types/result.h"
 
@@ -18,8 +19,9 @@ struct MapState {
   std::string configuration;  ///< options of the last session (YAML), for who wonders how it came about
   GraphState graph;
   MapperState objects;
-  std::size_t left_out = 0;       ///< boxes and submaps, see leave_out_unplaced
-  std::vector<LocalMap> submaps;  ///< in the odometry's unit of length; T_odom_anchor leads to the map
+  std::size_t left_out = 0;              ///< boxes, submaps and keyframes' points, see leave_out_unplaced
+  std::vector<LocalMap> submaps;         ///< in the odometry's unit of length; T_odom_anchor leads to the map
+  std::vector<PointsOfKeyframe> points;  ///< in order of keyframe_id
 
   std::vector<KeyframePose> keyframe_poses() const;
   /// The submaps in the map's unit of length.
@@ -33,6 +35,7 @@ struct MapDelta {
   std::optional<GraphState> graph;  ///< all of it, which is little
   std::optional<MapperDelta> objects;
   std::optional<SubmapDelta> submaps;
+  std::vector<PointsOfKeyframe> points;  ///< of new keyframes
 };
 
 /// Once a second, by the stamps of the data, in which a map is saved.
@@ -50,9 +53,16 @@ class SavePoints {
 /// Where something unplaced stands, so that nothing of the map is taken for what it shows: some way beside it, along x.
 SE3 place_beside(const MapState& map);
 
+/// Takes the points of a map's sessions into a point map, which begins a further one.
+void restore_points(const MapState& map, PointMap* points);
+
+/// The objects that points lie on: the confirmed one that a point is deepest in, within a tenth of its size.
+/// @return for each point, the sparse ones first, the object's id, -1 for none
+std::vector<std::int64_t> objects_under(const MapPoints& points, const MapState& map);
+
 /// Leaves out what hangs on keyframes that the graph does not have: what came after the graph was saved last, or while
 /// its stage did not keep up. Submaps are put where their keyframes are.
-/// @return how many boxes and submaps were left out
+/// @return how many boxes, submaps and keyframes' points were left out
 std::size_t leave_out_unplaced(MapState* map);
 
 /// @return an error that names what does not fit together

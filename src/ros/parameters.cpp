@@ -85,8 +85,8 @@ std::vector<core::OptionRow> list_nodelet_parameters() {
   add_rows<LoopDetectionParameters, ClassStageParameters>("LoopDetection", &rows);
   add_rows<PlayerParameters, StageParameters>("Player", &rows);
   add_rows<QuadricMappingParameters, ClassStageParameters>("those that publish in the map", &rows);
-  add_rows<PoseGraphParameters, FileStageParameters<MapStageParameters<ClassStageParameters>>>("PoseGraph", &rows);
-  add_rows<PointMappingParameters, FileStageParameters<MapStageParameters<StageParameters>>>("PointMapping", &rows);
+  add_rows<PoseGraphParameters, FileStageParameters<MapStageParameters>>("PoseGraph", &rows);
+  add_rows<PointMappingParameters, FileStageParameters<MapStageParameters>>("PointMapping", &rows);
   add_rows<MapDatabaseParameters, FileStageParameters<ClassStageParameters>>("MapDatabase", &rows);
   add_rows<RecorderParameters, ClassStageParameters>("Recorder", &rows);
   add_rows<VisualizationParameters, QuadricMappingParameters>("Visualization", &rows);

@@ -30,13 +30,12 @@ struct ClassStageParameters : StageParameters {
   }
 };
 
-/// The same for stages that publish in the frame of the corrected map. @tparam Base what they are else
-template <class Base>
-struct MapStageParameters : Base {
+/// The same for stages that publish in the frame of the corrected map.
+struct MapStageParameters : ClassStageParameters {
   std::string map_frame = "map";
 
   void visit(core::OptionVisitor& visitor) {
-    Base::visit(visitor);
+    ClassStageParameters::visit(visitor);
     visitor("map_frame", map_frame, core::any(), "frame of the corrected map");
   }
 };
@@ -242,7 +241,7 @@ struct PlayerParameters : StageParameters {
   std::vector<std::string> stage_names() const;
 };
 
-struct PoseGraphParameters : FileStageParameters<MapStageParameters<ClassStageParameters>> {
+struct PoseGraphParameters : FileStageParameters<MapStageParameters> {
   bool publish_tf = true;
   double tf_rate_hz = 20.0;
   double tf_tolerance_s = 0.1;
@@ -256,7 +255,7 @@ struct PoseGraphParameters : FileStageParameters<MapStageParameters<ClassStagePa
   }
 };
 
-struct PointMappingParameters : FileStageParameters<MapStageParameters<StageParameters>> {
+struct PointMappingParameters : FileStageParameters<MapStageParameters> {
   double rate_hz = 1.0;
 
   void visit(core::OptionVisitor& visitor) {
@@ -277,7 +276,7 @@ struct MapDatabaseParameters : FileStageParameters<ClassStageParameters> {
   }
 };
 
-using QuadricMappingParameters = MapStageParameters<ClassStageParameters>;
+using QuadricMappingParameters = MapStageParameters;
 
 struct RecorderParameters : ClassStageParameters {
   std::string output_dir;
@@ -296,7 +295,7 @@ struct MarkerSizes {
   double camera_m = 0.06;  ///< depth of a keyframe's frustum; the current camera's is twice as deep
 };
 
-struct VisualizationParameters : MapStageParameters<ClassStageParameters> {
+struct VisualizationParameters : MapStageParameters {
   std::string upright_frame = "map_upright";
   double rate_hz = 5.0;
   MarkerSizes sizes;

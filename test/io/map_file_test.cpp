@@ -124,8 +124,45 @@ TEST_F(MapFile, KeepsSurfaces) {
   EXPECT_EQ(read->submaps[1].surfels, nullptr);
 }
 
+TEST_F(MapFile, KeepsPointsToTheMillimetre) {
+  MapState map = desk();
+  KeyframePoints points;
+  points.sparse = {{5, {0.1F, -0.2F, 1.5F}}, {3000000000, {0.1234F, 0.0F, 70.0F}}};
+  points.semi_dense = {{-1.0F, 0.0015F, 2.0F}, {-1.0F, 1e30F, 2.1F}};
+  map.points = {{2, std::make_shared<const KeyframePoints>(points)}};
+  ASSERT_EQ(write_map(path_, map, *shared_coco()).message(), "");
+  const auto read = checked(read_map(path_, *shared_coco()));
+  ASSERT_EQ(read->points.size(), 1U);
+  EXPECT_EQ(read->points[0].keyframe_id, 2);
+  const KeyframePoints& again = *read->points[0].points;
+  ASSERT_EQ(again.sparse.size(), 2U);
+  EXPECT_EQ(again.sparse[0].id, 5);
+  EXPECT_EQ(again.sparse[0].point_camera, points.sparse[0].point_camera);
+  EXPECT_EQ(again.sparse[1].id, 3000000000);
+  EXPECT_LT((again.sparse[1].point_camera - points.sparse[1].point_camera).norm(), 6e-4F);
+  ASSERT_EQ(again.semi_dense.size(), 2U);
+  EXPECT_EQ(again.semi_dense[0], Eigen::Vector3f(-1.0F, 0.002F, 2.0F));
+  EXPECT_EQ(again.semi_dense[1], Eigen::Vector3f(-1.0F, 1e6F, 2.1F)) << "the farthest";
+  const std::string dump = dump_of(path_);
+  EXPECT_NE(dump.find("\"sparse_id_steps\":[5,2999999995]"), std::string::npos);
+  ASSERT_EQ(write_map(path_, *read, *shared_coco()).message(), "");
+  EXPECT_TRUE(dump_of(path_) == dump) << "what was rounded once stays";
+  map.points[0].keyframe_id = 100000;
+  ASSERT_EQ(write_map(path_, map, *shared_coco()).message(), "");
+  EXPECT_EQ(checked(read_map(path_, *shared_coco()))->left_out, 1U) << "of a keyframe that the graph does not have";
+}
+
+TEST_F(MapFile, OfAnOlderVersionIsRead) {
+  change("DROP TABLE points; PRAGMA user_version = 1");
+  const auto read = read_map(path_, *shared_coco());
+  ASSERT_TRUE(read) << read.message();
+  EXPECT_EQ((*read)->graph.keyframes.size(), desk().graph.keyframes.size());
+  EXPECT_TRUE((*read)->points.empty());
+}
+
 TEST_F(MapFile, NamesWhatIsWrong) {
-  EXPECT_EQ(error_after("PRAGMA user_version = 9"), "is a map of version 9; this program reads 1");
+  EXPECT_EQ(error_after("PRAGMA user_version = 9"), "is a map of version 9; this program reads 1 to 2");
+  EXPECT_EQ(error_after("INSERT INTO points VALUES(0, 0, 0, x'78')"), "points 0 is damaged");
   EXPECT_EQ(error_after("PRAGMA application_id = 9"), "is no map of semantic_topo_loop");
   EXPECT_EQ(error_after("DELETE FROM meta WHERE key = 'noise'"), "meta has no 'noise'");
   EXPECT_EQ(error_after("UPDATE meta SET value = '{' WHERE key = 'noise'"), "meta 'noise' is damaged");

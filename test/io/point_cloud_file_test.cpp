@@ -41,6 +41,22 @@ TEST(PointCloudFile, PlyAndPcdHoldEveryPointBitForBit) {
   }
 }
 
+TEST(PointCloudFile, NamesTheObjectsThatPointsLieOn) {
+  const TestDirectory directory;
+  for (const auto& [name, field, header_end] : {std::tuple("map.ply", "property int object\n", "end_header\n"),
+                                                std::tuple("map.pcd", "TYPE F F F F I\n", "DATA binary\n")}) {
+    const std::string path = directory.path(name);
+    ASSERT_EQ(write_point_cloud(path, kPoints, {7, -1, 9}).message(), "");
+    const std::string text = read_whole(path);
+    EXPECT_NE(text.find(field), std::string::npos);
+    const std::size_t begin = text.find(header_end) + std::strlen(header_end);
+    ASSERT_EQ(text.size(), begin + 3 * 20);
+    std::array<std::int32_t, 3> objects{};
+    for (std::size_t i = 0; i < 3; ++i) std::memcpy(&objects.at(i), text.data() + begin + 20 * i + 16, 4);
+    EXPECT_EQ(objects, (std::array<std::int32_t, 3>{7, -1, 9}));
+  }
+}
+
 TEST(PointCloudFile, SaysWhatIsWrongWithThePath) {
   EXPECT_NE(write_point_cloud("map.xyz", kPoints).message().find("map.xyz"), std::string::npos);
   EXPECT_NE(write_point_cloud("/nowhere/at/all/map.ply", kPoints).message().find("/nowhere/at/all/map.ply"),

@@ -4,6 +4,9 @@
 
 #include <cmath>
 #include <limits>
+#include <memory>
+#include <utility>
+#include <vector>
 
 #include "semantic_topo_loop/geometry/lie.h"
 
@@ -66,6 +69,27 @@ TEST(PointMap, PointsMoveWithTheirKeyframesAndNewerOnesWithTheOdometry) {
   EXPECT_LT((points[1].cast<double>() - moved * p).norm(), 1e-5);
   EXPECT_LT((points[2].cast<double>() - correction.T_map_odom * (at(0.2) * p)).norm(), 1e-5);
   EXPECT_LT((points[3].cast<double>() - correction.T_map_odom * (at(0.3) * p)).norm(), 1e-5);
+}
+
+TEST(PointMap, SessionsNumberTheirPointsAnew) {
+  PointMap map{PointMapOptions()};
+  map.begin_session();
+  const KeyframePoints of_before{{{3, {0.0F, 0.0F, 1.0F}}}, line(2, 0.1F)};
+  map.restore({0, std::make_shared<const KeyframePoints>(of_before)}, Sim3(at(0.5), 2.0));
+  map.begin_session();
+  map.add(keyframe(1, at(0.0), {{{3, {0.0F, 0.0F, 4.0F}}}, {}}));
+  MapPoints points = map.points();
+  ASSERT_EQ(points.sparse.size(), 2U);
+  EXPECT_LT((points.sparse[0] - (at(0.5) * Vec3(0.0, 0.0, 2.0)).cast<float>()).norm(), 1e-6F);
+  EXPECT_LT((points.sparse[1] - Eigen::Vector3f(0.0F, 0.0F, 4.0F)).norm(), 1e-6F);
+  EXPECT_EQ(points.semi_dense.size(), 2U);
+  MapCorrection correction;
+  correction.changed = true;
+  correction.valid_to_keyframe_id = 1;
+  correction.keyframes = {{0, 0, 0, at(0.1)}, {1, 10, 0, at(0.0)}};
+  map.apply(correction);
+  points = map.points();
+  EXPECT_LT((points.sparse[0] - (at(0.1) * Vec3(0.0, 0.0, 1.0)).cast<float>()).norm(), 1e-6F);
 }
 
 TEST(PointMap, PointsGrowWithTheScaleOfTheirKeyframe) {

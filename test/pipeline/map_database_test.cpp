@@ -18,6 +18,7 @@
 #include <vector>
 
 #include "io/map_tables.h"
+#include "io/sqlite_file.h"
 #include "pipeline/map_state.h"
 #include "semantic_topo_loop/io/map_file.h"
 #include "support/package_config.h"
@@ -171,6 +172,65 @@ TEST_F(MapDatabaseTest, PartsThatCameOverASocketAreTheSame) {
   bytes.resize(bytes.size() / 2);
   EXPECT_EQ(unpack_map_delta(bytes), nullptr);
   EXPECT_EQ(unpack_map_delta({}), nullptr);
+}
+
+TEST_F(MapDatabaseTest, PointsOfTheMapThatASessionGoesOnWithStay) {
+  ChainRun run(laps(), shared_coco());
+  for (int i = 0; i < 60; ++i) run.next();
+  const auto points_of = [](std::int64_t keyframe_id) {
+    auto delta = std::make_shared<MapDelta>();
+    const float height = static_cast<float>(keyframe_id);
+    const KeyframePoints points{{{keyframe_id, {0.0F, height, 1.0F}}}, {{0.5F, height, 2.0F}}};
+    delta->points = {{keyframe_id, std::make_shared<const KeyframePoints>(points)}};
+    return delta;
+  };
+  const auto save = [&](MapDatabase* database, std::int64_t keyframe_id) {
+    run.next();
+    database->write({run.slam().take_delta(), points_of(keyframe_id)});
+  };
+  {
+    MapDatabase database(path_, shared_coco());
+    save(&database, 0);
+    save(&database, 2);
+  }
+  EXPECT_EQ(checked(read_map(path_, *shared_coco()))->points.size(), 2U);
+  const auto whole = run.slam().map();
+  const std::string old = directory_.path("old.db");
+  ASSERT_EQ(write_map(old, *whole, *shared_coco()).message(), "");
+  SqliteFile(old, SqliteFile::Mode::kWrite).run("DROP TABLE points; PRAGMA user_version = 1");
+  for (const auto& [earlier, count] : {std::pair(path_, 3U), std::pair(old, 1U)}) {
+    {
+      ChainRun next(laps(), shared_coco(), {}, whole, 61);
+      MapDatabase in_place(earlier, shared_coco(), {}, earlier);
+      next.next();
+      in_place.write({next.slam().take_delta(), points_of(1)});
+      EXPECT_EQ(in_place.close().message(), "");
+    }
+    const auto map = checked(read_map(earlier, *shared_coco()));
+    ASSERT_EQ(map->points.size(), count) << earlier;
+    EXPECT_EQ(map->points[count / 2].keyframe_id, 1);
+    EXPECT_EQ(map->left_out, 0U);
+  }
+}
+
+TEST_F(MapDatabaseTest, PointsLieOnTheObjectsTheyAreDeepestIn) {
+  ChainRun run(laps(), shared_coco());
+  for (int i = 0; i < 100; ++i) run.next();
+  const auto map = run.slam().map();
+  MapPoints points;
+  std::vector<std::int64_t> ids;
+  for (const MappedLandmark& landmark : map->objects.landmarks) {
+    if (landmark.state.state != LandmarkState::kConfirmed) continue;
+    ids.push_back(landmark.state.id);
+    points.sparse.push_back(landmark.state.ellipsoid->center().cast<float>());
+  }
+  ASSERT_GT(ids.size(), 3U);
+  const Ellipsoid& first = *map->objects.landmarks.front().state.ellipsoid;
+  const Vec3 up(0.0, 0.0, first.semi_axes.z());
+  points.semi_dense = {(first.T_world_quadric * (1.05 * up)).cast<float>(),
+                       (first.T_world_quadric * (1.15 * up)).cast<float>(), Eigen::Vector3f(0.0F, 0.0F, 1e4F)};
+  ids.insert(ids.end(), {map->objects.landmarks.front().state.id, -1, -1});
+  EXPECT_EQ(objects_under(points, *map), ids);
 }
 
 TEST_F(MapDatabaseTest, OneProgramWritesAtATime) {

@@ -6,7 +6,7 @@ import os
 import rospy
 import rostest
 
-from playback import PACKAGE, RESULT_FILES, DirectoryTest, Launch, differing_files, run_program
+from playback import PACKAGE, RESULT_FILES, DirectoryTest, Launch, differing_files, rows_of, run_program
 
 
 def setUpModule():
@@ -18,7 +18,8 @@ class DemoTest(DirectoryTest):
     def setUpClass(cls):
         super().setUpClass()
         cls.data, cls.results = cls.path('data'), cls.path('data/results')
-        cls.launch = Launch('demo.launch', rviz='false', data=cls.data)
+        cls.map = cls.path('map.db')
+        cls.launch = Launch('demo.launch', rviz='false', data=cls.data, save_map=cls.map)
         cls.ended = cls.launch.wait(540)
         cls.launch.stop()
 
@@ -41,9 +42,13 @@ class DemoTest(DirectoryTest):
     def test_gives_the_offline_result_with_its_loops(self):
         inputs = {'--' + name: os.path.join(self.data, file) for name, file in (
             ('bag', 'sequence.bag'), ('camera', 'camera.yaml'), ('detections', 'detections.json'))}
-        status, text = run_program('offline', *sum(inputs.items(), ()), '--output', self.path('offline'))
+        status, text = run_program('offline', *sum(inputs.items(), ()), '--output', self.path('offline'), '--save-map',
+                                   self.path('offline.db'))
         self.assertEqual(status, 0, text)
         self.assertEqual(differing_files(self.path('offline'), self.results), [])
+        rows = rows_of(self, self.map)
+        self.assertGreater(sum(row.startswith('points ') for row in rows), 20, 'keyframes with points')
+        self.assertTrue(rows == rows_of(self, self.path('offline.db')), 'the map of the nodelets is another')
 
     def test_closes_loops_where_places_are_revisited(self):
         loops = self.evaluate('loops', self.results, os.path.join(self.data, 'groundtruth_frames.txt'))

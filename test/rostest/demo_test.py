@@ -16,8 +16,8 @@ from std_srvs.srv import SetBool
 from tf2_msgs.msg import TFMessage
 from visualization_msgs.msg import MarkerArray
 
-from playback import (PACKAGE, RESULT_FILES, Diagnostics, DirectoryTest, Listener, demo, differing_files, run_program,
-                      wait_until)
+from playback import (PACKAGE, RESULT_FILES, Diagnostics, DirectoryTest, Listener, demo, differing_files, is_closed,
+                      rows_of, run_program, wait_until)
 from semantic_topo_loop.msg import FrameDone, Quadric, QuadricMap
 from semantic_topo_loop.srv import (LoadMap, QueryObjects, QueryObjectsRequest, SaveMap, SaveTrajectory, WhyLoop,
                                     WhyLoopResponse)
@@ -54,18 +54,6 @@ class Heard:
     def take(self, message, topic):
         with self.lock:
             self.last[topic] = message
-
-
-def rows_of(test, path):
-    """All rows of a map, packed ones unpacked, but for the classes: those of objects that went stay."""
-    status, text = run_program('inspect_map', path, '--dump')
-    test.assertEqual(status, 0, text)
-    return [line for line in text.splitlines() if not line.startswith('class ')]
-
-
-def is_closed(path):
-    """Whether a map is there and nobody writes it any more."""
-    return os.path.exists(path) and not os.path.exists(path + '-wal')
 
 
 def run_offline(test, data, output, *arguments):
@@ -329,6 +317,7 @@ class EarlierMapTest(DirectoryTest):
             rospy.wait_for_service(load, 60)
             self.assertIn('is not below', rospy.ServiceProxy(load, LoadMap)('/tmp/elsewhere.db', False).message)
             self.assertIn('cannot open the file', rospy.ServiceProxy(load, LoadMap)('none.db', False).message)
+            self.assertTrue(wait_until(lambda: os.path.exists(self.path('fourth.db')), 30), launch.output())
             answer = rospy.ServiceProxy(load, LoadMap)(os.path.basename(there), False)
             self.assertTrue(answer.success, answer.message)
             fixed = '/%s/pose_frontend/set_localization_mode' % PACKAGE

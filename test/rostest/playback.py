@@ -152,6 +152,18 @@ def run_program(name, *arguments, timeout_s=120):
     return done.returncode, done.stdout
 
 
+def rows_of(test, path):
+    """All rows of a map, packed ones unpacked, but for the classes: those of objects that went stay."""
+    status, text = run_program('inspect_map', path, '--dump')
+    test.assertEqual(status, 0, text)
+    return [line for line in text.splitlines() if not line.startswith('class ')]
+
+
+def is_closed(path):
+    """Whether a map is there and nobody writes it any more."""
+    return os.path.exists(path) and not os.path.exists(path + '-wal')
+
+
 def differing_files(a, b):
     """Files of two runs that are not the same bytes, timing.csv aside, each with the first lines that differ."""
     names = set(os.listdir(a)) | set(os.listdir(b))

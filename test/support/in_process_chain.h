@@ -93,8 +93,7 @@ class InProcessChain {
   }
   void load(const std::string& name, const std::string& type, const Remappings& remappings = {}) {
     Remappings resolved;
-    const bool has_classes = type != "Player" && type != "PointMapping";
-    if (has_classes && !ros::param::has("/" + name + "/class_table")) {
+    if (type != "Player" && !ros::param::has("/" + name + "/class_table")) {
       set(name, "class_table", STL_CONFIG_DIR "/classes_coco.yaml");
     }
     for (const auto& [from, to] : remappings) resolved[ros::names::resolve(from)] = ros::names::resolve(to);

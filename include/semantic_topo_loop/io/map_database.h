@@ -24,7 +24,9 @@ struct MapCounts {
 class MapDatabase {
  public:
   /// @param configuration kept for who wonders how the map came about
-  MapDatabase(std::string path, std::shared_ptr<const ClassTable> classes, std::string configuration = {});
+  /// @param earlier map's file with which the session goes on, whose points stay, or empty
+  MapDatabase(std::string path, std::shared_ptr<const ClassTable> classes, std::string configuration = {},
+              std::string earlier = {});
   /// As `close`.
   ~MapDatabase();
   MapDatabase(const MapDatabase&) = delete;

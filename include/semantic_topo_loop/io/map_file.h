@@ -17,13 +17,13 @@ Status write_map(const std::string& path, const MapState& map, const ClassTable&
 
 /// What is read of a map beside its graph.
 struct MapParts {
-  bool objects = true, submaps = true;
+  bool objects = false, submaps = false, points = false;
 };
 
 /// @param classes must have every class of the map under the same name, and map it
 /// @return an error, with file, row and field, if the file is damaged or of another version, or does not fit together
 Result<std::shared_ptr<const MapState>> read_map(const std::string& path, const ClassTable& classes,
-                                                 MapParts parts = {});
+                                                 MapParts parts = {true, true, true});
 
 /// Prints every row of a map, in order, with what is packed in it as JSON: two maps are the same if their dumps are.
 Status dump_map(const std::string& path, std::ostream& out);

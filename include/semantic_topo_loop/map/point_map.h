@@ -2,6 +2,8 @@
 
 #include <cstdint>
 #include <map>
+#include <memory>
+#include <utility>
 #include <vector>
 
 #include "semantic_topo_loop/types/frame.h"
@@ -27,9 +29,18 @@ struct PointMapOptions {
   }
 };
 
+/// The points of one keyframe.
+struct PointsOfKeyframe {
+  std::int64_t keyframe_id = -1;
+  std::shared_ptr<const KeyframePoints> points;
+};
+
+/// What a point map and a map's file keep of a keyframe's points: what is finite, of the semi-dense ones one in a cube.
+KeyframePoints reduced(const KeyframePoints& points, const PointMapOptions& options);
+
 /// The points of a map, in the map frame, m.
 struct MapPoints {
-  std::vector<Eigen::Vector3f> sparse;  ///< one for each point of the front end, in order of id
+  std::vector<Eigen::Vector3f> sparse;  ///< one for each point of a front end, in order of session and id
   std::vector<Eigen::Vector3f> semi_dense;
 };
 
@@ -38,6 +49,10 @@ class PointMap {
  public:
   explicit PointMap(const PointMapOptions& options) : options_(options) {}
 
+  /// What comes from here on is of a further session, whose front end numbers its points anew.
+  void begin_session() { ++session_; }
+  /// Takes in a keyframe of an earlier session. @param S_map_camera where it is
+  void restore(const PointsOfKeyframe& keyframe, const Sim3& S_map_camera);
   /// Takes in the points of a keyframe; other frames change nothing.
   void add(const Frame& frame);
   /// Moves the keyframes.
@@ -55,14 +70,17 @@ class PointMap {
     SE3 T_odom_camera;
     Sim3 S_map_camera;  ///< the scale is the map's units of length in one of the odometry, 1 unless it is free
     KeyframePoints points;
+    int session = 0;
     int thinnings = 0;
   };
 
+  void insert(std::int64_t keyframe_id, Keyframe keyframe);
   void bound();
 
   PointMapOptions options_;
   SE3 T_map_odom_;
   double scale_ = 1.0;  ///< of new keyframes
+  int session_ = 0;
   std::map<std::int64_t, Keyframe> keyframes_;
   std::size_t size_ = 0;
   std::uint64_t thinned_ = 0;
