@@ -81,8 +81,9 @@ void print_changes(const MapState& map, const ClassTable& classes) {
   for (const MapChange& change : changes) {
     std::string text = std::string("            ") + to_string(change.kind) + ":";
     if (change.before_id) {
-      text += " " + object(*change.before_id) + ", " + std::to_string(change.boxes_before) +
-              " boxes before, missed for " + format_fixed(change.missed_s, 1) + " s";
+      text += " " + object(*change.before_id) + ", " + std::to_string(change.boxes_before) + " boxes before, where " +
+              std::to_string(change.looked_at_after) + " keyframes now show none";
+      if (change.seen_through_s > 0.0) text += ", seen through for " + format_fixed(change.seen_through_s, 1) + " s";
     }
     if (change.before_id && change.after_id) text += ";";
     if (change.after_id) {

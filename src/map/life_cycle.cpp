@@ -7,7 +7,6 @@
 namespace semantic_topo_loop::core {
 namespace {
 
-constexpr double kPlacedShare = 0.5;       // of the time seen
 constexpr double kBoundedShare = 0.2;      // of the time to be seen for: what no image shows the end of is no object
 constexpr double kTransparentShare = 0.1;  // of the time seen: what shows more of its background has holes
 constexpr double kMinWidth_px = 12.0, kMinHeight_px = 8.0;  // of a projection that a detector may be expected to box
@@ -70,11 +69,6 @@ DepthThere depth_there(const Candidate& candidate, const FramePoints& points, co
   return share(behind) > kSeenThroughShare ? DepthThere::kBehind : DepthThere::kAtIt;
 }
 
-/// Whether depth has told most of the time where it is.
-bool is_placed(const MappedLandmark& landmark) {
-  return landmark.sightings.placed_s > kPlacedShare * landmark.sightings.seen_s;
-}
-
 }  // namespace
 
 std::vector<ExpectedLandmark> expected_landmarks(const std::map<std::int64_t, MappedLandmark>& landmarks,
@@ -110,7 +104,7 @@ std::vector<ExpectedLandmark> expected_landmarks(const std::map<std::int64_t, Ma
 
 double landmark_quality(const MappedLandmark& landmark) {
   const Landmark& state = landmark.state;
-  const double from_around = is_placed(landmark) ? 1.0 : 1.0 - std::exp(-state.baseline_deg / 15.0);
+  const double from_around = landmark.sightings.is_placed() ? 1.0 : 1.0 - std::exp(-state.baseline_deg / 15.0);
   const double sigma = std::sqrt(std::max(0.0, state.center_covariance.trace() / 3.0));
   return state.mean_iou * from_around * (1.0 - std::exp(-landmark.sightings.seen_s / 0.7)) / (1.0 + sigma / 0.05);
 }
@@ -132,7 +126,7 @@ LandmarkState life_cycle_state(const MappedLandmark& landmark, const QuadricMapp
   }
   // Boxes alone need several directions; depth needs none, and what is cut counts, if every side was seen to end.
   const bool is_known =
-      is_placed(landmark)
+      sightings.is_placed()
           ? sightings.placed_s >= options.confirm_seen_s &&
                 sightings.bounded_s.minCoeff() >= kBoundedShare * options.confirm_seen_s
           : sightings.whole_s >= options.confirm_seen_s && state.baseline_deg >= options.confirm_baseline_deg;

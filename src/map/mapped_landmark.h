@@ -45,6 +45,8 @@ struct Sightings {
   /// box since the last one (it has gone).
   double transparent_s = 0.0, seen_through_since_s = 0.0;
 
+  /// Whether depth has told most of the time where it is.
+  bool is_placed() const { return placed_s > 0.5 * seen_s; }
   double seen_share() const { return expected_s > 0.0 ? seen_s / expected_s : 1.0; }
   /// Of the familiar views, those with a box; without the last absence, which says nothing of the time before.
   double familiar_share() const {

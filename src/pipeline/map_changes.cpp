@@ -7,13 +7,15 @@
 namespace semantic_topo_loop::core {
 namespace {
 
-/// Boxes that must be kept of an object to be one, and time for which the last session must have missed what is gone: a
-/// second or two of each.
+/// Boxes that must be kept of an object to be one, and that the last session should have of what is gone: a second or
+/// two.
 constexpr int kMinBoxes = 30;
-constexpr double kMinMissed_s = 2.0;
-/// Keyframes that must have had a place in view, since detectors miss an object for seconds on end; and of one that
-/// moved there, since it is gone elsewhere; and where many objects are asked about at once.
-constexpr int kMinLooks = 10, kMinLooksOfMoved = 2, kMinLooksOfMany = 2;
+/// Keyframes that must have had a place in view, since detectors miss an object for seconds on end; where there are
+/// boxes of both times to compare; of one that moved there, since it is gone elsewhere; and where many objects are
+/// asked about at once.
+constexpr int kMinLooks = 15, kMinLooksOfGone = 5, kMinLooksOfMoved = 2, kMinLooksOfMany = 2;
+/// For which depth must have shown what lies behind an object that is gone, wherever from.
+constexpr double kMinSeenThrough_s = 1.0;
 /// Of the boxes of an object that is gone, what the last session may have by mistake.
 constexpr double kMistakenShare = 0.05;
 /// An object that is boxed for longer than it is in view, by this factor, is not where the map has it.
@@ -25,6 +27,11 @@ struct Boxes {
   int before = 0, after = 0;
 };
 
+bool is_as_large(const Ellipsoid& a, const Ellipsoid& b) {
+  const double ratio = a.radius() / b.radius();
+  return ratio < kMaxRatio && ratio > 1.0 / kMaxRatio;
+}
+
 Boxes count_boxes(const MappedLandmark& landmark, std::int64_t first_keyframe_id) {
   Boxes boxes;
   for (const Observation& observation : landmark.observations) {
@@ -34,13 +41,18 @@ Boxes count_boxes(const MappedLandmark& landmark, std::int64_t first_keyframe_id
 }
 
 /// Keyframes from `begin` to before `end` in which a detector should have boxed what the map has there, since it did
-/// from there at some time; by the landmark's id.
-std::map<std::int64_t, int> count_looks(const MapState& map, std::int64_t begin, std::int64_t end) {
+/// from there at some time; by the landmark's id. @param with_retired those that were retired, too, if they were
+/// objects
+std::map<std::int64_t, int> count_looks(const MapState& map, std::int64_t begin, std::int64_t end,
+                                        bool with_retired = false) {
   std::map<std::int64_t, MappedLandmark> landmarks;
   for (const MappedLandmark& landmark : map.objects.landmarks) {
     if (landmark.state.state == LandmarkState::kCandidate) continue;
+    const bool is_retired = landmark.state.state == LandmarkState::kRetired;
+    if (is_retired && (!with_retired || static_cast<int>(landmark.observations.size()) < kMinBoxes)) continue;
     MappedLandmark& known = landmarks[landmark.state.id];
     known.state = landmark.state;
+    known.state.state = LandmarkState::kConfirmed;
     known.seen_from = landmark.seen_from;
   }
   std::map<std::int64_t, int> looks;
@@ -58,13 +70,20 @@ std::map<std::int64_t, int> count_looks(const MapState& map, std::int64_t begin,
   return looks;
 }
 
-/// Whether the place of a landmark was taken by one of about the same kind before: it is that one, by another id.
-bool was_there(const MapState& map, const MappedLandmark& landmark, std::int64_t first_keyframe_id) {
-  const Ellipsoid& ellipsoid = *landmark.state.ellipsoid;
+/// For how long depth has shown what lies behind an object since its last box, less what its holes may show.
+double seen_through_s(const MappedLandmark& landmark) {
+  const Sightings& sightings = landmark.sightings;
+  const double holes = sightings.transparent_s / std::max(sightings.seen_s, sightings.transparent_s + 1e-9);
+  return sightings.seen_through_since_s * (1.0 - holes);
+}
+
+/// Whether another stands, or stood, in the place of a landmark. @param is_there whether one counts
+template <class IsThere>
+bool is_taken(const MapState& map, const Ellipsoid& place, const IsThere& is_there) {
   return std::any_of(map.objects.landmarks.begin(), map.objects.landmarks.end(), [&](const MappedLandmark& other) {
-    if (!other.state.ellipsoid || count_boxes(other, first_keyframe_id).before < kMinBoxes) return false;
-    const double apart_m = (other.state.ellipsoid->center() - ellipsoid.center()).norm();
-    return apart_m < std::max(ellipsoid.radius(), other.state.ellipsoid->radius());
+    if (!other.state.ellipsoid || !is_there(other)) return false;
+    const double apart_m = (other.state.ellipsoid->center() - place.center()).norm();
+    return apart_m < std::max(place.radius(), other.state.ellipsoid->radius());
   });
 }
 
@@ -80,8 +99,7 @@ void find_moves(const MapState& map, std::vector<MapChange>* gone, std::vector<M
     const Landmark& before = landmark(*(*gone)[i].before_id);
     for (std::size_t j = 0; j < added->size(); ++j) {
       const Landmark& after = landmark(*(*added)[j].after_id);
-      const double ratio = after.ellipsoid->radius() / before.ellipsoid->radius();
-      if (after.class_id != before.class_id || ratio > kMaxRatio || ratio < 1.0 / kMaxRatio) continue;
+      if (after.class_id != before.class_id || !is_as_large(*after.ellipsoid, *before.ellipsoid)) continue;
       pairs.emplace_back((after.ellipsoid->center() - before.ellipsoid->center()).norm(), i, j);
     }
   }
@@ -118,27 +136,40 @@ const char* to_string(MapChange::Kind kind) {
 std::vector<MapChange> map_changes(const MapState& map) {
   if (map.graph.sessions.size() < 2) return {};
   const std::int64_t first = map.graph.sessions.back().first_keyframe_id;
-  std::map<std::int64_t, int> looks = count_looks(map, 0, first);
+  std::map<std::int64_t, int> looks_before = count_looks(map, 0, first, true);
+  std::map<std::int64_t, int> looks_after = count_looks(map, first, map.graph.next_keyframe_id(), true);
   std::vector<MapChange> gone, added;
   for (const MappedLandmark& landmark : map.objects.landmarks) {
     const Landmark& state = landmark.state;
-    if (!state.ellipsoid) continue;
+    if (!state.ellipsoid || state.state == LandmarkState::kCandidate) continue;
     const auto [before, after] = count_boxes(landmark, first);
+    const int looked_before = looks_before[state.id], looked_after = looks_after[state.id];
     MapChange change;
     change.boxes_before = before;
-    change.missed_s = landmark.sightings.missed_since_s + landmark.sightings.seen_through_since_s;
-    if (state.state == LandmarkState::kRetired && before >= kMinBoxes && after <= kMistakenShare * before &&
-        change.missed_s >= kMinMissed_s) {
+    if (before >= kMinBoxes) {
+      const int expected = static_cast<int>(std::int64_t{before} * looked_after / std::max(looked_before, 1));
+      const bool is_missed = looked_after >= kMinLooksOfGone && expected >= kMinBoxes;
+      change.seen_through_s = seen_through_s(landmark);
+      if (!is_missed && change.seen_through_s < kMinSeenThrough_s) continue;
+      if (after > kMistakenShare * (is_missed ? std::min(before, expected) : before)) continue;
+      // By one of its size, it is that one, by another id.
+      const auto is_there_now = [&](const MappedLandmark& other) {
+        return count_boxes(other, first).after >= kMinBoxes && is_as_large(*other.state.ellipsoid, *state.ellipsoid);
+      };
+      if (is_taken(map, *state.ellipsoid, is_there_now)) continue;
       change.before_id = state.id;
+      change.looked_at_after = looked_after;
       gone.push_back(change);
     } else if (state.state == LandmarkState::kConfirmed && before == 0 && after >= kMinBoxes &&
-               landmark.sightings.seen_share() <= kMaxSeenShare) {
+               (landmark.sightings.is_placed() || landmark.sightings.seen_share() <= kMaxSeenShare)) {
       change.kind = MapChange::Kind::kNew;
-      change.missed_s = 0.0;
       change.after_id = state.id;
       change.boxes_after = after;
-      change.looked_at_before = looks[state.id];
-      if (change.looked_at_before >= kMinLooksOfMoved && !was_there(map, landmark, first)) added.push_back(change);
+      change.looked_at_before = looked_before;
+      const auto was_there = [first](const MappedLandmark& other) {
+        return count_boxes(other, first).before >= kMinBoxes;
+      };
+      if (looked_before >= kMinLooksOfMoved && !is_taken(map, *state.ellipsoid, was_there)) added.push_back(change);
     }
   }
   find_moves(map, &gone, &added);

@@ -16,14 +16,17 @@ struct MapChange {
   std::optional<std::int64_t> before_id;  ///< the object as it was: gone, or moved from there
   std::optional<std::int64_t> after_id;   ///< the object as it is: new, or moved there
   int boxes_before = 0;                   ///< boxes kept of it from the sessions before
-  double missed_s = 0.0;     ///< for which the last session looked where it had been seen from, and found nothing
+  double seen_through_s = 0.0;            ///< for which depth has shown what lies behind it
+  int looked_at_after = 0;   ///< keyframes of the last session that had its place in view from where it had been seen
   int boxes_after = 0;       ///< boxes kept of it from the last session
   int looked_at_before = 0;  ///< keyframes before that had its place in view from where it is seen now
 };
 const char* to_string(MapChange::Kind kind);
 
-/// Changes between the last session of a map and the ones before. An object is gone if it was retired and the last
-/// session has no box of it; new if only the last session has boxes of it, although the ones before had its place long
+/// Changes between the last session of a map and the ones before. An object is gone if the last
+/// session has no box of it, nor of another in its place, although it looked there as often as should have given many
+/// boxes, or depth showed what lies behind it;
+/// new if only the last session has boxes of it, although the ones before had its place long
 /// in view and no such object there; one that is gone and a new one of its class and about its size are one that moved,
 /// the nearest first.
 /// @return in order of ids; nothing if there is one session

@@ -90,10 +90,39 @@ TEST(MapChanges, WhatMovedWentAndCameIsListedAndNothingElse) {
     std::vector<std::string> expected{name("gone", days.gone), name("moved", days.moved), name("new", days.added)};
     EXPECT_EQ(listed(*both), expected) << "seed " << seed;
     for (const MapChange& change : map_changes(*both)) {
-      EXPECT_TRUE(!change.before_id || change.missed_s > 3.0) << change.missed_s;
+      EXPECT_TRUE(!change.before_id || change.looked_at_after > 4) << change.looked_at_after;
       EXPECT_TRUE(!change.after_id || change.looked_at_before > 1) << change.looked_at_before;
     }
   }
+}
+
+TEST(MapChanges, WhatDepthSeesThroughIsGoneWhereverItIsSeenFrom) {
+  SimulationOptions options;
+  options.seed = 4;
+  options.trajectory.duration_s = 40.0;
+  options.trajectory.rate_hz = 15.0;
+  const SimulatedSequence sequence = checked(simulate(options, camera_fr2(), coco()));
+  const std::size_t half = sequence.odometry.size() / 2;
+  const auto first = testing::map_of(sequence, 0, half, shared_coco());
+  MapState both = *testing::map_of(sequence, half, sequence.odometry.size(), shared_coco(), {}, first);
+  ASSERT_EQ(listed(both), std::vector<std::string>());
+  const std::int64_t second = both.graph.sessions.back().first_keyframe_id;
+  const auto is_before = [second](const Observation& o) { return o.keyframe_id < second; };
+  const auto object = std::find_if(both.objects.landmarks.begin(), both.objects.landmarks.end(), [&](const auto& l) {
+    return l.state.state == LandmarkState::kConfirmed &&
+           std::count_if(l.observations.begin(), l.observations.end(), is_before) > 50;
+  });
+  ASSERT_NE(object, both.objects.landmarks.end());
+  std::vector<Observation>& boxes = object->observations;
+  boxes.erase(std::remove_if(boxes.begin(), boxes.end(), [&](const Observation& o) { return !is_before(o); }),
+              boxes.end());
+  object->seen_from = SeenFrom();
+  EXPECT_EQ(listed(both), std::vector<std::string>()) << "nobody looked";
+  object->sightings.seen_s = 10.0;
+  object->sightings.seen_through_since_s = 2.0;
+  EXPECT_EQ(listed(both), std::vector<std::string>{"gone " + coco().name(object->state.class_id)});
+  object->sightings.transparent_s = 9.0;
+  EXPECT_EQ(listed(both), std::vector<std::string>()) << "it is mostly holes";
 }
 
 TEST(MapChanges, WhatWasNotLookedAtBeforeIsNotNew) {
