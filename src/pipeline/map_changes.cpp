@@ -7,8 +7,8 @@
 namespace semantic_topo_loop::core {
 namespace {
 
-/// Boxes that must be kept of an object to be one, and that the last session should have of what is gone: a second or
-/// two.
+/// Boxes that must be kept of an object to be one if the map does not say so, and that the last session should have of
+/// what is gone: a second or two.
 constexpr int kMinBoxes = 30;
 /// Keyframes that must have had a place in view, since detectors miss an object for seconds on end; where there are
 /// boxes of both times to compare; of one that moved there, since it is gone elsewhere; and where many objects are
@@ -146,7 +146,8 @@ std::vector<MapChange> map_changes(const MapState& map) {
     const int looked_before = looks_before[state.id], looked_after = looks_after[state.id];
     MapChange change;
     change.boxes_before = before;
-    if (before >= kMinBoxes) {
+    const bool is_confirmed = state.state == LandmarkState::kConfirmed;
+    if (before >= kMinBoxes || (is_confirmed && before > 0)) {
       const int expected = static_cast<int>(std::int64_t{before} * looked_after / std::max(looked_before, 1));
       const bool is_missed = looked_after >= kMinLooksOfGone && expected >= kMinBoxes;
       change.seen_through_s = seen_through_s(landmark);
@@ -160,7 +161,7 @@ std::vector<MapChange> map_changes(const MapState& map) {
       change.before_id = state.id;
       change.looked_at_after = looked_after;
       gone.push_back(change);
-    } else if (state.state == LandmarkState::kConfirmed && before == 0 && after >= kMinBoxes &&
+    } else if (is_confirmed && before == 0 && after >= kMinBoxes &&
                (landmark.sightings.is_placed() || landmark.sightings.seen_share() <= kMaxSeenShare)) {
       change.kind = MapChange::Kind::kNew;
       change.after_id = state.id;
