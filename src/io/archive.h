@@ -31,6 +31,10 @@ class ArchiveWriter {
   void operator()(const char* name, const T& value) {
     json_[name] = to_archive(value);
   }
+  template <class T>
+  void later(const char* name, const T& value) {
+    (*this)(name, value);
+  }
   Json take() { return std::move(json_); }
 
  private:
@@ -44,6 +48,11 @@ class ArchiveReader {
   template <class T>
   void operator()(const char* name, T& value) {
     from_archive(field_.member(name), &value);
+  }
+  /// Of a member that files of the same version may lack: it stays as it is.
+  template <class T>
+  void later(const char* name, T& value) {
+    if (field_.has(name)) (*this)(name, value);
   }
 
  private:

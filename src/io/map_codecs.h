@@ -142,6 +142,7 @@ struct Codec<KeyframePoints> {
     __VA_ARGS__                                       \
   }
 #define MEMBER(name) visit(#name, value.name);
+#define LATER_MEMBER(name) visit.later(#name, value.name);
 
 VISIT_MEMBERS(Camera, MEMBER(fx) MEMBER(fy) MEMBER(cx) MEMBER(cy) MEMBER(width) MEMBER(height) MEMBER(distortion))
 VISIT_MEMBERS(LoopVerdict, MEMBER(number) MEMBER(query_keyframe_id) MEMBER(match_keyframe_id) MEMBER(kept)
@@ -170,7 +171,7 @@ VISIT_MEMBERS(Sightings, MEMBER(seen_s) MEMBER(whole_s) MEMBER(expected_s) MEMBE
 VISIT_MEMBERS(BoxView, MEMBER(T_world_camera) MEMBER(box) MEMBER(truncated) MEMBER(near_m))
 VISIT_MEMBERS(Observation, MEMBER(frame_id) MEMBER(source_id) MEMBER(keyframe_id) MEMBER(class_id) MEMBER(view))
 VISIT_MEMBERS(LandmarkRecord, MEMBER(state) MEMBER(seen_beside) MEMBER(sightings) MEMBER(seen_from)
-                                  MEMBER(last_stamp_ns) MEMBER(next_fit_at))
+                                  MEMBER(last_stamp_ns) MEMBER(next_fit_at) LATER_MEMBER(was_confirmed))
 VISIT_MEMBERS(UpDirection, MEMBER(direction) MEMBER(certain))
 VISIT_MEMBERS(Spheroid, MEMBER(center) MEMBER(log_axes))
 VISIT_MEMBERS(ObservedBox, MEMBER(landmark_id) MEMBER(class_id) MEMBER(box) MEMBER(truncated) MEMBER(depth_m))

@@ -11,6 +11,7 @@ constexpr double kBoundedShare = 0.2;      // of the time to be seen for: what n
 constexpr double kTransparentShare = 0.1;  // of the time seen: what shows more of its background has holes
 constexpr double kMinWidth_px = 12.0, kMinHeight_px = 8.0;  // of a projection that a detector may be expected to box
 constexpr double kFullyVisibleShare = 0.8;                  // of its area, inside the image
+constexpr double kPartlyVisibleShare = 0.4;                 // the same, for depth to show what lies behind it
 constexpr double kHiddenShare = 0.5;                        // of the box, from which on it counts as hidden
 constexpr double kSigmas = 2.5;            // of a depth, beyond which it is in front or behind: 1 in 80 by chance
 constexpr double kUneven_m = 0.01;         // of a surface against its ellipsoid
@@ -46,6 +47,7 @@ bool is_hidden_by_other(const Candidate& candidate, const AssociationFrame& asso
 enum class DepthThere { kUnknown, kInFront, kAtIt, kBehind };
 
 /// By the points in the middle of its projection, where its near side should be; the border shows what is around it.
+/// Behind it is what is behind its far side, too: what is hollow, as a chair, shows its seat.
 DepthThere depth_there(const Candidate& candidate, const FramePoints& points, const SE3& T_map_camera) {
   const Vec2 middle = candidate.whole.center();
   const double half_width = 0.5 * kMiddle * candidate.whole.width();
@@ -55,13 +57,13 @@ DepthThere depth_there(const Candidate& candidate, const FramePoints& points, co
   std::size_t known = 0, in_front = 0, behind = 0;
   for (const SeenPoint& p : points.in(box, kPointsMax)) {
     const double z = p.point_camera.z();
-    const std::optional<double> there =
-        ray_depth(*candidate.ellipsoid, T_map_camera.t, T_map_camera.q * Vec3(p.point_camera / z));
+    const std::optional<RayDepths> there =
+        ray_depths(*candidate.ellipsoid, T_map_camera.t, T_map_camera.q * Vec3(p.point_camera / z));
     if (!there) continue;
     const double margin = kSigmas * (uneven + depth_sigma_m(z));
     ++known;
-    if (z < *there - margin) ++in_front;
-    if (z > *there + margin) ++behind;
+    if (z < there->enters - margin) ++in_front;
+    if (z > std::max(there->enters + margin, there->leaves)) ++behind;
   }
   if (known < kMinPoints) return DepthThere::kUnknown;
   const auto share = [known](std::size_t count) { return static_cast<double>(count) / static_cast<double>(known); };
@@ -83,7 +85,8 @@ std::vector<ExpectedLandmark> expected_landmarks(const std::map<std::int64_t, Ma
     const std::optional<Box> box = project_box(center, shape, P);
     if (!box) continue;
     const Box visible = clip(*box, frame.camera.width, frame.camera.height);
-    if (visible.area() <= kFullyVisibleShare * box->area() || visible.width() <= kMinWidth_px ||
+    const double least_share = points != nullptr ? kPartlyVisibleShare : kFullyVisibleShare;
+    if (visible.area() <= least_share * box->area() || visible.width() <= kMinWidth_px ||
         visible.height() <= kMinHeight_px) {
       continue;
     }
@@ -97,6 +100,7 @@ std::vector<ExpectedLandmark> expected_landmarks(const std::map<std::int64_t, Ma
     if (is_hidden_by_landmark(candidate, in_view) || is_hidden_by_other(candidate, associations)) continue;
     const DepthThere there = points != nullptr ? depth_there(candidate, *points, T_map_camera) : DepthThere::kUnknown;
     if (there == DepthThere::kInFront) continue;
+    if (there != DepthThere::kBehind && candidate.box.area() <= kFullyVisibleShare * candidate.whole.area()) continue;
     expected.push_back({candidate.id, candidate.box.size(), there == DepthThere::kBehind});
   }
   return expected;

@@ -133,6 +133,10 @@ struct LandmarkRecord {
   SeenFrom seen_from;
   std::int64_t last_stamp_ns = 0;
   int next_fit_at = 0;
+  bool was_confirmed = false;  ///< when an earlier session ended
+
+  /// Whether it is an object, or was one when a session ended.
+  bool is_object() const { return state.state == LandmarkState::kConfirmed || was_confirmed; }
 };
 
 struct MappedLandmark : LandmarkRecord {
@@ -172,7 +176,7 @@ struct ExpectedLandmark {
 
 /// The landmarks that a detector should box in this frame: fully in view, large enough, and hidden by nothing known:
 /// not by a nearer landmark, not by the box of something that is no landmark (a person), and, where the frame has
-/// points, not by points in front of it.
+/// points, not by points in front of it. What points see through need not be fully in view.
 /// @param points of the frame; null without   @return in order of id
 std::vector<ExpectedLandmark> expected_landmarks(const std::map<std::int64_t, MappedLandmark>& landmarks,
                                                  const Frame& frame, const FramePoints* points, const SE3& T_map_camera,

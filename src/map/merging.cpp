@@ -134,6 +134,7 @@ void MergeHistory::join(const KeyframePlaces& S_map_keyframe, MappedLandmark mer
     survivor->last_stamp_ns = merged.last_stamp_ns;
   }
   survivor->seen_from.add(merged.seen_from);
+  survivor->was_confirmed = survivor->was_confirmed || merged.was_confirmed;
   for (const auto& [id, count] : merged.seen_beside) survivor->seen_beside[id] += count;
   survivor->seen_beside.erase(survivor->state.id);  // nothing is beside itself
 }

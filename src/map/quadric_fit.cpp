@@ -204,14 +204,15 @@ std::optional<QuadricFit> refine_quadric(const Camera& camera, const std::vector
   return fit;
 }
 
-std::optional<double> ray_depth(const Ellipsoid& ellipsoid, const Vec3& origin, const Vec3& direction) {
+std::optional<RayDepths> ray_depths(const Ellipsoid& ellipsoid, const Vec3& origin, const Vec3& direction) {
   // In semi-axes, about the centre: |u + t d|^2 = 1.
   const Quaternion to_axes = ellipsoid.T_world_quadric.q.conjugate();
   const Vec3 u = (to_axes * (origin - ellipsoid.center())).cwiseQuotient(ellipsoid.semi_axes);
   const Vec3 d = (to_axes * direction).cwiseQuotient(ellipsoid.semi_axes);
   const double A = d.squaredNorm(), B = u.dot(d), C = u.squaredNorm() - 1.0;
   if (!(C > 0.0 && B < 0.0)) return std::nullopt;
-  return (-B - std::sqrt(std::max(0.0, B * B - A * C))) / A;
+  const double half = std::sqrt(std::max(0.0, B * B - A * C));
+  return RayDepths{(-B - half) / A, (-B + half) / A};
 }
 
 }  // namespace semantic_topo_loop::core

@@ -49,9 +49,12 @@ struct QuadricFit {
 std::optional<QuadricFit> refine_quadric(const Camera& camera, const std::vector<BoxView>& views,
                                          const Ellipsoid& initial, const QuadricFitOptions& options = {});
 
-/// Depth at which a ray meets an ellipsoid, in lengths of its direction; of a ray that misses it, where it passes the
-/// centre.
+/// Depths at which a ray enters and leaves an ellipsoid, in lengths of its direction; of a ray that misses it, both are
+/// where it passes the centre.
+struct RayDepths {
+  double enters = 0.0, leaves = 0.0;
+};
 /// @return nullopt if the ellipsoid is behind the origin of the ray or around it
-std::optional<double> ray_depth(const Ellipsoid& ellipsoid, const Vec3& origin, const Vec3& direction);
+std::optional<RayDepths> ray_depths(const Ellipsoid& ellipsoid, const Vec3& origin, const Vec3& direction);
 
 }  // namespace semantic_topo_loop::core

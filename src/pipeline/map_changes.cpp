@@ -47,7 +47,7 @@ std::map<std::int64_t, int> count_looks(const MapState& map, std::int64_t begin,
                                         bool with_retired = false) {
   std::map<std::int64_t, MappedLandmark> landmarks;
   for (const MappedLandmark& landmark : map.objects.landmarks) {
-    if (landmark.state.state == LandmarkState::kCandidate) continue;
+    if (landmark.state.state == LandmarkState::kCandidate && !landmark.was_confirmed) continue;
     const bool is_retired = landmark.state.state == LandmarkState::kRetired;
     if (is_retired && (!with_retired || static_cast<int>(landmark.observations.size()) < kMinBoxes)) continue;
     MappedLandmark& known = landmarks[landmark.state.id];
@@ -141,13 +141,13 @@ std::vector<MapChange> map_changes(const MapState& map) {
   std::vector<MapChange> gone, added;
   for (const MappedLandmark& landmark : map.objects.landmarks) {
     const Landmark& state = landmark.state;
-    if (!state.ellipsoid || state.state == LandmarkState::kCandidate) continue;
+    if (!state.ellipsoid || (state.state == LandmarkState::kCandidate && !landmark.was_confirmed)) continue;
     const auto [before, after] = count_boxes(landmark, first);
     const int looked_before = looks_before[state.id], looked_after = looks_after[state.id];
     MapChange change;
     change.boxes_before = before;
     const bool is_confirmed = state.state == LandmarkState::kConfirmed;
-    if (before >= kMinBoxes || (is_confirmed && before > 0)) {
+    if (before >= kMinBoxes || (landmark.is_object() && before > 0)) {
       const int expected = static_cast<int>(std::int64_t{before} * looked_after / std::max(looked_before, 1));
       const bool is_missed = looked_after >= kMinLooksOfGone && expected >= kMinBoxes;
       change.seen_through_s = seen_through_s(landmark);

@@ -337,5 +337,46 @@ TEST_F(DepthMapperTest, ADetectorThatMissesWhatDepthStillShowsRetiresNothing) {
   EXPECT_EQ(find(0)->state, LandmarkState::kConfirmed);
 }
 
+TEST_F(DepthMapperTest, WhatIsHollowIsThereAsLongAsSomethingIsInsideIt) {
+  const Ellipsoid chair = on_table(0.0, 0.0, Vec3::Constant(0.2));
+  const Ellipsoid tv = on_table(-0.3, 0.2, Vec3(0.06, 0.2, 0.18));
+  const auto with_inside = [&](const SE3& pose) {
+    return DepthScene{{{SE3(pose.q, chair.center()), Vec3(0.18, 0.18, 0.01)}, tv}};
+  };
+  for (int i = 0; i < 60; ++i) {
+    const SE3 pose = from_side(1.5 * i);
+    step(pose, {{0, 62, chair}, {1, 62, tv}}, with_inside(pose));
+  }
+  ASSERT_EQ(find(0)->state, LandmarkState::kConfirmed);
+  for (int i = 0; i < 60; ++i) step(from_side(1.5 * i), {{1, 62, tv}}, with_inside(from_side(1.5 * i)));
+  EXPECT_EQ(find(0)->state, LandmarkState::kConfirmed) << "its seat is behind its near side";
+  for (int i = 0; i < 60; ++i) step(from_side(1.5 * i), {{1, 62, tv}}, {{tv}});
+  EXPECT_EQ(find(0)->state, LandmarkState::kRetired);
+}
+
+TEST_F(DepthMapperTest, WhatTheBorderCutsIsSeenThroughAsWellButNotMissed) {
+  const DepthScene scene{{kCup}};
+  const auto to_the_border = [](int i) {
+    SE3 pose = from_side(1.5 * i);
+    const double to_left_edge = -std::atan2(0.5 * kCamera.width, kCamera.fx);
+    const Vec3 at = pose.inverse() * kCup.center();
+    const double turn = std::atan2(at.x(), at.z()) - to_left_edge;
+    pose.q = pose.q * Quaternion(Eigen::AngleAxisd(turn - 0.01, Vec3::UnitY()));
+    return pose;
+  };
+  const Box box = box_of(kCup, to_the_border(0));
+  ASSERT_LT(box.x1, -0.2 * box.width());
+  ASSERT_GT(box.x2, 0.45 * box.width());
+  for (int i = 0; i < 60; ++i) step(from_side(1.5 * i), {{0, 41, kCup}}, scene);
+  ASSERT_EQ(find(0)->state, LandmarkState::kConfirmed);
+  const auto something_else = [](const SE3& pose) {
+    return Seen{-1, 62, {SE3(Quaternion::Identity(), pose * Vec3(0.0, 0.0, 1.4)), Vec3::Constant(0.1)}};
+  };
+  for (int i = 0; i < 60; ++i) step(to_the_border(i), {something_else(to_the_border(i))}, scene);
+  EXPECT_EQ(find(0)->state, LandmarkState::kConfirmed) << "detectors miss what is cut";
+  for (int i = 0; i < 60; ++i) step(to_the_border(i), {something_else(to_the_border(i))}, {});
+  EXPECT_EQ(find(0)->state, LandmarkState::kRetired);
+}
+
 }  // namespace
 }  // namespace semantic_topo_loop::core

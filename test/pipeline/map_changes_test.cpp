@@ -121,6 +121,12 @@ TEST(MapChanges, WhatDepthSeesThroughIsGoneWhereverItIsSeenFrom) {
   object->sightings.seen_s = 10.0;
   object->sightings.seen_through_since_s = 2.0;
   EXPECT_EQ(listed(both), std::vector<std::string>{"gone " + coco().name(object->state.class_id)});
+  object->state.state = LandmarkState::kCandidate;
+  EXPECT_EQ(listed(both), std::vector<std::string>{"gone " + coco().name(object->state.class_id)})
+      << "it was an object when the first session ended";
+  object->was_confirmed = false;
+  EXPECT_EQ(listed(both), std::vector<std::string>()) << "it has never been an object";
+  object->was_confirmed = true;
   object->sightings.transparent_s = 9.0;
   EXPECT_EQ(listed(both), std::vector<std::string>()) << "it is mostly holes";
 }
