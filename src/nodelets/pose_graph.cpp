@@ -14,6 +14,7 @@
 #include <vector>
 
 #include "pipeline/map_state.h"
+#include "ros/external_loops.h"
 #include "ros/frame_joiner.h"
 #include "ros/map_part_sender.h"
 #include "ros/stage.h"
@@ -89,7 +90,9 @@ class PoseGraphNodelet : public StageWith<PoseGraphParameters> {
   using Joiner = FrameJoiner<FrameMessage::ConstPtr, LoopsMessage::ConstPtr, AssociationsMessage::ConstPtr,
                              MapUpdateMessage::ConstPtr>;
   static constexpr double kPathPeriodS = 0.5;  ///< paths grow with the run: not with every frame
+  static constexpr std::uint32_t kExternalQueue = 100;
   static constexpr char kWithoutLoops[] = "frames whose loop detection was lost";
+  static constexpr char kExternal[] = "external loops", kRefused[] = "external loops refused";
 
   void onInit() override {
     if (!start(2)) return;
@@ -100,7 +103,7 @@ class PoseGraphNodelet : public StageWith<PoseGraphParameters> {
     correction_publisher_ = advertise<CorrectionMessage>("map_corrections");
     odometry_path_.open(advertise<nav_msgs::Path>("path_odometry"));
     corrected_path_.open(advertise<nav_msgs::Path>("path_corrected"));
-    statistics().count(kWithoutLoops, 0);
+    for (const char* counter : {kWithoutLoops, kExternal, kRefused}) statistics().count(counter, 0);
     reset_session();
     if (parameters_.publish_tf) {
       tf_sender_ = std::make_unique<MapOdomSender>(parameters_.map_frame, parameters_.tf_tolerance_s);
@@ -113,6 +116,7 @@ class PoseGraphNodelet : public StageWith<PoseGraphParameters> {
     map_parts_.open(getNodeHandle(), queue_capacity());
     serve("withdraw_loop", &PoseGraphNodelet::on_withdraw);
     serve("save_trajectory", &PoseGraphNodelet::on_save_trajectory);
+    listen("external_loops", Keep::kAlways, kExternalQueue, &PoseGraphNodelet::on_external_loop);
     subscribe("loop_closures", Keep::kAlways, &PoseGraphNodelet::on_loops);
     if (has_objects()) {
       subscribe("associations", Keep::kAlways, &PoseGraphNodelet::on_associations);
@@ -127,6 +131,7 @@ class PoseGraphNodelet : public StageWith<PoseGraphParameters> {
     graph_ = std::make_unique<core::PoseGraph>(options_.pose_graph);
     joiner_->clear();
     late_loops_.clear();
+    external_loops_ = {};
     odometry_keyframes_.clear();
     last_frame_.reset();
     map_parts_.reset_session();
@@ -206,6 +211,11 @@ class PoseGraphNodelet : public StageWith<PoseGraphParameters> {
     late_loops_.insert(late_loops_.end(), loops->closures.begin(), loops->closures.end());
   }
 
+  void on_external_loop(const ExternalLoop::ConstPtr& loop) {
+    statistics().count(kExternal);
+    external_loops_.add(loop);
+  }
+
   void process(const std::optional<Joiner::Set>& joined) {
     statistics().set(kWithoutLoops, joiner_->evicted());
     if (!joined) return;
@@ -220,7 +230,12 @@ class PoseGraphNodelet : public StageWith<PoseGraphParameters> {
     if (associations) graph_->observe(frame, *associations);
     std::vector<core::LoopClosure> loops = std::exchange(late_loops_, {});
     loops.insert(loops.end(), frame_loops.begin(), frame_loops.end());
-    core::MapCorrection correction = graph_->process(frame, loops);
+    if (frame.is_keyframe) external_loops_.add(frame);
+    const std::vector<core::LoopClosure> external = external_loops_.take([this](const std::string& problem) {
+      statistics().count(kRefused);
+      NODELET_WARN("an external loop is left out: %s", problem.c_str());
+    });
+    core::MapCorrection correction = graph_->process(frame, loops, external);
     announce_joining(correction);
     if (tf_sender_) tf_sender_->update(graph_->T_map_odom(), session_id());
     publish<CorrectionMessage>(correction_publisher_, make_header(frame.header.stamp, parameters_.map_frame),
@@ -285,6 +300,7 @@ class PoseGraphNodelet : public StageWith<PoseGraphParameters> {
   std::unique_ptr<core::PoseGraph> graph_;
   MapPartSender map_parts_{MapPart::STAGE_POSE_GRAPH};
   std::vector<core::LoopClosure> late_loops_;
+  ExternalLoops external_loops_;
   std::int64_t restored_keyframes_ = 0;  ///< ids below are of earlier sessions
   bool is_joined_ = false;               ///< a loop into them is kept
   std::vector<geometry_msgs::PoseStamped> odometry_keyframes_;

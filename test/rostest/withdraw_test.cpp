@@ -1,5 +1,5 @@
-// What PoseGraph makes of loops: corrections and tf, of loops that come late, of one that is withdrawn by service, and
-// of a new session.
+// What PoseGraph makes of loops: corrections and tf, of loops that come late or from outside, of one that is withdrawn
+// by service, and of a new session.
 #include <nav_msgs/Path.h>
 #include <tf2_msgs/TFMessage.h>
 
@@ -12,6 +12,7 @@
 #include <vector>
 
 #include "ros/conversions.h"
+#include "semantic_topo_loop/ExternalLoop.h"
 #include "semantic_topo_loop/SessionAck.h"
 #include "semantic_topo_loop/SessionControl.h"
 #include "semantic_topo_loop/WithdrawLoop.h"
@@ -34,6 +35,7 @@ class Feed {
     frames_ = node_.advertise<FrameMessage>("frames", 10);
     associations_ = node_.advertise<AssociationsMessage>("associations", 10);
     loops_ = node_.advertise<LoopsMessage>("loop_closures", 10);
+    external_loops_ = node_.advertise<ExternalLoop>("external_loops", 10);
     acks_ = node_.subscribe<SessionAck>("session_acks", 10, &Feed::take_ack, this);
     corrections_ = node_.subscribe<CorrectionMessage>("map_corrections", 1000, &Feed::take_correction, this);
     updates_ = node_.subscribe<MapUpdateMessage>("quadric_map_updates", 1000, &Feed::take_update, this);
@@ -82,6 +84,8 @@ class Feed {
   void publish_loops(const core::Frame& frame, const std::vector<core::LoopClosure>& loops) {
     loops_.publish(LoopsMessage(header_of(frame), session_, FrameLoops{frame.frame_id, 0.0, loops, {}}));
   }
+
+  void publish(const ExternalLoop& loop) { external_loops_.publish(loop); }
 
   /// Transforms from map to odom, as sent.
   std::vector<geometry_msgs::TransformStamped> tf() {
@@ -156,7 +160,7 @@ class Feed {
   }
 
   ros::NodeHandle node_;
-  ros::Publisher control_, frames_, associations_, loops_;
+  ros::Publisher control_, frames_, associations_, loops_, external_loops_;
   ros::Subscriber acks_, corrections_, updates_, tf_;
   std::vector<ros::Subscriber> path_subscribers_;
   std::uint32_t session_ = kSession;
@@ -268,6 +272,53 @@ TEST(LateLoops, OfAFrameThatWentInWithoutThemCloseWithALaterOne) {
   ASSERT_FALSE(feed.is_stuck());
   ASSERT_FALSE(feed.corrections().empty());
   EXPECT_EQ(feed.corrections().back().loops.size(), late_loops.size());
+  EXPECT_GT(new_position(feed.corrections().back()).norm(), 0.3) << "the drift is corrected";
+  chain.unload_all();
+}
+
+TEST(ExternalLoops, BetweenAnyImagesCloseAsOthersDoAndSaySo) {
+  InProcessChain chain;
+  chain.load_correction();
+  Feed feed;
+  ASSERT_TRUE(feed.start_session());
+  std::map<std::int64_t, core::Frame> frames;
+  core::TwoRounds run(
+      [&](const core::Frame& frame, const core::AssociationFrame& associations, const std::vector<core::LoopClosure>&) {
+        frames[frame.frame_id] = frame;
+        feed.step(frame, associations, {});
+      });
+  run.both_rounds();
+  ExternalLoop message;
+  message.match_from_query.pose.orientation.w = 1.0;
+  for (std::size_t i = 0; i < 36; i += 7) message.match_from_query.covariance[i] = 1e-6;
+  constexpr std::int64_t kAfterKeyframe = 2;  // images that are no keyframes
+  std::vector<std::pair<std::int64_t, std::int64_t>> closed;
+  for (const core::LoopClosure& loop : core::TwoRounds::loops()) {
+    const core::Frame& query = frames.at(loop.query_frame + kAfterKeyframe);
+    const core::Frame& match = frames.at(loop.match_frame + kAfterKeyframe);
+    ASSERT_FALSE(query.is_keyframe);
+    message.header.stamp = to_ros_time(query.stamp_ns);
+    message.match_stamp = to_ros_time(match.stamp_ns);
+    feed.publish(message);
+    closed.emplace_back(loop.query_keyframe_id, loop.match_keyframe_id);
+  }
+  message.match_stamp = ros::Time(0.5);  // before the session
+  feed.publish(message);
+  message.match_stamp = message.header.stamp;
+  feed.publish(message);
+  run.idle({});
+  ASSERT_FALSE(feed.is_stuck());
+  ASSERT_FALSE(feed.corrections().empty());
+  std::map<std::int64_t, core::LoopVerdict> verdicts;
+  for (const core::MapCorrection& correction : feed.corrections()) {
+    for (const core::LoopVerdict& verdict : correction.loops) verdicts.insert_or_assign(verdict.number, verdict);
+  }
+  ASSERT_EQ(verdicts.size(), closed.size()) << "those of no use are left out";
+  for (const auto& [number, verdict] : verdicts) {
+    EXPECT_TRUE(verdict.kept && verdict.is_extra) << number;
+    EXPECT_EQ(std::pair(verdict.query_keyframe_id, verdict.match_keyframe_id),
+              closed[static_cast<std::size_t>(number)]);
+  }
   EXPECT_GT(new_position(feed.corrections().back()).norm(), 0.3) << "the drift is corrected";
   chain.unload_all();
 }

@@ -286,7 +286,8 @@ SEMANTIC_TOPO_LOOP_FIELDS(core::Landmark, m.id, m.class_id, m.state, m.ellipsoid
 SEMANTIC_TOPO_LOOP_FIELDS(core::LandmarkMerge, m.merged_id, m.survivor_id)
 SEMANTIC_TOPO_LOOP_FIELDS(core::ObjectMatch, m.query_landmark_id, m.match_landmark_id)
 SEMANTIC_TOPO_LOOP_FIELDS(core::KeyframePose, m.keyframe_id, m.frame_id, m.stamp_ns, m.T_map_camera, m.scale)
-SEMANTIC_TOPO_LOOP_FIELDS(core::LoopVerdict, m.number, m.query_keyframe_id, m.match_keyframe_id, m.kept, m.reason)
+SEMANTIC_TOPO_LOOP_FIELDS(core::LoopVerdict, m.number, m.query_keyframe_id, m.match_keyframe_id, m.kept, m.is_extra,
+                          m.reason)
 SEMANTIC_TOPO_LOOP_FIELDS(core::OdometryFault, m.from_keyframe_id, m.to_keyframe_id, m.is_break, m.translation_m,
                           m.rotation_rad, m.frozen_s)
 SEMANTIC_TOPO_LOOP_FIELDS(core::SolvedMotion, m.from_keyframe_id, m.to_keyframe_id, m.T_from_to, m.path_m,
