@@ -104,7 +104,7 @@ required_packages() {
 
 # What .ci/run needs beside them.
 ci_packages() {
-  echo clang-format clang-tidy
+  echo clang-format clang-tidy mkdocs
   if [ "$(. /etc/os-release && echo "$ID")" = ubuntu ]; then echo python3-catkin-lint; else echo catkin-lint; fi
 }
 
