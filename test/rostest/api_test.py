@@ -144,7 +144,7 @@ class ApiTest(DirectoryTest):
     def test_each_nodelet_is_as_documented(self):
         wait_until(lambda: not self.differences(), 60)
         differences = self.differences()
-        self.assertEqual(differences, {}, [self.output(name) for name in differences])
+        self.assertFalse(differences, '%s: %s' % (differences, [self.output(name) for name in differences]))
 
 
 if __name__ == '__main__':
