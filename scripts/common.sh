@@ -19,43 +19,92 @@ as_root() {
   if [ "$(id -u)" = 0 ]; then "$@"; else sudo "$@"; fi
 }
 
-common_packages="build-essential cmake ninja-build curl pkg-config xvfb libbenchmark-dev libboost-all-dev
-  libceres-dev libeigen3-dev libgtest-dev libopencv-dev libsqlite3-dev libyaml-cpp-dev nlohmann-json3-dev python3-numpy
-  python3-matplotlib zlib1g-dev"
+# What the scripts need beside what package.xml names.
+tool_packages="build-essential cmake ninja-build pkg-config xvfb"
 
-debian_packages="catkin libcv-bridge-dev libdiagnostic-msgs-dev libdiagnostic-updater-dev libgeometry-msgs-dev
-  libimage-transport-dev libmessage-filters-dev libnav-msgs-dev libnodelet-dev libros-rosgraph-msgs-dev librosbag-dev
-  librosbag-storage-dev libroscpp-dev libroslib-dev librostest-dev libsensor-msgs-dev libstd-msgs-dev libstd-srvs-dev
-  libtf2-dev libtf2-msgs-dev libtf2-ros-dev libtopic-tools-dev libvisualization-msgs-dev libnodeletlib-dev
-  libnodeletlib-tools
-  python3-diagnostic-msgs python3-geometry-msgs python3-nav-msgs python3-rosbag python3-roslaunch python3-rospy
-  python3-rostest python3-sensor-msgs python3-std-srvs python3-tf2-msgs python3-visualization-msgs ros-diagnostic-msgs
-  ros-geometry-msgs ros-message-generation ros-nav-msgs ros-sensor-msgs ros-std-msgs ros-visualization-msgs rosbash
-  rosout rviz"
+# NAME in package.xml, packages to build and test with, packages to run with; -: what the libraries depend on is enough.
+system_packages="
+  benchmark           libbenchmark-dev                                   -
+  boost               libboost-all-dev                                   -
+  curl                curl                                               curl
+  eigen               libeigen3-dev                                      -
+  gtest               libgtest-dev                                       -
+  libceres-dev        libceres-dev                                       -
+  libopencv-dev       libopencv-dev                                      -
+  libsqlite3-dev      libsqlite3-dev                                     -
+  nlohmann-json-dev   nlohmann-json3-dev                                 -
+  python3-matplotlib  python3-matplotlib                                 python3-matplotlib
+  python3-numpy       python3-numpy                                      python3-numpy
+  yaml-cpp            libyaml-cpp-dev                                    -
+  zlib                zlib1g-dev                                         -"
 
-# ROS's own packages on Ubuntu 20.04; their repository (packages.ros.org) must be set up, as for every use of Noetic.
-noetic_packages="catkin cv-bridge diagnostic-msgs diagnostic-updater geometry-msgs image-transport message-filters
-  message-generation message-runtime nav-msgs nodelet rosbag rosbag-storage rosbash roscpp rosgraph-msgs roslaunch
-  roslib rospy rostest rviz sensor-msgs std-msgs std-srvs tf2 tf2-msgs tf2-ros topic-tools visualization-msgs"
+# ROS in Debian itself; packages of messages are called alike, but for one.
+debian_packages="
+  catkin              catkin                                             -
+  cv_bridge           libcv-bridge-dev                                   -
+  diagnostic_updater  libdiagnostic-updater-dev                          -
+  image_transport     libimage-transport-dev                             -
+  message_filters     libmessage-filters-dev                             -
+  message_generation  ros-message-generation                             -
+  message_runtime     ros-message-runtime                                python3-genpy
+  nodelet             libnodelet-dev,libnodeletlib-dev,libnodeletlib-tools  libnodeletlib-tools
+  rosbag              librosbag-dev,python3-rosbag                       python3-rosbag
+  rosbag_storage      librosbag-storage-dev                              -
+  rosbash             rosbash                                            rosbash
+  roscpp              libroscpp-dev                                      -
+  rosgraph_msgs       libros-rosgraph-msgs-dev                           python3-rosgraph-msgs
+  roslaunch           python3-roslaunch                                  python3-roslaunch
+  roslib              libroslib-dev                                      -
+  rospy               python3-rospy                                      python3-rospy
+  rostest             librostest-dev,python3-rostest                     python3-rostest
+  rviz                rviz                                               rviz
+  tf2                 libtf2-dev                                         -
+  tf2_ros             libtf2-ros-dev                                     -
+  topic_tools         libtopic-tools-dev                                 -"
+
+# names_in ELEMENT...: what package.xml names in these elements.
+names_in() {
+  local IFS='|'
+  sed -nE "s:^ *<($*)>(.*)</.*:\2:p" "$package_dir/package.xml" | sort -u
+}
+
+# apt_packages build|run NAME...: the packages of this system that have what package.xml names so.
+apt_packages() {
+  local column=2 system name found
+  if [ "$1" = run ]; then column=3; fi
+  system=$(. /etc/os-release && echo "$ID-${VERSION_ID:-}")
+  for name in "${@:2}"; do
+    found=$(awk -v name="$name" -v column=$column '$1 == name { print $column }' <<< "$system_packages")
+    case ${found:-$system:$name} in
+      ubuntu-20.04:*) found=ros-noetic-${name//_/-} ;;  # their repository, packages.ros.org, must be set up
+      # Debian 11 has the versions of Noetic or the next: scripts/noetic_check builds there.
+      debian-1[12]*:*)
+        found=$(awk -v name="$name" -v column=$column '$1 == name { print $column }' <<< "$debian_packages")
+        case $found:$name in
+          :*_msgs | :*_srvs)
+            found=python3-${name//_/-},ros-${name//_/-}
+            if [ "$1" = build ]; then found=lib${name//_/-}-dev,$found; fi
+            ;;
+        esac
+        ;;
+      *:*)
+        echo "unsupported system: $system (supported: Debian 12, Ubuntu 20.04 with ROS Noetic)" >&2
+        return 1
+        ;;
+    esac
+    [ -n "$found" ] || { echo "common.sh: no package is known for package.xml's $name" >&2; return 1; }
+    if [ "$found" != - ]; then echo "${found//,/ }"; fi
+  done
+}
 
 required_packages() {
-  local id version
-  id=$(. /etc/os-release && echo "$ID")
-  version=$(. /etc/os-release && echo "${VERSION_ID:-}")
-  case "$id-$version" in
-    # Debian 11 has the versions of Noetic or the next: scripts/noetic_check builds there.
-    debian-11* | debian-12*) echo $common_packages $debian_packages ;;
-    ubuntu-20.04) echo $common_packages $(printf 'ros-noetic-%s ' $(echo $noetic_packages | tr _ -)) ;;
-    *)
-      echo "unsupported system: $id $version (supported: Debian 12, Ubuntu 20.04 with ROS Noetic)" >&2
-      return 1
-      ;;
-  esac
+  echo $tool_packages
+  apt_packages build $(names_in depend buildtool_depend build_depend build_export_depend exec_depend test_depend)
 }
 
 # What .ci/run needs beside them.
 ci_packages() {
-  echo clang-format clang-tidy
+  echo clang-format clang-tidy mkdocs
   if [ "$(. /etc/os-release && echo "$ID")" = ubuntu ]; then echo python3-catkin-lint; else echo catkin-lint; fi
 }
 

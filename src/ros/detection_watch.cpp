@@ -6,17 +6,17 @@
 namespace semantic_topo_loop {
 
 std::string DetectionWatch::starvation(Clock::time_point now) const {
-  const auto is_alone = [now](const Topic& topic) {
-    return topic.alone_since && now - *topic.alone_since > kPatience && now - topic.heard < kPatience;
+  const auto is_heard = [now](const Topic& topic) { return topic.stamp_ns && now - topic.heard < kPatience; };
+  const auto is_alone = [now, is_heard](const Topic& topic) {
+    return is_heard(topic) && topic.alone_since && now - *topic.alone_since > kPatience;
   };
-  const bool frames_alone = is_alone(frames_), detections_alone = is_alone(detections_);
-  if (!frames_alone && !detections_alone) return {};
+  if (!is_alone(frames_) && !is_alone(detections_)) return {};
   const auto quoted = [](const Topic& topic) { return "'" + topic.name + "'"; };
   std::string text;
-  if (frames_alone && detections_alone) {
+  if (is_heard(frames_) && is_heard(detections_)) {
     text = "frames on " + quoted(frames_) + " and detections on " + quoted(detections_) +
            ", but none with the stamp of the other";
-  } else if (frames_alone) {
+  } else if (is_heard(frames_)) {
     text = "frames on " + quoted(frames_) + ", but no detections on " + quoted(detections_);
   } else {
     text = "detections on " + quoted(detections_) + ", but no frames on " + quoted(frames_);

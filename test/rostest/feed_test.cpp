@@ -282,6 +282,17 @@ TEST_F(WatchedDetections, StampsThatAreNeverTheSame) {
   expect("frames on '/frames' and detections on '/boxes', but none with the stamp of the other", "; gap 0.012000 s");
 }
 
+TEST_F(WatchedDetections, StampsThatAreNeverTheSameWhenTheFrameComesLater) {
+  for (int i = 0; watch_.starvation(now_).empty() && i < 100; ++i) {
+    watch_.hear_detections(at_ms(50 * i), now_);
+    now_ += std::chrono::milliseconds(20);
+    EXPECT_EQ(watch_.starvation(now_).find("detections on '/boxes', but no frames"), std::string::npos);
+    watch_.hear_frame(at_ms(50 * i + 5), now_);
+    now_ += std::chrono::milliseconds(30);
+  }
+  expect("frames on '/frames' and detections on '/boxes', but none with the stamp of the other", "; gap -0.005000 s");
+}
+
 TEST_F(WatchedDetections, SilenceOfBothIsNoStarvation) {
   run(2.0, 0, -1);
   now_ += std::chrono::seconds(60);
