@@ -33,13 +33,21 @@ std::string tick_text(const Vec2& at, const char* anchor, const std::string& lab
          "</text>\n";
 }
 
-std::string grid_line(const Vec2& from, const Vec2& to) {
-  return "<line x1=\"" + px(from.x()) + "\" y1=\"" + px(from.y()) + "\" x2=\"" + px(to.x()) + "\" y2=\"" + px(to.y()) +
-         "\"/>\n";
+/// What is between two ends of a line.
+std::vector<std::vector<Vec2>> parts(const std::vector<Vec2>& values) {
+  std::vector<std::vector<Vec2>> result(1);
+  for (const Vec2& value : values) {
+    if (value.allFinite()) {
+      result.back().push_back(value);
+    } else {
+      result.emplace_back();
+    }
+  }
+  return result;
 }
 
 std::vector<Tick> log_ticks(const Axis& axis) {
-  constexpr double kFewDecades = 2.5;
+  constexpr double kFewDecades = 3.0;
   const double decades = std::log10(axis.max / axis.min);
   std::vector<double> factors = {1.0};
   if (decades <= kFewDecades) factors = {1.0, 2.0, 5.0};
@@ -88,6 +96,16 @@ std::string px(double value) {
   return text == "-0" ? "0" : text;
 }
 
+std::string svg_circle(const Vec2& center_px, double radius_px, const std::string& attributes) {
+  return "<circle cx=\"" + px(center_px.x()) + "\" cy=\"" + px(center_px.y()) + "\" r=\"" + px(radius_px) + "\" " +
+         attributes + "/>\n";
+}
+
+std::string svg_line(const Vec2& from_px, const Vec2& to_px, const std::string& attributes) {
+  return "<line x1=\"" + px(from_px.x()) + "\" y1=\"" + px(from_px.y()) + "\" x2=\"" + px(to_px.x()) + "\" y2=\"" +
+         px(to_px.y()) + "\" " + attributes + "/>\n";
+}
+
 Axis axis_over(std::string title, const std::vector<double>& values, bool is_log) {
   constexpr double kMargin = 0.04;
   double min = std::numeric_limits<double>::infinity(), max = -min;
@@ -108,11 +126,12 @@ Axis axis_over(std::string title, const std::vector<double>& values, bool is_log
 
 std::vector<Tick> ticks(const Axis& axis, int count) {
   if (axis.is_log) return log_ticks(axis);
+  constexpr double kDenser = 0.75;  // rather some more than half as many
   const double rough = (axis.max - axis.min) / count;
   const double power = std::pow(10.0, std::floor(std::log10(rough)));
   double step = 10.0 * power;
   for (const double factor : {5.0, 2.0, 1.0}) {
-    if (factor * power >= rough) step = factor * power;
+    if (factor * power >= kDenser * rough) step = factor * power;
   }
   const int decimals = std::max(0, static_cast<int>(-std::floor(std::log10(step) + 1e-9)));
   std::vector<Tick> result;
@@ -125,8 +144,9 @@ std::vector<Tick> ticks(const Axis& axis, int count) {
 Chart::Chart(const Vec2& size_px, Axis x, Axis y)
     : x_(std::move(x)), y_(std::move(y)), size_(size_px), inner_(size_px - Vec2(kLeft + kRight, kTop + kBottom)) {}
 
-Chart Chart::plan(double width_px, double height_max, const Vec2& min, const Vec2& max) {
+Chart Chart::plan(double width_px, double height_max, const Extent& extent) {
   constexpr double kMargin = 0.05, kMinSize_m = 0.5, kMinHeight = 0.4;
+  const Vec2 min = extent.is_empty() ? Vec2(0.0, 0.0) : extent.min, max = extent.is_empty() ? min : extent.max;
   const Vec2 center = 0.5 * (min + max);
   Vec2 size = ((1.0 + 2.0 * kMargin) * (max - min)).cwiseMax(kMinSize_m);
   const double width = width_px - kLeft - kRight;
@@ -144,29 +164,33 @@ Vec2 Chart::to_px(const Vec2& value) const {
 
 void Chart::line(const std::vector<Vec2>& values, const std::string& color, const std::string& attributes) {
   constexpr double kVisible_px = 0.7;
-  std::vector<Vec2> points;
-  for (std::size_t i = 0; i < values.size(); ++i) {
-    const Vec2 p = to_px(values[i]);
-    if (points.empty() || i + 1 == values.size() || (p - points.back()).norm() >= kVisible_px) points.push_back(p);
+  for (const std::vector<Vec2>& part : parts(values)) {
+    std::vector<Vec2> points;
+    for (const Vec2& value : part) {
+      const Vec2 p = to_px(value);
+      if (points.empty() || &value == &part.back() || (p - points.back()).norm() >= kVisible_px) points.push_back(p);
+    }
+    add(polyline(points, color, attributes));
   }
-  add(polyline(points, color, attributes));
 }
 
 void Chart::series(const std::vector<Vec2>& values, const std::string& color, const std::string& attributes) {
-  std::vector<Vec2> points;
-  for (std::size_t begin = 0, end = 0; begin < values.size(); begin = end) {
-    const double column = std::floor(to_px(values[begin]).x());
-    Vec2 lowest = to_px(values[begin]), highest = lowest;
-    for (end = begin; end < values.size() && std::floor(to_px(values[end]).x()) == column; ++end) {
-      const Vec2 p = to_px(values[end]);
-      if (p.y() < lowest.y()) lowest = p;
-      if (p.y() > highest.y()) highest = p;
+  for (const std::vector<Vec2>& part : parts(values)) {
+    std::vector<Vec2> points;
+    for (std::size_t begin = 0, end = 0; begin < part.size(); begin = end) {
+      const double column = std::floor(to_px(part[begin]).x());
+      Vec2 lowest = to_px(part[begin]), highest = lowest;
+      for (; end < part.size() && std::floor(to_px(part[end]).x()) == column; ++end) {
+        const Vec2 p = to_px(part[end]);
+        if (p.y() < lowest.y()) lowest = p;
+        if (p.y() > highest.y()) highest = p;
+      }
+      if (lowest.x() > highest.x()) std::swap(lowest, highest);
+      points.push_back(lowest);
+      if (highest != lowest) points.push_back(highest);
     }
-    if (lowest.x() > highest.x()) std::swap(lowest, highest);
-    points.push_back(lowest);
-    if (highest != lowest) points.push_back(highest);
+    add(polyline(points, color, attributes));
   }
-  add(polyline(points, color, attributes));
 }
 
 std::string Chart::axes() const {
@@ -174,12 +198,12 @@ std::string Chart::axes() const {
   std::string lines, texts;
   for (const Tick& tick : ticks(x_, std::max(2, static_cast<int>(inner_.x() / kPxPerTick)))) {
     const double x = kLeft + position(x_, tick.value) * inner_.x();
-    lines += grid_line({x, kTop}, {x, kTop + inner_.y()});
+    lines += svg_line({x, kTop}, {x, kTop + inner_.y()});
     texts += tick_text({x, kTop + inner_.y() + kGap + kFont}, "middle", tick.label);
   }
   for (const Tick& tick : ticks(y_, std::max(2, static_cast<int>(inner_.y() / kPxPerRow)))) {
     const double y = kTop + (1.0 - position(y_, tick.value)) * inner_.y();
-    lines += grid_line({kLeft, y}, {kLeft + inner_.x(), y});
+    lines += svg_line({kLeft, y}, {kLeft + inner_.x(), y});
     texts += tick_text({kLeft - kGap, y + 0.35 * kFont}, "end", tick.label);
   }
   texts += tick_text({kLeft + inner_.x(), size_.y() - kGap}, "end", x_.title);
@@ -232,8 +256,8 @@ std::string LabelPlacer::place(const std::string& text, const Vec2& center_px, c
   }
   taken_.push_back(best);
   const Vec2 middle = 0.5 * (best.min + best.max);
-  return "<text x=\"" + px(middle.x()) + "\" y=\"" + px(middle.y() + 0.35 * font_px) + "\" font-size=\"" + px(font_px) +
-         "\" text-anchor=\"middle\" " + attributes + ">" + escaped(text) + "</text>\n";
+  return "<text x=\"" + px(middle.x()) + "\" y=\"" + px(middle.y() + 0.35 * font_px) + "\" " + attributes + ">" +
+         escaped(text) + "</text>\n";
 }
 
 /// Area that other names cover, px^2; much more where the space ends.

@@ -1,5 +1,6 @@
 #pragma once
 
+#include <limits>
 #include <string>
 #include <string_view>
 #include <vector>
@@ -13,6 +14,25 @@ std::string escaped(std::string_view text);
 
 /// A coordinate or a length in px, to a tenth.
 std::string px(double value);
+
+/// SVG elements.
+std::string svg_circle(const Vec2& center_px, double radius_px, const std::string& attributes = {});
+std::string svg_line(const Vec2& from_px, const Vec2& to_px, const std::string& attributes = {});
+
+/// The box around what is to be seen.
+struct Extent {
+  Vec2 min = Vec2::Constant(std::numeric_limits<double>::infinity()), max = -min;
+
+  /// @param reach half the size of what is there
+  void add(const Vec2& point, const Vec2& reach = Vec2::Zero()) {
+    min = min.cwiseMin(point - reach);
+    max = max.cwiseMax(point + reach);
+  }
+  bool is_empty() const { return min.x() > max.x(); }
+};
+
+/// A value that ends a line: what follows begins another one.
+inline Vec2 line_break() { return Vec2::Constant(std::numeric_limits<double>::quiet_NaN()); }
 
 struct Axis {
   std::string title;  ///< with its unit
@@ -41,8 +61,8 @@ class Chart {
   Chart(const Vec2& size_px, Axis x, Axis y);
   /// A map seen from above: both axes in metres of one size.
   /// @param height_max of the space between the axes, in widths of it: what is to be seen decides how high it is
-  /// @param min, max corners of what is to be seen, m
-  static Chart plan(double width_px, double height_max, const Vec2& min, const Vec2& max);
+  /// @param extent of what is to be seen, m; may be empty
+  static Chart plan(double width_px, double height_max, const Extent& extent);
 
   Vec2 to_px(const Vec2& value) const;
   /// Of the space between the axes, px.
@@ -51,7 +71,7 @@ class Chart {
 
   /// An SVG element.
   void add(const std::string& element) { content_ += element; }
-  /// A line through values, of which those are left out that nobody would see.
+  /// A line through values, up to each line_break(). Those are left out that nobody would see.
   void line(const std::vector<Vec2>& values, const std::string& color, const std::string& attributes = {});
   /// The same for many values over an increasing x: of each px the least and the greatest.
   void series(const std::vector<Vec2>& values, const std::string& color, const std::string& attributes = {});
@@ -81,7 +101,8 @@ class LabelPlacer {
  public:
   /// @param size_px of the space for them
   explicit LabelPlacer(const Vec2& size_px) : size_(size_px) {}
-  /// @param reach_px half the extent of what is named   @return an SVG element
+  /// @param reach_px half the size of what is named   @param attributes among them a class that centres the text
+  /// @param font_px the size that it will have   @return an SVG element
   std::string place(const std::string& text, const Vec2& center_px, const Vec2& reach_px, const std::string& attributes,
                     double font_px = 11.0);
 

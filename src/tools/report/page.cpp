@@ -17,7 +17,7 @@ main { max-width: 1200px; margin: 0 auto; padding: 28px 16px 48px; }
 h1 { margin: 0; font-size: 26px; font-weight: 700; letter-spacing: -.01em; }
 h2 { margin: 0 0 2px; font-size: 17px; font-weight: 700; }
 h3 { margin: 0 0 4px; font-size: 14px; font-weight: 700; }
-p { margin: 0 0 10px; color: var(--soft); max-width: 95ch; }
+p { margin: 0 0 10px; color: var(--soft); max-width: 140ch; }
 .tiles { display: flex; flex-wrap: wrap; gap: 10px; margin: 18px 0 4px; }
 .tile { flex: 1 1 150px; background: var(--paper); border: 1px solid var(--rule); border-radius: 8px; padding: 10px 14px; }
 .tile b { display: block; font-size: 20px; line-height: 1.3; font-variant-numeric: tabular-nums; white-space: nowrap; }
@@ -25,13 +25,20 @@ p { margin: 0 0 10px; color: var(--soft); max-width: 95ch; }
 section { background: var(--paper); border: 1px solid var(--rule); border-radius: 8px; padding: 18px 24px 16px;
   margin-top: 14px; }
 .pair { display: grid; grid-template-columns: 1fr 1fr; gap: 8px 36px; align-items: start; }
+.pair > * { min-width: 0; }
 .wide { overflow-x: auto; }
 .wide > svg { min-width: 680px; }
 .chart { display: block; width: 100%; height: auto; font-size: 11px; }
 .grid line { stroke: #edf0f3; stroke-width: 1; shape-rendering: crispEdges; }
 .ticks text { fill: var(--soft); font-variant-numeric: tabular-nums; }
-.name { font-weight: 600; paint-order: stroke; stroke: #fff; stroke-width: 3px; stroke-linejoin: round; }
+.name { font-weight: 600; text-anchor: middle; paint-order: stroke; stroke: #fff; stroke-width: 3px; stroke-linejoin: round; }
 .note { fill: var(--soft); font-size: 11px; }
+.matched { fill-opacity: .16; stroke-width: 1.6; }
+.alone { fill: #9aa5b1; stroke: #9aa5b1; fill-opacity: .06; }
+.alone.name { stroke: #fff; fill-opacity: 1; }
+.query circle { stroke-dasharray: 4 2; }
+.pairs line { stroke-width: 1.2; stroke-opacity: .45; }
+.off line { stroke: #c92a2a; stroke-width: 2; }
 .panel { fill: #fbfcfd; stroke: var(--rule); }
 .panel-title { font-size: 12.5px; font-weight: 700; fill: var(--ink); }
 .legend { display: flex; flex-wrap: wrap; gap: 2px 16px; margin: 6px 0; font-size: 12.5px; color: var(--soft); }
@@ -43,12 +50,15 @@ section { background: var(--paper); border: 1px solid var(--rule); border-radius
 .legend i.cross { width: 10px; height: 12px; border: 0; }
 .legend i.cross::before { content: "\d7"; font: 700 17px/12px sans-serif; }
 table { border-collapse: collapse; width: 100%; font-size: 13px; font-variant-numeric: tabular-nums; }
-th, td { padding: 4px 10px 4px 0; border-bottom: 1px solid var(--rule); text-align: left; white-space: nowrap; }
-th { color: var(--soft); font-weight: 600; cursor: pointer; }
+th, td { padding: 4px 10px; border-bottom: 1px solid var(--rule); text-align: left; }
+th { color: var(--soft); font-weight: 600; cursor: pointer; white-space: nowrap; }
 th:hover { color: var(--accent); }
 th[aria-sort=ascending]::after { content: " \2191"; }
 th[aria-sort=descending]::after { content: " \2193"; }
-td.number, th.number { text-align: right; padding-right: 0; padding-left: 14px; }
+td.number, th.number { text-align: right; }
+td { white-space: nowrap; }
+#loops td { white-space: normal; }
+th:first-child, td:first-child { padding-left: 0; }
 .pick { cursor: pointer; }
 .pick:hover, .pick.shown { stroke: #111; stroke-width: 2; }
 .choice { display: flex; flex-wrap: wrap; gap: 8px; align-items: center; margin: 14px 0 6px; }

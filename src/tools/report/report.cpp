@@ -12,6 +12,7 @@
 #include "geometry/statistics.h"
 #include "semantic_topo_loop/io/text_file.h"
 #include "tools/report/chart.h"
+#include "tools/report/loop_picture.h"
 #include "tools/report/page.h"
 #include "tools/report/top_view.h"
 
@@ -30,8 +31,6 @@ Axis time_axis(const RunData& run) {
   axis.min = 0.0;
   return axis;
 }
-
-bool is_believed(const ShownLoop& loop) { return loop.record.accepted && loop.verdict == "kept"; }
 
 // --- figures of a whole run ---------------------------------------------------------------------------------------
 
@@ -74,8 +73,10 @@ std::string tiles(const RunData& run) {
     object_text += ", F " + format_fixed(run.object_evaluation->certain.f(), 3) + " against the reference";
   }
   html += tile(std::to_string(confirmed), object_text);
-  html += tile(std::to_string(accepted), "loops accepted of " + count_of(run.loops.size(), "candidates, ") +
-                                             count_of(count_if(run.loops, is_believed), "believed at the end"));
+  html += tile(
+      std::to_string(accepted),
+      "loops accepted of " + count_of(run.loops.size(), "candidates, ") +
+          count_of(count_if(run.loops, [](const ShownLoop& loop) { return loop.is_kept; }), "believed at the end"));
   html += tile(milliseconds(quantile(frame_times_ms(run), 0.5)) + " ms",
                "a frame (median), " + milliseconds(quantile(frame_times_ms(run), 0.95)) + " ms (p95)");
   double peak_mb = 0.0;
@@ -106,12 +107,15 @@ std::string draw_errors(const RunData& run) {
   }
   Axis axis = axis_over("distance from the ground truth, m", all, true);
   constexpr double kLeast_m = 1e-4;  // below it an error says nothing
-  axis.min = std::clamp(axis.min, kLeast_m, axis.max / 2.0);
-  Chart chart({kHalf_px, 400.0}, time_axis(run), axis);
+  axis.min = std::max(axis.min, kLeast_m);
+  axis.max = std::max(axis.max, 10.0 * axis.min);
+  Chart chart({kHalf_px, 480.0}, time_axis(run), axis);
   for (const ShownTrajectory& trajectory : run.trajectories) {
     std::vector<Vec2> values;
-    for (const PoseError& error : trajectory.evaluation->errors) {
-      values.emplace_back(run.seconds(error.stamp_ns), error.error_m);
+    const std::vector<PoseError>& errors = trajectory.evaluation->errors;
+    for (std::size_t i = 0; i < errors.size(); ++i) {
+      if (i > 0 && is_gap(errors[i - 1].stamp_ns, errors[i].stamp_ns)) values.push_back(line_break());
+      values.emplace_back(run.seconds(errors[i].stamp_ns), errors[i].error_m);
     }
     chart.series(values, trajectory_color(trajectory.name), "stroke-width=\"1.2\"");
     entries.push_back({trajectory_color(trajectory.name), trajectory.name});
@@ -131,7 +135,7 @@ std::string draw_shifts(const RunData& run) {
     all.push_back((live->T_world_camera.t - pose.T_world_camera.t).norm());
     values.emplace_back(run.seconds(pose.stamp_ns), all.back());
   }
-  Chart chart({kHalf_px, 400.0}, time_axis(run), axis_over("moved, m", all));
+  Chart chart({kHalf_px, 480.0}, time_axis(run), axis_over("moved, m", all));
   chart.series(values, kAfter, "stroke-width=\"1.4\"");
   return legend({{kAfter, run.trajectories.front().name + " to optimised"}}) +
          chart.svg("how far poses were moved over time");
@@ -156,6 +160,7 @@ std::string trajectory_section(const RunData& run, const TopView& view) {
 // --- objects ------------------------------------------------------------------------------------------------------
 
 std::string object_table(const RunData& run) {
+  if (run.objects.empty()) return {};
   std::map<std::int64_t, ObjectMatchResult> match_of;
   std::vector<std::string> columns = {"object",       "label", "state",         "x, m",     "y, m",   "z, m",
                                       "semi-axes, m", "boxes", "baseline, deg", "mean IoU", "quality"};
@@ -187,7 +192,8 @@ std::string object_table(const RunData& run) {
     }
     table.add(cells);
   }
-  return "<div class=\"wide\">" + table.html() + "</div>\n";
+  return section("object-table", "Objects in figures", "A click on the name of a column sorts by it.",
+                 "<div class=\"wide\">" + table.html() + "</div>\n");
 }
 
 std::string reference_note(const RunData& run) {
@@ -209,7 +215,7 @@ std::string reference_note(const RunData& run) {
 std::string object_section(const RunData& run, const TopView& view, const ClassColors& colors) {
   if (run.objects.empty()) return section("objects", "Objects", "The run has no object.", "");
   return section("objects", "Objects", reference_note(run),
-                 "<div class=\"wide\">" + draw_objects(run, view, colors) + "</div>\n" + object_table(run));
+                 "<div class=\"wide\">" + draw_objects(run, view, colors) + "</div>\n");
 }
 
 // --- loops --------------------------------------------------------------------------------------------------------
@@ -242,7 +248,10 @@ std::string draw_loops(const RunData& run, const Pictured& pictured) {
   Axis query = time_axis(run), match = query;
   query.title = "time of the query, s";
   match.title = "time of the match, s";
-  Chart chart({kHalf_px, 460.0}, query, match);
+  std::vector<double> matches = {0.0};
+  for (const ShownLoop& loop : run.loops) matches.push_back(run.seconds(loop.record.match_stamp_ns));
+  match.max = axis_over("", matches).max;
+  Chart chart({kHalf_px, 400.0}, query, match);
   std::map<std::string, std::size_t> rank;
   std::vector<LegendEntry> entries = {{kBelievedColor, "accepted", LegendEntry::kDot},
                                       {kDisbelievedColor, "accepted, not believed", LegendEntry::kDot}};
@@ -255,7 +264,7 @@ std::string draw_loops(const RunData& run, const Pictured& pictured) {
   for (const ShownLoop& loop : run.loops) {
     const LoopRecord& record = loop.record;
     const Vec2 at = chart.to_px({run.seconds(record.query_stamp_ns), run.seconds(record.match_stamp_ns)});
-    const std::string color = is_believed(loop) ? kBelievedColor
+    const std::string color = loop.is_kept      ? kBelievedColor
                               : record.accepted ? kDisbelievedColor
                                                 : reason_color(rank.at(record.reason_text));
     const bool is_pictured = pictured.count(loop.number) != 0;
@@ -276,14 +285,14 @@ std::string reason_table(const RunData& run) {
   for (const ShownLoop& loop : run.loops) {
     if (!loop.record.accepted) continue;
     ++accepted;
-    if (loop.verdict != "kept") ++verdicts[loop.verdict.empty() ? "not known to the pose graph" : loop.verdict];
+    if (!loop.is_kept) ++verdicts[loop.verdict.substr(0, loop.verdict.find(':'))];
   }
   const auto add = [&](const std::string& reason, std::size_t count) {
     const double share = 100.0 * static_cast<double>(count) / static_cast<double>(run.loops.size());
     table.add({reason, std::to_string(count), format_fixed(share, 1)});
   };
   add("accepted", accepted);
-  for (const auto& [verdict, count] : verdicts) add("accepted, but " + verdict, count);
+  for (const auto& [verdict, count] : verdicts) add("accepted, but not believed: " + verdict, count);
   for (const auto& [reason, count] : rejections(run)) add(reason, count);
   return table.html();
 }
@@ -296,7 +305,7 @@ std::string describe(const RunData& run, const ShownLoop& loop) {
                      " m, score " + format_fixed(record.score, 2) + "; frames " + std::to_string(record.match_frame) +
                      " (" + time(record.match_stamp_ns) + ") and " + std::to_string(record.query_frame) + " (" +
                      time(record.query_stamp_ns) + "); ";
-  return text + (is_believed(loop) ? "believed" : "not believed: " + loop.verdict);
+  return text + (loop.is_kept ? "believed" : "not believed") + (loop.verdict == "kept" ? "" : ": " + loop.verdict);
 }
 
 std::string loop_picture(const RunData& run, const ShownLoop& loop, const TopView& view, const ClassColors& colors) {
@@ -308,10 +317,11 @@ std::string loop_picture(const RunData& run, const ShownLoop& loop, const TopVie
 struct LoopChoice {
   const ShownLoop* first = nullptr;
   std::vector<const ShownLoop*> pictured;
+  std::size_t with_submaps = 0;
 };
 
 Result<LoopChoice> choose_loops(const RunData& run, const std::optional<int>& wanted) {
-  constexpr std::size_t kPicturesMax = 400;  // about 3 MB
+  constexpr std::size_t kPicturesMax = 300;  // about 3 MB
   LoopChoice choice;
   int accepted = 0;
   for (const ShownLoop& loop : run.loops) {
@@ -327,6 +337,7 @@ Result<LoopChoice> choose_loops(const RunData& run, const std::optional<int>& wa
     return Error{"loop " + std::to_string(*wanted) + " is none of the " + std::to_string(accepted) +
                  " accepted ones, or its submaps are not known"};
   }
+  choice.with_submaps = choice.pictured.size();
   choice.pictured = evenly_taken(std::move(choice.pictured), kPicturesMax);
   const bool has_first =
       std::find(choice.pictured.begin(), choice.pictured.end(), choice.first) != choice.pictured.end();
@@ -365,9 +376,14 @@ std::string loop_section(const RunData& run, const LoopChoice& choice, const Top
       }));
   std::string note = "Every candidate that reached verification, by the time of its query and of its match.";
   if (earlier > 0) note += " " + std::to_string(earlier) + " match an earlier session and are beyond the picture.";
+  if (choice.pictured.size() < choice.with_submaps) {
+    note += " Of " + std::to_string(choice.with_submaps) + " accepted ones " + std::to_string(choice.pictured.size()) +
+            " can be chosen here; <code>report --loop N</code> shows any.";
+  }
   return section("loops", "Loops", note,
-                 "<div class=\"pair\">\n<div>\n" + draw_loops(run, pictured) + "</div>\n<div>\n<h3>By reason</h3>\n" +
-                     reason_table(run) + "</div>\n</div>\n" + choice_of_loops(run, choice, view, colors));
+                 "<div class=\"pair\">\n<div>\n<h3>Over time</h3>\n" + draw_loops(run, pictured) +
+                     "</div>\n<div>\n<h3>By reason</h3>\n" + reason_table(run) + "</div>\n</div>\n" +
+                     choice_of_loops(run, choice, view, colors));
 }
 
 // --- time and memory ----------------------------------------------------------------------------------------------
@@ -409,7 +425,7 @@ std::string timing_section(const RunData& run) {
     charts += chart.svg(std::string("time of ") + kStages[stage]);
   }
   add_row("all of a frame", frame_times_ms(run));
-  return section("timing", "Time a frame", "Each dot is a frame; a stage that had nothing to do is left out.",
+  return section("timing", "Time by stage", "Each dot is a frame; a stage that had nothing to do is left out.",
                  "<div class=\"pair\">\n" + charts + "</div>\n<div class=\"wide\">" + table.html() + "</div>\n");
 }
 
@@ -446,7 +462,7 @@ Result<std::string> make_report(const ReportInputs& inputs) {
   return page(run.name + " – semantic_topo_loop",
               "<h1>" + escaped(run.name) + "</h1>\n" + tiles(run) + trajectory_section(run, view) +
                   object_section(run, view, colors) + loop_section(run, *choice, view, colors) + timing_section(run) +
-                  memory_section(run) +
+                  memory_section(run) + object_table(run) +
                   "<footer>Made by semantic_topo_loop's report from the files of the run.</footer>\n");
 }
 

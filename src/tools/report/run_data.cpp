@@ -15,7 +15,7 @@ namespace {
 /// A row of loop_verdicts.csv.
 struct Verdict {
   std::int64_t query_frame = -1, match_frame = -1;
-  bool is_extra = false;
+  bool is_extra = false, is_kept = false;
   std::string verdict;
 };
 
@@ -24,6 +24,7 @@ Verdict read_verdict(CsvTable& table) {
   table("query_frame", row.query_frame);
   table("match_frame", row.match_frame);
   table("extra", row.is_extra);
+  table("kept", row.is_kept);
   table("verdict", row.verdict);
   return row;
 }
@@ -70,9 +71,9 @@ std::string directory_name(const std::string& directory) {
 /// The number of an accepted loop, what the pose graph made of it and the submaps that it joins.
 void complete_loops(const std::vector<Verdict>& verdicts, std::vector<LoopObjectRecord> objects, RunData* run) {
   using Frames = std::pair<std::int64_t, std::int64_t>;
-  std::map<Frames, std::vector<std::string>> verdicts_of;  // the last first
+  std::map<Frames, std::vector<const Verdict*>> verdicts_of;  // the last first
   for (auto verdict = verdicts.rbegin(); verdict != verdicts.rend(); ++verdict) {
-    if (!verdict->is_extra) verdicts_of[{verdict->query_frame, verdict->match_frame}].push_back(verdict->verdict);
+    if (!verdict->is_extra) verdicts_of[{verdict->query_frame, verdict->match_frame}].push_back(&*verdict);
   }
   using Key = std::tuple<std::int64_t, std::int64_t, std::int64_t, std::int64_t>;
   std::map<Key, std::vector<LoopObjectRecord>> objects_of;
@@ -87,7 +88,8 @@ void complete_loops(const std::vector<Verdict>& verdicts, std::vector<LoopObject
     loop.number = ++accepted;
     const auto verdict = verdicts_of.find({record.query_frame, record.match_frame});
     if (verdict != verdicts_of.end() && !verdict->second.empty()) {
-      loop.verdict = verdict->second.back();
+      loop.is_kept = verdict->second.back()->is_kept;
+      loop.verdict = verdict->second.back()->verdict;
       verdict->second.pop_back();
     }
     for (LoopObjectRecord& object :
@@ -157,7 +159,7 @@ Result<RunData> read_run(const ReportInputs& inputs) {
                  std::to_string(poses)};
   }
   run.keyframes = keyframes.size();
-  for (LoopRecord& loop : loops) run.loops.push_back({std::move(loop), 0, {}, {}, {}});
+  for (LoopRecord& loop : loops) run.loops.push_back({std::move(loop), 0, false, {}, {}, {}});
   complete_loops(verdicts, std::move(loop_objects), &run);
   if (!inputs.reference.empty()) {
     run.object_evaluation = evaluate_objects(run.objects, run.references, run.optimised().evaluation->alignment);

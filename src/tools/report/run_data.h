@@ -49,7 +49,8 @@ struct ShownTrajectory {
 struct ShownLoop {
   LoopRecord record;
   int number = 0;                              ///< of the accepted ones, from 1; 0 for the others
-  std::string verdict;                         ///< of the pose graph on an accepted one: "kept", or why it is not
+  bool is_kept = false;                        ///< an accepted one that the pose graph believes
+  std::string verdict;                         ///< of the pose graph on an accepted one
   std::vector<LoopObjectRecord> query, match;  ///< objects of the two submaps
 };
 

@@ -1,8 +1,8 @@
 #pragma once
 
+#include <cstdint>
 #include <map>
 #include <string>
-#include <vector>
 
 #include "semantic_topo_loop/types/transform.h"
 #include "tools/report/chart.h"
@@ -21,6 +21,12 @@ struct TopView {
 /// The z axis of the ground truth's world, else what the optimised poses of a camera held without roll say of it.
 TopView top_view(const RunData& run);
 
+/// Whether nothing is known of what was between two stamps, so that no line leads from one to the other.
+inline bool is_gap(std::int64_t before_ns, std::int64_t after_ns) {
+  constexpr std::int64_t kMax_ns = 1'000'000'000;
+  return after_ns - before_ns > kMax_ns;
+}
+
 /// A color a class, by its label.
 using ClassColors = std::map<std::string, std::string>;
 ClassColors class_colors(const RunData& run);
@@ -33,10 +39,5 @@ std::string draw_trajectories(const RunData& run, const TopView& view);
 
 /// Confirmed objects, as the ellipses that their ellipsoids are from above, and reference objects.
 std::string draw_objects(const RunData& run, const TopView& view, const ClassColors& colors);
-
-/// The two submaps of a loop side by side, as they were, turned alike; lines join what was matched; on the right both
-/// on top of each other, as the loop says. The cameras look along their arrows.
-/// @param loop with objects
-std::string draw_loop(const RunData& run, const ShownLoop& loop, const TopView& view, const ClassColors& colors);
 
 }  // namespace semantic_topo_loop::core
