@@ -1,4 +1,4 @@
-"""Runs two builds on the same inputs and compares their result files byte by byte, timing.csv aside.
+"""Runs two builds on the same inputs and compares their result files byte by byte, timing.csv and memory.csv aside.
 
 A build is a catkin build directory (with devel/ in it). The runs: recorded poses, true poses, drifted odometry, an
 odometry that restarts, corrupted detections, rendered images, real images, a bag through the nodelets in lockstep."""
@@ -105,7 +105,7 @@ def play(build, rendered_folder, output):
 
 def differing(one, other):
     """Names of the files that differ or that only one folder has."""
-    names = [sorted(set(os.listdir(folder)) - {"timing.csv"}) for folder in (one, other)]
+    names = [sorted(set(os.listdir(folder)) - {"timing.csv", "memory.csv"}) for folder in (one, other)]
     return sorted(set(names[0]) ^ set(names[1])) + [
         name for name in names[0] if name in names[1]
         and not filecmp.cmp(os.path.join(one, name), os.path.join(other, name), shallow=False)]

@@ -31,6 +31,7 @@
 #include "semantic_topo_loop/pipeline/object_slam.h"
 #include "semantic_topo_loop/pipeline/read_ahead.h"
 #include "semantic_topo_loop/types/stamp.h"
+#include "tools/report/report.h"
 
 namespace {
 
@@ -40,7 +41,8 @@ using namespace semantic_topo_loop::core;
 struct Arguments {
   std::string trajectory, rgbd, bag, associations, detections, camera, classes, config, extra_loops, output, map,
       save_map, points;
-  bool frozen = false;
+  bool frozen = false, report = false;
+  std::string truth, reference;  ///< for the report
   OptionTexts assignments;
 };
 
@@ -504,6 +506,12 @@ Status run(const Arguments& arguments) {
   const Result<RunInputs> inputs = load(arguments);
   if (!inputs) return inputs.error();
   // Now, not after hours of work.
+  if (!arguments.truth.empty()) {
+    if (const auto truth = read_tum_ground_truth(arguments.truth); !truth) return truth.error();
+  }
+  if (!arguments.reference.empty()) {
+    if (const auto references = read_reference_objects(arguments.reference); !references) return references.error();
+  }
   Status writable = make_directory(arguments.output);
   for (const std::string& path : {arguments.output + "/", arguments.save_map, arguments.points}) {
     if (writable && !path.empty()) writable = check_writable(path);
@@ -513,6 +521,12 @@ Status run(const Arguments& arguments) {
   const Result<std::unique_ptr<RunRecorder>> recorder = run_chain(arguments, *inputs);
   if (!recorder) return recorder.error();
   if (const Status written = (*recorder)->write(arguments.output); !written) return written;
+  if (arguments.report) {
+    const bool is_free = inputs->options.pose_graph.scale == "free";
+    const Status written = write_report(
+        {arguments.output, arguments.trajectory, arguments.truth, arguments.reference, is_free, std::nullopt});
+    if (!written) return written;
+  }
   if (inputs->earlier_map != nullptr) {
     if (arguments.frozen) {
       print((*recorder)->relocalisation());
@@ -537,6 +551,10 @@ Status check(Arguments* arguments) {
   if (!arguments->associations.empty() && arguments->rgbd.empty()) return Error{"argument --associations needs --rgbd"};
   if (arguments->frozen && arguments->map.empty()) return Error{"argument --frozen needs --map"};
   if (!arguments->points.empty() && arguments->rgbd.empty()) return Error{"argument --points needs --rgbd"};
+  if (!arguments->truth.empty() && !arguments->report) return Error{"argument --groundtruth needs --report"};
+  if (!arguments->reference.empty() && arguments->truth.empty()) {
+    return Error{"argument --reference needs --groundtruth"};
+  }
   return default_to_package("classes_coco.yaml", "--classes", &arguments->classes);
 }
 
@@ -546,6 +564,7 @@ Command run_command(Arguments* arguments) {
       "--trajectory FILE --detections FILE_OR_DIR --camera YAML --output DIR\n"
       "               [--classes YAML] [--config YAML] [--set module.field=value ...]\n"
       "               [--extra-loops CSV] [--map FILE [--frozen]] [--save-map FILE] [--points FILE]\n"
+      "               [--report [--groundtruth FILE [--reference CSV]]]\n"
       "       offline --rgbd DIR --camera YAML --output DIR [--associations FILE]\n"
       "               [--detections FILE_OR_DIR | --detector ONNX] ...\n"
       "       offline --bag FILE --camera YAML --output DIR [--detections FILE_OR_DIR | --detector ONNX] ...",
@@ -590,7 +609,10 @@ Command run_command(Arguments* arguments) {
       .option("save-map", po::value(&arguments->save_map),
               "file for the map, written once a second of the recording, for later runs")
       .option("points", checked("a path that ends in .ply or .pcd", take_points),
-              "with --rgbd: file for the map's points");
+              "with --rgbd: file for the map's points")
+      .option("report", po::bool_switch(&arguments->report), "writes report.html into the output, as `report` does")
+      .option("groundtruth", po::value(&arguments->truth), "with --report: true trajectory, TUM format")
+      .option("reference", po::value(&arguments->reference), "with --groundtruth: reference objects");
   return command;
 }
 

@@ -65,6 +65,21 @@ void visit_columns(LoopFigures& loop, Visitor& visit) {
   visit.written("sigma_deg", loop.sigma_deg);
 }
 
+template <class Visitor>
+void visit_columns(LoopObjectRecord& row, Visitor& visit) {
+  visit("query_frame", row.query_frame);
+  visit("match_frame", row.match_frame);
+  visit("query_end", row.query_end);
+  visit("match_end", row.match_end);
+  visit("is_query", row.is_query);
+  visit("pair", row.pair);
+  visit("landmark_id", row.object.landmark_id);
+  visit("class_id", row.object.class_id);
+  visit("label", row.label);
+  visit(kPosition, row.object.position);
+  visit("radius_m", row.object.radius_m);
+}
+
 template <class Row>
 Row read_columns(CsvTable& table) {
   Row row;
@@ -75,6 +90,8 @@ Row read_columns(CsvTable& table) {
 LoopRecord read_loop(CsvTable& table) {
   LoopRecord loop = read_columns<LoopRecord>(table);
   loop.score = table.number("score");
+  table.optional("inliers", loop.inliers);
+  table.optional("rms_m", loop.rms_m);
   loop.reason_text = table.text("reason");
   return loop;
 }
@@ -134,10 +151,24 @@ MappedObject mapped_object(const Landmark& landmark, const ClassTable& classes) 
 
 std::string keyframe_table_header() { return row_of(KeyframePose(), true); }
 std::string object_table_header() { return row_of(MappedObject(), true); }
+std::string loop_object_table_header() { return row_of(LoopObjectRecord(), true); }
 std::string loop_table_header() { return row_of(LoopFigures(), true); }
 std::string table_row(const KeyframePose& keyframe) { return row_of(keyframe); }
 std::string table_row(const MappedObject& object) { return row_of(object); }
 std::string table_row(const LoopFigures& loop) { return row_of(loop); }
+
+std::string loop_object_rows(const LoopClosure& loop, const ClassTable& classes) {
+  std::string rows;
+  for (const auto* objects : {&loop.query_objects, &loop.match_objects}) {
+    for (std::size_t i = 0; i < objects->size(); ++i) {
+      const SubmapObject& object = (*objects)[i];
+      const int pair = i < loop.matches.size() ? static_cast<int>(i) : -1;
+      rows += row_of(LoopObjectRecord{loop.query_frame, loop.match_frame, loop.query_end, loop.match_end,
+                                      objects == &loop.query_objects, pair, object, classes.name(object.class_id)});
+    }
+  }
+  return rows;
+}
 
 Result<std::vector<KeyframePose>> read_keyframes(const std::string& path) {
   return read_csv<KeyframePose>(path, read_columns<KeyframePose>);
@@ -148,6 +179,10 @@ Result<std::vector<MappedObject>> read_objects(const std::string& path) {
 }
 
 Result<std::vector<LoopRecord>> read_loops(const std::string& path) { return read_csv<LoopRecord>(path, read_loop); }
+
+Result<std::vector<LoopObjectRecord>> read_loop_objects(const std::string& path) {
+  return read_csv<LoopObjectRecord>(path, read_columns<LoopObjectRecord>);
+}
 
 Result<std::vector<LoopClosure>> read_given_loops(const std::string& path) {
   return read_csv<LoopClosure>(path, read_given_loop);

@@ -1,5 +1,6 @@
 #include "semantic_topo_loop/io/run_recorder.h"
 
+#include <sys/resource.h>
 #include <unistd.h>
 
 #include <algorithm>
@@ -71,7 +72,17 @@ nlohmann::json to_json(const TrackingReport& tracking) {
 }
 
 /// Tables whose rows stay as they are: they go to the disk while the run goes on.
-enum Table { kLivePoses, kLoops, kRelocalisations, kLoopScales, kAssociations, kTiming, kTables };
+enum Table {
+  kLivePoses,
+  kLoops,
+  kRelocalisations,
+  kLoopScales,
+  kLoopObjects,
+  kAssociations,
+  kTiming,
+  kMemory,
+  kTables
+};
 using Rows = std::array<std::string, kTables>;
 
 const Rows& headers() {
@@ -79,8 +90,10 @@ const Rows& headers() {
                                 loop_table_header(),
                                 loop_table_header(),
                                 "query_frame,match_frame,accepted,scale,sigma_log\n",
+                                loop_object_table_header(),
                                 "frame_id,detection_index,landmark_id,level\n",
-                                "frame_id,association_us,mapping_us,loop_us,optimise_us\n"};
+                                "frame_id,association_us,mapping_us,loop_us,optimise_us\n",
+                                "frame_id,resident_mb,peak_mb\n"};
   return kHeaders;
 }
 
@@ -161,6 +174,25 @@ struct FramePlace {
   std::array<double, 7> pose_{};
 };
 
+/// Memory of this process, MiB.
+struct Memory {
+  double resident_mb = 0.0, peak_mb = 0.0;
+};
+
+Memory memory_of_process() {
+  Memory memory;
+  constexpr double kMiB = 1 << 20, kKiB = 1 << 10;
+  rusage usage{};
+  if (::getrusage(RUSAGE_SELF, &usage) == 0) memory.peak_mb = static_cast<double>(usage.ru_maxrss) * kKiB / kMiB;
+  long size = 0, resident = 0;  // pages
+  if (std::FILE* file = std::fopen("/proc/self/statm", "r")) {
+    if (std::fscanf(file, "%ld %ld", &size, &resident) != 2) resident = 0;
+    std::fclose(file);
+  }
+  memory.resident_mb = static_cast<double>(resident) * static_cast<double>(::sysconf(_SC_PAGESIZE)) / kMiB;
+  return memory;
+}
+
 /// A frame of which a stage may still tell more.
 struct OpenFrame {
   std::optional<FramePlace> place;  ///< once the frame itself has come
@@ -169,6 +201,7 @@ struct OpenFrame {
   std::vector<LoopClosure> loops;
   std::optional<SE3> T_map_odom;  ///< after its correction
   double mapping_us = 0.0, loop_us = 0.0, optimise_us = 0.0;
+  std::optional<Memory> memory;  ///< once a second
 };
 
 /// Counts of the summary.
@@ -198,6 +231,9 @@ class FileRecorder : public RunRecorder {
     if (frame.is_end) return;
     open_[frame.frame_id].place = FramePlace(frame);
     open_[frame.frame_id].is_break = frame.is_break;
+    constexpr std::int64_t kSecond_ns = 1'000'000'000;
+    const std::int64_t second = frame.stamp_ns / kSecond_ns;
+    if (std::exchange(memory_second_, second) != second) open_[frame.frame_id].memory = memory_of_process();
     if (frame.is_keyframe) keyframes_.insert_or_assign(frame.keyframe_id, FramePlace(frame));
     settle(frame.stamp_ns);
   }
@@ -288,8 +324,10 @@ class FileRecorder : public RunRecorder {
     add("objects.csv", [this](std::ostream& file) { write_objects(file); });
     add_table("loops.csv", kLoops);
     add("loop_verdicts.csv", [this](std::ostream& file) { write_verdicts(file); });
+    add_table("loop_objects.csv", kLoopObjects);
     add_table("associations.csv", kAssociations);
     add_table("timing.csv", kTiming);
+    add_table("memory.csv", kMemory);
     add("summary.json", [this](std::ostream& file) { write_summary(file); });
     if (has_earlier_map_) add_table("relocalisations.csv", kRelocalisations);
     const bool has_scales = std::any_of(S_map_keyframe_.begin(), S_map_keyframe_.end(),
@@ -313,9 +351,14 @@ class FileRecorder : public RunRecorder {
                               format_fixed(frame.loop_us, kMicrosecondDecimals),
                               format_fixed(frame.optimise_us, kMicrosecondDecimals));
     }
+    if (frame.memory) {
+      rows[kMemory] =
+          csv_row(frame_id, format_fixed(frame.memory->resident_mb, 1), format_fixed(frame.memory->peak_mb, 1));
+    }
     if (frame.T_map_odom) *T_map_odom = *frame.T_map_odom;
     for (const LoopClosure& loop : frame.loops) {
       rows[loop.T_earlier_match ? kRelocalisations : kLoops] += table_row(loop);
+      if (loop.accepted && !loop.T_earlier_match) rows[kLoopObjects] += loop_object_rows(loop, *classes_);
       const double log_scale_variance = loop.scale_covariance(6);
       if (!(log_scale_variance > 0.0)) continue;
       rows[kLoopScales] +=
@@ -467,6 +510,7 @@ class FileRecorder : public RunRecorder {
   }
 
   std::shared_ptr<const ClassTable> classes_;
+  std::int64_t memory_second_ = -1;  ///< of the data, in which the memory was looked at last
 
   std::map<std::int64_t, FramePlace> keyframes_;  ///< by keyframe_id
   std::map<std::int64_t, OpenFrame> open_;        ///< by frame_id

@@ -2,7 +2,9 @@
 
 #include <gtest/gtest.h>
 
+#include <cstdio>
 #include <nlohmann/json.hpp>
+#include <sstream>
 
 #include "semantic_topo_loop/geometry/lie.h"
 #include "semantic_topo_loop/io/run_files.h"
@@ -244,6 +246,55 @@ TEST_F(RunRecorderTest, LoopsInOrderOfFrameAndPosition) {
       std::string::npos);
 }
 
+TEST_F(RunRecorderTest, ObjectsOfTheSubmapsOfAcceptedLoops) {
+  LoopClosure loop = make_loop(8, true);
+  loop.matches = {{3, 4}};
+  loop.query_objects = {{3, 41, Vec3(1.0, 2.0, 3.0), 0.25}};
+  loop.match_objects = {{4, 41, Vec3(1.5, 2.0, 3.0), 0.5}, {9, 41, Vec3(4.0, 5.0, 6.0), 0.125}};
+  LoopClosure refused = loop, earlier = loop;
+  refused.accepted = false;
+  earlier.T_earlier_match = SE3();
+  recorder_->record(8, {refused, loop, earlier}, 10.0);
+  write();
+  EXPECT_EQ(text("loop_objects.csv"),
+            "query_frame,match_frame,query_end,match_end,is_query,pair,landmark_id,class_id,label,x,y,z,radius_m\n"
+            "8,1,9,2,1,0,3,41,cup,1.000000000,2.000000000,3.000000000,0.250000\n"
+            "8,1,9,2,0,0,4,41,cup,1.500000000,2.000000000,3.000000000,0.500000\n"
+            "8,1,9,2,0,-1,9,41,cup,4.000000000,5.000000000,6.000000000,0.125000\n");
+  const auto objects = read_loop_objects(directory_.path("run/loop_objects.csv"));
+  ASSERT_TRUE(objects) << objects.message();
+  ASSERT_EQ(objects->size(), 3u);
+  EXPECT_FALSE(objects->at(2).is_query);
+  EXPECT_EQ(objects->at(2).pair, -1);
+  EXPECT_EQ(objects->at(2).object.position, Vec3(4.0, 5.0, 6.0));
+  EXPECT_EQ(objects->at(2).label, "cup");
+}
+
+TEST_F(RunRecorderTest, MemoryOfTheProcessOnceASecondOfTheData) {
+  for (std::int64_t i = 0; i < 25; ++i) {
+    Frame frame;
+    frame.frame_id = i;
+    frame.stamp_ns = kStart + i * 100'000'000;
+    recorder_->record(frame);
+  }
+  write();
+  std::istringstream table(text("memory.csv"));
+  std::string line;
+  std::getline(table, line);
+  EXPECT_EQ(line, "frame_id,resident_mb,peak_mb");
+  for (const int frame_id : {0, 10, 20}) {
+    ASSERT_TRUE(std::getline(table, line));
+    int id = -1;
+    double resident_mb = 0.0, peak_mb = 0.0;
+    ASSERT_EQ(std::sscanf(line.c_str(), "%d,%lf,%lf", &id, &resident_mb, &peak_mb), 3) << line;
+    EXPECT_EQ(id, frame_id);
+    EXPECT_GT(resident_mb, 1.0);
+    EXPECT_LT(resident_mb, 4096.0);
+    EXPECT_GE(peak_mb, 0.99 * resident_mb);
+  }
+  EXPECT_FALSE(std::getline(table, line));
+}
+
 TEST_F(RunRecorderTest, LoopsIntoAnEarlierMapAreKeptApart) {
   const SE3 T_earlier_odom(so3_exp(Vec3(0.3, -0.2, 0.5)), Vec3(1.0, 2.0, 3.0));
   for (const Frame& frame : frames_) recorder_->record(frame);
@@ -369,8 +420,9 @@ TEST_F(RunRecorderTest, AFixedScaleLeavesNoFileOfScales) {
 
 TEST_F(RunRecorderTest, AnEmptyRunStillWritesEveryFile) {
   write();
-  for (const char* name : {"trajectory_live.txt", "trajectory.txt", "keyframes.csv", "objects.csv", "loops.csv",
-                           "loop_verdicts.csv", "associations.csv", "timing.csv", "summary.json"}) {
+  for (const char* name :
+       {"trajectory_live.txt", "trajectory.txt", "keyframes.csv", "objects.csv", "loops.csv", "loop_verdicts.csv",
+        "loop_objects.csv", "associations.csv", "timing.csv", "memory.csv", "summary.json"}) {
     EXPECT_TRUE(std::filesystem::exists(directory_.path(std::string("run/") + name))) << name;
   }
 }
@@ -434,8 +486,9 @@ TEST_F(RunRecorderTest, ALongRunsTablesAreCompleteHoweverLateItsStagesAndWheneve
   write();
   LongRun(40).play(late.get(), 0, kFrames);
   ASSERT_TRUE(late->write(directory_.path("late")));
-  for (const char* name : {"trajectory_live.txt", "trajectory.txt", "loops.csv", "relocalisations.csv",
-                           "loop_scales.csv", "associations.csv", "timing.csv", "summary.json", "keyframes.csv"}) {
+  for (const char* name :
+       {"trajectory_live.txt", "trajectory.txt", "loops.csv", "relocalisations.csv", "loop_scales.csv",
+        "loop_objects.csv", "associations.csv", "timing.csv", "summary.json", "keyframes.csv"}) {
     EXPECT_TRUE(text(name) == read_whole(directory_.path(std::string("late/") + name))) << name;
   }
   const std::string live = text("trajectory_live.txt"), loops = text("loops.csv");

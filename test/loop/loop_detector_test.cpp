@@ -50,6 +50,12 @@ void expect_right(const RunOutcome& outcome) {
     EXPECT_LE(loop.query_begin, loop.query_frame);
     EXPECT_LE(loop.query_frame, loop.query_end);
     EXPECT_EQ(static_cast<int>(loop.matches.size()), loop.inliers);
+    for (std::size_t i = 0; i < loop.matches.size(); ++i) {
+      EXPECT_EQ(loop.query_objects.at(i).landmark_id, loop.matches[i].query_landmark_id);
+      EXPECT_EQ(loop.match_objects.at(i).landmark_id, loop.matches[i].match_landmark_id);
+      const Vec3 in_match = loop.T_match_query * loop.query_objects[i].position;
+      EXPECT_LT((in_match - loop.match_objects[i].position).norm(), 0.2) << "one object";
+    }
   }
 }
 

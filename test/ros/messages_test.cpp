@@ -331,6 +331,9 @@ TEST(Messages, Loops) {
     loop.covariance = random.matrix<core::Mat6>();
     loop.scale_covariance = random.matrix<core::Mat7>().col(2);
     loop.matches = {{random.integer(), random.integer()}, {random.integer(), random.integer()}};
+    loop.query_objects = {{random.integer(), 41, random.pose().t, random.number()}};
+    loop.match_objects = {{random.integer(), 42, random.pose().t, random.number()},
+                          {random.integer(), 43, random.pose().t, random.number()}};
     if (i % 2 == 0) loop.T_earlier_match = random.pose();
     loops.closures.push_back(loop);
   }
@@ -351,6 +354,9 @@ TEST(Messages, Loops) {
     EXPECT_EQ(generated.closures[i].reason, static_cast<std::uint8_t>(loop.reason));
     EXPECT_EQ(generated.closures[i].sigma_deg, loop.sigma_deg);
     EXPECT_EQ(generated.closures[i].matches[1].query_landmark_id, loop.matches[1].query_landmark_id);
+    EXPECT_EQ(generated.closures[i].query_objects[0].position.y, loop.query_objects[0].position.y());
+    EXPECT_EQ(generated.closures[i].match_objects[1].class_id, 43);
+    EXPECT_EQ(generated.closures[i].match_objects[1].radius_m, loop.match_objects[1].radius_m);
     EXPECT_EQ(generated.closures[i].in_earlier_map != 0, loop.T_earlier_match.has_value());
     EXPECT_TRUE(same(generated.closures[i].earlier_map_from_match, loop.T_earlier_match.value_or(core::SE3())));
   }

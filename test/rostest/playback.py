@@ -27,7 +27,7 @@ except ImportError as error:
 from semantic_topo_loop.msg import SessionAck, SessionControl  # noqa: E402, after the path is known
 
 RESULT_FILES = ['trajectory_live.txt', 'trajectory.txt', 'keyframes.csv', 'objects.csv', 'loops.csv',
-                'loop_verdicts.csv', 'associations.csv', 'timing.csv', 'summary.json']
+                'loop_verdicts.csv', 'loop_objects.csv', 'associations.csv', 'timing.csv', 'memory.csv', 'summary.json']
 
 
 class Launch:
@@ -165,10 +165,10 @@ def is_closed(path):
 
 
 def differing_files(a, b):
-    """Files of two runs that are not the same bytes, timing.csv aside, each with the first lines that differ."""
+    """Files of two runs that are not the same bytes, timing.csv and memory.csv aside, each with the first lines that differ."""
     names = set(os.listdir(a)) | set(os.listdir(b))
     differing = []
-    for name in sorted(names - {'timing.csv'}):
+    for name in sorted(names - {'timing.csv', 'memory.csv'}):
         lines = []
         for directory in (a, b):
             try:

@@ -33,13 +33,25 @@ struct LoopRecord : LoopFigures {
   std::string reason_text;  ///< the column `reason`: `LoopFigures::reason` is not read
 };
 
+/// A row of loop_objects.csv.
+struct LoopObjectRecord {
+  std::int64_t query_frame = -1, match_frame = -1, query_end = -1, match_end = -1;  ///< these name the loop
+  bool is_query = false;  ///< of the query's submap, else of the match's
+  int pair = -1;          ///< number of the pair that it belongs to, -1: none
+  SubmapObject object;
+  std::string label;
+};
+
 /// The tables of a run, as docs/files.md describes them: their first lines, and their rows with the end of line.
 std::string keyframe_table_header();
 std::string object_table_header();
 std::string loop_table_header();
+std::string loop_object_table_header();
 std::string table_row(const KeyframePose& keyframe);
 std::string table_row(const MappedObject& object);
 std::string table_row(const LoopFigures& loop);
+/// One row an object of the two submaps.
+std::string loop_object_rows(const LoopClosure& loop, const ClassTable& classes);
 
 /// Read such tables. Columns are found by the names in the header, so that their order is free and more of them do no
 /// harm.
@@ -47,6 +59,7 @@ std::string table_row(const LoopFigures& loop);
 Result<std::vector<KeyframePose>> read_keyframes(const std::string& path);
 Result<std::vector<MappedObject>> read_objects(const std::string& path);
 Result<std::vector<LoopRecord>> read_loops(const std::string& path);
+Result<std::vector<LoopObjectRecord>> read_loop_objects(const std::string& path);
 
 /// Reads loops for the pose graph: the columns of loops.csv; `sigma_m,sigma_deg`, the stated errors of translation and
 /// rotation, may be missing or not computed (-1) and are 0.05 m and 1.7 degrees then. Keyframe ids are left open: the

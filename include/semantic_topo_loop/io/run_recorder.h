@@ -41,9 +41,9 @@ class RunRecorder {
   virtual void record(const TrackingReport& tracking) = 0;
 
   /// Writes trajectory_live.txt, trajectory.txt, keyframes.csv, objects.csv, loops.csv, loop_verdicts.csv,
-  /// associations.csv, timing.csv and summary.json, and relocalisations.csv if there were candidates in an earlier
-  /// run's map, and scales.csv and loop_scales.csv if the scale is free, creating the directory. All are written before
-  /// the first takes its place. The run may go on.
+  /// loop_objects.csv, associations.csv, timing.csv, memory.csv and summary.json, and relocalisations.csv if there were
+  /// candidates in an earlier run's map, and scales.csv and loop_scales.csv if the scale is free, creating the
+  /// directory. All are written before the first takes its place. The run may go on.
   /// @return an error, with the path, if a file cannot be written
   virtual Status write(const std::string& directory) const = 0;
   /// Where the run is in an earlier run's map, by the loops recorded so far.

@@ -285,6 +285,7 @@ SEMANTIC_TOPO_LOOP_FIELDS(core::Landmark, m.id, m.class_id, m.state, m.ellipsoid
                           m.anchor_keyframe_id, m.observations, m.baseline_deg, m.mean_iou, m.quality)
 SEMANTIC_TOPO_LOOP_FIELDS(core::LandmarkMerge, m.merged_id, m.survivor_id)
 SEMANTIC_TOPO_LOOP_FIELDS(core::ObjectMatch, m.query_landmark_id, m.match_landmark_id)
+SEMANTIC_TOPO_LOOP_FIELDS(core::SubmapObject, m.landmark_id, m.class_id, m.position, m.radius_m)
 SEMANTIC_TOPO_LOOP_FIELDS(core::KeyframePose, m.keyframe_id, m.frame_id, m.stamp_ns, m.T_map_camera, m.scale)
 SEMANTIC_TOPO_LOOP_FIELDS(core::LoopVerdict, m.number, m.query_keyframe_id, m.match_keyframe_id, m.kept, m.is_extra,
                           m.reason)

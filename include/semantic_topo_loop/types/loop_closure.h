@@ -36,6 +36,14 @@ struct ObjectMatch {
   std::int64_t match_landmark_id = -1;
 };
 
+/// An object of one of the two submaps of a loop, as it was when the loop was looked for.
+struct SubmapObject {
+  std::int64_t landmark_id = -1;
+  int class_id = -1;
+  Vec3 position = Vec3::Zero();  ///< of its centre, in the camera at query_frame or match_frame, m
+  double radius_m = 0.0;         ///< semi-axis across the vertical
+};
+
 /// What is told of a loop candidate that reached verification: two keyframes and how the later one (query) sees the
 /// earlier (match). Figures that are -1 were not computed, because an earlier test had failed. Long runs keep many.
 struct LoopFigures {
@@ -75,6 +83,8 @@ struct LoopClosure : LoopFigures {
   /// Of log scale with (translation, rotation, log scale); zero if the scale was not measured.
   Vec7 scale_covariance = Vec7::Zero();
   std::vector<ObjectMatch> matches;
+  /// All objects of the two submaps: those of `matches` first, in its order. Empty where submaps play no part.
+  std::vector<SubmapObject> query_objects, match_objects;
   /// Set if the match is a submap of an earlier run, to which all match_ fields then refer: the pose of its anchor in
   /// that run's map.
   std::optional<SE3> T_earlier_match;
@@ -119,6 +129,8 @@ void visit_fields(Loop& loop, Visitor&& visit) {
   if constexpr (kIsWhole) {
     visit("scale_covariance", loop.scale_covariance);
     visit("matches", loop.matches);
+    visit("query_objects", loop.query_objects);
+    visit("match_objects", loop.match_objects);
     visit("earlier_map_from_match", loop.T_earlier_match);
   }
 }

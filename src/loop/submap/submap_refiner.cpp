@@ -307,6 +307,25 @@ LoopClosure make_closure(const LocalMap& match, const LocalMap& query) {
   return loop;
 }
 
+namespace {
+
+/// The objects of a submap, those at the indices `first` before the others.
+std::vector<SubmapObject> list_objects(const LocalMap& map, const std::vector<int>& first) {
+  std::vector<int> order = first;
+  for (int i = 0; i < static_cast<int>(map.objects.size()); ++i) {
+    if (std::find(first.begin(), first.end(), i) == first.end()) order.push_back(i);
+  }
+  std::vector<SubmapObject> objects;
+  for (const int i : order) {
+    const LocalObject& object = map.objects[static_cast<std::size_t>(i)];
+    const double radius_m = std::exp(object.spheroid.log_axes(0));
+    objects.push_back({object.landmark_id, object.class_id, object.spheroid.center, radius_m});
+  }
+  return objects;
+}
+
+}  // namespace
+
 void set_alignment(const LocalMap& match, const LocalMap& query, const GraphMatch& alignment, LoopClosure* loop) {
   loop->rms_m = alignment.rms_m;
   loop->spread_m = alignment.spread_m(1);
@@ -315,10 +334,15 @@ void set_alignment(const LocalMap& match, const LocalMap& query, const GraphMatc
   loop->T_match_query = alignment.T_a_b;
   loop->scale = alignment.scale;
   loop->matches.clear();
+  std::vector<int> of_query, of_match;
   for (const NodePair& pair : alignment.pairs) {
+    of_query.push_back(pair.b);
+    of_match.push_back(pair.a);
     loop->matches.push_back({query.objects[static_cast<std::size_t>(pair.b)].landmark_id,
                              match.objects[static_cast<std::size_t>(pair.a)].landmark_id});
   }
+  loop->query_objects = list_objects(query, of_query);
+  loop->match_objects = list_objects(match, of_match);
 }
 
 namespace {

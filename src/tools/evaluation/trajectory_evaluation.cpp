@@ -82,6 +82,7 @@ Result<TrajectoryEvaluation> evaluate_trajectory(const StampedPoses& estimate, c
   for (std::size_t k = 0; k < pairs.size(); ++k) {
     const Vec3 aligned = alignment->scale * (alignment->T_a_b.q * points_estimate[k]) + alignment->T_a_b.t;
     distances.push_back((aligned - points_reference[k]).norm());
+    result.errors.push_back({estimate[pairs[k].first].stamp_ns, distances.back()});
   }
   result.absolute_m = error_statistics(std::move(distances));
   relative_errors(estimate, reference, pairs, alignment->scale, &result);

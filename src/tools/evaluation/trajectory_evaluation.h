@@ -23,6 +23,12 @@ struct Ratio {
   double value() const { return total > 0 ? static_cast<double>(right) / total : 0.0; }
 };
 
+/// Distance of an estimated pose from its partner after alignment.
+struct PoseError {
+  std::int64_t stamp_ns = 0;
+  double error_m = 0.0;
+};
+
 /// Absolute and relative errors of a trajectory, as TUM's tools compute them: of each estimated pose and the
 /// reference nearest in time, where they are less than 0.02 s apart. Two estimates may share a reference.
 struct TrajectoryEvaluation {
@@ -30,6 +36,7 @@ struct TrajectoryEvaluation {
   std::size_t pairs = 0;                     ///< poses that have a partner
   Alignment alignment;                       ///< T_reference_estimate
   ErrorStatistics absolute_m;                ///< ATE: distances after alignment
+  std::vector<PoseError> errors;             ///< these distances, in order of time
   ErrorStatistics relative_m;                ///< RPE over 1 s, translation
   ErrorStatistics relative_deg;              ///< RPE over 1 s, rotation
 };
