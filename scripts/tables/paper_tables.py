@@ -6,10 +6,11 @@ import sys
 
 import association_tables
 import loop_table
+import odometry_table
 import robustness_table
 import trajectory_table
 from association_tables import FULL
-from runs import JDA, JOINT, Failure, Programs, cascade, find_sequences, package_folder
+from runs import JDA, JOINT, Failure, Programs, cascade, find_image_sequences, find_sequences, package_folder
 
 PACKAGE = package_folder()
 
@@ -21,6 +22,7 @@ TABLES = {
     "IV": trajectory_table.table_4,
     "timing": association_tables.table_timing,
     "robustness": robustness_table.table_robustness,
+    "odometry": odometry_table.table_odometry,
 }
 VIEWS = ((FULL, "MLV-ODA, the paper's cascade"), (cascade("2d"), "2D"), (cascade("pro"), "Pro"), (cascade("3d"), "3D"),
          (JDA, "JDA"), (JOINT, "joint assignment (default)"))
@@ -32,6 +34,7 @@ class Context:
     def __init__(self, arguments):
         self.programs = Programs(arguments.programs, arguments.output)
         self.sequences = find_sequences(arguments.data, arguments.reference)
+        self.image_sequences = find_image_sequences(arguments.data)
         self.output = arguments.output  # for pictures and curves
         self.pictures = not arguments.no_pictures
         self.inputs = os.path.join(arguments.output, "inputs")  # made here from recorded ones

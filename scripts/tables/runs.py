@@ -17,13 +17,15 @@ class Failure(Exception):
 @dataclass(frozen=True)
 class Sequence:
     name: str
-    trajectory: str
+    trajectory: str  # "" if the poses are found from the images
     detections: str
     camera: str
     ground_truth: str  # the motion capture's poses
     reference: str  # path, or "" without one
     frames: str = ""  # a true pose for every image, or ""
     drifted: tuple = ()  # paths of odometry with known drift
+    drifted_real: tuple = ()  # that drifts as cameras and wheels do
+    images: str = ""  # TUM folder
 
 
 @dataclass(frozen=True)
@@ -91,7 +93,9 @@ PAPER_PRINTED = Method("loops_printed", "paper, printed score", ("loop.mode=pape
 def truth_of(folder):
     """What a sequence's folder holds for the tables of loops and trajectories."""
     frames = os.path.join(folder, "groundtruth_frames.txt")
-    return frames if os.path.exists(frames) else "", tuple(sorted(glob.glob(os.path.join(folder, "drifted", "*.txt"))))
+    drifted, drifted_real = (tuple(sorted(glob.glob(os.path.join(folder, name, "*.txt"))))
+                             for name in ("drifted", "drifted_real"))
+    return frames if os.path.exists(frames) else "", drifted, drifted_real
 
 
 def find_sequences(data, fr3_reference):
@@ -108,6 +112,15 @@ def find_sequences(data, fr3_reference):
     if not found:
         raise Failure(f"'{data}' holds neither tum/fr2_desk nor tum/fr3_office (--data, SEMANTIC_TOPO_LOOP_DATA)")
     return found
+
+
+def find_image_sequences(data):
+    """Those whose poses and depth come from images."""
+    folder = os.path.join(data, "tum/fr1_xyz")
+    sequence = Sequence("fr1_xyz", "", folder + "/detections_yolox_nano.json", "tum_fr1.yaml", folder + "/groundtruth.txt",
+                        folder + "/reference_objects.csv", images=folder)
+    files = (sequence.detections, sequence.ground_truth, sequence.reference, folder + "/rgb.txt")
+    return [sequence] if all(map(os.path.exists, files)) else []
 
 
 def read_rows(path):
@@ -181,9 +194,12 @@ class Programs:
     def _run(self, sequence, method):
         run = Run(sequence, method, os.path.join(self._output, "runs", sequence.name, method.key))
         os.makedirs(run.directory, exist_ok=True)
-        result = self._call("offline", "--trajectory", sequence.trajectory, "--detections", sequence.detections,
-                            "--camera", os.path.join(self._cameras, sequence.camera), "--classes", self._classes,
-                            "--output", run.directory, *self._settings(method))
+        source = ["--trajectory", sequence.trajectory]
+        if sequence.images:
+            source = ["--rgbd", sequence.images, "--set", "depth.scale=5000"]
+        result = self._call("offline", *source, "--detections", sequence.detections, "--camera",
+                            os.path.join(self._cameras, sequence.camera), "--classes", self._classes, "--output",
+                            run.directory, *self._settings(method))
         if result.returncode != 0:
             errors = [line for line in result.stderr.splitlines() if "error" in line] or ["no message"]
             run.problem = errors[0].replace("offline: error: ", "")
@@ -194,11 +210,12 @@ class Programs:
         with open(os.path.join(run.directory, "summary.json")) as file:
             run.summary = json.load(file)
         if sequence.reference:
-            run.objects = self._evaluate_objects(run)
+            run.objects = self.objects(run, sequence)
         return run
 
-    def _evaluate_objects(self, run):
-        return self._evaluate("objects", run.directory, run.sequence.ground_truth, run.sequence.reference,
+    def objects(self, run, sequence):
+        """Figures of the run's objects against the reference of a sequence."""
+        return self._evaluate("objects", run.directory, sequence.ground_truth, sequence.reference,
                               json_path=os.path.join(run.directory, "evaluation_objects.json"))
 
     def loops(self, run, sightings):

@@ -10,8 +10,9 @@ from runs import GRAPH
 
 STATISTICS = ("rmse", "mean", "median")
 REAL_COLUMNS = ("sequence, odometry", "", "poses", "ATE RMSE, m", "mean", "median", "RMSE with scale",
-                "RPE over 1 s RMSE, m", "mean", "median", "RMSE, deg", "mean", "median", "paper: ATE RMSE, m", "mean",
-                "median")
+                "RPE over 1 s RMSE, m", "mean", "median", "RMSE, deg", "mean", "median")
+PAPER_COLUMNS = ("sequence", "ATE, m", *(f"paper: {name}" for name in paper_figures.TRAJECTORY_METHODS),
+                 "odometry here", "after loops here")
 ODOMETRIES = {"fr2_desk": "ORB-SLAM2 (RGB-D)", "fr3_office": "true poses"}
 DRIFT_COLUMNS = ("sequence", "file", "ATE before, m", "after, m", "ratio", "mean after, m", "median after, m",
                  "RPE before", "after")
@@ -38,14 +39,23 @@ class Comparison:
 
 def real_rows(context, comparison):
     sequence = comparison.sequence
-    paper = paper_figures.trajectory(sequence.name)
     title = f"{sequence.name}, {ODOMETRIES.get(sequence.name, 'odometry')}"
-    for when, path, figures, printed in (("before", sequence.trajectory, comparison.before, paper[:3]),
-                                         ("after", comparison.run.trajectory, comparison.after, paper[3:])):
+    for when, path, figures in (("before", sequence.trajectory, comparison.before),
+                                ("after", comparison.run.trajectory, comparison.after)):
         scaled = context.programs.trajectory(path, sequence.ground_truth, "--scale")
         yield [title, when, figures["pairs"], *(f"{figures['ate_m'][key]:.4f}" for key in STATISTICS),
                f"{scaled['ate_m']['rmse']:.4f}", *(f"{figures['rpe_m'][key]:.4f}" for key in STATISTICS),
-               *(f"{figures['rpe_deg'][key]:.3f}" for key in STATISTICS), *printed]
+               *(f"{figures['rpe_deg'][key]:.3f}" for key in STATISTICS)]
+
+
+def paper_rows(comparison):
+    """Table IV as the paper has it, with the odometry given here and what comes of it."""
+    sequence = comparison.sequence
+    for key in STATISTICS:
+        paper = paper_figures.TRAJECTORIES.get((sequence.name, key),
+                                               (None,) * len(paper_figures.TRAJECTORY_METHODS))
+        yield [sequence.name, key.upper() if key == "rmse" else key, *map(paper_figures.cell, paper),
+               *(f"{figures['ate_m'][key]:.4f}" for figures in (comparison.before, comparison.after))]
 
 
 def relative(figures):
@@ -94,6 +104,7 @@ def table_4(context):
     restarts = [(sequence.name, Comparison(context, restarted(context, sequence, seed)))
                 for sequence in context.sequences for seed in RESTART_SEEDS]
     parts = ["### Table IV: trajectories before and after\n",
+             markdown(PAPER_COLUMNS, [row for comparison in real for row in paper_rows(comparison)]),
              markdown(REAL_COLUMNS, [row for comparison in real for row in real_rows(context, comparison)])]
     if drift:
         parts += ["**Drifted odometry, ratio of ATE before to after**\n",

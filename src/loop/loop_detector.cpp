@@ -85,7 +85,7 @@ struct LoopDetector::Impl {
     if (frame.stamp_ns < settled_ns_) return {};
     const bool taken = window_.push(frame, associations);
     up_.push(frame);
-    if (!paper_mode_) watch_odometry(frame, taken);
+    watch_odometry(frame, taken);
     if (associations.unanswered || !is_due(frame)) return {};
     const std::optional<std::size_t> anchor = middle_keyframe(window_.frames());
     if (!anchor) return {};
@@ -93,6 +93,7 @@ struct LoopDetector::Impl {
     if (!paper_mode_ && options_.enabled) tell_motions(window, window[*anchor].keyframe_id);
     std::optional<LocalMap> map = build_local_map(window, redirects_, up_, options_);
     if (!map) return {};
+    monitor_.set_reference(*map);
     if (paper_mode_) {
       std::vector<LoopClosure> loops = paper_.detect(std::move(*map), options_.enabled);
       record_.add(loops);
@@ -100,7 +101,6 @@ struct LoopDetector::Impl {
     }
     map->segment = segment_;
     map->drift_rad_s = monitor_.drift_rad_s().value_or(0.0);
-    monitor_.set_reference(*map);
     std::vector<LoopClosure> loops;
     if (options_.enabled) {
       loops = graph_.detect(*map);

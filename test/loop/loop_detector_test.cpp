@@ -392,6 +392,29 @@ TEST(LoopDetector, PaperModeCorrectsADriftedRevisit) {
   }
 }
 
+/// The objects show a jump that the odometry does not announce, within three frames.
+TEST(LoopDetector, NoWindowStraddlesAJumpOfTheOdometry) {
+  constexpr std::int64_t kJump = 370;  // frame, in the middle of the second visit
+  for (const char* mode : {"graph", "paper"}) {
+    LoopOptions options;
+    options.mode = mode;
+    options.paper_min_gap_frames = 150;
+    RunSetup setup = drifted_revisit(1);
+    setup.same_ids = true;
+    setup.drift = SE3(so3_exp(Vec3(0.0, 0.0, radians(8.0))), Vec3(0.1, 0.0, 0.0));
+    setup.drift_from_s = 0.1 * kJump - 0.05;
+    const RunOutcome outcome = run(options, setup);
+    int before = 0, after = 0;
+    for (const LoopClosure& loop : outcome.loops) {
+      ++(loop.query_begin < kJump ? before : after);
+      EXPECT_TRUE(loop.query_begin >= kJump || loop.query_end <= kJump + 3)
+          << mode << ": " << loop.query_begin << " to " << loop.query_end;
+    }
+    EXPECT_GT(before, 0) << mode;
+    EXPECT_GT(after, 0) << mode;
+  }
+}
+
 TEST(LoopDetector, PaperModeNeedsSharedIdsGapAndScore) {
   LoopOptions options;
   options.mode = "paper";

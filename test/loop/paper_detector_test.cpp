@@ -39,32 +39,53 @@ TEST(PaperScore, CorrectedScoreOfATranslationIsAnalytic) {
 }
 
 TEST(PaperScore, PrintedScoreTakesHalfScaleAndHalfAMetreForPerfect) {
-  // Two nodes, so that s = 0.5 and t = (0.5 m, 0, 0) in both directions; the rotation is none.
+  // Two nodes 1 m away, halfway to which the camera has gone: s = 0.5 and ||t|| = 0.5 m both ways, no rotation.
   std::vector<CommonNode> nodes;
-  for (const Vec3& point : {Vec3(0.2, 0.1, 1.0), Vec3(-0.3, 0.4, 1.6)}) {
-    nodes.push_back({point, 0.5 * point + Vec3(0.5, 0.0, 0.0), 1.0});
-  }
+  for (const Vec3& point : {Vec3(0.0, 0.0, 1.0), Vec3(0.6, 0.0, 0.8)}) nodes.push_back({point, 0.5 * point, 1.0});
   std::vector<CommonNode> same = nodes;
   for (CommonNode& node : same) node.center_match = node.center_query;
   EXPECT_NEAR(printed_score(nodes), printed_score(same), 1e-12);
-  EXPECT_LT(corrected_score(nodes), 0.7 * corrected_score(same));
+  EXPECT_LT(corrected_score(nodes), 0.8 * corrected_score(same));
 }
 
-TEST(PaperScore, PrintedScoreIsBlindToRotationAndGrowsWithTheNodes) {
-  // Two nodes that the camera turns about, on its axis: t is zero both ways, and only the turn differs.
-  const Vec3 near(0.0, 0.0, 1.0), far(0.0, 0.0, 2.0);
-  const auto score = [&](auto score_of, const Quaternion& turn) {
-    return score_of({{near, turn * near, 1.0}, {far, turn * far, 1.0}});
-  };
-  const Quaternion none = Quaternion::Identity(), quarter = so3_exp(Vec3(kPi / 2, 0.0, 0.0));
-  EXPECT_NEAR(score(printed_score, quarter), score(printed_score, none), 1e-9);
-  EXPECT_LT(score(corrected_score, quarter), 0.6 * score(corrected_score, none));
+TEST(PaperScore, PrintedScoreIsTheLetter) {
+  // Equation 14: t = C^match - C^query. First 0 m, second (1, 0, 0), so 1 m. Topology is exp(-|1 - s - ||t||| / 2).
+  const CommonNode first{Vec3(0, 0, 1), Vec3(0, 0, 1), 0.5}, second{Vec3(1, 0, 1), Vec3(2, 0, 1), 0.8};
+  // First to second: s = 2, exp(-|1 - 2 - 0| / 2) = 0.606531. Second to first: s = 2, exp(-|1 - 2 - 1| / 2) = 0.367879.
+  // Equations 16 and 17: semantic 0.5 x 0.606531 = 0.303265, then + 0.8 x 0.367879 = 0.597569; score is their sum.
+  EXPECT_NEAR(printed_score({first, second}), 0.303265 + 0.597569, 2e-6);
+  // The other way round: semantic 0.8 x 0.367879 = 0.294304, then + 0.303265 = 0.597569.
+  EXPECT_NEAR(printed_score({second, first}), 0.294304 + 0.597569, 2e-6);
 
+  // A third node that stays: first to third: s = 1, topology 1. Second to third: (-1, 1, 0) becomes (-2, 1, 0),
+  // s = sqrt(5 / 2) = 1.581139, exp(-|1 - 1.581139 - 1| / 2) = 0.453587. Third to first: 1. Third to second:
+  // exp(-|1 - 1.581139 - 0| / 2) = 0.747838.
+  const CommonNode third{Vec3(0, 1, 1), Vec3(0, 1, 1), 1.0};
+  // Semantic 0.5 (0.606531 + 1) = 0.803265, + 0.8 (0.367879 + 0.453587) = 1.460438, + 1 + 0.747838 = 3.208276.
+  EXPECT_NEAR(printed_score({first, second, third}), 0.803265 + 1.460438 + 3.208276, 2e-6);
+}
+
+TEST(PaperScore, PrintedScoreGrowsWithTheNodes) {
+  // Four that agree: each gives 3, the running sums 3 + 6 + 9 + 12. Three: 2 + 4 + 6.
   std::vector<CommonNode> nodes = nodes_at(SE3(), 1.0, 1.0);
-  EXPECT_NEAR(printed_score(nodes), 12.0, 1e-9);
+  EXPECT_NEAR(printed_score(nodes), 30.0, 1e-9);
   nodes.pop_back();
-  EXPECT_NEAR(printed_score(nodes), 6.0, 1e-9);
+  EXPECT_NEAR(printed_score(nodes), 12.0, 1e-9);
   EXPECT_NEAR(corrected_score(nodes), 1.0, 1e-12);
+}
+
+TEST(PaperScore, PrintedScoreDoesNotMeasureTheRotationOfAVector) {
+  // The start stays where it is and counts alone; the end turns about it by up to half a turn.
+  const CommonNode start{Vec3(0.0, 0.0, 1.0), Vec3(0.0, 0.0, 1.0), 1.0};
+  const Vec3 vector(0.3, 0.2, 0.4);
+  double last = 1.0;
+  for (const double angle_rad : {0.5, 1.5, 3.0}) {
+    const Vec3 turned = so3_exp(angle_rad * vector.cross(Vec3::UnitX()).normalized()) * vector;
+    const std::vector<CommonNode> nodes{start, {start.center_query + vector, start.center_match + turned, 0.0}};
+    EXPECT_NEAR(printed_score(nodes), 2.0, 1e-9) << angle_rad;
+    EXPECT_LT(corrected_score(nodes), 0.9 * last) << angle_rad;
+    last = corrected_score(nodes);
+  }
 }
 
 TEST(PaperScore, VectorTransformMapsBothEnds) {

@@ -41,6 +41,15 @@ TEST(Options, RulesBetweenFieldsAreChecked) {
   }
 }
 
+TEST(Options, LevelsAreOfTheCascadeAlone) {
+  for (const char* mode : {"joint", "jda"}) {
+    EXPECT_EQ(make_options<Options>({{"association.mode", mode}, {"association.levels", "2d"}}).message(),
+              "parameter 'association.levels' = '2d' must be 2d,pro,3d unless association.mode is cascade");
+  }
+  EXPECT_TRUE(make_options<Options>({{"association.mode", "cascade"}, {"association.levels", "2d"}}));
+  EXPECT_TRUE(make_options<Options>({{"association.mode", "joint"}, {"association.levels", "2d,pro,3d"}}));
+}
+
 TEST(Options, DefaultsAreValid) {
   const auto options = make_options<Options>({});
   EXPECT_TRUE(options) << options.message();

@@ -39,10 +39,11 @@ struct AssociatorOptions {
 
   void visit(OptionVisitor& visitor) {
     visitor.module("association");
-    visitor("mode", mode, one_of({"joint", "cascade", "jda"}),
-            "joint (one-to-one over all levels), cascade (the paper's three levels) or jda (the paper's baseline)");
+    visitor(
+        "mode", mode, one_of({"joint", "cascade", "jda"}),
+        "joint (one-to-one over overlap and labels), cascade (the paper's three levels) or jda (the paper's baseline)");
     visitor("levels", levels, {is_level_list, "a comma-separated list of 2d, pro, 3d"},
-            "levels in use, comma separated: 2d, pro, 3d");
+            "cascade mode: levels in use, comma separated: 2d, pro, 3d");
     visitor("pro_new_object", pro_new_object, one_of({"uniform", "paper"}),
             "level 2's prior of a new object: uniform (over labels and image) or paper (as printed)");
     visitor("boxes_max", boxes_max, at_least(1), "boxes of an image at most; those of the lowest scores are left out");
@@ -83,6 +84,8 @@ struct AssociatorOptions {
     visitor("posterior_count_max", posterior_count_max, at_least(1), "level 2: cap on a landmark's observation count");
     visitor("range_m", range_m, positive(), "landmarks farther from the camera are not looked for");
     visitor("jda_distance_max", jda_distance_max, above(0).at_most(3), "jda mode: largest summed distance of a pair");
+    visitor.require("levels", mode == "cascade" || levels == AssociatorOptions().levels,
+                    AssociatorOptions().levels + " unless association.mode is cascade");
   }
   static bool is_level_list(const std::string& text);
 };

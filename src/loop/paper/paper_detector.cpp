@@ -17,13 +17,11 @@ bool is_usable(const CommonNode& start, const CommonNode& end) {
   return query > kMinVector && match > kMinVector;  // false for NaN as well
 }
 
-/// Calls f(transform, rho) for every ordered pair of nodes; rho is that of the starting node.
+/// Calls f(end) for every other node to which a semantic vector leads from `start`.
 template <class F>
-void for_each_vector(const std::vector<CommonNode>& nodes, F f) {
-  for (const CommonNode& start : nodes) {
-    for (const CommonNode& end : nodes) {
-      if (&start != &end && is_usable(start, end)) f(vector_transform(start, end), start.quality);
-    }
+void for_each_vector(const std::vector<CommonNode>& nodes, const CommonNode& start, F f) {
+  for (const CommonNode& end : nodes) {
+    if (&start != &end && is_usable(start, end)) f(end);
   }
 }
 
@@ -71,20 +69,28 @@ VectorTransform vector_transform(const CommonNode& start, const CommonNode& end)
 
 double printed_score(const std::vector<CommonNode>& nodes) {
   constexpr double kRotationNorm = 1.0;  // spectral norm of any rotation
-  double sum = 0.0;
-  for_each_vector(nodes, [&sum](const VectorTransform& vector, double rho) {
-    sum += rho * std::exp(-0.5 * std::abs(vector.scale * kRotationNorm + vector.t.norm() - 1.0));
-  });
-  return sum;
+  double score = 0.0, semantic = 0.0;
+  for (const CommonNode& start : nodes) {
+    const double t_m = (start.center_match - start.center_query).norm();
+    for_each_vector(nodes, start, [&](const CommonNode& end) {
+      const double topology = std::exp(-0.5 * std::abs(1.0 - vector_transform(start, end).scale * kRotationNorm - t_m));
+      semantic += start.quality * topology;
+    });
+    score += semantic;
+  }
+  return score;
 }
 
 double corrected_score(const std::vector<CommonNode>& nodes) {
   double sum = 0.0;
   int vectors = 0;
-  for_each_vector(nodes, [&](const VectorTransform& vector, double rho) {
-    sum += rho * std::exp(-0.5 * (std::abs(1.0 - vector.scale) + vector.angle_rad + vector.t.norm()));
-    ++vectors;
-  });
+  for (const CommonNode& start : nodes) {
+    for_each_vector(nodes, start, [&](const CommonNode& end) {
+      const VectorTransform vector = vector_transform(start, end);
+      sum += start.quality * std::exp(-0.5 * (std::abs(1.0 - vector.scale) + vector.angle_rad + vector.t.norm()));
+      ++vectors;
+    });
+  }
   return vectors > 0 ? sum / vectors : 0.0;
 }
 

@@ -38,12 +38,17 @@ Mat3 rotation_between(const Vec3& from, const Vec3& to);
 /// R, s, t of the semantic vector from `start` to `end` (SemanticTopoLoop, QLT-SLC).
 VectorTransform vector_transform(const CommonNode& start, const CommonNode& end);
 
-/// The score as it is described in the paper: the sum over the pairs of nodes of
-/// rho exp(-|s ||R|| + ||t|| - 1| / 2) with the spectral norm of R. It is kept for the record: ||R|| is 1 for every
-/// rotation, so that none is measured; s = 0.5 with ||t|| = 0.5 m scores like identity; and the sum grows with n^2.
+/// The score by the letter of the paper (SemanticTopoLoop, equations 14, 16 and 17). For a vector from node p to q:
+/// t = C_p^match - C_p^query in components (14), topology = exp(-|1 - s ||R|| - ||t||| / 2) with the spectral norm of
+/// R; semantic += rho_p topology (16), and after each starting node p score += semantic (17). `semantic` begins at 0
+/// once, so that what the first nodes gave is added again with every later one: n nodes that agree give (n-1) n (n+1)
+/// / 2. Kept for the record: it depends on the order of the nodes; ||R|| is 1, so that no rotation is measured by
+/// itself; and s = 0.5 with ||t|| = 0.5 m scores like identity.
 double printed_score(const std::vector<CommonNode>& nodes);
 
 /// Mean over the pairs of nodes of rho exp(-(|1 - s| + theta + ||t||) / 2), in [0, 1]; 1 for identity and rho = 1.
+/// Where it departs from the letter: t is what R and s leave over (t = C^match - s R C^query), each difference counts
+/// by itself, theta for ||R||, and a mean has neither order nor number of nodes.
 double corrected_score(const std::vector<CommonNode>& nodes);
 
 /// ObjectIndex and KeyFrameQueue of QLT-SLC: which keyframes saw a landmark. A query visits the lists of its own
