@@ -28,6 +28,7 @@ class VisualizationNodelet : public StageWith<VisualizationParameters> {
     topology_.open(advertise<visualization_msgs::MarkerArray>("markers/topology"));
     loops_.open(advertise<visualization_msgs::MarkerArray>("markers/loops"));
     keyframes_.open(advertise<visualization_msgs::MarkerArray>("markers/keyframes"));
+    loop_map_.open(advertise<LoopMap>("loop_map"));
     tf_broadcaster_ = std::make_unique<tf2_ros::StaticTransformBroadcaster>();
     subscribe("keyframes", Keep::kAlways, &VisualizationNodelet::on_keyframe);
     subscribe("loop_closures", Keep::kAlways, &VisualizationNodelet::on_loops);
@@ -49,7 +50,9 @@ class VisualizationNodelet : public StageWith<VisualizationParameters> {
       }
       take_over(follower_.follow(core::objects_of(*map, options_, classes())));
     }
-    for (LazyPublisher* publisher : {&quadrics_, &labels_, &topology_, &loops_, &keyframes_}) publisher->mark_changed();
+    for (LazyPublisher* publisher : {&quadrics_, &labels_, &topology_, &loops_, &loop_map_, &keyframes_}) {
+      publisher->mark_changed();
+    }
   }
 
   void on_update(const MapUpdateMessage::ConstPtr& message) {
@@ -73,7 +76,7 @@ class VisualizationNodelet : public StageWith<VisualizationParameters> {
   void on_correction(const CorrectionMessage::ConstPtr& message) {
     view_.apply(*message);
     if (!message->changed) return;
-    for (LazyPublisher* publisher : {&labels_, &loops_, &keyframes_}) publisher->mark_changed();
+    for (LazyPublisher* publisher : {&labels_, &loops_, &loop_map_, &keyframes_}) publisher->mark_changed();
   }
 
   void on_keyframe(const Keyframe::ConstPtr& message) {
@@ -85,6 +88,7 @@ class VisualizationNodelet : public StageWith<VisualizationParameters> {
     if (message->closures.empty()) return;
     view_.add_loops(message->closures);
     loops_.mark_changed();
+    loop_map_.mark_changed();
   }
 
   void on_frame(const FrameMessage::ConstPtr& message) {
@@ -121,10 +125,11 @@ class VisualizationNodelet : public StageWith<VisualizationParameters> {
     if (labels_.is_due()) labels_.publish(make_label_markers(view_, header, *classes(), sizes));
     if (topology_.is_due()) topology_.publish(make_topology_markers(view_, header, sizes));
     if (loops_.is_due()) loops_.publish(make_loop_markers(view_, header, sizes));
+    if (loop_map_.is_due()) loop_map_.publish(make_loop_map(view_, header, session_id()));
     if (keyframes_.is_due()) keyframes_.publish(make_keyframe_markers(view_, header, sizes));
   }
 
-  LazyPublisher quadrics_, labels_, topology_, loops_, keyframes_;
+  LazyPublisher quadrics_, labels_, topology_, loops_, loop_map_, keyframes_;
   ros::Subscriber frame_subscriber_, association_subscriber_, full_map_subscriber_;
   std::unique_ptr<tf2_ros::StaticTransformBroadcaster> tf_broadcaster_;
   std::optional<core::SE3> sent_upright_;
