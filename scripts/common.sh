@@ -19,7 +19,7 @@ as_root() {
   if [ "$(id -u)" = 0 ]; then "$@"; else sudo "$@"; fi
 }
 
-common_packages="build-essential cmake ninja-build curl pkg-config xvfb libbenchmark-dev libboost-all-dev
+common_packages="build-essential cmake ninja-build curl pkg-config xauth xvfb libbenchmark-dev libboost-all-dev
   libceres-dev libeigen3-dev libgtest-dev libopencv-dev libsqlite3-dev libyaml-cpp-dev nlohmann-json3-dev python3-numpy
   python3-matplotlib zlib1g-dev"
 
@@ -53,8 +53,14 @@ required_packages() {
   esac
 }
 
+# What the rviz plugin is built with; without them it is left out.
+rviz_packages() {
+  if [ "$(. /etc/os-release && echo "$ID")" = ubuntu ]; then echo qtbase5-dev; else echo librviz-dev; fi
+}
+
 # What .ci/run needs beside them.
 ci_packages() {
+  rviz_packages
   echo clang-format clang-tidy
   if [ "$(. /etc/os-release && echo "$ID")" = ubuntu ]; then echo python3-catkin-lint; else echo catkin-lint; fi
 }

@@ -102,17 +102,19 @@ void MapView::set_view(const core::AssociationFrame& associations) {
   }
 }
 
+std::int64_t MapView::survivor(std::int64_t id) const {
+  // No longer than there are redirects: bad updates may make a ring of them.
+  auto it = redirects_.find(id);
+  for (std::size_t i = 0; i < redirects_.size() && it != redirects_.end(); ++i) {
+    id = it->second;
+    it = redirects_.find(id);
+  }
+  return id;
+}
+
 std::vector<const core::Landmark*> MapView::objects_of(const std::vector<std::int64_t>& ids) const {
   std::set<std::int64_t> survivors;
-  for (std::int64_t id : ids) {
-    // No longer than there are redirects: bad updates may make a ring of them.
-    auto it = redirects_.find(id);
-    for (std::size_t i = 0; i < redirects_.size() && it != redirects_.end(); ++i) {
-      id = it->second;
-      it = redirects_.find(id);
-    }
-    survivors.insert(id);
-  }
+  for (const std::int64_t id : ids) survivors.insert(survivor(id));
   std::vector<const core::Landmark*> objects;
   for (const std::int64_t id : survivors) {
     const auto it = landmarks_.find(id);

@@ -87,6 +87,8 @@ class MapView {
   const std::map<Loop, core::LoopReason>& refused_loops() const { return refused_; }
   const std::optional<core::Frame>& frame() const { return frame_; }
   const core::SE3& T_map_odom() const { return T_map_odom_; }
+  /// The landmark that this one lives on as; itself, unless it was merged.
+  std::int64_t survivor(std::int64_t id) const;
   /// Objects of the last frame with detections that have an ellipsoid and are not retired, in order of id, each once.
   std::vector<const core::Landmark*> objects_in_view() const { return objects_of(in_view_); }
   /// The same of the objects that two places share, by their ids on either side.

@@ -69,7 +69,7 @@ LoopClosuresDisplay::LoopClosuresDisplay() : MapDisplay("loop_map") {
 LoopClosuresDisplay::~LoopClosuresDisplay() {
   if (thin_lines_ == nullptr) return;
   scene_manager_->destroyManualObject(thin_lines_);
-  Ogre::MaterialManager::getSingleton().remove(thin_material_->getName(), resource_group());
+  Ogre::MaterialManager::getSingleton().remove(thin_material_->getHandle());
 }
 
 void LoopClosuresDisplay::onInitialize() {

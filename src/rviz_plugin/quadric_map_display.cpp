@@ -210,7 +210,7 @@ QuadricMapDisplay::QuadricMapDisplay() : MapDisplay("quadric_map") {
 QuadricMapDisplay::~QuadricMapDisplay() {
   objects_.clear();
   for (const auto& [colour, material] : materials_) {
-    Ogre::MaterialManager::getSingleton().remove(material->getName(), resource_group());
+    Ogre::MaterialManager::getSingleton().remove(material->getHandle());
   }
 }
 
