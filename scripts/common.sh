@@ -20,7 +20,7 @@ as_root() {
 }
 
 # What the scripts need beside what package.xml names.
-tool_packages="build-essential cmake ninja-build pkg-config xvfb"
+tool_packages="build-essential cmake ninja-build pkg-config xauth xvfb"
 
 # NAME in package.xml, packages to build and test with, packages to run with; -: what the libraries depend on is enough.
 system_packages="
@@ -35,6 +35,7 @@ system_packages="
   nlohmann-json-dev   nlohmann-json3-dev                                 -
   python3-matplotlib  python3-matplotlib                                 python3-matplotlib
   python3-numpy       python3-numpy                                      python3-numpy
+  qtbase5-dev         qtbase5-dev                                        -
   yaml-cpp            libyaml-cpp-dev                                    -
   zlib                zlib1g-dev                                         -"
 
@@ -57,7 +58,7 @@ debian_packages="
   roslib              libroslib-dev                                      -
   rospy               python3-rospy                                      python3-rospy
   rostest             librostest-dev,python3-rostest                     python3-rostest
-  rviz                rviz                                               rviz
+  rviz                rviz,librviz-dev                                   rviz
   tf2                 libtf2-dev                                         -
   tf2_ros             libtf2-ros-dev                                     -
   topic_tools         libtopic-tools-dev                                 -"

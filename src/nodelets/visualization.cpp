@@ -1,3 +1,6 @@
+#include <cv_bridge/cv_bridge.h>
+#include <image_transport/image_transport.h>
+#include <sensor_msgs/image_encodings.h>
 #include <tf2_ros/static_transform_broadcaster.h>
 
 #include <memory>
@@ -5,8 +8,11 @@
 #include <pluginlib/class_list_macros.hpp>
 
 #include "pipeline/map_state.h"
+#include "ros/annotated_image.h"
+#include "ros/frame_joiner.h"
 #include "ros/map_view.h"
 #include "ros/markers.h"
+#include "ros/rgbd_images.h"
 #include "ros/stage.h"
 #include "semantic_topo_loop/Keyframe.h"
 #include "semantic_topo_loop/geometry/lie.h"
@@ -14,13 +20,16 @@
 
 namespace semantic_topo_loop {
 /// Shows the map in rviz. Follows the deltas at all times, since a late listener wants the whole, but reads frames and
-/// associations, and makes markers, only while somebody listens.
+/// associations and images, and makes markers and pictures, only while somebody listens.
 class VisualizationNodelet : public StageWith<VisualizationParameters> {
  public:
   VisualizationNodelet() : StageWith("Visualization") {}
   ~VisualizationNodelet() override { stop(); }
 
  private:
+  using Joiner = FrameJoiner<FrameMessage::ConstPtr, AssociationsMessage::ConstPtr, sensor_msgs::ImageConstPtr>;
+  using ImageSet = Joiner::Set;
+
   void onInit() override {
     if (!start(2)) return;
     quadrics_.open(advertise<visualization_msgs::MarkerArray>("markers/quadrics"));
@@ -28,6 +37,9 @@ class VisualizationNodelet : public StageWith<VisualizationParameters> {
     topology_.open(advertise<visualization_msgs::MarkerArray>("markers/topology"));
     loops_.open(advertise<visualization_msgs::MarkerArray>("markers/loops"));
     keyframes_.open(advertise<visualization_msgs::MarkerArray>("markers/keyframes"));
+    loop_map_.open(advertise<LoopMap>("loop_map"));
+    annotated_ = image_transport::ImageTransport(getNodeHandle()).advertise("annotated_image", 1);
+    joiner_ = std::make_unique<Joiner>(queue_capacity());
     tf_broadcaster_ = std::make_unique<tf2_ros::StaticTransformBroadcaster>();
     subscribe("keyframes", Keep::kAlways, &VisualizationNodelet::on_keyframe);
     subscribe("loop_closures", Keep::kAlways, &VisualizationNodelet::on_loops);
@@ -40,6 +52,7 @@ class VisualizationNodelet : public StageWith<VisualizationParameters> {
   void reset_session() override {
     view_ = MapView();
     follower_ = MapFollower();
+    joiner_->clear();
     sent_upright_.reset();
     core::MapParts parts;
     parts.objects = true;
@@ -49,7 +62,9 @@ class VisualizationNodelet : public StageWith<VisualizationParameters> {
       }
       take_over(follower_.follow(core::objects_of(*map, options_, classes())));
     }
-    for (LazyPublisher* publisher : {&quadrics_, &labels_, &topology_, &loops_, &keyframes_}) publisher->mark_changed();
+    for (LazyPublisher* publisher : {&quadrics_, &labels_, &topology_, &loops_, &loop_map_, &keyframes_}) {
+      publisher->mark_changed();
+    }
   }
 
   void on_update(const MapUpdateMessage::ConstPtr& message) {
@@ -73,7 +88,7 @@ class VisualizationNodelet : public StageWith<VisualizationParameters> {
   void on_correction(const CorrectionMessage::ConstPtr& message) {
     view_.apply(*message);
     if (!message->changed) return;
-    for (LazyPublisher* publisher : {&labels_, &loops_, &keyframes_}) publisher->mark_changed();
+    for (LazyPublisher* publisher : {&labels_, &loops_, &loop_map_, &keyframes_}) publisher->mark_changed();
   }
 
   void on_keyframe(const Keyframe::ConstPtr& message) {
@@ -85,16 +100,48 @@ class VisualizationNodelet : public StageWith<VisualizationParameters> {
     if (message->closures.empty()) return;
     view_.add_loops(message->closures);
     loops_.mark_changed();
+    loop_map_.mark_changed();
   }
 
   void on_frame(const FrameMessage::ConstPtr& message) {
     view_.set_frame(*message);
     keyframes_.mark_changed();
+    if (color_subscriber_) annotate_image(joiner_->add<0>(to_stamp_ns(message->header.stamp), message));
   }
 
   void on_associations(const AssociationsMessage::ConstPtr& message) {
     view_.set_view(*message);
     topology_.mark_changed();
+    if (color_subscriber_) annotate_image(joiner_->add<1>(to_stamp_ns(message->header.stamp), message));
+  }
+
+  void on_image(const sensor_msgs::ImageConstPtr& image) {
+    push("color", Keep::kDroppable, [this, image] {
+      if (color_subscriber_) annotate_image(joiner_->add<2>(to_stamp_ns(image->header.stamp), image));
+    });
+  }
+
+  void annotate_image(const std::optional<ImageSet>& joined) {
+    if (!joined) return;
+    const auto& [frame, associations, color] = *joined;
+    core::Result<cv::Mat> image = to_mat(*color, sensor_msgs::image_encodings::BGR8, "colour");
+    if (!image) return complain("unusable images", image.message());
+    const core::Status status = annotate(*frame, *associations, view_, *classes(), &*image);
+    if (!status) return complain("unusable images", status.message());
+    annotated_.publish(cv_bridge::CvImage(color->header, sensor_msgs::image_encodings::BGR8, *image).toImageMsg());
+  }
+
+  void toggle_images(bool wanted) {
+    if (wanted == static_cast<bool>(color_subscriber_)) return;
+    if (wanted) {
+      joiner_->clear();
+      constexpr std::uint32_t kImages = 10;  // that wait for the callback, which is short
+      color_subscriber_ = image_transport::ImageTransport(subscriber_node())
+                              .subscribe("color", kImages, &VisualizationNodelet::on_image, this,
+                                         {"raw", {}, getPrivateNodeHandle(), "color_transport"});
+    } else {
+      color_subscriber_.shutdown();
+    }
   }
 
   /// For viewers, whose z is up: the map's need not be.
@@ -112,19 +159,26 @@ class VisualizationNodelet : public StageWith<VisualizationParameters> {
 
   void publish() {
     send_upright_frame();
-    toggle(keyframes_.has_listeners(), "frames", Keep::kDroppable, &VisualizationNodelet::on_frame, &frame_subscriber_);
-    toggle(topology_.has_listeners(), "associations", Keep::kDroppable, &VisualizationNodelet::on_associations,
-           &association_subscriber_);
+    const bool images_wanted = annotated_.getNumSubscribers() > 0;
+    toggle_images(images_wanted);
+    toggle(images_wanted || keyframes_.has_listeners(), "frames", Keep::kDroppable, &VisualizationNodelet::on_frame,
+           &frame_subscriber_);
+    toggle(images_wanted || topology_.has_listeners(), "associations", Keep::kDroppable,
+           &VisualizationNodelet::on_associations, &association_subscriber_);
     const std_msgs::Header header = make_header(stamp_, parameters_.map_frame);
     const MarkerSizes& sizes = parameters_.sizes;
     if (quadrics_.is_due()) quadrics_.publish(make_quadric_markers(view_, header));
     if (labels_.is_due()) labels_.publish(make_label_markers(view_, header, *classes(), sizes));
     if (topology_.is_due()) topology_.publish(make_topology_markers(view_, header, sizes));
     if (loops_.is_due()) loops_.publish(make_loop_markers(view_, header, sizes));
+    if (loop_map_.is_due()) loop_map_.publish(make_loop_map(view_, header, session_id()));
     if (keyframes_.is_due()) keyframes_.publish(make_keyframe_markers(view_, header, sizes));
   }
 
-  LazyPublisher quadrics_, labels_, topology_, loops_, keyframes_;
+  LazyPublisher quadrics_, labels_, topology_, loops_, loop_map_, keyframes_;
+  image_transport::Publisher annotated_;
+  image_transport::Subscriber color_subscriber_;
+  std::unique_ptr<Joiner> joiner_;  ///< by stamp
   ros::Subscriber frame_subscriber_, association_subscriber_, full_map_subscriber_;
   std::unique_ptr<tf2_ros::StaticTransformBroadcaster> tf_broadcaster_;
   std::optional<core::SE3> sent_upright_;

@@ -71,7 +71,7 @@ void MapView::apply(const core::MapCorrection& correction) {
   }
   for (const core::LoopVerdict& verdict : correction.loops) {
     const auto loop = loops_.find({verdict.query_keyframe_id, verdict.match_keyframe_id});
-    if (loop != loops_.end()) loop->second = verdict.kept;
+    if (loop != loops_.end()) loop->second.kept = verdict.kept;
   }
 }
 
@@ -81,8 +81,17 @@ void MapView::add_keyframe(std::int64_t keyframe_id, const core::SE3& T_odom_cam
 
 void MapView::add_loops(const std::vector<core::LoopClosure>& loops) {
   for (const core::LoopClosure& loop : loops) {
-    if (loop.accepted && !loop.T_earlier_match) loops_[{loop.query_keyframe_id, loop.match_keyframe_id}] = true;
+    if (loop.T_earlier_match) continue;
+    const Loop ends = {loop.query_keyframe_id, loop.match_keyframe_id};
+    if (loop.accepted) {
+      loops_[ends] = {true, loop.matches};
+      refused_.erase(ends);
+    } else if (loops_.count(ends) == 0) {
+      refused_[ends] = loop.reason;
+    }
   }
+  constexpr std::size_t kMostRefused = 2000;  // with more the image is one colour, and the messages are large
+  while (refused_.size() > kMostRefused) refused_.erase(refused_.begin());
 }
 
 void MapView::set_view(const core::AssociationFrame& associations) {
@@ -93,25 +102,36 @@ void MapView::set_view(const core::AssociationFrame& associations) {
   }
 }
 
-std::vector<const core::Landmark*> MapView::objects_in_view() const {
-  std::set<std::int64_t> ids;
-  for (std::int64_t id : in_view_) {
-    // No longer than there are redirects: bad updates may make a ring of them.
-    auto it = redirects_.find(id);
-    for (std::size_t i = 0; i < redirects_.size() && it != redirects_.end(); ++i) {
-      id = it->second;
-      it = redirects_.find(id);
-    }
-    ids.insert(id);
+std::int64_t MapView::survivor(std::int64_t id) const {
+  // No longer than there are redirects: bad updates may make a ring of them.
+  auto it = redirects_.find(id);
+  for (std::size_t i = 0; i < redirects_.size() && it != redirects_.end(); ++i) {
+    id = it->second;
+    it = redirects_.find(id);
   }
+  return id;
+}
+
+std::vector<const core::Landmark*> MapView::objects_of(const std::vector<std::int64_t>& ids) const {
+  std::set<std::int64_t> survivors;
+  for (const std::int64_t id : ids) survivors.insert(survivor(id));
   std::vector<const core::Landmark*> objects;
-  for (const std::int64_t id : ids) {
+  for (const std::int64_t id : survivors) {
     const auto it = landmarks_.find(id);
     const bool shown =
         it != landmarks_.end() && it->second.ellipsoid && it->second.state != core::LandmarkState::kRetired;
     if (shown) objects.push_back(&it->second);
   }
   return objects;
+}
+
+std::vector<const core::Landmark*> MapView::matched_objects(const std::vector<core::ObjectMatch>& matches) const {
+  std::vector<std::int64_t> ids;
+  for (const core::ObjectMatch& match : matches) {
+    ids.push_back(match.query_landmark_id);
+    ids.push_back(match.match_landmark_id);
+  }
+  return objects_of(ids);
 }
 
 core::Vec3 MapView::up() const {

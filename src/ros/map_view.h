@@ -42,6 +42,23 @@ class MapFollower {
   std::uint64_t gaps_ = 0;
 };
 
+/// Loops of which one line stands for several: where a place is passed slowly each keyframe closes the same loop.
+class DistinctLoops {
+ public:
+  /// @param query, match places of the cameras, m   @return whether no loop with both ends close by was added before
+  bool add(const core::Vec3& query, const core::Vec3& match) {
+    constexpr double kSameLoopM = 0.6;  // half a second of walking: lines this close cannot be told apart
+    for (const auto& [q, m] : ends_) {
+      if ((q - query).norm() < kSameLoopM && (m - match).norm() < kSameLoopM) return false;
+    }
+    ends_.emplace_back(query, match);
+    return true;
+  }
+
+ private:
+  std::vector<std::pair<core::Vec3, core::Vec3>> ends_;
+};
+
 /// What there is to show, put together from the stages' deltas. Everything in the map frame. Not thread-safe.
 class MapView {
  public:
@@ -49,12 +66,16 @@ class MapView {
     core::SE3 T_odom_camera, T_map_camera;
   };
   using Loop = std::pair<std::int64_t, std::int64_t>;  ///< ids of the query and the match keyframe
+  struct AcceptedLoop {
+    bool kept = true;  ///< the optimiser believes it
+    std::vector<core::ObjectMatch> matches;
+  };
 
   void apply(const core::MapUpdate& update);
   /// Keyframes and loops of which the correction says nothing stay as they are.
   void apply(const core::MapCorrection& correction);
   void add_keyframe(std::int64_t keyframe_id, const core::SE3& T_odom_camera);
-  /// Accepted loops only; a loop counts as kept until a correction says otherwise.
+  /// A loop counts as kept until a correction says otherwise. Of refused candidates the last ones are held.
   void add_loops(const std::vector<core::LoopClosure>& loops);
   void set_frame(const core::Frame& frame) { frame_ = frame; }
   /// A frame without detections leaves the view as it is.
@@ -62,12 +83,16 @@ class MapView {
 
   const std::map<std::int64_t, core::Landmark>& landmarks() const { return landmarks_; }
   const std::map<std::int64_t, Keyframe>& keyframes() const { return keyframes_; }
-  /// Whether each is kept, or rejected by the optimiser.
-  const std::map<Loop, bool>& loops() const { return loops_; }
+  const std::map<Loop, AcceptedLoop>& loops() const { return loops_; }
+  const std::map<Loop, core::LoopReason>& refused_loops() const { return refused_; }
   const std::optional<core::Frame>& frame() const { return frame_; }
   const core::SE3& T_map_odom() const { return T_map_odom_; }
+  /// The landmark that this one lives on as; itself, unless it was merged.
+  std::int64_t survivor(std::int64_t id) const;
   /// Objects of the last frame with detections that have an ellipsoid and are not retired, in order of id, each once.
-  std::vector<const core::Landmark*> objects_in_view() const;
+  std::vector<const core::Landmark*> objects_in_view() const { return objects_of(in_view_); }
+  /// The same of the objects that two places share, by their ids on either side.
+  std::vector<const core::Landmark*> matched_objects(const std::vector<core::ObjectMatch>& matches) const;
   /// The vertical, as the cameras were held: across the keyframes' x axes, on the side of image-up, since nothing says
   /// that the world is z-up. Unit; -y before the first keyframe.
   core::Vec3 up() const;
@@ -75,10 +100,14 @@ class MapView {
   std::optional<core::SE3> T_map_upright() const;
 
  private:
+  /// Those of these ids, and of what they were merged into, that there are to show.
+  std::vector<const core::Landmark*> objects_of(const std::vector<std::int64_t>& ids) const;
+
   std::map<std::int64_t, core::Landmark> landmarks_;
   std::map<std::int64_t, std::int64_t> redirects_;  ///< merged id to survivor; none of a landmark that lives
   std::map<std::int64_t, Keyframe> keyframes_;
-  std::map<Loop, bool> loops_;
+  std::map<Loop, AcceptedLoop> loops_;
+  std::map<Loop, core::LoopReason> refused_;  ///< none that was accepted later
   std::optional<core::Frame> frame_;
   std::vector<std::int64_t> in_view_;
   core::SE3 T_map_odom_;

@@ -5,6 +5,7 @@
 #include <cmath>
 #include <set>
 #include <string>
+#include <tuple>
 #include <utility>
 
 #include "ros/conversions.h"
@@ -68,20 +69,15 @@ void add_frustum(const core::SE3& T_map_camera, const core::Vec3& corner, Marker
   }
 }
 
-/// Lines of loops. Where a place is passed slowly each keyframe closes the same loop: one line stands for all of them.
+/// Lines of loops, one for all that look the same.
 struct LoopLines {
   explicit LoopLines(Marker lines) : marker(std::move(lines)) {}
   void add(const core::Vec3& query, const core::Vec3& match) {
-    constexpr double kSameLoopM = 0.6;  // half a second of walking: lines this close cannot be told apart
-    for (const auto& [q, m] : ends) {
-      if ((q - query).norm() < kSameLoopM && (m - match).norm() < kSameLoopM) return;
-    }
-    ends.emplace_back(query, match);
-    add_line(query, match, &marker);
+    if (distinct.add(query, match)) add_line(query, match, &marker);
   }
 
   Marker marker;
-  std::vector<std::pair<core::Vec3, core::Vec3>> ends;
+  DistinctLoops distinct;
 };
 
 /// Each object with its nearest ones, each pair once.
@@ -165,16 +161,43 @@ MarkerArrayPtr make_loop_markers(const MapView& view, const std_msgs::Header& he
   MarkerArrayPtr array = make_array(header, "loops");
   LoopLines kept(make_lines(header, "loops", 0, sizes.line_m, color(0.2, 0.9, 0.3, 0.45)));
   LoopLines rejected(make_lines(header, "loops", 1, 2.0 * sizes.line_m, color(1.0, 0.2, 0.2, 0.9)));
-  for (const auto& [loop, is_kept] : view.loops()) {
+  for (const auto& [loop, accepted] : view.loops()) {
     const auto query = view.keyframes().find(loop.first);
     const auto match = view.keyframes().find(loop.second);
     if (query == view.keyframes().end() || match == view.keyframes().end()) continue;
-    (is_kept ? kept : rejected).add(query->second.T_map_camera.t, match->second.T_map_camera.t);
+    (accepted.kept ? kept : rejected).add(query->second.T_map_camera.t, match->second.T_map_camera.t);
   }
   for (Marker* lines : {&kept.marker, &rejected.marker}) {
     if (!lines->points.empty()) array->markers.push_back(std::move(*lines));
   }
   return array;
+}
+
+LoopMapPtr make_loop_map(const MapView& view, const std_msgs::Header& header, std::uint32_t session_id) {
+  auto map = boost::make_shared<LoopMap>();
+  map->header = header;
+  map->session_id = session_id;
+  const auto add = [&view, &map](const MapView::Loop& loop, core::LoopReason reason, bool kept) {
+    const auto query = view.keyframes().find(loop.first);
+    const auto match = view.keyframes().find(loop.second);
+    if (query == view.keyframes().end() || match == view.keyframes().end()) return false;
+    LoopPlace& place = map->loops.emplace_back();
+    std::tie(place.query_keyframe_id, place.match_keyframe_id) = loop;
+    place.reason = static_cast<std::uint8_t>(reason);
+    place.kept = kept;
+    place.query = to_xyz<geometry_msgs::Point>(query->second.T_map_camera.t);
+    place.match = to_xyz<geometry_msgs::Point>(match->second.T_map_camera.t);
+    return true;
+  };
+  for (const auto& [loop, accepted] : view.loops()) {
+    if (!add(loop, core::LoopReason::kAccepted, accepted.kept)) continue;
+    for (const core::Landmark* object : view.matched_objects(accepted.matches)) {
+      map->loops.back().landmark_ids.push_back(object->id);
+      map->loops.back().objects.push_back(to_xyz<geometry_msgs::Point>(object->ellipsoid->center()));
+    }
+  }
+  for (const auto& [loop, reason] : view.refused_loops()) add(loop, reason, false);
+  return map;
 }
 
 MarkerArrayPtr make_keyframe_markers(const MapView& view, const std_msgs::Header& header, const MarkerSizes& sizes) {

@@ -7,9 +7,11 @@
 
 #include "ros/map_view.h"
 #include "ros/parameters.h"
+#include "semantic_topo_loop/LoopMap.h"
 #include "semantic_topo_loop/types/class_table.h"
 
-/// MarkerArrays of the map for rviz. Each begins with DELETEALL; ids are those of landmarks, so a marker keeps its id.
+/// What rviz shows of the map. Each MarkerArray begins with DELETEALL; ids are those of landmarks, so a marker keeps
+/// its id.
 namespace semantic_topo_loop {
 
 /// The same colour for a class in every run, neighbours in id far apart in hue.
@@ -27,6 +29,8 @@ visualization_msgs::MarkerArrayPtr make_topology_markers(const MapView& view, co
 /// rejected it. Of loops whose ends lie together one is drawn.
 visualization_msgs::MarkerArrayPtr make_loop_markers(const MapView& view, const std_msgs::Header& header,
                                                      const MarkerSizes& sizes);
+/// The loops with their ends and their objects where they are now; left out are those without one of their keyframes.
+LoopMapPtr make_loop_map(const MapView& view, const std_msgs::Header& header, std::uint32_t session_id);
 /// Frusta of the keyframes, every so manieth where they are many, and, in another colour, of the current camera,
 /// namespace "keyframes".
 visualization_msgs::MarkerArrayPtr make_keyframe_markers(const MapView& view, const std_msgs::Header& header,

@@ -32,6 +32,7 @@ std::map<std::string, Names> allowed_arrows() {
   arrows["tools"] = core;
   arrows["ros"] = core;
   arrows["nodelets"] = core + Names{"ros"};
+  arrows["rviz_plugin"] = core + Names{"ros"};
   arrows["apps"] = core + Names{"ros", "tools"};
   return arrows;
 }
@@ -42,7 +43,7 @@ const std::vector<std::pair<std::string, std::string>> kStrangers = {{"loop/grap
                                                                      {"loop/submap", "loop/graph"},
                                                                      {"loop/submap", "loop/paper"}};
 
-const Names kRosModules = {"ros", "nodelets", "apps"};
+const Names kRosModules = {"ros", "nodelets", "apps", "rviz_plugin"};
 /// What the core may include from outside; a public header of the core Eigen and OpenCV's matrix alone.
 const std::regex kCoreLibrary("(Eigen|boost|ceres|ext|nlohmann|opencv2|pcl|sys|yaml-cpp)/.*");
 const std::regex kPublicLibrary("Eigen/.*|opencv2/core.hpp");

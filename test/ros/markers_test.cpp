@@ -8,6 +8,7 @@
 
 #include "ros/conversions.h"
 #include "ros/map_view.h"
+#include "semantic_topo_loop/LoopClosure.h"
 #include "semantic_topo_loop/geometry/lie.h"
 
 namespace semantic_topo_loop {
@@ -182,7 +183,8 @@ TEST(MapView, ACorrectionMaySayOnlyWhatHasChanged) {
   EXPECT_EQ(view.keyframes().at(0).T_map_camera.t.x(), 0.5) << "as it was";
   EXPECT_EQ(view.keyframes().at(1).T_map_camera.t.x(), 1.25);
   EXPECT_EQ(view.keyframes().at(2).T_map_camera.t.x(), 2.25);
-  EXPECT_EQ(view.loops(), (std::map<MapView::Loop, bool>{{{2, 0}, false}, {{2, 1}, false}}));
+  ASSERT_EQ(view.loops().size(), 2u);
+  for (const auto& [loop, accepted] : view.loops()) EXPECT_FALSE(accepted.kept) << loop.second;
 }
 
 /// Two confirmed objects, a candidate, a retired one and one without an ellipsoid.
@@ -298,6 +300,55 @@ TEST(Markers, LoopsAreGreenUntilTheOptimiserRejectsThem) {
   array = make_loop_markers(view, map_header(), {});
   ASSERT_EQ(array->markers.size(), 2u);
   EXPECT_GT(array->markers[1].color.r, array->markers[1].color.g);
+}
+
+TEST(LoopMap, HasAcceptedLoopsWithTheirObjectsAndRefusedOnesWithTheirReason) {
+  MapView view = make_view();
+  core::MapUpdate merge;
+  merge.merged = {{3, 2}};
+  view.apply(merge);
+  for (int i = 0; i < 4; ++i) view.add_keyframe(i, core::SE3(core::Quaternion::Identity(), core::Vec3(i, 0.0, 0.0)));
+  std::vector<core::LoopClosure> loops(4);
+  for (std::size_t i = 0; i < loops.size(); ++i) {
+    loops[i].query_keyframe_id = 3;
+    loops[i].match_keyframe_id = static_cast<std::int64_t>(i);
+    loops[i].reason = core::LoopReason::kResidual;
+  }
+  loops[1].accepted = true;
+  loops[1].reason = core::LoopReason::kAccepted;
+  loops[1].matches = {{1, 1}, {3, 2}, {4, 4}, {99, 99}};  // of these one was merged, one is retired, one is not there
+  loops[2].query_keyframe_id = 9;                         // no such keyframe
+  loops[3].match_keyframe_id = 1;                         // the same pair as was accepted
+  view.add_loops(loops);
+  const auto map = make_loop_map(view, map_header(), 7);
+  EXPECT_EQ(map->header.frame_id, "map");
+  EXPECT_EQ(map->session_id, 7u);
+  ASSERT_EQ(map->loops.size(), 2u);
+  const LoopPlace &accepted = map->loops[0], &refused = map->loops[1];
+  EXPECT_EQ(accepted.match_keyframe_id, 1);
+  EXPECT_EQ(accepted.reason, LoopClosure::REASON_ACCEPTED);
+  EXPECT_TRUE(accepted.kept);
+  EXPECT_EQ(accepted.query.x, 3.0);
+  EXPECT_EQ(accepted.match.x, 1.0);
+  EXPECT_EQ(accepted.landmark_ids, (std::vector<std::int64_t>{1, 2}));
+  ASSERT_EQ(accepted.objects.size(), 2u);
+  EXPECT_EQ(accepted.objects[1].x, 1.0);
+  EXPECT_EQ(refused.match_keyframe_id, 0);
+  EXPECT_EQ(refused.reason, LoopClosure::REASON_RESIDUAL);
+  EXPECT_FALSE(refused.kept);
+  EXPECT_TRUE(refused.objects.empty());
+}
+
+TEST(LoopMap, HoldsTheLastOfManyRefusedCandidates) {
+  MapView view;
+  for (std::int64_t id = 0; id < 5000; ++id) {
+    core::LoopClosure loop;
+    loop.query_keyframe_id = id;
+    loop.match_keyframe_id = 0;
+    view.add_loops({loop});
+  }
+  EXPECT_EQ(view.refused_loops().size(), 2000u);
+  EXPECT_EQ(view.refused_loops().rbegin()->first.first, 4999);
 }
 
 TEST(MapView, CorrectionMovesKeyframesAndComposesTheLaterOnes) {
