@@ -51,9 +51,11 @@ void draw_object(const core::Landmark& landmark, const core::Mat34& P_image_map,
 }  // namespace
 
 std::optional<cv::RotatedRect> ellipse_of(const core::Conic& C_dual_image) {
-  // C* = [S - c c^T, -c; -c^T, -1] of the ellipse (x - c)^T S^-1 (x - c) = 1.
-  const core::Vec2 center = -C_dual_image.topRightCorner<2, 1>();
-  const Eigen::Matrix2d shape = C_dual_image.topLeftCorner<2, 2>() + center * center.transpose();
+  // C* ~ [S - c c^T, -c; -c^T, -1] of the ellipse (x - c)^T S^-1 (x - c) = 1.
+  const double scale = -C_dual_image(2, 2);
+  if (!(scale > 0.0)) return std::nullopt;
+  const core::Vec2 center = -C_dual_image.topRightCorner<2, 1>() / scale;
+  const Eigen::Matrix2d shape = C_dual_image.topLeftCorner<2, 2>() / scale + center * center.transpose();
   const Eigen::SelfAdjointEigenSolver<Eigen::Matrix2d> axes(shape);
   if (!(axes.eigenvalues()(0) > 0.0) || !center.allFinite()) return std::nullopt;
   const core::Vec2 size = 2.0 * axes.eigenvalues().cwiseSqrt();

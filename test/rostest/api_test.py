@@ -78,7 +78,7 @@ class ApiTest(DirectoryTest):
         cls.processes, cls.outputs = [], {}
         # What is made while somebody listens.
         cls.listeners = [rospy.Subscriber('/%s/%s' % (PACKAGE, topic), rospy.AnyMsg, lambda message: None)
-                         for topic in ('markers/keyframes', 'markers/topology')]
+                         for topic in ('markers/keyframes', 'markers/topology', 'annotated_image')]
         for name in cls.names:
             for key, value in own.get(name, {}).items():
                 rospy.set_param('/%s/%s/%s' % (PACKAGE, name, key), value)
