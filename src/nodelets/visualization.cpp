@@ -138,7 +138,7 @@ class VisualizationNodelet : public StageWith<VisualizationParameters> {
       constexpr std::uint32_t kImages = 10;  // that wait for the callback, which is short
       color_subscriber_ = image_transport::ImageTransport(subscriber_node())
                               .subscribe("color", kImages, &VisualizationNodelet::on_image, this,
-                                         {"raw", {}, getPrivateNodeHandle(), "color_transport"});
+                                         {parameters_.color_transport, {}, getPrivateNodeHandle(), "color_transport"});
     } else {
       color_subscriber_.shutdown();
     }

@@ -297,6 +297,7 @@ struct MarkerSizes {
 
 struct VisualizationParameters : MapStageParameters {
   std::string upright_frame = "map_upright";
+  std::string color_transport = "raw";
   double rate_hz = 5.0;
   MarkerSizes sizes;
 
@@ -304,6 +305,8 @@ struct VisualizationParameters : MapStageParameters {
     MapStageParameters::visit(visitor);
     visitor("upright_frame", upright_frame, core::any(),
             "z-up child frame of map_frame at the first camera, for viewers; empty: none");
+    visitor("color_transport", color_transport, core::given(),
+            "for annotated_image: image_transport of color: raw, compressed, ...");
     visitor("rate_hz", rate_hz, core::positive(), "most often that markers are published (wall time)");
     visitor("label_size_m", sizes.label_m, core::positive(), "height of the labels' letters");
     visitor("line_width_m", sizes.line_m, core::positive(), "width of the lines of topology and loops");
