@@ -10,6 +10,7 @@
 #include "ros/conversions.h"
 #include "semantic_topo_loop/Keyframe.h"
 #include "semantic_topo_loop/LoopMap.h"
+#include "semantic_topo_loop/SessionAck.h"
 #include "semantic_topo_loop/SessionControl.h"
 #include "semantic_topo_loop/ros/messages.h"
 #include "support/in_process_chain.h"
@@ -63,7 +64,9 @@ class Visualization : public ::testing::Test {
     SessionControl start;
     start.session_id = 1;
     start.command = SessionControl::COMMAND_START;
+    Last<SessionAck> ack("session_acks");
     control_.publish(start);
+    ASSERT_TRUE(ack.wait_for([](const SessionAck& a) { return a.session_id == 1; }));
     ASSERT_TRUE(wait_until([this] {
       return updates_.getNumSubscribers() > 0 && keyframes_.getNumSubscribers() > 0 && loops_.getNumSubscribers() > 0 &&
              corrections_.getNumSubscribers() > 0;
