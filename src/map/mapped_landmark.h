@@ -133,10 +133,7 @@ struct LandmarkRecord {
   SeenFrom seen_from;
   std::int64_t last_stamp_ns = 0;
   int next_fit_at = 0;
-  bool was_confirmed = false;  ///< when an earlier session ended
-
-  /// Whether it is an object, or was one when a session ended.
-  bool is_object() const { return state.state == LandmarkState::kConfirmed || was_confirmed; }
+  bool was_confirmed = false;  ///< when the session before ended
 };
 
 struct MappedLandmark : LandmarkRecord {

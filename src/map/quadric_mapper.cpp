@@ -136,7 +136,7 @@ struct QuadricMapper::Impl {
     }
     for (MappedLandmark& landmark : state.landmarks) {
       changed_.insert(landmark.state.id);
-      landmark.was_confirmed = landmark.is_object();
+      landmark.was_confirmed = landmark.state.state == LandmarkState::kConfirmed;
       landmarks_[landmark.state.id] = std::move(landmark);
     }
     end_update(&update);

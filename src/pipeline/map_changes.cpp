@@ -41,15 +41,13 @@ Boxes count_boxes(const MappedLandmark& landmark, std::int64_t first_keyframe_id
 }
 
 /// Keyframes from `begin` to before `end` in which a detector should have boxed what the map has there, since it did
-/// from there at some time; by the landmark's id. @param with_retired those that were retired, too, if they were
-/// objects
+/// from there at some time; by the landmark's id. @param with_former those, too, that only were objects when an
+/// earlier session ended
 std::map<std::int64_t, int> count_looks(const MapState& map, std::int64_t begin, std::int64_t end,
-                                        bool with_retired = false) {
+                                        bool with_former = false) {
   std::map<std::int64_t, MappedLandmark> landmarks;
   for (const MappedLandmark& landmark : map.objects.landmarks) {
-    if (landmark.state.state == LandmarkState::kCandidate && !landmark.was_confirmed) continue;
-    const bool is_retired = landmark.state.state == LandmarkState::kRetired;
-    if (is_retired && (!with_retired || static_cast<int>(landmark.observations.size()) < kMinBoxes)) continue;
+    if (landmark.state.state != LandmarkState::kConfirmed && !(with_former && landmark.was_confirmed)) continue;
     MappedLandmark& known = landmarks[landmark.state.id];
     known.state = landmark.state;
     known.state.state = LandmarkState::kConfirmed;
@@ -141,13 +139,13 @@ std::vector<MapChange> map_changes(const MapState& map) {
   std::vector<MapChange> gone, added;
   for (const MappedLandmark& landmark : map.objects.landmarks) {
     const Landmark& state = landmark.state;
-    if (!state.ellipsoid || (state.state == LandmarkState::kCandidate && !landmark.was_confirmed)) continue;
+    const bool is_confirmed = state.state == LandmarkState::kConfirmed;
+    if (!state.ellipsoid || (!is_confirmed && !landmark.was_confirmed)) continue;
     const auto [before, after] = count_boxes(landmark, first);
     const int looked_before = looks_before[state.id], looked_after = looks_after[state.id];
     MapChange change;
     change.boxes_before = before;
-    const bool is_confirmed = state.state == LandmarkState::kConfirmed;
-    if (before >= kMinBoxes || (landmark.is_object() && before > 0)) {
+    if (before > 0) {
       const int expected = static_cast<int>(std::int64_t{before} * looked_after / std::max(looked_before, 1));
       const bool is_missed = looked_after >= kMinLooksOfGone && expected >= kMinBoxes;
       change.seen_through_s = seen_through_s(landmark);
@@ -161,7 +159,7 @@ std::vector<MapChange> map_changes(const MapState& map) {
       change.before_id = state.id;
       change.looked_at_after = looked_after;
       gone.push_back(change);
-    } else if (is_confirmed && before == 0 && after >= kMinBoxes &&
+    } else if (is_confirmed && after >= kMinBoxes &&
                (landmark.sightings.is_placed() || landmark.sightings.seen_share() <= kMaxSeenShare)) {
       change.kind = MapChange::Kind::kNew;
       change.after_id = state.id;
