@@ -53,7 +53,7 @@ void expect_right(const RunOutcome& outcome) {
     for (std::size_t i = 0; i < loop.matches.size(); ++i) {
       EXPECT_EQ(loop.query_objects.at(i).landmark_id, loop.matches[i].query_landmark_id);
       EXPECT_EQ(loop.match_objects.at(i).landmark_id, loop.matches[i].match_landmark_id);
-      const Vec3 in_match = loop.T_match_query * loop.query_objects[i].position;
+      const Vec3 in_match = loop.T_match_query * Vec3(loop.scale * loop.query_objects[i].position);
       EXPECT_LT((in_match - loop.match_objects[i].position).norm(), 0.2) << "one object";
     }
   }
