@@ -94,10 +94,9 @@ void print_changes(const MapState& map, const ClassTable& classes) {
   }
 }
 
-/// How often each class was boxed, of the boxes that are kept.
-std::map<std::string, int> class_histogram(const MappedLandmark& landmark, const ClassTable& classes) {
+std::map<std::string, int> class_histogram(const Landmark& landmark, const ClassTable& classes) {
   std::map<std::string, int> histogram;
-  for (const Observation& observation : landmark.observations) ++histogram[classes.name(observation.class_id)];
+  for (const ClassCount& c : landmark.class_counts) histogram[classes.name(c.class_id)] = c.count;
   return histogram;
 }
 
@@ -109,7 +108,7 @@ nlohmann::json to_json(const MappedLandmark& landmark, const ClassTable& classes
   return {{"id", state.id},
           {"class_id", state.class_id},
           {"label", classes.name(state.class_id)},
-          {"classes", class_histogram(landmark, classes)},
+          {"classes", class_histogram(state, classes)},
           {"state", to_string(state.state)},
           {"center_m", {center.x(), center.y(), center.z()}},
           {"rotation_xyzw", {q.x(), q.y(), q.z(), q.w()}},

@@ -162,9 +162,10 @@ VISIT_MEMBERS(OdometryNoise, MEMBER(translation_m) MEMBER(rotation_rad) MEMBER(s
 VISIT_MEMBERS(OdometryJump, MEMBER(edge) MEMBER(translation_m) MEMBER(rotation_rad))
 VISIT_MEMBERS(NoiseEstimate, MEMBER(odometry) MEMBER(loop_factor) MEMBER(jumps))
 VISIT_MEMBERS(Ellipsoid, MEMBER(T_world_quadric) MEMBER(semi_axes))
-VISIT_MEMBERS(Landmark,
-              MEMBER(id) MEMBER(class_id) MEMBER(state) MEMBER(ellipsoid) MEMBER(center_covariance)
-                  MEMBER(anchor_keyframe_id) MEMBER(observations) MEMBER(baseline_deg) MEMBER(mean_iou) MEMBER(quality))
+VISIT_MEMBERS(ClassCount, MEMBER(class_id) MEMBER(count))
+VISIT_MEMBERS(Landmark, MEMBER(id) MEMBER(class_id) MEMBER(state) MEMBER(ellipsoid) MEMBER(center_covariance)
+                            MEMBER(anchor_keyframe_id) MEMBER(observations) MEMBER(baseline_deg) MEMBER(mean_iou)
+                                MEMBER(quality) LATER_MEMBER(class_counts))
 VISIT_MEMBERS(Sightings, MEMBER(seen_s) MEMBER(whole_s) MEMBER(expected_s) MEMBER(placed_s) MEMBER(bounded_s)
                              MEMBER(familiar_seen_s) MEMBER(familiar_missed_s) MEMBER(missed_since_s)
                                  MEMBER(transparent_s) MEMBER(seen_through_since_s))

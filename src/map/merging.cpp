@@ -126,6 +126,7 @@ void MergeHistory::join(const KeyframePlaces& S_map_keyframe, MappedLandmark mer
              [](const Observation& a, const Observation& b) { return a.frame_id < b.frame_id; });
   survivor->observations = std::move(all);
   survivor->state.observations += merged.state.observations;
+  for (const ClassCount& c : merged.state.class_counts) survivor->state.count_class(c.class_id, c.count);
   survivor->sightings.add(merged.sightings);
   survivor->sightings.expected_s = std::max(survivor->sightings.expected_s, merged.sightings.expected_s);
   if (merged.last_stamp_ns > survivor->last_stamp_ns) {
@@ -160,6 +161,7 @@ MappedLandmark MergeHistory::split(const KeyframePlaces& S_map_keyframe, std::si
     return merged;
   }
   survivor->state.observations -= merged.state.observations;
+  for (const ClassCount& c : merged.state.class_counts) survivor->state.count_class(c.class_id, -c.count);
   survivor->sightings.add(merged.sightings, -1.0);
   for (const auto& [id, count] : merged.seen_beside) survivor->seen_beside[id] -= count;
   survivor->seen_beside.erase(survivor->state.id);

@@ -240,6 +240,7 @@ struct QuadricMapper::Impl {
       }
       landmark.state.class_id = association.landmark_class_id;
       landmark.state.observations += 1;
+      landmark.state.count_class(association.class_id);
       landmark.last_stamp_ns = frame.stamp_ns;
       changed_.insert(id);
     }

@@ -68,11 +68,15 @@ void make_sphere(Ogre::SceneManager* scene) {
 }
 
 /// Name and value of each figure that a selected object tells.
-std::vector<std::pair<QString, QString>> figures(const core::Landmark& landmark, const QString& class_name) {
+std::vector<std::pair<QString, QString>> figures(const core::Landmark& landmark, const core::ClassTable& classes) {
   const core::Vec3 size = 2.0 * landmark.ellipsoid->semi_axes;
   const double sigma_m = std::sqrt(landmark.center_covariance.trace());
   const auto number = [](double value, int digits) { return QString::number(value, 'f', digits); };
-  return {{"Class", class_name},
+  const auto name = [&classes](int class_id) { return QString::fromStdString(classes.name(class_id)); };
+  QStringList boxes;
+  for (const core::ClassCount& c : landmark.class_counts) boxes += name(c.class_id) + ' ' + QString::number(c.count);
+  return {{"Class", name(landmark.class_id)},
+          {"Boxes", boxes.join(", ")},
           {"State", core::to_string(landmark.state)},
           {"Observations", QString::number(landmark.observations)},
           {"Size", number(size.x(), 3) + " x " + number(size.y(), 3) + " x " + number(size.z(), 3) + " m"},
@@ -85,19 +89,19 @@ std::vector<std::pair<QString, QString>> figures(const core::Landmark& landmark,
 
 class ObjectSelection : public rviz::SelectionHandler {
  public:
-  ObjectSelection(rviz::DisplayContext* context, const core::Landmark* landmark, const QString* class_name)
-      : SelectionHandler(context), landmark_(landmark), class_name_(class_name) {}
+  ObjectSelection(rviz::DisplayContext* context, const core::Landmark* landmark, const core::ClassTable* classes)
+      : SelectionHandler(context), landmark_(landmark), classes_(classes) {}
 
   void createProperties(const rviz::Picked& /*picked*/, rviz::Property* parent) override {
     auto* object = new rviz::Property("Object " + QString::number(landmark_->id), QVariant(), "", parent);
     properties_.push_back(object);
-    for (const auto& [name, value] : figures(*landmark_, *class_name_)) {
+    for (const auto& [name, value] : figures(*landmark_, *classes_)) {
       (new rviz::Property(name, value, "", object))->setReadOnly(true);
     }
     object->expand();
   }
   void updateProperties() override {
-    const auto now = figures(*landmark_, *class_name_);
+    const auto now = figures(*landmark_, *classes_);
     for (rviz::Property* object : properties_) {
       for (int i = 0; i < object->numChildren(); ++i) {
         object->childAt(i)->setValue(now[static_cast<std::size_t>(i)].second);
@@ -107,7 +111,7 @@ class ObjectSelection : public rviz::SelectionHandler {
 
  private:
   const core::Landmark* landmark_;
-  const QString* class_name_;
+  const core::ClassTable* classes_;
 };
 
 }  // namespace
@@ -115,12 +119,13 @@ class ObjectSelection : public rviz::SelectionHandler {
 /// What stands for a landmark in the scene.
 class MapObject {
  public:
-  MapObject(rviz::DisplayContext* context, Ogre::SceneNode* parent, core::Landmark landmark)
+  MapObject(rviz::DisplayContext* context, Ogre::SceneNode* parent, core::Landmark landmark,
+            const core::ClassTable* classes)
       : landmark_(std::move(landmark)),
         node_(parent->createChildSceneNode()),
         shape_(node_->createChildSceneNode()),
         entity_(context->getSceneManager()->createEntity(kSphere)),
-        selection_(context, &landmark_, &class_name_) {
+        selection_(context, &landmark_, classes) {
     shape_->attachObject(entity_);
     selection_.addTrackedObject(entity_);
   }
@@ -135,9 +140,8 @@ class MapObject {
   MapObject(const MapObject&) = delete;
   MapObject& operator=(const MapObject&) = delete;
 
-  void set(const core::Landmark& landmark, const QString& class_name, const Ogre::MaterialPtr& material) {
+  void set(const core::Landmark& landmark, const Ogre::MaterialPtr& material) {
     landmark_ = landmark;
-    class_name_ = class_name;
     node_->setPosition(to_ogre(landmark.ellipsoid->center()));
     shape_->setOrientation(to_ogre(landmark.ellipsoid->T_world_quadric.q));
     shape_->setScale(to_ogre(landmark.ellipsoid->semi_axes));
@@ -169,7 +173,6 @@ class MapObject {
 
  private:
   core::Landmark landmark_;
-  QString class_name_;
   Ogre::SceneNode* node_;
   Ogre::SceneNode* shape_;
   Ogre::Entity* entity_;
@@ -298,8 +301,8 @@ void QuadricMapDisplay::draw(const MapMessage* message) {
   for (const core::Landmark& landmark : message->changed) {
     if (!is_shown(landmark)) continue;
     std::unique_ptr<MapObject> object = std::move(former[landmark.id]);
-    if (!object) object = std::make_unique<MapObject>(context_, scene_node_, landmark);
-    object->set(landmark, QString::fromStdString(classes_.name(landmark.class_id)), material(colour(landmark)));
+    if (!object) object = std::make_unique<MapObject>(context_, scene_node_, landmark, &classes_);
+    object->set(landmark, material(colour(landmark)));
     object->set_label(label(landmark).toStdString(), label_size_->getFloat(), up());
     if (object->label() != nullptr) object->label()->setColor(label_colour_->getOgreColor());
     objects_[landmark.id] = std::move(object);

@@ -24,6 +24,15 @@ const char* to_string(LandmarkState state) {
   return i < kNames.size() ? kNames[i] : "unknown";
 }
 
+void Landmark::count_class(int of_class, int count) {
+  const auto place = std::lower_bound(class_counts.begin(), class_counts.end(), of_class,
+                                      [](const ClassCount& c, int id) { return c.class_id < id; });
+  const bool is_known = place != class_counts.end() && place->class_id == of_class;
+  const auto entry = is_known ? place : class_counts.insert(place, {of_class, 0});
+  entry->count += count;
+  if (entry->count == 0) class_counts.erase(entry);
+}
+
 void LandmarkRedirects::apply(const MapUpdate& update) {
   for (const LandmarkMerge& merge : update.unmerged) {
     const auto it = survivor_.find(merge.merged_id);

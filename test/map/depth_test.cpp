@@ -282,6 +282,9 @@ TEST_F(DepthMapperTest, OneThingUnderTwoNamesBecomesOneWhereDepthPlacesIt) {
   ASSERT_NE(find(0), nullptr);
   EXPECT_EQ(find(1), nullptr);
   EXPECT_EQ(find(0)->observations, 60);
+  ASSERT_EQ(find(0)->class_counts.size(), 2U);
+  EXPECT_EQ(find(0)->class_counts[0].count, 40) << "by its first name";
+  EXPECT_EQ(find(0)->class_counts[1].count, 20);
 }
 
 TEST_F(DepthMapperTest, DepthConfirmsFromOneSideAndLowScoresTakeLonger) {

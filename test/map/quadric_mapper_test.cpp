@@ -428,6 +428,7 @@ TEST_F(MapperTest, MergeIsUndoneWhenACorrectionPullsTheTwoApart) {
   ASSERT_NE(find(1), nullptr);
   EXPECT_EQ(find(0)->observations, first.observations);
   EXPECT_EQ(find(1)->observations, second.observations);
+  EXPECT_EQ(find(0)->class_counts[0].count, first.observations);
   EXPECT_EQ(find(0)->state, LandmarkState::kConfirmed);
   EXPECT_EQ(find(1)->state, LandmarkState::kConfirmed);
   EXPECT_LT((find(0)->ellipsoid->center() - kCup.center()).norm(), 0.01);

@@ -40,7 +40,8 @@ class Random {
             small(),
             number(),
             number(),
-            number()};
+            number(),
+            {{small(), small()}, {small(), small()}}};
   }
   std_msgs::Header header() {
     std_msgs::Header header;
@@ -252,6 +253,9 @@ void expect_same(const Quadric& message, const core::Landmark& landmark) {
   EXPECT_EQ(message.baseline_deg, landmark.baseline_deg);
   EXPECT_EQ(message.mean_iou, landmark.mean_iou);
   EXPECT_EQ(message.quality, landmark.quality);
+  ASSERT_EQ(message.class_counts.size(), landmark.class_counts.size());
+  EXPECT_EQ(message.class_counts[1].class_id, landmark.class_counts[1].class_id);
+  EXPECT_EQ(message.class_counts[1].count, landmark.class_counts[1].count);
 }
 
 TEST(Messages, MapUpdateAndFullMap) {

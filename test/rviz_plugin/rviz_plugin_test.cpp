@@ -185,8 +185,10 @@ TEST_F(RvizPlugin, NamesThatCoverEachOtherAreShownOnce) {
 TEST_F(RvizPlugin, ASelectedObjectTellsItsFigures) {
   rviz::Display* display = add("semantic_topo_loop/QuadricMap");
   look_at_origin();
-  publish_map({make_landmark(7, kTv, core::LandmarkState::kConfirmed, {0.0, 0.0, 0.0}),
-               make_landmark(8, kCup, core::LandmarkState::kConfirmed, {0.0, 5.0, 0.0})});
+  core::Landmark tv = make_landmark(7, kTv, core::LandmarkState::kConfirmed, {0.0, 0.0, 0.0});
+  tv.count_class(kTv, 10);
+  tv.count_class(kCup, 2);
+  publish_map({tv, make_landmark(8, kCup, core::LandmarkState::kConfirmed, {0.0, 5.0, 0.0})});
   ASSERT_TRUE(wait_for_objects(display, 2));
   const std::uint64_t frame = host_->manager().getFrameCount();
   ASSERT_TRUE(RvizHost::spin_until([&] { return host_->manager().getFrameCount() > frame + 5; }, kPatience_s));
@@ -201,6 +203,7 @@ TEST_F(RvizPlugin, ASelectedObjectTellsItsFigures) {
     return const_cast<rviz::Property*>(object)->subProp(name)->getValue().toString().toStdString();
   };
   EXPECT_EQ(figure("Class"), "tv");
+  EXPECT_EQ(figure("Boxes"), "cup 2, tv 10");
   EXPECT_EQ(figure("State"), "confirmed");
   EXPECT_EQ(figure("Observations"), "12");
   EXPECT_EQ(figure("Size"), "0.200 x 0.400 x 0.600 m");

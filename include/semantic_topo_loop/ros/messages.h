@@ -281,8 +281,9 @@ SEMANTIC_TOPO_LOOP_FIELDS(core::Detection, m.class_id, m.score, m.box)
 SEMANTIC_TOPO_LOOP_FIELDS(core::Association, m.detection_index, m.landmark_id, m.level, m.class_id, m.score, m.box,
                           m.truncated, m.landmark_class_id, m.near_m)
 SEMANTIC_TOPO_LOOP_FIELDS(core::Ellipsoid, m.T_world_quadric, m.semi_axes)
+SEMANTIC_TOPO_LOOP_FIELDS(core::ClassCount, m.class_id, m.count)
 SEMANTIC_TOPO_LOOP_FIELDS(core::Landmark, m.id, m.class_id, m.state, m.ellipsoid, m.center_covariance,
-                          m.anchor_keyframe_id, m.observations, m.baseline_deg, m.mean_iou, m.quality)
+                          m.anchor_keyframe_id, m.observations, m.baseline_deg, m.mean_iou, m.quality, m.class_counts)
 SEMANTIC_TOPO_LOOP_FIELDS(core::LandmarkMerge, m.merged_id, m.survivor_id)
 SEMANTIC_TOPO_LOOP_FIELDS(core::ObjectMatch, m.query_landmark_id, m.match_landmark_id)
 SEMANTIC_TOPO_LOOP_FIELDS(core::SubmapObject, m.landmark_id, m.class_id, m.position, m.radius_m)

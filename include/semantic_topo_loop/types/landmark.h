@@ -28,6 +28,12 @@ enum class LandmarkState : std::uint8_t { kCandidate = 0, kConfirmed = 1, kRetir
 
 const char* to_string(LandmarkState state);
 
+/// How often something was boxed as a class.
+struct ClassCount {
+  int class_id = -1;
+  int count = 0;
+};
+
 /// An object as the map publishes it.
 struct Landmark {
   std::int64_t id = -1;
@@ -37,9 +43,12 @@ struct Landmark {
   Mat3 center_covariance = Mat3::Zero();  ///< m^2
   std::int64_t anchor_keyframe_id = -1;   ///< the keyframe it moves with
   int observations = 0;
-  double baseline_deg = 0.0;  ///< largest angle between two rays to the centre
-  double mean_iou = 0.0;      ///< of projected and detected boxes
-  double quality = 0.0;       ///< rho in [0, 1]
+  double baseline_deg = 0.0;             ///< largest angle between two rays to the centre
+  double mean_iou = 0.0;                 ///< of projected and detected boxes
+  double quality = 0.0;                  ///< rho in [0, 1]
+  std::vector<ClassCount> class_counts;  ///< of its boxes, in order of class
+
+  void count_class(int of_class, int count = 1);
 };
 
 struct LandmarkMerge {
