@@ -168,7 +168,7 @@ VISIT_MEMBERS(Landmark, MEMBER(id) MEMBER(class_id) MEMBER(state) MEMBER(ellipso
                                 MEMBER(quality) LATER_MEMBER(class_counts))
 VISIT_MEMBERS(Sightings, MEMBER(seen_s) MEMBER(whole_s) MEMBER(expected_s) MEMBER(placed_s) MEMBER(bounded_s)
                              MEMBER(familiar_seen_s) MEMBER(familiar_missed_s) MEMBER(missed_since_s)
-                                 MEMBER(transparent_s) MEMBER(seen_through_since_s))
+                                 LATER_MEMBER(hollow_s) MEMBER(transparent_s) MEMBER(seen_through_since_s))
 VISIT_MEMBERS(BoxView, MEMBER(T_world_camera) MEMBER(box) MEMBER(truncated) MEMBER(near_m))
 VISIT_MEMBERS(Observation, MEMBER(frame_id) MEMBER(source_id) MEMBER(keyframe_id) MEMBER(class_id) MEMBER(view))
 VISIT_MEMBERS(LandmarkRecord, MEMBER(state) MEMBER(seen_beside) MEMBER(sightings) MEMBER(seen_from)

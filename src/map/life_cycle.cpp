@@ -9,6 +9,7 @@ namespace {
 
 constexpr double kBoundedShare = 0.2;      // of the time to be seen for: what no image shows the end of is no object
 constexpr double kTransparentShare = 0.1;  // of the time seen: what shows more of its background has holes
+constexpr double kHollowShare = 0.1;       // of the time seen: what shows more of its inside is hollow
 constexpr double kMinWidth_px = 12.0, kMinHeight_px = 8.0;  // of a projection that a detector may be expected to box
 constexpr double kFullyVisibleShare = 0.8;                  // of its area, inside the image
 constexpr double kPartlyVisibleShare = 0.4;                 // the same, for depth to show what lies behind it
@@ -26,6 +27,7 @@ struct Candidate {
   const Ellipsoid* ellipsoid = nullptr;
   Box box, whole;                       ///< inside the image, and not clipped
   double near_m = 0.0, center_m = 0.0;  ///< depths of the near side and the centre
+  bool is_hollow = false;
 };
 
 bool is_hidden_by_landmark(const Candidate& candidate, const std::vector<Candidate>& all) {
@@ -44,17 +46,16 @@ bool is_hidden_by_other(const Candidate& candidate, const AssociationFrame& asso
 }
 
 /// What depth says about the place of a landmark.
-enum class DepthThere { kUnknown, kInFront, kAtIt, kBehind };
+enum class DepthThere { kUnknown, kInFront, kAtIt, kInIt, kBehind };
 
 /// By the points in the middle of its projection, where its near side should be; the border shows what is around it.
-/// Behind it is what is behind its far side, too: what is hollow, as a chair, shows its seat.
 DepthThere depth_there(const Candidate& candidate, const FramePoints& points, const SE3& T_map_camera) {
   const Vec2 middle = candidate.whole.center();
   const double half_width = 0.5 * kMiddle * candidate.whole.width();
   const double half_height = 0.5 * kMiddle * candidate.whole.height();
   const Box box{middle.x() - half_width, middle.y() - half_height, middle.x() + half_width, middle.y() + half_height};
   const double uneven = kUneven_m + kUnevenShare * candidate.ellipsoid->radius();
-  std::size_t known = 0, in_front = 0, behind = 0;
+  std::size_t known = 0, in_front = 0, in_it = 0, behind = 0;
   for (const SeenPoint& p : points.in(box, kPointsMax)) {
     const double z = p.point_camera.z();
     const std::optional<RayDepths> there =
@@ -63,12 +64,14 @@ DepthThere depth_there(const Candidate& candidate, const FramePoints& points, co
     const double margin = kSigmas * (uneven + depth_sigma_m(z));
     ++known;
     if (z < there->enters - margin) ++in_front;
-    if (z > std::max(there->enters + margin, there->leaves)) ++behind;
+    if (z <= there->enters + margin) continue;
+    ++(z > there->leaves ? behind : in_it);
   }
   if (known < kMinPoints) return DepthThere::kUnknown;
   const auto share = [known](std::size_t count) { return static_cast<double>(count) / static_cast<double>(known); };
   if (share(in_front) > kHiddenShare) return DepthThere::kInFront;
-  return share(behind) > kSeenThroughShare ? DepthThere::kBehind : DepthThere::kAtIt;
+  if (share(behind) > kSeenThroughShare) return DepthThere::kBehind;
+  return share(behind + in_it) > kSeenThroughShare ? DepthThere::kInIt : DepthThere::kAtIt;
 }
 
 }  // namespace
@@ -93,15 +96,18 @@ std::vector<ExpectedLandmark> expected_landmarks(const std::map<std::int64_t, Ma
     const Vec3 axis = P.row(2).head<3>().transpose();
     const double depth = axis.dot(center) + P(2, 3);
     in_view.push_back({id, &*landmark.state.ellipsoid, visible, *box,
-                       depth - std::sqrt(std::max(0.0, axis.dot(shape * axis))), depth});
+                       depth - std::sqrt(std::max(0.0, axis.dot(shape * axis))), depth,
+                       landmark.sightings.hollow_s > kHollowShare * landmark.sightings.seen_s});
   }
   std::vector<ExpectedLandmark> expected;
   for (const Candidate& candidate : in_view) {
     if (is_hidden_by_landmark(candidate, in_view) || is_hidden_by_other(candidate, associations)) continue;
     const DepthThere there = points != nullptr ? depth_there(candidate, *points, T_map_camera) : DepthThere::kUnknown;
     if (there == DepthThere::kInFront) continue;
-    if (there != DepthThere::kBehind && candidate.box.area() <= kFullyVisibleShare * candidate.whole.area()) continue;
-    expected.push_back({candidate.id, candidate.box.size(), there == DepthThere::kBehind});
+    const bool is_in_it = there == DepthThere::kInIt;
+    const bool is_seen_through = there == DepthThere::kBehind || (is_in_it && !candidate.is_hollow);
+    if (!is_seen_through && candidate.box.area() <= kFullyVisibleShare * candidate.whole.area()) continue;
+    expected.push_back({candidate.id, candidate.box.size(), is_in_it, is_seen_through});
   }
   return expected;
 }

@@ -41,6 +41,8 @@ struct Sightings {
   Vec4 bounded_s = Vec4::Zero();
   /// Expected from where it had been seen before: with a box, without one, and without one since the last box.
   double familiar_seen_s = 0.0, familiar_missed_s = 0.0, missed_since_s = 0.0;
+  /// In view with a box where depth shows its inside, as the seat of a chair.
+  double hollow_s = 0.0;
   /// In view where depth shows what lies behind it: while it had a box (it has holes, or is misplaced), and without a
   /// box since the last one (it has gone).
   double transparent_s = 0.0, seen_through_since_s = 0.0;
@@ -61,6 +63,7 @@ struct Sightings {
     bounded_s += sign * other.bounded_s;
     familiar_seen_s += sign * other.familiar_seen_s;
     familiar_missed_s += sign * other.familiar_missed_s;
+    hollow_s += sign * other.hollow_s;
     transparent_s += sign * other.transparent_s;
   }
 };
@@ -167,8 +170,10 @@ class ViewSource {
 
 struct ExpectedLandmark {
   std::int64_t id = -1;
-  double size_px = 0.0;          ///< of its projected box
-  bool is_seen_through = false;  ///< depth shows what lies behind it
+  double size_px = 0.0;       ///< of its projected box
+  bool is_seen_into = false;  ///< depth shows what lies between its near and its far side
+  bool is_seen_through =
+      false;  ///< depth shows what lies behind it: behind its near side, or its far side if it is hollow
 };
 
 /// The landmarks that a detector should box in this frame: fully in view, large enough, and hidden by nothing known:

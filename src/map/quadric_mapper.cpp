@@ -272,6 +272,7 @@ struct QuadricMapper::Impl {
       if (landmark.last_stamp_ns == frame.stamp_ns) {
         landmark.seen_from.add(direction, expected.size_px);
         landmark.sightings.familiar_seen_s += step_s_;
+        if (expected.is_seen_into) landmark.sightings.hollow_s += step_s_;
         landmark.sightings.transparent_s += seen_through_s;
       } else {
         landmark.sightings.seen_through_since_s += seen_through_s;
