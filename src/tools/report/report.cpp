@@ -44,14 +44,6 @@ std::vector<double> frame_times_ms(const RunData& run) {
   return times;
 }
 
-/// The value that a share of all is not above; 0 for no values.
-double quantile(std::vector<double> values, double share) {
-  if (values.empty()) return 0.0;
-  std::sort(values.begin(), values.end());
-  const double rank = std::ceil(share * static_cast<double>(values.size()));
-  return values[static_cast<std::size_t>(std::max(rank, 1.0)) - 1];
-}
-
 std::string milliseconds(double ms) { return format_fixed(ms, ms < 10.0 ? 2 : ms < 100.0 ? 1 : 0); }
 
 std::string tiles(const RunData& run) {
