@@ -1,6 +1,7 @@
 #include <memory>
 #include <mutex>
 #include <pluginlib/class_list_macros.hpp>
+#include <string>
 
 #include "pipeline/map_state.h"
 #include "ros/stage.h"
@@ -40,10 +41,8 @@ class PointMappingNodelet : public StageWith<PointMappingParameters> {
 
   void on_points(const KeyframePointsMessage::ConstPtr& message) {
     if (!message->keyframe_points) {
-      statistics().count("unusable points of keyframes");
-      NODELET_WARN_ONCE("points of keyframe %ld left out: %s", static_cast<long>(message->keyframe_id),
-                        message->problem.c_str());
-      return;
+      return complain("unusable points of keyframes",
+                      "keyframe " + std::to_string(message->keyframe_id) + ": " + message->problem);
     }
     stamp_ = message->header.stamp;
     const std::lock_guard<std::mutex> lock(mutex_);
