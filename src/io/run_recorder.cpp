@@ -1,6 +1,5 @@
 #include "semantic_topo_loop/io/run_recorder.h"
 
-#include <sys/resource.h>
 #include <unistd.h>
 
 #include <algorithm>
@@ -18,6 +17,7 @@
 
 #include "geometry/relative_pose.h"
 #include "io/csv.h"
+#include "io/process_memory.h"
 #include "loop/graph/relocalisation.h"
 #include "semantic_topo_loop/io/run_files.h"
 #include "semantic_topo_loop/io/text_file.h"
@@ -173,25 +173,6 @@ struct FramePlace {
  private:
   std::array<double, 7> pose_{};
 };
-
-/// Memory of this process, MiB.
-struct Memory {
-  double resident_mb = 0.0, peak_mb = 0.0;
-};
-
-Memory memory_of_process() {
-  Memory memory;
-  constexpr double kMiB = 1 << 20, kKiB = 1 << 10;
-  rusage usage{};
-  if (::getrusage(RUSAGE_SELF, &usage) == 0) memory.peak_mb = static_cast<double>(usage.ru_maxrss) * kKiB / kMiB;
-  long size = 0, resident = 0;  // pages
-  if (std::FILE* file = std::fopen("/proc/self/statm", "r")) {
-    if (std::fscanf(file, "%ld %ld", &size, &resident) != 2) resident = 0;
-    std::fclose(file);
-  }
-  memory.resident_mb = static_cast<double>(resident) * static_cast<double>(::sysconf(_SC_PAGESIZE)) / kMiB;
-  return memory;
-}
 
 /// A frame of which a stage may still tell more.
 struct OpenFrame {

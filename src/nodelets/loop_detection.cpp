@@ -125,7 +125,7 @@ class LoopDetectionNodelet : public StageWith<LoopDetectionParameters> {
   }
 
   void detect(const std::optional<Joiner::Set>& joined) {
-    statistics().set(kIncomplete, joiner_->evicted());
+    statistics().set_lost(kIncomplete, joiner_->evicted());
     if (!joined) return;
     const FrameMessage& frame = *std::get<0>(*joined);
     FrameLoops loops;

@@ -70,7 +70,7 @@ class ObjectAssociationNodelet : public StageWith<ClassStageParameters> {
   }
 
   void associate(const std::optional<std::tuple<FrameMessage::ConstPtr, DetectionsMessage::ConstPtr>>& joined) {
-    statistics().set(kIncomplete, joiner_->evicted());
+    statistics().set_lost(kIncomplete, joiner_->evicted());
     if (!joined) return;
     const auto& [frame, detections] = *joined;
     core::AssociationFrame associations =

@@ -5,6 +5,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <map>
 #include <memory>
 #include <mutex>
 #include <optional>
@@ -22,6 +23,8 @@
 #include "semantic_topo_loop/WithdrawLoop.h"
 #include "semantic_topo_loop/io/tum_trajectory.h"
 #include "semantic_topo_loop/pipeline/object_slam.h"
+#include "semantic_topo_loop/types/stamp.h"
+#include "semantic_topo_loop/types/text.h"
 
 namespace semantic_topo_loop {
 namespace {
@@ -92,6 +95,7 @@ class PoseGraphNodelet : public StageWith<PoseGraphParameters> {
   static constexpr double kPathPeriodS = 0.5;  ///< paths grow with the run: not with every frame
   static constexpr std::uint32_t kExternalQueue = 100;
   static constexpr char kWithoutLoops[] = "frames whose loop detection was lost";
+  static constexpr char kLast[] = "last optimisation";
   static constexpr char kExternal[] = "external loops", kRefused[] = "external loops refused";
 
   void onInit() override {
@@ -132,6 +136,8 @@ class PoseGraphNodelet : public StageWith<PoseGraphParameters> {
     joiner_->clear();
     late_loops_.clear();
     external_loops_ = {};
+    is_kept_.clear();
+    statistics().set_text(kLast, "none");
     odometry_keyframes_.clear();
     last_frame_.reset();
     map_parts_.reset_session();
@@ -217,7 +223,7 @@ class PoseGraphNodelet : public StageWith<PoseGraphParameters> {
   }
 
   void process(const std::optional<Joiner::Set>& joined) {
-    statistics().set(kWithoutLoops, joiner_->evicted());
+    statistics().set_lost(kWithoutLoops, joiner_->evicted());
     if (!joined) return;
     const auto& [frame, loops, associations, update] = *joined;
     graph_->refine(loops->motions);
@@ -237,6 +243,7 @@ class PoseGraphNodelet : public StageWith<PoseGraphParameters> {
     });
     core::MapCorrection correction = graph_->process(frame, loops, external);
     announce_joining(correction);
+    if (correction.changed) show_optimisation(correction, frame.stamp_ns);
     if (tf_sender_) tf_sender_->update(graph_->T_map_odom(), session_id());
     publish<CorrectionMessage>(correction_publisher_, make_header(frame.header.stamp, parameters_.map_frame),
                                std::move(correction));
@@ -259,6 +266,17 @@ class PoseGraphNodelet : public StageWith<PoseGraphParameters> {
           "joined the map of earlier sessions at keyframe %ld: the transform from map to odometry jumps by %.2f m",
           static_cast<long>(loop.query_keyframe_id), (correction.T_map_odom.t - correction.T_map_odom_old.t).norm());
     }
+  }
+
+  /// In the diagnostics. @param stamp_ns of the correction's frame
+  void show_optimisation(const core::MapCorrection& correction, std::int64_t stamp_ns) {
+    for (const core::LoopVerdict& loop : correction.loops) is_kept_[loop.number] = loop.kept;
+    const auto kept = std::count_if(is_kept_.begin(), is_kept_.end(), [](const auto& loop) { return loop.second; });
+    const auto rejected = static_cast<std::ptrdiff_t>(is_kept_.size()) - kept;
+    statistics().set_text(kLast, "stamp " + core::format_stamp(stamp_ns) + ", " +
+                                     core::format_fixed(1e-3 * correction.duration_us, 2) + " ms, " +
+                                     std::to_string(correction.keyframes.size()) + " keyframes moved, " +
+                                     std::to_string(kept) + " loops kept, " + std::to_string(rejected) + " rejected");
   }
 
   geometry_msgs::PoseStamped stamped(const ros::Time& stamp, const core::SE3& T_map_camera) const {
@@ -301,8 +319,9 @@ class PoseGraphNodelet : public StageWith<PoseGraphParameters> {
   MapPartSender map_parts_{MapPart::STAGE_POSE_GRAPH};
   std::vector<core::LoopClosure> late_loops_;
   ExternalLoops external_loops_;
-  std::int64_t restored_keyframes_ = 0;  ///< ids below are of earlier sessions
-  bool is_joined_ = false;               ///< a loop into them is kept
+  std::int64_t restored_keyframes_ = 0;   ///< ids below are of earlier sessions
+  bool is_joined_ = false;                ///< a loop into them is kept
+  std::map<std::int64_t, bool> is_kept_;  ///< by number of the loop, as the optimiser said last
   std::vector<geometry_msgs::PoseStamped> odometry_keyframes_;
   std::optional<geometry_msgs::PoseStamped> last_frame_;  ///< in the odometry's frame
 };

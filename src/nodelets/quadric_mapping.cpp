@@ -51,6 +51,7 @@ class QuadricMappingNodelet : public StageWith<QuadricMappingParameters> {
     core::MapParts parts;
     parts.objects = true;
     if (const auto map = session_map(parts)) core::restore_objects(*map, mapper_.get());
+    count_objects({});
     publish_map();
   }
 
@@ -104,7 +105,7 @@ class QuadricMappingNodelet : public StageWith<QuadricMappingParameters> {
   }
 
   void integrate(const std::optional<std::tuple<FrameMessage::ConstPtr, AssociationsMessage::ConstPtr>>& joined) {
-    statistics().set(kIncomplete, joiner_->evicted());
+    statistics().set_lost(kIncomplete, joiner_->evicted());
     if (!joined) return;
     const auto& [frame, associations] = *joined;
     if (frame->is_end) map_parts_.set_end(frame->frame_id);
@@ -132,7 +133,18 @@ class QuadricMappingNodelet : public StageWith<QuadricMappingParameters> {
     map.map_version = published_version_;
     map.T_map_odom = mapper_->T_map_odom();
     map.changed = mapper_->landmarks();
+    count_objects(map.changed);
     Stage::publish<MapMessage>(map_publisher_, make_header(last_stamp_, parameters_.map_frame), std::move(map));
+  }
+
+  /// Shows in the diagnostics how many objects are in which state.
+  void count_objects(const std::vector<core::Landmark>& objects) {
+    using core::LandmarkState;
+    for (const auto state : {LandmarkState::kCandidate, LandmarkState::kConfirmed, LandmarkState::kRetired}) {
+      const auto n = std::count_if(objects.begin(), objects.end(),
+                                   [state](const core::Landmark& object) { return object.state == state; });
+      statistics().set(std::string("objects ") + core::to_string(state), static_cast<std::uint64_t>(n));
+    }
   }
 
   ros::Publisher update_publisher_, map_publisher_;

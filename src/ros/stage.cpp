@@ -5,6 +5,8 @@
 
 #include <algorithm>
 
+#include "geometry/statistics.h"
+#include "io/process_memory.h"
 #include "pipeline/map_state.h"
 #include "semantic_topo_loop/io/yaml_files.h"
 
@@ -15,15 +17,9 @@ constexpr char kOtherSession[] = "dropped, other session";
 constexpr char kQueueFull[] = "dropped, queue full";
 const std::string kMissed = "never arrived: ";
 constexpr char kErrors[] = "errors";
-constexpr double kDiagnosticsPeriodS = 1.0;  ///< diagnostic_updater's own
-constexpr double kErrorLogPeriodS = 5.0;     ///< an error a frame must not flood the log
-
-double percentile(std::vector<double> values, double share) {
-  if (values.empty()) return 0.0;
-  const auto rank = static_cast<std::size_t>(share * static_cast<double>(values.size() - 1) + 0.5);
-  std::nth_element(values.begin(), values.begin() + static_cast<std::ptrdiff_t>(rank), values.end());
-  return values[rank];
-}
+constexpr double kDiagnosticsPeriodS = 1.0;     ///< diagnostic_updater's own
+constexpr double kErrorLogPeriodS = 5.0;        ///< an error a frame must not flood the log
+constexpr std::chrono::seconds kLossShown(10);  ///< long enough to be seen, and soon over
 
 }  // namespace
 
@@ -34,9 +30,8 @@ void StageStatistics::count_processed(Clock::time_point arrival) {
   latencies_ms_.push_back(latency_ms);
 }
 
-StageStatistics::Snapshot StageStatistics::take_snapshot() {
+StageStatistics::Snapshot StageStatistics::take_snapshot(Clock::time_point now) {
   const std::lock_guard<std::mutex> lock(mutex_);
-  const Clock::time_point now = Clock::now();
   const double elapsed_s = std::max(1e-3, std::chrono::duration<double>(now - last_snapshot_).count());
   Snapshot snapshot;
   for (const auto& [topic, n] : inputs_) {
@@ -45,12 +40,16 @@ StageStatistics::Snapshot StageStatistics::take_snapshot() {
   snapshot.processed = processed_;
   snapshot.processed_hz = static_cast<double>(processed_ - processed_before_) / elapsed_s;
   snapshot.counters = counters_;
-  snapshot.latency_p50_ms = percentile({latencies_ms_.begin(), latencies_ms_.end()}, 0.50);
-  snapshot.latency_p95_ms = percentile({latencies_ms_.begin(), latencies_ms_.end()}, 0.95);
+  snapshot.texts = texts_;
+  snapshot.latency_p50_ms = core::quantile({latencies_ms_.begin(), latencies_ms_.end()}, 0.50);
+  snapshot.latency_p95_ms = core::quantile({latencies_ms_.begin(), latencies_ms_.end()}, 0.95);
+  if (last_loss_ && now - *last_loss_ < kLossShown) snapshot.warnings.emplace_back("frames were lost");
   for (const auto& [subject, warning] : warnings_) {
     if (!warning.empty()) snapshot.warnings.push_back(warning);
   }
-  snapshot.failure = failure_;
+  for (const auto& [subject, failure] : failures_) {
+    if (!failure.empty()) snapshot.failure += (snapshot.failure.empty() ? "" : "; ") + failure;
+  }
   inputs_before_ = inputs_;
   processed_before_ = processed_;
   last_snapshot_ = now;
@@ -59,12 +58,12 @@ StageStatistics::Snapshot StageStatistics::take_snapshot() {
 
 bool Stage::fail(const std::string& error) {
   NODELET_FATAL("%s is not working: %s", name_.c_str(), error.c_str());
-  statistics_.set_failure(error);
+  statistics_.set_failure(name_, error);
   return false;
 }
 
 bool Stage::report_written(const std::string& what, const core::Result<std::string>& written) {
-  statistics_.set_failure(written.message());
+  statistics_.set_failure(what, written.message());
   if (written) NODELET_INFO("%s written to %s", what.c_str(), written->c_str());
   if (!written) NODELET_ERROR("%s not written: %s", what.c_str(), written.message().c_str());
   return static_cast<bool>(written);
@@ -137,7 +136,7 @@ void Stage::count_missed(const std::string& topic, const Sequence& next, Sequenc
   // Frame ids may be any number, if the message is bad.
   const std::uint64_t step = static_cast<std::uint64_t>(next.frame_id) - static_cast<std::uint64_t>(last->frame_id);
   if (next.session_id == last->session_id && next.frame_id > last->frame_id && step > 1) {
-    statistics_.count(kMissed + topic, step - 1);
+    statistics_.count_lost(kMissed + topic, step - 1);
   }
   *last = next;
 }
@@ -213,7 +212,7 @@ void Stage::start_diagnostics() {
 void Stage::start_worker(int queue_size, std::size_t inputs) {
   queue_size_ = static_cast<std::uint32_t>(queue_size);
   worker_ = std::make_unique<Worker>(queue_size_ * inputs, [this](const std::string& what) {
-    statistics_.count(kErrors);
+    statistics_.count_lost(kErrors);
     NODELET_ERROR_THROTTLE(kErrorLogPeriodS, "%s: %s", name_.c_str(), what.c_str());
   });
 }
@@ -224,23 +223,19 @@ void Stage::report(diagnostic_updater::DiagnosticStatusWrapper& status) {
     statistics_.set(std::string(kQueueFull) + ": " + topic, n);
     dropped += n;
   }
-  statistics_.set(kQueueFull, dropped);
+  statistics_.set_lost(kQueueFull, dropped);
   const StageStatistics::Snapshot snapshot = statistics_.take_snapshot();
-  if (!snapshot.failure.empty()) {
-    status.summary(diagnostic_msgs::DiagnosticStatus::ERROR, snapshot.failure);
-    return;
-  }
-  const auto counter = [&snapshot](const char* key) { return snapshot.counters.at(key); };
-  const bool lossy = counter(kQueueFull) > 0 || counter(kErrors) > 0;
-  status.summary(lossy ? diagnostic_msgs::DiagnosticStatus::WARN : diagnostic_msgs::DiagnosticStatus::OK,
-                 lossy ? "frames were lost" : "working");
+  status.summary(diagnostic_msgs::DiagnosticStatus::OK, "working");
+  if (!snapshot.failure.empty()) status.summary(diagnostic_msgs::DiagnosticStatus::ERROR, snapshot.failure);
   for (const auto& [topic, rate] : snapshot.input_rates_hz) status.addf(topic + " rate", "%.1f Hz", rate);
   status.add("frames processed", snapshot.processed);
   status.addf("frame rate", "%.1f Hz", snapshot.processed_hz);
   status.addf("latency p50", "%.2f ms", snapshot.latency_p50_ms);
   status.addf("latency p95", "%.2f ms", snapshot.latency_p95_ms);
   for (const auto& [name, n] : snapshot.counters) status.add(name, n);
+  for (const auto& [name, text] : snapshot.texts) status.add(name, text);
   if (worker_) status.add("queue length", worker_->size());
+  status.addf("memory of the process", "%.0f MiB", core::memory_of_process().resident_mb);
   for (const std::string& warning : snapshot.warnings) {
     status.mergeSummary(diagnostic_msgs::DiagnosticStatus::WARN, warning);
   }

@@ -45,6 +45,7 @@ class StageStatistics {
     double processed_hz = 0.0;
     std::uint64_t processed = 0;
     std::map<std::string, std::uint64_t> counters;
+    std::map<std::string, std::string> texts;
     double latency_p50_ms = 0.0, latency_p95_ms = 0.0;  ///< of the last 512 frames
     std::vector<std::string> warnings;                  ///< that hold now
     std::string failure;                                ///< empty while the stage works
@@ -66,25 +67,44 @@ class StageStatistics {
     const std::lock_guard<std::mutex> lock(mutex_);
     counters_[counter] = value;
   }
+  /// As `count`, of what is lost: a warning for the next 10 s.
+  void count_lost(const std::string& counter, std::uint64_t n = 1) {
+    const std::lock_guard<std::mutex> lock(mutex_);
+    counters_[counter] += n;
+    last_loss_ = Clock::now();
+  }
+  /// As `set`, of what is lost: a warning for the next 10 s if it has grown.
+  void set_lost(const std::string& counter, std::uint64_t value) {
+    const std::lock_guard<std::mutex> lock(mutex_);
+    if (value > counters_[counter]) last_loss_ = Clock::now();
+    counters_[counter] = value;
+  }
+  /// Sets a named value that is no count.
+  void set_text(const std::string& name, const std::string& text) {
+    const std::lock_guard<std::mutex> lock(mutex_);
+    texts_[name] = text;
+  }
   /// @param warning what is wrong now; empty: nothing   @return whether that has just begun
   bool set_warning(const std::string& subject, const std::string& warning) {
     const std::lock_guard<std::mutex> lock(mutex_);
     return std::exchange(warnings_[subject], warning).empty() && !warning.empty();
   }
-  void set_failure(const std::string& failure) {
+  /// @param failure why something does not work; empty: it does
+  void set_failure(const std::string& subject, const std::string& failure) {
     const std::lock_guard<std::mutex> lock(mutex_);
-    failure_ = failure;
+    failures_[subject] = failure;
   }
-  Snapshot take_snapshot();
+  Snapshot take_snapshot(Clock::time_point now = Clock::now());
 
  private:
   std::mutex mutex_;  ///< guards all below
   std::map<std::string, std::uint64_t> inputs_, inputs_before_;
   std::map<std::string, std::uint64_t> counters_;
+  std::map<std::string, std::string> texts_;
   std::uint64_t processed_ = 0, processed_before_ = 0;
   boost::circular_buffer<double> latencies_ms_{512};  ///< of the last frames: some 17 s at 30 Hz
-  std::map<std::string, std::string> warnings_;       ///< by what they are about
-  std::string failure_;
+  std::optional<Clock::time_point> last_loss_;
+  std::map<std::string, std::string> warnings_, failures_;  ///< by what they are about
   Clock::time_point last_snapshot_ = Clock::now();
 };
 
@@ -197,13 +217,14 @@ class Stage : public nodelet::Nodelet {
   }
   /// Messages that belong to no session.
   template <class Message, class Derived>
-  void listen(const std::string& topic, Keep keep, std::uint32_t queue_size,
-              void (Derived::*handler)(const boost::shared_ptr<const Message>&)) {
+  ros::Subscriber listen(const std::string& topic, Keep keep, std::uint32_t queue_size,
+                         void (Derived::*handler)(const boost::shared_ptr<const Message>&)) {
     using ConstPtr = boost::shared_ptr<const Message>;
     const boost::function<void(const ConstPtr&)> callback = [this, topic, keep, handler](const ConstPtr& message) {
       push(topic, keep, [this, message, handler] { (static_cast<Derived*>(this)->*handler)(message); });
     };
     keep_subscriber(subscriber_node().template subscribe<Message>(topic, queue_size, callback));
+    return subscribers_.back();
   }
   /// For every subscription. A nodelet's own queue is shut during onInit: of a topic whose latched message comes by
   /// then, each message would be delivered when the next one comes.
@@ -295,7 +316,7 @@ class Stage : public nodelet::Nodelet {
   /// The place that a service's caller names. @param path relative to the directory, or absolute   @param anywhere
   /// it may lie elsewhere   @return an error, with path and directory, if it does not lie below, all links followed
   static core::Result<std::string> path_below(const std::string& directory, const std::string& path, bool anywhere);
-  /// Says where something was written, or why not, which is a failure of the stage until the next success. @return
+  /// Says where something was written, or why not, which is a failure of the stage until that is written. @return
   /// whether it was
   bool report_written(const std::string& what, const core::Result<std::string>& written);
   /// A service's success and message.

@@ -173,10 +173,37 @@ TEST(StageStatistics, LatencyPercentilesAreOfTheLastFrames) {
   EXPECT_LT(snapshot.latency_p95_ms, 10.0 * kHourMs);
 }
 
-TEST(StageStatistics, KeepsTheFailure) {
+TEST(StageStatistics, KeepsTheFailureWhateverElseSucceeds) {
   StageStatistics statistics;
-  statistics.set_failure("parameter 'x' = 1 must be 2");
-  EXPECT_EQ(statistics.take_snapshot().failure, "parameter 'x' = 1 must be 2");
+  statistics.set_failure("stage", "no such map");
+  statistics.set_failure("results", "disk full");
+  EXPECT_EQ(statistics.take_snapshot().failure, "disk full; no such map");
+  statistics.set_failure("results", "");
+  EXPECT_EQ(statistics.take_snapshot().failure, "no such map");
+}
+
+TEST(StageStatistics, WarnsOfLossesWhileTheyGoOn) {
+  using std::chrono::seconds;
+  StageStatistics statistics;
+  const StageStatistics::Clock::time_point begin = StageStatistics::Clock::now();
+  const auto warns_after = [&](int s) { return !statistics.take_snapshot(begin + seconds(s)).warnings.empty(); };
+  statistics.count("dropped, other session");
+  statistics.set_lost("dropped", 0);
+  EXPECT_FALSE(warns_after(0));
+  statistics.set_lost("dropped", 3);
+  EXPECT_TRUE(warns_after(9));
+  EXPECT_FALSE(warns_after(60)) << "over";
+  statistics.set_lost("dropped", 3);
+  EXPECT_FALSE(warns_after(60)) << "nothing new";
+  statistics.count_lost("never arrived", 2);
+  EXPECT_EQ(statistics.take_snapshot().warnings, std::vector<std::string>{"frames were lost"});
+  EXPECT_EQ(statistics.take_snapshot().counters.at("never arrived"), 2u);
+}
+
+TEST(StageStatistics, ShowsTextsAsTheyWereSetLast) {
+  StageStatistics statistics;
+  for (const char* text : {"none", "4 ms"}) statistics.set_text("last optimisation", text);
+  EXPECT_EQ(statistics.take_snapshot().texts.at("last optimisation"), "4 ms");
 }
 
 using Joiner = FrameJoiner<int, std::string>;

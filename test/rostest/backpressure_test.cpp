@@ -7,6 +7,7 @@
 #include <visualization_msgs/MarkerArray.h>
 
 #include <cmath>
+#include <cstdlib>
 #include <future>
 #include <random>
 #include <set>
@@ -87,7 +88,9 @@ class SlowStage : public Stage {
   ~SlowStage() override { stop(); }
 
   /// As a nodelet manager does.
-  void load() { init("/slow", {}, {}, ros::getGlobalCallbackQueue(), ros::getGlobalCallbackQueue()); }
+  void load(const std::string& name = "/slow") {
+    init(name, {}, {}, ros::getGlobalCallbackQueue(), ros::getGlobalCallbackQueue());
+  }
   void let_go() { gate_.set_value(); }
 
   std::atomic<bool> is_stopped{false};
@@ -170,6 +173,7 @@ TEST_F(Backpressure, DropsAreCountedByTopicAndShown) {
   EXPECT_EQ(diagnostics_.of("Slow")["summary"], "frames were lost");
   stage_.let_go();
   EXPECT_TRUE(wait_until([this] { return stage_.frames == 1 + SlowStage::kQueueSize; }));
+  EXPECT_TRUE(wait_until([this] { return diagnostics_.of("Slow")["summary"] == "working"; })) << "it is over";
 }
 
 TEST_F(Backpressure, WhatNeverArrivesIsCounted) {
@@ -177,6 +181,7 @@ TEST_F(Backpressure, WhatNeverArrivesIsCounted) {
   for (const int frame_id : {1, 2, 5, 6, 9}) send(frame_id);
   EXPECT_TRUE(wait_until([this] { return diagnostics_.count("Slow", "never arrived: frames") == 4; }))
       << diagnostics_.count("Slow", "never arrived: frames");
+  EXPECT_EQ(diagnostics_.of("Slow")["summary"], "frames were lost");
   start_session(2);
   ASSERT_TRUE(wait_until([this] { return stage_.sessions == 2; }));
   send(7);
@@ -194,6 +199,7 @@ TEST_F(Backpressure, WhatIsOfAnotherSessionIsLeftOutAndCounted) {
   send(2);
   EXPECT_TRUE(wait_until([this] { return diagnostics_.count("Slow", "dropped, other session") == 2; }));
   EXPECT_EQ(stage_.frames, 1);
+  EXPECT_EQ(diagnostics_.of("Slow")["summary"], "working") << "a new session loses nothing";
 }
 
 TEST_F(Backpressure, SessionsTimersAndTheEndSurviveAStall) {
@@ -244,6 +250,18 @@ TEST_F(Backpressure, AStageSaysSoWhileItWorks) {
   EXPECT_TRUE(wait_until([&] { return diagnostics_.reports() > reports + 2; }));
   EXPECT_LE(count(), before + 1);
   subscriber.shutdown();
+}
+
+TEST(Diagnostics, AStageThatDoesNotWorkShowsItsValuesAllTheSame) {
+  ros::param::set("/broken/no_such_key", 1);
+  Diagnostics diagnostics;
+  SlowStage stage;
+  stage.load("/broken");
+  EXPECT_TRUE(wait_until([&] { return !diagnostics.of("Slow")["errors"].empty(); }));
+  auto values = diagnostics.of("Slow");
+  EXPECT_NE(values["summary"].find("unknown parameter 'no_such_key'"), std::string::npos) << values["summary"];
+  EXPECT_EQ(values["errors"], "0");
+  EXPECT_GT(std::atof(values["memory of the process"].c_str()), 1.0) << values["memory of the process"];
 }
 
 TEST(Player, WaitsForWhoWorksAndNamesWhoDoesNot) {

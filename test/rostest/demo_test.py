@@ -6,6 +6,7 @@ import json
 import os
 import shutil
 import threading
+import time
 
 import rospkg
 import rospy
@@ -193,6 +194,34 @@ class GraphObjectsTest(DirectoryTest):
 
         wait_until(lambda: counted() == expected, 10)
         self.assertEqual(counted(), expected)
+
+    def test_diagnostics_tell_objects_and_the_last_optimisation(self):
+        with open(self.path('lockstep/summary.json')) as file:
+            summary = json.load(file)
+        self.assertGreater(summary['landmarks']['confirmed'], 3)
+        expected = {state: summary['landmarks'].get(state, 0) for state in ('candidate', 'confirmed', 'retired')}
+
+        def counted():
+            return {state: self.diagnostics.count('QuadricMapping', 'objects ' + state) for state in expected}
+
+        wait_until(lambda: counted() == expected, 10)
+        self.assertEqual(counted(), expected)
+        with open(self.path('lockstep/loop_verdicts.csv')) as file:
+            rejected = sum(row['kept'] == '0' for row in csv.DictReader(file))
+        text = ' keyframes moved, %d loops kept, %d rejected' % (summary['loops']['kept'], rejected)
+
+        def last():
+            return self.diagnostics.values.get(('PoseGraph', 'last optimisation'), '')
+
+        self.assertTrue(wait_until(lambda: text in last(), 10), last())
+        self.assertRegex(last(), r'^stamp \d+\.\d+, \d+\.\d\d ms, \d+ ')
+        memory = self.diagnostics.values['PoseGraph', 'memory of the process']
+        self.assertRegex(memory, r'^\d+ MiB$')
+        self.assertGreater(int(memory.split()[0]), 10)
+
+    def test_a_front_end_that_is_played_to_warns_neither_before_nor_after(self):
+        time.sleep(8)  # longer than its patience
+        self.assertEqual([text for stage, text in self.diagnostics.complaints if stage == 'PoseFrontend'], [])
 
     def test_lockstep_is_offline_byte_for_byte(self):
         self.assertEqual(self.status, 0, self.launch.output())

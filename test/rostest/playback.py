@@ -11,7 +11,7 @@ import time
 import unittest
 
 import rospy
-from diagnostic_msgs.msg import DiagnosticArray
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 
 PACKAGE = 'semantic_topo_loop'
 
@@ -90,16 +90,18 @@ class DirectoryTest(unittest.TestCase):
 
 
 class Diagnostics:
-    """The last word of each stage on /diagnostics: summaries by stage, values by (stage, key)."""
+    """The last word of each stage on /diagnostics: summaries by stage, values by (stage, key), and all that is not OK."""
 
     def __init__(self):
-        self.summaries, self.values = {}, {}
+        self.summaries, self.values, self.complaints = {}, {}, set()
         self.subscriber = rospy.Subscriber('/diagnostics', DiagnosticArray, self.take)
 
     def take(self, message):
         for status in message.status:
             stage = status.name.split(': ')[-1]
             self.summaries[stage] = status.message
+            if status.level != DiagnosticStatus.OK:
+                self.complaints.add((stage, status.message))
             for value in status.values:
                 self.values[stage, value.key] = value.value
 
