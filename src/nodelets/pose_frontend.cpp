@@ -73,6 +73,10 @@ class PoseFrontendNodelet : public StageWith<PoseFrontendParameters, FrontendSta
     if (parameters_.trigger == "camera_info") take_trigger(stamp_ns);
   }
 
+  std::string image_topic() const override {
+    return getNodeHandle().resolveName(parameters_.trigger == "detections" ? "detections_in" : "camera_info");
+  }
+
   void on_more_transforms() override { resolve(); }
 
   void on_end() override {
@@ -126,8 +130,7 @@ class PoseFrontendNodelet : public StageWith<PoseFrontendParameters, FrontendSta
     const bool is_late = Clock::now() >= trigger.deadline;
     if (answer.status == PoseSource::Status::kNotYet && !is_late) return false;
     if (answer.status != PoseSource::Status::kFound) {
-      complain("images without a pose", answer.problem);
-      publish_done(trigger.stamp_ns, FrameDone::STATUS_NO_POSE);
+      fail_image(trigger.stamp_ns, "images without a pose", answer.problem, FrameDone::STATUS_NO_POSE);
       return true;
     }
     if (!take_points(trigger, is_late, &answer.sample)) return false;

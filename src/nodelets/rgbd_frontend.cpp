@@ -78,6 +78,7 @@ class RgbdFrontendNodelet : public StageWith<RgbdFrontendParameters, FrontendSta
     const Clock::time_point now = Clock::now();
     const std::lock_guard<std::mutex> lock(mutex_);
     synchronizer_->expire(now);
+    if (!awaits_images()) synchronizer_->excuse(now);
     warn_while("topics", synchronizer_->starvation(now));
   }
 
@@ -154,10 +155,10 @@ class RgbdFrontendNodelet : public StageWith<RgbdFrontendParameters, FrontendSta
     report_.add(tracked);
     if (tracked.sample) return emit(*tracked.sample, frontend_->camera());
     const bool is_lost = tracked.state == core::TrackingState::kLost;
-    complain(is_lost ? "images lost track of" : "images with nothing to follow",
-             "stamp " + std::to_string(image.stamp_ns) + " ns: " + std::to_string(tracked.matches) + " matches, " +
-                 std::to_string(tracked.inliers) + " of them agree on a pose");
-    publish_done(image.stamp_ns, FrameDone::STATUS_NO_POSE);
+    fail_image(image.stamp_ns, is_lost ? "images lost track of" : "images with nothing to follow",
+               "stamp " + std::to_string(image.stamp_ns) + " ns: " + std::to_string(tracked.matches) + " matches, " +
+                   std::to_string(tracked.inliers) + " of them agree on a pose",
+               FrameDone::STATUS_NO_POSE);
   }
 
   image_transport::SubscriberFilter color_, depth_;

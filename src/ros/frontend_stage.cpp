@@ -113,9 +113,21 @@ void FrontendStage::follow_stream() {
   const boost::function<void(const std_msgs::Empty::ConstPtr&)> query =
       [repeat = once_in_queue([this] { control_publisher_.publish(control_); })](const auto&) { repeat(); };
   keep_subscriber(subscriber_node().subscribe<std_msgs::Empty>("session_queries", queue_size, query));
-  listen("end_of_stream", Keep::kPinned, queue_size, &FrontendStage::on_stream_end);
+  end_subscriber_ = listen("end_of_stream", Keep::kPinned, queue_size, &FrontendStage::on_stream_end);
   listen("camera_info", Keep::kAlways, queue_size, &FrontendStage::on_camera_info);
+  start_timer(ImageWatch::kPeriodS, [this] { watch_images(); });
   open_queue();
+}
+
+bool FrontendStage::awaits_images() const {
+  // Before the first /clock nobody plays yet; a player waits for slow stages, and says itself who has stalled.
+  const bool is_played = !ros::Time::isValid() || end_subscriber_.getNumPublishers() > 0;
+  return !is_paused_ && !is_over_ && !is_played;
+}
+
+void FrontendStage::watch_images() {
+  if (is_paused_ || is_over_) image_watch_ = {};
+  warn_while("images", image_watch_.tick(awaits_images() ? image_topic() : std::string()));
 }
 
 void FrontendStage::begin_session(const std::string& reason, bool rewind) {
@@ -125,7 +137,7 @@ void FrontendStage::begin_session(const std::string& reason, bool rewind) {
   before_rewind_ = 0;
   unknown_since_ns_.reset();
   last_stamp_ns_.reset();
-  is_paused_ = false;
+  is_paused_ = is_over_ = false;
   control(SessionControl::COMMAND_START, reason, rewind);
 }
 
@@ -177,6 +189,8 @@ bool FrontendStage::accept(std::int64_t stamp_ns) {
     publish_done(stamp_ns, FrameDone::STATUS_FAILED);
     return false;
   }
+  is_over_ = false;
+  image_watch_.hear_image();
   if (is_before_rewind(stamp_ns)) {
     fail_image(stamp_ns, "images left out before a rewind", "they were on their way already");
     return false;
@@ -219,6 +233,7 @@ void FrontendStage::emit(const core::PoseSample& sample, const std::optional<cor
   if (!frame) return fail_image(sample.stamp_ns, "images left out", frame.message());
   if (frame->is_break && frame->frame_id > map_.next_frame_id) statistics().count("breaks of the odometry");
   if (frame->is_keyframe && points_publisher_.getNumSubscribers() > 0) frame->keyframe_points = keyframe_points();
+  image_watch_.hear_frame();
   publish_frame(*frame);
   if (broadcaster_) publish_odom_tf(*frame);
   count_processed();
@@ -271,9 +286,11 @@ void FrontendStage::publish_odom_tf(const core::Frame& frame) {
   broadcaster_->sendTransform(make_transform(header, child, T_odom_child));
 }
 
-void FrontendStage::fail_image(std::int64_t stamp_ns, const std::string& cause, const std::string& detail) {
+void FrontendStage::fail_image(std::int64_t stamp_ns, const std::string& cause, const std::string& detail,
+                               std::uint8_t status) {
   complain(cause, detail);
-  publish_done(stamp_ns, FrameDone::STATUS_FAILED);
+  image_watch_.hear_failure(cause + ": " + detail);
+  publish_done(stamp_ns, status);
 }
 
 }  // namespace semantic_topo_loop

@@ -10,6 +10,7 @@
 #include <optional>
 #include <string>
 
+#include "ros/image_watch.h"
 #include "ros/parameters.h"
 #include "ros/pose_source.h"
 #include "ros/stage.h"
@@ -35,14 +36,17 @@ class FrontendStage : public Stage {
   /// @param transforms filled from tf; null if tf is not needed   @return false after fail()
   bool open(const core::KeyframeOptions& options, const FrontendParameters& parameters,
             std::shared_ptr<TfPoses> transforms);
-  /// Follows tf, camera_info and the end of the stream, and lets the worker open the session: who hears of it takes
-  /// this nodelet for ready. Who comes late may ask for the last command again, for the stages to acknowledge it.
+  /// Follows tf, camera_info and the end of the stream, watches that images come and give frames, and lets the worker
+  /// open the session: who hears of it takes this nodelet for ready. Who comes late may ask for the last command again,
+  /// for the stages to acknowledge it.
   void follow_stream();
 
   /// A new session begins: forget the images that wait.
   virtual void forget() = 0;
   /// A camera_info came; its calibration is taken already.
   virtual void on_camera_stamp(std::int64_t /*stamp_ns*/) {}
+  /// The topic on which an image should come at any time; empty: the derived class watches that itself.
+  virtual std::string image_topic() const { return {}; }
   /// tf knows more than before.
   virtual void on_more_transforms() {}
   /// What the point map keeps of the keyframe that `emit` has just made; null: nothing. Asked for only if somebody
@@ -58,12 +62,11 @@ class FrontendStage : public Stage {
   /// @param camera of the frame; none: the image is answered by a failure
   void emit(const core::PoseSample& sample, const std::optional<core::Camera>& camera);
   void emit_end();
-  /// Answers an image that gives no frame.
-  void publish_done(std::int64_t stamp_ns, std::uint8_t status) {
-    Stage::publish_done(done_publisher_, to_ros_time(stamp_ns), -1, status);
-  }
-  /// Answers an image that cannot be used, and complains.
-  void fail_image(std::int64_t stamp_ns, const std::string& cause, const std::string& detail);
+  /// Answers an image that gives no frame, and complains.
+  void fail_image(std::int64_t stamp_ns, const std::string& cause, const std::string& detail,
+                  std::uint8_t status = FrameDone::STATUS_FAILED);
+  /// Whether it is wrong that no image comes.
+  bool awaits_images() const;
   const std::optional<core::Camera>& camera() const { return camera_; }
   const std::string& camera_frame() const { return camera_frame_; }
 
@@ -73,13 +76,20 @@ class FrontendStage : public Stage {
   void remove_link() const;
   void make_builder(const core::Camera& camera);
   bool on_load_map(LoadMap::Request& request, LoadMap::Response& response);
+  void publish_done(std::int64_t stamp_ns, std::uint8_t status) {
+    Stage::publish_done(done_publisher_, to_ros_time(stamp_ns), -1, status);
+  }
+  void watch_images();
   void control(std::uint8_t command, const std::string& reason, bool rewind = false);
   void set_paused(bool is_paused);
   bool is_in_order(std::int64_t stamp_ns);
   /// Whether an image was on its way already when the recording was asked to begin anew.
   bool is_before_rewind(std::int64_t stamp_ns);
 
-  void on_stream_end(const std_msgs::Empty::ConstPtr& /*message*/) { on_end(); }
+  void on_stream_end(const std_msgs::Empty::ConstPtr& /*message*/) {
+    is_over_ = true;
+    on_end();
+  }
   void on_camera_info(const sensor_msgs::CameraInfo::ConstPtr& message);
   void on_transforms(const tf2_msgs::TFMessage::ConstPtr& message) { take_transforms(*message, false); }
   void on_static_transforms(const tf2_msgs::TFMessage::ConstPtr& message) { take_transforms(*message, true); }
@@ -100,6 +110,9 @@ class FrontendStage : public Stage {
   std::size_t before_rewind_ = 0;                 ///< images left out since
   std::optional<std::int64_t> unknown_since_ns_;  ///< tf does not know the camera
   bool is_paused_ = false, is_localizing_ = false;
+  bool is_over_ = false;  ///< the stream has ended, and no image came since
+  ImageWatch image_watch_;
+  ros::Subscriber end_subscriber_;
   /// The map that a session begins with.
   struct SessionMap {
     std::string file;      ///< as its sessions read it, see link_loaded_map; empty: none

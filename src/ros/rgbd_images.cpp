@@ -153,7 +153,7 @@ std::string RgbdSynchronizer::describe(const std::string& name, const Topic& top
 
 std::string RgbdSynchronizer::starvation(Clock::time_point now) const {
   const auto is_silent = [this, now](Clock::time_point heard) {
-    return seconds_between(heard, now) > options_.starvation_s;
+    return seconds_between(std::max(heard, excused_), now) > options_.starvation_s;
   };
   std::string who;
   if (is_silent(color_.heard)) who = "'" + options_.color_topic + "'";

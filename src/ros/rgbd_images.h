@@ -76,6 +76,8 @@ class RgbdSynchronizer {
   void add_depth(const ImageConstPtr& image, Clock::time_point now);
   /// Gives up colour images that have waited for too long.
   void expire(Clock::time_point now);
+  /// No images have been awaited until now: that none came is no starvation.
+  void excuse(Clock::time_point now) { excused_ = now; }
   /// Why no pairs come, with topics and stamps; empty while they do.
   std::string starvation(Clock::time_point now) const;
 
@@ -98,7 +100,8 @@ class RgbdSynchronizer {
   std::unique_ptr<message_filters::Synchronizer<Policy>> synchronizer_;
   std::map<std::int64_t, Clock::time_point> waiting_;  ///< colour images without depth so far, and when they came
   Topic color_, depth_;
-  Clock::time_point paired_;  ///< when the last pair was complete
+  Clock::time_point paired_;        ///< when the last pair was complete
+  Clock::time_point excused_ = {};  ///< silence counts from here on
 };
 
 }  // namespace semantic_topo_loop

@@ -268,6 +268,18 @@ TEST_F(RgbdSynchronizerTest, NamesTheSilentTopic) {
   EXPECT_NE(text.find("gap between the last stamps 3.500 s"), std::string::npos) << text;
 }
 
+TEST_F(RgbdSynchronizerTest, ExcusesSilenceWhileNothingIsAwaited) {
+  color(0);
+  depth(0);
+  wait(60.0);
+  EXPECT_NE(synchronizer_.starvation(now_), "");
+  synchronizer_.excuse(now_);
+  wait(2.9);
+  EXPECT_EQ(synchronizer_.starvation(now_), "");
+  wait(0.2);
+  EXPECT_NE(synchronizer_.starvation(now_), "");
+}
+
 TEST_F(RgbdSynchronizerTest, NamesStampsThatNeverMeet) {
   color(0);
   depth(0);

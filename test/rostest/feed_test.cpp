@@ -8,6 +8,7 @@
 #include "ros/conversions.h"
 #include "ros/detection_watch.h"
 #include "ros/frame_joiner.h"
+#include "ros/image_watch.h"
 #include "ros/playback.h"
 #include "ros/pose_source.h"
 #include "ros/stage.h"
@@ -307,6 +308,34 @@ TEST_F(WatchedDetections, ASlowDetectorIsNone) {
     run(0.1, 2000 * i, 2000 * i, true);
     EXPECT_EQ(watch_.starvation(now_), "");
   }
+}
+
+TEST(ImageWatch, NamesTheTopicThatIsSilent) {
+  ImageWatch watch;
+  for (int i = 0; i < 4; ++i) EXPECT_EQ(watch.tick("/info"), "");
+  EXPECT_EQ(watch.tick("/info"), "no image for 5 s: nothing on '/info'");
+  watch.hear_image();
+  EXPECT_EQ(watch.tick("/info"), "");
+  for (int i = 0; i < 20; ++i) EXPECT_EQ(watch.tick(""), "") << "none is awaited";
+  EXPECT_EQ(watch.tick("/info"), "") << "and one only from now on";
+}
+
+TEST(ImageWatch, TellsWhyImagesGiveNoFrame) {
+  ImageWatch watch;
+  const auto see = [&watch](const std::string& failure) {
+    watch.hear_image();
+    if (failure.empty()) watch.hear_frame();
+    if (!failure.empty()) watch.hear_failure(failure);
+    return watch.tick("/info");
+  };
+  for (int i = 0; i < 4; ++i) EXPECT_EQ(see("no pose"), "");
+  EXPECT_EQ(see("no tf"), "images, but no frame for 5 s: no tf");
+  EXPECT_EQ(see(""), "");
+  for (int i = 0; i < 4; ++i) EXPECT_EQ(see("no pose"), "") << "it counts anew";
+  EXPECT_EQ(watch.tick(""), "") << "no image, no verdict";
+  EXPECT_EQ(see("no pose"), "images, but no frame for 5 s: no pose");
+  for (int i = 0; i < 5; ++i) watch.tick("/info");
+  EXPECT_EQ(see("no pose"), "") << "silence was told in place of it";
 }
 
 SessionControl start_of(std::uint32_t session_id) {

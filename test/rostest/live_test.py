@@ -253,6 +253,26 @@ class TfTest(DetectorTest):
         self.assertIn('; gap 0.012', summary())
         self.assert_counted('DetectionIngestion', 'detections without a frame', 5)
 
+    def test_7_no_images_and_images_without_frames_are_reported(self):
+        def summary():
+            return self.diagnostics.summaries.get('PoseFrontend', '')
+
+        self.assertTrue(wait_until(lambda: "no image for 5 s: nothing on '/camera_info'" in summary(), 10), summary())
+        self.move(13.0, 14.0)
+        deadline, i = time.monotonic() + 10.0, 0
+        while 'no frame' not in summary() and time.monotonic() < deadline:
+            self.see(20.057 + 0.1 * i, with_detections=False)
+            i += 1
+            time.sleep(0.1)
+        self.assertIn('images, but no frame for 5 s: images without a pose: tf odom -> base_link', summary())
+        self.call('pause')
+        self.assertTrue(wait_until(lambda: summary() == 'working', 4), summary())
+        self.call('resume')
+        self.move(40.0, 41.0)
+        self.see(40.307, with_detections=False)
+        self.assertIsNotNone(self.frames.at(40.307))
+        self.assertTrue(wait_until(lambda: summary() == 'working', 4), summary())
+
 
 class OdometryTest(DetectorTest):
     """nav_msgs/Odometry, frames made by the stamps of a detector, which is darknet_ros, and a cloud with each image."""
