@@ -9,7 +9,7 @@ namespace {
 
 constexpr double kBoundedShare = 0.2;      // of the time to be seen for: what no image shows the end of is no object
 constexpr double kTransparentShare = 0.1;  // of the time seen: what shows more of its background has holes
-constexpr double kHollowShare = 0.1;       // of the time seen: what shows more of its inside is hollow
+constexpr double kHollowShare = 0.5;       // of the time seen uncut: what shows more of its inside is hollow
 constexpr double kMinWidth_px = 12.0, kMinHeight_px = 8.0;  // of a projection that a detector may be expected to box
 constexpr double kFullyVisibleShare = 0.8;                  // of its area, inside the image
 constexpr double kPartlyVisibleShare = 0.4;                 // the same, for depth to show what lies behind it
@@ -97,7 +97,7 @@ std::vector<ExpectedLandmark> expected_landmarks(const std::map<std::int64_t, Ma
     const double depth = axis.dot(center) + P(2, 3);
     in_view.push_back({id, &*landmark.state.ellipsoid, visible, *box,
                        depth - std::sqrt(std::max(0.0, axis.dot(shape * axis))), depth,
-                       landmark.sightings.hollow_s > kHollowShare * landmark.sightings.seen_s});
+                       landmark.sightings.hollow_s > kHollowShare * landmark.sightings.familiar_seen_s});
   }
   std::vector<ExpectedLandmark> expected;
   for (const Candidate& candidate : in_view) {

@@ -135,7 +135,7 @@ class PoseGraphNodelet : public StageWith<PoseGraphParameters> {
     graph_ = std::make_unique<core::PoseGraph>(options_.pose_graph);
     joiner_->clear();
     late_loops_.clear();
-    external_loops_ = {};
+    external_loops_.end();
     is_kept_.clear();
     statistics().set_text(kLast, "none");
     odometry_keyframes_.clear();
@@ -236,12 +236,9 @@ class PoseGraphNodelet : public StageWith<PoseGraphParameters> {
     if (associations) graph_->observe(frame, *associations);
     std::vector<core::LoopClosure> loops = std::exchange(late_loops_, {});
     loops.insert(loops.end(), frame_loops.begin(), frame_loops.end());
-    if (frame.is_keyframe) external_loops_.add(frame);
-    const std::vector<core::LoopClosure> external = external_loops_.take([this](const std::string& problem) {
-      statistics().count(kRefused);
-      NODELET_WARN("an external loop is left out: %s", problem.c_str());
-    });
-    core::MapCorrection correction = graph_->process(frame, loops, external);
+    external_loops_.add(frame);
+    core::MapCorrection correction = graph_->process(frame, loops, external_loops_.take());
+    if (frame.is_end) external_loops_.end();
     announce_joining(correction);
     if (correction.changed) show_optimisation(correction, frame.stamp_ns);
     if (tf_sender_) tf_sender_->update(graph_->T_map_odom(), session_id());
@@ -318,7 +315,7 @@ class PoseGraphNodelet : public StageWith<PoseGraphParameters> {
   std::unique_ptr<core::PoseGraph> graph_;
   MapPartSender map_parts_{MapPart::STAGE_POSE_GRAPH};
   std::vector<core::LoopClosure> late_loops_;
-  ExternalLoops external_loops_;
+  ExternalLoops external_loops_{[this](const std::string& problem) { complain(kRefused, problem); }};
   std::int64_t restored_keyframes_ = 0;   ///< ids below are of earlier sessions
   bool is_joined_ = false;                ///< a loop into them is kept
   std::map<std::int64_t, bool> is_kept_;  ///< by number of the loop, as the optimiser said last

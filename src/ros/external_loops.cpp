@@ -12,8 +12,7 @@
 namespace semantic_topo_loop {
 namespace {
 
-/// Between two keyframes the camera hardly moves, or it stands still for long.
-constexpr double kForever_s = 1e9;
+constexpr double kForever_s = 1e9;        // a session's frames are forgotten at its end
 constexpr std::size_t kMaxWaiting = 100;  // more are of another clock
 
 /// From errors about the axes of the parent to errors on the right, which is how the core has them.
@@ -23,47 +22,69 @@ core::Mat6 covariance_on_the_right(const core::Mat6& covariance, const core::SE3
   return turn * covariance * turn.transpose();
 }
 
-}  // namespace
-
-ExternalLoops::ExternalLoops() : odometry_(kForever_s, kForever_s) {}
-
-void ExternalLoops::add(const core::Frame& keyframe) {
-  if (!odometry_.add(keyframe.stamp_ns, keyframe.T_odom_camera)) return;
-  keyframes_[keyframe.stamp_ns] = {keyframe.keyframe_id, keyframe.frame_id};
+std::string name_of(const ExternalLoop& loop) {
+  return "external loop of stamps " + core::format_stamp(to_stamp_ns(loop.header.stamp)) + " and " +
+         core::format_stamp(to_stamp_ns(loop.match_stamp)) + ": ";
 }
 
-std::vector<core::LoopClosure> ExternalLoops::take(const std::function<void(const std::string&)>& refuse) {
+}  // namespace
+
+ExternalLoops::Section::Section() : odometry(kForever_s, kForever_s) {}
+
+void ExternalLoops::add(const core::Frame& frame) {
+  if (frame.is_end) return;
+  if (sections_.empty() || frame.is_break) sections_.try_emplace(frame.stamp_ns);
+  Section& section = std::prev(sections_.end())->second;
+  if (!section.odometry.add(frame.stamp_ns, frame.T_odom_camera) || !frame.is_keyframe) return;
+  section.keyframes[frame.stamp_ns] = {frame.keyframe_id, frame.frame_id};
+}
+
+std::vector<core::LoopClosure> ExternalLoops::take() {
   using Status = core::PoseBuffer::Status;
   std::vector<core::LoopClosure> loops;
   for (const ExternalLoop::ConstPtr& message : std::exchange(waiting_, {})) {
-    const std::int64_t query_ns = to_stamp_ns(message->header.stamp), match_ns = to_stamp_ns(message->match_stamp);
-    const Place query = place(query_ns), match = place(match_ns);
-    const std::string name =
-        "external loop of stamps " + core::format_stamp(query_ns) + " and " + core::format_stamp(match_ns) + ": ";
-    if (query.status == Status::kTooOld || match.status == Status::kTooOld) {
-      refuse(name + "the session has no keyframe that is so old");
-    } else if (query.status == Status::kNotYet || match.status == Status::kNotYet) {
+    const Place query = place(to_stamp_ns(message->header.stamp)), match = place(to_stamp_ns(message->match_stamp));
+    const auto either_is = [&](Status status) { return query.status == status || match.status == status; };
+    if (either_is(Status::kTooOld)) {
+      refuse_(name_of(*message) + "the session has no keyframe that is so old");
+    } else if (either_is(Status::kGap)) {
+      refuse_(name_of(*message) + "one of its images lies in a break of the odometry");
+    } else if (either_is(Status::kNotYet)) {
       waiting_.push_back(message);
     } else if (core::Result<core::LoopClosure> loop = closure(query, match, message->match_from_query)) {
       loops.push_back(*std::move(loop));
     } else {
-      refuse(name + loop.message());
+      refuse_(name_of(*message) + loop.message());
     }
   }
-  if (waiting_.size() > kMaxWaiting) {
-    refuse(std::to_string(waiting_.size()) + " external loops have stamps newer than any keyframe");
-    waiting_.clear();
-  }
+  if (waiting_.size() > kMaxWaiting) refuse_waiting("newer than any frame, as too many others are");
   return loops;
 }
 
+void ExternalLoops::end() {
+  refuse_waiting("the session has ended without such a frame");
+  sections_.clear();
+}
+
+void ExternalLoops::refuse_waiting(const std::string& why) {
+  for (const ExternalLoop::ConstPtr& message : std::exchange(waiting_, {})) refuse_(name_of(*message) + why);
+}
+
 ExternalLoops::Place ExternalLoops::place(std::int64_t stamp_ns) const {
-  const core::PoseBuffer::Answer answer = odometry_.at(stamp_ns);
+  using Status = core::PoseBuffer::Status;
   Place place;
-  place.status = answer.status;
-  if (answer.status != core::PoseBuffer::Status::kFound) return place;
-  std::tie(place.stamp_ns, place.ids) = *std::prev(keyframes_.upper_bound(stamp_ns));
-  place.T_keyframe_camera = odometry_.at(place.stamp_ns).pose.inverse() * answer.pose;
+  if (sections_.empty()) return place;
+  const auto next = sections_.upper_bound(stamp_ns);
+  place.status = Status::kTooOld;
+  if (next == sections_.begin()) return place;
+  const Section& section = std::prev(next)->second;
+  const auto next_keyframe = section.keyframes.upper_bound(stamp_ns);
+  if (next_keyframe == section.keyframes.begin()) return place;
+  const core::PoseBuffer::Answer answer = section.odometry.at(stamp_ns);
+  place.status = answer.status == Status::kNotYet && next != sections_.end() ? Status::kGap : answer.status;
+  if (place.status != Status::kFound) return place;
+  std::tie(place.stamp_ns, place.ids) = *std::prev(next_keyframe);
+  place.T_keyframe_camera = section.odometry.at(place.stamp_ns).pose.inverse() * answer.pose;
   return place;
 }
 

@@ -70,8 +70,10 @@ void MapView::apply(const core::MapCorrection& correction) {
     if (it != keyframes_.end()) it->second.T_map_camera = pose.T_map_camera;
   }
   for (const core::LoopVerdict& verdict : correction.loops) {
-    const auto loop = loops_.find({verdict.query_keyframe_id, verdict.match_keyframe_id});
-    if (loop != loops_.end()) loop->second.kept = verdict.kept;
+    const Loop ends = {verdict.query_keyframe_id, verdict.match_keyframe_id};
+    if (verdict.is_extra) extra_loops_[ends].kept = verdict.kept;
+    const auto loop = loops_.find(ends);
+    if (!verdict.is_extra && loop != loops_.end()) loop->second.kept = verdict.kept;
   }
 }
 

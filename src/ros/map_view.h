@@ -84,6 +84,8 @@ class MapView {
   const std::map<std::int64_t, core::Landmark>& landmarks() const { return landmarks_; }
   const std::map<std::int64_t, Keyframe>& keyframes() const { return keyframes_; }
   const std::map<Loop, AcceptedLoop>& loops() const { return loops_; }
+  /// Those from outside, once a correction has told of them: of two keyframes there may be one of each.
+  const std::map<Loop, AcceptedLoop>& extra_loops() const { return extra_loops_; }
   const std::map<Loop, core::LoopReason>& refused_loops() const { return refused_; }
   const std::optional<core::Frame>& frame() const { return frame_; }
   const core::SE3& T_map_odom() const { return T_map_odom_; }
@@ -106,7 +108,7 @@ class MapView {
   std::map<std::int64_t, core::Landmark> landmarks_;
   std::map<std::int64_t, std::int64_t> redirects_;  ///< merged id to survivor; none of a landmark that lives
   std::map<std::int64_t, Keyframe> keyframes_;
-  std::map<Loop, AcceptedLoop> loops_;
+  std::map<Loop, AcceptedLoop> loops_, extra_loops_;
   std::map<Loop, core::LoopReason> refused_;  ///< none that was accepted later
   std::optional<core::Frame> frame_;
   std::vector<std::int64_t> in_view_;

@@ -161,11 +161,13 @@ MarkerArrayPtr make_loop_markers(const MapView& view, const std_msgs::Header& he
   MarkerArrayPtr array = make_array(header, "loops");
   LoopLines kept(make_lines(header, "loops", 0, sizes.line_m, color(0.2, 0.9, 0.3, 0.45)));
   LoopLines rejected(make_lines(header, "loops", 1, 2.0 * sizes.line_m, color(1.0, 0.2, 0.2, 0.9)));
-  for (const auto& [loop, accepted] : view.loops()) {
-    const auto query = view.keyframes().find(loop.first);
-    const auto match = view.keyframes().find(loop.second);
-    if (query == view.keyframes().end() || match == view.keyframes().end()) continue;
-    (accepted.kept ? kept : rejected).add(query->second.T_map_camera.t, match->second.T_map_camera.t);
+  for (const auto* loops : {&view.loops(), &view.extra_loops()}) {
+    for (const auto& [loop, accepted] : *loops) {
+      const auto query = view.keyframes().find(loop.first);
+      const auto match = view.keyframes().find(loop.second);
+      if (query == view.keyframes().end() || match == view.keyframes().end()) continue;
+      (accepted.kept ? kept : rejected).add(query->second.T_map_camera.t, match->second.T_map_camera.t);
+    }
   }
   for (Marker* lines : {&kept.marker, &rejected.marker}) {
     if (!lines->points.empty()) array->markers.push_back(std::move(*lines));
@@ -196,6 +198,7 @@ LoopMapPtr make_loop_map(const MapView& view, const std_msgs::Header& header, st
       map->loops.back().objects.push_back(to_xyz<geometry_msgs::Point>(object->ellipsoid->center()));
     }
   }
+  for (const auto& [loop, accepted] : view.extra_loops()) add(loop, core::LoopReason::kAccepted, accepted.kept);
   for (const auto& [loop, reason] : view.refused_loops()) add(loop, reason, false);
   return map;
 }

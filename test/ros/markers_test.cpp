@@ -187,6 +187,34 @@ TEST(MapView, ACorrectionMaySayOnlyWhatHasChanged) {
   for (const auto& [loop, accepted] : view.loops()) EXPECT_FALSE(accepted.kept) << loop.second;
 }
 
+/// A loop from outside joins the keyframes that an own one joins.
+TEST(MapView, ShowsLoopsFromOutsideBesideTheirOwn) {
+  MapView view;
+  for (const std::int64_t id : {0, 1}) {
+    view.add_keyframe(id, core::SE3(core::Quaternion::Identity(), {static_cast<double>(id), 0.0, 0.0}));
+  }
+  std::vector<core::LoopClosure> own(1);
+  own[0].query_keyframe_id = 1;
+  own[0].match_keyframe_id = 0;
+  own[0].accepted = true;
+  view.add_loops(own);
+  core::MapCorrection correction;
+  correction.changed = true;
+  correction.loops = {{0, 1, 0, true}, {1, 1, 0, false, "it is wrong", true}};
+  view.apply(correction);
+  EXPECT_TRUE(view.loops().at({1, 0}).kept) << "the verdict is another one's";
+  const auto lines = make_loop_markers(view, std_msgs::Header(), {});
+  ASSERT_EQ(lines->markers.size(), 3u);
+  for (const std::size_t i : {1u, 2u}) EXPECT_EQ(lines->markers[i].points.size(), 2u);
+  EXPECT_GT(lines->markers[2].color.r, lines->markers[2].color.g) << "the one from outside";
+  const auto map = make_loop_map(view, std_msgs::Header(), 7);
+  ASSERT_EQ(map->loops.size(), 2u);
+  EXPECT_TRUE(map->loops[0].kept);
+  EXPECT_FALSE(map->loops[1].kept);
+  EXPECT_EQ(map->loops[1].reason, LoopClosure::REASON_ACCEPTED);
+  EXPECT_TRUE(map->loops[1].objects.empty());
+}
+
 /// Two confirmed objects, a candidate, a retired one and one without an ellipsoid.
 MapView make_view() {
   core::MapUpdate update;

@@ -51,7 +51,7 @@ class Fr2DeskTest(DirectoryTest):
     def test_keeps_the_trajectory(self):
         figures = self.evaluate('trajectory', os.path.join(self.results, 'trajectory.txt'),
                                 self.recorded('groundtruth.txt'))
-        self.assertLessEqual(figures['ate_m']['rmse'], 0.0090)
+        self.assertLessEqual(figures['ate_m']['rmse'], 0.0079)  # 0.0081 of the odometry
 
     def test_finds_the_objects(self):
         figures = self.evaluate('objects', self.results, self.recorded('groundtruth_frames.txt'),
@@ -61,8 +61,8 @@ class Fr2DeskTest(DirectoryTest):
     def test_closes_right_loops(self):
         figures = self.evaluate('loops', self.results, self.recorded('groundtruth_frames.txt'))
         right = figures['right_wide']
-        self.assertGreaterEqual(right['right'], 10)
-        self.assertGreaterEqual(right['right'], 0.9 * right['total'])
+        self.assertGreaterEqual(right['right'], 400)
+        self.assertGreater(right['right'], 0.99 * right['total'])
 
 
 def start_rostest(results):

@@ -119,7 +119,7 @@ TEST(Page, WhatHasAMeaningForHtmlIsReplaced) {
 /// A run of some frames along a curve, as the recorder writes it.
 class Report : public ProgramTest {
  protected:
-  static constexpr std::int64_t kStart_ns = 1'000'000'000'000;
+  static constexpr std::int64_t kStart_ns = 1'000'000'000'000, kPeriod_ns = 100'000'000;
   static constexpr const char* kLabel = "<b>&\"";
 
   Report() : ProgramTest(STL_PROGRAM_DIR "/report") {}
@@ -134,8 +134,8 @@ class Report : public ProgramTest {
     loop.match_frame = loop.match_end = 1;
     loop.query_keyframe_id = query;
     loop.match_keyframe_id = 1;
-    loop.query_stamp_ns = kStart_ns + query * 100'000'000;
-    loop.match_stamp_ns = kStart_ns + 100'000'000;
+    loop.query_stamp_ns = kStart_ns + query * kPeriod_ns;
+    loop.match_stamp_ns = kStart_ns + kPeriod_ns;
     loop.accepted = true;
     loop.reason = LoopReason::kAccepted;
     loop.inliers = inliers;
@@ -148,17 +148,19 @@ class Report : public ProgramTest {
     return loop;
   }
 
-  /// @param loops accepted ones, with so many objects; and a candidate that is refused, if there are any
-  void write_run(int frames, const std::vector<int>& loops, bool with_object) {
+  /// @param loops accepted ones, with so many objects, each with a candidate that is refused; of the accepted ones the
+  /// second is not believed; if there are any, two more are from outside
+  /// @param first frame of this run: a later one than the first of all goes on with a map, to which the loops lead
+  void write_run(int frames, const std::vector<int>& loops, bool with_object, int first = 0) {
     const auto classes =
         std::make_shared<const ClassTable>(*ClassTable::create({{41, kLabel, ClassRole::kMovable, "", 0.1}}));
     const auto recorder = make_run_recorder(classes);
     StampedPoses truth;
-    for (int i = 0; i < frames; ++i) {
+    for (int i = first; i < first + frames; ++i) {
       Frame frame;
       frame.frame_id = frame.keyframe_id = i;
       frame.is_keyframe = true;
-      frame.stamp_ns = kStart_ns + i * 100'000'000;
+      frame.stamp_ns = kStart_ns + i * kPeriod_ns;
       frame.T_odom_camera = pose(i);
       recorder->record(frame);
       truth.push_back({frame.stamp_ns, pose(i)});
@@ -171,7 +173,7 @@ class Report : public ProgramTest {
     landmark.ellipsoid = Ellipsoid{SE3(Quaternion::Identity(), Vec3(1.0, 0.0, 2.0)), Vec3(0.3, 0.1, 0.2)};
     if (with_object) update.changed = {landmark};
     recorder->record(update);
-    std::int64_t query = 5;
+    std::int64_t query = first + 5;
     MapCorrection correction;
     correction.changed = true;
     for (const int inliers : loops) {
@@ -179,10 +181,15 @@ class Report : public ProgramTest {
       refused.accepted = false;
       refused.reason = LoopReason::kTilt;
       recorder->record(query, {loop(static_cast<int>(query), inliers), refused}, 10.0);
-      const bool kept = query != 6;
+      const bool kept = query != first + 6;
       correction.loops.push_back({query, query, 1, kept, kept ? "" : "it is wrong: by 3 m", false});
       ++query;
     }
+    if (!loops.empty()) {
+      correction.loops.push_back({query, first + 6, 1, true, "", true});
+      correction.loops.push_back({query + 1, first + 5, 1, false, "it is wrong: by 4 m", true});
+    }
+    if (first > 0) correction.loops.push_back({3, 3, 1, false, "another one now: by 5 m", true});
     recorder->record(correction);
     ASSERT_TRUE(recorder->write(directory_.path("run")));
     ASSERT_TRUE(write_tum_trajectory(directory_.path("gt.txt"), truth));
@@ -213,7 +220,29 @@ TEST_F(Report, ShowsEveryPartOfARun) {
   EXPECT_NE(part("loops").find("<td>accepted, but not believed: it is wrong</td><td class=\"number\">1</td>"),
             std::string::npos);
   EXPECT_NE(part("loops").find("<td>tilt</td><td class=\"number\">3</td>"), std::string::npos);
+  EXPECT_NE(part("loops").find("<td>from outside</td><td class=\"number\">2</td>"), std::string::npos);
+  EXPECT_NE(part("loops").find("<td>from outside, but not believed: it is wrong</td><td class=\"number\">1</td>"),
+            std::string::npos);
   EXPECT_EQ(count(html(), "http"), 0u) << "nothing is fetched";
+}
+
+TEST_F(Report, LoopsIntoTheMapThatTheRunGoesOnWithAreJudgedAndDrawn) {
+  write_run(12, {5, 8, 6}, true, 100);
+  ASSERT_EQ(run("@run --loop 3"), 0) << err_;
+  const std::string loops = part("loops");
+  EXPECT_NE(loops.find("<td>accepted</td><td class=\"number\">3</td>"), std::string::npos);
+  EXPECT_EQ(count(loops, "<td>accepted, but not believed"), 1u);
+  EXPECT_NE(loops.find("<td>accepted, but not believed: it is wrong</td><td class=\"number\">1</td>"),
+            std::string::npos);
+  EXPECT_NE(loops.find("<td>from outside</td><td class=\"number\">2</td>"), std::string::npos)
+      << "those of the session before are not of this run";
+  EXPECT_NE(loops.find("frames 1 (earlier session) and 107 (0.7 s); believed.</p>"), std::string::npos);
+  EXPECT_NE(loops.find("6 match an earlier session"), std::string::npos);
+  EXPECT_EQ(count(loops, " class=\"pick\""), 3u);
+  double cy = 0.0;
+  const std::size_t at = loops.rfind("<circle cx=", loops.find(" class=\"pick\""));
+  ASSERT_EQ(std::sscanf(loops.c_str() + at, "<circle cx=\"%*f\" cy=\"%lf\"", &cy), 1);
+  EXPECT_LT(cy, 400.0) << "in the picture";
 }
 
 TEST_F(Report, TheSameFilesGiveTheSameBytes) {

@@ -167,11 +167,10 @@ std::string draw_loop(const RunData& run, const ShownLoop& loop, const TopView& 
   match.extend(&extents[2]);
   laid_over.extend(&extents[2]);
   const std::array<Panel, 3> panels = lay_out(extents);
-  const auto time = [&run](std::int64_t stamp_ns) { return format_fixed(run.seconds(stamp_ns), 1) + " s"; };
   const std::string names = "font-size=\"" + px(kFont_px) + '"';
 
-  std::string svg = draw_frame(panels[0], "match, at " + time(record.match_stamp_ns)) +
-                    draw_frame(panels[1], "query, at " + time(record.query_stamp_ns)) +
+  std::string svg = draw_frame(panels[0], "match: " + run.match_time(record)) +
+                    draw_frame(panels[1], "query: " + format_fixed(run.seconds(record.query_stamp_ns), 1) + " s") +
                     draw_frame(panels[2], "laid over each other");
   svg += group("class=\"pairs\"", draw_pairs(panels[0], match, panels[1], query, &colors));
   svg += draw_objects(panels[0], match, colors) + draw_objects(panels[2], match, colors);

@@ -240,8 +240,12 @@ std::string draw_loops(const RunData& run, const Pictured& pictured) {
   Axis query = time_axis(run), match = query;
   query.title = "time of the query, s";
   match.title = "time of the match, s";
+  // The time of another session has no place here: its loops are on the edge.
+  const auto match_time = [&run](const LoopRecord& record) {
+    return run.is_into_map(record) ? 0.0 : run.seconds(record.match_stamp_ns);
+  };
   std::vector<double> matches = {0.0};
-  for (const ShownLoop& loop : run.loops) matches.push_back(run.seconds(loop.record.match_stamp_ns));
+  for (const ShownLoop& loop : run.loops) matches.push_back(match_time(loop.record));
   match.max = axis_over("", matches).max;
   Chart chart({kHalf_px, 400.0}, query, match);
   std::map<std::string, std::size_t> rank;
@@ -255,7 +259,7 @@ std::string draw_loops(const RunData& run, const Pictured& pictured) {
   std::set<std::tuple<std::string, double, double>> drawn;
   for (const ShownLoop& loop : run.loops) {
     const LoopRecord& record = loop.record;
-    const Vec2 at = chart.to_px({run.seconds(record.query_stamp_ns), run.seconds(record.match_stamp_ns)});
+    const Vec2 at = chart.to_px({run.seconds(record.query_stamp_ns), match_time(record)});
     const std::string color = loop.is_kept      ? kBelievedColor
                               : record.accepted ? kDisbelievedColor
                                                 : reason_color(rank.at(record.reason_text));
@@ -272,20 +276,29 @@ std::string draw_loops(const RunData& run, const Pictured& pictured) {
 
 std::string reason_table(const RunData& run) {
   HtmlTable table({"reason", "candidates", "share, %"});
-  std::map<std::string, std::size_t> verdicts;
+  std::map<std::string, std::size_t> verdicts, extra_verdicts;
+  const auto kind = [](const std::string& verdict) { return verdict.substr(0, verdict.find(':')); };
   std::size_t accepted = 0;
   for (const ShownLoop& loop : run.loops) {
     if (!loop.record.accepted) continue;
     ++accepted;
-    if (!loop.is_kept) ++verdicts[loop.verdict.substr(0, loop.verdict.find(':'))];
+    if (!loop.is_kept) ++verdicts[kind(loop.verdict)];
+  }
+  for (const VerdictRecord& loop : run.extra_loops) {
+    if (!loop.is_kept) ++extra_verdicts[kind(loop.verdict)];
   }
   const auto add = [&](const std::string& reason, std::size_t count) {
     const double share = 100.0 * static_cast<double>(count) / static_cast<double>(run.loops.size());
     table.add({reason, std::to_string(count), format_fixed(share, 1)});
   };
-  add("accepted", accepted);
+  if (!run.loops.empty()) add("accepted", accepted);
   for (const auto& [verdict, count] : verdicts) add("accepted, but not believed: " + verdict, count);
   for (const auto& [reason, count] : rejections(run)) add(reason, count);
+  const auto add_extra = [&table](const std::string& reason, std::size_t count) {
+    table.add({reason, std::to_string(count), ""});  // no share of the candidates: they are none
+  };
+  if (!run.extra_loops.empty()) add_extra("from outside", run.extra_loops.size());
+  for (const auto& [verdict, count] : extra_verdicts) add_extra("from outside, but not believed: " + verdict, count);
   return table.html();
 }
 
@@ -295,7 +308,7 @@ std::string describe(const RunData& run, const ShownLoop& loop) {
   std::string text = std::to_string(record.inliers) + " matched objects of " + std::to_string(loop.match.size()) +
                      " and " + std::to_string(loop.query.size()) + ", rms " + format_fixed(record.rms_m, 3) +
                      " m, score " + format_fixed(record.score, 2) + "; frames " + std::to_string(record.match_frame) +
-                     " (" + time(record.match_stamp_ns) + ") and " + std::to_string(record.query_frame) + " (" +
+                     " (" + run.match_time(record) + ") and " + std::to_string(record.query_frame) + " (" +
                      time(record.query_stamp_ns) + "); ";
   return text + (loop.is_kept ? "believed" : "not believed") + (loop.verdict == "kept" ? "" : ": " + loop.verdict);
 }
@@ -344,9 +357,8 @@ std::string choice_of_loops(const RunData& run, const LoopChoice& choice, const 
   for (const ShownLoop* loop : choice.pictured) {
     const std::string number = std::to_string(loop->number);
     options += "<option value=\"" + number + "\"" + (loop == choice.first ? " selected" : "") + ">" + number + ": " +
-               format_fixed(run.seconds(loop->record.match_stamp_ns), 1) + " s – " +
-               format_fixed(run.seconds(loop->record.query_stamp_ns), 1) + " s, " +
-               std::to_string(loop->record.inliers) + " objects</option>\n";
+               run.match_time(loop->record) + " – " + format_fixed(run.seconds(loop->record.query_stamp_ns), 1) +
+               " s, " + std::to_string(loop->record.inliers) + " objects</option>\n";
     templates += "<template id=\"loop-" + number + "\">" + loop_picture(run, *loop, view, colors) + "</template>\n";
   }
   return "<div class=\"choice\"><h3>One loop</h3><div class=\"script-only\"><select id=\"loop-choice\" "
@@ -359,15 +371,15 @@ std::string choice_of_loops(const RunData& run, const LoopChoice& choice, const 
 }
 
 std::string loop_section(const RunData& run, const LoopChoice& choice, const TopView& view, const ClassColors& colors) {
-  if (run.loops.empty()) return section("loops", "Loops", "There was no candidate for a loop.", "");
+  if (run.loops.empty() && run.extra_loops.empty()) {
+    return section("loops", "Loops", "There was no candidate for a loop.", "");
+  }
   Pictured pictured;
   for (const ShownLoop* loop : choice.pictured) pictured.insert(loop->number);
-  const std::size_t earlier =
-      static_cast<std::size_t>(std::count_if(run.loops.begin(), run.loops.end(), [&run](const ShownLoop& loop) {
-        return loop.record.match_stamp_ns < run.begin_ns();
-      }));
+  const std::size_t earlier = static_cast<std::size_t>(std::count_if(
+      run.loops.begin(), run.loops.end(), [&run](const ShownLoop& loop) { return run.is_into_map(loop.record); }));
   std::string note = "Every candidate that reached verification, by the time of its query and of its match.";
-  if (earlier > 0) note += " " + std::to_string(earlier) + " match an earlier session and are beyond the picture.";
+  if (earlier > 0) note += " " + std::to_string(earlier) + " match an earlier session and are on the lower edge.";
   if (choice.pictured.size() < choice.with_submaps) {
     note += " Of " + std::to_string(choice.with_submaps) + " accepted ones " + std::to_string(choice.pictured.size()) +
             " can be chosen here; <code>report --loop N</code> shows any.";

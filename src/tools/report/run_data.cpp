@@ -8,19 +8,13 @@
 
 #include "io/csv.h"
 #include "semantic_topo_loop/io/tum_trajectory.h"
+#include "semantic_topo_loop/types/text.h"
 
 namespace semantic_topo_loop::core {
 namespace {
 
-/// A row of loop_verdicts.csv.
-struct Verdict {
-  std::int64_t query_frame = -1, match_frame = -1;
-  bool is_extra = false, is_kept = false;
-  std::string verdict;
-};
-
-Verdict read_verdict(CsvTable& table) {
-  Verdict row;
+VerdictRecord read_verdict(CsvTable& table) {
+  VerdictRecord row;
   table("query_frame", row.query_frame);
   table("match_frame", row.match_frame);
   table("extra", row.is_extra);
@@ -69,11 +63,12 @@ std::string directory_name(const std::string& directory) {
 }
 
 /// The number of an accepted loop, what the pose graph made of it and the submaps that it joins.
-void complete_loops(const std::vector<Verdict>& verdicts, std::vector<LoopObjectRecord> objects, RunData* run) {
+void complete_loops(const std::vector<VerdictRecord>& verdicts, std::vector<LoopObjectRecord> objects, RunData* run) {
   using Frames = std::pair<std::int64_t, std::int64_t>;
-  std::map<Frames, std::vector<const Verdict*>> verdicts_of;  // the last first
+  std::map<Frames, std::vector<const VerdictRecord*>> verdicts_of;  // the last first
   for (auto verdict = verdicts.rbegin(); verdict != verdicts.rend(); ++verdict) {
     if (!verdict->is_extra) verdicts_of[{verdict->query_frame, verdict->match_frame}].push_back(&*verdict);
+    if (verdict->is_extra && verdict->query_frame >= 0) run->extra_loops.push_back(*verdict);  // else of before
   }
   using Key = std::tuple<std::int64_t, std::int64_t, std::int64_t, std::int64_t>;
   std::map<Key, std::vector<LoopObjectRecord>> objects_of;
@@ -86,7 +81,8 @@ void complete_loops(const std::vector<Verdict>& verdicts, std::vector<LoopObject
     const LoopRecord& record = loop.record;
     if (!record.accepted) continue;
     loop.number = ++accepted;
-    const auto verdict = verdicts_of.find({record.query_frame, record.match_frame});
+    const std::int64_t match_frame = run->is_into_map(record) ? -1 : record.match_frame;  // as the file has it
+    const auto verdict = verdicts_of.find({record.query_frame, match_frame});
     if (verdict != verdicts_of.end() && !verdict->second.empty()) {
       loop.is_kept = verdict->second.back()->is_kept;
       loop.verdict = verdict->second.back()->verdict;
@@ -134,6 +130,10 @@ const StampedPose* RunData::pose_of(std::int64_t frame_id) const {
   return &poses[static_cast<std::size_t>(index)];
 }
 
+std::string RunData::match_time(const LoopRecord& loop) const {
+  return is_into_map(loop) ? "earlier session" : format_fixed(seconds(loop.match_stamp_ns), 1) + " s";
+}
+
 Result<RunData> read_run(const ReportInputs& inputs) {
   RunData run;
   run.name = directory_name(inputs.run);
@@ -143,12 +143,12 @@ Result<RunData> read_run(const ReportInputs& inputs) {
   std::vector<KeyframePose> keyframes;
   std::vector<LoopRecord> loops;
   std::vector<LoopObjectRecord> loop_objects;
-  std::vector<Verdict> verdicts;
+  std::vector<VerdictRecord> verdicts;
   reader.take(read_keyframes(inputs.run + "/keyframes.csv"), &keyframes);
   reader.take(read_objects(inputs.run + "/objects.csv"), &run.objects);
   reader.take(read_loops(inputs.run + "/loops.csv"), &loops);
   reader.take(read_loop_objects(inputs.run + "/loop_objects.csv"), &loop_objects);
-  reader.take(read_csv<Verdict>(inputs.run + "/loop_verdicts.csv", read_verdict), &verdicts);
+  reader.take(read_csv<VerdictRecord>(inputs.run + "/loop_verdicts.csv", read_verdict), &verdicts);
   reader.take(read_csv<FrameTiming>(inputs.run + "/timing.csv", read_timing), &run.timing);
   reader.take(read_csv<MemoryRecord>(inputs.run + "/memory.csv", read_memory), &run.memory);
   if (!reader.status()) return reader.status().error();

@@ -54,6 +54,13 @@ struct ShownLoop {
   std::vector<LoopObjectRecord> query, match;  ///< objects of the two submaps
 };
 
+/// A row of loop_verdicts.csv.
+struct VerdictRecord {
+  std::int64_t query_frame = -1, match_frame = -1;
+  bool is_extra = false, is_kept = false;
+  std::string verdict;
+};
+
 /// The files of a run, read and put together.
 struct RunData {
   std::string name;                           ///< of the directory
@@ -64,7 +71,8 @@ struct RunData {
   std::vector<ReferenceObject> references;
   std::optional<ObjectEvaluation> object_evaluation;  ///< with references
   std::vector<ShownLoop> loops;
-  std::vector<FrameTiming> timing;  ///< a row a pose of the optimised trajectory
+  std::vector<VerdictRecord> extra_loops;  ///< from outside
+  std::vector<FrameTiming> timing;         ///< a row a pose of the optimised trajectory
   std::vector<MemoryRecord> memory;
 
   const ShownTrajectory& optimised() const { return trajectories.back(); }
@@ -73,6 +81,10 @@ struct RunData {
   double seconds(std::int64_t stamp_ns) const { return 1e-9 * static_cast<double>(stamp_ns - begin_ns()); }
   /// The optimised pose of a frame, nullptr for one of another run.
   const StampedPose* pose_of(std::int64_t frame_id) const;
+  /// Whether a loop leads into an earlier session of the map.
+  bool is_into_map(const LoopRecord& loop) const { return loop.match_frame < timing.front().frame_id; }
+  /// Since the first frame: "12.3 s", or "earlier session".
+  std::string match_time(const LoopRecord& loop) const;
 };
 
 /// @return an error that names the file, and the line, if one is missing or damaged, or what does not fit together
