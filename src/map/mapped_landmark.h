@@ -50,10 +50,11 @@ struct Sightings {
   /// Whether depth has told most of the time where it is.
   bool is_placed() const { return placed_s > 0.5 * seen_s; }
   double seen_share() const { return expected_s > 0.0 ? seen_s / expected_s : 1.0; }
-  /// Of the familiar views, those with a box; without the last absence, which says nothing of the time before.
+  /// Of the familiar views, those with a box, 1 if there are none; without the last absence, which says nothing of the
+  /// time before.
   double familiar_share() const {
     const double missed_s = familiar_missed_s - missed_since_s;
-    return familiar_seen_s > 0.0 ? familiar_seen_s / (familiar_seen_s + missed_s) : 0.0;
+    return familiar_seen_s > 0.0 ? familiar_seen_s / (familiar_seen_s + missed_s) : 1.0;
   }
   /// @param sign -1 to take back what was added
   void add(const Sightings& other, double sign = 1.0) {
