@@ -89,7 +89,7 @@ apt_packages() {
         esac
         ;;
       *:*)
-        echo "unsupported system: $system (supported: Debian 12, Ubuntu 20.04 with ROS Noetic)" >&2
+        echo "unsupported system: $system (supported: Debian 12 and 11; untried: Ubuntu 20.04 with ROS Noetic)" >&2
         return 1
         ;;
     esac

@@ -7,8 +7,8 @@
 namespace semantic_topo_loop::core {
 namespace {
 
-/// Boxes that must be kept of an object to be one if the map does not say so, and that the last session should have of
-/// what is gone: a second or two.
+/// Boxes that the last session should have of what is gone, that what is new must have, and by which another one holds
+/// a place: a second or two.
 constexpr int kMinBoxes = 30;
 /// Keyframes that must have had a place in view, since detectors miss an object for seconds on end; where there are
 /// boxes of both times to compare; of one that moved there, since it is gone elsewhere; and where many objects are
@@ -41,8 +41,8 @@ Boxes count_boxes(const MappedLandmark& landmark, std::int64_t first_keyframe_id
 }
 
 /// Keyframes from `begin` to before `end` in which a detector should have boxed what the map has there, since it did
-/// from there at some time; by the landmark's id. @param with_former those, too, that only were objects when an
-/// earlier session ended
+/// from there at some time; by the landmark's id. @param with_former those, too, that only were objects when the
+/// session before ended
 std::map<std::int64_t, int> count_looks(const MapState& map, std::int64_t begin, std::int64_t end,
                                         bool with_former = false) {
   std::map<std::int64_t, MappedLandmark> landmarks;
