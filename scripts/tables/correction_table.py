@@ -50,4 +50,5 @@ def table_objects(context):
             some = [figures for other, name, figures in ates if other == key and name in chosen]
             if some:
                 rows.append(row(key, title, some))
-    return "### Objects in the correction\n\n**ATE with objects in the correction**\n\n" + markdown(COLUMNS, rows) + "\n" + NOTES
+    return ("### Objects in the correction\n\n**ATE with objects in the correction**\n\n" + markdown(COLUMNS, rows) + "\n" +
+            NOTES)
