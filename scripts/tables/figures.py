@@ -46,7 +46,7 @@ class Template:
             end = place.end()
         pattern += re.escape(text[end:])
         is_row = text.startswith("|") and text.endswith("|")
-        self._pattern = re.compile(f"^{pattern}$" if is_row else pattern, re.MULTILINE)
+        self._pattern = re.compile(f"^{pattern}$" if is_row else pattern + r"(?!\d)", re.MULTILINE)
 
     def find(self, document_text):
         """@return the one place where it stands"""
