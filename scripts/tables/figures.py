@@ -1,11 +1,16 @@
 """Measures again what the documents state and says which figures differ; ends with 0 if none does.
 
-docs/figures.json lists measurements - commands that write files into a folder of their own - and, for each, lines of
-documents with {expressions} in place of the figures. An expression is Python over what the commands wrote: NAME.json by
-its name (`after.ate_m.rmse`), and cells of the tables that paper_tables printed, `cell(heading, row..., column)`. `{~...}`
-is a time, or hangs on one: it is shown and never compared. A line that does not stand in its document once is an error."""
+docs/figures.json lists, as "measurements", commands that write files into a folder of their own, and for each the lines
+of documents with {expressions} in place of the figures. An expression is Python over what the commands wrote: NAME.json
+and NAME/summary.json by their name (`after.ate_m.rmse`), and cells of the tables in tables.md: `cell(heading, row...,
+column)`, or those of a row between two columns, `row(heading, first cell, first column, last column)`. `$NAME` in a line
+stands for each of the values that the measurement's "each" has for it. A line that does not stand in its document once is an
+error. What is not measured has a reason there, by section of a document or by regular expression; a number without either
+is shown by --list, which then ends with 1."""
 
 import argparse
+import collections
+import concurrent.futures
 import glob
 import json
 import os
@@ -20,8 +25,11 @@ from runs import Failure, package_folder
 
 PACKAGE = package_folder()
 DOCUMENTS = ("README.md", "docs/benchmarks.md")
-PLACE = re.compile(r"\{(~?)([^{}]+?)(?::([.,\d]*[a-z%]))?\}")
+PLACE = re.compile(r"\{([^{}]+?)(?::([.,\d]*[a-z%]))?\}")
 NUMBER = re.compile(r"(?<![\w.])\d[\d,]*(?:\.\d+)?")
+CODE = re.compile(r"```.*?```|`[^`\n]*`|\]\([^)\n]*\)", re.DOTALL)
+HEADING = re.compile(r"^(#+) (.*)$", re.MULTILINE)
+MEASURED, ROW = "measured", "in the names of rows that are measured"
 QUICK_S = 60.0
 
 
@@ -31,11 +39,14 @@ class Template:
     def __init__(self, document, text):
         self.document, self.text = document, text
         self.places = list(PLACE.finditer(text))
-        ends = [0] + [end for place in self.places for end in place.span()] + [len(text)]
-        fixed = [re.escape(text[ends[i]:ends[i + 1]]) for i in range(0, len(ends), 2)]
+        pattern, end = "", 0
+        for place in self.places:
+            # A row of cells has strokes in it; any other figure has none.
+            pattern += re.escape(text[end:place.start()]) + (r"(.+?)" if place.group(1).startswith("row(") else r"([^|\n]+?)")
+            end = place.end()
+        pattern += re.escape(text[end:])
         is_row = text.startswith("|") and text.endswith("|")
-        whole = r"^%s$" if is_row else "%s"
-        self._pattern = re.compile(whole % r"([^|\n]+?)".join(fixed), re.MULTILINE)
+        self._pattern = re.compile(f"^{pattern}$" if is_row else pattern + r"(?!\d)", re.MULTILINE)
 
     def find(self, document_text):
         """@return the one place where it stands"""
@@ -45,14 +56,26 @@ class Template:
         return found[0]
 
     def figures(self, values):
-        """(figure as text, whether it is compared) of each place."""
+        """Text of each place."""
         for place in self.places:
-            is_shown_only, expression, layout = place.groups()
+            expression, layout = place.groups()
             try:
                 value = eval(expression, {}, values)
             except Exception as error:  # whatever the commands wrote
                 raise Failure(f"{expression} in '{self.text}': {error!r}")
-            yield format(value, layout or ""), not is_shown_only
+            yield format(value, layout or "")
+
+
+def templates_of(entry):
+    """The lines of a measurement; each value of what stands in them as $NAME makes one of its own."""
+    def expanded(text):
+        for name, values in entry.get("each", {}).items():
+            if "$" + name in text:
+                return [line for value in values for line in expanded(text.replace("$" + name, value))]
+        return [text]
+
+    return [Template(document, line) for document, lines in entry["lines"].items() for text in lines
+            for line in expanded(text)]
 
 
 def namespace(value):
@@ -71,6 +94,11 @@ def spaced(text):
     return text.replace("/", " / ")
 
 
+def counts(text):
+    """`3702 / 3705` of `0.999 (3702/3705)`."""
+    return spaced(text[text.index("(") + 1:-1])
+
+
 class Tables:
     """Cells of Markdown tables, by the text above a table, the first cells of a row and the name of a column."""
 
@@ -87,25 +115,39 @@ class Tables:
             elif line.strip():
                 above = line
 
-    def cell(self, heading, *row_and_column):
-        *row, column = row_and_column
+    def _find(self, heading, first_cells):
+        """@return columns and cells of the first such row"""
         for above, columns, rows in self._tables:
             for cells in rows if heading in above else []:
-                if cells[:len(row)] == row:
-                    return cells[columns.index(column)]
-        raise KeyError((heading, *row_and_column))
+                if cells[:len(first_cells)] == first_cells:
+                    return columns, cells
+        raise KeyError((heading, *first_cells))
+
+    def cell(self, heading, *row_and_column):
+        *row, column = row_and_column
+        columns, cells = self._find(heading, row)
+        return cells[columns.index(column)]
+
+    def row(self, heading, first_cell, first, last):
+        """Cells of the columns of these names and of those between."""
+        columns, cells = self._find(heading, [first_cell])
+        return " | ".join(cells[columns.index(first):columns.index(last) + 1])
 
 
 def values_of(folder):
     """Names that the expressions of a measurement may use."""
-    values = {"ratio": ratio, "spaced": spaced}
+    values = {"ratio": ratio, "spaced": spaced, "counts": counts}
     for path in glob.glob(os.path.join(folder, "*.json")):
         with open(path) as file:
             values[os.path.basename(path)[:-5]] = namespace(json.load(file))
-    tables = os.path.join(folder, "tables.md")
-    if os.path.exists(tables):
-        with open(tables) as file:
-            values["cell"] = Tables(file.read()).cell
+    for path in glob.glob(os.path.join(folder, "*", "summary.json")):
+        with open(path) as file:
+            values[os.path.basename(os.path.dirname(path))] = namespace(json.load(file))
+    path = os.path.join(folder, "tables.md")
+    if os.path.exists(path):
+        with open(path) as file:
+            tables = Tables(file.read())
+        values.update(cell=tables.cell, row=tables.row)
     return values
 
 
@@ -125,35 +167,73 @@ def measure(name, commands, arguments):
     return folder, time.monotonic() - begin
 
 
+def differing(stated, now):
+    """How many numbers of one text differ from those of the other."""
+    a, b = NUMBER.findall(stated), NUMBER.findall(now)
+    return sum(x != y for x, y in zip(a, b)) + abs(len(a) - len(b)) or int(stated != now)
+
+
 def compare(template, values, text):
-    """@return the document's text with today's figures, and how many of them differ"""
+    """@return the document's text with today's figures, how many numbers these are, and how many of them differ"""
     found = template.find(text)
-    others, times, parts, end = [], [], [], found.start()
-    for i, (now, is_compared) in enumerate(template.figures(values), 1):
+    changes, parts, end, total, differ = [], [], found.start(), 0, 0
+    for i, now in enumerate(template.figures(values), 1):
         stated = found.group(i)
+        total += len(NUMBER.findall(now))
         if stated != now:
-            (others if is_compared else times).append(f"{stated} is {now}")
-        parts += [text[end:found.start(i)], now if is_compared else stated]
+            differ += differing(stated, now)
+            changes.append(f"{stated} is {now}")
+        parts += [text[end:found.start(i)], now]
         end = found.end(i)
-    for kind, changes in (("differs", others), ("times, not compared", times)):
-        if changes:
-            print(f"  {template.document}: {kind}: {', '.join(changes)}; in: {found.group(0)}")
-    return text[:found.start()] + "".join(parts) + text[end:], len(others), len(template.places)
+    if changes:
+        print(f"  {template.document}: differs: {', '.join(changes)}; in: {found.group(0)}")
+    return text[:found.start()] + "".join(parts) + text[end:], total, differ
 
 
-def list_uncovered(texts, templates):
-    """Numbers of the documents that no template has; code is left out."""
+def section(text, heading):
+    """Span of a section with those below it."""
+    headings = list(HEADING.finditer(text))
+    for i, found in enumerate(headings):
+        if found.group(2) == heading:
+            ends = [other.start() for other in headings[i + 1:] if len(other.group(1)) <= len(found.group(1))]
+            return found.start(), (ends or [len(text)])[0]
+    raise Failure(f"no section '{heading}'")
+
+
+def reasons_of(document, text, templates, not_measured):
+    """(number as a match, why it is not measured, or MEASURED, or "" if nobody knows); code is left out."""
+    code = [match.span() for match in CODE.finditer(text)]
+    spans = []  # (begin, end, reason); the first one counts
+    lines = [t.find(text) for t in templates if t.document == document]
+    spans += [(*found.span(i + 1), MEASURED) for found in lines for i in range(len(found.groups()))]
+    spans += [(*found.span(), ROW) for found in lines]
+    spans += [(*section(text, heading), reason) for heading, reason in not_measured["sections"].get(document, {}).items()]
+    spans += [(*found.span(), reason) for reason, patterns in not_measured["phrases"].items() for pattern in patterns
+              for found in re.finditer(pattern, text)]
+    for number in NUMBER.finditer(text):
+        if not any(begin <= number.start() < end for begin, end in code):
+            yield number, next((reason for begin, end, reason in spans if begin <= number.start() < end), "")
+
+
+def count_reasons(texts, templates, not_measured):
+    """Prints the numbers that nothing accounts for. @return how many numbers each reason has"""
+    total = collections.Counter()
     for document, text in texts.items():
-        covered = [t.find(text).span() for t in templates if t.document == document]
-        code = [match.span() for match in re.finditer(r"```.*?```|`[^`\n]*`|\]\([^)\n]*\)", text, re.DOTALL)]
-        numbers = [m for m in NUMBER.finditer(text) if not any(a <= m.start() < b for a, b in code)]
-        missing = [m for m in numbers if not any(a <= m.start() < b for a, b in covered)]
-        lines = {}
-        for m in missing:
-            lines.setdefault(text.count("\n", 0, m.start()) + 1, []).append(m.group())
-        for line, found in lines.items():
+        unknown = {}
+        for number, reason in reasons_of(document, text, templates, not_measured):
+            total[reason] += 1
+            if not reason:
+                unknown.setdefault(text.count("\n", 0, number.start()) + 1, []).append(number.group())
+        for line, found in unknown.items():
             print(f"{document}:{line}: {' '.join(found)}")
-        print(f"{document}: {len(numbers) - len(missing)} of {len(numbers)} numbers are in lines that are measured again")
+    return total
+
+
+def print_reasons(total):
+    print(f"{sum(total.values())} numbers, {total[MEASURED]} of them measured; the others:")
+    for reason, count in total.most_common():
+        if reason != MEASURED:
+            print(f"  {count} {reason or 'without a measurement or a reason'}")
 
 
 def parse_arguments():
@@ -169,50 +249,75 @@ def parse_arguments():
                         help=f"only measurements that take less than {QUICK_S:.0f} s on idle cores")
     parser.add_argument("--only", default="", metavar="TEXT", help="only measurements whose name contains it")
     parser.add_argument("--keep", action="store_true", help="run nothing: compare with what was measured before")
-    parser.add_argument("--write", action="store_true", help="put today's figures, times aside, into the documents")
-    parser.add_argument("--list", action="store_true", help="show the documents' numbers that nothing measures again")
+    parser.add_argument("--write", action="store_true", help="put today's figures into the documents")
+    parser.add_argument("--list", action="store_true",
+                        help="measure nothing: how many numbers are measured, why others are not, which have no reason")
+    parser.add_argument("--jobs", type=int, default=os.cpu_count(), metavar="N",
+                        help="measurements at the same time (default: %(default)s)")
     arguments = parser.parse_args()
     arguments.programs, arguments.output = os.path.abspath(arguments.programs), os.path.abspath(arguments.output)
     return arguments
 
 
-def main():
-    arguments = parse_arguments()
+def measure_all(measurements, arguments):
+    """Several at a time, the longest first. @return name, and the folder and seconds or the failure, as listed"""
+    with concurrent.futures.ThreadPoolExecutor(arguments.jobs) as pool:
+        by_length = sorted(measurements, key=lambda name: -measurements[name]["seconds"])
+        pending = {name: pool.submit(measure, name, measurements[name]["commands"], arguments) for name in by_length}
+        for name in measurements:
+            yield name, pending[name]
+
+
+def chosen_of(measurements, arguments):
+    chosen = {name: entry for name, entry in measurements.items()
+              if arguments.only in name and not (arguments.quick and entry["seconds"] >= QUICK_S)}
+    for name, entry in chosen.items():
+        if not arguments.data and any("$DATA" in command for command in entry["commands"]):
+            raise Failure(f"{name} needs the recorded sequences (--data, SEMANTIC_TOPO_LOOP_DATA)")
+    return chosen
+
+
+def run(arguments):
+    """@return exit code"""
     with open(os.path.join(PACKAGE, "docs/figures.json")) as file:
-        measurements = json.load(file)
+        listed = json.load(file)
     texts = {}
     for document in DOCUMENTS:
         with open(os.path.join(PACKAGE, document)) as file:
             texts[document] = file.read()
-    differ = total = 0
-    try:
-        templates = {name: [Template(document, line) for document, lines in entry["lines"].items() for line in lines]
-                     for name, entry in measurements.items()}
-        for template in (t for chosen in templates.values() for t in chosen):
-            template.find(texts[template.document])
-        if arguments.list:
-            list_uncovered(texts, [t for chosen in templates.values() for t in chosen])
-            return
-        for name, entry in measurements.items():
-            if arguments.only not in name or (arguments.quick and entry["seconds"] >= QUICK_S):
-                continue
-            if not arguments.data and any("$DATA" in command for command in entry["commands"]):
-                raise Failure(f"{name} needs the recorded sequences (--data, SEMANTIC_TOPO_LOOP_DATA)")
-            folder, seconds = measure(name, entry["commands"], arguments)
+    measurements = listed["measurements"]
+    templates = {name: templates_of(entry) for name, entry in measurements.items()}
+    reasons = count_reasons(texts, [t for some in templates.values() for t in some], listed["not_measured"])
+    if arguments.list:
+        print_reasons(reasons)
+        return 1 if reasons[""] else 0
+    differ = total = failed = 0
+    for name, pending in measure_all(chosen_of(measurements, arguments), arguments):
+        try:
+            folder, seconds = pending.result()
             print(f"{name}: {seconds:.0f} s", flush=True)
             values = values_of(folder)
             for template in templates[name]:
-                document = template.document
-                texts[document], others, figures = compare(template, values, texts[document])
-                differ, total = differ + others, total + figures
-        if arguments.write:
-            for document, text in texts.items():
-                with open(os.path.join(PACKAGE, document), "w") as file:
-                    file.write(text)
+                texts[template.document], numbers, others = compare(template, values, texts[template.document])
+                total, differ = total + numbers, differ + others
+        except Failure as failure:  # the others are measured all the same
+            failed += 1
+            print(f"{name}: error: {failure}", flush=True)
+    if arguments.write:
+        for document, text in texts.items():
+            with open(os.path.join(PACKAGE, document), "w") as file:
+                file.write(text)
+    print_reasons(reasons)
+    print(f"{total} numbers measured, {differ} differ" + (f"; {failed} measurements failed" if failed else ""))
+    return 1 if differ or failed else 0
+
+
+def main():
+    arguments = parse_arguments()
+    try:
+        sys.exit(run(arguments))
     except Failure as failure:
         sys.exit(f"figures: error: {failure}")
-    print(f"{differ} of {total} figures differ")
-    sys.exit(1 if differ else 0)
 
 
 if __name__ == "__main__":

@@ -28,21 +28,42 @@ def replaced(sequence, path):
     return dataclasses.replace(sequence, name=f"{sequence.name}_{stem}", trajectory=path, reference="")
 
 
+def thinned(context, sequence, step):
+    """The sequence with every `step`th pose; images without a pose are left out by `offline`."""
+    stem = os.path.splitext(os.path.basename(sequence.trajectory))[0]
+    folder = os.path.join(context.inputs, sequence.name)
+    os.makedirs(folder, exist_ok=True)
+    path = os.path.join(folder, f"{stem}_every_{step}.txt")
+    with open(path, "w") as file:
+        file.writelines(poses_of(sequence)[::step])
+    return dataclasses.replace(sequence, name=f"{sequence.name}_every_{step}", trajectory=path)
+
+
+def poses_of(sequence):
+    """Lines of its odometry."""
+    with open(sequence.trajectory) as file:
+        return [line for line in file if line.strip() and not line.startswith("#")]
+
+
+def moved(lines, generator):
+    """The poses in another frame, turned and displaced at random."""
+    rotation, translation = random_motion(generator)
+    for line in lines:
+        stamp, *values = line.split()
+        values = [float(value) for value in values]
+        position = [a + b for a, b in zip(rotate(rotation, values[:3]), translation)]
+        yield " ".join([stamp, *(f"{v:.9f}" for v in position + multiply(rotation, values[3:]))]) + "\n"
+
+
 def restarted(context, sequence, seed):
     """The sequence with an odometry that starts in another frame, turned and displaced at random, in the middle."""
     folder = os.path.join(context.inputs, sequence.name)
     os.makedirs(folder, exist_ok=True)
     path = os.path.join(folder, f"restart_s{seed}.txt")
-    with open(sequence.trajectory) as file:
-        lines = [line for line in file if line.strip() and not line.startswith("#")]
-    rotation, translation = random_motion(random.Random(seed))
+    lines = poses_of(sequence)
     with open(path, "w") as file:
         file.writelines(lines[:len(lines) // 2])
-        for line in lines[len(lines) // 2:]:
-            stamp, *values = line.split()
-            values = [float(value) for value in values]
-            position = [a + b for a, b in zip(rotate(rotation, values[:3]), translation)]
-            file.write(" ".join([stamp, *(f"{v:.9f}" for v in position + multiply(rotation, values[3:]))]) + "\n")
+        file.writelines(moved(lines[len(lines) // 2:], random.Random(seed)))
     return replaced(sequence, path)
 
 

@@ -5,9 +5,11 @@ import os
 import sys
 
 import association_tables
+import correction_table
 import loop_table
 import odometry_table
 import robustness_table
+import sessions_table
 import trajectory_table
 from association_tables import FULL
 from runs import JDA, JOINT, Failure, Programs, cascade, find_image_sequences, find_sequences, package_folder
@@ -23,6 +25,8 @@ TABLES = {
     "timing": association_tables.table_timing,
     "robustness": robustness_table.table_robustness,
     "odometry": odometry_table.table_odometry,
+    "objects": correction_table.table_objects,
+    "sessions": sessions_table.table_sessions,
 }
 VIEWS = ((FULL, "MLV-ODA, the paper's cascade"), (cascade("2d"), "2D"), (cascade("pro"), "Pro"), (cascade("3d"), "3D"),
          (JDA, "JDA"), (JOINT, "joint assignment (default)"))

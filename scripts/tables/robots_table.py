@@ -315,7 +315,10 @@ def parse_arguments():
 def main():
     arguments = parse_arguments()
     try:
-        print(table([measure(arguments, seed) for seed in arguments.seeds]))
+        text = "**Houses**\n\n" + table([measure(arguments, seed) for seed in arguments.seeds])
+        print(text)
+        with open(os.path.join(arguments.output, "tables.md"), "w") as file:
+            file.write(text)
     except Failure as failure:
         sys.exit(f"robots_table: error: {failure}")
 

@@ -4,6 +4,7 @@ import dataclasses
 import os
 
 from association_tables import FULL, PLAIN, markdown, ratio
+from inputs import thinned
 from runs import JDA, JOINT
 
 SEEDS = (1, 2, 3, 4, 5)
@@ -19,16 +20,6 @@ def corrupted(context, sequence, seed):
     path = os.path.join(context.inputs, name + os.path.splitext(sequence.detections)[1])
     context.programs.perturb_detections(sequence.detections, path, "--seed", str(seed), *SHARES)
     return dataclasses.replace(sequence, name=name, detections=path)
-
-
-def thinned(context, sequence):
-    """The sequence with every fifth pose; images without a pose are left out by `offline`."""
-    path = os.path.join(context.inputs, f"{sequence.name}_every_{FRAME_STEP}.txt")
-    with open(sequence.trajectory) as file:
-        poses = [line for line in file if line.strip() and not line.startswith("#")]
-    with open(path, "w") as file:
-        file.writelines(poses[::FRAME_STEP])
-    return dataclasses.replace(sequence, name=f"{sequence.name}_every_{FRAME_STEP}", trajectory=path)
 
 
 def row(title, runs):
@@ -53,7 +44,7 @@ def table_robustness(context):
         if not sequence.reference:
             continue
         worse = [corrupted(context, sequence, seed) for seed in SEEDS]
-        few = thinned(context, sequence)
+        few = thinned(context, sequence, FRAME_STEP)
         parts.append(f"**{sequence.name}, 30 % of the boxes dropped, 10 % relabelled, corners jittered by 3 %**\n")
         parts.append(markdown(columns, [row(title, [context.programs.run(s, method) for s in worse])
                                         for method, title in METHODS]))

@@ -144,6 +144,7 @@ class Programs:
         self._cameras = os.path.join(package_folder(), "config/camera")
         self._classes = os.path.join(package_folder(), "config/classes_coco.yaml")
         self._output = output
+        os.makedirs(os.path.join(output, "runs"), exist_ok=True)
         self._runs = {}
         self._loops = {}
         for name in ("offline", "evaluate", "perturb"):
@@ -166,9 +167,18 @@ class Programs:
         return run
 
     def perturb_detections(self, source, target, *arguments):
-        result = self._call("perturb", "detections", source, target, "--classes", self._classes, *arguments)
+        self.call("perturb", "detections", source, target, *arguments)
+
+    def call(self, name, *arguments):
+        """Of a program that takes classes."""
+        result = self._call(name, *arguments, "--classes", self._classes)
         if result.returncode != 0:
-            raise Failure(result.stderr.strip())
+            raise Failure(f"{name}: {result.stderr.strip()}")
+
+    def offline(self, sequence, trajectory, output, *arguments):
+        """A run that no table shares, on an odometry of one's own."""
+        self.call("offline", "--trajectory", trajectory, "--detections", sequence.detections, "--camera",
+                  os.path.join(self._cameras, sequence.camera), "--output", output, *arguments)
 
     def _call(self, name, *arguments):
         command = [os.path.join(self._programs, name), *arguments]
