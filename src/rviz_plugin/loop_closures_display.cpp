@@ -1,7 +1,6 @@
 #include "rviz_plugin/loop_closures_display.h"
 
 #include <OgreManualObject.h>
-#include <OgreMaterialManager.h>
 #include <OgreSceneManager.h>
 #include <rviz/ogre_helpers/billboard_line.h>
 
@@ -73,9 +72,7 @@ LoopClosuresDisplay::~LoopClosuresDisplay() {
 }
 
 void LoopClosuresDisplay::onInitialize() {
-  static int number = 0;  // displays may be many, materials are named for all of them
-  const std::string name = "semantic_topo_loop_loops_" + std::to_string(number++);
-  thin_material_ = Ogre::MaterialManager::getSingleton().create(name, resource_group());
+  thin_material_ = make_material();
   thin_material_->setReceiveShadows(false);
   thin_material_->setLightingEnabled(false);
   thin_material_->setSceneBlending(Ogre::SBT_TRANSPARENT_ALPHA);

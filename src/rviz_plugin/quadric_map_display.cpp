@@ -3,7 +3,6 @@
 #include <OgreCamera.h>
 #include <OgreEntity.h>
 #include <OgreManualObject.h>
-#include <OgreMaterialManager.h>
 #include <OgreMeshManager.h>
 #include <OgreSceneManager.h>
 #include <OgreTechnique.h>
@@ -273,9 +272,7 @@ Ogre::ColourValue QuadricMapDisplay::colour(const core::Landmark& landmark) cons
 const Ogre::MaterialPtr& QuadricMapDisplay::material(const Ogre::ColourValue& colour) {
   const auto [entry, is_new] = materials_.try_emplace(colour.getAsRGBA());
   if (!is_new) return entry->second;
-  static int number = 0;  // displays may be many, materials are named for all of them
-  const std::string name = "semantic_topo_loop_quadric_" + std::to_string(number++);
-  Ogre::MaterialPtr material = Ogre::MaterialManager::getSingleton().create(name, resource_group());
+  Ogre::MaterialPtr material = make_material();
   constexpr float kAmbient = 0.5F;
   material->setReceiveShadows(false);
   material->setLightingEnabled(true);
