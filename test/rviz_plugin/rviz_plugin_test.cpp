@@ -8,14 +8,17 @@
 #include <OgreTechnique.h>
 #include <OgreViewport.h>
 #include <gtest/gtest.h>
+#include <rviz/display_group.h>
 #include <rviz/failed_display.h>
 #include <rviz/ogre_helpers/movable_text.h>
 #include <rviz/properties/property_tree_model.h>
 #include <rviz/selection/selection_manager.h>
 #include <rviz/view_controller.h>
 #include <rviz/view_manager.h>
+#include <rviz/yaml_config_reader.h>
 
 #include <memory>
+#include <set>
 #include <string>
 #include <vector>
 
@@ -32,6 +35,8 @@ namespace {
 constexpr double kPatience_s = 20.0;
 constexpr int kWidth = 320, kHeight = 240;
 constexpr int kCup = 41, kTv = 62;
+
+std::string default_file;  ///< what launch files show
 
 core::Landmark make_landmark(std::int64_t id, int class_id, core::LandmarkState state, const core::Vec3& center) {
   core::Landmark landmark;
@@ -109,6 +114,23 @@ class RvizPlugin : public ::testing::Test {
 };
 
 std::unique_ptr<RvizHost> RvizPlugin::host_;
+
+TEST_F(RvizPlugin, IsWhatLaunchFilesShow) {
+  rviz::Config config;
+  rviz::YamlConfigReader reader;
+  reader.readFile(config, QString::fromStdString(default_file));
+  ASSERT_FALSE(reader.error()) << reader.errorMessage().toStdString();
+  rviz::DisplayGroup* displays = host_->manager().getRootDisplayGroup();
+  displays->load(config.mapGetChild("Visualization Manager"));
+  std::set<std::string> shown;
+  for (int i = 0; i < displays->numDisplays(); ++i) {
+    const rviz::Display* display = displays->getDisplayAt(i);
+    EXPECT_EQ(dynamic_cast<const rviz::FailedDisplay*>(display), nullptr) << display->getNameStd();
+    if (display->isEnabled()) shown.insert(display->getClassId().toStdString());
+  }
+  EXPECT_EQ(shown.count("semantic_topo_loop/QuadricMap"), 1u);
+  EXPECT_EQ(shown.count("semantic_topo_loop/LoopClosures"), 1u);
+}
 
 TEST_F(RvizPlugin, DrawsAsManyObjectsAsTheMessageHas) {
   rviz::Display* display = add("semantic_topo_loop/QuadricMap");
@@ -251,6 +273,7 @@ TEST_F(RvizPlugin, DrawsLoopsToTheirObjectsAndRefusedOnesIfAsked) {
 int main(int argc, char** argv) {
   testing::InitGoogleTest(&argc, argv);
   ros::init(argc, argv, "rviz_plugin_test");
+  if (argc > 1) semantic_topo_loop::default_file = argv[1];
   const QApplication application(argc, argv);
   return RUN_ALL_TESTS();
 }
