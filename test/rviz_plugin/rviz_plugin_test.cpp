@@ -28,6 +28,7 @@
 #include "semantic_topo_loop/LoopMap.h"
 #include "semantic_topo_loop/ros/messages.h"
 #include "support/rviz_host.h"
+#include "support/test_files.h"
 
 namespace semantic_topo_loop {
 namespace {
@@ -77,7 +78,10 @@ class RvizPlugin : public ::testing::Test {
   static void SetUpTestSuite() { host_ = std::make_unique<RvizHost>(kWidth, kHeight); }
   static void TearDownTestSuite() { host_.reset(); }
   void SetUp() override { host_->manager().setFixedFrame("map"); }
-  void TearDown() override { host_->manager().removeAllDisplays(); }
+  void TearDown() override {
+    host_->manager().removeAllDisplays();
+    node_.deleteParam(kClassTable);
+  }
 
   rviz::Display* add(const char* type) {
     rviz::Display* display = host_->manager().createDisplay(type, "display", true);
@@ -107,6 +111,7 @@ class RvizPlugin : public ::testing::Test {
     view->subProp("Yaw")->setValue(0.0);
   }
 
+  static constexpr char kClassTable[] = "visualization/class_table";
   static std::unique_ptr<RvizHost> host_;
   ros::NodeHandle node_;
   ros::Publisher maps_ = node_.advertise<MapMessage>("quadric_map", 1, true);
@@ -184,6 +189,29 @@ TEST_F(RvizPlugin, ColoursByClassStateOrQuality) {
   display->subProp("Color by")->setValue("Class");
   EXPECT_TRUE(RvizHost::spin_until([&] { return colour().r == of_class.r; }, kPatience_s));
   EXPECT_TRUE(becomes_green("Quality")) << "which is 1";
+}
+
+TEST_F(RvizPlugin, NamesAreOfTheChainsClassTable) {
+  const core::TestDirectory directory;
+  const std::string own =
+      directory.write("own.yaml", "classes:\n  - {id: 62, name: own, role: static, group: own, size_prior_m: 1}\n");
+  rviz::Display* display = add("semantic_topo_loop/QuadricMap");
+  const auto becomes = [&](const char* name) {
+    publish_map({make_landmark(1, kTv, core::LandmarkState::kConfirmed, {0.0, 0.0, 0.0})});
+    return RvizHost::spin_until(
+        [&] {
+          const auto labels = drawn<rviz::MovableText>(display);
+          return !labels.empty() && labels.front()->getCaption() == name;
+        },
+        kPatience_s);
+  };
+  EXPECT_TRUE(becomes("tv")) << "without a chain";
+  node_.setParam(kClassTable, own);
+  EXPECT_TRUE(becomes("own"));
+  node_.setParam(kClassTable, directory.path("of_another_machine.yaml"));
+  EXPECT_TRUE(becomes("tv"));
+  display->subProp("Class table")->setValue(QString::fromStdString(own));
+  EXPECT_TRUE(becomes("own"));
 }
 
 TEST_F(RvizPlugin, NamesThatCoverEachOtherAreShownOnce) {
