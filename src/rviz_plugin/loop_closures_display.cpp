@@ -113,6 +113,8 @@ void LoopClosuresDisplay::draw(const LoopMap* message) {
     loops_->setMaxPointsPerLine(2);
     loops_->setNumLines(static_cast<std::uint32_t>(loops.size()));
     loops_->setLineWidth(line_width_->getFloat());
+    // The points bring their own colours, which alone would not make rviz blend.
+    loops_->setColor(1.0F, 1.0F, 1.0F, alpha_->getFloat());
     for (std::size_t i = 0; i < loops.size(); ++i) {
       if (i > 0) loops_->newLine();
       loops_->addPoint(to_ogre(loops[i].from), loops[i].colour);

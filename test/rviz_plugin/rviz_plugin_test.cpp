@@ -287,6 +287,7 @@ TEST_F(RvizPlugin, DrawsLoopsToTheirObjectsAndRefusedOnesIfAsked) {
   };
   EXPECT_TRUE(RvizHost::spin_until([&] { return loops() == 2 && thin_lines() == 6; }, kPatience_s))
       << loops() << ' ' << thin_lines();
+  EXPECT_TRUE(drawn<Ogre::BillboardChain>(display).front()->getMaterial()->isTransparent());
   display->subProp("Only distinct")->setValue(false);
   EXPECT_TRUE(RvizHost::spin_until([&] { return loops() == 3; }, kPatience_s)) << loops();
   display->subProp("Refused candidates")->setValue(true);
