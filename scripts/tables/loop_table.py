@@ -19,11 +19,11 @@ NOTES = """A loop is counted at its keyframes. Reference loops: pairs of keyfram
 counts them. Real loops: keyframes with an accepted loop over the gap, one each, that of the best score; true positives:
 of these, loops whose keyframes fulfil the criterion; precision and recall are true positives over real and over
 reference loops. As a keyframe has one loop at most, such a recall cannot come near 1; that of the keyframes with any
-reference loop can. Rows of the paper are its printed figures: none of its methods but its own is run. Graph mode reports several loops a keyframe and closes them from the other side of a desk as well,
-which a limit on the viewpoint counts as wrong: hence the share of reference loops that any of its loops finds, and
-the real loops whose pose is right within 0.35 m / 10 deg (ends in holes of the motion capture left out). Common
-objects are the confirmed ones that the undrifted run of the default configuration saw in both keyframes. Drifted
-files are summed up by level.
+reference loop can. Rows of the paper are its printed figures: none of its methods but its own is run. Graph mode
+reports several loops a keyframe and closes them from the other side of a desk as well, which a limit on the viewpoint
+counts as wrong: hence the share of reference loops that any of its loops finds, and the real loops whose pose is right
+within 0.35 m / 10 deg (ends in holes of the motion capture left out). Common objects are the confirmed ones that the
+undrifted run of the default configuration saw in both keyframes. Drifted files are summed up by level.
 """
 
 BEYOND_COLUMNS = ("method", "input", "accepted", "right within 0.35 m / 10 deg", "least file", "0.20 m / 5 deg",

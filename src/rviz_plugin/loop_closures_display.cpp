@@ -1,7 +1,6 @@
 #include "rviz_plugin/loop_closures_display.h"
 
 #include <OgreManualObject.h>
-#include <OgreMaterialManager.h>
 #include <OgreSceneManager.h>
 #include <rviz/ogre_helpers/billboard_line.h>
 
@@ -73,9 +72,7 @@ LoopClosuresDisplay::~LoopClosuresDisplay() {
 }
 
 void LoopClosuresDisplay::onInitialize() {
-  static int number = 0;  // displays may be many, materials are named for all of them
-  const std::string name = "semantic_topo_loop_loops_" + std::to_string(number++);
-  thin_material_ = Ogre::MaterialManager::getSingleton().create(name, resource_group());
+  thin_material_ = make_material();
   thin_material_->setReceiveShadows(false);
   thin_material_->setLightingEnabled(false);
   thin_material_->setSceneBlending(Ogre::SBT_TRANSPARENT_ALPHA);
@@ -116,6 +113,8 @@ void LoopClosuresDisplay::draw(const LoopMap* message) {
     loops_->setMaxPointsPerLine(2);
     loops_->setNumLines(static_cast<std::uint32_t>(loops.size()));
     loops_->setLineWidth(line_width_->getFloat());
+    // The points bring their own colours, which alone would not make rviz blend.
+    loops_->setColor(1.0F, 1.0F, 1.0F, alpha_->getFloat());
     for (std::size_t i = 0; i < loops.size(); ++i) {
       if (i > 0) loops_->newLine();
       loops_->addPoint(to_ogre(loops[i].from), loops[i].colour);

@@ -1,5 +1,6 @@
 #pragma once
 
+#include <OgreMaterialManager.h>
 #include <OgreQuaternion.h>
 #include <OgreResourceGroupManager.h>
 #include <OgreSceneNode.h>
@@ -25,6 +26,13 @@ inline Ogre::Quaternion to_ogre(const core::Quaternion& q) {
 
 /// Of the meshes and materials that displays make.
 inline const Ogre::String& resource_group() { return Ogre::ResourceGroupManager::DEFAULT_RESOURCE_GROUP_NAME; }
+
+/// A new material, by a name that no other display has. Whoever makes it removes it.
+inline Ogre::MaterialPtr make_material() {
+  static int number = 0;
+  const std::string name = "semantic_topo_loop_" + std::to_string(number++);
+  return Ogre::MaterialManager::getSingleton().create(name, resource_group());
+}
 
 /// A display of a message that holds everything there is to show. The last one is drawn where tf has the frame of its
 /// header now, whatever its stamp: a latched map stays right. Everything runs in rviz's own thread.

@@ -3,7 +3,6 @@
 #include <OgreCamera.h>
 #include <OgreEntity.h>
 #include <OgreManualObject.h>
-#include <OgreMaterialManager.h>
 #include <OgreMeshManager.h>
 #include <OgreSceneManager.h>
 #include <OgreTechnique.h>
@@ -201,13 +200,13 @@ QuadricMapDisplay::QuadricMapDisplay() : MapDisplay("quadric_map") {
   label_size_->setMin(0.001F);
   label_colour_ = new rviz::ColorProperty("Color", Qt::white, "Of the letters.", labels_);
   class_table_ = new rviz::StringProperty(
-      "Class table", "", "File with the detector's classes; empty: the package's config/classes_coco.yaml.", this);
+      "Class table", "", "File with the detector's classes; empty: that of the chain in rviz's namespace, else COCO.",
+      this);
   for (rviz::Property* property :
        std::initializer_list<rviz::Property*>{colour_by_, alpha_, candidates_, retired_, min_observations_, labels_,
-                                              label_ids_, label_size_, label_colour_}) {
+                                              label_ids_, label_size_, label_colour_, class_table_}) {
     redraw_on_change(property);
   }
-  connect(class_table_, &rviz::Property::changed, this, [this] { read_classes(); });
 }
 
 QuadricMapDisplay::~QuadricMapDisplay() {
@@ -217,22 +216,31 @@ QuadricMapDisplay::~QuadricMapDisplay() {
   }
 }
 
-void QuadricMapDisplay::onInitialize() {
-  make_sphere(scene_manager_);
-  read_classes();
+void QuadricMapDisplay::onInitialize() { make_sphere(scene_manager_); }
+
+void QuadricMapDisplay::reset() {
+  class_file_.reset();
+  MapDisplay::reset();
 }
 
-void QuadricMapDisplay::read_classes() {
+void QuadricMapDisplay::update_classes() {
   std::string file = class_table_->getStdString();
-  if (file.empty()) file = ros::package::getPath("semantic_topo_loop") + "/config/classes_coco.yaml";
+  const bool is_given = !file.empty();
+  if (!is_given) update_nh_.getParamCached("visualization/class_table", file);
+  if (class_file_ == file) return;
+  class_file_ = file;
+  const std::string coco = ros::package::getPath("semantic_topo_loop") + "/config/classes_coco.yaml";
+  if (file.empty()) file = coco;
   core::Result<core::ClassTable> classes = core::read_class_table(file);
   if (classes) {
-    classes_ = *std::move(classes);
     setStatusStd(rviz::StatusProperty::Ok, "Class table", file);
-  } else {
+  } else if (is_given) {
     setStatusStd(rviz::StatusProperty::Error, "Class table", classes.message());
+  } else {  // the chain may run on another machine
+    setStatusStd(rviz::StatusProperty::Warn, "Class table", classes.message() + "; the names are COCO's");
+    classes = core::read_class_table(coco);
   }
-  redraw();
+  if (classes) classes_ = *std::move(classes);
 }
 
 bool QuadricMapDisplay::is_shown(const core::Landmark& landmark) const {
@@ -273,9 +281,7 @@ Ogre::ColourValue QuadricMapDisplay::colour(const core::Landmark& landmark) cons
 const Ogre::MaterialPtr& QuadricMapDisplay::material(const Ogre::ColourValue& colour) {
   const auto [entry, is_new] = materials_.try_emplace(colour.getAsRGBA());
   if (!is_new) return entry->second;
-  static int number = 0;  // displays may be many, materials are named for all of them
-  const std::string name = "semantic_topo_loop_quadric_" + std::to_string(number++);
-  Ogre::MaterialPtr material = Ogre::MaterialManager::getSingleton().create(name, resource_group());
+  Ogre::MaterialPtr material = make_material();
   constexpr float kAmbient = 0.5F;
   material->setReceiveShadows(false);
   material->setLightingEnabled(true);
@@ -298,6 +304,7 @@ void QuadricMapDisplay::draw(const MapMessage* message) {
   std::map<std::int64_t, std::unique_ptr<MapObject>> former;
   former.swap(objects_);
   if (message == nullptr) return;
+  update_classes();
   for (const core::Landmark& landmark : message->changed) {
     if (!is_shown(landmark)) continue;
     std::unique_ptr<MapObject> object = std::move(former[landmark.id]);

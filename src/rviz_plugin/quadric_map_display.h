@@ -12,6 +12,7 @@
 #include <map>
 #include <memory>
 #include <optional>
+#include <string>
 
 #include "rviz_plugin/map_display.h"
 #include "semantic_topo_loop/ros/messages.h"
@@ -27,6 +28,7 @@ class QuadricMapDisplay : public MapDisplay<MapMessage> {
   QuadricMapDisplay();
   ~QuadricMapDisplay() override;
 
+  void reset() override;
   void update(float wall_dt, float ros_dt) override;
 
  protected:
@@ -36,7 +38,8 @@ class QuadricMapDisplay : public MapDisplay<MapMessage> {
  private:
   enum ColourBy { kClass = 0, kState = 1, kQuality = 2 };
 
-  void read_classes();
+  /// Reads the class table if it is another one than it was.
+  void update_classes();
   bool is_shown(const core::Landmark& landmark) const;
   Ogre::ColourValue colour(const core::Landmark& landmark) const;
   /// One for all objects of a colour.
@@ -56,6 +59,7 @@ class QuadricMapDisplay : public MapDisplay<MapMessage> {
   rviz::FloatProperty* label_size_;
   rviz::ColorProperty* label_colour_;
   rviz::StringProperty* class_table_;
+  std::optional<std::string> class_file_;  ///< empty: COCO
   core::ClassTable classes_;
   std::map<std::uint32_t, Ogre::MaterialPtr> materials_;  ///< by colour
   std::map<std::int64_t, std::unique_ptr<MapObject>> objects_;

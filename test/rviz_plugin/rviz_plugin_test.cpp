@@ -8,14 +8,17 @@
 #include <OgreTechnique.h>
 #include <OgreViewport.h>
 #include <gtest/gtest.h>
+#include <rviz/display_group.h>
 #include <rviz/failed_display.h>
 #include <rviz/ogre_helpers/movable_text.h>
 #include <rviz/properties/property_tree_model.h>
 #include <rviz/selection/selection_manager.h>
 #include <rviz/view_controller.h>
 #include <rviz/view_manager.h>
+#include <rviz/yaml_config_reader.h>
 
 #include <memory>
+#include <set>
 #include <string>
 #include <vector>
 
@@ -25,6 +28,7 @@
 #include "semantic_topo_loop/LoopMap.h"
 #include "semantic_topo_loop/ros/messages.h"
 #include "support/rviz_host.h"
+#include "support/test_files.h"
 
 namespace semantic_topo_loop {
 namespace {
@@ -32,6 +36,8 @@ namespace {
 constexpr double kPatience_s = 20.0;
 constexpr int kWidth = 320, kHeight = 240;
 constexpr int kCup = 41, kTv = 62;
+
+std::string default_file;  ///< what launch files show
 
 core::Landmark make_landmark(std::int64_t id, int class_id, core::LandmarkState state, const core::Vec3& center) {
   core::Landmark landmark;
@@ -72,7 +78,10 @@ class RvizPlugin : public ::testing::Test {
   static void SetUpTestSuite() { host_ = std::make_unique<RvizHost>(kWidth, kHeight); }
   static void TearDownTestSuite() { host_.reset(); }
   void SetUp() override { host_->manager().setFixedFrame("map"); }
-  void TearDown() override { host_->manager().removeAllDisplays(); }
+  void TearDown() override {
+    host_->manager().removeAllDisplays();
+    node_.deleteParam(kClassTable);
+  }
 
   rviz::Display* add(const char* type) {
     rviz::Display* display = host_->manager().createDisplay(type, "display", true);
@@ -102,6 +111,7 @@ class RvizPlugin : public ::testing::Test {
     view->subProp("Yaw")->setValue(0.0);
   }
 
+  static constexpr char kClassTable[] = "visualization/class_table";
   static std::unique_ptr<RvizHost> host_;
   ros::NodeHandle node_;
   ros::Publisher maps_ = node_.advertise<MapMessage>("quadric_map", 1, true);
@@ -109,6 +119,23 @@ class RvizPlugin : public ::testing::Test {
 };
 
 std::unique_ptr<RvizHost> RvizPlugin::host_;
+
+TEST_F(RvizPlugin, IsWhatLaunchFilesShow) {
+  rviz::Config config;
+  rviz::YamlConfigReader reader;
+  reader.readFile(config, QString::fromStdString(default_file));
+  ASSERT_FALSE(reader.error()) << reader.errorMessage().toStdString();
+  rviz::DisplayGroup* displays = host_->manager().getRootDisplayGroup();
+  displays->load(config.mapGetChild("Visualization Manager"));
+  std::set<std::string> shown;
+  for (int i = 0; i < displays->numDisplays(); ++i) {
+    const rviz::Display* display = displays->getDisplayAt(i);
+    EXPECT_EQ(dynamic_cast<const rviz::FailedDisplay*>(display), nullptr) << display->getNameStd();
+    if (display->isEnabled()) shown.insert(display->getClassId().toStdString());
+  }
+  EXPECT_EQ(shown.count("semantic_topo_loop/QuadricMap"), 1u);
+  EXPECT_EQ(shown.count("semantic_topo_loop/LoopClosures"), 1u);
+}
 
 TEST_F(RvizPlugin, DrawsAsManyObjectsAsTheMessageHas) {
   rviz::Display* display = add("semantic_topo_loop/QuadricMap");
@@ -162,6 +189,29 @@ TEST_F(RvizPlugin, ColoursByClassStateOrQuality) {
   display->subProp("Color by")->setValue("Class");
   EXPECT_TRUE(RvizHost::spin_until([&] { return colour().r == of_class.r; }, kPatience_s));
   EXPECT_TRUE(becomes_green("Quality")) << "which is 1";
+}
+
+TEST_F(RvizPlugin, NamesAreOfTheChainsClassTable) {
+  const core::TestDirectory directory;
+  const std::string own =
+      directory.write("own.yaml", "classes:\n  - {id: 62, name: own, role: static, group: own, size_prior_m: 1}\n");
+  rviz::Display* display = add("semantic_topo_loop/QuadricMap");
+  const auto becomes = [&](const char* name) {
+    publish_map({make_landmark(1, kTv, core::LandmarkState::kConfirmed, {0.0, 0.0, 0.0})});
+    return RvizHost::spin_until(
+        [&] {
+          const auto labels = drawn<rviz::MovableText>(display);
+          return !labels.empty() && labels.front()->getCaption() == name;
+        },
+        kPatience_s);
+  };
+  EXPECT_TRUE(becomes("tv")) << "without a chain";
+  node_.setParam(kClassTable, own);
+  EXPECT_TRUE(becomes("own"));
+  node_.setParam(kClassTable, directory.path("of_another_machine.yaml"));
+  EXPECT_TRUE(becomes("tv"));
+  display->subProp("Class table")->setValue(QString::fromStdString(own));
+  EXPECT_TRUE(becomes("own"));
 }
 
 TEST_F(RvizPlugin, NamesThatCoverEachOtherAreShownOnce) {
@@ -237,6 +287,7 @@ TEST_F(RvizPlugin, DrawsLoopsToTheirObjectsAndRefusedOnesIfAsked) {
   };
   EXPECT_TRUE(RvizHost::spin_until([&] { return loops() == 2 && thin_lines() == 6; }, kPatience_s))
       << loops() << ' ' << thin_lines();
+  EXPECT_TRUE(drawn<Ogre::BillboardChain>(display).front()->getMaterial()->isTransparent());
   display->subProp("Only distinct")->setValue(false);
   EXPECT_TRUE(RvizHost::spin_until([&] { return loops() == 3; }, kPatience_s)) << loops();
   display->subProp("Refused candidates")->setValue(true);
@@ -251,6 +302,7 @@ TEST_F(RvizPlugin, DrawsLoopsToTheirObjectsAndRefusedOnesIfAsked) {
 int main(int argc, char** argv) {
   testing::InitGoogleTest(&argc, argv);
   ros::init(argc, argv, "rviz_plugin_test");
+  if (argc > 1) semantic_topo_loop::default_file = argv[1];
   const QApplication application(argc, argv);
   return RUN_ALL_TESTS();
 }
