@@ -318,6 +318,9 @@ struct VisualizationParameters : MapStageParameters {
 /// listed once.
 std::vector<core::OptionRow> list_nodelet_parameters();
 
+/// The shortest text that gives the same number back.
+std::string exact_text(double value);
+
 /// Flattens nested parameters into `module.field` -> text; numbers keep every digit.
 /// @return an error that names the key for a list, a binary or a date
 core::Result<core::OptionTexts> flatten_parameters(const XmlRpc::XmlRpcValue& tree);

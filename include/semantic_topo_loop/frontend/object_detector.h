@@ -60,6 +60,8 @@ class ObjectDetector {
   /// Whether an image is to be looked at: at most `rate_hz` a second are, whatever the camera's rate. Asked once an
   /// image, in order.
   bool is_due(std::int64_t stamp_ns);
+  /// From the next image on. @param options those that it has, but for live ones
+  void set_options(const ObjectDetectorOptions& options);
   /// @param color CV_8UC3 as BGR, or CV_8UC1
   /// @param roll_rad how far the camera is rolled, clockwise as it sees, since the networks are trained on upright
   /// images: beyond 20 deg they are given the image turned back. Each box found there stands for the ellipse in it,
