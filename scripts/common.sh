@@ -44,6 +44,7 @@ debian_packages="
   catkin              catkin                                             -
   cv_bridge           libcv-bridge-dev                                   -
   diagnostic_updater  libdiagnostic-updater-dev                          -
+  dynamic_reconfigure libdynamic-reconfigure-config-init-mutex-dev,python3-dynamic-reconfigure  python3-dynamic-reconfigure
   image_transport     libimage-transport-dev                             -
   message_filters     libmessage-filters-dev                             -
   message_generation  ros-message-generation                             -

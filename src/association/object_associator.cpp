@@ -358,5 +358,6 @@ AssociationFrame ObjectAssociator::pass(const Frame& frame) {
 }
 bool ObjectAssociator::apply(const MapUpdate& update) { return impl_->apply(update); }
 std::uint64_t ObjectAssociator::map_version() const { return impl_->map_version_; }
+void ObjectAssociator::set_options(const AssociatorOptions& options) { impl_->options_ = options; }
 
 }  // namespace semantic_topo_loop::core

@@ -104,6 +104,8 @@ class ObjectDetector::Impl {
     return name_classes(classes);
   }
 
+  void set_options(const ObjectDetectorOptions& options) { options_ = options; }
+
   /// The first image of each slot of time, which slots are the same for every run over a recording.
   bool is_due(std::int64_t stamp_ns) {
     if (options_.rate_hz == 0.0) return true;
@@ -186,7 +188,7 @@ class ObjectDetector::Impl {
     return {};
   }
 
-  const ObjectDetectorOptions options_;
+  ObjectDetectorOptions options_;
   cv::dnn::Net net_;
   YoloLayout layout_ = YoloLayout::kYolox;
   int input_px_ = 0, class_count_ = 0;
@@ -205,6 +207,7 @@ Result<std::unique_ptr<ObjectDetector>> ObjectDetector::load(const ObjectDetecto
   return std::unique_ptr<ObjectDetector>(new ObjectDetector(std::move(impl)));
 }
 
+void ObjectDetector::set_options(const ObjectDetectorOptions& options) { impl_->set_options(options); }
 bool ObjectDetector::is_due(std::int64_t stamp_ns) { return impl_->is_due(stamp_ns); }
 Result<std::vector<Detection>> ObjectDetector::detect(const cv::Mat& color, double roll_rad) {
   return impl_->detect(color, roll_rad);

@@ -279,8 +279,8 @@ std::string format_options_table(const std::vector<OptionRow>& rows, const std::
   text << (has_owners ? "| " + owners + " " : "") << "| parameter | default | unit | range | meaning |\n"
        << (has_owners ? "| --- " : "") << "| --- | --- | --- | --- | --- |\n";
   for (const OptionRow& row : rows) {
-    text << (has_owners ? "| " + row.owner + " " : "") << "| `" << row.key << "` | " << row.value << " | " << row.unit
-         << " | " << row.rule << " | " << row.meaning << " |\n";
+    text << (has_owners ? "| " + row.owner + " " : "") << "| `" << row.key << (row.is_live ? "` (live) | " : "` | ")
+         << row.value << " | " << row.unit << " | " << row.rule << " | " << row.meaning << " |\n";
   }
   return text.str();
 }

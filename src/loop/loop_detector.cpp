@@ -310,7 +310,12 @@ std::vector<LoopClosure> LoopDetector::detect(const Frame& frame, const Associat
   return impl_->detect(frame, associations);
 }
 const std::vector<SolvedMotion>& LoopDetector::motions() const { return impl_->motions_; }
-void LoopDetector::set_enabled(bool enabled) { impl_->options_.enabled = enabled; }
+void LoopDetector::set_options(const LoopOptions& options) {
+  impl_->options_ = options;
+  impl_->graph_.set_options(options);
+  impl_->paper_.set_options(options);
+  if (impl_->earlier_) impl_->earlier_->set_options(options);
+}
 LoopExplanation LoopDetector::explain(std::int64_t query_keyframe_id, std::int64_t match_keyframe_id) const {
   return impl_->explain(query_keyframe_id, match_keyframe_id);
 }

@@ -4,6 +4,7 @@
 #include <map>
 #include <optional>
 #include <set>
+#include <utility>
 
 #include "geometry/depth_points.h"
 #include "geometry/statistics.h"
@@ -183,6 +184,9 @@ struct QuadricMapper::Impl {
 
   void end_update(MapUpdate* update) {
     touched_.insert(changed_.begin(), changed_.end());
+    if (!is_fixed_ && std::exchange(has_new_options_, false)) {
+      for (const auto& [id, landmark] : landmarks_) touched_.insert(id);
+    }
     for (const std::int64_t id : touched_) {
       note_changed(id);
       const auto it = landmarks_.find(id);
@@ -471,6 +475,7 @@ struct QuadricMapper::Impl {
   }
 
   QuadricMapperOptions options_;
+  bool has_new_options_ = false;  ///< by which the landmarks were not judged yet
   std::shared_ptr<const ClassTable> classes_;
   Camera camera_;
   SE3 T_map_odom_;
@@ -522,6 +527,10 @@ std::optional<std::int64_t> QuadricMapper::last_seen_ns(std::int64_t landmark_id
   return found == impl_->landmarks_.end() ? std::nullopt : std::optional(found->second.last_stamp_ns);
 }
 void QuadricMapper::set_fixed(bool fixed) { impl_->is_fixed_ = fixed; }
+void QuadricMapper::set_options(const QuadricMapperOptions& options) {
+  impl_->options_ = options;
+  impl_->has_new_options_ = true;
+}
 std::uint64_t QuadricMapper::map_version() const { return impl_->map_version_; }
 const SE3& QuadricMapper::T_map_odom() const { return impl_->T_map_odom_; }
 

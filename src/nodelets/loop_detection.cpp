@@ -35,6 +35,7 @@ class LoopDetectionNodelet : public StageWith<LoopDetectionParameters> {
     publisher_ = advertise<LoopsMessage>("loop_closures");
     for (const char* counter : {kIncomplete, kAccepted}) statistics().count(counter, 0);
     reset_session();
+    serve_settings(&options_.loop, [this] { take_options(); });
     serve("set_loop_closing", &LoopDetectionNodelet::on_switch);
     serve("why_loop", &LoopDetectionNodelet::on_why);
     relocalisation_publisher_ = advertise<geometry_msgs::TransformStamped>("earlier_map_from_odom", true);
@@ -50,7 +51,6 @@ class LoopDetectionNodelet : public StageWith<LoopDetectionParameters> {
     joiner_->clear();
     const std::lock_guard<std::mutex> lock(mutex_);
     detector_ = std::make_unique<core::LoopDetector>(options_.loop, classes());
-    if (enabled_) detector_->set_enabled(*enabled_);
     map_parts_.reset_session();
     take_map();
   }
@@ -77,15 +77,18 @@ class LoopDetectionNodelet : public StageWith<LoopDetectionParameters> {
     detector_->set_fixed(localization);
   }
 
+  void take_options() {
+    const std::lock_guard<std::mutex> lock(mutex_);
+    detector_->set_options(options_.loop);
+  }
+
   bool on_switch(std_srvs::SetBool::Request& request, std_srvs::SetBool::Response& response) {
-    push("set_loop_closing", Keep::kAlways, [this, enabled = request.data != 0] {
-      enabled_ = enabled;
-      const std::lock_guard<std::mutex> lock(mutex_);
-      detector_->set_enabled(enabled);
-    });
-    response.success = true;
-    response.message =
-        request.data ? "loop closing is on from the next frame" : "loop closing is off from the next frame";
+    const bool enabled = request.data != 0;
+    const core::Status changed = change_settings({{"loop.enabled", enabled ? "true" : "false"}});
+    response.success = static_cast<bool>(changed);
+    response.message = !changed  ? changed.message()
+                       : enabled ? "loop closing is on from the next frame"
+                                 : "loop closing is off from the next frame";
     return true;
   }
 
@@ -160,7 +163,6 @@ class LoopDetectionNodelet : public StageWith<LoopDetectionParameters> {
     NODELET_INFO_ONCE("the run's place in the earlier map is known, by %d of %d loops", found->agreeing, found->total);
   }
 
-  std::optional<bool> enabled_;  ///< as set by the service; none: as configured
   ros::Publisher publisher_, relocalisation_publisher_;
   std::unique_ptr<Joiner> joiner_;
   MapPartSender map_parts_{MapPart::STAGE_LOOP_DETECTION};

@@ -33,6 +33,7 @@ class ObjectAssociationNodelet : public StageWith<ClassStageParameters> {
     done_publisher_ = advertise_done();
     for (const char* counter : {kIncomplete, kVersionGaps}) statistics().count(counter, 0);
     reset_session();
+    serve_settings(&options_.association, [this] { associator_->set_options(options_.association); });
     subscribe("quadric_map_updates", Keep::kAlways, &ObjectAssociationNodelet::on_update);
     subscribe("detections", Keep::kDroppable, &ObjectAssociationNodelet::on_detections);
     subscribe("frames", Keep::kDroppable, &ObjectAssociationNodelet::on_frame);

@@ -42,6 +42,7 @@ class ObjectDetectorNodelet : public StageWith<ObjectDetectorParameters> {
     reset_session();
     statistics().count(kLeftOut, 0);
     publisher_ = advertise<DetectionsMessage>("detections_in");
+    serve_settings(&options_.detector, [this] { detector_->set_options(options_.detector); });
     look_at_newest_ = once_in_queue([this] { look_at_newest(); });
     image_transport::ImageTransport transport(subscriber_node());
     constexpr std::uint32_t kImages = 10;  // that wait for the callback, which is short

@@ -118,6 +118,7 @@ class PoseGraphNodelet : public StageWith<PoseGraphParameters> {
           1.0 / parameters_.tf_rate_hz, [this] { tf_sender_->send(); }, &tf_thread_);
     }
     map_parts_.open(getNodeHandle(), queue_capacity());
+    serve_settings(&options_.pose_graph, [this] { graph_->set_options(options_.pose_graph); });
     serve("withdraw_loop", &PoseGraphNodelet::on_withdraw);
     serve("save_trajectory", &PoseGraphNodelet::on_save_trajectory);
     listen("external_loops", Keep::kAlways, kExternalQueue, &PoseGraphNodelet::on_external_loop);

@@ -36,6 +36,7 @@ class QuadricMappingNodelet : public StageWith<QuadricMappingParameters> {
     map_parts_.open(getNodeHandle(), queue_capacity());
     serve("query_objects", &QuadricMappingNodelet::on_query);
     reset_session();
+    serve_settings(&options_.mapping, [this] { mapper_->set_options(options_.mapping); });
     subscribe("map_corrections", Keep::kAlways, &QuadricMappingNodelet::on_correction);
     subscribe("associations", Keep::kDroppable, &QuadricMappingNodelet::on_associations);
     subscribe("frames", Keep::kDroppable, &QuadricMappingNodelet::on_frame);

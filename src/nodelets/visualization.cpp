@@ -46,6 +46,7 @@ class VisualizationNodelet : public StageWith<VisualizationParameters> {
     subscribe("map_corrections", Keep::kAlways, &VisualizationNodelet::on_correction);
     subscribe("quadric_map_updates", Keep::kAlways, &VisualizationNodelet::on_update);
     start_timer(1.0 / parameters_.rate_hz, [this] { publish(); });
+    serve_settings(&parameters_, [this] { mark_all_changed(); });
     follow_sessions();
   }
 
@@ -62,6 +63,10 @@ class VisualizationNodelet : public StageWith<VisualizationParameters> {
       }
       take_over(follower_.follow(core::objects_of(*map, options_, classes())));
     }
+    mark_all_changed();
+  }
+
+  void mark_all_changed() {
     for (LazyPublisher* publisher : {&quadrics_, &labels_, &topology_, &loops_, &loop_map_, &keyframes_}) {
       publisher->mark_changed();
     }

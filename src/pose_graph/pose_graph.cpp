@@ -31,6 +31,10 @@ struct PoseGraph::Impl {
   explicit Impl(const PoseGraphOptions& options) : options_(options), loops_(options_) {
     knowledge_.noise.odometry = noise_prior(options_).least;
     has_objects_ = options_.objects != "off" && !has_free_scale();
+    set_object_noise();
+  }
+
+  void set_object_noise() {
     trajectory_.objects.noise = {options_.object_weight, options_.object_sigma_px, options_.object_sigma_share};
   }
 
@@ -428,6 +432,10 @@ GraphState PoseGraph::state() const { return impl_->state(); }
 void PoseGraph::restore(GraphState state, const SE3& T_map_odom) { impl_->restore(std::move(state), T_map_odom); }
 bool PoseGraph::withdraw(std::int64_t query_keyframe_id, std::int64_t match_keyframe_id) {
   return impl_->withdraw(query_keyframe_id, match_keyframe_id);
+}
+void PoseGraph::set_options(const PoseGraphOptions& options) {
+  impl_->options_ = options;
+  impl_->set_object_noise();
 }
 const SE3& PoseGraph::T_map_odom() const { return impl_->T_map_odom_; }
 PoseGraph::Size PoseGraph::size() const { return {impl_->trajectory_.T_map_vertex.size(), impl_->loops_.size()}; }

@@ -14,15 +14,6 @@ namespace {
 /// Read from a nodelet's private namespace by diagnostic_updater and by `nodelet standalone`.
 constexpr std::array<const char*, 2> kForeignKeys = {"diagnostic_period", "num_worker_threads"};
 
-/// The shortest text that gives the same number back.
-std::string format(double value) {
-  std::string text;
-  for (int digits = 15; digits <= 17 && core::parse_double(text) != value; ++digits) {
-    text = core::format_general(value, digits);
-  }
-  return text;
-}
-
 /// XmlRpcValue's conversions and iterators are not const: they work on this copy.
 core::Status flatten(XmlRpc::XmlRpcValue value, const std::string& key, core::OptionTexts* texts) {
   switch (value.getType()) {
@@ -39,7 +30,7 @@ core::Status flatten(XmlRpc::XmlRpcValue value, const std::string& key, core::Op
       (*texts)[key] = std::to_string(static_cast<int&>(value));
       return {};
     case XmlRpc::XmlRpcValue::TypeDouble:
-      (*texts)[key] = format(static_cast<double&>(value));
+      (*texts)[key] = exact_text(static_cast<double&>(value));
       return {};
     case XmlRpc::XmlRpcValue::TypeString:
       (*texts)[key] = static_cast<std::string&>(value);
@@ -91,6 +82,14 @@ std::vector<core::OptionRow> list_nodelet_parameters() {
   add_rows<RecorderParameters, ClassStageParameters>("Recorder", &rows);
   add_rows<VisualizationParameters, QuadricMappingParameters>("Visualization", &rows);
   return rows;
+}
+
+std::string exact_text(double value) {
+  std::string text;
+  for (int digits = 15; digits <= 17 && core::parse_double(text) != value; ++digits) {
+    text = core::format_general(value, digits);
+  }
+  return text;
 }
 
 core::Result<core::OptionTexts> flatten_parameters(const XmlRpc::XmlRpcValue& tree) {

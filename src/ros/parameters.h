@@ -308,15 +308,18 @@ struct VisualizationParameters : MapStageParameters {
     visitor("color_transport", color_transport, core::given(),
             "for annotated_image: image_transport of color: raw, compressed, ...");
     visitor("rate_hz", rate_hz, core::positive(), "most often that markers are published (wall time)");
-    visitor("label_size_m", sizes.label_m, core::positive(), "height of the labels' letters");
-    visitor("line_width_m", sizes.line_m, core::positive(), "width of the lines of topology and loops");
-    visitor("camera_size_m", sizes.camera_m, core::positive(), "depth of the keyframes' frusta");
+    visitor.live("label_size_m", sizes.label_m, core::positive(), "height of the labels' letters");
+    visitor.live("line_width_m", sizes.line_m, core::positive(), "width of the lines of topology and loops");
+    visitor.live("camera_size_m", sizes.camera_m, core::positive(), "depth of the keyframes' frusta");
   }
 };
 
 /// What every nodelet has beside the options of the core, for the documentation. Parameters that several have are
 /// listed once.
 std::vector<core::OptionRow> list_nodelet_parameters();
+
+/// The shortest text that gives the same number back.
+std::string exact_text(double value);
 
 /// Flattens nested parameters into `module.field` -> text; numbers keep every digit.
 /// @return an error that names the key for a list, a binary or a date

@@ -1,5 +1,6 @@
 #include "ros/stage.h"
 
+#include <dynamic_reconfigure/Reconfigure.h>
 #include <std_msgs/String.h>
 #include <std_srvs/Trigger.h>
 
@@ -17,6 +18,7 @@ constexpr char kOtherSession[] = "dropped, other session";
 constexpr char kQueueFull[] = "dropped, queue full";
 const std::string kMissed = "never arrived: ";
 constexpr char kErrors[] = "errors";
+constexpr char kSettingsRefused[] = "settings refused";
 constexpr double kDiagnosticsPeriodS = 1.0;     ///< diagnostic_updater's own
 constexpr double kErrorLogPeriodS = 5.0;        ///< an error a frame must not flood the log
 constexpr std::chrono::seconds kLossShown(10);  ///< long enough to be seen, and soon over
@@ -147,6 +149,31 @@ void Stage::serve_trigger(const std::string& service, const std::function<core::
     answer(act(), &response);
     return true;
   });
+}
+
+void Stage::serve_settings(const std::vector<core::OptionRow>& defaults, LiveSettings::Rows rows,
+                           LiveSettings::Change change) {
+  using Reconfigure = dynamic_reconfigure::Reconfigure;
+  statistics_.count(kSettingsRefused, 0);
+  settings_ = std::make_unique<LiveSettings>(getPrivateNodeHandle(), defaults, std::move(rows), std::move(change));
+  serve<Reconfigure::Request, Reconfigure::Response>(
+      "set_parameters", [this](Reconfigure::Request& request, Reconfigure::Response& response) {
+        note_refusal(settings_->change(request.config));
+        response.config = settings_->settings();
+        return true;
+      });
+}
+
+core::Status Stage::change_settings(const core::OptionTexts& texts) {
+  core::Status changed = settings_->change(texts);
+  note_refusal(changed);
+  return changed;
+}
+
+void Stage::note_refusal(const core::Status& changed) {
+  if (changed) return;
+  statistics_.count(kSettingsRefused);
+  NODELET_WARN("settings stay as they are: %s", changed.message().c_str());
 }
 
 void Stage::keep_timer(double period_s, const std::function<void()>& task, CallbackThread* thread) {

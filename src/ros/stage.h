@@ -23,6 +23,7 @@
 #include <vector>
 
 #include "ros/conversions.h"
+#include "ros/live_settings.h"
 #include "ros/parameters.h"
 #include "ros/worker.h"
 #include "semantic_topo_loop/FrameDone.h"
@@ -276,6 +277,36 @@ class Stage : public nodelet::Nodelet {
   }
   /// A std_srvs/Trigger that answers what `act` gives back.
   void serve_trigger(const std::string& service, const std::function<core::Result<std::string>()>& act);
+  /// Lets dynamic_reconfigure's tools see and change the live fields of an options struct.
+  /// @param options the worker's alone from now on   @param take_over runs there, between two frames, once they changed
+  template <class Struct>
+  void serve_settings(Struct* options, const Worker::Task& take_over) {
+    struct Wanted {
+      std::mutex mutex;  ///< guards the options, which the services' thread alone changes
+      Struct options;
+    };
+    const auto wanted = std::make_shared<Wanted>();
+    wanted->options = *options;
+    const std::function<void()> apply = once_in_queue([wanted, options, take_over] {
+      {
+        const std::lock_guard<std::mutex> lock(wanted->mutex);
+        *options = wanted->options;
+      }
+      take_over();
+    });
+    const auto change = [wanted, apply](const core::OptionTexts& texts) {
+      {
+        const std::lock_guard<std::mutex> lock(wanted->mutex);
+        if (const core::Status status = core::change_options(texts, &wanted->options); !status) return status;
+      }
+      apply();
+      return core::Status();
+    };
+    serve_settings(
+        core::list_options<Struct>(), [wanted] { return core::list_options(wanted->options); }, change);
+  }
+  /// For other services that change one of them; call it on the services' thread. A refusal is told and counted.
+  core::Status change_settings(const core::OptionTexts& texts);
   /// Calls the task each `period_s` of wall time; shut down as a subscriber. Not on the nodelet's own queue: to stop a
   /// timer does not wait for its task, to stop the thread does.
   /// @param thread where; null: that of the timers
@@ -361,6 +392,9 @@ class Stage : public nodelet::Nodelet {
   }
   /// roscpp's own queue drops without a word: a frame that is left out of the sequence tells.
   void count_missed(const std::string& topic, const Sequence& next, Sequence* last);
+  void serve_settings(const std::vector<core::OptionRow>& defaults, LiveSettings::Rows rows,
+                      LiveSettings::Change change);
+  void note_refusal(const core::Status& changed);
   void start_diagnostics();
   void start_worker(int queue_size, std::size_t inputs);
   /// @return false after fail()
@@ -383,6 +417,7 @@ class Stage : public nodelet::Nodelet {
   CallbackThread timer_thread_;    ///< the diagnostics ask the master now and then: no message shall wait for that
   std::vector<ros::Subscriber> subscribers_;
   std::vector<ros::ServiceServer> services_;
+  std::unique_ptr<LiveSettings> settings_;  ///< services' thread only, once they are served
   std::vector<ros::WallTimer> timers_;
   std::unique_ptr<CallbackThread> service_thread_;
   std::unique_ptr<Worker> worker_;

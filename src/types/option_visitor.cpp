@@ -120,6 +120,15 @@ Status OptionVisitor::set(const OptionTexts& texts) const {
   return Error{"unknown parameter '" + unknown.begin()->first + "' = '" + unknown.begin()->second + "'"};
 }
 
+Status OptionVisitor::change(const OptionTexts& texts) const {
+  for (const Option& option : options_) {
+    const auto text = texts.find(option.key);
+    if (text == texts.end() || option.is_live) continue;
+    return Error{"parameter '" + option.key + "' = '" + text->second + "' cannot change while running"};
+  }
+  return set(texts);
+}
+
 Status OptionVisitor::check() const {
   for (const Option& option : options_) {
     const auto holds = [&option](const auto* field) {
@@ -145,7 +154,17 @@ std::vector<OptionRow> OptionVisitor::rows() const {
     const std::string rule = option.range.rule(), between = rule.empty() || option.relation.empty() ? "" : "; ";
     const std::string value = std::visit([](const auto* field) { return to_text(*field); }, option.field);
     const std::string unit = is_number ? unit_of(option.key) : "";
-    rows.push_back({option.key, value, unit, rule + between + option.relation, option.meaning, is_text, {}});
+    const OptionValue exact = std::visit([](const auto* field) { return OptionValue(*field); }, option.field);
+    rows.push_back({option.key,
+                    value,
+                    unit,
+                    rule + between + option.relation,
+                    option.meaning,
+                    is_text,
+                    {},
+                    option.is_live,
+                    exact,
+                    option.range});
   }
   return rows;
 }

@@ -83,6 +83,23 @@ TEST_P(EveryMode, TracksAMovingBoxAndStartsANewLandmarkForAnotherObject) {
   EXPECT_NE(other.associations[0].landmark_id, id);
 }
 
+TEST(ObjectAssociator, OptionsChangeFromTheNextFrameOn) {
+  AssociatorOptions changed = options("joint");
+  ObjectAssociator associator(changed, classes());
+  const std::vector<Detection> seen{{kCup, 0.6, box_at(300.0, 220.0)}};
+  const std::int64_t id = associator.associate(frame_at(0), seen).associations[0].landmark_id;
+  changed.min_score = 0.7;
+  associator.set_options(changed);
+  EXPECT_EQ(associator.associate(frame_at(1), seen).associations[0].level, AssociationLevel::kLowScore);
+  changed.min_score = 0.5;
+  associator.set_options(changed);
+  EXPECT_EQ(associator.associate(frame_at(2), seen).associations[0].landmark_id, id) << "tracks are kept";
+  changed.iou_2d_min = changed.iou_joint_2d_min = 0.9;  // of the scores, too
+  associator.set_options(changed);
+  EXPECT_EQ(associator.associate(frame_at(3), {{kCup, 0.6, box_at(310.0, 220.0)}}).associations[0].level,
+            AssociationLevel::kNew);
+}
+
 TEST(ObjectAssociator, WhereTheDetectorDidNotLookNothingIsForgotten) {
   for (const bool looks : {true, false}) {
     SCOPED_TRACE(looks);

@@ -250,6 +250,17 @@ TEST_F(YoloxNano, LooksAtNoMoreImagesThanAreWanted) {
   EXPECT_EQ(due(60.0), 90);
 }
 
+TEST_F(YoloxNano, OptionsChangeFromTheNextImageOn) {
+  const std::unique_ptr<ObjectDetector> detector = load();
+  ASSERT_FALSE(checked(detector->detect(image(100))).empty());
+  options_.score = 0.99;
+  options_.rate_hz = 1.0;
+  detector->set_options(options_);
+  EXPECT_TRUE(checked(detector->detect(image(100))).empty());
+  EXPECT_TRUE(detector->is_due(0));
+  EXPECT_FALSE(detector->is_due(33'333'333));
+}
+
 TEST_F(YoloxNano, NamesAreThoseOfTheModel) {
   const TestDirectory directory;
   options_.names = directory.write("three.names", "person\nbicycle\ncar\n");

@@ -80,6 +80,36 @@ TEST(LoopDetector, ClosesAcrossARestartOfTheOdometry) {
   expect_right(outcome);
 }
 
+/// In each of its parts: the submaps of the run, those of an earlier one, and the paper's keyframes.
+TEST(LoopDetector, OptionsChangeFromTheNextFrameOn) {
+  std::vector<LocalMap> earlier_map;
+  run(LoopOptions(), drifted_revisit(1), [&](const LoopDetector& detector) { earlier_map = detector.submaps(); });
+  for (const std::string part : {"graph", "earlier map", "paper"}) {
+    LoopOptions options;
+    options.paper_min_gap_frames = 150;
+    if (part == "paper") options.mode = "paper";
+    RunSetup setup = drifted_revisit(1);
+    setup.same_ids = true;
+    if (part == "earlier map") setup.earlier_map = earlier_map;
+    setup.changed_at_s = 40.0;
+    // Loops before that, and from then on.
+    const auto accepted = [&] {
+      std::pair<int, int> counts;
+      for (const LoopClosure& loop : run(options, setup).loops) {
+        if (!loop.accepted || loop.T_earlier_match.has_value() != (part == "earlier map")) continue;
+        ++(0.1 * static_cast<double>(loop.query_end) < setup.changed_at_s ? counts.first : counts.second);
+      }
+      return counts;
+    };
+    const auto [before, after] = accepted();
+    EXPECT_GT(before, 0) << part;
+    EXPECT_GT(after, 0) << part;
+    setup.changed = options;
+    setup.changed->max_rms_m = 1e-9;
+    EXPECT_EQ(accepted(), std::pair(before, 0)) << part;
+  }
+}
+
 TEST(LoopDetector, PassesOnWhatTheOdometrysSourceFound) {
   const SE3 T_odom_match(so3_exp(Vec3(0.1, 0.2, -0.3)), Vec3(1.0, 2.0, 3.0));
   const SE3 T_match_image(so3_exp(Vec3(0.0, 0.05, 0.0)), Vec3(0.02, 0.0, 0.03));  // of the image that was found again
@@ -124,7 +154,9 @@ TEST(LoopDetector, PassesOnWhatTheOdometrysSourceFound) {
   EXPECT_NE(detector.explain(1, 0).text.find("80 points"), std::string::npos);
   found.stamp_ns = 0;  // before the run
   EXPECT_TRUE(detect(4, 1, false, T_odom_query, found).empty());
-  detector.set_enabled(false);
+  LoopOptions off;
+  off.enabled = false;
+  detector.set_options(off);
   found.stamp_ns = 2'000'000'000;
   EXPECT_TRUE(detect(5, 1, false, T_odom_query, found).empty());
 }
@@ -269,8 +301,10 @@ TEST(LoopDetector, TellsHowTheCameraMovedFromKeyframeToKeyframe) {
 
 TEST(LoopDetector, NothingIsSolvedForWhileLoopClosingIsOffNorInPaperMode) {
   std::vector<SE3> truth;
+  LoopOptions disabled;
+  disabled.enabled = false;
   LoopDetector off(LoopOptions(), testing::desk_classes());
-  off.set_enabled(false);
+  off.set_options(disabled);
   EXPECT_TRUE(motions_along_a_desk(&off, 0.0, &truth).empty());
   LoopOptions options;
   options.mode = "paper";

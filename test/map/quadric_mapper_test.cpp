@@ -171,6 +171,37 @@ TEST_F(MapperTest, CandidateBecomesConfirmedWithViewsAndParallax) {
   EXPECT_LE(find(0)->quality, 1.0);
 }
 
+TEST_F(MapperTest, ChangedOptionsJudgeWhatIsOutOfViewToo) {
+  const std::vector<SE3> poses = arc(60, 90.0);
+  for (const SE3& pose : poses) step(pose, {{0, 41, kCup}});
+  ASSERT_EQ(find(0)->state, LandmarkState::kConfirmed);
+  QuadricMapperOptions options;
+  options.confirm_seen_s = 60.0;
+  mapper_.set_options(options);
+  EXPECT_EQ(find(0)->state, LandmarkState::kConfirmed) << "not before the next frame";
+  const SE3 away(Quaternion::Identity(), Vec3(100.0, 0.0, 0.0));
+  mapper_.set_fixed(true);
+  EXPECT_TRUE(pass(away).changed.empty()) << "a map that is fixed stays as it is";
+  mapper_.set_fixed(false);
+  const MapUpdate update = pass(away);
+  ASSERT_EQ(update.changed.size(), 1U);
+  EXPECT_EQ(update.changed[0].state, LandmarkState::kCandidate);
+  EXPECT_GT(update.map_version, update.base_version);
+  EXPECT_TRUE(pass(away).changed.empty());
+}
+
+TEST_F(MapperTest, ChangedOptionsFit) {
+  QuadricMapperOptions options;
+  options.min_fit_iou = 1.0;
+  mapper_.set_options(options);
+  const std::vector<SE3> poses = arc(120, 120.0);
+  for (std::size_t i = 0; i < 60; ++i) step(poses[i], {{0, 41, kCup}});
+  EXPECT_FALSE(find(0)->ellipsoid);
+  mapper_.set_options({});
+  for (std::size_t i = 60; i < 120; ++i) step(poses[i], {{0, 41, kCup}});
+  EXPECT_TRUE(find(0)->ellipsoid);
+}
+
 TEST_F(MapperTest, ASlowDetectorConfirmsAsSoonAsAFastOne) {
   for (const bool is_slow : {false, true}) {
     SCOPED_TRACE(is_slow);

@@ -1,6 +1,7 @@
 #include <gtest/gtest.h>
 
 #include <functional>
+#include <optional>
 #include <set>
 
 #include "pose_graph/solver/graph_objects.h"
@@ -70,7 +71,9 @@ struct Observer {
     return update;
   }
 
-  std::vector<KeyframePose> finish(const PoseGraphOptions& options) const {
+  /// @param changed options that the graph is given before the end
+  std::vector<KeyframePose> finish(const PoseGraphOptions& options,
+                                   const std::optional<PoseGraphOptions>& changed = std::nullopt) const {
     PoseGraph graph(options);
     std::set<std::int64_t> known;
     for (int k = 0; k < run.size(); ++k) {
@@ -81,6 +84,7 @@ struct Observer {
       graph.process(frame, {});
       graph.apply(map(k, seen, &known));
     }
+    if (changed) graph.set_options(*changed);
     graph.process(run.end_frame(), {});
     return graph.keyframes();
   }
@@ -183,6 +187,15 @@ TEST(ObjectsInThePoseGraph, ReduceTheErrorWithoutAnyLoop) {
 TEST(ObjectsInThePoseGraph, OffMeansThatNothingIsChanged) {
   const Observer observer = drifting_observer();
   EXPECT_EQ(largest_difference_m(observer.finish({}), finish(observer.run, {}).graph.keyframes()), 0.0);
+}
+
+TEST(ObjectsInThePoseGraph, TheirNoiseMayChangeMeanwhile) {
+  const Observer observer = drifting_observer();
+  PoseGraphOptions light = with_objects();
+  light.object_weight = 1e-3;
+  const auto after = observer.finish(with_objects(), light);
+  EXPECT_EQ(largest_difference_m(after, observer.finish(light)), 0.0);
+  EXPECT_GT(largest_difference_m(after, observer.finish(with_objects())), 1e-3);
 }
 
 TEST(ObjectsInThePoseGraph, WithLoopsMeansThatOdometryWithoutLoopsIsLeftAlone) {

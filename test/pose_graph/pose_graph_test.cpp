@@ -477,6 +477,24 @@ TEST(PoseGraph, CorrectionsAreConsistentAndTheFirstKeyframeStays) {
   EXPECT_LT(changes, static_cast<int>(loops.size()) + 1);
 }
 
+TEST(PoseGraph, OptionsChangeFromTheNextFrameOn) {
+  SyntheticRun run(40);
+  run.drift(0.01, 0.006, 1);
+  PoseGraphOptions options;
+  options.interval_keyframes = options.min_interval_keyframes = 1000;
+  PoseGraph graph(options);
+  const auto changes_until = [&](int end, int k) {
+    int changes = 0;
+    for (; k < end; ++k) changes += graph.process(run.frame(k), {run.exact_loop(k, k - run.round())}).changed ? 1 : 0;
+    return changes;
+  };
+  for (int k = 0; k < run.round(); ++k) graph.process(run.frame(k), {});
+  EXPECT_EQ(changes_until(60, 40), 0);
+  options.interval_keyframes = options.min_interval_keyframes = 1;
+  graph.set_options(options);
+  EXPECT_EQ(changes_until(80, 60), 20);
+}
+
 TEST(PoseGraph, AnEndFrameOptimisesWhatIsPending) {
   SyntheticRun run(40);
   PoseGraphOptions options;

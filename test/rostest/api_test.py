@@ -18,6 +18,7 @@ from wall import camera_yaml
 
 NODELETS = re.compile(r'<class name="%s/(\w+)"' % PACKAGE)
 ROW = re.compile(r'^\| (publishes|subscribes|serves) \| `([^`]+)` \| `([^`]+)` \|')
+LIVE = {'ObjectDetector', 'ObjectAssociation', 'QuadricMapping', 'LoopDetection', 'PoseGraph', 'Visualization'}
 # What is only there for a moment, or while a topic has listeners: named by the page, and not to be seen here.
 PASSING = {('ObjectAssociation', 'subscribes', 'quadric_map'), ('Visualization', 'subscribes', 'quadric_map')}
 
@@ -105,20 +106,25 @@ class ApiTest(DirectoryTest):
     def seen(self, name):
         """The rows (verb, name, type) of a nodelet, as the master knows it."""
         node, prefix = '/%s/%s' % (PACKAGE, name), '/%s/' % PACKAGE
+
+        def short(name):
+            return name.replace(node + '/', '~').replace(prefix, '')
+
         master = rosgraph.Master(rospy.get_name())
         types = dict(master.getTopicTypes())
         rows = set()
         for verb, topics in zip(('publishes', 'subscribes'), master.getSystemState()):
-            rows |= {(verb, topic[len(prefix):] if topic.startswith(prefix) else topic, types.get(topic))
-                     for topic, nodes in topics if node in nodes}
+            rows |= {(verb, short(topic), types.get(topic)) for topic, nodes in topics if node in nodes}
         for service, nodes in master.getSystemState()[2]:
             if node in nodes:
-                rows.add(('serves', service.replace(node + '/', '~'), service_type(service, master.lookupService(service))))
+                rows.add(('serves', short(service), service_type(service, master.lookupService(service))))
         return rows
 
     def expected(self, name):
         follows = name not in ('PoseFrontend', 'RgbdFrontend', 'Player')
         rows = self.page[name] | self.page['Every nodelet'] | (self.page['Every stage'] if follows else set())
+        if name in LIVE:
+            rows |= self.page['Live settings']
         return {row for row in rows if (name,) + row[:2] not in PASSING}
 
     def output(self, name):
@@ -126,7 +132,7 @@ class ApiTest(DirectoryTest):
             return file.read()
 
     def test_headings_are_the_nodelets(self):
-        self.assertEqual(sorted(set(self.page) - {'Every nodelet', 'Every stage'}), sorted(self.names))
+        self.assertEqual(sorted(set(self.page) - {'Every nodelet', 'Every stage', 'Live settings'}), sorted(self.names))
 
     def is_without_model(self, name):
         """No recorded data, or a version of OpenCV that does not read its networks."""

@@ -18,7 +18,7 @@ from tf2_msgs.msg import TFMessage
 from visualization_msgs.msg import MarkerArray
 
 from playback import (PACKAGE, RESULT_FILES, Diagnostics, DirectoryTest, Listener, demo, differing_files, is_closed,
-                      rows_of, run_program, wait_until)
+                      rows_of, run_offline, run_program, wait_until)
 from semantic_topo_loop.msg import FrameDone, Quadric, QuadricMap
 from semantic_topo_loop.srv import (LoadMap, QueryObjects, QueryObjectsRequest, SaveMap, SaveTrajectory, WhyLoop,
                                     WhyLoopResponse)
@@ -55,14 +55,6 @@ class Heard:
     def take(self, message, topic):
         with self.lock:
             self.last[topic] = message
-
-
-def run_offline(test, data, output, *arguments):
-    """offline on the demo's files."""
-    status, text = run_program('offline', '--trajectory', os.path.join(data, 'odometry.txt'), '--detections',
-                               os.path.join(data, 'detections.json'), '--camera', os.path.join(data, 'camera.yaml'),
-                               '--output', output, *arguments)
-    test.assertEqual(status, 0, text)
 
 
 class DemoTest(DirectoryTest):

@@ -1,6 +1,7 @@
 // Random messages, good and bad, on every topic, and services called at random. `_messages:=1000000 _seed:=7` for as
 // many as wanted.
 #include <diagnostic_msgs/DiagnosticArray.h>
+#include <dynamic_reconfigure/Reconfigure.h>
 #include <nav_msgs/Odometry.h>
 #include <sensor_msgs/CameraInfo.h>
 #include <sensor_msgs/Image.h>
@@ -314,6 +315,9 @@ class Fuzzer {
     }
     for (const char* name : {"loop_detection/set_loop_closing", "pose_frontend/set_localization_mode"}) {
       add_service<std_srvs::SetBool>("/" + std::string(name));
+    }
+    for (const char* name : {"loop_detection", "object_association", "pose_graph", "quadric_mapping"}) {
+      add_service<dynamic_reconfigure::Reconfigure>("/" + std::string(name) + "/set_parameters");
     }
     add_service<LoadMap>("/pose_frontend/load_map");
     add_service<SaveMap>("/map_database/save_map");

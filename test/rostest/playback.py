@@ -154,6 +154,14 @@ def run_program(name, *arguments, timeout_s=120):
     return done.returncode, done.stdout
 
 
+def run_offline(test, data, output, *arguments):
+    """offline on the demo's files."""
+    status, text = run_program('offline', '--trajectory', os.path.join(data, 'odometry.txt'), '--detections',
+                               os.path.join(data, 'detections.json'), '--camera', os.path.join(data, 'camera.yaml'),
+                               '--output', output, *arguments)
+    test.assertEqual(status, 0, text)
+
+
 def rows_of(test, path):
     """All rows of a map, packed ones unpacked, but for the classes: those of objects that went stay."""
     status, text = run_program('inspect_map', path, '--dump')

@@ -4,6 +4,7 @@
 #include <cstdint>
 #include <functional>
 #include <memory>
+#include <optional>
 #include <random>
 #include <string>
 #include <vector>
@@ -128,6 +129,8 @@ struct RunSetup {
   bool same_ids = false;  ///< later visits keep the landmark ids of the first
   double quality = 0.8;
   std::vector<LocalMap> earlier_map = {};
+  std::optional<LoopOptions> changed = {};  ///< options that the detector is given at `changed_at_s`
+  double changed_at_s = 0.0;
 };
 
 struct RunOutcome {
@@ -175,6 +178,7 @@ inline RunOutcome run(const LoopOptions& options, const RunSetup& setup,
     sample.T_odom_camera = setup.T_odom_world * (drifted ? setup.drift * T_world_camera : T_world_camera);
     if (drifted) sample.T_odom_camera.t *= setup.drift_scale;
     sample.is_break = setup.drift_is_break && drifted && time_s < setup.drift_from_s + 0.1;
+    if (setup.changed && time_s >= setup.changed_at_s) detector.set_options(*setup.changed);
     const auto frame = builder.build(sample);
     const std::int64_t first_id = drifted && !setup.same_ids ? 500 : 0;
     const AssociationFrame associations = observe(setup.desk, *frame, T_world_camera, first_id, random);

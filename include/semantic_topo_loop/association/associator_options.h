@@ -47,43 +47,49 @@ struct AssociatorOptions {
     visitor("pro_new_object", pro_new_object, one_of({"uniform", "paper"}),
             "level 2's prior of a new object: uniform (over labels and image) or paper (as printed)");
     visitor("boxes_max", boxes_max, at_least(1), "boxes of an image at most; those of the lowest scores are left out");
-    visitor("min_score", min_score, share(), "detections below this score are left out");
-    visitor("iou_2d_min", iou_2d_min, share(), "level 1 gate delta1: box overlap with the previous frame");
-    visitor("iou_3d_min", iou_3d_min, share(), "level 3 gate delta2: box overlap with the projected quadric");
-    visitor("points_in_box_min", points_in_box_min, share(), "level 3 gate delta3: share of map points in the box");
-    visitor("iou_joint_2d_min", iou_joint_2d_min, share(), "joint mode: overlap gate for landmarks without a quadric");
-    visitor("suppression_iou", suppression_iou, share(), "of two boxes that overlap more, the lower score is left out");
-    visitor("border_px", border_px, not_negative(), "sides this close to the image border count as cut");
-    visitor("memory_s", memory_s, not_negative(), "joint mode: how long a box remains a track's last position");
-    visitor("memory_decay_per_s", memory_decay_per_s, not_negative(),
-            "joint mode: share of its overlap that a last box loses in each second without the object");
-    visitor("memory_decay_max", memory_decay_max, share(), "joint mode: the most that it loses");
-    visitor("memory_weight", memory_weight, share(),
-            "joint mode: weight of the overlap with the last box where there is a quadric, whose overlap has 1");
-    visitor("memory_iou_3d_min", memory_iou_3d_min, share(),
-            "joint mode: where there is a quadric, the last box counts only if the quadric overlaps at least so much");
-    visitor("iou_other_label_min", iou_other_label_min, share(),
-            "joint mode: overlap gate for a box of another label than the landmark's");
-    visitor("label_agreement_confusable", label_agreement_confusable, share(),
-            "joint mode: agreement of a label with another one of its group (1 with itself, 0 with others)");
-    visitor("label_agreement_history", label_agreement_history, share(),
-            "joint mode: agreement with a label that the landmark has often had");
-    visitor("label_agreement_place", label_agreement_place, share(),
-            "joint mode: agreement with any label of a landmark to which depth gives the same place and size");
-    visitor("label_history_min_share", label_history_min_share, share(),
-            "joint mode: share of a landmark's summed scores from which on it has had a label often");
-    visitor("size_tolerance", size_tolerance, not_negative(),
-            "boxes that depth makes larger or smaller than anything of their class, by this share, are left out");
-    visitor("mature_observations", mature_observations, positive(),
-            "joint mode: boxes from which on a landmark is fully established (30 are a second at 30 Hz)");
-    visitor("mature_bonus", mature_bonus, not_negative(),
-            "joint mode: share by which the score of an established landmark is higher");
+    visitor.live("min_score", min_score, share(), "detections below this score are left out");
+    visitor.live("iou_2d_min", iou_2d_min, share(), "level 1 gate delta1: box overlap with the previous frame");
+    visitor.live("iou_3d_min", iou_3d_min, share(), "level 3 gate delta2: box overlap with the projected quadric");
+    visitor.live("points_in_box_min", points_in_box_min, share(),
+                 "level 3 gate delta3: share of map points in the box");
+    visitor.live("iou_joint_2d_min", iou_joint_2d_min, share(),
+                 "joint mode: overlap gate for landmarks without a quadric");
+    visitor.live("suppression_iou", suppression_iou, share(),
+                 "of two boxes that overlap more, the lower score is left out");
+    visitor.live("border_px", border_px, not_negative(), "sides this close to the image border count as cut");
+    visitor.live("memory_s", memory_s, not_negative(), "joint mode: how long a box remains a track's last position");
+    visitor.live("memory_decay_per_s", memory_decay_per_s, not_negative(),
+                 "joint mode: share of its overlap that a last box loses in each second without the object");
+    visitor.live("memory_decay_max", memory_decay_max, share(), "joint mode: the most that it loses");
+    visitor.live("memory_weight", memory_weight, share(),
+                 "joint mode: weight of the overlap with the last box where there is a quadric, whose overlap has 1");
+    visitor.live(
+        "memory_iou_3d_min", memory_iou_3d_min, share(),
+        "joint mode: where there is a quadric, the last box counts only if the quadric overlaps at least so much");
+    visitor.live("iou_other_label_min", iou_other_label_min, share(),
+                 "joint mode: overlap gate for a box of another label than the landmark's");
+    visitor.live("label_agreement_confusable", label_agreement_confusable, share(),
+                 "joint mode: agreement of a label with another one of its group (1 with itself, 0 with others)");
+    visitor.live("label_agreement_history", label_agreement_history, share(),
+                 "joint mode: agreement with a label that the landmark has often had");
+    visitor.live("label_agreement_place", label_agreement_place, share(),
+                 "joint mode: agreement with any label of a landmark to which depth gives the same place and size");
+    visitor.live("label_history_min_share", label_history_min_share, share(),
+                 "joint mode: share of a landmark's summed scores from which on it has had a label often");
+    visitor.live("size_tolerance", size_tolerance, not_negative(),
+                 "boxes that depth makes larger or smaller than anything of their class, by this share, are left out");
+    visitor.live("mature_observations", mature_observations, positive(),
+                 "joint mode: boxes from which on a landmark is fully established (30 are a second at 30 Hz)");
+    visitor.live("mature_bonus", mature_bonus, not_negative(),
+                 "joint mode: share by which the score of an established landmark is higher");
     visitor("window_keyframes", window_keyframes, at_least(1),
             "level 3: landmarks seen in this many last keyframes (all in view in joint mode)");
-    visitor("posterior_alpha", posterior_alpha, positive(), "level 2: concentration of the Dirichlet process");
-    visitor("posterior_count_max", posterior_count_max, at_least(1), "level 2: cap on a landmark's observation count");
-    visitor("range_m", range_m, positive(), "landmarks farther from the camera are not looked for");
-    visitor("jda_distance_max", jda_distance_max, above(0).at_most(3), "jda mode: largest summed distance of a pair");
+    visitor.live("posterior_alpha", posterior_alpha, positive(), "level 2: concentration of the Dirichlet process");
+    visitor.live("posterior_count_max", posterior_count_max, at_least(1),
+                 "level 2: cap on a landmark's observation count");
+    visitor.live("range_m", range_m, positive(), "landmarks farther from the camera are not looked for");
+    visitor.live("jda_distance_max", jda_distance_max, above(0).at_most(3),
+                 "jda mode: largest summed distance of a pair");
     visitor.require("levels", mode == "cascade" || levels == AssociatorOptions().levels,
                     AssociatorOptions().levels + " unless association.mode is cascade");
   }

@@ -23,6 +23,8 @@ class ObjectAssociator {
   /// @return false if the update does not follow the version held, so that the caller must ask for the full map
   bool apply(const MapUpdate& update);
   std::uint64_t map_version() const;
+  /// From the next frame on. @param options those that it has, but for live ones
+  void set_options(const AssociatorOptions& options);
 
  private:
   struct Impl;

@@ -34,10 +34,11 @@ struct ObjectDetectorOptions {
             "of the model's output; auto: by its shape");
     visitor("input_px", input_px, not_negative(),
             "width and height of the model's input; 0: 416 or 640, the first that the model takes");
-    visitor("score", score, share(), "boxes of lower scores are left out");
-    visitor("nms_iou", nms_iou, share(), "of two boxes of a class that overlap more the better one stays");
-    visitor("rate_hz", rate_hz, not_negative(),
-            "most images looked at in a second of their stamps; 0: all, in real time as many as there is time for");
+    visitor.live("score", score, share(), "boxes of lower scores are left out");
+    visitor.live("nms_iou", nms_iou, share(), "of two boxes of a class that overlap more the better one stays");
+    visitor.live(
+        "rate_hz", rate_hz, not_negative(),
+        "most images looked at in a second of their stamps; 0: all, in real time as many as there is time for");
     visitor("backend", backend, one_of({"cpu", "cuda", "opencl"}), "what computes; OpenCV must have been built for it");
     visitor("threads", threads, not_negative(), "of OpenCV, in the whole process; 0: as many as it likes");
     visitor.require("input_px", input_px % 32 == 0, "a multiple of 32, the coarsest cell of the models");
@@ -59,6 +60,8 @@ class ObjectDetector {
   /// Whether an image is to be looked at: at most `rate_hz` a second are, whatever the camera's rate. Asked once an
   /// image, in order.
   bool is_due(std::int64_t stamp_ns);
+  /// From the next image on. @param options those that it has, but for live ones
+  void set_options(const ObjectDetectorOptions& options);
   /// @param color CV_8UC3 as BGR, or CV_8UC1
   /// @param roll_rad how far the camera is rolled, clockwise as it sees, since the networks are trained on upright
   /// images: beyond 20 deg they are given the image turned back. Each box found there stands for the ellipse in it,

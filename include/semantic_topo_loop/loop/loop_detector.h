@@ -60,8 +60,9 @@ class LoopDetector {
   /// the middle of the last seconds on, each keyframe to the next. What comes later holds. Empty for most frames, and
   /// while loop closing is off.
   const std::vector<SolvedMotion>& motions() const;
-  /// Loop closing can be switched at run time; frames are taken in all the same.
-  void set_enabled(bool enabled);
+  /// From the next frame on; what is explained later is explained by them. While they are not enabled, frames are taken
+  /// in all the same. @param options those that it has, but for live ones
+  void set_options(const LoopOptions& options);
   /// Why two keyframes of the run were closed, or were not. Pairs that the run did not compare are compared for the
   /// answer; nothing changes by it.
   LoopExplanation explain(std::int64_t query_keyframe_id, std::int64_t match_keyframe_id) const;

@@ -67,15 +67,15 @@ struct LoopOptions {
 
   void visit(OptionVisitor& visitor) {
     visitor.module("loop");
-    visitor("enabled", enabled, "look for loops");
+    visitor.live("enabled", enabled, "look for loops");
     visitor("mode", mode, one_of({"graph", "paper"}), "graph (local object graphs) or paper (shared landmarks)");
     visitor("score", score, one_of({"corrected", "printed"}), "paper mode: corrected or printed");
     visitor("scale", scale, one_of({"fixed", "free"}),
             "graph mode: fixed, or free for an odometry whose scale drifts (monocular)");
     visitor("min_gap_s", min_gap_s, positive(), "graph mode: no loop between submaps closer in time");
-    visitor("max_candidates", max_candidates, at_least(1), "loops accepted a keyframe at most");
-    visitor("attempt_interval_s", attempt_interval_s, not_negative(),
-            "loops are looked for this often, and at keyframes");
+    visitor.live("max_candidates", max_candidates, at_least(1), "loops accepted a keyframe at most");
+    visitor.live("attempt_interval_s", attempt_interval_s, not_negative(),
+                 "loops are looked for this often, and at keyframes");
     visitor("window_s", window_s, positive(), "graph mode: time span of a submap, at most");
     visitor("min_window_s", min_window_s, positive(), "and at least, however poor the odometry is");
     visitor("window_sigma_deg", window_sigma_deg, positive(),
@@ -98,27 +98,30 @@ struct LoopOptions {
     visitor("min_distance_m", min_distance_m, not_negative(), "objects closer to each other say nothing");
     visitor("inlier_distance_m", inlier_distance_m, positive(),
             "an object is an inlier of an alignment within this distance");
-    visitor("min_inliers", min_inliers, at_least(3), "aligned objects of an accepted loop");
-    visitor("min_confirmed_inliers", min_confirmed_inliers, at_least(4), "the same where surfaces confirm the loop");
-    visitor("min_labels", min_labels, at_least(1), "different classes of an accepted loop");
-    visitor("max_rms_m", max_rms_m, positive(), "alignment error of an accepted loop");
-    visitor("min_spread_m", min_spread_m, not_negative(), "second singular value of the aligned objects' spread");
-    visitor("ambiguity_ratio", ambiguity_ratio, at_least(1), "score over that of the best distinct alternative");
-    visitor("reprojection_iou", reprojection_iou, share(), "overlap of a projected object with its detection");
-    visitor("min_reprojection_ratio", min_reprojection_ratio, share(), "matched over expected boxes, both ways");
-    visitor("min_reprojected_objects", min_reprojected_objects, at_least(1), "objects that reproject well, both ways");
-    visitor("min_explained_share", min_explained_share, share(), "share of the detections explained, both ways");
-    visitor("max_tilt_deg", max_tilt_deg, positive(), "angle between the up directions of the two submaps");
+    visitor.live("min_inliers", min_inliers, at_least(3), "aligned objects of an accepted loop");
+    visitor.live("min_confirmed_inliers", min_confirmed_inliers, at_least(4),
+                 "the same where surfaces confirm the loop");
+    visitor.live("min_labels", min_labels, at_least(1), "different classes of an accepted loop");
+    visitor.live("max_rms_m", max_rms_m, positive(), "alignment error of an accepted loop");
+    visitor.live("min_spread_m", min_spread_m, not_negative(), "second singular value of the aligned objects' spread");
+    visitor.live("ambiguity_ratio", ambiguity_ratio, at_least(1), "score over that of the best distinct alternative");
+    visitor.live("reprojection_iou", reprojection_iou, share(), "overlap of a projected object with its detection");
+    visitor.live("min_reprojection_ratio", min_reprojection_ratio, share(), "matched over expected boxes, both ways");
+    visitor.live("min_reprojected_objects", min_reprojected_objects, at_least(1),
+                 "objects that reproject well, both ways");
+    visitor.live("min_explained_share", min_explained_share, share(), "share of the detections explained, both ways");
+    visitor.live("max_tilt_deg", max_tilt_deg, positive(), "angle between the up directions of the two submaps");
     visitor("refine_views", refine_views, at_least(1), "boxes of each object and side in the refinement");
     visitor("refine_sigma_px", refine_sigma_px, positive(), "standard deviation of a box edge in the refinement");
     visitor("refine_sigma_share", refine_sigma_share, not_negative(), "plus this share of the box size");
-    visitor("refine_max_residual", refine_max_residual, positive(),
-            "median box residual after refinement, standard deviations");
-    visitor("refine_max_shift_m", refine_max_shift_m, positive(), "the refinement may move the alignment this far");
-    visitor("refine_max_shift_deg", refine_max_shift_deg, positive(), "and turn it this far");
+    visitor.live("refine_max_residual", refine_max_residual, positive(),
+                 "median box residual after refinement, standard deviations");
+    visitor.live("refine_max_shift_m", refine_max_shift_m, positive(),
+                 "the refinement may move the alignment this far");
+    visitor.live("refine_max_shift_deg", refine_max_shift_deg, positive(), "and turn it this far");
     visitor("covariance_inflation", covariance_inflation, positive(), "factor on the refinement's standard deviations");
-    visitor("max_sigma_m", max_sigma_m, positive(), "stated error of an accepted loop's translation, at most");
-    visitor("max_sigma_deg", max_sigma_deg, positive(), "stated error of an accepted loop's rotation, at most");
+    visitor.live("max_sigma_m", max_sigma_m, positive(), "stated error of an accepted loop's translation, at most");
+    visitor.live("max_sigma_deg", max_sigma_deg, positive(), "stated error of an accepted loop's rotation, at most");
     visitor("use_points", use_points, "graph mode: points that come with the frames refine and check the loops");
     visitor("paper_min_common", paper_min_common, at_least(3), "paper mode: th_objs, common landmarks of a candidate");
     visitor("paper_min_gap_frames", paper_min_gap_frames, at_least(1),

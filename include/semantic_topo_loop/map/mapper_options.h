@@ -40,31 +40,37 @@ struct QuadricMapperOptions {
     visitor("refit_growth", refit_growth, positive(), "refit when the views have grown by this share");
     visitor("max_depth_m", max_depth_m, positive(), "no ellipsoid from farther away (median depth)");
     visitor("max_semi_axis_m", max_semi_axis_m, positive(), "no larger ellipsoid");
-    visitor("size_prior_factor", size_prior_factor, above(1),
-            "no ellipsoid larger or smaller than its class's typical diameter by more than this factor");
-    visitor("min_fit_iou", min_fit_iou, share(), "mean overlap below which a fit is refused");
+    visitor.live("size_prior_factor", size_prior_factor, above(1),
+                 "no ellipsoid larger or smaller than its class's typical diameter by more than this factor");
+    visitor.live("min_fit_iou", min_fit_iou, share(), "mean overlap below which a fit is refused");
     visitor("maintenance_interval_s", maintenance_interval_s, positive(), "time between searches for duplicates");
-    visitor("merge_duplicates", merge_duplicates, "whether landmarks that are one object become one");
-    visitor("merge_iou", merge_iou, share(), "overlap of one landmark's boxes with the other's projection, same class");
-    visitor("merge_iou_confusable", merge_iou_confusable, share(), "the same for two classes of one group");
-    visitor("merge_veto_share", merge_veto_share, share(),
-            "no merge if seen side by side in more of the common frames");
-    visitor("confirm_seen_s", confirm_seen_s, not_negative(), "time for which a confirmed landmark was seen whole");
-    visitor("confirm_baseline_deg", confirm_baseline_deg, at_least(0).below(180), "parallax of a confirmed landmark");
-    visitor("confirm_mean_iou", confirm_mean_iou, share(), "mean overlap of a confirmed landmark");
-    visitor("confirm_seen_share", confirm_seen_share, share(), "seen / expected time of a confirmed landmark");
-    visitor("confirm_quality", confirm_quality, share(), "quality rho of a confirmed landmark");
-    visitor("forget_candidate_s", forget_candidate_s, positive(), "a candidate unseen for so long is given up");
-    visitor("forget_candidate_seen_s", forget_candidate_seen_s, not_negative(), "unless it was seen for this long");
-    visitor("forget_unconfirmed_s", forget_unconfirmed_s, positive(),
-            "a candidate unseen for so long is given up, however long it was seen");
-    visitor("retire_seen_share", retire_seen_share, share(), "a landmark is retired when seen / expected falls below");
-    visitor("retire_expected_s", retire_expected_s, positive(), "and it was expected for this long");
-    visitor("retire_missed_s", retire_missed_s, positive(),
-            "a movable landmark is retired when so much of its sightings is missed from familiar viewpoints since its "
-            "last box");
-    visitor("retire_seen_through_s", retire_seen_through_s, positive(),
-            "a landmark is retired when for this time since its last box depth shows what lies behind it");
+    visitor.live("merge_duplicates", merge_duplicates, "whether landmarks that are one object become one");
+    visitor.live("merge_iou", merge_iou, share(),
+                 "overlap of one landmark's boxes with the other's projection, same class");
+    visitor.live("merge_iou_confusable", merge_iou_confusable, share(), "the same for two classes of one group");
+    visitor.live("merge_veto_share", merge_veto_share, share(),
+                 "no merge if seen side by side in more of the common frames");
+    visitor.live("confirm_seen_s", confirm_seen_s, not_negative(),
+                 "time for which a confirmed landmark was seen whole");
+    visitor.live("confirm_baseline_deg", confirm_baseline_deg, at_least(0).below(180),
+                 "parallax of a confirmed landmark");
+    visitor.live("confirm_mean_iou", confirm_mean_iou, share(), "mean overlap of a confirmed landmark");
+    visitor.live("confirm_seen_share", confirm_seen_share, share(), "seen / expected time of a confirmed landmark");
+    visitor.live("confirm_quality", confirm_quality, share(), "quality rho of a confirmed landmark");
+    visitor.live("forget_candidate_s", forget_candidate_s, positive(), "a candidate unseen for so long is given up");
+    visitor.live("forget_candidate_seen_s", forget_candidate_seen_s, not_negative(),
+                 "unless it was seen for this long");
+    visitor.live("forget_unconfirmed_s", forget_unconfirmed_s, positive(),
+                 "a candidate unseen for so long is given up, however long it was seen");
+    visitor.live("retire_seen_share", retire_seen_share, share(),
+                 "a landmark is retired when seen / expected falls below");
+    visitor.live("retire_expected_s", retire_expected_s, positive(), "and it was expected for this long");
+    visitor.live(
+        "retire_missed_s", retire_missed_s, positive(),
+        "a movable landmark is retired when so much of its sightings is missed from familiar viewpoints since its "
+        "last box");
+    visitor.live("retire_seen_through_s", retire_seen_through_s, positive(),
+                 "a landmark is retired when for this time since its last box depth shows what lies behind it");
     visitor.require("fit_views_max", fit_views_max >= min_views, ">= mapping.min_views");
   }
 };

@@ -34,6 +34,9 @@ class QuadricMapper {
   std::optional<std::int64_t> last_seen_ns(std::int64_t landmark_id) const;
   /// While the map is fixed, what is seen changes nothing in it; corrections still move it.
   void set_fixed(bool fixed);
+  /// From the next update on, in which every landmark is judged anew. @param options those that it has, but for live
+  /// ones
+  void set_options(const QuadricMapperOptions& options);
   std::uint64_t map_version() const;
   const SE3& T_map_odom() const;
   /// What a later session goes on with (src/map/mapper_state.h).

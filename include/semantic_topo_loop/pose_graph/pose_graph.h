@@ -54,6 +54,8 @@ class PoseGraph {
   /// Takes the accepted loops between two keyframes out again; the next frame optimises without them.
   /// @return false if none is remembered: those that repeat others are forgotten in time
   bool withdraw(std::int64_t query_keyframe_id, std::int64_t match_keyframe_id);
+  /// From the next frame on. @param options those that it has, but for live ones
+  void set_options(const PoseGraphOptions& options);
   const SE3& T_map_odom() const;
   /// What a solution costs time for: bounded, however long the run is and however many loops it finds.
   struct Size {

@@ -33,15 +33,15 @@ struct PoseGraphOptions {
     visitor.module("pose_graph");
     visitor("robust", robust, one_of({"gnc", "cauchy", "huber", "none"}),
             "how false loops are kept out: gnc, cauchy, huber or none");
-    visitor("robust_chi2", robust_chi2, positive(),
-            "squared error of a loop, in its sigmas, above which it is doubted");
+    visitor.live("robust_chi2", robust_chi2, positive(),
+                 "squared error of a loop, in its sigmas, above which it is doubted");
     visitor("gnc_loosening", gnc_loosening, at_least(1),
             "loops are classified with the odometry's sigmas times this, so that right loops have room");
-    visitor("interval_keyframes", interval_keyframes, at_least(1), "optimise new loops after this many keyframes");
-    visitor("min_interval_keyframes", min_interval_keyframes, at_least(1),
-            "a loop that disagrees with the map is optimised after this many keyframes");
-    visitor("urgent_chi2", urgent_chi2, not_negative(),
-            "squared disagreement of a new loop, in its sigmas, that is urgent");
+    visitor.live("interval_keyframes", interval_keyframes, at_least(1), "optimise new loops after this many keyframes");
+    visitor.live("min_interval_keyframes", min_interval_keyframes, at_least(1),
+                 "a loop that disagrees with the map is optimised after this many keyframes");
+    visitor.live("urgent_chi2", urgent_chi2, not_negative(),
+                 "squared disagreement of a new loop, in its sigmas, that is urgent");
     visitor("estimate_noise", estimate_noise,
             "learn the odometry's noise from the loops, where the source states none");
     visitor("translation_noise_m", translation_noise_m, positive(),
@@ -54,17 +54,19 @@ struct PoseGraphOptions {
     visitor(
         "max_redundancy", max_redundancy, positive(),
         "a loop stays out of the graph if loops in it rest on its evidence so many times over; less in large graphs");
-    visitor("max_iterations", max_iterations, at_least(1), "of one solve");
+    visitor.live("max_iterations", max_iterations, at_least(1), "of one solve");
     visitor("scale", scale, one_of({"fixed", "free"}),
             "of the odometry: fixed, or free where it drifts (monocular; Sim(3) vertices)");
     visitor("scale_walk", scale_walk, above(0).at_most(0.5),
             "free scale: error of its logarithm after one metre of path (1 sigma; grows with the root of the path)");
     visitor("objects", objects, one_of({"off", "with_loops", "on"}),
             "whether objects take part in the last correction of a run: off, with_loops (if there are any) or on");
-    visitor("object_weight", object_weight, positive(), "factor on the squared errors of object observations");
-    visitor("object_sigma_px", object_sigma_px, positive(), "noise of a box edge, constant part");
-    visitor("object_sigma_share", object_sigma_share, not_negative(), "noise of a box edge, share of the box size");
-    visitor("object_views", object_views, at_least(4), "keyframes that observe one object, spread evenly over all");
+    visitor.live("object_weight", object_weight, positive(), "factor on the squared errors of object observations");
+    visitor.live("object_sigma_px", object_sigma_px, positive(), "noise of a box edge, constant part");
+    visitor.live("object_sigma_share", object_sigma_share, not_negative(),
+                 "noise of a box edge, share of the box size");
+    visitor.live("object_views", object_views, at_least(4),
+                 "keyframes that observe one object, spread evenly over all");
     visitor.require("min_interval_keyframes", min_interval_keyframes <= interval_keyframes,
                     "<= pose_graph.interval_keyframes");
   }

@@ -30,6 +30,9 @@ class Range {
   bool holds(const std::string& text) const;
   /// What a value must be, such as "> 0", "in [0, 1]", "fixed or free"; empty for anything.
   std::string rule() const;
+  /// The bounds of numbers, which themselves may be outside; infinite without.
+  double low() const { return low_; }
+  double high() const { return high_; }
 
  private:
   double low_ = -std::numeric_limits<double>::infinity(), high_ = std::numeric_limits<double>::infinity();
@@ -55,11 +58,16 @@ inline Range given() {
 /// Options as text: `<module>.<field>` to value.
 using OptionTexts = std::map<std::string, std::string>;
 
-/// What a field of an options struct is, for documents.
+using OptionValue = std::variant<double, int, bool, std::string>;
+
+/// What a field of an options struct is, for documents and tools.
 struct OptionRow {
   std::string key, value, unit, rule, meaning;
   bool is_text = false;
-  std::string owner;  ///< who has it, where the key does not say
+  std::string owner;     ///< who has it, where the key does not say
+  bool is_live = false;  ///< it may change while running
+  OptionValue exact;     ///< every digit of `value`
+  Range range;
 };
 
 /// What an options struct says about its fields. A struct has `void visit(OptionVisitor& visitor)`, which shows each
@@ -72,14 +80,24 @@ class OptionVisitor {
   void module(const std::string& name) { prefix_ = name + "."; }
   template <class Field>
   void operator()(const std::string& name, Field& field, Range range, const char* meaning) {
-    options_.push_back({prefix_ + name, &field, std::move(range), meaning, {}});
+    options_.push_back({prefix_ + name, &field, std::move(range), meaning, {}, false});
   }
   void operator()(const std::string& name, bool& field, const char* meaning) { (*this)(name, field, any(), meaning); }
+  /// The same for a field that may change while running: it is read anew at each frame, and nothing that is stored
+  /// hangs on what it was.
+  template <class Field>
+  void live(const std::string& name, Field& field, Range range, const char* meaning) {
+    (*this)(name, field, std::move(range), meaning);
+    options_.back().is_live = true;
+  }
+  void live(const std::string& name, bool& field, const char* meaning) { live(name, field, any(), meaning); }
   /// States a rule between fields, about one that was shown.
   void require(const std::string& name, bool is_kept, const std::string& rule);
 
   /// Sets the fields that texts are given for. An error for a text of the wrong type or an unknown key.
   Status set(const OptionTexts& texts) const;
+  /// As set, of live fields alone: another one is an error, too.
+  Status change(const OptionTexts& texts) const;
   /// An error for the first field out of its range or, if there is none, the first broken rule between fields.
   Status check() const;
   std::vector<OptionRow> rows() const;
@@ -91,6 +109,7 @@ class OptionVisitor {
     Range range;
     const char* meaning;
     std::string relation;  ///< to other fields
+    bool is_live;
   };
 
   std::string prefix_;  ///< of keys
@@ -124,6 +143,19 @@ Result<Struct> make_options(const OptionTexts& texts) {
   if (const Status status = visitor.set(texts); !status) return status.error();
   if (const Status status = validate(options); !status) return status.error();
   return options;
+}
+
+/// Changes live fields of options in use, all that texts are given for or, with an error, none. As strict as
+/// make_options; a field that is not live is an error that names it, too.
+template <class Struct>
+Status change_options(const OptionTexts& texts, Struct* options) {
+  Struct changed = *options;
+  OptionVisitor visitor;
+  changed.visit(visitor);
+  if (const Status status = visitor.change(texts); !status) return status;
+  if (const Status status = validate(changed); !status) return status;
+  *options = std::move(changed);
+  return {};
 }
 
 }  // namespace semantic_topo_loop::core

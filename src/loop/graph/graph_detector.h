@@ -70,6 +70,8 @@ double tilt(const LocalMap& a, const LocalMap& b, const SE3& T_a_b);
 class GraphDetector {
  public:
   explicit GraphDetector(const LoopOptions& options);
+  /// @param options those that it has, but for live ones, of which the index has none
+  void set_options(const LoopOptions& options) { options_ = options; }
 
   /// Matches the submap with those kept at least `min_gap_s` before it.
   /// @return the best candidate, then those whose place was closed least recently, then all others

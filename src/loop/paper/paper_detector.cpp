@@ -120,6 +120,8 @@ std::map<int, int> ObjectIndex::query(const std::vector<std::int64_t>& landmark_
 PaperDetector::PaperDetector(const LoopOptions& options, const LandmarkRedirects& redirects)
     : options_(with_vague_edges(options)), redirects_(redirects) {}
 
+void PaperDetector::set_options(const LoopOptions& options) { options_ = with_vague_edges(options); }
+
 void PaperDetector::apply(const MapUpdate& update) {
   for (const Landmark& landmark : update.changed) quality_[landmark.id] = landmark.quality;
   for (const LandmarkMerge& merge : update.merged) quality_.erase(merge.merged_id);

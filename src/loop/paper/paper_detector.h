@@ -72,6 +72,7 @@ class PaperDetector {
  public:
   /// @param redirects of merged landmarks, kept up to date elsewhere; must outlive this
   PaperDetector(const LoopOptions& options, const LandmarkRedirects& redirects);
+  void set_options(const LoopOptions& options);
 
   /// Takes over landmark qualities.
   void apply(const MapUpdate& update);
