@@ -340,6 +340,20 @@ TEST_F(DepthMapperTest, ADetectorThatMissesWhatDepthStillShowsRetiresNothing) {
   EXPECT_EQ(find(0)->state, LandmarkState::kConfirmed);
 }
 
+TEST_F(DepthMapperTest, WhatADetectorHardlyFindsAgainIsItsMistake) {
+  const Ellipsoid tv = on_table(-0.3, 0.2, Vec3(0.06, 0.2, 0.18));
+  const DepthScene scene{{kCup, tv, kBottle}};
+  for (int i = 0; i < 360; ++i) {
+    std::vector<Seen> seen{{2, 62, tv}};
+    if (i % 2 == 0) seen.push_back({0, 41, kCup});
+    if (i % 6 == 0) seen.push_back({1, 41, kBottle});
+    step(from_side(0.1 * i), seen, scene);
+  }
+  ASSERT_NE(find(1), nullptr);
+  EXPECT_EQ(find(0)->state, LandmarkState::kConfirmed);
+  EXPECT_EQ(find(1)->state, LandmarkState::kCandidate) << "boxed for 2 s, but once in six views from there";
+}
+
 TEST_F(DepthMapperTest, WhatIsHollowIsThereAsLongAsSomethingIsInsideIt) {
   const Ellipsoid chair = on_table(0.0, 0.0, Vec3::Constant(0.2));
   const Ellipsoid tv = on_table(-0.3, 0.2, Vec3(0.06, 0.2, 0.18));
