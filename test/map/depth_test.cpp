@@ -327,8 +327,8 @@ TEST_F(DepthMapperTest, WhatDepthSeesThroughIsRetiredAndWhatItSeesInFrontHidesIt
   EXPECT_EQ(find(0)->state, LandmarkState::kConfirmed);
   // The cup is carried away, the screen stays.
   const DepthScene without_cup{{tv}};
-  for (int i = 0; i < 42; ++i) step(from_side(-1.5 * (i + 4)), {{1, 62, tv}}, without_cup);
-  EXPECT_EQ(find(0)->state, LandmarkState::kRetired) << "within 1.4 s, from where it had never been seen";
+  for (int i = 0; i < 85; ++i) step(from_side(-1.5 * (i + 4)), {{1, 62, tv}}, without_cup);
+  EXPECT_EQ(find(0)->state, LandmarkState::kRetired) << "within 2.8 s, from where it had never been seen";
   EXPECT_EQ(find(1)->state, LandmarkState::kConfirmed);
 }
 
@@ -367,7 +367,7 @@ TEST_F(DepthMapperTest, WhatIsHollowIsThereAsLongAsSomethingIsInsideIt) {
   ASSERT_EQ(find(0)->state, LandmarkState::kConfirmed);
   for (int i = 0; i < 60; ++i) step(from_side(1.5 * i), {{1, 62, tv}}, with_inside(from_side(1.5 * i)));
   EXPECT_EQ(find(0)->state, LandmarkState::kConfirmed) << "its seat is behind its near side";
-  for (int i = 0; i < 60; ++i) step(from_side(1.5 * i), {{1, 62, tv}}, {{tv}});
+  for (int i = 0; i < 85; ++i) step(from_side(1.5 * i), {{1, 62, tv}}, {{tv}});
   EXPECT_EQ(find(0)->state, LandmarkState::kRetired);
 }
 
@@ -391,7 +391,7 @@ TEST_F(DepthMapperTest, WhatTheBorderCutsIsSeenThroughAsWellButNotMissed) {
   };
   for (int i = 0; i < 60; ++i) step(to_the_border(i), {something_else(to_the_border(i))}, scene);
   EXPECT_EQ(find(0)->state, LandmarkState::kConfirmed) << "detectors miss what is cut";
-  for (int i = 0; i < 60; ++i) step(to_the_border(i), {something_else(to_the_border(i))}, {});
+  for (int i = 0; i < 85; ++i) step(to_the_border(i), {something_else(to_the_border(i))}, {});
   EXPECT_EQ(find(0)->state, LandmarkState::kRetired);
 }
 

@@ -29,7 +29,7 @@ struct QuadricMapperOptions {
   double retire_seen_share = 0.02;
   double retire_expected_s = 7.0;
   double retire_missed_s = 4.0;
-  double retire_seen_through_s = 1.0;
+  double retire_seen_through_s = 2.5;
 
   void visit(OptionVisitor& visitor) {
     visitor.module("mapping");
