@@ -62,7 +62,7 @@ bool show_one_thing(const PreparedDetection& a, const PreparedDetection& b);
 /// Score of the joint one-to-one assignment: box overlap (quadric or last box) times label agreement, above the gates
 /// of the levels. Where depth tells where the box's object is, it must be where the landmark is, and a landmark of
 /// any label in the same place with the same size is it. Measured far more robust to missed and mislabelled boxes than
-/// the cascade (docs/algorithms.md).
+/// the cascade (docs/paper.md).
 double score_joint(const AssociationContext& context, const TrackInFrame& candidate,
                    const PreparedDetection& detection);
 
