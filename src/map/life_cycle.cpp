@@ -20,7 +20,6 @@ constexpr double kHiddenShare = 0.5;                        // of the box, from 
 constexpr double kSigmas = 2.5;            // of a depth, beyond which it is in front or behind: 1 in 80 by chance
 constexpr double kUneven_m = 0.01;         // of a surface against its ellipsoid
 constexpr double kUnevenShare = 0.15;      // the same, as a share of its radius
-constexpr double kBorderShare = 0.1;       // of a depth at the image's border, where cameras' calibration is worst
 constexpr double kMiddle = 0.6;            // of the sides of the projection
 constexpr double kSeenThroughShare = 0.5;  // of its middle, from which on nothing seems to be there
 constexpr std::size_t kMinPoints = 5;      // fewer could all be wrong
@@ -67,11 +66,11 @@ DepthThere depth_there(const Candidate& candidate, const FramePoints& points, co
     const std::optional<RayDepths> there =
         ray_depths(*candidate.ellipsoid, T_map_camera.t, T_map_camera.q * Vec3(p.point_camera / z));
     if (!there) continue;
-    const double margin = kSigmas * (uneven + depth_sigma_m(z)) + (candidate.is_cut() ? kBorderShare * z : 0.0);
+    const double margin = kSigmas * (uneven + depth_sigma_m(z));
     ++known;
     if (z < there->enters - margin) ++in_front;
     if (z <= there->enters + margin) continue;
-    ++(z > there->leaves + (candidate.is_cut() ? margin : 0.0) ? behind : in_it);
+    ++(z > there->leaves ? behind : in_it);
   }
   if (known < kMinPoints) return DepthThere::kUnknown;
   const auto share = [known](std::size_t count) { return static_cast<double>(count) / static_cast<double>(known); };
@@ -111,8 +110,7 @@ std::vector<ExpectedLandmark> expected_landmarks(const std::map<std::int64_t, Ma
     const DepthThere there = points != nullptr ? depth_there(candidate, *points, T_map_camera) : DepthThere::kUnknown;
     if (there == DepthThere::kInFront) continue;
     const bool is_in_it = there == DepthThere::kInIt;
-    const bool is_hollow = candidate.is_hollow || candidate.is_cut();
-    const bool is_seen_through = there == DepthThere::kBehind || (is_in_it && !is_hollow);
+    const bool is_seen_through = there == DepthThere::kBehind || (is_in_it && !candidate.is_hollow);
     if (!is_seen_through && candidate.is_cut()) continue;
     expected.push_back({candidate.id, candidate.box.size(), is_in_it, is_seen_through});
   }
