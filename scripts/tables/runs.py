@@ -186,7 +186,7 @@ class Programs:
 
     def _list_parameters(self):
         listing = self._call("offline", "--list-parameters").stdout
-        return set(re.findall(r"^\| `([^`]+)` \|", listing, re.MULTILINE))
+        return set(re.findall(r"^\| `([^`]+)`", listing, re.MULTILINE))
 
     def _settings(self, method):
         """The method's settings that the program knows; the others are noted."""
