@@ -10,6 +10,9 @@ namespace {
 /// Boxes that the last session should have of what is gone, that what is new must have, and by which another one holds
 /// a place: a second or two.
 constexpr int kMinBoxes = 30;
+/// Boxes that the sessions before should have of what is gone: of chairs that went in rendered rooms there were 21 to
+/// 79, of what never was 16 and 19.
+constexpr int kMinBoxesBefore = 20;
 /// Keyframes that must have had a place in view, since detectors miss an object for seconds on end; where there are
 /// boxes of both times to compare; of one that moved there, since it is gone elsewhere; and where many objects are
 /// asked about at once.
@@ -146,6 +149,7 @@ std::vector<MapChange> map_changes(const MapState& map) {
     MapChange change;
     change.boxes_before = before;
     if (before > 0) {
+      if (before < kMinBoxesBefore) continue;
       const int expected = static_cast<int>(std::int64_t{before} * looked_after / std::max(looked_before, 1));
       const bool is_missed = looked_after >= kMinLooksOfGone && expected >= kMinBoxes;
       change.seen_through_s = seen_through_s(landmark);
