@@ -150,7 +150,6 @@ class Programs:
         for name in ("offline", "evaluate", "perturb"):
             if not os.access(os.path.join(programs, name), os.X_OK):
                 raise Failure(f"'{programs}' has no program {name} (--programs)")
-        self._parameters = self._list_parameters()
         self.notes = []
 
     def run(self, sequence, method):
@@ -184,19 +183,6 @@ class Programs:
         command = [os.path.join(self._programs, name), *arguments]
         return subprocess.run(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, universal_newlines=True)
 
-    def _list_parameters(self):
-        listing = self._call("offline", "--list-parameters").stdout
-        return set(re.findall(r"^\| `([^`]+)`", listing, re.MULTILINE))
-
-    def _settings(self, method):
-        """The method's settings that the program knows; the others are noted."""
-        for setting in method.settings:
-            key = setting.split("=")[0]
-            if key in self._parameters:
-                yield from ("--set", setting)
-            else:
-                self.note(f"`{key}` is no parameter of this version and was left out.")
-
     def note(self, text):
         if text not in self.notes:
             self.notes.append(text)
@@ -209,7 +195,7 @@ class Programs:
             source = ["--rgbd", sequence.images, "--set", "depth.scale=5000"]
         result = self._call("offline", *source, "--detections", sequence.detections, "--camera",
                             os.path.join(self._cameras, sequence.camera), "--classes", self._classes, "--output",
-                            run.directory, *self._settings(method))
+                            run.directory, *(word for setting in method.settings for word in ("--set", setting)))
         if result.returncode != 0:
             errors = [line for line in result.stderr.splitlines() if "error" in line] or ["no message"]
             run.problem = errors[0].replace("offline: error: ", "")
