@@ -78,13 +78,15 @@ class Memory(threading.Thread):
             time.sleep(1.0)
 
 
-def run_offline(program, folder, camera, settings, results):
+def run_offline(program, folder, camera, settings, results, map_file):
     config = os.path.join(package_folder(), "config")
     command = [program, "--trajectory", os.path.join(folder, "trajectory.txt"), "--detections",
                os.path.join(folder, "detections.json"), "--camera", camera, "--classes",
                os.path.join(config, "classes_coco.yaml"), "--output", results]
     for setting in settings:
         command += ["--set", setting]
+    if map_file:
+        command += ["--save-map", map_file]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, universal_newlines=True)
     memory = Memory(process.pid)
     text = process.communicate()[0]
@@ -142,6 +144,7 @@ def parse_arguments():
                         help="folder for inputs and results (default: %(default)s)")
     parser.add_argument("--inputs-only", action="store_true", help="only write the input")
     parser.add_argument("--folder", help="instead of fr2_desk: a folder that `simulate` wrote")
+    parser.add_argument("--save-map", metavar="FILE", help="write the map there while it is made, and say how big it is")
     parser.add_argument("--set", action="append", default=[], metavar="KEY=VALUE", help="a parameter of offline")
     return parser.parse_args()
 
@@ -161,13 +164,17 @@ def main():
         if arguments.inputs_only:
             return
         results = os.path.join(arguments.output, "results", os.path.basename(folder))
-        said, memory = run_offline(os.path.join(arguments.programs, "offline"), folder, camera, arguments.set, results)
+        said, memory = run_offline(os.path.join(arguments.programs, "offline"), folder, camera, arguments.set, results,
+                                   arguments.save_map)
         print(said + "\n")
         seconds = float(re.search(r"in ([0-9.]+) s", said).group(1))
         recorded_s = seconds * float(re.search(r"([0-9.]+) x real time", said).group(1))
         table(read_rows(os.path.join(results, "timing.csv")), memory, seconds, recorded_s)
         with open(os.path.join(results, "summary.json")) as file:
             print("loops: " + json.dumps(json.load(file).get("loops", {})))
+        if arguments.save_map:
+            size_mb = os.path.getsize(arguments.save_map) / 1e6
+            print(f"map: {size_mb:.0f} MB, {3600 * size_mb / recorded_s:.0f} MB an hour")
         truth = os.path.join(folder, "groundtruth_frames.txt")
         if os.path.exists(truth):
             judged = subprocess.run([os.path.join(arguments.programs, "evaluate"), "loops", results, truth],
