@@ -143,9 +143,7 @@ Result<Recording> open(const Arguments& arguments) {
   if (!camera) return camera.error();
   const Result<Options> options = load_options("", arguments.options);
   if (!options) return options.error();
-  const std::string list =
-      arguments.associations.empty() ? arguments.rgbd + "/associations.txt" : arguments.associations;
-  const Result<RgbdFiles> read = read_associations(list, arguments.rgbd);
+  const Result<RgbdFiles> read = list_rgbd_images(arguments.rgbd, arguments.associations);
   if (!read) return read.error();
   return Recording{read->files, *camera, *options};
 }
@@ -176,7 +174,7 @@ int main(int argc, char** argv) {
   command.option("rgbd", apps::po::value(&arguments.rgbd), "folder of color and depth images that is tracked")
       .option("camera", apps::po::value(&arguments.camera), "its calibration (default: camera.yaml of the folder)")
       .option("associations", apps::po::value(&arguments.associations),
-              "its list (default: associations.txt of the folder)")
+              "its list (default: as of offline)")
       .option("set", apps::assignments(&arguments.options), "one parameter; may be repeated");
   return apps::run_program("benchmark_frontend", {command}, argc, argv);
 }

@@ -2,11 +2,13 @@
 
 docs/figures.json lists, as "measurements", commands that write files into a folder of their own, and for each the lines
 of documents with {expressions} in place of the figures. An expression is Python over what the commands wrote: NAME.json
-and NAME/summary.json by their name (`after.ate_m.rmse`), and cells of the tables in tables.md: `cell(heading, row...,
-column)`, or those of a row between two columns, `row(heading, first cell, first column, last column)`. `$NAME` in a line
-stands for each of the values that the measurement's "each" has for it. A line that does not stand in its document once is an
-error. What is not measured has a reason there, by section of a document or by regular expression; a number without either
-is shown by --list, which then ends with 1."""
+and NAME/summary.json by their name (`after.ate_m.rmse`; Google Benchmark's by a benchmark's, `core("project").real_time`),
+`spent_us("run", "loop")`, `peak_mb("run")` and `count("run/loops.csv", column="value")` of a run, and what they printed:
+`said(regular expression)` is the first number in its group, `said(regular expression, 1)` the second, `cell(heading, row...,
+column)` that of a Markdown table, `row(heading, first cell, first column, last column)` those between two columns. `$NAME` in a line stands for each of the values that the measurement's "each" has for it. A line
+that does not stand in its document once is an error. Those of "times", which hang on the machine, differ if they are more
+than a factor of 2 apart; measurements that run "alone" run before the others. What is not measured has a reason there, by
+section of a document or by regular expression; a number without either is shown by --list, which then ends with 1."""
 
 import argparse
 import collections
@@ -16,12 +18,13 @@ import json
 import os
 import re
 import shlex
+import statistics
 import subprocess
 import sys
 import time
 from types import SimpleNamespace
 
-from runs import Failure, package_folder
+from runs import Failure, package_folder, read_rows
 
 PACKAGE = package_folder()
 DOCUMENTS = ("README.md", "docs/benchmarks.md")
@@ -29,15 +32,17 @@ PLACE = re.compile(r"\{([^{}]+?)(?::([.,\d]*[a-z%]))?\}")
 NUMBER = re.compile(r"(?<![\w.])\d[\d,]*(?:\.\d+)?")
 CODE = re.compile(r"```.*?```|`[^`\n]*`|\]\([^)\n]*\)", re.DOTALL)
 HEADING = re.compile(r"^(#+) (.*)$", re.MULTILINE)
+PRINTED = "printed.txt"  # of a measurement's folder: what its commands said
 MEASURED, ROW = "measured", "in the names of rows that are measured"
 QUICK_S = 60.0
+TIMES_WITHIN = 2.0
 
 
 class Template:
-    """A line of a document with expressions in place of its figures."""
+    """A line of a document with expressions in place of its figures, which are the same within a factor."""
 
-    def __init__(self, document, text):
-        self.document, self.text = document, text
+    def __init__(self, document, text, within):
+        self.document, self.text, self._within = document, text, within
         self.places = list(PLACE.finditer(text))
         pattern, end = "", 0
         for place in self.places:
@@ -65,6 +70,16 @@ class Template:
                 raise Failure(f"{expression} in '{self.text}': {error!r}")
             yield format(value, layout or "")
 
+    def differing(self, stated, now):
+        """How many numbers of one text differ from those of the other."""
+        a, b = NUMBER.findall(stated), NUMBER.findall(now)
+        differ = sum(not self._is_same(x, y) for x, y in zip(a, b)) + abs(len(a) - len(b))
+        return differ or int(NUMBER.sub("", stated) != NUMBER.sub("", now))
+
+    def _is_same(self, stated, now):
+        smaller, larger = sorted(float(number.replace(",", "")) for number in (stated, now))
+        return stated == now or self._within > 1.0 and larger <= self._within * smaller
+
 
 def templates_of(entry):
     """The lines of a measurement; each value of what stands in them as $NAME makes one of its own."""
@@ -74,8 +89,8 @@ def templates_of(entry):
                 return [line for value in values for line in expanded(text.replace("$" + name, value))]
         return [text]
 
-    return [Template(document, line) for document, lines in entry["lines"].items() for text in lines
-            for line in expanded(text)]
+    return [Template(document, line, within) for kind, within in (("lines", 1.0), ("times", TIMES_WITHIN))
+            for document, lines in entry.get(kind, {}).items() for text in lines for line in expanded(text)]
 
 
 def namespace(value):
@@ -134,43 +149,66 @@ class Tables:
         return " | ".join(cells[columns.index(first):columns.index(last) + 1])
 
 
+class Runs:
+    """What `offline` wrote, by the folder of a run."""
+
+    def __init__(self, folder):
+        self._folder = folder
+
+    def spent_us(self, run, stage):
+        """Of a stage at a frame: mean, median, 99th percentile and most."""
+        values = sorted(float(row[stage + "_us"]) for row in read_rows(os.path.join(self._folder, run, "timing.csv")))
+        return SimpleNamespace(mean=statistics.mean(values), median=statistics.median(values), most=values[-1],
+                               p99=values[int(0.99 * (len(values) - 1))])
+
+    def peak_mb(self, run):
+        return max(float(row["peak_mb"]) for row in read_rows(os.path.join(self._folder, run, "memory.csv")))
+
+    def count(self, path, **cells):
+        """Rows of a file that have these cells."""
+        return sum(all(row[name] == value for name, value in cells.items())
+                   for row in read_rows(os.path.join(self._folder, path)))
+
+
 def values_of(folder):
     """Names that the expressions of a measurement may use."""
-    values = {"ratio": ratio, "spaced": spaced, "counts": counts}
+    with open(os.path.join(folder, PRINTED)) as file:
+        printed = file.read()
+    tables, runs = Tables(printed), Runs(folder)
+    values = {"ratio": ratio, "spaced": spaced, "counts": counts, "cell": tables.cell, "row": tables.row,
+              "spent_us": runs.spent_us, "peak_mb": runs.peak_mb, "count": runs.count,
+              "said": lambda expression, i=0: float(re.findall(expression, printed)[i].replace(",", ""))}
     for path in glob.glob(os.path.join(folder, "*.json")):
         with open(path) as file:
-            values[os.path.basename(path)[:-5]] = namespace(json.load(file))
+            written = namespace(json.load(file))
+        if hasattr(written, "benchmarks"):
+            written = {entry.name: entry for entry in written.benchmarks}.__getitem__
+        values[os.path.basename(path)[:-5]] = written
     for path in glob.glob(os.path.join(folder, "*", "summary.json")):
         with open(path) as file:
             values[os.path.basename(os.path.dirname(path))] = namespace(json.load(file))
-    path = os.path.join(folder, "tables.md")
-    if os.path.exists(path):
-        with open(path) as file:
-            tables = Tables(file.read())
-        values.update(cell=tables.cell, row=tables.row)
     return values
 
 
 def measure(name, commands, arguments):
     """Runs the commands of a measurement. @return its folder, seconds"""
     folder = os.path.join(arguments.output, name)
-    os.makedirs(folder, exist_ok=True)
     begin = time.monotonic()
-    for command in commands if not arguments.keep else []:
-        words = [word.replace("$DATA", arguments.data).replace("$OUT", folder).replace("$CONFIG", PACKAGE + "/config")
-                 .replace("$PROGRAMS", arguments.programs) for word in shlex.split(command)]
-        in_scripts = os.path.join(PACKAGE, words[0])
-        words[0] = in_scripts if words[0].startswith("scripts/") else os.path.join(arguments.programs, words[0])
-        result = subprocess.run(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, universal_newlines=True)
-        if result.returncode != 0:
-            raise Failure(f"{shlex.join(words)}: {result.stderr.strip()[-2000:]}")
+    if arguments.keep:
+        return folder, 0.0
+    os.makedirs(folder, exist_ok=True)
+    environment = dict(os.environ, SEMANTIC_TOPO_LOOP_DATA=arguments.data, ROS_PACKAGE_PATH=PACKAGE)
+    with open(os.path.join(folder, PRINTED), "w") as printed:
+        for command in commands:
+            words = [word.replace("$DATA", arguments.data).replace("$OUT", folder).replace("$CONFIG", PACKAGE + "/config")
+                     .replace("$PROGRAMS", arguments.programs) for word in shlex.split(command)]
+            words[0] = os.path.join(PACKAGE if "/" in words[0] else arguments.programs, words[0])
+            result = subprocess.run(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, universal_newlines=True,
+                                    env=environment)
+            if result.returncode != 0:
+                raise Failure(f"{shlex.join(words)}: {result.stderr.strip()[-2000:]}")
+            printed.write(result.stdout)
     return folder, time.monotonic() - begin
-
-
-def differing(stated, now):
-    """How many numbers of one text differ from those of the other."""
-    a, b = NUMBER.findall(stated), NUMBER.findall(now)
-    return sum(x != y for x, y in zip(a, b)) + abs(len(a) - len(b)) or int(stated != now)
 
 
 def compare(template, values, text):
@@ -180,10 +218,11 @@ def compare(template, values, text):
     for i, now in enumerate(template.figures(values), 1):
         stated = found.group(i)
         total += len(NUMBER.findall(now))
-        if stated != now:
-            differ += differing(stated, now)
+        others = template.differing(stated, now)
+        if others > 0:
+            differ += others
             changes.append(f"{stated} is {now}")
-        parts += [text[end:found.start(i)], now]
+        parts += [text[end:found.start(i)], now if others > 0 else stated]
         end = found.end(i)
     if changes:
         print(f"  {template.document}: differs: {', '.join(changes)}; in: {found.group(0)}")
@@ -260,12 +299,15 @@ def parse_arguments():
 
 
 def measure_all(measurements, arguments):
-    """Several at a time, the longest first. @return name, and the folder and seconds or the failure, as listed"""
-    with concurrent.futures.ThreadPoolExecutor(arguments.jobs) as pool:
-        by_length = sorted(measurements, key=lambda name: -measurements[name]["seconds"])
-        pending = {name: pool.submit(measure, name, measurements[name]["commands"], arguments) for name in by_length}
-        for name in measurements:
-            yield name, pending[name]
+    """What runs alone first, then several at a time, the longest first. @return name, and the folder and seconds or the
+    failure"""
+    for is_alone, jobs in (True, 1), (False, arguments.jobs):
+        names = [name for name, entry in measurements.items() if entry.get("alone", False) == is_alone]
+        with concurrent.futures.ThreadPoolExecutor(jobs) as pool:
+            by_length = sorted(names, key=lambda name: -measurements[name]["seconds"])
+            pending = {name: pool.submit(measure, name, measurements[name]["commands"], arguments) for name in by_length}
+            for name in names:
+                yield name, pending[name]
 
 
 def chosen_of(measurements, arguments):

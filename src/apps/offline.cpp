@@ -201,12 +201,7 @@ Result<std::unique_ptr<SampleSource>> open_source(const Arguments& arguments, co
     return semantic_topo_loop::open_tum_bag(bag, camera, depth);
   };
   if (arguments.bag.empty()) {
-    const std::string usual = arguments.rgbd + "/associations.txt";
-    const std::string list = arguments.associations.empty() ? usual : arguments.associations;
-    std::error_code ignored;
-    const bool is_as_downloaded = list == usual && !std::filesystem::exists(usual, ignored);
-    const Result<RgbdFiles> read =
-        is_as_downloaded ? associate_images(arguments.rgbd) : read_associations(list, arguments.rgbd);
+    const Result<RgbdFiles> read = list_rgbd_images(arguments.rgbd, arguments.associations);
     if (!read) return read.error();
     if (!read->warning.empty()) say(read->warning);
     open_recording = [camera, depth, files = read->files] { return read_images(files, camera, depth); };

@@ -107,6 +107,13 @@ Result<RgbdFiles> read_associations(const std::string& path, const std::string& 
   return read;
 }
 
+Result<RgbdFiles> list_rgbd_images(const std::string& directory, const std::string& associations) {
+  if (!associations.empty()) return read_associations(associations, directory);
+  const std::string usual = joined(directory, "associations.txt");
+  std::error_code missing;
+  return std::filesystem::exists(usual, missing) ? read_associations(usual, directory) : associate_images(directory);
+}
+
 Result<std::map<std::int64_t, std::string>> list_color_images(const std::string& directory) {
   std::error_code missing;
   const bool is_as_downloaded = std::filesystem::exists(joined(directory, "rgb.txt"), missing);

@@ -408,8 +408,14 @@ std::vector<Kind> make_kinds(const std::string& valid) {
 // --- the run ------------------------------------------------------------------------------------------------------
 
 struct Counts {
-  int read = 0, refused = 0, harmful = 0;
+  int files = 0, read = 0, refused = 0, harmful = 0;
 };
+
+void print(const std::string& kind, const Counts& counts) {
+  std::printf("| %-17s | %7d | %7d | %7d | %7d |\n", kind.c_str(), counts.files, counts.read, counts.refused,
+              counts.harmful);
+  std::fflush(stdout);
+}
 
 /// @return what is wrong with how the reader took the file; empty if nothing
 std::string judge(const Kind& kind, const std::string& path, Counts* counts) {
@@ -424,9 +430,10 @@ std::string judge(const Kind& kind, const std::string& path, Counts* counts) {
   }
 }
 
-int fuzz(const Kind& kind, const std::string& directory, int files, std::uint64_t seed) {
+Counts fuzz(const Kind& kind, const std::string& directory, int files, std::uint64_t seed) {
   Mutator mutator(seed);
   Counts counts;
+  counts.files = files;
   const std::string path = directory + "/" + kind.file;
   for (const std::string& seed_text : kind.seeds) {
     std::ofstream(path, std::ios::binary) << seed_text;
@@ -450,10 +457,8 @@ int fuzz(const Kind& kind, const std::string& directory, int files, std::uint64_
     std::printf("fuzz_files: %s, file %d of seed %llu, kept as %s: %s\n", kind.name.c_str(), i,
                 static_cast<unsigned long long>(seed), kept.c_str(), harm.c_str());
   }
-  std::printf("| %-17s | %7d | %7d | %7d | %7d |\n", kind.name.c_str(), files, counts.read, counts.refused,
-              counts.harmful);
-  std::fflush(stdout);
-  return counts.harmful;
+  print(kind.name, counts);
+  return counts;
 }
 
 int run(int files, std::uint64_t seed, const std::string& only) {
@@ -465,11 +470,17 @@ int run(int files, std::uint64_t seed, const std::string& only) {
     std::filesystem::copy_file(valid.path(name), changed.path(std::string("run/") + name));
   }
   std::printf("| kind              |   files |    read | refused | harmful |\n| --- | --- | --- | --- | --- |\n");
-  int harmful = 0;
+  Counts all;
   for (const Kind& kind : make_kinds(valid.path(""))) {
-    if (only.empty() || kind.name == only) harmful += fuzz(kind, changed.path(""), files, seed);
+    if (!only.empty() && kind.name != only) continue;
+    const Counts counts = fuzz(kind, changed.path(""), files, seed);
+    all.files += counts.files;
+    all.read += counts.read;
+    all.refused += counts.refused;
+    all.harmful += counts.harmful;
   }
-  return harmful == 0 ? 0 : 1;
+  print("all", all);
+  return all.harmful == 0 ? 0 : 1;
 }
 
 }  // namespace
