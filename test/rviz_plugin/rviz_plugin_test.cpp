@@ -168,6 +168,25 @@ TEST_F(RvizPlugin, DrawsAsManyObjectsAsTheMessageHas) {
   EXPECT_TRUE(wait_for_objects(display, 1)) << "what the map has no longer is gone";
 }
 
+TEST_F(RvizPlugin, DrawsWhatLooksSmallWithFewerVertices) {
+  rviz::Display* display = add("semantic_topo_loop/QuadricMap");
+  look_at_origin();
+  publish_map({make_landmark(1, kTv, core::LandmarkState::kConfirmed, {0.0, 0.0, 0.0})});
+  ASSERT_TRUE(wait_for_objects(display, 1));
+  const auto vertices = [&] {
+    VertexCounter counter;
+    drawn<Ogre::Entity>(display).front()->visitRenderables(&counter);
+    return counter.count;
+  };
+  constexpr std::size_t kFinest = 8 * 45, kCoarsest = 8 * 6;
+  EXPECT_TRUE(RvizHost::spin_until([&] { return vertices() == kFinest; }, kPatience_s)) << vertices();
+  rviz::Property* distance = host_->manager().getViewManager()->getCurrent()->subProp("Distance");
+  distance->setValue(100.0);
+  EXPECT_TRUE(RvizHost::spin_until([&] { return vertices() == kCoarsest; }, kPatience_s)) << vertices();
+  distance->setValue(2.0);
+  EXPECT_TRUE(RvizHost::spin_until([&] { return vertices() == kFinest; }, kPatience_s)) << vertices();
+}
+
 TEST_F(RvizPlugin, ColoursByClassStateOrQuality) {
   rviz::Display* display = add("semantic_topo_loop/QuadricMap");
   publish_map({make_landmark(1, kTv, core::LandmarkState::kConfirmed, {0.0, 0.0, 0.0})});
