@@ -76,6 +76,11 @@ void make_sphere(Ogre::SceneManager* scene, int steps) {
   scene->destroyManualObject(sphere);
 }
 
+/// Of the image.
+float half_height_px(const Ogre::Camera& camera) {
+  return 0.5F * static_cast<float>(camera.getViewport()->getActualHeight());
+}
+
 /// Name and value of each figure that a selected object tells.
 std::vector<std::pair<QString, QString>> figures(const core::Landmark& landmark, const core::ClassTable& classes) {
   const core::Vec3 size = 2.0 * landmark.ellipsoid->semi_axes;
@@ -222,7 +227,7 @@ QuadricMapDisplay::QuadricMapDisplay() : MapDisplay("quadric_map") {
   min_observations_ =
       new rviz::IntProperty("Min observations", 0, "Objects that fewer boxes were seen of are left out.", this);
   min_observations_->setMin(0);
-  labels_ = new rviz::BoolProperty("Labels", true, "Name the confirmed objects.", this);
+  labels_ = new rviz::BoolProperty("Labels", true, "Name the confirmed objects, where the letters can be read.", this);
   label_ids_ = new rviz::BoolProperty("With ids", false, "Add the ids to the names.", labels_);
   labels_apart_ = new rviz::BoolProperty("Keep apart", true, "Hide labels that a nearer one covers.", labels_);
   label_size_ = new rviz::FloatProperty("Size", 0.08F, "Height of a capital letter, m.", labels_);
@@ -352,16 +357,14 @@ void QuadricMapDisplay::draw(const MapMessage* message) {
 void QuadricMapDisplay::update(float wall_dt, float ros_dt) {
   MapDisplay::update(wall_dt, ros_dt);
   const rviz::ViewController* view = context_->getViewManager()->getCurrent();
-  if (view == nullptr) return;
+  if (view == nullptr || view->getCamera()->getViewport() == nullptr) return;
   set_details(*view->getCamera());
-  keep_labels_apart(*view->getCamera());
+  choose_labels(*view->getCamera());
 }
 
 void QuadricMapDisplay::set_details(const Ogre::Camera& camera) {
-  const Ogre::Viewport* viewport = camera.getViewport();
-  if (viewport == nullptr) return;
   const Ogre::Matrix4 projection = camera.getProjectionMatrix() * camera.getViewMatrix();
-  const float focal_px = 0.5F * static_cast<float>(viewport->getActualHeight()) * camera.getProjectionMatrix()[1][1];
+  const float focal_px = half_height_px(camera) * camera.getProjectionMatrix()[1][1];
   constexpr float kNearest_m = 0.001F;
   for (const auto& [id, object] : objects_) {
     const Ogre::Vector3 place = object->place();
@@ -370,7 +373,7 @@ void QuadricMapDisplay::set_details(const Ogre::Camera& camera) {
   }
 }
 
-void QuadricMapDisplay::keep_labels_apart(const Ogre::Camera& camera) {
+void QuadricMapDisplay::choose_labels(const Ogre::Camera& camera) {
   struct Label {
     rviz::MovableText* text;
     float depth;
@@ -380,13 +383,14 @@ void QuadricMapDisplay::keep_labels_apart(const Ogre::Camera& camera) {
   std::vector<Label> labels;
   for (const auto& [id, object] : objects_) {
     if (object->label() == nullptr) continue;
-    object->label()->setVisible(true);
     const Ogre::Vector3 place = object->label_place();
     const Ogre::Vector4 seen = camera.getViewMatrix() * Ogre::Vector4(place.x, place.y, place.z, 1.0F);
     const Ogre::Vector4 clip = projection * seen;
-    if (!labels_apart_->getBool() || !(clip.w > 0.0F)) continue;
-    constexpr float kHalfLetter = 0.25F;  // of its height
+    constexpr float kReadable_px = 3.0F, kHalfLetter = 0.25F;  // the latter of its height
     const float size = label_size_->getFloat() / clip.w;
+    const bool is_readable = clip.w > 0.0F && size * projection[1][1] * half_height_px(camera) > kReadable_px;
+    object->label()->setVisible(is_readable);
+    if (!is_readable || !labels_apart_->getBool()) continue;
     const auto letters = static_cast<float>(object->label()->getCaption().size());
     labels.push_back({object->label(), -seen.z, clip.x / clip.w, clip.y / clip.w,
                       kHalfLetter * letters * size * projection[0][0], size * projection[1][1]});

@@ -51,8 +51,8 @@ class QuadricMapDisplay : public MapDisplay<MapMessage> {
   QString label(const core::Landmark& landmark) const;
   /// Draws each object as finely as the view shows.
   void set_details(const Ogre::Camera& camera);
-  /// Of labels that cover each other in the view the nearest stays.
-  void keep_labels_apart(const Ogre::Camera& camera);
+  /// Of labels that cover each other in the view the nearest stays; none does of which no letter can be read.
+  void choose_labels(const Ogre::Camera& camera);
 
   rviz::EnumProperty* colour_by_;
   rviz::FloatProperty* alpha_;
