@@ -5,7 +5,9 @@
 #include <OgreManualObject.h>
 #include <OgreMeshManager.h>
 #include <OgreSceneManager.h>
+#include <OgreSubEntity.h>
 #include <OgreTechnique.h>
+#include <OgreViewport.h>
 #include <ros/package.h>
 #include <rviz/ogre_helpers/movable_text.h>
 #include <rviz/selection/selection_handler.h>
@@ -27,12 +29,20 @@
 namespace semantic_topo_loop {
 namespace {
 
-constexpr char kSphere[] = "semantic_topo_loop_sphere";
+constexpr int kMostSteps = 8;  // 512 triangles: round to the eye, a quarter of rviz's own sphere
 
-/// The unit sphere that all ellipsoids share: an octahedron, each face divided into `kSteps` squared triangles.
-void make_sphere(Ogre::SceneManager* scene) {
-  constexpr int kSteps = 8;  // 512 triangles: round to the eye, a quarter of rviz's own sphere
-  if (Ogre::MeshManager::getSingleton().resourceExists(kSphere)) return;
+/// The steps at which the outline of a sphere is off by about half a pixel at most.
+/// @param radius_px of what is drawn, its longest semi-axis
+int steps_of(float radius_px) {
+  constexpr float kOutline = 0.7F, kOff_px = 0.5F;  // off by 0.7 / steps^2 radii where the edges are longest
+  return static_cast<int>(std::clamp(std::ceil(std::sqrt(kOutline / kOff_px * radius_px)), 2.0F, 1.0F * kMostSteps));
+}
+
+std::string sphere_name(int steps) { return "semantic_topo_loop_sphere_" + std::to_string(steps); }
+
+/// A unit sphere that ellipsoids share: an octahedron, each face divided into `steps` squared triangles.
+void make_sphere(Ogre::SceneManager* scene, int steps) {
+  if (Ogre::MeshManager::getSingleton().resourceExists(sphere_name(steps))) return;
   Ogre::ManualObject* sphere = scene->createManualObject();
   sphere->begin("BaseWhiteNoLighting", Ogre::RenderOperation::OT_TRIANGLE_LIST, resource_group());
   for (int octant = 0; octant < 8; ++octant) {
@@ -41,10 +51,10 @@ void make_sphere(Ogre::SceneManager* scene) {
     const bool is_mirrored = x.x * y.y * z.z < 0.0F;  // its triangles would be seen from within
     const auto begin = static_cast<std::uint32_t>(sphere->getCurrentVertexCount());
     const auto index = [begin](int i, int j) { return begin + static_cast<std::uint32_t>(i * (i + 1) / 2 + j); };
-    for (int i = 0; i <= kSteps; ++i) {
+    for (int i = 0; i <= steps; ++i) {
       for (int j = 0; j <= i; ++j) {
         const Ogre::Vector3 point =
-            (static_cast<float>(kSteps - i) * x + static_cast<float>(i - j) * y + static_cast<float>(j) * z)
+            (static_cast<float>(steps - i) * x + static_cast<float>(i - j) * y + static_cast<float>(j) * z)
                 .normalisedCopy();
         sphere->position(point);
         sphere->normal(point);
@@ -54,7 +64,7 @@ void make_sphere(Ogre::SceneManager* scene) {
       if (is_mirrored) std::swap(b, c);
       sphere->triangle(a, b, c);
     };
-    for (int i = 0; i < kSteps; ++i) {
+    for (int i = 0; i < steps; ++i) {
       for (int j = 0; j <= i; ++j) {
         add(index(i, j), index(i + 1, j), index(i + 1, j + 1));
         if (j < i) add(index(i, j), index(i + 1, j + 1), index(i, j + 1));
@@ -62,8 +72,13 @@ void make_sphere(Ogre::SceneManager* scene) {
     }
   }
   sphere->end();
-  sphere->convertToMesh(kSphere, resource_group());
+  sphere->convertToMesh(sphere_name(steps), resource_group());
   scene->destroyManualObject(sphere);
+}
+
+/// Of the image.
+float half_height_px(const Ogre::Camera& camera) {
+  return 0.5F * static_cast<float>(camera.getViewport()->getActualHeight());
 }
 
 /// Name and value of each figure that a selected object tells.
@@ -123,16 +138,13 @@ class MapObject {
       : landmark_(std::move(landmark)),
         node_(parent->createChildSceneNode()),
         shape_(node_->createChildSceneNode()),
-        entity_(context->getSceneManager()->createEntity(kSphere)),
         selection_(context, &landmark_, classes) {
-    shape_->attachObject(entity_);
-    selection_.addTrackedObject(entity_);
+    create_entity(kMostSteps);
   }
   ~MapObject() {
     remove_label();
+    destroy_entity();
     Ogre::SceneManager* scene = node_->getCreator();
-    selection_.removeTrackedObject(entity_);
-    scene->destroyEntity(entity_);
     scene->destroySceneNode(shape_);
     scene->destroySceneNode(node_);
   }
@@ -146,6 +158,18 @@ class MapObject {
     shape_->setScale(to_ogre(landmark.ellipsoid->semi_axes));
     entity_->setMaterial(material);
   }
+  /// Draws it with no more triangles than can be told apart.
+  /// @param pixels_per_m of the image at the distance of the object
+  void set_detail(float pixels_per_m) {
+    const int steps = steps_of(pixels_per_m * static_cast<float>(landmark_.ellipsoid->semi_axes.maxCoeff()));
+    if (steps == steps_) return;
+    const Ogre::MaterialPtr material = entity_->getSubEntity(0)->getMaterial();
+    destroy_entity();
+    create_entity(steps);
+    entity_->setMaterial(material);
+  }
+  /// Of the centre, in the fixed frame.
+  Ogre::Vector3 place() const { return node_->_getDerivedPosition(); }
   /// @param text above the object; empty: none   @param up unit, in the frame of the map
   void set_label(const std::string& text, float size_m, const core::Vec3& up) {
     if (text.empty()) return remove_label();
@@ -166,15 +190,25 @@ class MapObject {
   }
   rviz::MovableText* label() { return label_.get(); }
   /// Where the label stands, in the fixed frame.
-  Ogre::Vector3 label_place() const {
-    return node_->_getDerivedPosition() + Ogre::Vector3(0.0F, 0.0F, label_height_m_);
-  }
+  Ogre::Vector3 label_place() const { return place() + Ogre::Vector3(0.0F, 0.0F, label_height_m_); }
 
  private:
+  void create_entity(int steps) {
+    steps_ = steps;
+    entity_ = node_->getCreator()->createEntity(sphere_name(steps));
+    shape_->attachObject(entity_);
+    selection_.addTrackedObject(entity_);
+  }
+  void destroy_entity() {
+    selection_.removeTrackedObject(entity_);
+    node_->getCreator()->destroyEntity(entity_);
+  }
+
   core::Landmark landmark_;
   Ogre::SceneNode* node_;
   Ogre::SceneNode* shape_;
-  Ogre::Entity* entity_;
+  int steps_ = 0;  ///< of the sphere
+  Ogre::Entity* entity_ = nullptr;
   std::unique_ptr<rviz::MovableText> label_;
   float label_height_m_ = 0.0F;
   ObjectSelection selection_;
@@ -193,7 +227,7 @@ QuadricMapDisplay::QuadricMapDisplay() : MapDisplay("quadric_map") {
   min_observations_ =
       new rviz::IntProperty("Min observations", 0, "Objects that fewer boxes were seen of are left out.", this);
   min_observations_->setMin(0);
-  labels_ = new rviz::BoolProperty("Labels", true, "Name the confirmed objects.", this);
+  labels_ = new rviz::BoolProperty("Labels", true, "Name the confirmed objects, where the letters can be read.", this);
   label_ids_ = new rviz::BoolProperty("With ids", false, "Add the ids to the names.", labels_);
   labels_apart_ = new rviz::BoolProperty("Keep apart", true, "Hide labels that a nearer one covers.", labels_);
   label_size_ = new rviz::FloatProperty("Size", 0.08F, "Height of a capital letter, m.", labels_);
@@ -216,7 +250,9 @@ QuadricMapDisplay::~QuadricMapDisplay() {
   }
 }
 
-void QuadricMapDisplay::onInitialize() { make_sphere(scene_manager_); }
+void QuadricMapDisplay::onInitialize() {
+  for (int steps = 2; steps <= kMostSteps; ++steps) make_sphere(scene_manager_, steps);
+}
 
 void QuadricMapDisplay::reset() {
   class_file_.reset();
@@ -320,29 +356,41 @@ void QuadricMapDisplay::draw(const MapMessage* message) {
 
 void QuadricMapDisplay::update(float wall_dt, float ros_dt) {
   MapDisplay::update(wall_dt, ros_dt);
-  keep_labels_apart();
+  const rviz::ViewController* view = context_->getViewManager()->getCurrent();
+  if (view == nullptr || view->getCamera()->getViewport() == nullptr) return;
+  set_details(*view->getCamera());
+  choose_labels(*view->getCamera());
 }
 
-void QuadricMapDisplay::keep_labels_apart() {
+void QuadricMapDisplay::set_details(const Ogre::Camera& camera) {
+  const Ogre::Matrix4 projection = camera.getProjectionMatrix() * camera.getViewMatrix();
+  const float focal_px = half_height_px(camera) * camera.getProjectionMatrix()[1][1];
+  constexpr float kNearest_m = 0.001F;
+  for (const auto& [id, object] : objects_) {
+    const Ogre::Vector3 place = object->place();
+    const float depth = (projection * Ogre::Vector4(place.x, place.y, place.z, 1.0F)).w;  // 1 in an orthographic view
+    object->set_detail(focal_px / std::max(depth, kNearest_m));
+  }
+}
+
+void QuadricMapDisplay::choose_labels(const Ogre::Camera& camera) {
   struct Label {
     rviz::MovableText* text;
     float depth;
     float x, y, half_width, height;  // in the view, whose sides are 2 long
   };
-  const rviz::ViewController* view = context_->getViewManager()->getCurrent();
-  if (view == nullptr) return;
-  const Ogre::Camera* camera = view->getCamera();
-  const Ogre::Matrix4 projection = camera->getProjectionMatrix();
+  const Ogre::Matrix4 projection = camera.getProjectionMatrix();
   std::vector<Label> labels;
   for (const auto& [id, object] : objects_) {
     if (object->label() == nullptr) continue;
-    object->label()->setVisible(true);
     const Ogre::Vector3 place = object->label_place();
-    const Ogre::Vector4 seen = camera->getViewMatrix() * Ogre::Vector4(place.x, place.y, place.z, 1.0F);
+    const Ogre::Vector4 seen = camera.getViewMatrix() * Ogre::Vector4(place.x, place.y, place.z, 1.0F);
     const Ogre::Vector4 clip = projection * seen;
-    if (!labels_apart_->getBool() || !(clip.w > 0.0F)) continue;
-    constexpr float kHalfLetter = 0.25F;  // of its height
+    constexpr float kReadable_px = 3.0F, kHalfLetter = 0.25F;  // the latter of its height
     const float size = label_size_->getFloat() / clip.w;
+    const bool is_readable = clip.w > 0.0F && size * projection[1][1] * half_height_px(camera) > kReadable_px;
+    object->label()->setVisible(is_readable);
+    if (!is_readable || !labels_apart_->getBool()) continue;
     const auto letters = static_cast<float>(object->label()->getCaption().size());
     labels.push_back({object->label(), -seen.z, clip.x / clip.w, clip.y / clip.w,
                       kHalfLetter * letters * size * projection[0][0], size * projection[1][1]});

@@ -18,6 +18,10 @@
 #include "semantic_topo_loop/ros/messages.h"
 #include "semantic_topo_loop/types/class_table.h"
 
+namespace Ogre {
+class Camera;
+}
+
 namespace semantic_topo_loop {
 
 class MapObject;
@@ -45,8 +49,10 @@ class QuadricMapDisplay : public MapDisplay<MapMessage> {
   /// One for all objects of a colour.
   const Ogre::MaterialPtr& material(const Ogre::ColourValue& colour);
   QString label(const core::Landmark& landmark) const;
-  /// Of labels that cover each other in the view the nearest stays.
-  void keep_labels_apart();
+  /// Draws each object as finely as the view shows.
+  void set_details(const Ogre::Camera& camera);
+  /// Of labels that cover each other in the view the nearest stays; none does of which no letter can be read.
+  void choose_labels(const Ogre::Camera& camera);
 
   rviz::EnumProperty* colour_by_;
   rviz::FloatProperty* alpha_;

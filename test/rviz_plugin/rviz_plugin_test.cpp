@@ -2,6 +2,7 @@
 #include <OgreBillboardChain.h>
 #include <OgreEntity.h>
 #include <OgreManualObject.h>
+#include <OgreMesh.h>
 #include <OgreRenderable.h>
 #include <OgreSceneNode.h>
 #include <OgreSubEntity.h>
@@ -168,6 +169,25 @@ TEST_F(RvizPlugin, DrawsAsManyObjectsAsTheMessageHas) {
   EXPECT_TRUE(wait_for_objects(display, 1)) << "what the map has no longer is gone";
 }
 
+TEST_F(RvizPlugin, DrawsWhatLooksSmallWithFewerVertices) {
+  rviz::Display* display = add("semantic_topo_loop/QuadricMap");
+  look_at_origin();
+  publish_map({make_landmark(1, kTv, core::LandmarkState::kConfirmed, {0.0, 0.0, 0.0})});
+  ASSERT_TRUE(wait_for_objects(display, 1));
+  const auto vertices = [&] {
+    VertexCounter counter;
+    drawn<Ogre::Entity>(display).front()->visitRenderables(&counter);
+    return counter.count;
+  };
+  constexpr std::size_t kFinest = 8 * 45, kCoarsest = 8 * 6;
+  EXPECT_TRUE(RvizHost::spin_until([&] { return vertices() == kFinest; }, kPatience_s)) << vertices();
+  rviz::Property* distance = host_->manager().getViewManager()->getCurrent()->subProp("Distance");
+  distance->setValue(100.0);
+  EXPECT_TRUE(RvizHost::spin_until([&] { return vertices() == kCoarsest; }, kPatience_s)) << vertices();
+  distance->setValue(2.0);
+  EXPECT_TRUE(RvizHost::spin_until([&] { return vertices() == kFinest; }, kPatience_s)) << vertices();
+}
+
 TEST_F(RvizPlugin, ColoursByClassStateOrQuality) {
   rviz::Display* display = add("semantic_topo_loop/QuadricMap");
   publish_map({make_landmark(1, kTv, core::LandmarkState::kConfirmed, {0.0, 0.0, 0.0})});
@@ -230,6 +250,8 @@ TEST_F(RvizPlugin, NamesThatCoverEachOtherAreShownOnce) {
   EXPECT_TRUE(RvizHost::spin_until([&] { return shown() == "cup cup "; }, kPatience_s)) << shown();
   display->subProp("Labels")->subProp("Keep apart")->setValue(false);
   EXPECT_TRUE(RvizHost::spin_until([&] { return shown() == "tv cup cup "; }, kPatience_s)) << shown();
+  host_->manager().getViewManager()->getCurrent()->subProp("Distance")->setValue(20.0);
+  EXPECT_TRUE(RvizHost::spin_until([&] { return shown().empty(); }, kPatience_s)) << "too small to read: " << shown();
 }
 
 TEST_F(RvizPlugin, ASelectedObjectTellsItsFigures) {
@@ -238,6 +260,8 @@ TEST_F(RvizPlugin, ASelectedObjectTellsItsFigures) {
   core::Landmark tv = make_landmark(7, kTv, core::LandmarkState::kConfirmed, {0.0, 0.0, 0.0});
   tv.count_class(kTv, 10);
   tv.count_class(kCup, 2);
+  rviz::Property* distance = host_->manager().getViewManager()->getCurrent()->subProp("Distance");
+  distance->setValue(3.0);  // where it is not the finest sphere any more
   publish_map({tv, make_landmark(8, kCup, core::LandmarkState::kConfirmed, {0.0, 5.0, 0.0})});
   ASSERT_TRUE(wait_for_objects(display, 2));
   const std::uint64_t frame = host_->manager().getFrameCount();
@@ -258,6 +282,12 @@ TEST_F(RvizPlugin, ASelectedObjectTellsItsFigures) {
   EXPECT_EQ(figure("Observations"), "12");
   EXPECT_EQ(figure("Size"), "0.200 x 0.400 x 0.600 m");
   EXPECT_EQ(figure("Sigma of the centre"), "0.017 m");
+  const std::string sphere = drawn<Ogre::Entity>(display).front()->getMesh()->getName();
+  distance->setValue(30.0);
+  EXPECT_TRUE(RvizHost::spin_until([&] { return drawn<Ogre::Entity>(display).front()->getMesh()->getName() != sphere; },
+                                   kPatience_s));
+  ASSERT_EQ(root->numChildren(), 1) << "it stays selected";
+  EXPECT_EQ(figure("Class"), "tv");
 }
 
 TEST_F(RvizPlugin, DrawsLoopsToTheirObjectsAndRefusedOnesIfAsked) {
