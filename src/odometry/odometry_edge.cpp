@@ -92,6 +92,15 @@ Mat6 odometry_covariance(const OdometryEdge& edge, const OdometryNoise& noise) {
          noise.jump_prior * noise.jump_prior * suspected_jump_covariance(edge);
 }
 
+Mat6 steady_covariance(const OdometryEdge& edge, const OdometryNoise& noise) {
+  if (edge.is_break || edge.covariance) return Mat6::Zero();
+  // Chosen on fr3_office's drifted_real files; 4 m and more trust boxes too much there.
+  constexpr double kSteadyFor_m = 1.0;
+  const double way_m2 = kSteadyFor_m * edge.path_m;
+  return isotropic_covariance(noise.steady_translation * noise.steady_translation * way_m2,
+                              noise.steady_rotation_rad * noise.steady_rotation_rad * way_m2);
+}
+
 bool OdometryEdge::refine(const SolvedMotion& motion) {
   if (is_break || covariance || joined || !is_motion(motion)) return false;
   T_from_to = motion.T_from_to;

@@ -74,6 +74,9 @@ Vec6 expected_jump(const OdometryEdge& edge, const OdometryNoise& noise);
 /// Covariance of an edge: the source's, or the noise model's, or next to no knowledge at a break.
 Mat6 odometry_covariance(const OdometryEdge& edge, const OdometryNoise& noise);
 
+/// Covariance that the errors which last add to an edge of unstated covariance if they change every metre or so.
+Mat6 steady_covariance(const OdometryEdge& edge, const OdometryNoise& noise);
+
 /// The odometry over two edges, the second of which starts where the first ends.
 OdometryEdge join(const OdometryEdge& first, const OdometryEdge& second);
 

@@ -1,6 +1,8 @@
 #include <gtest/gtest.h>
 
+#include <algorithm>
 #include <functional>
+#include <iterator>
 #include <optional>
 #include <set>
 
@@ -33,6 +35,7 @@ struct Observer {
   bool has_other_ids = false;  ///< in the second round
   std::function<bool(int object, int keyframe)> sees = [](int, int) { return true; };
   std::function<void(int keyframe, MapUpdate*)> edit = [](int, MapUpdate*) {};
+  std::vector<LoopClosure> loops = {};
 
   std::int64_t id(int object, int keyframe) const {
     return object + (has_other_ids && keyframe >= run.round() ? kOtherIds : 0);
@@ -81,7 +84,10 @@ struct Observer {
       frame.camera = kCamera;
       const AssociationFrame seen = associations(k);
       graph.observe(frame, seen);
-      graph.process(frame, {});
+      std::vector<LoopClosure> closed;
+      std::copy_if(loops.begin(), loops.end(), std::back_inserter(closed),
+                   [k](const LoopClosure& loop) { return loop.query_frame == k; });
+      graph.process(frame, closed);
       graph.apply(map(k, seen, &known));
     }
     if (changed) graph.set_options(*changed);
@@ -186,7 +192,9 @@ TEST(ObjectsInThePoseGraph, ReduceTheErrorWithoutAnyLoop) {
 
 TEST(ObjectsInThePoseGraph, OffMeansThatNothingIsChanged) {
   const Observer observer = drifting_observer();
-  EXPECT_EQ(largest_difference_m(observer.finish({}), finish(observer.run, {}).graph.keyframes()), 0.0);
+  PoseGraphOptions off;
+  off.objects = "off";
+  EXPECT_EQ(largest_difference_m(observer.finish(off), finish(observer.run, {}).graph.keyframes()), 0.0);
 }
 
 TEST(ObjectsInThePoseGraph, TheirNoiseMayChangeMeanwhile) {
@@ -198,14 +206,34 @@ TEST(ObjectsInThePoseGraph, TheirNoiseMayChangeMeanwhile) {
   EXPECT_GT(largest_difference_m(after, observer.finish(with_objects())), 1e-3);
 }
 
-TEST(ObjectsInThePoseGraph, WithLoopsMeansThatOdometryWithoutLoopsIsLeftAlone) {
+TEST(ObjectsInThePoseGraph, AutoLeavesOdometryWithoutLoopsAlone) {
   const Observer observer = drifting_observer();
   PoseGraphOptions options = with_objects();
-  options.objects = "with_loops";
+  options.objects = "auto";
   EXPECT_EQ(largest_difference_m(observer.finish(options), finish(observer.run, {}).graph.keyframes()), 0.0);
   EXPECT_TRUE(validate(options)) << validate(options).message();
   options.objects = "always";
-  EXPECT_EQ(validate(options).message(), "parameter 'pose_graph.objects' = 'always' must be off, with_loops or on");
+  EXPECT_EQ(validate(options).message(), "parameter 'pose_graph.objects' = 'always' must be off, auto or on");
+}
+
+TEST(ObjectsInThePoseGraph, AutoCorrectsOdometryThatLoopsFindWrongAndNoOther) {
+  for (const double drift_m : {0.0, 0.02}) {
+    Observer observer;
+    if (drift_m > 0.0) observer.run.drift(drift_m, 0.005, 3);
+    for (int k = observer.run.round(); k < observer.run.size(); k += 5) {
+      observer.loops.push_back(observer.run.exact_loop(k, k - observer.run.round()));
+    }
+    PoseGraphOptions options;
+    ASSERT_EQ(options.objects, "auto");
+    const double with_objects_m = observer.worst_error_m(options);
+    options.objects = "off";
+    const double loops_alone_m = observer.worst_error_m(options);
+    if (drift_m > 0.0) {
+      EXPECT_LT(with_objects_m, 0.8 * loops_alone_m);
+    } else {
+      EXPECT_EQ(with_objects_m, loops_alone_m);
+    }
+  }
 }
 
 TEST(ObjectsInThePoseGraph, AnObjectOfOneViewIsLeftOut) {

@@ -69,7 +69,6 @@ class ApiTest(DirectoryTest):
                              'publish_odom_tf': True},
             'RgbdFrontend': {'base_frame': 'base_link', 'publish_odom_tf': True},
             'ObjectDetector': {'detector/model': model},
-            'PoseGraph': {'pose_graph/objects': 'with_loops'},
             'MapDatabase': {'save_map_file': cls.path('map.db')},
             'Recorder': {'output_dir': cls.path('results')},
             'Player': {'mode': 'bag', 'bag_file': cls.path('none.bag'), 'images': True,

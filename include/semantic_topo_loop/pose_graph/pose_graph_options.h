@@ -23,7 +23,7 @@ struct PoseGraphOptions {
   int max_iterations = 30;
   std::string scale = "fixed";
   double scale_walk = 0.02;
-  std::string objects = "off";
+  std::string objects = "auto";
   double object_weight = 0.1;
   double object_sigma_px = 4.0;
   double object_sigma_share = 0.06;
@@ -59,8 +59,8 @@ struct PoseGraphOptions {
             "of the odometry: fixed, or free where it drifts (monocular; Sim(3) vertices)");
     visitor("scale_walk", scale_walk, above(0).at_most(0.5),
             "free scale: error of its logarithm after one metre of path (1 sigma; grows with the root of the path)");
-    visitor("objects", objects, one_of({"off", "with_loops", "on"}),
-            "whether objects take part in the last correction of a run: off, with_loops (if there are any) or on");
+    visitor("objects", objects, one_of({"off", "auto", "on"}),
+            "whether objects take part in the last correction of a run: off, auto (if loops show odometry to be wrong) or on");
     visitor.live("object_weight", object_weight, positive(), "factor on the squared errors of object observations");
     visitor.live("object_sigma_px", object_sigma_px, positive(), "noise of a box edge, constant part");
     visitor.live("object_sigma_share", object_sigma_share, not_negative(),

@@ -15,6 +15,14 @@ OdometryNoise scaled(const OdometryNoise& noise, double factor) {
   return {noise.translation_m * factor, noise.rotation_rad * factor};
 }
 
+bool exceeds(const NoiseEstimate& noise, const OdometryNoise& least) {
+  const OdometryNoise& odometry = noise.odometry;
+  return !noise.jumps.empty() || odometry.translation_m > least.translation_m ||
+         odometry.rotation_rad > least.rotation_rad || odometry.steady_translation > least.steady_translation ||
+         odometry.steady_rotation_rad > least.steady_rotation_rad || odometry.scale > least.scale ||
+         odometry.jump_prior > least.jump_prior;
+}
+
 /// Factors on the least noise that a loop may need, over the usual and in all. A single burst may stand behind some
 /// loops and not behind most: 15 cm after one metre is always granted. 40 cm are no odometry's: a loop that asks for
 /// more has no say in what is usual either.
@@ -51,7 +59,7 @@ class TrajectoryOptimizer {
     }
     if (options_.estimate_noise) learn_noise();
     result_.usable = solve();
-    if (result_.usable && !trajectory_.objects.objects.empty()) solve_with_objects();
+    if (result_.usable && has_objects()) solve_with_objects();
     return result_;
   }
 
@@ -140,16 +148,31 @@ class TrajectoryOptimizer {
     return solve_graph(result_.edges, solver_options_, &result_.T_map_vertex).usable;
   }
 
+  /// Boxes share their errors: where nothing is found wrong with the odometry, it knows more than they do.
+  bool has_objects() const {
+    if (trajectory_.objects.objects.empty()) return false;
+    return options_.objects == "on" || exceeds(result_.knowledge.noise, noise_prior(options_).least) ||
+           std::any_of(trajectory_.edges.begin(), trajectory_.edges.end(),
+                       [](const OdometryEdge& edge) { return edge.frozen_s > 0.0; });
+  }
+
   /// From the solution without them, which stays where this finds none.
   void solve_with_objects() {
-    solve_graph(result_.edges, solver_options_, &result_.T_map_vertex,
+    const bool has_loss = solver_options_.loss != GraphLoss::kNone;
+    solve_graph(graph(result_.knowledge.noise, !has_loss, Steady::kOpen), solver_options_, &result_.T_map_vertex,
                 well_seen(trajectory_.objects, result_.T_map_vertex, options_.object_views));
   }
 
-  std::vector<GraphEdge> graph(const NoiseEstimate& noise, bool only_kept) const {
+  /// The errors that last: as the loops tell them, or open to what changes along the way, which loops do not see.
+  enum class Steady { kKnown, kOpen };
+
+  std::vector<GraphEdge> graph(const NoiseEstimate& noise, bool only_kept, Steady steady = Steady::kKnown) const {
     std::vector<GraphEdge> edges;
     std::vector<Mat6> covariances;
-    for (const OdometryEdge& edge : trajectory_.edges) covariances.push_back(odometry_covariance(edge, noise.odometry));
+    for (const OdometryEdge& edge : trajectory_.edges) {
+      covariances.push_back(odometry_covariance(edge, noise.odometry));
+      if (steady == Steady::kOpen) covariances.back() += steady_covariance(edge, noise.odometry);
+    }
     for (const OdometryJump& jump : noise.jumps) covariances[jump.edge] += jump.covariance();
     for (std::size_t i = 0; i < trajectory_.edges.size(); ++i) {
       SE3 T_from_to =
