@@ -208,9 +208,12 @@ class Matching {
   /// One-to-one, closest first.
   std::vector<NodePair> inliers(const SE3& T_a_b) const {
     const Mat3 R = T_a_b.rotation();
+    std::vector<Vec3> turned;
+    for (const LabelledPoint& point : b_) turned.push_back(R * point.position);
     std::vector<std::pair<double, std::size_t>> near;
     for (std::size_t i = 0; i < candidates_.size(); ++i) {
-      const double distance = residual(R, T_a_b.t, candidates_[i]);
+      const NodePair& pair = candidates_[i];
+      const double distance = (at(a_, pair.a).position - turned[static_cast<std::size_t>(pair.b)] - T_a_b.t).norm();
       if (distance < options_.inlier_distance_m) near.emplace_back(distance, i);
     }
     std::sort(near.begin(), near.end());
@@ -242,7 +245,7 @@ class Matching {
     if (!alignment) return std::nullopt;
     match.T_a_b = alignment->T_a_b;
     match.rms_m = alignment->rms_m;
-    match.spread_m = alignment->spread_m;
+    match.spread_m = alignment->spread_m();
     assess(&match);
     return match;
   }
