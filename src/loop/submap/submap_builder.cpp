@@ -5,6 +5,7 @@
 #include <algorithm>
 #include <cmath>
 #include <cstdint>
+#include <iterator>
 #include <limits>
 #include <map>
 #include <numeric>
@@ -71,8 +72,10 @@ class Clustering {
     targets_.reserve(rays.size());
     for (const BoxRay& ray : rays) {
       const Vec2 size(ray.box.width(), ray.box.height());
-      targets_.push_back({ray.box.center(), size, ray.box.size(), ray.frame, ray.truncated, ray.is_placed(), false});
+      targets_.push_back({ray.box.center(), size, ray.box.size(), ray.frame, ray.truncated, ray.is_placed()});
     }
+    open_.resize(rays.size());
+    std::iota(open_.begin(), open_.end(), 0);
   }
 
   std::vector<RayCluster> run() {
@@ -94,7 +97,7 @@ class Clustering {
     double mean_size;
     int frame;
     std::uint8_t truncated;
-    bool is_placed, is_used;
+    bool is_placed;
   };
 
   const BoxRay& ray(int i) const { return rays_[static_cast<std::size_t>(i)]; }
@@ -104,9 +107,8 @@ class Clustering {
   /// The boxes that tell a place and belong to no cluster yet.
   std::vector<int> unused() const {
     std::vector<int> indices;
-    for (int i = 0; i < static_cast<int>(rays_.size()); ++i) {
-      if (ray(i).tells_place() && !target(i).is_used) indices.push_back(i);
-    }
+    std::copy_if(open_.begin(), open_.end(), std::back_inserter(indices),
+                 [this](int i) { return ray(i).tells_place(); });
     return indices;
   }
 
@@ -126,7 +128,15 @@ class Clustering {
     if (!box.is_placed) return std::max(std::abs(share.x()), std::abs(share.y()));
     return std::max(beyond(share.x(), box.truncated), beyond(share.y(), box.truncated >> 1));
   }
-  double offset(const Vec3& point, int i) const { return offset(project(point, target(i).frame), target(i)); }
+  /// True if that is less than a share. Most points are far from most boxes, so that nothing is divided.
+  static bool is_near(const Projection& point, const Target& box, double share) {
+    if (box.is_placed || point.depth < kMinDepth_m) return offset(point, box) < share;
+    return std::abs(point.uv.x() - box.center.x()) < share * box.size.x() &&
+           std::abs(point.uv.y() - box.center.y()) < share * box.size.y();
+  }
+  bool is_near(const Vec3& point, int i, double share) const {
+    return is_near(project(point, target(i).frame), target(i), share);
+  }
   /// How far outside the shares of a box its object's centre may be: up to a box size on the other side of a cut.
   /// @param cut bit 0: the lower side, bit 2: the upper side
   static double beyond(double share, int cut) {
@@ -174,7 +184,7 @@ class Clustering {
       Vec3 best = Vec3::Zero();
       for (const Vec3& point : pair_points(members, kPairsPerGroup)) {
         const auto votes = static_cast<std::size_t>(
-            std::count_if(members.begin(), members.end(), [&](int i) { return offset(point, i) < kVoteOffset; }));
+            std::count_if(members.begin(), members.end(), [&](int i) { return is_near(point, i, kVoteOffset); }));
         if (votes > best_votes) {
           best_votes = votes;
           best = point;
@@ -183,7 +193,7 @@ class Clustering {
       if (best_votes < 3) return;
       points->push_back(best);
       members.erase(
-          std::remove_if(members.begin(), members.end(), [&](int i) { return offset(best, i) < kMemberOffset; }),
+          std::remove_if(members.begin(), members.end(), [&](int i) { return is_near(best, i, kMemberOffset); }),
           members.end());
     }
   }
@@ -191,11 +201,12 @@ class Clustering {
   int votes(const Vec3& point) const {
     int votes = 0, last_frame = -1, frame = -1;
     Projection projection;
-    for (const Target& box : targets_) {
-      if (box.is_used || box.frame == last_frame) continue;
+    for (const int i : open_) {
+      const Target& box = target(i);
+      if (box.frame == last_frame) continue;
       if (box.frame != frame) projection = project(point, box.frame);
       frame = box.frame;
-      if (offset(projection, box) >= kVoteOffset) continue;
+      if (!is_near(projection, box, kVoteOffset)) continue;
       last_frame = frame;
       ++votes;
     }
@@ -218,7 +229,10 @@ class Clustering {
       points.erase(points.begin() + static_cast<std::ptrdiff_t>(best));
       bounds.erase(bounds.begin() + static_cast<std::ptrdiff_t>(best));
       if (!cluster) continue;
-      for (const int i : cluster->rays) targets_[static_cast<std::size_t>(i)].is_used = true;
+      std::vector<int> open;
+      std::set_difference(open_.begin(), open_.end(), cluster->rays.begin(), cluster->rays.end(),
+                          std::back_inserter(open));
+      open_ = std::move(open);
       const bool is_placed = cluster->placed >= options_.min_views;
       if (is_placed || cluster->parallax_rad >= radians(options_.min_parallax_deg)) clusters_.push_back(*cluster);
     }
@@ -249,14 +263,12 @@ class Clustering {
     std::vector<double> sizes_m;
     int frame = -1;
     Projection projection;
-    for (int i = 0; i < static_cast<int>(targets_.size()); ++i) {
+    for (const int i : open_) {
       const Target& box = target(i);
-      if (box.is_used) continue;
       if (box.frame != frame) projection = project(point, box.frame);
       frame = box.frame;
-      const double share = offset(projection, box);
-      if (share >= kMemberOffset) continue;
-      near.push_back({i, share, projection.depth * box.mean_size});
+      if (!is_near(projection, box, kMemberOffset)) continue;
+      near.push_back({i, offset(projection, box), projection.depth * box.mean_size});
       sizes_m.push_back(near.back().size_m);
     }
     if (near.empty()) return {};
@@ -315,6 +327,7 @@ class Clustering {
   const std::vector<LocalFrame>& frames_;
   const LoopOptions& options_;
   std::vector<Target> targets_;  ///< one a ray
+  std::vector<int> open_;        ///< rays that belong to no cluster yet, ascending
   std::vector<RayCluster> clusters_;
 };
 
@@ -327,18 +340,18 @@ LocalFrame make_frame(const ObservedFrame& observed, const SE3& T_anchor_odom) {
   frame.t_camera_local = -frame.R_camera_local * frame.position;
   frame.focal_px = observed.focal_px;
   frame.image = observed.image;
-  frame.boxes = observed.boxes;
   return frame;
 }
 
 /// Where the unit of length is free, the odometry is one without depth.
 bool uses_depth(const LoopOptions& options) { return options.use_points && options.scale == "fixed"; }
 
-std::map<int, std::vector<BoxRay>> rays_by_label(const std::vector<LocalFrame>& frames,
+std::map<int, std::vector<BoxRay>> rays_by_label(const std::deque<ObservedFrame>& window,
+                                                 const std::vector<LocalFrame>& frames,
                                                  const LandmarkRedirects& redirects, const LoopOptions& options) {
   std::map<int, std::vector<BoxRay>> rays;
   for (std::size_t f = 0; f < frames.size(); ++f) {
-    for (const ObservedBox& box : frames[f].boxes) {
+    for (const ObservedBox& box : window[f].boxes) {
       const Vec2 center = box.box.center();
       const Vec3 ray_camera(center.x(), center.y(), 1.0);
       const Vec3 direction = frames[f].R_camera_local.transpose() * ray_camera.normalized();
@@ -375,10 +388,9 @@ void remove_duplicates(std::vector<LocalObject>* objects) {
   *objects = std::move(kept);
 }
 
-/// Drops the frames that nothing refers to, and the boxes of those in which no other objects are looked for.
+/// Drops the frames that nothing refers to.
 void compact(LocalMap* map) {
-  const std::set<int> checked(map->check_frames.begin(), map->check_frames.end());
-  std::set<int> needed = checked;
+  std::set<int> needed(map->check_frames.begin(), map->check_frames.end());
   for (const LocalObject& object : map->objects) {
     for (const SubmapView& view : object.views) needed.insert(view.frame);
   }
@@ -388,7 +400,6 @@ void compact(LocalMap* map) {
   for (const int i : needed) {
     renumbered[i] = static_cast<int>(frames.size());
     frames.push_back(std::move(map->frames[static_cast<std::size_t>(i)]));
-    if (checked.count(i) == 0) std::vector<ObservedBox>().swap(frames.back().boxes);
   }
   map->frames = std::move(frames);
   for (int& i : map->check_frames) i = renumbered[i];
@@ -440,10 +451,10 @@ std::optional<LocalObject> fit_object(const LocalMap& map, const std::vector<Sub
   return object;
 }
 
-std::vector<LocalObject> find_objects(const LocalMap& map, const LandmarkRedirects& redirects,
-                                      const LoopOptions& options) {
+std::vector<LocalObject> find_objects(const std::deque<ObservedFrame>& window, const LocalMap& map,
+                                      const LandmarkRedirects& redirects, const LoopOptions& options) {
   std::vector<LocalObject> objects;
-  for (const auto& [label, rays] : rays_by_label(map.frames, redirects, options)) {
+  for (const auto& [label, rays] : rays_by_label(window, map.frames, redirects, options)) {
     for (const RayCluster& cluster : Clustering(rays, map.frames, options).run()) {
       const auto visible = std::count_if(map.frames.begin(), map.frames.end(), [&](const LocalFrame& frame) {
         return in_view(frame, cluster.center, options.max_depth_m);
@@ -507,7 +518,10 @@ std::optional<LocalMap> build_local_map(const std::deque<ObservedFrame>& window,
   std::vector<int> all(map.frames.size());
   std::iota(all.begin(), all.end(), 0);
   map.check_frames = spread(all, kCheckFrames);
-  map.objects = find_objects(map, redirects, options);
+  for (const int i : map.check_frames) {
+    map.frames[static_cast<std::size_t>(i)].boxes = window[static_cast<std::size_t>(i)].boxes;
+  }
+  map.objects = find_objects(window, map, redirects, options);
   compact(&map);
   if (uses_depth(options)) map.surfels = make_surfels(window, T_anchor_odom);
   return map;
