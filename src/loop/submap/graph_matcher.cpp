@@ -129,7 +129,7 @@ class Matching {
       if (is_covered(clique, matches)) continue;
       ++aligned;
       const std::size_t best = matches.empty() ? 0 : matches.front().pairs.size();
-      std::optional<GraphMatch> match = grow(clique, std::max(min_pairs_, best / 3));
+      std::optional<GraphMatch> match = grow(clique, least_beside(best));
       if (match) insert(std::move(*match), &matches);
     }
     if (matches.size() > kMaxMatches) matches.resize(kMaxMatches);
@@ -174,15 +174,19 @@ class Matching {
     return graph;
   }
 
+  /// Pairs without which a match puts the best one in no doubt.
+  std::size_t least_beside(std::size_t best) const { return std::max(min_pairs_, (best + 1) / 2); }
+
   /// A largest clique and a greedy one about every correspondence, largest first, each once.
   std::vector<Clique> cliques(const BitGraph& graph) const {
-    std::set<Clique> found;
-    const auto keep = [&](Clique clique) {
-      if (clique.size() >= min_pairs_) found.insert(std::move(clique));
-    };
-    keep(largest_clique(graph, kMaxCliqueSteps));
+    Clique largest = largest_clique(graph, kMaxCliqueSteps);
+    if (largest.size() < min_pairs_) return {};
+    const std::size_t least = least_beside(largest.size());
+    std::set<Clique> found{std::move(largest)};
     for (std::size_t i = 0; i < graph.size(); ++i) {
-      if (graph[i].count_common(graph[i]) + 1 >= min_pairs_) keep(greedy_clique(graph, i));
+      if (graph[i].count_common(graph[i]) + 1 < least) continue;
+      Clique clique = greedy_clique(graph, i);
+      if (clique.size() >= least) found.insert(std::move(clique));
     }
     std::vector<Clique> sorted(found.begin(), found.end());
     std::stable_sort(sorted.begin(), sorted.end(), [](const auto& p, const auto& q) { return p.size() > q.size(); });
