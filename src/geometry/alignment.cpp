@@ -36,8 +36,7 @@ std::optional<Alignment> align_points(const std::vector<Vec3>& points_a, const s
   const Mat3 R = svd.matrixU() * d.asDiagonal() * svd.matrixV().transpose();
   if (with_scale) result.scale = singular.dot(d) / scatter_b.trace();
   result.T_a_b = SE3(R, mean_a - result.scale * R * mean_b);
-  const Eigen::JacobiSVD<Mat3> spread(scatter_b);
-  result.spread_m = spread.singularValues().cwiseMax(0.0).cwiseSqrt();
+  result.covariance_b_m2 = scatter_b;
 
   double squared = 0.0;
   for (std::size_t i = 0; i < n; ++i) {
@@ -46,6 +45,10 @@ std::optional<Alignment> align_points(const std::vector<Vec3>& points_a, const s
   }
   result.rms_m = std::sqrt(squared);
   return result;
+}
+
+Vec3 Alignment::spread_m() const {
+  return Eigen::JacobiSVD<Mat3>(covariance_b_m2).singularValues().cwiseMax(0.0).cwiseSqrt();
 }
 
 }  // namespace semantic_topo_loop::core

@@ -94,8 +94,8 @@ TEST(Alignment, PointsOfAPlaneAreEnough) {
   const std::optional<Alignment> found = align_points(a, b);
   ASSERT_TRUE(found);
   EXPECT_NEAR((found->T_a_b.matrix() - T.matrix()).norm(), 0.0, 1e-9);
-  EXPECT_NEAR(found->spread_m(2), 0.0, 1e-7);
-  EXPECT_GT(found->spread_m(1), 0.1);
+  EXPECT_NEAR(found->spread_m()(2), 0.0, 1e-7);
+  EXPECT_GT(found->spread_m()(1), 0.1);
 }
 
 TEST(Alignment, RefusesDegenerateInput) {

@@ -11,8 +11,11 @@ namespace semantic_topo_loop::core {
 struct Alignment {
   SE3 T_a_b;
   double scale = 1.0;
-  double rms_m = 0.0;            ///< root mean square of the residuals, m
-  Vec3 spread_m = Vec3::Zero();  ///< singular values of the centred b points / sqrt(n), descending, m
+  double rms_m = 0.0;                   ///< root mean square of the residuals, m
+  Mat3 covariance_b_m2 = Mat3::Zero();  ///< of the b points, m^2
+
+  /// Singular values of the centred b points / sqrt(n), descending, m.
+  Vec3 spread_m() const;
 };
 
 /// Closed-form least-squares alignment of corresponding points (Umeyama 1991).

@@ -201,7 +201,9 @@ void GraphDetector::store(LocalMap map) {
 void GraphDetector::make_room(const LocalMap& map) {
   const std::vector<LabelledPoint> points = graph_of(map);
   std::vector<int> alike;
-  for (const int number : propose(points, old_enough(map))) {
+  const std::vector<int> numbers = propose(points, old_enough(map));
+  for (std::size_t i = 0; i < numbers.size() && alike.size() + numbers.size() - i >= kEnough; ++i) {
+    const int number = numbers[i];
     const std::vector<GraphMatch> matches =
         match_graphs(maps_.at(number).points, points, options_, kMinCandidateInliers);
     if (matches.empty() || static_cast<int>(matches.front().pairs.size()) < options_.min_inliers) continue;

@@ -129,7 +129,7 @@ class Matching {
       if (is_covered(clique, matches)) continue;
       ++aligned;
       const std::size_t best = matches.empty() ? 0 : matches.front().pairs.size();
-      std::optional<GraphMatch> match = grow(clique, std::max(min_pairs_, best / 3));
+      std::optional<GraphMatch> match = grow(clique, least_beside(best));
       if (match) insert(std::move(*match), &matches);
     }
     if (matches.size() > kMaxMatches) matches.resize(kMaxMatches);
@@ -174,15 +174,19 @@ class Matching {
     return graph;
   }
 
+  /// Pairs without which a match puts the best one in no doubt.
+  std::size_t least_beside(std::size_t best) const { return std::max(min_pairs_, (best + 1) / 2); }
+
   /// A largest clique and a greedy one about every correspondence, largest first, each once.
   std::vector<Clique> cliques(const BitGraph& graph) const {
-    std::set<Clique> found;
-    const auto keep = [&](Clique clique) {
-      if (clique.size() >= min_pairs_) found.insert(std::move(clique));
-    };
-    keep(largest_clique(graph, kMaxCliqueSteps));
+    Clique largest = largest_clique(graph, kMaxCliqueSteps);
+    if (largest.size() < min_pairs_) return {};
+    const std::size_t least = least_beside(largest.size());
+    std::set<Clique> found{std::move(largest)};
     for (std::size_t i = 0; i < graph.size(); ++i) {
-      if (graph[i].count_common(graph[i]) + 1 >= min_pairs_) keep(greedy_clique(graph, i));
+      if (graph[i].count_common(graph[i]) + 1 < least) continue;
+      Clique clique = greedy_clique(graph, i);
+      if (clique.size() >= least) found.insert(std::move(clique));
     }
     std::vector<Clique> sorted(found.begin(), found.end());
     std::stable_sort(sorted.begin(), sorted.end(), [](const auto& p, const auto& q) { return p.size() > q.size(); });
@@ -208,9 +212,12 @@ class Matching {
   /// One-to-one, closest first.
   std::vector<NodePair> inliers(const SE3& T_a_b) const {
     const Mat3 R = T_a_b.rotation();
+    std::vector<Vec3> turned;
+    for (const LabelledPoint& point : b_) turned.push_back(R * point.position);
     std::vector<std::pair<double, std::size_t>> near;
     for (std::size_t i = 0; i < candidates_.size(); ++i) {
-      const double distance = residual(R, T_a_b.t, candidates_[i]);
+      const NodePair& pair = candidates_[i];
+      const double distance = (at(a_, pair.a).position - turned[static_cast<std::size_t>(pair.b)] - T_a_b.t).norm();
       if (distance < options_.inlier_distance_m) near.emplace_back(distance, i);
     }
     std::sort(near.begin(), near.end());
@@ -242,7 +249,7 @@ class Matching {
     if (!alignment) return std::nullopt;
     match.T_a_b = alignment->T_a_b;
     match.rms_m = alignment->rms_m;
-    match.spread_m = alignment->spread_m;
+    match.spread_m = alignment->spread_m();
     assess(&match);
     return match;
   }

@@ -5,6 +5,7 @@
 #include <algorithm>
 #include <cmath>
 #include <cstdint>
+#include <iterator>
 #include <limits>
 #include <map>
 #include <numeric>
@@ -67,7 +68,15 @@ constexpr double kMinPairAngle = 0.05;  ///< rad, 3 deg: below it the depth of t
 class Clustering {
  public:
   Clustering(const std::vector<BoxRay>& rays, const std::vector<LocalFrame>& frames, const LoopOptions& options)
-      : rays_(rays), frames_(frames), options_(options), used_(rays.size(), false) {}
+      : rays_(rays), frames_(frames), options_(options) {
+    targets_.reserve(rays.size());
+    for (const BoxRay& ray : rays) {
+      const Vec2 size(ray.box.width(), ray.box.height());
+      targets_.push_back({ray.box.center(), size, ray.box.size(), ray.frame, ray.truncated, ray.is_placed()});
+    }
+    open_.resize(rays.size());
+    std::iota(open_.begin(), open_.end(), 0);
+  }
 
   std::vector<RayCluster> run() {
     std::vector<Vec3> points;
@@ -82,31 +91,51 @@ class Clustering {
   }
 
  private:
+  /// What is read of a box for every point, apart from the rest, since most of the time is spent on it.
+  struct Target {
+    Vec2 center, size;
+    double mean_size;
+    int frame;
+    std::uint8_t truncated;
+    bool is_placed;
+  };
+
   const BoxRay& ray(int i) const { return rays_[static_cast<std::size_t>(i)]; }
   const LocalFrame& frame_of(int i) const { return frames_[static_cast<std::size_t>(ray(i).frame)]; }
-  bool is_used(int i) const { return used_[static_cast<std::size_t>(i)]; }
+  const Target& target(int i) const { return targets_[static_cast<std::size_t>(i)]; }
 
   /// The boxes that tell a place and belong to no cluster yet.
   std::vector<int> unused() const {
     std::vector<int> indices;
-    for (int i = 0; i < static_cast<int>(rays_.size()); ++i) {
-      if (ray(i).tells_place() && !is_used(i)) indices.push_back(i);
-    }
+    std::copy_if(open_.begin(), open_.end(), std::back_inserter(indices),
+                 [this](int i) { return ray(i).tells_place(); });
     return indices;
   }
 
-  struct Offset {
-    double share;  ///< of the box size; infinite behind the camera
+  /// A point in a camera; no box fits it if its depth is less than kMinDepth_m.
+  struct Projection {
+    Vec2 uv;
     double depth;
   };
-  Offset offset(const Vec3& point, int i) const { return offset_in_camera(frame_of(i).to_camera(point), i); }
-  Offset offset_in_camera(const Vec3& p, int i) const {
-    if (p.z() < kMinDepth_m) return {std::numeric_limits<double>::infinity(), p.z()};
-    const Box& box = ray(i).box;
-    const double du = (p.x() / p.z() - 0.5 * (box.x1 + box.x2)) / box.width();
-    const double dv = (p.y() / p.z() - 0.5 * (box.y1 + box.y2)) / box.height();
-    if (!ray(i).is_placed()) return {std::max(std::abs(du), std::abs(dv)), p.z()};
-    return {std::max(beyond(du, ray(i).truncated), beyond(dv, ray(i).truncated >> 1)), p.z()};
+  Projection project(const Vec3& point, int frame) const {
+    const Vec3 p = frames_[static_cast<std::size_t>(frame)].to_camera(point);
+    return {p.head<2>() / p.z(), p.z()};
+  }
+  /// How far a point is from the middle of a box, as a share of the box size; infinite behind the camera.
+  static double offset(const Projection& point, const Target& box) {
+    if (point.depth < kMinDepth_m) return std::numeric_limits<double>::infinity();
+    const Vec2 share = (point.uv - box.center).cwiseQuotient(box.size);
+    if (!box.is_placed) return std::max(std::abs(share.x()), std::abs(share.y()));
+    return std::max(beyond(share.x(), box.truncated), beyond(share.y(), box.truncated >> 1));
+  }
+  /// True if that is less than a share. Most points are far from most boxes, so that nothing is divided.
+  static bool is_near(const Projection& point, const Target& box, double share) {
+    if (box.is_placed || point.depth < kMinDepth_m) return offset(point, box) < share;
+    return std::abs(point.uv.x() - box.center.x()) < share * box.size.x() &&
+           std::abs(point.uv.y() - box.center.y()) < share * box.size.y();
+  }
+  bool is_near(const Vec3& point, int i, double share) const {
+    return is_near(project(point, target(i).frame), target(i), share);
   }
   /// How far outside the shares of a box its object's centre may be: up to a box size on the other side of a cut.
   /// @param cut bit 0: the lower side, bit 2: the upper side
@@ -155,7 +184,7 @@ class Clustering {
       Vec3 best = Vec3::Zero();
       for (const Vec3& point : pair_points(members, kPairsPerGroup)) {
         const auto votes = static_cast<std::size_t>(
-            std::count_if(members.begin(), members.end(), [&](int i) { return offset(point, i).share < kVoteOffset; }));
+            std::count_if(members.begin(), members.end(), [&](int i) { return is_near(point, i, kVoteOffset); }));
         if (votes > best_votes) {
           best_votes = votes;
           best = point;
@@ -164,19 +193,20 @@ class Clustering {
       if (best_votes < 3) return;
       points->push_back(best);
       members.erase(
-          std::remove_if(members.begin(), members.end(), [&](int i) { return offset(best, i).share < kMemberOffset; }),
+          std::remove_if(members.begin(), members.end(), [&](int i) { return is_near(best, i, kMemberOffset); }),
           members.end());
     }
   }
 
   int votes(const Vec3& point) const {
     int votes = 0, last_frame = -1, frame = -1;
-    Vec3 p = Vec3::Zero();  // the point in the camera of the frame
-    for (int i = 0; i < static_cast<int>(rays_.size()); ++i) {
-      if (is_used(i) || ray(i).frame == last_frame) continue;
-      if (ray(i).frame != frame) p = frame_of(i).to_camera(point);
-      frame = ray(i).frame;
-      if (offset_in_camera(p, i).share >= kVoteOffset) continue;
+    Projection projection;
+    for (const int i : open_) {
+      const Target& box = target(i);
+      if (box.frame == last_frame) continue;
+      if (box.frame != frame) projection = project(point, box.frame);
+      frame = box.frame;
+      if (!is_near(projection, box, kVoteOffset)) continue;
       last_frame = frame;
       ++votes;
     }
@@ -199,7 +229,10 @@ class Clustering {
       points.erase(points.begin() + static_cast<std::ptrdiff_t>(best));
       bounds.erase(bounds.begin() + static_cast<std::ptrdiff_t>(best));
       if (!cluster) continue;
-      for (const int i : cluster->rays) used_[static_cast<std::size_t>(i)] = true;
+      std::vector<int> open;
+      std::set_difference(open_.begin(), open_.end(), cluster->rays.begin(), cluster->rays.end(),
+                          std::back_inserter(open));
+      open_ = std::move(open);
       const bool is_placed = cluster->placed >= options_.min_views;
       if (is_placed || cluster->parallax_rad >= radians(options_.min_parallax_deg)) clusters_.push_back(*cluster);
     }
@@ -222,26 +255,34 @@ class Clustering {
 
   /// The best box of every frame among those that fit the point in place and size.
   std::vector<int> members(const Vec3& point) const {
-    std::vector<double> sizes;
-    std::vector<std::pair<int, Offset>> near;
-    for (int i = 0; i < static_cast<int>(rays_.size()); ++i) {
-      if (is_used(i)) continue;
-      const Offset o = offset(point, i);
-      if (o.share >= kMemberOffset) continue;
-      near.emplace_back(i, o);
-      sizes.push_back(o.depth * ray(i).box.size());
+    struct Near {
+      int ray;
+      double share, size_m;
+    };
+    std::vector<Near> near;
+    std::vector<double> sizes_m;
+    int frame = -1;
+    Projection projection;
+    for (const int i : open_) {
+      const Target& box = target(i);
+      if (box.frame != frame) projection = project(point, box.frame);
+      frame = box.frame;
+      if (!is_near(projection, box, kMemberOffset)) continue;
+      near.push_back({i, offset(projection, box), projection.depth * box.mean_size});
+      sizes_m.push_back(near.back().size_m);
     }
     if (near.empty()) return {};
-    const double usual = median(std::move(sizes));
-    std::map<int, std::pair<double, int>> best_of_frame;
-    for (const auto& [i, o] : near) {
-      if (std::abs(std::log(o.depth * ray(i).box.size() / usual)) >= kMemberSizeLog) continue;
-      const auto [it, inserted] = best_of_frame.emplace(ray(i).frame, std::pair(o.share, i));
-      if (!inserted) it->second = std::min(it->second, std::pair(o.share, i));
-    }
+    const double usual_m = median(std::move(sizes_m));
     std::vector<int> result;
-    result.reserve(best_of_frame.size());
-    for (const auto& [frame, best] : best_of_frame) result.push_back(best.second);
+    double least = 0.0;  // offset of the last in the result
+    for (const Near& box : near) {
+      if (std::abs(std::log(box.size_m / usual_m)) >= kMemberSizeLog) continue;
+      const bool is_first = result.empty() || target(result.back()).frame != target(box.ray).frame;
+      if (!is_first && box.share >= least) continue;
+      if (!is_first) result.pop_back();
+      result.push_back(box.ray);
+      least = box.share;
+    }
     return result;
   }
 
@@ -269,12 +310,14 @@ class Clustering {
   }
 
   double parallax(const RayCluster& cluster) const {
+    std::vector<Vec3> directions;
+    for (const int i : cluster.rays) {
+      if (ray(i).is_whole()) directions.push_back(ray(i).direction);
+    }
     double smallest_cosine = 1.0;
-    for (std::size_t p = 0; p < cluster.rays.size(); ++p) {
-      if (!ray(cluster.rays[p]).is_whole()) continue;
-      for (std::size_t q = p + 1; q < cluster.rays.size(); ++q) {
-        if (!ray(cluster.rays[q]).is_whole()) continue;
-        smallest_cosine = std::min(smallest_cosine, ray(cluster.rays[p]).direction.dot(ray(cluster.rays[q]).direction));
+    for (std::size_t p = 0; p < directions.size(); ++p) {
+      for (std::size_t q = p + 1; q < directions.size(); ++q) {
+        smallest_cosine = std::min(smallest_cosine, directions[p].dot(directions[q]));
       }
     }
     return std::acos(std::clamp(smallest_cosine, -1.0, 1.0));
@@ -283,7 +326,8 @@ class Clustering {
   const std::vector<BoxRay>& rays_;
   const std::vector<LocalFrame>& frames_;
   const LoopOptions& options_;
-  std::vector<bool> used_;
+  std::vector<Target> targets_;  ///< one a ray
+  std::vector<int> open_;        ///< rays that belong to no cluster yet, ascending
   std::vector<RayCluster> clusters_;
 };
 
@@ -296,18 +340,18 @@ LocalFrame make_frame(const ObservedFrame& observed, const SE3& T_anchor_odom) {
   frame.t_camera_local = -frame.R_camera_local * frame.position;
   frame.focal_px = observed.focal_px;
   frame.image = observed.image;
-  frame.boxes = observed.boxes;
   return frame;
 }
 
 /// Where the unit of length is free, the odometry is one without depth.
 bool uses_depth(const LoopOptions& options) { return options.use_points && options.scale == "fixed"; }
 
-std::map<int, std::vector<BoxRay>> rays_by_label(const std::vector<LocalFrame>& frames,
+std::map<int, std::vector<BoxRay>> rays_by_label(const std::deque<ObservedFrame>& window,
+                                                 const std::vector<LocalFrame>& frames,
                                                  const LandmarkRedirects& redirects, const LoopOptions& options) {
   std::map<int, std::vector<BoxRay>> rays;
   for (std::size_t f = 0; f < frames.size(); ++f) {
-    for (const ObservedBox& box : frames[f].boxes) {
+    for (const ObservedBox& box : window[f].boxes) {
       const Vec2 center = box.box.center();
       const Vec3 ray_camera(center.x(), center.y(), 1.0);
       const Vec3 direction = frames[f].R_camera_local.transpose() * ray_camera.normalized();
@@ -344,10 +388,9 @@ void remove_duplicates(std::vector<LocalObject>* objects) {
   *objects = std::move(kept);
 }
 
-/// Drops the frames that nothing refers to, and the boxes of those in which no other objects are looked for.
+/// Drops the frames that nothing refers to.
 void compact(LocalMap* map) {
-  const std::set<int> checked(map->check_frames.begin(), map->check_frames.end());
-  std::set<int> needed = checked;
+  std::set<int> needed(map->check_frames.begin(), map->check_frames.end());
   for (const LocalObject& object : map->objects) {
     for (const SubmapView& view : object.views) needed.insert(view.frame);
   }
@@ -357,7 +400,6 @@ void compact(LocalMap* map) {
   for (const int i : needed) {
     renumbered[i] = static_cast<int>(frames.size());
     frames.push_back(std::move(map->frames[static_cast<std::size_t>(i)]));
-    if (checked.count(i) == 0) std::vector<ObservedBox>().swap(frames.back().boxes);
   }
   map->frames = std::move(frames);
   for (int& i : map->check_frames) i = renumbered[i];
@@ -409,10 +451,10 @@ std::optional<LocalObject> fit_object(const LocalMap& map, const std::vector<Sub
   return object;
 }
 
-std::vector<LocalObject> find_objects(const LocalMap& map, const LandmarkRedirects& redirects,
-                                      const LoopOptions& options) {
+std::vector<LocalObject> find_objects(const std::deque<ObservedFrame>& window, const LocalMap& map,
+                                      const LandmarkRedirects& redirects, const LoopOptions& options) {
   std::vector<LocalObject> objects;
-  for (const auto& [label, rays] : rays_by_label(map.frames, redirects, options)) {
+  for (const auto& [label, rays] : rays_by_label(window, map.frames, redirects, options)) {
     for (const RayCluster& cluster : Clustering(rays, map.frames, options).run()) {
       const auto visible = std::count_if(map.frames.begin(), map.frames.end(), [&](const LocalFrame& frame) {
         return in_view(frame, cluster.center, options.max_depth_m);
@@ -476,7 +518,10 @@ std::optional<LocalMap> build_local_map(const std::deque<ObservedFrame>& window,
   std::vector<int> all(map.frames.size());
   std::iota(all.begin(), all.end(), 0);
   map.check_frames = spread(all, kCheckFrames);
-  map.objects = find_objects(map, redirects, options);
+  for (const int i : map.check_frames) {
+    map.frames[static_cast<std::size_t>(i)].boxes = window[static_cast<std::size_t>(i)].boxes;
+  }
+  map.objects = find_objects(window, map, redirects, options);
   compact(&map);
   if (uses_depth(options)) map.surfels = make_surfels(window, T_anchor_odom);
   return map;

@@ -23,7 +23,7 @@ constexpr int kPose = 6, kPoseAndScale = 7;
 constexpr int kSpheroid = 5, kSpheroidAndOffset = 6;
 
 /// The start is an alignment good to some centimetres; the limit keeps a bad one from costing an attempt its time.
-constexpr LeastSquaresOptions kSolver{15, 1e-4, 1e-6};
+constexpr LeastSquaresOptions kSolver{15, 1e-4, 1e-4};
 /// Smallest pivot, 1/m^2 or 1/rad^2: with less the boxes leave a direction of the pose free (sigma above 1 km).
 constexpr double kMinInformation = 1e-6;
 

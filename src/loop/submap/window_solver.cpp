@@ -127,7 +127,8 @@ struct Equations {
     g.setZero(n);
     H_object.assign(unknowns.objects.size(), Mat5::Identity() / squared(kStartSigma));
     g_object.clear();
-    H_knot_object.assign(unknowns.objects.size(), {});
+    H_knot_object.resize(unknowns.objects.size());
+    for (auto& by_knot : H_knot_object) by_knot.clear();  // their memory stays
     cost = 0.0;
     for (std::size_t k = 0; k < unknowns.objects.size(); ++k) {
       const Vec5 moved = unknowns.objects[k] - problem.tracks[k].start;
