@@ -1,7 +1,8 @@
 """Two simulated laps round a desk, the second one a session that goes on with the map of the first: between them a cup
 is moved, a chair goes and a bottle comes. `inspect_map` shall list these three where they are, and nothing else. Once
 from rendered images, whose odometry is found from them, and once from boxes alone, with an odometry that drifts and is in
-another frame in the second lap. A row a desk, and how often exactly these are listed, which changes.json has too."""
+another frame in the second lap. A row a desk: what is listed, and of what is not, whether it is an object of the map at
+all; and how often exactly these are listed, which changes.json has too."""
 
 import argparse
 import json
@@ -29,24 +30,30 @@ SIMULATION = (
 )
 CHANGES = ("moved cup", "gone chair", "new bottle")
 SAME_PLACE_M = 0.4  # between where the map and the truth have one object's middle; the next of its class may be as near
+LISTED, NO_OBJECT = "listed", "no object"
 INPUTS = {"rendered": "rendered images", "boxes": "boxes alone"}
 
 
 class Change:
-    """What changed, as "gone chair", and where in the world it was before or, if it is new, is now."""
+    """What changed, as "gone chair", and where it was before or, if it is new, is now: x, y, z in the world."""
 
-    def __init__(self, name, place):
-        self.name, self.place = name, np.array(place, float)
+    def __init__(self, kind, label, place):
+        self.kind, self.label, self.place = kind, label, np.array(place, float)
+        self.name = f"{kind} {label}"
+
+    def is_at(self, place):
+        return np.linalg.norm(self.place - place) < SAME_PLACE_M
 
     def is_same(self, other):
-        return self.name == other.name and np.linalg.norm(self.place - other.place) < SAME_PLACE_M
+        return self.name == other.name and self.is_at(other.place)
 
 
 class Desk:
     """The files of one seed."""
 
     def __init__(self, arguments, programs, source, seed):
-        self._settings, self._programs, self._seed = arguments.set, programs, seed
+        self._programs, self._seed = programs, seed
+        self._scene, self._settings = (*SIMULATION, *arguments.scene), arguments.set
         self._is_rendered = source == "rendered"
         self._folder = os.path.join(arguments.output, "runs", f"{source}_{seed}")
         self._sequence = self.path("sequence")
@@ -58,7 +65,7 @@ class Desk:
         self._programs.call("simulate", "--output", self._sequence, "--camera",
                             os.path.join(package_folder(), "config/camera/tum_fr2.yaml"), "--seed", str(self._seed),
                             "--images", str(self._is_rendered).lower(),
-                            *(word for setting in SIMULATION for word in ("--set", setting)))
+                            *(word for setting in self._scene for word in ("--set", setting)))
 
     def remove_sequence(self):
         """Its images are large."""
@@ -69,26 +76,38 @@ class Desk:
         changes, chair_boxes = [], 0
         for row in read_rows(os.path.join(self._sequence, "gone_objects.csv")):
             kind = "gone" if row["reference_id"] == "-1" else "moved"
-            changes.append(Change(f"{kind} {row['label']}", [row[key] for key in "xyz"]))
+            changes.append(Change(kind, row["label"], [row[key] for key in "xyz"]))
             if kind == "gone":
                 chair_boxes = int(row["views"])
         for row in read_rows(os.path.join(self._sequence, "reference_objects.csv")):
             if row["label"] == "bottle" and int(row["first"]) >= LAP_S * RATE_HZ:
-                changes.append(Change("new bottle", [row[key] for key in "xyz"]))
+                changes.append(Change("new", row["label"], [row[key] for key in "xyz"]))
         if tuple(change.name for change in changes) != CHANGES:
             raise Failure(f"desk {self._seed}: not a cup, a chair and a bottle: {[change.name for change in changes]}")
         return changes, chair_boxes
 
+    def map_laps(self):
+        for lap in range(2):
+            self._map_lap(lap)
+
     def listed_changes(self):
-        """Those between the laps, in the world: a map begins at the first camera."""
+        said = self._programs.call("inspect_map", self.path("lap1.db"))
+        found = re.findall(r"^ +(gone|moved|new): (.+?) \d+ \((\S+) (\S+) (\S+)\)", said, re.MULTILINE)
+        return [Change(kind, label, self._in_world(place)) for kind, label, *place in found]
+
+    def is_object(self, change):
+        """Whether the map that should have had it has an object there: the first lap's, if it is not new."""
+        database = self.path("lap1.db" if change.kind == "new" else "lap0.db")
+        self._programs.call("inspect_map", database, "--objects", self.path("objects.csv"))
+        return any(row["state"] == "confirmed" and row["label"] == change.label and
+                   change.is_at(self._in_world([row[key] for key in "xyz"])) for row in read_rows(self.path("objects.csv")))
+
+    def _in_world(self, place):
+        """Of a map, which begins at the first camera."""
         with open(os.path.join(self._sequence, "groundtruth_frames.txt")) as file:
             first = next(line for line in file if not line.startswith("#"))
         T_world_map = pose([float(value) for value in first.split()[1:]])
-        for lap in range(2):
-            self._map_lap(lap)
-        said = self._programs.call("inspect_map", self.path("lap1.db"))
-        found = re.findall(r"^ +(gone|moved|new): (.+?) \d+ \((\S+) (\S+) (\S+)\)", said, re.MULTILINE)
-        return [Change(f"{kind} {label}", (T_world_map @ [*map(float, place), 1.0])[:3]) for kind, label, *place in found]
+        return (T_world_map @ [*map(float, place), 1.0])[:3]
 
     def _map_lap(self, lap):
         self._programs.call("offline", *self._images(lap) if self._is_rendered else self._odometry(lap), "--camera",
@@ -120,37 +139,46 @@ def measure(arguments, programs, source, seed):
     print(f"changes_table: {INPUTS[source]}, desk {seed}", file=sys.stderr)
     desk = Desk(arguments, programs, source, seed)
     desk.simulate()
+    desk.map_laps()
     changes, chair_boxes = desk.true_changes()
     listed = desk.listed_changes()
-    desk.remove_sequence()
     row = {"desk": seed, "boxes of the chair": chair_boxes}
     for change in changes:
         mine = next((other for other in listed if other.is_same(change)), None)
-        row[change.name] = mine is not None
         if mine:
             listed.remove(mine)
+            row[change.name] = LISTED
+        else:
+            row[change.name] = "missing" if desk.is_object(change) else NO_OBJECT
     row["else"] = [change.name for change in listed]
+    desk.remove_sequence()
     return row
 
 
 def summary(rows):
-    figures = {"seeds": len(rows), "exact": sum(all(row[name] for name in CHANGES) and not row["else"] for row in rows),
-               "nothing_else": sum(not row["else"] for row in rows)}
-    figures.update((name.replace(" ", "_"), sum(row[name] for row in rows)) for name in CHANGES)
+    figures = {"seeds": len(rows), "nothing_else": sum(not row["else"] for row in rows),
+               "exact": sum(all(row[name] == LISTED for name in CHANGES) and not row["else"] for row in rows)}
+    for name in CHANGES:
+        key = name.replace(" ", "_")
+        figures[key] = sum(row[name] == LISTED for row in rows)
+        figures[key + "_of"] = sum(row[name] != NO_OBJECT for row in rows)
     return figures
 
 
 def desks_table(rows):
     return markdown(["desk", "boxes of the chair", *CHANGES, "else"],
-                    [[row["desk"], row["boxes of the chair"], *("listed" if row[name] else "missing" for name in CHANGES),
+                    [[row["desk"], row["boxes of the chair"], *(row[name] for name in CHANGES),
                       ", ".join(row["else"]) or "-"] for row in rows])
 
 
 def summary_table(figures):
+    def of_objects(counts, name):
+        key = name.replace(" ", "_")
+        return f"{counts[key]} of {counts[key + '_of']}"
+
     return markdown(["from", "desks", "exactly these listed", *CHANGES, "nothing else"],
-                    [[INPUTS[source], counts["seeds"], f"{counts['exact']} of {counts['seeds']}",
-                      *(counts[name.replace(" ", "_")] for name in CHANGES), counts["nothing_else"]]
-                     for source, counts in figures.items()])
+                    [[INPUTS[source], counts["seeds"], counts["exact"], *(of_objects(counts, name) for name in CHANGES),
+                      counts["nothing_else"]] for source, counts in figures.items()])
 
 
 def parse_arguments():
@@ -162,6 +190,7 @@ def parse_arguments():
                         help="desks with boxes alone (default: 1 to 30)")
     parser.add_argument("--output", default="/tmp/semantic_topo_loop_changes", metavar="DIR",
                         help="folder for inputs and results (default: %(default)s)")
+    parser.add_argument("--scene", action="append", default=[], metavar="KEY=VALUE", help="a parameter of simulate")
     parser.add_argument("--set", action="append", default=[], metavar="KEY=VALUE", help="a parameter of offline")
     return parser.parse_args()
 
