@@ -169,10 +169,11 @@ class Programs:
         self.call("perturb", "detections", source, target, *arguments)
 
     def call(self, name, *arguments):
-        """Of a program that takes classes."""
+        """Of a program that takes classes. @return what it printed"""
         result = self._call(name, *arguments, "--classes", self._classes)
         if result.returncode != 0:
             raise Failure(f"{name}: {result.stderr.strip()}")
+        return result.stdout
 
     def offline(self, sequence, trajectory, output, *arguments):
         """A run that no table shares, on an odometry of one's own."""
