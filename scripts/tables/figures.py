@@ -7,8 +7,8 @@ and NAME/summary.json by their name (`after.ate_m.rmse`; Google Benchmark's by a
 `said(regular expression)` is the first number in its group, `said(regular expression, 1)` the second, `cell(heading, row...,
 column)` that of a Markdown table, `row(heading, first cell, first column, last column)` those between two columns. `$NAME` in a line stands for each of the values that the measurement's "each" has for it. A line
 that does not stand in its document once is an error. Those of "times", which hang on the machine, differ if they are more
-than a factor of 2 apart; measurements that run "alone" run before the others. What is not measured has a reason there, by
-section of a document or by regular expression; a number without either is shown by --list, which then ends with 1."""
+than a factor of 2 apart; measurements that run "alone" run before the others. What is not measured has a reason there,
+with regular expressions; a number without either is shown by --list, which then ends with 1."""
 
 import argparse
 import collections
@@ -31,7 +31,6 @@ DOCUMENTS = ("README.md", "docs/benchmarks.md")
 PLACE = re.compile(r"\{([^{}]+?)(?::([.,\d]*[a-z%]))?\}")
 NUMBER = re.compile(r"(?<![\w.])\d[\d,]*(?:\.\d+)?")
 CODE = re.compile(r"```.*?```|`[^`\n]*`|\]\([^)\n]*\)", re.DOTALL)
-HEADING = re.compile(r"^(#+) (.*)$", re.MULTILINE)
 PRINTED = "printed.txt"  # of a measurement's folder: what its commands said
 MEASURED, ROW = "measured", "in the names of rows that are measured"
 QUICK_S = 60.0
@@ -229,16 +228,6 @@ def compare(template, values, text):
     return text[:found.start()] + "".join(parts) + text[end:], total, differ
 
 
-def section(text, heading):
-    """Span of a section with those below it."""
-    headings = list(HEADING.finditer(text))
-    for i, found in enumerate(headings):
-        if found.group(2) == heading:
-            ends = [other.start() for other in headings[i + 1:] if len(other.group(1)) <= len(found.group(1))]
-            return found.start(), (ends or [len(text)])[0]
-    raise Failure(f"no section '{heading}'")
-
-
 def reasons_of(document, text, templates, not_measured):
     """(number as a match, why it is not measured, or MEASURED, or "" if nobody knows); code is left out."""
     code = [match.span() for match in CODE.finditer(text)]
@@ -246,8 +235,7 @@ def reasons_of(document, text, templates, not_measured):
     lines = [t.find(text) for t in templates if t.document == document]
     spans += [(*found.span(i + 1), MEASURED) for found in lines for i in range(len(found.groups()))]
     spans += [(*found.span(), ROW) for found in lines]
-    spans += [(*section(text, heading), reason) for heading, reason in not_measured["sections"].get(document, {}).items()]
-    spans += [(*found.span(), reason) for reason, patterns in not_measured["phrases"].items() for pattern in patterns
+    spans += [(*found.span(), reason) for reason, patterns in not_measured.items() for pattern in patterns
               for found in re.finditer(pattern, text)]
     for number in NUMBER.finditer(text):
         if not any(begin <= number.start() < end for begin, end in code):
