@@ -230,6 +230,17 @@ InnovationModel::Candidate InnovationModel::judge_jump(std::size_t edge, const W
   }
 }
 
+bool InnovationModel::explains_path_away(const NoiseEstimate& noise) const {
+  constexpr double kMaxShare = 0.3;
+  const std::vector<Vec6> errors = steady_errors(noise);
+  double path_m = 0.0, error_m = 0.0;
+  for (std::size_t i = 0; i < errors.size(); ++i) {
+    path_m += (*edges_)[i].path_m;
+    error_m += errors[i].head<3>().norm();
+  }
+  return error_m > kMaxShare * path_m;
+}
+
 std::optional<InnovationModel::Candidate> InnovationModel::best_jump(const NoiseEstimate& noise,
                                                                      double least_gain) const {
   const Whitened whitened = whiten(noise);
@@ -325,13 +336,18 @@ constexpr double kJumpPrice = 12.0;
 
 }  // namespace
 
-NoiseFit estimate_noise_and_jumps(InnovationModel* model, const NoisePrior& prior, const NoiseEstimate& start,
+NoiseFit estimate_noise_and_jumps(InnovationModel* model, const NoisePrior& given, const NoiseEstimate& start,
                                   int max_new_jumps) {
   model->set_jumps(start.jumps);
   // Suspected jumps come first: from a prior of next to nothing a step up may bring nothing where a prior of 1 does.
   NoiseEstimate doubtful = start;
   doubtful.odometry.jump_prior = 1.0;
+  NoisePrior prior = given;
   NoiseFit best = fit_noise(*model, prior, doubtful, kWide);
+  if (model->explains_path_away(best.noise)) {
+    prior.least.steady_translation = prior.least.steady_rotation_rad = prior.least.scale = 0.0;
+    best = fit_noise(*model, prior, doubtful, kWide);
+  }
   best.cost += kJumpPrice * static_cast<double>(best.noise.jumps.size());
   const auto attempt = [&](const std::vector<OdometryJump>& jumps) {
     model->set_jumps(jumps);

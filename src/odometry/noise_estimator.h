@@ -42,6 +42,9 @@ class InnovationModel {
   void set_jumps(const std::vector<OdometryJump>& jumps);
   /// What each edge's lasting errors most probably are, given the innovations, to be put behind its measurement.
   std::vector<Vec6> steady_errors(const NoiseEstimate& noise) const;
+  /// Whether these lasting errors are so large a share of the path as no odometry is off all along. Between visits of
+  /// the same place every loop is right of an odometry that hardly moves: a scale of next to nothing explains them all.
+  bool explains_path_away(const NoiseEstimate& noise) const;
   /// The jump that brings most log likelihood, if it is more than `least_gain`.
   struct Candidate {
     OdometryJump jump;
@@ -106,7 +109,8 @@ struct NoiseFit {
 };
 
 /// Most probable noise given the innovations, with the jumps that `start` states, if they still explain them, and
-/// others that do: the cost falls with each. Innovations that the loops' own uncertainty explains leave the odometry at
+/// others that do: the cost falls with each. Errors that last are left out where they would explain the path away.
+/// Innovations that the loops' own uncertainty explains leave the odometry at
 /// a small noise, so that loops then hardly move it.
 /// @param max_new_jumps looked for in this call
 NoiseFit estimate_noise_and_jumps(InnovationModel* model, const NoisePrior& prior, const NoiseEstimate& start,

@@ -1,8 +1,6 @@
 #include <gtest/gtest.h>
 
-#include <algorithm>
 #include <functional>
-#include <iterator>
 #include <optional>
 #include <set>
 
@@ -84,10 +82,7 @@ struct Observer {
       frame.camera = kCamera;
       const AssociationFrame seen = associations(k);
       graph.observe(frame, seen);
-      std::vector<LoopClosure> closed;
-      std::copy_if(loops.begin(), loops.end(), std::back_inserter(closed),
-                   [k](const LoopClosure& loop) { return loop.query_frame == k; });
-      graph.process(frame, closed);
+      graph.process(frame, loops_at(k, loops));
       graph.apply(map(k, seen, &known));
     }
     if (changed) graph.set_options(*changed);
@@ -220,10 +215,9 @@ TEST(ObjectsInThePoseGraph, AutoCorrectsOdometryThatLoopsFindWrongAndNoOther) {
   for (const double drift_m : {0.0, 0.02}) {
     Observer observer;
     if (drift_m > 0.0) observer.run.drift(drift_m, 0.005, 3);
-    for (int k = observer.run.round(); k < observer.run.size(); k += 5) {
-      observer.loops.push_back(observer.run.exact_loop(k, k - observer.run.round()));
-    }
-    PoseGraphOptions options;
+    observer.loops = noisy_loops(observer.run, 7);
+    PoseGraphOptions options = with_objects();
+    options.objects = PoseGraphOptions().objects;
     ASSERT_EQ(options.objects, "auto");
     const double with_objects_m = observer.worst_error_m(options);
     options.objects = "off";

@@ -96,6 +96,19 @@ TEST(SolveGraph, AnUnusableProblemLeavesThePosesAlone) {
   EXPECT_EQ(vertices[1].t.x(), 1.0);
 }
 
+// A path of no length would make all of these loops right.
+TEST(PoseGraph, PlacesPassedAgainDoNotDrawThePathTogether) {
+  for (const std::uint64_t seed : {3, 4}) {
+    SyntheticRun run;
+    run.drift(0.02, 0.005, seed);
+    std::vector<LoopClosure> loops;
+    for (int k = run.round(); k < run.size(); k += 5) {
+      loops.push_back(run.loop(k, k - run.round(), Vec6::Zero(), 1e-2, 1e-2));
+    }
+    EXPECT_LT(run.worst_error_m(finish(run, loops).graph.keyframes()), 0.5 * run.worst_odometry_error_m()) << seed;
+  }
+}
+
 TEST(PoseGraph, WithoutLoopsTheMapIsTheOdometry) {
   SyntheticRun run;
   run.drift(0.01, 0.005, 1);
