@@ -274,7 +274,7 @@ def parse_arguments():
                         help="folder for what the commands write (default: %(default)s)")
     parser.add_argument("--quick", action="store_true",
                         help=f"only measurements that take less than {QUICK_S:.0f} s on idle cores")
-    parser.add_argument("--only", default="", metavar="TEXT", help="only measurements whose name contains it")
+    parser.add_argument("--only", nargs="+", default=[""], metavar="TEXT", help="only measurements whose names contain one")
     parser.add_argument("--keep", action="store_true", help="run nothing: compare with what was measured before")
     parser.add_argument("--write", action="store_true", help="put today's figures into the documents")
     parser.add_argument("--list", action="store_true",
@@ -300,7 +300,7 @@ def measure_all(measurements, arguments):
 
 def chosen_of(measurements, arguments):
     chosen = {name: entry for name, entry in measurements.items()
-              if arguments.only in name and not (arguments.quick and entry["seconds"] >= QUICK_S)}
+              if any(text in name for text in arguments.only) and not (arguments.quick and entry["seconds"] >= QUICK_S)}
     for name, entry in chosen.items():
         if not arguments.data and any("$DATA" in command for command in entry["commands"]):
             raise Failure(f"{name} needs the recorded sequences (--data, SEMANTIC_TOPO_LOOP_DATA)")
