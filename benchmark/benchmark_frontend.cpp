@@ -173,8 +173,7 @@ int main(int argc, char** argv) {
       [&arguments] { return core::run(arguments); }};
   command.option("rgbd", apps::po::value(&arguments.rgbd), "folder of color and depth images that is tracked")
       .option("camera", apps::po::value(&arguments.camera), "its calibration (default: camera.yaml of the folder)")
-      .option("associations", apps::po::value(&arguments.associations),
-              "its list (default: as of offline)")
+      .option("associations", apps::po::value(&arguments.associations), "its list (default: as of offline)")
       .option("set", apps::assignments(&arguments.options), "one parameter; may be repeated");
   return apps::run_program("benchmark_frontend", {command}, argc, argv);
 }

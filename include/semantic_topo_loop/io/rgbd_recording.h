@@ -49,8 +49,8 @@ Result<RgbdFiles> read_associations(const std::string& path, const std::string& 
 /// @return an error, with file, line and value, for a missing or empty file or a line that is none, or no pair
 Result<RgbdFiles> associate_images(const std::string& directory);
 
-/// The images of a TUM folder: by the list `associations`; if that is empty, by the folder's associations.txt, or by its
-/// rgb.txt and depth.txt where there is none.
+/// The images of a TUM folder: by the list `associations`; if that is empty, by the folder's associations.txt, or by
+/// its rgb.txt and depth.txt where there is none.
 /// @return an error as of read_associations or associate_images
 Result<RgbdFiles> list_rgbd_images(const std::string& directory, const std::string& associations);
 
