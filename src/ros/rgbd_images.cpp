@@ -5,6 +5,7 @@
 
 #include <algorithm>
 #include <boost/bind/bind.hpp>
+#include <cstdint>
 #include <cstdlib>
 #include <exception>
 #include <utility>
@@ -30,12 +31,19 @@ std::string format_seconds(double seconds) { return core::format_fixed(seconds, 
 }  // namespace
 
 core::Result<cv::Mat> to_mat(const sensor_msgs::Image& image, const std::string& encoding, const char* what) {
+  const auto error = [&image, what](const std::string& cause) {
+    return core::Error{std::string(what) + " image, " + std::to_string(image.width) + " x " +
+                       std::to_string(image.height) + ", encoding '" + image.encoding + "': " + cause};
+  };
+  // cv_bridge multiplies in 32 bits, so that it takes some sizes which the data does not have.
+  if (image.width > image.step || std::uint64_t{image.step} * image.height > image.data.size()) {
+    return error(std::to_string(image.data.size()) + " bytes in rows of " + std::to_string(image.step));
+  }
   try {
     return cv_bridge::toCvCopy(image, encoding)->image;
   } catch (const std::exception& exception) {
     // cv_bridge's own exceptions, and OpenCV's for sizes that a pattern cannot have.
-    return core::Error{std::string(what) + " image, " + std::to_string(image.width) + " x " +
-                       std::to_string(image.height) + ", encoding '" + image.encoding + "': " + exception.what()};
+    return error(exception.what());
   }
 }
 

@@ -117,6 +117,16 @@ TEST(MakeRgbdImage, CorrectsTheScaleOfBothDepthEncodings) {
   }
 }
 
+// Sizes whose product, in 32 bits, is that of the data.
+TEST(ToMat, RefusesSizesThatTheDataDoesNotHave) {
+  sensor_msgs::Image image = filled(encodings::MONO8, {90});
+  image.height += 1U << 26;  // times 64: 2^32 bytes more
+  EXPECT_NE(to_mat(image, encodings::MONO8, "colour").message().find("3072 bytes in rows of 64"), std::string::npos);
+  image = filled(encodings::BGRA8, {90, 90, 90, 255});
+  image.width += 1U << 30;
+  EXPECT_NE(to_mat(image, encodings::MONO8, "colour").message().find("12288 bytes in rows of 256"), std::string::npos);
+}
+
 TEST(MakeRgbdImage, RefusesWhatIsNone) {
   const sensor_msgs::Image color = filled(encodings::RGB8, {10, 20, 30});
   const sensor_msgs::Image depth = depth_of(encodings::TYPE_32FC1, 2.0f);
