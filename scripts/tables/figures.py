@@ -4,11 +4,12 @@ docs/figures.json lists, as "measurements", commands that write files into a fol
 of documents with {expressions} in place of the figures. An expression is Python over what the commands wrote: NAME.json
 and NAME/summary.json by their name (`after.ate_m.rmse`; Google Benchmark's by a benchmark's, `core("project").real_time`),
 `spent_us("run", "loop")`, `peak_mb("run")` and `count("run/loops.csv", column="value")` of a run, and what they printed:
-`said(regular expression)` is the first number in its group, `said(regular expression, 1)` the second, `cell(heading, row...,
-column)` that of a Markdown table, `row(heading, first cell, first column, last column)` those between two columns. `$NAME` in a line stands for each of the values that the measurement's "each" has for it. A line
-that does not stand in its document once is an error. Those of "times", which hang on the machine, differ if they are more
-than a factor of 2 apart; measurements that run "alone" run before the others. What is not measured has a reason there,
-with regular expressions; a number without either is shown by --list, which then ends with 1."""
+`said(regular expression)` is the first number in its group, `said(regular expression, 1)` the second, `cell(heading,
+row..., column)` that of a Markdown table, `row(heading, first cell, first column, last column)` those between two columns.
+`$NAME` in a line stands for each of the values that the measurement's "each" has for it. A line that does not stand in its
+document once is an error. Those of "times", which hang on the machine, differ if they are more than a factor of 2 apart;
+measurements that run "alone" run before the others. What is not measured has a reason there, with regular expressions; a
+number without either is shown by --list, which then ends with 1."""
 
 import argparse
 import collections
@@ -77,7 +78,7 @@ class Template:
 
     def _is_same(self, stated, now):
         smaller, larger = sorted(float(number.replace(",", "")) for number in (stated, now))
-        return stated == now or self._within > 1.0 and larger <= self._within * smaller
+        return larger <= self._within * smaller
 
 
 def templates_of(entry):
@@ -171,7 +172,10 @@ class Runs:
 
 def values_of(folder):
     """Names that the expressions of a measurement may use."""
-    with open(os.path.join(folder, PRINTED)) as file:
+    path = os.path.join(folder, PRINTED)
+    if not os.path.exists(path):
+        raise Failure(f"{path}: not measured yet")
+    with open(path) as file:
         printed = file.read()
     tables, runs = Tables(printed), Runs(folder)
     values = {"ratio": ratio, "spaced": spaced, "counts": counts, "cell": tables.cell, "row": tables.row,

@@ -110,8 +110,8 @@ struct NoiseFit {
 
 /// Most probable noise given the innovations, with the jumps that `start` states, if they still explain them, and
 /// others that do: the cost falls with each. Errors that last are left out where they would explain the path away.
-/// Innovations that the loops' own uncertainty explains leave the odometry at
-/// a small noise, so that loops then hardly move it.
+/// Innovations that the loops' own uncertainty explains leave the odometry at a small noise, so that loops then hardly
+/// move it.
 /// @param max_new_jumps looked for in this call
 NoiseFit estimate_noise_and_jumps(InnovationModel* model, const NoisePrior& prior, const NoiseEstimate& start,
                                   int max_new_jumps);

@@ -83,6 +83,9 @@ if figures --quick --keep --write; then fail "a time beyond a factor of two"; fi
 grep -q '11 numbers measured, 1 differ' "$work/log" || fail "the other one is the same"
 grep -q '6.1 s, then 4.0 s' docs/benchmarks.md || fail "--write puts the one in that differs"
 
+if figures --keep; then fail "nothing was measured of one"; fi
+grep -q 'long: error: .*printed.txt: not measured yet' "$work/log" || fail "it says so"
+
 if figures; then fail "a measurement fails"; fi
 grep -q "long: error: .*no folder 'nowhere'" "$work/log" || fail "it says which and why"
 grep -q '11 numbers measured, 0 differ; 1 measurements failed' "$work/log" || fail "the others are measured all the same"

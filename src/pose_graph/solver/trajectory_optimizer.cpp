@@ -15,6 +15,7 @@ OdometryNoise scaled(const OdometryNoise& noise, double factor) {
   return {noise.translation_m * factor, noise.rotation_rad * factor};
 }
 
+/// Whether more than the least is known of the odometry's errors.
 bool exceeds(const NoiseEstimate& noise, const OdometryNoise& least) {
   const OdometryNoise& odometry = noise.odometry;
   return !noise.jumps.empty() || odometry.translation_m > least.translation_m ||
