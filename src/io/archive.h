@@ -238,14 +238,13 @@ void from_archive(const JsonField& field, T* value) {
   archive::Codec<T>::read(field, value);
 }
 
-/// @param bytes a string or a vector of them   @return discarded if they are no CBOR
+/// @return discarded if that is no CBOR, or nests deeper than anything that is packed here
+Json from_cbor(const std::uint8_t* begin, const std::uint8_t* end);
+/// @param bytes a string or a vector of them
 template <class Bytes>
 Json from_cbor(const Bytes& bytes) {
-  try {
-    return Json::from_cbor(bytes);
-  } catch (const Json::exception&) {  // some it throws whether or not it may
-    return Json(Json::value_t::discarded);
-  }
+  const auto* begin = reinterpret_cast<const std::uint8_t*>(bytes.data());
+  return from_cbor(begin, begin + bytes.size());
 }
 
 }  // namespace semantic_topo_loop::core

@@ -220,6 +220,8 @@ Status check_objects(const std::vector<MappedLandmark>& landmarks, const ClassTa
       return Error{name + " has class " + std::to_string(landmark.state.class_id)};
     }
     if (ellipsoid && !(ellipsoid->semi_axes.minCoeff() > 0.0)) return Error{name + " has an axis <= 0"};
+    const bool has_place = landmark.state.state == LandmarkState::kConfirmed || landmark.state.mean_iou > 0.0;
+    if (has_place && !ellipsoid) return Error{name + " has no ellipsoid"};
   }
   return {};
 }

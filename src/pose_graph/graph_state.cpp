@@ -1,7 +1,11 @@
 #include "pose_graph/graph_state.h"
 
+#include <Eigen/Cholesky>
 #include <algorithm>
+#include <cstddef>
 #include <utility>
+
+#include "geometry/relative_pose.h"
 
 namespace semantic_topo_loop::core {
 namespace {
@@ -9,6 +13,11 @@ namespace {
 int count_vertices(const GraphState& state) {
   return static_cast<int>(std::count_if(state.keyframes.begin(), state.keyframes.end(),
                                         [](const GraphKeyframe& keyframe) { return !keyframe.T_vertex_keyframe; }));
+}
+
+/// As a solution needs it.
+bool is_invertible(const Mat6& covariance) {
+  return covariance.llt().info() == Eigen::Success && square_root_information(covariance).allFinite();
 }
 
 }  // namespace
@@ -64,7 +73,16 @@ Status check(const GraphState& state) {
     const bool is_fine =
         !loop.loop || (0 <= loop.loop->from && loop.loop->from <= loop.loop->to && loop.loop->to < vertices);
     if (!is_fine) return Error{"loop " + std::to_string(loop.told.number) + " joins vertices that are not there"};
-    if (!loop.loop && loop.is_in_graph) return Error{"loop " + std::to_string(loop.told.number) + " has no pose"};
+    if (!loop.is_in_graph) continue;
+    const std::string name = "loop " + std::to_string(loop.told.number);
+    if (!loop.loop) return Error{name + " has no pose"};
+    if (loop.loop->from == loop.loop->to) return Error{name + " joins a vertex with itself"};
+    if (!is_invertible(loop.loop->covariance)) return Error{name + " has a covariance that is not positive definite"};
+  }
+  for (std::size_t i = 0; i < state.edges.size(); ++i) {
+    const std::optional<Mat6>& covariance = state.edges[i].covariance;
+    if (!covariance || is_invertible(*covariance)) continue;
+    return Error{"edge " + std::to_string(i) + " has a covariance that is not positive definite"};
   }
   for (const OdometryJump& jump : state.noise.jumps) {
     if (jump.edge >= state.edges.size()) return Error{"a jump is in edge " + std::to_string(jump.edge) + ", not there"};

@@ -171,6 +171,9 @@ TEST_F(MapFile, NamesWhatIsWrong) {
   EXPECT_EQ(error_after("DROP TABLE edge"), "no such table: edge");
   EXPECT_EQ(error_after("UPDATE edge SET body = x'00' WHERE number = 3"), "edge 3 = 0 must be an object");
   EXPECT_EQ(error_after("UPDATE edge SET body = x'ff' WHERE number = 3"), "edge 3 is damaged");
+  std::string arrays_in_arrays;
+  for (int i = 0; i < 200000; ++i) arrays_in_arrays += "81";
+  EXPECT_EQ(error_after("UPDATE edge SET body = x'" + arrays_in_arrays + "01' WHERE number = 3"), "edge 3 is damaged");
   EXPECT_EQ(error_after("UPDATE keyframe SET qw = 9.0 WHERE id = 2"), "keyframe 2 has no pose");
   EXPECT_EQ(error_after("UPDATE keyframe SET frame = 1000 WHERE id = 2"),
             "keyframe 2 is of frame 1000, but the next frame is 301");
@@ -186,8 +189,11 @@ TEST_F(MapFile, NamesTheFieldOfAPackedRow) {
   EXPECT_EQ(error_with("edge", "/T_from_to/6", 5.0), "edge 0.T_from_to holds a quaternion that is no rotation");
   EXPECT_EQ(error_with("loop", "/loop/to", 100000), "loop 0 joins vertices that are not there");
   EXPECT_EQ(error_with("loop", "/loop/from", -4294967296), "loop 0.loop.from = -4294967296 is out of range");
+  const std::string covariance = "loop 0 has a covariance that is not positive definite";
+  EXPECT_EQ(error_with("loop", "/loop/covariance/0", -1.0), covariance);
   const std::string id = std::to_string(desk().objects.landmarks.front().state.id);
   EXPECT_EQ(error_with("object", "/state/state", 3), "object " + id + ".state.state = 3 is no state");
+  EXPECT_EQ(error_with("object", "/state/ellipsoid", nullptr), "object " + id + " has no ellipsoid");
   EXPECT_EQ(error_with("object", "/seen_from/3", "far"),
             "object " + id + ".seen_from[3] = \"far\" must be a finite number");
   const std::string submap = "submap " + std::to_string(desk().submaps.front().frame_id);
