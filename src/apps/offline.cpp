@@ -239,6 +239,9 @@ Status load_optional(const Arguments& arguments, RunInputs* inputs) {
     Result<std::shared_ptr<const MapState>> map = read_map(arguments.map, *inputs->classes);
     if (!map) return map.error();
     inputs->earlier_map = *std::move(map);
+    if (arguments.frozen && !arguments.save_map.empty() && is_same_file(arguments.map, arguments.save_map)) {
+      return Error{arguments.save_map + ": is the frozen map, which stays as it is: save under another name"};
+    }
     if (inputs->earlier_map->submaps.empty()) return Error{arguments.map + ": holds no place to be found at"};
     if (!arguments.frozen && inputs->earlier_map->graph.sessions.empty()) {
       return Error{arguments.map + ": holds submaps only, so that it can only be used with --frozen"};

@@ -1,9 +1,11 @@
 #include "semantic_topo_loop/io/map_database.h"
 
+#include <algorithm>
 #include <chrono>
 #include <condition_variable>
 #include <deque>
 #include <filesystem>
+#include <iterator>
 #include <mutex>
 #include <optional>
 #include <thread>
@@ -18,6 +20,7 @@ namespace semantic_topo_loop::core {
 namespace {
 
 constexpr std::chrono::seconds kRetry(1);
+constexpr char kLoaded[] = ".loaded";  // of the name of a map that a session goes on with
 
 Status status_of(const SqliteFile& file) { return file.is_fine() ? Status() : Error{file.problem()}; }
 
@@ -28,6 +31,21 @@ bool is_there(const std::string& path) {
 
 /// What a writer that was killed left in its journal goes into the file, and the journal with it.
 void take_in_journal(SqliteFile* file) { file->run("BEGIN IMMEDIATE; COMMIT; PRAGMA journal_mode = DELETE"); }
+
+/// A stage that could not read the map that the session goes on with tells nothing of it: a file without its part must
+/// not take that map's place.
+void require_earlier(SqliteFile* file) {
+  for (const char* table : {"keyframe", "observation", "submap"}) {
+    const auto count = [&](const char* schema) {
+      return file->number(std::string("SELECT count(*) FROM ") + schema + "." + table +
+                          " WHERE frame <= (SELECT max(frame) FROM earlier.keyframe)");
+    };
+    if (file->is_fine() && count("earlier") > 0 && count("main") == 0) {
+      file->reject(std::string("not replaced by a map without any ") + table +
+                   " of the one that the session goes on with");
+    }
+  }
+}
 
 /// A database that this program writes from now on: who else tries is told so.
 class OpenMap {
@@ -62,12 +80,36 @@ Status check_map_place(const std::string& path) {
   return status_of(file);
 }
 
+Status set_map_aside(const std::string& path) {
+  const std::string aside = path + "~";
+  for (const char* part : {"", "-wal", "-shm"}) {
+    std::error_code code;
+    std::filesystem::remove(aside + part, code);
+    if (!std::filesystem::exists(path + part, code)) continue;
+    std::filesystem::rename(path + part, aside + part, code);
+    if (code) return Error{path + part + ": cannot be renamed to " + aside + part + ": " + code.message()};
+  }
+  return {};
+}
+
+void append(MapDatabase::Parts parts, MapDatabase::Parts* waiting) {
+  if (std::any_of(parts.begin(), parts.end(), [](const auto& part) { return part->graph.has_value(); })) {
+    for (auto& part : *waiting) {
+      if (!part->graph) continue;
+      auto rest = std::make_shared<MapDelta>(*part);
+      rest->graph.reset();
+      part = std::move(rest);
+    }
+  }
+  waiting->insert(waiting->end(), std::make_move_iterator(parts.begin()), std::make_move_iterator(parts.end()));
+}
+
 Result<std::string> link_loaded_map(const std::string& path) {
   if (!is_there(path)) return path;
   SqliteFile file(path, SqliteFile::Mode::kWrite);
   take_in_journal(&file);
   if (file.is_busy()) return Error{file.problem()};
-  const std::string link = path + ".loaded";
+  const std::string link = path + kLoaded;
   std::error_code code;
   std::filesystem::remove(link, code);
   std::filesystem::create_hard_link(path, link, code);
@@ -85,7 +127,8 @@ class MapDatabase::Impl {
 
   void write(Parts parts) {
     const std::lock_guard<std::mutex> lock(mutex_);
-    waiting_.push_back(std::move(parts));
+    if (waiting_.empty()) waiting_.emplace_back();
+    append(std::move(parts), &waiting_.back());
     wake_.notify_one();
   }
 
@@ -100,6 +143,7 @@ class MapDatabase::Impl {
   }
 
   Status close() {
+    const std::lock_guard<std::mutex> closing(closing_);
     {
       const std::lock_guard<std::mutex> lock(mutex_);
       is_closed_ = true;
@@ -110,6 +154,10 @@ class MapDatabase::Impl {
   }
 
   Result<MapCounts> copy_to(const std::string& path) const {
+    for (const char* part : {"", "-wal", "-shm", kLoaded}) {
+      if (is_same_file(path, path_ + part)) return Error{path + ": is a file of the map that is being written"};
+    }
+    if (!is_made()) return Error{path_ + ": nothing is written yet"};
     MapCounts counts;
     const auto copy = [&](const std::string& temporary) -> Status {
       SqliteFile file(path_, SqliteFile::Mode::kRead);
@@ -127,6 +175,11 @@ class MapDatabase::Impl {
   }
 
  private:
+  bool is_made() const {
+    const std::lock_guard<std::mutex> lock(mutex_);
+    return is_made_;
+  }
+
   void run() {
     std::unique_lock<std::mutex> lock(mutex_);
     for (;;) {
@@ -165,6 +218,11 @@ class MapDatabase::Impl {
 
   /// The file with all there is: later ones change rows of it.
   Status make(const Parts& whole) {
+    if (!is_there(path_)) {
+      // Whose journal this is went elsewhere; the new file must not be taken for it.
+      std::error_code code;
+      for (const char* part : {"-wal", "-shm"}) std::filesystem::rename(path_ + part, path_ + part + "~", code);
+    }
     if (const Status place = check_map_place(path_); !place) return place;
     return replace_file(path_, [&](const std::string& temporary) -> Status {
       SqliteFile file(temporary, SqliteFile::Mode::kWrite);
@@ -178,6 +236,7 @@ class MapDatabase::Impl {
       MapTables tables(&file, *classes_);
       tables.write_configuration(configuration_);
       for (const auto& part : whole) tables.write(*part);
+      if (!earlier_.empty()) require_earlier(&file);
       file.run("COMMIT");
       return status_of(file);
     });
@@ -186,6 +245,7 @@ class MapDatabase::Impl {
   const std::string path_;
   const std::shared_ptr<const ClassTable> classes_;
   const std::string configuration_, earlier_;
+  std::mutex closing_;        ///< held while the thread is waited for
   mutable std::mutex mutex_;  ///< guards all below but map_, which is the thread's alone
   std::condition_variable wake_;
   std::deque<Parts> waiting_;

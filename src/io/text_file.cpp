@@ -112,6 +112,18 @@ Status replace_file(const std::string& path, const std::function<Status(const st
   return written ? file.put_in_place() : written;
 }
 
+bool is_same_file(const std::string& a, const std::string& b) {
+  std::error_code missing;
+  if (std::filesystem::equivalent(a, b, missing)) return true;
+  const auto place = [](const std::string& path) {
+    std::error_code code;
+    const auto full = std::filesystem::weakly_canonical(std::filesystem::absolute(path, code), code);
+    return code ? std::filesystem::path() : full;
+  };
+  const std::filesystem::path place_a = place(a);
+  return !place_a.empty() && place_a == place(b);
+}
+
 Status make_directory(const std::string& path) {
   std::error_code code;
   std::filesystem::create_directories(path, code);

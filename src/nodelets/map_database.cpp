@@ -2,7 +2,6 @@
 
 #include <array>
 #include <atomic>
-#include <filesystem>
 #include <memory>
 #include <mutex>
 #include <pluginlib/class_list_macros.hpp>
@@ -13,6 +12,7 @@
 #include "ros/frame_joiner.h"
 #include "ros/stage.h"
 #include "semantic_topo_loop/SaveMap.h"
+#include "semantic_topo_loop/io/text_file.h"
 #include "semantic_topo_loop/io/yaml_files.h"
 
 namespace semantic_topo_loop {
@@ -26,6 +26,9 @@ class MapDatabaseNodelet : public StageWith<MapDatabaseParameters> {
   using Part = MapPartMessage::ConstPtr;
   using Joiner = FrameJoiner<Part, Part, Part>;
   static constexpr char kIncomplete[] = "saved without all stages";
+  static constexpr char kStages[] = "stages";
+  /// By MapPart::stage.
+  static constexpr std::array<const char*, 3> kStageNames = {"PoseGraph", "QuadricMapping", "LoopDetection"};
   static constexpr double kWatchPeriodS = 0.5;
 
   void onInit() override {
@@ -42,6 +45,8 @@ class MapDatabaseNodelet : public StageWith<MapDatabaseParameters> {
     joiner_ = std::make_unique<Joiner>(queue_capacity(), [this](std::int64_t, const Joiner::Partial& parts) {
       std::apply([this](const auto&... part) { (add(part.value_or(nullptr)), ...); }, parts);
       write();
+      const std::string missing = missing_stages();
+      if (!missing.empty()) warn_while(kStages, "no map is written: nothing of it came from " + missing);
     });
     statistics().count(kIncomplete, 0);
     save_at_end([this] { close(); });
@@ -57,12 +62,16 @@ class MapDatabaseNodelet : public StageWith<MapDatabaseParameters> {
     close();
     waiting_.clear();
     has_whole_ = {};
+    warn_while(kStages, "");
     // What another session of this process mapped stays, unless this one has its images again.
-    std::error_code code;
-    if (is_kept_ && !session().rewind) std::filesystem::rename(path_, path_ + "~", code);
-    if (code) complain("maps of earlier sessions that were overwritten", path_ + ": " + code.message());
+    const core::Status aside = is_kept_ && !session().rewind ? core::set_map_aside(path_) : core::Status();
+    if (!aside) complain("maps of earlier sessions that were overwritten", aside.message());
     is_kept_ = false;
+    const bool is_itself = session().frozen && core::is_same_file(path_, session().map_file);
+    if (is_itself) report_written("map", core::Error{path_ + ": is the frozen map, which stays as it is"});
     const std::lock_guard<std::mutex> lock(mutex_);
+    database_.reset();
+    if (is_itself) return;
     database_ =
         std::make_shared<core::MapDatabase>(path_, classes(), core::format_options_yaml(core::list_options(options_)),
                                             session().frozen ? std::string() : session().map_file);
@@ -70,6 +79,7 @@ class MapDatabaseNodelet : public StageWith<MapDatabaseParameters> {
 
   void on_points(const KeyframePointsMessage::ConstPtr& message) {
     if (!message->keyframe_points) return complain("unusable points of keyframes", message->problem);
+    if (!database()) return;
     auto delta = std::make_shared<core::MapDelta>();
     const core::KeyframePoints points = core::reduced(*message->keyframe_points, options_.point_map);
     delta->points.push_back({message->keyframe_id, std::make_shared<const core::KeyframePoints>(points)});
@@ -78,6 +88,7 @@ class MapDatabaseNodelet : public StageWith<MapDatabaseParameters> {
 
   void on_part(const Part& part) {
     if (!part->delta) return complain("unreadable parts of the map", "of frame " + std::to_string(part->frame_id));
+    if (!database()) return;
     std::optional<Joiner::Set> joined;
     switch (part->stage) {
       case MapPart::STAGE_POSE_GRAPH:
@@ -107,11 +118,20 @@ class MapDatabaseNodelet : public StageWith<MapDatabaseParameters> {
     const bool is_whole =
         delta.graph || (delta.objects && delta.objects->is_whole) || (delta.submaps && delta.submaps->is_whole);
     has_whole_.at(part->stage) = has_whole_.at(part->stage) || is_whole;
-    if (has_whole_.at(part->stage)) waiting_.push_back(part->delta);
+    if (has_whole_.at(part->stage)) core::append({part->delta}, &waiting_);
+  }
+
+  std::string missing_stages() const {
+    std::string missing;
+    for (std::size_t stage = 0; stage < has_whole_.size(); ++stage) {
+      if (!has_whole_[stage]) missing += (missing.empty() ? "" : ", ") + std::string(kStageNames[stage]);
+    }
+    return missing;
   }
 
   void write() {
-    if (!has_whole_[0] || !has_whole_[1] || !has_whole_[2]) return;
+    if (!missing_stages().empty()) return;
+    warn_while(kStages, "");
     database()->write(std::exchange(waiting_, {}));
     is_kept_ = true;
     set_unsaved(true);

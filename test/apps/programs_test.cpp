@@ -138,6 +138,8 @@ TEST_F(OfflineProgram, FindsItsPlaceInTheMapOfAnotherRunByObjectsAndSurfaces) {
                              "/camera/tum_fr1.yaml --classes " STL_CONFIG_DIR "/classes_coco.yaml --detections " +
                              *recording + "/detections_yolox_nano.json";
   ASSERT_EQ(run("--rgbd @first --output @one --save-map @map.db" + source), 0) << err_;
+  EXPECT_EQ(run("--rgbd @second --output @two --frozen --map @map.db --save-map @map.db" + source), 1);
+  EXPECT_NE(err_.find("map.db: is the frozen map, which stays as it is"), std::string::npos) << err_;
   ASSERT_EQ(run("--rgbd @second --output @two --frozen --map @map.db" + source), 0) << err_;
   const nlohmann::json found = nlohmann::json::parse(read_whole(directory_.path("two/summary.json")))["relocalisation"];
   ASSERT_TRUE(found.is_object());

@@ -9,6 +9,7 @@
 #include <atomic>
 #include <chrono>
 #include <csignal>
+#include <filesystem>
 #include <memory>
 #include <random>
 #include <sstream>
@@ -253,6 +254,100 @@ TEST_F(MapDatabaseTest, OneProgramWritesAtATime) {
   }
   EXPECT_EQ(checked(read_map(path_, *shared_coco()))->graph.keyframes.size(), run.slam().map()->graph.keyframes.size());
   EXPECT_EQ(check_map_place(path_).message(), "");
+}
+
+TEST_F(MapDatabaseTest, AMapIsNotReplacedByOneThatLostAPartOfIt) {
+  ChainRun run(laps(), shared_coco());
+  for (int i = 0; i < 200; ++i) run.next();
+  const auto whole = run.slam().map();
+  ASSERT_EQ(write_map(path_, *whole, *shared_coco()).message(), "");
+  const std::string before = read_whole(path_);
+  // Stages that did not take the map over, as one whose parameters are wrong.
+  for (const char* lost : {"keyframe", "observation", "submap"}) {
+    ChainRun next(laps(), shared_coco(), {}, whole, 200);
+    next.next();
+    auto delta = std::make_shared<MapDelta>(*next.slam().take_delta());
+    if (lost == std::string("keyframe")) delta->graph = GraphState();
+    if (lost == std::string("observation")) delta->objects->changed.clear();
+    if (lost == std::string("submap")) delta->submaps->added.clear();
+    MapDatabase database(path_, shared_coco(), {}, path_);
+    database.write({delta});
+    EXPECT_NE(database.close().message().find(std::string("without any ") + lost), std::string::npos) << lost;
+    EXPECT_TRUE(read_whole(path_) == before) << lost;
+  }
+}
+
+TEST_F(MapDatabaseTest, AJournalThatWasLeftBehindIsNoPartOfTheNextMap) {
+  ChainRun run(laps(), shared_coco());
+  SavePoints save_points;
+  {
+    MapDatabase first(path_, shared_coco());
+    run_to(100, &run, &save_points, &first);
+    wait_for(first);
+    // As a program that was killed leaves them, moved away without the journal.
+    std::filesystem::copy_file(path_ + "-wal", directory_.path("wal"));
+  }
+  std::filesystem::remove(path_);
+  std::filesystem::rename(directory_.path("wal"), path_ + "-wal");
+  ChainRun other(laps(), shared_coco());
+  for (int i = 0; i < 20; ++i) other.next();
+  MapDatabase second(path_, shared_coco());
+  second.write({other.slam().take_delta()});
+  EXPECT_EQ(second.close().message(), "");
+  ASSERT_EQ(write_map(directory_.path("whole.db"), *other.slam().map(), *shared_coco()).message(), "");
+  EXPECT_TRUE(rows_of(path_) == rows_of(directory_.path("whole.db")));
+}
+
+TEST_F(MapDatabaseTest, AMapIsSetAsideWithItsJournal) {
+  ChainRun run(laps(), shared_coco());
+  SavePoints save_points;
+  MapDatabase database(path_, shared_coco());
+  run_to(100, &run, &save_points, &database);
+  wait_for(database);
+  ASSERT_TRUE(std::filesystem::exists(path_ + "-wal"));
+  directory_.write("map.db~-wal", "of another map");
+  EXPECT_EQ(set_map_aside(path_).message(), "");
+  EXPECT_FALSE(std::filesystem::exists(path_));
+  ASSERT_EQ(write_map(directory_.path("whole.db"), *run.slam().map(), *shared_coco()).message(), "");
+  const auto aside = checked(read_map(path_ + "~", *shared_coco()));
+  EXPECT_GT(aside->graph.keyframes.size(), run.slam().map()->graph.keyframes.size() / 2);
+}
+
+TEST_F(MapDatabaseTest, ACopyDoesNotTakeThePlaceOfTheMapItself) {
+  ChainRun run(laps(), shared_coco());
+  run.next();
+  MapDatabase database(path_, shared_coco());
+  EXPECT_EQ(database.copy_to(directory_.path("copy.db")).message(), path_ + ": nothing is written yet");
+  database.write({run.slam().take_delta()});
+  wait_for(database);
+  std::filesystem::create_symlink(path_, directory_.path("link.db"));
+  for (const std::string& place : {path_, path_ + "-wal", path_ + ".loaded", directory_.path("link.db")}) {
+    EXPECT_EQ(database.copy_to(place).message(), place + ": is a file of the map that is being written");
+  }
+  EXPECT_EQ(checked(database.copy_to(directory_.path("copy.db"))).sessions, 1);
+}
+
+TEST_F(MapDatabaseTest, SeveralMayCloseAtOnce) {
+  ChainRun run(laps(), shared_coco());
+  for (int i = 0; i < 100; ++i) run.next();
+  MapDatabase database(path_, shared_coco());
+  database.write({run.slam().take_delta()});
+  std::thread other([&database] { EXPECT_EQ(database.close().message(), ""); });
+  EXPECT_EQ(database.close().message(), "");
+  other.join();
+  EXPECT_EQ(check_map_place(path_).message(), "");
+}
+
+TEST_F(MapDatabaseTest, OfGraphsThatWaitOnlyTheLastIsKept) {
+  ChainRun run(laps(), shared_coco());
+  MapDatabase::Parts waiting;
+  for (int i = 0; i < 3; ++i) {
+    run.next();
+    append({run.slam().take_delta()}, &waiting);
+  }
+  ASSERT_EQ(waiting.size(), 3U);
+  EXPECT_FALSE(waiting[0]->graph || waiting[1]->graph);
+  EXPECT_TRUE(waiting[0]->objects && waiting[1]->objects && waiting[2]->graph);
 }
 
 TEST_F(MapDatabaseTest, WhatIsNoMapStaysAsItIs) {

@@ -19,8 +19,8 @@ struct MapCounts {
 
 /// A map's file (io/map_file.h) while the map grows: what is new is written by a thread of its own, each time as one
 /// transaction, so that whatever ends the program, what was written before is a map. The first one, which holds all
-/// there is, takes the place of a map that was there. What cannot be written (a full disk) is kept and tried again.
-/// Thread-safe.
+/// there is, takes the place of a map that was there; not of the one that the session goes on with, if it lacks a part
+/// of that. What cannot be written (a full disk) is kept and tried again. Thread-safe.
 class MapDatabase {
  public:
   /// @param configuration kept for who wonders how the map came about
@@ -34,7 +34,8 @@ class MapDatabase {
 
   /// What is written together.
   using Parts = std::vector<std::shared_ptr<const MapDelta>>;
-  /// Returns at once. @param parts of the first call: whole, and of every stage
+  /// Returns at once. What comes while the last cannot be written is written with it.
+  /// @param parts of the first call: whole, and of every stage
   void write(Parts parts);
   /// Whether something waits to be written: who can tell more at once later may wait with it.
   bool is_behind() const;
@@ -44,6 +45,7 @@ class MapDatabase {
   /// What keeps it from writing now.
   Status problem() const;
   /// A copy of what is written, which takes the place of what was there in one go.
+  /// @return an error if nothing is written yet, or the copy would take the place of the map itself
   Result<MapCounts> copy_to(const std::string& path) const;
 
  private:
@@ -53,6 +55,12 @@ class MapDatabase {
 
 /// @return an error if a map cannot be written there: no place, another program writes it, or it is no map's file
 Status check_map_place(const std::string& path);
+
+/// Adds what is to be written after what waits. Of graphs only the last is kept, which says all.
+void append(MapDatabase::Parts parts, MapDatabase::Parts* waiting);
+
+/// Renames a map to FILE~, with what is in its journal yet, in place of one that is there.
+Status set_map_aside(const std::string& path);
 
 /// A name under which a map stays as it is now, although another takes its place: a link beside it, FILE.loaded, or its
 /// own name where no link can be made.   @return an error if another program writes it

@@ -29,6 +29,9 @@ Status write_files(const FileTexts& files);
 /// The same for a file that a library writes. @param write into the file of the name that it is given, there and empty
 Status replace_file(const std::string& path, const std::function<Status(const std::string&)>& write);
 
+/// Whether two names lead to one file, by links too; of files that are not there, whether they would.
+bool is_same_file(const std::string& a, const std::string& b);
+
 /// Succeeds if the directory is there already.
 Status make_directory(const std::string& path);
 
