@@ -63,6 +63,8 @@ class ObjectDetectorNodelet : public StageWith<ObjectDetectorParameters> {
       return push("color", Keep::kAlways, [this, image] {
         waiting_.push_back(image);
         look_at_waiting();
+        // No player sends so many before it is answered: these are, by failures.
+        for (; waiting_.size() > queue_capacity(); waiting_.pop_front()) leave_out(waiting_.front()->header);
       });
     }
     statistics().count_input("color");
@@ -82,6 +84,7 @@ class ObjectDetectorNodelet : public StageWith<ObjectDetectorParameters> {
     const ros::Time stamp = frame->is_end ? ros::TIME_MAX : frame->header.stamp;
     roll_rad_[stamp] = has_pose ? up_->roll_rad(frame->T_odom_camera.q) : 0.0;
     if (parameters_.lockstep) look_at_waiting();
+    while (roll_rad_.size() > queue_capacity()) roll_rad_.erase(roll_rad_.begin());
   }
 
   /// Images whose frame has come, or a later one, so that none will.

@@ -30,7 +30,7 @@ class RgbdFrontendNodelet : public StageWith<RgbdFrontendParameters, FrontendSta
   void onInit() override {
     if (!start(1)) return;
     std::shared_ptr<TfPoses> transforms;
-    if (!parameters_.base_frame.empty()) {
+    if (parameters_.publish_odom_tf) {
       // Only the camera's place on the robot is asked for: a rigid part, whose gaps do not matter.
       constexpr double kMaxGapS = 1.0;
       transforms = std::make_shared<TfPoses>(parameters_.odom_frame, kMaxGapS);

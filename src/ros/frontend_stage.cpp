@@ -91,9 +91,10 @@ bool FrontendStage::on_load_map(LoadMap::Request& request, LoadMap::Response& re
   const auto loaded = ask("load_map", [this, file = *place, frozen = request.frozen != 0] {
     const core::Status map = set_map(file, frozen);
     if (map) begin_session("load_map was called");
+    if (!map) complain("maps that were not loaded", map.message());  // who asked may not have waited
     return map;
   });
-  if (!loaded) response.message += ": is being read";
+  if (!loaded) answer(core::Result<std::string>(core::Error{*place + ": is still being read"}), &response);
   if (loaded && !*loaded) answer(core::Result<std::string>(loaded->error()), &response);
   return true;
 }
@@ -189,6 +190,16 @@ bool FrontendStage::accept(std::int64_t stamp_ns) {
     publish_done(stamp_ns, FrameDone::STATUS_FAILED);
     return false;
   }
+  if (is_over_ && last_stamp_ns_ && stamp_ns > *last_stamp_ns_ - kJumpBack_ns) {
+    // What was on its way still is late; a camera that goes on begins anew, since frames after the end would be
+    // nobody's.
+    constexpr std::int64_t kLate_ns = 1'000'000'000;
+    if (stamp_ns <= *last_stamp_ns_ + kLate_ns) {
+      fail_image(stamp_ns, "images after the end of the stream", "stamp " + std::to_string(stamp_ns) + " ns");
+      return false;
+    }
+    begin_session("images after the end of the stream");
+  }
   is_over_ = false;
   image_watch_.hear_image();
   if (is_before_rewind(stamp_ns)) {
@@ -264,7 +275,7 @@ void FrontendStage::publish_frame(core::Frame frame) {
 
 void FrontendStage::publish_odom_tf(const core::Frame& frame) {
   core::SE3 T_odom_child = frame.T_odom_camera;
-  std::string child = parameters_.base_frame.empty() ? camera_frame_ : parameters_.base_frame;
+  std::string child = parameters_.base_frame.empty() ? transforms_->root(camera_frame_) : parameters_.base_frame;
   if (child != camera_frame_ && !transforms_->is_mounted(camera_frame_)) {
     // Its place on the robot may come yet. If it does not, the camera is all that there is to move.
     constexpr std::int64_t kPatience_ns = 1'000'000'000;

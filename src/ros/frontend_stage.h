@@ -33,7 +33,7 @@ class FrontendStage : public Stage {
   }
 
   /// Reads the calibration, advertises, and makes the session the worker's first task.
-  /// @param transforms filled from tf; null if tf is not needed   @return false after fail()
+  /// @param transforms filled from tf; null if tf is neither read nor sent   @return false after fail()
   bool open(const core::KeyframeOptions& options, const FrontendParameters& parameters,
             std::shared_ptr<TfPoses> transforms);
   /// Follows tf, camera_info and the end of the stream, watches that images come and give frames, and lets the worker

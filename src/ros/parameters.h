@@ -68,7 +68,8 @@ struct FrontendParameters : FileStageParameters<ClassStageParameters> {
     visitor("camera_file", camera_file, core::any(),
             "calibration that replaces camera_info's, see config/camera; empty: none");
     visitor("odom_frame", odom_frame, core::given(), "tf frame of the odometry");
-    visitor("base_frame", base_frame, core::any(), "tf frame that publish_odom_tf moves; empty: the camera's");
+    visitor("base_frame", base_frame, core::any(),
+            "tf frame that publish_odom_tf moves; empty: the root of the camera's tree in tf, which may be the camera");
     visitor("camera_frame", camera_frame, core::any(), "tf frame of the camera's optical frame; empty: camera_info's");
     visitor("publish_odom_tf", publish_odom_tf, "send odom_frame -> base_frame, for poses that are not in tf");
     visitor("map_file", map_file, core::any(), "map of earlier sessions that this one goes on with; empty: none");
@@ -101,7 +102,7 @@ struct PoseFrontendParameters : FrontendParameters {
                     "false with pose_source tf, where somebody else sends it");
   }
   /// Whether a pose source other than tf reads tf too.
-  bool needs_tf() const { return pose_source != "file" || !base_frame.empty(); }
+  bool needs_tf() const { return pose_source != "file" || publish_odom_tf; }
 };
 
 /// How colour and depth images of two topics are joined.

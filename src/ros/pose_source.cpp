@@ -106,11 +106,6 @@ std::vector<std::string> TfPoses::ancestors(const std::string& frame) const {
   return frames;
 }
 
-bool TfPoses::is_mounted(const std::string& frame) const {
-  std::string parent;
-  return buffer_._getParent(frame, ros::Time(), parent) && parent != odom_frame_;
-}
-
 bool TfPoses::is_needed(const std::string& child) const {
   return asked_.empty() || std::any_of(asked_.begin(), asked_.end(), [this, &child](const std::string& frame) {
            const std::vector<std::string> frames = ancestors(frame);
@@ -120,7 +115,7 @@ bool TfPoses::is_needed(const std::string& child) const {
 
 PoseSource::Answer TfPoses::at(std::int64_t stamp_ns, const std::string& camera_frame) {
   asked_.insert(camera_frame);
-  const std::string child = ancestors(camera_frame).back();
+  const std::string child = root(camera_frame);
   std::string parent;
   if (!buffer_._getParent(child, ros::Time(), parent) || parent != odom_frame_) {
     return {Status::kNotYet, {}, "tf has no chain from '" + odom_frame_ + "' down to '" + camera_frame + "'"};

@@ -67,7 +67,9 @@ class TfPoses : public PoseSource {
   /// T_target_source at a stamp as tf2 interpolates it, without the check of gaps: for the rigid part of a robot.
   std::optional<core::SE3> find(const std::string& target, const std::string& source, std::int64_t stamp_ns);
   /// Whether a frame hangs on another than the odometry's.
-  bool is_mounted(const std::string& frame) const;
+  bool is_mounted(const std::string& frame) const { return root(frame) != frame; }
+  /// The frame that a frame hangs on in the end, below the odometry's; itself if it hangs on none.
+  std::string root(const std::string& frame) const { return ancestors(frame).back(); }
 
  private:
   core::Status add(const geometry_msgs::TransformStamped& transform, bool is_static);

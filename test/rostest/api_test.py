@@ -67,7 +67,7 @@ class ApiTest(DirectoryTest):
         own = {
             'PoseFrontend': {'pose_source': 'odometry', 'trigger': 'detections', 'use_points': True,
                              'publish_odom_tf': True},
-            'RgbdFrontend': {'base_frame': 'base_link', 'publish_odom_tf': True},
+            'RgbdFrontend': {'publish_odom_tf': True},
             'ObjectDetector': {'detector/model': model},
             'MapDatabase': {'save_map_file': cls.path('map.db')},
             'Recorder': {'output_dir': cls.path('results')},

@@ -12,6 +12,7 @@ import rostest
 from geometry_msgs.msg import TransformStamped
 from nav_msgs.msg import Odometry
 from sensor_msgs.msg import CameraInfo, Image, PointCloud2, PointField
+from std_msgs.msg import Empty
 from std_srvs.srv import Trigger
 from tf2_msgs.msg import TFMessage
 
@@ -272,6 +273,21 @@ class TfTest(DetectorTest):
         self.see(40.307, with_detections=False)
         self.assertIsNotNone(self.frames.at(40.307))
         self.assertTrue(wait_until(lambda: summary() == 'working', 4), summary())
+
+    def test_8_a_camera_that_goes_on_after_the_end_begins_a_session(self):
+        before = self.control.messages[-1].session_id
+        end = self.publisher('/%s/end_of_stream' % PACKAGE, Empty)
+        self.assertTrue(wait_until(lambda: end.get_num_connections() > 0, 10))
+        end.publish()
+        self.assertTrue(wait_until(lambda: self.frames.messages[-1].is_end, 10))
+        self.move(41.0, 44.0)
+        self.see(40.607, with_detections=False)
+        self.assert_status(40.607, FrameDone.STATUS_FAILED)
+        self.assertEqual(self.control.messages[-1].session_id, before)
+        self.see(43.007, with_detections=False)
+        self.assertIsNotNone(self.frames.at(43.007))
+        self.assertEqual(self.frames.at(43.007).session_id, before + 1)
+        self.assertEqual(self.frames.at(43.007).frame_id, 0)
 
 
 class OdometryTest(DetectorTest):

@@ -8,12 +8,15 @@ import rosbag
 import rospkg
 import rospy
 import rostest
+from geometry_msgs.msg import TransformStamped
+from tf2_msgs.msg import TFMessage
 
 from playback import PACKAGE, DirectoryTest, Launch, run_program
 from vision_msgs.msg import Detection2D, Detection2DArray, ObjectHypothesisWithPose
 
 MOST_LINES = 15
 WIDTH, HEIGHT, FOCAL = 320, 240, 262.5
+ROOT = 'camera_link'  # of the driver's tf
 
 
 def setUpModule():
@@ -27,6 +30,16 @@ def launch_file_of_tutorial():
 
 def topic_in(launch, name):
     return re.search('<arg name="%s" value="(.*?)"' % name, launch).group(1)
+
+
+def driver_tf(frame):
+    """The optical frame as a camera's driver hangs it up."""
+    edge = TransformStamped(child_frame_id=frame)
+    edge.header.frame_id = ROOT
+    edge.transform.translation.x = 0.02
+    edge.transform.rotation.x, edge.transform.rotation.y, edge.transform.rotation.z, edge.transform.rotation.w = (
+        -0.5, 0.5, -0.5, 0.5)
+    return TFMessage([edge])
 
 
 def detected(image):
@@ -45,7 +58,7 @@ def detected(image):
 
 class TutorialTest(DirectoryTest):
     def write_bag(self, launch):
-        """A rendered recording with the launch file's topics and nothing else."""
+        """A rendered recording with the launch file's topics and the driver's tf, and nothing else."""
         with open(self.path('camera.yaml'), 'w') as file:
             file.write('fx: %g\nfy: %g\ncx: 160\ncy: 120\nwidth: %d\nheight: %d\ndistortion: [0, 0, 0, 0, 0]\n' % (
                 FOCAL, FOCAL, WIDTH, HEIGHT))
@@ -58,7 +71,10 @@ class TutorialTest(DirectoryTest):
             messages = {message.header.stamp: message for message in map(detected, json.load(file))}
         images = 0
         with rosbag.Bag(self.path('my.bag'), 'w') as bag:
-            for topic, message, time in rosbag.Bag(self.path('sim/sequence.bag')).read_messages(topics=own):
+            for i, (topic, message, time) in enumerate(
+                    rosbag.Bag(self.path('sim/sequence.bag')).read_messages(topics=own)):
+                if i == 0:
+                    bag.write('/tf_static', driver_tf(message.header.frame_id), time)
                 if topic.endswith('camera_info'):
                     message.K = [FOCAL, 0.0, 160.0, 0.0, FOCAL, 120.0, 0.0, 0.0, 1.0]
                 bag.write(topic_in(launch, own[topic]), message, time)
@@ -74,10 +90,15 @@ class TutorialTest(DirectoryTest):
         with open(self.path('my_bag.launch'), 'w') as file:
             file.write(launch_file)
         images = self.write_bag(launch_file)
+        edges = set()
+        tf = rospy.Subscriber('/tf', TFMessage, lambda message: edges.update(
+            (edge.header.frame_id, edge.child_frame_id) for edge in message.transforms))
         launch = Launch(self.path('my_bag.launch'), bag=self.path('my.bag'), output=self.path('map'), rviz='false')
         ended = launch.wait(120)
         launch.stop()
+        tf.unregister()
         self.assertTrue(ended, launch.output())
+        self.assertEqual({edge for edge in edges if edge[0] == 'odom'}, {('odom', ROOT)}, 'no second parent for the camera')
         with open(self.path('map/summary.json')) as file:
             summary = json.load(file)
         # Those that came before every stage was up are missing.
