@@ -162,7 +162,8 @@ struct PoseGraph::Impl {
 
   /// Where a camera behind the last keyframe is in the map.
   SE3 place(const SE3& T_odom_camera) const {
-    if (!has_free_scale() || keyframes_.empty()) return T_map_odom_ * T_odom_camera;
+    // Those of earlier sessions are none of this odometry.
+    if (!has_free_scale() || keyframes_.size() == restored_) return T_map_odom_ * T_odom_camera;
     const Sim3 S_map_keyframe(trajectory_.T_map_vertex.back(), std::exp(log_scale_.back()));
     return S_map_keyframe.pose(T_odom_keyframe_.inverse() * T_odom_camera);
   }

@@ -5,6 +5,7 @@
 #include <limits>
 
 #include "geometry/relative_pose.h"
+#include "pose_graph/graph_state.h"
 #include "pose_graph/scale/scaled_trajectory.h"
 #include "semantic_topo_loop/geometry/lie.h"
 #include "support/synthetic_run.h"
@@ -195,6 +196,20 @@ TEST(FreeScale, MapFromOdometryPlacesEveryNewFrame) {
     EXPECT_EQ(correction.scale, graph.keyframes().back().scale);
   }
   EXPECT_TRUE(has_changed);
+}
+
+TEST(FreeScale, ALaterSessionBeginsWhereItIsSaidToStand) {
+  const SyntheticRun run = monocular_run();
+  PoseGraph first(free_scale());
+  for (int k = 0; k < 20; ++k) first.process(run.frame(k), {});
+  PoseGraph second(free_scale());
+  const SE3 T_map_odom(Quaternion(so3_exp({0.0, 0.0, 1.0})), {30.0, 0.0, 0.0});
+  second.restore(first.state(), T_map_odom);
+  for (int k = 20; k < 25; ++k) {
+    const MapCorrection correction = second.process(run.frame(k), {});
+    EXPECT_LT((correction.T_map_odom.t - T_map_odom.t).norm(), 1e-9) << k;
+    EXPECT_LT((second.keyframes().back().T_map_camera.t - (T_map_odom * run.odometry(k)).t).norm(), 1e-9) << k;
+  }
 }
 
 TEST(FreeScale, ALoopTheOtherWayRoundSaysTheSame) {
