@@ -108,7 +108,7 @@ Value drift(OptionTexts* options) {
 Command make_command(bool is_for_bags, Arguments* arguments) {
   Command command{
       "",
-      "--output DIR [--seed N] [--layout desk|office] [--duration S] [--rate HZ]\n"
+      "--output DIR [--seed N] [--layout desk|office|house] [--duration S] [--rate HZ]\n"
       "                [--drift smooth|jump:METRES:DEGREES] [--set key=value ...] [--camera YAML] [--classes YAML]\n"
       "                [--images true|false] [--threads N]\n"
       "                [--bag FILE] [--bag-images true|false] [--bag-compression bz2|lz4|none]",
