@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <iterator>
 
 #include "semantic_topo_loop/geometry/lie.h"
 
@@ -186,11 +187,14 @@ void judge_pairs(const JudgedLoops& loops, const TruePoses& truth, LoopEvaluatio
   }
   result->pair_precision.total = static_cast<int>(loops.size());
   for (int query = 0; query < truth.size(); query += kLoopLimits.query_stride_frames) {
+    JudgedLoops holding;
+    std::copy_if(loops.begin(), loops.end(), std::back_inserter(holding),
+                 [&](const JudgedLoop* loop) { return loop->holds_query(truth.stamp_ns(query)); });
     for (int match = 0; match < query; match += kLoopLimits.query_stride_frames) {
       if (!truth.is_revisit(query, match, kLoopLimits.revisit)) continue;
       ++result->pair_recall.total;
-      result->pair_recall.right += std::any_of(loops.begin(), loops.end(), [&](const JudgedLoop* loop) {
-        return loop->holds_query(truth.stamp_ns(query)) && loop->holds_match(truth.stamp_ns(match));
+      result->pair_recall.right += std::any_of(holding.begin(), holding.end(), [&](const JudgedLoop* loop) {
+        return loop->holds_match(truth.stamp_ns(match));
       });
     }
   }
