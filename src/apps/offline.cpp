@@ -24,6 +24,7 @@
 #include "semantic_topo_loop/io/rgbd_recording.h"
 #include "semantic_topo_loop/io/run_files.h"
 #include "semantic_topo_loop/io/run_recorder.h"
+#include "semantic_topo_loop/io/text_file.h"
 #include "semantic_topo_loop/io/tum_trajectory.h"
 #include "semantic_topo_loop/io/yaml_files.h"
 #include "semantic_topo_loop/map/point_map.h"

@@ -9,6 +9,7 @@
 #include "apps/program.h"
 #include "semantic_topo_loop/io/detection_file.h"
 #include "semantic_topo_loop/io/run_files.h"
+#include "semantic_topo_loop/io/text_file.h"
 #include "semantic_topo_loop/io/yaml_files.h"
 #include "tools/perturbation/perturbation.h"
 
@@ -24,10 +25,8 @@ struct DetectionArguments {
 };
 
 Status check(DetectionArguments* arguments) {
-  std::error_code unused;
-  if (std::filesystem::equivalent(arguments->input, arguments->output, unused)) {
+  if (is_same_file(arguments->input, arguments->output))
     return Error{"'" + arguments->output + "' is the input itself"};
-  }
   return default_to_package("classes_coco.yaml", "--classes", &arguments->classes);
 }
 

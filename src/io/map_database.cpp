@@ -20,7 +20,9 @@ namespace semantic_topo_loop::core {
 namespace {
 
 constexpr std::chrono::seconds kRetry(1);
-constexpr char kLoaded[] = ".loaded";  // of the name of a map that a session goes on with
+// What follows a map's name: of the one that a session goes on with, and of what is not in the file yet.
+constexpr char kLoaded[] = ".loaded";
+constexpr const char* kJournals[] = {"-wal", "-shm"};
 
 Status status_of(const SqliteFile& file) { return file.is_fine() ? Status() : Error{file.problem()}; }
 
@@ -82,13 +84,11 @@ Status check_map_place(const std::string& path) {
 
 Status set_map_aside(const std::string& path) {
   const std::string aside = path + "~";
-  for (const char* part : {"", "-wal", "-shm"}) {
-    std::error_code code;
-    std::filesystem::remove(aside + part, code);
-    if (!std::filesystem::exists(path + part, code)) continue;
-    std::filesystem::rename(path + part, aside + part, code);
-    if (code) return Error{path + part + ": cannot be renamed to " + aside + part + ": " + code.message()};
-  }
+  std::error_code code, none;
+  for (const char* journal : kJournals) std::filesystem::remove(aside + journal, none);
+  std::filesystem::rename(path, aside, code);
+  if (code) return Error{path + ": cannot be renamed to " + aside + ": " + code.message()};
+  for (const char* journal : kJournals) std::filesystem::rename(path + journal, aside + journal, none);
   return {};
 }
 
@@ -154,7 +154,7 @@ class MapDatabase::Impl {
   }
 
   Result<MapCounts> copy_to(const std::string& path) const {
-    for (const char* part : {"", "-wal", "-shm", kLoaded}) {
+    for (const char* part : {"", kLoaded, kJournals[0], kJournals[1]}) {
       if (is_same_file(path, path_ + part)) return Error{path + ": is a file of the map that is being written"};
     }
     if (!is_made()) return Error{path_ + ": nothing is written yet"};
@@ -209,7 +209,11 @@ class MapDatabase::Impl {
   }
 
   Status write_now(const Parts& parts, bool is_first) {
-    if (is_first) return make(parts);
+    if (is_first) {
+      Status made = make(parts);
+      if (made) map_.emplace(path_, *classes_);  // from now on nobody else writes it
+      return made;
+    }
     if (!map_) map_.emplace(path_, *classes_);
     const Status written = map_->write(parts);
     if (!written) map_.reset();  // what was begun is undone
@@ -221,7 +225,7 @@ class MapDatabase::Impl {
     if (!is_there(path_)) {
       // Whose journal this is went elsewhere; the new file must not be taken for it.
       std::error_code code;
-      for (const char* part : {"-wal", "-shm"}) std::filesystem::rename(path_ + part, path_ + part + "~", code);
+      for (const char* journal : kJournals) std::filesystem::rename(path_ + journal, path_ + journal + "~", code);
     }
     if (const Status place = check_map_place(path_); !place) return place;
     return replace_file(path_, [&](const std::string& temporary) -> Status {

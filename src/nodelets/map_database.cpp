@@ -68,7 +68,8 @@ class MapDatabaseNodelet : public StageWith<MapDatabaseParameters> {
     if (!aside) complain("maps of earlier sessions that were overwritten", aside.message());
     is_kept_ = false;
     const bool is_itself = session().frozen && core::is_same_file(path_, session().map_file);
-    if (is_itself) report_written("map", core::Error{path_ + ": is the frozen map, which stays as it is"});
+    warn_while("frozen map",
+               is_itself ? "no map is written: " + path_ + ": is the frozen map, which stays as it is" : std::string());
     const std::lock_guard<std::mutex> lock(mutex_);
     database_.reset();
     if (is_itself) return;
