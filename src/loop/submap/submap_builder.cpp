@@ -114,8 +114,8 @@ class Clustering {
 
   /// A point in a camera; no box fits it if its depth is less than kMinDepth_m.
   struct Projection {
-    Vec2 uv;
-    double depth;
+    Vec2 uv = Vec2::Zero();
+    double depth = 0.0;
   };
   Projection project(const Vec3& point, int frame) const {
     const Vec3 p = frames_[static_cast<std::size_t>(frame)].to_camera(point);
