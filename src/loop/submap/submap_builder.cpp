@@ -74,8 +74,9 @@ class Clustering {
       const Vec2 size(ray.box.width(), ray.box.height());
       targets_.push_back({ray.box.center(), size, ray.box.size(), ray.frame, ray.truncated, ray.is_placed()});
     }
-    open_.resize(rays.size());
-    std::iota(open_.begin(), open_.end(), 0);
+    std::vector<int> all(rays.size());
+    std::iota(all.begin(), all.end(), 0);
+    set_open(std::move(all));
   }
 
   std::vector<RayCluster> run() {
@@ -103,6 +104,14 @@ class Clustering {
   const BoxRay& ray(int i) const { return rays_[static_cast<std::size_t>(i)]; }
   const LocalFrame& frame_of(int i) const { return frames_[static_cast<std::size_t>(ray(i).frame)]; }
   const Target& target(int i) const { return targets_[static_cast<std::size_t>(i)]; }
+
+  void set_open(std::vector<int> open) {
+    open_ = std::move(open);
+    open_frames_ = 0;
+    for (std::size_t k = 0; k < open_.size(); ++k) {
+      if (k == 0 || target(open_[k]).frame != target(open_[k - 1]).frame) ++open_frames_;
+    }
+  }
 
   /// The boxes that tell a place and belong to no cluster yet.
   std::vector<int> unused() const {
@@ -180,59 +189,75 @@ class Clustering {
   /// The points that most of a track's boxes agree on.
   void propose(std::vector<int> members, std::vector<Vec3>* points) const {
     for (int round = 0; round < kGroupRounds && members.size() >= 3; ++round) {
-      std::size_t best_votes = 0;
-      Vec3 best = Vec3::Zero();
+      std::size_t best_votes = 2;
+      std::optional<Vec3> best;
       for (const Vec3& point : pair_points(members, kPairsPerGroup)) {
-        const auto votes = static_cast<std::size_t>(
-            std::count_if(members.begin(), members.end(), [&](int i) { return is_near(point, i, kVoteOffset); }));
-        if (votes > best_votes) {
-          best_votes = votes;
-          best = point;
-        }
+        const std::size_t votes = votes_among(members, point, best_votes);
+        if (votes <= best_votes) continue;
+        best_votes = votes;
+        best = point;
       }
-      if (best_votes < 3) return;
-      points->push_back(best);
+      if (!best) return;
+      points->push_back(*best);
       members.erase(
-          std::remove_if(members.begin(), members.end(), [&](int i) { return is_near(best, i, kMemberOffset); }),
+          std::remove_if(members.begin(), members.end(), [&](int i) { return is_near(*best, i, kMemberOffset); }),
           members.end());
     }
   }
 
-  int votes(const Vec3& point) const {
-    int votes = 0, last_frame = -1, frame = -1;
+  /// @param least counted to the end only as long as it can be more than this
+  std::size_t votes_among(const std::vector<int>& members, const Vec3& point, std::size_t least) const {
+    std::size_t votes = 0;
+    for (std::size_t k = 0; k < members.size() && votes + members.size() - k > least; ++k) {
+      votes += is_near(point, members[k], kVoteOffset) ? 1 : 0;
+    }
+    return votes;
+  }
+
+  /// Frames with an open box that fits the point.
+  /// @param least counted to the end only as long as it can be so many   @return then the count, else a bound from
+  /// above
+  int votes(const Vec3& point, int least) const {
+    int most = open_frames_, frame = -1;
+    bool has_vote = true;
     Projection projection;
     for (const int i : open_) {
       const Target& box = target(i);
-      if (box.frame == last_frame) continue;
-      if (box.frame != frame) projection = project(point, box.frame);
-      frame = box.frame;
-      if (!is_near(projection, box, kVoteOffset)) continue;
-      last_frame = frame;
-      ++votes;
+      if (box.frame != frame) {
+        most -= has_vote ? 0 : 1;
+        if (most < least) return most;
+        frame = box.frame;
+        projection = project(point, frame);
+        has_vote = false;
+      }
+      has_vote = has_vote || is_near(projection, box, kVoteOffset);
     }
-    return votes;
+    return most - (has_vote ? 0 : 1);
   }
 
   /// Turns points into clusters, the best supported first; each box belongs to one cluster.
   void gather(std::vector<Vec3> points) {
     // Votes only fall as boxes are used up, so that an old count bounds the new one from above.
     std::vector<int> bounds(points.size(), std::numeric_limits<int>::max());
+    int most = options_.min_views;  // of the votes that are counted to the end, or fewer
     while (!points.empty()) {
       const auto best = static_cast<std::size_t>(std::max_element(bounds.begin(), bounds.end()) - bounds.begin());
-      const int best_votes = votes(points[best]);
+      const int best_votes = votes(points[best], most);
       if (best_votes < bounds[best]) {
         bounds[best] = best_votes;
+        most = std::max(most, best_votes);
         continue;
       }
       if (best_votes < options_.min_views) return;
       const std::optional<RayCluster> cluster = refine(points[best]);
       points.erase(points.begin() + static_cast<std::ptrdiff_t>(best));
       bounds.erase(bounds.begin() + static_cast<std::ptrdiff_t>(best));
+      most = options_.min_views;
       if (!cluster) continue;
       std::vector<int> open;
       std::set_difference(open_.begin(), open_.end(), cluster->rays.begin(), cluster->rays.end(),
                           std::back_inserter(open));
-      open_ = std::move(open);
+      set_open(std::move(open));
       const bool is_placed = cluster->placed >= options_.min_views;
       if (is_placed || cluster->parallax_rad >= radians(options_.min_parallax_deg)) clusters_.push_back(*cluster);
     }
@@ -328,6 +353,7 @@ class Clustering {
   const LoopOptions& options_;
   std::vector<Target> targets_;  ///< one a ray
   std::vector<int> open_;        ///< rays that belong to no cluster yet, ascending
+  int open_frames_ = 0;          ///< that have such rays
   std::vector<RayCluster> clusters_;
 };
 
