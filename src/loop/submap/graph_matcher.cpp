@@ -149,7 +149,9 @@ class Matching {
     const int n = static_cast<int>(points.size());
     Eigen::MatrixXd result(n, n);
     for (int i = 0; i < n; ++i) {
-      for (int j = 0; j < n; ++j) result(i, j) = (at(points, i).position - at(points, j).position).norm();
+      for (int j = 0; j <= i; ++j) {
+        result(i, j) = result(j, i) = (at(points, i).position - at(points, j).position).norm();
+      }
     }
     return result;
   }
