@@ -17,25 +17,26 @@ constexpr double kFitSigmaPx = 4.0;         ///< of a box edge, as the default o
 constexpr double kLogAxisPriorSigma = 0.5;  ///< a factor of 1.6: the boxes of a short arc leave the shape loose
 constexpr double kMinHalfSize_m = 0.01;     ///< of an object at the start of its fit
 
-/// Entry (i, j) of the dual conic with its derivatives by centre, axis and log axes.
+/// Entry (i, j) of the dual conic with its derivatives by the log axes; those by the other vectors have one or two
+/// numbers that are not 0.
 struct ConicEntry {
   double value;
-  Vec3 d_center = Vec3::Zero();
-  Vec3 d_axis = Vec3::Zero();
   Vec2 d_log_axes;
 };
 
 ConicEntry conic_entry(int i, int j, const Vec3& c, const Vec3& w, double a2, double b2) {
-  ConicEntry entry;
   const double diagonal = i == j ? 1.0 : 0.0;
   const double ww = w(i) * w(j);
-  entry.value = a2 * diagonal + (b2 - a2) * ww - c(i) * c(j);
-  entry.d_center(i) -= c(j);
-  entry.d_center(j) -= c(i);
-  entry.d_axis(i) += (b2 - a2) * w(j);
-  entry.d_axis(j) += (b2 - a2) * w(i);
-  entry.d_log_axes = Vec2(2.0 * a2 * (diagonal - ww), 2.0 * b2 * ww);
-  return entry;
+  return {a2 * diagonal + (b2 - a2) * ww - c(i) * c(j), Vec2(2.0 * a2 * (diagonal - ww), 2.0 * b2 * ww)};
+}
+
+/// Derivative of f(v_i v_i, v_i v_z, v_z v_z) by v; with a multiple of v, of its products times that.
+/// @param gradient of f
+Eigen::RowVector3d by_products(const Vec3& gradient, int i, const Vec3& v) {
+  Eigen::RowVector3d row = Eigen::RowVector3d::Zero();
+  row(i) = gradient(0) * (2.0 * v(i)) + gradient(1) * v.z();
+  row(2) = gradient(1) * v(i) + gradient(2) * (2.0 * v.z());
+  return row;
 }
 
 /// Tangent lines u of C_ii - 2 u C_i2 + u^2 C_22 = 0; f(C_ii, C_i2, C_22) and its gradient.
@@ -156,8 +157,8 @@ std::optional<SpheroidProjection> project_spheroid(const Vec3& c, const Vec3& w,
       const int row = 2 * side + i;
       const Vec3& g = line->gradient;
       projection.edges(row) = line->u;
-      projection.d_center.row(row) = (g(0) * C_ii.d_center + g(1) * C_i2.d_center + g(2) * C_22.d_center).transpose();
-      projection.d_axis.row(row) = (g(0) * C_ii.d_axis + g(1) * C_i2.d_axis + g(2) * C_22.d_axis).transpose();
+      projection.d_center.row(row) = by_products(g, i, -c);
+      projection.d_axis.row(row) = by_products(g, i, (b2 - a2) * w);
       projection.d_log_axes.row(row) =
           (g(0) * C_ii.d_log_axes + g(1) * C_i2.d_log_axes + g(2) * C_22.d_log_axes).transpose();
     }

@@ -138,7 +138,7 @@ struct Equations {
   }
 
   /// Eliminates the objects (Schur complement).
-  /// @return information of knots and drifts, its lower triangle
+  /// @return information of knots and drifts, its lower triangle; its root, if the step was asked for
   Eigen::MatrixXd reduce(double damping, const Unknowns& unknowns, Unknowns* next) const {
     Eigen::MatrixXd S = H;
     S.diagonal() *= 1.0 + damping;
@@ -159,7 +159,7 @@ struct Equations {
       }
     }
     if (next == nullptr) return S;
-    const Eigen::VectorXd step = -S.selfadjointView<Eigen::Lower>().llt().solve(b);
+    const Eigen::VectorXd step = -Eigen::LLT<Eigen::Ref<Eigen::MatrixXd>>(S).solve(b);  // in the place of S
     *next = unknowns;
     Eigen::Index row = 0;
     for (SE3& pose : next->T_odom_knot) {
@@ -223,19 +223,26 @@ void add_odometry(const Problem& problem, const Unknowns& unknowns, Equations* e
   H.diagonal().segment<6>(6 * problem.anchor).array() += kFixed;
 }
 
-/// An object in the camera of a view.
+/// An object as its views share it.
+struct SizedPoint {
+  explicit SizedPoint(const Vec5& object) : center(object.head<3>()), half(object.tail<2>().array().exp()) {}
+
+  Vec3 center;  ///< m
+  Vec2 half;    ///< of its width and height, m
+};
+
+/// The same in the camera of a view.
 struct Projection {
   Vec3 in_camera;
-  Vec2 half;
   Vec4 residual;  ///< sides predicted less those of the box, in sigmas; 0 where they are cut
 };
 
-std::optional<Projection> project(const View& view, const SE3& T_odom_camera, const Vec5& object) {
-  const Vec3 p = T_odom_camera.q.conjugate() * (object.head<3>() - T_odom_camera.t);
+std::optional<Projection> project(const View& view, const SE3& T_odom_camera, const SizedPoint& object) {
+  const Vec3 p = T_odom_camera.q.conjugate() * (object.center - T_odom_camera.t);
   if (p.z() < kMinDepth_m) return std::nullopt;
-  Projection projection{p, object.tail<2>().array().exp(), Vec4::Zero()};
+  Projection projection{p, Vec4::Zero()};
   Vec4 sides;
-  sides << p.head<2>() - projection.half, p.head<2>() + projection.half;
+  sides << p.head<2>() - object.half, p.head<2>() + object.half;
   const Vec4 off = (sides / p.z() - view.box.edges()) / view.sigma;
   for (int side = 0; side < 4; ++side) projection.residual(side) = view.bounds(side) ? off(side) : 0.0;
   return projection;
@@ -244,7 +251,8 @@ std::optional<Projection> project(const View& view, const SE3& T_odom_camera, co
 /// Of the sum over four sides, two of which make a place: what Cauchy's loss makes of it.
 double box_loss(double squares) { return 2.0 * squared(kBoxDoubt) * std::log1p(0.5 * squares / squared(kBoxDoubt)); }
 
-void add_view(const View& view, const SE3& T_odom_camera, std::size_t k, const Vec5& object, Equations* equations) {
+void add_view(const View& view, const SE3& T_odom_camera, std::size_t k, const SizedPoint& object,
+              Equations* equations) {
   const std::optional<Projection> projection = project(view, T_odom_camera, object);
   if (!projection) {
     equations->cost += kBoxWeight * box_loss(kUnseenChi2);
@@ -254,7 +262,7 @@ void add_view(const View& view, const SE3& T_odom_camera, std::size_t k, const V
   equations->cost += kBoxWeight * box_loss(r.squaredNorm());
   const double weight = kBoxWeight / (1.0 + 0.5 * r.squaredNorm() / squared(kBoxDoubt));
   const Vec3& p = projection->in_camera;
-  const Vec2& half = projection->half;
+  const Vec2& half = object.half;
   const double z = p.z();
   Eigen::Matrix<double, 4, 3> by_point;
   by_point << 1.0, 0.0, -(p.x() - half.x()) / z, 0.0, 1.0, -(p.y() - half.y()) / z, 1.0, 0.0, -(p.x() + half.x()) / z,
@@ -267,7 +275,7 @@ void add_view(const View& view, const SE3& T_odom_camera, std::size_t k, const V
     if (!view.bounds(side)) J_object.row(side).setZero();
   }
   Eigen::Matrix<double, 4, 6> J_knot;
-  J_knot << -J_object.leftCols<3>(), J_object.leftCols<3>() * hat(object.head<3>() - T_odom_camera.t);
+  J_knot << -J_object.leftCols<3>(), J_object.leftCols<3>() * hat(object.center - T_odom_camera.t);
   const Eigen::Index row = 6 * view.knot;
   equations->H.block<6, 6>(row, row) += weight * J_knot.transpose() * J_knot;
   equations->g.segment<6>(row) += weight * J_knot.transpose() * r;
@@ -290,9 +298,11 @@ Vec5 start_of(const std::vector<View>& views, const std::vector<SE3>& T_odom_kno
     Vec5 object;
     object << T_odom_knot[static_cast<std::size_t>(wholest.knot)] * Vec3(z * center.x(), z * center.y(), z),
         std::log(0.5 * z * wholest.box.width()), std::log(0.5 * z * wholest.box.height());
+    const SizedPoint sized(object);
     double cost = kUsualWeight * squared(std::log(z / kUsual_m));
     for (const View& view : views) {
-      const auto projection = project(view, T_odom_knot[static_cast<std::size_t>(view.knot)], object);
+      if (cost >= least) break;  // no view makes it less
+      const auto projection = project(view, T_odom_knot[static_cast<std::size_t>(view.knot)], sized);
       cost += std::log1p((projection ? projection->residual.squaredNorm() : kUnseenChi2) / (2.0 * squared(kTolerance)));
     }
     if (cost >= least) continue;
@@ -375,8 +385,9 @@ bool solve(const Problem& problem, Unknowns* unknowns, Equations* equations) {
     normal->reset(problem, at);
     add_odometry(problem, at, normal);
     for (std::size_t k = 0; k < problem.tracks.size(); ++k) {
+      const SizedPoint object(at.objects[k]);
       for (const View& view : problem.tracks[k].views) {
-        add_view(view, at.T_odom_knot[static_cast<std::size_t>(view.knot)], k, at.objects[k], normal);
+        add_view(view, at.T_odom_knot[static_cast<std::size_t>(view.knot)], k, object, normal);
       }
     }
     return std::isfinite(normal->cost);
@@ -393,9 +404,9 @@ bool solve(const Problem& problem, Unknowns* unknowns, Equations* equations) {
 std::optional<double> box_variance(const Problem& problem, const Unknowns& unknowns) {
   std::vector<double> squares;
   for (std::size_t k = 0; k < problem.tracks.size(); ++k) {
+    const SizedPoint object(unknowns.objects[k]);
     for (const View& view : problem.tracks[k].views) {
-      const auto projection =
-          project(view, unknowns.T_odom_knot[static_cast<std::size_t>(view.knot)], unknowns.objects[k]);
+      const auto projection = project(view, unknowns.T_odom_knot[static_cast<std::size_t>(view.knot)], object);
       for (int side = 0; side < 4 && projection; ++side) {
         if (view.bounds(side)) squares.push_back(squared(projection->residual(side)));
       }
@@ -419,8 +430,8 @@ void add(const Vec6& error, const Vec6& variances, const Vec6& prior, double per
 
 /// R of R^T R = information^-1, lower triangular: of it and of L no more is computed than is not zero.
 /// @param information its lower triangle, in blocks of 6
-Eigen::MatrixXd covariance_root(const Eigen::MatrixXd& information) {
-  const Eigen::LLT<Eigen::MatrixXd> llt = information.selfadjointView<Eigen::Lower>().llt();
+Eigen::MatrixXd covariance_root(Eigen::MatrixXd information) {
+  const Eigen::LLT<Eigen::Ref<Eigen::MatrixXd>> llt(information);
   const auto n = information.rows();
   Eigen::MatrixXd root = Eigen::MatrixXd::Identity(n, n);
   for (Eigen::Index begin = 0; begin < n; begin += 6) {
