@@ -141,7 +141,7 @@ struct LandmarkRecord {
 };
 
 struct MappedLandmark : LandmarkRecord {
-  std::vector<Observation> observations;  ///< bounded: thinned evenly when too many
+  std::vector<Observation> observations;  ///< bounded: thinned when too many, where most are
 };
 
 /// The corrected keyframes and the camera: what turns observations into views.

@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <map>
+#include <numeric>
 #include <optional>
 #include <set>
 #include <utility>
@@ -26,6 +27,30 @@ constexpr double kStepMax_s = 0.2;              // the time that a frame stands 
 constexpr double kSureScore = 0.5;              // of a detector, from which on a box counts in full
 constexpr double kTurned_rad = 0.2;             // of a correction: half of a bin of SeenFrom, less stays in its bin
 constexpr double kUndoReach = 1.5;              // of the distance up to which two landmarks may merge
+
+/// Half of the boxes go, or more, of those keyframes that most are of: all frames of a camera that stands still are of
+/// one, and must not crowd out the views from elsewhere.
+void thin(std::vector<Observation>* observations) {
+  std::map<std::int64_t, std::size_t> boxes;  // by keyframe
+  for (const Observation& observation : *observations) ++boxes[observation.keyframe_id];
+  const std::size_t wanted = observations->size() / 2;
+  const auto kept = [&boxes](std::size_t most) {
+    return std::accumulate(boxes.begin(), boxes.end(), std::size_t{0}, [most](std::size_t sum, const auto& keyframe) {
+      return sum + std::min(keyframe.second, most);
+    });
+  };
+  std::size_t most = 0;  // of one keyframe
+  while (kept(most + 1) <= wanted) ++most;
+  if (most == 0) return halve(observations);
+  std::vector<Observation> some;
+  std::map<std::int64_t, std::size_t> passed;
+  for (const Observation& observation : *observations) {
+    const std::size_t count = std::max(boxes.at(observation.keyframe_id), most);
+    const std::size_t i = passed[observation.keyframe_id]++;
+    if ((i + 1) * most / count > i * most / count) some.push_back(observation);
+  }
+  *observations = std::move(some);
+}
 
 }  // namespace
 
@@ -239,7 +264,7 @@ struct QuadricMapper::Impl {
            association.class_id,
            {T_keyframe_camera, association.box, truncated, association.has_depth() ? association.near_m : 0.0}});
       if (landmark.observations.size() > kObservationsMax) {
-        halve(&landmark.observations);
+        thin(&landmark.observations);
         note_rewritten(id);
       }
       landmark.state.class_id = association.landmark_class_id;
@@ -403,7 +428,7 @@ struct QuadricMapper::Impl {
     landmarks_.erase(merged_id);
     for (const std::int64_t id : {merged_id, survivor_id}) note_rewritten(id);
     update->merged.push_back({merged_id, survivor_id});
-    while (survivor.observations.size() > kObservationsMax) halve(&survivor.observations);
+    while (survivor.observations.size() > kObservationsMax) thin(&survivor.observations);
     changed_.insert(survivor_id);
     fit(&survivor);
   }

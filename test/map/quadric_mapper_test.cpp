@@ -1,10 +1,12 @@
 #include <gtest/gtest.h>
 
+#include <algorithm>
 #include <cmath>
 #include <limits>
 #include <random>
 
 #include "map/landmark_fitter.h"
+#include "map/mapper_state.h"
 #include "map/merging.h"
 #include "map/quadric_fit.h"
 #include "semantic_topo_loop/geometry/lie.h"
@@ -222,6 +224,19 @@ TEST_F(MapperTest, ASlowDetectorConfirmsAsSoonAsAFastOne) {
     ASSERT_TRUE(confirmed_at);
     EXPECT_LT(*confirmed_at, 60U);
   }
+}
+
+TEST_F(MapperTest, AParkedCameraLeavesTheViewsFromElsewhere) {
+  const std::vector<SE3> poses = arc(60, 90.0);
+  for (const SE3& pose : poses) step(pose, {{0, 41, kCup}});
+  makes_keyframes_ = false;  // as of a camera that stands still
+  for (int i = 0; i < 5000; ++i) step(poses.back(), {{0, 41, kCup}});
+  end();
+  const std::vector<Observation> boxes = mapper_.state().landmarks.at(0).observations;
+  EXPECT_LE(boxes.size(), 1200U);
+  const auto before = [](const Observation& box) { return box.frame_id < 55; };
+  EXPECT_EQ(std::count_if(boxes.begin(), boxes.end(), before), 55) << "all that hang on keyframes of their own";
+  EXPECT_GT(find(0)->baseline_deg, 50.0);
 }
 
 TEST_F(MapperTest, WhatNobodyLookedForIsNotMissed) {

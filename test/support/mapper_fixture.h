@@ -34,8 +34,9 @@ class MapperFixture : public ::testing::Test {
     Frame frame;
     frame.frame_id = next_frame_;
     frame.stamp_ns = next_frame_ * 33333333;
-    frame.is_keyframe = next_frame_ % 5 == 0;
-    frame.keyframe_id = next_frame_ / 5;
+    frame.is_keyframe = makes_keyframes_ && next_frame_ % 5 == 0;
+    if (frame.is_keyframe) keyframe_id_ = next_frame_ / 5;
+    frame.keyframe_id = keyframe_id_;
     frame.T_odom_camera = pose;
     frame.camera = kMapperCamera;
     ++next_frame_;
@@ -85,7 +86,8 @@ class MapperFixture : public ::testing::Test {
   std::shared_ptr<const ClassTable> classes_;
   QuadricMapper mapper_;
   std::vector<Landmark> landmarks_;
-  std::int64_t next_frame_ = 0;
+  std::int64_t next_frame_ = 0, keyframe_id_ = 0;
+  bool makes_keyframes_ = true;  ///< every fifth frame is one
 };
 
 }  // namespace semantic_topo_loop::core::testing
