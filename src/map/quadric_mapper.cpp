@@ -86,10 +86,13 @@ struct QuadricMapper::Impl {
 
   /// Takes in what the detector saw, and what it missed.
   void look(const Frame& frame, const AssociationFrame& associations) {
+    const auto keyframe = T_odom_keyframe_.find(frame.keyframe_id);
+    if (keyframe == T_odom_keyframe_.end()) return;  // only after a dropped keyframe: nothing to hang the boxes on
+    const SE3 T_keyframe_camera = keyframe->second.inverse() * frame.T_odom_camera;
     begin_step(frame.stamp_ns);
     std::optional<FramePoints> points;
     if (frame.points_camera) points.emplace(*frame.points_camera, frame.camera);
-    add_observations(frame, points ? &*points : nullptr, associations);
+    add_observations(frame, T_keyframe_camera, points ? &*points : nullptr, associations);
     count_expected(frame, points ? &*points : nullptr, associations);
   }
 
@@ -241,10 +244,8 @@ struct QuadricMapper::Impl {
     S_map_keyframe_[frame.keyframe_id] = Sim3(T_map_odom_ * frame.T_odom_camera, scale_);
   }
 
-  void add_observations(const Frame& frame, const FramePoints* points, const AssociationFrame& associations) {
-    const auto keyframe = T_odom_keyframe_.find(frame.keyframe_id);
-    if (keyframe == T_odom_keyframe_.end()) return;  // only after a dropped keyframe: nothing to hang the boxes on
-    const SE3 T_keyframe_camera = keyframe->second.inverse() * frame.T_odom_camera;
+  void add_observations(const Frame& frame, const SE3& T_keyframe_camera, const FramePoints* points,
+                        const AssociationFrame& associations) {
     for (const Association& association : associations.associations) {
       if (association.landmark_id < 0) continue;
       const std::int64_t id = merges_.resolve(association.landmark_id);

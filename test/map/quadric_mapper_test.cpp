@@ -250,6 +250,19 @@ TEST_F(MapperTest, WhatNobodyLookedForIsNotMissed) {
   EXPECT_GE(find(0)->quality, quality);
 }
 
+/// In real time a keyframe may be dropped: the boxes of its frames have nothing to hang on.
+TEST_F(MapperTest, WhatIsSeenAfterALostKeyframeIsNotMissed) {
+  const std::vector<SE3> poses = arc(120, 120.0);
+  for (const SE3& pose : poses) step(pose, {{0, 41, kCup}});
+  ASSERT_EQ(find(0)->state, LandmarkState::kConfirmed);
+  const int observations = find(0)->observations;
+  makes_keyframes_ = false;
+  keyframe_id_ = 1000;  // of which the mapper never heard
+  for (std::size_t i = 0; i < 900; ++i) EXPECT_TRUE(step(poses[i % 120], {{0, 41, kCup}}).changed.empty());
+  EXPECT_EQ(find(0)->observations, observations);
+  EXPECT_EQ(find(0)->state, LandmarkState::kConfirmed);
+}
+
 TEST_F(MapperTest, ObjectWithoutParallaxStaysACandidate) {
   for (int i = 0; i < 60; ++i) step(arc(60, 1.0)[static_cast<std::size_t>(i)], {{0, 41, kCup}});
   EXPECT_EQ(find(0)->state, LandmarkState::kCandidate);
