@@ -73,8 +73,6 @@ void PointMap::insert(std::int64_t keyframe_id, Keyframe keyframe) {
 }
 
 void PointMap::apply(const MapCorrection& correction) {
-  // With a free scale map -> odom moves between solutions, too.
-  if (!correction.changed && correction.scale == scale_ && scale_ == 1.0) return;
   T_map_odom_ = correction.T_map_odom;
   scale_ = correction.scale;
   if (!correction.changed) return;

@@ -127,7 +127,7 @@ void restore_points(const MapState& map, PointMap* points) {
     while (keyframe->pose.keyframe_id < of.keyframe_id) ++keyframe;  // each has one: see leave_out_unplaced
     points->restore(of, Sim3(keyframe->pose.T_map_camera, keyframe->pose.scale));
   }
-  points->begin_session();
+  points->begin_session(place_beside(map));
 }
 
 std::vector<std::int64_t> objects_under(const MapPoints& points, const MapState& map) {

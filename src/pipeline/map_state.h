@@ -53,7 +53,7 @@ class SavePoints {
 /// Where something unplaced stands, so that nothing of the map is taken for what it shows: some way beside it, along x.
 SE3 place_beside(const MapState& map);
 
-/// Takes the points of a map's sessions into a point map, which begins a further one.
+/// Takes the points of a map's sessions into a point map, which begins a further one beside them.
 void restore_points(const MapState& map, PointMap* points);
 
 /// The objects that points lie on: the confirmed one that a point is deepest in, within a tenth of its size.

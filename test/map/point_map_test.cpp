@@ -71,6 +71,21 @@ TEST(PointMap, PointsMoveWithTheirKeyframesAndNewerOnesWithTheOdometry) {
   EXPECT_LT((points[3].cast<double>() - correction.T_map_odom * (at(0.3) * p)).norm(), 1e-5);
 }
 
+TEST(PointMap, NewKeyframesStandWhereTheLastCorrectionPutsTheOdometry) {
+  PointMap map{PointMapOptions()};
+  const SE3 T_map_odom(so3_exp(Vec3(0.1, 0.2, 0.3)), Vec3(1.0, 2.0, 3.0));
+  map.begin_session(T_map_odom);
+  map.add(keyframe(0, at(0.1), {{}, line(1, 0.1F)}));
+  MapCorrection correction;
+  correction.T_map_odom = at(0.7) * T_map_odom;
+  map.apply(correction);  // no keyframe moved
+  map.add(keyframe(1, at(0.2), {{}, line(1, 0.1F)}));
+  const Points points = map.points().semi_dense;
+  ASSERT_EQ(points.size(), 2U);
+  EXPECT_LT((points[0].cast<double>() - T_map_odom * (at(0.1) * Vec3(0.0, 0.0, 1.0))).norm(), 1e-5);
+  EXPECT_LT((points[1].cast<double>() - correction.T_map_odom * (at(0.2) * Vec3(0.0, 0.0, 1.0))).norm(), 1e-5);
+}
+
 TEST(PointMap, SessionsNumberTheirPointsAnew) {
   PointMap map{PointMapOptions()};
   map.begin_session();

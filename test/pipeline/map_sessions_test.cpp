@@ -154,6 +154,25 @@ TEST_F(MapSessions, AnotherPlaceStandsBesideTheMap) {
   EXPECT_NE(merge_maps(*map, *other, Options(), classes_).joined.message(), "");
 }
 
+TEST(MapState, PointsOfALaterSessionStandBesideTheMap) {
+  const auto points = std::make_shared<const KeyframePoints>(KeyframePoints{{}, {{0.0F, 0.0F, 1.0F}}});
+  MapState map;
+  map.graph.sessions.emplace_back();
+  map.graph.keyframes.emplace_back().pose.keyframe_id = 0;
+  map.points = {{0, points}};
+  PointMap point_map{PointMapOptions()};
+  restore_points(map, &point_map);
+  Frame frame;
+  frame.is_keyframe = true;
+  frame.keyframe_id = 1;
+  frame.keyframe_points = points;
+  point_map.add(frame);
+  const std::vector<Eigen::Vector3f> placed = point_map.points().semi_dense;
+  ASSERT_EQ(placed.size(), 2U);
+  EXPECT_EQ(placed[0], Eigen::Vector3f(0.0F, 0.0F, 1.0F));
+  EXPECT_LT((placed[1].cast<double>() - place_beside(map) * Vec3::UnitZ()).norm(), 1e-5);
+}
+
 /// The map of another camera: what its boxes show stays where it is.
 TEST(MapState, BoxesOfAnotherCameraKeepTheirRays) {
   MapState map, other;

@@ -50,7 +50,11 @@ class PointMap {
   explicit PointMap(const PointMapOptions& options) : options_(options) {}
 
   /// What comes from here on is of a further session, whose front end numbers its points anew.
-  void begin_session() { ++session_; }
+  /// @param T_map_odom where it stands for now
+  void begin_session(const SE3& T_map_odom = {}) {
+    ++session_;
+    T_map_odom_ = T_map_odom;
+  }
   /// Takes in a keyframe of an earlier session. @param S_map_camera where it is
   void restore(const PointsOfKeyframe& keyframe, const Sim3& S_map_camera);
   /// Takes in the points of a keyframe; other frames change nothing.
