@@ -144,7 +144,9 @@ MergedMaps merge_maps(const MapState& a, MapState b, const Options& options,
     const bool is_between = verdict.match_keyframe_id < first_of_b && verdict.query_keyframe_id >= first_of_b;
     merged.kept_loops += is_between && verdict.kept ? 1 : 0;
   }
-  merged.map = slam.map();
+  auto map = std::make_shared<MapState>(*slam.map());
+  map->points = std::move(both.points);  // of the same keyframes, which they follow
+  merged.map = std::move(map);
   merged.joined = check_join(merged, first_of_b, options.loop);
   return merged;
 }

@@ -91,7 +91,9 @@ class MapMerging : public ::testing::Test {
 const Robot *MapMerging::first_ = nullptr, *MapMerging::second_ = nullptr, *MapMerging::apart_ = nullptr;
 
 TEST_F(MapMerging, RobotsThatShareRoomsMakeOneMap) {
-  const MapState &a = *first_->map, &b = *second_->map;
+  MapState a = *first_->map, b = *second_->map;
+  const auto points = std::make_shared<const KeyframePoints>(KeyframePoints{{}, {{0.0F, 0.0F, 1.0F}}});
+  for (MapState* map : {&a, &b}) map->points = {{1, points}};
   const MergedMaps merged = merge_maps(a, b, Options(), shared_coco());
   ASSERT_EQ(merged.joined.message(), "");
   const MapState& map = *merged.map;
@@ -100,6 +102,9 @@ TEST_F(MapMerging, RobotsThatShareRoomsMakeOneMap) {
   const std::int64_t second = map.graph.sessions[1].first_keyframe_id, end = map.graph.next_keyframe_id();
   EXPECT_LE(ate_m(map, 0, second, first_->sequence), 1.5 * ate_m(a, 0, second, first_->sequence));
   EXPECT_LE(ate_m(map, second, end, second_->sequence), 1.5 * ate_m(b, 0, end, second_->sequence));
+  ASSERT_EQ(map.points.size(), 2U);
+  EXPECT_EQ(map.points[0].keyframe_id, 1);
+  EXPECT_EQ(map.points[1].keyframe_id, second + 1);
   int common = 0;
   for (const MappedLandmark& landmark : map.objects.landmarks) {
     if (landmark.state.state != LandmarkState::kConfirmed) continue;
