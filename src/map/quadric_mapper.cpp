@@ -351,8 +351,10 @@ struct QuadricMapper::Impl {
       const double unseen_s = 1e-9 * static_cast<double>(stamp_ns - landmark.last_stamp_ns);
       const bool is_short = landmark.sightings.seen_s < options_.forget_candidate_seen_s;
       const bool is_candidate = landmark.state.state == LandmarkState::kCandidate;
-      if ((!is_short || unseen_s <= options_.forget_candidate_s) &&
-          (!is_candidate || unseen_s <= options_.forget_unconfirmed_s)) {
+      const bool is_stale = (is_short && unseen_s > options_.forget_candidate_s) ||
+                            (is_candidate && unseen_s > options_.forget_unconfirmed_s);
+      // What the session before had as an object may be unseen for days, and is to be found gone.
+      if (!is_stale || landmark.was_confirmed) {
         ++it;
         continue;
       }

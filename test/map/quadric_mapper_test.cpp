@@ -370,6 +370,26 @@ TEST_F(MapperTest, OfWhatIsUnseenForMinutesOnlyCandidatesAreGivenUp) {
   EXPECT_NE(find(0), nullptr);
 }
 
+/// A list of changes is to say that it is gone.
+TEST_F(MapperTest, WhatWasAnObjectInTheSessionBeforeIsNotGivenUp) {
+  Ellipsoid book = kCup;
+  book.T_world_quadric.t += Vec3(0.3, -0.3, 0.0);
+  for (const SE3& pose : arc(60, 90.0)) step(pose, {{0, 41, kCup}});
+  for (const SE3& pose : arc(30, 1.0)) step(pose, {{1, 73, book}});  // without parallax
+  ASSERT_EQ(find(0)->state, LandmarkState::kConfirmed);
+  QuadricMapperOptions options;
+  options.confirm_seen_s = 60.0;
+  begin_session(options);
+  ASSERT_EQ(find(0)->state, LandmarkState::kCandidate);
+  next_frame_ += 54000;  // half an hour
+  const SE3 away = look_at(Vec3(1.5, 0.0, 0.8), Vec3(5.0, 0.0, 0.0));
+  Ellipsoid far = kCup;
+  far.T_world_quadric.t = Vec3(4.0, 0.0, 0.2);
+  for (int i = 0; i < 60; ++i) step(away, {{2, 62, far}});
+  EXPECT_NE(find(0), nullptr);
+  EXPECT_EQ(find(1), nullptr) << "which never was one";
+}
+
 TEST_F(MapperTest, NeverSeenAgainWhereExpectedIsRetired) {
   const std::vector<SE3> poses = arc(60, 90.0);
   for (int i = 0; i < 11; ++i) step(poses[static_cast<std::size_t>(i) * 5], {{0, 41, kCup}});

@@ -7,6 +7,7 @@
 #include <vector>
 
 #include "geometry/depth_points.h"
+#include "map/mapper_state.h"
 #include "semantic_topo_loop/geometry/quadric.h"
 #include "semantic_topo_loop/map/mapper_options.h"
 #include "semantic_topo_loop/map/quadric_mapper.h"
@@ -35,7 +36,10 @@ class MapperFixture : public ::testing::Test {
     frame.frame_id = next_frame_;
     frame.stamp_ns = next_frame_ * 33333333;
     frame.is_keyframe = makes_keyframes_ && next_frame_ % 5 == 0;
-    if (frame.is_keyframe) keyframe_id_ = next_frame_ / 5;
+    if (frame.is_keyframe) {
+      keyframe_id_ = next_frame_ / 5;
+      keyframes_.push_back({keyframe_id_, frame.frame_id, frame.stamp_ns, pose});
+    }
     frame.keyframe_id = keyframe_id_;
     frame.T_odom_camera = pose;
     frame.camera = kMapperCamera;
@@ -75,6 +79,13 @@ class MapperFixture : public ::testing::Test {
     return mapper_.integrate(frame, associations);
   }
 
+  /// A later session goes on with the map, in the frame of the one before.
+  void begin_session(const QuadricMapperOptions& options = {}) {
+    MapperState state = mapper_.state();
+    mapper_ = QuadricMapper(options, classes_);
+    mapper_.restore(std::move(state), keyframes_, {});
+  }
+
   const Landmark* find(std::int64_t id) {
     landmarks_ = mapper_.landmarks();
     for (const Landmark& landmark : landmarks_) {
@@ -86,6 +97,7 @@ class MapperFixture : public ::testing::Test {
   std::shared_ptr<const ClassTable> classes_;
   QuadricMapper mapper_;
   std::vector<Landmark> landmarks_;
+  std::vector<KeyframePose> keyframes_;
   std::int64_t next_frame_ = 0, keyframe_id_ = 0;
   bool makes_keyframes_ = true;  ///< every fifth frame is one
 };
