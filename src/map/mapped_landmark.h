@@ -93,6 +93,10 @@ class SeenFrom {
     }
     *this = turned;
   }
+  /// With the camera: as large as a box there is in the pixels of another.
+  void scale(double factor) {
+    for (float& smallest : smallest_px_) smallest *= static_cast<float>(factor);
+  }
   bool covers(const Vec3& direction_map, double box_size_px) const {
     const float smallest = smallest_px_[bin(direction_map)];
     return smallest > 0.0F && box_size_px >= static_cast<double>(smallest);

@@ -29,8 +29,8 @@ struct MapperState {
   std::vector<MappedLandmark> landmarks;  ///< in order of id
 };
 
-/// Takes boxes from the pixels of one camera to those of another, which sees along the same rays.
+/// Takes a landmark's boxes from the pixels of one camera to those of another, which sees along the same rays.
 /// @return false, and all as it was, if their pixels are the same
-bool move_boxes(const Camera& from, const Camera& to, std::vector<Observation>* observations);
+bool move_boxes(const Camera& from, const Camera& to, MappedLandmark* landmark);
 
 }  // namespace semantic_topo_loop::core

@@ -175,7 +175,7 @@ struct QuadricMapper::Impl {
   /// Boxes are kept in the pixels of one camera.
   void take_camera(const Camera& camera) {
     for (auto& [id, landmark] : landmarks_) {
-      if (!move_boxes(camera_, camera, &landmark.observations)) break;
+      if (!move_boxes(camera_, camera, &landmark)) break;
       note_rewritten(id);
     }
     camera_ = camera;

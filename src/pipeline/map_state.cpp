@@ -97,7 +97,7 @@ void MapState::append(MapState other) {
   graph.append(std::move(other.graph));
   if (objects.landmarks.empty()) objects.camera = other.objects.camera;
   for (MappedLandmark& landmark : other.objects.landmarks) {
-    move_boxes(other.objects.camera, objects.camera, &landmark.observations);
+    move_boxes(other.objects.camera, objects.camera, &landmark);
     raise_ids(frames, keyframes, landmarks, &landmark);
     objects.landmarks.push_back(std::move(landmark));
   }

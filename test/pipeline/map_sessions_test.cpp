@@ -173,7 +173,7 @@ TEST(MapState, PointsOfALaterSessionStandBesideTheMap) {
   EXPECT_LT((placed[1].cast<double>() - place_beside(map) * Vec3::UnitZ()).norm(), 1e-5);
 }
 
-/// The map of another camera: what its boxes show stays where it is.
+/// The map of another camera: what its boxes show stays where it is, and was seen from as far.
 TEST(MapState, BoxesOfAnotherCameraKeepTheirRays) {
   MapState map, other;
   map.objects.camera = camera_fr2();
@@ -183,12 +183,17 @@ TEST(MapState, BoxesOfAnotherCameraKeepTheirRays) {
   landmark.state.id = 2;
   Observation& observation = landmark.observations.emplace_back();
   observation.view.box = {5.0, 6.0, 20.0, 15.0};
+  landmark.seen_from.add(Vec3::UnitX(), 10.0);
   map.append(other);
   ASSERT_EQ(map.objects.landmarks.size(), 2U);
   EXPECT_EQ(map.objects.landmarks[1].state.id, 7);
   const Box& box = map.objects.landmarks[1].observations[0].view.box;
   const Vec2 corner(box.x2, box.y2);
   EXPECT_LT((camera_fr2().ray(corner) - small_camera().ray({20.0, 15.0})).norm(), 1e-12);
+  const double size_px = 10.0 * std::sqrt(camera_fr2().fx * camera_fr2().fy) / small_camera().fx;
+  const SeenFrom& seen_from = map.objects.landmarks[1].seen_from;
+  EXPECT_TRUE(seen_from.covers(Vec3::UnitX(), 1.01 * size_px));
+  EXPECT_FALSE(seen_from.covers(Vec3::UnitX(), 0.99 * size_px)) << "farther away";
   EXPECT_EQ(map.objects.camera.fx, camera_fr2().fx);
 }
 
