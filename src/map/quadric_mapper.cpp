@@ -166,6 +166,8 @@ struct QuadricMapper::Impl {
     for (MappedLandmark& landmark : state.landmarks) {
       changed_.insert(landmark.state.id);
       landmark.was_confirmed = landmark.state.state == LandmarkState::kConfirmed;
+      // Merges are settled, and the ids of what went in them are given out again.
+      for (Observation& observation : landmark.observations) observation.source_id = landmark.state.id;
       landmarks_[landmark.state.id] = std::move(landmark);
     }
     end_update(&update);

@@ -514,6 +514,40 @@ TEST_F(MapperTest, MergeIsUndoneWhenACorrectionPullsTheTwoApart) {
   EXPECT_LT((find(1)->ellipsoid->center() - T_new_old * kCup.center()).norm(), 0.01);
 }
 
+/// The id of what was merged away is given out again in the next session, which undoes a merge of its own.
+TEST_F(MapperTest, AMergeUndoneTakesNoBoxesOfAnEarlierSession) {
+  QuadricMapperOptions options;
+  options.maintenance_interval_s = 1e6;  // duplicates are looked for at the end only
+  mapper_ = QuadricMapper(options, classes_);
+  const auto map_as = [this](std::int64_t id) {
+    for (const SE3& pose : arc(60, 90.0)) step(pose, {{id, 41, kCup}});
+  };
+  map_as(0);
+  map_as(1);
+  ASSERT_EQ(end().merged.size(), 1U);
+  ASSERT_NE(find(0), nullptr);
+  begin_session(options);
+  const std::size_t first = keyframes_.size();
+  map_as(1);
+  ASSERT_EQ(end().merged.size(), 1U);
+
+  const SE3 T_new_old(Quaternion::Identity(), Vec3(1.0, 0.0, 0.0));
+  MapCorrection correction;
+  correction.frame_id = next_frame_;
+  correction.changed = true;
+  correction.T_map_odom = T_new_old;
+  correction.valid_to_keyframe_id = keyframe_id_;
+  for (std::size_t i = first; i < keyframes_.size(); ++i) {
+    correction.keyframes.push_back(keyframes_[i]);
+    correction.keyframes.back().T_map_camera = T_new_old * keyframes_[i].T_map_camera;
+  }
+  ASSERT_EQ(mapper_.apply(correction).unmerged.size(), 1U);
+  const MapperState state = mapper_.state();
+  ASSERT_EQ(state.landmarks.size(), 2U);
+  EXPECT_EQ(state.landmarks[0].observations.size(), 120U);
+  EXPECT_EQ(state.landmarks[1].observations.size(), 60U);
+}
+
 /// A landmark is given up with what its neighbours know of it: as its own neighbour it would be read while it goes.
 TEST(MergeHistory, ALandmarkIsNotSeenBesideItself) {
   MappedLandmark survivor, merged;
