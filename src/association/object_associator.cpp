@@ -181,7 +181,9 @@ struct ObjectAssociator::Impl {
       association.score = detection.score;
       association.box = camera.undistort(detection.box);
       association.truncated = truncated_sides(detection.box, camera.width, camera.height, options_.border_px);
-      if (!classes_->is_mappable(detection.class_id)) {
+      const bool is_in_view = association.box.is_valid();  // and not where the lens model holds no longer
+      if (!is_in_view) association.box = {};
+      if (!is_in_view || !classes_->is_mappable(detection.class_id)) {
         association.level = AssociationLevel::kIgnored;
       } else if (detection.score < options_.min_score) {
         association.level = AssociationLevel::kLowScore;

@@ -155,6 +155,20 @@ TEST_P(EveryMode, LeavesOutDynamicIgnoredLowAndCoveredBoxes) {
   for (int i = 0; i < 5; ++i) EXPECT_EQ(result.associations[static_cast<std::size_t>(i)].detection_index, i);
 }
 
+/// Near a corner that the lens model does not reach, undistorting turns boxes inside out, or gives no number.
+TEST_P(EveryMode, LeavesOutBoxesThatTheLensModelDoesNotReach) {
+  ObjectAssociator associator(options(GetParam()), classes());
+  Frame frame = frame_at(0);
+  frame.camera.distortion[0] = -0.5;
+  const Box corner{540.0, 300.0, 639.0, 400.0};
+  ASSERT_FALSE(frame.camera.undistort(corner).is_valid());
+  const AssociationFrame result = associator.associate(frame, {{kCup, 0.9, corner}, {kCup, 0.8, box_at(300.0, 220.0)}});
+  EXPECT_EQ(result.associations[0].level, AssociationLevel::kIgnored);
+  EXPECT_EQ(result.associations[0].landmark_id, -1);
+  EXPECT_TRUE(result.associations[0].box.is_finite());
+  EXPECT_EQ(result.associations[1].level, AssociationLevel::kNew);
+}
+
 TEST(ObjectAssociator, JointGivesEachLandmarkOneBoxWhereTheCascadeGivesTwo) {
   for (const bool joint : {true, false}) {
     ObjectAssociator associator(options(joint ? "joint" : "cascade"), classes());

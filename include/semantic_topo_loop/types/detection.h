@@ -30,7 +30,7 @@ enum class AssociationLevel : std::uint8_t {
   k3d = 3,          ///< level 3: quadric or map points
   kJoint = 4,       ///< joint one-to-one assignment over all levels
   kJda = 5,         ///< baseline: one Hungarian assignment over all landmarks
-  kIgnored = 6,     ///< class role dynamic or ignore
+  kIgnored = 6,     ///< class role dynamic or ignore, or nothing is left of the box when it is undistorted
   kSuppressed = 7,  ///< another box of higher score covers it
   kLowScore = 8,    ///< below the score gate
   kWrongSize = 9,   ///< depth makes it larger or smaller than anything of its class
