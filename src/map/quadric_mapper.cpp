@@ -70,18 +70,21 @@ struct QuadricMapper::Impl {
     } else {
       take_camera(frame.camera);
       add_keyframe(frame);
-      if (!associations.unanswered && !is_fixed_) look(frame, associations);
-      fit_due_landmarks();
-      if (!is_fixed_ &&
-          1e-9 * static_cast<double>(frame.stamp_ns - last_maintenance_ns_) >= options_.maintenance_interval_s) {
-        last_maintenance_ns_ = frame.stamp_ns;
-        merge_duplicates(&update);
-        forget_stale_candidates(frame.stamp_ns, &update);
-      }
+      if (!is_fixed_) grow(frame, associations, &update);
     }
     end_update(&update);
     update.duration_us = stopwatch.elapsed_us();
     return update;
+  }
+
+  void grow(const Frame& frame, const AssociationFrame& associations, MapUpdate* update) {
+    if (!associations.unanswered) look(frame, associations);
+    fit_due_landmarks();
+    const double since_s = 1e-9 * static_cast<double>(frame.stamp_ns - last_maintenance_ns_);
+    if (since_s < options_.maintenance_interval_s) return;
+    last_maintenance_ns_ = frame.stamp_ns;
+    merge_duplicates(update);
+    forget_stale_candidates(frame.stamp_ns, update);
   }
 
   /// Takes in what the detector saw, and what it missed.
@@ -119,7 +122,7 @@ struct QuadricMapper::Impl {
       // The map's frame moved even if no landmark did.
       update.map_version = ++map_version_;
     }
-    if (correction.frame_id == end_frame_id_) finish(&update);
+    if (correction.frame_id == end_frame_id_ && !is_fixed_) finish(&update);
     end_update(&update);
     update.duration_us = stopwatch.elapsed_us();
     return update;

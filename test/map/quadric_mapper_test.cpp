@@ -192,6 +192,23 @@ TEST_F(MapperTest, ChangedOptionsJudgeWhatIsOutOfViewToo) {
   EXPECT_TRUE(pass(away).changed.empty());
 }
 
+TEST_F(MapperTest, AFixedMapIsNotFittedAnew) {
+  for (const SE3& pose : arc(57, 90.0)) step(pose, {{0, 41, kCup}});
+  mapper_.set_fixed(true);
+  const Ellipsoid before = *find(0)->ellipsoid;
+  MapCorrection correction;  // that moves nothing
+  correction.frame_id = next_frame_ - 1;
+  correction.changed = true;
+  correction.valid_to_keyframe_id = keyframe_id_;
+  correction.keyframes = keyframes_;
+  mapper_.apply(correction);
+  pass(arc(2, 90.0)[0]);
+  EXPECT_LT((find(0)->ellipsoid->shape() - before.shape()).norm(), 1e-12);
+  end();
+  EXPECT_LT((find(0)->ellipsoid->shape() - before.shape()).norm(), 1e-12);
+  EXPECT_LT((find(0)->ellipsoid->center() - before.center()).norm(), 1e-12);
+}
+
 TEST_F(MapperTest, ChangedOptionsFit) {
   QuadricMapperOptions options;
   options.min_fit_iou = 1.0;
