@@ -28,6 +28,11 @@ constexpr double kSureScore = 0.5;              // of a detector, from which on 
 constexpr double kTurned_rad = 0.2;             // of a correction: half of a bin of SeenFrom, less stays in its bin
 constexpr double kUndoReach = 1.5;              // of the distance up to which two landmarks may merge
 
+bool has_depth(const MappedLandmark& landmark) {
+  return std::any_of(landmark.observations.begin(), landmark.observations.end(),
+                     [](const Observation& observation) { return observation.view.near_m > 0.0; });
+}
+
 /// Half of the boxes go, or more, of those keyframes that most are of: all frames of a camera that stands still are of
 /// one, and must not crowd out the views from elsewhere.
 void thin(std::vector<Observation>* observations) {
@@ -260,7 +265,7 @@ struct QuadricMapper::Impl {
         landmark.next_fit_at = options_.min_views;
       }
       count_seen(association, points != nullptr, &landmark.sightings);
-      if (association.has_depth() && !landmark.state.ellipsoid) landmark.next_fit_at = 1;
+      if (association.has_depth() && !landmark.state.ellipsoid && !has_depth(landmark)) landmark.next_fit_at = 1;
       const int hidden = points != nullptr ? hidden_sides(*points, association.box) : 0;
       const auto truncated = static_cast<std::uint8_t>(association.truncated | hidden);
       landmark.observations.push_back(

@@ -276,6 +276,18 @@ TEST_F(DepthMapperTest, OneFrameGivesAnEllipsoidAndMoreMakeItExact) {
   EXPECT_LT((find(0)->ellipsoid->center() - kCup.center()).norm(), 0.018);
 }
 
+TEST_F(DepthMapperTest, ARefusedFitWaitsForMoreViews) {
+  QuadricMapperOptions options;
+  options.min_fit_iou = 1.0;
+  mapper_ = QuadricMapper(options, classes_);
+  const DepthScene scene{{kCup}};
+  for (int i = 0; i < 5; ++i) {
+    step(from_side(1.5 * i), {{0, 41, kCup}}, scene);
+    EXPECT_FALSE(find(0)->ellipsoid);
+    EXPECT_EQ(mapper_.state().landmarks.at(0).next_fit_at, 6) << "five after the first, which has depth";
+  }
+}
+
 TEST_F(DepthMapperTest, OneThingUnderTwoNamesBecomesOneWhereDepthPlacesIt) {
   const DepthScene scene{{kCup}};
   for (int i = 0; i < 60; ++i) step(from_side(1.5 * i), {i % 3 == 0 ? Seen{1, 62, kCup} : Seen{0, 41, kCup}}, scene);
