@@ -116,7 +116,7 @@ class TrackStore {
 
   std::deque<Entry> entries_;  ///< by slot; pointers to tracks stay valid
   std::vector<std::int32_t> free_slots_;
-  std::unordered_map<std::int64_t, std::int32_t> slot_of_id_;  ///< looked up only, never walked through
+  std::unordered_map<std::int64_t, std::int32_t> slot_of_id_;  ///< in no order: what is found by it is sorted
   std::unordered_map<std::uint64_t, std::vector<std::int32_t>> slots_of_cell_;
   std::vector<std::int32_t> recent_;
   std::uint64_t query_ = 0;

@@ -104,7 +104,6 @@ void PointMap::bound() {
     }
     const std::size_t after = count(keyframe.points);
     size_ -= before - after;
-    thinned_ += before - after;
     if (after == 0) keyframes_.erase(oldest);
   }
 }

@@ -66,8 +66,6 @@ class PointMap {
   std::size_t keyframes() const { return keyframes_.size(); }
   /// Points kept, those that several keyframes see counted with each.
   std::size_t size() const { return size_; }
-  /// Points given up because the map was full.
-  std::uint64_t thinned() const { return thinned_; }
 
  private:
   struct Keyframe {
@@ -87,7 +85,6 @@ class PointMap {
   int session_ = 0;
   std::map<std::int64_t, Keyframe> keyframes_;
   std::size_t size_ = 0;
-  std::uint64_t thinned_ = 0;
 };
 
 }  // namespace semantic_topo_loop::core
