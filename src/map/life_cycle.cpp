@@ -14,6 +14,7 @@ constexpr double kFoundAgainShare = 0.25;
 constexpr double kTransparentShare = 0.1;  // of the time seen: what shows more of its background has holes
 constexpr double kHollowShare = 0.5;       // of the time seen uncut: what shows more of its inside is hollow
 constexpr double kMinWidth_px = 12.0, kMinHeight_px = 8.0;  // of a projection that a detector may be expected to box
+constexpr double kRange_m = 10.0;                           // association looks no farther (association.range_m)
 constexpr double kFullyVisibleShare = 0.8;                  // of its area, inside the image
 constexpr double kPartlyVisibleShare = 0.4;                 // the same, for depth to show what lies behind it
 constexpr double kHiddenShare = 0.5;                        // of the box, from which on it counts as hidden
@@ -90,16 +91,16 @@ std::vector<ExpectedLandmark> expected_landmarks(const std::map<std::int64_t, Ma
     if (!landmark.state.ellipsoid || landmark.state.state == LandmarkState::kRetired) continue;
     const Mat3 shape = landmark.state.ellipsoid->shape();
     const Vec3& center = landmark.state.ellipsoid->center();
+    const Vec3 axis = P.row(2).head<3>().transpose();
+    const double depth = axis.dot(center) + P(2, 3);
     const std::optional<Box> box = project_box(center, shape, P);
-    if (!box) continue;
+    if (!box || depth > kRange_m) continue;
     const Box visible = clip(*box, frame.camera.width, frame.camera.height);
     const double least_share = points != nullptr ? kPartlyVisibleShare : kFullyVisibleShare;
     if (visible.area() <= least_share * box->area() || visible.width() <= kMinWidth_px ||
         visible.height() <= kMinHeight_px) {
       continue;
     }
-    const Vec3 axis = P.row(2).head<3>().transpose();
-    const double depth = axis.dot(center) + P(2, 3);
     in_view.push_back({id, &*landmark.state.ellipsoid, visible, *box,
                        depth - std::sqrt(std::max(0.0, axis.dot(shape * axis))), depth,
                        landmark.sightings.hollow_s > kHollowShare * landmark.sightings.familiar_seen_s});

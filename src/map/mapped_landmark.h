@@ -181,9 +181,9 @@ struct ExpectedLandmark {
       false;  ///< depth shows what lies behind it: behind its near side, or its far side if it is hollow
 };
 
-/// The landmarks that a detector should box in this frame: fully in view, large enough, and hidden by nothing known:
-/// not by a nearer landmark, not by the box of something that is no landmark (a person), and, where the frame has
-/// points, not by points in front of it. What points see through need not be fully in view.
+/// The landmarks that should have a box in this frame: fully in view, large enough, as near as association looks, and
+/// hidden by nothing known: not by a nearer landmark, not by the box of something that is no landmark (a person), and,
+/// where the frame has points, not by points in front of it. What points see through need not be fully in view.
 /// @param points of the frame; null without   @return in order of id
 std::vector<ExpectedLandmark> expected_landmarks(const std::map<std::int64_t, MappedLandmark>& landmarks,
                                                  const Frame& frame, const FramePoints* points, const SE3& T_map_camera,

@@ -469,6 +469,22 @@ TEST_F(MapperTest, WhatWasHardlySeenIsNotGivenUpBeforeItWasExpectedForSomeTime) 
   EXPECT_EQ(life_cycle_state(landmark, {}, false), LandmarkState::kRetired);
 }
 
+TEST_F(MapperTest, WhatIsTooFarToBeLookedForIsNotMissed) {
+  const Ellipsoid screen{SE3(), Vec3::Constant(0.4)};
+  const auto from = [](double distance_m, double angle_deg) {
+    const double angle = radians(angle_deg);
+    return look_at(distance_m * Vec3(std::cos(angle), std::sin(angle), 0.3), Vec3::Zero());
+  };
+  for (int i = 0; i < 90; ++i) step(from(4.0, i), {{0, 62, screen}});
+  ASSERT_EQ(find(0)->state, LandmarkState::kConfirmed);
+  for (int i = 0; i < 900; ++i) {
+    const SE3 pose = from(12.0, 0.1 * i);
+    const Ellipsoid something_near{SE3(Quaternion::Identity(), pose * Vec3(0.3, 0.2, 1.0)), Vec3::Constant(0.05)};
+    step(pose, {{-1, 41, something_near}});
+  }
+  EXPECT_EQ(find(0)->state, LandmarkState::kConfirmed);
+}
+
 TEST_F(MapperTest, WhatDepthShowsToBeHiddenHasNotGone) {
   const std::vector<SE3> poses = arc(120, 60.0);
   Ellipsoid book = kCup;
