@@ -47,6 +47,16 @@ bool is_one_place(const MappedLandmark& a, const MappedLandmark& b) {
   return a.sightings.placed_s > 0.0 && b.sightings.placed_s > 0.0 && is_one_thing(placement(a), placement(b));
 }
 
+/// Frames in which both had a separate box. What has taken over another knows of all of them, the other one only of its
+/// own.
+int frames_side_by_side(const MappedLandmark& a, const MappedLandmark& b) {
+  const auto frames = [](const MappedLandmark& landmark, std::int64_t other) {
+    const auto found = landmark.seen_beside.find(other);
+    return found == landmark.seen_beside.end() ? 0 : found->second;
+  };
+  return std::max(frames(a, b.state.id), frames(b, a.state.id));
+}
+
 Remains remains_of(const KeyframePlaces& S_map_keyframe, const LandmarkRecord& landmark) {
   Remains remains{landmark, {}, 1.0};
   const auto anchor = S_map_keyframe.find(landmark.state.anchor_keyframe_id);
@@ -76,9 +86,7 @@ bool DuplicateTest::is_duplicate(const MappedLandmark& a, const MappedLandmark& 
   const double distance = (a.state.ellipsoid->center() - b.state.ellipsoid->center()).norm();
   if (distance > reach_m(a.state.ellipsoid->semi_axes.maxCoeff(), b.state.ellipsoid->semi_axes.maxCoeff()))
     return false;
-  const auto beside = a.seen_beside.find(b.state.id);
-  const int common = beside == a.seen_beside.end() ? 0 : beside->second;
-  const bool vetoed = common >= options_.merge_veto_share * b.state.observations;
+  const bool vetoed = frames_side_by_side(a, b) > options_.merge_veto_share * b.state.observations;
   const Overlap o = overlap(a, b, views);
   if (!vetoed && is_one_place(a, b) && o.inside > kPartInside) return true;
   if (!same) return confusable && o.iou > options_.merge_iou_confusable;

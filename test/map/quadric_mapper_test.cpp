@@ -353,6 +353,22 @@ TEST_F(MapperTest, ObjectsSeenSideBySideDoNotMerge) {
   EXPECT_NE(find(1), nullptr);
 }
 
+TEST_F(MapperTest, WhatWasSeenBesideOneThatWasMergedDoesNotMergeEither) {
+  QuadricMapperOptions options;
+  options.maintenance_interval_s = 1e6;  // duplicates are looked for at the end only
+  mapper_ = QuadricMapper(options, classes_);
+  Ellipsoid neighbour = kCup;
+  neighbour.T_world_quadric.t += Vec3(0.0, 0.04, 0.0);
+  for (const SE3& pose : arc(95, 120.0)) step(pose, {{0, 41, kCup}, {1, 41, neighbour}});
+  for (const SE3& pose : arc(30, 120.0)) step(pose, {{0, 41, kCup}, {2, 41, neighbour}});
+  for (const SE3& pose : arc(70, 120.0)) step(pose, {{2, 41, neighbour}});
+  for (const SE3& pose : arc(100, 120.0)) step(pose, {{0, 41, kCup}});
+  const MapUpdate update = end();
+  ASSERT_EQ(update.merged.size(), 1U);
+  EXPECT_EQ(update.merged[0].survivor_id, 2);
+  EXPECT_EQ(update.merged[0].merged_id, 1);
+}
+
 TEST_F(MapperTest, StaleCandidateIsGivenUp) {
   step(arc(2, 1.0)[0], {{0, 41, kCup}});
   std::vector<std::int64_t> removed;
