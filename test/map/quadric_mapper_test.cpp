@@ -358,11 +358,11 @@ TEST_F(MapperTest, WhatWasSeenBesideOneThatWasMergedDoesNotMergeEither) {
   options.maintenance_interval_s = 1e6;  // duplicates are looked for at the end only
   mapper_ = QuadricMapper(options, classes_);
   Ellipsoid neighbour = kCup;
-  neighbour.T_world_quadric.t += Vec3(0.0, 0.04, 0.0);
+  neighbour.T_world_quadric.t += Vec3(0.0, 0.0, 0.08);
+  for (const SE3& pose : arc(100, 120.0)) step(pose, {{0, 41, kCup}});
   for (const SE3& pose : arc(95, 120.0)) step(pose, {{0, 41, kCup}, {1, 41, neighbour}});
   for (const SE3& pose : arc(30, 120.0)) step(pose, {{0, 41, kCup}, {2, 41, neighbour}});
   for (const SE3& pose : arc(70, 120.0)) step(pose, {{2, 41, neighbour}});
-  for (const SE3& pose : arc(100, 120.0)) step(pose, {{0, 41, kCup}});
   const MapUpdate update = end();
   ASSERT_EQ(update.merged.size(), 1U);
   EXPECT_EQ(update.merged[0].survivor_id, 2);
