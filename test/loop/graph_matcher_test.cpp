@@ -186,6 +186,24 @@ TEST(GraphMatcher, TwoWaysToLieAreBothReported) {
   EXPECT_NEAR((matches[0].T_a_b.t - matches[1].T_a_b.t).norm(), 3.0, 0.1);
 }
 
+TEST(GraphMatcher, ACrowdIsMatchedWithoutLoss) {
+  // All may correspond to all: as many correspondences as there are would take minutes.
+  constexpr int kChairs = 150, kRare = 3;
+  std::mt19937_64 random(41);
+  Problem problem = random_problem(41, kChairs + kRare, 0, 1);
+  for (int i = 0; i < kChairs + kRare; ++i) {
+    LabelledPoint &p = problem.a[static_cast<std::size_t>(i)], &q = problem.b[static_cast<std::size_t>(i)];
+    p.position = Vec3(uniform(random, -8, 8), uniform(random, -8, 8), uniform(random, 0, 0.5));
+    q.position = problem.T_a_b.inverse() * p.position + 0.01 * Vec3(noise(random), noise(random), noise(random));
+    q.size *= std::exp(0.1 * noise(random));
+    if (i >= kChairs) p.label = q.label = i;
+  }
+  const std::vector<GraphMatch> matches = match(problem);
+  ASSERT_FALSE(matches.empty());
+  EXPECT_EQ(matches.front().pairs.size(), problem.a.size());
+  for (const NodePair& pair : matches.front().pairs) EXPECT_EQ(pair.a, pair.b);
+}
+
 TEST(GraphMatcher, DegenerateInputGivesNothing) {
   const LoopOptions options;
   EXPECT_TRUE(match_graphs({}, {}, options).empty());

@@ -692,6 +692,38 @@ TEST(OdometryMonitor, NoticesAJump) {
   EXPECT_NEAR(watch.jumps_s.front(), 14.2, 0.3);
 }
 
+TEST(OdometryMonitor, NoticesAJumpInACrowd) {
+  // A wall of pictures, of which each moves by less than half the way to the next.
+  LocalMap wall;
+  ObservedFrame in_place, moved;
+  in_place.stamp_ns = moved.stamp_ns = 100'000'000;
+  const Vec2 shift(0.03, 0.05);
+  for (int i = 0; i < 400; ++i) {
+    const Vec2 at(0.12 * (i % 20) - 1.2, 0.12 * (i / 20) - 1.2);
+    const double radius_m = 0.05 + 0.0001 * i;
+    LocalObject object;
+    object.label = 0;
+    object.spheroid.center = 2.0 * at.homogeneous();
+    object.spheroid.log_axes = Vec2::Constant(std::log(radius_m));
+    wall.objects.push_back(object);
+    ObservedBox box;
+    box.label = 0;
+    const auto box_at = [radius_m](const Vec2& center) {
+      const double half = 0.5 * radius_m;
+      return Box{center.x() - half, center.y() - half, center.x() + half, center.y() + half};
+    };
+    box.box = box_at(at);
+    in_place.boxes.push_back(box);
+    box.box = box_at(at + shift);
+    moved.boxes.push_back(box);
+  }
+  OdometryMonitor monitor;
+  monitor.set_reference(wall);
+  for (int k = 0; k < 3; ++k) EXPECT_FALSE(monitor.push(in_place));
+  EXPECT_FALSE(monitor.push(moved)) << "one frame is none";
+  EXPECT_TRUE(monitor.push(moved));
+}
+
 TEST(OdometryMonitor, SaysNothingWithoutAReference) {
   OdometryMonitor monitor;
   EXPECT_FALSE(monitor.push(ObservedFrame()));

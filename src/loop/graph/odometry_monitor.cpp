@@ -2,22 +2,25 @@
 
 #include <algorithm>
 #include <cmath>
+#include <utility>
+#include <vector>
 
 #include "geometry/statistics.h"
 
 namespace semantic_topo_loop::core {
 namespace {
 
-constexpr double kTolerance = 0.025;    ///< rad; boxes this close moved alike
-constexpr double kMinJump = 0.045;      ///< rad; less does not spoil a submap
-constexpr double kJumpFactor = 4.0;     ///< a jump exceeds the usual drift over the same time by it
-constexpr double kMaxOffset = 0.6;      ///< rad; what moved farther is another object
-constexpr double kMaxSizeRatio = 1.6;   ///< of detected and predicted box
-constexpr double kMaxDepth_m = 6.0;     ///< the default of loop.max_depth_m
-constexpr int kMinSupport = 3;          ///< objects that a shift is told by
-constexpr int kJumpFrames = 2;          ///< consecutive frames that show a jump
-constexpr std::size_t kMaxRates = 200;  ///< some 20 s of frames at the default of loop.frame_interval_s
-constexpr std::size_t kMinRates = 20;   ///< some 2 s
+constexpr double kTolerance = 0.025;      ///< rad; boxes this close moved alike
+constexpr double kMinJump = 0.045;        ///< rad; less does not spoil a submap
+constexpr double kJumpFactor = 4.0;       ///< a jump exceeds the usual drift over the same time by it
+constexpr double kMaxOffset = 0.6;        ///< rad; what moved farther is another object
+constexpr double kMaxSizeRatio = 1.6;     ///< of detected and predicted box
+constexpr double kMaxDepth_m = 6.0;       ///< the default of loop.max_depth_m
+constexpr int kMinSupport = 3;            ///< objects that a shift is told by
+constexpr std::size_t kMaxCompared = 40;  ///< objects and boxes of a frame: the time grows with the square of both
+constexpr int kJumpFrames = 2;            ///< consecutive frames that show a jump
+constexpr std::size_t kMaxRates = 200;    ///< some 20 s of frames at the default of loop.frame_interval_s
+constexpr std::size_t kMinRates = 20;     ///< some 2 s
 
 struct Prediction {
   int label;
@@ -25,16 +28,25 @@ struct Prediction {
   double size;
 };
 
+/// Those that are largest in the image, by which a shift is told best; all where there are few.
+template <class T, class Size>
+std::vector<T> largest(std::vector<T> seen, Size size) {
+  if (seen.size() <= kMaxCompared) return seen;
+  std::stable_sort(seen.begin(), seen.end(), [&size](const T& p, const T& q) { return size(p) > size(q); });
+  seen.resize(kMaxCompared, seen.front());
+  return seen;
+}
+
 /// True if a detection of the label lies at the predicted place, moved by the offset.
-bool is_supported(const Prediction& prediction, const Vec2& offset, const ObservedFrame& frame) {
-  return std::any_of(frame.boxes.begin(), frame.boxes.end(), [&](const ObservedBox& box) {
+bool is_supported(const Prediction& prediction, const Vec2& offset, const std::vector<ObservedBox>& boxes) {
+  return std::any_of(boxes.begin(), boxes.end(), [&](const ObservedBox& box) {
     return box.label == prediction.label && (box.box.center() - prediction.center - offset).norm() < kTolerance;
   });
 }
 
-int support(const std::vector<Prediction>& predictions, const Vec2& offset, const ObservedFrame& frame) {
+int support(const std::vector<Prediction>& predictions, const Vec2& offset, const std::vector<ObservedBox>& boxes) {
   return static_cast<int>(std::count_if(predictions.begin(), predictions.end(),
-                                        [&](const Prediction& p) { return is_supported(p, offset, frame); }));
+                                        [&](const Prediction& p) { return is_supported(p, offset, boxes); }));
 }
 
 }  // namespace
@@ -86,21 +98,24 @@ OdometryMonitor::Shift OdometryMonitor::common_shift(const ObservedFrame& frame)
     if (!(p.z() > node.radius) || p.z() > kMaxDepth_m) continue;
     predictions.push_back({node.label, Vec2(p.x(), p.y()) / p.z(), 2.0 * node.radius / p.z()});
   }
+  predictions = largest(std::move(predictions), [](const Prediction& prediction) { return prediction.size; });
+  const std::vector<ObservedBox> boxes =
+      largest(frame.boxes, [](const ObservedBox& observed) { return observed.box.size(); });
   Shift best;
   for (const Prediction& prediction : predictions) {
-    for (const ObservedBox& box : frame.boxes) {
+    for (const ObservedBox& box : boxes) {
       const Vec2 offset = box.box.center() - prediction.center;
       const double ratio = box.box.size() / prediction.size;
       if (box.label != prediction.label || box.truncated != 0 || !(offset.norm() < kMaxOffset)) continue;
       if (ratio > kMaxSizeRatio || ratio < 1.0 / kMaxSizeRatio) continue;
-      const int votes = support(predictions, offset, frame);
+      const int votes = support(predictions, offset, boxes);
       if (votes > best.support || (votes == best.support && offset.norm() < best.offset.norm())) {
         best.offset = offset;
         best.support = votes;
       }
     }
   }
-  best.in_place = support(predictions, Vec2::Zero(), frame);
+  best.in_place = support(predictions, Vec2::Zero(), boxes);
   return best;
 }
 

@@ -66,8 +66,10 @@ class CliqueSearch {
   Clique current_, best_;
 };
 
-/// Bound of the exact search, so that a crowded place cannot hold up an attempt; the best clique so far counts then.
+/// Bounds, so that a crowded place cannot hold up an attempt. Of the exact search: the best clique so far counts then.
 constexpr int kMaxCliqueSteps = 20000;
+/// Of correspondences that cliques are looked for among, whose cube the time grows with: those of twenty objects alike.
+constexpr std::size_t kMaxSeeds = 400;
 /// A round that finds the inliers of the one before ends it; a set that swings is left as it is.
 constexpr int kRegrowRounds = 3;
 /// Residual at which an inlier's share of the score has fallen to exp(-1/2): half the usual inlier distance.
@@ -117,6 +119,7 @@ class Matching {
         if (is_usable(at(b_, j)) && may_correspond(at(a_, i), at(b_, j))) candidates_.push_back({i, j});
       }
     }
+    seeds_ = bounded(candidates_);
   }
 
   std::vector<GraphMatch> run() const {
@@ -145,6 +148,29 @@ class Matching {
     return p.label == q.label && std::abs(std::log(p.size / q.size)) < options_.size_ratio_log;
   }
 
+  /// Of each point of a as many as of the others, those most alike in size, so that what is rare loses none to what is
+  /// common; in the order that they had.
+  std::vector<NodePair> bounded(std::vector<NodePair> pairs) const {
+    if (pairs.size() <= kMaxSeeds) return pairs;
+    const auto difference = [this](const NodePair& p) {
+      return std::abs(std::log(at(a_, p.a).size / at(b_, p.b).size));
+    };
+    std::stable_sort(pairs.begin(), pairs.end(), [&](const NodePair& p, const NodePair& q) {
+      return std::pair(p.a, difference(p)) < std::pair(q.a, difference(q));
+    });
+    std::vector<std::pair<int, NodePair>> ranked;  // among those of one point
+    for (const NodePair& pair : pairs) {
+      const bool goes_on = !ranked.empty() && ranked.back().second.a == pair.a;
+      ranked.emplace_back(goes_on ? ranked.back().first + 1 : 0, pair);
+    }
+    std::stable_sort(ranked.begin(), ranked.end(), [](const auto& p, const auto& q) { return p.first < q.first; });
+    pairs.clear();
+    for (std::size_t i = 0; i < kMaxSeeds; ++i) pairs.push_back(ranked[i].second);
+    std::sort(pairs.begin(), pairs.end(),
+              [](const NodePair& p, const NodePair& q) { return std::pair(p.a, p.b) < std::pair(q.a, q.b); });
+    return pairs;
+  }
+
   static Eigen::MatrixXd distances(const std::vector<LabelledPoint>& points) {
     const int n = static_cast<int>(points.size());
     Eigen::MatrixXd result(n, n);
@@ -164,11 +190,11 @@ class Matching {
   }
 
   BitGraph consistency_graph() const {
-    const std::size_t n = candidates_.size();
+    const std::size_t n = seeds_.size();
     BitGraph graph(n, Bits(n));
     for (std::size_t i = 0; i < n; ++i) {
       for (std::size_t j = i + 1; j < n; ++j) {
-        if (!is_consistent(candidates_[i], candidates_[j])) continue;
+        if (!is_consistent(seeds_[i], seeds_[j])) continue;
         graph[i].set(j);
         graph[j].set(i);
       }
@@ -200,7 +226,7 @@ class Matching {
     return std::any_of(matches.begin(), matches.end(), [&](const GraphMatch& match) {
       const Mat3 R = match.T_a_b.rotation();
       const auto agrees = [&](std::size_t i) {
-        return residual(R, match.T_a_b.t, candidates_[i]) < options_.inlier_distance_m;
+        return residual(R, match.T_a_b.t, seeds_[i]) < options_.inlier_distance_m;
       };
       const auto agreeing = std::count_if(clique.begin(), clique.end(), agrees);
       return 4 * static_cast<std::size_t>(agreeing) > 3 * clique.size();
@@ -238,7 +264,7 @@ class Matching {
   /// @param min_pairs below which the clique is given up, for it would say nothing against the best match
   std::optional<GraphMatch> grow(const Clique& clique, std::size_t min_pairs) const {
     GraphMatch match;
-    for (const std::size_t i : clique) match.pairs.push_back(candidates_[i]);
+    for (const std::size_t i : clique) match.pairs.push_back(seeds_[i]);
     std::optional<Alignment> alignment = align(match.pairs, a_, b_);
     for (int round = 0; round < kRegrowRounds && alignment; ++round) {
       std::vector<NodePair> pairs = inliers(alignment->T_a_b);
@@ -285,7 +311,7 @@ class Matching {
   std::size_t min_pairs_;
   const std::vector<LabelledPoint>&a_, &b_;
   Eigen::MatrixXd distances_a_, distances_b_;
-  std::vector<NodePair> candidates_;
+  std::vector<NodePair> candidates_, seeds_;  ///< that inliers, and cliques, are made of
 };
 
 std::vector<LabelledPoint> rescaled(std::vector<LabelledPoint> points, double scale) {
