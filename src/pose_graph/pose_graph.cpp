@@ -78,7 +78,7 @@ struct PoseGraph::Impl {
       correction.odometry = odometry_report();
       if (loops_.size() > kMaxLoops) loops_.bound();
     }
-    if (trajectory_.T_map_vertex.size() > kMaxVertices && !has_free_scale()) coarsen();
+    if (trajectory_.T_map_vertex.size() > max_vertices_ && !has_free_scale()) coarsen();
     return correction;
   }
 
@@ -257,7 +257,13 @@ struct PoseGraph::Impl {
   void coarsen() {
     suspect_jumps();
     const std::vector<KeyframePose> poses = keyframes();
-    const std::vector<Carrier> carriers = core::coarsen(kCoarseVertices, &keyframe_of_, &trajectory_);
+    const std::vector<std::size_t> keyframe_of = keyframe_of_;
+    const std::vector<OdometryEdge> edges = trajectory_.edges;
+    const std::vector<Carrier> carriers =
+        core::coarsen(kCoarseVertices, loops_.at_vertices(keyframe_of.size()), &keyframe_of_, &trajectory_);
+    forget_behind_breaks(keyframe_of, edges, carriers);
+    // Where loops hold more, the next time comes as many vertices later.
+    max_vertices_ = std::max(kMaxVertices, keyframe_of_.size() + kMaxVertices - kCoarseVertices);
     log_scale_.resize(keyframe_of_.size());  // all 0
     for (std::size_t v = 0; v < keyframe_of_.size(); ++v) {
       const SE3 T_vertex_map = trajectory_.T_map_vertex[v].inverse();
@@ -269,6 +275,18 @@ struct PoseGraph::Impl {
     objects_.move(carriers);
     for (OdometryJump& jump : knowledge_.noise.jumps) {
       jump.edge = static_cast<std::size_t>(carriers[jump.edge].vertex);
+    }
+  }
+
+  /// What went with a vertex from before a break is no place that a loop can still lead to.
+  /// @param keyframe_of, edges before the vertices went   @param carriers of those vertices
+  void forget_behind_breaks(const std::vector<std::size_t>& keyframe_of, const std::vector<OdometryEdge>& edges,
+                            const std::vector<Carrier>& carriers) {
+    bool is_lost = false;
+    for (std::size_t v = 1; v < keyframe_of.size(); ++v) {
+      is_lost = carriers[v].T_vertex_keyframe && (is_lost || edges[v - 1].is_break);
+      if (!is_lost) continue;
+      for (std::size_t k = keyframe_of[v]; k < keyframe_of[v + 1]; ++k) number_of_.erase(keyframes_[k].keyframe_id);
     }
   }
 
@@ -338,7 +356,8 @@ struct PoseGraph::Impl {
   }
 
   /// The scales that the loops state come first; what they leave open, the poses tell. Loops are judged and noise is
-  /// learnt in the map's unit of length, once at the scales stated and once at those found.
+  /// learnt in the map's unit of length, once at the scales stated and once at those found. Of the final audit what
+  /// asks for clusters alone: which loops repeat others is not told anew.
   bool optimize_similarities(Effort effort) {
     std::vector<double> log_scale = estimate_log_scales(trajectory_, options_);
     const std::vector<bool> votes = scale_votes(trajectory_, log_scale);
@@ -392,14 +411,15 @@ struct PoseGraph::Impl {
 
   PoseGraphOptions options_;
   Trajectory trajectory_;
-  std::vector<KeyframePose> keyframes_;    ///< every one; poses as told last
-  std::map<std::int64_t, int> number_of_;  ///< index of a keyframe in `keyframes_` by its id
-  std::vector<std::size_t> keyframe_of_;   ///< index of each vertex's keyframe; those up to the next move with it
-  std::vector<SE3> T_vertex_keyframe_;     ///< one a keyframe
-  std::size_t told_keyframes_ = 0;         ///< how many were in the last solution
-  std::size_t restored_ = 0;               ///< how many are of earlier sessions
-  std::vector<Session> sessions_;          ///< the earlier ones
-  std::int64_t next_frame_id_ = 0;         ///< after those
+  std::vector<KeyframePose> keyframes_;      ///< every one; poses as told last
+  std::map<std::int64_t, int> number_of_;    ///< index of a keyframe in `keyframes_` by its id
+  std::vector<std::size_t> keyframe_of_;     ///< index of each vertex's keyframe; those up to the next move with it
+  std::vector<SE3> T_vertex_keyframe_;       ///< one a keyframe
+  std::size_t max_vertices_ = kMaxVertices;  ///< more are brought down
+  std::size_t told_keyframes_ = 0;           ///< how many were in the last solution
+  std::size_t restored_ = 0;                 ///< how many are of earlier sessions
+  std::vector<Session> sessions_;            ///< the earlier ones
+  std::int64_t next_frame_id_ = 0;           ///< after those
   std::int64_t last_frame_id_ = -1, last_stamp_ns_ = 0;
   bool has_objects_ = false;
   ObjectMemory objects_;

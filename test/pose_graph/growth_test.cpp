@@ -87,6 +87,31 @@ TEST(Growth, CorrectionsSayWhatIsNew) {
   }
 }
 
+TEST(Growth, OdometryThatBreaksAgainAndAgainFitsIntoOneGraph) {
+  const SyntheticRun run(kPerRound, 20);
+  PoseGraph graph{PoseGraphOptions()};
+  std::size_t vertices = 0;
+  std::map<std::int64_t, LoopVerdict> verdicts;
+  const auto follow = [&](const MapCorrection& correction) {
+    vertices = std::max(vertices, graph.size().vertices);
+    for (const LoopVerdict& verdict : correction.loops) verdicts[verdict.match_keyframe_id] = verdict;
+  };
+  for (int k = 0; k < run.size(); ++k) {
+    Frame frame = run.frame(k);
+    frame.is_break = k % 4 == 0;
+    std::vector<LoopClosure> loops;
+    if (k == 202) loops.push_back(run.exact_loop(k, 102));
+    if (k == 1902) loops = {run.exact_loop(k, 102), run.exact_loop(k, 2), run.exact_loop(k, 302)};
+    follow(graph.process(frame, loops));
+  }
+  follow(graph.process(run.end_frame(), {}));
+  EXPECT_LE(vertices, 401U);
+  EXPECT_EQ(graph.keyframes().size(), static_cast<std::size_t>(run.size()));
+  EXPECT_TRUE(verdicts[102].kept) << "a loop has held it: " << verdicts[102].reason;
+  EXPECT_TRUE(verdicts[2].kept) << "before the first break: " << verdicts[2].reason;
+  EXPECT_FALSE(verdicts[302].kept) << "it is not known any more where it was";
+}
+
 TEST(Growth, KeyframesThatStayAreNotToldAgain) {
   SyntheticRun run;
   run.drift(0.004, 0.002, 5);
@@ -118,7 +143,7 @@ TEST(Coarsening, LeavesOutWhatIsLongAgo) {
   trajectory.edges = run.edges();
   std::vector<std::size_t> keyframes(trajectory.T_map_vertex.size());
   for (std::size_t k = 0; k < keyframes.size(); ++k) keyframes[k] = k;
-  const std::vector<Carrier> carriers = coarsen(60, &keyframes, &trajectory);
+  const std::vector<Carrier> carriers = coarsen(60, std::vector<bool>(keyframes.size(), true), &keyframes, &trajectory);
   ASSERT_EQ(keyframes.size(), 60U);
   ASSERT_EQ(trajectory.T_map_vertex.size(), 60U);
   ASSERT_EQ(trajectory.edges.size(), 59U);
@@ -151,13 +176,31 @@ TEST(Coarsening, NothingMovesWithWhatWasBeforeABreak) {
   for (std::size_t k = 0; k < keyframes.size(); ++k) keyframes[k] = k;
   constexpr std::size_t kBreak = 20;
   trajectory.edges[kBreak].is_break = true;
-  coarsen(30, &keyframes, &trajectory);
+  coarsen(30, std::vector<bool>(keyframes.size(), false), &keyframes, &trajectory);
   ASSERT_EQ(keyframes.size(), 30U);
   const auto after = std::find(keyframes.begin(), keyframes.end(), kBreak + 1);
   ASSERT_NE(after, keyframes.end());
   for (std::size_t v = 0; v < trajectory.edges.size(); ++v) {
     EXPECT_EQ(trajectory.edges[v].is_break, keyframes[v + 1] == *after);
   }
+}
+
+TEST(Coarsening, WhatNoLoopHoldsBehindABreakGoesWhereBreaksAreTooMany) {
+  SyntheticRun run;
+  Trajectory trajectory;
+  trajectory.T_map_vertex = run.odometry();
+  trajectory.edges = run.edges();
+  std::vector<std::size_t> keyframes(trajectory.T_map_vertex.size());
+  for (std::size_t k = 0; k < keyframes.size(); ++k) keyframes[k] = k;
+  std::vector<bool> has_loops(keyframes.size(), false);
+  for (std::size_t k = 1; k < keyframes.size(); k += 2) trajectory.edges[k - 1].is_break = true;
+  for (const std::size_t k : {2U, 13U, 101U}) has_loops[k] = true;  // 2 is behind the break at 1
+  coarsen(20, has_loops, &keyframes, &trajectory);
+  EXPECT_EQ(keyframes.size(), 20U);
+  for (const std::size_t k : {1U, 13U, 101U}) {
+    EXPECT_NE(std::find(keyframes.begin(), keyframes.end(), k), keyframes.end()) << k;
+  }
+  for (const OdometryEdge& edge : trajectory.edges) EXPECT_TRUE(edge.is_break);
 }
 
 TEST(Coarsening, JoinedOdometryIsAsUncertainAsItsParts) {

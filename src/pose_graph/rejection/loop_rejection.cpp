@@ -94,6 +94,15 @@ void LoopRejection::restore(std::vector<RememberedLoop> loops, std::int64_t acce
   consistency_.clear();
 }
 
+std::vector<bool> LoopRejection::at_vertices(std::size_t vertices) const {
+  std::vector<bool> result(vertices, false);
+  for (const Entry& entry : entries_) {
+    if (!entry.loop) continue;
+    for (const int end : {entry.loop->from, entry.loop->to}) result[static_cast<std::size_t>(end)] = true;
+  }
+  return result;
+}
+
 std::size_t LoopRejection::size() const {
   return static_cast<std::size_t>(std::count_if(entries_.begin(), entries_.end(), is_in_graph));
 }

@@ -89,6 +89,8 @@ class LoopRejection {
   std::int64_t accepted() const { return accepted_; }
   /// Goes on with those of an earlier session.
   void restore(std::vector<RememberedLoop> loops, std::int64_t accepted);
+  /// Whether one that is remembered ends there, of each of so many vertices.
+  std::vector<bool> at_vertices(std::size_t vertices) const;
   /// How many loops are in the graph.
   std::size_t size() const;
 

@@ -220,23 +220,31 @@ OptimizedTrajectory optimize_trajectory(const Trajectory& trajectory, const Pose
   return TrajectoryOptimizer(trajectory, options, knowledge, effort).run();
 }
 
-std::vector<Carrier> coarsen(std::size_t size, std::vector<std::size_t>* keyframes, Trajectory* trajectory) {
+std::vector<Carrier> coarsen(std::size_t size, const std::vector<bool>& has_loops, std::vector<std::size_t>* keyframes,
+                             Trajectory* trajectory) {
   std::vector<std::size_t> left(keyframes->size());  // numbers of the vertices that stay
   for (std::size_t v = 0; v < left.size(); ++v) left[v] = v;
   const auto keyframe = [&](std::size_t i) { return (*keyframes)[left[i]]; };
+  const auto place = [](std::size_t v) { return static_cast<std::ptrdiff_t>(v); };
+  const auto has_loop = [&](std::size_t i) {
+    const auto begin = has_loops.begin();
+    return std::find(begin + place(left[i]), begin + place(left[i + 1]), true) != begin + place(left[i + 1]);
+  };
+  bool goes_over_breaks = false;
   while (left.size() > std::max<std::size_t>(size, 2)) {
     std::size_t closest = 0;
     double least = std::numeric_limits<double>::infinity();
     for (std::size_t i = 1; i + 1 < left.size(); ++i) {
-      if (trajectory->edges[left[i] - 1].is_break) continue;
+      if (trajectory->edges[left[i] - 1].is_break && (!goes_over_breaks || has_loop(i))) continue;
       const double share =
           static_cast<double>(keyframe(i + 1) - keyframe(i - 1)) / static_cast<double>(keyframes->back() - keyframe(i));
       if (share >= least) continue;
       closest = i;
       least = share;
     }
-    if (closest == 0) break;
-    left.erase(left.begin() + static_cast<std::ptrdiff_t>(closest));
+    if (closest == 0 && goes_over_breaks) break;
+    goes_over_breaks = goes_over_breaks || closest == 0;
+    if (closest != 0) left.erase(left.begin() + place(closest));
   }
   std::vector<Carrier> result;
   Trajectory coarse;

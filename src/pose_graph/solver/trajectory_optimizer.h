@@ -54,9 +54,12 @@ NoisePrior noise_prior(const PoseGraphOptions& options);
 /// steps that are a share of its age: what goes is the vertex whose neighbours are closest, in keyframes, in relation
 /// to how many keyframes came since. So a run of any length fits into a graph of one size, and of a correction that a
 /// new loop distributes over the past at most that share falls between two neighbours. The first and the last vertex
-/// stay, and the first after a break of the odometry: what comes then does not move with what was before.
+/// stay, and the first after a break of the odometry: what comes then does not move with what was before. Where breaks
+/// alone are too many, so it does if no loop has told where it belongs.
+/// @param has_loops one a vertex: whether loops end there
 /// @param keyframes number of each vertex's keyframe, ascending   @param trajectory its loops are not looked at
 /// @return what each vertex moves with: the last before it that stayed, by its new number
-std::vector<Carrier> coarsen(std::size_t size, std::vector<std::size_t>* keyframes, Trajectory* trajectory);
+std::vector<Carrier> coarsen(std::size_t size, const std::vector<bool>& has_loops, std::vector<std::size_t>* keyframes,
+                             Trajectory* trajectory);
 
 }  // namespace semantic_topo_loop::core
