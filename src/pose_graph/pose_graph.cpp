@@ -371,13 +371,23 @@ struct PoseGraph::Impl {
         for (std::size_t k = 0; k < votes.size(); ++k) trajectory_.votes[k] = trajectory_.votes[k] && votes[k];
         scaled.votes = trajectory_.votes;
       }
+      place_segments(&scaled);
       OptimizedTrajectory rigid = optimize_trajectory(scaled, options_, knowledge_, effort);
+      if (rigid.usable && effort == Effort::kFull && options_.robust == "gnc") audit(&scaled, &rigid);
       if (!rigid.usable || !solve_scales(trajectory_, rigid, options_, &T_map_vertex, &log_scale)) return false;
       knowledge_ = std::move(rigid.knowledge);
     }
     trajectory_.T_map_vertex = std::move(T_map_vertex);
     log_scale_ = std::move(log_scale);
     return true;
+  }
+
+  /// Solves without the clusters of loops that are false, if there are any.
+  void audit(Trajectory* scaled, OptimizedTrajectory* rigid) const {
+    scaled->T_map_vertex = rigid->T_map_vertex;
+    scaled->votes = audit_clusters(*scaled, options_, rigid->knowledge);
+    if (scaled->votes == rigid->knowledge.kept) return;
+    *rigid = optimize_trajectory(*scaled, options_, rigid->knowledge, Effort::kSettle);
   }
 
   OdometryReport odometry_report() const {

@@ -182,6 +182,42 @@ TEST(FreeScale, ALoopOfAnotherScaleIsNotKept) {
   EXPECT_LT(run.worst_error_m(finished.graph.keyframes()), 0.2);
 }
 
+TEST(FreeScale, ARestartAnywhereIsPutWhereItsLoopsHaveIt) {
+  for (const double angle : {0.5, 1.5, 3.0}) {
+    SyntheticRun run = monocular_run();
+    run.restart(run.round(), SE3(so3_exp(angle * Vec3(0.6, -0.64, 0.48)), Vec3(80.0, -60.0, 20.0)));
+    PoseGraph graph(free_scale());
+    for (int k = 0; k < run.size(); ++k) {
+      Frame frame = run.frame(k);
+      frame.is_break = k == run.round();
+      graph.process(frame, {});
+    }
+    const MapCorrection correction = graph.process(run.end_frame(), monocular_loops(run));
+    for (const LoopVerdict& verdict : correction.loops) EXPECT_TRUE(verdict.kept) << verdict.reason;
+    EXPECT_LT(run.worst_error_m(graph.keyframes()), 0.4) << angle << " rad";
+  }
+}
+
+/// Few right loops, and a place taken for another.
+TEST(FreeScale, AClusterThatTheOdometryDoesNotLetExpectGoes) {
+  SyntheticRun run = monocular_run();
+  std::vector<LoopClosure> loops = monocular_loops(run);
+  const SE3 error(so3_exp(Vec3(0.3, -0.4, 0.2)), Vec3(0.8, -0.6, 0.4));
+  for (int k = 100; k < 120; k += 4) {
+    LoopClosure loop = run.loop(k, k - 80, Vec6::Zero(), kSigma_m, kSigma_rad, 20);
+    loop.T_match_query = run.truth(k - 80).inverse() * run.truth(25) * error * run.truth(25).inverse() * run.truth(k);
+    loop = run.in_units(loop);
+    loop.scale_covariance(6) = kScaleSigma * kScaleSigma;
+    loops.push_back(loop);
+  }
+  const FinishedRun finished = finish(run, loops, free_scale());
+  for (const LoopVerdict& verdict : finished.end.loops) {
+    const bool is_right = verdict.query_keyframe_id - verdict.match_keyframe_id == run.round();
+    EXPECT_TRUE(is_right || !verdict.kept) << verdict.query_keyframe_id << " " << verdict.match_keyframe_id;
+  }
+  EXPECT_LT(run.worst_error_m(finished.graph.keyframes()), 0.25);
+}
+
 /// What moves on map -> odom is right for the newest frame, before and after corrections.
 TEST(FreeScale, MapFromOdometryPlacesEveryNewFrame) {
   const SyntheticRun run = monocular_run();
