@@ -2,6 +2,8 @@
 
 #include <gtest/gtest.h>
 
+#include <algorithm>
+
 #include "semantic_topo_loop/geometry/lie.h"
 #include "support/synthetic_desk.h"
 
@@ -78,6 +80,23 @@ TEST(Relocalisation, AMapDoesNotChangeTheRunsOwnLoops) {
     EXPECT_EQ(own[i].match_frame, alone[i].match_frame);
     EXPECT_EQ(own[i].T_match_query.t, alone[i].T_match_query.t);
   }
+}
+
+TEST(Relocalisation, AbstainsBetweenPlacesOfTwoSessionsThatLookAlike) {
+  RunSetup setup = later_run(1);
+  setup.earlier_map = map_of(1);
+  std::vector<LocalMap> others = setup.earlier_map;
+  for (LocalMap& other : others) {
+    other.T_odom_anchor.t += Vec3(6.0, 0.0, 0.0);
+    other.stamp_ns += 30 * 86'400 * 1'000'000'000LL;
+    other.drift_rad_s = 0.002;
+    for (std::int64_t* id : {&other.keyframe_id, &other.frame_id, &other.begin_frame, &other.end_frame}) *id += 10'000;
+  }
+  setup.earlier_map.insert(setup.earlier_map.end(), others.begin(), others.end());
+  const RunOutcome outcome = run(LoopOptions(), setup);
+  EXPECT_EQ(outcome.accepted(), 0);
+  EXPECT_TRUE(std::any_of(outcome.loops.begin(), outcome.loops.end(),
+                          [](const LoopClosure& loop) { return loop.reason == LoopReason::kAmbiguous; }));
 }
 
 LoopClosure vote(const SE3& T_earlier_query, double sigma) {

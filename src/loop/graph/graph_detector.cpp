@@ -70,10 +70,11 @@ double overlap(const LocalMap& p, const LocalMap& q) {
 SE3 implied_pose(const LocalMap& match, const GraphMatch& alignment) { return match.T_odom_anchor * alignment.T_a_b; }
 
 /// True if p and q are poses of the query by way of two submaps (or the query itself), between which the odometry
-/// cannot have drifted that far: then the two speak of different places.
+/// cannot have drifted that far: then the two speak of different places. Earlier sessions stand in one map, in which no
+/// odometry drifts from one to the next.
 bool are_apart(const LocalMap& map_p, const SE3& p, const LocalMap& map_q, const SE3& q) {
   if (map_p.segment != map_q.segment) return false;
-  const double time_s = 1e-9 * static_cast<double>(std::abs(map_p.stamp_ns - map_q.stamp_ns));
+  const double time_s = is_of_other_session(map_p) ? 0.0 : std::abs(seconds_since(map_p, map_q));
   const double drift_m = std::max(map_p.drift_rad_s, map_q.drift_rad_s) * kDriftDepth_m * time_s;
   return (p.t - q.t).norm() > kMinDisagreement_m + kDriftFactor * drift_m;
 }
