@@ -618,6 +618,23 @@ TEST(FalseLoops, ACoherentClusterThatComesFirstLeavesNoTrace) {
   expect_alike(with, without);
 }
 
+TEST(FalseLoops, AreNoneOfThoseThatANoisyOdometryNeedsWhateverMayBeLearnt) {
+  SyntheticRun run;
+  run.drift(0.001, 0.0005, 4);
+  const SE3 error(so3_exp(Vec3(0.7, 0.45, -0.55)), Vec3(1.4, -1.5, 0.7));
+  std::vector<LoopClosure> loops;
+  for (int k = 60; k < 78; k += 2) {
+    LoopClosure wrong = run.exact_loop(k, k - 50);
+    wrong.T_match_query = run.truth(k - 50).inverse() * run.truth(10) * error * run.truth(60).inverse() * run.truth(k);
+    loops.push_back(wrong);
+  }
+  for (const double factor_max : {50.0, 140.0, 1000.0}) {
+    PoseGraphOptions options;
+    options.noise_factor_max = factor_max;
+    EXPECT_EQ(count_kept(finish(run, loops, options).end.loops), 0) << factor_max;
+  }
+}
+
 TEST(FalseLoops, TheSameSeedGivesTheSameLoops) {
   const auto keyframes = odometry_of(SyntheticRun());
   const auto a = make_false_loops(keyframes, {}, 5), b = make_false_loops(keyframes, {}, 5);

@@ -104,11 +104,11 @@ class TrajectoryOptimizer {
     const PathNoise path(result_.T_map_vertex, trajectory_.edges);
     const NoisePrior prior = noise_prior(options_);
     const OdometryNoise least = scaled(prior.least, 1.0);
+    const double factor_max = std::max(prior.factor_max, 2.0 * kMaxStrain);  // what may be learnt bounds no verdict
     std::vector<double> factors, weights;
     for (std::size_t k = 0; k < votes_.size(); ++k) {
       if (!votes_[k]) continue;
-      factors.push_back(
-          std::min(path.explaining_factor(trajectory_.loops[k], least, prior.factor_max), prior.factor_max));
+      factors.push_back(path.explaining_factor(trajectory_.loops[k], least, factor_max));
       weights.push_back(counts_[k] && factors.back() <= kMaxStrain ? 1.0 / redundancy_[k] : 0.0);
     }
     double& loose = result_.knowledge.loose_factor;
@@ -116,7 +116,8 @@ class TrajectoryOptimizer {
       constexpr double kLeastFactor = 10.0;  // 1 cm after one metre: less room is of no use to right loops
       loose = kLeastFactor;
       if (options_.estimate_noise) {
-        loose = std::max(loose, options_.gnc_loosening * robust_noise_factor(factors, weights));
+        const double usual = std::min(robust_noise_factor(factors, weights), prior.factor_max);
+        loose = std::max(loose, options_.gnc_loosening * usual);
       }
     }
     if (options_.robust != "gnc") return;
