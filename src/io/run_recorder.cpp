@@ -370,6 +370,7 @@ class FileRecorder : public RunRecorder {
   }
 
   void add_votes(const OpenFrame& frame, Relocaliser* relocaliser) const {
+    if (frame.is_break) relocaliser->restart();
     for (const LoopClosure& loop : frame.loops) {
       const auto query = keyframes_.find(loop.query_keyframe_id);
       if (query != keyframes_.end()) relocaliser->add(loop, query->second.T_odom_camera());

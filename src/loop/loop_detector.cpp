@@ -82,6 +82,7 @@ struct LoopDetector::Impl {
   }
 
   std::vector<LoopClosure> detect_by_objects(const Frame& frame, const AssociationFrame& associations) {
+    if (frame.is_break) begin_segment();
     if (frame.stamp_ns < settled_ns_) return {};
     const bool taken = window_.push(frame, associations);
     up_.push(frame);
@@ -251,12 +252,14 @@ struct LoopDetector::Impl {
     return true;
   }
 
+  void begin_segment() {
+    monitor_.restart();
+    relocaliser_.restart();
+    ++segment_;
+  }
+
   /// A submap must not straddle a jump of the odometry, and spans less time the less is known of its motion.
   void watch_odometry(const Frame& frame, bool taken) {
-    if (frame.is_break) {
-      monitor_.restart();
-      ++segment_;
-    }
     // The boxes show a jump at once, the motion by itself only once the jump is over.
     const bool has_burst = bursts_.push(frame);
     const bool has_shift = taken && !window_.frames().empty() && monitor_.push(window_.frames().back());

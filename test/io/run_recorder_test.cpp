@@ -314,6 +314,22 @@ TEST_F(RunRecorderTest, LoopsIntoAnEarlierMapAreKeptApart) {
   EXPECT_NEAR(summary["relocalisation"]["earlier_map_from_odom"][1].get<double>(), 2.0, 1e-6);
 }
 
+TEST_F(RunRecorderTest, LoopsIntoAnEarlierMapCountSinceTheLastBreak) {
+  frames_[7].is_break = true;
+  for (const Frame& frame : frames_) recorder_->record(frame);
+  for (std::int64_t k = 3; k < 10; ++k) {
+    LoopClosure loop = make_loop(5, true);
+    loop.query_keyframe_id = 1;
+    loop.T_earlier_match = SE3(Mat3::Identity(), Vec3(k < 7 ? 4.0 : 7.0, 0.0, 0.0));
+    loop.T_match_query = frames_[5].T_odom_camera;
+    recorder_->record(k, {loop}, 10.0);
+  }
+  write();
+  const nlohmann::json summary = nlohmann::json::parse(text("summary.json"));
+  EXPECT_EQ(summary["relocalisation"]["accepted"], 3);
+  EXPECT_NEAR(summary["relocalisation"]["earlier_map_from_odom"][0].get<double>(), 7.0, 1e-6);
+}
+
 TEST_F(RunRecorderTest, AssociationsByNameOfLevel) {
   AssociationFrame frame;
   frame.frame_id = 3;

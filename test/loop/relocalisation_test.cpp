@@ -55,10 +55,26 @@ TEST(Relocalisation, FindsARunInTheMapOfAnEarlierOne) {
   }
 }
 
+TEST(Relocalisation, IsThatOfTheOdometrySinceItsLastBreak) {
+  RunSetup setup = later_run(1);
+  setup.visits.push_back({14.0, 26.0, -10.0, 70.0});
+  setup.end_s = 26.0;
+  setup.earlier_map = map_of(1);
+  setup.drift = SE3(so3_exp(Vec3(0.0, 0.0, 1.0)), Vec3(5.0, 3.0, 0.0));
+  setup.drift_from_s = 16.0;
+  setup.drift_is_break = true;
+  std::optional<Relocalisation> found;
+  run(LoopOptions(), setup, [&found](const LoopDetector& detector) { found = detector.relocalisation(); });
+  ASSERT_TRUE(found.has_value());
+  EXPECT_LT(error_m(found->T_earlier_odom * setup.T_odom_world * setup.drift, SE3()), 0.1);
+  EXPECT_EQ(found->agreeing, found->total) << "those before the break do not count against it";
+}
+
 TEST(Relocalisation, IsNotFoundInTheMapOfAnotherPlace) {
   for (std::uint64_t seed = 1; seed <= 2; ++seed) {
     RunSetup setup = later_run(seed);
     setup.earlier_map = map_of(seed + 50);
+    ASSERT_FALSE(setup.earlier_map.empty());
     run(LoopOptions(), setup,
         [](const LoopDetector& detector) { EXPECT_FALSE(detector.relocalisation().has_value()); });
   }
