@@ -172,6 +172,36 @@ TEST(SurfaceAlignment, SurfacesThatOneSideSeesThroughContradict) {
   EXPECT_GT(agreement.contradicted, 0.5 * agreement.judged);
 }
 
+/// Surfels of a floor, so far apart in both directions.
+std::vector<Surfel> floor_of(int columns, int rows, float spacing_m, float shift_m) {
+  std::vector<Surfel> surfels;
+  for (int i = 0; i < columns * rows; ++i) {
+    const auto column = static_cast<float>(i % columns), row = static_cast<float>(i / columns);
+    surfels.push_back({{spacing_m * column + shift_m, spacing_m * row, 0.0F}, Eigen::Vector3f::UnitZ()});
+  }
+  return surfels;
+}
+
+LocalMap map_of(const std::vector<Surfel>& surfels) {
+  LocalMap map;
+  map.surfels = std::make_shared<const std::vector<Surfel>>(surfels);
+  return map;
+}
+
+TEST(SurfaceAlignment, PartnersAreNearInWideSubmapsToo) {
+  std::vector<Surfel> wide = floor_of(12, 12, 0.5F, 0.0F);
+  const LocalMap between = map_of(floor_of(12, 12, 0.5F, 0.25F));
+  EXPECT_FALSE(align_surfaces(map_of(wide), between, SE3(), isotropic(0.01, 0.01)).has_value());
+  wide.push_back({{25.0F, 0.0F, 0.0F}, Eigen::Vector3f::UnitZ()});
+  EXPECT_FALSE(align_surfaces(map_of(wide), between, SE3(), isotropic(0.01, 0.01)).has_value());
+}
+
+TEST(SurfaceAlignment, FewMatchesAreNoAnswer) {
+  const LocalMap many = map_of(floor_of(30, 30, 0.1F, 0.0F)), enough = map_of(floor_of(12, 9, 0.1F, 0.0F));
+  EXPECT_TRUE(align_surfaces(many, enough, SE3(), isotropic(0.01, 0.01)).has_value());
+  EXPECT_FALSE(align_surfaces(many, map_of(floor_of(11, 9, 0.1F, 0.0F)), SE3(), isotropic(0.01, 0.01)).has_value());
+}
+
 TEST(SurfaceAlignment, TooLittleIsNoAnswer) {
   const View a = view(corner(), Vec3(-1.2, -0.8, 1.4), Vec3(1.2, 1.0, 0.6), 1);
   LocalMap none = a.map;

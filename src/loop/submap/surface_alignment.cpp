@@ -35,17 +35,17 @@ constexpr std::array<Round, 4> kRounds = {{{0.4, 0.4, 0.5, 500, 12, false},
                                            {0.15, 0.08, 0.8, 2000, 5, true}}};
 constexpr float kNormalLength_m = 0.3F;    ///< by which normals count in the choice of partners: a face is no edge away
 constexpr double kBlock_m = 0.5;           ///< surfels of one cube count as one measurement
-constexpr int kMinMatches = 100;           ///< 0.4 m^2 of surface
+constexpr std::size_t kMinMatches = 100;   ///< 0.4 m^2 of surface
 constexpr double kSmallStep = 1e-5;        ///< m, rad
 constexpr std::size_t kParts = 8;          ///< of a submap, by time: more than a pose has dimensions
 constexpr double kMinSigma_m = 0.003;      ///< quantised depth at a metre
 constexpr double kNormalError_rad = 0.05;  ///< of surfels far away, and of surfaces that are not quite flat
 
-/// Finds surfels by place, in a grid of cubes as wide as the search radius.
+/// Finds surfels by place, in a grid of cubes as wide as the search radius, wider where there would be very many.
 class SurfelGrid {
  public:
   SurfelGrid(const std::vector<Surfel>& surfels, double radius_m)
-      : surfels_(surfels), cell_(static_cast<float>(radius_m)) {
+      : surfels_(surfels), radius_(static_cast<float>(radius_m)) {
     Eigen::Vector3f high = surfels.front().position;
     low_ = high;
     for (const Surfel& surfel : surfels) {
@@ -53,7 +53,7 @@ class SurfelGrid {
       high = high.cwiseMax(surfel.position);
     }
     constexpr float kMaxCells = 64.0F;  // along each axis: 1 MB
-    cell_ = std::max(cell_, (high - low_).maxCoeff() / kMaxCells);
+    cell_ = std::max(radius_, (high - low_).maxCoeff() / kMaxCells);
     size_ = ((high - low_) / cell_).array().floor().cast<int>() + 1;
     begin_.assign(static_cast<std::size_t>(size_.prod()) + 1, 0);
     std::vector<std::size_t> cell;
@@ -82,7 +82,7 @@ class SurfelGrid {
         for (std::uint32_t i = begin_[number(x, y, first.z())]; i < end; ++i) {
           const Surfel& surfel = surfels_[order_[i]];
           const float away = (surfel.position - position).squaredNorm();
-          if (away > cell_ * cell_) continue;
+          if (away > radius_ * radius_) continue;
           const float distance = away + kNormalLength_m * kNormalLength_m * (surfel.normal - normal).squaredNorm();
           if (distance >= least) continue;
           least = distance;
@@ -102,7 +102,7 @@ class SurfelGrid {
   }
 
   const std::vector<Surfel>& surfels_;
-  float cell_;
+  float radius_, cell_;
   Eigen::Vector3f low_;
   Eigen::Array3i size_;
   std::vector<std::uint32_t> begin_, order_;
@@ -354,8 +354,7 @@ std::optional<SurfaceAlignment> align_surfaces(const LocalMap& map_a, const Loca
     const SurfelGrid grid(a, round.radius_m);
     for (int i = 0; i < round.iterations; ++i) {
       const std::vector<Match> matches = find_matches(grid, a, b, result.T_a_b, round);
-      if (matches.size() * round.surfels < kMinMatches * std::min<std::size_t>(round.surfels, b.size()))
-        return std::nullopt;
+      if (matches.size() < kMinMatches) return std::nullopt;
       NormalEquations equations = linearise(matches, robust_sigma(matches), round.is_last, drift);
       add_prior(T_a_b, information, result.T_a_b, &equations);
       const Eigen::LDLT<Mat6> ldlt(equations.H);
