@@ -791,5 +791,26 @@ TEST(LoopConsistency, ALoneWrongLoopHasNoVoteAndUnbrokenOnesDo) {
   EXPECT_TRUE(votes[5]);
 }
 
+TEST(LoopConsistency, WhatTheOdometryIsKnownToBeOffMakesNoLoopWrong) {
+  SyntheticRun run;
+  std::vector<GraphLoop> loops;
+  for (int k = 150; k < 160; k += 2) loops.push_back(graph_loop(run.exact_loop(k, k - 100)));
+  std::vector<OdometryEdge> off = run.edges();
+  off[154].T_from_to = off[154].T_from_to * SE3(so3_exp(Vec3(0.0, 0.0, 0.4)), Vec3(0.8, 0.0, 0.0));
+  std::vector<OdometryEdge> stated = off, frozen = off;
+  stated[154].covariance = isotropic_covariance(0.25, 0.04);
+  frozen[154].frozen_s = 3.0;
+  const std::vector<bool> all(loops.size(), true);
+  EXPECT_NE(LoopConsistency().vote(off, loops), all);
+  EXPECT_EQ(LoopConsistency().vote(stated, loops), all);
+  EXPECT_EQ(LoopConsistency().vote(frozen, loops), all);
+  // What turns on the way moves the end by as much as it is away.
+  std::vector<OdometryEdge> turned = run.edges();
+  turned[120].T_from_to.q = turned[120].T_from_to.q * so3_exp(Vec3(0.0, 0.0, 0.4));
+  turned[120].covariance = isotropic_covariance(1e-6, 0.04);
+  const std::vector<GraphLoop> ends{graph_loop(run.exact_loop(100, 0)), graph_loop(run.exact_loop(150, 50))};
+  EXPECT_EQ(LoopConsistency().vote(turned, ends), std::vector<bool>(2, true));
+}
+
 }  // namespace
 }  // namespace semantic_topo_loop::core

@@ -1,6 +1,7 @@
 #include <cmath>
 #include <utility>
 
+#include "geometry/relative_pose.h"
 #include "pose_graph/rejection/loop_rejection.h"
 #include "semantic_topo_loop/geometry/lie.h"
 
@@ -15,6 +16,9 @@ constexpr double kLoopFactor = 2.0;  // loops may overstate their precision
 constexpr double kSigmas = 3.5;      // of position and angle each: a right pair exceeds neither 99 times in a hundred
 // Beyond these sigmas agreement says nothing: any two loops of one room would agree.
 constexpr double kTelling_m = 0.3, kTelling_rad = 0.35;
+
+/// Leaves what is known of an edge by itself, whatever the usual noise is.
+constexpr OdometryNoise kNoNoise{0.0, 0.0, 0.0, 0.0, 0.0, 0.0};
 
 double squared(double x) { return x * x; }
 double mean_sigma(const Mat6& covariance, int first) {
@@ -33,6 +37,12 @@ LoopConsistency::Stretch LoopConsistency::stretch(int from, int to) const {
   stretch.sigma_rad = std::sqrt(squared(kTurn_rad + kTurnPerMetre * path + kTurnPerRadian * turn) +
                                 std::max(0.0, b.jump_rad2 - a.jump_rad2));
   stretch.sigma_m = std::sqrt(squared(kDrift_m + kDrift * path) + std::max(0.0, b.jump_m2 - a.jump_m2));
+  if (a.stated != b.stated) {
+    const Mat6 carry = transport(b.T_first_vertex);
+    const Vec6 variances = (carry * (b.covariance - a.covariance) * carry.transpose()).diagonal().cwiseMax(0.0);
+    stretch.stated_m2 = variances.head<3>().sum();
+    stretch.stated_rad2 = variances.tail<3>().sum();
+  }
   stretch.is_broken = b.breaks != a.breaks;
   return stretch;
 }
@@ -52,8 +62,16 @@ LoopConsistency::Relation LoopConsistency::compare(const GraphLoop& a, const Gra
       std::sqrt(squared(first.sigma_m) + squared(second.sigma_m) + squared(kLoopFactor * mean_sigma(a.covariance, 0)) +
                 squared(kLoopFactor * mean_sigma(b.covariance, 0)) + squared(first.sigma_rad * rest.t.norm()) +
                 squared(loop_rad_b * second.T.t.norm()));
-  if (cycle.t.norm() > kSigmas * sigma_m || angle > kSigmas * sigma_rad) return Relation::kDisagree;
-  return sigma_m < kTelling_m && sigma_rad < kTelling_rad ? Relation::kAgree : Relation::kOpen;
+  const auto is_within = [&](double more_m2, double more_rad2) {
+    return cycle.t.norm() <= kSigmas * std::sqrt(squared(sigma_m) + more_m2) &&
+           angle <= kSigmas * std::sqrt(squared(sigma_rad) + more_rad2);
+  };
+  // An odometry that states a large error may be right all the same: that takes no agreement away.
+  const double stated_rad2 = first.stated_rad2 + second.stated_rad2;
+  const double stated_m2 = first.stated_m2 + second.stated_m2 + first.stated_rad2 * rest.t.squaredNorm();
+  if (!is_within(stated_m2, stated_rad2)) return Relation::kDisagree;
+  const bool is_telling = sigma_m < kTelling_m && sigma_rad < kTelling_rad;
+  return is_telling && is_within(0.0, 0.0) ? Relation::kAgree : Relation::kOpen;
 }
 
 void LoopConsistency::compare_all(const std::vector<OdometryEdge>& edges, const std::vector<GraphLoop>& loops) {
@@ -66,6 +84,11 @@ void LoopConsistency::compare_all(const std::vector<OdometryEdge>& edges, const 
     next.jump_m2 += edge.suspected_jump.head<3>().squaredNorm();
     next.jump_rad2 += edge.suspected_jump.tail<3>().squaredNorm();
     next.breaks += edge.is_break ? 1 : 0;
+    if (!edge.is_break && (edge.covariance || edge.joined || edge.frozen_s > 0.0)) {
+      const Mat6 to_first = transport(next.T_first_vertex.inverse());
+      next.covariance += to_first * odometry_covariance(edge, kNoNoise) * to_first.transpose();
+      ++next.stated;
+    }
     progress_.push_back(next);
   }
   while (relations_.size() < loops.size()) {

@@ -16,8 +16,9 @@
 namespace semantic_topo_loop::core {
 
 /// Pairwise consistency of loops (after Mangelson et al. 2018): two loops and the odometry between their ends close a
-/// cycle, whose error must lie within the loops' noise and a drift that no odometry worth the name exceeds. Loops that
-/// disagree with many are outvoted, and where loops agree with each other one that agrees with none has no vote.
+/// cycle, whose error must lie within the loops' noise and a drift that no odometry worth the name exceeds, beside what
+/// it states itself. Loops that disagree with many are outvoted, and where loops agree with each other one that agrees
+/// with none has no vote.
 class LoopConsistency {
  public:
   /// @param loops those of the last call and new ones behind them
@@ -38,11 +39,14 @@ class LoopConsistency {
     SE3 T_first_vertex;
     double path_m = 0.0, turn_rad = 0.0;
     double jump_m2 = 0.0, jump_rad2 = 0.0;  ///< squared sums of suspected jumps
+    Mat6 covariance = Mat6::Zero();         ///< that the source states, or freezes leave; carried to the first vertex
+    int stated = 0;                         ///< edges that it is of
     int breaks = 0;
   };
   struct Stretch {
     SE3 T;
-    double sigma_m = 0.0, sigma_rad = 0.0;
+    double sigma_m = 0.0, sigma_rad = 0.0;      ///< of any odometry
+    double stated_m2 = 0.0, stated_rad2 = 0.0;  ///< beside that, of this one
     bool is_broken = false;
   };
 
