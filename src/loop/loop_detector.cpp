@@ -224,23 +224,33 @@ struct LoopDetector::Impl {
     LoopExplanation answer{status(*query, *match, comparison), {}, comparison.closure};
     std::ostringstream text;
     text << to_string(answer.status) << ": the submaps about keyframes " << anchor(*query) << " and " << anchor(*match)
-         << " are " << gap_s(*query, *match) << " s apart (>= " << options_.min_gap_s << ") and share "
-         << comparison.agreeing_pairs << " pairs of objects";
+         << " are ";
+    if (const std::optional<double> gap_s = this->gap_s(*query, *match)) {
+      text << *gap_s << " s apart (>= " << options_.min_gap_s << ')';
+    } else {
+      text << "of two sessions";
+    }
+    text << " and share " << comparison.agreeing_pairs << " pairs of objects";
     if (answer.closure) text << "; compared now, they would be " << describe(*answer.closure, options_);
     answer.text = text.str();
     return answer;
   }
 
   PairStatus status(int query, int match, const GraphDetector::Comparison& comparison) const {
-    if (gap_s(query, match) < options_.min_gap_s) return PairStatus::kTooRecent;
+    const std::optional<double> gap_s = this->gap_s(query, match);
+    if (gap_s && *gap_s < options_.min_gap_s) return PairStatus::kTooRecent;
     if (!comparison.proposed) return PairStatus::kNotProposed;
     return comparison.closure ? PairStatus::kNotAttempted : PairStatus::kNoAlignment;
   }
 
   const LocalMap& submap(int number) const { return graph_.submaps().at(number).map; }
   std::int64_t anchor(int number) const { return submap(number).keyframe_id; }
-  double gap_s(int query, int match) const {
-    return 1e-9 * static_cast<double>(submap(query).stamp_ns - submap(match).stamp_ns);
+  /// @return nullopt between two sessions, whose clocks may not be one
+  std::optional<double> gap_s(int query, int match) const {
+    const auto is_own = [this](int number) { return submap(number).segment != LocalMap::kOtherSession; };
+    const double gap_s = 1e-9 * static_cast<double>(submap(query).stamp_ns - submap(match).stamp_ns);
+    if (is_own(query) != is_own(match) || gap_s < 0.0) return std::nullopt;
+    return gap_s;
   }
 
   /// Loops are looked for between keyframes too: a camera that hardly moves makes few of them, but every view of

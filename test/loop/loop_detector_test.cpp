@@ -640,13 +640,52 @@ TEST(LoopExplanation, SaysWhyAPairWasNotCompared) {
 }
 
 TEST(LoopExplanation, AskingChangesNothing) {
-  const auto first = run(LoopOptions(), revisit()), second = run(LoopOptions(), revisit(), [](const LoopDetector&d) {
-                                                      const LoopExplanation once = d.explain(30, 5),
-                                                                            again = d.explain(30, 5);
-                                                      EXPECT_EQ(once.status, again.status);
-                                                      EXPECT_EQ(once.text, again.text);
-                                                    });
-  EXPECT_EQ(first.loops.size(), second.loops.size());
+  RunSetup asking = revisit();
+  int asked = 0;
+  asking.at_every_frame = [&asked](const LoopDetector& detector) {
+    const std::vector<LocalMap> submaps = detector.submaps();
+    if (submaps.size() < 2) return;
+    const std::int64_t query = submaps.back().keyframe_id, match = submaps.front().keyframe_id;
+    const LoopExplanation once = detector.explain(query, match), again = detector.explain(query, match);
+    EXPECT_EQ(once.status, again.status);
+    EXPECT_EQ(once.text, again.text);
+    ++asked;
+  };
+  const auto first = run(LoopOptions(), revisit()), second = run(LoopOptions(), asking);
+  EXPECT_GT(asked, 100);
+  EXPECT_GT(first.accepted(), 0);
+  ASSERT_EQ(first.loops.size(), second.loops.size());
+  for (std::size_t i = 0; i < first.loops.size(); ++i) {
+    EXPECT_EQ(first.loops[i].match_frame, second.loops[i].match_frame);
+    EXPECT_EQ(first.loops[i].reason, second.loops[i].reason);
+    EXPECT_EQ(first.loops[i].T_match_query.t, second.loops[i].T_match_query.t);
+  }
+}
+
+TEST(LoopExplanation, TheClockOfAnEarlierSessionSaysNothing) {
+  RunSetup setup = revisit();
+  setup.end_s = 12.0;
+  std::vector<LocalMap> submaps;
+  run(LoopOptions(), setup, [&submaps](const LoopDetector& detector) { submaps = detector.submaps(); });
+  ASSERT_GE(submaps.size(), 2U);
+  std::vector<KeyframePose> keyframes;
+  for (LocalMap& submap : submaps) {
+    for (std::int64_t* id : {&submap.keyframe_id, &submap.frame_id, &submap.begin_frame, &submap.end_frame}) {
+      *id -= 10'000;
+    }
+    keyframes.push_back({submap.keyframe_id, submap.frame_id, submap.stamp_ns, submap.T_odom_anchor});
+  }
+  LoopOptions options;
+  options.enabled = false;
+  setup.restored = {submaps, keyframes};
+  run(options, setup, [&submaps](const LoopDetector& detector) {
+    const std::int64_t match = submaps.front().keyframe_id;
+    const LoopExplanation across = detector.explain(detector.submaps().back().keyframe_id, match);
+    EXPECT_EQ(across.status, PairStatus::kNotAttempted) << across.text;
+    EXPECT_NE(across.text.find("of two sessions"), std::string::npos) << across.text;
+    const LoopExplanation within = detector.explain(submaps.back().keyframe_id, match);
+    EXPECT_EQ(within.status, PairStatus::kTooRecent) << within.text;
+  });
 }
 
 TEST(LoopExplanation, LoopClosingOffIsSaid) {

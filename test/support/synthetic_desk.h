@@ -131,6 +131,8 @@ struct RunSetup {
   std::vector<LocalMap> earlier_map = {};
   std::optional<LoopOptions> changed = {};  ///< options that the detector is given at `changed_at_s`
   double changed_at_s = 0.0;
+  std::pair<std::vector<LocalMap>, std::vector<KeyframePose>> restored = {};  ///< of an earlier session
+  std::function<void(const LoopDetector&)> at_every_frame = {};
 };
 
 struct RunOutcome {
@@ -158,6 +160,7 @@ inline RunOutcome run(const LoopOptions& options, const RunSetup& setup,
                       const std::function<void(const LoopDetector&)>& at_end = {}) {
   LoopDetector detector(options, desk_classes());
   if (!setup.earlier_map.empty()) detector.set_earlier_map(setup.earlier_map);
+  if (!setup.restored.first.empty()) detector.restore(setup.restored.first, setup.restored.second);
   FrameBuilder builder(KeyframeOptions(), desk_camera());
   std::mt19937_64 random(7);
   RunOutcome outcome;
@@ -186,6 +189,7 @@ inline RunOutcome run(const LoopOptions& options, const RunSetup& setup,
     outcome.loops.insert(outcome.loops.end(), loops.begin(), loops.end());
     outcome.T_world_camera.push_back(T_world_camera);
     outcome.T_odom_camera.push_back(sample.T_odom_camera);
+    if (setup.at_every_frame) setup.at_every_frame(detector);
   }
   if (at_end) at_end(detector);
   return outcome;

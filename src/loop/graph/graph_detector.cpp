@@ -239,7 +239,8 @@ std::optional<int> GraphDetector::submap_about(std::int64_t frame_id, std::int64
 
 GraphDetector::Comparison GraphDetector::compare(int query, int match) const {
   const StoredMap& stored = maps_.at(query);
-  const int end = std::max(old_enough(stored.map), match + 1);
+  // Of an earlier session's all the others are old enough, those that came after it too.
+  const int end = std::max(std::min(old_enough(stored.map), query), match + 1);
   Comparison comparison;
   comparison.agreeing_pairs = index_.agreeing_pairs(stored.points, end)[static_cast<std::size_t>(match)];
   std::vector<int> numbers = propose(stored.points, end);
