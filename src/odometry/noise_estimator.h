@@ -86,7 +86,7 @@ class InnovationModel {
   double metres_per_radian_ = 0.0;
   MotionBound usual_motion_;  ///< median over the edges
   PathNoise path_;
-  std::vector<Basis> sum_steady_;  ///< one a vertex, carried to the world's origin
+  std::vector<Basis> sum_steady_;  ///< one a vertex, carried to the first one's place
   std::vector<Mat6> from_origin_;  ///< one a loop
   Eigen::VectorXd misfit_;         ///< how far each loop and the odometry disagree, six rows a loop
   Eigen::VectorXd expected_jump_;  ///< with a prior of 1

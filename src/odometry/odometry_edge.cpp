@@ -165,7 +165,7 @@ PathNoise::PathNoise(const std::vector<SE3>& T_world_vertex, const std::vector<O
   stated_.assign(n, 0);
   for (std::size_t i = 0; i + 1 < n; ++i) {
     const OdometryEdge& edge = edges[i];
-    const Mat6 to_origin = transport(T_world_vertex[i + 1].inverse());
+    const Mat6 to_origin = transport(about_first(T_world_vertex[i + 1]).inverse());
     to_origin_.push_back(to_origin);
     EdgeCovariance parts = by_causes(edge);
     if (edge.is_break) parts.translation = parts.rotation = Mat6::Zero();
@@ -180,6 +180,10 @@ PathNoise::PathNoise(const std::vector<SE3>& T_world_vertex, const std::vector<O
   }
 }
 
+SE3 PathNoise::about_first(const SE3& T_world_vertex) const {
+  return {T_world_vertex.q, T_world_vertex.t - vertices_->front().t};
+}
+
 Innovation PathNoise::innovation(const GraphLoop& loop) const {
   const SE3 &T_world_from = (*vertices_)[index(loop.from)], &T_world_to = (*vertices_)[index(loop.to)];
   const Vec6 e = relative_pose_residual(T_world_from, T_world_to, loop.T_from_to);
@@ -187,7 +191,7 @@ Innovation PathNoise::innovation(const GraphLoop& loop) const {
   by_motion.topLeftCorner<3, 3>() = so3_exp(e.tail<3>()).toRotationMatrix();
   by_motion.bottomRightCorner<3, 3>() = right_jacobian_inverse(e.tail<3>());
   Innovation innovation;
-  innovation.from_origin = by_motion * transport(T_world_to);
+  innovation.from_origin = by_motion * transport(about_first(T_world_to));
   innovation.error = e - innovation.from_origin * (residual_[index(loop.to)] - residual_[index(loop.from)]);
   innovation.jump = innovation.from_origin * (jump_[index(loop.to)] - jump_[index(loop.from)]);
   return innovation;

@@ -97,12 +97,12 @@ class OdometryAccumulator {
 
 /// What a loop says about the odometry between its ends.
 struct Innovation {
-  Mat6 from_origin;  ///< carries a small motion at the world's origin into the loop's error
+  Mat6 from_origin;  ///< carries a small motion at the first vertex's place into the loop's error
   Vec6 error;        ///< how far loop and odometry disagree, as the loop's error
   Vec6 jump;         ///< what of that suspected jumps let expect with a prior of 1
 };
 
-/// The odometry's noise summed along a chain of vertices, carried to the world's origin: the difference of two sums is
+/// The odometry's noise summed along a chain of vertices, carried to the first: the difference of two sums is
 /// the noise of the stretch between two vertices. Linear about the given poses, which need not be the odometry's.
 class PathNoise {
  public:
@@ -118,10 +118,13 @@ class PathNoise {
 
   /// From the first vertex to each.
   const std::vector<EdgeCovariance>& sums() const { return sums_; }
-  /// Carries a small motion at the end of an edge to the world's origin.
+  /// Carries a small motion at the end of an edge to the first vertex's place, in the world's axes.
   const Mat6& to_origin(std::size_t edge) const { return to_origin_[edge]; }
 
  private:
+  /// In the world's axes about the first vertex: carried far away, a small noise is lost among large ones.
+  SE3 about_first(const SE3& T_world_vertex) const;
+
   const std::vector<SE3>* vertices_;
   std::vector<EdgeCovariance> sums_;
   std::vector<Mat6> to_origin_;

@@ -243,6 +243,22 @@ TEST(NoiseEstimator, RobustFactorIgnoresAMinorityOfFalseLoops) {
   EXPECT_LT(factor(), 2.5 * clean);
 }
 
+TEST(InnovationModel, DoesNotDependOnHowFarAwayTheWorldIs) {
+  // Next to nothing is known of a break, which a thousand kilometres from the origin drowns what else is.
+  Case data = make_case(OdometryNoise{0.02, 0.01}, 1.0, 7);
+  data.edges[data.edges.size() / 2].is_break = true;
+  Case far = data;
+  for (SE3& T_world_vertex : far.vertices) T_world_vertex.t += Vec3(4e5, -1e6, 2e5);
+  const OdometryNoise noise{0.02, 0.01};
+  const InnovationModel a(data.vertices, data.edges, data.loops), b(far.vertices, far.edges, far.loops);
+  EXPECT_NEAR(b.cost(noise, 1.0), a.cost(noise, 1.0), 1e-3 * std::abs(a.cost(noise, 1.0)));
+  const PathNoise near_path(data.vertices, data.edges), far_path(far.vertices, far.edges);
+  for (const GraphLoop& loop : data.loops) {
+    const double factor = near_path.explaining_factor(loop, OdometryNoise(), 1000.0);
+    EXPECT_NEAR(far_path.explaining_factor(loop, OdometryNoise(), 1000.0), factor, 1e-3 * factor);
+  }
+}
+
 TEST(InnovationModel, DoesNotDependOnWhereItIsLinearised) {
   // At the odometry itself and at poses bent by a part of the correction the same innovations come out.
   const Case data = make_case(OdometryNoise{0.02, 0.01}, 1.0, 7);
