@@ -422,6 +422,7 @@ TEST(LoopDetector, PaperModeCorrectsADriftedRevisit) {
     for (const LoopClosure& loop : outcome.loops) {
       if (!loop.accepted) continue;
       EXPECT_GT(error_m(loop.T_match_query, outcome.odometry(loop)), 0.1) << "no innovation";
+      EXPECT_GT(loop.labels, 1) << "of a desk with things of several classes";
     }
   }
 }

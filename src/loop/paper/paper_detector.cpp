@@ -235,10 +235,10 @@ void PaperDetector::align(const Keyframe& match, const Keyframe& query, LoopClos
   const std::vector<NodePair> common = common_objects(match, query);
   std::vector<LabelledPoint> points_match, points_query;
   for (int k = 0; k < static_cast<int>(common.size()); ++k) {
-    const Spheroid& in_match = object(match.map, common[static_cast<std::size_t>(k)].a).spheroid;
-    const Spheroid& in_query = object(query.map, common[static_cast<std::size_t>(k)].b).spheroid;
-    points_match.push_back({in_match.center, k, in_match.radius()});
-    points_query.push_back({in_query.center, k, in_query.radius()});
+    const LocalObject& in_match = object(match.map, common[static_cast<std::size_t>(k)].a);
+    const LocalObject& in_query = object(query.map, common[static_cast<std::size_t>(k)].b);
+    points_match.push_back({in_match.spheroid.center, k, in_match.spheroid.radius(), in_match.class_id});
+    points_query.push_back({in_query.spheroid.center, k, in_query.spheroid.radius(), in_query.class_id});
   }
   std::vector<GraphMatch> alignments = match_graphs(points_match, points_query, options_, options_.paper_min_common);
   if (alignments.empty() || alignments.front().spread_m(1) < options_.min_spread_m) {
