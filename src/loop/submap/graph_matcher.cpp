@@ -8,6 +8,7 @@
 #include <set>
 #include <utility>
 
+#include "geometry/statistics.h"
 #include "semantic_topo_loop/geometry/alignment.h"
 #include "semantic_topo_loop/geometry/lie.h"
 
@@ -322,7 +323,8 @@ std::vector<LabelledPoint> rescaled(std::vector<LabelledPoint> points, double sc
   return points;
 }
 
-/// Pairs of points by their labels, with the log of their distances.
+/// Pairs of points by their labels, with the log of their distances; of very many of the same labels some, evenly
+/// taken.
 std::map<std::pair<int, int>, std::vector<double>> log_distances(const std::vector<LabelledPoint>& points,
                                                                  double min_distance_m) {
   std::map<std::pair<int, int>, std::vector<double>> distances;
@@ -333,6 +335,7 @@ std::map<std::pair<int, int>, std::vector<double>> log_distances(const std::vect
       distances[std::minmax({points[i].label, points[j].label})].push_back(std::log(distance));
     }
   }
+  for (auto& [labels, logs] : distances) logs = evenly_taken(std::move(logs), kMaxSeeds);
   return distances;
 }
 
