@@ -126,14 +126,6 @@ int run_program(const std::string& program, const std::vector<Command>& commands
   return 1;
 }
 
-core::Status check_writable(const std::string& path) {
-  const std::string probe = path + ".writable";
-  if (const core::Status written = core::write_text_file(probe, ""); !written) return written;
-  std::error_code ignored;
-  std::filesystem::remove(probe, ignored);
-  return {};
-}
-
 core::Status default_to_package(const std::string& file, const std::string& argument, std::string* path) {
   if (!path->empty()) return {};
   const std::string package = ros::package::getPath("semantic_topo_loop");

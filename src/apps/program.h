@@ -89,9 +89,6 @@ core::Status read_arguments(const Command& command, const std::vector<std::strin
 /// @return the exit status: 0 done, 1 failed, 2 wrong arguments
 int run_program(const std::string& program, const std::vector<Command>& commands, int argc, char** argv);
 
-/// Sees whether a file of that name, or for "DIRECTORY/" one in it, can be written.
-core::Status check_writable(const std::string& path);
-
 /// Where `path`, the value of `argument`, is empty: a file of the package's config directory.
 /// @return an error if the package is not on ROS_PACKAGE_PATH
 core::Status default_to_package(const std::string& file, const std::string& argument, std::string* path);

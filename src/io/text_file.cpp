@@ -6,6 +6,7 @@
 #include <atomic>
 #include <cerrno>
 #include <cstdio>
+#include <cstring>
 #include <deque>
 #include <ext/stdio_filebuf.h>
 #include <filesystem>
@@ -16,10 +17,27 @@
 namespace semantic_topo_loop::core {
 namespace {
 
-/// A file that is written beside the one whose place it shall take, and removed unless it takes it.
+constexpr char kStandardOutput[] = "/dev/stdout";
+constexpr char kByteOrderMark[] = "\xEF\xBB\xBF";  ///< that editors of Windows begin UTF-8 with
+
+/// Where links lead, of which the last one need not lead to a file.
+std::string behind_links(const std::string& path) {
+  constexpr int kLinksMax = 40;  // as the kernel
+  std::filesystem::path target = path;
+  std::error_code code;
+  for (int links = 0; links < kLinksMax; ++links) {
+    if (!std::filesystem::is_symlink(std::filesystem::symlink_status(target, code))) return target;
+    target = target.parent_path() / std::filesystem::read_symlink(target, code);
+  }
+  return path;
+}
+
+/// A file that is written beside the one whose place it shall take, and removed unless it takes it. A device is written
+/// itself.
 class TemporaryFile {
  public:
-  explicit TemporaryFile(std::string path) : path_(std::move(path)) {}
+  explicit TemporaryFile(std::string path)
+      : path_(std::move(path)), is_device_(is_device(path_)), target_(is_device_ ? path_ : behind_links(path_)) {}
   ~TemporaryFile() {
     if (!temporary_.empty()) ::unlink(temporary_.c_str());
   }
@@ -34,12 +52,13 @@ class TemporaryFile {
     stream.imbue(std::locale::classic());
     errno = 0;
     write(stream);
-    const bool is_written = static_cast<bool>(stream.flush()) && ::fsync(descriptor) == 0;
+    const bool is_written = static_cast<bool>(stream.flush()) && (is_device_ || ::fsync(descriptor) == 0);
     return is_written && buffer.close() != nullptr ? Status() : failure("cannot write the file");
   }
 
   /// @param write writes the file of the name it is given, which is there and empty
   Status write(const std::function<Status(const std::string&)>& write) {
+    if (is_device_) return write(target_);
     const int descriptor = create();
     if (descriptor < 0) return failure("cannot write the file");
     const Status written = write(temporary_);
@@ -50,18 +69,24 @@ class TemporaryFile {
   }
 
   Status put_in_place() {
-    if (std::rename(temporary_.c_str(), path_.c_str()) != 0) return failure("cannot rename the temporary file");
+    if (is_device_) return {};
+    if (std::rename(temporary_.c_str(), target_.c_str()) != 0) return failure("cannot rename the temporary file");
     temporary_.clear();
     return {};
   }
 
  private:
-  /// @return descriptor of a new file, < 0 if there cannot be one
+  /// @return descriptor of a new file, or of the device, < 0 if there cannot be one
   int create() {
+    if (path_ == kStandardOutput) {
+      std::fflush(stdout);
+      return ::dup(STDOUT_FILENO);
+    }
+    if (is_device_) return ::open(target_.c_str(), O_WRONLY | O_CLOEXEC);
     static std::atomic<std::uint64_t> next{0};
     int descriptor = -1;
     do {  // O_EXCL refuses what is there, links included; then the next number
-      temporary_ = path_ + "." + std::to_string(::getpid()) + "-" + std::to_string(next++) + ".tmp";
+      temporary_ = target_ + "." + std::to_string(::getpid()) + "-" + std::to_string(next++) + ".tmp";
       constexpr mode_t kMode = 0666;  // less the umask, as std::ofstream makes files
       descriptor = ::open(temporary_.c_str(), O_WRONLY | O_CREAT | O_EXCL | O_NOFOLLOW | O_CLOEXEC, kMode);
     } while (descriptor < 0 && errno == EEXIST);
@@ -73,7 +98,10 @@ class TemporaryFile {
     return Error{path_ + ": " + what + (errno == 0 ? "" : ": " + std::system_category().message(errno))};
   }
 
-  std::string path_, temporary_;
+  const std::string path_;
+  const bool is_device_;
+  const std::string target_;
+  std::string temporary_;
 };
 
 }  // namespace
@@ -83,10 +111,12 @@ Result<std::string> read_text_file(const std::string& path) {
   if (std::filesystem::is_directory(path, code)) return Error{path + ": is a directory, not a file"};
   std::ifstream file(path, std::ios::binary);
   if (!file) return Error{path + ": cannot open the file"};
-  std::ostringstream text;
-  text << file.rdbuf();
+  std::ostringstream stream;
+  stream << file.rdbuf();
   if (file.bad()) return Error{path + ": cannot read the file"};
-  return text.str();
+  std::string text = stream.str();
+  if (text.rfind(kByteOrderMark, 0) == 0) text.erase(0, std::strlen(kByteOrderMark));
+  return text;
 }
 
 Status write_text_file(const std::string& path, const std::string& text) {
@@ -110,6 +140,20 @@ Status replace_file(const std::string& path, const std::function<Status(const st
   TemporaryFile file(path);
   const Status written = file.write(write);
   return written ? file.put_in_place() : written;
+}
+
+bool is_device(const std::string& path) {
+  std::error_code missing;
+  return path == kStandardOutput || std::filesystem::is_other(path, missing);
+}
+
+Status check_writable(const std::string& path) {
+  if (is_device(path)) return {};
+  const std::string probe = path + ".writable";
+  if (const Status written = write_text_file(probe, ""); !written) return written;
+  std::error_code ignored;
+  std::filesystem::remove(probe, ignored);
+  return {};
 }
 
 bool is_same_file(const std::string& a, const std::string& b) {

@@ -1,15 +1,17 @@
 #include "semantic_topo_loop/io/text_file.h"
 
 #include <gtest/gtest.h>
-#include <sys/resource.h>
+#include <sys/stat.h>
 
 #include <algorithm>
 #include <clocale>
 #include <cmath>
-#include <csignal>
+#include <cstdio>
 #include <locale>
+#include <thread>
 
 #include "semantic_topo_loop/io/detection_file.h"
+#include "semantic_topo_loop/io/run_files.h"
 #include "semantic_topo_loop/io/tum_trajectory.h"
 #include "semantic_topo_loop/io/yaml_files.h"
 #include "support/test_files.h"
@@ -26,6 +28,22 @@ TEST(TextFile, WrittenTextComesBack) {
   EXPECT_EQ(checked(read_text_file(directory.path("x"))), "");
 }
 
+TEST(TextFile, AByteOrderMarkIsNoContent) {
+  const TestDirectory directory;
+  const std::string mark = "\xEF\xBB\xBF";
+  EXPECT_EQ(checked(read_text_file(directory.write("x", mark + mark + "a"))), mark + "a");
+  EXPECT_EQ(checked(read_text_file(directory.write("x", mark))), "");
+  EXPECT_EQ(checked(read_tum_trajectory(directory.write("t.txt", mark + "1.0 0 0 0 0 0 0 1\n"))).size(), 1U);
+  EXPECT_EQ(checked(read_camera(directory.write("c.yaml", mark + "fx: 525\nfy: 525\ncx: 320\ncy: 240\nwidth: 640\n"
+                                                                 "height: 480\ndistortion: [0, 0, 0, 0, 0]\n")))
+                .width,
+            640);
+  EXPECT_EQ(checked(read_keyframes(directory.write("k.csv", mark + keyframe_table_header()))).size(), 0U);
+  const ClassTable cups = *ClassTable::create({{41, "cup", ClassRole::kMovable, "", 0.1}});
+  const std::string frames = R"([{"file_name": "1.0.png", "detections": []}])";
+  EXPECT_EQ(checked(read_detections(directory.write("d.json", mark + frames), cups)).frames.size(), 1U);
+}
+
 /// Names of what is in a folder, in order.
 std::vector<std::string> entries_of(const TestDirectory& directory) {
   std::vector<std::string> names;
@@ -35,26 +53,6 @@ std::vector<std::string> entries_of(const TestDirectory& directory) {
   std::sort(names.begin(), names.end());
   return names;
 }
-
-/// Bounds the size of files, as a full disk does, until the end of a scope.
-class SmallFiles {
- public:
-  explicit SmallFiles(rlim_t bytes) : handler_(std::signal(SIGXFSZ, SIG_IGN)) {
-    ::getrlimit(RLIMIT_FSIZE, &before_);
-    const rlimit small{bytes, before_.rlim_max};
-    ::setrlimit(RLIMIT_FSIZE, &small);
-  }
-  ~SmallFiles() {
-    ::setrlimit(RLIMIT_FSIZE, &before_);
-    std::signal(SIGXFSZ, handler_);
-  }
-  SmallFiles(const SmallFiles&) = delete;
-  SmallFiles& operator=(const SmallFiles&) = delete;
-
- private:
-  rlimit before_{};
-  void (*handler_)(int);
-};
 
 TEST(TextFile, AFullDiskIsAnErrorAndKeepsWhatWasThere) {
   const TestDirectory directory;
@@ -91,8 +89,7 @@ TEST(TextFile, TouchesNobodyElsesFile) {
   directory.write("mine", "mine");
   directory.write("x.tmp", "mine");
   std::filesystem::create_symlink(directory.path("mine"), directory.path("y.tmp"));
-  std::filesystem::create_symlink(directory.path("mine"), directory.path("z"));
-  for (const char* name : {"x", "y", "z"}) {
+  for (const char* name : {"x", "y"}) {
     // Two writers at once, the second within the first.
     ASSERT_TRUE(write_file(directory.path(name), [&](std::ostream& file) {
       EXPECT_TRUE(write_text_file(directory.path(name), "inner"));
@@ -102,7 +99,42 @@ TEST(TextFile, TouchesNobodyElsesFile) {
   }
   EXPECT_EQ(read_whole(directory.path("mine")), "mine");
   EXPECT_EQ(read_whole(directory.path("x.tmp")), "mine");
-  EXPECT_EQ(entries_of(directory), (std::vector<std::string>{"mine", "x", "x.tmp", "y", "y.tmp", "z"}));
+  EXPECT_EQ(entries_of(directory), (std::vector<std::string>{"mine", "x", "x.tmp", "y", "y.tmp"}));
+}
+
+TEST(TextFile, LinksStayAndWhatTheyLeadToIsWritten) {
+  const TestDirectory directory;
+  directory.write("there/x", "before");
+  directory.write("links/x", "");
+  for (const char* name : {"x", "new"}) {
+    const std::string link = directory.path("links/to_") + name;
+    std::filesystem::create_symlink(std::string("../there/") + name, link);
+    ASSERT_TRUE(write_text_file(link, "after"));
+    EXPECT_EQ(read_whole(directory.path(std::string("there/") + name)), "after");
+    EXPECT_TRUE(std::filesystem::is_symlink(link));
+  }
+  EXPECT_EQ(read_whole(directory.path("links/x")), "");
+}
+
+TEST(TextFile, DevicesAreWrittenThemselves) {
+  const TestDirectory directory;
+  const std::string pipe = directory.path("pipe");
+  ASSERT_EQ(::mkfifo(pipe.c_str(), 0600), 0);
+  std::string read;
+  std::thread reader([&] { read = read_whole(pipe); });
+  EXPECT_EQ(write_text_file(pipe, "text").message(), "");
+  reader.join();
+  EXPECT_EQ(read, "text");
+  EXPECT_EQ(entries_of(directory), std::vector<std::string>{"pipe"});
+  std::filesystem::create_symlink("/dev/null", directory.path("null"));
+  EXPECT_EQ(write_text_file(directory.path("null"), "text").message(), "");
+  EXPECT_TRUE(std::filesystem::is_character_file("/dev/null"));
+  EXPECT_NE(write_text_file("/dev/full", "text").message().find("/dev/full: cannot write the file"), std::string::npos);
+  testing::internal::CaptureStdout();  // a file
+  std::printf("before ");
+  EXPECT_EQ(write_text_file("/dev/stdout", "text").message(), "");
+  std::printf(" after");
+  EXPECT_EQ(testing::internal::GetCapturedStdout(), "before text after");
 }
 
 TEST(TextFile, ErrorsNameThePath) {
