@@ -32,9 +32,13 @@ std::string outputs(const Arguments& arguments) {
          " bag-images=" + text(arguments.has_bag_images) + " bag-compression=" + arguments.bag_compression;
 }
 
-bool is_made(const Arguments& arguments, const std::string& manifest) {
-  const Result<std::string> there = read_text_file(arguments.output + "/manifest.txt");
-  return there && *there == manifest && (arguments.bag.empty() || std::filesystem::exists(arguments.bag));
+/// Whether directory and bag are what the manifest says. A bag that is newer was written again, from other arguments.
+bool is_made(const Arguments& arguments, const std::string& path, const std::string& manifest) {
+  const Result<std::string> there = read_text_file(path);
+  if (!there || *there != manifest) return false;
+  std::error_code ignored, missing;
+  const auto made = std::filesystem::last_write_time(path, ignored);
+  return arguments.bag.empty() || (std::filesystem::last_write_time(arguments.bag, missing) <= made && !missing);
 }
 
 Status write_files(const Arguments& arguments, const SimulationOptions& options, const Camera& camera,
@@ -70,15 +74,14 @@ Status run(const Arguments& arguments) {
   const Result<std::string> class_text = read_text_file(arguments.classes);
   if (!class_text) return class_text.error();
   const std::string manifest = sequence_manifest(*options, *camera, *class_text, outputs(arguments));
-  if (arguments.has_images && is_made(arguments, manifest)) {
+  const std::string manifest_path = arguments.output + "/manifest.txt";
+  if (arguments.has_images && is_made(arguments, manifest_path, manifest)) {
     std::printf("%s is up to date\n", arguments.output.c_str());
     return {};
   }
-  // Without its manifest a directory that is only half made is not taken for whole.
-  std::error_code ignored;
-  std::filesystem::remove(arguments.output + "/manifest.txt", ignored);
+  if (const Status begun = begin_sequence(arguments.output, arguments.has_images); !begun) return begun;
   const Status written = write_files(arguments, *options, *camera, *classes);
-  return written && arguments.has_images ? write_text_file(arguments.output + "/manifest.txt", manifest) : written;
+  return written && arguments.has_images ? write_text_file(manifest_path, manifest) : written;
 }
 
 Status complete(bool is_for_bags, Arguments* arguments) {

@@ -275,11 +275,47 @@ TEST_F(SimulateProgram, the_same_request_is_not_made_again) {
 
 TEST_F(SimulateProgram, half_made_directories_are_made_again) {
   EXPECT_EQ(run(STL_PROGRAM_DIR "/simulate", "--images true").status, 0);
-  // A request that fails after it has begun leaves no manifest.
   EXPECT_EQ(run(STL_PROGRAM_DIR "/simulate", "--images true --set drift.position_m=-1").status, 1);
   EXPECT_TRUE(exists("manifest.txt")) << "nothing was begun";
   EXPECT_EQ(run(STL_PROGRAM_DIR "/simulate", "--images true --bag @none/a.bag").status, 1);
-  EXPECT_FALSE(exists("manifest.txt"));
+  const ProgramRun again = run(STL_PROGRAM_DIR "/simulate", "--images true");
+  EXPECT_EQ(again.status, 0) << again.err;
+  EXPECT_EQ(again.out.find("up to date"), std::string::npos) << again.out;
+}
+
+TEST_F(SimulateProgram, a_recording_of_others_is_not_touched) {
+  for (const char* name : {"rgb/1.png", "depth/1.png", "rgb.txt"}) {
+    directory_.write(std::string("made/") + name, "mine");
+    directory_.write("made/manifest.txt", "mine, too\n");
+    for (const char* program : {"/simulate", "/simulate --images true", "/simulate_bag"}) {
+      const ProgramRun refused = run(STL_PROGRAM_DIR + std::string(program), "");
+      EXPECT_EQ(refused.status, 1) << program;
+      EXPECT_NE(refused.err.find(directory_.path("made") + ": holds a recording that is not simulated"),
+                std::string::npos)
+          << refused.err;
+      EXPECT_EQ(read_whole(directory_.path(std::string("made/") + name)), "mine") << program;
+    }
+    EXPECT_FALSE(exists("groundtruth.txt"));
+    std::filesystem::remove_all(directory_.path("made"));
+  }
+}
+
+TEST_F(SimulateProgram, a_bag_that_was_written_again_is_not_up_to_date) {
+  const auto make = [this](const std::string& directory, const std::string& seed) {
+    return run_program(STL_PROGRAM_DIR "/simulate",
+                       "--output @" + directory +
+                           " --camera @camera.yaml --classes " STL_CONFIG_DIR
+                           "/classes_coco.yaml --duration 0.4 --rate 10 --images true --bag @a.bag --seed " +
+                           seed,
+                       directory_);
+  };
+  ASSERT_EQ(make("one", "1").status, 0);
+  const std::string first = read_whole(directory_.path("a.bag"));
+  EXPECT_NE(make("one", "1").out.find("up to date"), std::string::npos);
+  ASSERT_EQ(make("two", "2").status, 0);
+  EXPECT_TRUE(first != read_whole(directory_.path("a.bag")));
+  EXPECT_EQ(make("one", "1").out.find("up to date"), std::string::npos);
+  EXPECT_TRUE(first == read_whole(directory_.path("a.bag")));
 }
 
 TEST_F(SimulateProgram, wrong_arguments_are_named) {

@@ -17,6 +17,8 @@ namespace {
 
 /// Raised whenever the same options give other images.
 constexpr int kGeneratorVersion = 1;
+constexpr char kManifest[] = "manifest.txt";
+constexpr char kManifestTitle[] = "# What this directory was made from.\n";
 constexpr int kPngCompression = 1;  ///< the images' noise leaves little to gain
 
 std::string color_name(const SimulatedSequence& sequence, std::size_t frame) {
@@ -139,9 +141,23 @@ SE3 color_from_depth(const RenderingOptions& options) {
   return {Quaternion::Identity(), {options.depth_offset_m, 0.0, 0.0}};
 }
 
+Status begin_sequence(const std::string& directory, bool with_images) {
+  if (Status made = make_directory(directory); !made) return made;
+  const std::string manifest = directory + "/" + kManifest;
+  const Result<std::string> before = read_text_file(manifest);
+  const bool is_own = before && before->rfind(kManifestTitle, 0) == 0;
+  for (const char* name : {"rgb", "depth", "rgb.txt", "depth.txt"}) {
+    std::error_code missing;
+    if (is_own || !std::filesystem::exists(std::filesystem::symlink_status(directory + "/" + name, missing))) continue;
+    return Error{directory + ": holds a recording that is not simulated (" + name + " without simulate's " + kManifest +
+                 "): give another directory"};
+  }
+  return is_own || with_images ? write_text_file(manifest, kManifestTitle) : Status();
+}
+
 Status render_sequence(const SimulationOptions& options, const ClassTable& classes, int threads,
                        const std::string& directory, SimulatedSequence* sequence) {
-  if (Status made = make_directory(directory); !made) return made;
+  if (Status begun = begin_sequence(directory, true); !begun) return begun;
   if (Status cleared = clear_images(directory); !cleared) return cleared;
   const FrameWriter writer{options, *sequence, directory};
   DetectorModel detector(sequence->scene, sequence->camera, classes, options.detector, options.trajectory.rate_hz,
@@ -185,8 +201,8 @@ Result<cv::Mat> read_rendered_depth(const SimulatedSequence& sequence, const Ren
 
 std::string sequence_manifest(const SimulationOptions& options, const Camera& camera, const std::string& class_table,
                               const std::string& outputs) {
-  std::string text = "# What this directory was made from.\ngenerator " + std::to_string(kGeneratorVersion) +
-                     "\noutputs " + outputs + "\nclasses " + std::to_string(fnv1a(class_table)) + "\n";
+  std::string text = std::string(kManifestTitle) + "generator " + std::to_string(kGeneratorVersion) + "\noutputs " +
+                     outputs + "\nclasses " + std::to_string(fnv1a(class_table)) + "\n";
   for (const OptionRow& row : list_options(options)) text += row.key + " " + row.value + "\n";
   return text + format_camera(camera);
 }
