@@ -144,6 +144,7 @@ Result<Report> report_objects(const Arguments& arguments) {
 /// What the figures of a run's loops are computed from.
 struct LoopFiles {
   std::vector<JudgedLoop> loops;
+  int into_earlier_sessions = 0;  ///< loops that are not among them
   TruePoses truth;
   KeyframeViews keyframes;
 };
@@ -163,11 +164,12 @@ Result<LoopFiles> read_loop_files(const Arguments& arguments) {
   const auto mocap = arguments.mocap.empty() ? StampedPoses() : read_tum_ground_truth(arguments.mocap);
   if (!mocap) return mocap.error();
   constexpr double kMaxMocapGap_s = 0.1;  // ten samples of a motion capture at 100 Hz
-  LoopFiles files{{}, TruePoses(*std::move(truth), *mocap, kMaxMocapGap_s), {}};
+  LoopFiles files{{}, 0, TruePoses(*std::move(truth), *mocap, kMaxMocapGap_s), {}};
   for (const KeyframePose& keyframe : *keyframes) files.keyframes.keyframe_stamps_ns.push_back(keyframe.stamp_ns);
-  auto judged = judge_loops(*loops, *frames, files.truth);
+  auto judged = judge_loops(*loops, *frames, files.truth, first_frame_id(*keyframes));
   if (!judged) return Error{run + "/loops.csv: " + judged.message()};
   files.loops = *std::move(judged);
+  files.into_earlier_sessions = static_cast<int>(loops->size() - files.loops.size());
   files.keyframes.objects.resize(static_cast<std::size_t>(files.truth.size()));
   for (const auto& [stamp_ns, ids] : *sightings) {
     const int image = files.truth.find(stamp_ns);
@@ -265,6 +267,9 @@ Result<Report> report_loops(const Arguments& arguments) {
   if (!files) return files.error();
   const LoopEvaluation e = evaluate_loops(files->loops, files->truth);
   Report report = report_geometry(e);
+  if (files->into_earlier_sessions > 0) {
+    report.add("left out, into earlier sessions", "into_earlier_sessions", files->into_earlier_sessions);
+  }
   add_revisits(e, files->truth, &report);
   add_viewpoints(e, &report);
   add_table(count_by_criterion(files->loops, files->truth, files->keyframes), &report);

@@ -466,7 +466,7 @@ int run(int files, std::uint64_t seed, const std::string& only) {
   write_valid_files(valid.path(""));
   for (const char* folder : {"yolo", "tum", "run"}) std::filesystem::create_directories(changed.path(folder));
   changed.write("tum/depth.txt", "1.01 depth/1.png\n1.06 depth/2.png\n2.0 depth/3.png\n");
-  for (const char* name : {"objects.csv", "trajectory.txt"}) {
+  for (const char* name : {"objects.csv", "trajectory.txt", "keyframes.csv"}) {
     std::filesystem::copy_file(valid.path(name), changed.path(std::string("run/") + name));
   }
   std::printf("| kind              |   files |    read | refused | harmful |\n| --- | --- | --- | --- | --- |\n");

@@ -66,6 +66,23 @@ TEST_F(EvaluateProgram, Loops) {
   EXPECT_TRUE(json()["revisits"].empty());
 }
 
+TEST_F(EvaluateProgram, LoopsOfARunThatGoesOnWithAMap) {
+  EXPECT_EQ(run("loops @run @gt.txt"), 0) << err_;
+  EXPECT_EQ(out_.find("earlier sessions"), std::string::npos) << out_;
+  const auto shift = [this](const std::string& name, const std::string& from, const std::string& to) {
+    std::string text = read_whole(directory_.path("run/" + name));
+    text.replace(text.find(from), from.size(), to);
+    directory_.write("run/" + name, text);
+  };
+  shift("keyframes.csv", "\n0,0,100", "\n4,50,100");
+  shift("associations.csv", "\n0,0,7,new\n9,0", "\n50,0,7,new\n59,0");
+  shift("loops.csv", "\n9,0,109.000000,100.000000,9,9,0,0", "\n59,20,109.000000,70.000000,59,59,18,20");
+  ASSERT_EQ(run("loops @run @gt.txt --json @out.json"), 0) << err_;
+  EXPECT_EQ(json()["into_earlier_sessions"], 1);
+  EXPECT_EQ(json()["accepted"], 0);
+  EXPECT_NE(out_.find("left out, into earlier sessions"), std::string::npos) << out_;
+}
+
 TEST_F(EvaluateProgram, DetailsOfLoops) {
   ASSERT_EQ(run("loops @run @gt.txt --sightings @run --details @details"), 0) << err_;
   EXPECT_NE(read_whole(directory_.path("details/judged_loops.csv")).find("\n9,0,1,accepted,7.500000,1,0.000000"),

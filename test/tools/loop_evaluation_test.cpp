@@ -193,6 +193,24 @@ TEST(LoopEvaluation, LoopsOfAnotherRunAreAnError) {
   EXPECT_NE(judge_loops({}, frames, TruePoses(other, {}, 0.1)).message().find("no stamp in common"), std::string::npos);
 }
 
+TEST(LoopEvaluation, LoopsIntoEarlierSessionsAreLeftOut) {
+  const StampedPoses frames = visit_twice();
+  const TruePoses truth(frames, {}, 0.1);
+  constexpr std::int64_t kFirst = 700;  // a run that goes on with a map counts its frames on
+  LoopRecord within = make_loop(frames, 2100, 100), into_earlier = within;
+  for (std::int64_t* frame :
+       {&within.query_frame, &within.match_frame, &within.query_begin, &within.query_end, &within.match_begin,
+        &within.match_end, &into_earlier.query_frame, &into_earlier.query_begin, &into_earlier.query_end}) {
+    *frame += kFirst;
+  }
+  const auto judged = checked(judge_loops({into_earlier, within}, frames, truth, kFirst));
+  ASSERT_EQ(judged.size(), 1U);
+  EXPECT_EQ(judged[0].match_begin_ns, frames[40].stamp_ns);
+  EXPECT_TRUE(judged[0].is_right());
+  within.query_end = kFirst + 3000;
+  EXPECT_FALSE(judge_loops({within}, frames, truth, kFirst));
+}
+
 TEST(LoopEvaluation, HolesOfTheSharedMocap) {
   const auto frames = shared_data("tum/fr2_desk/groundtruth_frames.txt");
   const auto mocap = shared_data("tum/fr2_desk/groundtruth.txt");

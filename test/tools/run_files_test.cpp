@@ -78,6 +78,7 @@ TEST_F(RunFiles, LoopErrors) {
 
 TEST_F(RunFiles, SightingsAreThoseOfConfirmedObjects) {
   directory_.write("trajectory.txt", "1.0 0 0 0 0 0 0 1\n2.0 0 0 0 0 0 0 1\n");
+  directory_.write("keyframes.csv", keyframe_table_header() + "0,0,1.0,0,0,0,0,0,0,1\n");
   directory_.write("objects.csv", std::string(kObjects) + "7,41,cup,1,2,3,0.1,0.1,0.1,confirmed,9\n" +
                                       "8,41,cup,1,2,3,0.1,0.1,0.1,candidate,9\n");
   const std::string header = "frame_id,detection_index,landmark_id,level\n";
@@ -90,6 +91,11 @@ TEST_F(RunFiles, SightingsAreThoseOfConfirmedObjects) {
                 .message()
                 .find("associations.csv:2: frame_id = '2' is no frame of trajectory.txt"),
             std::string::npos);
+  // A run that goes on with a map counts its frames on.
+  directory_.write("keyframes.csv", keyframe_table_header() + "9,1,1.0,0,0,0,0,0,0,1\n");
+  EXPECT_EQ(checked(read_sightings(directory_.path("."))), (SightingsByStamp{{2000000000, {7}}}));
+  directory_.write("associations.csv", header + "0,0,7,joint\n");
+  EXPECT_FALSE(read_sightings(directory_.path(".")));
 }
 
 TEST_F(RunFiles, Keyframes) {

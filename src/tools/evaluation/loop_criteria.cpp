@@ -155,6 +155,9 @@ Result<SightingsByStamp> read_sightings(const std::string& directory) {
   if (!objects) return objects.error();
   const auto frames = read_tum_trajectory(directory + "/trajectory.txt");
   if (!frames) return frames.error();
+  const auto keyframes = read_keyframes(directory + "/keyframes.csv");
+  if (!keyframes) return keyframes.error();
+  const std::int64_t first_frame = first_frame_id(*keyframes);
   std::set<std::int64_t> confirmed;
   for (const MappedObject& object : *objects) {
     if (object.state == "confirmed") confirmed.insert(object.id);
@@ -162,9 +165,10 @@ Result<SightingsByStamp> read_sightings(const std::string& directory) {
   SightingsByStamp sightings;
   const auto read_row = [&](CsvTable& table) {
     const std::int64_t frame = table.integer("frame_id"), id = table.integer("landmark_id");
-    const bool is_known = frame >= 0 && frame < static_cast<std::int64_t>(frames->size());
+    const std::int64_t row = frame >= first_frame ? frame - first_frame : -1;
+    const bool is_known = row >= 0 && row < static_cast<std::int64_t>(frames->size());
     if (!is_known) table.reject("frame_id", "is no frame of trajectory.txt");
-    if (is_known && confirmed.count(id) > 0) sightings[(*frames)[static_cast<std::size_t>(frame)].stamp_ns].insert(id);
+    if (is_known && confirmed.count(id) > 0) sightings[(*frames)[static_cast<std::size_t>(row)].stamp_ns].insert(id);
     return id;
   };
   const auto rows = read_csv<std::int64_t>(directory + "/associations.csv", read_row);

@@ -21,14 +21,33 @@ bool is_hole(std::int64_t stamp_ns, const StampedPoses& mocap, double max_gap_s)
   return static_cast<double>(after->stamp_ns - std::prev(after)->stamp_ns) > 1e9 * max_gap_s;
 }
 
-Status check_frames(const LoopRecord& loop, const StampedPoses& frames) {
+/// The poses of a run's frames, by frame_id.
+class RunFrames {
+ public:
+  RunFrames(const StampedPoses& poses, std::int64_t first_frame) : poses_(poses), first_(first_frame) {}
+
+  bool is_earlier(std::int64_t frame) const { return frame >= 0 && frame < first_; }
+  bool has(std::int64_t frame) const {
+    return frame >= first_ && frame - first_ < static_cast<std::int64_t>(poses_.size());
+  }
+  std::int64_t stamp_ns(std::int64_t frame) const { return poses_[static_cast<std::size_t>(frame - first_)].stamp_ns; }
+  std::size_t size() const { return poses_.size(); }
+
+ private:
+  const StampedPoses& poses_;
+  const std::int64_t first_;
+};
+
+Status check_frames(const LoopRecord& loop, const RunFrames& frames) {
   for (const std::int64_t frame :
        {loop.query_frame, loop.match_frame, loop.query_begin, loop.query_end, loop.match_begin, loop.match_end}) {
-    if (frame >= 0 && frame < static_cast<std::int64_t>(frames.size())) continue;
+    if (frames.has(frame)) continue;
     return Error{"a loop names frame " + std::to_string(frame) + ", but the run has " + std::to_string(frames.size())};
   }
-  const auto stamp = [&frames](std::int64_t frame) { return frames[static_cast<std::size_t>(frame)].stamp_ns; };
-  if (stamp(loop.query_frame) == loop.query_stamp_ns && stamp(loop.match_frame) == loop.match_stamp_ns) return {};
+  if (frames.stamp_ns(loop.query_frame) == loop.query_stamp_ns &&
+      frames.stamp_ns(loop.match_frame) == loop.match_stamp_ns) {
+    return {};
+  }
   return Error{"the stamps of loop " + std::to_string(loop.query_frame) + " - " + std::to_string(loop.match_frame) +
                " are not those of the run's trajectory"};
 }
@@ -37,16 +56,15 @@ bool has_pose(const LoopRecord& loop) {
   return loop.T_match_query.t != Vec3::Zero() || loop.T_match_query.q.vec() != Vec3::Zero();
 }
 
-JudgedLoop judge(const LoopRecord& loop, const StampedPoses& frames, const TruePoses& truth) {
-  const auto stamp = [&frames](std::int64_t frame) { return frames[static_cast<std::size_t>(frame)].stamp_ns; };
+JudgedLoop judge(const LoopRecord& loop, const RunFrames& frames, const TruePoses& truth) {
   JudgedLoop judged;
   judged.record = loop;
   judged.query = truth.find(loop.query_stamp_ns);
   judged.match = truth.find(loop.match_stamp_ns);
-  judged.query_begin_ns = stamp(loop.query_begin);
-  judged.query_end_ns = stamp(loop.query_end);
-  judged.match_begin_ns = stamp(loop.match_begin);
-  judged.match_end_ns = stamp(loop.match_end);
+  judged.query_begin_ns = frames.stamp_ns(loop.query_begin);
+  judged.query_end_ns = frames.stamp_ns(loop.query_end);
+  judged.match_begin_ns = frames.stamp_ns(loop.match_begin);
+  judged.match_end_ns = frames.stamp_ns(loop.match_end);
   judged.query_end = truth.nearest(judged.query_end_ns);
   judged.is_judged =
       judged.query >= 0 && judged.match >= 0 && !truth.in_hole(judged.query) && !truth.in_hole(judged.match);
@@ -100,15 +118,21 @@ bool TruePoses::is_loopable(int query, const RevisitCriterion& criterion) const 
   return false;
 }
 
+std::int64_t first_frame_id(const std::vector<KeyframePose>& keyframes) {
+  return keyframes.empty() ? 0 : std::max<std::int64_t>(0, keyframes.front().frame_id);
+}
+
 Result<std::vector<JudgedLoop>> judge_loops(const std::vector<LoopRecord>& loops, const StampedPoses& frames,
-                                            const TruePoses& truth) {
+                                            const TruePoses& truth, std::int64_t first_frame) {
+  const RunFrames run(frames, first_frame);
   if (std::none_of(frames.begin(), frames.end(), [&](const StampedPose& f) { return truth.find(f.stamp_ns) >= 0; })) {
     return Error{"the run and the true poses have no stamp in common"};
   }
   std::vector<JudgedLoop> judged;
   for (const LoopRecord& loop : loops) {
-    if (const Status checked = check_frames(loop, frames); !checked) return checked.error();
-    judged.push_back(judge(loop, frames, truth));
+    if (run.has(loop.query_frame) && run.is_earlier(loop.match_frame)) continue;
+    if (const Status checked = check_frames(loop, run); !checked) return checked.error();
+    judged.push_back(judge(loop, run, truth));
   }
   return judged;
 }

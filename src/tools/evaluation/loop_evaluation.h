@@ -92,12 +92,16 @@ struct JudgedLoop {
   }
 };
 
-/// Puts every candidate beside the truth, in the order of `loops`.
-/// @param frames poses of the run's trajectory.txt: row k has frame_id k
+/// The frame_id of a run's first frame, which is a keyframe; not 0 where the run goes on with a map.
+std::int64_t first_frame_id(const std::vector<KeyframePose>& keyframes);
+
+/// Puts every candidate within the run beside the truth, in the order of `loops`. Those into earlier sessions of its
+/// map are left out: where their frames are this run does not tell.
+/// @param frames poses of the run's trajectory.txt: row k has frame_id `first_frame` + k
 /// @return an error, with the cause, if the run and the truth have no frame in common or a loop names a frame
 /// that the run does not have
 Result<std::vector<JudgedLoop>> judge_loops(const std::vector<LoopRecord>& loops, const StampedPoses& frames,
-                                            const TruePoses& truth);
+                                            const TruePoses& truth, std::int64_t first_frame = 0);
 
 /// Of accepted loops that were judged.
 struct LoopErrors {
@@ -149,7 +153,7 @@ struct KeyframeViews {
 /// Confirmed objects that were detected in a frame, by its stamp.
 using SightingsByStamp = std::map<std::int64_t, std::set<std::int64_t>>;
 
-/// From trajectory.txt, associations.csv and objects.csv of a run's directory.
+/// From trajectory.txt, keyframes.csv, associations.csv and objects.csv of a run's directory.
 /// @return an error, with file, line, column and value
 Result<SightingsByStamp> read_sightings(const std::string& directory);
 
