@@ -7,11 +7,13 @@
 #include <tf2_msgs/TFMessage.h>
 
 #include <boost/make_shared.hpp>
+#include <memory>
 #include <opencv2/imgproc.hpp>
 
 #include "ros/conversions.h"
 #include "ros/tum_bag.h"
 #include "semantic_topo_loop/geometry/lie.h"
+#include "semantic_topo_loop/io/text_file.h"
 #include "tools/rendering/rgbd_sequence.h"
 
 namespace semantic_topo_loop {
@@ -70,19 +72,27 @@ rosbag::compression::CompressionType compression_of(const std::string& name) {
 
 class TumBag {
  public:
-  TumBag(const std::string& path, const core::SimulatedSequence& sequence, const TumBagOptions& options)
-      : bag_(path, rosbag::bagmode::Write),
-        sequence_(sequence),
+  TumBag(const core::SimulatedSequence& sequence, const TumBagOptions& options)
+      : sequence_(sequence),
         options_(options),
         depth_frame_(options.rendering.depth_offset_m == 0.0 ? kOpticalFrame : kDepthOpticalFrame),
         info_(camera_info(sequence.camera, kOpticalFrame)),
-        depth_info_(camera_info(sequence.camera, depth_frame_)) {
-    bag_.setCompression(compression_of(options.compression));
+        depth_info_(camera_info(sequence.camera, depth_frame_)) {}
+  ~TumBag() {
+    try {
+      bag_->close();
+    } catch (const std::exception&) {
+      static_cast<void>(bag_.release());  // its destructor would try again, and end the program by what it throws
+    }
   }
+  TumBag(const TumBag&) = delete;
+  TumBag& operator=(const TumBag&) = delete;
 
   /// Everything in order of time.
   /// @return an error if an image cannot be read
-  core::Status write() {
+  core::Status write(const std::string& path) {
+    bag_->open(path, rosbag::bagmode::Write);
+    bag_->setCompression(compression_of(options_.compression));
     const core::StampedPoses &colors = sequence_.truth, &depths = sequence_.depth;
     std::size_t color = 0, depth = 0;
     for (const core::StampedPose& pose : sequence_.mocap) {
@@ -96,7 +106,7 @@ class TumBag {
       }
       write_mocap(pose);
     }
-    bag_.close();
+    bag_->close();
     return {};
   }
 
@@ -105,7 +115,7 @@ class TumBag {
     const core::SE3 T_world_kinect = pose.T_world_camera * tum_kinect_from_optical().inverse();
     tf2_msgs::TFMessage mocap;
     mocap.transforms.push_back(transform(pose.stamp_ns, "/world", "/kinect", T_world_kinect));
-    bag_.write(tum_topic::kTf, to_ros_time(pose.stamp_ns), mocap, tf_connection_);
+    bag_->write(tum_topic::kTf, to_ros_time(pose.stamp_ns), mocap, tf_connection_);
     if (mocap_count_++ % kChainPeriod != 0) return;
     tf2_msgs::TFMessage chain;
     chain.transforms = {transform(pose.stamp_ns, "/kinect", kCameraFrame, kinect_from_camera()),
@@ -119,7 +129,7 @@ class TumBag {
       chain.transforms.push_back(
           transform(pose.stamp_ns, "/openni_depth_frame", kDepthOpticalFrame, rgb_from_optical()));
     }
-    bag_.write(tum_topic::kTf, to_ros_time(pose.stamp_ns), chain, tf_connection_);
+    bag_->write(tum_topic::kTf, to_ros_time(pose.stamp_ns), chain, tf_connection_);
   }
 
   core::Status write_color(std::size_t frame) {
@@ -152,10 +162,10 @@ class TumBag {
   void write(const char* topic, std::size_t frame, std::int64_t stamp_ns, Message* message) {
     message->header.stamp = to_ros_time(stamp_ns);
     message->header.seq = static_cast<std::uint32_t>(frame);
-    bag_.write(topic, message->header.stamp, *message);
+    bag_->write(topic, message->header.stamp, *message);
   }
 
-  rosbag::Bag bag_;
+  std::unique_ptr<rosbag::Bag> bag_ = std::make_unique<rosbag::Bag>();
   const core::SimulatedSequence& sequence_;
   const TumBagOptions& options_;
   const char* depth_frame_;
@@ -170,11 +180,13 @@ core::SE3 tum_kinect_from_optical() { return kinect_from_camera() * camera_from_
 
 core::Status write_tum_bag(const core::SimulatedSequence& sequence, const std::string& path,
                            const TumBagOptions& options) {
-  try {
-    return TumBag(path, sequence, options).write();
-  } catch (const std::exception& exception) {
-    return core::Error{path + ": cannot write the bag: " + exception.what()};
-  }
+  return core::replace_file(path, [&](const std::string& temporary) -> core::Status {
+    try {
+      return TumBag(sequence, options).write(temporary);
+    } catch (const std::exception& exception) {
+      return core::Error{path + ": cannot write the bag: " + exception.what()};
+    }
+  });
 }
 
 }  // namespace semantic_topo_loop

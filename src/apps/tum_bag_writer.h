@@ -23,7 +23,7 @@ core::SE3 tum_kinect_from_optical();
 /// -> /openni_rgb_optical_frame at a tenth of it. With rendered images also /camera/depth/camera_info and
 /// /camera/depth/image (32FC1, metres, NaN where there is none), in the color camera's frame, or in
 /// /openni_depth_optical_frame with its place in the chain if depth is not registered.
-/// @return an error, with path and cause, if the file cannot be written or an image not be read
+/// @return an error, with path and cause, if the file cannot be written or an image not be read: what was there stays
 core::Status write_tum_bag(const core::SimulatedSequence& sequence, const std::string& path,
                            const TumBagOptions& options);
 

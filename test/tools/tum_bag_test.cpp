@@ -14,6 +14,7 @@
 #include "semantic_topo_loop/geometry/lie.h"
 #include "support/test_fixtures.h"
 #include "tools/rendering/rgbd_sequence.h"
+#include "support/test_files.h"
 
 namespace semantic_topo_loop {
 namespace {
@@ -183,6 +184,18 @@ class RenderedBagTest : public TumBagTest {
 
   template <class Message>
   std::vector<typename Message::ConstPtr> messages(const char* topic) {
+TEST_F(TumBagTest, a_full_disk_is_an_error_and_keeps_the_bag_that_was_there) {
+  std::ofstream(path_) << "before";
+  TumBagOptions options;
+  for (const char* compression : {"none", "lz4", "bz2"}) {
+    options.compression = compression;
+    const core::SmallFiles limit(4096);
+    const std::string error = write_tum_bag(sequence_, path_, options).message();
+    EXPECT_EQ(error.find(path_ + ": cannot write the bag: "), 0U) << compression << ": " << error;
+    EXPECT_EQ(core::read_whole(path_), "before");
+  }
+}
+
     rosbag::Bag bag(path_);
     std::vector<typename Message::ConstPtr> result;
     for (const rosbag::MessageInstance& m : rosbag::View(bag, rosbag::TopicQuery(topic))) {
