@@ -63,16 +63,14 @@ class PlayerNodelet : public StageWith<PlayerParameters> {
       set_status("failed: bad parameter");
       return;
     }
-    const std::string frontend = parameters_.bag.with_images ? "RgbdFrontend" : "PoseFrontend";
+    const std::string frontend = parameters_.bag.plays_depth() ? "RgbdFrontend" : "PoseFrontend";
     ledger_ = std::make_unique<PlayerLedger>(frontend, parameters_.stage_names(), parameters_.await_results);
     publishes_clock_ = ros::param::param<bool>("/use_sim_time", false);
     if (publishes_clock_) clock_publisher_ = getNodeHandle().advertise<rosgraph_msgs::Clock>("/clock", 10);
     tf_publisher_ = getNodeHandle().advertise<tf2_msgs::TFMessage>("/tf", 1000);
     camera_info_publisher_ = advertise<sensor_msgs::CameraInfo>("camera_info");
-    if (parameters_.bag.with_images) {
-      color_publisher_ = advertise<sensor_msgs::Image>("color");
-      depth_publisher_ = advertise<sensor_msgs::Image>("depth");
-    }
+    if (parameters_.bag.with_images) color_publisher_ = advertise<sensor_msgs::Image>("color");
+    if (parameters_.bag.plays_depth()) depth_publisher_ = advertise<sensor_msgs::Image>("depth");
     end_publisher_ = advertise<std_msgs::Empty>("end_of_stream");
     query_publisher_ = advertise<std_msgs::Empty>("session_queries");
     status_publisher_ = advertise<std_msgs::String>("player_status", true);
@@ -185,7 +183,7 @@ class PlayerNodelet : public StageWith<PlayerParameters> {
     if (is_up()) return true;
     std::string missing;
     for (const std::string& stage : ledger_->missing_stages()) missing += (missing.empty() ? "" : ", ") + stage;
-    if (missing.empty()) missing = "nobody subscribes to color, depth and camera_info";
+    if (missing.empty()) missing = "nobody subscribes to camera_info and the images";
     lock.unlock();
     NODELET_FATAL("nothing was played: not up after %.0f s: %s", parameters_.startup_timeout_s, missing.c_str());
     set_status("failed: not up: " + missing);
@@ -196,7 +194,7 @@ class PlayerNodelet : public StageWith<PlayerParameters> {
   bool are_images_heard() const {
     if (!parameters_.bag.with_images) return true;
     return camera_info_publisher_.getNumSubscribers() > 0 && color_publisher_.getNumSubscribers() > 0 &&
-           depth_publisher_.getNumSubscribers() > 0;
+           (!parameters_.bag.plays_depth() || depth_publisher_.getNumSubscribers() > 0);
   }
 
   /// Plays every image, in lockstep until each has left the chain.

@@ -182,11 +182,14 @@ struct LoopDetectionParameters : ClassStageParameters {
 struct TumBagPlayback {
   std::string file;
   std::string stamps = "image";  ///< of the images: image or camera_info
-  bool with_images = false;      ///< colour and depth themselves; needs stamps image
+  bool with_images = false;      ///< the colour images themselves; needs stamps image
+  bool with_depth = true;        ///< and their depth
   double max_depth_delay_s = 0.02;
   std::string mocap_tf = "drop";  ///< the motion capture's edge in /tf: drop, or odom (its parent becomes odom_frame)
   std::string odom_frame = "odom";
   double lookahead_s = 0.3;  ///< transforms recorded up to this long after an image go before it
+
+  bool plays_depth() const { return with_images && with_depth; }
 };
 
 /// What the player plays, and how.
@@ -213,8 +216,10 @@ struct PlayerParameters : StageParameters {
     visitor("camera_frame", camera_frame, core::any(), "files: tf frame of the camera's optical frame");
     visitor("bag_file", bag.file, core::any(), "bag: what is played");
     visitor("stamps", bag.stamps, core::one_of({"image", "camera_info"}), "bag: which stamps are played");
-    visitor("images", bag.with_images,
-            "bag: play the color and depth images too, for RgbdFrontend; left out without depth");
+    visitor("images", bag.with_images, "bag: play the color images too, for RgbdFrontend and ObjectDetector");
+    visitor(
+        "depth_images", bag.with_depth,
+        "bag, images: and depth, for RgbdFrontend, which is given no image without; false: poses come from elsewhere");
     visitor("max_depth_delay_s", bag.max_depth_delay_s, core::positive(),
             "bag, images: depth farther from color in stamp is none of it");
     visitor("mocap_tf", bag.mocap_tf, core::one_of({"drop", "odom"}),

@@ -49,8 +49,8 @@ std::string TumBagSource::open_bag() {
   if (size_ == 0) return "holds no message on " + stamp_topic;
   std::vector<std::string> topics = {tum_topic::kTf, tum_topic::kCameraInfo};
   if (stamp_topic == tum_topic::kColor) topics.emplace_back(tum_topic::kColor);
-  if (options_.with_images) topics.emplace_back(tum_topic::kDepth);
-  if (options_.with_images && count(tum_topic::kDepth) == 0) {
+  if (options_.plays_depth()) topics.emplace_back(tum_topic::kDepth);
+  if (options_.plays_depth() && count(tum_topic::kDepth) == 0) {
     return std::string("holds no message on ") + tum_topic::kDepth + ": without depth, poses must come from elsewhere";
   }
   view_ = std::make_unique<rosbag::View>(bag_, rosbag::TopicQuery(topics));
@@ -68,7 +68,7 @@ std::optional<PlayerItem> TumBagSource::next() {
     position_ = view_->end();
     end_ = core::Error{explain(options_.file, std::string("is damaged: ") + exception.what())};
   }
-  if (images_.empty() && options_.with_images) {
+  if (images_.empty() && options_.plays_depth()) {
     pairing_.finish();
     take_pairs();
   }
@@ -94,10 +94,10 @@ void TumBagSource::read_message(const rosbag::MessageInstance& message) {
   } else if (const auto image = message.instantiate<sensor_msgs::Image>()) {
     if (message.getTopic() == tum_topic::kDepth) {
       pairing_.add_depth(image);
-    } else if (options_.with_images) {
+    } else if (options_.plays_depth()) {
       pairing_.add_color(message.getTime(), image);
     } else {
-      images_.push_back({message.getTime(), image->header, {}, {}});
+      images_.push_back({message.getTime(), image->header, options_.with_images ? image : nullptr, {}});
     }
     take_pairs();
   }
@@ -128,6 +128,8 @@ PlayerItem TumBagSource::make_item(const Image& image) {
   item.camera_info.header = image.header;
   item.camera_info.header.frame_id = strip_leading_slash(image.header.frame_id);
   if (!options_.with_images || !is_in_order(image.header, &item)) return item;
+  item.color = image.color;
+  if (!options_.with_depth) return item;
   if (!image.depth) {
     item.left_out = "colour images without depth";
     item.detail = "none within " + std::to_string(options_.max_depth_delay_s) + " s of stamp " +
@@ -136,7 +138,6 @@ PlayerItem TumBagSource::make_item(const Image& image) {
   }
   // The two belong together now: whoever joins them by stamp shall not have to guess again.
   image.depth->header.stamp = image.header.stamp;
-  item.color = image.color;
   item.depth = image.depth;
   return item;
 }

@@ -39,7 +39,7 @@ class TumBagSource {
   std::size_t size() const { return size_; }
 
  private:
-  using Image = DepthPairing::Answer;  ///< without color and depth where images are not played
+  using Image = DepthPairing::Answer;  ///< without what is not played
 
   explicit TumBagSource(const TumBagPlayback& options) : options_(options), pairing_(options.max_depth_delay_s) {}
   /// @return what is missing in it; empty: nothing

@@ -5,6 +5,7 @@ import json
 import os
 import re
 import shutil
+import unittest
 
 import rosbag
 import rospkg
@@ -16,6 +17,7 @@ from tf2_msgs.msg import TFMessage
 import wall
 from playback import PACKAGE, DirectoryTest, Launch, Listener, differing_files, run_program
 
+MODEL = os.path.join(os.environ.get('SEMANTIC_TOPO_LOOP_DATA', ''), 'models', 'yolox_nano.onnx')
 DEPTH_DELAY_S = 0.008
 FRAMES = 25
 
@@ -85,6 +87,21 @@ class PosesTest(DirectoryTest):
                                      '--camera', self.path('camera.yaml'), '--output', self.path('offline'))
         self.assertEqual(status, 0, output)
         self.assertEqual(differing_files(self.path('offline'), self.path('file')), [])
+
+    @unittest.skipUnless(os.path.exists(MODEL), 'SEMANTIC_TOPO_LOOP_DATA is not set')
+    def test_a_detector_needs_no_depth_where_poses_come_from_elsewhere(self):
+        frames = len(read_poses(self.path('odometry.txt')))
+        for output, arguments in {'seen_by_file': {'trajectory': self.path('odometry.txt')},
+                                  'seen_by_mocap': {'poses': 'mocap'}}.items():
+            launch = Launch('tum.launch', bag=self.bag, detector=MODEL, camera=self.path('camera.yaml'),
+                            output=self.path(output), **arguments)
+            ended = launch.wait(120)
+            launch.stop()
+            self.assertTrue(ended, launch.output())
+            if 'cannot be read as an ONNX model' in launch.output():
+                self.skipTest('OpenCV is too old')
+            self.assertTrue(launch.player_finished(), launch.output())
+            self.assertGreaterEqual(len(read_poses(self.path(output + '/trajectory.txt'))), frames - 10)
 
     def test_a_damaged_bag_is_one_error_and_keeps_what_was_mapped(self):
         damaged = self.path('damaged.bag')

@@ -1,3 +1,5 @@
+#include "ros/tum_bag.h"
+
 #include <rosbag/bag.h>
 #include <rosbag/view.h>
 #include <sensor_msgs/CameraInfo.h>
@@ -12,9 +14,9 @@
 #include "apps/tum_bag_writer.h"
 #include "ros/conversions.h"
 #include "semantic_topo_loop/geometry/lie.h"
+#include "support/test_files.h"
 #include "support/test_fixtures.h"
 #include "tools/rendering/rgbd_sequence.h"
-#include "support/test_files.h"
 
 namespace semantic_topo_loop {
 namespace {
@@ -156,9 +158,42 @@ TEST_F(TumBagTest, same_sequence_same_bytes) {
   EXPECT_TRUE(first == bytes());
 }
 
+TEST_F(TumBagTest, color_is_played_without_depth_where_poses_come_from_elsewhere) {
+  write();
+  TumBagPlayback playback;
+  playback.file = path_;
+  playback.with_images = true;
+  EXPECT_NE(TumBagSource::open(playback, std::nullopt).message().find("/camera/depth/image"), std::string::npos);
+  playback.with_depth = false;
+  const auto source = TumBagSource::open(playback, std::nullopt);
+  ASSERT_TRUE(source) << source.message();
+  for (const core::StampedPose& frame : sequence_.truth) {
+    const std::optional<PlayerItem> item = (*source)->next();
+    ASSERT_TRUE(item && item->color);
+    EXPECT_EQ(item->left_out, "");
+    EXPECT_FALSE(item->depth);
+    EXPECT_EQ(to_stamp_ns(item->color->header.stamp), frame.stamp_ns);
+    EXPECT_EQ(item->camera_info.header.stamp, item->color->header.stamp);
+  }
+  EXPECT_FALSE((*source)->next());
+  EXPECT_TRUE((*source)->end());
+}
+
 TEST_F(TumBagTest, an_unwritable_file_is_an_error_with_its_path) {
   const std::string error = write_tum_bag(sequence_, directory_ + "/none/a.bag", {}).message();
   EXPECT_NE(error.find(directory_ + "/none/a.bag"), std::string::npos) << error;
+}
+
+TEST_F(TumBagTest, a_full_disk_is_an_error_and_keeps_the_bag_that_was_there) {
+  std::ofstream(path_) << "before";
+  TumBagOptions options;
+  for (const char* compression : {"none", "lz4", "bz2"}) {
+    options.compression = compression;
+    const core::SmallFiles limit(4096);
+    const std::string error = write_tum_bag(sequence_, path_, options).message();
+    EXPECT_EQ(error.find(path_ + ": cannot write the bag: "), 0U) << compression << ": " << error;
+    EXPECT_EQ(core::read_whole(path_), "before");
+  }
 }
 
 TEST_F(TumBagTest, a_missing_image_is_an_error_with_its_path) {
@@ -184,18 +219,6 @@ class RenderedBagTest : public TumBagTest {
 
   template <class Message>
   std::vector<typename Message::ConstPtr> messages(const char* topic) {
-TEST_F(TumBagTest, a_full_disk_is_an_error_and_keeps_the_bag_that_was_there) {
-  std::ofstream(path_) << "before";
-  TumBagOptions options;
-  for (const char* compression : {"none", "lz4", "bz2"}) {
-    options.compression = compression;
-    const core::SmallFiles limit(4096);
-    const std::string error = write_tum_bag(sequence_, path_, options).message();
-    EXPECT_EQ(error.find(path_ + ": cannot write the bag: "), 0U) << compression << ": " << error;
-    EXPECT_EQ(core::read_whole(path_), "before");
-  }
-}
-
     rosbag::Bag bag(path_);
     std::vector<typename Message::ConstPtr> result;
     for (const rosbag::MessageInstance& m : rosbag::View(bag, rosbag::TopicQuery(topic))) {
