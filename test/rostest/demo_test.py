@@ -61,7 +61,7 @@ class DemoTest(DirectoryTest):
     @classmethod
     def setUpClass(cls):
         super().setUpClass()
-        cls.data, cls.results, cls.saved = cls.path('data'), cls.path('results'), cls.path('map.db')
+        cls.data, cls.results, cls.saved = cls.path('the data'), cls.path('the results'), cls.path('the map.db')
         cls.heard = Heard()
         # It stays up at the end, so that what is published at intervals can be heard.
         cls.launch = demo(duration='16', data=cls.data, output=cls.results, exit_at_end='false', save_map=cls.saved,
