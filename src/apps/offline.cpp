@@ -472,7 +472,7 @@ Status run_once(const Arguments& arguments, const RunInputs& inputs, RunRecorder
 /// From the first image again if the source corrects its calibration.
 Result<std::unique_ptr<RunRecorder>> run_chain(const Arguments& arguments, const RunInputs& inputs) {
   for (;;) {
-    std::unique_ptr<RunRecorder> recorder = make_run_recorder(inputs.classes);
+    std::unique_ptr<RunRecorder> recorder = make_run_recorder(inputs.classes, arguments.output);
     const Status done = run_once(arguments, inputs, recorder.get());
     if (!inputs.source->state().needs_rewind) {
       if (!done) return done.error();

@@ -97,20 +97,20 @@ const Rows& headers() {
   return kHeaders;
 }
 
-/// Bytes that grow for as long as a run, on the disk but for their end: in a file without a name in the temporary
-/// directory (TMPDIR), which goes with the process.
+/// Bytes that grow for as long as a run, on the disk but for their end: in a file without a name, which goes with the
+/// process.
 class Spool {
  public:
-  void add(std::string_view bytes) {
+  /// @param directory of the file, which is there
+  void add(std::string_view bytes, const std::string& directory) {
     if (!status_) return;
     end_ += bytes;
     if (end_.size() < kEndMax) return;
-    if (!file_) file_.reset(open_nameless());
+    if (!file_) file_.reset(open_nameless(directory));
     const bool is_written =
         file_ && std::fwrite(end_.data(), 1, end_.size(), file_.get()) == end_.size() && std::fflush(file_.get()) == 0;
     if (!is_written) {
-      status_ = Error{"cannot keep the rows of the run in the temporary directory (TMPDIR): " +
-                      std::system_category().message(errno)};
+      status_ = Error{directory + ": cannot keep the rows of the run: " + std::system_category().message(errno)};
     }
     end_.clear();
   }
@@ -142,9 +142,8 @@ class Spool {
  private:
   static constexpr std::size_t kEndMax = 1 << 18;  ///< bytes: short runs need no file
 
-  static std::FILE* open_nameless() {
-    const char* folder = std::getenv("TMPDIR");
-    std::string path = std::string(folder != nullptr ? folder : "/tmp") + "/semantic_topo_loop_XXXXXX";
+  static std::FILE* open_nameless(const std::string& directory) {
+    std::string path = directory + "/.rows_XXXXXX";
     const int descriptor = ::mkstemp(path.data());
     if (descriptor < 0) return nullptr;
     ::unlink(path.c_str());
@@ -206,7 +205,8 @@ struct Counts {
 
 class FileRecorder : public RunRecorder {
  public:
-  explicit FileRecorder(std::shared_ptr<const ClassTable> classes) : classes_(std::move(classes)) {}
+  FileRecorder(std::shared_ptr<const ClassTable> classes, std::string directory)
+      : classes_(std::move(classes)), directory_(std::move(directory)) {}
 
   void record(const Frame& frame) override {
     if (frame.is_end) return;
@@ -361,8 +361,10 @@ class FileRecorder : public RunRecorder {
       if (recorded == open_.end() || recorded->second.place->stamp_ns > newest_ns - kOpen_ns) break;
       const auto& [frame_id, frame] = *open_.begin();
       const Rows rows = rows_of(frame_id, frame, &settled_T_map_odom_);
-      for (std::size_t table = 0; table < rows.size(); ++table) settled_[table].add(rows[table]);
-      if (frame.place) settled_places_.add({reinterpret_cast<const char*>(&*frame.place), sizeof(FramePlace)});
+      for (std::size_t table = 0; table < rows.size(); ++table) settled_[table].add(rows[table], directory_);
+      if (frame.place) {
+        settled_places_.add({reinterpret_cast<const char*>(&*frame.place), sizeof(FramePlace)}, directory_);
+      }
       settled_counts_.add(frame);
       add_votes(frame, &settled_votes_);
       open_.erase(open_.begin());
@@ -492,6 +494,7 @@ class FileRecorder : public RunRecorder {
   }
 
   std::shared_ptr<const ClassTable> classes_;
+  std::string directory_;            ///< of the rows on the disk
   std::int64_t memory_second_ = -1;  ///< of the data, in which the memory was looked at last
 
   std::map<std::int64_t, FramePlace> keyframes_;  ///< by keyframe_id
@@ -524,8 +527,8 @@ void record(const Frame& frame, const FrameResult& result, RunRecorder* recorder
   recorder->record(result.completion);
 }
 
-std::unique_ptr<RunRecorder> make_run_recorder(std::shared_ptr<const ClassTable> classes) {
-  return std::make_unique<FileRecorder>(std::move(classes));
+std::unique_ptr<RunRecorder> make_run_recorder(std::shared_ptr<const ClassTable> classes, std::string directory) {
+  return std::make_unique<FileRecorder>(std::move(classes), std::move(directory));
 }
 
 }  // namespace semantic_topo_loop::core

@@ -10,6 +10,7 @@
 #include "semantic_topo_loop/io/run_recorder.h"
 #include "semantic_topo_loop/pipeline/object_slam.h"
 
+#include "semantic_topo_loop/io/text_file.h"
 namespace semantic_topo_loop {
 /// Collects what the stages say and writes the files of the offline program.
 class RecorderNodelet : public StageWith<RecorderParameters> {
@@ -47,7 +48,15 @@ class RecorderNodelet : public StageWith<RecorderParameters> {
     joiner_->clear();
     const std::lock_guard<std::mutex> lock(mutex_);
     set_unsaved(false);
-    recorder_ = core::make_run_recorder(classes());
+    recorder_ = core::make_run_recorder(classes(), parameters_.output_dir);
+    const auto place = write_to(parameters_.output_dir, [](const std::string& path) {
+      const core::Status made = core::make_directory(path);
+      return made ? core::check_writable(path + "/") : made;
+    });
+    if (!place) {
+      fail(place.message());
+      return;
+    }
     core::MapParts parts;
     parts.objects = true;
     if (parameters_.output_dir.empty()) return;

@@ -234,7 +234,7 @@ void write_valid_bag(const std::string& path, rosbag::CompressionType compressio
 void write_valid_files(const std::string& directory) {
   const SimulatedSequence sequence = make_sequence();
   Status written = write_sequence(sequence, coco(), directory);
-  const std::unique_ptr<RunRecorder> recorder = make_run_recorder(shared_coco());
+  const std::unique_ptr<RunRecorder> recorder = make_run_recorder(shared_coco(), directory);
   const Options options;
   ObjectSlam slam(options, shared_coco());
   FrameBuilder builder(options.keyframe, sequence.camera);

@@ -24,7 +24,7 @@ std::shared_ptr<const ClassTable> classes() {
 /// Ten frames with keyframes at 0 and 5; after frame 7 both keyframes move.
 class RunRecorderTest : public ::testing::Test {
  protected:
-  RunRecorderTest() : recorder_(make_run_recorder(classes())) {
+  RunRecorderTest() : recorder_(make_run_recorder(classes(), directory_.path(""))) {
     RandomPoses random(31);
     T_map_odom_ = random.pose(1.0);
     for (int i = 0; i < 2; ++i) T_map_keyframe_.push_back(random.pose(1.0));
@@ -495,7 +495,7 @@ class LongRun {
 
 TEST_F(RunRecorderTest, ALongRunsTablesAreCompleteHoweverLateItsStagesAndWheneverItIsSaved) {
   constexpr std::int64_t kFrames = 12'000;
-  const std::unique_ptr<RunRecorder> late = make_run_recorder(classes());
+  const std::unique_ptr<RunRecorder> late = make_run_recorder(classes(), directory_.path(""));
   LongRun(0).play(recorder_.get(), 0, kFrames / 2);
   write();
   LongRun(0).play(recorder_.get(), kFrames / 2, kFrames);
@@ -521,15 +521,21 @@ TEST_F(RunRecorderTest, ALongRunsTablesAreCompleteHoweverLateItsStagesAndWheneve
 TEST_F(RunRecorderTest, RowsThatCannotBeKeptAreAnErrorAndNothingIsReplaced) {
   record_frames(true);
   write();
-  const std::string before = text("loops.csv");
+  const std::string before = text("loops.csv"), none = directory_.path("none");
+  const std::unique_ptr<RunRecorder> lost = make_run_recorder(classes(), none);
+  LongRun(0).play(lost.get(), 0, 12'000);
+  const std::string error = lost->write(directory_.path("run")).message();
+  EXPECT_EQ(error.find(none + ": cannot keep the rows of the run: "), 0U) << error;
+  EXPECT_EQ(text("loops.csv"), before);
+}
+
+TEST_F(RunRecorderTest, ALongRunNeedsNoTemporaryDirectory) {
   const char* folder = std::getenv("TMPDIR");
   const std::string usual = folder != nullptr ? folder : "";
   ::setenv("TMPDIR", directory_.path("none").c_str(), 1);
   LongRun(0).play(recorder_.get(), 0, 12'000);
   usual.empty() ? ::unsetenv("TMPDIR") : ::setenv("TMPDIR", usual.c_str(), 1);
-  const std::string error = recorder_->write(directory_.path("run")).message();
-  EXPECT_NE(error.find("cannot keep the rows of the run"), std::string::npos) << error;
-  EXPECT_EQ(text("loops.csv"), before);
+  write();
 }
 
 }  // namespace

@@ -154,7 +154,7 @@ class Report : public ProgramTest {
   void write_run(int frames, const std::vector<int>& loops, bool with_object, int first = 0) {
     const auto classes =
         std::make_shared<const ClassTable>(*ClassTable::create({{41, kLabel, ClassRole::kMovable, "", 0.1}}));
-    const auto recorder = make_run_recorder(classes);
+    const auto recorder = make_run_recorder(classes, directory_.path(""));
     StampedPoses truth;
     for (int i = first; i < first + frames; ++i) {
       Frame frame;

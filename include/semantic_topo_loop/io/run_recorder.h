@@ -27,7 +27,7 @@ struct JoinedMap {
 /// Collects what the stages publish and writes a run's files (docs/files.md). The offline program and the recorder
 /// nodelet feed it the same objects, so both write the same bytes. Every call is keyed by frame_id; the order between
 /// stages does not matter, the order within one stage does, and what comes ten seconds after its frame is at the end
-/// of its table. Rows that will not change any more are kept on the disk, in nameless files of the temporary directory.
+/// of its table. Rows that will not change any more are kept on the disk.
 class RunRecorder {
  public:
   virtual ~RunRecorder() = default;
@@ -55,6 +55,7 @@ class RunRecorder {
 /// Records all that a frame came to.
 void record(const Frame& frame, const FrameResult& result, RunRecorder* recorder);
 
-std::unique_ptr<RunRecorder> make_run_recorder(std::shared_ptr<const ClassTable> classes);
+/// @param directory is there, with room: rows of a long run are kept in nameless files of it
+std::unique_ptr<RunRecorder> make_run_recorder(std::shared_ptr<const ClassTable> classes, std::string directory);
 
 }  // namespace semantic_topo_loop::core
