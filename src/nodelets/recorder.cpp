@@ -1,17 +1,32 @@
 #include <std_msgs/String.h>
 
+#include <filesystem>
 #include <memory>
 #include <mutex>
 #include <pluginlib/class_list_macros.hpp>
+#include <string>
 
 #include "pipeline/map_state.h"
 #include "ros/frame_joiner.h"
 #include "ros/stage.h"
 #include "semantic_topo_loop/io/run_recorder.h"
+#include "semantic_topo_loop/io/text_file.h"
 #include "semantic_topo_loop/pipeline/object_slam.h"
 
-#include "semantic_topo_loop/io/text_file.h"
 namespace semantic_topo_loop {
+namespace {
+
+/// DIR~ or, where that is taken, DIR~2, DIR~3 and so on.
+std::string place_beside(std::string directory) {
+  while (directory.size() > 1 && directory.back() == '/') directory.pop_back();
+  std::string place = directory + "~";
+  std::error_code code;
+  for (int i = 2; std::filesystem::exists(place, code); ++i) place = directory + "~" + std::to_string(i);
+  return place;
+}
+
+}  // namespace
+
 /// Collects what the stages say and writes the files of the offline program.
 class RecorderNodelet : public StageWith<RecorderParameters> {
  public:
@@ -34,6 +49,14 @@ class RecorderNodelet : public StageWith<RecorderParameters> {
       return parameters_.output_dir.empty() ? nowhere : write();
     });
     if (parameters_.output_dir.empty()) return follow_sessions();
+    const auto place = write_to(parameters_.output_dir, [](const std::string& path) {
+      const core::Status made = core::make_directory(path);
+      return made ? core::check_writable(path + "/") : made;
+    });
+    if (!place) {
+      fail(place.message());
+      return;
+    }
     subscribe("map_corrections", Keep::kAlways, &RecorderNodelet::on_correction);
     subscribe("loop_closures", Keep::kAlways, &RecorderNodelet::on_loops);
     subscribe("quadric_map_updates", Keep::kAlways, &RecorderNodelet::on_update);
@@ -47,16 +70,13 @@ class RecorderNodelet : public StageWith<RecorderParameters> {
   void reset_session() override {
     joiner_->clear();
     const std::lock_guard<std::mutex> lock(mutex_);
+    // The files will be those of the new session. One with `rewind` has the images of the last one again.
+    if (has_recorded_ && !session().rewind) {
+      report_written("results of the session before", write_files(place_beside(parameters_.output_dir)));
+    }
+    has_recorded_ = false;
     set_unsaved(false);
     recorder_ = core::make_run_recorder(classes(), parameters_.output_dir);
-    const auto place = write_to(parameters_.output_dir, [](const std::string& path) {
-      const core::Status made = core::make_directory(path);
-      return made ? core::check_writable(path + "/") : made;
-    });
-    if (!place) {
-      fail(place.message());
-      return;
-    }
     core::MapParts parts;
     parts.objects = true;
     if (parameters_.output_dir.empty()) return;
@@ -66,8 +86,14 @@ class RecorderNodelet : public StageWith<RecorderParameters> {
   /// @return absolute path of the directory
   core::Result<std::string> write() {
     const std::lock_guard<std::mutex> lock(mutex_);
-    set_unsaved(false);
-    return write_to(parameters_.output_dir, [this](const std::string& path) { return recorder_->write(path); });
+    core::Result<std::string> written = write_files(parameters_.output_dir);
+    if (written) set_unsaved(false);
+    return written;
+  }
+
+  /// To be called with the lock.
+  core::Result<std::string> write_files(const std::string& directory) const {
+    return write_to(directory, [this](const std::string& path) { return recorder_->write(path); });
   }
 
   void on_frame(const FrameMessage::ConstPtr& frame) {
@@ -105,6 +131,7 @@ class RecorderNodelet : public StageWith<RecorderParameters> {
   void record(const Record&... record) {
     const std::lock_guard<std::mutex> lock(mutex_);
     set_unsaved(true);
+    has_recorded_ = true;
     recorder_->record(record...);
   }
 
@@ -126,7 +153,8 @@ class RecorderNodelet : public StageWith<RecorderParameters> {
 
   ros::Publisher written_publisher_;
   std::unique_ptr<Joiner> joiner_;
-  std::mutex mutex_;  ///< guards recorder_, which the worker fills, and the service and the end read
+  std::mutex mutex_;           ///< guards all below, which the worker fills, and the service and the end read
+  bool has_recorded_ = false;  ///< something of this session
   std::unique_ptr<core::RunRecorder> recorder_;
 };
 

@@ -68,6 +68,24 @@ class ControlTest(DirectoryTest):
         launch = demo(duration='20', data=self.path('starved'), lockstep='false', stall_timeout_s='4')
         try:
             self.assertTrue(wait_until(lambda: len(self.done) > 150, 60), launch.output())
+        self.assertEqual(sorted(os.listdir(results + '~')), sorted(RESULT_FILES), 'the first one stays beside them')
+        with open(os.path.join(results + '~', 'trajectory.txt')) as file:
+            first = len([message for message in self.done if message.session_id == 1])
+            self.assertAlmostEqual(sum(1 for _ in file), first, delta=5)
+        self.assertEqual(sorted(name for name in os.listdir(self.directory) if name.startswith('results')),
+                         ['results', 'results~'])
+
+    def test_results_that_cannot_be_written_are_told_at_the_begin(self):
+        with open(self.path('file'), 'w'):
+            pass
+        launch = demo(duration='4', data=self.path('data'), output=self.path('file/results'))
+        try:
+            self.assertTrue(wait_until(lambda: 'Recorder is not working' in launch.output(), 30), launch.output())
+        finally:
+            launch.stop()
+        fatal = [line for line in launch.lines if self.path('file/results') in line and 'not working' in line]
+        self.assertEqual(len(fatal), 1, launch.output())
+        self.assertIn('FATAL', fatal[0])
             node = rosgraph.Master(rospy.get_name()).lookupNode('/%s/quadric_mapping' % PACKAGE)
             loader = ServerProxy(node).getPid(rospy.get_name())[2]
             os.kill(loader, signal.SIGSTOP)
@@ -125,6 +143,29 @@ class UnloadTest(DirectoryTest):
     """A stage that is unloaded in mid-stream: the others live on, and the player ends and names it."""
 
     def setUp(self):
+    def test_what_could_not_be_saved_is_saved_by_ctrl_c(self):
+        results = self.path('blocked')
+        listener = Listener()
+        done = []
+        listener.subscribe('/%s/frame_done' % PACKAGE, FrameDone, done.append, queue_size=1000)
+        launch = demo(duration='120', data=self.path('data'), lockstep='false', output=results, wait_for='Listener')
+        try:
+            self.assertTrue(listener.let_begin(), launch.output())
+            self.assertTrue(wait_until(lambda: len(done) > 30, 60), launch.output())
+            self.assertTrue(rospy.ServiceProxy('/%s/pose_frontend/pause' % PACKAGE, Trigger)().success)
+            time.sleep(0.5)  # all that was on its way is recorded
+            os.rmdir(results)
+            with open(results, 'w'):
+                pass
+            saved = rospy.ServiceProxy('/%s/recorder/save_results' % PACKAGE, Trigger)()
+            self.assertFalse(saved.success)
+            self.assertIn(results, saved.message)
+            os.remove(results)
+        finally:
+            launch.stop()
+            listener.close()
+        self.assertEqual(sorted(os.listdir(results)), sorted(RESULT_FILES), launch.output())
+
         self.lock = threading.Lock()
         self.done = 0
         self.associations = 0
