@@ -47,7 +47,8 @@ class QuadricMappingNodelet : public StageWith<QuadricMappingParameters> {
   void reset_session() override {
     mapper_ = std::make_unique<core::QuadricMapper>(options_.mapping, classes());
     joiner_->clear();
-    published_version_ = 0;
+    published_version_.reset();
+    last_stamp_ = session().header.stamp;
     map_parts_.reset_session();
     core::MapParts parts;
     parts.objects = true;
@@ -126,12 +127,13 @@ class QuadricMappingNodelet : public StageWith<QuadricMappingParameters> {
     Stage::publish<MapUpdateMessage>(update_publisher_, make_header(stamp, parameters_.map_frame), std::move(update));
   }
 
-  /// The whole map, unless that version is out already.
+  /// The whole map, unless that version is out already. A session begins with one, which replaces the latched one of
+  /// the session before.
   void publish_map() {
-    if (mapper_->map_version() == published_version_) return;
-    published_version_ = mapper_->map_version();
+    if (session_id() == 0 || published_version_ == mapper_->map_version()) return;
     FullMap map;
-    map.map_version = published_version_;
+    map.map_version = mapper_->map_version();
+    published_version_ = map.map_version;
     map.T_map_odom = mapper_->T_map_odom();
     map.changed = mapper_->landmarks();
     count_objects(map.changed);
@@ -152,7 +154,7 @@ class QuadricMappingNodelet : public StageWith<QuadricMappingParameters> {
   MapPartSender map_parts_{MapPart::STAGE_QUADRIC_MAPPING};
   std::unique_ptr<Joiner> joiner_;
   std::unique_ptr<core::QuadricMapper> mapper_;
-  std::uint64_t published_version_ = 0;
+  std::optional<std::uint64_t> published_version_;  ///< of this session
   ros::Time last_stamp_;
 };
 

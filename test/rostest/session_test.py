@@ -16,7 +16,7 @@ from diagnostic_msgs.msg import DiagnosticArray
 from std_srvs.srv import Trigger
 
 from playback import PACKAGE, RESULT_FILES, DirectoryTest, Listener, demo, wait_until
-from semantic_topo_loop.msg import AssociationArray, FrameDone
+from semantic_topo_loop.msg import AssociationArray, FrameDone, QuadricMap
 
 
 def setUpModule():
@@ -42,7 +42,8 @@ class ControlTest(DirectoryTest):
         self.assertTrue(rospy.ServiceProxy('/%s/pose_frontend/%s' % (PACKAGE, service), Trigger)().success)
 
     def test_pause_resume_reset(self):
-        results = self.path('results')
+        results, maps = self.path('results'), []
+        listener = rospy.Subscriber('/%s/quadric_map' % PACKAGE, QuadricMap, maps.append, queue_size=1000)
         launch = demo(duration='10', data=self.path('paused'), lockstep='false', output=results)
         try:
             self.assertTrue(wait_until(lambda: len(self.done) > 30, 60), launch.output())
@@ -58,16 +59,15 @@ class ControlTest(DirectoryTest):
             self.assertTrue(launch.wait(40), launch.output())
         finally:
             launch.stop()
+            listener.unregister()
         self.assertTrue(launch.player_finished(), launch.output())
+        self.assertEqual(sorted({m.session_id for m in maps}), [1, 2])
+        first = next(m for m in maps if m.session_id == 2)
+        self.assertEqual((first.map_version, len(first.quadrics)), (0, 0), 'the map of a new session is empty')
         second = [message.frame_id for message in self.done if message.session_id == 2]
         self.assertEqual(second, list(range(len(second))), 'a session counts its own frames')
         with open(os.path.join(results, 'trajectory.txt')) as file:
             self.assertEqual(sum(1 for _ in file), len(second) - 1, 'the files are those of the last session')
-
-    def test_a_starved_loader_unloads_nothing(self):
-        launch = demo(duration='20', data=self.path('starved'), lockstep='false', stall_timeout_s='4')
-        try:
-            self.assertTrue(wait_until(lambda: len(self.done) > 150, 60), launch.output())
         self.assertEqual(sorted(os.listdir(results + '~')), sorted(RESULT_FILES), 'the first one stays beside them')
         with open(os.path.join(results + '~', 'trajectory.txt')) as file:
             first = len([message for message in self.done if message.session_id == 1])
@@ -86,6 +86,11 @@ class ControlTest(DirectoryTest):
         fatal = [line for line in launch.lines if self.path('file/results') in line and 'not working' in line]
         self.assertEqual(len(fatal), 1, launch.output())
         self.assertIn('FATAL', fatal[0])
+
+    def test_a_starved_loader_unloads_nothing(self):
+        launch = demo(duration='20', data=self.path('starved'), lockstep='false', stall_timeout_s='4')
+        try:
+            self.assertTrue(wait_until(lambda: len(self.done) > 150, 60), launch.output())
             node = rosgraph.Master(rospy.get_name()).lookupNode('/%s/quadric_mapping' % PACKAGE)
             loader = ServerProxy(node).getPid(rospy.get_name())[2]
             os.kill(loader, signal.SIGSTOP)
@@ -138,11 +143,6 @@ class InterruptTest(DirectoryTest):
             self.assertGreaterEqual(database.execute('SELECT COUNT(*) FROM submap').fetchone()[0], 1)
         self.assertNotIn('escalating to SIGTERM', launch.output())
 
-
-class UnloadTest(DirectoryTest):
-    """A stage that is unloaded in mid-stream: the others live on, and the player ends and names it."""
-
-    def setUp(self):
     def test_what_could_not_be_saved_is_saved_by_ctrl_c(self):
         results = self.path('blocked')
         listener = Listener()
@@ -166,6 +166,11 @@ class UnloadTest(DirectoryTest):
             listener.close()
         self.assertEqual(sorted(os.listdir(results)), sorted(RESULT_FILES), launch.output())
 
+
+class UnloadTest(DirectoryTest):
+    """A stage that is unloaded in mid-stream: the others live on, and the player ends and names it."""
+
+    def setUp(self):
         self.lock = threading.Lock()
         self.done = 0
         self.associations = 0
