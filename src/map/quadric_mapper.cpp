@@ -21,6 +21,7 @@ namespace semantic_topo_loop::core {
 namespace {
 
 constexpr std::size_t kObservationsMax = 1200;  // of a landmark: 0.2 MB; a fit takes mapping.fit_views_max of them
+constexpr std::size_t kStillBoxes = 30;         // of one keyframe: a camera that moves has fewer
 constexpr double kSeparateBoxesIou = 0.6;       // two boxes that overlap less show two things
 constexpr int kRefitsPerFrame = 4;              // after a correction, so that no frame is held up
 constexpr double kStepMax_s = 0.2;              // the time that a frame stands for at most: a slow detector's interval
@@ -33,8 +34,8 @@ bool has_depth(const MappedLandmark& landmark) {
                      [](const Observation& observation) { return observation.view.near_m > 0.0; });
 }
 
-/// Half of the boxes go, or more, of those keyframes that most are of: all frames of a camera that stands still are of
-/// one, and must not crowd out the views from elsewhere.
+/// Half of the boxes go, or more: of those keyframes that most are of, where a camera stood still, which must not crowd
+/// out the views from elsewhere; else every second one.
 void thin(std::vector<Observation>* observations) {
   std::map<std::int64_t, std::size_t> boxes;  // by keyframe
   for (const Observation& observation : *observations) ++boxes[observation.keyframe_id];
@@ -46,7 +47,7 @@ void thin(std::vector<Observation>* observations) {
   };
   std::size_t most = 0;  // of one keyframe
   while (kept(most + 1) <= wanted) ++most;
-  if (most == 0) return halve(observations);
+  if (most < kStillBoxes) return halve(observations);
   std::vector<Observation> some;
   std::map<std::int64_t, std::size_t> passed;
   for (const Observation& observation : *observations) {
