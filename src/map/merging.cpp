@@ -86,7 +86,7 @@ bool DuplicateTest::is_duplicate(const MappedLandmark& a, const MappedLandmark& 
   const double distance = (a.state.ellipsoid->center() - b.state.ellipsoid->center()).norm();
   if (distance > reach_m(a.state.ellipsoid->semi_axes.maxCoeff(), b.state.ellipsoid->semi_axes.maxCoeff()))
     return false;
-  const bool vetoed = frames_side_by_side(a, b) > options_.merge_veto_share * b.state.observations;
+  const bool vetoed = frames_side_by_side(a, b) >= options_.merge_veto_share * b.state.observations;
   const Overlap o = overlap(a, b, views);
   if (!vetoed && is_one_place(a, b) && o.inside > kPartInside) return true;
   if (!same) return confusable && o.iou > options_.merge_iou_confusable;
