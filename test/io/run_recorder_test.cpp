@@ -460,7 +460,7 @@ class LongRun {
       frame.stamp_ns = kStart + i * 100'000'000;
       frame.is_keyframe = i % 10 == 0;
       frame.keyframe_id = i / 10;
-      frame.is_break = i % 1000 == 999;
+      frame.is_break = i == 999 || i == 1999;
       frame.T_odom_camera.t.x() = 0.001 * static_cast<double>(i);
       recorder->record(frame);
       if (i >= late_) tell(recorder, i - late_);
@@ -511,7 +511,7 @@ TEST_F(RunRecorderTest, ALongRunsTablesAreCompleteHoweverLateItsStagesAndWheneve
   EXPECT_EQ(std::count(live.begin(), live.end(), '\n'), kFrames);
   EXPECT_EQ(std::count(loops.begin(), loops.end(), '\n'), kFrames + 1);
   const auto summary = nlohmann::json::parse(text("summary.json"));
-  EXPECT_EQ(summary["breaks"], kFrames / 1000);
+  EXPECT_EQ(summary["breaks"], 2);
   EXPECT_EQ(summary["detections"], 3 * kFrames);
   EXPECT_EQ(summary["loops"]["candidates"], kFrames);
   EXPECT_EQ(summary["relocalisation"]["accepted"], 1000) << "the last thousand count";
