@@ -357,28 +357,28 @@ struct QuadricMapper::Impl {
   }
 
   void forget_stale_candidates(std::int64_t stamp_ns, MapUpdate* update) {
-    for (auto it = landmarks_.begin(); it != landmarks_.end();) {
-      const auto& [id, landmark] = *it;
+    for (auto next = landmarks_.begin(); next != landmarks_.end();) {
+      const auto& [id, landmark] = *next++;
       const double unseen_s = 1e-9 * static_cast<double>(stamp_ns - landmark.last_stamp_ns);
       const bool is_short = landmark.sightings.seen_s < options_.forget_candidate_seen_s;
       const bool is_candidate = landmark.state.state == LandmarkState::kCandidate;
       const bool is_stale = (is_short && unseen_s > options_.forget_candidate_s) ||
                             (is_candidate && unseen_s > options_.forget_unconfirmed_s);
       // What the session before had as an object may be unseen for days, and is to be found gone.
-      if (!is_stale || landmark.was_confirmed) {
-        ++it;
-        continue;
-      }
-      for (const auto& [other, frames] : landmark.seen_beside) {
-        const auto neighbour = landmarks_.find(other);
-        if (neighbour == landmarks_.end()) continue;
-        neighbour->second.seen_beside.erase(id);
-        note_changed(other);
-      }
-      update->removed.push_back(id);
-      note_rewritten(id);
-      it = landmarks_.erase(it);
+      if (is_stale && !landmark.was_confirmed) remove(id, update);
     }
+  }
+
+  void remove(std::int64_t id, MapUpdate* update) {
+    for (const auto& [other, frames] : landmarks_.at(id).seen_beside) {
+      const auto neighbour = landmarks_.find(other);
+      if (neighbour == landmarks_.end()) continue;
+      neighbour->second.seen_beside.erase(id);
+      note_changed(other);
+    }
+    landmarks_.erase(id);
+    note_rewritten(id);
+    update->removed.push_back(id);
   }
 
   /// Landmarks with an ellipsoid, most observed first.
@@ -500,9 +500,7 @@ struct QuadricMapper::Impl {
       for (std::size_t j = i + 1; j < ids.size(); ++j) {
         if (landmarks_.count(ids[i]) == 0 || landmarks_.count(ids[j]) == 0) continue;
         if (!duplicates_.is_part(landmarks_.at(ids[i]), landmarks_.at(ids[j]), views_)) continue;
-        landmarks_.erase(ids[j]);
-        note_rewritten(ids[j]);
-        update->removed.push_back(ids[j]);
+        remove(ids[j], update);
       }
     }
   }
