@@ -2,7 +2,6 @@
 
 #include <algorithm>
 #include <map>
-#include <numeric>
 #include <optional>
 #include <set>
 #include <utility>
@@ -21,7 +20,7 @@ namespace semantic_topo_loop::core {
 namespace {
 
 constexpr std::size_t kObservationsMax = 1200;  // of a landmark: 0.2 MB; a fit takes mapping.fit_views_max of them
-constexpr std::size_t kStillBoxes = 30;         // of one keyframe: a camera that moves has fewer
+constexpr std::size_t kStillBoxes = 100;        // of one keyframe: a camera that moves has fewer
 constexpr double kSeparateBoxesIou = 0.6;       // two boxes that overlap less show two things
 constexpr int kRefitsPerFrame = 4;              // after a correction, so that no frame is held up
 constexpr double kStepMax_s = 0.2;              // the time that a frame stands for at most: a slow detector's interval
@@ -34,28 +33,24 @@ bool has_depth(const MappedLandmark& landmark) {
                      [](const Observation& observation) { return observation.view.near_m > 0.0; });
 }
 
-/// Half of the boxes go, or more: of those keyframes that most are of, where a camera stood still, which must not crowd
-/// out the views from elsewhere; else every second one.
+/// Half of the boxes go, or more: every second one of the keyframe that most are of, again and again, where a camera
+/// stood still, which must not crowd out the views from elsewhere; else of all.
 void thin(std::vector<Observation>* observations) {
   std::map<std::int64_t, std::size_t> boxes;  // by keyframe
   for (const Observation& observation : *observations) ++boxes[observation.keyframe_id];
   const std::size_t wanted = observations->size() / 2;
-  const auto kept = [&boxes](std::size_t most) {
-    return std::accumulate(boxes.begin(), boxes.end(), std::size_t{0}, [most](std::size_t sum, const auto& keyframe) {
-      return sum + std::min(keyframe.second, most);
-    });
-  };
-  std::size_t most = 0;  // of one keyframe
-  while (kept(most + 1) <= wanted) ++most;
-  if (most < kStillBoxes) return halve(observations);
-  std::vector<Observation> some;
-  std::map<std::int64_t, std::size_t> passed;
-  for (const Observation& observation : *observations) {
-    const std::size_t count = std::max(boxes.at(observation.keyframe_id), most);
-    const std::size_t i = passed[observation.keyframe_id]++;
-    if ((i + 1) * most / count > i * most / count) some.push_back(observation);
+  while (observations->size() > wanted) {
+    const std::int64_t fullest = with_most(boxes);
+    if (boxes[fullest] < kStillBoxes) return halve(observations);
+    std::vector<Observation> some;
+    bool stays = false;
+    for (const Observation& observation : *observations) {
+      stays = observation.keyframe_id == fullest ? !stays : stays;
+      if (observation.keyframe_id != fullest || stays) some.push_back(observation);
+    }
+    *observations = std::move(some);
+    boxes[fullest] = (boxes[fullest] + 1) / 2;
   }
-  *observations = std::move(some);
 }
 
 }  // namespace

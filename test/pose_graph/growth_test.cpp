@@ -4,7 +4,10 @@
 
 #include <algorithm>
 #include <map>
+#include <numeric>
 #include <set>
+#include <utility>
+#include <vector>
 
 #include "geometry/relative_pose.h"
 #include "pose_graph/solver/trajectory_optimizer.h"
@@ -135,14 +138,20 @@ TEST(Growth, KeyframesThatStayAreNotToldAgain) {
   EXPECT_LT(again, told.size());
 }
 
-TEST(Coarsening, LeavesOutWhatIsLongAgo) {
-  SyntheticRun run;
-  run.drift(0.004, 0.002, 7);
+/// A run with a vertex for every keyframe, and the numbers of these.
+std::pair<Trajectory, std::vector<std::size_t>> graph_of(const SyntheticRun& run) {
   Trajectory trajectory;
   trajectory.T_map_vertex = run.odometry();
   trajectory.edges = run.edges();
   std::vector<std::size_t> keyframes(trajectory.T_map_vertex.size());
-  for (std::size_t k = 0; k < keyframes.size(); ++k) keyframes[k] = k;
+  std::iota(keyframes.begin(), keyframes.end(), 0U);
+  return {std::move(trajectory), std::move(keyframes)};
+}
+
+TEST(Coarsening, LeavesOutWhatIsLongAgo) {
+  SyntheticRun run;
+  run.drift(0.004, 0.002, 7);
+  auto [trajectory, keyframes] = graph_of(run);
   const std::vector<Carrier> carriers = coarsen(60, std::vector<bool>(keyframes.size(), true), &keyframes, &trajectory);
   ASSERT_EQ(keyframes.size(), 60U);
   ASSERT_EQ(trajectory.T_map_vertex.size(), 60U);
@@ -169,11 +178,7 @@ TEST(Coarsening, LeavesOutWhatIsLongAgo) {
 
 TEST(Coarsening, NothingMovesWithWhatWasBeforeABreak) {
   SyntheticRun run;
-  Trajectory trajectory;
-  trajectory.T_map_vertex = run.odometry();
-  trajectory.edges = run.edges();
-  std::vector<std::size_t> keyframes(trajectory.T_map_vertex.size());
-  for (std::size_t k = 0; k < keyframes.size(); ++k) keyframes[k] = k;
+  auto [trajectory, keyframes] = graph_of(run);
   constexpr std::size_t kBreak = 20;
   trajectory.edges[kBreak].is_break = true;
   coarsen(30, std::vector<bool>(keyframes.size(), false), &keyframes, &trajectory);
@@ -187,11 +192,7 @@ TEST(Coarsening, NothingMovesWithWhatWasBeforeABreak) {
 
 TEST(Coarsening, WhatNoLoopHoldsBehindABreakGoesWhereBreaksAreTooMany) {
   SyntheticRun run;
-  Trajectory trajectory;
-  trajectory.T_map_vertex = run.odometry();
-  trajectory.edges = run.edges();
-  std::vector<std::size_t> keyframes(trajectory.T_map_vertex.size());
-  for (std::size_t k = 0; k < keyframes.size(); ++k) keyframes[k] = k;
+  auto [trajectory, keyframes] = graph_of(run);
   std::vector<bool> has_loops(keyframes.size(), false);
   for (std::size_t k = 1; k < keyframes.size(); k += 2) trajectory.edges[k - 1].is_break = true;
   for (const std::size_t k : {2U, 13U, 101U}) has_loops[k] = true;  // 2 is behind the break at 1

@@ -53,7 +53,7 @@ class CliqueSearch {
       Bits next = candidates;
       next &= graph_[it->vertex];
       if (next.any()) {
-        expand(std::move(next));
+        expand(next);
       } else if (current_.size() > best_.size()) {
         best_ = current_;
       }
@@ -71,6 +71,7 @@ class CliqueSearch {
 constexpr int kMaxCliqueSteps = 20000;
 /// Of correspondences that cliques are looked for among, whose cube the time grows with: those of twenty objects alike.
 constexpr std::size_t kMaxSeeds = 400;
+static_assert(kMaxSeeds <= Bits::kMax);
 /// A round that finds the inliers of the one before ends it; a set that swings is left as it is.
 constexpr int kRegrowRounds = 3;
 /// Residual at which an inlier's share of the score has fallen to exp(-1/2): half the usual inlier distance.

@@ -11,26 +11,26 @@
 
 namespace semantic_topo_loop::core {
 
-/// A set of vertices. Half of the matching is spent on it: few places have more correspondences than are kept in it
-/// without an allocation, and they are counted in pairs; boost::dynamic_bitset takes three times as long.
+/// A set of at most kMax vertices. In place, and counted in pairs, for half of the matching is spent on it:
+/// boost::dynamic_bitset takes three times as long.
 class Bits {
  public:
-  static constexpr std::size_t kNone = static_cast<std::size_t>(-1);
+  static constexpr std::size_t kMax = 448, kNone = static_cast<std::size_t>(-1);
 
   /// @param size vertices there are   @param has_all whether they are in the set
-  explicit Bits(std::size_t size, bool has_all = false) : size_((size + 63) / 64), many_(size_ > kFew ? size_ : 0) {
+  explicit Bits(std::size_t size, bool has_all = false) : size_((size + 63) / 64) {
     for (std::size_t i = 0; has_all && i < size; ++i) set(i);
   }
-  void set(std::size_t i) { words()[i / 64] |= std::uint64_t{1} << (i % 64); }
-  void reset(std::size_t i) { words()[i / 64] &= ~(std::uint64_t{1} << (i % 64)); }
+  void set(std::size_t i) { words_[i / 64] |= std::uint64_t{1} << (i % 64); }
+  void reset(std::size_t i) { words_[i / 64] &= ~(std::uint64_t{1} << (i % 64)); }
   bool any() const {
-    return std::any_of(words(), words() + size_, [](std::uint64_t word) { return word != 0; });
+    return std::any_of(words_.begin(), words_.end(), [](std::uint64_t word) { return word != 0; });
   }
   /// The lowest vertex in the set that is not below `begin`, or kNone.
   std::size_t next(std::size_t begin) const {
     std::uint64_t above = ~std::uint64_t{0} << (begin % 64);
     for (std::size_t w = begin / 64; w < size_; ++w) {
-      const std::uint64_t rest = words()[w] & above;
+      const std::uint64_t rest = words_[w] & above;
       if (rest != 0) return 64 * w + static_cast<std::size_t>(__builtin_ctzll(rest));
       above = ~std::uint64_t{0};
     }
@@ -39,27 +39,21 @@ class Bits {
   /// Vertices that are in both sets.
   std::size_t count_common(const Bits& other) const {
     int count = 0;
-    for (std::size_t w = 0; w < size_; ++w) count += __builtin_popcountll(words()[w] & other.words()[w]);
+    for (std::size_t w = 0; w < size_; ++w) count += __builtin_popcountll(words_[w] & other.words_[w]);
     return static_cast<std::size_t>(count);
   }
   Bits& operator&=(const Bits& other) {
-    for (std::size_t w = 0; w < size_; ++w) words()[w] &= other.words()[w];
+    for (std::size_t w = 0; w < size_; ++w) words_[w] &= other.words_[w];
     return *this;
   }
   Bits& operator-=(const Bits& other) {
-    for (std::size_t w = 0; w < size_; ++w) words()[w] &= ~other.words()[w];
+    for (std::size_t w = 0; w < size_; ++w) words_[w] &= ~other.words_[w];
     return *this;
   }
 
  private:
-  static constexpr std::size_t kFew = 4;
-
-  std::uint64_t* words() { return size_ > kFew ? many_.data() : few_.data(); }
-  const std::uint64_t* words() const { return size_ > kFew ? many_.data() : few_.data(); }
-
-  std::size_t size_;  ///< words of 64 vertices
-  std::array<std::uint64_t, kFew> few_{};
-  std::vector<std::uint64_t> many_;  ///< instead, if there are more
+  std::size_t size_;  ///< words that have vertices
+  std::array<std::uint64_t, kMax / 64> words_{};
 };
 
 /// An undirected graph: for each vertex those that it is joined to.
