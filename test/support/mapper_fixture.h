@@ -2,6 +2,7 @@
 
 #include <gtest/gtest.h>
 
+#include <map>
 #include <memory>
 #include <utility>
 #include <vector>
@@ -87,16 +88,15 @@ class MapperFixture : public ::testing::Test {
   }
 
   const Landmark* find(std::int64_t id) {
-    landmarks_ = mapper_.landmarks();
-    for (const Landmark& landmark : landmarks_) {
-      if (landmark.id == id) return &landmark;
+    for (const Landmark& landmark : mapper_.landmarks()) {
+      if (landmark.id == id) return &(found_[id] = landmark);
     }
     return nullptr;
   }
 
   std::shared_ptr<const ClassTable> classes_;
   QuadricMapper mapper_;
-  std::vector<Landmark> landmarks_;
+  std::map<std::int64_t, Landmark> found_;  ///< as last looked for
   std::vector<KeyframePose> keyframes_;
   std::int64_t next_frame_ = 0, keyframe_id_ = 0;
   bool makes_keyframes_ = true;  ///< every fifth frame is one
