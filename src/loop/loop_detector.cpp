@@ -217,7 +217,7 @@ struct LoopDetector::Impl {
                   "that see the place alike tell more",
               std::nullopt};
     }
-    if (*query <= *match) {
+    if (*query == *match) {
       return {PairStatus::kTooRecent, "both keyframes belong to one submap", std::nullopt};
     }
     const GraphDetector::Comparison comparison = graph_.compare(*query, *match);
@@ -265,6 +265,7 @@ struct LoopDetector::Impl {
   void begin_segment() {
     monitor_.restart();
     relocaliser_.restart();
+    settled_ns_ = 0;
     ++segment_;
   }
 

@@ -69,7 +69,10 @@ class ObservationWindow {
   /// @return true if the frame was taken in; one that the detector did not look at never is
   bool push(const Frame& frame, const AssociationFrame& associations);
   void set_span(double span_s);
-  void clear() { frames_.clear(); }
+  void clear() {
+    frames_.clear();
+    tracker_.clear();
+  }
   const std::deque<ObservedFrame>& frames() const { return frames_; }
 
  private:
