@@ -317,9 +317,13 @@ struct PoseGraph::Impl {
     suspect_jumps();
     if (has_objects_ && is_end) trajectory_.objects.objects = objects_.objects();
     loops_.hand_over(&trajectory_, &knowledge_);
+    const std::vector<SE3> before = trajectory_.T_map_vertex;
     const bool is_solved = has_free_scale() ? optimize_similarities(effort) : optimize_poses(effort);
     loops_.take_back(trajectory_, knowledge_);
-    if (!is_solved) return false;
+    if (!is_solved) {
+      trajectory_.T_map_vertex = before;  // what was tried on the way
+      return false;
+    }
     if (effort != Effort::kUpdate) {
       learnt_loops_ = loops_.size();
       loops_since_learnt_ = 0;

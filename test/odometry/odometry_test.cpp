@@ -98,6 +98,24 @@ TEST(MotionBursts, ABreakIsNoBurstAndAPoseThatIsNotLaterNoMotion) {
   EXPECT_LT(bursts.suspected_jump(0).motion.head<3>().norm(), 0.005);
 }
 
+/// A camera that moves on otherwise after images were lost has not jumped.
+TEST(MotionBursts, AGapIsNoBurst) {
+  constexpr int kGapEvery = 150, kGapFrames = 20;
+  MotionBursts bursts;
+  Random random(4);
+  SE3 pose;
+  double speed_m = 0.0;
+  for (int k = 0; k < kFrames; ++k) {
+    if (k % kGapEvery == 0) speed_m = 0.02 * random.normal();
+    Vec6 motion;
+    motion << 0.001 * random.normal3(), 0.002 * random.normal3();
+    motion(0) += speed_m;
+    pose = pose * se3_exp(motion);
+    if (k % kGapEvery >= kGapFrames) bursts.push(frame_at(k * kIntervalNs, pose), 0);
+  }
+  EXPECT_EQ(bursts.suspected_jump(0).motion.norm(), 0.0);
+}
+
 TEST(OdometryAccumulator, CovariancesAddUpBetweenKeyframes) {
   SyntheticRun run;
   OdometryAccumulator accumulator;
@@ -254,6 +272,20 @@ TEST(InnovationModel, DoesNotDependOnHowFarAwayTheWorldIs) {
   EXPECT_NEAR(b.cost(noise, 1.0), a.cost(noise, 1.0), 1e-3 * std::abs(a.cost(noise, 1.0)));
   const PathNoise near_path(data.vertices, data.edges), far_path(far.vertices, far.edges);
   for (const GraphLoop& loop : data.loops) {
+    const double factor = near_path.explaining_factor(loop, OdometryNoise(), 1000.0);
+    EXPECT_NEAR(far_path.explaining_factor(loop, OdometryNoise(), 1000.0), factor, 1e-3 * factor);
+  }
+}
+
+TEST(InnovationModel, APoseFarAwayBetweenTwoBreaksSpoilsNothing) {
+  Case data = make_case(OdometryNoise{0.02, 0.01}, 1.0, 7);
+  const std::size_t middle = data.edges.size() / 2;
+  data.edges[middle].is_break = data.edges[middle + 1].is_break = true;
+  Case far = data;
+  far.vertices[middle + 1].t.x() += 1e6;
+  const PathNoise near_path(data.vertices, data.edges), far_path(far.vertices, far.edges);
+  for (const GraphLoop& loop : data.loops) {
+    if (loop.from <= static_cast<int>(middle) + 1) continue;
     const double factor = near_path.explaining_factor(loop, OdometryNoise(), 1000.0);
     EXPECT_NEAR(far_path.explaining_factor(loop, OdometryNoise(), 1000.0), factor, 1e-3 * factor);
   }
