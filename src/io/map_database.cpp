@@ -4,6 +4,7 @@
 #include <chrono>
 #include <condition_variable>
 #include <deque>
+#include <exception>
 #include <filesystem>
 #include <iterator>
 #include <mutex>
@@ -82,8 +83,19 @@ Status check_map_place(const std::string& path) {
   return status_of(file);
 }
 
+Status replace_map(const std::string& path, const std::function<Status(const std::string&)>& write) {
+  if (!is_there(path)) {
+    // Whose journal this is went elsewhere; the new file must not be taken for it.
+    std::error_code code;
+    for (const char* journal : kJournals) std::filesystem::rename(path + journal, path + journal + "~", code);
+  }
+  if (const Status place = check_map_place(path); !place) return place;
+  return replace_file(path, write);
+}
+
 Status set_map_aside(const std::string& path) {
-  const std::string aside = path + "~";
+  std::string aside = path + "~";
+  for (int next = 2; is_there(aside); ++next) aside = path + "~" + std::to_string(next);
   std::error_code code, none;
   for (const char* journal : kJournals) std::filesystem::remove(aside + journal, none);
   std::filesystem::rename(path, aside, code);
@@ -153,6 +165,11 @@ class MapDatabase::Impl {
     return problem_;
   }
 
+  bool is_made() const {
+    const std::lock_guard<std::mutex> lock(mutex_);
+    return is_made_;
+  }
+
   Result<MapCounts> copy_to(const std::string& path) const {
     for (const char* part : {"", kLoaded, kJournals[0], kJournals[1]}) {
       if (is_same_file(path, path_ + part)) return Error{path + ": is a file of the map that is being written"};
@@ -170,16 +187,11 @@ class MapDatabase::Impl {
       counts = {count("session"), count("keyframe"), count("object"), count("submap"), count("loop")};
       return status_of(copied);
     };
-    if (const Status written = replace_file(path, copy); !written) return written.error();
+    if (const Status written = replace_map(path, copy); !written) return written.error();
     return counts;
   }
 
  private:
-  bool is_made() const {
-    const std::lock_guard<std::mutex> lock(mutex_);
-    return is_made_;
-  }
-
   void run() {
     std::unique_lock<std::mutex> lock(mutex_);
     for (;;) {
@@ -208,7 +220,8 @@ class MapDatabase::Impl {
     problem_ = closed;
   }
 
-  Status write_now(const Parts& parts, bool is_first) {
+  /// What throws (memory that is not there) is a problem as any other, not the end of the process.
+  Status write_now(const Parts& parts, bool is_first) try {
     if (is_first) {
       Status made = make(parts);
       if (made) map_.emplace(path_, *classes_);  // from now on nobody else writes it
@@ -218,17 +231,14 @@ class MapDatabase::Impl {
     const Status written = map_->write(parts);
     if (!written) map_.reset();  // what was begun is undone
     return written;
+  } catch (const std::exception& exception) {
+    map_.reset();
+    return Error{path_ + ": " + exception.what()};
   }
 
   /// The file with all there is: later ones change rows of it.
   Status make(const Parts& whole) {
-    if (!is_there(path_)) {
-      // Whose journal this is went elsewhere; the new file must not be taken for it.
-      std::error_code code;
-      for (const char* journal : kJournals) std::filesystem::rename(path_ + journal, path_ + journal + "~", code);
-    }
-    if (const Status place = check_map_place(path_); !place) return place;
-    return replace_file(path_, [&](const std::string& temporary) -> Status {
+    return replace_map(path_, [&](const std::string& temporary) -> Status {
       SqliteFile file(temporary, SqliteFile::Mode::kWrite);
       file.run("PRAGMA journal_mode = OFF; PRAGMA synchronous = OFF");
       if (!earlier_.empty()) (SqliteStatement(&file, "ATTACH ? AS earlier") << earlier_).run();
@@ -268,6 +278,7 @@ MapDatabase::~MapDatabase() { static_cast<void>(close()); }
 void MapDatabase::write(Parts parts) { impl_->write(std::move(parts)); }
 bool MapDatabase::is_behind() const { return impl_->is_behind(); }
 Status MapDatabase::close() { return impl_->close(); }
+bool MapDatabase::is_made() const { return impl_->is_made(); }
 Status MapDatabase::problem() const { return impl_->problem(); }
 Result<MapCounts> MapDatabase::copy_to(const std::string& path) const { return impl_->copy_to(path); }
 

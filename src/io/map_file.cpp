@@ -10,7 +10,8 @@
 #include "io/map_tables.h"
 #include "io/sqlite_file.h"
 #include "pipeline/map_state.h"
-#include "semantic_topo_loop/io/text_file.h"
+#include "semantic_topo_loop/io/map_database.h"
+#include "semantic_topo_loop/types/text.h"
 
 namespace semantic_topo_loop::core {
 namespace {
@@ -145,7 +146,9 @@ std::vector<GraphKeyframe> read_keyframes(SqliteFile* file) {
     pose.stamp_ns = rows.integer(2);
     pose.T_map_camera = read_pose(rows, 3);
     pose.scale = rows.number(10);
-    const bool is_fine = pose.T_map_camera.is_finite() && is_rotation(pose.T_map_camera.q) && pose.scale > 0.0;
+    constexpr double kFarthest_m = 1e9;  // beyond, sums may be no numbers any more
+    const bool is_fine = pose.T_map_camera.is_finite() && is_rotation(pose.T_map_camera.q) &&
+                         pose.T_map_camera.t.norm() < kFarthest_m && pose.scale > 0.0;
     if (!is_fine) file->reject(row_name("keyframe", rows) + " has no pose");
     constexpr int kVertexColumn = 11;
     if (rows.is_null(kVertexColumn)) continue;
@@ -219,6 +222,11 @@ Status check_objects(const std::vector<MappedLandmark>& landmarks, const ClassTa
     if (!classes.is_mappable(landmark.state.class_id)) {
       return Error{name + " has class " + std::to_string(landmark.state.class_id)};
     }
+    for (const Observation& observation : landmark.observations) {
+      if (!classes.is_mappable(observation.class_id)) {
+        return Error{"an observation of " + name + " has class " + std::to_string(observation.class_id)};
+      }
+    }
     if (ellipsoid && !(ellipsoid->semi_axes.minCoeff() > 0.0)) return Error{name + " has an axis <= 0"};
     const bool has_place = landmark.state.state == LandmarkState::kConfirmed || landmark.state.mean_iou > 0.0;
     if (has_place && !ellipsoid) return Error{name + " has no ellipsoid"};
@@ -268,7 +276,7 @@ void read_all(const ClassTable& classes, MapParts parts, SqliteFile* file, MapSt
 }  // namespace
 
 Status write_map(const std::string& path, const MapState& map, const ClassTable& classes) {
-  return replace_file(path, [&](const std::string& temporary) -> Status {
+  return replace_map(path, [&](const std::string& temporary) -> Status {
     SqliteFile file(temporary, SqliteFile::Mode::kWrite);
     file.run("PRAGMA journal_mode = OFF; PRAGMA synchronous = OFF; BEGIN");
     create_map_tables(&file);

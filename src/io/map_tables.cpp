@@ -137,7 +137,10 @@ void MapTables::write(const GraphState& graph) {
   finish("loop", "number", &loops_);
 }
 
-void MapTables::write_configuration(const std::string& text) { write_meta("configuration", Json(text).dump()); }
+void MapTables::write_configuration(const std::string& text) {
+  // Names of files may be no UTF-8.
+  write_meta("configuration", Json(text).dump(-1, ' ', false, Json::error_handler_t::replace));
+}
 
 void MapTables::write(const Camera& camera) { write_meta("camera", to_archive(camera).dump()); }
 

@@ -64,7 +64,9 @@ class MapDatabaseNodelet : public StageWith<MapDatabaseParameters> {
     has_whole_ = {};
     warn_while(kStages, "");
     // What another session of this process mapped stays, unless this one has its images again.
-    const core::Status aside = is_kept_ && !session().rewind ? core::set_map_aside(path_) : core::Status();
+    const auto before = database();
+    const bool is_own = before && before->is_made();
+    const core::Status aside = is_own && !session().rewind ? core::set_map_aside(path_) : core::Status();
     if (!aside) complain("maps of earlier sessions that were overwritten", aside.message());
     is_kept_ = false;
     const bool is_itself = session().frozen && core::is_same_file(path_, session().map_file);

@@ -3,6 +3,7 @@
 #include <gtest/gtest.h>
 #include <sqlite3.h>
 
+#include <filesystem>
 #include <fstream>
 #include <map>
 #include <memory>
@@ -48,6 +49,7 @@ class MapFile : public ::testing::Test {
     return error();
   }
   void change(const std::string& sql) const {
+    std::filesystem::remove(path_);  // which the change before may have made none of ours
     EXPECT_EQ(write_map(path_, desk(), *shared_coco()).message(), "");
     sqlite3* database = nullptr;
     EXPECT_EQ(sqlite3_open(path_.c_str(), &database), SQLITE_OK);
@@ -215,6 +217,7 @@ TEST_F(MapFile, NamesTheObservationThatIsWrong) {
   EXPECT_EQ(error("qw = 3.0"), name + " has no pose");
   EXPECT_EQ(error("x = 9e999"), name + " has no pose");
   EXPECT_EQ(error("y2 = 9e999"), name + " has no box");
+  EXPECT_EQ(error("class = 9999"), "an observation of object " + id + " has class 9999");
   EXPECT_EQ(error("number = 90000"), "observation 3 of object " + id + " does not follow the one before");
   EXPECT_EQ(error("object = 90000"), "observation 3 of object " + id + " does not follow the one before");
   EXPECT_EQ(error_after("DELETE FROM object WHERE id = " + id),

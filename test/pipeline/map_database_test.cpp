@@ -294,8 +294,10 @@ TEST_F(MapDatabaseTest, AJournalThatWasLeftBehindIsNoPartOfTheNextMap) {
   MapDatabase second(path_, shared_coco());
   second.write({other.slam().take_delta()});
   EXPECT_EQ(second.close().message(), "");
-  ASSERT_EQ(write_map(directory_.path("whole.db"), *other.slam().map(), *shared_coco()).message(), "");
-  EXPECT_TRUE(rows_of(path_) == rows_of(directory_.path("whole.db")));
+  const std::string whole = directory_.path("whole.db");
+  std::filesystem::copy_file(path_ + "-wal~", whole + "-wal");
+  ASSERT_EQ(write_map(whole, *other.slam().map(), *shared_coco()).message(), "");
+  EXPECT_TRUE(rows_of(path_) == rows_of(whole));
 }
 
 TEST_F(MapDatabaseTest, AMapIsSetAsideWithItsJournal) {
@@ -310,6 +312,9 @@ TEST_F(MapDatabaseTest, AMapIsSetAsideWithItsJournal) {
   EXPECT_FALSE(std::filesystem::exists(path_));
   const auto aside = checked(read_map(path_ + "~", *shared_coco()));
   EXPECT_GT(aside->graph.keyframes.size(), run.slam().map()->graph.keyframes.size() / 2);
+  directory_.write("map.db", "the next one");
+  EXPECT_EQ(set_map_aside(path_).message(), "");
+  EXPECT_EQ(read_whole(path_ + "~2"), "the next one");
 }
 
 TEST_F(MapDatabaseTest, ACopyDoesNotTakeThePlaceOfTheMapItself) {
@@ -356,7 +361,17 @@ TEST_F(MapDatabaseTest, WhatIsNoMapStaysAsItIs) {
   MapDatabase database(path, shared_coco());
   database.write({run.slam().take_delta()});
   EXPECT_NE(database.close().message().find("notes.txt: file is not a database"), std::string::npos);
+  EXPECT_NE(write_map(path, *run.slam().map(), *shared_coco()).message().find("is not a database"), std::string::npos);
   EXPECT_EQ(read_whole(path), std::string(1000, 'x'));
+}
+
+TEST_F(MapDatabaseTest, AConfigurationMayHoldAnyBytes) {
+  ChainRun run(laps(), shared_coco());
+  run.next();
+  MapDatabase database(path_, shared_coco(), "names: /home/jos\xE9/names.txt");
+  database.write({run.slam().take_delta()});
+  EXPECT_EQ(database.close().message(), "");
+  EXPECT_NE(checked(read_map(path_, *shared_coco()))->configuration.find("/names.txt"), std::string::npos);
 }
 
 TEST_F(MapDatabaseTest, WhatAFullDiskRefusesIsWrittenOnceThereIsRoom) {

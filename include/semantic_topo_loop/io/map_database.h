@@ -1,6 +1,7 @@
 #pragma once
 
 #include <cstdint>
+#include <functional>
 #include <memory>
 #include <string>
 #include <vector>
@@ -42,6 +43,8 @@ class MapDatabase {
   /// Writes what waits, leaves one file without a journal beside it, and ends. @return what could not be written, and
   /// why
   Status close();
+  /// Whether the file is this one's: before the first writing it may be another map's.
+  bool is_made() const;
   /// What keeps it from writing now.
   Status problem() const;
   /// A copy of what is written, which takes the place of what was there in one go.
@@ -59,7 +62,10 @@ Status check_map_place(const std::string& path);
 /// Adds what is to be written after what waits. Of graphs only the last is kept, which says all.
 void append(MapDatabase::Parts parts, MapDatabase::Parts* waiting);
 
-/// Renames a map to FILE~, with what is in its journal yet, in place of one that is there.
+/// As replace_file, for a map. @return also an error where check_map_place has one
+Status replace_map(const std::string& path, const std::function<Status(const std::string&)>& write);
+
+/// Renames a map to FILE~, or FILE~2 if that is there, with what is in its journal yet.
 Status set_map_aside(const std::string& path);
 
 /// A name under which a map stays as it is now, although another takes its place: a link beside it, FILE.loaded, or its
