@@ -385,10 +385,15 @@ Status check_input(const RunInputs& inputs, const Counts& counts) {
                " ns (pose) and " + std::to_string(inputs.detections.front().stamp_ns) + " ns (detection)"};
 }
 
+struct ChainResult {
+  std::unique_ptr<RunRecorder> recorder;
+  Status files;  ///< whether the map and its points could be written
+};
+
 /// Puts every image of the source through the chain.
-/// @return an error if the inputs have no frame in common or a file cannot be written. If the source needs to be
-/// rewound the result means nothing
-Status run_once(const Arguments& arguments, const RunInputs& inputs, RunRecorder* recorder) {
+/// @return an error if the inputs have no frame in common. If the source needs to be rewound the result means nothing
+Status run_once(const Arguments& arguments, const RunInputs& inputs, ChainResult* chain) {
+  RunRecorder* const recorder = chain->recorder.get();
   ObjectSlam slam(inputs.options, inputs.classes);
   FrameBuilder builder(inputs.options.keyframe, inputs.camera);
   PointMap point_map(inputs.options.point_map);
@@ -452,12 +457,11 @@ Status run_once(const Arguments& arguments, const RunInputs& inputs, RunRecorder
   take(end, slam.process(end, nullptr));
   const double end_s = 1e-6 * end_stopwatch.elapsed_us();
   if (source.report) recorder->record(*source.report);
-  if (!arguments.points.empty()) {
-    if (const Status written = write_point_cloud(arguments.points, point_map.points()); !written) return written;
-  }
+  // What one file cannot take the others still get.
+  if (!arguments.points.empty()) chain->files = write_point_cloud(arguments.points, point_map.points());
   if (database) {
     save();
-    if (const Status written = database->close(); !written) return written;
+    if (const Status closed = database->close(); chain->files) chain->files = closed;
   }
 
   const double seconds = 1e-6 * stopwatch.elapsed_us();
@@ -470,13 +474,13 @@ Status run_once(const Arguments& arguments, const RunInputs& inputs, RunRecorder
 }
 
 /// From the first image again if the source corrects its calibration.
-Result<std::unique_ptr<RunRecorder>> run_chain(const Arguments& arguments, const RunInputs& inputs) {
+Result<ChainResult> run_chain(const Arguments& arguments, const RunInputs& inputs) {
   for (;;) {
-    std::unique_ptr<RunRecorder> recorder = make_run_recorder(inputs.classes, arguments.output);
-    const Status done = run_once(arguments, inputs, recorder.get());
+    ChainResult chain{make_run_recorder(inputs.classes, arguments.output), {}};
+    const Status done = run_once(arguments, inputs, &chain);
     if (!inputs.source->state().needs_rewind) {
       if (!done) return done.error();
-      return Result<std::unique_ptr<RunRecorder>>(std::move(recorder));
+      return chain;
     }
     if (const Status rewound = inputs.source->rewind(); !rewound) return rewound.error();
     std::printf("the calibration was corrected: from the first image again\n");
@@ -517,9 +521,11 @@ Status run(const Arguments& arguments) {
   }
   if (writable && !arguments.save_map.empty()) writable = check_map_place(arguments.save_map);
   if (!writable) return writable;
-  const Result<std::unique_ptr<RunRecorder>> recorder = run_chain(arguments, *inputs);
-  if (!recorder) return recorder.error();
-  if (const Status written = (*recorder)->write(arguments.output); !written) return written;
+  const Result<ChainResult> chain = run_chain(arguments, *inputs);
+  if (!chain) return chain.error();
+  const RunRecorder& recorder = *chain->recorder;
+  if (const Status written = recorder.write(arguments.output); !written) return written;
+  if (!chain->files) return chain->files;
   if (arguments.report) {
     const bool is_free = inputs->options.pose_graph.scale == "free";
     const Status written = write_report(
@@ -528,9 +534,9 @@ Status run(const Arguments& arguments) {
   }
   if (inputs->earlier_map != nullptr) {
     if (arguments.frozen) {
-      print((*recorder)->relocalisation());
+      print(recorder.relocalisation());
     } else {
-      print((*recorder)->joined_map());
+      print(recorder.joined_map());
     }
   }
   const std::string& fault = inputs->source->state().fault;

@@ -3,6 +3,7 @@
 #include <ros/package.h>
 
 #include <algorithm>
+#include <cstdio>
 #include <exception>
 #include <filesystem>
 #include <iostream>
@@ -115,6 +116,8 @@ int run_program(const std::string& program, const std::vector<Command>& commands
   if (status && command->check) status = command->check();
   const bool is_read = static_cast<bool>(status);
   if (is_read) status = command->run();
+  const bool is_told = static_cast<bool>(std::cout.flush()) && std::fflush(stdout) == 0;
+  if (status && !is_told) status = core::Error{"standard output: cannot be written"};
   if (status) return 0;
   std::cerr << program << (is_named ? " " + first : "") << ": error: " << status.message()
             << (is_read ? "\n" : " (see --help)\n");

@@ -10,7 +10,6 @@
 
 #include "semantic_topo_loop/types/box.h"
 #include "semantic_topo_loop/types/result.h"
-#include "semantic_topo_loop/types/transform.h"
 
 namespace semantic_topo_loop::core {
 
@@ -62,13 +61,6 @@ class JsonField {
     return static_cast<int>(value);
   }
 
-  /// An index into an array of this size.
-  int index(std::size_t size) const {
-    const std::int64_t value = integer();
-    if (value < 0 || value >= static_cast<std::int64_t>(size)) reject("is no index of a frame");
-    return static_cast<int>(value);
-  }
-
   bool flag() const {
     if (json_.is_boolean()) return json_.get<bool>();
     reject("must be true or false");
@@ -104,16 +96,6 @@ class JsonField {
       }
     }
     return v;
-  }
-
-  SE3 pose() const {
-    const auto v = numbers<7>();
-    const Quaternion q(v(6), v(3), v(4), v(5));
-    if (!is_rotation(q)) {
-      reject("holds a quaternion that is no rotation");
-      return {};
-    }
-    return {q.normalized(), v.head<3>()};
   }
 
   Box box() const {

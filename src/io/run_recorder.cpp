@@ -103,23 +103,14 @@ class Spool {
  public:
   /// @param directory of the file, which is there
   void add(std::string_view bytes, const std::string& directory) {
-    if (!status_) return;
     end_ += bytes;
-    if (end_.size() < kEndMax) return;
-    if (!file_) file_.reset(open_nameless(directory));
-    const bool is_written =
-        file_ && std::fwrite(end_.data(), 1, end_.size(), file_.get()) == end_.size() && std::fflush(file_.get()) == 0;
-    if (!is_written) {
-      status_ = Error{directory + ": cannot keep the rows of the run: " + std::system_category().message(errno)};
-    }
-    end_.clear();
+    if (end_.size() >= kEndMax) write_end(directory);
   }
 
   /// Calls take(bytes) in order, part by part, each of whole rows of `row_size` bytes.
-  /// @return an error if the disk could not take the bytes, or does not give them back
+  /// @return an error if the disk does not give the bytes back
   template <class Take>
   Status read(std::size_t row_size, const Take& take) const {
-    if (!status_) return status_;
     std::string part(kEndMax - kEndMax % row_size, '\0');
     std::size_t held = 0;  // bytes of a row of which the rest has not been read
     for (off_t at = 0; file_;) {
@@ -142,6 +133,20 @@ class Spool {
  private:
   static constexpr std::size_t kEndMax = 1 << 18;  ///< bytes: short runs need no file
 
+  /// What a full disk does not take stays, and is written with what comes next.
+  void write_end(const std::string& directory) {
+    if (!file_) file_.reset(open_nameless(directory));
+    std::size_t written = 0;
+    while (file_ && written < end_.size()) {
+      const ssize_t length = ::pwrite(::fileno(file_.get()), end_.data() + written, end_.size() - written, length_);
+      if (length < 0 && errno == EINTR) continue;
+      if (length <= 0) break;
+      written += static_cast<std::size_t>(length);
+      length_ += length;
+    }
+    end_.erase(0, written);
+  }
+
   static std::FILE* open_nameless(const std::string& directory) {
     std::string path = directory + "/.rows_XXXXXX";
     const int descriptor = ::mkstemp(path.data());
@@ -154,8 +159,8 @@ class Spool {
     void operator()(std::FILE* file) const { std::fclose(file); }
   };
   std::unique_ptr<std::FILE, Close> file_;
-  std::string end_;  ///< behind what the file holds
-  Status status_;
+  off_t length_ = 0;  ///< of the file
+  std::string end_;   ///< behind what the file holds
 };
 
 /// Of a frame, what is needed at the end; plain numbers, so that its bytes can be kept.

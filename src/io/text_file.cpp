@@ -12,7 +12,7 @@
 #include <filesystem>
 #include <fstream>
 #include <locale>
-#include <sstream>
+#include <vector>
 
 namespace semantic_topo_loop::core {
 namespace {
@@ -111,10 +111,13 @@ Result<std::string> read_text_file(const std::string& path) {
   if (std::filesystem::is_directory(path, code)) return Error{path + ": is a directory, not a file"};
   std::ifstream file(path, std::ios::binary);
   if (!file) return Error{path + ": cannot open the file"};
-  std::ostringstream stream;
-  stream << file.rdbuf();
-  if (file.bad()) return Error{path + ": cannot read the file"};
-  std::string text = stream.str();
+  std::string text;
+  std::vector<char> part(1 << 16);
+  do {
+    file.read(part.data(), static_cast<std::streamsize>(part.size()));
+    text.append(part.data(), static_cast<std::size_t>(file.gcount()));
+  } while (file);
+  if (file.bad()) return Error{path + ": cannot be read to its end"};
   if (text.rfind(kByteOrderMark, 0) == 0) text.erase(0, std::strlen(kByteOrderMark));
   return text;
 }

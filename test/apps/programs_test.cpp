@@ -1,5 +1,6 @@
 #include <gtest/gtest.h>
 
+#include <cstdlib>
 #include <cstring>
 #include <filesystem>
 #include <nlohmann/json.hpp>
@@ -211,6 +212,10 @@ TEST_F(OfflineProgram, PointsFollowTheCorrection) {
   const double shift_m = (mean_point(directory_.path("moved.ply")) - mean_point(directory_.path("plain.ply"))).norm();
   EXPECT_GT(shift_m, 0.15);
   EXPECT_LT(shift_m, 0.5);
+  // What they cannot be written to keeps nothing else from being written.
+  std::filesystem::create_symlink("/dev/full", directory_.path("full.ply"));
+  EXPECT_EQ(run(source + "--output @kept --points @full.ply"), 1);
+  EXPECT_EQ(checked(read_keyframes(directory_.path("kept/keyframes.csv"))).size(), keyframes.size());
 }
 
 class OfflineRun : public OfflineProgram {
@@ -279,6 +284,9 @@ TEST_F(InspectMapProgram, CountsAndExports) {
 TEST_F(InspectMapProgram, WhatDoesNotFitIsOneClearError) {
   expect_failure("@none.db" + classes_, 1, "none.db: cannot open the file");
   expect_failure("@none.db --dump", 1, "none.db: cannot open the file");
+  const std::string dump = STL_PROGRAM_DIR "/inspect_map " + directory_.path("map.db") + " --dump 2> /dev/null";
+  EXPECT_EQ(std::system((dump + " > /dev/null").c_str()), 0);
+  EXPECT_NE(std::system((dump + " > /dev/full").c_str()), 0);
   expect_failure("@map.db --objects @o.txt" + classes_, 2, "must be a path that ends in .csv or .json");
   directory_.write("text.db", "no map\n");
   expect_failure("@text.db" + classes_, 1, "text.db: file is not a database");

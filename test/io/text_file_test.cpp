@@ -141,6 +141,7 @@ TEST(TextFile, ErrorsNameThePath) {
   const TestDirectory directory;
   EXPECT_EQ(read_text_file(directory.path("none")).message(), directory.path("none") + ": cannot open the file");
   EXPECT_NE(read_text_file(directory.path("")).message().find("is a directory"), std::string::npos);
+  EXPECT_EQ(read_text_file("/proc/self/mem").message(), "/proc/self/mem: cannot be read to its end");
   EXPECT_NE(write_text_file(directory.path("none/x"), "text").message().find(directory.path("none/x")),
             std::string::npos);
   directory.write("file", "");
