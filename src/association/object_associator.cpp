@@ -179,7 +179,8 @@ struct ObjectAssociator::Impl {
       association.detection_index = static_cast<std::int32_t>(i);
       association.class_id = detection.class_id;
       association.score = detection.score;
-      association.box = camera.undistort(detection.box);
+      // Some detectors go on beyond the image.
+      association.box = camera.undistort(clip(detection.box, camera.width, camera.height));
       association.truncated = truncated_sides(detection.box, camera.width, camera.height, options_.border_px);
       const bool is_in_view = association.box.is_valid();  // and not where the lens model holds no longer
       if (!is_in_view) association.box = {};

@@ -218,6 +218,7 @@ struct RgbdFrontend::Impl {
         const bool is_alike = (again.t - image.center()).norm() < kAlike_m &&
                               rotation_angle(again.q.conjugate(), image.T_camera_map.q) < kAlike_rad;
         if (is_alike) {
+          refinement = {};  // it has its keyframes where they were
           map.join(there.section, image.section, T_here_there);
           sighting.reset();
           return found;

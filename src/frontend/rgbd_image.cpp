@@ -68,10 +68,12 @@ cv::Mat to_metres(const cv::Mat& depth, const DepthOptions& options, DepthRange*
       depth, options, [&table](std::uint16_t raw) { return table[raw]; }, range);
 }
 
-/// Depth seen by another camera, as the color camera would see it: nearest surface first, each value drawn on the
-/// four pixels around its place so that no holes open between neighbours.
+/// Depth seen by another camera, as the color camera would see it: nearest surface first, each value drawn on so many
+/// pixels around its place, four or more, that no holes open between neighbours.
 cv::Mat registered(const cv::Mat& depth_m, const Camera& color, const Camera& depth, const SE3& T_color_depth) {
   cv::Mat result = cv::Mat::zeros(color.height, color.width, CV_32FC1);
+  const int wide = std::max(2, static_cast<int>(color.fx / depth.fx) + 1);
+  const int high = std::max(2, static_cast<int>(color.fy / depth.fy) + 1);
   for (int v = 0; v < depth_m.rows; ++v) {
     for (int u = 0; u < depth_m.cols; ++u) {
       const float z_m = depth_m.at<float>(v, u);
@@ -80,9 +82,10 @@ cv::Mat registered(const cv::Mat& depth_m, const Camera& color, const Camera& de
       if (p.z() <= 0.0) continue;
       const Vec2 pixel = color.distort(color.pixel(p));
       if (!(pixel.x() > -1.0 && pixel.y() > -1.0 && pixel.x() < color.width && pixel.y() < color.height)) continue;
-      const int left = static_cast<int>(std::floor(pixel.x())), top = static_cast<int>(std::floor(pixel.y()));
-      for (int y = std::max(top, 0); y <= std::min(top + 1, color.height - 1); ++y) {
-        for (int x = std::max(left, 0); x <= std::min(left + 1, color.width - 1); ++x) {
+      const int left = static_cast<int>(std::floor(pixel.x())) - (wide / 2 - 1);
+      const int top = static_cast<int>(std::floor(pixel.y())) - (high / 2 - 1);
+      for (int y = std::max(top, 0); y < std::min(top + high, color.height); ++y) {
+        for (int x = std::max(left, 0); x < std::min(left + wide, color.width); ++x) {
           float& there = result.at<float>(y, x);
           if (there <= 0.0F || p.z() < there) there = static_cast<float>(p.z());
         }
@@ -183,6 +186,8 @@ Result<RgbdImage> make_rgbd_image(std::int64_t stamp_ns, const cv::Mat& color, c
   if (pinhole.size() == 4) {
     depth_camera.fx = pinhole[0], depth_camera.fy = pinhole[1], depth_camera.cx = pinhole[2];
     depth_camera.cy = pinhole[3];
+  } else if (depth.size() != color.size()) {
+    return fail(describe("depth", depth) + ", but the camera has " + wanted + ", and depth.intrinsics is empty");
   }
   image.depth_m = registered(image.depth_m, camera, depth_camera, parse_pose(*pose));
   return image;

@@ -443,6 +443,17 @@ TEST(ObjectAssociator, MarksSidesAtTheBorderAndUndistorts) {
   EXPECT_NE(result.associations[0].box.x1, 0.0);
 }
 
+TEST(ObjectAssociator, BoxesEndWithTheImage) {
+  ObjectAssociator associator(options("joint"), classes());
+  const Frame frame = frame_at(0);
+  const AssociationFrame result = associator.associate(
+      frame, {{kCup, 0.9, {-30.0, 100.0, 80.0, 9000.0}}, {kCup, 0.9, {-90.0, 100.0, -5.0, 300.0}}});
+  EXPECT_EQ(result.associations[0].truncated, kLeft | kBottom);
+  const double height = frame.camera.height;
+  EXPECT_EQ(result.associations[0].box.edges(), frame.camera.undistort(Box{0.0, 100.0, 80.0, height}).edges());
+  EXPECT_EQ(result.associations[1].level, AssociationLevel::kIgnored);
+}
+
 TEST(AssociatorOptions, RejectsByNameAndValue) {
   AssociatorOptions bad_mode;
   bad_mode.mode = "magic";

@@ -4,6 +4,7 @@
 
 #include <cmath>
 #include <limits>
+#include <sstream>
 
 #include "support/synthetic_room.h"
 
@@ -126,6 +127,22 @@ TEST(RgbdImage, UnregisteredDepthIsSeenByTheColorCamera) {
   const Vec2 expected(kCamera.fx * -0.1 / 2.0 + kCamera.cx, kCamera.cy);
   EXPECT_EQ(cv::countNonZero(image->depth_m), 4);
   EXPECT_NEAR(image->depth_m.at<float>(static_cast<int>(expected.y()), static_cast<int>(expected.x())), 2.0, 1e-6);
+}
+
+TEST(RgbdImage, CoarseDepthLeavesNoHoles) {
+  DepthOptions options;
+  options.color_from_depth = "0 0 0 0 0 0 1";
+  const int width = kCamera.width / 4, height = kCamera.height / 4;
+  std::ostringstream pinhole;
+  pinhole << kCamera.fx / 4 << ' ' << kCamera.fy / 4 << ' ' << kCamera.cx / 4 << ' ' << kCamera.cy / 4;
+  options.intrinsics = pinhole.str();
+  const cv::Mat depth(height, width, CV_16UC1, cv::Scalar(1500));
+  const auto image = image_of(depth, options);
+  ASSERT_TRUE(image) << image.message();
+  const cv::Rect inside(8, 8, kCamera.width - 16, kCamera.height - 16);
+  EXPECT_EQ(cv::countNonZero(image->depth_m(inside)), inside.area());
+  options.intrinsics.clear();
+  EXPECT_NE(image_of(depth, options).message().find("depth.intrinsics is empty"), std::string::npos);
 }
 
 TEST(RgbdImage, NearerSurfaceWinsWhereTwoMeet) {
