@@ -98,6 +98,7 @@ bool DuplicateTest::is_duplicate(const MappedLandmark& a, const MappedLandmark& 
 bool DuplicateTest::is_part(const MappedLandmark& a, const MappedLandmark& b, const ViewSource& views) const {
   if (!classes_.confusable(a.state.class_id, b.state.class_id)) return false;
   if (b.sightings.seen_s >= kPartSeen * a.sightings.seen_s) return false;
+  if (frames_side_by_side(a, b) >= options_.merge_veto_share * b.state.observations) return false;
   const double reach = a.state.ellipsoid->semi_axes.maxCoeff() + b.state.ellipsoid->semi_axes.maxCoeff();
   if ((a.state.ellipsoid->center() - b.state.ellipsoid->center()).norm() > reach) return false;
   return overlap(a, b, views).inside > kPartInside;

@@ -301,6 +301,20 @@ TEST_F(MapperTest, DuplicatesOfOneObjectMerge) {
   EXPECT_EQ(find(merges[0].survivor_id)->observations, 120);
 }
 
+TEST_F(MapperTest, ASmallThingThatStoodBesideALargeOneIsNoPartOfIt) {
+  Ellipsoid large = kCup;
+  large.semi_axes *= 3.0;
+  const std::vector<SE3> poses = arc(300, 120.0);
+  for (std::size_t i = 0; i < poses.size(); ++i) {
+    std::vector<Seen> seen{{0, 73, large}};
+    if (i < 80) seen.push_back({1, 73, kCup});  // a fourth of the time, each with a box of its own
+    step(poses[i], seen);
+  }
+  end();
+  EXPECT_NE(find(0), nullptr);
+  EXPECT_NE(find(1), nullptr);
+}
+
 TEST_F(MapperTest, WhatNoImageShowsWholeIsNotConfirmed) {
   const std::vector<SE3> poses = arc(60, 90.0);
   Ellipsoid book = kCup;
