@@ -123,7 +123,7 @@ class PlayerNodelet : public StageWith<PlayerParameters> {
     listen<Message>(topic, [this, link](const Message& m) { ledger_->seen(link, m.session_id, m.frame_id); });
   }
 
-  void play() {
+  void play() try {
     core::Status end;
     Wait wait = Wait::kRewind;
     while (wait == Wait::kRewind) {
@@ -142,6 +142,9 @@ class PlayerNodelet : public StageWith<PlayerParameters> {
     if (!end) NODELET_ERROR("the recording ends early: %s; what was mapped is kept", end.message().c_str());
     if (!play_end()) return;
     set_status(end ? "finished" : "failed: " + end.message());
+  } catch (const std::exception& exception) {
+    fail(exception.what());
+    set_status(std::string("failed: ") + exception.what());
   }
 
   core::Result<PlayerSource> open_source() const {

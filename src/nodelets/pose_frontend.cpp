@@ -98,7 +98,9 @@ class PoseFrontendNodelet : public StageWith<PoseFrontendParameters, FrontendSta
 
   void on_points(const sensor_msgs::PointCloud2ConstPtr& message) {
     constexpr std::size_t kKept = 10;  // clouds that wait for their image: a third of a second at 30 Hz
-    points_[to_stamp_ns(message->header.stamp)] = message;
+    const std::int64_t stamp_ns = to_stamp_ns(message->header.stamp);
+    points_.erase(points_.upper_bound(stamp_ns + kJumpBack_ns), points_.end());
+    points_[stamp_ns] = message;
     if (points_.size() > kKept) points_.erase(points_.begin());
     resolve();
   }

@@ -15,7 +15,9 @@ constexpr char kRecorder[] = "Recorder";
 }  // namespace
 
 void PlayerLedger::take(const SessionControl& control) {
-  is_paused_ = control.command == SessionControl::COMMAND_PAUSE;
+  if (control.command != SessionControl::COMMAND_LOCALIZATION) {
+    is_paused_ = control.command == SessionControl::COMMAND_PAUSE;
+  }
   const bool is_start = control.command == SessionControl::COMMAND_START;
   if (control.session_id == session_id_ && (!is_start || control.header.stamp == session_stamp_)) return;
   session_id_ = control.session_id;

@@ -205,7 +205,9 @@ core::Result<std::string> Stage::path_below(const std::string& directory, const 
   const fs::path relative = place.lexically_relative(root);
   if (no_root || no_place) return core::Error{path + ": " + (no_root ? no_root : no_place).message()};
   const bool is_below = !relative.empty() && relative != "." && *relative.begin() != "..";
-  if (is_below || anywhere) return place.string();
+  // A link that leads to no file yet is not followed by that.
+  const bool is_link = fs::is_symlink(fs::symlink_status(place, no_place));
+  if ((is_below && !is_link) || anywhere) return place.string();
   return core::Error{path + ": is not below '" + root.string() + "', see save_dir and allow_any_path"};
 }
 
@@ -281,6 +283,7 @@ void Stage::handle_session(const SessionControl::ConstPtr& control) {
   if (control->session_id != session_id_ || (is_start && control->header.stamp != session_stamp_)) {
     session_id_ = control->session_id;
     session_ = control;
+    statistics_.set_failure(name_, "");  // which a session had before: what has not started follows none
     reset_session();
     set_localization(control->localization != 0);
   }
