@@ -2,6 +2,7 @@
 
 #include <gtest/gtest.h>
 
+#include <filesystem>
 #include <future>
 #include <stdexcept>
 #include <string>
@@ -9,6 +10,7 @@
 
 #include "ros/frame_joiner.h"
 #include "ros/worker.h"
+#include "support/test_files.h"
 
 namespace semantic_topo_loop {
 namespace {
@@ -130,6 +132,21 @@ TEST(Worker, CloseForgetsWhatWaitsAndTakesNothingMore) {
   worker.close();
   EXPECT_FALSE(ran);
   EXPECT_EQ(worker.size(), 0u);
+}
+
+TEST(Stage, PathsOfServicesLieBelowTheirDirectoryByLinksToo) {
+  struct Open : Stage {
+    using Stage::path_below;
+  };
+  const core::TestDirectory directory;
+  const std::string root = directory.path("maps");
+  std::filesystem::create_directory(root);
+  std::filesystem::create_symlink(directory.path("elsewhere.db"), root + "/link.db");  // which is not there
+  EXPECT_EQ(*Open::path_below(root, "a.db", false), std::filesystem::canonical(root).string() + "/a.db");
+  for (const char* outside : {"../a.db", "/etc/passwd", "link.db", "."}) {
+    EXPECT_NE(Open::path_below(root, outside, false).message().find("is not below"), std::string::npos) << outside;
+  }
+  EXPECT_TRUE(Open::path_below(root, "../a.db", true));
 }
 
 TEST(StageStatistics, CountsInputsFramesAndNamedCounters) {

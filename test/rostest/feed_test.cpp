@@ -373,6 +373,20 @@ TEST(PlayerLedger, NamesTheStagesThatAreNotUp) {
   EXPECT_EQ(ledger.missing_stages().size(), 2u) << "a new session must be acknowledged anew";
 }
 
+TEST(PlayerLedger, WaitsWhilePausedWhateverElseIsSaid) {
+  PlayerLedger ledger("PoseFrontend", {}, false);
+  SessionControl control = start_of(1);
+  ledger.take(control);
+  control.command = SessionControl::COMMAND_PAUSE;
+  ledger.take(control);
+  control.command = SessionControl::COMMAND_LOCALIZATION;
+  ledger.take(control);
+  EXPECT_TRUE(ledger.is_paused());
+  control.command = SessionControl::COMMAND_RESUME;
+  ledger.take(control);
+  EXPECT_FALSE(ledger.is_paused());
+}
+
 TEST(PlayerLedger, GivesCreditBackOnceAFrameIsDone) {
   PlayerLedger ledger("PoseFrontend", {}, false);
   ledger.take(start_of(1));
