@@ -368,7 +368,7 @@ TEST_F(MapDatabaseTest, WhatIsNoMapStaysAsItIs) {
 TEST_F(MapDatabaseTest, AConfigurationMayHoldAnyBytes) {
   ChainRun run(laps(), shared_coco());
   run.next();
-  MapDatabase database(path_, shared_coco(), "names: /home/jos\xE9/names.txt");
+  MapDatabase database(path_, shared_coco(), "names: caf\xE9/names.txt");
   database.write({run.slam().take_delta()});
   EXPECT_EQ(database.close().message(), "");
   EXPECT_NE(checked(read_map(path_, *shared_coco()))->configuration.find("/names.txt"), std::string::npos);
