@@ -146,7 +146,7 @@ std::vector<GraphKeyframe> read_keyframes(SqliteFile* file) {
     pose.stamp_ns = rows.integer(2);
     pose.T_map_camera = read_pose(rows, 3);
     pose.scale = rows.number(10);
-    constexpr double kFarthest_m = 1e9;  // beyond, sums may be no numbers any more
+    constexpr double kFarthest_m = 1e100;  // beyond, products are no numbers any more
     const bool is_fine = pose.T_map_camera.is_finite() && is_rotation(pose.T_map_camera.q) &&
                          pose.T_map_camera.t.norm() < kFarthest_m && pose.scale > 0.0;
     if (!is_fine) file->reject(row_name("keyframe", rows) + " has no pose");

@@ -1,7 +1,6 @@
 #include "semantic_topo_loop/io/map_database.h"
 
 #include <array>
-#include <atomic>
 #include <memory>
 #include <mutex>
 #include <pluginlib/class_list_macros.hpp>
@@ -68,7 +67,6 @@ class MapDatabaseNodelet : public StageWith<MapDatabaseParameters> {
     const bool is_own = before && before->is_made();
     const core::Status aside = is_own && !session().rewind ? core::set_map_aside(path_) : core::Status();
     if (!aside) complain("maps of earlier sessions that were overwritten", aside.message());
-    is_kept_ = false;
     const bool is_itself = session().frozen && core::is_same_file(path_, session().map_file);
     warn_while("frozen map",
                is_itself ? "no map is written: " + path_ + ": is the frozen map, which stays as it is" : std::string());
@@ -136,7 +134,6 @@ class MapDatabaseNodelet : public StageWith<MapDatabaseParameters> {
     if (!missing_stages().empty()) return;
     warn_while(kStages, "");
     database()->write(std::exchange(waiting_, {}));
-    is_kept_ = true;
     set_unsaved(true);
   }
 
@@ -152,17 +149,18 @@ class MapDatabaseNodelet : public StageWith<MapDatabaseParameters> {
   /// What is written by then is a map, and one file.
   void close() {
     const auto database = this->database();
-    if (!database || !is_kept_) return;
+    if (!database) return;
     const core::Status closed = database->close();
     set_unsaved(false);
+    if (closed && !database->is_made()) return;  // nothing has come
     report_written("map", closed ? core::Result<std::string>(path_) : closed.error());
   }
 
   bool on_save(SaveMap::Request& request, SaveMap::Response& response) {
     const auto database = this->database();
-    if (!database || !is_kept_) {
+    if (!database || !database->is_made()) {
       response.message = parameters_.save_map_file.empty() ? "parameter 'save_map_file' is empty: no map is kept"
-                                                           : "nothing is mapped yet";
+                                                           : "nothing is written yet";
       return true;
     }
     const core::Result<std::string> place = path_below(parameters_.save_dir, request.path, parameters_.allow_any_path);
@@ -185,7 +183,6 @@ class MapDatabaseNodelet : public StageWith<MapDatabaseParameters> {
   std::unique_ptr<Joiner> joiner_;
   std::array<bool, 3> has_whole_{};   ///< by stage
   core::MapDatabase::Parts waiting_;  ///< until each stage has sent its part as a whole
-  std::atomic<bool> is_kept_{false};  ///< something of this session went to the database
   mutable std::mutex mutex_;          ///< guards the pointer
   std::shared_ptr<core::MapDatabase> database_;
 };

@@ -165,10 +165,10 @@ PathNoise::PathNoise(const std::vector<SE3>& T_world_vertex, const std::vector<O
   stated_.assign(n, 0);
   for (std::size_t i = 0; i + 1 < n; ++i) {
     const OdometryEdge& edge = edges[i];
+    SE3 place = about_first(T_world_vertex[i + 1]);
     // A break knows nothing, however far away; and beside the square of a far lever all else would be lost in rounding.
-    const SE3 about_first =
-        edge.is_break ? SE3(T_world_vertex[i + 1].q, Vec3::Zero()) : this->about_first(T_world_vertex[i + 1]);
-    const Mat6 to_origin = transport(about_first.inverse());
+    if (edge.is_break) place.t.setZero();
+    const Mat6 to_origin = transport(place.inverse());
     to_origin_.push_back(to_origin);
     EdgeCovariance parts = by_causes(edge);
     if (edge.is_break) parts.translation = parts.rotation = Mat6::Zero();
