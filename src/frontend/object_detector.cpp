@@ -10,6 +10,7 @@
 #include <string>
 #include <utility>
 
+#include "frontend/onnx_input.h"
 #include "frontend/yolo_output.h"
 
 namespace semantic_topo_loop::core {
@@ -144,7 +145,8 @@ class ObjectDetector::Impl {
 
   /// Finds the size of the input and the layout of the output.
   Status try_sizes() {
-    const std::vector<int> sizes = options_.input_px > 0 ? std::vector<int>{options_.input_px} : std::vector{416, 640};
+    const int stated = options_.input_px > 0 ? options_.input_px : declared_input_px(options_.model);
+    const std::vector<int> sizes = stated > 0 ? std::vector{stated} : std::vector{416, 640};
     std::string problem;
     for (const int size : sizes) {
       const std::string with = "with an input of " + std::to_string(size) + " x " + std::to_string(size) + " px ";

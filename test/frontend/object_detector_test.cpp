@@ -6,6 +6,7 @@
 #include <cmath>
 #include <opencv2/imgproc.hpp>
 
+#include "frontend/onnx_input.h"
 #include "frontend/yolo_output.h"
 #include "semantic_topo_loop/io/detection_file.h"
 #include "semantic_topo_loop/io/rgbd_recording.h"
@@ -97,6 +98,39 @@ TEST(ObjectDetectorOptions, InputIsOfWholeCells) {
   EXPECT_NE(with("417").message().find("detector.input_px"), std::string::npos) << with("417").message();
 }
 
+/// A field of a protobuf message: another message.
+std::string field(int number, const std::string& bytes) {
+  std::string length;
+  for (std::size_t rest = bytes.size(); length.empty() || rest > 0; rest >>= 7U) {
+    length += static_cast<char>((rest & 0x7fU) | (rest > 0x7fU ? 0x80U : 0U));
+  }
+  return static_cast<char>(number << 3 | 2) + length + bytes;
+}
+
+/// An input of an ONNX model: the sizes are below 2^14, 0 is a name.
+std::string onnx_input(const std::vector<int>& sizes) {
+  std::string shape;
+  for (const int size : sizes) {
+    const std::string value = {0x08, static_cast<char>((size & 0x7f) | 0x80), static_cast<char>(size >> 7)};
+    shape += field(1, size > 0 ? value : field(2, "height"));
+  }
+  return field(11, field(1, "images") + field(2, field(1, std::string{0x08, 1} + field(2, shape))));
+}
+
+TEST(OnnxInput, IsWhatTheModelDeclares) {
+  const TestDirectory directory;
+  const auto declared = [&directory](const std::string& bytes) {
+    return declared_input_px(directory.write("model.onnx", bytes));
+  };
+  const std::string weights = field(5, std::string(1000, 'w')), kernel = onnx_input({16, 3, 3, 3});
+  const std::string model = field(2, "exporter") + field(7, weights + kernel + onnx_input({1, 3, 640, 640}));
+  EXPECT_EQ(declared(model), 640);
+  EXPECT_EQ(declared(field(7, onnx_input({1, 3, 0, 0}))), 0);
+  EXPECT_EQ(declared(field(7, onnx_input({1, 3, 480, 640}))), 0);
+  for (std::size_t size = 0; size < model.size(); ++size) EXPECT_EQ(declared(model.substr(0, size)), 0) << size;
+  EXPECT_EQ(declared_input_px(directory.path("none.onnx")), 0);
+}
+
 TEST(ObjectDetector, FilesThatAreNoModelAreOneError) {
   const TestDirectory directory;
   for (const std::string& path : {directory.path("none.onnx"), directory.write("empty.onnx", ""),
@@ -132,6 +166,8 @@ class YoloxNano : public ::testing::Test {
   ObjectDetectorOptions options_;
   std::string folder_;
 };
+
+TEST_F(YoloxNano, DeclaresItsInput) { EXPECT_EQ(declared_input_px(options_.model), 416); }
 
 TEST_F(YoloxNano, FindsWhatItIsKnownToFind) {
   const std::unique_ptr<ObjectDetector> detector = load();

@@ -32,8 +32,9 @@ struct ObjectDetectorOptions {
             "classes are those ids of the table");
     visitor("layout", layout, one_of({"auto", "yolox", "yolov5", "yolov8"}),
             "of the model's output; auto: by its shape");
-    visitor("input_px", input_px, not_negative(),
-            "width and height of the model's input; 0: 416 or 640, the first that the model takes");
+    visitor(
+        "input_px", input_px, not_negative(),
+        "width and height of the model's input; 0: as the model declares it, or 416 or 640, the first that it takes");
     visitor.live("score", score, share(), "boxes of lower scores are left out");
     visitor.live("nms_iou", nms_iou, share(), "of two boxes of a class that overlap more the better one stays");
     visitor.live(
