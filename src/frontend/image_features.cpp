@@ -111,18 +111,18 @@ std::vector<int> search(const std::vector<SearchItem>& items, const ImageFeature
   return matches;
 }
 
-std::vector<int> match_anywhere(const ImageFeatures& a, const std::vector<bool>& wanted, const ImageFeatures& b) {
+std::vector<int> match_anywhere(const ImageFeatures& a, const std::vector<bool>& wanted, const ImageFeatures& b,
+                                double max_motion_px) {
   // Loose, for the pose that is sought from these matches may have most of them wrong, but must have the right ones.
-  constexpr int kMaxBits = 80;             // between kSimilarBits and kMatchBits
-  constexpr double kRatio = 0.95;          // of the best to the second best: ties only are left out
-  constexpr int kMaxLevels = 3;            // 1.2^3: nearer or farther by 1.7 times
-  constexpr double kMaxMotion_px = 240.0;  // half a 640 x 480 image's height; what moved farther has left many views
+  constexpr int kMaxBits = 80;     // between kSimilarBits and kMatchBits
+  constexpr double kRatio = 0.95;  // of the best to the second best: ties only are left out
+  constexpr int kMaxLevels = 3;    // 1.2^3: nearer or farther by 1.7 times
   std::vector<TwoBest> of_a(a.size()), of_b(b.size());
   for (std::size_t i = 0; i < a.size(); ++i) {
     if (!wanted[i]) continue;
     for (std::size_t j = 0; j < b.size(); ++j) {
       const Vec2 motion = b.features[j].pixel - a.features[i].pixel;
-      if (motion.cwiseAbs().maxCoeff() > kMaxMotion_px) continue;
+      if (motion.cwiseAbs().maxCoeff() > max_motion_px) continue;
       if (std::abs(a.features[i].level - b.features[j].level) > kMaxLevels) continue;
       const int distance = hamming(a.descriptors[i], b.descriptors[j]);
       of_a[i].offer(distance, static_cast<int>(j), 0);

@@ -82,8 +82,9 @@ struct SearchItem {
 std::vector<int> search(const std::vector<SearchItem>& items, const ImageFeatures& image,
                         const std::vector<bool>& is_taken, int max_bits, double ratio);
 
-/// For each feature of `a` (only those that are `wanted`) its match in `b`, or -1, up to 240 pixels away:
-/// mutually most similar, clearly more than the second best, and turned like most others.
-std::vector<int> match_anywhere(const ImageFeatures& a, const std::vector<bool>& wanted, const ImageFeatures& b);
+/// For each feature of `a` (only those that are `wanted`) its match in `b`, or -1, up to `max_motion_px` away in x
+/// and y: mutually most similar, clearly more than the second best, and turned like most others.
+std::vector<int> match_anywhere(const ImageFeatures& a, const std::vector<bool>& wanted, const ImageFeatures& b,
+                                double max_motion_px);
 
 }  // namespace semantic_topo_loop::core

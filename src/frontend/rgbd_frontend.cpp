@@ -18,7 +18,9 @@ constexpr double kMaxGuess_s = 0.5;  ///< motion is not carried on for longer: a
 /// Camera-frame points of an even grid of depth pixels.
 class DepthGrid {
  public:
-  DepthGrid(const Camera& camera, int stride_px) {
+  /// @param vga_stride_px see FrontendOptions
+  DepthGrid(const Camera& camera, int vga_stride_px) {
+    const int stride_px = std::max(1, static_cast<int>(std::lround(vga_stride_px * camera.vga_px())));
     for (int v = stride_px / 2; v < camera.height; v += stride_px) {
       for (int u = stride_px / 2; u < camera.width; u += stride_px) {
         pixels_.push_back({u, v, camera.ray(camera.undistort(Vec2(u, v))).cast<float>()});

@@ -61,7 +61,7 @@ constexpr int kHypotheses = 40;               // finds a plane of half of the po
 constexpr double kMiddle = 0.8;               // of the box: the ellipse that a convex object fills
 constexpr double kNearShare = 0.35;           // of the points in it: less than the part that anything but a frame fills
 constexpr double kReach = 0.5;                // of the box's longer side, before and behind that
-constexpr double kStrip_px = 10.0;            // along a side, inside of it: two or three points of a frame's grid
+constexpr double kStrip_px = 10.0;            // along a side, inside of it, at a width of 640: two or three points
 constexpr std::size_t kStripPointsMax = 100;  // twenty times those that it takes
 constexpr double kOccluderShare = 0.6;  // of what lies outside of a side in one plane, and inside of it behind that
 
@@ -77,14 +77,14 @@ double longer_side(const Box& box, const Camera& camera) {
 
 /// The strips along a side, inside and outside of the box.
 /// @param side of the edges (x1, y1, x2, y2)
-std::pair<Box, Box> strips(const Box& box, int side) {
+std::pair<Box, Box> strips(const Box& box, int side, double width_px) {
   const int other_side = (side + 2) % 4;
   const double inward = side < 2 ? 1.0 : -1.0;
   const double length = side % 2 == 0 ? box.width() : box.height();
   Vec4 inside = box.edges(), outside = box.edges();
-  inside(other_side) = inside(side) + inward * kStrip_px;
+  inside(other_side) = inside(side) + inward * width_px;
   outside(other_side) = outside(side);
-  outside(side) -= inward * std::max(2.0 * kStrip_px, kRing * length);
+  outside(side) -= inward * std::max(2.0 * width_px, kRing * length);
   return {{inside(0), inside(1), inside(2), inside(3)}, {outside(0), outside(1), outside(2), outside(3)}};
 }
 
@@ -175,9 +175,10 @@ std::vector<SeenPoint> FramePoints::in(const Box& box, std::size_t count_max) co
 
 std::uint8_t hidden_sides(const FramePoints& points, const Box& box) {
   std::uint8_t hidden = 0;
-  if (!box.is_valid() || std::min(box.width(), box.height()) < 2.0 * kStrip_px) return hidden;
+  const double width_px = kStrip_px * points.camera().vga_px();
+  if (!box.is_valid() || std::min(box.width(), box.height()) < 2.0 * width_px) return hidden;
   for (int side = 0; side < 4; ++side) {
-    const auto [inside, outside] = strips(box, side);
+    const auto [inside, outside] = strips(box, side, width_px);
     if (is_behind(points.in(inside, kStripPointsMax), points.in(outside, kStripPointsMax))) {
       hidden |= static_cast<std::uint8_t>(1 << side);
     }
