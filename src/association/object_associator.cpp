@@ -19,7 +19,9 @@
 namespace semantic_topo_loop::core {
 namespace {
 
-constexpr double kMinProjection_px = 2.0;         // of either side: no detector boxes what is smaller
+constexpr double kMinProjection_px = 2.0;  // of either side: no detector boxes what is smaller
+/// Twice the default of mapper.forget_unconfirmed_s, after which the map gives up itself what it has taken up.
+constexpr std::int64_t kGiveUpAfter_ns = 600'000'000'000, kGiveUpInterval_ns = 60'000'000'000;
 constexpr int kNoTrack = -1;                      // as assign_max has it
 constexpr double kProvisionalBaseline_deg = 3.0;  // with less parallax, boxes cannot have corrected a wrong depth
 
@@ -54,6 +56,7 @@ struct ObjectAssociator::Impl {
       points_.reset();
       prepare(frame, detections, &result);
       update_tracks(context_, assign(context_, &result), &result);
+      give_up_unmapped(frame.stamp_ns);
       last_stamp_ns_ = frame.stamp_ns;
     }
     // What the map's changes cost here belongs to the frame that profits from them.
@@ -181,7 +184,8 @@ struct ObjectAssociator::Impl {
       association.score = detection.score;
       // Some detectors go on beyond the image.
       association.box = camera.undistort(clip(detection.box, camera.width, camera.height));
-      association.truncated = truncated_sides(detection.box, camera.width, camera.height, options_.border_px);
+      association.truncated =
+          truncated_sides(detection.box, camera.width, camera.height, options_.border_px * camera.vga_px());
       const bool is_in_view = association.box.is_valid();  // and not where the lens model holds no longer
       if (!is_in_view) association.box = {};
       if (!is_in_view || !classes_->is_mappable(detection.class_id)) {
@@ -311,6 +315,17 @@ struct ObjectAssociator::Impl {
     }
   }
 
+  /// What the map never took up, as it does not while the robot only finds itself in it.
+  void give_up_unmapped(std::int64_t stamp_ns) {
+    if (std::abs(stamp_ns - last_given_up_ns_) < kGiveUpInterval_ns) return;
+    last_given_up_ns_ = stamp_ns;
+    std::vector<std::int64_t> ids;
+    for (const Track* track : tracks_.all()) {
+      if (!track->has_ellipsoid && stamp_ns - track->last_stamp_ns > kGiveUpAfter_ns) ids.push_back(track->id);
+    }
+    for (const std::int64_t id : ids) tracks_.erase(id);
+  }
+
   void add_observation(const Frame& frame, const PreparedDetection& detection, Track* track) {
     track->add_class_weight(detection.class_id, detection.score);
     track->observations += 1;
@@ -338,7 +353,8 @@ struct ObjectAssociator::Impl {
   SE3 T_map_odom_;
   std::optional<FramePoints> points_;          ///< of the frame, if it has any and detections
   std::optional<std::int64_t> last_stamp_ns_;  ///< of the answer before
-  double update_us_ = 0.0;                     ///< spent on map updates since then
+  std::int64_t last_given_up_ns_ = 0;
+  double update_us_ = 0.0;  ///< spent on map updates since then
 
   // Of the frame at hand; kept, so that a frame hardly allocates.
   AssociationContext context_{options_, *classes_};

@@ -85,7 +85,7 @@ struct QuadricMapper::Impl {
     if (since_s < options_.maintenance_interval_s) return;
     last_maintenance_ns_ = frame.stamp_ns;
     merge_duplicates(update);
-    forget_stale_candidates(frame.stamp_ns, update);
+    forget_stale_candidates(update);
   }
 
   /// Takes in what the detector saw, and what it missed.
@@ -351,10 +351,12 @@ struct QuadricMapper::Impl {
     }
   }
 
-  void forget_stale_candidates(std::int64_t stamp_ns, MapUpdate* update) {
+  /// Those that went unseen until the last answer: while nobody looks none grows older.
+  void forget_stale_candidates(MapUpdate* update) {
+    if (!last_stamp_ns_) return;
     for (auto next = landmarks_.begin(); next != landmarks_.end();) {
       const auto& [id, landmark] = *next++;
-      const double unseen_s = 1e-9 * static_cast<double>(stamp_ns - landmark.last_stamp_ns);
+      const double unseen_s = 1e-9 * static_cast<double>(*last_stamp_ns_ - landmark.last_stamp_ns);
       const bool is_short = landmark.sightings.seen_s < options_.forget_candidate_seen_s;
       const bool is_candidate = landmark.state.state == LandmarkState::kCandidate;
       const bool is_stale = (is_short && unseen_s > options_.forget_candidate_s) ||
