@@ -122,7 +122,7 @@ def compare(name, builds, output, run):
         run(build, folder)
         seconds.append(time.monotonic() - start)
     files = differing(*folders)
-    verdict = "DIFFER: " + ", ".join(files) if files else f"the same {len(os.listdir(folders[0])) - 1} files"
+    verdict = "DIFFER: " + ", ".join(files) if files else f"the same {len(os.listdir(folders[0])) - 2} files"
     print(f"{name}: {verdict} ({seconds[0]:.1f} s, {seconds[1]:.1f} s)", flush=True)
     return not files
 
@@ -155,6 +155,8 @@ def main():
             same.append(compare("lockstep", builds, arguments.output, lambda build, to: play(build, folder, to)))
     except Failure as failure:
         sys.exit(f"compare_builds: error: {failure}")
+    if not same:
+        sys.exit(f"compare_builds: error: no run's name contains '{arguments.only}'")
     print(f"{sum(same)} of {len(same)} runs give the same bytes")
     sys.exit(0 if all(same) else 1)
 

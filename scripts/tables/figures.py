@@ -305,6 +305,8 @@ def measure_all(measurements, arguments):
 def chosen_of(measurements, arguments):
     chosen = {name: entry for name, entry in measurements.items()
               if any(text in name for text in arguments.only) and not (arguments.quick and entry["seconds"] >= QUICK_S)}
+    if not chosen:
+        raise Failure("no measurement's name contains " + " or ".join(arguments.only))
     for name, entry in chosen.items():
         if not arguments.data and any("$DATA" in command for command in entry["commands"]):
             raise Failure(f"{name} needs the recorded sequences (--data, SEMANTIC_TOPO_LOOP_DATA)")

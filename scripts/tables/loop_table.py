@@ -171,10 +171,13 @@ class Curve:
 
     def __init__(self, group):
         self.group = group
-        self._files = []
-        for run in group.runs:
+        self._files = []  # of each its scores, counts before the first candidate and from each score on
+        for run, figures in zip(group.runs, group.figures):
             rows = read_rows(os.path.join(run.details, "precision_recall.csv"))
+            references = next(row["reference_loops"] for row in figures["table"] if row["criterion"] == "paper")
+            totals = {"reference_loops": references, "loopable_queries": figures["closed"]["total"]}
             self._files.append(([-float(row["min_score"]) for row in rows],
+                                [[totals.get(key, 0) for key in self.COUNTS]] +
                                 [[int(row[key]) for key in self.COUNTS] for row in rows]))
         self.scores = sorted({-score for scores, _ in self._files for score in scores}, reverse=True)
 
@@ -183,10 +186,7 @@ class Curve:
         for score in self.scores:
             counts = [0] * len(self.COUNTS)
             for scores, rows in self._files:
-                i = bisect.bisect_right(scores, -score)
-                # Before the first candidate only the totals of references and queries count.
-                row = rows[i - 1] if i else [0, 0, rows[0][2], 0, 0, 0, rows[0][6]] if rows else [0] * len(counts)
-                counts = [a + b for a, b in zip(counts, row)]
+                counts = [a + b for a, b in zip(counts, rows[bisect.bisect_right(scores, -score)])]
             yield {"min_score": score, **dict(zip(self.COUNTS, counts))}
 
 

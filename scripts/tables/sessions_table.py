@@ -37,8 +37,10 @@ class Session:
         words = ["--map", earlier.map] if earlier else []
         self._programs.offline(sequence, write(context, name, lines), folder, *words, "--save-map", self.map)
         begin_s = float(lines[0].split()[0])
+        # Frames are counted on from those of the map, whatever the clocks of the two recordings say.
+        begin = int(read_rows(os.path.join(folder, "keyframes.csv"))[0]["frame_id"])
         self.found_s = [float(row["query_stamp"]) - begin_s for row in read_rows(os.path.join(folder, "loops.csv"))
-                        if row["accepted"] == "1" and float(row["match_stamp"]) < begin_s] if earlier else []
+                        if row["accepted"] == "1" and int(row["match_frame"]) < begin] if earlier else []
 
     def ate_m(self):
         return ate_m(self._programs, self.map, self.sequence)

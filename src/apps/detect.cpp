@@ -78,6 +78,8 @@ Status run(const Arguments& arguments) {
   if (!classes) return classes.error();
   const auto detector = ObjectDetector::load(*options, *classes);
   if (!detector) return detector.error();
+  if (arguments.out.empty() || arguments.out.back() == '/')
+    return Error{"'" + arguments.out + "' is no name of a file"};
   if (const Status writable = check_writable(arguments.out); !writable) return writable;
   const Stopwatch stopwatch;
   const auto found = detect_in_recording(arguments.images, detector->get());

@@ -15,6 +15,9 @@ namespace semantic_topo_loop::core {
 
 using Json = nlohmann::json;
 
+/// As text; what is no UTF-8, as a damaged file's CBOR may hold, as the replacement character.
+inline std::string printable(const Json& json) { return json.dump(-1, ' ', false, Json::error_handler_t::replace); }
+
 /// A value of a JSON file and the name of its place, "submaps[0].frames[3].image". The first problem is kept, so that a
 /// tree is read in one go and checked once; what is read after it means nothing.
 class JsonField {
@@ -108,7 +111,7 @@ class JsonField {
   /// The name, and the value if it is a single one, for messages.
   std::string place() const {
     constexpr std::size_t kMaxValue = 60;  // characters: half a line
-    const std::string value = json_.is_structured() ? std::string() : " = " + json_.dump().substr(0, kMaxValue);
+    const std::string value = json_.is_structured() ? std::string() : " = " + printable(json_).substr(0, kMaxValue);
     return (name_.empty() ? "the file" : name_) + value;
   }
   const std::string& name() const { return name_; }

@@ -305,7 +305,7 @@ Status dump_map(const std::string& path, std::ostream& out) {
         out << ' ';
         if (rows.is_blob(column)) {
           const std::string blob = rows.bytes(column);
-          out << from_cbor(is_compressed(blob) ? inflated(blob) : blob).dump();
+          out << printable(from_cbor(is_compressed(blob) ? inflated(blob) : blob));
         } else {
           out << (rows.is_real(column) ? format_general(rows.number(column), kDigits) : rows.bytes(column));
         }

@@ -9,6 +9,7 @@
 #include <cstdio>
 #include <cstdlib>
 #include <cstring>
+#include <filesystem>
 #include <iterator>
 #include <map>
 #include <nlohmann/json.hpp>
@@ -315,6 +316,11 @@ class FileRecorder : public RunRecorder {
     add_table("timing.csv", kTiming);
     add_table("memory.csv", kMemory);
     add("summary.json", [this](std::ostream& file) { write_summary(file); });
+    // What this run does not have may still lie there from one before.
+    for (const char* name : {"relocalisations.csv", "scales.csv", "loop_scales.csv"}) {
+      std::error_code ignored;
+      std::filesystem::remove(directory + "/" + name, ignored);
+    }
     if (has_earlier_map_) add_table("relocalisations.csv", kRelocalisations);
     const bool has_scales = std::any_of(S_map_keyframe_.begin(), S_map_keyframe_.end(),
                                         [](const auto& keyframe) { return keyframe.second.scale != 1.0; });

@@ -152,6 +152,9 @@ bool is_device(const std::string& path) {
 
 Status check_writable(const std::string& path) {
   if (is_device(path)) return {};
+  std::error_code missing;
+  const bool is_inside = !path.empty() && path.back() == '/';
+  if (!is_inside && std::filesystem::is_directory(path, missing)) return Error{path + ": is a directory, not a file"};
   const std::string probe = path + ".writable";
   if (const Status written = write_text_file(probe, ""); !written) return written;
   std::error_code ignored;

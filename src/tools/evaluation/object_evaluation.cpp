@@ -94,6 +94,7 @@ void list_matches(const std::vector<Candidate>& candidates, const std::vector<Re
 ReferenceObject read_reference(CsvTable& table) {
   ReferenceObject object;
   table("id", object.id);
+  if (object.id < 0) table.reject("id", "must be >= 0");
   table("label_id", object.class_id);
   table("label", object.label);
   table("x,y,z", object.center);

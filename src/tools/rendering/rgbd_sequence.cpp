@@ -125,16 +125,6 @@ std::uint64_t fnv1a(const std::string& text) {
   return hash;
 }
 
-/// Empty image directories, so that no image of another sequence stays.
-Status clear_images(const std::string& directory) {
-  for (const char* name : {"rgb", "depth"}) {
-    std::error_code code;
-    std::filesystem::remove_all(directory + "/" + name, code);
-    if (Status made = make_directory(directory + "/" + name); !made) return made;
-  }
-  return {};
-}
-
 }  // namespace
 
 SE3 color_from_depth(const RenderingOptions& options) {
@@ -152,13 +142,20 @@ Status begin_sequence(const std::string& directory, bool with_images) {
     return Error{directory + ": holds a recording that is not simulated (" + name + " without simulate's " + kManifest +
                  "): give another directory"};
   }
-  return is_own || with_images ? write_text_file(manifest, kManifestTitle) : Status();
+  if (!is_own && !with_images) return {};
+  for (const char* name : {"rgb", "depth", "rgb.txt", "depth.txt", "sequence.bag"}) {
+    std::error_code ignored;
+    std::filesystem::remove_all(directory + "/" + name, ignored);
+  }
+  return write_text_file(manifest, kManifestTitle);
 }
 
 Status render_sequence(const SimulationOptions& options, const ClassTable& classes, int threads,
                        const std::string& directory, SimulatedSequence* sequence) {
   if (Status begun = begin_sequence(directory, true); !begun) return begun;
-  if (Status cleared = clear_images(directory); !cleared) return cleared;
+  for (const char* name : {"/rgb", "/depth"}) {
+    if (Status made = make_directory(directory + name); !made) return made;
+  }
   const FrameWriter writer{options, *sequence, directory};
   DetectorModel detector(sequence->scene, sequence->camera, classes, options.detector, options.trajectory.rate_hz,
                          seed_of(options, SeedStream::kDetector));

@@ -12,13 +12,14 @@ namespace semantic_topo_loop::core {
 SE3 color_from_depth(const RenderingOptions& options);
 
 /// Lets a directory, made if missing, be filled with a simulated sequence. If it has images, now or from before, its
-/// `manifest.txt` says that they are simulated ones, of a sequence that is not whole yet.
+/// `manifest.txt` says that they are simulated ones, of a sequence that is not whole yet; those from before go, and
+/// sequence.bag with them.
 /// @return an error if it holds another recording: images or lists of them without such a manifest
 Status begin_sequence(const std::string& directory, bool with_images);
 
 /// Renders the images of a sequence into a directory, as the TUM benchmark lays them out: rgb/<stamp>.png (8 bit),
 /// depth/<stamp>.png (16 bit), rgb.txt, depth.txt and associations.txt ("stamp rgb/.. stamp depth/.."). The sequence's
-/// detections are made anew, from the shapes that are drawn. Images of another simulated sequence go. Frames are
+/// detections are made anew, from the shapes that are drawn. Frames are
 /// rendered on several threads and never kept; the result does not depend on how many.
 /// @return an error that names path and cause if a file cannot be written, or that of begin_sequence
 Status render_sequence(const SimulationOptions& options, const ClassTable& classes, int threads,
