@@ -1,5 +1,6 @@
 #include "semantic_topo_loop/geometry/alignment.h"
 
+#include <Eigen/Eigenvalues>
 #include <Eigen/SVD>
 #include <cmath>
 
@@ -48,7 +49,9 @@ std::optional<Alignment> align_points(const std::vector<Vec3>& points_a, const s
 }
 
 Vec3 Alignment::spread_m() const {
-  return Eigen::JacobiSVD<Mat3>(covariance_b_m2).singularValues().cwiseMax(0.0).cwiseSqrt();
+  // Of what is symmetric the eigenvalues, which come ascending.
+  const Eigen::SelfAdjointEigenSolver<Mat3> solver(covariance_b_m2, Eigen::EigenvaluesOnly);
+  return solver.eigenvalues().reverse().cwiseMax(0.0).cwiseSqrt();
 }
 
 }  // namespace semantic_topo_loop::core

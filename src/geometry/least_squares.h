@@ -77,28 +77,35 @@ struct LeastSquaresOptions {
 /// the solution.
 /// @tparam Equations ArrowEquations, or the like: with Unknowns, cost and reduce()
 /// @param linearise bool(unknowns, equations*): overwrites the equations; false where the cost is not defined
-/// @param unknowns the start, then the best found   @param equations there, overwritten
+/// @param unknowns the start, then the best found   @param equations there, overwritten   @param spare of the same
+/// memory
 /// @return false if the start has no cost or a step is not finite
 template <class Equations, class Linearise>
 bool minimise(const LeastSquaresOptions& options, const Linearise& linearise, typename Equations::Unknowns* unknowns,
-              Equations* equations) {
+              Equations* equations, Equations* spare) {
   constexpr double kMaxDamping = 1e6;  // steps are a millionth of the gradient's then: nothing is to be gained
   if (!linearise(*unknowns, equations)) return false;
-  Equations next_equations = *equations;
   double damping = options.damping;
   for (int i = 0; i < options.max_iterations && damping < kMaxDamping; ++i) {
     typename Equations::Unknowns next;
     equations->reduce(damping, *unknowns, &next);
     if (!next.is_finite()) return false;
-    const bool better = linearise(next, &next_equations) && next_equations.cost < equations->cost;
+    const bool better = linearise(next, spare) && spare->cost < equations->cost;
     damping *= better ? 0.1 : 10.0;
     if (!better) continue;
-    const bool settled = equations->cost - next_equations.cost < options.min_decrease * equations->cost;
+    const bool settled = equations->cost - spare->cost < options.min_decrease * equations->cost;
     *unknowns = std::move(next);
-    std::swap(*equations, next_equations);
+    std::swap(*equations, *spare);
     if (settled) break;
   }
   return true;
+}
+
+template <class Equations, class Linearise>
+bool minimise(const LeastSquaresOptions& options, const Linearise& linearise, typename Equations::Unknowns* unknowns,
+              Equations* equations) {
+  Equations spare;
+  return minimise(options, linearise, unknowns, equations, &spare);
 }
 
 }  // namespace semantic_topo_loop::core

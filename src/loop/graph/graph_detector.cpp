@@ -178,6 +178,11 @@ std::vector<int> GraphDetector::propose(const std::vector<LabelledPoint>& points
 std::vector<LoopClosure> GraphDetector::detect(const LocalMap& query) {
   const std::vector<LabelledPoint> points = graph_of(query);
   std::vector<Candidate> candidates = examine(query, points, propose(points, old_enough(query)));
+  last_query_ = {query.frame_id, query.end_frame};
+  alike_.clear();
+  for (const Candidate& candidate : candidates) {
+    if (is_alike(candidate.alignment)) alike_.push_back(candidate.stored);
+  }
   find_ambiguous(query, &candidates);
   select(&candidates);
   std::vector<LoopClosure> loops;
@@ -200,25 +205,30 @@ void GraphDetector::store(LocalMap map) {
 }
 
 void GraphDetector::make_room(const LocalMap& map) {
-  const std::vector<LabelledPoint> points = graph_of(map);
-  std::vector<int> alike;
-  const std::vector<int> numbers = propose(points, old_enough(map));
-  for (std::size_t i = 0; i < numbers.size() && alike.size() + numbers.size() - i >= kEnough; ++i) {
-    const int number = numbers[i];
-    const std::vector<GraphMatch> matches =
-        match_graphs(maps_.at(number).points, points, options_, kMinCandidateInliers);
-    if (matches.empty() || static_cast<int>(matches.front().pairs.size()) < options_.min_inliers) continue;
-    const SE3& T_kept_map = matches.front().T_a_b;
-    const bool is_near =
-        T_kept_map.t.norm() <= kAlike_m && rotation_angle(T_kept_map.q, Quaternion::Identity()) <= kAlike_rad;
-    if (is_near) alike.push_back(number);
-  }
+  const bool is_known = last_query_ == std::pair(map.frame_id, map.end_frame);
+  const std::vector<int> alike = is_known ? alike_ : find_alike(map);
   if (alike.size() < kEnough) return;
   const int poorest = *std::min_element(alike.begin(), alike.end(), [this](int p, int q) {
     return maps_.at(p).points.size() < maps_.at(q).points.size();
   });
   index_.erase(poorest, maps_.at(poorest).points);
   maps_.erase(poorest);
+}
+
+bool GraphDetector::is_alike(const GraphMatch& match) const {
+  return static_cast<int>(match.pairs.size()) >= options_.min_inliers && match.T_a_b.t.norm() <= kAlike_m &&
+         rotation_angle(match.T_a_b.q, Quaternion::Identity()) <= kAlike_rad;
+}
+
+std::vector<int> GraphDetector::find_alike(const LocalMap& map) const {
+  const std::vector<LabelledPoint> points = graph_of(map);
+  std::vector<int> alike;
+  for (const int number : propose(points, old_enough(map))) {
+    const std::vector<GraphMatch> matches =
+        match_graphs(maps_.at(number).points, points, options_, kMinCandidateInliers);
+    if (!matches.empty() && is_alike(matches.front())) alike.push_back(number);
+  }
+  return alike;
 }
 
 void GraphDetector::insert(LocalMap map) {

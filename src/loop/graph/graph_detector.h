@@ -120,6 +120,8 @@ class GraphDetector {
     return static_cast<int>(candidate.alignment.pairs.size()) < options_.min_inliers;
   }
   void make_room(const LocalMap& map);
+  bool is_alike(const GraphMatch& match) const;
+  std::vector<int> find_alike(const LocalMap& map) const;
   /// Aligns and verifies the query with the submaps of these numbers.
   std::vector<Candidate> examine(const LocalMap& query, const std::vector<LabelledPoint>& points,
                                  const std::vector<int>& numbers) const;
@@ -131,6 +133,9 @@ class GraphDetector {
   LoopOptions options_;
   SubmapIndex index_;
   std::map<int, StoredMap> maps_;
+  /// Of the last query, which is often stored next: its anchor and last frame, and the submaps that are alike.
+  std::pair<std::int64_t, std::int64_t> last_query_{-1, -1};
+  std::vector<int> alike_;
 };
 
 }  // namespace semantic_topo_loop::core

@@ -184,9 +184,7 @@ class Matching {
     return result;
   }
 
-  bool is_consistent(const NodePair& p, const NodePair& q) const {
-    if (p.a == q.a || p.b == q.b) return false;
-    const double d_a = distances_a_(p.a, q.a), d_b = distances_b_(p.b, q.b);
+  bool are_alike(double d_a, double d_b) const {
     const double tolerance = options_.distance_tolerance_m + options_.distance_tolerance_share * std::max(d_a, d_b);
     return std::min(d_a, d_b) > options_.min_distance_m && std::abs(d_a - d_b) < tolerance;
   }
@@ -195,8 +193,11 @@ class Matching {
     const std::size_t n = seeds_.size();
     BitGraph graph(n, Bits(n));
     for (std::size_t i = 0; i < n; ++i) {
+      // Columns, since they lie in one piece.
+      const auto d_a = distances_a_.col(seeds_[i].a), d_b = distances_b_.col(seeds_[i].b);
       for (std::size_t j = i + 1; j < n; ++j) {
-        if (!is_consistent(seeds_[i], seeds_[j])) continue;
+        const NodePair& pair = seeds_[j];
+        if (pair.a == seeds_[i].a || pair.b == seeds_[i].b || !are_alike(d_a(pair.a), d_b(pair.b))) continue;
         graph[i].set(j);
         graph[j].set(i);
       }
@@ -215,7 +216,7 @@ class Matching {
     std::set<Clique> found{std::move(largest)};
     for (std::size_t i = 0; i < graph.size(); ++i) {
       if (graph[i].count_common(graph[i]) + 1 < least) continue;
-      Clique clique = greedy_clique(graph, i);
+      Clique clique = greedy_clique(graph, i, least);
       if (clique.size() >= least) found.insert(std::move(clique));
     }
     std::vector<Clique> sorted(found.begin(), found.end());
@@ -270,10 +271,10 @@ class Matching {
     std::optional<Alignment> alignment = align(match.pairs, a_, b_);
     for (int round = 0; round < kRegrowRounds && alignment; ++round) {
       std::vector<NodePair> pairs = inliers(alignment->T_a_b);
-      const bool settled = round > 0 && pairs == match.pairs;
+      if (pairs.size() < min_pairs) return std::nullopt;
+      const bool settled = pairs == match.pairs;
       match.pairs = std::move(pairs);
       if (settled) break;
-      if (match.pairs.size() < min_pairs) return std::nullopt;
       alignment = align(match.pairs, a_, b_);
     }
     if (!alignment) return std::nullopt;
@@ -395,7 +396,7 @@ std::vector<GraphMatch> match_scaled(const std::vector<LabelledPoint>& a, const 
 
 Clique largest_clique(const BitGraph& graph, int max_steps) { return CliqueSearch(graph, max_steps).run(); }
 
-Clique greedy_clique(const BitGraph& graph, std::size_t vertex) {
+Clique greedy_clique(const BitGraph& graph, std::size_t vertex, std::size_t least) {
   Clique clique{vertex};
   Bits candidates = graph[vertex];
   while (candidates.any()) {
@@ -407,6 +408,7 @@ Clique greedy_clique(const BitGraph& graph, std::size_t vertex) {
       best_common = count;
     }
     clique.push_back(best);
+    if (clique.size() + best_common < least) break;
     candidates &= graph[best];
   }
   std::sort(clique.begin(), clique.end());

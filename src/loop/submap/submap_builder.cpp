@@ -74,24 +74,37 @@ class Clustering {
       const Vec2 size(ray.box.width(), ray.box.height());
       targets_.push_back({ray.box.center(), size, ray.box.size(), ray.frame, ray.truncated, ray.is_placed()});
     }
+    cameras_.reserve(frames.size());
+    for (const LocalFrame& frame : frames) cameras_.push_back({frame.R_camera_local, frame.t_camera_local});
     std::vector<int> all(rays.size());
     std::iota(all.begin(), all.end(), 0);
     set_open(std::move(all));
   }
 
   std::vector<RayCluster> run() {
-    std::vector<Vec3> points;
+    std::vector<Proposal> proposals;
     std::map<std::int64_t, std::vector<int>> groups;
     for (const int i : unused()) groups[ray(i).track_id].push_back(i);
-    for (const auto& [track, members] : groups) propose(members, &points);
+    for (const auto& [track, members] : groups) propose(members, &proposals);
     // Tracks end when an object leaves the view, or join two objects; pairs of any boxes find what they miss.
-    for (const Vec3& point : pair_points(unused(), kAnyPairs)) points.push_back(point);
-    gather(std::move(points));
-    gather(pair_points(unused(), kAnyPairs));
+    propose_any(&proposals);
+    gather(std::move(proposals));
+    proposals.clear();
+    propose_any(&proposals);
+    gather(std::move(proposals));
     return std::move(clusters_);
   }
 
  private:
+  struct Camera {
+    Mat3 R;
+    Vec3 t;
+  };
+  struct Proposal {
+    Vec3 point;
+    std::size_t support;                          ///< boxes of its track that agree on it
+    int votes = std::numeric_limits<int>::max();  ///< not more, see votes()
+  };
   /// What is read of a box for every point, apart from the rest, since most of the time is spent on it.
   struct Target {
     Vec2 center, size;
@@ -121,30 +134,28 @@ class Clustering {
     return indices;
   }
 
-  /// A point in a camera; no box fits it if its depth is less than kMinDepth_m.
-  struct Projection {
-    Vec2 uv = Vec2::Zero();
-    double depth = 0.0;
-  };
-  Projection project(const Vec3& point, int frame) const {
-    const Vec3 p = frames_[static_cast<std::size_t>(frame)].to_camera(point);
-    return {p.head<2>() / p.z(), p.z()};
+  /// @return the point in a frame's camera; no box fits it if its depth is less than kMinDepth_m
+  Vec3 in_camera(const Vec3& point, int frame) const {
+    const Camera& camera = cameras_[static_cast<std::size_t>(frame)];
+    return camera.R * point + camera.t;
   }
   /// How far a point is from the middle of a box, as a share of the box size; infinite behind the camera.
-  static double offset(const Projection& point, const Target& box) {
-    if (point.depth < kMinDepth_m) return std::numeric_limits<double>::infinity();
-    const Vec2 share = (point.uv - box.center).cwiseQuotient(box.size);
+  /// @param p in the camera
+  static double offset(const Vec3& p, const Target& box) {
+    if (p.z() < kMinDepth_m) return std::numeric_limits<double>::infinity();
+    const Vec2 share = (p.head<2>() / p.z() - box.center).cwiseQuotient(box.size);
     if (!box.is_placed) return std::max(std::abs(share.x()), std::abs(share.y()));
     return std::max(beyond(share.x(), box.truncated), beyond(share.y(), box.truncated >> 1));
   }
   /// True if that is less than a share. Most points are far from most boxes, so that nothing is divided.
-  static bool is_near(const Projection& point, const Target& box, double share) {
-    if (box.is_placed || point.depth < kMinDepth_m) return offset(point, box) < share;
-    return std::abs(point.uv.x() - box.center.x()) < share * box.size.x() &&
-           std::abs(point.uv.y() - box.center.y()) < share * box.size.y();
+  static bool fits(const Vec3& p, const Target& box, double share) {
+    if (box.is_placed || p.z() < kMinDepth_m) return offset(p, box) < share;
+    const double reach = share * p.z();
+    return std::abs(p.x() - p.z() * box.center.x()) < reach * box.size.x() &&
+           std::abs(p.y() - p.z() * box.center.y()) < reach * box.size.y();
   }
   bool is_near(const Vec3& point, int i, double share) const {
-    return is_near(project(point, target(i).frame), target(i), share);
+    return fits(in_camera(point, target(i).frame), target(i), share);
   }
   /// How far outside the shares of a box its object's centre may be: up to a box size on the other side of a cut.
   /// @param cut bit 0: the lower side, bit 2: the upper side
@@ -187,7 +198,7 @@ class Clustering {
   }
 
   /// The points that most of a track's boxes agree on.
-  void propose(std::vector<int> members, std::vector<Vec3>* points) const {
+  void propose(std::vector<int> members, std::vector<Proposal>* proposals) const {
     for (int round = 0; round < kGroupRounds && members.size() >= 3; ++round) {
       std::size_t best_votes = 2;
       std::optional<Vec3> best;
@@ -198,11 +209,15 @@ class Clustering {
         best = point;
       }
       if (!best) return;
-      points->push_back(*best);
+      proposals->push_back({*best, best_votes});
       members.erase(
           std::remove_if(members.begin(), members.end(), [&](int i) { return is_near(*best, i, kMemberOffset); }),
           members.end());
     }
+  }
+
+  void propose_any(std::vector<Proposal>* proposals) const {
+    for (const Vec3& point : pair_points(unused(), kAnyPairs)) proposals->push_back({point, 0});
   }
 
   /// @param least counted to the end only as long as it can be more than this
@@ -220,38 +235,46 @@ class Clustering {
   int votes(const Vec3& point, int least) const {
     int most = open_frames_, frame = -1;
     bool has_vote = true;
-    Projection projection;
+    Vec3 p = Vec3::Zero();
     for (const int i : open_) {
       const Target& box = target(i);
       if (box.frame != frame) {
         most -= has_vote ? 0 : 1;
         if (most < least) return most;
         frame = box.frame;
-        projection = project(point, frame);
+        p = in_camera(point, frame);
         has_vote = false;
       }
-      has_vote = has_vote || is_near(projection, box, kVoteOffset);
+      has_vote = has_vote || fits(p, box, kVoteOffset);
     }
     return most - (has_vote ? 0 : 1);
   }
 
   /// Turns points into clusters, the best supported first; each box belongs to one cluster.
-  void gather(std::vector<Vec3> points) {
-    // Votes only fall as boxes are used up, so that an old count bounds the new one from above.
-    std::vector<int> bounds(points.size(), std::numeric_limits<int>::max());
+  void gather(std::vector<Proposal> proposals) {
     int most = options_.min_views;  // of the votes that are counted to the end, or fewer
-    while (!points.empty()) {
-      const auto best = static_cast<std::size_t>(std::max_element(bounds.begin(), bounds.end()) - bounds.begin());
-      const int best_votes = votes(points[best], most);
-      if (best_votes < bounds[best]) {
-        bounds[best] = best_votes;
+    // What a long track agrees on first, so that few of the others are counted to the end.
+    std::vector<Proposal*> by_support;
+    for (Proposal& proposal : proposals) by_support.push_back(&proposal);
+    std::stable_sort(by_support.begin(), by_support.end(),
+                     [](const Proposal* p, const Proposal* q) { return p->support > q->support; });
+    for (Proposal* proposal : by_support) {
+      proposal->votes = votes(proposal->point, most);
+      most = std::max(most, proposal->votes);
+    }
+    // Votes only fall as boxes are used up, so that an old count bounds the new one from above.
+    while (!proposals.empty()) {
+      const auto best = std::max_element(proposals.begin(), proposals.end(),
+                                         [](const Proposal& p, const Proposal& q) { return p.votes < q.votes; });
+      const int best_votes = votes(best->point, most);
+      if (best_votes < best->votes) {
+        best->votes = best_votes;
         most = std::max(most, best_votes);
         continue;
       }
       if (best_votes < options_.min_views) return;
-      const std::optional<RayCluster> cluster = refine(points[best]);
-      points.erase(points.begin() + static_cast<std::ptrdiff_t>(best));
-      bounds.erase(bounds.begin() + static_cast<std::ptrdiff_t>(best));
+      const std::optional<RayCluster> cluster = refine(best->point);
+      proposals.erase(best);
       most = options_.min_views;
       if (!cluster) continue;
       std::vector<int> open;
@@ -287,13 +310,13 @@ class Clustering {
     std::vector<Near> near;
     std::vector<double> sizes_m;
     int frame = -1;
-    Projection projection;
+    Vec3 p = Vec3::Zero();
     for (const int i : open_) {
       const Target& box = target(i);
-      if (box.frame != frame) projection = project(point, box.frame);
+      if (box.frame != frame) p = in_camera(point, box.frame);
       frame = box.frame;
-      if (!is_near(projection, box, kMemberOffset)) continue;
-      near.push_back({i, offset(projection, box), projection.depth * box.mean_size});
+      if (!fits(p, box, kMemberOffset)) continue;
+      near.push_back({i, offset(p, box), p.z() * box.mean_size});
       sizes_m.push_back(near.back().size_m);
     }
     if (near.empty()) return {};
@@ -352,6 +375,7 @@ class Clustering {
   const std::vector<LocalFrame>& frames_;
   const LoopOptions& options_;
   std::vector<Target> targets_;  ///< one a ray
+  std::vector<Camera> cameras_;  ///< one a frame
   std::vector<int> open_;        ///< rays that belong to no cluster yet, ascending
   int open_frames_ = 0;          ///< that have such rays
   std::vector<RayCluster> clusters_;

@@ -6,6 +6,7 @@
 #include <functional>
 #include <limits>
 #include <map>
+#include <memory>
 #include <optional>
 #include <tuple>
 #include <utility>
@@ -120,10 +121,12 @@ struct Equations {
   std::vector<Vec5> g_object;
   std::vector<std::vector<std::pair<Eigen::Index, Mat65>>> H_knot_object;  ///< by the knot's row
   double cost = 0.0;
+  Eigen::MatrixXd S;  ///< of reduce()
 
   void reset(const Problem& problem, const Unknowns& unknowns) {
     const auto n = static_cast<Eigen::Index>(6 * (unknowns.T_odom_knot.size() + unknowns.drifts.size()));
     H.setZero(n, n);
+    S.resize(n, n);
     g.setZero(n);
     H_object.assign(unknowns.objects.size(), Mat5::Identity() / squared(kStartSigma));
     g_object.clear();
@@ -138,12 +141,14 @@ struct Equations {
   }
 
   /// Eliminates the objects (Schur complement).
-  /// @return information of knots and drifts, its lower triangle; its root, if the step was asked for
-  Eigen::MatrixXd reduce(double damping, const Unknowns& unknowns, Unknowns* next) const {
-    Eigen::MatrixXd S = H;
+  /// @return information of knots and drifts, its lower triangle; its root, if the step was asked for; until the next
+  /// call
+  Eigen::MatrixXd& reduce(double damping, const Unknowns& unknowns, Unknowns* next) {
+    S.triangularView<Eigen::Lower>() = H;
     S.diagonal() *= 1.0 + damping;
     Eigen::VectorXd b = g;
     std::vector<Mat5> inverses;
+    inverses.reserve(H_object.size());
     for (std::size_t k = 0; k < H_object.size(); ++k) {
       Mat5 object = H_object[k];
       object.diagonal() *= 1.0 + damping;
@@ -154,7 +159,7 @@ struct Equations {
         b.segment<6>(row) -= W * g_object[k];
         for (std::size_t j = 0; j <= i; ++j) {
           const auto& [column, by_column] = H_knot_object[k][j];
-          S.block<6, 6>(row, column) -= W * by_column.transpose();
+          S.block<6, 6>(row, column).noalias() -= W * by_column.transpose();
         }
       }
     }
@@ -277,11 +282,13 @@ void add_view(const View& view, const SE3& T_odom_camera, std::size_t k, const S
   Eigen::Matrix<double, 4, 6> J_knot;
   J_knot << -J_object.leftCols<3>(), J_object.leftCols<3>() * hat(object.center - T_odom_camera.t);
   const Eigen::Index row = 6 * view.knot;
-  equations->H.block<6, 6>(row, row) += weight * J_knot.transpose() * J_knot;
-  equations->g.segment<6>(row) += weight * J_knot.transpose() * r;
-  equations->H_object[k] += weight * J_object.transpose() * J_object;
-  equations->g_object[k] += weight * J_object.transpose() * r;
-  equations->H_knot_object[k].emplace_back(row, weight * J_knot.transpose() * J_object);
+  const Eigen::Matrix<double, 6, 4> weighted_knot = weight * J_knot.transpose();
+  const Eigen::Matrix<double, 5, 4> weighted_object = weight * J_object.transpose();
+  equations->H.block<6, 6>(row, row).noalias() += weighted_knot * J_knot;
+  equations->g.segment<6>(row).noalias() += weighted_knot * r;
+  equations->H_object[k].noalias() += weighted_object * J_object;
+  equations->g_object[k].noalias() += weighted_object * r;
+  equations->H_knot_object[k].emplace_back(row, weighted_knot * J_object);
 }
 
 /// The depth along the ray of the wholest view at which all views agree best.
@@ -291,6 +298,7 @@ Vec5 start_of(const std::vector<View>& views, const std::vector<SE3>& T_odom_kno
   constexpr double kNearest_m = 0.5, kFarthest_m = 6.0, kRatio = 1.2, kUsual_m = 2.0;
   constexpr double kUsualWeight = 0.1;  // hardly any: where nothing else tells
   constexpr double kTolerance = 3.0;    // times the sigmas: the odometry is as it is
+  constexpr double kLargeFactor = 1e3;
   const Vec2 center = wholest.box.center();
   Vec5 best = Vec5::Zero();
   double least = std::numeric_limits<double>::infinity();
@@ -300,10 +308,13 @@ Vec5 start_of(const std::vector<View>& views, const std::vector<SE3>& T_odom_kno
         std::log(0.5 * z * wholest.box.width()), std::log(0.5 * z * wholest.box.height());
     const SizedPoint sized(object);
     double cost = kUsualWeight * squared(std::log(z / kUsual_m));
-    for (const View& view : views) {
-      if (cost >= least) break;  // no view makes it less
-      const auto projection = project(view, T_odom_knot[static_cast<std::size_t>(view.knot)], sized);
-      cost += std::log1p((projection ? projection->residual.squaredNorm() : kUnseenChi2) / (2.0 * squared(kTolerance)));
+    double factor = 1.0;  // of several views, for one logarithm
+    for (std::size_t i = 0; i < views.size() && cost < least; ++i) {  // no view makes it less
+      const auto projection = project(views[i], T_odom_knot[static_cast<std::size_t>(views[i].knot)], sized);
+      factor *= 1.0 + (projection ? projection->residual.squaredNorm() : kUnseenChi2) / (2.0 * squared(kTolerance));
+      if (factor < kLargeFactor && i + 1 < views.size()) continue;
+      cost += std::log(factor);
+      factor = 1.0;
     }
     if (cost >= least) continue;
     least = cost;
@@ -377,7 +388,7 @@ Problem make_problem(const std::deque<ObservedFrame>& window, const std::vector<
   return problem;
 }
 
-bool solve(const Problem& problem, Unknowns* unknowns, Equations* equations) {
+bool solve(const Problem& problem, Unknowns* unknowns, Equations* equations, Equations* spare) {
   unknowns->T_odom_knot = problem.start;
   unknowns->drifts.assign(static_cast<std::size_t>(problem.drift_of.back()) + 1, Vec6::Zero());
   for (const Track& track : problem.tracks) unknowns->objects.push_back(track.start);
@@ -397,7 +408,7 @@ bool solve(const Problem& problem, Unknowns* unknowns, Equations* equations) {
   const bool starts_far = std::any_of(problem.frozen_s.begin(), problem.frozen_s.end(), is_frozen);
   options.max_iterations = starts_far ? 12 : 4;
   options.min_decrease = 1e-2;  // of a window that is solved again, a little later
-  return minimise(options, linearise, unknowns, equations);
+  return minimise(options, linearise, unknowns, equations, spare);
 }
 
 /// Median squared residual of a side over that of a normal distribution; nullopt where there are few.
@@ -429,10 +440,10 @@ void add(const Vec6& error, const Vec6& variances, const Vec6& prior, double per
 }
 
 /// R of R^T R = information^-1, lower triangular: of it and of L no more is computed than is not zero.
-/// @param information its lower triangle, in blocks of 6
-Eigen::MatrixXd covariance_root(Eigen::MatrixXd information) {
-  const Eigen::LLT<Eigen::Ref<Eigen::MatrixXd>> llt(information);
-  const auto n = information.rows();
+/// @param information its lower triangle, in blocks of 6; overwritten
+Eigen::MatrixXd covariance_root(Eigen::MatrixXd* information) {
+  const Eigen::LLT<Eigen::Ref<Eigen::MatrixXd>> llt(*information);
+  const auto n = information->rows();
   Eigen::MatrixXd root = Eigen::MatrixXd::Identity(n, n);
   for (Eigen::Index begin = 0; begin < n; begin += 6) {
     auto column = root.block(begin, begin, n - begin, 6);
@@ -441,8 +452,8 @@ Eigen::MatrixXd covariance_root(Eigen::MatrixXd information) {
   return root;
 }
 
-void learn(const Problem& problem, const Unknowns& unknowns, const Equations& equations, WindowEvidence* evidence) {
-  const Eigen::MatrixXd root = covariance_root(equations.reduce(0.0, unknowns, nullptr));
+void learn(const Problem& problem, const Unknowns& unknowns, Equations* equations, WindowEvidence* evidence) {
+  const Eigen::MatrixXd root = covariance_root(&equations->reduce(0.0, unknowns, nullptr));
   if (!root.allFinite()) return;
   const auto variances = [&root](Eigen::Index row) -> Vec6 { return root.middleCols<6>(row).colwise().squaredNorm(); };
   const WindowNoise& noise = problem.noise;
@@ -452,9 +463,11 @@ void learn(const Problem& problem, const Unknowns& unknowns, const Equations& eq
     const RelativePoseTerms terms = step_terms(problem, unknowns, i);
     const auto row = static_cast<Eigen::Index>(6 * i);
     const Eigen::Index drift = drift_row(problem, static_cast<std::size_t>(problem.drift_of[i]));
-    const Eigen::Matrix<double, Eigen::Dynamic, 6> left = root.middleCols<6>(row) * terms.J_from.transpose() +
-                                                          root.middleCols<6>(row + 6) * terms.J_to.transpose() -
-                                                          dt * root.middleCols<6>(drift);
+    // Above the first of these rows the root is zero.
+    const Eigen::Index rows = root.rows() - row;
+    const Eigen::Matrix<double, Eigen::Dynamic, 6> left = root.block(row, row, rows, 6) * terms.J_from.transpose() +
+                                                          root.block(row, row + 6, rows, 6) * terms.J_to.transpose() -
+                                                          dt * root.block(row, drift, rows, 6);
     add(terms.residual, left.colwise().squaredNorm(), problem.step_variances(i), 1.0 / dt, &evidence->step_translation,
         &evidence->step_rotation);
   }
@@ -496,6 +509,13 @@ std::pair<double, double> sigmas(const VarianceEvidence& translation, const Vari
 
 }  // namespace
 
+struct WindowSolver::Memory {
+  Equations equations, spare;
+};
+
+WindowSolver::WindowSolver() : memory_(std::make_unique<Memory>()) {}
+WindowSolver::~WindowSolver() = default;
+
 WindowNoise WindowSolver::noise() const {
   WindowNoise noise;
   std::tie(noise.step_m, noise.step_rad) = sigmas(evidence_.step_translation, evidence_.step_rotation);
@@ -517,12 +537,11 @@ std::deque<ObservedFrame> WindowSolver::solve(std::deque<ObservedFrame> window, 
   const std::vector<bool> frozen = frozen_motions(window);
   const Problem problem = make_problem(window, knots, anchor, frozen, noise());
   Unknowns unknowns;
-  Equations equations;
-  if (!core::solve(problem, &unknowns, &equations)) return window;
+  if (!core::solve(problem, &unknowns, &memory_->equations, &memory_->spare)) return window;
   const double since_s = 1e-9 * static_cast<double>(window.back().stamp_ns - learnt_ns_);
   if (learnt_ns_ == 0 || since_s >= kLearnInterval_s) {
     forget(since_s, &evidence_);
-    learn(problem, unknowns, equations, &evidence_);
+    learn(problem, unknowns, &memory_->equations, &evidence_);
     learnt_ns_ = window.back().stamp_ns;
   }
   std::size_t step = 0;

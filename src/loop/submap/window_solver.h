@@ -3,6 +3,7 @@
 #include <cstddef>
 #include <cstdint>
 #include <deque>
+#include <memory>
 #include <optional>
 
 #include "loop/submap/observation_window.h"
@@ -33,6 +34,8 @@ struct WindowEvidence {
 /// it is. In seconds, metres and radians: any frame rate.
 class WindowSolver {
  public:
+  WindowSolver();
+  ~WindowSolver();
   /// @param window frames, poses in any world   @param anchor index of the frame that stays where it is
   /// @return the same frames at the poses found; as they are if they are few, or not in order of time
   std::deque<ObservedFrame> solve(std::deque<ObservedFrame> window, std::size_t anchor);
@@ -42,8 +45,11 @@ class WindowSolver {
   std::optional<double> span_s(double sigma_rad) const;
 
  private:
+  struct Memory;
+
   WindowEvidence evidence_;
-  std::int64_t learnt_ns_ = 0;  ///< stamp of the window that was learnt from last
+  std::int64_t learnt_ns_ = 0;      ///< stamp of the window that was learnt from last
+  std::unique_ptr<Memory> memory_;  ///< of the equations, which every window needs anew: a megabyte
 };
 
 }  // namespace semantic_topo_loop::core
