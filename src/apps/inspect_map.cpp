@@ -179,14 +179,14 @@ Status run(const Arguments& arguments) {
   if (arguments.dump) return dump_map(arguments.map, std::cout);
   const Result<ClassTable> classes = read_class_table(arguments.classes);
   if (!classes) return classes.error();
+  for (const std::string& path : {arguments.objects, arguments.trajectory, arguments.graph, arguments.points}) {
+    if (!path.empty() && is_same_file(path, arguments.map)) return Error{path + ": would take the place of the map"};
+  }
   const auto read = read_map(arguments.map, *classes);
   if (!read) return read.error();
   const MapState& map = **read;
   print_counts(map, *classes);
   if (map.graph.sessions.size() > 1) print_changes(map, *classes);
-  for (const std::string& path : {arguments.objects, arguments.trajectory, arguments.graph, arguments.points}) {
-    if (!path.empty() && is_same_file(path, arguments.map)) return Error{path + ": would take the place of the map"};
-  }
   Status written;
   if (!arguments.objects.empty()) written = write_objects(arguments.objects, map, *classes);
   if (written && !arguments.trajectory.empty()) written = write_trajectory(arguments.trajectory, map);

@@ -74,6 +74,14 @@ TEST_F(DetectProgram, WhatDoesNotFitIsOneClearError) {
   expect_failure("@ @text.onnx" + classes_, 2, "OUT.json");
 }
 
+TEST_F(DetectProgram, ADirectoryIsNoPlaceForTheBoxes) {
+  const auto model = shared_detector();
+  if (!model) GTEST_SKIP() << "SEMANTIC_TOPO_LOOP_DATA is not set, or OpenCV too old";
+  std::filesystem::create_directories(directory_.path("results"));
+  expect_failure("@ " + *model + " @results" + classes_, 1, "results: is a directory, not a file");
+  expect_failure("@ " + *model + " @results/" + classes_, 1, "results/' is no name of a file");
+}
+
 /// The images of a TUM folder from `begin_s` after its first one on, in a folder of their own.
 void write_part(const std::string& recording, double begin_s, double end_s, const std::string& name,
                 const TestDirectory& directory) {
@@ -288,6 +296,8 @@ TEST_F(InspectMapProgram, WhatDoesNotFitIsOneClearError) {
   EXPECT_EQ(std::system((dump + " > /dev/null").c_str()), 0);
   EXPECT_NE(std::system((dump + " > /dev/full").c_str()), 0);
   expect_failure("@map.db --objects @o.txt" + classes_, 2, "must be a path that ends in .csv or .json");
+  expect_failure("@map.db --graph @./map.db" + classes_, 1, "map.db: would take the place of the map");
+  EXPECT_EQ(std::system((dump + " > /dev/null").c_str()), 0);
   directory_.write("text.db", "no map\n");
   expect_failure("@text.db" + classes_, 1, "text.db: file is not a database");
 }

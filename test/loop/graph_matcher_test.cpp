@@ -258,6 +258,8 @@ TEST(CliqueSearch, FindsAPlantedClique) {
     }
     const Clique grown = greedy_clique(graph, planted.front());
     EXPECT_NE(std::find(grown.begin(), grown.end(), planted.front()), grown.end());
+    EXPECT_EQ(greedy_clique(graph, planted.front(), grown.size()), grown) << "it may be as large as is asked for";
+    EXPECT_LT(greedy_clique(graph, planted.front(), clique.size() + 1).size(), clique.size() + 1);
   }
 }
 

@@ -393,6 +393,16 @@ TEST_F(MapperTest, StaleCandidateIsGivenUp) {
   EXPECT_EQ(removed, std::vector<std::int64_t>{0});
 }
 
+TEST_F(MapperTest, ADetectorThatLooksEveryThreeSecondsLeavesAMap) {
+  const std::vector<SE3> poses = arc(1800, 120.0);
+  for (std::size_t i = 0; i < poses.size(); ++i) {
+    const MapUpdate update = i % 90 == 0 ? step(poses[i], {{0, 41, kCup}}) : pass(poses[i]);
+    EXPECT_TRUE(update.removed.empty()) << "frame " << i;
+  }
+  ASSERT_NE(find(0), nullptr);
+  EXPECT_EQ(find(0)->state, LandmarkState::kConfirmed);
+}
+
 TEST_F(MapperTest, OfWhatIsUnseenForMinutesOnlyCandidatesAreGivenUp) {
   QuadricMapperOptions options;
   options.forget_unconfirmed_s = 6.0;

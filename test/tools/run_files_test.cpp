@@ -152,6 +152,9 @@ TEST_F(RunFiles, ReferenceObjectsOfFr2Desk) {
 }
 
 TEST_F(RunFiles, ReferenceErrors) {
+  expect_error(
+      read_reference_objects(write("id,label_id,label,x,y,z,a,b,c,certainty\n-1,41,cup,1,2,3,1,1,1,certain\n")),
+      ":2: id = '-1' must be >= 0");
   expect_error(read_reference_objects(write("id,label_id,label,x,y,z,a,b,c,certainty\n0,41,cup,1,2,3,1,1,1,perhaps\n")),
                ":2: certainty = 'perhaps' must be certain, probable or marginal");
 }
