@@ -3,6 +3,7 @@
 
 #include <algorithm>
 #include <chrono>
+#include <cmath>
 #include <deque>
 #include <map>
 #include <memory>
@@ -97,11 +98,14 @@ class PoseFrontendNodelet : public StageWith<PoseFrontendParameters, FrontendSta
   }
 
   void on_points(const sensor_msgs::PointCloud2ConstPtr& message) {
-    constexpr std::size_t kKept = 10;  // clouds that wait for their image: a third of a second at 30 Hz
     const std::int64_t stamp_ns = to_stamp_ns(message->header.stamp);
     points_.erase(points_.upper_bound(stamp_ns + kJumpBack_ns), points_.end());
     points_[stamp_ns] = message;
-    if (points_.size() > kKept) points_.erase(points_.begin());
+    // Clouds wait for their image, whatever their rate as long as that waits for its pose.
+    constexpr std::size_t kKept = 10;
+    const std::int64_t waits_ns = std::llround(1e9 * parameters_.pose_timeout_s);
+    while (points_.size() > kKept && points_.begin()->first < stamp_ns - waits_ns) points_.erase(points_.begin());
+    if (points_.size() > queue_capacity()) points_.erase(points_.begin());
     resolve();
   }
 

@@ -443,6 +443,17 @@ TEST(ObjectAssociator, MarksSidesAtTheBorderAndUndistorts) {
   EXPECT_NE(result.associations[0].box.x1, 0.0);
 }
 
+TEST(ObjectAssociator, TheBorderIsAsWideAsTheImage) {
+  ObjectAssociator associator(options("joint"), classes());
+  Frame frame = frame_at(0);
+  const Detection box{kCup, 0.9, {12.0, 200.0, 80.0, 260.0}};
+  EXPECT_EQ(associator.associate(frame, {box}).associations[0].truncated, 0) << "of 640 pixels";
+  frame = frame_at(1);
+  frame.camera.width *= 2;
+  frame.camera.height *= 2;
+  EXPECT_EQ(associator.associate(frame, {box}).associations[0].truncated, kLeft) << "of 1280 pixels";
+}
+
 TEST(ObjectAssociator, BoxesEndWithTheImage) {
   ObjectAssociator associator(options("joint"), classes());
   const Frame frame = frame_at(0);

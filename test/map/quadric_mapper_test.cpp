@@ -447,6 +447,28 @@ TEST_F(MapperTest, WhatWasAnObjectInTheSessionBeforeIsNotGivenUp) {
   EXPECT_EQ(find(1), nullptr) << "which never was one";
 }
 
+TEST(ExpectedLandmarks, WhatIsTooSmallForADetectorIsSoInImagesOfEverySize) {
+  std::map<std::int64_t, MappedLandmark> landmarks;
+  for (const double width_px : {10.0, 14.0}) {  // of an image 640 pixels wide
+    MappedLandmark landmark;
+    landmark.state.state = LandmarkState::kConfirmed;
+    const double distance_m = 4.0, across_m = width_px / kCamera.fx * distance_m;
+    const Vec3 center(width_px == 10.0 ? -1.0 : 1.0, 0.0, distance_m);
+    landmark.state.ellipsoid = Ellipsoid{SE3(Quaternion::Identity(), center), Vec3::Constant(0.5 * across_m)};
+    landmarks[static_cast<std::int64_t>(width_px)] = landmark;
+  }
+  for (const double scale : {0.5, 1.0, 2.0}) {
+    Frame frame;
+    frame.camera = kCamera;
+    for (double* value : {&frame.camera.fx, &frame.camera.fy, &frame.camera.cx, &frame.camera.cy}) *value *= scale;
+    frame.camera.width = static_cast<int>(scale * kCamera.width);
+    frame.camera.height = static_cast<int>(scale * kCamera.height);
+    const std::vector<ExpectedLandmark> expected = expected_landmarks(landmarks, frame, nullptr, SE3(), {});
+    ASSERT_EQ(expected.size(), 1U) << scale;
+    EXPECT_EQ(expected[0].id, 14);
+  }
+}
+
 TEST_F(MapperTest, NeverSeenAgainWhereExpectedIsRetired) {
   const std::vector<SE3> poses = arc(60, 90.0);
   for (int i = 0; i < 11; ++i) step(poses[static_cast<std::size_t>(i) * 5], {{0, 41, kCup}});

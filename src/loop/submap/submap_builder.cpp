@@ -102,8 +102,8 @@ class Clustering {
   };
   struct Proposal {
     Vec3 point;
-    std::size_t support;                          ///< boxes of its track that agree on it
-    int votes = std::numeric_limits<int>::max();  ///< not more, see votes()
+    std::size_t support;  ///< boxes of its track that agree on it
+    int votes = 0;        ///< not more, once counted: see votes()
   };
   /// What is read of a box for every point, apart from the rest, since most of the time is spent on it.
   struct Target {
