@@ -13,6 +13,7 @@
 #include "association/track_store.h"
 #include "geometry/assignment.h"
 #include "geometry/depth_points.h"
+#include "geometry/wide_image.h"
 #include "semantic_topo_loop/geometry/quadric.h"
 #include "semantic_topo_loop/types/stamp.h"
 
@@ -185,7 +186,7 @@ struct ObjectAssociator::Impl {
       // Some detectors go on beyond the image.
       association.box = camera.undistort(clip(detection.box, camera.width, camera.height));
       association.truncated =
-          truncated_sides(detection.box, camera.width, camera.height, options_.border_px * camera.vga_px());
+          truncated_sides(detection.box, camera.width, camera.height, options_.border_px * pixel_factor(camera));
       const bool is_in_view = association.box.is_valid();  // and not where the lens model holds no longer
       if (!is_in_view) association.box = {};
       if (!is_in_view || !classes_->is_mappable(detection.class_id)) {

@@ -3,6 +3,7 @@
 #include <set>
 
 #include "frontend/tracking_map.h"
+#include "geometry/wide_image.h"
 
 namespace semantic_topo_loop::core {
 namespace {
@@ -54,9 +55,6 @@ std::vector<std::int64_t> local_keyframes(const TrackingMap& map, const TrackedF
   }
   return ids;
 }
-
-/// By what a wide image's motions are larger than those of one 640 pixels wide; a narrow one has pixels to spare.
-double motion_px(const Camera& camera) { return std::max(1.0, camera.vga_px()); }
 
 /// Where a point should be seen; nullopt if it is out of view.
 std::optional<SearchItem> expect(const TrackingMap& map, const MapPoint& point, const SE3& T_camera_map,
@@ -120,7 +118,8 @@ bool follow_points(const TrackedFeatures& last, const SE3& T_camera_map, const C
       const std::optional<Vec2> pixel = pixel_in_view(camera, T_camera_map * point->position);
       if (!pixel) continue;
       const ImageFeature& feature = last.features.features[i];
-      const double radius_px = factor * kRadius_px * motion_px(camera) * std::pow(options.scale_factor, feature.level);
+      const double radius_px =
+          factor * kRadius_px * pixel_factor(camera) * std::pow(options.scale_factor, feature.level);
       items.push_back({last.features.descriptors[i], *pixel, radius_px, feature.level, feature.angle_deg, point->id});
     }
     const std::vector<int> found =
@@ -149,7 +148,7 @@ bool find_points(const TrackingKeyframe& keyframe, const Camera& camera, Trackin
                  [](std::int64_t id) { return id >= 0; });
   constexpr double kMaxMotion_px = 240.0;  // half a 640 x 480 image's height; what moved farther has left many views
   const std::vector<int> matches =
-      match_anywhere(keyframe.features, wanted, image->features, kMaxMotion_px * motion_px(camera));
+      match_anywhere(keyframe.features, wanted, image->features, kMaxMotion_px * pixel_factor(camera));
   std::vector<PoseObservation> observations;
   std::vector<std::pair<std::size_t, std::int64_t>> pairs;
   for (std::size_t i = 0; i < matches.size(); ++i) {

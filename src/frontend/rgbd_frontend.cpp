@@ -7,6 +7,7 @@
 
 #include "frontend/bundle_adjustment.h"
 #include "frontend/depth_registration.h"
+#include "geometry/wide_image.h"
 #include "semantic_topo_loop/geometry/lie.h"
 
 namespace semantic_topo_loop::core {
@@ -20,7 +21,7 @@ class DepthGrid {
  public:
   /// @param vga_stride_px see FrontendOptions
   DepthGrid(const Camera& camera, int vga_stride_px) {
-    const int stride_px = std::max(1, static_cast<int>(std::lround(vga_stride_px * camera.vga_px())));
+    const int stride_px = static_cast<int>(std::lround(vga_stride_px * pixel_factor(camera)));
     for (int v = stride_px / 2; v < camera.height; v += stride_px) {
       for (int u = stride_px / 2; u < camera.width; u += stride_px) {
         pixels_.push_back({u, v, camera.ray(camera.undistort(Vec2(u, v))).cast<float>()});

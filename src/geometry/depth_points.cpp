@@ -8,6 +8,7 @@
 #include <utility>
 
 #include "geometry/statistics.h"
+#include "geometry/wide_image.h"
 
 namespace semantic_topo_loop::core {
 namespace {
@@ -175,7 +176,7 @@ std::vector<SeenPoint> FramePoints::in(const Box& box, std::size_t count_max) co
 
 std::uint8_t hidden_sides(const FramePoints& points, const Box& box) {
   std::uint8_t hidden = 0;
-  const double width_px = kStrip_px * points.camera().vga_px();
+  const double width_px = kStrip_px * pixel_factor(points.camera());
   if (!box.is_valid() || std::min(box.width(), box.height()) < 2.0 * width_px) return hidden;
   for (int side = 0; side < 4; ++side) {
     const auto [inside, outside] = strips(box, side, width_px);

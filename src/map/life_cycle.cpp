@@ -1,6 +1,7 @@
 #include <algorithm>
 #include <cmath>
 
+#include "geometry/wide_image.h"
 #include "map/mapped_landmark.h"
 #include "semantic_topo_loop/geometry/quadric.h"
 
@@ -87,7 +88,7 @@ std::vector<ExpectedLandmark> expected_landmarks(const std::map<std::int64_t, Ma
                                                  const Frame& frame, const FramePoints* points, const SE3& T_map_camera,
                                                  const AssociationFrame& associations) {
   const Mat34 P = projection_matrix(frame.camera, T_map_camera);
-  const double px = frame.camera.vga_px();
+  const double px = pixel_factor(frame.camera);
   std::vector<Candidate> in_view;
   for (const auto& [id, landmark] : landmarks) {
     if (!landmark.state.ellipsoid || landmark.state.state == LandmarkState::kRetired) continue;
