@@ -58,7 +58,7 @@ struct AssociatorOptions {
                  "of two boxes that overlap more, the lower score is left out");
     visitor.live(
         "border_px", border_px, not_negative(),
-        "sides this close to the image border count as cut; of an image 640 pixels wide, others in proportion");
+        "sides this close to the image border count as cut; of an image 640 pixels wide, wider ones in proportion");
     visitor.live("memory_s", memory_s, not_negative(), "joint mode: how long a box remains a track's last position");
     visitor.live("memory_decay_per_s", memory_decay_per_s, not_negative(),
                  "joint mode: share of its overlap that a last box loses in each second without the object");

@@ -35,8 +35,9 @@ struct FrontendOptions {
     visitor("max_keyframes", max_keyframes, any(), "keyframes kept; the oldest ones are forgotten");
     visitor("self_calibration", self_calibration,
             "find out where depth is not registered to color, and correct focal lengths that are clearly wrong");
-    visitor("point_stride_px", point_stride_px, at_least(1),
-            "grid of depth pixels that a frame hands on as points; of an image 640 pixels wide, others in proportion");
+    visitor(
+        "point_stride_px", point_stride_px, at_least(1),
+        "grid of depth pixels that a frame hands on as points; of an image 640 pixels wide, wider ones in proportion");
     visitor.require("max_keyframes", max_keyframes >= 2 * window_keyframes, ">= 2 frontend.window_keyframes");
   }
 };

@@ -28,8 +28,6 @@ struct Camera {
   /// Undistorted pixel of a point before the camera, in the camera frame.
   Vec2 pixel(const Vec3& p) const { return {fx * p.x() / p.z() + cx, fy * p.y() / p.z() + cy}; }
   Mat3 intrinsics() const;
-  /// Pixels that are as wide as one of an image 640 pixels wide, for which lengths in the image are stated.
-  double vga_px() const { return width / 640.0; }
 };
 
 }  // namespace semantic_topo_loop::core
