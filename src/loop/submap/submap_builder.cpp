@@ -255,6 +255,7 @@ class Clustering {
     int most = options_.min_views;  // of the votes that are counted to the end, or fewer
     // What a long track agrees on first, so that few of the others are counted to the end.
     std::vector<Proposal*> by_support;
+    by_support.reserve(proposals.size());
     for (Proposal& proposal : proposals) by_support.push_back(&proposal);
     std::stable_sort(by_support.begin(), by_support.end(),
                      [](const Proposal* p, const Proposal* q) { return p->support > q->support; });
