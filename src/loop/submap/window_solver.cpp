@@ -308,7 +308,7 @@ Vec5 start_of(const std::vector<View>& views, const std::vector<SE3>& T_odom_kno
         std::log(0.5 * z * wholest.box.width()), std::log(0.5 * z * wholest.box.height());
     const SizedPoint sized(object);
     double cost = kUsualWeight * squared(std::log(z / kUsual_m));
-    double factor = 1.0;  // of several views, for one logarithm
+    double factor = 1.0;                                              // of several views, for one logarithm
     for (std::size_t i = 0; i < views.size() && cost < least; ++i) {  // no view makes it less
       const auto projection = project(views[i], T_odom_knot[static_cast<std::size_t>(views[i].knot)], sized);
       factor *= 1.0 + (projection ? projection->residual.squaredNorm() : kUnseenChi2) / (2.0 * squared(kTolerance));
