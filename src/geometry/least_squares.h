@@ -77,8 +77,7 @@ struct LeastSquaresOptions {
 /// the solution.
 /// @tparam Equations ArrowEquations, or the like: with Unknowns, cost and reduce()
 /// @param linearise bool(unknowns, equations*): overwrites the equations; false where the cost is not defined
-/// @param unknowns the start, then the best found   @param equations there, overwritten   @param spare of the same
-/// memory
+/// @param unknowns the start, then the best found   @param equations there, overwritten   @param spare overwritten too
 /// @return false if the start has no cost or a step is not finite
 template <class Equations, class Linearise>
 bool minimise(const LeastSquaresOptions& options, const Linearise& linearise, typename Equations::Unknowns* unknowns,

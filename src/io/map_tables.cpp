@@ -139,7 +139,7 @@ void MapTables::write(const GraphState& graph) {
 
 void MapTables::write_configuration(const std::string& text) {
   // Names of files may be no UTF-8.
-  write_meta("configuration", Json(text).dump(-1, ' ', false, Json::error_handler_t::replace));
+  write_meta("configuration", printable(Json(text)));
 }
 
 void MapTables::write(const Camera& camera) { write_meta("camera", to_archive(camera).dump()); }

@@ -316,11 +316,6 @@ class FileRecorder : public RunRecorder {
     add_table("timing.csv", kTiming);
     add_table("memory.csv", kMemory);
     add("summary.json", [this](std::ostream& file) { write_summary(file); });
-    // What this run does not have may still lie there from one before.
-    for (const char* name : {"relocalisations.csv", "scales.csv", "loop_scales.csv"}) {
-      std::error_code ignored;
-      std::filesystem::remove(directory + "/" + name, ignored);
-    }
     if (has_earlier_map_) add_table("relocalisations.csv", kRelocalisations);
     const bool has_scales = std::any_of(S_map_keyframe_.begin(), S_map_keyframe_.end(),
                                         [](const auto& keyframe) { return keyframe.second.scale != 1.0; });
@@ -328,7 +323,15 @@ class FileRecorder : public RunRecorder {
     if (has_loop_scales_) add_table("loop_scales.csv", kLoopScales);
     if (const Status made = make_directory(directory); !made) return made;
     const Status written = write_files(files);
-    return kept ? written : kept;
+    if (!kept || !written) return kept ? written : kept;
+    // What this run does not have may still lie there from one before.
+    for (const char* name : {"relocalisations.csv", "scales.csv", "loop_scales.csv"}) {
+      const std::string path = directory + "/" + name;
+      const auto is_it = [&path](const auto& file) { return file.first == path; };
+      std::error_code ignored;
+      if (std::none_of(files.begin(), files.end(), is_it)) std::filesystem::remove(path, ignored);
+    }
+    return {};
   }
 
  private:

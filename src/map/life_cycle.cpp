@@ -14,19 +14,18 @@ constexpr double kBoundedShare = 0.2;  // of the time to be seen for: what no im
 constexpr double kFoundAgainShare = 0.25;
 constexpr double kTransparentShare = 0.1;  // of the time seen: what shows more of its background has holes
 constexpr double kHollowShare = 0.5;       // of the time seen uncut: what shows more of its inside is hollow
-// Of a projection that a detector may be expected to box, in an image 640 pixels wide.
-constexpr double kMinWidth_px = 12.0, kMinHeight_px = 8.0;
-constexpr double kRange_m = 10.0;            // association looks no farther (association.range_m)
-constexpr double kFullyVisibleShare = 0.8;   // of its area, inside the image
-constexpr double kPartlyVisibleShare = 0.4;  // the same, for depth to show what lies behind it
-constexpr double kHiddenShare = 0.5;         // of the box, from which on it counts as hidden
-constexpr double kSigmas = 2.5;              // of a depth, beyond which it is in front or behind: 1 in 80 by chance
-constexpr double kUneven_m = 0.01;           // of a surface against its ellipsoid
-constexpr double kUnevenShare = 0.15;        // the same, as a share of its radius
-constexpr double kMiddle = 0.6;              // of the sides of the projection
-constexpr double kSeenThroughShare = 0.5;    // of its middle, from which on nothing seems to be there
-constexpr std::size_t kMinPoints = 5;        // fewer could all be wrong
-constexpr std::size_t kPointsMax = 80;       // a share of them is known to 6 %
+constexpr double kMinWidth_px = 12.0, kMinHeight_px = 8.0;  // of a projection at VGA that a detector is expected to box
+constexpr double kRange_m = 10.0;                           // association looks no farther (association.range_m)
+constexpr double kFullyVisibleShare = 0.8;                  // of its area, inside the image
+constexpr double kPartlyVisibleShare = 0.4;                 // the same, for depth to show what lies behind it
+constexpr double kHiddenShare = 0.5;                        // of the box, from which on it counts as hidden
+constexpr double kSigmas = 2.5;            // of a depth, beyond which it is in front or behind: 1 in 80 by chance
+constexpr double kUneven_m = 0.01;         // of a surface against its ellipsoid
+constexpr double kUnevenShare = 0.15;      // the same, as a share of its radius
+constexpr double kMiddle = 0.6;            // of the sides of the projection
+constexpr double kSeenThroughShare = 0.5;  // of its middle, from which on nothing seems to be there
+constexpr std::size_t kMinPoints = 5;      // fewer could all be wrong
+constexpr std::size_t kPointsMax = 80;     // a share of them is known to 6 %
 
 struct Candidate {
   std::int64_t id = -1;

@@ -101,11 +101,12 @@ class PoseFrontendNodelet : public StageWith<PoseFrontendParameters, FrontendSta
     const std::int64_t stamp_ns = to_stamp_ns(message->header.stamp);
     points_.erase(points_.upper_bound(stamp_ns + kJumpBack_ns), points_.end());
     points_[stamp_ns] = message;
-    // Clouds wait for their image, whatever their rate as long as that waits for its pose.
+    // Clouds wait for their image, at a high rate as long as that waits for its pose.
     constexpr std::size_t kKept = 10;
-    const std::int64_t waits_ns = std::llround(1e9 * parameters_.pose_timeout_s);
-    while (points_.size() > kKept && points_.begin()->first < stamp_ns - waits_ns) points_.erase(points_.begin());
-    if (points_.size() > queue_capacity()) points_.erase(points_.begin());
+    const std::int64_t oldest_ns = stamp_ns - std::llround(1e9 * parameters_.pose_timeout_s);
+    while (points_.size() > kKept && (points_.begin()->first < oldest_ns || points_.size() > queue_capacity())) {
+      points_.erase(points_.begin());
+    }
     resolve();
   }
 

@@ -430,6 +430,7 @@ TEST_F(RunRecorderTest, FramesFollowTheScaleOfTheirKeyframe) {
 TEST_F(RunRecorderTest, AFixedScaleLeavesNoFileOfScales) {
   record_frames(true);
   recorder_->record(8, {make_loop(8, true)}, 10.0);
+  directory_.write("run/scales.csv", "of a run before\n");
   write();
   EXPECT_FALSE(std::filesystem::exists(directory_.path("run/scales.csv")));
   EXPECT_FALSE(std::filesystem::exists(directory_.path("run/loop_scales.csv")));

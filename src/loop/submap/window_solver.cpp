@@ -141,8 +141,7 @@ struct Equations {
   }
 
   /// Eliminates the objects (Schur complement).
-  /// @return information of knots and drifts, its lower triangle; its root, if the step was asked for; until the next
-  /// call
+  /// @return information of knots and drifts, its lower triangle; its root, if the step was asked for. Here, not a copy
   Eigen::MatrixXd& reduce(double damping, const Unknowns& unknowns, Unknowns* next) {
     S.triangularView<Eigen::Lower>() = H;
     S.diagonal() *= 1.0 + damping;
@@ -465,9 +464,10 @@ void learn(const Problem& problem, const Unknowns& unknowns, Equations* equation
     const Eigen::Index drift = drift_row(problem, static_cast<std::size_t>(problem.drift_of[i]));
     // Above the first of these rows the root is zero.
     const Eigen::Index rows = root.rows() - row;
-    const Eigen::Matrix<double, Eigen::Dynamic, 6> left = root.block(row, row, rows, 6) * terms.J_from.transpose() +
-                                                          root.block(row, row + 6, rows, 6) * terms.J_to.transpose() -
-                                                          dt * root.block(row, drift, rows, 6);
+    const Eigen::Matrix<double, Eigen::Dynamic, 6> left =
+        root.block<Eigen::Dynamic, 6>(row, row, rows, 6) * terms.J_from.transpose() +
+        root.block<Eigen::Dynamic, 6>(row, row + 6, rows, 6) * terms.J_to.transpose() -
+        dt * root.block<Eigen::Dynamic, 6>(row, drift, rows, 6);
     add(terms.residual, left.colwise().squaredNorm(), problem.step_variances(i), 1.0 / dt, &evidence->step_translation,
         &evidence->step_rotation);
   }

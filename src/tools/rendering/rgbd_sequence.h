@@ -19,8 +19,8 @@ Status begin_sequence(const std::string& directory, bool with_images);
 
 /// Renders the images of a sequence into a directory, as the TUM benchmark lays them out: rgb/<stamp>.png (8 bit),
 /// depth/<stamp>.png (16 bit), rgb.txt, depth.txt and associations.txt ("stamp rgb/.. stamp depth/.."). The sequence's
-/// detections are made anew, from the shapes that are drawn. Frames are
-/// rendered on several threads and never kept; the result does not depend on how many.
+/// detections are made anew, from the shapes that are drawn. Frames are rendered on several threads and never kept; the
+/// result does not depend on how many.
 /// @return an error that names path and cause if a file cannot be written, or that of begin_sequence
 Status render_sequence(const SimulationOptions& options, const ClassTable& classes, int threads,
                        const std::string& directory, SimulatedSequence* sequence);
