@@ -9,11 +9,13 @@
 #include <iterator>
 #include <memory>
 #include <mutex>
+#include <set>
 #include <string>
 #include <vector>
 
 #include "geometry/up_estimator.h"
 #include "ros/conversions.h"
+#include "semantic_topo_loop/SessionAck.h"
 #include "semantic_topo_loop/frontend/object_detector.h"
 #include "semantic_topo_loop/geometry/lie.h"
 #include "semantic_topo_loop/io/rgbd_recording.h"
@@ -63,7 +65,17 @@ class DetectorInTheChain : public testing::Test {
     chain_->set("pose_frontend", "pose_timeout_s", kForever);
     chain_->load("detection_ingestion", "DetectionIngestion");
     chain_->load("object_detector", "ObjectDetector");
+    // What comes before a stage knows of the session is not of it.
+    std::set<std::string> ready;  // stages
+    const boost::function<void(const SessionAck::ConstPtr&)> acknowledge = [this, &ready](const auto& ack) {
+      const std::lock_guard<std::mutex> lock(mutex_);
+      ready.insert(ack->stage);
+      changed_.notify_all();
+    };
+    const ros::Subscriber acks = node_.subscribe<SessionAck>("session_acks", 100, acknowledge);
     chain_->load("pose_frontend", "PoseFrontend");
+    std::unique_lock<std::mutex> lock(mutex_);
+    ASSERT_TRUE(changed_.wait_for(lock, std::chrono::minutes(1), [&ready] { return ready.size() == 2; }));
   }
   void TearDown() override {
     answers_.shutdown();
