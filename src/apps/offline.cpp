@@ -350,6 +350,7 @@ class DetectionSource {
 struct Counts {
   std::size_t frames = 0;
   std::size_t with_detections = 0;
+  std::size_t held = 0;  ///< images left out, see FrameBuilder::is_held
   std::int64_t first_ns = 0, last_ns = 0;
 };
 
@@ -360,8 +361,11 @@ void warn(const RunInputs& inputs, const Counts& counts, std::size_t loops_left)
         " frames have no detections");
   }
   if (loops_left > 0) say(std::to_string(loops_left) + " extra loops have a query frame that never came");
-  if (counts.with_detections < images) {
-    say(std::to_string(images - counts.with_detections) + " of " + std::to_string(images) +
+  if (counts.held > 0) {
+    say(std::to_string(counts.held) + " images between the poses of a slower odometry were left out");
+  }
+  if (counts.with_detections + counts.held < images) {
+    say(std::to_string(images - counts.with_detections - counts.held) + " of " + std::to_string(images) +
         " images with detections have no pose and were left out");
   }
   const SourceState& source = inputs.source->state();
@@ -431,6 +435,10 @@ Status run_once(const Arguments& arguments, const RunInputs& inputs, ChainResult
   const Stopwatch stopwatch;
   while (const std::optional<PoseSample> sample = inputs.source->next()) {
     if (source.camera) builder.set_camera(*source.camera);
+    if (builder.is_held(*sample)) {
+      ++counts.held;
+      continue;
+    }
     Result<Frame> frame = builder.build(*sample);
     if (!frame) return frame.error();
     if (frame->is_keyframe && (database || !arguments.points.empty())) {

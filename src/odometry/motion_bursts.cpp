@@ -51,6 +51,8 @@ void MotionBursts::push(const Frame& frame, std::size_t section) {
   const std::optional<SE3> T_odom_last = std::exchange(T_odom_last_, T_odom_camera);
   const std::int64_t elapsed_ns = frame.stamp_ns - std::exchange(last_stamp_ns_, frame.stamp_ns);
   if (!T_odom_last || frame.is_break || elapsed_ns <= 0) return;
+  // What was missed is no burst, and says as little of the motions around it.
+  if (frame.held_since_ns) return window_.clear();
   const double dt_s = 1e-9 * static_cast<double>(elapsed_ns);
   // What the frames around a gap do says little of the motion over it.
   constexpr double kGap = 3.0;  // times the longest between the frames before

@@ -1,8 +1,14 @@
 #include "semantic_topo_loop/pipeline/frame_builder.h"
 
+#include "odometry/held_poses.h"
 #include "semantic_topo_loop/geometry/lie.h"
 
 namespace semantic_topo_loop::core {
+
+FrameBuilder::FrameBuilder(const KeyframeOptions& options, const Camera& camera)
+    : options_(options), camera_(camera), held_poses_(std::make_shared<HeldPoses>()) {}
+
+bool FrameBuilder::is_held(const PoseSample& sample) { return held_poses_->is_held(sample.T_odom_camera); }
 
 Result<Frame> FrameBuilder::build(const PoseSample& sample) {
   if (!sample.T_odom_camera.is_finite()) {
@@ -21,13 +27,17 @@ Result<Frame> FrameBuilder::build(const PoseSample& sample) {
   frame.points_camera = sample.points_camera;
   frame.camera = camera_;
 
+  frame.held_since_ns = held_poses_->caught_up_since_ns(sample.stamp_ns, sample.T_odom_camera);
   frame.is_break = sample.is_break;
   if (last_) {
-    const double dt_s = 1e-9 * static_cast<double>(sample.stamp_ns - last_->stamp_ns);
+    const auto since_s = [&sample](std::int64_t stamp_ns) {
+      return 1e-9 * static_cast<double>(sample.stamp_ns - stamp_ns);
+    };
+    const double moved_s = since_s(frame.held_since_ns.value_or(last_->stamp_ns));
     const double distance_m = (sample.T_odom_camera.t - last_->T_odom_camera.t).norm();
     const double angle_deg = degrees(rotation_angle(sample.T_odom_camera.q, last_->T_odom_camera.q));
-    frame.is_break = frame.is_break || dt_s > options_.break_gap_s || distance_m > options_.break_speed_m_s * dt_s ||
-                     angle_deg > options_.break_rate_deg_s * dt_s;
+    frame.is_break = frame.is_break || since_s(last_->stamp_ns) > options_.break_gap_s ||
+                     distance_m > options_.break_speed_m_s * moved_s || angle_deg > options_.break_rate_deg_s * moved_s;
   }
   frame.is_keyframe = !last_keyframe_ || frame.is_break;
   if (!frame.is_keyframe) {
@@ -53,6 +63,7 @@ Frame FrameBuilder::end() const {
   frame.is_break = false;
   frame.is_end = true;
   frame.covariance.reset();
+  frame.held_since_ns.reset();
   frame.source_loop.reset();
   frame.points_camera.reset();
   frame.keyframe_points.reset();

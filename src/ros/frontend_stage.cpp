@@ -240,6 +240,11 @@ void FrontendStage::emit(const core::PoseSample& sample, const std::optional<cor
   }
   if (!builder_) make_builder(*camera);
   builder_->set_camera(*camera);
+  if (builder_->is_held(sample)) {
+    return fail_image(sample.stamp_ns, "images between the poses of a slower odometry",
+                      "its pose at stamp " + std::to_string(sample.stamp_ns) + " ns is the last one again",
+                      FrameDone::STATUS_NO_POSE);
+  }
   core::Result<core::Frame> frame = builder_->build(sample);
   if (!frame) return fail_image(sample.stamp_ns, "images left out", frame.message());
   if (frame->is_break && frame->frame_id > map_.next_frame_id) statistics().count("breaks of the odometry");

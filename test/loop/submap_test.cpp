@@ -198,6 +198,29 @@ TEST(ObservationWindow, StartsAfreshAtABreak) {
   EXPECT_EQ(window.frames().front().frame_id, 15);
 }
 
+TEST(ObservationWindow, FramesThatWereGivenAnEarlierPoseWereOnTheWay) {
+  constexpr std::int64_t kInterval_ns = 100'000'000;
+  ObservationWindow window(8.0, 0.0, *desk_classes());
+  const auto push = [&window](int i, double x, std::optional<std::int64_t> held_since_ns = {}) {
+    Frame frame;
+    frame.frame_id = i;
+    frame.stamp_ns = i * kInterval_ns;
+    frame.T_odom_camera.t.x() = x;
+    frame.held_since_ns = held_since_ns;
+    window.push(frame, {});
+  };
+  push(0, 0.0);
+  for (int i = 1; i < 5; ++i) push(i, 0.1);
+  push(5, 0.5, kInterval_ns);
+  for (const ObservedFrame& frame : window.frames()) {
+    EXPECT_NEAR(frame.T_odom_camera.t.x(), 0.1 * static_cast<double>(frame.frame_id), 1e-12) << frame.frame_id;
+  }
+  // What was held has left the window.
+  window.clear();
+  push(6, 0.6, kInterval_ns);
+  EXPECT_EQ(window.frames().front().T_odom_camera.t.x(), 0.6);
+}
+
 TEST(ObservationWindow, LeavesOutWhereTheDetectorDidNotLook) {
   const ObservationWindow window = window_with_break(4, 3);
   ASSERT_EQ(window.frames().size(), 5u);

@@ -116,6 +116,24 @@ TEST(MotionBursts, AGapIsNoBurst) {
   EXPECT_EQ(bursts.suspected_jump(0).motion.norm(), 0.0);
 }
 
+TEST(MotionBursts, AWayThatWasMissedIsNoBurst) {
+  constexpr int kLostEvery = 150, kLostFrames = 20;
+  MotionBursts bursts;
+  Random random(4);
+  SE3 pose, given;
+  for (int k = 0; k < kFrames; ++k) {
+    Vec6 motion;
+    motion << 0.001 * random.normal3(), 0.002 * random.normal3();
+    motion(0) += 0.01;
+    pose = pose * se3_exp(motion);
+    if (k % kLostEvery >= kLostFrames) given = pose;
+    Frame frame = frame_at(k * kIntervalNs, given);
+    if (k % kLostEvery == kLostFrames) frame.held_since_ns = (k - kLostFrames) * kIntervalNs;
+    bursts.push(frame, 0);
+  }
+  EXPECT_LT(bursts.suspected_jump(0).motion.norm(), 0.03);
+}
+
 TEST(OdometryAccumulator, CovariancesAddUpBetweenKeyframes) {
   SyntheticRun run;
   OdometryAccumulator accumulator;

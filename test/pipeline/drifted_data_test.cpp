@@ -47,10 +47,15 @@ class DriftedData : public ::testing::Test {
 
   /// @param file the odometry, a file of the sequence
   static Outcome run(const std::string& sequence, const std::string& file, const Options& options = {}) {
+    const std::string path = *shared_data("tum/" + sequence + "/") + file;
+    return run_on(checked(read_tum_trajectory(path)), sequence, file, options);
+  }
+
+  static Outcome run_on(const StampedPoses& odometry, const std::string& sequence, const std::string& name,
+                        const Options& options = {}) {
     const bool is_desk = sequence == "fr2_desk";
     const std::string root = *shared_data("tum/" + sequence + "/");
     const auto classes = shared_coco();
-    const StampedPoses odometry = checked(read_tum_trajectory(root + file));
     const auto boxes =
         checked(read_detections(root + (is_desk ? "detections_yolov5.json" : "detections_yolov3"), *classes));
     const Camera camera =
@@ -59,12 +64,13 @@ class DriftedData : public ::testing::Test {
     ObjectSlam slam(options, classes);
     FrameBuilder builder(options.keyframe, camera);
     Outcome outcome;
-    outcome.name = sequence + " " + file;
+    outcome.name = sequence + " " + name;
     std::vector<Frame> frames;
     for (const StampedPose& pose : odometry) {
       PoseSample sample;
       sample.stamp_ns = pose.stamp_ns;
       sample.T_odom_camera = pose.T_world_camera;
+      if (builder.is_held(sample)) continue;
       frames.push_back(*builder.build(sample));
       const DetectionFrame* seen = find_stamp(boxes.frames, pose.stamp_ns, 1000);
       for (const LoopClosure& loop : slam.process(frames.back(), seen != nullptr ? &seen->detections : nullptr).loops) {
@@ -105,6 +111,34 @@ TEST_F(DriftedData, LoopsAreRightAndTakeTheDriftOut) {
     EXPECT_GE(outcome.accepted, c.least_loops) << outcome.name;
     EXPECT_GE(outcome.precision(), c.least_precision) << outcome.name;
   }
+}
+
+/// What asks it thirty times a second is given its last pose again.
+TEST_F(DriftedData, AnOdometryAtFiveHertzIsAsGood) {
+  const std::string file = "drifted_real/walk_0.3m_5deg_s1.txt";
+  StampedPoses odometry = checked(read_tum_trajectory(*shared_data("tum/fr2_desk/") + file));
+  constexpr std::size_t kImages = 6;
+  for (std::size_t i = 0; i < odometry.size(); ++i)
+    odometry[i].T_world_camera = odometry[i / kImages * kImages].T_world_camera;
+  const Outcome outcome = run_on(odometry, "fr2_desk", file + " at 5 Hz");
+  EXPECT_GT(outcome.gain(), 2.5) << outcome.ate_before_m << " m before";
+  EXPECT_GE(outcome.accepted, 100);
+  EXPECT_GE(outcome.precision(), 0.99);
+}
+
+/// Lost for half a second and more, as those from images are, and found again.
+TEST_F(DriftedData, AnOdometryThatCatchesUpIsAsGood) {
+  const std::string file = "drifted_real/walk_0.3m_5deg_s1.txt";
+  StampedPoses odometry = checked(read_tum_trajectory(*shared_data("tum/fr2_desk/") + file));
+  constexpr std::size_t kEvery = 300, kLost = 25;
+  for (std::size_t i = 0; i < odometry.size(); ++i) {
+    if (i % kEvery >= kEvery - kLost)
+      odometry[i].T_world_camera = odometry[i / kEvery * kEvery + kEvery - kLost].T_world_camera;
+  }
+  const Outcome outcome = run_on(odometry, "fr2_desk", file + " with losses");
+  EXPECT_GT(outcome.gain(), 2.5) << outcome.ate_before_m << " m before";
+  EXPECT_GE(outcome.accepted, 150);
+  EXPECT_GE(outcome.precision(), 0.99);
 }
 
 TEST_F(DriftedData, GoodOdometryStaysGood) {

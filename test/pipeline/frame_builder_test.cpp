@@ -69,6 +69,19 @@ TEST_F(FrameBuilderTest, JumpOfTheOdometryAndAGapAreBreaks) {
   EXPECT_FALSE(builder_.end().is_break);
 }
 
+TEST_F(FrameBuilderTest, WhatTheOdometryCatchesUpIsNoBreak) {
+  double x = 0.0;
+  for (int i = 0; i < 30; ++i) ASSERT_TRUE(build(Vec3(x = 0.02 * i, 0.0, 0.0)));
+  const std::int64_t held_ns = stamp_ns_;
+  for (int i = 0; i < 20; ++i) EXPECT_FALSE(build(Vec3(x, 0.0, 0.0))->held_since_ns) << i;
+  const auto frame = build(Vec3(x + 21 * 0.02, 0.0, 0.0));
+  EXPECT_FALSE(frame->is_break) << "0.42 m in a frame";
+  ASSERT_TRUE(frame->held_since_ns);
+  EXPECT_EQ(*frame->held_since_ns, held_ns);
+  EXPECT_FALSE(builder_.end().held_since_ns);
+  EXPECT_TRUE(build(Vec3(x + 2.0, 0.0, 0.0))->is_break) << "the next is none";
+}
+
 TEST_F(FrameBuilderTest, RefusesBadInputByNameAndGoesOn) {
   ASSERT_TRUE(build(Vec3::Zero()));
   const double nan = std::numeric_limits<double>::quiet_NaN();

@@ -110,6 +110,7 @@ CameraFrame random_frame(Random* random) {
   frame.is_break = random->flag();
   frame.is_end = random->flag();
   frame.T_odom_camera = random->pose();
+  if (random->flag()) frame.held_since_ns = random->integer();
   if (random->flag()) frame.covariance = random->matrix<core::Mat6>();
   if (random->flag()) {
     frame.source_loop = core::SourceLoop{random->integer(), random->pose(), random->matrix<core::Mat6>(), 87};
@@ -135,6 +136,8 @@ TEST(Messages, Frame) {
     EXPECT_EQ(generated.is_break != 0, message.is_break);
     EXPECT_EQ(generated.is_end != 0, message.is_end);
     EXPECT_TRUE(same(generated.odom_from_camera, message.T_odom_camera));
+    EXPECT_EQ(generated.has_caught_up != 0, message.held_since_ns.has_value());
+    EXPECT_EQ(generated.held_since_ns, message.held_since_ns.value_or(0));
     ASSERT_EQ(generated.has_covariance != 0, message.covariance.has_value());
     EXPECT_EQ(generated.covariance[1], message.covariance ? (*message.covariance)(0, 1) : 0.0) << "row-major";
     ASSERT_EQ(generated.has_source_loop != 0, message.source_loop.has_value());

@@ -290,6 +290,16 @@ class TfTest(DetectorTest):
         self.assertEqual(self.frames.at(43.007).session_id, before + 1)
         self.assertEqual(self.frames.at(43.007).frame_id, 0)
 
+    def test_9_images_between_the_poses_of_a_slower_odometry_are_no_frames(self):
+        # Sent every 20 ms, and new every 0.2 s.
+        self.tf.publish(TFMessage([self.transform('odom', 'base_link', 50.0 + 0.02 * i, 0.1 * (i // 10)) for i in range(80)]))
+        for i in range(24):
+            self.see(50.013 + 0.05 * i, with_detections=False)
+        self.assert_status(51.013, FrameDone.STATUS_PROCESSED)
+        for i in range(21, 24):
+            self.assert_status(50.013 + 0.05 * i, FrameDone.STATUS_NO_POSE)
+        self.assert_counted('PoseFrontend', 'images between the poses of a slower odometry', 12)
+
 
 class OdometryTest(DetectorTest):
     """nav_msgs/Odometry, frames made by the stamps of a detector, which is darknet_ros, and a cloud with each image."""

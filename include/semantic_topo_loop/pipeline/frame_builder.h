@@ -1,6 +1,7 @@
 #pragma once
 
 #include <cstdint>
+#include <memory>
 #include <optional>
 
 #include "semantic_topo_loop/types/frame.h"
@@ -31,11 +32,16 @@ struct KeyframeOptions {
   }
 };
 
+class HeldPoses;
+
 /// Turns camera poses into frames: numbers them, selects keyframes, flags breaks.
 class FrameBuilder {
  public:
-  FrameBuilder(const KeyframeOptions& options, const Camera& camera) : options_(options), camera_(camera) {}
+  FrameBuilder(const KeyframeOptions& options, const Camera& camera);
 
+  /// Call it once an image, before `build`.
+  /// @return true if the image is best left out: the odometry is slower than the images, and this is its last pose again
+  bool is_held(const PoseSample& sample);
   /// @return an error, with the field and value, for a non-finite pose or a stamp not after the last one
   Result<Frame> build(const PoseSample& sample);
   /// The frame without an image that ends a stream.
@@ -53,6 +59,7 @@ class FrameBuilder {
   std::int64_t first_frame_id_ = 0, first_keyframe_id_ = 0;
   std::optional<Frame> last_;
   std::optional<Frame> last_keyframe_;
+  std::shared_ptr<HeldPoses> held_poses_;
 };
 
 }  // namespace semantic_topo_loop::core

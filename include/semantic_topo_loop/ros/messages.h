@@ -333,7 +333,7 @@ struct Serializer<semantic_topo_loop::FrameMessage> {
   template <class Stream, class T>
   static void allInOne(Stream& stream, T m) {
     next(stream, m.header, m.session_id, m.frame_id, m.keyframe_id, m.is_keyframe, m.is_break, m.is_end,
-         m.T_odom_camera, m.covariance, m.source_loop, m.camera_frame);
+         m.T_odom_camera, m.held_since_ns, m.covariance, m.source_loop, m.camera_frame);
     semantic_topo_loop::wire::FrameSensors sensors;
     if constexpr (!semantic_topo_loop::wire::kIsInput<Stream>) sensors.take_from(m);
     next(stream, sensors.camera, sensors.has_points, sensors.points);

@@ -48,6 +48,8 @@ struct Frame {
   bool is_break = false;  ///< the odometry may have jumped between the previous frame and this one
   bool is_end = false;    ///< no image: the stream is over and every stage shall finish its work
   SE3 T_odom_camera;
+  /// Stamp of the frame whose pose the ones between were given too: the odometry had stood, and has caught up now.
+  std::optional<std::int64_t> held_since_ns;
   std::optional<Mat6> covariance;  ///< of the motion since the previous frame: (translation m, rotation rad)
   std::optional<SourceLoop> source_loop;
   Camera camera;

@@ -1,0 +1,74 @@
+#include "odometry/held_poses.h"
+
+#include <algorithm>
+#include <cstddef>
+#include <utility>
+#include <vector>
+
+#include "semantic_topo_loop/geometry/lie.h"
+
+namespace semantic_topo_loop::core {
+namespace {
+
+/// But for rounding, by which poses differ that tf interpolates.
+bool is_same(const SE3& a, const SE3& b) {
+  constexpr double kRounding = 1e-12;  // m, and of a quaternion
+  return (a.t - b.t).cwiseAbs().maxCoeff() < kRounding &&
+         (a.q.coeffs() - b.q.coeffs()).cwiseAbs().maxCoeff() < kRounding;
+}
+double seconds(std::int64_t begin_ns, std::int64_t end_ns) { return 1e-9 * static_cast<double>(end_ns - begin_ns); }
+
+}  // namespace
+
+bool HeldPoses::is_held(const SE3& T_odom_camera) {
+  constexpr std::size_t kRemembered = 20;  // poses
+  constexpr std::size_t kStanding =
+      30;                           // images: a second and more, in which the camera stood or the odometry was lost
+  constexpr std::size_t kLate = 2;  // times what is usual
+  if (!image_ || !is_same(image_->T_odom_camera, T_odom_camera)) {
+    if (image_ && image_->repeated < kStanding) repeated_.push_back(image_->repeated);
+    if (repeated_.size() > kRemembered) repeated_.pop_front();
+    image_ = {T_odom_camera, 0};
+    return false;
+  }
+  ++image_->repeated;
+  if (repeated_.empty()) return false;
+  std::vector<std::size_t> counts(repeated_.begin(), repeated_.end());
+  const auto usual = counts.begin() + static_cast<std::ptrdiff_t>(counts.size() / 2);
+  std::nth_element(counts.begin(), usual, counts.end());
+  return image_->repeated <= kLate * *usual;
+}
+
+std::optional<std::int64_t> HeldPoses::caught_up_since_ns(std::int64_t stamp_ns, const SE3& T_odom_camera) {
+  constexpr double kLongest_s = 2.0;  // who was lost for longer knows the way by chance at most
+  constexpr double kRecent_s = 1.0;
+  constexpr double kSudden = 3.0;  // times the fastest of late: a hand's or robot's next motion is not
+  constexpr double kLeast_m = 0.03, kLeast_rad = 0.03;
+  constexpr Speed kSlowest{0, 0.1, 0.2};  // a camera that stood may move so at once
+  const std::optional<Frame> last = std::exchange(frame_, Frame{stamp_ns, T_odom_camera, stamp_ns});
+  if (!last || stamp_ns <= last->stamp_ns) return std::nullopt;
+  if (is_same(last->T_odom_camera, T_odom_camera)) {
+    frame_->since_ns = last->since_ns;
+    return std::nullopt;
+  }
+  Speed fastest = kSlowest;
+  for (const Speed& speed : speeds_) {
+    fastest.translation_mps = std::max(fastest.translation_mps, speed.translation_mps);
+    fastest.rotation_radps = std::max(fastest.rotation_radps, speed.rotation_radps);
+  }
+  const double distance_m = (T_odom_camera.t - last->T_odom_camera.t).norm();
+  const double angle_rad = rotation_angle(T_odom_camera.q, last->T_odom_camera.q);
+  const double frame_s = seconds(last->stamp_ns, stamp_ns), stood_s = seconds(last->since_ns, stamp_ns);
+  const double limit_mps = kSudden * fastest.translation_mps, limit_radps = kSudden * fastest.rotation_radps;
+  const bool is_sudden =
+      distance_m > std::max(kLeast_m, limit_mps * frame_s) || angle_rad > std::max(kLeast_rad, limit_radps * frame_s);
+  const bool is_way = distance_m < limit_mps * stood_s && angle_rad < limit_radps * stood_s;
+  const bool has_stood = last->since_ns < last->stamp_ns && stood_s < kLongest_s;
+  const bool has_caught_up = has_stood && is_sudden && is_way;
+  const double time_s = has_caught_up ? stood_s : frame_s;
+  while (!speeds_.empty() && seconds(speeds_.front().stamp_ns, stamp_ns) > kRecent_s + stood_s) speeds_.pop_front();
+  speeds_.push_back({stamp_ns, distance_m / time_s, angle_rad / time_s});
+  return has_caught_up ? std::optional(last->since_ns) : std::nullopt;
+}
+
+}  // namespace semantic_topo_loop::core

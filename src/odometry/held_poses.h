@@ -1,0 +1,46 @@
+#pragma once
+
+#include <cstdint>
+#include <deque>
+#include <optional>
+
+#include "semantic_topo_loop/types/transform.h"
+
+namespace semantic_topo_loop::core {
+
+/// Poses that are the last one again. An odometry slower than the images gives its last pose until it has a
+/// new one; one that has lost track does so until it finds its way again, and may then know what it missed.
+class HeldPoses {
+ public:
+  /// Call it once an image, in order.
+  /// @return true if the pose is where the camera was: new ones usually come every few images, and none is overdue
+  bool is_held(const SE3& T_odom_camera);
+
+  /// Call it once a frame, in order.
+  /// @return stamp of the frame whose pose those before this one were given too, if the odometry has caught up since: a
+  /// motion too sudden for one frame, and none for the time that it stood. nullopt if it did not stand, or goes on from
+  /// there.
+  std::optional<std::int64_t> caught_up_since_ns(std::int64_t stamp_ns, const SE3& T_odom_camera);
+
+ private:
+  struct Speed {
+    std::int64_t stamp_ns = 0;
+    double translation_mps = 0.0, rotation_radps = 0.0;
+  };
+  struct Image {
+    SE3 T_odom_camera;
+    std::size_t repeated = 0;  ///< images before it with the same pose
+  };
+  std::optional<Image> image_;
+  std::deque<std::size_t> repeated_;  ///< images that repeated a pose, of the last poses
+
+  struct Frame {
+    std::int64_t stamp_ns = 0;
+    SE3 T_odom_camera;
+    std::int64_t since_ns = 0;  ///< stamp of the first frame with its pose
+  };
+  std::optional<Frame> frame_;
+  std::deque<Speed> speeds_;  ///< of the last motions
+};
+
+}  // namespace semantic_topo_loop::core

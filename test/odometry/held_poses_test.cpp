@@ -1,0 +1,105 @@
+#include "odometry/held_poses.h"
+
+#include <gtest/gtest.h>
+
+#include <algorithm>
+#include <functional>
+#include <optional>
+#include <vector>
+
+#include "semantic_topo_loop/geometry/lie.h"
+#include "support/synthetic_run.h"
+
+namespace semantic_topo_loop::core {
+namespace {
+
+constexpr std::int64_t kInterval_ns = 33'333'333;
+
+/// A camera on its way along x at 0.3 m/s, which turns at 0.4 rad/s.
+SE3 way(double seconds) { return {so3_exp(Vec3(0.0, 0.4 * seconds, 0.0)), Vec3(0.3 * seconds, 0.0, 0.0)}; }
+double seconds(int image) { return 1e-9 * static_cast<double>(image * kInterval_ns); }
+
+/// Which of so many images are held, if the odometry's pose at each is that of another one.
+std::vector<bool> held_images(int images, const std::function<int(int)>& pose_of) {
+  HeldPoses poses;
+  std::vector<bool> held;
+  for (int i = 0; i < images; ++i) held.push_back(poses.is_held(way(seconds(pose_of(i)))));
+  return held;
+}
+
+TEST(HeldPoses, OfAnOdometryAtFiveHertzEverySixthImageHasAPose) {
+  const std::vector<bool> held = held_images(300, [](int i) { return i / 6 * 6; });
+  for (int i = 12; i < 300; ++i) EXPECT_EQ(held[static_cast<std::size_t>(i)], i % 6 != 0) << i;
+}
+
+TEST(HeldPoses, RoundingMakesNoNewPose) {
+  HeldPoses poses;
+  Random random(1);
+  for (int i = 0; i < 300; ++i) {
+    SE3 pose = way(seconds(i / 6 * 6));
+    pose.t += 1e-15 * random.normal3();
+    const bool is_held = poses.is_held(pose);
+    if (i >= 12) {
+      EXPECT_EQ(is_held, i % 6 != 0) << i;
+    }
+  }
+}
+
+TEST(HeldPoses, ARobotThatParksIsSeenAgainSoon) {
+  static constexpr int kParked = 300;
+  const std::vector<bool> held = held_images(400, [](int i) { return std::min(i, kParked) / 6 * 6; });
+  for (int i = kParked + 12; i < 400; ++i) EXPECT_FALSE(held[static_cast<std::size_t>(i)]) << i;
+}
+
+TEST(HeldPoses, AnOdometryAtTheImagesRateIsNeverHeld) {
+  // It stands for a second now and then.
+  const std::vector<bool> held = held_images(600, [](int i) { return i % 100 < 30 ? i / 100 * 100 : i; });
+  for (std::size_t i = 0; i < held.size(); ++i) EXPECT_FALSE(held[i]) << i;
+}
+
+/// Moves for two seconds, stands for `stood` images, and is at `end` with the next.
+std::optional<std::int64_t> after_standing(int stood, const std::function<SE3(double)>& end) {
+  constexpr int kMoving = 60;
+  HeldPoses poses;
+  for (int i = 0; i <= kMoving + stood; ++i) {
+    const auto since = poses.caught_up_since_ns(i * kInterval_ns, way(seconds(std::min(i, kMoving))));
+    EXPECT_FALSE(since) << i;
+  }
+  const int next = kMoving + stood + 1;
+  const auto since_ns = poses.caught_up_since_ns(next * kInterval_ns, end(seconds(next)));
+  EXPECT_EQ(since_ns.value_or(kMoving * kInterval_ns), kMoving * kInterval_ns);
+  EXPECT_FALSE(poses.caught_up_since_ns((next + 1) * kInterval_ns, end(seconds(next + 1)))) << "once";
+  return since_ns;
+}
+
+TEST(HeldPoses, AnOdometryThatFindsItsWayAgainHasCaughtUp) {
+  for (const int stood : {6, 15, 30, 45}) EXPECT_TRUE(after_standing(stood, way)) << stood;
+}
+
+TEST(HeldPoses, OneThatGoesOnFromWhereItStoodHasMissedTheWay) {
+  for (const int stood : {6, 15, 30, 45}) {
+    const double missed_s = seconds(stood);
+    EXPECT_FALSE(after_standing(stood, [missed_s](double s) { return way(s - missed_s); })) << stood;
+    EXPECT_FALSE(after_standing(stood, [missed_s](double s) { return way(2.0 * s - 2.0 * missed_s - 2.0); }))
+        << stood << ", twice as fast";
+  }
+}
+
+TEST(HeldPoses, AJumpIsNoWay) {
+  EXPECT_FALSE(after_standing(10, [](double s) { return SE3(Quaternion::Identity(), Vec3(0.0, 1.0, 0.0)) * way(s); }));
+  EXPECT_FALSE(after_standing(10, [](double s) { return way(s) * SE3(so3_exp(Vec3(1.5, 0.0, 0.0)), Vec3::Zero()); }));
+  EXPECT_FALSE(after_standing(90, way)) << "lost for three seconds";
+  EXPECT_FALSE(after_standing(0, [](double s) { return way(s) * SE3(Quaternion::Identity(), Vec3(0.05, 0.0, 0.0)); }))
+      << "it did not stand";
+}
+
+TEST(HeldPoses, StampsThatDoNotRiseAreNoMotion) {
+  HeldPoses poses;
+  EXPECT_FALSE(poses.caught_up_since_ns(kInterval_ns, way(0.0)));
+  EXPECT_FALSE(poses.caught_up_since_ns(2 * kInterval_ns, way(0.0)));
+  EXPECT_FALSE(poses.caught_up_since_ns(0, way(1.0)));
+  EXPECT_FALSE(poses.caught_up_since_ns(0, way(2.0)));
+}
+
+}  // namespace
+}  // namespace semantic_topo_loop::core
