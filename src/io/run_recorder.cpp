@@ -20,6 +20,7 @@
 #include "io/csv.h"
 #include "io/process_memory.h"
 #include "loop/graph/relocalisation.h"
+#include "semantic_topo_loop/geometry/lie.h"
 #include "semantic_topo_loop/io/run_files.h"
 #include "semantic_topo_loop/io/text_file.h"
 #include "semantic_topo_loop/io/tum_trajectory.h"
@@ -169,7 +170,10 @@ struct FramePlace {
   FramePlace() = default;
   explicit FramePlace(const Frame& frame)
       : frame_id(frame.frame_id), keyframe_id(frame.keyframe_id), stamp_ns(frame.stamp_ns) {
-    Eigen::Map<Vec7>(pose_.data()) << frame.T_odom_camera.q.coeffs(), frame.T_odom_camera.t;
+    set_pose(frame.T_odom_camera);
+  }
+  void set_pose(const SE3& T_odom_camera) {
+    Eigen::Map<Vec7>(pose_.data()) << T_odom_camera.q.coeffs(), T_odom_camera.t;
   }
   SE3 T_odom_camera() const { return {Quaternion(pose_.data()), Vec3(pose_.data() + 4)}; }
 
@@ -182,6 +186,7 @@ struct FramePlace {
 /// A frame of which a stage may still tell more.
 struct OpenFrame {
   std::optional<FramePlace> place;  ///< once the frame itself has come
+  SE3 T_odom_live;                  ///< as it was given then
   bool is_break = false;
   AssociationFrame associations;
   std::vector<LoopClosure> loops;
@@ -216,7 +221,9 @@ class FileRecorder : public RunRecorder {
 
   void record(const Frame& frame) override {
     if (frame.is_end) return;
+    if (frame.held_since_ns) spread_motion(frame);
     open_[frame.frame_id].place = FramePlace(frame);
+    open_[frame.frame_id].T_odom_live = frame.T_odom_camera;
     open_[frame.frame_id].is_break = frame.is_break;
     constexpr std::int64_t kSecond_ns = 1'000'000'000;
     const std::int64_t second = frame.stamp_ns / kSecond_ns;
@@ -335,11 +342,21 @@ class FileRecorder : public RunRecorder {
   }
 
  private:
+  /// Frames that were given an earlier one's pose were on the way from there.
+  void spread_motion(const Frame& frame) {
+    for (auto& [frame_id, open] : open_) {
+      if (!open.place || frame_id >= frame.frame_id || open.place->stamp_ns <= *frame.held_since_ns) continue;
+      const double share = static_cast<double>(open.place->stamp_ns - *frame.held_since_ns) /
+                           static_cast<double>(frame.stamp_ns - *frame.held_since_ns);
+      open.place->set_pose(interpolate(open.T_odom_live, frame.T_odom_camera, share));
+    }
+  }
+
   /// The frame's rows.   @param T_map_odom before its own correction, what a live user had; then after it
   Rows rows_of(std::int64_t frame_id, const OpenFrame& frame, SE3* T_map_odom) const {
     Rows rows;
     if (frame.place) {
-      rows[kLivePoses] = format_tum_pose({frame.place->stamp_ns, *T_map_odom * frame.place->T_odom_camera()}) + '\n';
+      rows[kLivePoses] = format_tum_pose({frame.place->stamp_ns, *T_map_odom * frame.T_odom_live}) + '\n';
       constexpr int kMicrosecondDecimals = 1;
       rows[kTiming] = csv_row(frame_id, format_fixed(frame.associations.duration_us, kMicrosecondDecimals),
                               format_fixed(frame.mapping_us, kMicrosecondDecimals),

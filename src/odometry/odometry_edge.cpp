@@ -1,7 +1,9 @@
 #include "odometry/odometry_edge.h"
 
 #include <Eigen/Eigenvalues>
+#include <algorithm>
 #include <cmath>
+#include <iterator>
 #include <limits>
 
 #include "geometry/relative_pose.h"
@@ -46,6 +48,15 @@ EdgeCovariance by_causes(const OdometryEdge& edge) {
   parts.translation = isotropic_covariance(edge.path_m, 0.0);
   parts.rotation = isotropic_covariance(0.0, edge.rotation_rad);
   return parts;
+}
+
+OdometryEdge measured_edge(const OdometryEdge& edge) {
+  if (!edge.measured) return edge;
+  OdometryEdge measured = *edge.measured;
+  measured.suspected_jump = edge.suspected_jump;
+  measured.jump_error_m = edge.jump_error_m;
+  measured.jump_error_rad = edge.jump_error_rad;
+  return measured;
 }
 
 }  // namespace
@@ -103,6 +114,7 @@ Mat6 steady_covariance(const OdometryEdge& edge, const OdometryNoise& noise) {
 
 bool OdometryEdge::refine(const SolvedMotion& motion) {
   if (is_break || covariance || joined || !is_motion(motion)) return false;
+  if (!measured) measured = std::make_shared<const OdometryEdge>(*this);
   T_from_to = motion.T_from_to;
   path_m = motion.path_m;
   rotation_rad = motion.rotation_rad;
@@ -119,6 +131,9 @@ OdometryEdge join(const OdometryEdge& first, const OdometryEdge& second) {
   edge.is_break = first.is_break || second.is_break;
   edge.frozen_s = first.frozen_s + second.frozen_s;
   edge.suspected_jump = carry * first.suspected_jump + second.suspected_jump;
+  if (first.measured || second.measured) {
+    edge.measured = std::make_shared<const OdometryEdge>(join(measured_edge(first), measured_edge(second)));
+  }
   if (first.covariance && second.covariance) {
     edge.covariance = Mat6(carry * *first.covariance * carry.transpose()) + *second.covariance;
     return edge;
@@ -127,6 +142,15 @@ OdometryEdge join(const OdometryEdge& first, const OdometryEdge& second) {
   sum += by_causes(first).carried(carry);
   edge.joined = std::make_shared<const EdgeCovariance>(sum);
   return edge;
+}
+
+std::vector<OdometryEdge> measured_edges(const std::vector<OdometryEdge>& edges) {
+  if (std::none_of(edges.begin(), edges.end(), [](const OdometryEdge& edge) { return edge.measured != nullptr; }))
+    return {};
+  std::vector<OdometryEdge> measured;
+  measured.reserve(edges.size());
+  std::transform(edges.begin(), edges.end(), std::back_inserter(measured), measured_edge);
+  return measured;
 }
 
 void OdometryAccumulator::add(const Frame& frame) {

@@ -49,6 +49,8 @@ struct OdometryEdge {
   /// Of a joined edge, unless the source states all of it: what a turn on the way does to its end is not in the figures
   /// above.
   std::shared_ptr<const EdgeCovariance> joined;
+  /// The motion as the odometry had it, if a solved one stands above.
+  std::shared_ptr<const OdometryEdge> measured;
 
   /// Takes over a solved motion between the same keyframes, unless that has figures that no motion has, or this one is
   /// a break, joined, or of a source that states how good it is.
@@ -79,6 +81,9 @@ Mat6 steady_covariance(const OdometryEdge& edge, const OdometryNoise& noise);
 
 /// The odometry over two edges, the second of which starts where the first ends.
 OdometryEdge join(const OdometryEdge& first, const OdometryEdge& second);
+
+/// The edges as the odometry had them; none if no solved motion took a place.
+std::vector<OdometryEdge> measured_edges(const std::vector<OdometryEdge>& edges);
 
 /// Collects frames between two keyframes into an edge.
 class OdometryAccumulator {

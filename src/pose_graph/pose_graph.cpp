@@ -351,8 +351,10 @@ struct PoseGraph::Impl {
     place_segments(&trajectory_);
     const bool is_doubted = effort == Effort::kFull && options_.robust == "gnc";
     if (is_doubted && !loops_.reject_outliers(&trajectory_, &knowledge_)) return false;
+    trajectory_.measured = measured_edges(trajectory_.edges);
     OptimizedTrajectory result =
         optimize_trajectory(trajectory_, options_, knowledge_, is_doubted ? Effort::kSettle : effort);
+    trajectory_.measured.clear();
     if (!result.usable) return false;
     trajectory_.T_map_vertex = std::move(result.T_map_vertex);
     knowledge_ = std::move(result.knowledge);

@@ -138,6 +138,23 @@ TEST_F(RunRecorderTest, WithoutCorrectionsBothTrajectoriesAreTheOdometry) {
   }
 }
 
+TEST_F(RunRecorderTest, FramesThatWereGivenAnEarlierPoseWereOnTheWay) {
+  const auto at = [](double x) { return SE3(Quaternion::Identity(), Vec3(x, 0.0, 0.0)); };
+  for (const double x : {0.0, 0.1, 0.1, 0.1, 0.4}) {
+    Frame frame = make_frame(static_cast<int>(frames_.size()), at(x));
+    if (x == 0.4) frame.held_since_ns = frames_[frames_.size() - 3].stamp_ns;
+    frames_.push_back(frame);
+  }
+  for (std::size_t i = 10; i < frames_.size(); ++i) recorder_->record(frames_[i]);
+  write();
+  const StampedPoses final_poses = poses("trajectory.txt"), live = poses("trajectory_live.txt");
+  ASSERT_EQ(final_poses.size(), 5u);
+  for (std::size_t i = 0; i < 5; ++i) {
+    expect_pose(final_poses[i].T_world_camera, at(0.1 * static_cast<double>(i)));
+    expect_pose(live[i].T_world_camera, frames_[10 + i].T_odom_camera);
+  }
+}
+
 TEST_F(RunRecorderTest, FramesBeyondTheSolutionUseTheLastMapFromOdom) {
   record_frames(true);
   Frame late = make_frame(10, SE3(Quaternion::Identity(), Vec3(1.0, 2.0, 3.0)));

@@ -229,6 +229,24 @@ TEST(Coarsening, JoinedOdometryIsAsUncertainAsItsParts) {
   EXPECT_NEAR(together, apart, 0.02 * apart);
 }
 
+TEST(Coarsening, JoinedOdometryRemembersWhatSolvedMotionsTookThePlaceOf) {
+  SyntheticRun run;
+  std::vector<OdometryEdge> edges = run.edges();
+  EXPECT_TRUE(measured_edges(edges).empty());
+  SolvedMotion motion;
+  motion.T_from_to = edges[11].T_from_to * SE3(Quaternion::Identity(), Vec3(0.1, 0.0, 0.0));
+  motion.path_m = 0.5;
+  for (int i = 0; i < 2; ++i) ASSERT_TRUE(edges[11].refine(motion));
+  const OdometryEdge joined = join(join(edges[10], edges[11]), edges[12]);
+  EXPECT_LT((joined.T_from_to.t - (edges[10].T_from_to * motion.T_from_to * edges[12].T_from_to).t).norm(), 1e-12);
+  const std::vector<OdometryEdge> measured = measured_edges({joined, edges[13]});
+  ASSERT_EQ(measured.size(), 2U);
+  const SE3 T_odom = run.odometry(10).inverse() * run.odometry(13);
+  EXPECT_LT((measured[0].T_from_to.t - T_odom.t).norm(), 1e-12);
+  EXPECT_LT(measured[0].path_m, joined.path_m);
+  EXPECT_EQ(measured[1].T_from_to.t, edges[13].T_from_to.t);
+}
+
 TEST(Coarsening, ALoopMovesWithTheVertexOfItsKeyframe) {
   SyntheticRun run;
   const GraphLoop loop = graph_loop(run.exact_loop(150, 50));

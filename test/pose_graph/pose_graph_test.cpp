@@ -316,6 +316,34 @@ TEST(PoseGraph, SolvedMotionsTakeThePlaceOfTheOdometrys) {
   EXPECT_LT(run.worst_error_m(graph.keyframes()), 1e-6);
 }
 
+/// @param motions that were solved for between all keyframes   @return largest distance from the truth in the end
+double worst_error_with(const SyntheticRun& run, const std::vector<SolvedMotion>& motions,
+                        const std::vector<LoopClosure>& loops) {
+  PoseGraph graph{PoseGraphOptions()};
+  for (int k = 0; k < run.size(); ++k) {
+    graph.process(run.frame(k), loops_at(k, loops));
+    if (k > 0) graph.refine({motions[static_cast<std::size_t>(k - 1)]});
+  }
+  graph.process(run.end_frame(), {});
+  return run.worst_error_m(graph.keyframes());
+}
+
+TEST(PoseGraph, LoopsTellWhetherTheOdometrysOrTheSolvedMotionsAreBetter) {
+  SyntheticRun good, bad;
+  good.drift(0.0005, 0.0002, 1);
+  bad.drift(0.02, 0.01, 2);
+  std::vector<SolvedMotion> right, wrong;
+  for (int k = 1; k < good.size(); ++k) {
+    right.push_back(true_motion(good, k - 1, k));
+    wrong.push_back(right.back());
+    wrong.back().T_from_to = bad.odometry(k - 1).inverse() * bad.odometry(k);
+  }
+  EXPECT_GT(worst_error_with(good, wrong, {}), 0.1) << "none tells";
+  const std::vector<LoopClosure> loops = noisy_loops(good, 3, 2);
+  EXPECT_LT(worst_error_with(good, wrong, loops), 0.03);
+  EXPECT_LT(worst_error_with(bad, right, loops), 0.03);
+}
+
 TEST(PoseGraph, WhatNoNeighboursOrAKnownNoiseTellIsNotReplaced) {
   SyntheticRun run;
   run.drift(0.01, 0.005, 1);

@@ -45,7 +45,10 @@ class TrajectoryOptimizer {
     result_.T_map_vertex = trajectory.T_map_vertex;
     result_.knowledge = knowledge;
     // What is learnt last must not depend on what was believed on the way.
-    if (starts_afresh() && options.estimate_noise) result_.knowledge.noise = {noise_prior(options).least, 1.0, {}};
+    if (starts_afresh() && options.estimate_noise) {
+      result_.knowledge.noise = {noise_prior(options).least, 1.0, {}};
+      result_.knowledge.prefers_measured = false;
+    }
     if (options.robust == "huber") solver_options_.loss = GraphLoss::kHuber;
     if (options.robust == "cauchy") solver_options_.loss = GraphLoss::kCauchy;
     solver_options_.loss_chi2 = options.robust_chi2;
@@ -134,14 +137,33 @@ class TrajectoryOptimizer {
     constexpr std::size_t kManyLoops = 60, kFewLoops = 24;
     const std::size_t max_loops = starts_afresh() ? kManyLoops : kFewLoops;
     const std::vector<GraphLoop> some = some_kept(trajectory_.loops, result_.knowledge.kept, max_loops);
-    InnovationModel model(result_.T_map_vertex, trajectory_.edges, some);
-    NoiseEstimate& noise = result_.knowledge.noise;
-    const int max_new_jumps = starts_afresh() ? kManyJumps : kFewJumps;
+    GraphKnowledge& known = result_.knowledge;
     if (effort_ != Effort::kUpdate) {
-      noise = estimate_noise_and_jumps(&model, noise_prior(options_), noise, max_new_jumps).noise;
+      const int max_new_jumps = starts_afresh() ? kManyJumps : kFewJumps;
+      const auto fit = [&](const std::vector<OdometryEdge>& edges) {
+        InnovationModel model(result_.T_map_vertex, edges, some);
+        return estimate_noise_and_jumps(&model, noise_prior(options_), known.noise, max_new_jumps);
+      };
+      NoiseFit best = fit(trajectory_.edges);
+      known.prefers_measured = false;
+      if (!trajectory_.measured.empty()) {
+        // Log likelihood that they must bring: with few loops either may be more likely by chance.
+        constexpr double kPrice = 5.0;
+        NoiseFit measured = fit(trajectory_.measured);
+        known.prefers_measured = measured.cost + kPrice < best.cost;
+        if (known.prefers_measured) best = std::move(measured);
+      }
+      known.noise = std::move(best.noise);
     }
-    model.set_jumps(noise.jumps);
-    steady_errors_ = model.steady_errors(noise);
+    InnovationModel model(result_.T_map_vertex, motions(), some);
+    model.set_jumps(known.noise.jumps);
+    steady_errors_ = model.steady_errors(known.noise);
+  }
+
+  /// The odometry between the vertices that the solution rests on.
+  const std::vector<OdometryEdge>& motions() const {
+    return result_.knowledge.prefers_measured && !trajectory_.measured.empty() ? trajectory_.measured
+                                                                               : trajectory_.edges;
   }
 
   bool solve() {
@@ -154,7 +176,7 @@ class TrajectoryOptimizer {
   bool has_objects() const {
     if (trajectory_.objects.objects.empty()) return false;
     return options_.objects == "on" || exceeds(result_.knowledge.noise, noise_prior(options_).least) ||
-           std::any_of(trajectory_.edges.begin(), trajectory_.edges.end(),
+           std::any_of(motions().begin(), motions().end(),
                        [](const OdometryEdge& edge) { return edge.frozen_s > 0.0; });
   }
 
@@ -170,15 +192,15 @@ class TrajectoryOptimizer {
 
   std::vector<GraphEdge> graph(const NoiseEstimate& noise, bool only_kept, Steady steady = Steady::kKnown) const {
     std::vector<GraphEdge> edges;
+    const std::vector<OdometryEdge>& motions = this->motions();
     std::vector<Mat6> covariances;
-    for (const OdometryEdge& edge : trajectory_.edges) {
+    for (const OdometryEdge& edge : motions) {
       covariances.push_back(odometry_covariance(edge, noise.odometry));
       if (steady == Steady::kOpen) covariances.back() += steady_covariance(edge, noise.odometry);
     }
     for (const OdometryJump& jump : noise.jumps) covariances[jump.edge] += jump.covariance();
-    for (std::size_t i = 0; i < trajectory_.edges.size(); ++i) {
-      SE3 T_from_to =
-          trajectory_.edges[i].T_from_to * se3_exp(expected_jump(trajectory_.edges[i], noise.odometry)).inverse();
+    for (std::size_t i = 0; i < motions.size(); ++i) {
+      SE3 T_from_to = motions[i].T_from_to * se3_exp(expected_jump(motions[i], noise.odometry)).inverse();
       if (!steady_errors_.empty()) T_from_to = T_from_to * se3_exp(steady_errors_[i]);
       edges.push_back({static_cast<int>(i), static_cast<int>(i) + 1, T_from_to, square_root_information(covariances[i]),
                        1.0, false});

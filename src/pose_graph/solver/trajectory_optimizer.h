@@ -15,6 +15,8 @@ namespace semantic_topo_loop::core {
 struct Trajectory {
   std::vector<SE3> T_map_vertex;
   std::vector<OdometryEdge> edges;
+  /// Other motions, which take the places of `edges` in the solution if the loops bear them out better; or none.
+  std::vector<OdometryEdge> measured;
   std::vector<GraphLoop> loops;
   std::vector<bool> votes;  ///< one a loop: whether it counts, see LoopConsistency; empty: all do
   GraphObjects objects;     ///< take part in the last solve, once loops and odometry have been settled
@@ -23,7 +25,8 @@ struct Trajectory {
 /// What an optimisation found out, the warm start of the next one.
 struct GraphKnowledge {
   NoiseEstimate noise;
-  double loose_factor = 0.0;  ///< on the least noise, at which loops are classified; 0: not known yet
+  bool prefers_measured = false;  ///< whether Trajectory::measured are the better motions
+  double loose_factor = 0.0;      ///< on the least noise, at which loops are classified; 0: not known yet
   std::vector<bool> kept;     ///< one a loop; loops beyond its end are new
 };
 
