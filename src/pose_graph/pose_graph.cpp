@@ -351,7 +351,8 @@ struct PoseGraph::Impl {
     place_segments(&trajectory_);
     const bool is_doubted = effort == Effort::kFull && options_.robust == "gnc";
     if (is_doubted && !loops_.reject_outliers(&trajectory_, &knowledge_)) return false;
-    trajectory_.measured = measured_edges(trajectory_.edges);
+    const bool asks_measured = effort == Effort::kFull || knowledge_.prefers_measured;
+    if (asks_measured) trajectory_.measured = measured_edges(trajectory_.edges);
     OptimizedTrajectory result =
         optimize_trajectory(trajectory_, options_, knowledge_, is_doubted ? Effort::kSettle : effort);
     trajectory_.measured.clear();

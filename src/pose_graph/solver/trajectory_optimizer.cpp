@@ -144,9 +144,8 @@ class TrajectoryOptimizer {
         InnovationModel model(result_.T_map_vertex, edges, some);
         return estimate_noise_and_jumps(&model, noise_prior(options_), known.noise, max_new_jumps);
       };
-      NoiseFit best = fit(trajectory_.edges);
-      known.prefers_measured = false;
-      if (!trajectory_.measured.empty()) {
+      NoiseFit best = fit(motions());
+      if (starts_afresh() && !trajectory_.measured.empty()) {
         // Log likelihood that they must bring: with few loops either may be more likely by chance.
         constexpr double kPrice = 5.0;
         NoiseFit measured = fit(trajectory_.measured);

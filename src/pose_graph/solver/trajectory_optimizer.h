@@ -15,7 +15,8 @@ namespace semantic_topo_loop::core {
 struct Trajectory {
   std::vector<SE3> T_map_vertex;
   std::vector<OdometryEdge> edges;
-  /// Other motions, which take the places of `edges` in the solution if the loops bear them out better; or none.
+  /// Other motions, which take the places of `edges` in the solution if the loops bear them out better, as one that
+  /// starts afresh finds out; or none.
   std::vector<OdometryEdge> measured;
   std::vector<GraphLoop> loops;
   std::vector<bool> votes;  ///< one a loop: whether it counts, see LoopConsistency; empty: all do
@@ -27,7 +28,7 @@ struct GraphKnowledge {
   NoiseEstimate noise;
   bool prefers_measured = false;  ///< whether Trajectory::measured are the better motions
   double loose_factor = 0.0;      ///< on the least noise, at which loops are classified; 0: not known yet
-  std::vector<bool> kept;     ///< one a loop; loops beyond its end are new
+  std::vector<bool> kept;         ///< one a loop; loops beyond its end are new
 };
 
 struct OptimizedTrajectory {
