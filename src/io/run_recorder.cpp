@@ -20,7 +20,7 @@
 #include "io/csv.h"
 #include "io/process_memory.h"
 #include "loop/graph/relocalisation.h"
-#include "semantic_topo_loop/geometry/lie.h"
+#include "odometry/held_poses.h"
 #include "semantic_topo_loop/io/run_files.h"
 #include "semantic_topo_loop/io/text_file.h"
 #include "semantic_topo_loop/io/tum_trajectory.h"
@@ -221,7 +221,10 @@ class FileRecorder : public RunRecorder {
 
   void record(const Frame& frame) override {
     if (frame.is_end) return;
-    if (frame.held_since_ns) spread_motion(frame);
+    for (auto& [frame_id, open] : open_) {
+      if (!frame.held_since_ns) break;
+      if (open.place) open.place->set_pose(pose_on_the_way(open.place->stamp_ns, open.place->T_odom_camera(), frame));
+    }
     open_[frame.frame_id].place = FramePlace(frame);
     open_[frame.frame_id].T_odom_live = frame.T_odom_camera;
     open_[frame.frame_id].is_break = frame.is_break;
@@ -342,16 +345,6 @@ class FileRecorder : public RunRecorder {
   }
 
  private:
-  /// Frames that were given an earlier one's pose were on the way from there.
-  void spread_motion(const Frame& frame) {
-    for (auto& [frame_id, open] : open_) {
-      if (!open.place || frame_id >= frame.frame_id || open.place->stamp_ns <= *frame.held_since_ns) continue;
-      const double share = static_cast<double>(open.place->stamp_ns - *frame.held_since_ns) /
-                           static_cast<double>(frame.stamp_ns - *frame.held_since_ns);
-      open.place->set_pose(interpolate(open.T_odom_live, frame.T_odom_camera, share));
-    }
-  }
-
   /// The frame's rows.   @param T_map_odom before its own correction, what a live user had; then after it
   Rows rows_of(std::int64_t frame_id, const OpenFrame& frame, SE3* T_map_odom) const {
     Rows rows;

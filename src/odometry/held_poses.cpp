@@ -20,11 +20,19 @@ double seconds(std::int64_t begin_ns, std::int64_t end_ns) { return 1e-9 * stati
 
 }  // namespace
 
+SE3 pose_on_the_way(std::int64_t stamp_ns, const SE3& T_odom_camera, const Frame& later) {
+  if (!later.held_since_ns || stamp_ns <= *later.held_since_ns || stamp_ns >= later.stamp_ns) return T_odom_camera;
+  // Messages may hold any stamp: unsigned differences do not overflow.
+  const auto since_held = [&later](std::int64_t stamp) {
+    return static_cast<double>(static_cast<std::uint64_t>(stamp) - static_cast<std::uint64_t>(*later.held_since_ns));
+  };
+  return interpolate(T_odom_camera, later.T_odom_camera, since_held(stamp_ns) / since_held(later.stamp_ns));
+}
+
 bool HeldPoses::is_held(const SE3& T_odom_camera) {
   constexpr std::size_t kRemembered = 20;  // poses
-  constexpr std::size_t kStanding =
-      30;                           // images: a second and more, in which the camera stood or the odometry was lost
-  constexpr std::size_t kLate = 2;  // times what is usual
+  constexpr std::size_t kStanding = 30;    // images: for as many the camera stood, or the odometry was lost
+  constexpr std::size_t kLate = 2;         // times what is usual
   if (!image_ || !is_same(image_->T_odom_camera, T_odom_camera)) {
     if (image_ && image_->repeated < kStanding) repeated_.push_back(image_->repeated);
     if (repeated_.size() > kRemembered) repeated_.pop_front();
@@ -45,10 +53,10 @@ std::optional<std::int64_t> HeldPoses::caught_up_since_ns(std::int64_t stamp_ns,
   constexpr double kSudden = 3.0;  // times the fastest of late: a hand's or robot's next motion is not
   constexpr double kLeast_m = 0.03, kLeast_rad = 0.03;
   constexpr Speed kSlowest{0, 0.1, 0.2};  // a camera that stood may move so at once
-  const std::optional<Frame> last = std::exchange(frame_, Frame{stamp_ns, T_odom_camera, stamp_ns});
+  const std::optional<Pose> last = std::exchange(last_, Pose{stamp_ns, T_odom_camera, stamp_ns});
   if (!last || stamp_ns <= last->stamp_ns) return std::nullopt;
   if (is_same(last->T_odom_camera, T_odom_camera)) {
-    frame_->since_ns = last->since_ns;
+    last_->since_ns = last->since_ns;
     return std::nullopt;
   }
   Speed fastest = kSlowest;

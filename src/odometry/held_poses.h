@@ -4,12 +4,17 @@
 #include <deque>
 #include <optional>
 
-#include "semantic_topo_loop/types/transform.h"
+#include "semantic_topo_loop/types/frame.h"
 
 namespace semantic_topo_loop::core {
 
-/// Poses that are the last one again. An odometry slower than the images gives its last pose until it has a
-/// new one; one that has lost track does so until it finds its way again, and may then know what it missed.
+/// Where a frame was that had been given an earlier one's pose, once a later one has caught up: on the way between
+/// them.
+/// @param T_odom_camera as given   @return the same for a frame that is not between them
+SE3 pose_on_the_way(std::int64_t stamp_ns, const SE3& T_odom_camera, const Frame& later);
+
+/// Poses that are the last one again. An odometry slower than the images gives its last pose until it has a new one;
+/// one that has lost track does so until it finds its way again, and may then know what it missed.
 class HeldPoses {
  public:
   /// Call it once an image, in order.
@@ -34,12 +39,12 @@ class HeldPoses {
   std::optional<Image> image_;
   std::deque<std::size_t> repeated_;  ///< images that repeated a pose, of the last poses
 
-  struct Frame {
+  struct Pose {
     std::int64_t stamp_ns = 0;
     SE3 T_odom_camera;
-    std::int64_t since_ns = 0;  ///< stamp of the first frame with its pose
+    std::int64_t since_ns = 0;  ///< stamp of the first frame with this pose
   };
-  std::optional<Frame> frame_;
+  std::optional<Pose> last_;
   std::deque<Speed> speeds_;  ///< of the last motions
 };
 

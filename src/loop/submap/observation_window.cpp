@@ -7,7 +7,7 @@
 
 #include "geometry/depth_points.h"
 #include "geometry/statistics.h"
-#include "semantic_topo_loop/geometry/lie.h"
+#include "odometry/held_poses.h"
 
 namespace semantic_topo_loop::core {
 namespace {
@@ -108,7 +108,7 @@ bool ObservationWindow::push(const Frame& frame, const AssociationFrame& associa
     frames_.clear();
     tracker_.clear();
   }
-  if (frame.held_since_ns) spread_motion(frame);
+  for (ObservedFrame& f : frames_) f.T_odom_camera = pose_on_the_way(f.stamp_ns, f.T_odom_camera, frame);
   if (associations.unanswered) return false;
   ObservedFrame observed = observe(frame, associations);
   const bool sampled = frames_.empty() || frame.stamp_ns - last_sampled_ns_ >= interval_ns_;
@@ -121,19 +121,6 @@ bool ObservationWindow::push(const Frame& frame, const AssociationFrame& associa
   if (taken) frames_.push_back(std::move(observed));
   while (!frames_.empty() && frame.stamp_ns - frames_.front().stamp_ns > span_ns_) frames_.pop_front();
   return taken;
-}
-
-/// Frames that were given an earlier one's pose were on the way from there.
-void ObservationWindow::spread_motion(const Frame& frame) {
-  const auto held = std::find_if(frames_.begin(), frames_.end(),
-                                 [&frame](const ObservedFrame& f) { return f.stamp_ns >= *frame.held_since_ns; });
-  if (held == frames_.end()) return;
-  const SE3 from = held->T_odom_camera;
-  const auto duration = static_cast<double>(frame.stamp_ns - *frame.held_since_ns);
-  for (auto f = held; f != frames_.end(); ++f) {
-    const auto elapsed = static_cast<double>(f->stamp_ns - *frame.held_since_ns);
-    f->T_odom_camera = interpolate(from, frame.T_odom_camera, elapsed / duration);
-  }
 }
 
 void ObservationWindow::set_span(double span_s) { span_ns_ = std::llround(1e9 * span_s); }

@@ -76,7 +76,6 @@ class ObservationWindow {
   const std::deque<ObservedFrame>& frames() const { return frames_; }
 
  private:
-  void spread_motion(const Frame& frame);
   ObservedFrame observe(const Frame& frame, const AssociationFrame& associations);
 
   std::int64_t span_ns_, interval_ns_;
