@@ -4,6 +4,7 @@
 
 #include <algorithm>
 #include <functional>
+#include <limits>
 #include <optional>
 #include <vector>
 
@@ -91,6 +92,24 @@ TEST(HeldPoses, AJumpIsNoWay) {
   EXPECT_FALSE(after_standing(90, way)) << "lost for three seconds";
   EXPECT_FALSE(after_standing(0, [](double s) { return way(s) * SE3(Quaternion::Identity(), Vec3(0.05, 0.0, 0.0)); }))
       << "it did not stand";
+}
+
+TEST(HeldPoses, FramesBetweenWereOnTheWayAndOthersWhereTheyWere) {
+  Frame later;
+  later.stamp_ns = 5 * kInterval_ns;
+  later.T_odom_camera.t = Vec3(1.0, 0.0, 0.0);
+  EXPECT_EQ(pose_on_the_way(3 * kInterval_ns, SE3(), later).t, Vec3::Zero()) << "nothing was held";
+  later.held_since_ns = kInterval_ns;
+  for (int i = 0; i < 8; ++i) {
+    const double x = pose_on_the_way(i * kInterval_ns, SE3(), later).t.x();
+    EXPECT_NEAR(x, i > 0 && i < 5 ? 0.25 * (i - 1) : 0.0, 1e-12) << i;
+  }
+  constexpr auto kLeast = std::numeric_limits<std::int64_t>::min(), kMost = std::numeric_limits<std::int64_t>::max();
+  later.held_since_ns = kLeast;
+  later.stamp_ns = kMost;
+  EXPECT_NEAR(pose_on_the_way(0, SE3(), later).t.x(), 0.5, 1e-12);
+  later.held_since_ns = kMost;
+  EXPECT_EQ(pose_on_the_way(0, SE3(), later).t, Vec3::Zero());
 }
 
 TEST(HeldPoses, StampsThatDoNotRiseAreNoMotion) {
