@@ -27,9 +27,6 @@ namespace {
 constexpr std::int64_t kSettle_ns = 300'000'000;  ///< a jump may take several frames
 /// A frozen odometry that goes on stands out as a burst does, which is told at most so much later.
 constexpr std::int64_t kResume_ns = 1'500'000'000;
-/// Where the last attempt found loops and the odometry is good, the views until the next keyframe say the same. One
-/// that had a fault is not taken for good so soon after.
-constexpr std::int64_t kFaultMemory_ns = 60'000'000'000;
 constexpr std::size_t kRecordCapacity = 20'000;  ///< decisions that are explained without a new comparison: some 6 MB
 
 }  // namespace
@@ -85,7 +82,7 @@ struct LoopDetector::Impl {
   }
 
   std::vector<LoopClosure> detect_by_objects(const Frame& frame, const AssociationFrame& associations) {
-    if (frame.is_break) begin_segment(frame.stamp_ns);
+    if (frame.is_break) begin_segment();
     if (frame.stamp_ns < settled_ns_) return {};
     const bool taken = window_.push(frame, associations);
     up_.push(frame);
@@ -94,8 +91,6 @@ struct LoopDetector::Impl {
     const std::optional<std::size_t> anchor = middle_keyframe(window_.frames());
     if (!anchor) return {};
     const std::deque<ObservedFrame> window = paper_mode_ ? window_.frames() : solver_.solve(window_.frames(), *anchor);
-    const auto is_frozen = [](const ObservedFrame& observed) { return observed.frozen_s > 0.0; };
-    if (std::any_of(window.begin(), window.end(), is_frozen)) fault_ns_ = frame.stamp_ns;
     if (!paper_mode_ && options_.enabled) tell_motions(window, window[*anchor].keyframe_id);
     std::optional<LocalMap> map = build_local_map(window, redirects_, up_, options_);
     if (!map) return {};
@@ -110,7 +105,6 @@ struct LoopDetector::Impl {
     std::vector<LoopClosure> loops;
     if (options_.enabled) {
       loops = graph_.detect(*map);
-      has_loops_ = std::any_of(loops.begin(), loops.end(), [](const LoopClosure& loop) { return loop.accepted; });
       record_.add(loops);
       if (earlier_) {
         for (LoopClosure& loop : earlier_->detect(*map)) {
@@ -262,16 +256,13 @@ struct LoopDetector::Impl {
   /// Loops are looked for between keyframes too: a camera that hardly moves makes few of them, but every view of
   /// a known place shall be recognised at once.
   bool is_due(const Frame& frame) {
-    const bool has_waited = frame.stamp_ns - last_attempt_ns_ >= std::llround(1e9 * options_.attempt_interval_s);
-    const bool is_faulty = fault_ns_ && frame.stamp_ns - *fault_ns_ < kFaultMemory_ns;
-    const bool is_settled = has_loops_ && !is_faulty && solver_.is_odometry_good();
-    if (!frame.is_keyframe && (!has_waited || is_settled)) return false;
+    const bool waited = frame.stamp_ns - last_attempt_ns_ >= std::llround(1e9 * options_.attempt_interval_s);
+    if (!frame.is_keyframe && !waited) return false;
     last_attempt_ns_ = frame.stamp_ns;
     return true;
   }
 
-  void begin_segment(std::int64_t stamp_ns) {
-    fault_ns_ = stamp_ns;
+  void begin_segment() {
     monitor_.restart();
     relocaliser_.restart();
     settled_ns_ = 0;
@@ -284,7 +275,6 @@ struct LoopDetector::Impl {
     const bool has_burst = bursts_.push(frame);
     const bool has_shift = taken && !window_.frames().empty() && monitor_.push(window_.frames().back());
     if (has_burst || has_shift) {
-      fault_ns_ = frame.stamp_ns;
       monitor_.restart();
       // What a frozen odometry missed is solved for.
       const std::optional<std::int64_t> frozen_ns = last_frozen_ns(window_.frames());
@@ -323,9 +313,7 @@ struct LoopDetector::Impl {
   PairRecord record_{kRecordCapacity};
   std::map<std::int64_t, KeyframeTime> keyframes_;
   bool is_fixed_ = false;
-  bool has_loops_ = false;                ///< accepted ones of the last attempt
-  std::optional<std::int64_t> fault_ns_;  ///< stamp of the odometry's last break, jump or freeze
-  std::set<std::int64_t> told_submaps_;   ///< frame_ids of those that take_delta told of
+  std::set<std::int64_t> told_submaps_;  ///< frame_ids of those that take_delta told of
 };
 
 LoopDetector::LoopDetector(const LoopOptions& options, std::shared_ptr<const ClassTable> classes)

@@ -524,12 +524,6 @@ WindowNoise WindowSolver::noise() const {
   return noise;
 }
 
-bool WindowSolver::is_odometry_good() const {
-  constexpr double kFactor = 1.2;  // beside which those of drifted recordings are 1.4 and more, in step or drift
-  const WindowNoise noise = this->noise();
-  return std::max(noise.step_m, noise.drift_mps) < kFactor * kLeast_m;
-}
-
 std::optional<double> WindowSolver::span_s(double sigma_rad) const {
   if (!(evidence_.doubt_radps > 0.0)) return std::nullopt;
   return 2.0 * sigma_rad / evidence_.doubt_radps;

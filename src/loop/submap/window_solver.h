@@ -40,8 +40,6 @@ class WindowSolver {
   /// @return the same frames at the poses found; as they are if they are few, or not in order of time
   std::deque<ObservedFrame> solve(std::deque<ObservedFrame> window, std::size_t anchor);
   WindowNoise noise() const;
-  /// Whether the odometry is off by no more than any is taken to be at least.
-  bool is_odometry_good() const;
   /// How long a window may be for the orientation at its ends, seen from the middle, to be known to a sigma (rad).
   /// @return nullopt before anything is learnt
   std::optional<double> span_s(double sigma_rad) const;
