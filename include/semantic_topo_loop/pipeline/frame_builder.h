@@ -40,7 +40,8 @@ class FrameBuilder {
   FrameBuilder(const KeyframeOptions& options, const Camera& camera);
 
   /// Call it once an image, before `build`.
-  /// @return true if the image is best left out: the odometry is slower than the images, and this is its last pose again
+  /// @return true if the image is best left out: the odometry is slower than the images, and this is its last pose
+  /// again
   bool is_held(const PoseSample& sample);
   /// @return an error, with the field and value, for a non-finite pose or a stamp not after the last one
   Result<Frame> build(const PoseSample& sample);
