@@ -221,9 +221,10 @@ class FileRecorder : public RunRecorder {
 
   void record(const Frame& frame) override {
     if (frame.is_end) return;
-    for (auto& [frame_id, open] : open_) {
-      if (!frame.held_since_ns) break;
-      if (open.place) open.place->set_pose(pose_on_the_way(open.place->stamp_ns, open.place->T_odom_camera(), frame));
+    if (frame.held_since_ns) {
+      for (auto& [frame_id, open] : open_) {
+        if (open.place) open.place->set_pose(pose_on_the_way(open.place->stamp_ns, open.place->T_odom_camera(), frame));
+      }
     }
     open_[frame.frame_id].place = FramePlace(frame);
     open_[frame.frame_id].T_odom_live = frame.T_odom_camera;

@@ -29,14 +29,14 @@ SE3 pose_on_the_way(std::int64_t stamp_ns, const SE3& T_odom_camera, const Frame
   return interpolate(T_odom_camera, later.T_odom_camera, since_held(stamp_ns) / since_held(later.stamp_ns));
 }
 
-bool HeldPoses::is_held(const SE3& T_odom_camera) {
+bool HeldPoses::is_held(std::int64_t stamp_ns, const SE3& T_odom_camera) {
   constexpr std::size_t kRemembered = 20;  // poses
-  constexpr std::size_t kStanding = 30;    // images: for as many the camera stood, or the odometry was lost
+  constexpr double kStanding_s = 1.0;      // for so long the camera stood, or the odometry was lost
   constexpr std::size_t kLate = 2;         // times what is usual
   if (!image_ || !is_same(image_->T_odom_camera, T_odom_camera)) {
-    if (image_ && image_->repeated < kStanding) repeated_.push_back(image_->repeated);
+    if (image_ && seconds(image_->since_ns, stamp_ns) < kStanding_s) repeated_.push_back(image_->repeated);
     if (repeated_.size() > kRemembered) repeated_.pop_front();
-    image_ = {T_odom_camera, 0};
+    image_ = {T_odom_camera, stamp_ns, 0};
     return false;
   }
   ++image_->repeated;

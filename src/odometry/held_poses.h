@@ -19,7 +19,7 @@ class HeldPoses {
  public:
   /// Call it once an image, in order.
   /// @return true if the pose is where the camera was: new ones usually come every few images, and none is overdue
-  bool is_held(const SE3& T_odom_camera);
+  bool is_held(std::int64_t stamp_ns, const SE3& T_odom_camera);
 
   /// Call it once a frame, in order.
   /// @return stamp of the frame whose pose those before this one were given too, if the odometry has caught up since: a
@@ -34,7 +34,8 @@ class HeldPoses {
   };
   struct Image {
     SE3 T_odom_camera;
-    std::size_t repeated = 0;  ///< images before it with the same pose
+    std::int64_t since_ns = 0;  ///< stamp of the first image with this pose
+    std::size_t repeated = 0;   ///< images since then
   };
   std::optional<Image> image_;
   std::deque<std::size_t> repeated_;  ///< images that repeated a pose, of the last poses

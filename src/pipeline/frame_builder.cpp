@@ -8,7 +8,9 @@ namespace semantic_topo_loop::core {
 FrameBuilder::FrameBuilder(const KeyframeOptions& options, const Camera& camera)
     : options_(options), camera_(camera), held_poses_(std::make_shared<HeldPoses>()) {}
 
-bool FrameBuilder::is_held(const PoseSample& sample) { return held_poses_->is_held(sample.T_odom_camera); }
+bool FrameBuilder::is_held(const PoseSample& sample) {
+  return held_poses_->is_held(sample.stamp_ns, sample.T_odom_camera);
+}
 
 Result<Frame> FrameBuilder::build(const PoseSample& sample) {
   if (!sample.T_odom_camera.is_finite()) {

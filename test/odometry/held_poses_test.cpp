@@ -24,7 +24,7 @@ double seconds(int image) { return 1e-9 * static_cast<double>(image * kInterval_
 std::vector<bool> held_images(int images, const std::function<int(int)>& pose_of) {
   HeldPoses poses;
   std::vector<bool> held;
-  for (int i = 0; i < images; ++i) held.push_back(poses.is_held(way(seconds(pose_of(i)))));
+  for (int i = 0; i < images; ++i) held.push_back(poses.is_held(i * kInterval_ns, way(seconds(pose_of(i)))));
   return held;
 }
 
@@ -39,7 +39,7 @@ TEST(HeldPoses, RoundingMakesNoNewPose) {
   for (int i = 0; i < 300; ++i) {
     SE3 pose = way(seconds(i / 6 * 6));
     pose.t += 1e-15 * random.normal3();
-    const bool is_held = poses.is_held(pose);
+    const bool is_held = poses.is_held(i * kInterval_ns, pose);
     if (i >= 12) {
       EXPECT_EQ(is_held, i % 6 != 0) << i;
     }

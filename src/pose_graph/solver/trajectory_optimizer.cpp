@@ -138,23 +138,26 @@ class TrajectoryOptimizer {
     const std::size_t max_loops = starts_afresh() ? kManyLoops : kFewLoops;
     const std::vector<GraphLoop> some = some_kept(trajectory_.loops, result_.knowledge.kept, max_loops);
     GraphKnowledge& known = result_.knowledge;
+    InnovationModel model(result_.T_map_vertex, motions(), some);
     if (effort_ != Effort::kUpdate) {
       const int max_new_jumps = starts_afresh() ? kManyJumps : kFewJumps;
-      const auto fit = [&](const std::vector<OdometryEdge>& edges) {
-        InnovationModel model(result_.T_map_vertex, edges, some);
-        return estimate_noise_and_jumps(&model, noise_prior(options_), known.noise, max_new_jumps);
+      const auto fit = [&](InnovationModel* to) {
+        return estimate_noise_and_jumps(to, noise_prior(options_), known.noise, max_new_jumps);
       };
-      NoiseFit best = fit(motions());
+      NoiseFit best = fit(&model);
       if (starts_afresh() && !trajectory_.measured.empty()) {
         // Log likelihood that they must bring: with few loops either may be more likely by chance.
         constexpr double kPrice = 5.0;
-        NoiseFit measured = fit(trajectory_.measured);
+        InnovationModel other(result_.T_map_vertex, trajectory_.measured, some);
+        NoiseFit measured = fit(&other);
         known.prefers_measured = measured.cost + kPrice < best.cost;
-        if (known.prefers_measured) best = std::move(measured);
+        if (known.prefers_measured) {
+          best = std::move(measured);
+          model = std::move(other);
+        }
       }
       known.noise = std::move(best.noise);
     }
-    InnovationModel model(result_.T_map_vertex, motions(), some);
     model.set_jumps(known.noise.jumps);
     steady_errors_ = model.steady_errors(known.noise);
   }
