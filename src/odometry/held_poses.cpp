@@ -47,17 +47,17 @@ bool HeldPoses::is_held(std::int64_t stamp_ns, const SE3& T_odom_camera) {
   return image_->repeated <= kLate * *usual;
 }
 
-std::optional<std::int64_t> HeldPoses::caught_up_since_ns(std::int64_t stamp_ns, const SE3& T_odom_camera) {
+HeldPoses::Motion HeldPoses::move(std::int64_t stamp_ns, const SE3& T_odom_camera) {
   constexpr double kLongest_s = 2.0;  // who was lost for longer knows the way by chance at most
   constexpr double kRecent_s = 1.0;
   constexpr double kSudden = 3.0;  // times the fastest of late: a hand's or robot's next motion is not
   constexpr double kLeast_m = 0.03, kLeast_rad = 0.03;
   constexpr Speed kSlowest{0, 0.1, 0.2};  // a camera that stood may move so at once
   const std::optional<Pose> last = std::exchange(last_, Pose{stamp_ns, T_odom_camera, stamp_ns});
-  if (!last || stamp_ns <= last->stamp_ns) return std::nullopt;
+  if (!last || stamp_ns <= last->stamp_ns) return {};
   if (is_same(last->T_odom_camera, T_odom_camera)) {
     last_->since_ns = last->since_ns;
-    return std::nullopt;
+    return {};
   }
   Speed fastest = kSlowest;
   for (const Speed& speed : speeds_) {
@@ -70,13 +70,14 @@ std::optional<std::int64_t> HeldPoses::caught_up_since_ns(std::int64_t stamp_ns,
   const double limit_mps = kSudden * fastest.translation_mps, limit_radps = kSudden * fastest.rotation_radps;
   const bool is_sudden =
       distance_m > std::max(kLeast_m, limit_mps * frame_s) || angle_rad > std::max(kLeast_rad, limit_radps * frame_s);
-  const bool is_way = distance_m < limit_mps * stood_s && angle_rad < limit_radps * stood_s;
-  const bool has_stood = last->since_ns < last->stamp_ns && stood_s < kLongest_s;
-  const bool has_caught_up = has_stood && is_sudden && is_way;
+  Motion motion;
+  motion.is_way = stood_s < kLongest_s && distance_m < limit_mps * stood_s && angle_rad < limit_radps * stood_s;
+  const bool has_caught_up = last->since_ns < last->stamp_ns && is_sudden && motion.is_way;
   const double time_s = has_caught_up ? stood_s : frame_s;
   while (!speeds_.empty() && seconds(speeds_.front().stamp_ns, stamp_ns) > kRecent_s + stood_s) speeds_.pop_front();
   speeds_.push_back({stamp_ns, distance_m / time_s, angle_rad / time_s});
-  return has_caught_up ? std::optional(last->since_ns) : std::nullopt;
+  if (has_caught_up) motion.caught_up_since_ns = last->since_ns;
+  return motion;
 }
 
 }  // namespace semantic_topo_loop::core

@@ -21,11 +21,15 @@ class HeldPoses {
   /// @return true if the pose is where the camera was: new ones usually come every few images, and none is overdue
   bool is_held(std::int64_t stamp_ns, const SE3& T_odom_camera);
 
-  /// Call it once a frame, in order.
-  /// @return stamp of the frame whose pose those before this one were given too, if the odometry has caught up since: a
-  /// motion too sudden for one frame, and none for the time that it stood. nullopt if it did not stand, or goes on from
-  /// there.
-  std::optional<std::int64_t> caught_up_since_ns(std::int64_t stamp_ns, const SE3& T_odom_camera);
+  struct Motion {
+    /// Stamp of the frame whose pose those before this one were given too, if the odometry has caught up since: a
+    /// motion too sudden for one frame, and none for the time that it stood. nullopt if it did not stand, or goes on
+    /// from there.
+    std::optional<std::int64_t> caught_up_since_ns;
+    bool is_way = false;  ///< no more than a camera does in the time since the pose before, which is not long ago
+  };
+  /// Call it once a frame, in order.   @return how the odometry came to its pose
+  Motion move(std::int64_t stamp_ns, const SE3& T_odom_camera);
 
  private:
   struct Speed {

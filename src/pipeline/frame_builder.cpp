@@ -29,7 +29,8 @@ Result<Frame> FrameBuilder::build(const PoseSample& sample) {
   frame.points_camera = sample.points_camera;
   frame.camera = camera_;
 
-  frame.held_since_ns = held_poses_->caught_up_since_ns(sample.stamp_ns, sample.T_odom_camera);
+  const HeldPoses::Motion motion = held_poses_->move(sample.stamp_ns, sample.T_odom_camera);
+  frame.held_since_ns = motion.caught_up_since_ns;
   frame.is_break = sample.is_break;
   if (last_) {
     const auto since_s = [&sample](std::int64_t stamp_ns) {
@@ -38,8 +39,9 @@ Result<Frame> FrameBuilder::build(const PoseSample& sample) {
     const double moved_s = since_s(frame.held_since_ns.value_or(last_->stamp_ns));
     const double distance_m = (sample.T_odom_camera.t - last_->T_odom_camera.t).norm();
     const double angle_deg = degrees(rotation_angle(sample.T_odom_camera.q, last_->T_odom_camera.q));
-    frame.is_break = frame.is_break || since_s(last_->stamp_ns) > options_.break_gap_s ||
-                     distance_m > options_.break_speed_m_s * moved_s || angle_deg > options_.break_rate_deg_s * moved_s;
+    const bool has_gap = since_s(last_->stamp_ns) > options_.break_gap_s && !motion.is_way;
+    frame.is_break = frame.is_break || has_gap || distance_m > options_.break_speed_m_s * moved_s ||
+                     angle_deg > options_.break_rate_deg_s * moved_s;
   }
   frame.is_keyframe = !last_keyframe_ || frame.is_break;
   if (!frame.is_keyframe) {

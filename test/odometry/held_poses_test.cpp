@@ -3,6 +3,8 @@
 #include <gtest/gtest.h>
 
 #include <algorithm>
+#include <cmath>
+#include <cstdint>
 #include <functional>
 #include <limits>
 #include <optional>
@@ -63,13 +65,13 @@ std::optional<std::int64_t> after_standing(int stood, const std::function<SE3(do
   constexpr int kMoving = 60;
   HeldPoses poses;
   for (int i = 0; i <= kMoving + stood; ++i) {
-    const auto since = poses.caught_up_since_ns(i * kInterval_ns, way(seconds(std::min(i, kMoving))));
+    const auto since = poses.move(i * kInterval_ns, way(seconds(std::min(i, kMoving)))).caught_up_since_ns;
     EXPECT_FALSE(since) << i;
   }
   const int next = kMoving + stood + 1;
-  const auto since_ns = poses.caught_up_since_ns(next * kInterval_ns, end(seconds(next)));
+  const auto since_ns = poses.move(next * kInterval_ns, end(seconds(next))).caught_up_since_ns;
   EXPECT_EQ(since_ns.value_or(kMoving * kInterval_ns), kMoving * kInterval_ns);
-  EXPECT_FALSE(poses.caught_up_since_ns((next + 1) * kInterval_ns, end(seconds(next + 1)))) << "once";
+  EXPECT_FALSE(poses.move((next + 1) * kInterval_ns, end(seconds(next + 1))).caught_up_since_ns) << "once";
   return since_ns;
 }
 
@@ -94,6 +96,23 @@ TEST(HeldPoses, AJumpIsNoWay) {
       << "it did not stand";
 }
 
+TEST(HeldPoses, OverAGapTheWayGoesOn) {
+  const auto after = [](double gap_s, const std::function<SE3(double)>& end) {
+    constexpr int kMoving = 60;
+    HeldPoses poses;
+    for (int i = 0; i <= kMoving; ++i) poses.move(i * kInterval_ns, way(seconds(i)));
+    const std::int64_t gap_ns = std::llround(1e9 * gap_s);
+    return poses.move(kMoving * kInterval_ns + gap_ns, end(seconds(kMoving) + gap_s));
+  };
+  for (const double gap_s : {0.5, 1.2, 1.9}) {
+    EXPECT_TRUE(after(gap_s, way).is_way) << gap_s;
+    EXPECT_FALSE(after(gap_s, way).caught_up_since_ns) << gap_s;
+    EXPECT_FALSE(after(gap_s, [](double) { return SE3(Quaternion::Identity(), Vec3(0.0, 0.0, 5.0)); }).is_way) << gap_s;
+    EXPECT_FALSE(after(gap_s, [](double) { return way(seconds(60)); }).is_way) << gap_s << ": it may have stood";
+  }
+  EXPECT_FALSE(after(2.5, way).is_way);
+}
+
 TEST(HeldPoses, FramesBetweenWereOnTheWayAndOthersWhereTheyWere) {
   Frame later;
   later.stamp_ns = 5 * kInterval_ns;
@@ -114,10 +133,10 @@ TEST(HeldPoses, FramesBetweenWereOnTheWayAndOthersWhereTheyWere) {
 
 TEST(HeldPoses, StampsThatDoNotRiseAreNoMotion) {
   HeldPoses poses;
-  EXPECT_FALSE(poses.caught_up_since_ns(kInterval_ns, way(0.0)));
-  EXPECT_FALSE(poses.caught_up_since_ns(2 * kInterval_ns, way(0.0)));
-  EXPECT_FALSE(poses.caught_up_since_ns(0, way(1.0)));
-  EXPECT_FALSE(poses.caught_up_since_ns(0, way(2.0)));
+  EXPECT_FALSE(poses.move(kInterval_ns, way(0.0)).caught_up_since_ns);
+  EXPECT_FALSE(poses.move(2 * kInterval_ns, way(0.0)).caught_up_since_ns);
+  EXPECT_FALSE(poses.move(0, way(1.0)).caught_up_since_ns);
+  EXPECT_FALSE(poses.move(0, way(2.0)).caught_up_since_ns);
 }
 
 }  // namespace

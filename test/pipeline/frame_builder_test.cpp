@@ -69,6 +69,12 @@ TEST_F(FrameBuilderTest, JumpOfTheOdometryAndAGapAreBreaks) {
   EXPECT_FALSE(builder_.end().is_break);
 }
 
+TEST_F(FrameBuilderTest, AGapThatTheOdometryGoesOnOverIsNoBreak) {
+  for (int i = 0; i < 30; ++i) ASSERT_TRUE(build(Vec3(0.01 * i, 0.0, 0.0)));
+  EXPECT_FALSE(build(Vec3(0.75, 0.0, 0.0), 0.0, 1'500'000'000)->is_break);
+  EXPECT_TRUE(build(Vec3(2.75, 0.0, 0.0), 0.0, 1'500'000'000)->is_break) << "more than three times as fast as before";
+}
+
 TEST_F(FrameBuilderTest, WhatTheOdometryCatchesUpIsNoBreak) {
   double x = 0.0;
   for (int i = 0; i < 30; ++i) ASSERT_TRUE(build(Vec3(x = 0.02 * i, 0.0, 0.0)));
