@@ -13,6 +13,7 @@
 
 #include "apps/program.h"
 #include "geometry/up_estimator.h"
+#include "loop/submap/odometry_delay.h"
 #include "pipeline/map_state.h"
 #include "ros/parameters.h"
 #include "ros/tum_bag.h"
@@ -476,6 +477,7 @@ Status run_once(const Arguments& arguments, const RunInputs& inputs, ChainResult
   const double recorded = 1e-9 * static_cast<double>(counts.last_ns - counts.first_ns);
   for (const std::string& warning : detection_source.warnings()) say(warning);
   warn(inputs, counts, extra_loops.left());
+  if (const std::string delay = describe_delay(slam.loop_detector().odometry_delay_s()); !delay.empty()) say(delay);
   std::printf("%zu frames in %.2f s, %.1f x real time; the end took %.2f s\n", counts.frames, seconds,
               recorded / seconds, end_s);
   return {};

@@ -54,6 +54,7 @@ nlohmann::json odometry_summary(const OdometryReport& report) {
           {"steady_rotation_rad", report.steady_rotation_rad},
           {"scale", report.scale},
           {"loop_factor", report.loop_factor},
+          {"delay_s", report.delay_s},
           {"faults", faults}};
 }
 

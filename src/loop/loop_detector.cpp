@@ -120,7 +120,9 @@ struct LoopDetector::Impl {
   /// From where the last window was known best, its middle.
   void tell_motions(const std::deque<ObservedFrame>& window, std::int64_t middle_keyframe_id) {
     const ObservedFrame *from = nullptr, *last = nullptr;
-    SolvedMotion motion;
+    SolvedMotion none;
+    none.delay_s = solver_.delay_s();
+    SolvedMotion motion = none;
     for (const ObservedFrame& frame : window) {
       if (from != nullptr) {
         const SE3 step = last->T_odom_camera.inverse() * frame.T_odom_camera;
@@ -137,7 +139,7 @@ struct LoopDetector::Impl {
         motions_.push_back(motion);
       }
       from = &frame;
-      motion = SolvedMotion();
+      motion = none;
     }
     told_from_ = middle_keyframe_id;
   }
@@ -269,11 +271,19 @@ struct LoopDetector::Impl {
     ++segment_;
   }
 
+  /// Of the window, where the camera was.
+  ObservedFrame last_frame() const {
+    const std::deque<ObservedFrame>& frames = window_.frames();
+    ObservedFrame frame = frames.back();
+    if (frames.size() > 1) frame.T_odom_camera = pose_at_image(frames, frames.size() - 1, solver_.delay_s());
+    return frame;
+  }
+
   /// A submap must not straddle a jump of the odometry, and spans less time the less is known of its motion.
   void watch_odometry(const Frame& frame, bool taken) {
     // The boxes show a jump at once, the motion by itself only once the jump is over.
     const bool has_burst = bursts_.push(frame);
-    const bool has_shift = taken && !window_.frames().empty() && monitor_.push(window_.frames().back());
+    const bool has_shift = taken && !window_.frames().empty() && monitor_.push(last_frame());
     if (has_burst || has_shift) {
       monitor_.restart();
       // What a frozen odometry missed is solved for.
@@ -324,6 +334,7 @@ std::vector<LoopClosure> LoopDetector::detect(const Frame& frame, const Associat
   return impl_->detect(frame, associations);
 }
 const std::vector<SolvedMotion>& LoopDetector::motions() const { return impl_->motions_; }
+double LoopDetector::odometry_delay_s() const { return impl_->solver_.delay_s(); }
 void LoopDetector::set_options(const LoopOptions& options) {
   impl_->options_ = options;
   impl_->graph_.set_options(options);

@@ -7,6 +7,7 @@
 #include <optional>
 #include <pluginlib/class_list_macros.hpp>
 
+#include "loop/submap/odometry_delay.h"
 #include "pipeline/map_state.h"
 #include "ros/frame_joiner.h"
 #include "ros/map_part_sender.h"
@@ -133,13 +134,16 @@ class LoopDetectionNodelet : public StageWith<LoopDetectionParameters> {
     const FrameMessage& frame = *std::get<0>(*joined);
     FrameLoops loops;
     loops.frame_id = frame.frame_id;
+    double delay_s = 0.0;
     {
       const std::lock_guard<std::mutex> lock(mutex_);
       const core::Stopwatch stopwatch;
       loops.closures = detector_->detect(frame, *std::get<1>(*joined));
       loops.motions = detector_->motions();
       loops.duration_us = stopwatch.elapsed_us();
+      delay_s = detector_->odometry_delay_s();
     }
+    warn_while("odometry", core::describe_delay(delay_s));
     bool relocalised = false;
     for (const core::LoopClosure& loop : loops.closures) {
       relocalised = relocalised || (loop.accepted && loop.T_earlier_match);

@@ -83,6 +83,7 @@ struct PoseGraph::Impl {
   }
 
   void refine(const std::vector<SolvedMotion>& motions) {
+    if (!motions.empty()) delay_s_ = motions.back().delay_s;
     for (const SolvedMotion& motion : motions) {
       const Carrier from = carrier(number(motion.from_keyframe_id)), to = carrier(number(motion.to_keyframe_id));
       const bool are_neighbours =
@@ -406,6 +407,7 @@ struct PoseGraph::Impl {
     report.steady_rotation_rad = noise.odometry.steady_rotation_rad;
     report.scale = noise.odometry.scale;
     report.loop_factor = noise.loop_factor;
+    report.delay_s = delay_s_;
     std::map<std::size_t, OdometryFault> faults;  // by edge
     const auto fault = [this, &faults](std::size_t edge) -> OdometryFault& {
       OdometryFault& fault = faults[edge];
@@ -452,6 +454,7 @@ struct PoseGraph::Impl {
   std::size_t learnt_loops_ = 0, loops_since_learnt_ = 0;
   int keyframes_since_ = 0;
   bool is_refined_ = false;  ///< some edge is not the odometry's own
+  double delay_s_ = 0.0;     ///< see SolvedMotion
   bool has_new_loops_ = false, has_outliers_ = false, is_urgent_ = false, is_withdrawn_ = false;
 };
 

@@ -345,8 +345,8 @@ TEST(Messages, Loops) {
     loops.closures.push_back(loop);
   }
   for (int i = 0; i < 3; ++i) {
-    loops.motions.push_back(
-        {random.integer(), random.integer(), random.pose(), random.number(), random.number(), random.number()});
+    loops.motions.push_back({random.integer(), random.integer(), random.pose(), random.number(), random.number(),
+                             random.number(), random.number()});
   }
   const LoopsMessage message = random.message<LoopsMessage>(loops);
   const LoopClosureArray generated = expect_generated_is_same(message);
@@ -373,6 +373,7 @@ TEST(Messages, Loops) {
     EXPECT_TRUE(same(generated.motions[i].pose, loops.motions[i].T_from_to));
     EXPECT_EQ(generated.motions[i].path_m, loops.motions[i].path_m);
     EXPECT_EQ(generated.motions[i].frozen_s, loops.motions[i].frozen_s);
+    EXPECT_EQ(generated.motions[i].delay_s, loops.motions[i].delay_s);
   }
 }
 
@@ -387,7 +388,7 @@ TEST(Messages, Correction) {
   correction.scale = random.number();
   correction.keyframes = {{1, 2, 1311868164363181001, random.pose()}, {3, 4, 5, random.pose(), random.number()}};
   correction.loops = {{4, 9, 1, true, "", false}, {7, 12, 3, false, "it is wrong", false}};
-  correction.odometry = {3, 0.1, 0.2, 0.3, 0.4, 0.5, 1.5, {{4, 5, true, 0.0, 0.0}, {7, 8, false, 0.6, 0.7}}};
+  correction.odometry = {3, 0.1, 0.2, 0.3, 0.4, 0.5, 1.5, 0.06, {{4, 5, true, 0.0, 0.0}, {7, 8, false, 0.6, 0.7}}};
   correction.duration_us = random.number();
   const MapCorrection generated = expect_generated_is_same(random.message<CorrectionMessage>(correction));
   EXPECT_EQ(generated.frame_id, correction.frame_id);
@@ -416,6 +417,7 @@ TEST(Messages, Correction) {
   EXPECT_EQ(generated.odometry.steady_rotation_rad, 0.4);
   EXPECT_EQ(generated.odometry.scale, 0.5);
   EXPECT_EQ(generated.odometry.loop_factor, 1.5);
+  EXPECT_EQ(generated.odometry.delay_s, 0.06);
   ASSERT_EQ(generated.odometry.faults.size(), 2u);
   EXPECT_TRUE(generated.odometry.faults[0].is_break);
   EXPECT_EQ(generated.odometry.faults[1].from_keyframe_id, 7);

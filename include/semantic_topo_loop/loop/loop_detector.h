@@ -60,6 +60,9 @@ class LoopDetector {
   /// the middle of the last seconds on, each keyframe to the next. What comes later holds. Empty for most frames, and
   /// while loop closing is off.
   const std::vector<SolvedMotion>& motions() const;
+  /// Graph mode: by how much the odometry's poses are taken to be late against the images; negative: early. 0 unless it
+  /// is evident.
+  double odometry_delay_s() const;
   /// From the next frame on; what is explained later is explained by them. While they are not enabled, frames are taken
   /// in all the same. @param options those that it has, but for live ones
   void set_options(const LoopOptions& options);

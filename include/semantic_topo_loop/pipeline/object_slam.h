@@ -50,6 +50,7 @@ class ObjectSlam {
   /// frame.
   void set_earlier_map(std::vector<LocalMap> submaps) { loop_detector_.set_earlier_map(std::move(submaps)); }
   const QuadricMapper& mapper() const { return mapper_; }
+  const LoopDetector& loop_detector() const { return loop_detector_; }
   const PoseGraph& pose_graph() const { return pose_graph_; }
 
  private:

@@ -41,6 +41,7 @@ struct OdometryReport {
   double translation_m = 0.0, rotation_rad = 0.0;
   double steady_translation = 0.0, steady_rotation_rad = 0.0, scale = 0.0;
   double loop_factor = 1.0;
+  double delay_s = 0.0;  ///< by how much its poses were last taken to be late against the images; < 0: early
   std::vector<OdometryFault> faults;  ///< in order of the keyframes
 };
 

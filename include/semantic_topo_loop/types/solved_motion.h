@@ -13,6 +13,7 @@ struct SolvedMotion {
   double path_m = 0.0;        ///< length of the way
   double rotation_rad = 0.0;  ///< sum of the rotation angles on it
   double frozen_s = 0.0;      ///< for how long of that time the odometry stood still though what was in view moved
+  double delay_s = 0.0;       ///< by how much the odometry's poses were taken to be late against the images; < 0: early
 };
 
 }  // namespace semantic_topo_loop::core

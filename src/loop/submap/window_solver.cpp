@@ -81,7 +81,8 @@ struct Track {
 
 struct Problem {
   std::vector<SE3> T_odom_knot;  ///< as the odometry has them
-  std::vector<SE3> start;        ///< the same, turned by what the boxes moved while it was frozen
+  std::vector<Vec6> velocities;  ///< there: (m/s, rad/s), camera frame
+  std::vector<SE3> start;        ///< as T_odom_knot, turned by what the boxes moved while it was frozen
   std::vector<double> times_s;
   std::vector<int> drift_of;     ///< of each step, from a knot to the next
   std::vector<double> frozen_s;  ///< of each step: for how long the odometry stood still though the view moved
@@ -338,6 +339,13 @@ double seconds_into(const std::deque<ObservedFrame>& window, std::size_t frame) 
   return 1e-9 * static_cast<double>(window[frame].stamp_ns - window.front().stamp_ns);
 }
 
+/// From the frame before to the frame after. @param window two frames at least
+Vec6 velocity_at(const std::deque<ObservedFrame>& window, std::size_t frame) {
+  const std::size_t from = frame == 0 ? 0 : frame - 1, to = std::min(frame + 1, window.size() - 1);
+  const SE3 motion = window[from].T_odom_camera.inverse() * window[to].T_odom_camera;
+  return se3_log(motion) / (seconds_into(window, to) - seconds_into(window, from));
+}
+
 /// Where the knots are if the odometry stands as it is, and turns by the boxes while it is frozen.
 /// @param frozen see frozen_motions
 void start_knots(const std::deque<ObservedFrame>& window, const std::vector<std::size_t>& knots,
@@ -367,6 +375,7 @@ Problem make_problem(const std::deque<ObservedFrame>& window, const std::vector<
     const ObservedFrame& frame = window[knots[k]];
     if (knots[k] == anchor) problem.anchor = static_cast<int>(k);
     problem.T_odom_knot.push_back(frame.T_odom_camera);
+    problem.velocities.push_back(velocity_at(window, knots[k]));
     problem.times_s.push_back(seconds_into(window, knots[k]));
     for (const ObservedBox& box : frame.boxes) {
       View view{static_cast<int>(k), box.box, box.truncated, 0.0};
@@ -429,13 +438,16 @@ std::optional<double> box_variance(const Problem& problem, const Unknowns& unkno
 
 /// Adds errors that were found: their squares over their durations, and of each degree of freedom the part that the
 /// boxes determine, which is what their covariance leaves of the prior's.
+/// @param all of the kind, in sigmas of the prior
 void add(const Vec6& error, const Vec6& variances, const Vec6& prior, double per_square, VarianceEvidence* translation,
-         VarianceEvidence* rotation) {
+         VarianceEvidence* rotation, VarianceEvidence* all) {
   const Vec6 determined = Vec6::Ones() - variances.cwiseQuotient(prior);
   translation->squares += per_square * error.head<3>().squaredNorm();
   rotation->squares += per_square * error.tail<3>().squaredNorm();
   translation->count += determined.head<3>().sum();
   rotation->count += determined.tail<3>().sum();
+  all->squares += error.dot(error.cwiseQuotient(prior));
+  all->count += determined.sum();
 }
 
 /// R of R^T R = information^-1, lower triangular: of it and of L no more is computed than is not zero.
@@ -451,11 +463,40 @@ Eigen::MatrixXd covariance_root(Eigen::MatrixXd* information) {
   return root;
 }
 
-void learn(const Problem& problem, const Unknowns& unknowns, Equations* equations, WindowEvidence* evidence) {
+/// How late the odometry's poses are, seen as an unknown of the problem at its solution: by a delay the odometry of a
+/// step is off by what the velocities at its ends differ, and one step of Gauss and Newton finds it.
+/// @param root see covariance_root   @param excess on the odometry's variances   @param delay_s taken out before
+/// @param elapsed_s since a window told
+void learn_delay(const Problem& problem, const Unknowns& unknowns, const Eigen::MatrixXd& root, double excess,
+                 double delay_s, double elapsed_s, OdometryDelay* delay) {
+  Eigen::VectorXd by_unknowns = Eigen::VectorXd::Zero(root.rows());
+  double gradient = 0.0, information = 0.0;
+  for (std::size_t i = 0; i < problem.steps(); ++i) {
+    if (problem.is_frozen(i)) continue;
+    const RelativePoseTerms terms = step_terms(problem, unknowns, i);
+    const Vec6 by_delay = transport(problem.odometry(i)) * problem.velocities[i] - problem.velocities[i + 1];
+    const Vec6 weighted = by_delay.cwiseQuotient(problem.step_variances(i));
+    gradient += weighted.dot(terms.residual);
+    information += weighted.dot(by_delay);
+    const auto row = static_cast<Eigen::Index>(6 * i);
+    by_unknowns.segment<6>(row) += terms.J_from.transpose() * weighted;
+    by_unknowns.segment<6>(row + 6) += terms.J_to.transpose() * weighted;
+    by_unknowns.segment<6>(drift_row(problem, static_cast<std::size_t>(problem.drift_of[i]))) -=
+        problem.duration_s(i) * weighted;
+  }
+  information -= (root.triangularView<Eigen::Lower>() * by_unknowns).squaredNorm();
+  // Windows overlap: what a part of the time tells counts once.
+  const double new_share = std::min(1.0, elapsed_s / (problem.times_s.back() - problem.times_s.front()));
+  delay->add(delay_s - gradient / information, new_share * information / excess, elapsed_s);
+}
+
+void learn(const Problem& problem, const Unknowns& unknowns, double delay_s, double elapsed_s, Equations* equations,
+           WindowEvidence* evidence) {
   const Eigen::MatrixXd root = covariance_root(&equations->reduce(0.0, unknowns, nullptr));
   if (!root.allFinite()) return;
   const auto variances = [&root](Eigen::Index row) -> Vec6 { return root.middleCols<6>(row).colwise().squaredNorm(); };
   const WindowNoise& noise = problem.noise;
+  VarianceEvidence of_steps, of_drifts;
   for (std::size_t i = 0; i < problem.steps(); ++i) {
     if (problem.is_frozen(i)) continue;
     const double dt = problem.duration_s(i);
@@ -469,13 +510,16 @@ void learn(const Problem& problem, const Unknowns& unknowns, Equations* equation
         root.block<Eigen::Dynamic, 6>(row, row + 6, rows, 6) * terms.J_to.transpose() -
         dt * root.block<Eigen::Dynamic, 6>(row, drift, rows, 6);
     add(terms.residual, left.colwise().squaredNorm(), problem.step_variances(i), 1.0 / dt, &evidence->step_translation,
-        &evidence->step_rotation);
+        &evidence->step_rotation, &of_steps);
   }
   for (std::size_t k = 0; k < unknowns.drifts.size(); ++k) {
     add(unknowns.drifts[k], variances(drift_row(problem, k)),
         by_kind(squared(noise.drift_mps), squared(noise.drift_radps)), 1.0, &evidence->drift_translation,
-        &evidence->drift_rotation);
+        &evidence->drift_rotation, &of_drifts);
   }
+  // While the odometry's noise is not learnt yet, it is worse than told.
+  const double excess = std::max({1.0, of_steps.squares / of_steps.count, of_drifts.squares / of_drifts.count});
+  learn_delay(problem, unknowns, root, excess, delay_s, elapsed_s, &evidence->delay);
   const auto last = static_cast<Eigen::Index>(6 * problem.steps());
   const double ends = variances(0).tail<3>().mean() + variances(last).tail<3>().mean();
   evidence->doubt_radps = std::sqrt(2.0 * ends) / (problem.times_s.back() - problem.times_s.front());
@@ -534,6 +578,8 @@ std::deque<ObservedFrame> WindowSolver::solve(std::deque<ObservedFrame> window, 
   if (std::adjacent_find(window.begin(), window.end(), std::not_fn(is_in_order)) != window.end()) return window;
   const std::vector<std::size_t> knots = knots_of(window, anchor);
   if (knots.size() < kMinViews) return window;
+  const double delay_s = this->delay_s();
+  window = undelayed(std::move(window), delay_s);
   const std::vector<bool> frozen = frozen_motions(window);
   const Problem problem = make_problem(window, knots, anchor, frozen, noise());
   Unknowns unknowns;
@@ -541,7 +587,7 @@ std::deque<ObservedFrame> WindowSolver::solve(std::deque<ObservedFrame> window, 
   const double since_s = 1e-9 * static_cast<double>(window.back().stamp_ns - learnt_ns_);
   if (learnt_ns_ == 0 || since_s >= kLearnInterval_s) {
     forget(since_s, &evidence_);
-    learn(problem, unknowns, &memory_->equations, &evidence_);
+    learn(problem, unknowns, delay_s, since_s, &memory_->equations, &evidence_);
     learnt_ns_ = window.back().stamp_ns;
   }
   std::size_t step = 0;

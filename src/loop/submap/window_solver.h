@@ -7,6 +7,7 @@
 #include <optional>
 
 #include "loop/submap/observation_window.h"
+#include "loop/submap/odometry_delay.h"
 
 namespace semantic_topo_loop::core {
 
@@ -24,6 +25,7 @@ struct VarianceEvidence {
 };
 struct WindowEvidence {
   VarianceEvidence step_translation, step_rotation, drift_translation, drift_rotation;
+  OdometryDelay delay;
   double box_factor = 1.0;
   double doubt_radps = 0.0;  ///< what is left in doubt of the camera's orientation, a second away from the anchor
 };
@@ -31,7 +33,7 @@ struct WindowEvidence {
 /// Solves a window of frames for the camera's motion and the objects on all sides of their boxes, since an odometry of
 /// robots and cameras is off by centimetres within the seconds of a submap. How far the odometry is to be trusted is
 /// learnt from window to window by the evidence of the boxes (MacKay's fixed point), so that a good odometry is left as
-/// it is. In seconds, metres and radians: any frame rate.
+/// it is; and so is how late its poses are. In seconds, metres and radians: any frame rate.
 class WindowSolver {
  public:
   WindowSolver();
@@ -40,6 +42,8 @@ class WindowSolver {
   /// @return the same frames at the poses found; as they are if they are few, or not in order of time
   std::deque<ObservedFrame> solve(std::deque<ObservedFrame> window, std::size_t anchor);
   WindowNoise noise() const;
+  /// By how much the odometry's poses are taken to be late, see OdometryDelay.
+  double delay_s() const { return evidence_.delay.seconds(); }
   /// How long a window may be for the orientation at its ends, seen from the middle, to be known to a sigma (rad).
   /// @return nullopt before anything is learnt
   std::optional<double> span_s(double sigma_rad) const;

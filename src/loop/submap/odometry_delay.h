@@ -1,0 +1,37 @@
+#pragma once
+
+#include <cstddef>
+#include <deque>
+#include <string>
+
+#include "loop/submap/observation_window.h"
+
+namespace semantic_topo_loop::core {
+
+/// How late an odometry's poses are against the images: that of stamp t is where the camera was at t - delay. Clocks
+/// are apart, drivers stamp what they have received, filters lag.
+class OdometryDelay {
+ public:
+  /// Adds what a window tells.
+  /// @param seconds the most likely delay by it alone   @param information 1/s^2, of what it has beside the last one
+  /// @param elapsed_s since that
+  void add(double seconds, double information, double elapsed_s);
+  /// Negative: poses come early. 0 unless the delay is evident.
+  double seconds() const;
+
+ private:
+  double information_ = 0.0;  ///< 1/s^2
+  double weighted_ = 0.0;     ///< 1/s
+};
+
+/// For whoever can set the clocks right; empty without a delay.
+std::string describe_delay(double delay_s);
+
+/// Where the camera was at the image of a frame: the odometry's pose of `delay_s` later, between frames of the window;
+/// before the first and after the last one it goes on as it came.
+/// @param window frames in order of time, two at least
+SE3 pose_at_image(const std::deque<ObservedFrame>& window, std::size_t frame, double delay_s);
+/// All frames of the window there.
+std::deque<ObservedFrame> undelayed(std::deque<ObservedFrame> window, double delay_s);
+
+}  // namespace semantic_topo_loop::core
