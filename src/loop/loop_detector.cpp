@@ -121,7 +121,7 @@ struct LoopDetector::Impl {
   void tell_motions(const std::deque<ObservedFrame>& window, std::int64_t middle_keyframe_id) {
     const ObservedFrame *from = nullptr, *last = nullptr;
     SolvedMotion none;
-    none.delay_s = solver_.delay_s();
+    none.delay_s = solver_.applied_delay_s();
     SolvedMotion motion = none;
     for (const ObservedFrame& frame : window) {
       if (from != nullptr) {
@@ -275,7 +275,7 @@ struct LoopDetector::Impl {
   ObservedFrame last_frame() const {
     const std::deque<ObservedFrame>& frames = window_.frames();
     ObservedFrame frame = frames.back();
-    if (frames.size() > 1) frame.T_odom_camera = pose_at_image(frames, frames.size() - 1, solver_.delay_s());
+    if (frames.size() > 1) frame.T_odom_camera = pose_at_image(frames, frames.size() - 1, solver_.applied_delay_s());
     return frame;
   }
 

@@ -75,7 +75,7 @@ HeldPoses::Motion HeldPoses::move(std::int64_t stamp_ns, const SE3& T_odom_camer
   const bool has_caught_up = last->since_ns < last->stamp_ns && is_sudden && motion.is_way;
   const double time_s = has_caught_up ? stood_s : frame_s;
   while (!speeds_.empty() && seconds(speeds_.front().stamp_ns, stamp_ns) > kRecent_s + stood_s) speeds_.pop_front();
-  speeds_.push_back({stamp_ns, distance_m / time_s, angle_rad / time_s});
+  if (time_s < kRecent_s) speeds_.push_back({stamp_ns, distance_m / time_s, angle_rad / time_s});
   if (has_caught_up) motion.caught_up_since_ns = last->since_ns;
   return motion;
 }

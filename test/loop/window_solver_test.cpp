@@ -171,10 +171,16 @@ TEST(OdometryDelay, IsToldOnceItIsEvident) {
   delay.add(0.1, -1.0, 1.0);
   for (int i = 0; i < 3; ++i) delay.add(0.05, 1.0 / (0.02 * 0.02), 1.0);
   EXPECT_NEAR(delay.seconds(), 0.05, 1e-9);
-  delay.add(-0.03, 1e6, 200.0);  // long ago, a clock was set since
+  delay.add(0.0, -1.0, 300.0);
+  EXPECT_NEAR(delay.seconds(), 0.05, 1e-9) << "a robot that parks";
+  for (int i = 0; i < 9; ++i) delay.add(-0.03, 1e5, 3600.0);  // a clock was set
   EXPECT_NEAR(delay.seconds(), -0.03, 1e-3);
-  delay.add(0.01, 1e6, 200.0);  // less than images are apart
+  for (int i = 0; i < 9; ++i) delay.add(-0.012, 1e5, 3600.0);
+  EXPECT_NEAR(delay.seconds(), -0.012, 1e-3) << "as evident as before";
+  for (int i = 0; i < 9; ++i) delay.add(0.005, 1e5, 3600.0);  // less than images are apart
   EXPECT_EQ(delay.seconds(), 0.0);
+  for (int i = 0; i < 9; ++i) delay.add(1.0, 1e5, 3600.0);
+  EXPECT_EQ(describe_delay(delay.seconds()).rfind("the odometry's poses come 250 ms or more late", 0), 0u);
   EXPECT_EQ(describe_delay(0.0), "");
   EXPECT_EQ(describe_delay(0.0584).rfind("the odometry's poses come 58 ms late against the images", 0), 0u);
   EXPECT_EQ(describe_delay(-0.02).rfind("the odometry's poses come 20 ms early", 0), 0u);

@@ -73,6 +73,9 @@ TEST_F(FrameBuilderTest, AGapThatTheOdometryGoesOnOverIsNoBreak) {
   for (int i = 0; i < 30; ++i) ASSERT_TRUE(build(Vec3(0.01 * i, 0.0, 0.0)));
   EXPECT_FALSE(build(Vec3(0.75, 0.0, 0.0), 0.0, 1'500'000'000)->is_break);
   EXPECT_TRUE(build(Vec3(2.75, 0.0, 0.0), 0.0, 1'500'000'000)->is_break) << "more than three times as fast as before";
+  for (int i = 0; i < 30; ++i) ASSERT_TRUE(build(Vec3(2.75 + 0.01 * i, 0.0, 0.0)));
+  EXPECT_TRUE(build(Vec3(4.0, 0.0, 0.0))->is_break);
+  EXPECT_TRUE(build(Vec3(7.0, 0.0, 0.0), 0.0, 1'500'000'000)->is_break) << "a jump is no speed";
 }
 
 TEST_F(FrameBuilderTest, WhatTheOdometryCatchesUpIsNoBreak) {

@@ -16,12 +16,12 @@ class OdometryDelay {
   /// @param seconds the most likely delay by it alone   @param information 1/s^2, of what it has beside the last one
   /// @param elapsed_s since that
   void add(double seconds, double information, double elapsed_s);
-  /// Negative: poses come early. 0 unless the delay is evident.
-  double seconds() const;
+  /// Negative: poses come early. 0 unless the delay is evident, and 250 ms at most.
+  double seconds() const { return is_evident_ ? mean_s_ : 0.0; }
 
  private:
-  double information_ = 0.0;  ///< 1/s^2
-  double weighted_ = 0.0;     ///< 1/s
+  double mean_s_ = 0.0, information_ = 0.0;  ///< the second in 1/s^2
+  bool is_evident_ = false;
 };
 
 /// For whoever can set the clocks right; empty without a delay.

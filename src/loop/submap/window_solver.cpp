@@ -80,9 +80,9 @@ struct Track {
 };
 
 struct Problem {
-  std::vector<SE3> T_odom_knot;  ///< as the odometry has them
-  std::vector<Vec6> velocities;  ///< there: (m/s, rad/s), camera frame
-  std::vector<SE3> start;        ///< as T_odom_knot, turned by what the boxes moved while it was frozen
+  std::vector<SE3> T_odom_knot;                 ///< as the odometry has them
+  std::vector<std::optional<Vec6>> velocities;  ///< there: (m/s, rad/s), camera frame; nothing where frames are sparse
+  std::vector<SE3> start;                       ///< as T_odom_knot, turned by what the boxes moved while it was frozen
   std::vector<double> times_s;
   std::vector<int> drift_of;     ///< of each step, from a knot to the next
   std::vector<double> frozen_s;  ///< of each step: for how long the odometry stood still though the view moved
@@ -339,11 +339,17 @@ double seconds_into(const std::deque<ObservedFrame>& window, std::size_t frame) 
   return 1e-9 * static_cast<double>(window[frame].stamp_ns - window.front().stamp_ns);
 }
 
-/// From the frame before to the frame after. @param window two frames at least
-Vec6 velocity_at(const std::deque<ObservedFrame>& window, std::size_t frame) {
+/// From the frame before to the frame after, if they are close enough to tell. @param window two frames at least
+std::optional<Vec6> velocity_at(const std::deque<ObservedFrame>& window, std::size_t frame) {
+  constexpr double kMaxSpan_s = 0.4;
   const std::size_t from = frame == 0 ? 0 : frame - 1, to = std::min(frame + 1, window.size() - 1);
-  const SE3 motion = window[from].T_odom_camera.inverse() * window[to].T_odom_camera;
-  return se3_log(motion) / (seconds_into(window, to) - seconds_into(window, from));
+  const double span_s = seconds_into(window, to) - seconds_into(window, from);
+  if (span_s > kMaxSpan_s) return std::nullopt;
+  const SE3 &T_odom_from = window[from].T_odom_camera, &T_odom_to = window[to].T_odom_camera;
+  Vec6 motion;
+  motion << window[frame].T_odom_camera.q.conjugate() * (T_odom_to.t - T_odom_from.t),
+      so3_log(T_odom_from.q.conjugate() * T_odom_to.q);
+  return motion / span_s;
 }
 
 /// Where the knots are if the odometry stands as it is, and turns by the boxes while it is frozen.
@@ -472,9 +478,10 @@ void learn_delay(const Problem& problem, const Unknowns& unknowns, const Eigen::
   Eigen::VectorXd by_unknowns = Eigen::VectorXd::Zero(root.rows());
   double gradient = 0.0, information = 0.0;
   for (std::size_t i = 0; i < problem.steps(); ++i) {
-    if (problem.is_frozen(i)) continue;
+    const std::optional<Vec6>&from = problem.velocities[i], &to = problem.velocities[i + 1];
+    if (problem.is_frozen(i) || !from || !to) continue;
     const RelativePoseTerms terms = step_terms(problem, unknowns, i);
-    const Vec6 by_delay = transport(problem.odometry(i)) * problem.velocities[i] - problem.velocities[i + 1];
+    const Vec6 by_delay = transport(problem.odometry(i)) * *from - *to;
     const Vec6 weighted = by_delay.cwiseQuotient(problem.step_variances(i));
     gradient += weighted.dot(terms.residual);
     information += weighted.dot(by_delay);
@@ -574,12 +581,13 @@ std::optional<double> WindowSolver::span_s(double sigma_rad) const {
 }
 
 std::deque<ObservedFrame> WindowSolver::solve(std::deque<ObservedFrame> window, std::size_t anchor) {
+  applied_delay_s_ = 0.0;
   const auto is_in_order = [](const ObservedFrame& p, const ObservedFrame& q) { return p.stamp_ns < q.stamp_ns; };
   if (std::adjacent_find(window.begin(), window.end(), std::not_fn(is_in_order)) != window.end()) return window;
   const std::vector<std::size_t> knots = knots_of(window, anchor);
   if (knots.size() < kMinViews) return window;
-  const double delay_s = this->delay_s();
-  window = undelayed(std::move(window), delay_s);
+  applied_delay_s_ = delay_s();
+  window = undelayed(std::move(window), applied_delay_s_);
   const std::vector<bool> frozen = frozen_motions(window);
   const Problem problem = make_problem(window, knots, anchor, frozen, noise());
   Unknowns unknowns;
@@ -587,7 +595,7 @@ std::deque<ObservedFrame> WindowSolver::solve(std::deque<ObservedFrame> window, 
   const double since_s = 1e-9 * static_cast<double>(window.back().stamp_ns - learnt_ns_);
   if (learnt_ns_ == 0 || since_s >= kLearnInterval_s) {
     forget(since_s, &evidence_);
-    learn(problem, unknowns, delay_s, since_s, &memory_->equations, &evidence_);
+    learn(problem, unknowns, applied_delay_s_, since_s, &memory_->equations, &evidence_);
     learnt_ns_ = window.back().stamp_ns;
   }
   std::size_t step = 0;

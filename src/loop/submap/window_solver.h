@@ -42,8 +42,10 @@ class WindowSolver {
   /// @return the same frames at the poses found; as they are if they are few, or not in order of time
   std::deque<ObservedFrame> solve(std::deque<ObservedFrame> window, std::size_t anchor);
   WindowNoise noise() const;
-  /// By how much the odometry's poses are taken to be late, see OdometryDelay.
+  /// By how much the odometry's poses are late, as the windows so far tell, see OdometryDelay.
   double delay_s() const { return evidence_.delay.seconds(); }
+  /// The delay that was taken out of the last window.
+  double applied_delay_s() const { return applied_delay_s_; }
   /// How long a window may be for the orientation at its ends, seen from the middle, to be known to a sigma (rad).
   /// @return nullopt before anything is learnt
   std::optional<double> span_s(double sigma_rad) const;
@@ -52,6 +54,7 @@ class WindowSolver {
   struct Memory;
 
   WindowEvidence evidence_;
+  double applied_delay_s_ = 0.0;
   std::int64_t learnt_ns_ = 0;      ///< stamp of the window that was learnt from last
   std::unique_ptr<Memory> memory_;  ///< of the equations, which every window needs anew: a megabyte
 };
