@@ -371,6 +371,7 @@ TEST(PoseGraph, LoopsMendWhatAFrozenOdometryMissed) {
   run.drift(0.0003, 0.0001, 3);
   SolvedMotion frozen = true_motion(run, 60, 61);
   frozen.T_from_to = frozen.T_from_to * SE3(so3_exp(Vec3(0.0, 0.05, 0.1)), Vec3(0.4, -0.3, 0.0));
+  frozen.delay_s = 0.06;
   const auto worst_error = [&](double frozen_s, OdometryReport* report) {
     frozen.frozen_s = frozen_s;
     PoseGraph graph{PoseGraphOptions()};
@@ -394,6 +395,7 @@ TEST(PoseGraph, LoopsMendWhatAFrozenOdometryMissed) {
   EXPECT_EQ(fault->from_keyframe_id, 60);
   EXPECT_EQ(fault->to_keyframe_id, 61);
   EXPECT_EQ(fault->frozen_s, 4.0);
+  EXPECT_EQ(report.delay_s, 0.06);
   EXPECT_FALSE(fault->is_break);
 }
 

@@ -193,12 +193,12 @@ class TfTest(DetectorTest):
 
     def test_3_no_pose_is_no_frame(self):
         self.move(2.0, 2.2)
-        self.move(3.0, 3.4)
+        self.move(5.0, 5.4)
         self.see(2.607, with_detections=False)
         self.assert_status(2.607, FrameDone.STATUS_NO_POSE)
-        self.see(3.107)
-        self.assert_status(3.107, FrameDone.STATUS_PROCESSED)
-        self.assertTrue(self.frames.at(3.107).is_break)
+        self.see(5.107)
+        self.assert_status(5.107, FrameDone.STATUS_PROCESSED)
+        self.assertTrue(self.frames.at(5.107).is_break, 'the gap of some seconds')
         self.see(9.007, with_detections=False)
         self.assert_status(9.007, FrameDone.STATUS_NO_POSE)
         self.assert_counted('PoseFrontend', 'images without a pose', 2)
