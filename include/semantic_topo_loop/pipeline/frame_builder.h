@@ -30,8 +30,7 @@ struct KeyframeOptions {
     visitor("break_rate_deg_s", break_rate_deg_s, positive(), "faster rotation between two frames is a break");
     visitor("break_gap_s", break_gap_s, positive(),
             "a longer time between two poses is a break, unless it is below 2 s and the odometry moved, up to three "
-            "times as fast "
-            "as before");
+            "times as fast as before");
   }
 };
 

@@ -44,16 +44,12 @@ SE3 pose_at_image(const std::deque<ObservedFrame>& window, std::size_t frame, do
   const auto seconds_after = [&window, frame](std::size_t i) {
     return 1e-9 * static_cast<double>(window[i].stamp_ns - window[frame].stamp_ns);
   };
-  std::size_t after = std::min(frame + 1, window.size() - 1);
+  std::size_t after = 1;
   while (after + 1 < window.size() && seconds_after(after) <= delay_s) ++after;
   std::size_t before = after - 1;
-  while (before > 0 && seconds_after(before) > delay_s) after = before--;
   const auto is_short = [&] { return seconds_after(after) - seconds_after(before) < kMinBaseline_s; };
-  if (seconds_after(after) < delay_s) {
-    while (before > 0 && is_short()) --before;
-  } else if (seconds_after(before) > delay_s) {
-    while (after + 1 < window.size() && is_short()) ++after;
-  }
+  while (before > 0 && seconds_after(after) < delay_s && is_short()) --before;
+  while (after + 1 < window.size() && seconds_after(before) > delay_s && is_short()) ++after;
   const double begin_s = seconds_after(before), span_s = seconds_after(after) - begin_s;
   if (!(span_s > 0.0)) return window[frame].T_odom_camera;
   return interpolate(window[before].T_odom_camera, window[after].T_odom_camera, (delay_s - begin_s) / span_s);
