@@ -4,8 +4,6 @@
 #include <algorithm>
 #include <cmath>
 #include <functional>
-#include <limits>
-#include <map>
 #include <memory>
 #include <optional>
 #include <tuple>
@@ -21,18 +19,12 @@
 namespace semantic_topo_loop::core {
 namespace {
 
+using Mat5 = Eigen::Matrix<double, 5, 5>;
+
 // Chosen on the shared drifted_real files of fr2_desk and fr3_office, judged on those in drifted, which are made
 // differently.
-constexpr double kKnotInterval_s = 0.45;  ///< poses are solved for this often: boxes of closer frames are off alike
-constexpr double kDriftSpan_s = 3.0;      ///< for which a drift lasts
-constexpr double kBoxWeight = 0.5;        ///< what is left of a box's by errors that neighbours share
-constexpr double kBoxDoubt = 2.0;         ///< sigmas, from which on boxes count less (Cauchy)
-/// m/s and rad/s: how a camera may move while the odometry stands still.
-constexpr double kUnseenRate = 0.5;
-constexpr std::size_t kMinViews = 4;
-constexpr int kMaxCutSides = 2;
-constexpr double kMinDepth_m = 0.15;    ///< of an object before the camera
-constexpr double kUnseenChi2 = 2300.0;  ///< of an object behind the camera: more than any in view
+constexpr double kBoxWeight = 0.5;  ///< what is left of a box's by errors that neighbours share
+constexpr double kBoxDoubt = 2.0;   ///< sigmas, from which on boxes count less (Cauchy)
 /// Sigmas of where an object starts from (m) and of the logarithm of its extent.
 constexpr double kStartSigma = 1.0;
 
@@ -47,60 +39,7 @@ constexpr double kBoxRate = 0.1;          ///< by which the boxes' errors are le
 constexpr std::size_t kMinSides = 80;     ///< of boxes, for that
 constexpr double kMaxBoxFactor = 5.0;     ///< either way: boxes of a simulation may be exact
 
-using Vec5 = Eigen::Matrix<double, 5, 1>;
-using Mat5 = Eigen::Matrix<double, 5, 5>;
-using Mat65 = Eigen::Matrix<double, 6, 5>;
-
-Vec6 by_kind(double translation, double rotation) {
-  Vec6 values;
-  values << Vec3::Constant(translation), Vec3::Constant(rotation);
-  return values;
-}
 double squared(double x) { return x * x; }
-
-struct View {
-  int knot = -1;
-  Box box;                     ///< on the plane z = 1
-  std::uint8_t truncated = 0;  ///< Truncation bits: these sides bound nothing
-  double sigma = 1.0;
-
-  bool bounds(int side) const { return (truncated & (1 << side)) == 0; }
-  int cut_sides() const {
-    int count = 0;
-    for (int side = 0; side < 4; ++side) count += bounds(side) ? 0 : 1;
-    return count;
-  }
-};
-
-/// What stays in view of one object: its place (m), and the logarithms of half its width and height (log m), which
-/// change so slowly with the direction it is seen from that they count as constant.
-struct Track {
-  Vec5 start = Vec5::Zero();
-  std::vector<View> views;  ///< in order of their knots
-};
-
-struct Problem {
-  std::vector<SE3> T_odom_knot;                 ///< as the odometry has them
-  std::vector<std::optional<Vec6>> velocities;  ///< there: (m/s, rad/s), camera frame; nothing where frames are sparse
-  std::vector<SE3> start;                       ///< as T_odom_knot, turned by what the boxes moved while it was frozen
-  std::vector<double> times_s;
-  std::vector<int> drift_of;     ///< of each step, from a knot to the next
-  std::vector<double> frozen_s;  ///< of each step: for how long the odometry stood still though the view moved
-  std::vector<Track> tracks;
-  int anchor = 0;
-  WindowNoise noise;
-
-  std::size_t steps() const { return T_odom_knot.size() - 1; }
-  double duration_s(std::size_t step) const { return times_s[step + 1] - times_s[step]; }
-  SE3 odometry(std::size_t step) const { return T_odom_knot[step].inverse() * T_odom_knot[step + 1]; }
-  bool is_frozen(std::size_t step) const { return frozen_s[step] > 0.0; }
-  /// Of the errors of a step, the drift taken off.
-  Vec6 step_variances(std::size_t step) const {
-    const double unseen = kUnseenRate * frozen_s[step];
-    return duration_s(step) * by_kind(squared(noise.step_m), squared(noise.step_rad)) +
-           by_kind(squared(unseen), squared(unseen));
-  }
-};
 
 struct Unknowns {
   std::vector<SE3> T_odom_knot;
@@ -112,57 +51,84 @@ struct Unknowns {
   }
 };
 
-/// Normal equations of knots, then drifts, with the objects apart: H step = -g, the lower triangle of H.
+/// What is eliminated from the normal equations, an object or a drift: it meets knots alone.
+template <int kSize>
+struct EliminatedBlock {
+  using Vec = Eigen::Matrix<double, kSize, 1>;
+  using Mat = Eigen::Matrix<double, kSize, kSize>;
+  using KnotMat = Eigen::Matrix<double, 6, kSize>;
+
+  Mat H;
+  Vec g;
+  std::vector<std::pair<Eigen::Index, KnotMat>> H_knot;  ///< by the knot's row, ascending
+
+  void reset(double information) {
+    H = Mat::Identity() * information;
+    g.setZero();
+    H_knot.clear();  // its memory stays
+  }
+  /// @return the inverse of H, damped   @param S, b of the knots, from which its share is taken off
+  Mat eliminate(double damping, Eigen::MatrixXd* S, Eigen::VectorXd* b) const {
+    Mat damped = H;
+    damped.diagonal() *= 1.0 + damping;
+    const Mat inverse = damped.inverse();
+    for (std::size_t i = 0; i < H_knot.size(); ++i) {
+      const auto& [row, by_row] = H_knot[i];
+      const KnotMat W = by_row * inverse;
+      b->template segment<6>(row) -= W * g;
+      for (std::size_t j = 0; j <= i; ++j) {
+        const auto& [column, by_column] = H_knot[j];
+        S->template block<6, 6>(row, column).noalias() -= W * by_column.transpose();
+      }
+    }
+    return inverse;
+  }
+  /// @param step of the knots   @return its own
+  Vec step(const Mat& inverse, const Eigen::VectorXd& step) const {
+    Vec gradient = g;
+    for (const auto& [row, by_row] : H_knot) gradient += by_row.transpose() * step.template segment<6>(row);
+    return -inverse * gradient;
+  }
+};
+
+/// Normal equations of the knots, with objects and drifts apart: H step = -g, the lower triangle of H.
 struct Equations {
   using Unknowns = core::Unknowns;
 
   Eigen::MatrixXd H;
   Eigen::VectorXd g;
-  std::vector<Mat5> H_object;
-  std::vector<Vec5> g_object;
-  std::vector<std::vector<std::pair<Eigen::Index, Mat65>>> H_knot_object;  ///< by the knot's row
+  std::vector<EliminatedBlock<5>> objects;
+  std::vector<EliminatedBlock<6>> drifts;
   double cost = 0.0;
   Eigen::MatrixXd S;  ///< of reduce()
 
-  void reset(const Problem& problem, const Unknowns& unknowns) {
-    const auto n = static_cast<Eigen::Index>(6 * (unknowns.T_odom_knot.size() + unknowns.drifts.size()));
+  void reset(const WindowProblem& problem, const Unknowns& unknowns) {
+    const auto n = static_cast<Eigen::Index>(6 * unknowns.T_odom_knot.size());
     H.setZero(n, n);
     S.resize(n, n);
     g.setZero(n);
-    H_object.assign(unknowns.objects.size(), Mat5::Identity() / squared(kStartSigma));
-    g_object.clear();
-    H_knot_object.resize(unknowns.objects.size());
-    for (auto& by_knot : H_knot_object) by_knot.clear();  // their memory stays
+    drifts.resize(unknowns.drifts.size());
+    for (EliminatedBlock<6>& drift : drifts) drift.reset(0.0);
+    objects.resize(unknowns.objects.size());
     cost = 0.0;
-    for (std::size_t k = 0; k < unknowns.objects.size(); ++k) {
+    for (std::size_t k = 0; k < objects.size(); ++k) {
       const Vec5 moved = unknowns.objects[k] - problem.tracks[k].start;
-      g_object.push_back(moved / squared(kStartSigma));
+      objects[k].reset(1.0 / squared(kStartSigma));
+      objects[k].g = moved / squared(kStartSigma);
       cost += moved.squaredNorm() / squared(kStartSigma);
     }
   }
 
-  /// Eliminates the objects (Schur complement).
-  /// @return information of knots and drifts, its lower triangle; its root, if the step was asked for. Here, not a copy
+  /// Eliminates objects and drifts (Schur complement).
+  /// @return information of the knots, its lower triangle; its root, if the step was asked for. Here, not a copy
   Eigen::MatrixXd& reduce(double damping, const Unknowns& unknowns, Unknowns* next) {
     S.triangularView<Eigen::Lower>() = H;
     S.diagonal() *= 1.0 + damping;
     Eigen::VectorXd b = g;
-    std::vector<Mat5> inverses;
-    inverses.reserve(H_object.size());
-    for (std::size_t k = 0; k < H_object.size(); ++k) {
-      Mat5 object = H_object[k];
-      object.diagonal() *= 1.0 + damping;
-      inverses.push_back(object.inverse());
-      for (std::size_t i = 0; i < H_knot_object[k].size(); ++i) {
-        const auto& [row, by_row] = H_knot_object[k][i];
-        const Mat65 W = by_row * inverses.back();
-        b.segment<6>(row) -= W * g_object[k];
-        for (std::size_t j = 0; j <= i; ++j) {
-          const auto& [column, by_column] = H_knot_object[k][j];
-          S.block<6, 6>(row, column).noalias() -= W * by_column.transpose();
-        }
-      }
-    }
+    std::vector<Mat5> of_objects;
+    std::vector<Mat6> of_drifts;
+    for (const auto& object : objects) of_objects.push_back(object.eliminate(damping, &S, &b));
+    for (const auto& drift : drifts) of_drifts.push_back(drift.eliminate(damping, &S, &b));
     if (next == nullptr) return S;
     const Eigen::VectorXd step = -Eigen::LLT<Eigen::Ref<Eigen::MatrixXd>>(S).solve(b);  // in the place of S
     *next = unknowns;
@@ -172,32 +138,21 @@ struct Equations {
       pose.q = (so3_exp(step.segment<3>(row + 3)) * pose.q).normalized();
       row += 6;
     }
-    for (Vec6& drift : next->drifts) {
-      drift += step.segment<6>(row);
-      row += 6;
-    }
-    for (std::size_t k = 0; k < H_object.size(); ++k) {
-      Vec5 gradient = g_object[k];
-      for (const auto& [knot, by_knot] : H_knot_object[k]) gradient += by_knot.transpose() * step.segment<6>(knot);
-      next->objects[k] -= inverses[k] * gradient;
-    }
+    for (std::size_t k = 0; k < drifts.size(); ++k) next->drifts[k] += drifts[k].step(of_drifts[k], step);
+    for (std::size_t k = 0; k < objects.size(); ++k) next->objects[k] += objects[k].step(of_objects[k], step);
     return S;
   }
 };
 
 /// Errors of a step, the drift taken off, and its derivatives.
-RelativePoseTerms step_terms(const Problem& problem, const Unknowns& unknowns, std::size_t step) {
+RelativePoseTerms step_terms(const WindowProblem& problem, const Unknowns& unknowns, std::size_t step) {
   RelativePoseTerms terms =
       relative_pose_terms(unknowns.T_odom_knot[step], unknowns.T_odom_knot[step + 1], problem.odometry(step));
   terms.residual -= problem.duration_s(step) * unknowns.drifts[static_cast<std::size_t>(problem.drift_of[step])];
   return terms;
 }
 
-Eigen::Index drift_row(const Problem& problem, std::size_t drift) {
-  return static_cast<Eigen::Index>(6 * (problem.T_odom_knot.size() + drift));
-}
-
-void add_odometry(const Problem& problem, const Unknowns& unknowns, Equations* equations) {
+void add_odometry(const WindowProblem& problem, const Unknowns& unknowns, Equations* equations) {
   Eigen::MatrixXd& H = equations->H;
   for (std::size_t i = 0; i < problem.steps(); ++i) {
     const double dt = problem.duration_s(i);
@@ -207,58 +162,35 @@ void add_odometry(const Problem& problem, const Unknowns& unknowns, Equations* e
     const Mat6 from = terms.J_from.transpose() * weights.asDiagonal();
     const Mat6 to = terms.J_to.transpose() * weights.asDiagonal();
     const auto a = static_cast<Eigen::Index>(6 * i), b = a + 6;
-    const Eigen::Index d = drift_row(problem, static_cast<std::size_t>(problem.drift_of[i]));
     H.block<6, 6>(a, a) += from * terms.J_from;
     H.block<6, 6>(b, a) += to * terms.J_from;
     H.block<6, 6>(b, b) += to * terms.J_to;
-    H.block<6, 6>(d, a) -= dt * from.transpose();
-    H.block<6, 6>(d, b) -= dt * to.transpose();
-    H.diagonal().segment<6>(d) += dt * dt * weights;
     equations->g.segment<6>(a) += from * terms.residual;
     equations->g.segment<6>(b) += to * terms.residual;
-    equations->g.segment<6>(d) -= dt * weights.cwiseProduct(terms.residual);
+    EliminatedBlock<6>& drift = equations->drifts[problem.drift_of[i]];
+    if (drift.H_knot.empty()) drift.H_knot.emplace_back(a, Mat6::Zero());
+    drift.H_knot.back().second -= dt * from;
+    drift.H_knot.emplace_back(b, -dt * to);
+    drift.H.diagonal() += dt * dt * weights;
+    drift.g -= dt * weights.cwiseProduct(terms.residual);
   }
-  const Vec6 weights = by_kind(1.0 / squared(problem.noise.drift_mps), 1.0 / squared(problem.noise.drift_radps));
+  const Vec6 weights = problem.drift_variances().cwiseInverse();
   for (std::size_t k = 0; k < unknowns.drifts.size(); ++k) {
-    equations->cost += unknowns.drifts[k].dot(weights.asDiagonal() * unknowns.drifts[k]);
-    H.diagonal().segment<6>(drift_row(problem, k)) += weights;
-    equations->g.segment<6>(drift_row(problem, k)) += weights.cwiseProduct(unknowns.drifts[k]);
+    const Vec6 weighted = weights.cwiseProduct(unknowns.drifts[k]);
+    equations->cost += unknowns.drifts[k].dot(weighted);
+    equations->drifts[k].H.diagonal() += weights;
+    equations->drifts[k].g += weighted;
   }
   constexpr double kFixed = 1e10;  // 1/m^2 and 1/rad^2: the anchor stays
-  H.diagonal().segment<6>(6 * problem.anchor).array() += kFixed;
-}
-
-/// An object as its views share it.
-struct SizedPoint {
-  explicit SizedPoint(const Vec5& object) : center(object.head<3>()), half(object.tail<2>().array().exp()) {}
-
-  Vec3 center;  ///< m
-  Vec2 half;    ///< of its width and height, m
-};
-
-/// The same in the camera of a view.
-struct Projection {
-  Vec3 in_camera;
-  Vec4 residual;  ///< sides predicted less those of the box, in sigmas; 0 where they are cut
-};
-
-std::optional<Projection> project(const View& view, const SE3& T_odom_camera, const SizedPoint& object) {
-  const Vec3 p = T_odom_camera.q.conjugate() * (object.center - T_odom_camera.t);
-  if (p.z() < kMinDepth_m) return std::nullopt;
-  Projection projection{p, Vec4::Zero()};
-  Vec4 sides;
-  sides << p.head<2>() - object.half, p.head<2>() + object.half;
-  const Vec4 off = (sides / p.z() - view.box.edges()) / view.sigma;
-  for (int side = 0; side < 4; ++side) projection.residual(side) = view.bounds(side) ? off(side) : 0.0;
-  return projection;
+  H.diagonal().segment<6>(static_cast<Eigen::Index>(6 * problem.anchor)).array() += kFixed;
 }
 
 /// Of the sum over four sides, two of which make a place: what Cauchy's loss makes of it.
 double box_loss(double squares) { return 2.0 * squared(kBoxDoubt) * std::log1p(0.5 * squares / squared(kBoxDoubt)); }
 
-void add_view(const View& view, const SE3& T_odom_camera, std::size_t k, const SizedPoint& object,
+void add_view(const WindowView& view, const SE3& T_odom_camera, std::size_t k, const SizedPoint& object,
               Equations* equations) {
-  const std::optional<Projection> projection = project(view, T_odom_camera, object);
+  const std::optional<SizedProjection> projection = project(view, T_odom_camera, object);
   if (!projection) {
     equations->cost += kBoxWeight * box_loss(kUnseenChi2);
     return;
@@ -281,138 +213,41 @@ void add_view(const View& view, const SE3& T_odom_camera, std::size_t k, const S
   }
   Eigen::Matrix<double, 4, 6> J_knot;
   J_knot << -J_object.leftCols<3>(), J_object.leftCols<3>() * hat(object.center - T_odom_camera.t);
-  const Eigen::Index row = 6 * view.knot;
+  const auto row = static_cast<Eigen::Index>(6 * view.knot);
   const Eigen::Matrix<double, 6, 4> weighted_knot = weight * J_knot.transpose();
   const Eigen::Matrix<double, 5, 4> weighted_object = weight * J_object.transpose();
   equations->H.block<6, 6>(row, row).noalias() += weighted_knot * J_knot;
   equations->g.segment<6>(row).noalias() += weighted_knot * r;
-  equations->H_object[k].noalias() += weighted_object * J_object;
-  equations->g_object[k].noalias() += weighted_object * r;
-  equations->H_knot_object[k].emplace_back(row, weighted_knot * J_object);
+  EliminatedBlock<5>& eliminated = equations->objects[k];
+  eliminated.H.noalias() += weighted_object * J_object;
+  eliminated.g.noalias() += weighted_object * r;
+  eliminated.H_knot.emplace_back(row, weighted_knot * J_object);
 }
 
-/// The depth along the ray of the wholest view at which all views agree best.
-Vec5 start_of(const std::vector<View>& views, const std::vector<SE3>& T_odom_knot) {
-  const View& wholest = *std::min_element(views.begin(), views.end(),
-                                          [](const View& p, const View& q) { return p.cut_sides() < q.cut_sides(); });
-  constexpr double kNearest_m = 0.5, kFarthest_m = 6.0, kRatio = 1.2, kUsual_m = 2.0;
-  constexpr double kUsualWeight = 0.1;  // hardly any: where nothing else tells
-  constexpr double kTolerance = 3.0;    // times the sigmas: the odometry is as it is
-  constexpr double kLargeFactor = 1e3;
-  const Vec2 center = wholest.box.center();
-  Vec5 best = Vec5::Zero();
-  double least = std::numeric_limits<double>::infinity();
-  for (double z = kNearest_m; z < kFarthest_m; z *= kRatio) {
-    Vec5 object;
-    object << T_odom_knot[static_cast<std::size_t>(wholest.knot)] * Vec3(z * center.x(), z * center.y(), z),
-        std::log(0.5 * z * wholest.box.width()), std::log(0.5 * z * wholest.box.height());
-    const SizedPoint sized(object);
-    double cost = kUsualWeight * squared(std::log(z / kUsual_m));
-    double factor = 1.0;                                              // of several views, for one logarithm
-    for (std::size_t i = 0; i < views.size() && cost < least; ++i) {  // no view makes it less
-      const auto projection = project(views[i], T_odom_knot[static_cast<std::size_t>(views[i].knot)], sized);
-      factor *= 1.0 + (projection ? projection->residual.squaredNorm() : kUnseenChi2) / (2.0 * squared(kTolerance));
-      if (factor < kLargeFactor && i + 1 < views.size()) continue;
-      cost += std::log(factor);
-      factor = 1.0;
-    }
-    if (cost >= least) continue;
-    least = cost;
-    best = object;
-  }
-  return best;
-}
-
-/// Frames that poses are solved for, the first, the last and the anchor among them.
-std::vector<std::size_t> knots_of(const std::deque<ObservedFrame>& window, std::size_t anchor) {
-  std::vector<std::size_t> knots;
-  for (std::size_t i = 0; i < window.size(); ++i) {
-    const bool is_due =
-        knots.empty() ||
-        1e-9 * static_cast<double>(window[i].stamp_ns - window[knots.back()].stamp_ns) >= kKnotInterval_s;
-    if (is_due || i == anchor || i + 1 == window.size()) knots.push_back(i);
-  }
-  return knots;
-}
-
-double seconds_into(const std::deque<ObservedFrame>& window, std::size_t frame) {
-  return 1e-9 * static_cast<double>(window[frame].stamp_ns - window.front().stamp_ns);
-}
-
-/// From the frame before to the frame after, if they are close enough to tell. @param window two frames at least
-std::optional<Vec6> velocity_at(const std::deque<ObservedFrame>& window, std::size_t frame) {
-  constexpr double kMaxSpan_s = 0.4;
-  const std::size_t from = frame == 0 ? 0 : frame - 1, to = std::min(frame + 1, window.size() - 1);
-  const double span_s = seconds_into(window, to) - seconds_into(window, from);
-  if (span_s > kMaxSpan_s) return std::nullopt;
-  const SE3 &T_odom_from = window[from].T_odom_camera, &T_odom_to = window[to].T_odom_camera;
-  Vec6 motion;
-  motion << window[frame].T_odom_camera.q.conjugate() * (T_odom_to.t - T_odom_from.t),
-      so3_log(T_odom_from.q.conjugate() * T_odom_to.q);
-  return motion / span_s;
-}
-
-/// Where the knots are if the odometry stands as it is, and turns by the boxes while it is frozen.
-/// @param frozen see frozen_motions
-void start_knots(const std::deque<ObservedFrame>& window, const std::vector<std::size_t>& knots,
-                 const std::vector<bool>& frozen, Problem* problem) {
-  problem->start = problem->T_odom_knot;
-  problem->frozen_s.assign(problem->steps(), 0.0);
-  for (std::size_t step = 0; step < problem->steps(); ++step) {
-    Quaternion turn = Quaternion::Identity();
-    for (std::size_t i = knots[step]; i < knots[step + 1]; ++i) {
-      if (!frozen[i]) continue;
-      problem->frozen_s[step] += seconds_into(window, i + 1) - seconds_into(window, i);
-      turn = turn * turn_by_boxes(window[i], window[i + 1]);
-    }
-    problem->start[step + 1] = problem->start[step] * problem->odometry(step) * SE3(turn, Vec3::Zero());
-  }
-  const auto anchor = static_cast<std::size_t>(problem->anchor);
-  const SE3 T_odom_start = problem->T_odom_knot[anchor] * problem->start[anchor].inverse();
-  for (SE3& pose : problem->start) pose = T_odom_start * pose;
-}
-
-Problem make_problem(const std::deque<ObservedFrame>& window, const std::vector<std::size_t>& knots, std::size_t anchor,
-                     const std::vector<bool>& frozen, const WindowNoise& noise) {
-  Problem problem;
-  problem.noise = noise;
-  std::map<std::int64_t, Track> tracks;
-  for (std::size_t k = 0; k < knots.size(); ++k) {
-    const ObservedFrame& frame = window[knots[k]];
-    if (knots[k] == anchor) problem.anchor = static_cast<int>(k);
-    problem.T_odom_knot.push_back(frame.T_odom_camera);
-    problem.velocities.push_back(velocity_at(window, knots[k]));
-    problem.times_s.push_back(seconds_into(window, knots[k]));
-    for (const ObservedBox& box : frame.boxes) {
-      View view{static_cast<int>(k), box.box, box.truncated, 0.0};
-      if (view.cut_sides() > kMaxCutSides) continue;
-      view.sigma = noise.box_factor * box_sigma(box.box, frame.focal_px);
-      tracks[box.track_id].views.push_back(view);
-    }
-  }
+/// The most likely drifts for the knots as they are.
+void start_drifts(const WindowProblem& problem, Unknowns* unknowns) {
+  unknowns->drifts.assign(problem.drifts(), Vec6::Zero());
+  std::vector<Vec6> sums = unknowns->drifts, weights(sums.size(), problem.drift_variances().cwiseInverse());
   for (std::size_t i = 0; i < problem.steps(); ++i) {
-    problem.drift_of.push_back(static_cast<int>(0.5 * (problem.times_s[i] + problem.times_s[i + 1]) / kDriftSpan_s));
+    const Vec6 weighted = problem.duration_s(i) * problem.step_variances(i).cwiseInverse();
+    const std::size_t drift = problem.drift_of[i];
+    sums[drift] += weighted.cwiseProduct(step_terms(problem, *unknowns, i).residual);
+    weights[drift] += problem.duration_s(i) * weighted;
   }
-  start_knots(window, knots, frozen, &problem);
-  for (auto& [id, track] : tracks) {
-    if (track.views.size() < kMinViews) continue;
-    track.start = start_of(track.views, problem.start);
-    problem.tracks.push_back(std::move(track));
-  }
-  return problem;
+  for (std::size_t k = 0; k < sums.size(); ++k) unknowns->drifts[k] = sums[k].cwiseQuotient(weights[k]);
 }
 
-bool solve(const Problem& problem, Unknowns* unknowns, Equations* equations, Equations* spare) {
+bool solve(const WindowProblem& problem, Unknowns* unknowns, Equations* equations, Equations* spare) {
   unknowns->T_odom_knot = problem.start;
-  unknowns->drifts.assign(static_cast<std::size_t>(problem.drift_of.back()) + 1, Vec6::Zero());
-  for (const Track& track : problem.tracks) unknowns->objects.push_back(track.start);
+  start_drifts(problem, unknowns);
+  for (const WindowTrack& track : problem.tracks) unknowns->objects.push_back(track.start);
   const auto linearise = [&problem](const Unknowns& at, Equations* normal) {
     normal->reset(problem, at);
     add_odometry(problem, at, normal);
     for (std::size_t k = 0; k < problem.tracks.size(); ++k) {
       const SizedPoint object(at.objects[k]);
-      for (const View& view : problem.tracks[k].views) {
-        add_view(view, at.T_odom_knot[static_cast<std::size_t>(view.knot)], k, object, normal);
+      for (const WindowView& view : problem.tracks[k].views) {
+        add_view(view, at.T_odom_knot[view.knot], k, object, normal);
       }
     }
     return std::isfinite(normal->cost);
@@ -421,17 +256,17 @@ bool solve(const Problem& problem, Unknowns* unknowns, Equations* equations, Equ
   const auto is_frozen = [](double seconds) { return seconds > 0.0; };
   const bool starts_far = std::any_of(problem.frozen_s.begin(), problem.frozen_s.end(), is_frozen);
   options.max_iterations = starts_far ? 12 : 4;
-  options.min_decrease = 1e-2;  // of a window that is solved again, a little later
+  options.min_decrease = 4e-2;  // of a window that is solved again, a little later
   return minimise(options, linearise, unknowns, equations, spare);
 }
 
 /// Median squared residual of a side over that of a normal distribution; nullopt where there are few.
-std::optional<double> box_variance(const Problem& problem, const Unknowns& unknowns) {
+std::optional<double> box_variance(const WindowProblem& problem, const Unknowns& unknowns) {
   std::vector<double> squares;
   for (std::size_t k = 0; k < problem.tracks.size(); ++k) {
     const SizedPoint object(unknowns.objects[k]);
-    for (const View& view : problem.tracks[k].views) {
-      const auto projection = project(view, unknowns.T_odom_knot[static_cast<std::size_t>(view.knot)], object);
+    for (const WindowView& view : problem.tracks[k].views) {
+      const auto projection = project(view, unknowns.T_odom_knot[view.knot], object);
       for (int side = 0; side < 4 && projection; ++side) {
         if (view.bounds(side)) squares.push_back(squared(projection->residual(side)));
       }
@@ -469,13 +304,46 @@ Eigen::MatrixXd covariance_root(Eigen::MatrixXd* information) {
   return root;
 }
 
+/// How well knots and drifts are known at a solution.
+struct Knowledge {
+  Eigen::MatrixXd root;                   ///< of the knots, see covariance_root
+  std::vector<Mat6> drifts;               ///< covariances of the drifts, were the knots known
+  std::vector<Eigen::MatrixXd> by_drift;  ///< the root times how each drift follows the knots, but for the sign
+
+  explicit Knowledge(Equations* equations) : root(covariance_root(&equations->reduce(0.0, {}, nullptr))) {
+    for (const EliminatedBlock<6>& drift : equations->drifts) {
+      drifts.push_back(drift.H.inverse());
+      by_drift.push_back(Eigen::MatrixXd::Zero(root.rows(), 6));
+      for (const auto& [row, by_row] : drift.H_knot) {
+        by_drift.back().bottomRows(root.rows() - row) += of_knot(row, row) * (by_row * drifts.back());
+      }
+    }
+  }
+  /// Its columns of the root, from a row on above which they are zero, or farther up.
+  Eigen::Block<const Eigen::MatrixXd, Eigen::Dynamic, 6> of_knot(Eigen::Index knot_row, Eigen::Index from_row) const {
+    return root.block<Eigen::Dynamic, 6>(from_row, knot_row, root.rows() - from_row, 6);
+  }
+  Vec6 knot_variances(Eigen::Index row) const { return of_knot(row, row).colwise().squaredNorm(); }
+  Vec6 drift_variances(std::size_t drift) const {
+    return drifts[drift].diagonal() + Vec6(by_drift[drift].colwise().squaredNorm());
+  }
+  /// Of the errors of a step.
+  Vec6 step_variances(std::size_t step, double duration_s, std::size_t drift, const RelativePoseTerms& terms) const {
+    const auto row = static_cast<Eigen::Index>(6 * step);
+    Eigen::Matrix<double, Eigen::Dynamic, 6> left = duration_s * by_drift[drift];
+    left.bottomRows(root.rows() - row) +=
+        of_knot(row, row) * terms.J_from.transpose() + of_knot(row + 6, row) * terms.J_to.transpose();
+    return Vec6(left.colwise().squaredNorm()) + squared(duration_s) * drifts[drift].diagonal();
+  }
+};
+
 /// How late the odometry's poses are, seen as an unknown of the problem at its solution: by a delay the odometry of a
 /// step is off by what the velocities at its ends differ, and one step of Gauss and Newton finds it.
-/// @param root see covariance_root   @param excess on the odometry's variances   @param delay_s taken out before
-/// @param elapsed_s since a window told
-void learn_delay(const Problem& problem, const Unknowns& unknowns, const Eigen::MatrixXd& root, double excess,
+/// @param excess on the odometry's variances   @param delay_s taken out before   @param elapsed_s since a window told
+void learn_delay(const WindowProblem& problem, const Unknowns& unknowns, const Knowledge& knowledge, double excess,
                  double delay_s, double elapsed_s, OdometryDelay* delay) {
-  Eigen::VectorXd by_unknowns = Eigen::VectorXd::Zero(root.rows());
+  Eigen::VectorXd by_knots = Eigen::VectorXd::Zero(knowledge.root.rows());
+  std::vector<Vec6> by_drifts(unknowns.drifts.size(), Vec6::Zero());
   double gradient = 0.0, information = 0.0;
   for (std::size_t i = 0; i < problem.steps(); ++i) {
     const std::optional<Vec6>&from = problem.velocities[i], &to = problem.velocities[i + 1];
@@ -486,49 +354,42 @@ void learn_delay(const Problem& problem, const Unknowns& unknowns, const Eigen::
     gradient += weighted.dot(terms.residual);
     information += weighted.dot(by_delay);
     const auto row = static_cast<Eigen::Index>(6 * i);
-    by_unknowns.segment<6>(row) += terms.J_from.transpose() * weighted;
-    by_unknowns.segment<6>(row + 6) += terms.J_to.transpose() * weighted;
-    by_unknowns.segment<6>(drift_row(problem, static_cast<std::size_t>(problem.drift_of[i]))) -=
-        problem.duration_s(i) * weighted;
+    by_knots.segment<6>(row) += terms.J_from.transpose() * weighted;
+    by_knots.segment<6>(row + 6) += terms.J_to.transpose() * weighted;
+    by_drifts[problem.drift_of[i]] -= problem.duration_s(i) * weighted;
   }
-  information -= (root.triangularView<Eigen::Lower>() * by_unknowns).squaredNorm();
+  Eigen::VectorXd left = knowledge.root.triangularView<Eigen::Lower>() * by_knots;
+  for (std::size_t k = 0; k < by_drifts.size(); ++k) {
+    left -= knowledge.by_drift[k] * by_drifts[k];
+    information -= by_drifts[k].dot(knowledge.drifts[k] * by_drifts[k]);
+  }
+  information -= left.squaredNorm();
   // Windows overlap: what a part of the time tells counts once.
   const double new_share = std::min(1.0, elapsed_s / (problem.times_s.back() - problem.times_s.front()));
   delay->add(delay_s - gradient / information, new_share * information / excess, elapsed_s);
 }
 
-void learn(const Problem& problem, const Unknowns& unknowns, double delay_s, double elapsed_s, Equations* equations,
-           WindowEvidence* evidence) {
-  const Eigen::MatrixXd root = covariance_root(&equations->reduce(0.0, unknowns, nullptr));
-  if (!root.allFinite()) return;
-  const auto variances = [&root](Eigen::Index row) -> Vec6 { return root.middleCols<6>(row).colwise().squaredNorm(); };
-  const WindowNoise& noise = problem.noise;
+void learn(const WindowProblem& problem, const Unknowns& unknowns, double delay_s, double elapsed_s,
+           Equations* equations, WindowEvidence* evidence) {
+  const Knowledge knowledge(equations);
+  if (!knowledge.root.allFinite()) return;
   VarianceEvidence of_steps, of_drifts;
   for (std::size_t i = 0; i < problem.steps(); ++i) {
     if (problem.is_frozen(i)) continue;
     const double dt = problem.duration_s(i);
     const RelativePoseTerms terms = step_terms(problem, unknowns, i);
-    const auto row = static_cast<Eigen::Index>(6 * i);
-    const Eigen::Index drift = drift_row(problem, static_cast<std::size_t>(problem.drift_of[i]));
-    // Above the first of these rows the root is zero.
-    const Eigen::Index rows = root.rows() - row;
-    const Eigen::Matrix<double, Eigen::Dynamic, 6> left =
-        root.block<Eigen::Dynamic, 6>(row, row, rows, 6) * terms.J_from.transpose() +
-        root.block<Eigen::Dynamic, 6>(row, row + 6, rows, 6) * terms.J_to.transpose() -
-        dt * root.block<Eigen::Dynamic, 6>(row, drift, rows, 6);
-    add(terms.residual, left.colwise().squaredNorm(), problem.step_variances(i), 1.0 / dt, &evidence->step_translation,
-        &evidence->step_rotation, &of_steps);
+    add(terms.residual, knowledge.step_variances(i, dt, problem.drift_of[i], terms), problem.step_variances(i),
+        1.0 / dt, &evidence->step_translation, &evidence->step_rotation, &of_steps);
   }
   for (std::size_t k = 0; k < unknowns.drifts.size(); ++k) {
-    add(unknowns.drifts[k], variances(drift_row(problem, k)),
-        by_kind(squared(noise.drift_mps), squared(noise.drift_radps)), 1.0, &evidence->drift_translation,
+    add(unknowns.drifts[k], knowledge.drift_variances(k), problem.drift_variances(), 1.0, &evidence->drift_translation,
         &evidence->drift_rotation, &of_drifts);
   }
   // While the odometry's noise is not learnt yet, it is worse than told.
   const double excess = std::max({1.0, of_steps.squares / of_steps.count, of_drifts.squares / of_drifts.count});
-  learn_delay(problem, unknowns, root, excess, delay_s, elapsed_s, &evidence->delay);
+  learn_delay(problem, unknowns, knowledge, excess, delay_s, elapsed_s, &evidence->delay);
   const auto last = static_cast<Eigen::Index>(6 * problem.steps());
-  const double ends = variances(0).tail<3>().mean() + variances(last).tail<3>().mean();
+  const double ends = knowledge.knot_variances(0).tail<3>().mean() + knowledge.knot_variances(last).tail<3>().mean();
   evidence->doubt_radps = std::sqrt(2.0 * ends) / (problem.times_s.back() - problem.times_s.front());
   if (const std::optional<double> variance = box_variance(problem, unknowns)) {
     const double factor = evidence->box_factor * std::sqrt(1.0 + kBoxRate * (*variance - 1.0));
@@ -562,6 +423,7 @@ std::pair<double, double> sigmas(const VarianceEvidence& translation, const Vari
 
 struct WindowSolver::Memory {
   Equations equations, spare;
+  WindowSolution last;
 };
 
 WindowSolver::WindowSolver() : memory_(std::make_unique<Memory>()) {}
@@ -585,11 +447,12 @@ std::deque<ObservedFrame> WindowSolver::solve(std::deque<ObservedFrame> window, 
   const auto is_in_order = [](const ObservedFrame& p, const ObservedFrame& q) { return p.stamp_ns < q.stamp_ns; };
   if (std::adjacent_find(window.begin(), window.end(), std::not_fn(is_in_order)) != window.end()) return window;
   const std::vector<std::size_t> knots = knots_of(window, anchor);
-  if (knots.size() < kMinViews) return window;
+  if (knots.size() < kMinWindowViews) return window;
   applied_delay_s_ = delay_s();
   window = undelayed(std::move(window), applied_delay_s_);
   const std::vector<bool> frozen = frozen_motions(window);
-  const Problem problem = make_problem(window, knots, anchor, frozen, noise());
+  if (memory_->last.find(window.front().stamp_ns) == nullptr) memory_->last = {};
+  const WindowProblem problem(window, knots, anchor, frozen, noise(), memory_->last);
   Unknowns unknowns;
   if (!core::solve(problem, &unknowns, &memory_->equations, &memory_->spare)) return window;
   const double since_s = 1e-9 * static_cast<double>(window.back().stamp_ns - learnt_ns_);
@@ -598,6 +461,7 @@ std::deque<ObservedFrame> WindowSolver::solve(std::deque<ObservedFrame> window, 
     learn(problem, unknowns, applied_delay_s_, since_s, &memory_->equations, &evidence_);
     learnt_ns_ = window.back().stamp_ns;
   }
+  WindowSolution& last = memory_->last = {};
   std::size_t step = 0;
   for (std::size_t i = 0; i < window.size(); ++i) {
     while (step + 1 < problem.steps() && knots[step + 1] <= i) ++step;
@@ -608,7 +472,9 @@ std::deque<ObservedFrame> WindowSolver::solve(std::deque<ObservedFrame> window, 
         T_odom_knot * motion_on_the_way(T_knot_camera, problem.odometry(step),
                                         T_odom_knot.inverse() * unknowns.T_odom_knot[step + 1], share);
     if (i > 0 && frozen[i - 1]) window[i].frozen_s = seconds_into(window, i) - seconds_into(window, i - 1);
+    last.T_odom_camera.emplace_hint(last.T_odom_camera.end(), window[i].stamp_ns, window[i].T_odom_camera);
   }
+  for (std::size_t k = 0; k < problem.tracks.size(); ++k) last.objects[problem.tracks[k].id] = unknowns.objects[k];
   return window;
 }
 

@@ -8,16 +8,9 @@
 
 #include "loop/submap/observation_window.h"
 #include "loop/submap/odometry_delay.h"
+#include "loop/submap/window_problem.h"
 
 namespace semantic_topo_loop::core {
-
-/// What is taken for the errors of an odometry over some seconds (1 sigma an axis): steps that are independent, and a
-/// drift that lasts; and for those of the boxes.
-struct WindowNoise {
-  double step_m = 0.001, step_rad = 0.001;        ///< after a second, grow with the root of the time
-  double drift_mps = 0.001, drift_radps = 0.001;  ///< m/s and rad/s, the same for seconds on end
-  double box_factor = 1.0;                        ///< on the sigmas that boxes are usually known by
-};
 
 /// Squares of what was found, over how many of them the boxes determine: a variance.
 struct VarianceEvidence {
@@ -33,7 +26,8 @@ struct WindowEvidence {
 /// Solves a window of frames for the camera's motion and the objects on all sides of their boxes, since an odometry of
 /// robots and cameras is off by centimetres within the seconds of a submap. How far the odometry is to be trusted is
 /// learnt from window to window by the evidence of the boxes (MacKay's fixed point), so that a good odometry is left as
-/// it is; and so is how late its poses are. In seconds, metres and radians: any frame rate.
+/// it is; and so is how late its poses are. In seconds, metres and radians: any frame rate. Each window begins with
+/// what the one before has found, so that two steps solve most.
 class WindowSolver {
  public:
   WindowSolver();
