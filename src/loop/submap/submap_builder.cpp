@@ -86,9 +86,8 @@ class Clustering {
     std::map<std::int64_t, std::vector<int>> groups;
     for (const int i : unused()) groups[ray(i).track_id].push_back(i);
     for (const auto& [track, members] : groups) propose(members, &proposals);
-    // Tracks end when an object leaves the view, or join two objects; pairs of any boxes find what they miss.
-    propose_any(&proposals);
     gather(std::move(proposals));
+    // Tracks end when an object leaves the view, or join two objects; pairs of any boxes find what they miss.
     proposals.clear();
     propose_any(&proposals);
     gather(std::move(proposals));
