@@ -255,11 +255,11 @@ struct LoopDetector::Impl {
     return gap_s;
   }
 
-  /// Loops are looked for between keyframes too: a camera that hardly moves makes few of them, but every view of
-  /// a known place shall be recognised at once.
+  /// By time: a camera that hardly moves makes few keyframes, but every view of a known place shall be recognised at
+  /// once; and what one keyframe has closed the next one hardly need close again. The paper asks at keyframes.
   bool is_due(const Frame& frame) {
     const bool waited = frame.stamp_ns - last_attempt_ns_ >= std::llround(1e9 * options_.attempt_interval_s);
-    if (!frame.is_keyframe && !waited) return false;
+    if (!waited && !(paper_mode_ && frame.is_keyframe)) return false;
     last_attempt_ns_ = frame.stamp_ns;
     return true;
   }

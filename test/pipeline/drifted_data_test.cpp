@@ -104,7 +104,7 @@ TEST_F(DriftedData, LoopsAreRightAndTakeTheDriftOut) {
   const Case cases[] = {{"fr2_desk", "drifted/smooth_0.3m_5deg_s1.txt", 7.5, 200, 0.99},
                         {"fr2_desk", "drifted/jump_1m_15deg_s1.txt", 20.0, 150, 0.99},
                         {"fr2_desk", "drifted_real/walk_0.3m_5deg_s1.txt", 3.2, 200, 0.99},
-                        {"fr2_desk", "drifted_real/slip_1m_15deg_s1.txt", 3.8, 100, 0.99},
+                        {"fr2_desk", "drifted_real/slip_1m_15deg_s1.txt", 3.8, 100, 0.98},
                         {"fr3_office", "drifted/smooth_1m_15deg_s1.txt", 4.4, 20, 0.99},
                         {"fr3_office", "drifted_real/freeze_1m_15deg_s1.txt", 5.5, 20, 0.99}};
   for (const Case& c : cases) {

@@ -53,7 +53,7 @@ class LoopDetector {
 
   /// Keeps landmark quality, states and merge redirects up to date. Call it with every update, in order.
   void apply(const MapUpdate& update);
-  /// Takes in a frame; at keyframes looks for loops. Call after `apply` of the frame's observation update.
+  /// Takes in a frame, and looks for loops if it is time. Call after `apply` of the frame's observation update.
   /// @return every candidate that reached verification, accepted or not
   std::vector<LoopClosure> detect(const Frame& frame, const AssociationFrame& associations);
   /// Graph mode: how the camera moved about the last frame given to detect(), solved for with the objects in view: from

@@ -75,7 +75,7 @@ struct LoopOptions {
     visitor("min_gap_s", min_gap_s, positive(), "graph mode: no loop between submaps closer in time");
     visitor.live("max_candidates", max_candidates, at_least(1), "loops accepted a keyframe at most");
     visitor.live("attempt_interval_s", attempt_interval_s, not_negative(),
-                 "loops are looked for this often, and at keyframes");
+                 "loops are looked for this often; paper mode: and at keyframes");
     visitor("window_s", window_s, positive(), "graph mode: time span of a submap, at most");
     visitor("min_window_s", min_window_s, positive(), "and at least, however poor the odometry is");
     visitor("window_sigma_deg", window_sigma_deg, positive(),
