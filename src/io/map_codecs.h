@@ -148,9 +148,11 @@ VISIT_MEMBERS(Camera, MEMBER(fx) MEMBER(fy) MEMBER(cx) MEMBER(cy) MEMBER(width) 
 VISIT_MEMBERS(LoopVerdict, MEMBER(number) MEMBER(query_keyframe_id) MEMBER(match_keyframe_id) MEMBER(kept)
                                MEMBER(reason) MEMBER(is_extra))
 VISIT_MEMBERS(EdgeCovariance, MEMBER(given) MEMBER(translation) MEMBER(rotation) MEMBER(suspected_jumps))
-VISIT_MEMBERS(OdometryEdge,
-              MEMBER(T_from_to) MEMBER(path_m) MEMBER(rotation_rad) MEMBER(covariance) MEMBER(is_break) MEMBER(frozen_s)
-                  MEMBER(suspected_jump) MEMBER(jump_error_m) MEMBER(jump_error_rad) MEMBER(joined))
+VISIT_MEMBERS(OdometryEdge, MEMBER(T_from_to) MEMBER(path_m) MEMBER(rotation_rad) MEMBER(covariance) MEMBER(is_break)
+                                visit("frozen_s", value.missed.frozen_s);
+              visit.later("slipped_s", value.missed.slipped_s);
+              visit.later("missed_covariance", value.missed.covariance);
+              MEMBER(suspected_jump) MEMBER(jump_error_m) MEMBER(jump_error_rad) MEMBER(joined))
 VISIT_MEMBERS(GraphLoop,
               MEMBER(from) MEMBER(to) MEMBER(T_from_to) MEMBER(covariance) MEMBER(scale) MEMBER(scale_covariance)
                   MEMBER(query_keyframe_id) MEMBER(match_keyframe_id) MEMBER(had_support) MEMBER(query_begin)

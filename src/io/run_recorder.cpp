@@ -39,13 +39,17 @@ const char* level_name(AssociationLevel level) {
 nlohmann::json odometry_summary(const OdometryReport& report) {
   nlohmann::json faults = nlohmann::json::array();
   for (const OdometryFault& fault : report.faults) {
-    const char* kind = fault.is_break ? "break" : fault.frozen_s > 0.0 ? "freeze" : "jump";
+    const char* kind = fault.is_break          ? "break"
+                       : fault.frozen_s > 0.0  ? "freeze"
+                       : fault.slipped_s > 0.0 ? "slip"
+                                               : "jump";
     faults.push_back({{"from_keyframe", fault.from_keyframe_id},
                       {"to_keyframe", fault.to_keyframe_id},
                       {"kind", kind},
                       {"translation_m", fault.translation_m},
                       {"rotation_rad", fault.rotation_rad},
-                      {"frozen_s", fault.frozen_s}});
+                      {"frozen_s", fault.frozen_s},
+                      {"slipped_s", fault.slipped_s}});
   }
   return {{"stated_edges", report.stated_edges},
           {"translation_m", report.translation_m},

@@ -13,11 +13,12 @@
 #include "loop/graph/relocalisation.h"
 #include "loop/pair_record.h"
 #include "loop/paper/paper_detector.h"
-#include "loop/submap/frozen_odometry.h"
+#include "loop/submap/missed_motion.h"
 #include "loop/submap/observation_window.h"
 #include "loop/submap/submap_builder.h"
 #include "loop/submap/window_solver.h"
 #include "odometry/motion_bursts.h"
+#include "odometry/odometry_edge.h"
 #include "semantic_topo_loop/geometry/lie.h"
 #include "semantic_topo_loop/loop/loop_options.h"
 
@@ -91,10 +92,18 @@ struct LoopDetector::Impl {
     const std::optional<std::size_t> anchor = middle_keyframe(window_.frames());
     if (!anchor) return {};
     const std::deque<ObservedFrame> window = paper_mode_ ? window_.frames() : solver_.solve(window_.frames(), *anchor);
+    // A slip is not over yet, or is a jump, which the motion tells better, a little later.
+    if (window.back().missed.slipped_s > 0.0) return {};
     if (!paper_mode_ && options_.enabled) tell_motions(window, window[*anchor].keyframe_id);
     std::optional<LocalMap> map = build_local_map(window, redirects_, up_, options_);
     if (!map) return {};
-    monitor_.set_reference(*map);
+    // What the odometry missed is between the reference and the frames to come.
+    const auto is_missed = [](const ObservedFrame& frame) { return frame.missed.is_any(); };
+    if (std::any_of(window.begin() + static_cast<std::ptrdiff_t>(*anchor) + 1, window.end(), is_missed)) {
+      monitor_.restart();
+    } else {
+      monitor_.set_reference(*map);
+    }
     if (paper_mode_) {
       std::vector<LoopClosure> loops = paper_.detect(std::move(*map), options_.enabled);
       record_.add(loops);
@@ -128,7 +137,7 @@ struct LoopDetector::Impl {
         const SE3 step = last->T_odom_camera.inverse() * frame.T_odom_camera;
         motion.path_m += step.t.norm();
         motion.rotation_rad += rotation_angle(step.q, Quaternion::Identity());
-        motion.frozen_s += frame.frozen_s;
+        motion.missed = join(motion.missed, frame.missed, step);
       }
       last = &frame;
       if (!frame.is_keyframe) continue;
@@ -286,9 +295,10 @@ struct LoopDetector::Impl {
     const bool has_shift = taken && !window_.frames().empty() && monitor_.push(last_frame());
     if (has_burst || has_shift) {
       monitor_.restart();
-      // What a frozen odometry missed is solved for.
+      // What a frozen or slipping odometry missed is solved for; a burst is known better by the motion itself.
       const std::optional<std::int64_t> frozen_ns = last_frozen_ns(window_.frames());
-      const bool is_missed = frozen_ns && (has_shift || frame.stamp_ns - *frozen_ns < kResume_ns);
+      const bool is_missed = (frozen_ns && (has_shift || frame.stamp_ns - *frozen_ns < kResume_ns)) ||
+                             (!has_burst && solver_.has_slipped(window_.frames()));
       if (!is_missed) {
         window_.clear();
         up_.clear();

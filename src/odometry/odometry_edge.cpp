@@ -17,9 +17,6 @@ constexpr double kBreakTranslation_m = 30.0, kBreakRotation_rad = 3.0;
 /// What a standing camera's edge keeps, so that its information stays finite: well below what any odometry resolves.
 constexpr double kMinEdgeTranslation_m = 2e-4, kMinEdgeRotation_rad = 1e-4;
 
-/// m/s and rad/s: sigma of what is solved for while the odometry is frozen.
-constexpr double kFrozenRate = 0.15;
-
 /// Mean and sigma of a jump by all or nothing, each as likely, as shares of it.
 constexpr double kMeanJump = 0.5, kSigmaJump = 0.5;
 
@@ -36,7 +33,8 @@ constexpr OdometryNoise kNoNoise{0.0, 0.0, 0.0, 0.0, 0.0, 0.0}, kOnlyJumps{0.0, 
 bool is_motion(const SolvedMotion& motion) {
   const auto is_length = [](double value) { return std::isfinite(value) && value >= 0.0; };
   return motion.T_from_to.is_finite() && is_rotation(motion.T_from_to.q) && is_length(motion.path_m) &&
-         is_length(motion.rotation_rad) && is_length(motion.frozen_s);
+         is_length(motion.rotation_rad) && is_length(motion.missed.frozen_s) && is_length(motion.missed.slipped_s) &&
+         (!motion.missed.is_any() || is_covariance(motion.missed.covariance));
 }
 
 EdgeCovariance by_causes(const OdometryEdge& edge) {
@@ -95,9 +93,9 @@ Mat6 odometry_covariance(const OdometryEdge& edge, const OdometryNoise& noise) {
            noise.rotation_rad * noise.rotation_rad * edge.joined->rotation +
            noise.jump_prior * noise.jump_prior * edge.joined->suspected_jumps;
   }
-  const double frozen = kFrozenRate * edge.frozen_s;
-  return isotropic_covariance(kMinEdgeTranslation_m * kMinEdgeTranslation_m + frozen * frozen,
-                              kMinEdgeRotation_rad * kMinEdgeRotation_rad + frozen * frozen) +
+  return isotropic_covariance(kMinEdgeTranslation_m * kMinEdgeTranslation_m,
+                              kMinEdgeRotation_rad * kMinEdgeRotation_rad) +
+         edge.missed.covariance +
          isotropic_covariance(noise.translation_m * noise.translation_m * edge.path_m,
                               noise.rotation_rad * noise.rotation_rad * edge.rotation_rad) +
          noise.jump_prior * noise.jump_prior * suspected_jump_covariance(edge);
@@ -118,8 +116,14 @@ bool OdometryEdge::refine(const SolvedMotion& motion) {
   T_from_to = motion.T_from_to;
   path_m = motion.path_m;
   rotation_rad = motion.rotation_rad;
-  frozen_s = motion.frozen_s;
+  missed = motion.missed;
   return true;
+}
+
+MissedMotion join(const MissedMotion& first, const MissedMotion& second, const SE3& T_from_to) {
+  const Mat6 carry = transport(T_from_to);
+  return {first.frozen_s + second.frozen_s, first.slipped_s + second.slipped_s,
+          Mat6(carry * first.covariance * carry.transpose()) + second.covariance};
 }
 
 OdometryEdge join(const OdometryEdge& first, const OdometryEdge& second) {
@@ -129,7 +133,7 @@ OdometryEdge join(const OdometryEdge& first, const OdometryEdge& second) {
   edge.path_m = first.path_m + second.path_m;
   edge.rotation_rad = first.rotation_rad + second.rotation_rad;
   edge.is_break = first.is_break || second.is_break;
-  edge.frozen_s = first.frozen_s + second.frozen_s;
+  edge.missed = join(first.missed, second.missed, second.T_from_to);
   edge.suspected_jump = carry * first.suspected_jump + second.suspected_jump;
   if (first.measured || second.measured) {
     edge.measured = std::make_shared<const OdometryEdge>(join(measured_edge(first), measured_edge(second)));

@@ -41,7 +41,7 @@ struct OdometryEdge {
   double rotation_rad = 0.0;       ///< sum of the rotation angles, frame by frame
   std::optional<Mat6> covariance;  ///< stated by the source: (translation m, rotation rad), right
   bool is_break = false;           ///< nothing is known about this motion
-  double frozen_s = 0.0;           ///< for how long of it the odometry stood still though what was in view moved
+  MissedMotion missed;
   /// Motion that stands out of that before and after, see MotionBursts: the odometry may have jumped by it, or not at
   /// all (translation m, rotation rad; right).
   Vec6 suspected_jump = Vec6::Zero();
@@ -78,6 +78,9 @@ Mat6 odometry_covariance(const OdometryEdge& edge, const OdometryNoise& noise);
 
 /// Covariance that the errors which last add to an edge of unstated covariance if they change every metre or so.
 Mat6 steady_covariance(const OdometryEdge& edge, const OdometryNoise& noise);
+
+/// What was missed of a motion and the next. @param T_from_to of the second
+MissedMotion join(const MissedMotion& first, const MissedMotion& second, const SE3& T_from_to);
 
 /// The odometry over two edges, the second of which starts where the first ends.
 OdometryEdge join(const OdometryEdge& first, const OdometryEdge& second);

@@ -418,7 +418,9 @@ struct PoseGraph::Impl {
     for (std::size_t i = 0; i < trajectory_.edges.size(); ++i) {
       report.stated_edges += trajectory_.edges[i].covariance ? 1 : 0;
       if (trajectory_.edges[i].is_break) fault(i).is_break = true;
-      if (trajectory_.edges[i].frozen_s > 0.0) fault(i).frozen_s = trajectory_.edges[i].frozen_s;
+      const MissedMotion& missed = trajectory_.edges[i].missed;
+      if (missed.frozen_s > 0.0) fault(i).frozen_s = missed.frozen_s;
+      if (missed.slipped_s > 0.0) fault(i).slipped_s = missed.slipped_s;
     }
     for (const OdometryJump& jump : noise.jumps) {
       fault(jump.edge).translation_m = jump.translation_m;

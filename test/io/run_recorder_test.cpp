@@ -407,7 +407,7 @@ TEST_F(RunRecorderTest, SummaryCounts) {
     "odometry": {"stated_edges": 0, "translation_m": 0.25, "rotation_rad": 0.5, "steady_translation": 0.0,
       "steady_rotation_rad": 0.0, "scale": 0.0, "loop_factor": 1.5, "delay_s": 0.0625, "faults": [
         {"from_keyframe": 0, "to_keyframe": 1, "kind": "break", "translation_m": 0.125, "rotation_rad": 2.0,
-         "frozen_s": 0.0}]}})"));
+         "frozen_s": 0.0, "slipped_s": 0.0}]}})"));
 }
 
 TEST_F(RunRecorderTest, VerdictsNameTheirFrames) {

@@ -354,11 +354,13 @@ TEST(PoseGraph, WhatNoNeighboursOrAKnownNoiseTellIsNotReplaced) {
     if (k == 8) frame.covariance = 1e-4 * Mat6::Identity();
     graph.process(frame, {});
   }
-  std::vector<SolvedMotion> wrong(4, true_motion(run, 10, 11));
+  std::vector<SolvedMotion> wrong(6, true_motion(run, 10, 11));
   wrong[0].T_from_to.t.x() = std::numeric_limits<double>::quiet_NaN();
   wrong[1].T_from_to.q.coeffs().setZero();
   wrong[2].path_m = std::numeric_limits<double>::infinity();
-  wrong[3].frozen_s = -1.0;
+  wrong[3].missed.frozen_s = -1.0;
+  wrong[4].missed.slipped_s = std::numeric_limits<double>::quiet_NaN();
+  wrong[5].missed.slipped_s = 1.0;  // of no covariance
   graph.refine(wrong);
   graph.refine({true_motion(run, 4, 5), true_motion(run, 7, 8), true_motion(run, 2, 4), true_motion(run, 3, 2),
                 true_motion(run, 19, 20), true_motion(run, 3, 3), SolvedMotion()});
@@ -373,7 +375,8 @@ TEST(PoseGraph, LoopsMendWhatAFrozenOdometryMissed) {
   frozen.T_from_to = frozen.T_from_to * SE3(so3_exp(Vec3(0.0, 0.05, 0.1)), Vec3(0.4, -0.3, 0.0));
   frozen.delay_s = 0.06;
   const auto worst_error = [&](double frozen_s, OdometryReport* report) {
-    frozen.frozen_s = frozen_s;
+    frozen.missed.frozen_s = frozen_s;
+    frozen.missed.covariance = isotropic_covariance(0.36, 0.36);
     PoseGraph graph{PoseGraphOptions()};
     const std::vector<LoopClosure> loops = noisy_loops(run, 3, 2);
     for (int k = 0; k < run.size(); ++k) {
@@ -829,7 +832,8 @@ TEST(LoopConsistency, WhatTheOdometryIsKnownToBeOffMakesNoLoopWrong) {
   off[154].T_from_to = off[154].T_from_to * SE3(so3_exp(Vec3(0.0, 0.0, 0.4)), Vec3(0.8, 0.0, 0.0));
   std::vector<OdometryEdge> stated = off, frozen = off;
   stated[154].covariance = isotropic_covariance(0.25, 0.04);
-  frozen[154].frozen_s = 3.0;
+  frozen[154].missed.frozen_s = 3.0;
+  frozen[154].missed.covariance = isotropic_covariance(0.2, 0.2);
   const std::vector<bool> all(loops.size(), true);
   EXPECT_NE(LoopConsistency().vote(off, loops), all);
   EXPECT_EQ(LoopConsistency().vote(stated, loops), all);

@@ -345,8 +345,13 @@ TEST(Messages, Loops) {
     loops.closures.push_back(loop);
   }
   for (int i = 0; i < 3; ++i) {
-    loops.motions.push_back({random.integer(), random.integer(), random.pose(), random.number(), random.number(),
-                             random.number(), random.number()});
+    loops.motions.push_back({random.integer(),
+                             random.integer(),
+                             random.pose(),
+                             random.number(),
+                             random.number(),
+                             {random.number(), random.number(), random.matrix<core::Mat6>()},
+                             random.number()});
   }
   const LoopsMessage message = random.message<LoopsMessage>(loops);
   const LoopClosureArray generated = expect_generated_is_same(message);
@@ -372,7 +377,9 @@ TEST(Messages, Loops) {
     EXPECT_EQ(generated.motions[i].to_keyframe_id, loops.motions[i].to_keyframe_id);
     EXPECT_TRUE(same(generated.motions[i].pose, loops.motions[i].T_from_to));
     EXPECT_EQ(generated.motions[i].path_m, loops.motions[i].path_m);
-    EXPECT_EQ(generated.motions[i].frozen_s, loops.motions[i].frozen_s);
+    EXPECT_EQ(generated.motions[i].frozen_s, loops.motions[i].missed.frozen_s);
+    EXPECT_EQ(generated.motions[i].slipped_s, loops.motions[i].missed.slipped_s);
+    EXPECT_EQ(generated.motions[i].missed_covariance[1], loops.motions[i].missed.covariance(0, 1)) << "row-major";
     EXPECT_EQ(generated.motions[i].delay_s, loops.motions[i].delay_s);
   }
 }

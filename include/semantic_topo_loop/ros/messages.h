@@ -291,9 +291,10 @@ SEMANTIC_TOPO_LOOP_FIELDS(core::KeyframePose, m.keyframe_id, m.frame_id, m.stamp
 SEMANTIC_TOPO_LOOP_FIELDS(core::LoopVerdict, m.number, m.query_keyframe_id, m.match_keyframe_id, m.kept, m.is_extra,
                           m.reason)
 SEMANTIC_TOPO_LOOP_FIELDS(core::OdometryFault, m.from_keyframe_id, m.to_keyframe_id, m.is_break, m.translation_m,
-                          m.rotation_rad, m.frozen_s)
+                          m.rotation_rad, m.frozen_s, m.slipped_s)
+SEMANTIC_TOPO_LOOP_FIELDS(core::MissedMotion, m.frozen_s, m.slipped_s, m.covariance)
 SEMANTIC_TOPO_LOOP_FIELDS(core::SolvedMotion, m.from_keyframe_id, m.to_keyframe_id, m.T_from_to, m.path_m,
-                          m.rotation_rad, m.frozen_s, m.delay_s)
+                          m.rotation_rad, m.missed, m.delay_s)
 SEMANTIC_TOPO_LOOP_FIELDS(core::OdometryReport, m.stated_edges, m.translation_m, m.rotation_rad, m.steady_translation,
                           m.steady_rotation_rad, m.scale, m.loop_factor, m.delay_s, m.faults)
 SEMANTIC_TOPO_LOOP_FIELDS(semantic_topo_loop::FrameDetections, m.frame_id, m.unanswered, m.detections)

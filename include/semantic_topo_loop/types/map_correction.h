@@ -25,13 +25,13 @@ struct LoopVerdict {
   bool is_extra = false;    ///< given from outside, not found
 };
 
-/// A stretch of odometry that is not believed: a break, where nothing is known; a jump that the loops gave away; or a
-/// freeze, where it stood still though what was in view moved.
+/// A stretch of odometry that is not believed: a break, where nothing is known; a jump that the loops gave away; or
+/// what it missed though what was in view moved: a freeze, where it stood still, or a slip, where it went another way.
 struct OdometryFault {
   std::int64_t from_keyframe_id = -1, to_keyframe_id = -1;  ///< neighbours in the graph
   bool is_break = false;
   double translation_m = 0.0, rotation_rad = 0.0;  ///< sigmas of what a jump is off, on each axis
-  double frozen_s = 0.0;                           ///< how long a freeze lasted
+  double frozen_s = 0.0, slipped_s = 0.0;          ///< how long a freeze and a slip lasted
 };
 
 /// What the odometry's errors are taken to be: see OdometryNoise, and NoiseEstimate for the factor on the loops'

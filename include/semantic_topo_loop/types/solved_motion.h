@@ -2,9 +2,19 @@
 
 #include <cstdint>
 
+#include "semantic_topo_loop/types/eigen.h"
 #include "semantic_topo_loop/types/transform.h"
 
 namespace semantic_topo_loop::core {
+
+/// What of a motion the odometry missed, so that what is in view told it.
+struct MissedMotion {
+  double frozen_s = 0.0;           ///< for how long it stood still though what was in view moved
+  double slipped_s = 0.0;          ///< for how long it went another way than what was in view tells
+  Mat6 covariance = Mat6::Zero();  ///< how well that is known: right, (translation m, rotation rad)
+
+  bool is_any() const { return frozen_s > 0.0 || slipped_s > 0.0; }
+};
 
 /// How the camera moved from a keyframe to the next, solved for with the objects that it saw on the way.
 struct SolvedMotion {
@@ -12,8 +22,8 @@ struct SolvedMotion {
   SE3 T_from_to;
   double path_m = 0.0;        ///< length of the way
   double rotation_rad = 0.0;  ///< sum of the rotation angles on it
-  double frozen_s = 0.0;      ///< for how long of that time the odometry stood still though what was in view moved
-  double delay_s = 0.0;       ///< by how much the odometry's poses were taken to be late against the images; < 0: early
+  MissedMotion missed;
+  double delay_s = 0.0;  ///< by how much the odometry's poses were taken to be late against the images; < 0: early
 };
 
 }  // namespace semantic_topo_loop::core

@@ -12,6 +12,7 @@
 #include "semantic_topo_loop/types/frame.h"
 #include "semantic_topo_loop/types/landmark.h"
 #include "semantic_topo_loop/types/local_map.h"
+#include "semantic_topo_loop/types/solved_motion.h"
 #include "semantic_topo_loop/types/transform.h"
 
 namespace semantic_topo_loop::core {
@@ -52,7 +53,7 @@ struct ObservedFrame {
   std::int64_t stamp_ns = 0;
   bool is_keyframe = false;
   SE3 T_odom_camera;
-  double frozen_s = 0.0;  ///< since the frame before, if the odometry stood still though what is in view moved; else 0
+  MissedMotion missed;  ///< since the frame before
   Vec2 focal_px = Vec2::Ones();
   Box image;  ///< the image's rectangle on the plane z = 1
   std::vector<ObservedBox> boxes;

@@ -15,6 +15,7 @@ constexpr double kWander_s = 0.00026;
 constexpr double kLeast_s = 0.015;
 constexpr double kEvidentSigmas = 4.0;
 constexpr double kStay = 0.5;            ///< of both: a delay that was evident stays so down to there
+constexpr double kUsual_s = 0.1;         ///< sigma of what is not known yet
 constexpr double kMost_s = 0.25;         ///< poses are taken from other images of a window, not from anywhere
 constexpr double kMinBaseline_s = 0.05;  ///< over which a motion goes on; closer frames' jitter would grow
 
@@ -28,6 +29,8 @@ void OdometryDelay::add(double seconds, double information, double elapsed_s) {
   const double least_s = std::max(kLeast_s, kEvidentSigmas / std::sqrt(information_));
   is_evident_ = std::abs(mean_s_) >= (is_evident_ ? kStay : 1.0) * least_s;
 }
+
+double OdometryDelay::sigma_s() const { return 1.0 / std::sqrt(information_ + 1.0 / (kUsual_s * kUsual_s)); }
 
 std::string describe_delay(double delay_s) {
   if (delay_s == 0.0) return {};

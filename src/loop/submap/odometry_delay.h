@@ -18,6 +18,9 @@ class OdometryDelay {
   void add(double seconds, double information, double elapsed_s);
   /// Negative: poses come early. 0 unless the delay is evident, and 250 ms at most.
   double seconds() const { return is_evident_ ? mean_s_ : 0.0; }
+  /// The most likely one, evident or not, and its sigma.
+  double likely_s() const { return mean_s_; }
+  double sigma_s() const;
 
  private:
   double mean_s_ = 0.0, information_ = 0.0;  ///< the second in 1/s^2

@@ -5,8 +5,6 @@
 #include <limits>
 #include <utility>
 
-#include "loop/submap/frozen_odometry.h"
-
 namespace semantic_topo_loop::core {
 namespace {
 
@@ -14,7 +12,7 @@ namespace {
 // differently.
 constexpr double kKnotInterval_s = 0.45;  ///< poses are solved for this often: boxes of closer frames are off alike
 constexpr double kDriftSpan_s = 3.0;      ///< for which a drift lasts
-/// m/s and rad/s: how a camera may move while the odometry stands still.
+/// m/s and rad/s: how a camera may move while the odometry does not follow it.
 constexpr double kUnseenRate = 0.5;
 constexpr int kMaxCutSides = 2;
 constexpr double kMinDepth_m = 0.15;  ///< of an object before the camera
@@ -123,8 +121,8 @@ const SE3* WindowSolution::find(std::int64_t stamp_ns) const {
 }
 
 WindowProblem::WindowProblem(const std::deque<ObservedFrame>& window, const std::vector<std::size_t>& knots,
-                             std::size_t anchor_frame, const std::vector<bool>& frozen, const WindowNoise& window_noise,
-                             const WindowSolution& last)
+                             std::size_t anchor_frame, const std::vector<bool>& missed, const std::optional<Slip>& slip,
+                             const WindowNoise& window_noise, const WindowSolution& last)
     : noise(window_noise) {
   std::map<std::int64_t, WindowTrack> by_id;
   for (std::size_t k = 0; k < knots.size(); ++k) {
@@ -143,7 +141,7 @@ WindowProblem::WindowProblem(const std::deque<ObservedFrame>& window, const std:
   for (std::size_t i = 0; i < steps(); ++i) {
     drift_of.push_back(static_cast<std::size_t>(0.5 * (times_s[i] + times_s[i + 1]) / kDriftSpan_s));
   }
-  const SE3 T_odom_last = start_knots(window, knots, frozen, last);
+  const SE3 T_odom_last = start_knots(window, knots, missed, slip, last);
   for (auto& [id, track] : by_id) {
     if (track.views.size() < kMinWindowViews) continue;
     std::optional<Vec5> known;
@@ -157,22 +155,33 @@ WindowProblem::WindowProblem(const std::deque<ObservedFrame>& window, const std:
   }
 }
 
-/// What is known goes on by the odometry, and where that stands still turns by what the boxes move.
+/// What is known goes on by the odometry, and where that misses something turns by what the boxes move.
 /// @return from the world of what is known to this one's
 SE3 WindowProblem::start_knots(const std::deque<ObservedFrame>& window, const std::vector<std::size_t>& knots,
-                               const std::vector<bool>& frozen, const WindowSolution& last) {
+                               const std::vector<bool>& missed, const std::optional<Slip>& slip,
+                               const WindowSolution& last) {
   start = T_odom_knot;
-  frozen_s.assign(steps(), 0.0);
+  missed_s.assign(steps(), 0.0);
   if (const SE3* known = last.find(window.front().stamp_ns)) start.front() = *known;
   for (std::size_t step = 0; step < steps(); ++step) {
+    const std::size_t from = knots[step], to = knots[step + 1];
     Quaternion turn = Quaternion::Identity();
-    for (std::size_t i = knots[step]; i < knots[step + 1]; ++i) {
-      if (!frozen[i]) continue;
-      frozen_s[step] += seconds_into(window, i + 1) - seconds_into(window, i);
+    for (std::size_t i = from; i < to; ++i) {
+      if (!missed[i]) continue;
+      missed_s[step] += seconds_into(window, i + 1) - seconds_into(window, i);
       turn = turn * turn_by_boxes(window[i], window[i + 1]);
     }
-    const SE3* known = last.find(window[knots[step + 1]].stamp_ns);
-    start[step + 1] = known != nullptr ? *known : start[step] * odometry(step) * SE3(turn, Vec3::Zero());
+    if (const SE3* known = last.find(window[to].stamp_ns)) {
+      start[step + 1] = *known;
+    } else if (slip) {
+      const SE3 motion = window[slip->from].T_odom_camera.inverse() * window[to].T_odom_camera;
+      const double since_s = seconds_into(window, to) - seconds_into(window, slip->from);
+      const double share = since_s / (seconds_into(window, slip->to) - seconds_into(window, slip->from));
+      start[step + 1] = *last.find(window[slip->from].stamp_ns) * motion *
+                        SE3(Quaternion::Identity().slerp(std::min(share, 1.0), slip->turn), Vec3::Zero());
+    } else {
+      start[step + 1] = start[step] * odometry(step) * SE3(turn, Vec3::Zero());
+    }
   }
   const SE3 T_odom_last = T_odom_knot[anchor] * start[anchor].inverse();
   for (SE3& pose : start) pose = T_odom_last * pose;
@@ -180,7 +189,7 @@ SE3 WindowProblem::start_knots(const std::deque<ObservedFrame>& window, const st
 }
 
 Vec6 WindowProblem::step_variances(std::size_t step) const {
-  const double unseen = kUnseenRate * frozen_s[step];
+  const double unseen = kUnseenRate * missed_s[step];
   return duration_s(step) * variances(noise.step_m, noise.step_rad) + variances(unseen, unseen);
 }
 

@@ -7,6 +7,7 @@
 #include <optional>
 #include <vector>
 
+#include "loop/submap/missed_motion.h"
 #include "loop/submap/observation_window.h"
 #include "semantic_topo_loop/geometry/lie.h"
 
@@ -56,28 +57,31 @@ struct WindowProblem {
   std::vector<SE3> start;                       ///< of the knots
   std::vector<double> times_s;
   std::vector<std::size_t> drift_of;  ///< of each step, from a knot to the next
-  std::vector<double> frozen_s;       ///< of each step: for how long the odometry stood still though the view moved
+  std::vector<double> missed_s;       ///< of each step: for how long the odometry did not follow the camera
   std::vector<WindowTrack> tracks;
   std::size_t anchor = 0;  ///< the knot that stays where it is
   WindowNoise noise;
 
-  /// @param knots the frames that poses are solved for   @param anchor one of them   @param frozen see frozen_motions
-  /// @param last of the window before, from where what is known goes on
+  /// @param knots the frames that poses are solved for   @param anchor one of them
+  /// @param missed one a frame: whether the odometry does not follow the camera from this frame to the next
+  /// @param slip the last part of that, if it is one   @param last of the window before, from where what is known goes
+  /// on
   WindowProblem(const std::deque<ObservedFrame>& window, const std::vector<std::size_t>& knots, std::size_t anchor,
-                const std::vector<bool>& frozen, const WindowNoise& noise, const WindowSolution& last);
+                const std::vector<bool>& missed, const std::optional<Slip>& slip, const WindowNoise& noise,
+                const WindowSolution& last);
 
   std::size_t steps() const { return T_odom_knot.size() - 1; }
   std::size_t drifts() const { return drift_of.back() + 1; }
   double duration_s(std::size_t step) const { return times_s[step + 1] - times_s[step]; }
   SE3 odometry(std::size_t step) const { return T_odom_knot[step].inverse() * T_odom_knot[step + 1]; }
-  bool is_frozen(std::size_t step) const { return frozen_s[step] > 0.0; }
+  bool is_missed(std::size_t step) const { return missed_s[step] > 0.0; }
   /// Of the errors of a step, the drift taken off.
   Vec6 step_variances(std::size_t step) const;
   Vec6 drift_variances() const;
 
  private:
   SE3 start_knots(const std::deque<ObservedFrame>& window, const std::vector<std::size_t>& knots,
-                  const std::vector<bool>& frozen, const WindowSolution& last);
+                  const std::vector<bool>& missed, const std::optional<Slip>& slip, const WindowSolution& last);
 };
 
 /// Frames that poses are solved for, the first, the last and the anchor among them.

@@ -4,8 +4,10 @@
 #include <algorithm>
 #include <cmath>
 #include <functional>
+#include <map>
 #include <memory>
 #include <optional>
+#include <set>
 #include <tuple>
 #include <utility>
 #include <vector>
@@ -13,7 +15,6 @@
 #include "geometry/least_squares.h"
 #include "geometry/relative_pose.h"
 #include "geometry/statistics.h"
-#include "loop/submap/frozen_odometry.h"
 #include "semantic_topo_loop/geometry/lie.h"
 
 namespace semantic_topo_loop::core {
@@ -253,8 +254,8 @@ bool solve(const WindowProblem& problem, Unknowns* unknowns, Equations* equation
     return std::isfinite(normal->cost);
   };
   LeastSquaresOptions options;
-  const auto is_frozen = [](double seconds) { return seconds > 0.0; };
-  const bool starts_far = std::any_of(problem.frozen_s.begin(), problem.frozen_s.end(), is_frozen);
+  const auto is_missed = [](double seconds) { return seconds > 0.0; };
+  const bool starts_far = std::any_of(problem.missed_s.begin(), problem.missed_s.end(), is_missed);
   options.max_iterations = starts_far ? 12 : 4;
   options.min_decrease = 4e-2;  // of a window that is solved again, a little later
   return minimise(options, linearise, unknowns, equations, spare);
@@ -323,6 +324,13 @@ struct Knowledge {
   Eigen::Block<const Eigen::MatrixXd, Eigen::Dynamic, 6> of_knot(Eigen::Index knot_row, Eigen::Index from_row) const {
     return root.block<Eigen::Dynamic, 6>(from_row, knot_row, root.rows() - from_row, 6);
   }
+  /// Of the motion of a step, behind it.
+  Mat6 step_covariance(std::size_t step, const RelativePoseTerms& terms) const {
+    const auto row = static_cast<Eigen::Index>(6 * step);
+    const Eigen::Matrix<double, Eigen::Dynamic, 6> left =
+        of_knot(row, row) * terms.J_from.transpose() + of_knot(row + 6, row) * terms.J_to.transpose();
+    return left.transpose() * left;
+  }
   Vec6 knot_variances(Eigen::Index row) const { return of_knot(row, row).colwise().squaredNorm(); }
   Vec6 drift_variances(std::size_t drift) const {
     return drifts[drift].diagonal() + Vec6(by_drift[drift].colwise().squaredNorm());
@@ -347,7 +355,7 @@ void learn_delay(const WindowProblem& problem, const Unknowns& unknowns, const K
   double gradient = 0.0, information = 0.0;
   for (std::size_t i = 0; i < problem.steps(); ++i) {
     const std::optional<Vec6>&from = problem.velocities[i], &to = problem.velocities[i + 1];
-    if (problem.is_frozen(i) || !from || !to) continue;
+    if (problem.is_missed(i) || !from || !to) continue;
     const RelativePoseTerms terms = step_terms(problem, unknowns, i);
     const Vec6 by_delay = transport(problem.odometry(i)) * *from - *to;
     const Vec6 weighted = by_delay.cwiseQuotient(problem.step_variances(i));
@@ -375,7 +383,7 @@ void learn(const WindowProblem& problem, const Unknowns& unknowns, double delay_
   if (!knowledge.root.allFinite()) return;
   VarianceEvidence of_steps, of_drifts;
   for (std::size_t i = 0; i < problem.steps(); ++i) {
-    if (problem.is_frozen(i)) continue;
+    if (problem.is_missed(i)) continue;
     const double dt = problem.duration_s(i);
     const RelativePoseTerms terms = step_terms(problem, unknowns, i);
     add(terms.residual, knowledge.step_variances(i, dt, problem.drift_of[i], terms), problem.step_variances(i),
@@ -395,6 +403,18 @@ void learn(const WindowProblem& problem, const Unknowns& unknowns, double delay_
     const double factor = evidence->box_factor * std::sqrt(1.0 + kBoxRate * (*variance - 1.0));
     evidence->box_factor = std::clamp(factor, 1.0 / kMaxBoxFactor, kMaxBoxFactor);
   }
+}
+
+/// A second's share of what is not known of each step's motion, behind the step; zero where nothing was missed.
+std::vector<Mat6> missed_covariances(const WindowProblem& problem, const Unknowns& unknowns, Equations* equations) {
+  std::vector<Mat6> covariances(problem.steps(), Mat6::Zero());
+  std::optional<Knowledge> knowledge;
+  for (std::size_t i = 0; i < problem.steps(); ++i) {
+    if (!problem.is_missed(i)) continue;
+    if (!knowledge) knowledge.emplace(equations);
+    covariances[i] = knowledge->step_covariance(i, step_terms(problem, unknowns, i)) / problem.missed_s[i];
+  }
+  return covariances;
 }
 
 void forget(double time_s, WindowEvidence* evidence) {
@@ -424,6 +444,7 @@ std::pair<double, double> sigmas(const VarianceEvidence& translation, const Vari
 struct WindowSolver::Memory {
   Equations equations, spare;
   WindowSolution last;
+  std::set<std::int64_t> slipped_to;  ///< stamps of frames to which the odometry slipped from those before
 };
 
 WindowSolver::WindowSolver() : memory_(std::make_unique<Memory>()) {}
@@ -442,17 +463,40 @@ std::optional<double> WindowSolver::span_s(double sigma_rad) const {
   return 2.0 * sigma_rad / evidence_.doubt_radps;
 }
 
+std::optional<Slip> WindowSolver::watch(const std::deque<ObservedFrame>& window) {
+  std::set<std::int64_t>& slipped_to = memory_->slipped_to;
+  slipped_to.erase(slipped_to.begin(), slipped_to.lower_bound(window.front().stamp_ns));
+  const std::map<std::int64_t, SE3>& solved = memory_->last.T_odom_camera;
+  if (!solved.empty()) slipped_to.erase(slipped_to.upper_bound(solved.rbegin()->first), slipped_to.end());
+  const std::optional<Slip> slip = find_slip(window, memory_->last, evidence_.delay);
+  if (slip) {
+    for (std::size_t i = slip->from + 1; i <= slip->to; ++i) slipped_to.insert(window[i].stamp_ns);
+  }
+  return slip;
+}
+
+bool WindowSolver::has_slipped(const std::deque<ObservedFrame>& window) {
+  if (window.size() < 2) return false;
+  watch(window);
+  return !memory_->slipped_to.empty();
+}
+
 std::deque<ObservedFrame> WindowSolver::solve(std::deque<ObservedFrame> window, std::size_t anchor) {
   applied_delay_s_ = 0.0;
   const auto is_in_order = [](const ObservedFrame& p, const ObservedFrame& q) { return p.stamp_ns < q.stamp_ns; };
   if (std::adjacent_find(window.begin(), window.end(), std::not_fn(is_in_order)) != window.end()) return window;
   const std::vector<std::size_t> knots = knots_of(window, anchor);
   if (knots.size() < kMinWindowViews) return window;
+  if (memory_->last.find(window.front().stamp_ns) == nullptr) memory_->last = {};
+  const std::optional<Slip> slip = watch(window);
   applied_delay_s_ = delay_s();
   window = undelayed(std::move(window), applied_delay_s_);
   const std::vector<bool> frozen = frozen_motions(window);
-  if (memory_->last.find(window.front().stamp_ns) == nullptr) memory_->last = {};
-  const WindowProblem problem(window, knots, anchor, frozen, noise(), memory_->last);
+  std::vector<bool> missed = frozen;
+  for (std::size_t i = 0; i + 1 < window.size(); ++i) {
+    if (memory_->slipped_to.count(window[i + 1].stamp_ns) > 0) missed[i] = true;
+  }
+  const WindowProblem problem(window, knots, anchor, missed, slip, noise(), memory_->last);
   Unknowns unknowns;
   if (!core::solve(problem, &unknowns, &memory_->equations, &memory_->spare)) return window;
   const double since_s = 1e-9 * static_cast<double>(window.back().stamp_ns - learnt_ns_);
@@ -461,9 +505,15 @@ std::deque<ObservedFrame> WindowSolver::solve(std::deque<ObservedFrame> window, 
     learn(problem, unknowns, applied_delay_s_, since_s, &memory_->equations, &evidence_);
     learnt_ns_ = window.back().stamp_ns;
   }
+  const std::vector<Mat6> covariances = missed_covariances(problem, unknowns, &memory_->equations);
   WindowSolution& last = memory_->last = {};
   std::size_t step = 0;
   for (std::size_t i = 0; i < window.size(); ++i) {
+    if (i > 0 && missed[i - 1]) {
+      const double time_s = seconds_into(window, i) - seconds_into(window, i - 1);
+      (frozen[i - 1] ? window[i].missed.frozen_s : window[i].missed.slipped_s) = time_s;
+      window[i].missed.covariance = time_s * covariances[step];
+    }
     while (step + 1 < problem.steps() && knots[step + 1] <= i) ++step;
     const double share = (seconds_into(window, i) - problem.times_s[step]) / problem.duration_s(step);
     const SE3& T_odom_knot = unknowns.T_odom_knot[step];
@@ -471,7 +521,6 @@ std::deque<ObservedFrame> WindowSolver::solve(std::deque<ObservedFrame> window, 
     window[i].T_odom_camera =
         T_odom_knot * motion_on_the_way(T_knot_camera, problem.odometry(step),
                                         T_odom_knot.inverse() * unknowns.T_odom_knot[step + 1], share);
-    if (i > 0 && frozen[i - 1]) window[i].frozen_s = seconds_into(window, i) - seconds_into(window, i - 1);
     last.T_odom_camera.emplace_hint(last.T_odom_camera.end(), window[i].stamp_ns, window[i].T_odom_camera);
   }
   for (std::size_t k = 0; k < problem.tracks.size(); ++k) last.objects[problem.tracks[k].id] = unknowns.objects[k];

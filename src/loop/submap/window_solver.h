@@ -35,6 +35,8 @@ class WindowSolver {
   /// @param window frames, poses in any world   @param anchor index of the frame that stays where it is
   /// @return the same frames at the poses found; as they are if they are few, or not in order of time
   std::deque<ObservedFrame> solve(std::deque<ObservedFrame> window, std::size_t anchor);
+  /// Whether the odometry is found to have slipped within a window, of which most was in the last one.
+  bool has_slipped(const std::deque<ObservedFrame>& window);
   WindowNoise noise() const;
   /// By how much the odometry's poses are late, as the windows so far tell, see OdometryDelay.
   double delay_s() const { return evidence_.delay.seconds(); }
@@ -46,6 +48,9 @@ class WindowSolver {
 
  private:
   struct Memory;
+
+  /// Remembers a slip up to the window's last frame.
+  std::optional<Slip> watch(const std::deque<ObservedFrame>& window);
 
   WindowEvidence evidence_;
   double applied_delay_s_ = 0.0;

@@ -84,7 +84,7 @@ void LoopConsistency::compare_all(const std::vector<OdometryEdge>& edges, const 
     next.jump_m2 += edge.suspected_jump.head<3>().squaredNorm();
     next.jump_rad2 += edge.suspected_jump.tail<3>().squaredNorm();
     next.breaks += edge.is_break ? 1 : 0;
-    if (!edge.is_break && (edge.covariance || edge.joined || edge.frozen_s > 0.0)) {
+    if (!edge.is_break && (edge.covariance || edge.joined || edge.missed.is_any())) {
       const Mat6 to_first = transport(next.T_first_vertex.inverse());
       next.covariance += to_first * odometry_covariance(edge, kNoNoise) * to_first.transpose();
       ++next.stated;

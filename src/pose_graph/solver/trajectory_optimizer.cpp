@@ -179,7 +179,7 @@ class TrajectoryOptimizer {
     if (trajectory_.objects.objects.empty()) return false;
     return options_.objects == "on" || exceeds(result_.knowledge.noise, noise_prior(options_).least) ||
            std::any_of(motions().begin(), motions().end(),
-                       [](const OdometryEdge& edge) { return edge.frozen_s > 0.0; });
+                       [](const OdometryEdge& edge) { return edge.missed.is_any(); });
   }
 
   /// From the solution without them, which stays where this finds none.

@@ -1,7 +1,8 @@
-#include "loop/submap/frozen_odometry.h"
+#include "loop/submap/missed_motion.h"
 
 #include <gtest/gtest.h>
 
+#include <algorithm>
 #include <cmath>
 #include <cstddef>
 #include <cstdint>
@@ -13,6 +14,7 @@
 
 #include "loop/submap/submap_builder.h"
 #include "loop/submap/window_solver.h"
+#include "odometry/odometry_edge.h"
 #include "semantic_topo_loop/geometry/lie.h"
 #include "support/synthetic_desk.h"
 
@@ -35,10 +37,18 @@ struct Watched {
   std::vector<SE3> truth;
 };
 
-/// Frames of a camera whose odometry stands still for a second, and goes on from where it stood.
-/// @param desk_at where the things are at a time
+using Odometry = std::function<SE3(const SE3&)>;
+
+SE3 stands_still(const SE3&) { return SE3(); }
+SE3 follows(const SE3& motion) { return motion; }
+/// By 0.3 m/s and 6 deg/s, of ten frames a second.
+SE3 slips(const SE3& motion) { return motion * SE3(so3_exp(Vec3(0.0, 0.0105, 0.0)), Vec3(0.02, 0.01, -0.02)); }
+
+/// Frames of a camera whose odometry is off for a second, and goes on from where it was.
+/// @param desk_at where the things are at a time   @param made_of what it makes of a motion meanwhile
 Watched watch(const std::function<SE3(double)>& camera_at,
-              const std::function<std::vector<DeskObject>(double)>& desk_at, std::uint64_t seed) {
+              const std::function<std::vector<DeskObject>(double)>& desk_at, std::uint64_t seed,
+              const Odometry& made_of = stands_still) {
   ObservationWindow window(kEnd_s, 0.0, *desk_classes());
   FrameBuilder builder(KeyframeOptions(), desk_camera());
   std::mt19937_64 random(seed);
@@ -47,11 +57,13 @@ Watched watch(const std::function<SE3(double)>& camera_at,
   for (int k = 0; k < static_cast<int>(kEnd_s * kRate_hz); ++k) {
     const double time_s = k / kRate_hz;
     const SE3 pose = camera_at(time_s);
-    const bool is_frozen = time_s > kFreeze_s && time_s <= kThaw_s;
-    if (watched.truth.empty())
+    const bool is_off = time_s > kFreeze_s && time_s <= kThaw_s;
+    if (watched.truth.empty()) {
       T_odom_camera = pose;
-    else if (!is_frozen)
-      T_odom_camera = T_odom_camera * (watched.truth.back().inverse() * pose);
+    } else {
+      const SE3 motion = watched.truth.back().inverse() * pose;
+      T_odom_camera = T_odom_camera * (is_off ? made_of(motion) : motion);
+    }
     watched.truth.push_back(pose);
     PoseSample sample;
     sample.stamp_ns = std::llround(1e9 * (1.0 + time_s));
@@ -130,9 +142,87 @@ TEST(FrozenOdometry, WhatItMissedIsSolvedFor) {
     EXPECT_LT(error(solved).head<3>().norm(), 0.04) << seed;
     EXPECT_LT(degrees(error(solved).tail<3>().norm()), 1.5) << seed;
     double frozen_s = 0.0;
-    for (const ObservedFrame& frame : solved) frozen_s += frame.frozen_s;
+    for (const ObservedFrame& frame : solved) frozen_s += frame.missed.frozen_s;
     EXPECT_NEAR(frozen_s, kThaw_s - kFreeze_s, 1e-6);
   }
+}
+
+/// As frames come in, three at a time.
+std::deque<ObservedFrame> solved_live(const std::deque<ObservedFrame>& window) {
+  WindowSolver solver;
+  std::deque<ObservedFrame> seen, solved;
+  for (const ObservedFrame& frame : window) {
+    seen.push_back(frame);
+    if (seen.size() < 12 || seen.size() % 3 != 0) continue;
+    solved = solver.solve(seen, middle_keyframe(seen).value());
+  }
+  return solved;
+}
+
+double slipped_s(const std::deque<ObservedFrame>& solved) {
+  double sum = 0.0;
+  for (const ObservedFrame& frame : solved) sum += frame.missed.slipped_s;
+  return sum;
+}
+
+TEST(Slip, WhatItMissedIsSolvedForAndHowWellThatIsKnown) {
+  Vec6 mean_squares = Vec6::Zero();
+  constexpr int kSeeds = 8;
+  for (std::uint64_t seed = 1; seed <= kSeeds; ++seed) {
+    const Watched watched = watch(moving, at_rest(random_desk(seed, 8)), seed, slips);
+    const std::deque<ObservedFrame> solved = solved_live(watched.window);
+    ASSERT_EQ(solved.size(), watched.window.size());
+    EXPECT_NEAR(slipped_s(solved), kThaw_s - kFreeze_s, 0.4) << seed;
+    SE3 made, right;
+    MissedMotion missed;
+    for (std::size_t i = 1; i < solved.size(); ++i) {
+      if (!solved[i].missed.is_any()) continue;
+      const SE3 motion = solved[i - 1].T_odom_camera.inverse() * solved[i].T_odom_camera;
+      made = made * motion;
+      right = right * (watched.truth[i - 1].inverse() * watched.truth[i]);
+      missed = join(missed, solved[i].missed, motion);
+    }
+    const Vec6 error = se3_log(right.inverse() * made);
+    EXPECT_LT(error.head<3>().norm(), 0.08) << seed;
+    EXPECT_LT(degrees(error.tail<3>().norm()), 2.5) << seed;
+    mean_squares += error.cwiseAbs2().cwiseQuotient(missed.covariance.diagonal()) / kSeeds;
+  }
+  EXPECT_LT(mean_squares.maxCoeff(), 4.0);
+  EXPECT_GT(mean_squares.mean(), 0.02);
+}
+
+TEST(Slip, AnOdometryThatFollowsIsBelieved) {
+  std::mt19937_64 random(1);
+  const Odometry shakes = [&random](const SE3& motion) {
+    return motion * SE3(so3_exp(0.001 * Vec3(testing::noise(random), testing::noise(random), testing::noise(random))),
+                        0.002 * Vec3(testing::noise(random), testing::noise(random), testing::noise(random)));
+  };
+  for (std::uint64_t seed = 1; seed <= 10; ++seed) {
+    for (const Odometry& odometry : {Odometry(follows), shakes}) {
+      EXPECT_EQ(slipped_s(solved_live(watch(moving, at_rest(random_desk(seed, 6)), seed, odometry).window)), 0.0)
+          << seed;
+    }
+  }
+}
+
+TEST(Slip, WhatMovesByItselfIsNone) {
+  for (const std::uint64_t seed : {1, 2, 3}) {
+    const auto carried = [desk = random_desk(seed, 6)](double time_s) {
+      std::vector<DeskObject> moved = desk;
+      const double since_s = std::min(std::max(time_s - kFreeze_s, 0.0), 1.0);
+      moved[0].spheroid.center.x() += 0.4 * since_s;  // each its own way
+      moved[1].spheroid.center.y() -= 0.4 * since_s;
+      moved[1].spheroid.center.z() += 0.3 * since_s;
+      return moved;
+    };
+    EXPECT_EQ(slipped_s(solved_live(watch(moving, carried, seed, follows).window)), 0.0) << seed;
+  }
+}
+
+TEST(Slip, NothingKnownTellsNothing) {
+  EXPECT_FALSE(find_slip({}, {}, {}));
+  EXPECT_FALSE(find_slip(watch(moving, at_rest(random_desk(1, 6)), 1, slips).window, {}, {}));
+  EXPECT_EQ(slipped_s(solved_live(watch(moving, at_rest({}), 1, slips).window)), 0.0);
 }
 
 }  // namespace
