@@ -220,8 +220,8 @@ TEST(Slip, WhatMovesByItselfIsNone) {
 }
 
 TEST(Slip, NothingKnownTellsNothing) {
-  EXPECT_FALSE(find_slip({}, {}, {}));
-  EXPECT_FALSE(find_slip(watch(moving, at_rest(random_desk(1, 6)), 1, slips).window, {}, {}));
+  EXPECT_FALSE(find_slip({}, {}, {}, {}));
+  EXPECT_FALSE(find_slip(watch(moving, at_rest(random_desk(1, 6)), 1, slips).window, {}, {}, {}));
   EXPECT_EQ(slipped_s(solved_live(watch(moving, at_rest({}), 1, slips).window)), 0.0);
 }
 

@@ -100,9 +100,14 @@ bool view_moved(const std::deque<ObservedFrame>& window, std::size_t begin, std:
 
 /// By how much known objects are seen elsewhere in a frame than where the odometry puts them since one that was solved
 /// for. What the solution is off about a box it is off in both.
-/// @param delay_s by which the odometry is late
+/// @param noise of the odometry   @param delay_s by which it is late
 std::vector<MovedBox> moved_boxes(const std::deque<ObservedFrame>& window, std::size_t from, std::size_t to,
-                                  const WindowSolution& solved, double delay_s) {
+                                  const WindowSolution& solved, const WindowNoise& noise, double delay_s) {
+  const double time_s = seconds_into(window, to) - seconds_into(window, from);
+  const auto usual = [time_s](double step, double drift) {
+    return std::hypot(step * std::sqrt(time_s), drift * time_s);
+  };
+  const double usual_m = usual(noise.step_m, noise.drift_mps), usual_rad = usual(noise.step_rad, noise.drift_radps);
   const SE3& T_odom_from = *solved.find(window[from].stamp_ns);
   const SE3 T_from_to = pose_at_image(window, from, delay_s).inverse() * pose_at_image(window, to, delay_s);
   std::vector<MovedBox> moved;
@@ -116,6 +121,7 @@ std::vector<MovedBox> moved_boxes(const std::deque<ObservedFrame>& window, std::
     const auto is = project({0, after.box, box.truncated, 1.0}, T_odom_from * T_from_to, object);
     if (!was || !is || !box.squares()) continue;
     box.by = was->residual - is->residual;
+    box.sigma = std::hypot(box.sigma, usual_rad, usual_m / is->in_camera.z());
     moved.push_back(box);
   }
   return moved;
@@ -167,7 +173,7 @@ Quaternion turn_by_boxes(const ObservedFrame& from, const ObservedFrame& to) {
 }
 
 std::optional<Slip> find_slip(const std::deque<ObservedFrame>& window, const WindowSolution& solved,
-                              const OdometryDelay& delay) {
+                              const WindowNoise& noise, const OdometryDelay& delay) {
   std::optional<std::size_t> from, to;
   for (std::size_t i = 0; i < window.size(); ++i) {
     if (solved.find(window[i].stamp_ns) != nullptr) from = i;
@@ -179,10 +185,10 @@ std::optional<Slip> find_slip(const std::deque<ObservedFrame>& window, const Win
   // One that stands may know its way later; what it does not is found otherwise.
   const auto place = [&window](std::size_t i) { return window.begin() + static_cast<std::ptrdiff_t>(i); };
   if (std::adjacent_find(place(*from), place(*to + 1), stands) != place(*to + 1)) return std::nullopt;
-  std::vector<MovedBox> moved = moved_boxes(window, *from, *to, solved, delay.likely_s());
+  std::vector<MovedBox> moved = moved_boxes(window, *from, *to, solved, noise, delay.likely_s());
   // Where little is known of the delay, it is what moves things in the image of a camera that swings.
   constexpr double kLater_s = 0.05;
-  const std::vector<MovedBox> later = moved_boxes(window, *from, *to, solved, delay.likely_s() + kLater_s);
+  const std::vector<MovedBox> later = moved_boxes(window, *from, *to, solved, noise, delay.likely_s() + kLater_s);
   if (later.size() != moved.size()) return std::nullopt;
   for (std::size_t i = 0; i < moved.size(); ++i) {
     const double by_a_second = 0.5 * (later[i].by - moved[i].by).norm() / kLater_s;  // root mean square of the sides

@@ -11,6 +11,7 @@
 
 namespace semantic_topo_loop::core {
 
+struct WindowNoise;
 struct WindowSolution;
 
 /// Where the odometry stands still though the camera moves: a source that has lost track repeats its last pose, wheels
@@ -31,8 +32,9 @@ struct Slip {
 };
 /// Whether most objects in view have moved, all alike, from where the odometry since the last frame that was solved for
 /// would have them now.
-/// @param window poses as the odometry has them   @param delay of them   @return nullopt without two such objects
+/// @param window poses as the odometry has them   @param noise, delay of them   @return nullopt without two such
+/// objects
 std::optional<Slip> find_slip(const std::deque<ObservedFrame>& window, const WindowSolution& solved,
-                              const OdometryDelay& delay);
+                              const WindowNoise& noise, const OdometryDelay& delay);
 
 }  // namespace semantic_topo_loop::core

@@ -468,7 +468,7 @@ std::optional<Slip> WindowSolver::watch(const std::deque<ObservedFrame>& window)
   slipped_to.erase(slipped_to.begin(), slipped_to.lower_bound(window.front().stamp_ns));
   const std::map<std::int64_t, SE3>& solved = memory_->last.T_odom_camera;
   if (!solved.empty()) slipped_to.erase(slipped_to.upper_bound(solved.rbegin()->first), slipped_to.end());
-  const std::optional<Slip> slip = find_slip(window, memory_->last, evidence_.delay);
+  const std::optional<Slip> slip = find_slip(window, memory_->last, noise(), evidence_.delay);
   if (slip) {
     for (std::size_t i = slip->from + 1; i <= slip->to; ++i) slipped_to.insert(window[i].stamp_ns);
   }
