@@ -141,18 +141,19 @@ struct Codec<KeyframePoints> {
   void visit_members(Struct& value, Visitor& visit) { \
     __VA_ARGS__                                       \
   }
-#define MEMBER(name) visit(#name, value.name);
-#define LATER_MEMBER(name) visit.later(#name, value.name);
+#define MEMBER_AS(name, member) visit(name, value.member);
+#define LATER_MEMBER_AS(name, member) visit.later(name, value.member);
+#define MEMBER(name) MEMBER_AS(#name, name)
+#define LATER_MEMBER(name) LATER_MEMBER_AS(#name, name)
 
 VISIT_MEMBERS(Camera, MEMBER(fx) MEMBER(fy) MEMBER(cx) MEMBER(cy) MEMBER(width) MEMBER(height) MEMBER(distortion))
 VISIT_MEMBERS(LoopVerdict, MEMBER(number) MEMBER(query_keyframe_id) MEMBER(match_keyframe_id) MEMBER(kept)
                                MEMBER(reason) MEMBER(is_extra))
 VISIT_MEMBERS(EdgeCovariance, MEMBER(given) MEMBER(translation) MEMBER(rotation) MEMBER(suspected_jumps))
 VISIT_MEMBERS(OdometryEdge, MEMBER(T_from_to) MEMBER(path_m) MEMBER(rotation_rad) MEMBER(covariance) MEMBER(is_break)
-                                visit("frozen_s", value.missed.frozen_s);
-              visit.later("slipped_s", value.missed.slipped_s);
-              visit.later("missed_covariance", value.missed.covariance);
-              MEMBER(suspected_jump) MEMBER(jump_error_m) MEMBER(jump_error_rad) MEMBER(joined))
+                                MEMBER_AS("frozen_s", missed.frozen_s) LATER_MEMBER_AS("slipped_s", missed.slipped_s)
+                                    LATER_MEMBER_AS("missed_covariance", missed.covariance) MEMBER(suspected_jump)
+                                        MEMBER(jump_error_m) MEMBER(jump_error_rad) MEMBER(joined))
 VISIT_MEMBERS(GraphLoop,
               MEMBER(from) MEMBER(to) MEMBER(T_from_to) MEMBER(covariance) MEMBER(scale) MEMBER(scale_covariance)
                   MEMBER(query_keyframe_id) MEMBER(match_keyframe_id) MEMBER(had_support) MEMBER(query_begin)
@@ -198,6 +199,9 @@ VISIT_MEMBERS(PointsOfKeyframe, MEMBER(keyframe_id) MEMBER(points))
 VISIT_MEMBERS(MapDelta, MEMBER(graph) MEMBER(objects) MEMBER(submaps) MEMBER(points))
 
 #undef MEMBER
+#undef LATER_MEMBER
+#undef MEMBER_AS
+#undef LATER_MEMBER_AS
 #undef VISIT_MEMBERS
 
 }  // namespace semantic_topo_loop::core

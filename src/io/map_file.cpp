@@ -234,6 +234,13 @@ Status check_objects(const std::vector<MappedLandmark>& landmarks, const ClassTa
   return {};
 }
 
+/// Older files have how long a freeze lasted, and nothing of how well is known what was missed.
+void know_what_was_missed(OdometryEdge* edge) {
+  constexpr double kRate = 0.15;  // m/s and rad/s, 1 sigma
+  const double sigma = kRate * edge->missed.frozen_s;
+  if (edge->missed.covariance.isZero(0.0)) edge->missed.covariance = isotropic_covariance(sigma * sigma, sigma * sigma);
+}
+
 void read_all(const ClassTable& classes, MapParts parts, SqliteFile* file, MapState* map) {
   if (file->number("PRAGMA application_id") != kMapApplicationId)
     return file->reject("is no map of semantic_topo_loop");
@@ -257,6 +264,7 @@ void read_all(const ClassTable& classes, MapParts parts, SqliteFile* file, MapSt
   }
   map->graph.keyframes = read_keyframes(file);
   map->graph.edges = read_bodies<OdometryEdge>("edge", "number", file);
+  for (OdometryEdge& edge : map->graph.edges) know_what_was_missed(&edge);
   map->graph.loops = read_bodies<RememberedLoop>("loop", "number", file);
   if (parts.objects) map->objects.landmarks = read_objects(file);
   if (parts.submaps) map->submaps = read_bodies<LocalMap>("submap", "frame", file);

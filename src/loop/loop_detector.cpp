@@ -93,7 +93,7 @@ struct LoopDetector::Impl {
     if (!anchor) return {};
     const std::deque<ObservedFrame> window = paper_mode_ ? window_.frames() : solver_.solve(window_.frames(), *anchor);
     // A slip is not over yet, or is a jump, which the motion tells better, a little later.
-    if (window.back().missed.slipped_s > 0.0) return {};
+    if (solver_.is_slipping()) return {};
     if (!paper_mode_ && options_.enabled) tell_motions(window, window[*anchor].keyframe_id);
     std::optional<LocalMap> map = build_local_map(window, redirects_, up_, options_);
     if (!map) return {};

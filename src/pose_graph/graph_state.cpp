@@ -80,8 +80,10 @@ Status check(const GraphState& state) {
     if (!is_invertible(loop.loop->covariance)) return Error{name + " has a covariance that is not positive definite"};
   }
   for (std::size_t i = 0; i < state.edges.size(); ++i) {
-    const std::optional<Mat6>& covariance = state.edges[i].covariance;
-    if (!covariance || is_invertible(*covariance)) continue;
+    const OdometryEdge& edge = state.edges[i];
+    const Mat6& missed = edge.missed.covariance;
+    const bool missed_is_fine = missed.isZero(0.0) || is_invertible(missed);
+    if (missed_is_fine && (!edge.covariance || is_invertible(*edge.covariance))) continue;
     return Error{"edge " + std::to_string(i) + " has a covariance that is not positive definite"};
   }
   for (const OdometryJump& jump : state.noise.jumps) {

@@ -9,8 +9,11 @@
 #include <memory>
 #include <sstream>
 #include <string>
+#include <utility>
+#include <vector>
 
 #include "io/archive.h"
+#include "odometry/odometry_edge.h"
 #include "pipeline/map_state.h"
 #include "semantic_topo_loop/io/text_file.h"
 #include "support/package_config.h"
@@ -29,7 +32,9 @@ const MapState& desk() {
     options.trajectory.rate_hz = 10.0;
     const SimulatedSequence sequence =
         checked(simulate(options, checked(read_camera(STL_CONFIG_DIR "/camera/tum_fr2.yaml")), *shared_coco()));
-    return testing::map_of(sequence, 0, sequence.odometry.size(), shared_coco());
+    MapState made = *testing::map_of(sequence, 0, sequence.odometry.size(), shared_coco());
+    made.graph.edges[0].missed = {0.5, 0.25, isotropic_covariance(0.01, 0.02)};
+    return std::make_shared<const MapState>(std::move(made));
   }();
   return *map;
 }
@@ -63,8 +68,12 @@ class MapFile : public ::testing::Test {
     EXPECT_EQ(message.find('\n'), std::string::npos) << message;
     return message.substr(std::min(message.size(), path_.size() + 2));
   }
-  /// With one value of a packed body changed.
   std::string error_with(const std::string& table, const std::string& pointer, const Json& value) {
+    change_body(table, pointer, value);
+    return error();
+  }
+  /// One value of the first packed body of a table.
+  void change_body(const std::string& table, const std::string& pointer, const Json& value) {
     sqlite3* database = nullptr;
     EXPECT_EQ(write_map(path_, desk(), *shared_coco()).message(), "");
     EXPECT_EQ(sqlite3_open(path_.c_str(), &database), SQLITE_OK);
@@ -85,7 +94,6 @@ class MapFile : public ::testing::Test {
     EXPECT_EQ(sqlite3_step(update), SQLITE_DONE);
     sqlite3_finalize(update);
     sqlite3_close(database);
-    return error();
   }
 
   TestDirectory directory_;
@@ -102,6 +110,8 @@ TEST_F(MapFile, WhatIsReadAndWrittenAgainIsTheSameToTheLastBit) {
   EXPECT_EQ(b.graph.next_frame_id, 301);  // the end is a frame, too
   ASSERT_EQ(a.graph.keyframes.size(), b.graph.keyframes.size());
   EXPECT_EQ(a.graph.keyframes.back().pose.T_map_camera.t, b.graph.keyframes.back().pose.T_map_camera.t);
+  EXPECT_EQ(a.graph.edges[0].missed.slipped_s, b.graph.edges[0].missed.slipped_s);
+  EXPECT_EQ(a.graph.edges[0].missed.covariance, b.graph.edges[0].missed.covariance);
   ASSERT_EQ(a.objects.landmarks.size(), b.objects.landmarks.size());
   EXPECT_EQ(a.submaps[0].objects[0].label, b.submaps[0].objects[0].label);
   EXPECT_TRUE(a.submaps[0].frames[2].t_camera_local.isApprox(b.submaps[0].frames[2].t_camera_local, 1e-12));
@@ -160,6 +170,10 @@ TEST_F(MapFile, OfAnOlderVersionIsRead) {
   ASSERT_TRUE(read) << read.message();
   EXPECT_EQ((*read)->graph.keyframes.size(), desk().graph.keyframes.size());
   EXPECT_TRUE((*read)->points.empty());
+  change_body("edge", "/missed_covariance", std::vector<double>(36, 0.0));  // as good as not there
+  const std::shared_ptr<const MapState> frozen = checked(read_map(path_, *shared_coco()));
+  EXPECT_EQ(frozen->graph.edges[0].missed.frozen_s, 0.5);
+  EXPECT_TRUE(frozen->graph.edges[0].missed.covariance.isApprox(0.075 * 0.075 * Mat6::Identity()));
 }
 
 TEST_F(MapFile, NamesWhatIsWrong) {
@@ -191,6 +205,8 @@ TEST_F(MapFile, NamesTheFieldOfAPackedRow) {
   EXPECT_EQ(error_with("edge", "/T_from_to/6", 5.0), "edge 0.T_from_to holds a quaternion that is no rotation");
   EXPECT_EQ(error_with("loop", "/loop/to", 100000), "loop 0 joins vertices that are not there");
   EXPECT_EQ(error_with("loop", "/loop/from", -4294967296), "loop 0.loop.from = -4294967296 is out of range");
+  const std::string of_edge = "edge 0 has a covariance that is not positive definite";
+  EXPECT_EQ(error_with("edge", "/missed_covariance/0", -1.0), of_edge);
   const std::string covariance = "loop 0 has a covariance that is not positive definite";
   EXPECT_EQ(error_with("loop", "/loop/covariance/0", -1.0), covariance);
   const std::string id = std::to_string(desk().objects.landmarks.front().state.id);

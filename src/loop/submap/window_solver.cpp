@@ -483,12 +483,14 @@ bool WindowSolver::has_slipped(const std::deque<ObservedFrame>& window) {
 
 std::deque<ObservedFrame> WindowSolver::solve(std::deque<ObservedFrame> window, std::size_t anchor) {
   applied_delay_s_ = 0.0;
+  is_slipping_ = false;
   const auto is_in_order = [](const ObservedFrame& p, const ObservedFrame& q) { return p.stamp_ns < q.stamp_ns; };
   if (std::adjacent_find(window.begin(), window.end(), std::not_fn(is_in_order)) != window.end()) return window;
   const std::vector<std::size_t> knots = knots_of(window, anchor);
   if (knots.size() < kMinWindowViews) return window;
   if (memory_->last.find(window.front().stamp_ns) == nullptr) memory_->last = {};
   const std::optional<Slip> slip = watch(window);
+  is_slipping_ = slip.has_value();
   applied_delay_s_ = delay_s();
   window = undelayed(std::move(window), applied_delay_s_);
   const std::vector<bool> frozen = frozen_motions(window);

@@ -35,6 +35,8 @@ class WindowSolver {
   /// @param window frames, poses in any world   @param anchor index of the frame that stays where it is
   /// @return the same frames at the poses found; as they are if they are few, or not in order of time
   std::deque<ObservedFrame> solve(std::deque<ObservedFrame> window, std::size_t anchor);
+  /// Whether it was slipping at the end of the last window.
+  bool is_slipping() const { return is_slipping_; }
   /// Whether the odometry is found to have slipped within a window, of which most was in the last one.
   bool has_slipped(const std::deque<ObservedFrame>& window);
   WindowNoise noise() const;
@@ -54,6 +56,7 @@ class WindowSolver {
 
   WindowEvidence evidence_;
   double applied_delay_s_ = 0.0;
+  bool is_slipping_ = false;
   std::int64_t learnt_ns_ = 0;      ///< stamp of the window that was learnt from last
   std::unique_ptr<Memory> memory_;  ///< of the equations, which every window needs anew: a megabyte
 };
