@@ -33,12 +33,11 @@ struct Observation {
 /// How long a landmark was seen and should have been. Time, not counts, so that 6 Hz and 30 Hz behave alike. Where
 /// depth tells of what one box shows, the time that it was seen is weighed by the detector's score.
 struct Sightings {
-  double seen_s = 0.0;      ///< with a box
-  double whole_s = 0.0;     ///< with a box that the image border does not cut
-  double expected_s = 0.0;  ///< in view, large enough and not hidden
-  /// With a box that depth places, and for each side with such a box that is not cut there.
-  double placed_s = 0.0;
-  Vec4 bounded_s = Vec4::Zero();
+  double seen_s = 0.0;            ///< with a box
+  double whole_s = 0.0;           ///< with a box that the image border does not cut
+  double expected_s = 0.0;        ///< in view, large enough and not hidden
+  double placed_s = 0.0;          ///< with a box that depth places
+  Vec4 bounded_s = Vec4::Zero();  ///< for each side, with a box that is not cut there
   /// Expected from where it had been seen before: with a box, without one, and without one since the last box.
   double familiar_seen_s = 0.0, familiar_missed_s = 0.0, missed_since_s = 0.0;
   /// In view with a box where depth shows its inside, as the seat of a chair.
@@ -49,6 +48,8 @@ struct Sightings {
 
   /// Whether depth has told most of the time where it is.
   bool is_placed() const { return placed_s > 0.5 * seen_s; }
+  /// Of the side that was cut most. Maps of before counted sides only where depth places.
+  double least_bounded_s() const { return std::max(whole_s, bounded_s.minCoeff()); }
   double seen_share() const { return expected_s > 0.0 ? seen_s / expected_s : 1.0; }
   /// Of the familiar views, those with a box, 1 if there are none; without the last absence, which says nothing of the
   /// time before.
@@ -175,19 +176,24 @@ class ViewSource {
 
 struct ExpectedLandmark {
   std::int64_t id = -1;
-  double size_px = 0.0;       ///< of its projected box
+  double size_px = 0.0;       ///< of its projected box, as far as it is in view
+  double share = 1.0;         ///< of its projected box that is in view
   bool is_seen_into = false;  ///< depth shows what lies between its near and its far side
   bool is_seen_through =
       false;  ///< depth shows what lies behind it: behind its near side, or its far side if it is hollow
 };
 
-/// The landmarks that should have a box in this frame: fully in view, large enough, as near as association looks, and
+constexpr double kFullyVisibleShare = 0.8;  // of a projection's area inside the image, from which on it is not cut
+
+/// The landmarks that should have a box in this frame: in view, large enough, as near as association looks, and
 /// hidden by nothing known: not by a nearer landmark, not by the box of something that is no landmark (a person), and,
 /// where the frame has points, not by points in front of it. What points see through need not be fully in view.
-/// @param points of the frame; null without   @return in order of id
+/// @param points of the frame; null without   @param least_share of a projection that must be in view
+/// @return in order of id
 std::vector<ExpectedLandmark> expected_landmarks(const std::map<std::int64_t, MappedLandmark>& landmarks,
                                                  const Frame& frame, const FramePoints* points, const SE3& T_map_camera,
-                                                 const AssociationFrame& associations);
+                                                 const AssociationFrame& associations,
+                                                 double least_share = kFullyVisibleShare);
 
 /// rho in [0, 1]: 1 for an object well seen from all around, 0 for a guess.
 ///   rho = mean IoU (1 - e^(-baseline / 15 deg)) (1 - e^(-seen / 0.7 s)) / (1 + sigma / 5 cm),

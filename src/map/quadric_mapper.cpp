@@ -226,7 +226,7 @@ struct QuadricMapper::Impl {
       const auto it = landmarks_.find(id);
       if (it == landmarks_.end()) continue;
       Landmark& landmark = it->second.state;
-      const LandmarkState state = life_cycle_state(it->second, options_, is_movable(landmark.class_id));
+      const LandmarkState state = state_of(it->second);
       if (state == landmark.state && changed_.count(id) == 0) continue;
       landmark.state = state;
       landmark.quality = landmark_quality(it->second);
@@ -237,6 +237,24 @@ struct QuadricMapper::Impl {
     if (is_new && update->map_version == map_version_ && update->base_version == map_version_) ++map_version_;
     update->map_version = map_version_;
     update->T_map_odom = T_map_odom_;
+  }
+
+  LandmarkState state_of(const MappedLandmark& landmark) const {
+    const LandmarkState state = life_cycle_state(landmark, options_, is_movable(landmark.state.class_id));
+    const bool is_piece = state == LandmarkState::kConfirmed && !landmark.sightings.is_placed() &&
+                          landmark.sightings.whole_s < options_.confirm_seen_s && touches_confirmed(landmark);
+    return is_piece ? LandmarkState::kCandidate : state;
+  }
+
+  /// Whether it reaches into an object with which it could be one: what was always cut may be a piece of that.
+  bool touches_confirmed(const MappedLandmark& landmark) const {
+    const Ellipsoid& ellipsoid = *landmark.state.ellipsoid;
+    return std::any_of(landmarks_.begin(), landmarks_.end(), [&](const auto& entry) {
+      const Landmark& other = entry.second.state;
+      return other.id != landmark.state.id && other.state == LandmarkState::kConfirmed &&
+             classes_->confusable(other.class_id, landmark.state.class_id) &&
+             (other.ellipsoid->center() - ellipsoid.center()).norm() < other.ellipsoid->radius() + ellipsoid.radius();
+    });
   }
 
   bool is_movable(int class_id) const {
@@ -287,11 +305,9 @@ struct QuadricMapper::Impl {
     const double seen_s = has_points ? step_s_ * std::min(1.0, association.score / kSureScore) : step_s_;
     sightings->seen_s += seen_s;
     if (association.truncated == 0) sightings->whole_s += seen_s;
-    if (association.has_depth()) {
-      sightings->placed_s += seen_s;
-      for (int side = 0; side < 4; ++side) {
-        if ((association.truncated & (1 << side)) == 0) sightings->bounded_s(side) += seen_s;
-      }
+    if (association.has_depth()) sightings->placed_s += seen_s;
+    for (int side = 0; side < 4; ++side) {
+      if ((association.truncated & (1 << side)) == 0) sightings->bounded_s(side) += seen_s;
     }
     sightings->missed_since_s = 0.0;
     sightings->seen_through_since_s = 0.0;

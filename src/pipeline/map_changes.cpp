@@ -4,15 +4,15 @@
 #include <map>
 #include <tuple>
 
+#include "geometry/statistics.h"
+#include "semantic_topo_loop/geometry/quadric.h"
+
 namespace semantic_topo_loop::core {
 namespace {
 
-/// Boxes that the last session should have of what is gone, that what is new must have, and by which another one holds
-/// a place: a second or two.
-constexpr int kMinBoxes = 30;
-/// Boxes that the sessions before should have of what is gone: of chairs that went in rendered rooms there were 21 to
-/// 79, of what never was 16 and 19.
-constexpr int kMinBoxesBefore = 20;
+/// For which the last session should have boxes of what is gone, and the ones before must have had; what is new must
+/// have them, and by which another one holds a place.
+constexpr double kMinSeen_s = 2.0;
 /// Keyframes that must have had a place in view, since detectors miss an object for seconds on end; where there are
 /// boxes of both times to compare; of one that moved there, since it is gone elsewhere; and where many objects are
 /// asked about at once.
@@ -23,11 +23,20 @@ constexpr double kMinSeenThrough_s = 1.0;
 constexpr double kMistakenShare = 0.05;
 /// An object that is boxed for longer than it is in view, by this factor, is not where the map has it.
 constexpr double kMaxSeenShare = 1.25;
+/// Of a projection that must be in view to be asked about, however little of it was seen before.
+constexpr double kLeastShare = 0.1;
+/// Of the boxes of an object: as little of it as the fewest of them show is no view that one asks about.
+constexpr double kRareShare = 0.25;
 /// Of the radii of one object, as two sessions have them.
 constexpr double kMaxRatio = 1.6;
 
+/// Boxes of a landmark, and the time that one stands for.
 struct Boxes {
   int before = 0, after = 0;
+  double one_s = 0.0;
+
+  double before_s() const { return one_s * before; }
+  double after_s() const { return one_s * after; }
 };
 
 bool is_as_large(const Ellipsoid& a, const Ellipsoid& b) {
@@ -40,7 +49,34 @@ Boxes count_boxes(const MappedLandmark& landmark, std::int64_t first_keyframe_id
   for (const Observation& observation : landmark.observations) {
     ++(observation.keyframe_id < first_keyframe_id ? boxes.before : boxes.after);
   }
+  boxes.one_s = landmark.sightings.seen_s / std::max<double>(1.0, static_cast<double>(landmark.observations.size()));
   return boxes;
+}
+
+/// How a landmark's boxes showed it: from where, how large, and how much of it.
+struct SeenAs {
+  SeenFrom from;
+  double least_share = kFullyVisibleShare;  ///< of it in view, in most of its boxes
+};
+
+SeenAs seen_as(const MappedLandmark& landmark, const Camera& camera, const KeyframePlaces& S_map_keyframe) {
+  SeenAs seen{landmark.seen_from};
+  std::vector<double> shares;
+  for (const Observation& observation : landmark.observations) {
+    const auto keyframe = S_map_keyframe.find(observation.keyframe_id);
+    if (keyframe == S_map_keyframe.end()) continue;
+    const SE3 T_map_camera = keyframe->second.pose(observation.view.T_world_camera);
+    const Ellipsoid& ellipsoid = *landmark.state.ellipsoid;
+    const std::optional<Box> whole =
+        project_box(ellipsoid.center(), ellipsoid.shape(), projection_matrix(camera, T_map_camera));
+    if (!whole) continue;
+    const Box visible = clip(*whole, camera.width, camera.height);
+    if (!visible.is_valid()) continue;
+    shares.push_back(visible.area() / whole->area());
+    if (shares.back() <= kFullyVisibleShare) seen.from.add(ellipsoid.center() - T_map_camera.t, visible.size());
+  }
+  seen.least_share = std::min(seen.least_share, quantile(shares, kRareShare));
+  return seen;
 }
 
 /// Keyframes from `begin` to before `end` in which a detector should have boxed what the map has there, since it did
@@ -48,13 +84,19 @@ Boxes count_boxes(const MappedLandmark& landmark, std::int64_t first_keyframe_id
 /// session before ended
 std::map<std::int64_t, int> count_looks(const MapState& map, std::int64_t begin, std::int64_t end,
                                         bool with_former = false) {
+  KeyframePlaces S_map_keyframe;
+  for (const KeyframePose& pose : map.keyframe_poses()) {
+    S_map_keyframe[pose.keyframe_id] = Sim3(pose.T_map_camera, pose.scale);
+  }
   std::map<std::int64_t, MappedLandmark> landmarks;
+  std::map<std::int64_t, SeenAs> seen;
   for (const MappedLandmark& landmark : map.objects.landmarks) {
     if (landmark.state.state != LandmarkState::kConfirmed && !(with_former && landmark.was_confirmed)) continue;
+    if (!landmark.state.ellipsoid) continue;
     MappedLandmark& known = landmarks[landmark.state.id];
     known.state = landmark.state;
     known.state.state = LandmarkState::kConfirmed;
-    known.seen_from = landmark.seen_from;
+    seen[landmark.state.id] = seen_as(landmark, map.objects.camera, S_map_keyframe);
   }
   std::map<std::int64_t, int> looks;
   Frame frame;
@@ -62,10 +104,11 @@ std::map<std::int64_t, int> count_looks(const MapState& map, std::int64_t begin,
   for (const auto& [pose, T_vertex_keyframe] : map.graph.keyframes) {
     if (pose.keyframe_id < begin) continue;
     if (pose.keyframe_id >= end) break;
-    for (const ExpectedLandmark& expected : expected_landmarks(landmarks, frame, nullptr, pose.T_map_camera, {})) {
-      const MappedLandmark& landmark = landmarks.at(expected.id);
-      const Vec3 direction = landmark.state.ellipsoid->center() - pose.T_map_camera.t;
-      if (landmark.seen_from.covers(direction, expected.size_px)) ++looks[expected.id];
+    for (const ExpectedLandmark& expected :
+         expected_landmarks(landmarks, frame, nullptr, pose.T_map_camera, {}, kLeastShare)) {
+      const SeenAs& as = seen.at(expected.id);
+      const Vec3 direction = landmarks.at(expected.id).state.ellipsoid->center() - pose.T_map_camera.t;
+      if (expected.share > as.least_share && as.from.covers(direction, expected.size_px)) ++looks[expected.id];
     }
   }
   return looks;
@@ -144,33 +187,35 @@ std::vector<MapChange> map_changes(const MapState& map) {
     const Landmark& state = landmark.state;
     const bool is_confirmed = state.state == LandmarkState::kConfirmed;
     if (!state.ellipsoid || (!is_confirmed && !landmark.was_confirmed)) continue;
-    const auto [before, after] = count_boxes(landmark, first);
+    const Boxes boxes = count_boxes(landmark, first);
     const int looked_before = looks_before[state.id], looked_after = looks_after[state.id];
     MapChange change;
-    change.boxes_before = before;
-    if (before > 0) {
-      if (before < kMinBoxesBefore) continue;
-      const int expected = static_cast<int>(std::int64_t{before} * looked_after / std::max(looked_before, 1));
-      const bool is_missed = looked_after >= kMinLooksOfGone && expected >= kMinBoxes;
+    change.boxes_before = boxes.before;
+    if (boxes.before > 0) {
+      if (boxes.before_s() < kMinSeen_s) continue;
+      const double expected = static_cast<double>(boxes.before) * looked_after / std::max(looked_before, 1);
+      const bool is_missed = looked_after >= kMinLooksOfGone && boxes.one_s * expected >= kMinSeen_s;
       change.seen_through_s = seen_through_s(landmark);
       if (!is_missed && change.seen_through_s < kMinSeenThrough_s) continue;
-      if (after > kMistakenShare * (is_missed ? std::min(before, expected) : before)) continue;
+      if (boxes.after > kMistakenShare * (is_missed ? std::min<double>(boxes.before, expected) : boxes.before))
+        continue;
       // By one of its size, it is that one, by another id.
       const auto is_there_now = [&](const MappedLandmark& other) {
-        return count_boxes(other, first).after >= kMinBoxes && is_as_large(*other.state.ellipsoid, *state.ellipsoid);
+        return count_boxes(other, first).after_s() >= kMinSeen_s &&
+               is_as_large(*other.state.ellipsoid, *state.ellipsoid);
       };
       if (is_taken(map, *state.ellipsoid, is_there_now)) continue;
       change.before_id = state.id;
       change.looked_at_after = looked_after;
       gone.push_back(change);
-    } else if (is_confirmed && after >= kMinBoxes &&
+    } else if (is_confirmed && boxes.after_s() >= kMinSeen_s &&
                (landmark.sightings.is_placed() || landmark.sightings.seen_share() <= kMaxSeenShare)) {
       change.kind = MapChange::Kind::kNew;
       change.after_id = state.id;
-      change.boxes_after = after;
+      change.boxes_after = boxes.after;
       change.looked_at_before = looked_before;
       const auto was_there = [first](const MappedLandmark& other) {
-        return count_boxes(other, first).before >= kMinBoxes;
+        return count_boxes(other, first).before_s() >= kMinSeen_s;
       };
       if (looked_before >= kMinLooksOfMoved && !is_taken(map, *state.ellipsoid, was_there)) added.push_back(change);
     }
@@ -186,12 +231,12 @@ MapAgreement map_agreement(const MapState& map, std::int64_t first_keyframe_id) 
   MapAgreement agreement;
   for (const MappedLandmark& landmark : map.objects.landmarks) {
     if (landmark.state.state != LandmarkState::kConfirmed) continue;
-    const auto [before, after] = count_boxes(landmark, first_keyframe_id);
-    if (before > 0 && after > 0) {
+    const Boxes boxes = count_boxes(landmark, first_keyframe_id);
+    if (boxes.before > 0 && boxes.after > 0) {
       ++agreement.common;
-    } else if (before > 0 && looks_after[landmark.state.id] >= kMinLooksOfMany) {
+    } else if (boxes.before > 0 && looks_after[landmark.state.id] >= kMinLooksOfMany) {
       ++agreement.only_first;
-    } else if (after > 0 && looks_before[landmark.state.id] >= kMinLooksOfMany) {
+    } else if (boxes.after > 0 && looks_before[landmark.state.id] >= kMinLooksOfMany) {
       ++agreement.only_second;
     }
   }

@@ -326,6 +326,20 @@ TEST_F(MapperTest, WhatNoImageShowsWholeIsNotConfirmed) {
   EXPECT_EQ(find(0)->state, LandmarkState::kCandidate);
 }
 
+TEST_F(MapperTest, WhatIsCutOnOneSideThenOnAnotherIsConfirmedUnlessItMayBeAPieceOfAnother) {
+  const std::vector<SE3> poses = arc(60, 90.0);
+  Ellipsoid apart = kCup, near = kCup;
+  apart.T_world_quadric.t += Vec3(0.3, 0.3, 0.0);
+  near.T_world_quadric.t += Vec3(0.0, 0.0, 1.5 * kCup.radius());
+  for (std::size_t i = 0; i < poses.size(); ++i) {
+    const std::uint8_t cut = i < 30 ? kBottom : kLeft;
+    step(poses[i], {{0, 41, kCup}, {1, 41, near, cut}, {2, 41, apart, cut}});
+  }
+  EXPECT_EQ(find(0)->state, LandmarkState::kConfirmed);
+  EXPECT_EQ(find(1)->state, LandmarkState::kCandidate);
+  EXPECT_EQ(find(2)->state, LandmarkState::kConfirmed);
+}
+
 TEST_F(MapperTest, UnrelatedClassesAtOnePlaceDoNotMerge) {
   const std::vector<SE3> poses = arc(120, 120.0);
   for (std::size_t i = 0; i < poses.size(); ++i) {

@@ -96,6 +96,24 @@ TEST(MapChanges, WhatMovedWentAndCameIsListedAndNothingElse) {
   }
 }
 
+TEST(MapChanges, AChairThatTheBorderOfTheImageAlwaysCutsIsMissedToo) {
+  for (const int seed : {11, 20}) {
+    SimulationOptions options;
+    options.seed = seed;
+    options.trajectory.duration_s = 72.0;
+    options.trajectory.rate_hz = 10.0;
+    options.dynamics.moved_objects = options.dynamics.removed_objects = options.dynamics.new_objects = 1;
+    options.dynamics.move_time_s = 36.0;
+    const SimulatedSequence sequence = checked(simulate(options, camera_fr2(), coco()));
+    std::size_t second = 0;
+    while (sequence.time_s(second) < options.dynamics.move_time_s) ++second;
+    const auto first = testing::map_of(sequence, 0, second, shared_coco());
+    const auto both = testing::map_of(sequence, second, sequence.odometry.size(), shared_coco(), {}, first);
+    const std::vector<std::string> expected{"gone chair", "moved cup", "new bottle"};
+    EXPECT_EQ(listed(*both), expected) << "seed " << seed;
+  }
+}
+
 TEST(MapChanges, WhatDepthSeesThroughIsGoneWhereverItIsSeenFrom) {
   SimulationOptions options;
   options.seed = 4;

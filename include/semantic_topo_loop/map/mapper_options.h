@@ -51,7 +51,7 @@ struct QuadricMapperOptions {
     visitor.live("merge_veto_share", merge_veto_share, share(),
                  "no merge if seen side by side in more of the common frames");
     visitor.live("confirm_seen_s", confirm_seen_s, not_negative(),
-                 "time for which a confirmed landmark was seen whole");
+                 "time for which a confirmed landmark was seen, and for half of it every side");
     visitor.live("confirm_baseline_deg", confirm_baseline_deg, at_least(0).below(180),
                  "parallax of a confirmed landmark");
     visitor.live("confirm_mean_iou", confirm_mean_iou, share(), "mean overlap of a confirmed landmark");
