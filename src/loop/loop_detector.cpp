@@ -296,9 +296,12 @@ struct LoopDetector::Impl {
     if (has_burst || has_shift) {
       monitor_.restart();
       // What a frozen or slipping odometry missed is solved for; a burst is known better by the motion itself.
+      const auto is_recent = [&frame](std::int64_t stamp_ns) { return frame.stamp_ns - stamp_ns < kResume_ns; };
       const std::optional<std::int64_t> frozen_ns = last_frozen_ns(window_.frames());
-      const bool is_missed = (frozen_ns && (has_shift || frame.stamp_ns - *frozen_ns < kResume_ns)) ||
-                             (!has_burst && solver_.has_slipped(window_.frames()));
+      std::optional<std::int64_t> slipped_ns;
+      if (!has_burst) slipped_ns = solver_.last_slipped_ns(window_.frames());
+      const bool is_missed =
+          (frozen_ns && (has_shift || is_recent(*frozen_ns))) || (slipped_ns && is_recent(*slipped_ns));
       if (!is_missed) {
         window_.clear();
         up_.clear();

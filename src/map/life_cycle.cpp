@@ -145,11 +145,11 @@ LandmarkState life_cycle_state(const MappedLandmark& landmark, const QuadricMapp
   }
   // Every side must have been seen to end, if not at once: what is cut counts. Boxes alone need several directions,
   // depth needs none.
-  const double bounded_share = sightings.least_bounded_s() / options.confirm_seen_s;
+  const auto is_bounded = [&](double share) { return sightings.least_bounded_s() >= share * options.confirm_seen_s; };
   const bool is_known = sightings.is_placed()
-                            ? sightings.placed_s >= options.confirm_seen_s && bounded_share >= kBoundedShare &&
+                            ? sightings.placed_s >= options.confirm_seen_s && is_bounded(kBoundedShare) &&
                                   sightings.familiar_share() >= kFoundAgainShare
-                            : sightings.seen_s >= options.confirm_seen_s && bounded_share >= kBoundedShareOfBoxes &&
+                            : sightings.seen_s >= options.confirm_seen_s && is_bounded(kBoundedShareOfBoxes) &&
                                   state.baseline_deg >= options.confirm_baseline_deg;
   const bool confirmed = state.ellipsoid && state.observations >= options.min_views && is_known &&
                          state.mean_iou >= options.confirm_mean_iou && seen_share >= options.confirm_seen_share &&

@@ -30,6 +30,9 @@ struct Observation {
   BoxView view;  ///< with the keyframe for a world, in the odometry's unit of length
 };
 
+/// The time that a frame stands for at most: a slow detector's interval.
+constexpr double kStepMax_s = 0.2;
+
 /// How long a landmark was seen and should have been. Time, not counts, so that 6 Hz and 30 Hz behave alike. Where
 /// depth tells of what one box shows, the time that it was seen is weighed by the detector's score.
 struct Sightings {

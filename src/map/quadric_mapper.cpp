@@ -23,7 +23,6 @@ constexpr std::size_t kObservationsMax = 1200;  // of a landmark: 0.2 MB; a fit 
 constexpr std::size_t kStillBoxes = 100;        // of one keyframe: a camera that moves has fewer
 constexpr double kSeparateBoxesIou = 0.6;       // two boxes that overlap less show two things
 constexpr int kRefitsPerFrame = 4;              // after a correction, so that no frame is held up
-constexpr double kStepMax_s = 0.2;              // the time that a frame stands for at most: a slow detector's interval
 constexpr double kSureScore = 0.5;              // of a detector, from which on a box counts in full
 constexpr double kTurned_rad = 0.2;             // of a correction: half of a bin of SeenFrom, less stays in its bin
 constexpr double kUndoReach = 1.5;              // of the distance up to which two landmarks may merge

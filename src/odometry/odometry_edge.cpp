@@ -116,7 +116,7 @@ bool OdometryEdge::refine(const SolvedMotion& motion) {
   T_from_to = motion.T_from_to;
   path_m = motion.path_m;
   rotation_rad = motion.rotation_rad;
-  missed = motion.missed;
+  missed = motion.missed.is_any() ? motion.missed : MissedMotion();
   return true;
 }
 

@@ -49,7 +49,8 @@ Boxes count_boxes(const MappedLandmark& landmark, std::int64_t first_keyframe_id
   for (const Observation& observation : landmark.observations) {
     ++(observation.keyframe_id < first_keyframe_id ? boxes.before : boxes.after);
   }
-  boxes.one_s = landmark.sightings.seen_s / std::max<double>(1.0, static_cast<double>(landmark.observations.size()));
+  const double seen_s = landmark.sightings.seen_s;
+  boxes.one_s = std::min(kStepMax_s, seen_s / std::max(1.0, static_cast<double>(landmark.observations.size())));
   return boxes;
 }
 
@@ -75,44 +76,53 @@ SeenAs seen_as(const MappedLandmark& landmark, const Camera& camera, const Keyfr
     shares.push_back(visible.area() / whole->area());
     if (shares.back() <= kFullyVisibleShare) seen.from.add(ellipsoid.center() - T_map_camera.t, visible.size());
   }
-  seen.least_share = std::min(seen.least_share, quantile(shares, kRareShare));
+  if (!shares.empty()) seen.least_share = std::min(seen.least_share, quantile(shares, kRareShare));
   return seen;
 }
 
-/// Keyframes from `begin` to before `end` in which a detector should have boxed what the map has there, since it did
-/// from there at some time; by the landmark's id. @param with_former those, too, that only were objects when the
-/// session before ended
-std::map<std::int64_t, int> count_looks(const MapState& map, std::int64_t begin, std::int64_t end,
-                                        bool with_former = false) {
-  KeyframePlaces S_map_keyframe;
-  for (const KeyframePose& pose : map.keyframe_poses()) {
-    S_map_keyframe[pose.keyframe_id] = Sim3(pose.T_map_camera, pose.scale);
-  }
-  std::map<std::int64_t, MappedLandmark> landmarks;
-  std::map<std::int64_t, SeenAs> seen;
-  for (const MappedLandmark& landmark : map.objects.landmarks) {
-    if (landmark.state.state != LandmarkState::kConfirmed && !(with_former && landmark.was_confirmed)) continue;
-    if (!landmark.state.ellipsoid) continue;
-    MappedLandmark& known = landmarks[landmark.state.id];
-    known.state = landmark.state;
-    known.state.state = LandmarkState::kConfirmed;
-    seen[landmark.state.id] = seen_as(landmark, map.objects.camera, S_map_keyframe);
-  }
-  std::map<std::int64_t, int> looks;
-  Frame frame;
-  frame.camera = map.objects.camera;
-  for (const auto& [pose, T_vertex_keyframe] : map.graph.keyframes) {
-    if (pose.keyframe_id < begin) continue;
-    if (pose.keyframe_id >= end) break;
-    for (const ExpectedLandmark& expected :
-         expected_landmarks(landmarks, frame, nullptr, pose.T_map_camera, {}, kLeastShare)) {
-      const SeenAs& as = seen.at(expected.id);
-      const Vec3 direction = landmarks.at(expected.id).state.ellipsoid->center() - pose.T_map_camera.t;
-      if (expected.share > as.least_share && as.from.covers(direction, expected.size_px)) ++looks[expected.id];
+/// Of the objects of a map, which keyframes should have boxed them, since a detector did from there at some time.
+class Looks {
+ public:
+  /// @param with_former those, too, that only were objects when the session before ended
+  explicit Looks(const MapState& map, bool with_former = false) : map_(map) {
+    KeyframePlaces S_map_keyframe;
+    for (const KeyframePose& pose : map.keyframe_poses()) {
+      S_map_keyframe[pose.keyframe_id] = Sim3(pose.T_map_camera, pose.scale);
+    }
+    for (const MappedLandmark& landmark : map.objects.landmarks) {
+      const bool is_object =
+          landmark.state.state == LandmarkState::kConfirmed || (with_former && landmark.was_confirmed);
+      if (!is_object || !landmark.state.ellipsoid) continue;
+      MappedLandmark& known = landmarks_[landmark.state.id];
+      known.state = landmark.state;
+      known.state.state = LandmarkState::kConfirmed;
+      seen_as_[landmark.state.id] = seen_as(landmark, map.objects.camera, S_map_keyframe);
     }
   }
-  return looks;
-}
+
+  /// @return how many keyframes from `begin` to before `end`, by the landmark's id
+  std::map<std::int64_t, int> count(std::int64_t begin, std::int64_t end) const {
+    std::map<std::int64_t, int> looks;
+    Frame frame;
+    frame.camera = map_.objects.camera;
+    for (const auto& [pose, T_vertex_keyframe] : map_.graph.keyframes) {
+      if (pose.keyframe_id < begin) continue;
+      if (pose.keyframe_id >= end) break;
+      for (const ExpectedLandmark& expected :
+           expected_landmarks(landmarks_, frame, nullptr, pose.T_map_camera, {}, kLeastShare)) {
+        const SeenAs& as = seen_as_.at(expected.id);
+        const Vec3 direction = landmarks_.at(expected.id).state.ellipsoid->center() - pose.T_map_camera.t;
+        if (expected.share > as.least_share && as.from.covers(direction, expected.size_px)) ++looks[expected.id];
+      }
+    }
+    return looks;
+  }
+
+ private:
+  const MapState& map_;
+  std::map<std::int64_t, MappedLandmark> landmarks_;
+  std::map<std::int64_t, SeenAs> seen_as_;
+};
 
 /// For how long depth has shown what lies behind an object since its last box, less what its holes may show.
 double seen_through_s(const MappedLandmark& landmark) {
@@ -180,8 +190,9 @@ const char* to_string(MapChange::Kind kind) {
 std::vector<MapChange> map_changes(const MapState& map) {
   if (map.graph.sessions.size() < 2) return {};
   const std::int64_t first = map.graph.sessions.back().first_keyframe_id;
-  std::map<std::int64_t, int> looks_before = count_looks(map, 0, first, true);
-  std::map<std::int64_t, int> looks_after = count_looks(map, first, map.graph.next_keyframe_id(), true);
+  const Looks looks(map, true);
+  std::map<std::int64_t, int> looks_before = looks.count(0, first);
+  std::map<std::int64_t, int> looks_after = looks.count(first, map.graph.next_keyframe_id());
   std::vector<MapChange> gone, added;
   for (const MappedLandmark& landmark : map.objects.landmarks) {
     const Landmark& state = landmark.state;
@@ -226,8 +237,9 @@ std::vector<MapChange> map_changes(const MapState& map) {
 }
 
 MapAgreement map_agreement(const MapState& map, std::int64_t first_keyframe_id) {
-  std::map<std::int64_t, int> looks_before = count_looks(map, 0, first_keyframe_id);
-  std::map<std::int64_t, int> looks_after = count_looks(map, first_keyframe_id, map.graph.next_keyframe_id());
+  const Looks looks(map);
+  std::map<std::int64_t, int> looks_before = looks.count(0, first_keyframe_id);
+  std::map<std::int64_t, int> looks_after = looks.count(first_keyframe_id, map.graph.next_keyframe_id());
   MapAgreement agreement;
   for (const MappedLandmark& landmark : map.objects.landmarks) {
     if (landmark.state.state != LandmarkState::kConfirmed) continue;

@@ -44,20 +44,20 @@ SE3 follows(const SE3& motion) { return motion; }
 /// By 0.3 m/s and 6 deg/s, of ten frames a second.
 SE3 slips(const SE3& motion) { return motion * SE3(so3_exp(Vec3(0.0, 0.0105, 0.0)), Vec3(0.02, 0.01, -0.02)); }
 
-/// Frames of a camera whose odometry is off for a second, and goes on from where it was.
+/// Frames of a camera whose odometry is off for a second, or longer, and goes on from where it was.
 /// @param desk_at where the things are at a time   @param made_of what it makes of a motion meanwhile
 Watched watch(const std::function<SE3(double)>& camera_at,
               const std::function<std::vector<DeskObject>(double)>& desk_at, std::uint64_t seed,
-              const Odometry& made_of = stands_still) {
-  ObservationWindow window(kEnd_s, 0.0, *desk_classes());
+              const Odometry& made_of = stands_still, double thaw_s = kThaw_s, double end_s = kEnd_s) {
+  ObservationWindow window(end_s, 0.0, *desk_classes());
   FrameBuilder builder(KeyframeOptions(), desk_camera());
   std::mt19937_64 random(seed);
   Watched watched;
   SE3 T_odom_camera;
-  for (int k = 0; k < static_cast<int>(kEnd_s * kRate_hz); ++k) {
+  for (int k = 0; k < static_cast<int>(end_s * kRate_hz); ++k) {
     const double time_s = k / kRate_hz;
     const SE3 pose = camera_at(time_s);
-    const bool is_off = time_s > kFreeze_s && time_s <= kThaw_s;
+    const bool is_off = time_s > kFreeze_s && time_s <= thaw_s;
     if (watched.truth.empty()) {
       T_odom_camera = pose;
     } else {
@@ -188,7 +188,7 @@ TEST(Slip, WhatItMissedIsSolvedForAndHowWellThatIsKnown) {
     mean_squares += error.cwiseAbs2().cwiseQuotient(missed.covariance.diagonal()) / kSeeds;
   }
   EXPECT_LT(mean_squares.maxCoeff(), 4.0);
-  EXPECT_GT(mean_squares.mean(), 0.02);
+  EXPECT_GT(mean_squares.mean(), 0.1);
 }
 
 TEST(Slip, AnOdometryThatFollowsIsBelieved) {
@@ -206,16 +206,40 @@ TEST(Slip, AnOdometryThatFollowsIsBelieved) {
 }
 
 TEST(Slip, WhatMovesByItselfIsNone) {
+  for (const int things : {2, 3, 6}) {
+    for (const std::uint64_t seed : {1, 2, 3}) {
+      const auto carried = [desk = random_desk(seed, things)](double time_s) {
+        std::vector<DeskObject> moved = desk;
+        const double since_s = std::min(std::max(time_s - kFreeze_s, 0.0), 1.0);
+        moved[0].spheroid.center.x() += 0.4 * since_s;  // each its own way
+        moved[1].spheroid.center.y() -= 0.4 * since_s;
+        moved[1].spheroid.center.z() += 0.3 * since_s;
+        return moved;
+      };
+      EXPECT_EQ(slipped_s(solved_live(watch(moving, carried, seed, follows).window)), 0.0) << things << " " << seed;
+    }
+  }
+}
+
+TEST(Slip, OneThatGoesOnIsHowTheOdometryIs) {
+  constexpr double kAll_s = 16.0;
+  const auto around = [](double time_s) { return testing::desk_pose({{0.0, kAll_s, 0.0, 150.0}}, time_s); };
   for (const std::uint64_t seed : {1, 2, 3}) {
-    const auto carried = [desk = random_desk(seed, 6)](double time_s) {
-      std::vector<DeskObject> moved = desk;
-      const double since_s = std::min(std::max(time_s - kFreeze_s, 0.0), 1.0);
-      moved[0].spheroid.center.x() += 0.4 * since_s;  // each its own way
-      moved[1].spheroid.center.y() -= 0.4 * since_s;
-      moved[1].spheroid.center.z() += 0.3 * since_s;
-      return moved;
-    };
-    EXPECT_EQ(slipped_s(solved_live(watch(moving, carried, seed, follows).window)), 0.0) << seed;
+    const Watched watched = watch(around, at_rest(random_desk(seed, 8)), seed, slips, kAll_s, kAll_s);
+    WindowSolver solver;
+    std::deque<ObservedFrame> seen;
+    int slipping = 0, later = 0, slipping_later = 0;
+    for (const ObservedFrame& frame : watched.window) {
+      seen.push_back(frame);
+      if (seen.size() < 12 || seen.size() % 3 != 0) continue;
+      solver.solve(seen, middle_keyframe(seen).value());
+      slipping += solver.is_slipping() ? 1 : 0;
+      if (1e-9 * static_cast<double>(frame.stamp_ns) < 1.0 + kFreeze_s + 6.0) continue;
+      ++later;
+      slipping_later += solver.is_slipping() ? 1 : 0;
+    }
+    EXPECT_GT(slipping, 5) << seed;
+    EXPECT_LT(slipping_later, later / 3) << seed;
   }
 }
 

@@ -99,7 +99,8 @@ bool view_moved(const std::deque<ObservedFrame>& window, std::size_t begin, std:
 }
 
 /// By how much known objects are seen elsewhere in a frame than where the odometry puts them since one that was solved
-/// for. What the solution is off about a box it is off in both.
+/// for. What the solution, or a detector, is off about a box it is off in both: sigmas learnt of single boxes say too
+/// much (with them slips of fr3_office are missed, by 1.4 x in ATE).
 /// @param noise of the odometry   @param delay_s by which it is late
 std::vector<MovedBox> moved_boxes(const std::deque<ObservedFrame>& window, std::size_t from, std::size_t to,
                                   const WindowSolution& solved, const WindowNoise& noise, double delay_s) {
@@ -127,7 +128,7 @@ std::vector<MovedBox> moved_boxes(const std::deque<ObservedFrame>& window, std::
   return moved;
 }
 
-/// Whether most objects are elsewhere, and what they have in common explains it.
+/// Whether half of the objects are elsewhere, and what they have in common explains it.
 bool camera_moved(const std::vector<MovedBox>& moved) {
   const Vec2 shift = common_shift(moved);
   int off = 0, alike = 0;
@@ -137,7 +138,7 @@ bool camera_moved(const std::vector<MovedBox>& moved) {
     ++off;
     alike += *box.squares(shift) < kUnlikeShare * squares ? 1 : 0;
   }
-  return off >= kMinMoved && 2 * off >= static_cast<int>(moved.size()) && 2 * alike >= off;
+  return alike >= kMinMoved && 2 * off >= static_cast<int>(moved.size()) && 2 * alike >= off;
 }
 
 }  // namespace
@@ -174,12 +175,17 @@ Quaternion turn_by_boxes(const ObservedFrame& from, const ObservedFrame& to) {
 
 std::optional<Slip> find_slip(const std::deque<ObservedFrame>& window, const WindowSolution& solved,
                               const WindowNoise& noise, const OdometryDelay& delay) {
+  if (solved.T_odom_camera.empty()) return std::nullopt;
+  // The odometry of what is newer is not known yet, nor was it when the last window was solved.
+  const auto is_known = [&delay](std::int64_t stamp_ns, std::int64_t newest_ns) {
+    return delay.likely_s() - 1e-9 * static_cast<double>(newest_ns - stamp_ns) < kMaxAhead_s;
+  };
+  const std::int64_t solved_ns = solved.T_odom_camera.rbegin()->first;
   std::optional<std::size_t> from, to;
   for (std::size_t i = 0; i < window.size(); ++i) {
-    if (solved.find(window[i].stamp_ns) != nullptr) from = i;
-    // The odometry of what is newer is not known yet.
-    const double ahead_s = delay.likely_s() - 1e-9 * static_cast<double>(window.back().stamp_ns - window[i].stamp_ns);
-    if (ahead_s < kMaxAhead_s) to = i;
+    const std::int64_t stamp_ns = window[i].stamp_ns;
+    if (solved.find(stamp_ns) != nullptr && is_known(stamp_ns, solved_ns)) from = i;
+    if (is_known(stamp_ns, window.back().stamp_ns)) to = i;
   }
   if (!from || !to || *from >= *to) return std::nullopt;
   // One that stands may know its way later; what it does not is found otherwise.

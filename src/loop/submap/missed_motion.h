@@ -30,8 +30,8 @@ struct Slip {
   /// Behind the odometry's motion, it puts the objects where they are seen, if all that was missed is turning.
   Quaternion turn = Quaternion::Identity();
 };
-/// Whether most objects in view have moved, all alike, from where the odometry since the last frame that was solved for
-/// would have them now.
+/// Whether half of the objects in view or more have moved, at least two of them and half of those alike, from where the
+/// odometry since the last frame that was solved for would have them now.
 /// @param window poses as the odometry has them   @param noise, delay of them   @return nullopt without two such
 /// objects
 std::optional<Slip> find_slip(const std::deque<ObservedFrame>& window, const WindowSolution& solved,

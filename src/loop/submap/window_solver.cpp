@@ -34,6 +34,9 @@ constexpr double kLeast_m = 0.0005, kLeastCount = 3.0;
 /// Metres that a radian is worth, since the boxes of few objects do not tell turning from moving: the distance at which
 /// they are usually seen. Degrees of freedom by which errors of the two, and of both together, are held to each other.
 constexpr double kLever_m = 1.4, kTogetherCount = 30.0;
+/// What goes on for longer is no slip but how the odometry is, which its noise is to tell; it is over when none has
+/// been found for so long.
+constexpr std::int64_t kLongestSlip_ns = 5'000'000'000, kSlipOver_ns = 1'500'000'000;
 constexpr double kMemory_s = 20.0;        ///< in which evidence is forgotten
 constexpr double kLearnInterval_s = 0.6;  ///< windows closer in time say the same
 constexpr double kBoxRate = 0.1;          ///< by which the boxes' errors are learnt, a window
@@ -445,6 +448,8 @@ struct WindowSolver::Memory {
   Equations equations, spare;
   WindowSolution last;
   std::set<std::int64_t> slipped_to;  ///< stamps of frames to which the odometry slipped from those before
+  /// When a slip began, and was found last.
+  std::int64_t slipping_since_ns = 0, slipping_ns = 0;
 };
 
 WindowSolver::WindowSolver() : memory_(std::make_unique<Memory>()) {}
@@ -475,10 +480,16 @@ std::optional<Slip> WindowSolver::watch(const std::deque<ObservedFrame>& window)
   return slip;
 }
 
-bool WindowSolver::has_slipped(const std::deque<ObservedFrame>& window) {
-  if (window.size() < 2) return false;
+std::optional<std::int64_t> WindowSolver::last_slipped_ns(const std::deque<ObservedFrame>& window) {
+  if (window.size() < 2 || is_lasting(window)) return std::nullopt;
   watch(window);
-  return !memory_->slipped_to.empty();
+  const std::set<std::int64_t>& slipped_to = memory_->slipped_to;
+  return slipped_to.empty() ? std::nullopt : std::optional(*slipped_to.rbegin());
+}
+
+bool WindowSolver::is_lasting(const std::deque<ObservedFrame>& window) const {
+  const std::int64_t now_ns = window.back().stamp_ns;
+  return now_ns - memory_->slipping_ns < kSlipOver_ns && now_ns - memory_->slipping_since_ns > kLongestSlip_ns;
 }
 
 std::deque<ObservedFrame> WindowSolver::solve(std::deque<ObservedFrame> window, std::size_t anchor) {
@@ -489,7 +500,16 @@ std::deque<ObservedFrame> WindowSolver::solve(std::deque<ObservedFrame> window, 
   const std::vector<std::size_t> knots = knots_of(window, anchor);
   if (knots.size() < kMinWindowViews) return window;
   if (memory_->last.find(window.front().stamp_ns) == nullptr) memory_->last = {};
-  const std::optional<Slip> slip = watch(window);
+  std::optional<Slip> slip = watch(window);
+  if (slip) {
+    const std::int64_t begin_ns = window[slip->from].stamp_ns;
+    if (begin_ns - memory_->slipping_ns > kSlipOver_ns) memory_->slipping_since_ns = begin_ns;
+    memory_->slipping_ns = window.back().stamp_ns;
+  }
+  if (is_lasting(window)) {
+    memory_->slipped_to.clear();
+    slip.reset();
+  }
   is_slipping_ = slip.has_value();
   applied_delay_s_ = delay_s();
   window = undelayed(std::move(window), applied_delay_s_);

@@ -37,8 +37,9 @@ class WindowSolver {
   std::deque<ObservedFrame> solve(std::deque<ObservedFrame> window, std::size_t anchor);
   /// Whether it was slipping at the end of the last window.
   bool is_slipping() const { return is_slipping_; }
-  /// Whether the odometry is found to have slipped within a window, of which most was in the last one.
-  bool has_slipped(const std::deque<ObservedFrame>& window);
+  /// @return stamp of the last frame to which the odometry is found to have slipped within a window, of which most was
+  /// in the last one; nullopt if it has not
+  std::optional<std::int64_t> last_slipped_ns(const std::deque<ObservedFrame>& window);
   WindowNoise noise() const;
   /// By how much the odometry's poses are late, as the windows so far tell, see OdometryDelay.
   double delay_s() const { return evidence_.delay.seconds(); }
@@ -53,6 +54,8 @@ class WindowSolver {
 
   /// Remembers a slip up to the window's last frame.
   std::optional<Slip> watch(const std::deque<ObservedFrame>& window);
+  /// Whether what was taken for a slip goes on for so long that it is how the odometry is, which is learnt.
+  bool is_lasting(const std::deque<ObservedFrame>& window) const;
 
   WindowEvidence evidence_;
   double applied_delay_s_ = 0.0;
