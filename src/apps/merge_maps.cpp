@@ -4,7 +4,9 @@
 
 #include "apps/program.h"
 #include "pipeline/map_state.h"
+#include "semantic_topo_loop/io/map_database.h"
 #include "semantic_topo_loop/io/map_file.h"
+#include "semantic_topo_loop/io/text_file.h"
 #include "semantic_topo_loop/io/yaml_files.h"
 #include "semantic_topo_loop/pipeline/object_slam.h"
 #include "semantic_topo_loop/types/stamp.h"
@@ -28,6 +30,11 @@ std::size_t confirmed(const MapState& map) {
 }
 
 Status run(const Arguments& arguments) {
+  for (const std::string* map : {&arguments.a, &arguments.b}) {
+    if (is_same_file(arguments.out, *map))
+      return Error{arguments.out + ": would take the place of a map that is joined"};
+  }
+  if (const Status place = check_map_place(arguments.out); !place) return place;
   const Result<Options> options = load_options(arguments.config, arguments.assignments);
   if (!options) return options.error();
   const Result<ClassTable> classes = read_class_table(arguments.classes);

@@ -89,17 +89,23 @@ class ObjectDetector::Impl {
   explicit Impl(const ObjectDetectorOptions& options) : options_(options) {}
 
   Status load(const ClassTable& classes) {
+    using namespace cv::dnn;
+    const Backend backend = options_.backend == "cuda" ? DNN_BACKEND_CUDA : DNN_BACKEND_OPENCV;
+    const Target target = options_.backend == "cuda"     ? DNN_TARGET_CUDA
+                          : options_.backend == "opencl" ? DNN_TARGET_OPENCL
+                                                         : DNN_TARGET_CPU;
+    const std::vector<Target> targets = getAvailableTargets(backend);
+    if (std::find(targets.begin(), targets.end(), target) == targets.end()) {
+      return failure("cannot run with detector.backend=" + options_.backend + ", which this OpenCV or computer lacks");
+    }
     const Silence silence;
     try {
-      net_ = cv::dnn::readNetFromONNX(options_.model);
+      net_ = readNetFromONNX(options_.model);
     } catch (const cv::Exception& exception) {
       return failure("cannot be read as an ONNX model: " + cause(exception));
     }
-    using namespace cv::dnn;
-    net_.setPreferableBackend(options_.backend == "cuda" ? DNN_BACKEND_CUDA : DNN_BACKEND_OPENCV);
-    net_.setPreferableTarget(options_.backend == "cuda"     ? DNN_TARGET_CUDA
-                             : options_.backend == "opencl" ? DNN_TARGET_OPENCL
-                                                            : DNN_TARGET_CPU);
+    net_.setPreferableBackend(backend);
+    net_.setPreferableTarget(target);
     if (options_.threads > 0) cv::setNumThreads(options_.threads);
     if (const Status tried = try_sizes(); !tried) return tried;
     return name_classes(classes);

@@ -318,6 +318,8 @@ TEST_F(MergeMapsProgram, MapsOfTwoPlacesAreNotJoined) {
   expect_failure("@desk.db @office.db @both.db --classes " STL_CONFIG_DIR "/classes_coco.yaml", 1,
                  "have no place in common");
   EXPECT_FALSE(std::filesystem::exists(directory_.path("both.db")));
+  expect_failure("@desk.db @office.db @office.db --classes " STL_CONFIG_DIR "/classes_coco.yaml", 1,
+                 "office.db: would take the place of a map that is joined");
   ASSERT_EQ(run("@desk.db @desk.db @both.db --classes " STL_CONFIG_DIR "/classes_coco.yaml"), 0) << err_;
   EXPECT_NE(out_.find(" loops join the maps; "), std::string::npos) << out_;
 }

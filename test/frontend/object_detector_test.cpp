@@ -4,6 +4,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <opencv2/core/cuda.hpp>
 #include <opencv2/imgproc.hpp>
 
 #include "frontend/onnx_input.h"
@@ -129,6 +130,16 @@ TEST(OnnxInput, IsWhatTheModelDeclares) {
   EXPECT_EQ(declared(field(7, onnx_input({1, 3, 480, 640}))), 0);
   for (std::size_t size = 0; size < model.size(); ++size) EXPECT_EQ(declared(model.substr(0, size)), 0) << size;
   EXPECT_EQ(declared_input_px(directory.path("none.onnx")), 0);
+}
+
+TEST(ObjectDetector, AComputerThatCannotIsOneError) {
+  if (cv::cuda::getCudaEnabledDeviceCount() > 0) GTEST_SKIP() << "it can";
+  ObjectDetectorOptions options;
+  options.model = "model.onnx";
+  options.backend = "cuda";
+  const auto detector = ObjectDetector::load(options, coco());
+  ASSERT_FALSE(detector);
+  EXPECT_NE(detector.message().find("detector.backend=cuda"), std::string::npos) << detector.message();
 }
 
 TEST(ObjectDetector, FilesThatAreNoModelAreOneError) {

@@ -65,7 +65,7 @@ class DemoTest(DirectoryTest):
         cls.heard = Heard()
         # It stays up at the end, so that what is published at intervals can be heard.
         cls.launch = demo(duration='16', data=cls.data, output=cls.results, exit_at_end='false', save_map=cls.saved,
-                          wait_for='Listener')
+                          save_dir=cls.path(''), wait_for='Listener')
         assert cls.heard.listener.let_begin(), cls.launch.output()
         cls.status, cls.said = run_program('wait_for_player', '__ns:=/' + PACKAGE, timeout_s=90)
 
@@ -144,8 +144,15 @@ class DemoTest(DirectoryTest):
 
     def test_the_trajectory_is_saved_where_it_may(self):
         save = rospy.ServiceProxy('/%s/pose_graph/save_trajectory' % PACKAGE, SaveTrajectory)
-        answer = save('semantic_topo_loop_test/keyframes.txt')
-        self.assertTrue(answer.success or 'No such file' in answer.message, answer.message)
+        path = self.path('keyframes.txt')
+        answer = save('keyframes.txt')
+        self.assertTrue(answer.success, answer.message)
+        with open(path) as saved:
+            poses = [line for line in saved if not line.startswith('#')]
+        with open(os.path.join(self.results, 'keyframes.csv')) as table:
+            self.assertEqual(len(poses), len(table.readlines()) - 1)
+        none = save('no_folder/keyframes.txt')
+        self.assertIn('No such file', none.message)
         refused = save('/tmp/elsewhere.txt')
         self.assertFalse(refused.success)
         self.assertIn('is not below', refused.message)
