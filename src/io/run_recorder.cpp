@@ -25,6 +25,7 @@
 #include "semantic_topo_loop/io/text_file.h"
 #include "semantic_topo_loop/io/tum_trajectory.h"
 #include "semantic_topo_loop/pipeline/object_slam.h"
+#include "semantic_topo_loop/types/map_unit.h"
 
 namespace semantic_topo_loop::core {
 namespace {
@@ -515,6 +516,12 @@ class FileRecorder : public RunRecorder {
                               {"corrections", corrections_},
                               {"odometry", odometry_summary(odometry_)}};
     if (tracking_) summary["images"] = to_json(*tracking_);
+    std::vector<Landmark> landmarks;
+    for (const auto& [id, landmark] : landmarks_) landmarks.push_back(landmark);
+    if (const std::optional<MapUnit> unit = map_unit(landmarks, *classes_)) {
+      summary["unit"] = {
+          {"metres", unit->metres}, {"sigma", unit->sigma}, {"objects", unit->objects}, {"classes", unit->classes}};
+    }
     if (const std::optional<JoinedMap> joined = joined_map()) {
       summary["joined_map"] = {{"after_s", joined->after_s}, {"loops", joined->loops}};
     }
