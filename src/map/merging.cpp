@@ -107,6 +107,11 @@ bool DuplicateTest::is_part(const MappedLandmark& a, const MappedLandmark& b, co
   return overlap(a, b, views).inside > kPartInside;
 }
 
+bool DuplicateTest::may_be_pieces(const Landmark& a, const Landmark& b) const {
+  if (a.id == b.id || !a.ellipsoid || !b.ellipsoid || !classes_.confusable(a.class_id, b.class_id)) return false;
+  return (a.ellipsoid->center() - b.ellipsoid->center()).norm() < a.ellipsoid->radius() + b.ellipsoid->radius();
+}
+
 std::optional<Ellipsoid> MergeHistory::place(const KeyframePlaces& S_map_keyframe, const Remains& remains) {
   const Landmark& state = remains.landmark.state;
   const auto anchor = S_map_keyframe.find(state.anchor_keyframe_id);

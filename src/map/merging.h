@@ -21,6 +21,8 @@ class DuplicateTest {
   bool is_duplicate(const MappedLandmark& a, const MappedLandmark& b, const ViewSource& views) const;
   /// True if b is a part of a that the detector boxed alone: little seen, inside a much-seen one of its class group.
   bool is_part(const MappedLandmark& a, const MappedLandmark& b, const ViewSource& views) const;
+  /// True for two that reach into each other and may be one by their classes.
+  bool may_be_pieces(const Landmark& a, const Landmark& b) const;
   /// Centres farther apart than this belong to two objects, whatever their boxes say.
   /// @param longest_a_m, longest_b_m their longest semi-axes
   static double reach_m(double longest_a_m, double longest_b_m);

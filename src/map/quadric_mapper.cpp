@@ -245,14 +245,11 @@ struct QuadricMapper::Impl {
     return is_piece ? LandmarkState::kCandidate : state;
   }
 
-  /// Whether it reaches into an object with which it could be one: what was always cut may be a piece of that.
+  /// What was always cut may be a piece of an object that it reaches into.
   bool touches_confirmed(const MappedLandmark& landmark) const {
-    const Ellipsoid& ellipsoid = *landmark.state.ellipsoid;
     return std::any_of(landmarks_.begin(), landmarks_.end(), [&](const auto& entry) {
       const Landmark& other = entry.second.state;
-      return other.id != landmark.state.id && other.state == LandmarkState::kConfirmed &&
-             classes_->confusable(other.class_id, landmark.state.class_id) &&
-             (other.ellipsoid->center() - ellipsoid.center()).norm() < other.ellipsoid->radius() + ellipsoid.radius();
+      return other.state == LandmarkState::kConfirmed && duplicates_.may_be_pieces(other, landmark.state);
     });
   }
 
