@@ -3,17 +3,18 @@
 #include <algorithm>
 #include <cmath>
 
+#include "geometry/statistics.h"
 #include "semantic_topo_loop/geometry/lie.h"
 
 namespace semantic_topo_loop::core {
 namespace {
 
-// All counts of frames below stand for times at 30 Hz, the rate of the recordings on which they were chosen.
-constexpr std::array<std::size_t, 6> kLengths{1, 2, 4, 6, 8, 11};  // frames: bursts of up to 0.4 s
-constexpr std::size_t kSide = 5;         // frames before and as many after, whose mean foretells: a sixth of a second
-constexpr std::size_t kHistory = 600;    // frames that say what is usual: 20 s
-constexpr std::size_t kMinHistory = 60;  // frames before which nothing is usual: 2 s
-constexpr std::size_t kRefresh = 16;     // frames after which it is asked again: half a second, to save time
+// In seconds; chosen on recordings at 30 Hz.
+constexpr std::array<double, 6> kLengths_s{0.033, 0.067, 0.133, 0.2, 0.267, 0.367};
+constexpr double kSide_s = 0.167;    // before and as much after, the mean of which foretells
+constexpr double kHistory_s = 20.0;  // that say what is usual
+constexpr double kMinHistory_s = 2.0;
+constexpr double kRefresh_s = 0.5;  // after which it is asked again, to save time
 /// Times the usual difference: few motions of a hand-held camera are beyond the first, and a burst counts by a share
 /// that grows from there to the second, so that what is learnt does not hang on one frame. Chosen on the drifted
 /// recordings.
@@ -22,13 +23,10 @@ constexpr double kDoubt = 3.0;  // times the usual difference: so much of a burs
 
 /// Sigma of each axis, by what nine of ten differences stay below: the worst tenth may be jumps or a shaky odometry's
 /// own.
-double usual(const boost::circular_buffer<double>& history) {
-  std::vector<double> norms(history.begin(), history.end());
+double usual(std::vector<double> norms) {
   constexpr double kNinthTenth = 2.5;  // of the norm of three, in sigmas: root of the 90 % quantile of chi^2, 6.25
-  const auto at = norms.begin() + static_cast<std::ptrdiff_t>(norms.size() * 9 / 10);
-  std::nth_element(norms.begin(), at, norms.end());
-  constexpr double kTiny = 1e-9;  // m or rad: a camera that stands still is no division by zero
-  return *at / kNinthTenth + kTiny;
+  constexpr double kTiny = 1e-9;       // m or rad: a camera that stands still is no division by zero
+  return quantile(std::move(norms), 0.9) / kNinthTenth + kTiny;
 }
 
 void add(const MotionBursts::SuspectedJump& more, MotionBursts::SuspectedJump* sum) {
@@ -40,10 +38,7 @@ void add(const MotionBursts::SuspectedJump& more, MotionBursts::SuspectedJump* s
 }  // namespace
 
 MotionBursts::MotionBursts() {
-  for (std::size_t i = 0; i < kLengths.size(); ++i) {
-    lengths_[i].frames = kLengths[i];
-    for (auto* history : {&lengths_[i].translations, &lengths_[i].rotations}) history->set_capacity(kHistory);
-  }
+  for (std::size_t i = 0; i < kLengths_s.size(); ++i) lengths_[i].time_s = kLengths_s[i];
 }
 
 void MotionBursts::push(const Frame& frame, std::size_t section) {
@@ -59,75 +54,105 @@ void MotionBursts::push(const Frame& frame, std::size_t section) {
   const auto is_longer = [](const Motion& p, const Motion& q) { return p.dt_s < q.dt_s; };
   const auto longest = std::max_element(window_.begin(), window_.end(), is_longer);
   if (longest != window_.end() && dt_s > kGap * longest->dt_s) return window_.clear();
-  window_.push_back({se3_log(T_odom_last->inverse() * T_odom_camera) / dt_s, T_odom_camera.q, dt_s, section});
-  ++count_;
-  if (window_.size() > kLengths.back() + 2 * kSide) window_.pop_front();
+  time_s_ += dt_s;
+  window_.push_back({se3_log(T_odom_last->inverse() * T_odom_camera), T_odom_camera.q, dt_s, time_s_, section});
+  constexpr double kSpan_s = kLengths_s.back() + 2.0 * kSide_s;
+  while (window_.size() > 3 && window_[2].end_s < time_s_ - kSpan_s) window_.pop_front();
   Burst best;
   for (Length& length : lengths_) {
-    if (window_.size() < length.frames + 2 * kSide) continue;
     Burst burst = judge(&length);
     if (burst.strength > kMinSigmas && burst.size > best.size) best = std::move(burst);
   }
   if (best.size > 0.0) remember(best);
 }
 
-/// What ends kSide frames ago.
+/// What ends kSide_s ago.
 MotionBursts::Burst MotionBursts::judge(Length* length) const {
-  const std::size_t end = window_.size() - kSide, begin = end - length->frames;
-  Vec6 before = Vec6::Zero(), after = Vec6::Zero();
-  for (std::size_t i = 0; i < kSide; ++i) {
-    before += window_[begin - 1 - i].rate / kSide;
-    after += window_[end + i].rate / kSide;
-  }
-  const Vec6 foretold = 0.5 * (before + after);
-  Vec6 sum = Vec6::Zero();
-  double time = 0.0;
-  for (std::size_t i = begin; i < end; ++i) {
-    sum += window_[i].dt_s * window_[i].rate;
-    time += window_[i].dt_s;
-  }
-  const Vec6 excess_before = sum - time * before, excess_after = sum - time * after;
-  sum -= time * foretold;
-  const double translation = sum.head<3>().norm(), rotation = sum.tail<3>().norm();
-  Burst burst;
-  if (length->translations.size() >= kMinHistory) {
-    if (length->sigma_m == 0.0 || length->count % kRefresh == 0) {
-      length->sigma_m = usual(length->translations);
-      length->sigma_rad = usual(length->rotations);
+  // The border between two motions that lies about so long before another; nullopt if that is before the window.
+  const auto border_before = [this](std::size_t border, double time_s) -> std::optional<std::size_t> {
+    double passed_s = 0.0;
+    for (std::size_t i = border; i-- > 0;) {
+      passed_s += window_[i].dt_s;
+      if (passed_s + 0.5 * window_[i].dt_s > time_s) return i;
     }
-    const auto along = [length, &sum](const Vec6& motion) {
-      return motion.head<3>().dot(sum.head<3>()) / (length->sigma_m * length->sigma_m) +
-             motion.tail<3>().dot(sum.tail<3>()) / (length->sigma_rad * length->sigma_rad);
+    return std::nullopt;
+  };
+  const std::size_t now = window_.size();
+  const auto end = border_before(now, kSide_s);
+  const auto begin = end ? border_before(*end, length->time_s) : std::nullopt;
+  const auto first = begin ? border_before(*begin, kSide_s) : std::nullopt;
+  if (!first) return {};
+  struct Stretch {
+    Vec6 twist = Vec6::Zero();
+    double time_s = 0.0;
+  };
+  const auto stretch = [this](std::size_t from, std::size_t to) {
+    Stretch sum;
+    for (std::size_t i = from; i < to; ++i) {
+      sum.twist += window_[i].twist;
+      sum.time_s += window_[i].dt_s;
+    }
+    return sum;
+  };
+  const Stretch within = stretch(*begin, *end), before = stretch(*first, *begin), after = stretch(*end, now);
+  const Vec6 rate_before = before.twist / before.time_s, rate_after = after.twist / after.time_s;
+  const Vec6 foretold = 0.5 * (rate_before + rate_after);
+  const Vec6 excess = within.twist - within.time_s * foretold;
+  const double translation_m = excess.head<3>().norm(), rotation_rad = excess.tail<3>().norm();
+  Burst burst;
+  const double dt_s = window_.back().dt_s;
+  if (length->known_s >= kMinHistory_s) {
+    length->outdated_s += dt_s;
+    if (length->sigma_m == 0.0 || length->outdated_s >= kRefresh_s) length->refresh();
+    const auto along = [length, &excess](const Vec6& motion) {
+      return motion.head<3>().dot(excess.head<3>()) / (length->sigma_m * length->sigma_m) +
+             motion.tail<3>().dot(excess.tail<3>()) / (length->sigma_rad * length->sigma_rad);
     };
+    const Vec6 beside_before = within.twist - within.time_s * rate_before;
+    const Vec6 beside_after = within.twist - within.time_s * rate_after;
     // What stands out of one side only is that side's burst.
-    const bool is_here = std::min(along(excess_before), along(excess_after)) > 0.5 * along(sum);
-    burst.strength = is_here ? std::sqrt(along(sum)) : 0.0;
+    const bool is_here = std::min(along(beside_before), along(beside_after)) > 0.5 * along(excess);
+    burst.strength = is_here ? std::sqrt(along(excess)) : 0.0;
     const Length& unit = lengths_.front();
     burst.size = (1.0 - kDoubt / std::max(burst.strength, kDoubt)) *
-                 std::hypot(translation / unit.sigma_m, rotation / unit.sigma_rad);
+                 std::hypot(translation_m / unit.sigma_m, rotation_rad / unit.sigma_rad);
   }
-  length->translations.push_back(translation);
-  length->rotations.push_back(rotation);
-  ++length->count;
+  length->remember({translation_m, rotation_rad, dt_s});
   if (burst.strength <= kMinSigmas) return burst;
-  burst.begin = count_ - window_.size() + begin;
-  burst.end = count_ - window_.size() + end;
+  burst.end_s = window_[*end - 1].end_s;
+  burst.begin_s = burst.end_s - within.time_s;
   const double share = std::min(1.0, (burst.strength - kMinSigmas) / (kCertainSigmas - kMinSigmas));
-  for (std::size_t i = begin; i < end; ++i) {
+  for (std::size_t i = *begin; i < *end; ++i) {
     const Motion& motion = window_[i];
-    const Vec6 excess = share * motion.dt_s * (motion.rate - foretold);
+    const Vec6 jumped = share * (motion.twist - motion.dt_s * foretold);
     SuspectedJump jump;
-    jump.motion << motion.q_odom_camera * excess.head<3>(), motion.q_odom_camera * excess.tail<3>();
-    jump.error_m = share * length->sigma_m / static_cast<double>(length->frames);
-    jump.error_rad = share * length->sigma_rad / static_cast<double>(length->frames);
+    jump.motion << motion.q_odom_camera * jumped.head<3>(), motion.q_odom_camera * jumped.tail<3>();
+    jump.error_m = share * length->sigma_m * motion.dt_s / within.time_s;
+    jump.error_rad = share * length->sigma_rad * motion.dt_s / within.time_s;
     burst.jumps.emplace_back(motion.section, jump);
   }
   return burst;
 }
 
+void MotionBursts::Length::remember(const Difference& difference) {
+  last.push_back(difference);
+  for (known_s += difference.dt_s; known_s > kHistory_s; last.pop_front()) known_s -= last.front().dt_s;
+}
+
+void MotionBursts::Length::refresh() {
+  std::vector<double> translations, rotations;
+  for (const Difference& difference : last) {
+    translations.push_back(difference.translation_m);
+    rotations.push_back(difference.rotation_rad);
+  }
+  sigma_m = usual(std::move(translations));
+  sigma_rad = usual(std::move(rotations));
+  outdated_s = 0.0;
+}
+
 /// Of bursts one of which may have swayed what the frames around the other foretell the greatest counts.
 void MotionBursts::remember(const Burst& burst) {
-  if (burst.begin > greatest_.end + kSide) settle();
+  if (burst.begin_s > greatest_.end_s + kSide_s) settle();
   if (burst.size > greatest_.size) greatest_ = burst;
 }
 
@@ -148,7 +173,7 @@ MotionBursts::SuspectedJump MotionBursts::suspected_jump(std::size_t section) co
 }
 
 bool BurstWatch::push(const Frame& frame) {
-  constexpr int kFramesPerSection = 15;       // longer than any burst; half a second at 30 Hz
+  constexpr std::int64_t kSection_ns = 500'000'000;  // longer than any burst
   constexpr double kMinTranslation_m = 0.05;  // less does not spoil a submap; finds the bursts of drifted recordings
   constexpr double kMinRotation_rad = 0.06;   // as much at about a metre
   bursts_.push(frame, section_);
@@ -157,9 +182,9 @@ bool BurstWatch::push(const Frame& frame) {
   if (section_ > 0) jump += bursts_.suspected_jump(section_ - 1).motion;
   const bool jumped = jump.head<3>().norm() > kMinTranslation_m || jump.tail<3>().norm() > kMinRotation_rad;
   constexpr std::size_t kBeyond = 2;  // what is still to come of this burst belongs to the old sections
-  if (jumped || ++frames_ == kFramesPerSection) {
+  if (jumped || frame.stamp_ns - section_ns_ >= kSection_ns) {
     section_ += jumped ? kBeyond : 1;
-    frames_ = 0;
+    section_ns_ = frame.stamp_ns;
   }
   return jumped;
 }

@@ -1,8 +1,8 @@
 #pragma once
 
 #include <array>
-#include <boost/circular_buffer.hpp>
 #include <cstddef>
+#include <cstdint>
 #include <deque>
 #include <optional>
 #include <utility>
@@ -12,9 +12,9 @@
 
 namespace semantic_topo_loop::core {
 
-/// Looks for bursts in which an odometry moves as no hand or robot does: the motion within one to a dozen frames is
+/// Looks for bursts in which an odometry moves as no hand or robot does: the motion within up to 0.4 s is
 /// compared with what the frames before and after foretell, and what exceeds the usual difference by far counts as a
-/// suspected jump.
+/// suspected jump. In seconds: any frame rate.
 class MotionBursts {
  public:
   MotionBursts();
@@ -33,20 +33,28 @@ class MotionBursts {
 
  private:
   struct Motion {
-    Vec6 rate;
+    Vec6 twist;  ///< over the time
     Quaternion q_odom_camera;
-    double dt_s = 0.0;
+    double dt_s = 0.0, end_s = 0.0;  ///< in the time of all motions
     std::size_t section = 0;
   };
-  /// How far the motion of so many frames in a row was from what was foretold.
+  /// Norms of how far a motion was from what was foretold.
+  struct Difference {
+    double translation_m = 0.0, rotation_rad = 0.0, dt_s = 0.0;
+  };
+  /// Motions of so long, a frame at least.
   struct Length {
-    std::size_t frames = 1;
-    boost::circular_buffer<double> translations, rotations;  ///< the last ones
-    std::size_t count = 0;                                   ///< of all
-    double sigma_m = 0.0, sigma_rad = 0.0;                   ///< that is usual
+    double time_s = 0.0;
+    std::deque<Difference> last;            ///< one a frame
+    double known_s = 0.0;                   ///< sum of their times
+    double sigma_m = 0.0, sigma_rad = 0.0;  ///< that is usual
+    double outdated_s = 0.0;                ///< since that was asked
+
+    void remember(const Difference& difference);
+    void refresh();
   };
   struct Burst {
-    std::size_t begin = 0, end = 0;                            ///< motions, counted from the first
+    double begin_s = 0.0, end_s = 0.0;
     double strength = 0.0;                                     ///< in sigmas of its length
     double size = 0.0;                                         ///< what of it is sure, in sigmas of the shortest length
     std::vector<std::pair<std::size_t, SuspectedJump>> jumps;  ///< by section
@@ -60,12 +68,12 @@ class MotionBursts {
   std::optional<SE3> T_odom_last_;
   std::int64_t last_stamp_ns_ = 0;
   std::deque<Motion> window_;
-  std::size_t count_ = 0;             ///< of motions
+  double time_s_ = 0.0;               ///< of all motions
   Burst greatest_;                    ///< of those that overlap at the end
   std::vector<SuspectedJump> jumps_;  ///< by section, without those of greatest_
 };
 
-/// Tells jumps of the odometry by its motion alone, five frames after their end.
+/// Tells jumps of the odometry by its motion alone, a sixth of a second after their end.
 class BurstWatch {
  public:
   /// @return true if a jump that spoils a submap has just been noticed
@@ -74,7 +82,7 @@ class BurstWatch {
  private:
   MotionBursts bursts_;
   std::size_t section_ = 0;
-  int frames_ = 0;  ///< in the section
+  std::int64_t section_ns_ = 0;  ///< when the section began
 };
 
 }  // namespace semantic_topo_loop::core

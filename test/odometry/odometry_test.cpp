@@ -57,7 +57,7 @@ TEST(MotionBursts, FindsHowFarABurstJumpedAndNothingElse) {
       const MotionBursts::SuspectedJump found = bursts.suspected_jump(i);
       const bool is_within = i >= 147 / kFramesPerSection && i <= (150 + static_cast<std::size_t>(frames)) / 5;
       if (!is_within) {
-        EXPECT_LT(found.motion.norm(), 0.003) << i;
+        EXPECT_LT(found.motion.norm(), 0.01) << i;  // as much as the hand shakes in two frames
       }
       sum += found.motion;
       error_m += found.error_m;
@@ -69,6 +69,53 @@ TEST(MotionBursts, FindsHowFarABurstJumpedAndNothingElse) {
     EXPECT_LT(error_m, 0.02);
     EXPECT_GT(error_rad, 0.0005);
     EXPECT_LT(error_rad, 0.03);
+  }
+}
+
+/// Two minutes by hand at 120 Hz, with a jump of another length every ten seconds, of which every n-th frame is given.
+struct Jumps {
+  Vec6 suspected = Vec6::Zero(), added = Vec6::Zero();
+  int noticed = 0;
+};
+Jumps jumps_at(int every) {
+  constexpr int kRate_hz = 120, kJumpEvery = 10 * kRate_hz, kSteps = 120 * kRate_hz;
+  constexpr double kShake_s = 0.3, kDt_s = 1.0 / kRate_hz;
+  const double kept = std::exp(-kDt_s / kShake_s);
+  Random random(8);
+  MotionBursts bursts;
+  BurstWatch watch;
+  Jumps jumps;
+  SE3 pose;
+  Vec6 shake = Vec6::Zero();
+  for (int k = 0; k < kSteps; ++k) {
+    for (int i = 0; i < 6; ++i) shake(i) = kept * shake(i) + std::sqrt(1.0 - kept * kept) * random.normal();
+    Vec6 rate;
+    rate << 0.05 * shake.head<3>(), 0.08 * shake.tail<3>();
+    rate(0) += 0.3 * std::sin(0.6 * kDt_s * k);
+    pose = pose * se3_exp(kDt_s * rate);
+    const int since = k % kJumpEvery - kJumpEvery / 2, frames = 1 + k / kJumpEvery * 3;
+    if (k > kJumpEvery && since >= 0 && since < frames) {
+      Vec6 jump;
+      jump << 0.3, 0.2, -0.1, 0.2, 0.0, -0.1;
+      pose = pose * se3_exp(jump / frames);
+      jumps.added.head<3>() += pose.q * jump.head<3>() / frames;
+      jumps.added.tail<3>() += pose.q * jump.tail<3>() / frames;
+    }
+    if (k % every != 0) continue;
+    const Frame frame = frame_at(static_cast<std::int64_t>(1e9 * kDt_s * k), pose);
+    bursts.push(frame, 0);
+    jumps.noticed += watch.push(frame) ? 1 : 0;
+  }
+  jumps.suspected = bursts.suspected_jump(0).motion;
+  return jumps;
+}
+
+TEST(MotionBursts, TellsTheSameAtAnyFrameRate) {
+  for (const int rate_hz : {60, 30, 20, 15, 10}) {
+    const Jumps jumps = jumps_at(120 / rate_hz);
+    EXPECT_LT((jumps.suspected - jumps.added).norm(), 0.1 * jumps.added.norm())
+        << rate_hz << " Hz: " << jumps.suspected.transpose() << " of " << jumps.added.transpose();
+    EXPECT_EQ(jumps.noticed, 11) << rate_hz;
   }
 }
 

@@ -81,12 +81,18 @@ void LoopConsistency::compare_all(const std::vector<OdometryEdge>& edges, const 
     next.T_first_vertex = next.T_first_vertex * edge.T_from_to;
     next.path_m += edge.path_m;
     next.turn_rad += edge.rotation_rad;
-    next.jump_m2 += edge.suspected_jump.head<3>().squaredNorm();
-    next.jump_rad2 += edge.suspected_jump.tail<3>().squaredNorm();
+    // Who states how good a motion is states a jump too, if not how large it is.
+    const bool is_stated = edge.covariance.has_value();
+    if (!is_stated) {
+      next.jump_m2 += edge.suspected_jump.head<3>().squaredNorm();
+      next.jump_rad2 += edge.suspected_jump.tail<3>().squaredNorm();
+    }
     next.breaks += edge.is_break ? 1 : 0;
-    if (!edge.is_break && (edge.covariance || edge.joined || edge.missed.is_any())) {
+    if (!edge.is_break && (is_stated || edge.joined || edge.missed.is_any())) {
       const Mat6 to_first = transport(next.T_first_vertex.inverse());
-      next.covariance += to_first * odometry_covariance(edge, kNoNoise) * to_first.transpose();
+      Mat6 covariance = odometry_covariance(edge, kNoNoise);
+      if (is_stated) covariance += edge.suspected_jump * edge.suspected_jump.transpose();
+      next.covariance += to_first * covariance * to_first.transpose();
       ++next.stated;
     }
     progress_.push_back(next);
