@@ -13,7 +13,7 @@
 
 #include "apps/program.h"
 #include "geometry/up_estimator.h"
-#include "loop/submap/odometry_delay.h"
+#include "odometry/odometry_delay.h"
 #include "pipeline/map_state.h"
 #include "ros/parameters.h"
 #include "ros/tum_bag.h"

@@ -60,6 +60,11 @@ nlohmann::json odometry_summary(const OdometryReport& report) {
           {"scale", report.scale},
           {"loop_factor", report.loop_factor},
           {"delay_s", report.delay_s},
+          {"short_term",
+           {{"step_m", report.short_term.step_m},
+            {"step_rad", report.short_term.step_rad},
+            {"drift_mps", report.short_term.drift_mps},
+            {"drift_radps", report.short_term.drift_radps}}},
           {"faults", faults}};
 }
 

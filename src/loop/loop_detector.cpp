@@ -131,6 +131,7 @@ struct LoopDetector::Impl {
     const ObservedFrame *from = nullptr, *last = nullptr;
     SolvedMotion none;
     none.delay_s = solver_.applied_delay_s();
+    none.noise = solver_.noise().odometry;
     SolvedMotion motion = none;
     for (const ObservedFrame& frame : window) {
       if (from != nullptr) {

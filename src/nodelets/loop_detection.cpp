@@ -7,7 +7,7 @@
 #include <optional>
 #include <pluginlib/class_list_macros.hpp>
 
-#include "loop/submap/odometry_delay.h"
+#include "odometry/odometry_delay.h"
 #include "pipeline/map_state.h"
 #include "ros/frame_joiner.h"
 #include "ros/map_part_sender.h"

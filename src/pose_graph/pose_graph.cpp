@@ -83,7 +83,10 @@ struct PoseGraph::Impl {
   }
 
   void refine(const std::vector<SolvedMotion>& motions) {
-    if (!motions.empty()) delay_s_ = motions.back().delay_s;
+    if (!motions.empty()) {
+      delay_s_ = motions.back().delay_s;
+      short_term_ = motions.back().noise;
+    }
     for (const SolvedMotion& motion : motions) {
       const Carrier from = carrier(number(motion.from_keyframe_id)), to = carrier(number(motion.to_keyframe_id));
       const bool are_neighbours =
@@ -408,6 +411,7 @@ struct PoseGraph::Impl {
     report.scale = noise.odometry.scale;
     report.loop_factor = noise.loop_factor;
     report.delay_s = delay_s_;
+    report.short_term = short_term_;
     std::map<std::size_t, OdometryFault> faults;  // by edge
     const auto fault = [this, &faults](std::size_t edge) -> OdometryFault& {
       OdometryFault& fault = faults[edge];
@@ -457,6 +461,7 @@ struct PoseGraph::Impl {
   int keyframes_since_ = 0;
   bool is_refined_ = false;  ///< some edge is not the odometry's own
   double delay_s_ = 0.0;     ///< see SolvedMotion
+  ShortTermNoise short_term_;
   bool has_new_loops_ = false, has_outliers_ = false, is_urgent_ = false, is_withdrawn_ = false;
 };
 

@@ -54,7 +54,8 @@ class RunRecorderTest : public ::testing::Test {
           {k, 5 * k, kStart + 5 * k * kPeriod, T_map_keyframe_[static_cast<std::size_t>(k)]});
     }
     correction.loops = {{0, 1, 0, true, "", false}, {1, 1, -1, false, "it is wrong", true}};
-    correction.odometry = {0, 0.25, 0.5, 0.0, 0.0, 0.0, 1.5, 0.0625, {{0, 1, true, 0.125, 2.0}}};
+    correction.odometry = {
+        0, 0.25, 0.5, 0.0, 0.0, 0.0, 1.5, 0.0625, {0.25, 0.5, 0.75, 1.0}, {{0, 1, true, 0.125, 2.0}}};
     return correction;
   }
 
@@ -405,7 +406,8 @@ TEST_F(RunRecorderTest, SummaryCounts) {
     "landmarks": {"candidate": 1, "confirmed": 1}, "merges": 1, "corrections": 1,
     "loops": {"candidates": 2, "accepted": 1, "kept": 1, "reasons": {"accepted": 1, "tilt": 1}},
     "odometry": {"stated_edges": 0, "translation_m": 0.25, "rotation_rad": 0.5, "steady_translation": 0.0,
-      "steady_rotation_rad": 0.0, "scale": 0.0, "loop_factor": 1.5, "delay_s": 0.0625, "faults": [
+      "steady_rotation_rad": 0.0, "scale": 0.0, "loop_factor": 1.5, "delay_s": 0.0625,
+      "short_term": {"step_m": 0.25, "step_rad": 0.5, "drift_mps": 0.75, "drift_radps": 1.0}, "faults": [
         {"from_keyframe": 0, "to_keyframe": 1, "kind": "break", "translation_m": 0.125, "rotation_rad": 2.0,
          "frozen_s": 0.0, "slipped_s": 0.0}]}})"));
 }

@@ -374,6 +374,7 @@ TEST(PoseGraph, LoopsMendWhatAFrozenOdometryMissed) {
   SolvedMotion frozen = true_motion(run, 60, 61);
   frozen.T_from_to = frozen.T_from_to * SE3(so3_exp(Vec3(0.0, 0.05, 0.1)), Vec3(0.4, -0.3, 0.0));
   frozen.delay_s = 0.06;
+  frozen.noise.drift_mps = 0.012;
   const auto worst_error = [&](double frozen_s, OdometryReport* report) {
     frozen.missed.frozen_s = frozen_s;
     frozen.missed.covariance = isotropic_covariance(0.36, 0.36);
@@ -399,6 +400,7 @@ TEST(PoseGraph, LoopsMendWhatAFrozenOdometryMissed) {
   EXPECT_EQ(fault->to_keyframe_id, 61);
   EXPECT_EQ(fault->frozen_s, 4.0);
   EXPECT_EQ(report.delay_s, 0.06);
+  EXPECT_EQ(report.short_term.drift_mps, 0.012);
   EXPECT_FALSE(fault->is_break);
 }
 

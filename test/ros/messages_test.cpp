@@ -381,6 +381,7 @@ TEST(Messages, Loops) {
     EXPECT_EQ(generated.motions[i].slipped_s, loops.motions[i].missed.slipped_s);
     EXPECT_EQ(generated.motions[i].missed_covariance[1], loops.motions[i].missed.covariance(0, 1)) << "row-major";
     EXPECT_EQ(generated.motions[i].delay_s, loops.motions[i].delay_s);
+    EXPECT_EQ(generated.motions[i].noise.drift_radps, loops.motions[i].noise.drift_radps);
   }
 }
 
@@ -395,7 +396,16 @@ TEST(Messages, Correction) {
   correction.scale = random.number();
   correction.keyframes = {{1, 2, 1311868164363181001, random.pose()}, {3, 4, 5, random.pose(), random.number()}};
   correction.loops = {{4, 9, 1, true, "", false}, {7, 12, 3, false, "it is wrong", false}};
-  correction.odometry = {3, 0.1, 0.2, 0.3, 0.4, 0.5, 1.5, 0.06, {{4, 5, true, 0.0, 0.0}, {7, 8, false, 0.6, 0.7}}};
+  correction.odometry = {3,
+                         0.1,
+                         0.2,
+                         0.3,
+                         0.4,
+                         0.5,
+                         1.5,
+                         0.06,
+                         {0.01, 0.02, 0.03, 0.04},
+                         {{4, 5, true, 0.0, 0.0}, {7, 8, false, 0.6, 0.7}}};
   correction.duration_us = random.number();
   const MapCorrection generated = expect_generated_is_same(random.message<CorrectionMessage>(correction));
   EXPECT_EQ(generated.frame_id, correction.frame_id);
@@ -425,6 +435,10 @@ TEST(Messages, Correction) {
   EXPECT_EQ(generated.odometry.scale, 0.5);
   EXPECT_EQ(generated.odometry.loop_factor, 1.5);
   EXPECT_EQ(generated.odometry.delay_s, 0.06);
+  EXPECT_EQ(generated.odometry.short_term.step_m, 0.01);
+  EXPECT_EQ(generated.odometry.short_term.step_rad, 0.02);
+  EXPECT_EQ(generated.odometry.short_term.drift_mps, 0.03);
+  EXPECT_EQ(generated.odometry.short_term.drift_radps, 0.04);
   ASSERT_EQ(generated.odometry.faults.size(), 2u);
   EXPECT_TRUE(generated.odometry.faults[0].is_break);
   EXPECT_EQ(generated.odometry.faults[1].from_keyframe_id, 7);

@@ -293,10 +293,11 @@ SEMANTIC_TOPO_LOOP_FIELDS(core::LoopVerdict, m.number, m.query_keyframe_id, m.ma
 SEMANTIC_TOPO_LOOP_FIELDS(core::OdometryFault, m.from_keyframe_id, m.to_keyframe_id, m.is_break, m.translation_m,
                           m.rotation_rad, m.frozen_s, m.slipped_s)
 SEMANTIC_TOPO_LOOP_FIELDS(core::MissedMotion, m.frozen_s, m.slipped_s, m.covariance)
+SEMANTIC_TOPO_LOOP_FIELDS(core::ShortTermNoise, m.step_m, m.step_rad, m.drift_mps, m.drift_radps)
 SEMANTIC_TOPO_LOOP_FIELDS(core::SolvedMotion, m.from_keyframe_id, m.to_keyframe_id, m.T_from_to, m.path_m,
-                          m.rotation_rad, m.missed, m.delay_s)
+                          m.rotation_rad, m.missed, m.delay_s, m.noise)
 SEMANTIC_TOPO_LOOP_FIELDS(core::OdometryReport, m.stated_edges, m.translation_m, m.rotation_rad, m.steady_translation,
-                          m.steady_rotation_rad, m.scale, m.loop_factor, m.delay_s, m.faults)
+                          m.steady_rotation_rad, m.scale, m.loop_factor, m.delay_s, m.short_term, m.faults)
 SEMANTIC_TOPO_LOOP_FIELDS(semantic_topo_loop::FrameDetections, m.frame_id, m.unanswered, m.detections)
 SEMANTIC_TOPO_LOOP_FIELDS(core::AssociationFrame, m.frame_id, m.unanswered, m.map_version, m.duration_us,
                           m.associations)

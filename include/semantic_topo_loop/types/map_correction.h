@@ -4,6 +4,7 @@
 #include <string>
 #include <vector>
 
+#include "semantic_topo_loop/types/solved_motion.h"
 #include "semantic_topo_loop/types/transform.h"
 
 namespace semantic_topo_loop::core {
@@ -41,7 +42,8 @@ struct OdometryReport {
   double translation_m = 0.0, rotation_rad = 0.0;
   double steady_translation = 0.0, steady_rotation_rad = 0.0, scale = 0.0;
   double loop_factor = 1.0;
-  double delay_s = 0.0;  ///< by how much its poses were last taken to be late against the images; < 0: early
+  double delay_s = 0.0;       ///< by how much its poses were last taken to be late against the images; < 0: early
+  ShortTermNoise short_term;  ///< as it was last taken to be
   std::vector<OdometryFault> faults;  ///< in order of the keyframes
 };
 

@@ -16,6 +16,13 @@ struct MissedMotion {
   bool is_any() const { return frozen_s > 0.0 || slipped_s > 0.0; }
 };
 
+/// What an odometry is taken to be off by over some seconds (1 sigma an axis), as what is in view tells: steps that are
+/// independent, and a drift that lasts.
+struct ShortTermNoise {
+  double step_m = 0.001, step_rad = 0.001;        ///< after a second, grow with the root of the time
+  double drift_mps = 0.001, drift_radps = 0.001;  ///< m/s and rad/s, the same for seconds on end
+};
+
 /// How the camera moved from a keyframe to the next, solved for with the objects that it saw on the way.
 struct SolvedMotion {
   std::int64_t from_keyframe_id = -1, to_keyframe_id = -1;
@@ -24,6 +31,7 @@ struct SolvedMotion {
   double rotation_rad = 0.0;  ///< sum of the rotation angles on it
   MissedMotion missed;
   double delay_s = 0.0;  ///< by how much the odometry's poses were taken to be late against the images; < 0: early
+  ShortTermNoise noise;  ///< of the odometry, as it was taken to be
 };
 
 }  // namespace semantic_topo_loop::core

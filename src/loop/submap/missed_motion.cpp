@@ -103,7 +103,7 @@ bool view_moved(const std::deque<ObservedFrame>& window, std::size_t begin, std:
 /// much (with them slips of fr3_office are missed, by 1.4 x in ATE).
 /// @param noise of the odometry   @param delay_s by which it is late
 std::vector<MovedBox> moved_boxes(const std::deque<ObservedFrame>& window, std::size_t from, std::size_t to,
-                                  const WindowSolution& solved, const WindowNoise& noise, double delay_s) {
+                                  const WindowSolution& solved, const ShortTermNoise& noise, double delay_s) {
   const double time_s = seconds_into(window, to) - seconds_into(window, from);
   const auto usual = [time_s](double step, double drift) {
     return std::hypot(step * std::sqrt(time_s), drift * time_s);
@@ -174,7 +174,7 @@ Quaternion turn_by_boxes(const ObservedFrame& from, const ObservedFrame& to) {
 }
 
 std::optional<Slip> find_slip(const std::deque<ObservedFrame>& window, const WindowSolution& solved,
-                              const WindowNoise& noise, const OdometryDelay& delay) {
+                              const ShortTermNoise& noise, const OdometryDelay& delay) {
   if (solved.T_odom_camera.empty()) return std::nullopt;
   // The odometry of what is newer is not known yet, nor was it when the last window was solved.
   const auto is_known = [&delay](std::int64_t stamp_ns, std::int64_t newest_ns) {

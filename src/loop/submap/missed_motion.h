@@ -7,11 +7,10 @@
 #include <vector>
 
 #include "loop/submap/observation_window.h"
-#include "loop/submap/odometry_delay.h"
+#include "odometry/odometry_delay.h"
 
 namespace semantic_topo_loop::core {
 
-struct WindowNoise;
 struct WindowSolution;
 
 /// Where the odometry stands still though the camera moves: a source that has lost track repeats its last pose, wheels
@@ -35,6 +34,6 @@ struct Slip {
 /// @param window poses as the odometry has them   @param noise, delay of them   @return nullopt without two such
 /// objects
 std::optional<Slip> find_slip(const std::deque<ObservedFrame>& window, const WindowSolution& solved,
-                              const WindowNoise& noise, const OdometryDelay& delay);
+                              const ShortTermNoise& noise, const OdometryDelay& delay);
 
 }  // namespace semantic_topo_loop::core

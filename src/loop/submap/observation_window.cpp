@@ -4,10 +4,12 @@
 #include <cmath>
 #include <optional>
 #include <tuple>
+#include <vector>
 
 #include "geometry/depth_points.h"
 #include "geometry/statistics.h"
 #include "odometry/held_poses.h"
+#include "semantic_topo_loop/geometry/lie.h"
 
 namespace semantic_topo_loop::core {
 namespace {
@@ -153,6 +155,32 @@ ObservedFrame ObservationWindow::observe(const Frame& frame, const AssociationFr
   tracker_.follow(frame.stamp_ns, frame.T_odom_camera.q, scores, &observed.boxes);
   for (ObservedBox& box : observed.boxes) box.label = classes_.label(box.class_id);
   return observed;
+}
+
+SE3 pose_at_image(const std::deque<ObservedFrame>& window, std::size_t frame, double delay_s) {
+  constexpr double kMinBaseline_s = 0.05;  // over which a motion goes on; closer frames' jitter would grow
+  if (delay_s == 0.0) return window[frame].T_odom_camera;
+  const auto seconds_after = [&window, frame](std::size_t i) {
+    return 1e-9 * static_cast<double>(window[i].stamp_ns - window[frame].stamp_ns);
+  };
+  std::size_t after = 1;
+  while (after + 1 < window.size() && seconds_after(after) <= delay_s) ++after;
+  std::size_t before = after - 1;
+  const auto is_short = [&] { return seconds_after(after) - seconds_after(before) < kMinBaseline_s; };
+  while (before > 0 && seconds_after(after) < delay_s && is_short()) --before;
+  while (after + 1 < window.size() && seconds_after(before) > delay_s && is_short()) ++after;
+  const double begin_s = seconds_after(before), span_s = seconds_after(after) - begin_s;
+  if (!(span_s > 0.0)) return window[frame].T_odom_camera;
+  return interpolate(window[before].T_odom_camera, window[after].T_odom_camera, (delay_s - begin_s) / span_s);
+}
+
+std::deque<ObservedFrame> undelayed(std::deque<ObservedFrame> window, double delay_s) {
+  if (delay_s == 0.0) return window;
+  std::vector<SE3> T_odom_camera;
+  T_odom_camera.reserve(window.size());
+  for (std::size_t i = 0; i < window.size(); ++i) T_odom_camera.push_back(pose_at_image(window, i, delay_s));
+  for (std::size_t i = 0; i < window.size(); ++i) window[i].T_odom_camera = T_odom_camera[i];
+  return window;
 }
 
 }  // namespace semantic_topo_loop::core

@@ -1,5 +1,6 @@
 #pragma once
 
+#include <cstddef>
 #include <cstdint>
 #include <deque>
 #include <map>
@@ -86,5 +87,12 @@ class ObservationWindow {
   std::int64_t last_sampled_ns_ = 0;
   std::int64_t last_points_ns_ = 0;
 };
+
+/// Where the camera was at the image of a frame: the odometry's pose of `delay_s` later, between frames of the window;
+/// before the first and after the last one it goes on as it came.
+/// @param window frames in order of time, two at least
+SE3 pose_at_image(const std::deque<ObservedFrame>& window, std::size_t frame, double delay_s);
+/// All frames of the window there.
+std::deque<ObservedFrame> undelayed(std::deque<ObservedFrame> window, double delay_s);
 
 }  // namespace semantic_topo_loop::core

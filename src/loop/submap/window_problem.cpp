@@ -190,9 +190,9 @@ SE3 WindowProblem::start_knots(const std::deque<ObservedFrame>& window, const st
 
 Vec6 WindowProblem::step_variances(std::size_t step) const {
   const double unseen = kUnseenRate * missed_s[step];
-  return duration_s(step) * variances(noise.step_m, noise.step_rad) + variances(unseen, unseen);
+  return duration_s(step) * variances(noise.odometry.step_m, noise.odometry.step_rad) + variances(unseen, unseen);
 }
 
-Vec6 WindowProblem::drift_variances() const { return variances(noise.drift_mps, noise.drift_radps); }
+Vec6 WindowProblem::drift_variances() const { return variances(noise.odometry.drift_mps, noise.odometry.drift_radps); }
 
 }  // namespace semantic_topo_loop::core

@@ -15,12 +15,10 @@ namespace semantic_topo_loop::core {
 
 using Vec5 = Eigen::Matrix<double, 5, 1>;
 
-/// What is taken for the errors of an odometry over some seconds (1 sigma an axis): steps that are independent, and a
-/// drift that lasts; and for those of the boxes.
+/// What is taken for the errors of a window's odometry and boxes.
 struct WindowNoise {
-  double step_m = 0.001, step_rad = 0.001;        ///< after a second, grow with the root of the time
-  double drift_mps = 0.001, drift_radps = 0.001;  ///< m/s and rad/s, the same for seconds on end
-  double box_factor = 1.0;                        ///< on the sigmas that boxes are usually known by
+  ShortTermNoise odometry;
+  double box_factor = 1.0;  ///< on the sigmas that boxes are usually known by
 };
 
 /// A box at a knot.

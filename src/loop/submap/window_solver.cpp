@@ -8,7 +8,6 @@
 #include <memory>
 #include <optional>
 #include <set>
-#include <tuple>
 #include <utility>
 #include <vector>
 
@@ -29,15 +28,9 @@ constexpr double kBoxDoubt = 2.0;   ///< sigmas, from which on boxes count less 
 /// Sigmas of where an object starts from (m) and of the logarithm of its extent.
 constexpr double kStartSigma = 1.0;
 
-/// What an odometry is at least off by, a root second or a second, and the degrees of freedom that this counts as.
-constexpr double kLeast_m = 0.0005, kLeastCount = 3.0;
-/// Metres that a radian is worth, since the boxes of few objects do not tell turning from moving: the distance at which
-/// they are usually seen. Degrees of freedom by which errors of the two, and of both together, are held to each other.
-constexpr double kLever_m = 1.4, kTogetherCount = 30.0;
 /// What goes on for longer is no slip but how the odometry is, which its noise is to tell; it is over when none has
 /// been found for so long.
 constexpr std::int64_t kLongestSlip_ns = 5'000'000'000, kSlipOver_ns = 1'500'000'000;
-constexpr double kMemory_s = 20.0;        ///< in which evidence is forgotten
 constexpr double kLearnInterval_s = 0.6;  ///< windows closer in time say the same
 constexpr double kBoxRate = 0.1;          ///< by which the boxes' errors are learnt, a window
 constexpr std::size_t kMinSides = 80;     ///< of boxes, for that
@@ -281,20 +274,6 @@ std::optional<double> box_variance(const WindowProblem& problem, const Unknowns&
   return median(std::move(squares)) / kMedianChi2;
 }
 
-/// Adds errors that were found: their squares over their durations, and of each degree of freedom the part that the
-/// boxes determine, which is what their covariance leaves of the prior's.
-/// @param all of the kind, in sigmas of the prior
-void add(const Vec6& error, const Vec6& variances, const Vec6& prior, double per_square, VarianceEvidence* translation,
-         VarianceEvidence* rotation, VarianceEvidence* all) {
-  const Vec6 determined = Vec6::Ones() - variances.cwiseQuotient(prior);
-  translation->squares += per_square * error.head<3>().squaredNorm();
-  rotation->squares += per_square * error.tail<3>().squaredNorm();
-  translation->count += determined.head<3>().sum();
-  rotation->count += determined.tail<3>().sum();
-  all->squares += error.dot(error.cwiseQuotient(prior));
-  all->count += determined.sum();
-}
-
 /// R of R^T R = information^-1, lower triangular: of it and of L no more is computed than is not zero.
 /// @param information its lower triangle, in blocks of 6; overwritten
 Eigen::MatrixXd covariance_root(Eigen::MatrixXd* information) {
@@ -389,12 +368,11 @@ void learn(const WindowProblem& problem, const Unknowns& unknowns, double delay_
     if (problem.is_missed(i)) continue;
     const double dt = problem.duration_s(i);
     const RelativePoseTerms terms = step_terms(problem, unknowns, i);
-    add(terms.residual, knowledge.step_variances(i, dt, problem.drift_of[i], terms), problem.step_variances(i),
-        1.0 / dt, &evidence->step_translation, &evidence->step_rotation, &of_steps);
+    const Vec6 variances = knowledge.step_variances(i, dt, problem.drift_of[i], terms);
+    evidence->noise.add_step(terms.residual, variances, problem.step_variances(i), dt, &of_steps);
   }
   for (std::size_t k = 0; k < unknowns.drifts.size(); ++k) {
-    add(unknowns.drifts[k], knowledge.drift_variances(k), problem.drift_variances(), 1.0, &evidence->drift_translation,
-        &evidence->drift_rotation, &of_drifts);
+    evidence->noise.add_drift(unknowns.drifts[k], knowledge.drift_variances(k), problem.drift_variances(), &of_drifts);
   }
   // While the odometry's noise is not learnt yet, it is worse than told.
   const double excess = std::max({1.0, of_steps.squares / of_steps.count, of_drifts.squares / of_drifts.count});
@@ -420,28 +398,6 @@ std::vector<Mat6> missed_covariances(const WindowProblem& problem, const Unknown
   return covariances;
 }
 
-void forget(double time_s, WindowEvidence* evidence) {
-  const double share = std::exp(-time_s / kMemory_s);
-  for (VarianceEvidence* part : {&evidence->step_translation, &evidence->step_rotation, &evidence->drift_translation,
-                                 &evidence->drift_rotation}) {
-    part->squares *= share;
-    part->count *= share;
-  }
-}
-
-double variance(const VarianceEvidence& evidence, double prior, double count) {
-  return (evidence.squares + count * prior) / (evidence.count + count);
-}
-
-/// Sigmas of two kinds of errors that are usually as large, a radian being worth kLever_m.
-std::pair<double, double> sigmas(const VarianceEvidence& translation, const VarianceEvidence& rotation) {
-  const double lever2 = squared(kLever_m);
-  const VarianceEvidence both{translation.squares + lever2 * rotation.squares, translation.count + rotation.count};
-  const double together = variance(both, squared(kLeast_m), 2.0 * kLeastCount);
-  return {std::sqrt(variance(translation, together, kTogetherCount)),
-          std::sqrt(variance(rotation, together / lever2, kTogetherCount))};
-}
-
 }  // namespace
 
 struct WindowSolver::Memory {
@@ -455,14 +411,6 @@ struct WindowSolver::Memory {
 WindowSolver::WindowSolver() : memory_(std::make_unique<Memory>()) {}
 WindowSolver::~WindowSolver() = default;
 
-WindowNoise WindowSolver::noise() const {
-  WindowNoise noise;
-  std::tie(noise.step_m, noise.step_rad) = sigmas(evidence_.step_translation, evidence_.step_rotation);
-  std::tie(noise.drift_mps, noise.drift_radps) = sigmas(evidence_.drift_translation, evidence_.drift_rotation);
-  noise.box_factor = evidence_.box_factor;
-  return noise;
-}
-
 std::optional<double> WindowSolver::span_s(double sigma_rad) const {
   if (!(evidence_.doubt_radps > 0.0)) return std::nullopt;
   return 2.0 * sigma_rad / evidence_.doubt_radps;
@@ -473,7 +421,7 @@ std::optional<Slip> WindowSolver::watch(const std::deque<ObservedFrame>& window)
   slipped_to.erase(slipped_to.begin(), slipped_to.lower_bound(window.front().stamp_ns));
   const std::map<std::int64_t, SE3>& solved = memory_->last.T_odom_camera;
   if (!solved.empty()) slipped_to.erase(slipped_to.upper_bound(solved.rbegin()->first), slipped_to.end());
-  const std::optional<Slip> slip = find_slip(window, memory_->last, noise(), evidence_.delay);
+  const std::optional<Slip> slip = find_slip(window, memory_->last, noise().odometry, evidence_.delay);
   if (slip) {
     for (std::size_t i = slip->from + 1; i <= slip->to; ++i) slipped_to.insert(window[i].stamp_ns);
   }
@@ -523,7 +471,7 @@ std::deque<ObservedFrame> WindowSolver::solve(std::deque<ObservedFrame> window, 
   if (!core::solve(problem, &unknowns, &memory_->equations, &memory_->spare)) return window;
   const double since_s = 1e-9 * static_cast<double>(window.back().stamp_ns - learnt_ns_);
   if (learnt_ns_ == 0 || since_s >= kLearnInterval_s) {
-    forget(since_s, &evidence_);
+    evidence_.noise.forget(since_s);
     learn(problem, unknowns, applied_delay_s_, since_s, &memory_->equations, &evidence_);
     learnt_ns_ = window.back().stamp_ns;
   }

@@ -7,17 +7,14 @@
 #include <optional>
 
 #include "loop/submap/observation_window.h"
-#include "loop/submap/odometry_delay.h"
 #include "loop/submap/window_problem.h"
+#include "odometry/odometry_delay.h"
+#include "odometry/short_term_noise.h"
 
 namespace semantic_topo_loop::core {
 
-/// Squares of what was found, over how many of them the boxes determine: a variance.
-struct VarianceEvidence {
-  double squares = 0.0, count = 0.0;
-};
 struct WindowEvidence {
-  VarianceEvidence step_translation, step_rotation, drift_translation, drift_rotation;
+  ShortTermNoiseEstimator noise;
   OdometryDelay delay;
   double box_factor = 1.0;
   double doubt_radps = 0.0;  ///< what is left in doubt of the camera's orientation, a second away from the anchor
@@ -25,8 +22,8 @@ struct WindowEvidence {
 
 /// Solves a window of frames for the camera's motion and the objects on all sides of their boxes, since an odometry of
 /// robots and cameras is off by centimetres within the seconds of a submap. How far the odometry is to be trusted is
-/// learnt from window to window by the evidence of the boxes (MacKay's fixed point), so that a good odometry is left as
-/// it is; and so is how late its poses are. In seconds, metres and radians: any frame rate. Each window begins with
+/// learnt from window to window by the evidence of the boxes (ShortTermNoiseEstimator), so that a good odometry is left
+/// as it is; and so is how late its poses are. In seconds, metres and radians: any frame rate. Each window begins with
 /// what the one before has found, so that two steps solve most.
 class WindowSolver {
  public:
@@ -40,7 +37,7 @@ class WindowSolver {
   /// @return stamp of the last frame to which the odometry is found to have slipped within a window, of which most was
   /// in the last one; nullopt if it has not
   std::optional<std::int64_t> last_slipped_ns(const std::deque<ObservedFrame>& window);
-  WindowNoise noise() const;
+  WindowNoise noise() const { return {evidence_.noise.noise(), evidence_.box_factor}; }
   /// By how much the odometry's poses are late, as the windows so far tell, see OdometryDelay.
   double delay_s() const { return evidence_.delay.seconds(); }
   /// The delay that was taken out of the last window.

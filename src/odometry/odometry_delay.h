@@ -1,10 +1,6 @@
 #pragma once
 
-#include <cstddef>
-#include <deque>
 #include <string>
-
-#include "loop/submap/observation_window.h"
 
 namespace semantic_topo_loop::core {
 
@@ -29,12 +25,5 @@ class OdometryDelay {
 
 /// For whoever can set the clocks right; empty without a delay.
 std::string describe_delay(double delay_s);
-
-/// Where the camera was at the image of a frame: the odometry's pose of `delay_s` later, between frames of the window;
-/// before the first and after the last one it goes on as it came.
-/// @param window frames in order of time, two at least
-SE3 pose_at_image(const std::deque<ObservedFrame>& window, std::size_t frame, double delay_s);
-/// All frames of the window there.
-std::deque<ObservedFrame> undelayed(std::deque<ObservedFrame> window, double delay_s);
 
 }  // namespace semantic_topo_loop::core
