@@ -3,9 +3,14 @@
 #include <gtest/gtest.h>
 
 #include <algorithm>
+#include <array>
 #include <cmath>
 #include <opencv2/core/cuda.hpp>
 #include <opencv2/imgproc.hpp>
+#include <set>
+#include <string>
+#include <utility>
+#include <vector>
 
 #include "frontend/onnx_input.h"
 #include "frontend/yolo_output.h"
@@ -13,6 +18,7 @@
 #include "semantic_topo_loop/io/rgbd_recording.h"
 #include "support/package_config.h"
 #include "support/rolled_image.h"
+#include "support/tiny_yolo.h"
 
 namespace semantic_topo_loop::core {
 namespace {
@@ -99,26 +105,8 @@ TEST(ObjectDetectorOptions, InputIsOfWholeCells) {
   EXPECT_NE(with("417").message().find("detector.input_px"), std::string::npos) << with("417").message();
 }
 
-/// A field of a protobuf message: another message.
-std::string field(int number, const std::string& bytes) {
-  std::string length;
-  for (std::size_t rest = bytes.size(); length.empty() || rest > 0; rest >>= 7U) {
-    length += static_cast<char>((rest & 0x7fU) | (rest > 0x7fU ? 0x80U : 0U));
-  }
-  return static_cast<char>(number << 3 | 2) + length + bytes;
-}
-
-/// An input of an ONNX model: the sizes are below 2^14, 0 is a name.
-std::string onnx_input(const std::vector<int>& sizes) {
-  std::string shape;
-  for (const int size : sizes) {
-    const std::string value = {0x08, static_cast<char>((size & 0x7f) | 0x80), static_cast<char>(size >> 7)};
-    shape += field(1, size > 0 ? value : field(2, "height"));
-  }
-  return field(11, field(1, "images") + field(2, field(1, std::string{0x08, 1} + field(2, shape))));
-}
-
 TEST(OnnxInput, IsWhatTheModelDeclares) {
+  using testing::field, testing::onnx_input;
   const TestDirectory directory;
   const auto declared = [&directory](const std::string& bytes) {
     return declared_input_px(directory.write("model.onnx", bytes));
@@ -153,6 +141,157 @@ TEST(ObjectDetector, FilesThatAreNoModelAreOneError) {
     EXPECT_EQ(detector.message().find(path + ": cannot be read as an ONNX model: "), 0U) << detector.message();
     EXPECT_EQ(detector.message().find('\n'), std::string::npos);
   }
+}
+
+/// The networks of tiny_yolo.h, in a file.
+class TinyNetwork : public ::testing::Test {
+ protected:
+  TinyNetwork() { write(); }
+  void write() { options_.model = directory_.write("model.onnx", network_.onnx()); }
+  std::unique_ptr<ObjectDetector> load() const {
+    auto detector = ObjectDetector::load(options_, coco());
+    EXPECT_TRUE(detector) << detector.message();
+    return *std::move(detector);
+  }
+
+  const TestDirectory directory_;
+  testing::TinyYolo network_;
+  ObjectDetectorOptions options_;
+};
+
+const cv::Scalar kRed(0, 0, 255), kGreen(0, 255, 0), kBlue(255, 0, 0);
+
+cv::Mat painted(const cv::Size& size, const std::vector<std::pair<cv::Rect, cv::Scalar>>& rectangles) {
+  cv::Mat image(size, CV_8UC3, cv::Scalar::all(90));
+  for (const auto& [rectangle, color] : rectangles) image(rectangle).setTo(color);
+  return image;
+}
+
+/// All that there is in detections, in order.
+std::vector<double> values_of(const std::vector<Detection>& detections) {
+  std::vector<double> values;
+  for (const Detection& d : detections) {
+    for (const double value : {static_cast<double>(d.class_id), d.score, d.box.x1, d.box.y1, d.box.x2, d.box.y2}) {
+      values.push_back(value);
+    }
+  }
+  return values;
+}
+
+class EveryLayout : public TinyNetwork, public ::testing::WithParamInterface<YoloLayout> {
+ protected:
+  EveryLayout() {
+    network_.layout = GetParam();
+    write();
+  }
+};
+
+constexpr std::array<const char*, 3> kLayouts = {"yolox", "yolov5", "yolov8"};  ///< in the order of YoloLayout
+
+const char* layout_name(YoloLayout layout) { return kLayouts[static_cast<std::size_t>(layout)]; }
+
+INSTANTIATE_TEST_SUITE_P(Layouts, EveryLayout,
+                         ::testing::Values(YoloLayout::kYolox, YoloLayout::kYolov5, YoloLayout::kYolov8),
+                         [](const auto& test) { return layout_name(test.param); });
+
+TEST_P(EveryLayout, FindsARectangleWhereItIsInImagesOfAllSizes) {
+  for (const char* const stated : {"auto", layout_name(GetParam())}) {
+    options_.layout = stated;
+    const std::unique_ptr<ObjectDetector> detector = load();
+    for (const cv::Size& size : {cv::Size(128, 128), cv::Size(640, 480), cv::Size(300, 401), cv::Size(64, 48),
+                                 cv::Size(50, 90), cv::Size(400, 100)}) {
+      const cv::Rect at(size.width / 5, size.height / 4, size.width / 2, size.height / 2);
+      const std::vector<Detection> found = checked(detector->detect(painted(size, {{at, kRed}})));
+      ASSERT_EQ(found.size(), 1U) << size;
+      EXPECT_EQ(found[0].class_id, 0);
+      EXPECT_NEAR(found[0].score, 0.993, 1e-3);
+      const double pixel = std::max(size.width, size.height) / 128.0;  // of the input, in the image
+      const Vec4 edges(at.x, at.y, at.br().x, at.br().y);
+      EXPECT_LT((found[0].box.edges() - edges).cwiseAbs().maxCoeff(), 0.75 * std::max(1.0, pixel))
+          << size << ' ' << found[0].box.edges().transpose();
+    }
+  }
+}
+
+TEST_P(EveryLayout, ClassesAreThoseOfTheNamesFile) {
+  const cv::Mat image =
+      painted({160, 120}, {{{10, 10, 40, 30}, kRed}, {{60, 45, 40, 30}, kGreen}, {{110, 80, 40, 30}, kBlue}});
+  const auto ids = [this, &image] {
+    std::set<int> found;
+    for (const Detection& detection : checked(load()->detect(image))) found.insert(detection.class_id);
+    return found;
+  };
+  EXPECT_EQ(ids(), (std::set<int>{0, 1, 2}));
+  options_.names = directory_.write("model.names", "chair\r\nunheard of\n\nbook\n");
+  EXPECT_EQ(ids(), (std::set<int>{coco().find("chair")->id, coco().find("book")->id}));
+}
+
+TEST_P(EveryLayout, ScoresAreThoseOfTheNetwork) {
+  const std::unique_ptr<ObjectDetector> detector = load();
+  // 49 of the 64 pixels of a cell: of a logistic function at 20 (49 / 64 - 3 / 4).
+  const cv::Mat image = painted({128, 128}, {{{33, 41, 7, 7}, kBlue}});
+  const std::vector<Detection> found = checked(detector->detect(image));
+  ASSERT_EQ(found.size(), 1U);
+  EXPECT_NEAR(found[0].score, 0.5775, 0.005);
+  options_.score = 0.6;
+  detector->set_options(options_);
+  EXPECT_TRUE(checked(detector->detect(image)).empty());
+}
+
+TEST_P(EveryLayout, BoxesOfOneObjectAreOne) {
+  const cv::Mat image = painted({128, 128}, {{{0, 64, 64, 64}, kRed}, {{64, 0, 64, 64}, kRed}});
+  const std::unique_ptr<ObjectDetector> detector = load();
+  EXPECT_EQ(checked(detector->detect(image)).size(), 2U);
+  options_.nms_iou = 1.0;
+  detector->set_options(options_);
+  const std::size_t cells = 2 * (64 + 16 + 4), boxes = GetParam() == YoloLayout::kYolov5 ? 3 * cells : cells;
+  EXPECT_EQ(checked(detector->detect(image)).size(), boxes);
+}
+
+TEST_P(EveryLayout, SameImageSameBoxesWhateverTheThreads) {
+  const cv::Mat image = painted({320, 240}, {{{31, 17, 101, 83}, kRed}, {{150, 117, 111, 93}, kBlue}});
+  const int threads = cv::getNumThreads();
+  std::set<std::vector<double>> results;
+  options_.nms_iou = 1.0;
+  for (const int count : {1, 2, 3, 4}) {
+    options_.threads = count;
+    const std::unique_ptr<ObjectDetector> detector = load();
+    for (int i = 0; i < 2; ++i) results.insert(values_of(checked(detector->detect(image))));
+  }
+  cv::setNumThreads(threads);
+  EXPECT_EQ(results.size(), 1U);
+  EXPECT_GT(results.begin()->size(), 6U * 30U);
+}
+
+TEST_P(EveryLayout, ARolledImageIsTurnedUpright) {
+  const std::unique_ptr<ObjectDetector> detector = load();
+  const cv::Size size(320, 240);
+  const cv::Rect at(140, 60, 90, 50);
+  const double roll_rad = 0.8, c = std::cos(roll_rad), s = std::sin(roll_rad);
+  const cv::Mat image = testing::rolled(painted(size, {{at, kRed}}), roll_rad);
+  const std::vector<Detection> found = checked(detector->detect(image, roll_rad));
+  ASSERT_EQ(found.size(), 1U);
+  // The box of the ellipse in the rectangle, both turned.
+  const Vec2 middle(160.0, 120.0), from_middle = Vec2(at.x + 45.0, at.y + 25.0) - middle;
+  const Vec2 center =
+      middle + Vec2(c * from_middle.x() + s * from_middle.y(), c * from_middle.y() - s * from_middle.x());
+  const Vec2 half(std::hypot(45.0 * c, 25.0 * s), std::hypot(45.0 * s, 25.0 * c));
+  const Vec4 edges(center.x() - half.x(), center.y() - half.y(), center.x() + half.x(), center.y() + half.y());
+  EXPECT_LT((found[0].box.edges() - edges).cwiseAbs().maxCoeff(), 3.0) << found[0].box.edges().transpose();
+}
+
+TEST_F(TinyNetwork, LooksAtNoMoreImagesThanAreWanted) {
+  const auto due = [this](double rate_hz) {
+    const std::unique_ptr<ObjectDetector> detector = load();
+    options_.rate_hz = rate_hz;
+    detector->set_options(options_);
+    int count = 0;
+    for (std::int64_t k = 0; k < 90; ++k) count += detector->is_due(1'305'031'102'000'000'000 + k * 33'333'333) ? 1 : 0;
+    return count;
+  };
+  EXPECT_EQ(due(0.0), 90);
+  EXPECT_EQ(due(10.0), 30);
+  EXPECT_EQ(due(60.0), 90);
 }
 
 /// A real network on real images.
@@ -208,15 +347,7 @@ TEST_F(YoloxNano, FindsWhatItIsKnownToFind) {
 
 TEST_F(YoloxNano, SameImageSameBoxesWhateverTheThreads) {
   const cv::Mat color = image(100);
-  const auto boxes = [&color](ObjectDetector* detector) {
-    std::vector<double> values;
-    for (const Detection& d : checked(detector->detect(color))) {
-      for (const double value : {static_cast<double>(d.class_id), d.score, d.box.x1, d.box.y1, d.box.x2, d.box.y2}) {
-        values.push_back(value);
-      }
-    }
-    return values;
-  };
+  const auto boxes = [&color](ObjectDetector* detector) { return values_of(checked(detector->detect(color))); };
   const int threads = cv::getNumThreads();
   options_.threads = 2;
   const auto two = load();
@@ -282,30 +413,6 @@ TEST_F(YoloxNano, ARolledCameraFindsWhatAnUprightOneDoes) {
                                level = checked(detector->detect(color, 0.3));
   ASSERT_EQ(as_it_is.size(), level.size());
   for (std::size_t i = 0; i < level.size(); ++i) EXPECT_EQ(as_it_is[i].box.edges(), level[i].box.edges());
-}
-
-TEST_F(YoloxNano, LooksAtNoMoreImagesThanAreWanted) {
-  const auto due = [this](double rate_hz) {
-    options_.rate_hz = rate_hz;
-    const auto detector = load();
-    int count = 0;
-    for (std::int64_t k = 0; k < 90; ++k) count += detector->is_due(1'305'031'102'000'000'000 + k * 33'333'333) ? 1 : 0;
-    return count;
-  };
-  EXPECT_EQ(due(0.0), 90);
-  EXPECT_EQ(due(10.0), 30);
-  EXPECT_EQ(due(60.0), 90);
-}
-
-TEST_F(YoloxNano, OptionsChangeFromTheNextImageOn) {
-  const std::unique_ptr<ObjectDetector> detector = load();
-  ASSERT_FALSE(checked(detector->detect(image(100))).empty());
-  options_.score = 0.99;
-  options_.rate_hz = 1.0;
-  detector->set_options(options_);
-  EXPECT_TRUE(checked(detector->detect(image(100))).empty());
-  EXPECT_TRUE(detector->is_due(0));
-  EXPECT_FALSE(detector->is_due(33'333'333));
 }
 
 TEST_F(YoloxNano, NamesAreThoseOfTheModel) {
