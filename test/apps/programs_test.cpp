@@ -4,6 +4,7 @@
 #include <cstring>
 #include <filesystem>
 #include <nlohmann/json.hpp>
+#include <opencv2/imgcodecs.hpp>
 #include <sstream>
 #include <string>
 #include <vector>
@@ -14,6 +15,7 @@
 #include "support/program_test.h"
 #include "support/simulated_run.h"
 #include "support/test_fixtures.h"
+#include "support/tiny_yolo.h"
 #include "tools/evaluation/trajectory_evaluation.h"
 #include "tools/g2o/g2o.h"
 #include "tools/rendering/rgbd_sequence.h"
@@ -75,11 +77,10 @@ TEST_F(DetectProgram, WhatDoesNotFitIsOneClearError) {
 }
 
 TEST_F(DetectProgram, ADirectoryIsNoPlaceForTheBoxes) {
-  const auto model = shared_detector();
-  if (!model) GTEST_SKIP() << "SEMANTIC_TOPO_LOOP_DATA is not set, or OpenCV too old";
+  directory_.write("tiny.onnx", testing::TinyYolo().onnx());
   std::filesystem::create_directories(directory_.path("results"));
-  expect_failure("@ " + *model + " @results" + classes_, 1, "results: is a directory, not a file");
-  expect_failure("@ " + *model + " @results/" + classes_, 1, "results/' is no name of a file");
+  expect_failure("@ @tiny.onnx @results" + classes_, 1, "results: is a directory, not a file");
+  expect_failure("@ @tiny.onnx @results/" + classes_, 1, "results/' is no name of a file");
 }
 
 /// The images of a TUM folder from `begin_s` after its first one on, in a folder of their own.
@@ -124,17 +125,20 @@ TEST_F(DetectProgram, WritesWhatOfflineFinds) {
 }
 
 TEST_F(DetectProgram, LeavesOutAnImageThatCannotBeRead) {
-  const auto model = shared_detector(), recording = shared_data("tum/fr1_xyz");
-  if (!model) GTEST_SKIP() << "SEMANTIC_TOPO_LOOP_DATA is not set, or OpenCV too old";
-  write_part(*recording, 0.0, 0.1, "tum", directory_);
-  const std::string list = read_whole(directory_.path("tum/rgb.txt")), missing = "4000000000.0 rgb/missing.png\n";
-  directory_.write("tum/rgb.txt", list + missing);
-  ASSERT_EQ(run("@tum " + *model + " @d.json" + classes_), 0) << err_;
+  directory_.write("tiny.onnx", testing::TinyYolo().onnx());
+  const std::string missing = "3.0 rgb/missing.png\n";
+  directory_.write("tum/rgb.txt", "1.0 rgb/first.png\n2.0 rgb/second.png\n" + missing);
+  std::filesystem::create_directories(directory_.path("tum/rgb"));
+  cv::Mat image(120, 160, CV_8UC3, cv::Scalar::all(90));
+  cv::imwrite(directory_.path("tum/rgb/first.png"), image);
+  image(cv::Rect(20, 30, 60, 40)).setTo(cv::Scalar(255, 0, 0));
+  cv::imwrite(directory_.path("tum/rgb/second.png"), image);
+  ASSERT_EQ(run("@tum @tiny.onnx @d.json" + classes_), 0) << err_;
   EXPECT_NE(err_.find("1 images left out (first: "), std::string::npos) << err_;
   EXPECT_NE(err_.find("missing.png"), std::string::npos) << err_;
-  EXPECT_EQ(out_.find(std::to_string(std::count(list.begin(), list.end(), '\n')) + " images, "), 0U) << out_;
+  EXPECT_EQ(out_.find("2 images, 1 boxes in "), 0U) << out_;
   directory_.write("tum/rgb.txt", missing);
-  expect_failure("@tum " + *model + " @none.json" + classes_, 1, "no image can be read (first: ");
+  expect_failure("@tum @tiny.onnx @none.json" + classes_, 1, "no image can be read (first: ");
 }
 
 /// While most of what is on the desk is cut by the image border: four or five objects, and surfaces, tell the place.

@@ -132,8 +132,9 @@ TEST(ObjectDetector, AComputerThatCannotIsOneError) {
 
 TEST(ObjectDetector, FilesThatAreNoModelAreOneError) {
   const TestDirectory directory;
-  for (const std::string& path : {directory.path("none.onnx"), directory.write("empty.onnx", ""),
-                                  directory.write("text.onnx", "no model\n"), directory.path("")}) {
+  for (const std::string& path :
+       {directory.path("none.onnx"), directory.write("empty.onnx", ""), directory.write("text.onnx", "no model\n"),
+        directory.write("cut.onnx", testing::TinyYolo().onnx().substr(0, 5000)), directory.path("")}) {
     ObjectDetectorOptions options;
     options.model = path;
     const auto detector = ObjectDetector::load(options, coco());
@@ -153,6 +154,7 @@ class TinyNetwork : public ::testing::Test {
     EXPECT_TRUE(detector) << detector.message();
     return *std::move(detector);
   }
+  std::string refusal() const { return ObjectDetector::load(options_, coco()).message(); }
 
   const TestDirectory directory_;
   testing::TinyYolo network_;
@@ -183,6 +185,12 @@ class EveryLayout : public TinyNetwork, public ::testing::WithParamInterface<Yol
   EveryLayout() {
     network_.layout = GetParam();
     write();
+  }
+  /// Of the network's output, as errors tell it.
+  static std::string shape(int cells) {
+    return GetParam() == YoloLayout::kYolov8   ? "1 x 7 x " + std::to_string(cells)
+           : GetParam() == YoloLayout::kYolov5 ? "1 x " + std::to_string(3 * cells) + " x 8"
+                                               : "1 x " + std::to_string(cells) + " x 8";
   }
 };
 
@@ -280,6 +288,45 @@ TEST_P(EveryLayout, ARolledImageIsTurnedUpright) {
   EXPECT_LT((found[0].box.edges() - edges).cwiseAbs().maxCoeff(), 3.0) << found[0].box.edges().transpose();
 }
 
+TEST_P(EveryLayout, AnotherLayoutThanTheStatedOneIsOneError) {
+  for (const std::string stated : kLayouts) {
+    if (stated == layout_name(GetParam())) continue;
+    options_.layout = stated;
+    EXPECT_EQ(refusal(), options_.model + ": with an input of 128 x 128 px the output is " + shape(336) +
+                             ", which is not that of " + stated + " (detector.input_px, detector.layout)");
+  }
+}
+
+TEST_P(EveryLayout, AnOutputOfNoKnownShapeIsOneErrorWithIt) {
+  network_.strides = {8, 16};
+  write();
+  EXPECT_EQ(refusal(),
+            options_.model + ": with an input of 128 x 128 px the output is " + shape(320) +
+                ", which is not the shape of a YOLOX, YOLOv5 or YOLOv8 (detector.input_px, detector.layout)");
+}
+
+TEST_P(EveryLayout, AnInputThatTheModelDoesNotTakeIsOneError) {
+  options_.input_px = 96;
+  const std::string expected = options_.model + ": with an input of 96 x 96 px it fails: ";
+  EXPECT_EQ(refusal().find(expected), 0U) << refusal();
+  EXPECT_EQ(refusal().find('\n'), std::string::npos);
+}
+
+TEST_F(TinyNetwork, NamesOfAnotherNumberThanItsClassesAreOneError) {
+  options_.names = directory_.write("two.names", "book\nchair\n");
+  EXPECT_EQ(refusal(), options_.names + ": 2 names, but the output of " + options_.model + " has 3 classes");
+  options_.names = directory_.path("none.names");
+  EXPECT_EQ(refusal(), options_.names + ": cannot open the file");
+  options_.names = directory_.write("unknown.names", "one\ntwo\nthree\n");
+  EXPECT_EQ(refusal(), options_.model + ": the class table has none of its 3 classes");
+}
+
+TEST_F(TinyNetwork, ImagesThatAreNoneAreOneError) {
+  const std::unique_ptr<ObjectDetector> detector = load();
+  EXPECT_EQ(detector->detect({}).message(), "image of 0 x 0 pixels and type CV_8UC1, not 8UC3 or 8UC1");
+  EXPECT_FALSE(detector->detect(cv::Mat(4, 4, CV_32FC1)));
+}
+
 TEST_F(TinyNetwork, LooksAtNoMoreImagesThanAreWanted) {
   const auto due = [this](double rate_hz) {
     const std::unique_ptr<ObjectDetector> detector = load();
@@ -358,19 +405,10 @@ TEST_F(YoloxNano, SameImageSameBoxesWhateverTheThreads) {
   cv::setNumThreads(threads);
 }
 
-TEST_F(YoloxNano, ImagesOfOtherShapesAndKinds) {
-  const std::unique_ptr<ObjectDetector> detector = load();
-  cv::Mat color = image(100), gray;
-  cv::cvtColor(color, gray, cv::COLOR_BGR2GRAY);
-  EXPECT_FALSE(checked(detector->detect(gray)).empty());
-  // Upright: the empty part of the input is at the side.
-  cv::Mat tall(2 * color.rows, color.cols, CV_8UC3, cv::Scalar::all(114));
-  color.copyTo(tall(cv::Rect(0, color.rows, color.cols, color.rows)));
-  const std::vector<Detection> found = checked(detector->detect(tall));
-  ASSERT_FALSE(found.empty());
-  for (const Detection& detection : found) EXPECT_GT(detection.box.y1, color.rows - 20.0);
-  EXPECT_EQ(detector->detect({}).message(), "image of 0 x 0 pixels and type CV_8UC1, not 8UC3 or 8UC1");
-  EXPECT_FALSE(detector->detect(cv::Mat(4, 4, CV_32FC1)));
+TEST_F(YoloxNano, GrayImagesWillDo) {
+  cv::Mat gray;
+  cv::cvtColor(image(100), gray, cv::COLOR_BGR2GRAY);
+  EXPECT_FALSE(checked(load()->detect(gray)).empty());
 }
 
 /// How many of the boxes found in an upright image are found in the same one rolled, as the boxes of their ellipses,
@@ -413,30 +451,6 @@ TEST_F(YoloxNano, ARolledCameraFindsWhatAnUprightOneDoes) {
                                level = checked(detector->detect(color, 0.3));
   ASSERT_EQ(as_it_is.size(), level.size());
   for (std::size_t i = 0; i < level.size(); ++i) EXPECT_EQ(as_it_is[i].box.edges(), level[i].box.edges());
-}
-
-TEST_F(YoloxNano, NamesAreThoseOfTheModel) {
-  const TestDirectory directory;
-  options_.names = directory.write("three.names", "person\nbicycle\ncar\n");
-  const auto refused = ObjectDetector::load(options_, coco());
-  ASSERT_FALSE(refused);
-  EXPECT_EQ(refused.message(), options_.names + ": 3 names, but the output of " + options_.model + " has 80 classes");
-
-  // Names that the table does not have are left out; the others are found whatever their place.
-  std::string names;
-  for (int i = 0; i < 80; ++i) names += coco().name((i + 1) % 80) == "book" ? "unheard of\n" : coco().name(i) + "\n";
-  options_.names = directory.write("all.names", names);
-  EXPECT_FALSE(checked(load()->detect(image(100))).empty());
-  options_.names = directory.path("none.names");
-  EXPECT_EQ(ObjectDetector::load(options_, coco()).message(), options_.names + ": cannot open the file");
-}
-
-TEST_F(YoloxNano, LayoutThatItDoesNotHave) {
-  options_.layout = "yolov8";
-  const auto refused = ObjectDetector::load(options_, coco());
-  ASSERT_FALSE(refused);
-  EXPECT_NE(refused.message().find("the output is 1 x 3549 x 85, which is not that of yolov8"), std::string::npos)
-      << refused.message();
 }
 
 }  // namespace
