@@ -141,6 +141,24 @@ class PosesTest(DirectoryTest):
         self.assertIn('exit code 1', launch.output())
 
 
+class ArgumentsTest(unittest.TestCase):
+    def test_a_detector_beside_other_boxes_or_none_is_refused_before_anything_starts(self):
+        both, bag = 'there are both detections:= and detector:=', '/none.bag'
+        for launch_file, arguments, error in [
+                ('tum.launch', {'bag': bag, 'detections': '/boxes.json'}, both),
+                ('tum.launch', {'bag': bag, 'detections': 'topic'}, both),
+                ('demo.launch', {'images': 'false'}, 'detector:= needs images:=true'),
+                ('slam.launch', {'use_detections': 'false'}, 'detector:= needs use_detections:=true')]:
+            with self.subTest(launch_file, **arguments):
+                launch = Launch(launch_file, detector='/model.onnx', **arguments)
+                ended = launch.wait(30)
+                launch.stop()
+                self.assertTrue(ended, launch.output())
+                self.assertEqual(launch.process.returncode, 1)
+                self.assertIn("Invalid <arg> tag: '%s'" % error, launch.output())
+                self.assertNotIn('started with pid', launch.output())
+
+
 class Recorder:
     """Writes a bag image by image, a view's step after the other."""
 
