@@ -43,7 +43,6 @@ class ObjectDetectorNodelet : public StageWith<ObjectDetectorParameters> {
     statistics().count(kLeftOut, 0);
     publisher_ = advertise<DetectionsMessage>("detections_in");
     serve_settings(&options_.detector, [this] { detector_->set_options(options_.detector); });
-    look_at_newest_ = once_in_queue([this] { look_at_newest(); });
     image_transport::ImageTransport transport(subscriber_node());
     constexpr std::uint32_t kImages = 10;  // that wait for the callback, which is short
     subscriber_ = transport.subscribe("color", kImages, &ObjectDetectorNodelet::on_image, this,
@@ -67,13 +66,16 @@ class ObjectDetectorNodelet : public StageWith<ObjectDetectorParameters> {
         for (; waiting_.size() > queue_capacity(); waiting_.pop_front()) leave_out(waiting_.front()->header);
       });
     }
-    statistics().count_input("color");
+    bool is_awaited = false;
     {
       const std::lock_guard<std::mutex> lock(mutex_);
-      if (newest_) overtaken_.push_back(newest_->header);
+      is_awaited = newest_ != nullptr;
+      if (is_awaited) overtaken_.push_back(newest_->header);
       newest_ = image;
     }
-    look_at_newest_();
+    // A task waits for whichever is the newest then.
+    if (is_awaited) return statistics().count_input("color");
+    push("color", Keep::kPinned, [this] { look_at_newest(); });
   }
 
   void on_frame(const FrameMessage::ConstPtr& frame) {
@@ -139,7 +141,6 @@ class ObjectDetectorNodelet : public StageWith<ObjectDetectorParameters> {
   std::unique_ptr<core::ObjectDetector> detector_;
   ros::Publisher publisher_;
   image_transport::Subscriber subscriber_;
-  std::function<void()> look_at_newest_;
   std::unique_ptr<core::UpEstimator> up_;
   std::deque<sensor_msgs::ImageConstPtr> waiting_;  ///< lockstep: for their frames
   std::map<ros::Time, double> roll_rad_;            ///< by stamp: of frames whose image may still come, or the last one

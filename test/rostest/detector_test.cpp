@@ -1,14 +1,18 @@
-// A real network on real images in the chain's first part: front end, detector, ingestion.
+// A real network on real images in the chain's first part: front end, detector, ingestion; and a tiny one alone.
+#include <diagnostic_msgs/DiagnosticArray.h>
 #include <sensor_msgs/CameraInfo.h>
 #include <sensor_msgs/Image.h>
 #include <sensor_msgs/image_encodings.h>
 #include <tf2_msgs/TFMessage.h>
 
 #include <algorithm>
+#include <chrono>
 #include <condition_variable>
 #include <iterator>
+#include <map>
 #include <memory>
 #include <mutex>
+#include <optional>
 #include <set>
 #include <string>
 #include <vector>
@@ -24,6 +28,7 @@
 #include "support/in_process_chain.h"
 #include "support/package_config.h"
 #include "support/rolled_image.h"
+#include "support/tiny_yolo.h"
 
 namespace semantic_topo_loop {
 namespace {
@@ -35,6 +40,17 @@ void expect_same(const std::vector<core::Detection>& a, const std::vector<core::
     EXPECT_EQ(a[k].score, b[k].score);
     EXPECT_EQ(a[k].box.edges(), b[k].box.edges());
   }
+}
+
+sensor_msgs::Image::ConstPtr image_message(std::int64_t stamp_ns, const cv::Mat& pixels) {
+  auto image = boost::make_shared<sensor_msgs::Image>();
+  image->header = make_header(to_ros_time(stamp_ns), "camera");
+  image->width = static_cast<std::uint32_t>(pixels.cols);
+  image->height = static_cast<std::uint32_t>(pixels.rows);
+  image->step = static_cast<std::uint32_t>(pixels.step);
+  image->encoding = sensor_msgs::image_encodings::BGR8;
+  image->data.assign(pixels.datastart, pixels.dataend);
+  return image;
 }
 
 class DetectorInTheChain : public testing::Test {
@@ -88,13 +104,7 @@ class DetectorInTheChain : public testing::Test {
     send(index, image(index), q_odom_camera);
   }
   void send(std::size_t index, const cv::Mat& pixels, const core::Quaternion& q_odom_camera) {
-    auto image = boost::make_shared<sensor_msgs::Image>();
-    image->header = make_header(to_ros_time(images_[index].first), "camera");
-    image->width = static_cast<std::uint32_t>(pixels.cols);
-    image->height = static_cast<std::uint32_t>(pixels.rows);
-    image->step = static_cast<std::uint32_t>(pixels.step);
-    image->encoding = sensor_msgs::image_encodings::BGR8;
-    image->data.assign(pixels.datastart, pixels.dataend);
+    const sensor_msgs::Image::ConstPtr image = image_message(images_[index].first, pixels);
     auto transforms = boost::make_shared<tf2_msgs::TFMessage>();
     transforms->transforms.push_back(make_transform(make_header(image->header.stamp, "odom"), "camera",
                                                     core::SE3(q_odom_camera, core::Vec3::Zero())));
@@ -209,6 +219,39 @@ TEST_F(DetectorInTheChain, InRealTimeTheNewestImageHasItsBoxesAndNoFrameWaitsFor
   }
   EXPECT_GE(unanswered, 1U) << "images come faster than they can be looked at";
   EXPECT_FALSE(received.back()->unanswered) << "nothing was newer";
+}
+
+TEST(DetectorAlone, TellsHowLongItsLastImagesTook) {
+  const core::TestDirectory directory;
+  ros::NodeHandle node;
+  std::mutex mutex;  // guards latency_ms
+  std::condition_variable changed;
+  std::optional<double> latency_ms;
+  const boost::function<void(const diagnostic_msgs::DiagnosticArray::ConstPtr&)> take = [&](const auto& message) {
+    const std::lock_guard<std::mutex> lock(mutex);
+    for (const diagnostic_msgs::DiagnosticStatus& status : message->status) {
+      std::map<std::string, std::string> values;
+      for (const diagnostic_msgs::KeyValue& value : status.values) values[value.key] = value.value;
+      if (values["frames processed"] == "1") latency_ms = std::stod(values["latency p50"]);
+    }
+    changed.notify_all();
+  };
+  const ros::Subscriber diagnostics = node.subscribe<diagnostic_msgs::DiagnosticArray>("/diagnostics", 10, take);
+  const boost::function<void(const ros::SingleSubscriberPublisher&)> connect = [](const auto& subscriber) {
+    subscriber.publish(image_message(1'000'000'000, cv::Mat(48, 64, CV_8UC3, cv::Scalar::all(90))));
+  };
+  const auto before = std::chrono::steady_clock::now();
+  const ros::Publisher color = node.advertise<sensor_msgs::Image>("color", 1, connect);
+  InProcessChain chain;
+  chain.set("object_detector", "detector/model", directory.write("tiny.onnx", core::testing::TinyYolo().onnx()));
+  chain.set("object_detector", "lockstep", false);
+  chain.set("object_detector", "detector/rate_hz", 0.0);
+  chain.load("object_detector", "ObjectDetector");
+  std::unique_lock<std::mutex> lock(mutex);
+  ASSERT_TRUE(changed.wait_for(lock, std::chrono::minutes(1), [&latency_ms] { return latency_ms.has_value(); }));
+  EXPECT_LT(*latency_ms, 1e3 * std::chrono::duration<double>(std::chrono::steady_clock::now() - before).count());
+  lock.unlock();
+  chain.unload_all();
 }
 
 }  // namespace
