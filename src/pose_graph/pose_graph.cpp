@@ -319,11 +319,12 @@ struct PoseGraph::Impl {
     keyframes_since_ = 0;
     has_new_loops_ = has_outliers_ = is_urgent_ = is_withdrawn_ = false;
     suspect_jumps();
-    if (has_objects_ && is_end) trajectory_.objects.objects = objects_.objects();
+    if (has_objects_) trajectory_.objects.objects = objects_.objects();
     loops_.hand_over(&trajectory_, &knowledge_);
     const std::vector<SE3> before = trajectory_.T_map_vertex;
     const bool is_solved = has_free_scale() ? optimize_similarities(effort) : optimize_poses(effort);
     loops_.take_back(trajectory_, knowledge_);
+    trajectory_.objects.objects.clear();
     if (!is_solved) {
       trajectory_.T_map_vertex = before;  // what was tried on the way
       return false;

@@ -24,7 +24,7 @@ struct PoseGraphOptions;
 ///      loop detector's solved motions take the place of the odometry's;
 ///   2. loops are rejected (src/pose_graph/rejection): pairwise consistency, robust solve, final audit;
 ///   3. the odometry's noise is learnt from the loops that are kept, and poses are solved for at that noise
-///      (src/pose_graph/solver); at the end of a run once more with the objects;
+///      (src/pose_graph/solver), then once more with the objects;
 ///   4. where the odometry's unit of length drifts, 2 and 3 work in the map's unit, and poses and scales are solved for
 ///      together (src/pose_graph/scale).
 class PoseGraph {

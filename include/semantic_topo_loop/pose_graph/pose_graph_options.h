@@ -59,9 +59,10 @@ struct PoseGraphOptions {
             "of the odometry: fixed, or free where it drifts (monocular; Sim(3) vertices)");
     visitor("scale_walk", scale_walk, above(0).at_most(0.5),
             "free scale: error of its logarithm after one metre of path (1 sigma; grows with the root of the path)");
-    visitor("objects", objects, one_of({"off", "auto", "on"}),
-            "whether objects take part in the last correction of a run: off, auto (if loops show odometry to be wrong) "
-            "or on");
+    visitor(
+        "objects", objects, one_of({"off", "auto", "on"}),
+        "whether objects take part in corrections: off, auto (if loops show odometry to be wrong) or on (then the end "
+        "of a run is one, too)");
     visitor.live("object_weight", object_weight, positive(), "factor on the squared errors of object observations");
     visitor.live("object_sigma_px", object_sigma_px, positive(), "noise of a box edge, constant part");
     visitor.live("object_sigma_share", object_sigma_share, not_negative(),
