@@ -28,7 +28,7 @@ using namespace semantic_topo_loop::apps;
 using namespace semantic_topo_loop::core;
 
 struct Arguments {
-  std::string map, classes, objects, trajectory, graph, points;
+  std::string map, classes, objects, trajectory, graph, points, refused;
   bool dump = false;
 };
 
@@ -38,7 +38,8 @@ bool ends_with(const std::string& text, const std::string& end) {
 
 void print_counts(const MapState& map, const ClassTable& classes) {
   std::printf("integrity   ok");
-  if (map.left_out > 0) std::printf(", %zu boxes, submaps and points newer than the graph left out", map.left_out);
+  if (map.left_out > 0)
+    std::printf(", %zu boxes, submaps, points and loops newer than the graph left out", map.left_out);
   std::printf("\nsessions    %zu\n", map.graph.sessions.size());
   for (const Session& session : map.graph.sessions) {
     std::printf("            from keyframe %lld, stamps %s to %s\n", static_cast<long long>(session.first_keyframe_id),
@@ -58,6 +59,10 @@ void print_counts(const MapState& map, const ClassTable& classes) {
   }
   std::printf("keyframes   %zu\nedges       %zu\nloops       %zu, %zu of them kept\nsubmaps     %zu\n",
               map.graph.keyframes.size(), map.graph.edges.size(), map.graph.loops.size(), kept, map.submaps.size());
+  std::map<std::string, int> reasons;
+  for (const LoopFigures& loop : map.refused) ++reasons[to_string(loop.reason)];
+  std::printf("refused     %zu candidates for loops\n", map.refused.size());
+  for (const auto& [reason, count] : reasons) std::printf("            %d %s\n", count, reason.c_str());
   std::printf("points      %zu sparse, %zu semi-dense, in %zu keyframes\n", sparse, semi_dense, map.points.size());
   std::printf("objects     %zu\n", map.objects.landmarks.size());
   for (const auto& [state, count] : states) std::printf("            %d %s\n", count, state.c_str());
@@ -165,6 +170,13 @@ Status write_graph(const std::string& path, const MapState& map) {
   return write_g2o(path, graph);
 }
 
+/// With the columns of loops.csv.
+Status write_refused(const std::string& path, const MapState& map) {
+  std::string table = loop_table_header();
+  for (const LoopFigures& loop : map.refused) table += table_row(loop);
+  return write_text_file(path, table);
+}
+
 /// All points, with the objects that they lie on.
 Status write_points(const std::string& path, const MapState& map) {
   PointMapOptions options;
@@ -179,7 +191,8 @@ Status run(const Arguments& arguments) {
   if (arguments.dump) return dump_map(arguments.map, std::cout);
   const Result<ClassTable> classes = read_class_table(arguments.classes);
   if (!classes) return classes.error();
-  for (const std::string& path : {arguments.objects, arguments.trajectory, arguments.graph, arguments.points}) {
+  for (const std::string& path :
+       {arguments.objects, arguments.trajectory, arguments.graph, arguments.points, arguments.refused}) {
     if (!path.empty() && is_same_file(path, arguments.map)) return Error{path + ": would take the place of the map"};
   }
   const auto read = read_map(arguments.map, *classes);
@@ -192,6 +205,7 @@ Status run(const Arguments& arguments) {
   if (written && !arguments.trajectory.empty()) written = write_trajectory(arguments.trajectory, map);
   if (written && !arguments.graph.empty()) written = write_graph(arguments.graph, map);
   if (written && !arguments.points.empty()) written = write_points(arguments.points, map);
+  if (written && !arguments.refused.empty()) written = write_refused(arguments.refused, map);
   return written;
 }
 
@@ -199,14 +213,15 @@ Status run(const Arguments& arguments) {
 
 int main(int argc, char** argv) {
   Arguments arguments;
-  Command command{
-      "", "MAP.db [--objects FILE] [--trajectory FILE] [--graph FILE] [--points FILE] [--dump] [--classes YAML]",
-      "Says what a map holds and whether it is whole, and takes parts of it out.\n",
-      [&arguments] { return run(arguments); },
-      [&arguments] {
-        if (arguments.dump) return Status();
-        return default_to_package("classes_coco.yaml", "--classes", &arguments.classes);
-      }};
+  Command command{"",
+                  "MAP.db [--objects FILE] [--trajectory FILE] [--graph FILE] [--points FILE] [--refused FILE] "
+                  "[--dump] [--classes YAML]",
+                  "Says what a map holds and whether it is whole, and takes parts of it out.\n",
+                  [&arguments] { return run(arguments); },
+                  [&arguments] {
+                    if (arguments.dump) return Status();
+                    return default_to_package("classes_coco.yaml", "--classes", &arguments.classes);
+                  }};
   command.words = {{"MAP.db", &arguments.map}};
   const auto take_objects = [&arguments](const std::string& given) {
     arguments.objects = given;
@@ -224,6 +239,8 @@ int main(int argc, char** argv) {
       .option("graph", po::value(&arguments.graph), "file for the pose graph, g2o")
       .option("points", checked("a path that ends in .ply or .pcd", take_points),
               "file for the points, with the objects that they lie on")
+      .option("refused", po::value(&arguments.refused),
+              "file for the candidates that loop detection refused, with the columns of loops.csv")
       .option("dump", po::bool_switch(&arguments.dump), "prints every row, in order, and nothing else")
       .option("classes", po::value(&arguments.classes),
               "class table (default: config/classes_coco.yaml of the package)");

@@ -30,6 +30,8 @@ template <>
 inline constexpr bool is_row<KeyframePose> = true;
 template <>
 inline constexpr bool is_row<GraphKeyframe> = true;
+template <>
+inline constexpr bool is_row<LoopFigures> = true;
 
 template <>
 struct Codec<LandmarkState> {
@@ -38,6 +40,16 @@ struct Codec<LandmarkState> {
     const int number = field.small_integer();
     if (number < 0 || number > static_cast<int>(LandmarkState::kRetired)) return field.reject("is no state");
     *value = static_cast<LandmarkState>(number);
+  }
+};
+
+template <>
+struct Codec<LoopReason> {
+  static Json write(LoopReason value) { return static_cast<int>(value); }
+  static void read(const JsonField& field, LoopReason* value) {
+    const int number = field.small_integer();
+    if (number < 0 || number > static_cast<int>(LoopReason::kFoundBySource)) return field.reject("is no reason");
+    *value = static_cast<LoopReason>(number);
   }
 };
 
@@ -135,6 +147,11 @@ struct Codec<KeyframePoints> {
 
 }  // namespace archive
 
+template <class Visitor>
+void visit_members(LoopFigures& value, Visitor& visit) {
+  visit_fields(value, visit);
+}
+
 // The members' own names.
 #define VISIT_MEMBERS(Struct, ...)                    \
   template <class Visitor>                            \
@@ -194,7 +211,7 @@ VISIT_MEMBERS(GraphState, MEMBER(sessions) MEMBER(next_frame_id) MEMBER(keyframe
                               MEMBER(accepted_loops) MEMBER(noise) MEMBER(loose_factor))
 VISIT_MEMBERS(LandmarkDelta, MEMBER(record) MEMBER(first) MEMBER(observations))
 VISIT_MEMBERS(MapperDelta, MEMBER(is_whole) MEMBER(camera) MEMBER(changed) MEMBER(removed))
-VISIT_MEMBERS(SubmapDelta, MEMBER(is_whole) MEMBER(added) MEMBER(forgotten))
+VISIT_MEMBERS(SubmapDelta, MEMBER(is_whole) MEMBER(added) MEMBER(forgotten) MEMBER(decided) MEMBER(first_query))
 VISIT_MEMBERS(PointsOfKeyframe, MEMBER(keyframe_id) MEMBER(points))
 VISIT_MEMBERS(MapDelta, MEMBER(graph) MEMBER(objects) MEMBER(submaps) MEMBER(points))
 

@@ -48,17 +48,17 @@ void read_meta(const std::string& key, SqliteFile* file, T* value) {
   unpack(file, "meta '" + key + "'", Json::parse(select.bytes(0), nullptr, false), value);
 }
 
-std::string row_name(const char* table, const SqliteStatement& row) {
-  return std::string(table) + ' ' + std::to_string(row.integer(0));
-}
+std::string row_name(const char* table, const SqliteStatement& row) { return std::string(table) + ' ' + row.bytes(0); }
 
 /// Bodies of a table's rows, in order: unpacked side by side, as that is most of the work.
+/// @param name of a row, an expression   @param key what they are in order of; null: the name
 template <class T>
-std::vector<T> read_bodies(const char* table, const char* key, SqliteFile* file) {
+std::vector<T> read_bodies(const char* table, const char* name, SqliteFile* file, const char* key = nullptr) {
   constexpr std::size_t kAtOnce = 256;
   constexpr std::size_t kThreads = 4;
   std::vector<T> values;
-  SqliteStatement rows(file, std::string("SELECT ") + key + ", body FROM " + table + " ORDER BY " + key);
+  SqliteStatement rows(
+      file, std::string("SELECT ") + name + ", body FROM " + table + " ORDER BY " + (key != nullptr ? key : name));
   for (bool is_more = true; is_more;) {
     std::vector<std::pair<std::string, std::string>> bodies;  // place, bytes
     while (bodies.size() < kAtOnce && (is_more = rows.next())) {
@@ -269,6 +269,9 @@ void read_all(const ClassTable& classes, MapParts parts, SqliteFile* file, MapSt
   if (parts.objects) map->objects.landmarks = read_objects(file);
   if (parts.submaps) map->submaps = read_bodies<LocalMap>("submap", "frame", file);
   if (parts.points && version > 1) map->points = read_points(file);
+  if (parts.submaps && version > 2) {
+    map->refused = read_bodies<LoopFigures>("refused_loop", "query || ' to ' || match", file, "query, match");
+  }
   if (!file->is_fine()) return;
   map->left_out = leave_out_unplaced(map);
   require(check(*map), file);
@@ -295,6 +298,7 @@ Status write_map(const std::string& path, const MapState& map, const ClassTable&
     for (const MappedLandmark& landmark : map.objects.landmarks) tables.write(landmark, landmark.observations, 0);
     for (const LocalMap& submap : map.submaps) tables.write(submap);
     for (const PointsOfKeyframe& keyframe : map.points) tables.write(keyframe);
+    for (const LoopFigures& loop : map.refused) tables.write_refused(loop);
     file.run("COMMIT");
     return file.is_fine() ? Status() : Error{file.problem()};
   });

@@ -30,6 +30,8 @@ CREATE TABLE submap(frame INTEGER PRIMARY KEY, keyframe INTEGER NOT NULL, stamp_
   objects INTEGER NOT NULL, body BLOB NOT NULL);
 CREATE TABLE points(keyframe INTEGER PRIMARY KEY, sparse INTEGER NOT NULL, semi_dense INTEGER NOT NULL,
   body BLOB NOT NULL);
+CREATE TABLE refused_loop(query INTEGER, match INTEGER, query_ns INTEGER NOT NULL, match_ns INTEGER NOT NULL,
+  reason TEXT NOT NULL, inliers INTEGER NOT NULL, body BLOB NOT NULL, PRIMARY KEY(query, match)) WITHOUT ROWID;
 )";
 
 template <class T>
@@ -182,6 +184,12 @@ void MapTables::write(const LocalMap& submap) {
   (insert << static_cast<std::int64_t>(submap.objects.size())).blob(packed(submap)).run();
 }
 
+void MapTables::write_refused(const LoopFigures& loop) {
+  SqliteStatement insert(file_, "INSERT OR REPLACE INTO refused_loop VALUES(?, ?, ?, ?, ?, ?, ?)");
+  insert << loop.query_keyframe_id << loop.match_keyframe_id << loop.query_stamp_ns << loop.match_stamp_ns;
+  (insert << std::string(to_string(loop.reason)) << static_cast<std::int64_t>(loop.inliers)).blob(packed(loop)).run();
+}
+
 void MapTables::write(const PointsOfKeyframe& keyframe) {
   SqliteStatement insert(file_, "INSERT OR REPLACE INTO points VALUES(?, ?, ?, ?)");
   insert << keyframe.keyframe_id << static_cast<std::int64_t>(keyframe.points->sparse.size());
@@ -204,10 +212,19 @@ void MapTables::write(const MapDelta& delta) {
     }
   }
   if (!delta.submaps) return;
-  if (delta.submaps->is_whole) file_->run("DELETE FROM submap");
+  if (delta.submaps->is_whole) file_->run("DELETE FROM submap; DELETE FROM refused_loop");
   SqliteStatement forget(file_, "DELETE FROM submap WHERE frame = ?");
   for (const std::int64_t frame_id : delta.submaps->forgotten) (forget << frame_id).run();
   for (const LocalMap& submap : delta.submaps->added) write(submap);
+  (SqliteStatement(file_, "DELETE FROM refused_loop WHERE query < ?") << delta.submaps->first_query).run();
+  SqliteStatement accept(file_, "DELETE FROM refused_loop WHERE query = ? AND match = ?");
+  for (const LoopFigures& loop : delta.submaps->decided) {
+    if (loop.accepted) {
+      (accept << loop.query_keyframe_id << loop.match_keyframe_id).run();
+    } else {
+      write_refused(loop);
+    }
+  }
 }
 
 std::vector<std::uint8_t> pack(const MapDelta& delta) { return Json::to_cbor(to_archive(delta)); }

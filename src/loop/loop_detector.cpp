@@ -168,6 +168,7 @@ struct LoopDetector::Impl {
                           std::back_inserter(delta.forgotten));
     }
     told_submaps_ = std::move(kept);
+    record_.take_delta(&delta);
     return delta;
   }
 
@@ -366,7 +367,8 @@ void LoopDetector::set_earlier_map(std::vector<LocalMap> submaps) {
     earlier.insert(std::move(submap));
   }
 }
-void LoopDetector::restore(std::vector<LocalMap> submaps, const std::vector<KeyframePose>& keyframes) {
+void LoopDetector::restore(std::vector<LocalMap> submaps, const std::vector<KeyframePose>& keyframes,
+                           const std::vector<LoopFigures>& refused) {
   for (const KeyframePose& keyframe : keyframes) {
     impl_->keyframes_[keyframe.keyframe_id] = {keyframe.frame_id, keyframe.stamp_ns, keyframe.T_map_camera};
   }
@@ -374,6 +376,7 @@ void LoopDetector::restore(std::vector<LocalMap> submaps, const std::vector<Keyf
     submap.segment = LocalMap::kOtherSession;
     impl_->graph_.insert(std::move(submap));
   }
+  impl_->record_.restore(refused);
 }
 std::vector<LoopClosure> LoopDetector::detect(const std::vector<LocalMap>& queries) {
   std::vector<LoopClosure> loops;
@@ -385,6 +388,7 @@ std::vector<LoopClosure> LoopDetector::detect(const std::vector<LocalMap>& queri
 }
 std::optional<Relocalisation> LoopDetector::relocalisation() const { return impl_->relocaliser_.estimate(); }
 void LoopDetector::set_fixed(bool fixed) { impl_->is_fixed_ = fixed; }
+std::vector<LoopFigures> LoopDetector::refused() const { return impl_->record_.refused(); }
 SubmapDelta LoopDetector::take_delta(bool whole) { return impl_->take_delta(whole); }
 std::vector<LocalMap> LoopDetector::submaps() const {
   std::vector<LocalMap> submaps;

@@ -66,11 +66,51 @@ std::string describe(const LoopFigures& loop, const LoopOptions& options) {
 }
 
 void PairRecord::add(const std::vector<LoopClosure>& loops) {
-  for (const LoopFigures& loop : loops) {
-    const auto [known, is_new] = decisions_.emplace(std::pair(loop.query_keyframe_id, loop.match_keyframe_id), loop);
-    if (!is_new && (loop.accepted || !known->second.accepted)) known->second = loop;
+  for (const LoopFigures& loop : loops) take(loop);
+  forget_earliest();
+}
+
+void PairRecord::restore(const std::vector<LoopFigures>& refused) {
+  for (const LoopFigures& loop : refused) take(loop);
+  forget_earliest();
+}
+
+void PairRecord::take(const LoopFigures& loop) {
+  if (!is_finite(loop)) return;
+  const Pair pair(loop.query_keyframe_id, loop.match_keyframe_id);
+  const auto [known, is_new] = decisions_.emplace(pair, loop);
+  if (!is_new && known->second.accepted && !loop.accepted) return;
+  if (!loop.accepted || !is_new) news_.insert(pair);
+  known->second = loop;
+}
+
+/// With all its candidates, so that what is left is told by a query.
+void PairRecord::forget_earliest() {
+  while (decisions_.size() > capacity_) {
+    const std::int64_t query = decisions_.begin()->first.first;
+    while (!decisions_.empty() && decisions_.begin()->first.first == query) {
+      news_.erase(decisions_.begin()->first);
+      decisions_.erase(decisions_.begin());
+    }
   }
-  while (decisions_.size() > capacity_) decisions_.erase(decisions_.begin());
+}
+
+std::vector<LoopFigures> PairRecord::refused() const {
+  std::vector<LoopFigures> refused;
+  for (const auto& [pair, loop] : decisions_) {
+    if (!loop.accepted) refused.push_back(loop);
+  }
+  return refused;
+}
+
+void PairRecord::take_delta(SubmapDelta* delta) {
+  if (delta->is_whole) {
+    delta->decided = refused();
+  } else {
+    for (const Pair& pair : news_) delta->decided.push_back(decisions_.at(pair));
+  }
+  news_.clear();
+  if (!decisions_.empty()) delta->first_query = decisions_.begin()->first.first;
 }
 
 const LoopFigures* PairRecord::find(std::int64_t query_keyframe_id, std::int64_t match_keyframe_id) const {

@@ -23,6 +23,14 @@ void raise(std::int64_t by, std::int64_t* id) {
   if (*id >= 0) *id += by;
 }
 
+void raise_ids(std::int64_t frames, std::int64_t keyframes, LoopFigures* loop) {
+  for (std::int64_t* id : {&loop->query_keyframe_id, &loop->match_keyframe_id}) raise(keyframes, id);
+  for (std::int64_t* id : {&loop->query_frame, &loop->match_frame, &loop->query_begin, &loop->query_end,
+                           &loop->match_begin, &loop->match_end}) {
+    raise(frames, id);
+  }
+}
+
 void raise_ids(std::int64_t frames, std::int64_t keyframes, RememberedLoop* loop) {
   raise(keyframes, &loop->told.query_keyframe_id);
   raise(keyframes, &loop->told.match_keyframe_id);
@@ -106,6 +114,10 @@ void MapState::append(MapState other) {
     submaps.push_back(std::move(submap));
   }
   for (const PointsOfKeyframe& of : other.points) points.push_back({of.keyframe_id + keyframes, of.points});
+  for (LoopFigures& loop : other.refused) {
+    raise_ids(frames, keyframes, &loop);
+    refused.push_back(loop);
+  }
 }
 
 SE3 place_beside(const MapState& map) {
@@ -190,6 +202,11 @@ std::size_t leave_out_unplaced(MapState* map) {
   const auto end = std::remove_if(map->points.begin(), map->points.end(), is_unplaced);
   left_out += static_cast<std::size_t>(map->points.end() - end);
   map->points.erase(end, map->points.end());
+  const auto refused_end = std::remove_if(map->refused.begin(), map->refused.end(), [&](const LoopFigures& loop) {
+    return places.count(loop.query_keyframe_id) == 0 || places.count(loop.match_keyframe_id) == 0;
+  });
+  left_out += static_cast<std::size_t>(map->refused.end() - refused_end);
+  map->refused.erase(refused_end, map->refused.end());
   return left_out;
 }
 

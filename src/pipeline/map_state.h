@@ -10,6 +10,7 @@
 #include "pose_graph/graph_state.h"
 #include "semantic_topo_loop/map/point_map.h"
 #include "semantic_topo_loop/types/local_map.h"
+#include "semantic_topo_loop/types/loop_closure.h"
 #include "semantic_topo_loop/types/result.h"
 
 namespace semantic_topo_loop::core {
@@ -19,9 +20,10 @@ struct MapState {
   std::string configuration;  ///< options of the last session (YAML), for who wonders how it came about
   GraphState graph;
   MapperState objects;
-  std::size_t left_out = 0;              ///< boxes, submaps and keyframes' points, see leave_out_unplaced
+  std::size_t left_out = 0;              ///< see leave_out_unplaced
   std::vector<LocalMap> submaps;         ///< in the odometry's unit of length; T_odom_anchor leads to the map
   std::vector<PointsOfKeyframe> points;  ///< in order of keyframe_id
+  std::vector<LoopFigures> refused;      ///< candidates that loop detection refused, see LoopDetector::refused
 
   std::vector<KeyframePose> keyframe_poses() const;
   /// The submaps in the map's unit of length.
@@ -62,7 +64,7 @@ std::vector<std::int64_t> objects_under(const MapPoints& points, const MapState&
 
 /// Leaves out what hangs on keyframes that the graph does not have: what came after the graph was saved last, or while
 /// its stage did not keep up. Submaps are put where their keyframes are.
-/// @return how many boxes, submaps and keyframes' points were left out
+/// @return how many boxes, submaps, keyframes' points and refused loops were left out
 std::size_t leave_out_unplaced(MapState* map);
 
 /// @return an error that names what does not fit together

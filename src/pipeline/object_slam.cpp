@@ -1,6 +1,7 @@
 #include "semantic_topo_loop/pipeline/object_slam.h"
 
 #include <algorithm>
+#include <iterator>
 #include <utility>
 
 #include "pipeline/map_changes.h"
@@ -51,7 +52,7 @@ FrameResult ObjectSlam::process(const Frame& frame, const std::vector<Detection>
 
 MapUpdate ObjectSlam::restore(const MapState& map) {
   const MapUpdate update = restore_objects(map, &mapper_);
-  loop_detector_.restore(map.submaps, map.keyframe_poses());
+  loop_detector_.restore(map.submaps, map.keyframe_poses(), map.refused);
   pose_graph_.restore(map.graph, place_beside(map));
   tell(update);
   return update;
@@ -63,6 +64,7 @@ std::shared_ptr<const MapState> ObjectSlam::map() const {
   map->objects = mapper_.state();
   map->submaps = loop_detector_.submaps();
   move_to_map(map->keyframe_poses(), pose_graph_.T_map_odom(), &map->submaps);
+  map->refused = loop_detector_.refused();
   return map;
 }
 
@@ -127,7 +129,7 @@ MergedMaps merge_maps(const MapState& a, MapState b, const Options& options,
   const auto theirs = both.submaps.begin() + static_cast<std::ptrdiff_t>(a.submaps.size());
   const std::vector<LocalMap> queries(theirs, both.submaps.end());
   LoopDetector detector(options.loop, classes);
-  detector.restore(a.submaps, a.keyframe_poses());
+  detector.restore(a.submaps, a.keyframe_poses(), {});
   MergedMaps merged;
   merged.loops = detector.detect(queries);
 
@@ -146,6 +148,8 @@ MergedMaps merge_maps(const MapState& a, MapState b, const Options& options,
   }
   auto map = std::make_shared<MapState>(*slam.map());
   map->points = std::move(both.points);  // of the same keyframes, which they follow
+  std::copy_if(merged.loops.begin(), merged.loops.end(), std::back_inserter(map->refused),
+               [](const LoopClosure& loop) { return !loop.accepted && is_finite(loop); });
   merged.map = std::move(map);
   merged.joined = check_join(merged, first_of_b, options.loop);
   return merged;

@@ -21,4 +21,12 @@ void LoopFigures::state_sigmas(const Mat6& covariance) {
   sigma_deg = degrees(std::sqrt(covariance.bottomRightCorner<3, 3>().trace()));
 }
 
+bool is_finite(const LoopFigures& loop) {
+  bool is_fine = is_rotation(loop.T_match_query.q) && loop.T_match_query.is_finite();
+  visit_fields(loop, [&is_fine](const char*, const auto& field) {
+    if constexpr (std::is_same_v<decltype(field), const double&>) is_fine = is_fine && std::isfinite(field);
+  });
+  return is_fine;
+}
+
 }  // namespace semantic_topo_loop::core

@@ -289,6 +289,14 @@ TEST_F(InspectMapProgram, CountsAndExports) {
   EXPECT_GT(graph.edges.size(), keyframes);  // loops, too
   ASSERT_EQ(run("@map.db --objects @o.csv" + classes_), 0) << err_;
   EXPECT_EQ(checked(read_objects(directory_.path("o.csv"))).size(), objects.size());
+  ASSERT_EQ(run("@map.db --refused @r.csv" + classes_), 0) << err_;
+  const std::vector<LoopFigures>& refused = checked(read_map(directory_.path("map.db"), coco()))->refused;
+  ASSERT_FALSE(refused.empty());
+  EXPECT_NE(out_.find("refused     " + std::to_string(refused.size()) + " candidates"), std::string::npos) << out_;
+  EXPECT_NE(out_.find(std::string(" ") + to_string(refused[0].reason) + "\n"), std::string::npos) << out_;
+  const auto loops = checked(read_loops(directory_.path("r.csv")));
+  ASSERT_EQ(loops.size(), refused.size());
+  EXPECT_EQ(loops.back().match_frame, refused.back().match_frame);
   ASSERT_EQ(run("@map.db --dump"), 0) << err_;
   EXPECT_EQ(out_.find("class "), 0U);
 }

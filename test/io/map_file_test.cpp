@@ -13,8 +13,10 @@
 #include <vector>
 
 #include "io/archive.h"
+#include "io/sqlite_file.h"
 #include "odometry/odometry_edge.h"
 #include "pipeline/map_state.h"
+#include "semantic_topo_loop/geometry/lie.h"
 #include "semantic_topo_loop/io/text_file.h"
 #include "support/package_config.h"
 #include "support/simulated_run.h"
@@ -164,8 +166,45 @@ TEST_F(MapFile, KeepsPointsToTheMillimetre) {
   EXPECT_EQ(checked(read_map(path_, *shared_coco()))->left_out, 1U) << "of a keyframe that the graph does not have";
 }
 
+/// A candidate that loop detection refused.
+LoopFigures refused_between(std::int64_t query, std::int64_t match) {
+  LoopFigures loop;
+  loop.query_keyframe_id = query;
+  loop.match_keyframe_id = match;
+  loop.query_stamp_ns = 5'000'000'001;
+  loop.reason = LoopReason::kTilt;
+  loop.inliers = 7;
+  loop.rms_m = 0.1 + 0.2;
+  loop.T_match_query = {so3_exp(Vec3(0.1, -0.2, 0.3)), Vec3(1.0, 2.0, 3.0)};
+  return loop;
+}
+
+TEST_F(MapFile, KeepsWhatLoopDetectionRefused) {
+  MapState map = desk();
+  map.refused = {refused_between(5, 2), refused_between(10, 3), refused_between(5, 1), refused_between(100000, 1)};
+  ASSERT_EQ(write_map(path_, map, *shared_coco()).message(), "");
+  const auto read = checked(read_map(path_, *shared_coco()));
+  EXPECT_EQ(read->left_out, 1U) << "of a keyframe that the graph does not have";
+  ASSERT_EQ(read->refused.size(), 3U);
+  const LoopFigures& loop = read->refused[1];
+  EXPECT_EQ(read->refused[0].match_keyframe_id, 1);
+  EXPECT_EQ(loop.query_keyframe_id, 5);
+  EXPECT_EQ(loop.match_keyframe_id, 2);
+  EXPECT_EQ(loop.query_stamp_ns, 5'000'000'001);
+  EXPECT_EQ(loop.reason, LoopReason::kTilt);
+  EXPECT_EQ(loop.inliers, 7);
+  EXPECT_EQ(loop.rms_m, 0.1 + 0.2);
+  EXPECT_FALSE(loop.accepted);
+  EXPECT_EQ(loop.T_match_query.q.coeffs(), map.refused[0].T_match_query.q.coeffs());
+  EXPECT_NE(dump_of(path_).find("refused_loop 5 2 5000000001 0 tilt 7 ["), std::string::npos);
+  SqliteFile(path_, SqliteFile::Mode::kWrite).run("UPDATE refused_loop SET body = x'ff' WHERE match = 2");
+  EXPECT_EQ(error(), "refused_loop 5 to 2 is damaged");
+}
+
 TEST_F(MapFile, OfAnOlderVersionIsRead) {
-  change("DROP TABLE points; PRAGMA user_version = 1");
+  change("DROP TABLE refused_loop; PRAGMA user_version = 2");
+  EXPECT_EQ(checked(read_map(path_, *shared_coco()))->graph.keyframes.size(), desk().graph.keyframes.size());
+  change("DROP TABLE points; DROP TABLE refused_loop; PRAGMA user_version = 1");
   const auto read = read_map(path_, *shared_coco());
   ASSERT_TRUE(read) << read.message();
   EXPECT_EQ((*read)->graph.keyframes.size(), desk().graph.keyframes.size());
@@ -177,7 +216,7 @@ TEST_F(MapFile, OfAnOlderVersionIsRead) {
 }
 
 TEST_F(MapFile, NamesWhatIsWrong) {
-  EXPECT_EQ(error_after("PRAGMA user_version = 9"), "is a map of version 9; this program reads 1 to 2");
+  EXPECT_EQ(error_after("PRAGMA user_version = 9"), "is a map of version 9; this program reads 1 to 3");
   EXPECT_EQ(error_after("INSERT INTO points VALUES(0, 0, 0, x'78')"), "points 0 is damaged");
   EXPECT_EQ(error_after("PRAGMA application_id = 9"), "is no map of semantic_topo_loop");
   EXPECT_EQ(error_after("DELETE FROM meta WHERE key = 'noise'"), "meta has no 'noise'");

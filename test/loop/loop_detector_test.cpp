@@ -761,5 +761,49 @@ TEST(PairRecord, ForgetsTheEarliestQueries) {
   EXPECT_EQ(record.find(13, 3), nullptr);
 }
 
+TEST(PairRecord, TellsWhatWasRefusedAndWhatIsNoMore) {
+  PairRecord record(4);
+  const auto decide = [&record](std::int64_t query, std::int64_t match, bool accepted) {
+    LoopClosure loop;
+    loop.query_keyframe_id = query;
+    loop.match_keyframe_id = match;
+    loop.accepted = accepted;
+    record.add({loop});
+  };
+  const auto told = [&record](bool whole) {
+    SubmapDelta delta;
+    delta.is_whole = whole;
+    record.take_delta(&delta);
+    std::string text = std::to_string(delta.first_query) + ":";
+    for (const LoopFigures& loop : delta.decided) {
+      text += " " + std::to_string(loop.query_keyframe_id) + "-" + std::to_string(loop.match_keyframe_id);
+      if (loop.accepted) text += "+";
+    }
+    return text;
+  };
+  EXPECT_EQ(told(true), "-1:");
+  decide(10, 2, false);
+  decide(10, 1, false);
+  decide(10, 3, true);
+  EXPECT_EQ(told(false), "10: 10-1 10-2") << "those that were accepted at once are the graph's to tell";
+  EXPECT_EQ(told(false), "10:");
+  decide(10, 2, true);
+  decide(11, 1, false);
+  EXPECT_EQ(told(false), "10: 10-2+ 11-1");
+  decide(10, 2, false);
+  EXPECT_EQ(told(false), "10:") << "once accepted is accepted";
+  EXPECT_EQ(told(true), "10: 10-1 11-1");
+  decide(10, 5, false);
+  EXPECT_EQ(told(false), "11:") << "the earliest query is forgotten with all that it was compared with";
+  LoopClosure loop;
+  loop.query_keyframe_id = 12;
+  loop.rms_m = std::nan("");
+  record.add({loop});
+  loop.rms_m = 0.0;
+  loop.T_match_query.q.coeffs().setZero();
+  record.add({loop});
+  EXPECT_EQ(told(false), "11:") << "no figures";
+}
+
 }  // namespace
 }  // namespace semantic_topo_loop::core

@@ -104,6 +104,7 @@ TEST_F(MapDatabaseTest, WhatIsWrittenBitByBitIsTheWholeMap) {
   expect_whole(path_, "at the end");
   EXPECT_GT(run.corrections(), 3) << "of the whole map, or nothing was rewritten";
   EXPECT_GT(run.merges(), 0);
+  EXPECT_GT(run.slam().map()->refused.size(), 0U);
   EXPECT_FALSE(std::filesystem::exists(path_ + "-wal")) << "it is one file then";
 }
 
@@ -198,7 +199,7 @@ TEST_F(MapDatabaseTest, PointsOfTheMapThatASessionGoesOnWithStay) {
   const auto whole = run.slam().map();
   const std::string old = directory_.path("old.db");
   ASSERT_EQ(write_map(old, *whole, *shared_coco()).message(), "");
-  SqliteFile(old, SqliteFile::Mode::kWrite).run("DROP TABLE points; PRAGMA user_version = 1");
+  SqliteFile(old, SqliteFile::Mode::kWrite).run("DROP TABLE points; DROP TABLE refused_loop; PRAGMA user_version = 1");
   for (const auto& [earlier, count] : {std::pair(path_, 3U), std::pair(old, 1U)}) {
     {
       ChainRun next(laps(), shared_coco(), {}, whole, 61);
@@ -212,6 +213,55 @@ TEST_F(MapDatabaseTest, PointsOfTheMapThatASessionGoesOnWithStay) {
     EXPECT_EQ(map->points[count / 2].keyframe_id, 1);
     EXPECT_EQ(map->left_out, 0U);
   }
+}
+
+TEST_F(MapDatabaseTest, WhatEarlierSessionsRefusedStays) {
+  ChainRun run(laps(), shared_coco());
+  while (run.slam().loop_detector().refused().empty()) run.next();
+  const auto whole = run.slam().map();
+  const LoopFigures& refused = whole->refused.front();
+  ASSERT_EQ(write_map(path_, *whole, *shared_coco()).message(), "");
+  ChainRun next(laps(), shared_coco(), {}, checked(read_map(path_, *shared_coco())), run.done());
+  MapDatabase in_place(path_, shared_coco(), {}, path_);
+  next.next();
+  in_place.write({next.slam().take_delta()});
+  EXPECT_EQ(in_place.close().message(), "");
+  const auto map = checked(read_map(path_, *shared_coco()));
+  ASSERT_FALSE(map->refused.empty());
+  EXPECT_EQ(map->refused.front().rms_m, refused.rms_m);
+  const LoopExplanation why = next.slam().loop_detector().explain(refused.query_keyframe_id, refused.match_keyframe_id);
+  EXPECT_EQ(why.status, PairStatus::kVerified);
+  EXPECT_NE(why.text.find(to_string(refused.reason)), std::string::npos) << why.text;
+}
+
+TEST_F(MapDatabaseTest, WhatIsAcceptedLaterOrForgottenIsNotRefusedInTheFile) {
+  ChainRun run(laps(), shared_coco());
+  for (int i = 0; i < 100; ++i) run.next();
+  const auto decided = [](std::int64_t query, std::int64_t match, bool accepted) {
+    LoopFigures loop;
+    loop.query_keyframe_id = query;
+    loop.match_keyframe_id = match;
+    loop.accepted = accepted;
+    return loop;
+  };
+  auto first = std::make_shared<MapDelta>(*run.slam().take_delta());
+  first->submaps->decided = {decided(3, 0, false), decided(5, 1, false), decided(5, 2, false), decided(6, 1, false)};
+  auto second = std::make_shared<MapDelta>();
+  second->submaps.emplace();
+  second->submaps->is_whole = false;
+  second->submaps->decided = {decided(5, 2, true)};
+  second->submaps->first_query = 4;
+  MapDatabase database(path_, shared_coco());
+  database.write({first});
+  wait_for(database);
+  EXPECT_EQ(checked(read_map(path_, *shared_coco()))->refused.size(), 4U);
+  database.write({second});
+  EXPECT_EQ(database.close().message(), "");
+  const auto map = checked(read_map(path_, *shared_coco()));
+  ASSERT_EQ(map->refused.size(), 2U);
+  EXPECT_EQ(map->refused[0].query_keyframe_id, 5);
+  EXPECT_EQ(map->refused[0].match_keyframe_id, 1);
+  EXPECT_EQ(map->refused[1].query_keyframe_id, 6);
 }
 
 TEST_F(MapDatabaseTest, PointsLieOnTheObjectsTheyAreDeepestIn) {

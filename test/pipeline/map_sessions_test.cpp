@@ -197,6 +197,26 @@ TEST(MapState, BoxesOfAnotherCameraKeepTheirRays) {
   EXPECT_EQ(map.objects.camera.fx, camera_fr2().fx);
 }
 
+TEST(MapState, RefusedLoopsOfAnotherMapAreBetweenItsKeyframes) {
+  MapState map;
+  map.graph.next_frame_id = 100;
+  map.graph.keyframes.emplace_back().pose.keyframe_id = 9;
+  MapState other = map;
+  LoopFigures& loop = other.refused.emplace_back();
+  loop.query_keyframe_id = 5;
+  loop.match_keyframe_id = 2;
+  loop.query_frame = loop.query_begin = loop.query_end = 50;
+  loop.match_frame = loop.match_begin = 20;
+  map.append(other);
+  ASSERT_EQ(map.refused.size(), 1U);
+  const LoopFigures& raised = map.refused[0];
+  EXPECT_EQ(raised.query_keyframe_id, 15);
+  EXPECT_EQ(raised.match_keyframe_id, 12);
+  for (const std::int64_t frame : {raised.query_frame, raised.query_begin, raised.query_end}) EXPECT_EQ(frame, 150);
+  for (const std::int64_t frame : {raised.match_frame, raised.match_begin}) EXPECT_EQ(frame, 120);
+  EXPECT_EQ(raised.match_end, -1) << "not known";
+}
+
 TEST_F(MapSessions, TwoMapsOfOnePlaceAreJoined) {
   const Recording recording = desk();
   RandomPoses random(6);

@@ -161,7 +161,7 @@ inline RunOutcome run(const LoopOptions& options, const RunSetup& setup,
                       const std::function<void(const LoopDetector&)>& at_end = {}) {
   LoopDetector detector(options, desk_classes());
   if (!setup.earlier_map.empty()) detector.set_earlier_map(setup.earlier_map);
-  if (!setup.restored.first.empty()) detector.restore(setup.restored.first, setup.restored.second);
+  if (!setup.restored.first.empty()) detector.restore(setup.restored.first, setup.restored.second, {});
   FrameBuilder builder(KeyframeOptions(), desk_camera());
   std::mt19937_64 random(7);
   RunOutcome outcome;

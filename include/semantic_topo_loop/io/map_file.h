@@ -15,7 +15,7 @@ struct MapState;
 /// leaves what was there.
 Status write_map(const std::string& path, const MapState& map, const ClassTable& classes);
 
-/// What is read of a map beside its graph.
+/// What is read of a map beside its graph; with the submaps what was refused between them.
 struct MapParts {
   bool objects = false, submaps = false, points = false;
 };

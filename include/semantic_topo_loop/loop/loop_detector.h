@@ -77,16 +77,21 @@ class LoopDetector {
   std::optional<Relocalisation> relocalisation() const;
   /// Goes on with the submaps of earlier sessions, poses in the map: loops into them are loops of one graph. Call it
   /// before the first frame.
-  /// @param keyframes of these sessions
-  void restore(std::vector<LocalMap> submaps, const std::vector<KeyframePose>& keyframes);
+  /// @param keyframes of these sessions   @param refused candidates of them, which `explain` knows
+  void restore(std::vector<LocalMap> submaps, const std::vector<KeyframePose>& keyframes,
+               const std::vector<LoopFigures>& refused);
   /// Graph mode: looks for the places of another map in the submaps kept so far.
   /// @return every candidate that reached verification, accepted or not
   std::vector<LoopClosure> detect(const std::vector<LocalMap>& queries);
   /// The submaps kept so far, poses in the odometry's world; those of earlier sessions in the map.
   std::vector<LocalMap> submaps() const;
+  /// The latest decision on each pair of keyframes whose candidate was refused, in order of query and match; of the
+  /// earlier run's submaps none. Bounded: those of the earliest queries are forgotten.
+  std::vector<LoopFigures> refused() const;
   /// While places are fixed, no submap is kept; loops into those that are there are found.
   void set_fixed(bool fixed);
-  /// What is new in them since the last call, or all there is. @param whole also if it was told before
+  /// What is new in them, and in what was refused, since the last call, or all there is. @param whole also if it was
+  /// told before
   SubmapDelta take_delta(bool whole);
 
  private:

@@ -6,6 +6,7 @@
 #include <vector>
 
 #include "semantic_topo_loop/types/box.h"
+#include "semantic_topo_loop/types/loop_closure.h"
 #include "semantic_topo_loop/types/transform.h"
 
 namespace semantic_topo_loop::core {
@@ -95,11 +96,13 @@ struct LocalMap {
   std::shared_ptr<const std::vector<Surfel>> surfels;  ///< local frame; null if no frame came with points
 };
 
-/// What is new in a collection of submaps.
+/// What is new in a collection of submaps, and in what was found between them.
 struct SubmapDelta {
   bool is_whole = true;                 ///< what is not in it is not kept
   std::vector<LocalMap> added;          ///< in order of frame_id
   std::vector<std::int64_t> forgotten;  ///< frame_ids
+  std::vector<LoopFigures> decided;     ///< candidates that were refused, or are accepted and were refused before
+  std::int64_t first_query = -1;        ///< the refused candidates of earlier query keyframes are forgotten
 };
 
 /// The submap in a unit of length of which `scale` make one of the old; boxes on the plane z = 1 do not depend on it.

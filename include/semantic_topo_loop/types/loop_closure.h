@@ -77,6 +77,9 @@ struct LoopFigures {
   void state_sigmas(const Mat6& covariance);
 };
 
+/// False if some figure is no number, or the pose no pose.
+bool is_finite(const LoopFigures& loop);
+
 /// A loop candidate with what it takes to close it.
 struct LoopClosure : LoopFigures {
   Mat6 covariance = Mat6::Identity();  ///< of T_match_query: (translation m, rotation rad), right
