@@ -1,4 +1,5 @@
 #include <Eigen/LU>
+#include <algorithm>
 #include <cmath>
 #include <cstdio>
 #include <iostream>
@@ -10,6 +11,7 @@
 #include <vector>
 
 #include "apps/program.h"
+#include "io/csv.h"
 #include "pipeline/map_changes.h"
 #include "pipeline/map_state.h"
 #include "semantic_topo_loop/io/map_file.h"
@@ -28,7 +30,7 @@ using namespace semantic_topo_loop::apps;
 using namespace semantic_topo_loop::core;
 
 struct Arguments {
-  std::string map, classes, objects, trajectory, graph, points, refused;
+  std::string map, classes, objects, trajectory, graph, points, refused, merges;
   bool dump = false;
 };
 
@@ -39,7 +41,7 @@ bool ends_with(const std::string& text, const std::string& end) {
 void print_counts(const MapState& map, const ClassTable& classes) {
   std::printf("integrity   ok");
   if (map.left_out > 0)
-    std::printf(", %zu boxes, submaps, points and loops newer than the graph left out", map.left_out);
+    std::printf(", %zu boxes, submaps, points, merges and loops newer than the graph left out", map.left_out);
   std::printf("\nsessions    %zu\n", map.graph.sessions.size());
   for (const Session& session : map.graph.sessions) {
     std::printf("            from keyframe %lld, stamps %s to %s\n", static_cast<long long>(session.first_keyframe_id),
@@ -66,6 +68,10 @@ void print_counts(const MapState& map, const ClassTable& classes) {
   std::printf("points      %zu sparse, %zu semi-dense, in %zu keyframes\n", sparse, semi_dense, map.points.size());
   std::printf("objects     %zu\n", map.objects.landmarks.size());
   for (const auto& [state, count] : states) std::printf("            %d %s\n", count, state.c_str());
+  const std::vector<LoggedMerge>& merges = map.objects.merges;
+  const auto undone = std::count_if(merges.begin(), merges.end(),
+                                    [](const LoggedMerge& merge) { return merge.undone_frame_id.has_value(); });
+  std::printf("merges      %zu, %td of them taken back\n", merges.size(), undone);
   std::printf("confirmed  ");
   for (const auto& [label, count] : labels) std::printf(" %d %s", count, label.c_str());
   std::printf("\n");
@@ -177,6 +183,17 @@ Status write_refused(const std::string& path, const MapState& map) {
   return write_text_file(path, table);
 }
 
+/// Which object went into which, and when.
+Status write_merges(const std::string& path, const MapState& map, const ClassTable& classes) {
+  std::string table = "number,merged_id,survivor_id,merged_label,merged_observations,frame,stamp,undone_frame\n";
+  for (const LoggedMerge& merge : map.objects.merges) {
+    table += csv_row(merge.number, merge.merge.merged_id, merge.merge.survivor_id, classes.name(merge.merged_class_id),
+                     merge.merged_observations, merge.frame_id, format_stamp(merge.stamp_ns),
+                     merge.undone_frame_id.value_or(-1));
+  }
+  return write_text_file(path, table);
+}
+
 /// All points, with the objects that they lie on.
 Status write_points(const std::string& path, const MapState& map) {
   PointMapOptions options;
@@ -191,8 +208,8 @@ Status run(const Arguments& arguments) {
   if (arguments.dump) return dump_map(arguments.map, std::cout);
   const Result<ClassTable> classes = read_class_table(arguments.classes);
   if (!classes) return classes.error();
-  for (const std::string& path :
-       {arguments.objects, arguments.trajectory, arguments.graph, arguments.points, arguments.refused}) {
+  for (const std::string& path : {arguments.objects, arguments.trajectory, arguments.graph, arguments.points,
+                                  arguments.refused, arguments.merges}) {
     if (!path.empty() && is_same_file(path, arguments.map)) return Error{path + ": would take the place of the map"};
   }
   const auto read = read_map(arguments.map, *classes);
@@ -206,6 +223,7 @@ Status run(const Arguments& arguments) {
   if (written && !arguments.graph.empty()) written = write_graph(arguments.graph, map);
   if (written && !arguments.points.empty()) written = write_points(arguments.points, map);
   if (written && !arguments.refused.empty()) written = write_refused(arguments.refused, map);
+  if (written && !arguments.merges.empty()) written = write_merges(arguments.merges, map, *classes);
   return written;
 }
 
@@ -215,7 +233,7 @@ int main(int argc, char** argv) {
   Arguments arguments;
   Command command{"",
                   "MAP.db [--objects FILE] [--trajectory FILE] [--graph FILE] [--points FILE] [--refused FILE] "
-                  "[--dump] [--classes YAML]",
+                  "[--merges FILE] [--dump] [--classes YAML]",
                   "Says what a map holds and whether it is whole, and takes parts of it out.\n",
                   [&arguments] { return run(arguments); },
                   [&arguments] {
@@ -241,6 +259,7 @@ int main(int argc, char** argv) {
               "file for the points, with the objects that they lie on")
       .option("refused", po::value(&arguments.refused),
               "file for the candidates that loop detection refused, with the columns of loops.csv")
+      .option("merges", po::value(&arguments.merges), "file for which object went into which, CSV")
       .option("dump", po::bool_switch(&arguments.dump), "prints every row, in order, and nothing else")
       .option("classes", po::value(&arguments.classes),
               "class table (default: config/classes_coco.yaml of the package)");

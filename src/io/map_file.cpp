@@ -158,6 +158,25 @@ std::vector<GraphKeyframe> read_keyframes(SqliteFile* file) {
   return keyframes;
 }
 
+std::vector<LoggedMerge> read_merges(SqliteFile* file) {
+  std::vector<LoggedMerge> merges;
+  SqliteStatement rows(file,
+                       "SELECT number, merged, survivor, class, observations, frame, stamp_ns, undone_frame FROM merge "
+                       "ORDER BY number");
+  while (rows.next()) {
+    LoggedMerge& merge = merges.emplace_back();
+    merge.number = rows.integer(0);
+    merge.merge = {rows.integer(1), rows.integer(2)};
+    merge.merged_class_id = static_cast<int>(rows.integer(3));
+    merge.merged_observations = static_cast<int>(rows.integer(4));
+    merge.frame_id = rows.integer(5);
+    merge.stamp_ns = rows.integer(6);
+    constexpr int kUndoneColumn = 7;
+    if (!rows.is_null(kUndoneColumn)) merge.undone_frame_id = rows.integer(kUndoneColumn);
+  }
+  return merges;
+}
+
 std::vector<PointsOfKeyframe> read_points(SqliteFile* file) {
   std::vector<PointsOfKeyframe> points;
   SqliteStatement rows(file, "SELECT keyframe, body FROM points ORDER BY keyframe");
@@ -267,6 +286,7 @@ void read_all(const ClassTable& classes, MapParts parts, SqliteFile* file, MapSt
   for (OdometryEdge& edge : map->graph.edges) know_what_was_missed(&edge);
   map->graph.loops = read_bodies<RememberedLoop>("loop", "number", file);
   if (parts.objects) map->objects.landmarks = read_objects(file);
+  if (parts.objects && version > 3) map->objects.merges = read_merges(file);
   if (parts.submaps) map->submaps = read_bodies<LocalMap>("submap", "frame", file);
   if (parts.points && version > 1) map->points = read_points(file);
   if (parts.submaps && version > 2) {
@@ -276,6 +296,10 @@ void read_all(const ClassTable& classes, MapParts parts, SqliteFile* file, MapSt
   map->left_out = leave_out_unplaced(map);
   require(check(*map), file);
   require(check_objects(map->objects.landmarks, classes), file);
+  for (const LoggedMerge& merge : map->objects.merges) {
+    if (classes.is_mappable(merge.merged_class_id)) continue;
+    file->reject("merge " + std::to_string(merge.number) + " has class " + std::to_string(merge.merged_class_id));
+  }
   if (!map->objects.landmarks.empty()) require(map->objects.camera.check(), file);
   for (std::size_t i = 0; i < map->submaps.size(); ++i) {
     if (const Status completed = complete(classes, &map->submaps[i]); !completed) {
@@ -296,6 +320,7 @@ Status write_map(const std::string& path, const MapState& map, const ClassTable&
     tables.write(map.graph);
     tables.write(map.objects.camera);
     for (const MappedLandmark& landmark : map.objects.landmarks) tables.write(landmark, landmark.observations, 0);
+    for (const LoggedMerge& merge : map.objects.merges) tables.write(merge);
     for (const LocalMap& submap : map.submaps) tables.write(submap);
     for (const PointsOfKeyframe& keyframe : map.points) tables.write(keyframe);
     for (const LoopFigures& loop : map.refused) tables.write_refused(loop);

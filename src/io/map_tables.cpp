@@ -26,6 +26,9 @@ CREATE TABLE observation(object INTEGER, number INTEGER, frame INTEGER NOT NULL,
   qx REAL NOT NULL, qy REAL NOT NULL, qz REAL NOT NULL, qw REAL NOT NULL,
   x1 REAL NOT NULL, y1 REAL NOT NULL, x2 REAL NOT NULL, y2 REAL NOT NULL, truncated INTEGER NOT NULL,
   near_m REAL NOT NULL, PRIMARY KEY(object, number)) WITHOUT ROWID;
+CREATE TABLE merge(number INTEGER PRIMARY KEY, merged INTEGER NOT NULL, survivor INTEGER NOT NULL,
+  class INTEGER NOT NULL, observations INTEGER NOT NULL, frame INTEGER NOT NULL, stamp_ns INTEGER NOT NULL,
+  undone_frame INTEGER);
 CREATE TABLE submap(frame INTEGER PRIMARY KEY, keyframe INTEGER NOT NULL, stamp_ns INTEGER NOT NULL,
   objects INTEGER NOT NULL, body BLOB NOT NULL);
 CREATE TABLE points(keyframe INTEGER PRIMARY KEY, sparse INTEGER NOT NULL, semi_dense INTEGER NOT NULL,
@@ -174,6 +177,16 @@ void MapTables::write(const LandmarkRecord& record, const std::vector<Observatio
   }
 }
 
+void MapTables::write(const LoggedMerge& merge) {
+  name_class(merge.merged_class_id);
+  SqliteStatement insert(file_, "INSERT OR REPLACE INTO merge VALUES(?, ?, ?, ?, ?, ?, ?, ?)");
+  insert << merge.number << merge.merge.merged_id << merge.merge.survivor_id;
+  insert << static_cast<std::int64_t>(merge.merged_class_id) << static_cast<std::int64_t>(merge.merged_observations);
+  insert << merge.frame_id << merge.stamp_ns;
+  if (merge.undone_frame_id) insert << *merge.undone_frame_id;
+  insert.run();
+}
+
 void MapTables::write(const LocalMap& submap) {
   for (const LocalObject& object : submap.objects) name_class(object.class_id);
   for (const LocalFrame& frame : submap.frames) {
@@ -201,7 +214,7 @@ void MapTables::write(const MapDelta& delta) {
   for (const PointsOfKeyframe& keyframe : delta.points) write(keyframe);
   if (delta.graph) write(*delta.graph);
   if (delta.objects) {
-    if (delta.objects->is_whole) file_->run("DELETE FROM object; DELETE FROM observation");
+    if (delta.objects->is_whole) file_->run("DELETE FROM object; DELETE FROM observation; DELETE FROM merge");
     write(delta.objects->camera);
     for (const char* sql : {"DELETE FROM object WHERE id = ?", "DELETE FROM observation WHERE object = ?"}) {
       SqliteStatement remove(file_, sql);
@@ -210,6 +223,8 @@ void MapTables::write(const MapDelta& delta) {
     for (const LandmarkDelta& landmark : delta.objects->changed) {
       write(landmark.record, landmark.observations, landmark.first);
     }
+    (SqliteStatement(file_, "DELETE FROM merge WHERE number < ?") << delta.objects->first_merge).run();
+    for (const LoggedMerge& merge : delta.objects->merges) write(merge);
   }
   if (!delta.submaps) return;
   if (delta.submaps->is_whole) file_->run("DELETE FROM submap; DELETE FROM refused_loop");

@@ -14,8 +14,8 @@
 namespace semantic_topo_loop::core {
 
 constexpr std::int64_t kMapApplicationId = 0x53544c6d;  ///< "STLm"
-/// 2: points; 3: refused_loop. Of earlier versions all is read.
-constexpr std::int64_t kMapVersion = 3;
+/// 2: points; 3: refused_loop; 4: merge. Of earlier versions all is read.
+constexpr std::int64_t kMapVersion = 4;
 
 /// Makes the empty tables of a map (docs/files.md).
 void create_map_tables(SqliteFile* file);
@@ -32,6 +32,7 @@ class MapTables {
   void write(const Camera& camera);
   /// @param first number of the first of the observations; what there is from it on is replaced
   void write(const LandmarkRecord& record, const std::vector<Observation>& observations, std::size_t first);
+  void write(const LoggedMerge& merge);
   void write(const LocalMap& submap);
   void write_refused(const LoopFigures& loop);
   void write(const PointsOfKeyframe& keyframe);

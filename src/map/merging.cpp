@@ -112,6 +112,56 @@ bool DuplicateTest::may_be_pieces(const Landmark& a, const Landmark& b) const {
   return (a.ellipsoid->center() - b.ellipsoid->center()).norm() < a.ellipsoid->radius() + b.ellipsoid->radius();
 }
 
+void MergeLog::add(LoggedMerge merge) {
+  merge.number = merges_.empty() ? 0 : merges_.rbegin()->first + 1;
+  news_.insert(merge.number);
+  merges_.emplace(merge.number, merge);
+  forget_first();
+}
+
+void MergeLog::take_back(const LandmarkMerge& merge, std::int64_t frame_id) {
+  const auto made = std::find_if(merges_.rbegin(), merges_.rend(), [&merge](const auto& entry) {
+    const LoggedMerge& logged = entry.second;
+    return !logged.undone_frame_id && logged.merge.merged_id == merge.merged_id &&
+           logged.merge.survivor_id == merge.survivor_id;
+  });
+  if (made == merges_.rend()) return;
+  made->second.undone_frame_id = frame_id;
+  news_.insert(made->first);
+}
+
+void MergeLog::restore(const std::vector<LoggedMerge>& merges) {
+  for (const LoggedMerge& merge : merges) {
+    merges_[merge.number] = merge;
+    news_.insert(merge.number);
+  }
+  forget_first();
+}
+
+std::vector<LoggedMerge> MergeLog::merges() const {
+  std::vector<LoggedMerge> merges;
+  merges.reserve(merges_.size());
+  for (const auto& [number, merge] : merges_) merges.push_back(merge);
+  return merges;
+}
+
+void MergeLog::take_delta(MapperDelta* delta) {
+  if (delta->is_whole) {
+    delta->merges = merges();
+  } else {
+    for (const std::int64_t number : news_) delta->merges.push_back(merges_.at(number));
+  }
+  news_.clear();
+  if (!merges_.empty()) delta->first_merge = merges_.begin()->first;
+}
+
+void MergeLog::forget_first() {
+  while (merges_.size() > capacity_) {
+    news_.erase(merges_.begin()->first);
+    merges_.erase(merges_.begin());
+  }
+}
+
 std::optional<Ellipsoid> MergeHistory::place(const KeyframePlaces& S_map_keyframe, const Remains& remains) {
   const Landmark& state = remains.landmark.state;
   const auto anchor = S_map_keyframe.find(state.anchor_keyframe_id);

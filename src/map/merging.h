@@ -1,10 +1,14 @@
 #pragma once
 
+#include <cstddef>
+#include <cstdint>
 #include <map>
 #include <optional>
+#include <set>
 #include <vector>
 
 #include "map/mapped_landmark.h"
+#include "map/mapper_state.h"
 #include "semantic_topo_loop/map/mapper_options.h"
 #include "semantic_topo_loop/types/class_table.h"
 
@@ -43,6 +47,28 @@ struct MergeRecord {
   LandmarkMerge merge;
   Remains merged, survivor;
   std::vector<std::int64_t> sources;  ///< observations of these belong to the merged one
+};
+
+/// The merges of this session and earlier ones, also those that were taken back: what the map's file keeps of how its
+/// objects came about. Bounded: the first are forgotten.
+class MergeLog {
+ public:
+  explicit MergeLog(std::size_t capacity = 20'000) : capacity_(capacity) {}  // some 2 MB
+  /// @param merge whose number follows from the last one's
+  void add(LoggedMerge merge);
+  /// Notes that the last such merge that is in force is no more.
+  void take_back(const LandmarkMerge& merge, std::int64_t frame_id);
+  void restore(const std::vector<LoggedMerge>& merges);
+  std::vector<LoggedMerge> merges() const;
+  /// Fills what is new in them since the last call, or all there is if the delta is whole.
+  void take_delta(MapperDelta* delta);
+
+ private:
+  void forget_first();
+
+  std::size_t capacity_;
+  std::map<std::int64_t, LoggedMerge> merges_;  ///< by number
+  std::set<std::int64_t> news_;                 ///< of `merges_`: what take_delta has not told of
 };
 
 /// The merges that were made, so that they can be taken back.

@@ -132,6 +132,7 @@ struct QuadricMapper::Impl {
     MapperState state;
     state.camera = camera_;
     for (const auto& [id, landmark] : landmarks_) state.landmarks.push_back(landmark);
+    state.merges = merge_log_.merges();
     return state;
   }
 
@@ -155,12 +156,14 @@ struct QuadricMapper::Impl {
       if (is_gone && !delta.is_whole) delta.removed.push_back(it->first);
       it = is_gone ? told_.erase(it) : std::next(it);
     }
+    merge_log_.take_delta(&delta);
     return delta;
   }
 
   MapUpdate restore(MapperState state, const std::vector<KeyframePose>& keyframes, const SE3& T_map_odom) {
     MapUpdate update = begin_update(-1, MapUpdatePhase::kCorrection);
     camera_ = state.camera;
+    merge_log_.restore(state.merges);
     T_map_odom_ = T_map_odom;
     for (const KeyframePose& keyframe : keyframes) {
       T_odom_keyframe_[keyframe.keyframe_id] = keyframe.T_map_camera;
@@ -447,6 +450,14 @@ struct QuadricMapper::Impl {
 
   void merge(std::int64_t survivor_id, std::int64_t merged_id, MapUpdate* update) {
     MappedLandmark& survivor = landmarks_.at(survivor_id);
+    const Landmark& merged = landmarks_.at(merged_id).state;
+    merge_log_.add({0,
+                    {merged_id, survivor_id},
+                    merged.class_id,
+                    merged.observations,
+                    update->frame_id,
+                    last_stamp_ns_.value_or(survivor.last_stamp_ns),
+                    std::nullopt});
     merges_.join(S_map_keyframe_, std::move(landmarks_.at(merged_id)), &survivor);
     landmarks_.erase(merged_id);
     for (const std::int64_t id : {merged_id, survivor_id}) note_rewritten(id);
@@ -470,6 +481,7 @@ struct QuadricMapper::Impl {
       const LandmarkMerge merge = record.merge;
       landmarks_[merge.merged_id] = merges_.split(S_map_keyframe_, i, &holder->second);
       update->unmerged.push_back(merge);
+      merge_log_.take_back(merge, update->frame_id);
       for (const std::int64_t id : {merge.merged_id, merge.survivor_id}) note_rewritten(id);
       changed_.insert({merge.merged_id, merge.survivor_id});
       // They were fitted in the map that has just been corrected.
@@ -530,6 +542,7 @@ struct QuadricMapper::Impl {
   std::map<std::int64_t, SE3> T_odom_keyframe_;
   std::map<std::int64_t, MappedLandmark> landmarks_;
   MergeHistory merges_;
+  MergeLog merge_log_;
   ViewSource views_;
   LandmarkFitter fitter_;
   DuplicateTest duplicates_;

@@ -109,6 +109,14 @@ void MapState::append(MapState other) {
     raise_ids(frames, keyframes, landmarks, &landmark);
     objects.landmarks.push_back(std::move(landmark));
   }
+  const std::int64_t merges = objects.merges.empty() ? 0 : objects.merges.back().number + 1;
+  for (LoggedMerge& merge : other.objects.merges) {
+    merge.number += merges;
+    for (std::int64_t* id : {&merge.merge.merged_id, &merge.merge.survivor_id}) raise(landmarks, id);
+    raise(frames, &merge.frame_id);
+    if (merge.undone_frame_id) raise(frames, &*merge.undone_frame_id);
+    objects.merges.push_back(merge);
+  }
   for (LocalMap& submap : other.submaps) {
     raise_ids(frames, keyframes, landmarks, &submap);
     submaps.push_back(std::move(submap));
@@ -187,6 +195,12 @@ std::size_t leave_out_unplaced(MapState* map) {
   landmarks.erase(std::remove_if(landmarks.begin(), landmarks.end(),
                                  [](const MappedLandmark& landmark) { return landmark.observations.empty(); }),
                   landmarks.end());
+  std::vector<LoggedMerge>& merges = map->objects.merges;
+  const auto made = std::remove_if(merges.begin(), merges.end(), [map](const LoggedMerge& merge) {
+    return merge.frame_id >= map->graph.next_frame_id;
+  });
+  left_out += static_cast<std::size_t>(merges.end() - made);
+  merges.erase(made, merges.end());
   std::vector<LocalMap> placed;
   for (LocalMap& submap : map->submaps) {
     const auto place = places.find(submap.keyframe_id);

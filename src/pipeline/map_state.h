@@ -64,7 +64,7 @@ std::vector<std::int64_t> objects_under(const MapPoints& points, const MapState&
 
 /// Leaves out what hangs on keyframes that the graph does not have: what came after the graph was saved last, or while
 /// its stage did not keep up. Submaps are put where their keyframes are.
-/// @return how many boxes, submaps, keyframes' points and refused loops were left out
+/// @return how many boxes, submaps, keyframes' points, merges and refused loops were left out
 std::size_t leave_out_unplaced(MapState* map);
 
 /// @return an error that names what does not fit together

@@ -289,6 +289,9 @@ TEST_F(InspectMapProgram, CountsAndExports) {
   EXPECT_GT(graph.edges.size(), keyframes);  // loops, too
   ASSERT_EQ(run("@map.db --objects @o.csv" + classes_), 0) << err_;
   EXPECT_EQ(checked(read_objects(directory_.path("o.csv"))).size(), objects.size());
+  ASSERT_EQ(run("@map.db --merges @m.csv" + classes_), 0) << err_;
+  EXPECT_NE(out_.find("merges      "), std::string::npos) << out_;
+  EXPECT_EQ(read_whole(directory_.path("m.csv")).find("number,merged_id,survivor_id,"), 0U);
   ASSERT_EQ(run("@map.db --refused @r.csv" + classes_), 0) << err_;
   const std::vector<LoopFigures>& refused = checked(read_map(directory_.path("map.db"), coco()))->refused;
   ASSERT_FALSE(refused.empty());

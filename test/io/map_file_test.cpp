@@ -166,6 +166,30 @@ TEST_F(MapFile, KeepsPointsToTheMillimetre) {
   EXPECT_EQ(checked(read_map(path_, *shared_coco()))->left_out, 1U) << "of a keyframe that the graph does not have";
 }
 
+TEST_F(MapFile, KeepsWhichObjectsWereMerged) {
+  MapState map = desk();
+  map.objects.merges = {{3, {8, 2}, 41, 12, 100, 5'000'000'001, std::nullopt},
+                        {4, {9, 2}, 41, 7, 110, 5'000'000'002, 120},
+                        {5, {9, 2}, 41, 7, 301, 5'000'000'003, std::nullopt}};
+  ASSERT_EQ(write_map(path_, map, *shared_coco()).message(), "");
+  const auto read = checked(read_map(path_, *shared_coco()));
+  EXPECT_EQ(read->left_out, 1U) << "newer than the graph";
+  ASSERT_EQ(read->objects.merges.size(), 2U);
+  const LoggedMerge& merge = read->objects.merges[1];
+  EXPECT_EQ(merge.number, 4);
+  EXPECT_EQ(merge.merge.merged_id, 9);
+  EXPECT_EQ(merge.merge.survivor_id, 2);
+  EXPECT_EQ(merge.merged_class_id, 41);
+  EXPECT_EQ(merge.merged_observations, 7);
+  EXPECT_EQ(merge.frame_id, 110);
+  EXPECT_EQ(merge.stamp_ns, 5'000'000'002);
+  EXPECT_EQ(merge.undone_frame_id, std::optional<std::int64_t>(120));
+  EXPECT_FALSE(read->objects.merges[0].undone_frame_id.has_value());
+  EXPECT_NE(dump_of(path_).find("merge 3 8 2 41 12 100 5000000001 \n"), std::string::npos);
+  SqliteFile(path_, SqliteFile::Mode::kWrite).run("UPDATE merge SET class = 9999 WHERE number = 4");
+  EXPECT_EQ(error(), "merge 4 has class 9999");
+}
+
 /// A candidate that loop detection refused.
 LoopFigures refused_between(std::int64_t query, std::int64_t match) {
   LoopFigures loop;
@@ -202,9 +226,12 @@ TEST_F(MapFile, KeepsWhatLoopDetectionRefused) {
 }
 
 TEST_F(MapFile, OfAnOlderVersionIsRead) {
-  change("DROP TABLE refused_loop; PRAGMA user_version = 2");
-  EXPECT_EQ(checked(read_map(path_, *shared_coco()))->graph.keyframes.size(), desk().graph.keyframes.size());
-  change("DROP TABLE points; DROP TABLE refused_loop; PRAGMA user_version = 1");
+  const std::string of_3 = "DROP TABLE merge; ", of_2 = of_3 + "DROP TABLE refused_loop; ";
+  for (const std::string& changes : {of_3 + "PRAGMA user_version = 3", of_2 + "PRAGMA user_version = 2"}) {
+    change(changes);
+    EXPECT_EQ(checked(read_map(path_, *shared_coco()))->graph.keyframes.size(), desk().graph.keyframes.size());
+  }
+  change(of_2 + "DROP TABLE points; PRAGMA user_version = 1");
   const auto read = read_map(path_, *shared_coco());
   ASSERT_TRUE(read) << read.message();
   EXPECT_EQ((*read)->graph.keyframes.size(), desk().graph.keyframes.size());
@@ -216,7 +243,7 @@ TEST_F(MapFile, OfAnOlderVersionIsRead) {
 }
 
 TEST_F(MapFile, NamesWhatIsWrong) {
-  EXPECT_EQ(error_after("PRAGMA user_version = 9"), "is a map of version 9; this program reads 1 to 3");
+  EXPECT_EQ(error_after("PRAGMA user_version = 9"), "is a map of version 9; this program reads 1 to 4");
   EXPECT_EQ(error_after("INSERT INTO points VALUES(0, 0, 0, x'78')"), "points 0 is damaged");
   EXPECT_EQ(error_after("PRAGMA application_id = 9"), "is no map of semantic_topo_loop");
   EXPECT_EQ(error_after("DELETE FROM meta WHERE key = 'noise'"), "meta has no 'noise'");

@@ -655,6 +655,57 @@ TEST_F(MapperTest, AMergeUndoneTakesNoBoxesOfAnEarlierSession) {
   ASSERT_EQ(state.landmarks.size(), 2U);
   EXPECT_EQ(state.landmarks[0].observations.size(), 120U);
   EXPECT_EQ(state.landmarks[1].observations.size(), 60U);
+  ASSERT_EQ(state.merges.size(), 2U) << "of both sessions, and what was taken back";
+  for (const LoggedMerge& merge : state.merges) {
+    EXPECT_EQ(merge.merge.merged_id, 1);
+    EXPECT_EQ(merge.merge.survivor_id, 0);
+    EXPECT_EQ(merge.merged_class_id, 41);
+    EXPECT_EQ(merge.merged_observations, 60);
+  }
+  EXPECT_EQ(state.merges[0].number, 0);
+  EXPECT_EQ(state.merges[0].frame_id, 120);
+  EXPECT_EQ(state.merges[0].stamp_ns, 119LL * 33333333);
+  EXPECT_FALSE(state.merges[0].undone_frame_id.has_value());
+  EXPECT_EQ(state.merges[1].number, 1);
+  EXPECT_EQ(state.merges[1].undone_frame_id, std::optional<std::int64_t>(next_frame_));
+}
+
+TEST(MergeLog, TellsWhatIsNewAndForgetsTheFirst) {
+  MergeLog log(3);
+  const auto told = [&log](bool whole) {
+    MapperDelta delta;
+    delta.is_whole = whole;
+    log.take_delta(&delta);
+    std::string text = std::to_string(delta.first_merge) + ":";
+    for (const LoggedMerge& merge : delta.merges) {
+      text += " " + std::to_string(merge.number) + (merge.undone_frame_id ? "-" : "");
+    }
+    return text;
+  };
+  const auto add = [&log](std::int64_t merged_id) {
+    LoggedMerge merge;
+    merge.merge = {merged_id, 0};
+    log.add(merge);
+  };
+  EXPECT_EQ(told(true), "0:");
+  add(5);
+  add(6);
+  EXPECT_EQ(told(false), "0: 0 1");
+  log.take_back({5, 0}, 70);
+  add(5);
+  EXPECT_EQ(told(false), "0: 0- 2") << "they may merge again";
+  log.take_back({9, 0}, 71);
+  EXPECT_EQ(told(false), "0:");
+  log.take_back({5, 0}, 72);
+  add(7);
+  EXPECT_EQ(told(false), "1: 2- 3");
+  EXPECT_EQ(told(true), "1: 1 2- 3");
+  EXPECT_EQ(log.merges()[1].undone_frame_id, std::optional<std::int64_t>(72));
+  MergeLog later(3);
+  later.restore(log.merges());
+  later.add({});
+  EXPECT_EQ(later.merges().back().number, 4) << "goes on";
+  EXPECT_EQ(later.merges().size(), 3U);
 }
 
 /// A landmark is given up with what its neighbours know of it: as its own neighbour it would be read while it goes.

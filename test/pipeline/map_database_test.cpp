@@ -105,6 +105,7 @@ TEST_F(MapDatabaseTest, WhatIsWrittenBitByBitIsTheWholeMap) {
   EXPECT_GT(run.corrections(), 3) << "of the whole map, or nothing was rewritten";
   EXPECT_GT(run.merges(), 0);
   EXPECT_GT(run.slam().map()->refused.size(), 0U);
+  EXPECT_EQ(checked(read_map(path_, *shared_coco()))->objects.merges.size(), run.merges());
   EXPECT_FALSE(std::filesystem::exists(path_ + "-wal")) << "it is one file then";
 }
 
@@ -199,7 +200,8 @@ TEST_F(MapDatabaseTest, PointsOfTheMapThatASessionGoesOnWithStay) {
   const auto whole = run.slam().map();
   const std::string old = directory_.path("old.db");
   ASSERT_EQ(write_map(old, *whole, *shared_coco()).message(), "");
-  SqliteFile(old, SqliteFile::Mode::kWrite).run("DROP TABLE points; DROP TABLE refused_loop; PRAGMA user_version = 1");
+  SqliteFile(old, SqliteFile::Mode::kWrite)
+      .run("DROP TABLE points; DROP TABLE refused_loop; DROP TABLE merge; PRAGMA user_version = 1");
   for (const auto& [earlier, count] : {std::pair(path_, 3U), std::pair(old, 1U)}) {
     {
       ChainRun next(laps(), shared_coco(), {}, whole, 61);

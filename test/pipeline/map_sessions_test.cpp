@@ -217,6 +217,21 @@ TEST(MapState, RefusedLoopsOfAnotherMapAreBetweenItsKeyframes) {
   EXPECT_EQ(raised.match_end, -1) << "not known";
 }
 
+TEST(MapState, MergesOfAnotherMapFollow) {
+  MapState map;
+  map.graph.next_frame_id = 100;
+  map.objects.landmarks.emplace_back().state.id = 9;
+  map.objects.merges = {{6, {8, 2}, 41, 12, 50, 0, 60}};
+  map.append(MapState(map));
+  ASSERT_EQ(map.objects.merges.size(), 2U);
+  const LoggedMerge& raised = map.objects.merges[1];
+  EXPECT_EQ(raised.number, 13);
+  EXPECT_EQ(raised.merge.merged_id, 18);
+  EXPECT_EQ(raised.merge.survivor_id, 12);
+  EXPECT_EQ(raised.frame_id, 150);
+  EXPECT_EQ(raised.undone_frame_id, std::optional<std::int64_t>(160));
+}
+
 TEST_F(MapSessions, TwoMapsOfOnePlaceAreJoined) {
   const Recording recording = desk();
   RandomPoses random(6);
