@@ -30,7 +30,7 @@ using namespace semantic_topo_loop::apps;
 using namespace semantic_topo_loop::core;
 
 struct Arguments {
-  std::string map, classes, objects, trajectory, graph, points, refused, merges;
+  std::string map, classes, objects, trajectory, graph, points, refused, merges, live;
   bool dump = false;
 };
 
@@ -143,9 +143,13 @@ Status write_objects(const std::string& path, const MapState& map, const ClassTa
 }
 
 /// Every keyframe, in order of the sessions, whose stamps may overlap.
-Status write_trajectory(const std::string& path, const MapState& map) {
+/// @param live as they were told when they were made, those of which it is known
+Status write_trajectory(const std::string& path, const MapState& map, bool live) {
   StampedPoses poses;
-  for (const KeyframePose& pose : map.keyframe_poses()) poses.push_back({pose.stamp_ns, pose.T_map_camera});
+  for (const GraphKeyframe& keyframe : map.graph.keyframes) {
+    if (live && !keyframe.T_map_live) continue;
+    poses.push_back({keyframe.pose.stamp_ns, live ? *keyframe.T_map_live : keyframe.pose.T_map_camera});
+  }
   return write_tum_trajectory(path, poses);
 }
 
@@ -208,8 +212,8 @@ Status run(const Arguments& arguments) {
   if (arguments.dump) return dump_map(arguments.map, std::cout);
   const Result<ClassTable> classes = read_class_table(arguments.classes);
   if (!classes) return classes.error();
-  for (const std::string& path : {arguments.objects, arguments.trajectory, arguments.graph, arguments.points,
-                                  arguments.refused, arguments.merges}) {
+  for (const std::string& path : {arguments.objects, arguments.trajectory, arguments.live, arguments.graph,
+                                  arguments.points, arguments.refused, arguments.merges}) {
     if (!path.empty() && is_same_file(path, arguments.map)) return Error{path + ": would take the place of the map"};
   }
   const auto read = read_map(arguments.map, *classes);
@@ -219,7 +223,8 @@ Status run(const Arguments& arguments) {
   if (map.graph.sessions.size() > 1) print_changes(map, *classes);
   Status written;
   if (!arguments.objects.empty()) written = write_objects(arguments.objects, map, *classes);
-  if (written && !arguments.trajectory.empty()) written = write_trajectory(arguments.trajectory, map);
+  if (written && !arguments.trajectory.empty()) written = write_trajectory(arguments.trajectory, map, false);
+  if (written && !arguments.live.empty()) written = write_trajectory(arguments.live, map, true);
   if (written && !arguments.graph.empty()) written = write_graph(arguments.graph, map);
   if (written && !arguments.points.empty()) written = write_points(arguments.points, map);
   if (written && !arguments.refused.empty()) written = write_refused(arguments.refused, map);
@@ -232,8 +237,8 @@ Status run(const Arguments& arguments) {
 int main(int argc, char** argv) {
   Arguments arguments;
   Command command{"",
-                  "MAP.db [--objects FILE] [--trajectory FILE] [--graph FILE] [--points FILE] [--refused FILE] "
-                  "[--merges FILE] [--dump] [--classes YAML]",
+                  "MAP.db [--objects FILE] [--trajectory FILE] [--live FILE] [--graph FILE] [--points FILE] "
+                  "[--refused FILE] [--merges FILE] [--dump] [--classes YAML]",
                   "Says what a map holds and whether it is whole, and takes parts of it out.\n",
                   [&arguments] { return run(arguments); },
                   [&arguments] {
@@ -254,6 +259,8 @@ int main(int argc, char** argv) {
               "file for the objects: the columns of objects.csv, or these and how often each class was seen")
       .option("trajectory", po::value(&arguments.trajectory),
               "file for the keyframes of all sessions, TUM format, in the map")
+      .option("live", po::value(&arguments.live),
+              "file for the same as they were told when they were made, before later corrections")
       .option("graph", po::value(&arguments.graph), "file for the pose graph, g2o")
       .option("points", checked("a path that ends in .ply or .pcd", take_points),
               "file for the points, with the objects that they lie on")

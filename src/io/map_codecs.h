@@ -205,7 +205,7 @@ VISIT_MEMBERS(LocalMap, MEMBER(keyframe_id) MEMBER(frame_id) MEMBER(stamp_ns) ME
                                 MEMBER(check_frames) MEMBER(objects) MEMBER(surfels))
 
 VISIT_MEMBERS(KeyframePose, MEMBER(keyframe_id) MEMBER(frame_id) MEMBER(stamp_ns) MEMBER(T_map_camera) MEMBER(scale))
-VISIT_MEMBERS(GraphKeyframe, MEMBER(pose) MEMBER(T_vertex_keyframe))
+VISIT_MEMBERS(GraphKeyframe, MEMBER(pose) MEMBER(T_vertex_keyframe) MEMBER(T_map_live))
 VISIT_MEMBERS(Session, MEMBER(first_keyframe_id) MEMBER(begin_ns) MEMBER(end_ns))
 VISIT_MEMBERS(GraphState, MEMBER(sessions) MEMBER(next_frame_id) MEMBER(keyframes) MEMBER(edges) MEMBER(loops)
                               MEMBER(accepted_loops) MEMBER(noise) MEMBER(loose_factor))

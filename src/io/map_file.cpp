@@ -88,6 +88,11 @@ SE3 read_pose(const SqliteStatement& row, int column) {
   return {Quaternion(w, x, y, z), t};
 }
 
+bool is_place(const SE3& T) {
+  constexpr double kFarthest_m = 1e100;  // beyond, products are no numbers any more
+  return T.is_finite() && is_rotation(T.q) && T.t.norm() < kFarthest_m;
+}
+
 Status check_truncation(std::int64_t truncated) {
   constexpr std::int64_t kAllSides = kLeft | kTop | kRight | kBottom;
   if (truncated >= 0 && truncated <= kAllSides) return {};
@@ -133,11 +138,12 @@ std::vector<MappedLandmark> read_objects(SqliteFile* file) {
   return landmarks;
 }
 
-std::vector<GraphKeyframe> read_keyframes(SqliteFile* file) {
+std::vector<GraphKeyframe> read_keyframes(bool has_live, SqliteFile* file) {
   std::vector<GraphKeyframe> keyframes;
   SqliteStatement rows(file,
-                       "SELECT id, frame, stamp_ns, x, y, z, qx, qy, qz, qw, scale, vertex_from_keyframe FROM keyframe "
-                       "ORDER BY id");
+                       std::string("SELECT id, frame, stamp_ns, x, y, z, qx, qy, qz, qw, scale, vertex_from_keyframe") +
+                           (has_live ? ", live_x, live_y, live_z, live_qx, live_qy, live_qz, live_qw" : "") +
+                           " FROM keyframe ORDER BY id");
   while (rows.next()) {
     GraphKeyframe& keyframe = keyframes.emplace_back();
     KeyframePose& pose = keyframe.pose;
@@ -146,11 +152,12 @@ std::vector<GraphKeyframe> read_keyframes(SqliteFile* file) {
     pose.stamp_ns = rows.integer(2);
     pose.T_map_camera = read_pose(rows, 3);
     pose.scale = rows.number(10);
-    constexpr double kFarthest_m = 1e100;  // beyond, products are no numbers any more
-    const bool is_fine = pose.T_map_camera.is_finite() && is_rotation(pose.T_map_camera.q) &&
-                         pose.T_map_camera.t.norm() < kFarthest_m && pose.scale > 0.0;
-    if (!is_fine) file->reject(row_name("keyframe", rows) + " has no pose");
-    constexpr int kVertexColumn = 11;
+    if (!is_place(pose.T_map_camera) || !(pose.scale > 0.0)) file->reject(row_name("keyframe", rows) + " has no pose");
+    constexpr int kVertexColumn = 11, kLiveColumn = 12;
+    if (has_live && !rows.is_null(kLiveColumn)) {
+      keyframe.T_map_live = read_pose(rows, kLiveColumn);
+      if (!is_place(*keyframe.T_map_live)) file->reject(row_name("keyframe", rows) + " has no live pose");
+    }
     if (rows.is_null(kVertexColumn)) continue;
     unpack(file, row_name("keyframe", rows) + " vertex_from_keyframe", rows.bytes(kVertexColumn),
            &keyframe.T_vertex_keyframe.emplace());
@@ -281,7 +288,7 @@ void read_all(const ClassTable& classes, MapParts parts, SqliteFile* file, MapSt
   while (sessions.next()) {
     map->graph.sessions.push_back({sessions.integer(0), sessions.integer(1), sessions.integer(2)});
   }
-  map->graph.keyframes = read_keyframes(file);
+  map->graph.keyframes = read_keyframes(version > 4, file);
   map->graph.edges = read_bodies<OdometryEdge>("edge", "number", file);
   for (OdometryEdge& edge : map->graph.edges) know_what_was_missed(&edge);
   map->graph.loops = read_bodies<RememberedLoop>("loop", "number", file);

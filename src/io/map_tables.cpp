@@ -1,5 +1,6 @@
 #include "io/map_tables.h"
 
+#include <optional>
 #include <utility>
 
 #include "io/compression.h"
@@ -15,7 +16,8 @@ CREATE TABLE class(id INTEGER PRIMARY KEY, name TEXT NOT NULL);
 CREATE TABLE keyframe(id INTEGER PRIMARY KEY, frame INTEGER NOT NULL, stamp_ns INTEGER NOT NULL,
   x REAL NOT NULL, y REAL NOT NULL, z REAL NOT NULL,
   qx REAL NOT NULL, qy REAL NOT NULL, qz REAL NOT NULL, qw REAL NOT NULL, scale REAL NOT NULL,
-  vertex_from_keyframe BLOB);
+  vertex_from_keyframe BLOB,
+  live_x REAL, live_y REAL, live_z REAL, live_qx REAL, live_qy REAL, live_qz REAL, live_qw REAL);
 CREATE TABLE edge(number INTEGER PRIMARY KEY, body BLOB NOT NULL);
 CREATE TABLE loop(number INTEGER PRIMARY KEY, query INTEGER NOT NULL, match INTEGER NOT NULL, kept INTEGER NOT NULL,
   reason TEXT NOT NULL, body BLOB NOT NULL);
@@ -66,7 +68,10 @@ std::string bytes_of(const GraphKeyframe& keyframe) {
     for (int i = 0; i < 4; ++i) bytes += bytes_of(T.q.coeffs()(i));
   };
   append(pose.T_map_camera);
-  if (keyframe.T_vertex_keyframe) append(*keyframe.T_vertex_keyframe);
+  for (const std::optional<SE3>& T : {keyframe.T_vertex_keyframe, keyframe.T_map_live}) {
+    bytes += bytes_of(T.has_value());
+    if (T) append(*T);
+  }
   return bytes;
 }
 
@@ -116,12 +121,18 @@ void MapTables::write(const GraphState& graph) {
   for (const Session& session : graph.sessions) {
     (sessions << session.first_keyframe_id << session.begin_ns << session.end_ns).run();
   }
-  SqliteStatement keyframes(file_, "INSERT OR REPLACE INTO keyframe VALUES(?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?)");
+  SqliteStatement keyframes(
+      file_, "INSERT OR REPLACE INTO keyframe VALUES(?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?)");
   for (const GraphKeyframe& keyframe : graph.keyframes) {
     const KeyframePose& pose = keyframe.pose;
     if (!keyframes_.take(pose.keyframe_id, bytes_of(keyframe))) continue;
     keyframes << pose.keyframe_id << pose.frame_id << pose.stamp_ns << pose.T_map_camera << pose.scale;
-    if (keyframe.T_vertex_keyframe) keyframes.blob(packed(*keyframe.T_vertex_keyframe));
+    if (keyframe.T_vertex_keyframe) {
+      keyframes.blob(packed(*keyframe.T_vertex_keyframe));
+    } else {
+      keyframes << nullptr;
+    }
+    if (keyframe.T_map_live) keyframes << *keyframe.T_map_live;
     keyframes.run();
   }
   finish("keyframe", "id", &keyframes_);

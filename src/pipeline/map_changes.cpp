@@ -105,7 +105,8 @@ class Looks {
     std::map<std::int64_t, int> looks;
     Frame frame;
     frame.camera = map_.objects.camera;
-    for (const auto& [pose, T_vertex_keyframe] : map_.graph.keyframes) {
+    for (const GraphKeyframe& keyframe : map_.graph.keyframes) {
+      const KeyframePose& pose = keyframe.pose;
       if (pose.keyframe_id < begin) continue;
       if (pose.keyframe_id >= end) break;
       for (const ExpectedLandmark& expected :

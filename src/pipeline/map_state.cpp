@@ -68,6 +68,7 @@ void raise_ids(std::int64_t frames, std::int64_t keyframes, std::int64_t landmar
 void move(const SE3& T_new_old, MapState* map) {
   for (GraphKeyframe& keyframe : map->graph.keyframes) {
     keyframe.pose.T_map_camera = T_new_old * keyframe.pose.T_map_camera;
+    if (keyframe.T_map_live) keyframe.T_map_live = T_new_old * *keyframe.T_map_live;
   }
   for (MappedLandmark& landmark : map->objects.landmarks) {
     std::optional<Ellipsoid>& ellipsoid = landmark.state.ellipsoid;

@@ -27,6 +27,9 @@ struct RememberedLoop {
 struct GraphKeyframe {
   KeyframePose pose;
   std::optional<SE3> T_vertex_keyframe;  ///< from the last vertex before it; none: it is one itself
+  /// Of the camera as it was told when the keyframe was made, before any correction by it or later ones, in the map as
+  /// it was then; none in files of before.
+  std::optional<SE3> T_map_live;
 };
 
 /// One run of a robot. Ids go on from one session to the next.

@@ -4,6 +4,7 @@
 #include <cmath>
 #include <iterator>
 #include <map>
+#include <optional>
 #include <utility>
 
 #include "odometry/motion_bursts.h"
@@ -110,7 +111,8 @@ struct PoseGraph::Impl {
       const std::size_t k = state.keyframes.size();
       while (vertex + 1 < keyframe_of_.size() && keyframe_of_[vertex + 1] <= k) ++vertex;
       const bool is_vertex = keyframe_of_[vertex] == k;
-      state.keyframes.push_back({pose, is_vertex ? std::nullopt : std::optional(T_vertex_keyframe_[k])});
+      state.keyframes.push_back(
+          {pose, is_vertex ? std::nullopt : std::optional(T_vertex_keyframe_[k]), T_map_live_[k]});
     }
     state.edges = trajectory_.edges;
     state.loops = loops_.remembered();
@@ -123,7 +125,7 @@ struct PoseGraph::Impl {
   void restore(GraphState state, const SE3& T_map_odom) {
     sessions_ = std::move(state.sessions);
     next_frame_id_ = state.next_frame_id;
-    for (const auto& [pose, T_vertex_keyframe] : state.keyframes) {
+    for (const auto& [pose, T_vertex_keyframe, T_map_live] : state.keyframes) {
       const std::size_t k = keyframes_.size();
       number_of_[pose.keyframe_id] = static_cast<int>(k);
       if (!T_vertex_keyframe) {
@@ -132,6 +134,7 @@ struct PoseGraph::Impl {
         log_scale_.push_back(std::log(pose.scale));
       }
       T_vertex_keyframe_.push_back(T_vertex_keyframe.value_or(SE3()));
+      T_map_live_.push_back(T_map_live);
       q_camera_odom_.emplace_back(Quaternion::Identity());
       keyframes_.push_back(pose);
     }
@@ -188,6 +191,7 @@ struct PoseGraph::Impl {
     keyframe_of_.push_back(keyframes_.size());
     T_vertex_keyframe_.emplace_back();
     trajectory_.T_map_vertex.push_back(place(frame.T_odom_camera));
+    T_map_live_.emplace_back(trajectory_.T_map_vertex.back());
     log_scale_.push_back(log_scale_.empty() ? 0.0 : log_scale_.back());
     keyframes_.push_back({frame.keyframe_id, frame.frame_id, frame.stamp_ns, SE3()});
     T_odom_keyframe_ = frame.T_odom_camera;
@@ -437,15 +441,16 @@ struct PoseGraph::Impl {
 
   PoseGraphOptions options_;
   Trajectory trajectory_;
-  std::vector<KeyframePose> keyframes_;      ///< every one; poses as told last
-  std::map<std::int64_t, int> number_of_;    ///< index of a keyframe in `keyframes_` by its id
-  std::vector<std::size_t> keyframe_of_;     ///< index of each vertex's keyframe; those up to the next move with it
-  std::vector<SE3> T_vertex_keyframe_;       ///< one a keyframe
-  std::size_t max_vertices_ = kMaxVertices;  ///< more are brought down
-  std::size_t told_keyframes_ = 0;           ///< how many were in the last solution
-  std::size_t restored_ = 0;                 ///< how many are of earlier sessions
-  std::vector<Session> sessions_;            ///< the earlier ones
-  std::int64_t next_frame_id_ = 0;           ///< after those
+  std::vector<KeyframePose> keyframes_;         ///< every one; poses as told last
+  std::map<std::int64_t, int> number_of_;       ///< index of a keyframe in `keyframes_` by its id
+  std::vector<std::size_t> keyframe_of_;        ///< index of each vertex's keyframe; those up to the next move with it
+  std::vector<SE3> T_vertex_keyframe_;          ///< one a keyframe
+  std::vector<std::optional<SE3>> T_map_live_;  ///< one a keyframe, see GraphKeyframe
+  std::size_t max_vertices_ = kMaxVertices;     ///< more are brought down
+  std::size_t told_keyframes_ = 0;              ///< how many were in the last solution
+  std::size_t restored_ = 0;                    ///< how many are of earlier sessions
+  std::vector<Session> sessions_;               ///< the earlier ones
+  std::int64_t next_frame_id_ = 0;              ///< after those
   std::int64_t last_frame_id_ = -1, last_stamp_ns_ = 0;
   bool has_objects_ = false;
   ObjectMemory objects_;

@@ -277,13 +277,19 @@ class InspectMapProgram : public ProgramTest {
 };
 
 TEST_F(InspectMapProgram, CountsAndExports) {
-  ASSERT_EQ(run("@map.db --objects @o.json --trajectory @t.txt --graph @g.g2o" + classes_), 0) << err_;
+  ASSERT_EQ(run("@map.db --objects @o.json --trajectory @t.txt --live @l.txt --graph @g.g2o" + classes_), 0) << err_;
   EXPECT_EQ(out_.find("integrity   ok\nsessions    1\n"), 0U) << out_;
   const nlohmann::json objects = nlohmann::json::parse(read_whole(directory_.path("o.json")));
   ASSERT_GT(objects.size(), 5U);
   EXPECT_GE(objects[0]["classes"][std::string(objects[0]["label"])], 1);
   const std::size_t keyframes = checked(read_tum_trajectory(directory_.path("t.txt"))).size();
   EXPECT_NE(out_.find("keyframes   " + std::to_string(keyframes) + "\n"), std::string::npos) << out_;
+  const StampedPoses live = checked(read_tum_trajectory(directory_.path("l.txt")));
+  ASSERT_EQ(live.size(), keyframes);
+  EXPECT_GT(
+      (live.back().T_world_camera.t - checked(read_tum_trajectory(directory_.path("t.txt"))).back().T_world_camera.t)
+          .norm(),
+      0.0);
   const G2oGraph graph = checked(read_g2o(directory_.path("g.g2o"), nullptr));
   EXPECT_EQ(graph.vertices.size(), keyframes);
   EXPECT_GT(graph.edges.size(), keyframes);  // loops, too

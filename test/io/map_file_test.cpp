@@ -166,6 +166,20 @@ TEST_F(MapFile, KeepsPointsToTheMillimetre) {
   EXPECT_EQ(checked(read_map(path_, *shared_coco()))->left_out, 1U) << "of a keyframe that the graph does not have";
 }
 
+TEST_F(MapFile, KeepsPosesAsTheyWereToldFirst) {
+  MapState map = desk();
+  const SE3 T_map_live(so3_exp(Vec3(0.1, -0.2, 0.3)), Vec3(0.1 + 0.2, 2.0, 3.0));
+  map.graph.keyframes[2].T_map_live = T_map_live;
+  map.graph.keyframes[3].T_map_live.reset();
+  ASSERT_EQ(write_map(path_, map, *shared_coco()).message(), "");
+  const auto read = checked(read_map(path_, *shared_coco()));
+  ASSERT_TRUE(read->graph.keyframes[2].T_map_live.has_value());
+  EXPECT_EQ(read->graph.keyframes[2].T_map_live->t, T_map_live.t);
+  EXPECT_EQ(read->graph.keyframes[2].T_map_live->q.coeffs(), T_map_live.q.coeffs());
+  EXPECT_FALSE(read->graph.keyframes[3].T_map_live.has_value());
+  EXPECT_EQ(error_after("UPDATE keyframe SET live_qw = 9.0 WHERE id = 2"), "keyframe 2 has no live pose");
+}
+
 TEST_F(MapFile, KeepsWhichObjectsWereMerged) {
   MapState map = desk();
   map.objects.merges = {{3, {8, 2}, 41, 12, 100, 5'000'000'001, std::nullopt},
@@ -226,7 +240,14 @@ TEST_F(MapFile, KeepsWhatLoopDetectionRefused) {
 }
 
 TEST_F(MapFile, OfAnOlderVersionIsRead) {
-  const std::string of_3 = "DROP TABLE merge; ", of_2 = of_3 + "DROP TABLE refused_loop; ";
+  const std::string of_4 =
+      "CREATE TABLE old AS SELECT id, frame, stamp_ns, x, y, z, qx, qy, qz, qw, scale, vertex_from_keyframe "
+      "FROM keyframe; DROP TABLE keyframe; ALTER TABLE old RENAME TO keyframe; ";
+  const std::string of_3 = of_4 + "DROP TABLE merge; ", of_2 = of_3 + "DROP TABLE refused_loop; ";
+  change(of_4 + "PRAGMA user_version = 4");
+  const auto without_live = checked(read_map(path_, *shared_coco()));
+  EXPECT_EQ(without_live->graph.keyframes[2].pose.T_map_camera.t, desk().graph.keyframes[2].pose.T_map_camera.t);
+  EXPECT_FALSE(without_live->graph.keyframes[2].T_map_live.has_value());
   for (const std::string& changes : {of_3 + "PRAGMA user_version = 3", of_2 + "PRAGMA user_version = 2"}) {
     change(changes);
     EXPECT_EQ(checked(read_map(path_, *shared_coco()))->graph.keyframes.size(), desk().graph.keyframes.size());
@@ -243,7 +264,7 @@ TEST_F(MapFile, OfAnOlderVersionIsRead) {
 }
 
 TEST_F(MapFile, NamesWhatIsWrong) {
-  EXPECT_EQ(error_after("PRAGMA user_version = 9"), "is a map of version 9; this program reads 1 to 4");
+  EXPECT_EQ(error_after("PRAGMA user_version = 9"), "is a map of version 9; this program reads 1 to 5");
   EXPECT_EQ(error_after("INSERT INTO points VALUES(0, 0, 0, x'78')"), "points 0 is damaged");
   EXPECT_EQ(error_after("PRAGMA application_id = 9"), "is no map of semantic_topo_loop");
   EXPECT_EQ(error_after("DELETE FROM meta WHERE key = 'noise'"), "meta has no 'noise'");

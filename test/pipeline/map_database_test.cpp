@@ -6,6 +6,7 @@
 #include <sys/wait.h>
 #include <unistd.h>
 
+#include <algorithm>
 #include <atomic>
 #include <chrono>
 #include <csignal>
@@ -215,6 +216,30 @@ TEST_F(MapDatabaseTest, PointsOfTheMapThatASessionGoesOnWithStay) {
     EXPECT_EQ(map->points[count / 2].keyframe_id, 1);
     EXPECT_EQ(map->left_out, 0U);
   }
+}
+
+TEST_F(MapDatabaseTest, KeyframesKeepWhereTheyWereToldToBeFirst) {
+  ChainRun run(laps(), shared_coco());
+  std::vector<SE3> told;
+  double most_m = 0.0;
+  while (run.done() < laps().odometry.size()) {
+    const SE3 T_map_odom = run.slam().pose_graph().T_map_odom();
+    const SE3& T_odom_camera = laps().odometry[run.done()].T_world_camera;
+    run.next();
+    if (run.slam().pose_graph().keyframes().size() > told.size()) told.push_back(T_map_odom * T_odom_camera);
+  }
+  ASSERT_EQ(write_map(path_, *run.slam().map(), *shared_coco()).message(), "");
+  const auto map = checked(read_map(path_, *shared_coco()));
+  ChainRun next(laps(), shared_coco(), {}, map, 100);
+  next.next();
+  const GraphState graph = next.slam().map()->graph;
+  ASSERT_EQ(graph.keyframes.size(), told.size() + 1);
+  for (std::size_t k = 0; k < told.size(); ++k) {
+    ASSERT_TRUE(graph.keyframes[k].T_map_live.has_value());
+    EXPECT_LT((graph.keyframes[k].T_map_live->t - told[k].t).norm(), 1e-12) << k;
+    most_m = std::max(most_m, (graph.keyframes[k].pose.T_map_camera.t - told[k].t).norm());
+  }
+  EXPECT_GT(most_m, 0.1) << "nothing was corrected";
 }
 
 TEST_F(MapDatabaseTest, WhatEarlierSessionsRefusedStays) {

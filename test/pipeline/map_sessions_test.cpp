@@ -217,6 +217,17 @@ TEST(MapState, RefusedLoopsOfAnotherMapAreBetweenItsKeyframes) {
   EXPECT_EQ(raised.match_end, -1) << "not known";
 }
 
+TEST(MapState, LivePosesMoveWithTheirMap) {
+  MapState map;
+  GraphKeyframe& keyframe = map.graph.keyframes.emplace_back();
+  keyframe.pose.keyframe_id = 0;
+  keyframe.T_map_live = SE3(Quaternion::Identity(), Vec3(0.0, 1.0, 0.0));
+  map.append(MapState(map));
+  const GraphKeyframe& moved = map.graph.keyframes[1];
+  EXPECT_GT(moved.pose.T_map_camera.t.x(), 1.0);
+  EXPECT_LT((moved.T_map_live->t - moved.pose.T_map_camera.t - Vec3(0.0, 1.0, 0.0)).norm(), 1e-12);
+}
+
 TEST(MapState, MergesOfAnotherMapFollow) {
   MapState map;
   map.graph.next_frame_id = 100;
