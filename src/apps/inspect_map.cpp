@@ -2,6 +2,7 @@
 #include <algorithm>
 #include <cmath>
 #include <cstdio>
+#include <filesystem>
 #include <iostream>
 #include <limits>
 #include <map>
@@ -142,15 +143,48 @@ Status write_objects(const std::string& path, const MapState& map, const ClassTa
   return write_text_file(path, ends_with(path, ".json") ? array.dump(kIndent) + '\n' : table);
 }
 
-/// Every keyframe, in order of the sessions, whose stamps may overlap.
-/// @param live as they were told when they were made, those of which it is known
-Status write_trajectory(const std::string& path, const MapState& map, bool live) {
-  StampedPoses poses;
+/// The keyframes of each session that has some.
+std::vector<StampedPoses> trajectories(const MapState& map, bool live) {
+  std::vector<StampedPoses> result;
+  auto session = map.graph.sessions.begin();
   for (const GraphKeyframe& keyframe : map.graph.keyframes) {
     if (live && !keyframe.T_map_live) continue;
-    poses.push_back({keyframe.pose.stamp_ns, live ? *keyframe.T_map_live : keyframe.pose.T_map_camera});
+    bool is_first = result.empty();
+    for (; session != map.graph.sessions.end() && session->first_keyframe_id <= keyframe.pose.keyframe_id; ++session) {
+      is_first = true;
+    }
+    if (is_first) result.emplace_back();
+    result.back().push_back({keyframe.pose.stamp_ns, live ? *keyframe.T_map_live : keyframe.pose.T_map_camera});
   }
-  return write_tum_trajectory(path, poses);
+  return result;
+}
+
+/// FILE.txt as FILE_1.txt.
+std::string numbered(const std::string& path, std::size_t number) {
+  const std::filesystem::path whole(path);
+  return whole.parent_path() / (whole.stem().string() + '_' + std::to_string(number) + whole.extension().string());
+}
+
+/// Every keyframe in order of time, as readers of the format ask for. Sessions whose stamps overlap, of two robots at
+/// a time say, are no one trajectory: then a file each.
+/// @param live as they were told when they were made, those of which it is known
+Status write_trajectory(const std::string& path, const MapState& map, bool live) {
+  const std::vector<StampedPoses> sessions = trajectories(map, live);
+  std::vector<StampedPoses> in_time = sessions;
+  std::stable_sort(in_time.begin(), in_time.end(), [](const StampedPoses& a, const StampedPoses& b) {
+    return a.front().stamp_ns < b.front().stamp_ns;
+  });
+  StampedPoses all;
+  for (const StampedPoses& session : in_time) all.insert(all.end(), session.begin(), session.end());
+  const auto goes_back = [](const StampedPose& a, const StampedPose& b) { return a.stamp_ns >= b.stamp_ns; };
+  if (std::adjacent_find(all.begin(), all.end(), goes_back) == all.end()) return write_tum_trajectory(path, all);
+  Status written;
+  for (std::size_t i = 0; written && i < sessions.size(); ++i) {
+    written = write_tum_trajectory(numbered(path, i + 1), sessions[i]);
+  }
+  std::printf("sessions overlap in time, a file each: %s to %s\n", numbered(path, 1).c_str(),
+              numbered(path, sessions.size()).c_str());
+  return written;
 }
 
 /// Vertices, their odometry edges and the loops that are kept, with the noise that was found.
@@ -258,7 +292,8 @@ int main(int argc, char** argv) {
       .option("objects", checked("a path that ends in .csv or .json", take_objects),
               "file for the objects: the columns of objects.csv, or these and how often each class was seen")
       .option("trajectory", po::value(&arguments.trajectory),
-              "file for the keyframes of all sessions, TUM format, in the map")
+              "file for the keyframes of all sessions, TUM format, in the map; FILE_1, FILE_2, ... if sessions overlap "
+              "in time")
       .option("live", po::value(&arguments.live),
               "file for the same as they were told when they were made, before later corrections")
       .option("graph", po::value(&arguments.graph), "file for the pose graph, g2o")

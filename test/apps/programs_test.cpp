@@ -1,5 +1,6 @@
 #include <gtest/gtest.h>
 
+#include <cmath>
 #include <cstdlib>
 #include <cstring>
 #include <filesystem>
@@ -9,6 +10,7 @@
 #include <string>
 #include <vector>
 
+#include "pipeline/map_state.h"
 #include "semantic_topo_loop/io/map_file.h"
 #include "semantic_topo_loop/io/run_files.h"
 #include "semantic_topo_loop/io/tum_trajectory.h"
@@ -308,6 +310,41 @@ TEST_F(InspectMapProgram, CountsAndExports) {
   EXPECT_EQ(loops.back().match_frame, refused.back().match_frame);
   ASSERT_EQ(run("@map.db --dump"), 0) << err_;
   EXPECT_EQ(out_.find("class "), 0U);
+}
+
+/// Sessions may be joined in any order of their times.
+TEST_F(InspectMapProgram, ATrajectoryNeverGoesBackInTime) {
+  const auto first = checked(read_map(directory_.path("map.db"), coco()));
+  const auto with_second_after_s = [&](double seconds) {
+    MapState map = *first, second = *first;
+    MapState& later = seconds < 0.0 ? map : second;
+    for (GraphKeyframe& keyframe : later.graph.keyframes) {
+      keyframe.pose.stamp_ns += std::llround(1e9 * std::abs(seconds));
+    }
+    map.append(second);
+    EXPECT_EQ(write_map(directory_.path("both.db"), map, coco()).message(), "");
+    for (const char* name : {"t.txt", "t_1.txt", "t_2.txt"}) std::filesystem::remove(directory_.path(name));
+    EXPECT_EQ(run("@both.db --trajectory @t.txt" + classes_), 0) << err_;
+  };
+  const std::size_t keyframes = first->graph.keyframes.size();
+  const SE3& T_last = first->graph.keyframes.back().pose.T_map_camera;
+  for (const double after_s : {100.0, -100.0}) {
+    with_second_after_s(after_s);
+    const StampedPoses poses = checked(read_tum_trajectory(directory_.path("t.txt")));  // refuses what goes back
+    ASSERT_EQ(poses.size(), 2 * keyframes);
+    const StampedPose& last = poses[after_s > 0.0 ? keyframes - 1 : 2 * keyframes - 1];
+    EXPECT_LT((last.T_world_camera.t - T_last.t).norm(), 1e-6) << after_s;
+  }
+  for (const double after_s : {0.0, 10.0}) {
+    with_second_after_s(after_s);
+    EXPECT_FALSE(std::filesystem::exists(directory_.path("t.txt")));
+    EXPECT_NE(out_.find("sessions overlap in time, a file each: " + directory_.path("t_1.txt") + " to "),
+              std::string::npos)
+        << out_;
+    for (const char* name : {"t_1.txt", "t_2.txt"}) {
+      EXPECT_EQ(checked(read_tum_trajectory(directory_.path(name))).size(), keyframes) << name;
+    }
+  }
 }
 
 TEST_F(InspectMapProgram, WhatDoesNotFitIsOneClearError) {
