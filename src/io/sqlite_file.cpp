@@ -5,6 +5,20 @@
 #include <utility>
 
 namespace semantic_topo_loop::core {
+namespace {
+
+/// A file's name for SQLite, as of one that nobody changes.
+std::string unchanging(const std::string& path) {
+  constexpr char kHex[] = "0123456789abcdef";
+  std::string name = "file:";
+  for (const char character : std::filesystem::absolute(path).lexically_normal().string()) {
+    const auto byte = static_cast<unsigned char>(character);
+    name += {'%', kHex[byte / 16], kHex[byte % 16]};
+  }
+  return name + "?immutable=1";
+}
+
+}  // namespace
 
 SqliteFile::SqliteFile(std::string path, Mode mode) : path_(std::move(path)) {
   if (mode == Mode::kRead) {
@@ -13,13 +27,26 @@ SqliteFile::SqliteFile(std::string path, Mode mode) : path_(std::move(path)) {
     if (!std::filesystem::exists(path_, code)) reject("cannot open the file");
     if (!is_fine()) return;
   }
+  note(open(path_, mode == Mode::kRead ? SQLITE_OPEN_READONLY : SQLITE_OPEN_READWRITE | SQLITE_OPEN_CREATE));
+  if (mode == Mode::kWrite || !is_fine()) return;
+  // A file that its writer did not close is read by a journal beside it, which SQLite wants to make if there is none.
+  const int read = sqlite3_exec(database_.get(), "PRAGMA schema_version", nullptr, nullptr, nullptr);
+  if (read != SQLITE_READONLY && read != SQLITE_CANTOPEN) return;
+  std::error_code code;
+  if (std::filesystem::exists(path_ + "-wal", code)) {
+    reject("its last part is in " + path_ + "-wal, which is only read where files can be written beside it");
+  } else {
+    note(open(unchanging(path_), SQLITE_OPEN_READONLY | SQLITE_OPEN_URI));
+  }
+}
+
+int SqliteFile::open(const std::string& name, int flags) {
   sqlite3* database = nullptr;
-  const int flags = mode == Mode::kRead ? SQLITE_OPEN_READONLY : SQLITE_OPEN_READWRITE | SQLITE_OPEN_CREATE;
-  const int opened = sqlite3_open_v2(path_.c_str(), &database, flags, nullptr);
+  const int opened = sqlite3_open_v2(name.c_str(), &database, flags, nullptr);
   database_.reset(database);
-  note(opened);
   constexpr int kPatience_ms = 1000;  // for who only takes a look; a writer stays
-  if (is_fine()) sqlite3_busy_timeout(database, kPatience_ms);
+  if (opened == SQLITE_OK) sqlite3_busy_timeout(database, kPatience_ms);
+  return opened;
 }
 
 void SqliteFile::reject(const std::string& problem) {

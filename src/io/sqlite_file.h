@@ -13,6 +13,7 @@ namespace semantic_topo_loop::core {
 class SqliteFile {
  public:
   enum class Mode { kRead, kWrite };
+  /// To read: from places where nothing may be written, too.
   SqliteFile(std::string path, Mode mode);
 
   const std::string& problem() const { return problem_; }
@@ -31,6 +32,7 @@ class SqliteFile {
     void operator()(sqlite3* database) const { sqlite3_close(database); }
   };
   void note(int code);
+  int open(const std::string& name, int flags);
 
   std::string path_;
   std::unique_ptr<sqlite3, Close> database_;

@@ -2,9 +2,12 @@
 
 #include <gtest/gtest.h>
 #include <sqlite3.h>
+#include <sys/wait.h>
+#include <unistd.h>
 
 #include <filesystem>
 #include <fstream>
+#include <functional>
 #include <map>
 #include <memory>
 #include <sstream>
@@ -17,6 +20,7 @@
 #include "odometry/odometry_edge.h"
 #include "pipeline/map_state.h"
 #include "semantic_topo_loop/geometry/lie.h"
+#include "semantic_topo_loop/io/map_database.h"
 #include "semantic_topo_loop/io/text_file.h"
 #include "support/package_config.h"
 #include "support/simulated_run.h"
@@ -346,6 +350,71 @@ TEST_F(MapFile, WhatIsNewerThanTheGraphIsLeftOut) {
   const auto without_submap = checked(read_map(path_, *shared_coco()));
   EXPECT_EQ(without_submap->left_out, 1U);
   EXPECT_EQ(without_submap->submaps.size(), desk().submaps.size() - 1);
+}
+
+/// Runs in a process of somebody who may not write to what may only be read, which root may.
+/// @return whether it gave true
+bool as_nobody(const std::function<bool()>& run) {
+  const pid_t child = ::fork();
+  if (child == 0) {
+    constexpr uid_t kNobody = 65534;
+    const bool is_nobody = ::geteuid() != 0 || (::setgid(kNobody) == 0 && ::setuid(kNobody) == 0);
+    ::_exit(is_nobody && run() ? 0 : 1);
+  }
+  int status = 1;
+  ::waitpid(child, &status, 0);
+  return status == 0;
+}
+
+/// A map on a medium that is not written to.
+class ReadOnlyMapFile : public MapFile {
+ protected:
+  using Permissions = std::filesystem::perms;
+  ~ReadOnlyMapFile() override { std::filesystem::permissions(folder_, Permissions::owner_all); }
+  /// Files go into a folder, in which nothing can be written then.
+  void keep(const std::vector<std::string>& files) {
+    std::filesystem::permissions(directory_.path(""), Permissions::owner_all | Permissions::others_exec);
+    std::filesystem::create_directory(folder_);
+    constexpr auto kRead = Permissions::owner_read | Permissions::others_read;
+    for (const std::string& file : files) {
+      const std::string copy = folder_ + file.substr(file.rfind('/'));
+      std::filesystem::copy_file(file, copy);
+      std::filesystem::permissions(copy, kRead);
+    }
+    std::filesystem::permissions(folder_, kRead | Permissions::owner_exec | Permissions::others_exec);
+  }
+  const std::string folder_ = directory_.path("100% read?only");
+  const std::string kept_ = folder_ + "/map.db";
+};
+
+TEST_F(ReadOnlyMapFile, IsRead) {
+  keep({path_});
+  EXPECT_TRUE(as_nobody([this] {
+    const auto map = read_map(kept_, *shared_coco());
+    std::ostringstream dump;
+    return map && (*map)->submaps.size() == desk().submaps.size() && dump_map(kept_, dump) &&
+           *link_loaded_map(kept_) == kept_;
+  }));
+  EXPECT_TRUE(as_nobody([this] { return write_map(kept_, desk(), *shared_coco()).message().find(kept_ + ": ") == 0; }));
+  EXPECT_TRUE(read_whole(kept_) == read_whole(path_));
+}
+
+/// As a writer that was killed leaves it.
+TEST_F(ReadOnlyMapFile, IsReadThoughItWasNotClosed) {
+  SqliteFile writer(path_, SqliteFile::Mode::kWrite);
+  writer.run("PRAGMA journal_mode = WAL; UPDATE meta SET value = '\"late\"' WHERE key = 'configuration'");
+  keep({path_});
+  EXPECT_TRUE(as_nobody([this] {
+    const auto map = read_map(kept_, *shared_coco());
+    return map && (*map)->submaps.size() == desk().submaps.size();
+  })) << "what is in the file";
+  std::filesystem::permissions(folder_, Permissions::owner_all);
+  std::filesystem::remove_all(folder_);
+  keep({path_, path_ + "-wal"});
+  EXPECT_TRUE(as_nobody([this] {
+    return read_map(kept_, *shared_coco()).message() ==
+           kept_ + ": its last part is in " + kept_ + "-wal, which is only read where files can be written beside it";
+  }));
 }
 
 TEST_F(MapFile, DamagedAndMissingFilesAreErrors) {
