@@ -80,7 +80,7 @@ class MapDatabaseNodelet : public StageWith<MapDatabaseParameters> {
 
   void on_points(const KeyframePointsMessage::ConstPtr& message) {
     if (!message->keyframe_points) return complain("unusable points of keyframes", message->problem);
-    if (!database()) return;
+    if (!database() || session().localization) return;
     auto delta = std::make_shared<core::MapDelta>();
     const core::KeyframePoints points = core::reduced(*message->keyframe_points, options_.point_map);
     delta->points.push_back({message->keyframe_id, std::make_shared<const core::KeyframePoints>(points)});

@@ -45,6 +45,7 @@ class PointMappingNodelet : public StageWith<PointMappingParameters> {
                       "keyframe " + std::to_string(message->keyframe_id) + ": " + message->problem);
     }
     stamp_ = message->header.stamp;
+    if (session().localization) return;  // the map stays as it is
     const std::lock_guard<std::mutex> lock(mutex_);
     map_->add(*message);
     mark_changed();

@@ -157,15 +157,13 @@ void MotionBursts::remember(const Burst& burst) {
 }
 
 void MotionBursts::settle() {
-  for (const auto& [section, jump] : greatest_.jumps) {
-    if (jumps_.size() <= section) jumps_.resize(section + 1);
-    add(jump, &jumps_[section]);
-  }
+  for (const auto& [section, jump] : greatest_.jumps) add(jump, &jumps_[section]);
   greatest_ = Burst();
 }
 
 MotionBursts::SuspectedJump MotionBursts::suspected_jump(std::size_t section) const {
-  SuspectedJump sum = section < jumps_.size() ? jumps_[section] : SuspectedJump();
+  const auto settled = jumps_.find(section);
+  SuspectedJump sum = settled != jumps_.end() ? settled->second : SuspectedJump();
   for (const auto& [of_section, jump] : greatest_.jumps) {
     if (of_section == section) add(jump, &sum);
   }

@@ -4,6 +4,7 @@
 #include <cstddef>
 #include <cstdint>
 #include <deque>
+#include <map>
 #include <optional>
 #include <utility>
 #include <vector>
@@ -68,9 +69,9 @@ class MotionBursts {
   std::optional<SE3> T_odom_last_;
   std::int64_t last_stamp_ns_ = 0;
   std::deque<Motion> window_;
-  double time_s_ = 0.0;               ///< of all motions
-  Burst greatest_;                    ///< of those that overlap at the end
-  std::vector<SuspectedJump> jumps_;  ///< by section, without those of greatest_
+  double time_s_ = 0.0;                         ///< of all motions
+  Burst greatest_;                              ///< of those that overlap at the end
+  std::map<std::size_t, SuspectedJump> jumps_;  ///< by section, where one stood out, without those of greatest_
 };
 
 /// Tells jumps of the odometry by its motion alone, a sixth of a second after their end.

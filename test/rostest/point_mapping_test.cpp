@@ -98,6 +98,18 @@ class PointMapping : public ::testing::Test {
     return changed_.wait_for(lock, std::chrono::duration<double>(kPatience_s),
                              [this] { return acknowledged_ == session_; });
   }
+  /// In order with other messages that are published by pointer.
+  bool fix_map(bool fixed) {
+    const auto control = boost::make_shared<SessionControl>();
+    control->header.stamp = ros::Time(session_);
+    control->session_id = session_;
+    control->command = SessionControl::COMMAND_LOCALIZATION;
+    control->localization = fixed;
+    std::unique_lock<std::mutex> lock(mutex_);
+    is_fixed_ = false;
+    control_.publish(control);
+    return changed_.wait_for(lock, std::chrono::duration<double>(kPatience_s), [this] { return is_fixed_; });
+  }
   /// A keyframe at (id, 0, 0), looking along z, that sees a sparse point 2 m before it and a semi-dense one 3 m before.
   KeyframePointsMessage keyframe(std::int64_t id) const {
     PointsKeyframe frame;
@@ -146,12 +158,14 @@ class PointMapping : public ::testing::Test {
   void take_ack(const SessionAck::ConstPtr& ack) {
     const std::lock_guard<std::mutex> lock(mutex_);
     acknowledged_ = ack->session_id;
+    is_fixed_ = is_fixed_ || ack->command == SessionControl::COMMAND_LOCALIZATION;
     changed_.notify_all();
   }
 
-  std::mutex mutex_;  ///< guards acknowledged_
+  std::mutex mutex_;  ///< guards what follows
   std::condition_variable changed_;
   std::uint32_t acknowledged_ = 0;
+  bool is_fixed_ = false;  ///< or grows, as told last
 };
 
 TEST_F(PointMapping, PublishesTheMapAndMovesItWithCorrections) {
@@ -198,6 +212,18 @@ TEST_F(PointMapping, PublishesOnlyWhatAListenerHasNotSeen) {
   Listener late("map_points_sparse");
   ASSERT_TRUE(late.wait_for(4));
   EXPECT_EQ(late.clouds().size(), 1U);
+}
+
+TEST_F(PointMapping, TakesNoneWhileTheMapIsFixed) {
+  Listener sparse("map_points_sparse");
+  points_.publish(keyframe(0));
+  ASSERT_TRUE(sparse.wait_for(1));
+  ASSERT_TRUE(fix_map(true));
+  points_.publish(boost::make_shared<KeyframePointsMessage>(keyframe(1)));
+  ASSERT_TRUE(fix_map(false));
+  points_.publish(keyframe(2));
+  EXPECT_TRUE(sparse.wait_for(1, core::Vec3(2.0, 0.0, 2.0)));
+  EXPECT_EQ(sparse.clouds().back()->width, 2U);
 }
 
 TEST_F(PointMapping, ForgetsWithTheSession) {
