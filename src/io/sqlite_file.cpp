@@ -32,12 +32,13 @@ SqliteFile::SqliteFile(std::string path, Mode mode) : path_(std::move(path)) {
   // A file that its writer did not close is read by a journal beside it, which SQLite wants to make if there is none.
   const int read = sqlite3_exec(database_.get(), "PRAGMA schema_version", nullptr, nullptr, nullptr);
   if (read != SQLITE_READONLY && read != SQLITE_CANTOPEN) return;
-  std::error_code code;
-  if (std::filesystem::exists(path_ + "-wal", code)) {
-    reject("its last part is in " + path_ + "-wal, which is only read where files can be written beside it");
-  } else {
-    note(open(unchanging(path_), SQLITE_OPEN_READONLY | SQLITE_OPEN_URI));
+  for (const char* journal : {"-wal", "-journal"}) {
+    std::error_code code;
+    if (!std::filesystem::exists(path_ + journal, code)) continue;
+    reject("its last part is in " + path_ + journal + ", which is only read where files can be written beside it");
+    return;
   }
+  note(open(unchanging(path_), SQLITE_OPEN_READONLY | SQLITE_OPEN_URI));
 }
 
 int SqliteFile::open(const std::string& name, int flags) {

@@ -156,7 +156,8 @@ struct LoopDetector::Impl {
 
   SubmapDelta take_delta(bool whole) {
     SubmapDelta delta;
-    delta.is_whole = whole || told_submaps_.empty();
+    delta.is_whole = whole || !has_told_;
+    has_told_ = true;
     std::set<std::int64_t> kept;
     for (const auto& [number, stored] : graph_.submaps()) {
       const std::int64_t frame_id = stored.map.frame_id;
@@ -338,7 +339,8 @@ struct LoopDetector::Impl {
   PairRecord record_{kRecordCapacity};
   std::map<std::int64_t, KeyframeTime> keyframes_;
   bool is_fixed_ = false;
-  std::set<std::int64_t> told_submaps_;  ///< frame_ids of those that take_delta told of
+  bool has_told_ = false;                ///< take_delta, before
+  std::set<std::int64_t> told_submaps_;  ///< frame_ids of those that it told of
 };
 
 LoopDetector::LoopDetector(const LoopOptions& options, std::shared_ptr<const ClassTable> classes)

@@ -14,6 +14,8 @@
 #include "semantic_topo_loop/QueryObjects.h"
 #include "semantic_topo_loop/map/quadric_mapper.h"
 #include "semantic_topo_loop/pipeline/object_slam.h"
+#include "semantic_topo_loop/types/map_unit.h"
+#include "semantic_topo_loop/types/text.h"
 
 namespace semantic_topo_loop {
 /// Keeps the quadric map and publishes its deltas, and the whole of it now and then for late listeners.
@@ -53,7 +55,7 @@ class QuadricMappingNodelet : public StageWith<QuadricMappingParameters> {
     core::MapParts parts;
     parts.objects = true;
     if (const auto map = session_map(parts)) core::restore_objects(*map, mapper_.get());
-    count_objects({});
+    show_objects({});
     publish_map();
   }
 
@@ -136,18 +138,22 @@ class QuadricMappingNodelet : public StageWith<QuadricMappingParameters> {
     published_version_ = map.map_version;
     map.T_map_odom = mapper_->T_map_odom();
     map.changed = mapper_->landmarks();
-    count_objects(map.changed);
+    show_objects(map.changed);
     Stage::publish<MapMessage>(map_publisher_, make_header(last_stamp_, parameters_.map_frame), std::move(map));
   }
 
-  /// Shows in the diagnostics how many objects are in which state.
-  void count_objects(const std::vector<core::Landmark>& objects) {
+  /// In the diagnostics: how many are in which state, and how long the unit of length is by their sizes.
+  void show_objects(const std::vector<core::Landmark>& objects) {
     using core::LandmarkState;
     for (const auto state : {LandmarkState::kCandidate, LandmarkState::kConfirmed, LandmarkState::kRetired}) {
       const auto n = std::count_if(objects.begin(), objects.end(),
                                    [state](const core::Landmark& object) { return object.state == state; });
       statistics().set(std::string("objects ") + core::to_string(state), static_cast<std::uint64_t>(n));
     }
+    const std::optional<core::MapUnit> unit = core::map_unit(objects, *classes());
+    statistics().set_text("unit of length by sizes", unit ? core::format_fixed(unit->metres, 2) + " m, 1 sigma " +
+                                                                core::format_fixed(100.0 * unit->sigma, 0) + " %"
+                                                          : "not known");
   }
 
   ros::Publisher update_publisher_, map_publisher_;

@@ -14,7 +14,8 @@ constexpr std::array<double, 6> kLengths_s{0.033, 0.067, 0.133, 0.2, 0.267, 0.36
 constexpr double kSide_s = 0.167;    // before and as much after, the mean of which foretells
 constexpr double kHistory_s = 20.0;  // that say what is usual
 constexpr double kMinHistory_s = 2.0;
-constexpr double kRefresh_s = 0.5;  // after which it is asked again, to save time
+constexpr std::size_t kMinHistory = 20;  // frames: of fewer, no tenth may be jumps
+constexpr double kRefresh_s = 0.5;       // after which it is asked again, to save time
 /// Times the usual difference: few motions of a hand-held camera are beyond the first, and a burst counts by a share
 /// that grows from there to the second, so that what is learnt does not hang on one frame. Chosen on the drifted
 /// recordings.
@@ -101,7 +102,7 @@ MotionBursts::Burst MotionBursts::judge(Length* length) const {
   const double translation_m = excess.head<3>().norm(), rotation_rad = excess.tail<3>().norm();
   Burst burst;
   const double dt_s = window_.back().dt_s;
-  if (length->known_s >= kMinHistory_s) {
+  if (length->known_s >= kMinHistory_s && length->last.size() >= kMinHistory) {
     length->outdated_s += dt_s;
     if (length->sigma_m == 0.0 || length->outdated_s >= kRefresh_s) length->refresh();
     const auto along = [length, &excess](const Vec6& motion) {

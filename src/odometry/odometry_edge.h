@@ -17,8 +17,8 @@ namespace semantic_topo_loop::core {
 //      the freezes that it found (SolvedMotion);
 //   2. MotionBursts (motion_bursts.h) suspects jumps in the motion alone; the loop detector asks BurstWatch;
 //   3. PathNoise asks of one loop how noisy the odometry would have to be to explain it, see Innovation;
-//   4. ShortTermNoiseEstimator (short_term_noise.h) and OdometryDelay (odometry_delay.h) learn from the windows that the
-//      loop detector solves how far the odometry is off over seconds, and how late it is;
+//   4. ShortTermNoiseEstimator (short_term_noise.h) and OdometryDelay (odometry_delay.h) learn from the windows that
+//      the loop detector solves how far the odometry is off over seconds, and how late it is;
 //   5. InnovationModel and estimate_noise_and_jumps (noise_estimator.h) learn the noise from all loops that are
 //      believed, and find the jumps that the motion does not show.
 // A loop is a measurement of the odometry between its ends, which is why GraphLoop (graph_loop.h) stands here and not

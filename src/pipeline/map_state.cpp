@@ -202,6 +202,9 @@ std::size_t leave_out_unplaced(MapState* map) {
   });
   left_out += static_cast<std::size_t>(merges.end() - made);
   merges.erase(made, merges.end());
+  for (LoggedMerge& merge : merges) {
+    if (merge.undone_frame_id && *merge.undone_frame_id >= map->graph.next_frame_id) merge.undone_frame_id.reset();
+  }
   std::vector<LocalMap> placed;
   for (LocalMap& submap : map->submaps) {
     const auto place = places.find(submap.keyframe_id);

@@ -351,7 +351,8 @@ TEST(Messages, Loops) {
                              random.number(),
                              random.number(),
                              {random.number(), random.number(), random.matrix<core::Mat6>()},
-                             random.number()});
+                             random.number(),
+                             {random.number(), random.number(), random.number(), random.number()}});
   }
   const LoopsMessage message = random.message<LoopsMessage>(loops);
   const LoopClosureArray generated = expect_generated_is_same(message);

@@ -199,6 +199,9 @@ class GraphObjectsTest(DirectoryTest):
 
         wait_until(lambda: counted() == expected, 10)
         self.assertEqual(counted(), expected)
+        unit = summary['unit']
+        self.assertEqual(self.diagnostics.values['QuadricMapping', 'unit of length by sizes'],
+                         '%.2f m, 1 sigma %.0f %%' % (unit['metres'], 100 * unit['sigma']))
         with open(self.path('lockstep/loop_verdicts.csv')) as file:
             rejected = sum(row['kept'] == '0' for row in csv.DictReader(file))
         text = ' keyframes moved, %d loops kept, %d rejected' % (summary['loops']['kept'], rejected)

@@ -43,7 +43,7 @@ struct OdometryReport {
   double steady_translation = 0.0, steady_rotation_rad = 0.0, scale = 0.0;
   double loop_factor = 1.0;
   double delay_s = 0.0;       ///< by how much its poses were last taken to be late against the images; < 0: early
-  ShortTermNoise short_term;  ///< as it was last taken to be
+  ShortTermNoise short_term;  ///< as it was last taken to be; 0 before anything is known
   std::vector<OdometryFault> faults;  ///< in order of the keyframes
 };
 

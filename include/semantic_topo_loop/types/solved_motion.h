@@ -19,8 +19,8 @@ struct MissedMotion {
 /// What an odometry is taken to be off by over some seconds (1 sigma an axis), as what is in view tells: steps that are
 /// independent, and a drift that lasts.
 struct ShortTermNoise {
-  double step_m = 0.001, step_rad = 0.001;        ///< after a second, grow with the root of the time
-  double drift_mps = 0.001, drift_radps = 0.001;  ///< m/s and rad/s, the same for seconds on end
+  double step_m = 0.0, step_rad = 0.0;        ///< after a second, grow with the root of the time
+  double drift_mps = 0.0, drift_radps = 0.0;  ///< m/s and rad/s, the same for seconds on end
 };
 
 /// How the camera moved from a keyframe to the next, solved for with the objects that it saw on the way.
