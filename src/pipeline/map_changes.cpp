@@ -100,15 +100,24 @@ class Looks {
     }
   }
 
+  /// From the first to the last keyframe with boxes: a map that is fixed takes none, and misses nothing.
   /// @return how many keyframes from `begin` to before `end`, by the landmark's id
   std::map<std::int64_t, int> count(std::int64_t begin, std::int64_t end) const {
+    std::int64_t first = end, last = begin - 1;
+    for (const MappedLandmark& landmark : map_.objects.landmarks) {
+      for (const Observation& observation : landmark.observations) {
+        if (observation.keyframe_id < begin || observation.keyframe_id >= end) continue;
+        first = std::min(first, observation.keyframe_id);
+        last = std::max(last, observation.keyframe_id);
+      }
+    }
     std::map<std::int64_t, int> looks;
     Frame frame;
     frame.camera = map_.objects.camera;
     for (const GraphKeyframe& keyframe : map_.graph.keyframes) {
       const KeyframePose& pose = keyframe.pose;
-      if (pose.keyframe_id < begin) continue;
-      if (pose.keyframe_id >= end) break;
+      if (pose.keyframe_id < first) continue;
+      if (pose.keyframe_id > last) break;
       for (const ExpectedLandmark& expected :
            expected_landmarks(landmarks_, frame, nullptr, pose.T_map_camera, {}, kLeastShare)) {
         const SeenAs& as = seen_as_.at(expected.id);

@@ -96,6 +96,16 @@ TEST(MapChanges, WhatMovedWentAndCameIsListedAndNothingElse) {
   }
 }
 
+TEST(MapChanges, ASessionThatOnlyFoundItsWayMissesNothing) {
+  const TwoDays days = two_days(1);
+  const auto first = testing::map_of(days.sequence, 0, days.second, shared_coco());
+  MapState both = *testing::map_of(days.sequence, days.second, days.sequence.odometry.size(), shared_coco(), {}, first);
+  ASSERT_FALSE(map_changes(both).empty());
+  // As in localisation mode: keyframes came, boxes did not.
+  both.objects = first->objects;
+  EXPECT_TRUE(listed(both).empty()) << listed(both).front();
+}
+
 TEST(MapChanges, AChairThatTheBorderOfTheImageAlwaysCutsIsMissedToo) {
   for (const int seed : {11, 20}) {
     SimulationOptions options;
