@@ -47,17 +47,11 @@ constexpr double kReachFloor_m = 0.15;  // of depth's place of an object about t
 constexpr double kReachShare = 0.5;     // of no size, and what half a thing adds: of a box that is cut there is a half
 constexpr double kInside = 0.7;         // of the smaller box: more than neighbours in a row hide of each other
 
-/// 1 where depth puts the box on the landmark's centre, 0 where it puts it beyond all that can be it; nullopt where it
-/// does not tell.
-std::optional<double> closeness(const Track& track, const PreparedDetection& detection) {
-  if (!detection.placement || !track.has_ellipsoid) return std::nullopt;
-  const double reach_m = kReachFloor_m + kReachShare * std::max(track.size_m, detection.placement->size_m);
-  return std::max(0.0, 1.0 - (detection.placement->center - track.center_map).norm() / reach_m);
-}
-
 bool is_same_thing(const Track& track, const PreparedDetection& detection) {
-  return detection.placement && track.has_ellipsoid &&
-         is_one_thing(*detection.placement, {track.center_map, track.size_m});
+  return track.has_ellipsoid &&
+         std::any_of(detection.placements.begin(), detection.placements.end(), [&track](const Placement& placement) {
+           return is_one_thing(placement, {track.center_map, track.size_m});
+         });
 }
 
 double iou_3d(const TrackInFrame& candidate, const PreparedDetection& detection) {
@@ -75,8 +69,19 @@ double label_agreement(const AssociationContext& context, const Track& track, in
 
 }  // namespace
 
+NearestPlacement nearest_placement(const Track& track, const PreparedDetection& detection) {
+  NearestPlacement nearest;
+  for (const Placement& placement : detection.placements) {
+    const double reach_m = kReachFloor_m + kReachShare * std::max(track.size_m, placement.size_m);
+    const double closeness = 1.0 - (placement.center - track.center_map).norm() / reach_m;
+    if (closeness > nearest.closeness) nearest = {closeness, &placement};
+  }
+  return nearest;
+}
+
 bool show_one_thing(const PreparedDetection& a, const PreparedDetection& b) {
-  return a.placement && b.placement && is_one_thing(*a.placement, *b.placement) &&
+  return a.placements.size() == 1 && b.placements.size() == 1 &&
+         is_one_thing(a.placements.front(), b.placements.front()) &&
          intersection_area(a.visible, b.visible) > kInside * std::min(a.visible.area(), b.visible.area());
 }
 
@@ -128,7 +133,8 @@ double score_joint(const AssociationContext& context, const TrackInFrame& candid
   const AssociatorOptions& options = context.options;
   const double overlap_3d = iou_3d(candidate, detection);
   const double iou_2d = candidate.is_recent ? iou(track.last_box, detection.box) : 0.0;
-  if (iou_2d == 0.0 && overlap_3d == 0.0 && track.points_map.empty() && !detection.placement) return 0.0;  // most pairs
+  if (iou_2d == 0.0 && overlap_3d == 0.0 && track.points_map.empty() && detection.placements.empty())
+    return 0.0;  // most pairs
   const double age_s = 1e-9 * static_cast<double>(context.frame->stamp_ns - track.last_stamp_ns);
   const double decay =
       std::clamp(options.memory_decay_per_s * (age_s - context.interval_s), 0.0, options.memory_decay_max);
@@ -145,9 +151,11 @@ double score_joint(const AssociationContext& context, const TrackInFrame& candid
     const double share = share_of_points_in_box(track.points_map, context.P_image_map, detection.visible);
     if (share > options.points_in_box_min) overlap = std::max(overlap, options.iou_3d_min + gate * share);
   }
-  const std::optional<double> close = closeness(track, detection);
-  if (close == 0.0) return 0.0;
-  if (close) overlap = std::max(overlap, *close);
+  if (track.has_ellipsoid && !detection.placements.empty()) {
+    const NearestPlacement nearest = nearest_placement(track, detection);
+    if (nearest.placement == nullptr) return 0.0;
+    overlap = std::max(overlap, nearest.closeness);
+  }
   if (overlap <= gate || (track.class_id != detection.class_id && overlap < options.iou_other_label_min)) return 0.0;
   double label = label_agreement(context, track, detection.class_id);
   if (is_same_thing(track, detection)) label = std::max(label, options.label_agreement_place);

@@ -14,9 +14,17 @@ namespace semantic_topo_loop::core {
 
 /// A detection ready to be associated.
 struct PreparedDetection : Association {
-  Box visible;                         ///< the box, clipped to the image
-  std::optional<Placement> placement;  ///< in the map frame; where the frame has points
+  Box visible;                        ///< the box, clipped to the image
+  std::vector<Placement> placements;  ///< in the map frame; where the frame has points; two if depth leaves it open
 };
+
+/// The placement of those of a detection that is nearest to a landmark, where it can be it: how near that is, 1 on the
+/// landmark's centre.
+struct NearestPlacement {
+  double closeness = 0.0;
+  const Placement* placement = nullptr;  ///< null if none can be the landmark
+};
+NearestPlacement nearest_placement(const Track& track, const PreparedDetection& detection);
 
 /// A track that this frame may see, with what its prediction needs.
 struct TrackInFrame {

@@ -194,16 +194,17 @@ struct ObjectAssociator::Impl {
       } else if (detection.score < options_.min_score) {
         association.level = AssociationLevel::kLowScore;
       } else {
-        std::optional<Placement> placement = points_ ? place(*points_, association.box) : std::nullopt;
-        if (placement && !is_plausible(association, placement->size_m)) {
+        std::vector<Placement> placements = points_ ? place(*points_, association.box) : std::vector<Placement>();
+        const auto implausible = std::remove_if(placements.begin(), placements.end(), [&](const Placement& placement) {
+          return !is_plausible(association, placement.size_m);
+        });
+        if (!placements.empty() && implausible == placements.begin()) {
           association.level = AssociationLevel::kWrongSize;
           continue;
         }
-        if (placement) {
-          association.near_m = placement->center.z();
-          placement->center = T_map_camera * placement->center;
-        }
-        gated_.push_back({association, clip(association.box, camera.width, camera.height), placement});
+        placements.erase(implausible, placements.end());
+        for (Placement& placement : placements) placement.center = T_map_camera * placement.center;
+        gated_.push_back({association, clip(association.box, camera.width, camera.height), std::move(placements)});
       }
     }
     suppress(result);
@@ -306,6 +307,7 @@ struct ObjectAssociator::Impl {
         if (options_.mode == "joint") association.level = AssociationLevel::kJoint;
         if (options_.mode == "jda") association.level = AssociationLevel::kJda;
       }
+      association.near_m = near_m(*track, detection);
       add_observation(*context.frame, detection, track);
       association.landmark_id = track->id;
     }
@@ -314,6 +316,16 @@ struct ObjectAssociator::Impl {
         association.landmark_class_id = tracks_.find(association.landmark_id)->class_id;
       }
     }
+  }
+
+  /// Depth of the box's object where it is known: of two that may be it, the one that can be the landmark.
+  double near_m(const Track& track, const PreparedDetection& detection) const {
+    const Placement* placement = nullptr;
+    if (detection.placements.size() == 1) placement = &detection.placements.front();
+    if (detection.placements.size() > 1 && track.has_ellipsoid)
+      placement = nearest_placement(track, detection).placement;
+    const auto axis = context_.P_image_map.row(2);
+    return placement ? axis.dot(placement->center.homogeneous()) : 0.0;
   }
 
   /// What the map never took up, as it does not while the robot only finds itself in it.
@@ -336,11 +348,11 @@ struct ObjectAssociator::Impl {
     track->last_box = detection.box;
     tracks_.touch(track);
     if (track->has_ellipsoid || !points_) return;
-    const std::vector<Vec3> points = object_points(*points_, detection.box);
-    if (points.empty()) return;
+    const std::vector<std::vector<Vec3>> layers = object_layers(*points_, detection.box);
+    if (layers.size() != 1) return;
     const SE3 T_map_camera = T_map_odom_ * frame.T_odom_camera;
     track->points_map.clear();
-    for (const Vec3& point : points) track->points_map.push_back(T_map_camera * point);
+    for (const Vec3& point : layers.front()) track->points_map.push_back(T_map_camera * point);
     tracks_.place(track);
   }
 

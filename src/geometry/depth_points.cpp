@@ -62,6 +62,7 @@ constexpr int kHypotheses = 40;               // finds a plane of half of the po
 constexpr double kMiddle = 0.8;               // of the box: the ellipse that a convex object fills
 constexpr double kNearShare = 0.35;           // of the points in it: less than the part that anything but a frame fills
 constexpr double kReach = 0.5;                // of the box's longer side, before and behind that
+constexpr double kBehindShare = 0.3;          // of the points in it, behind that: then these may be the object's
 constexpr double kStrip_px = 10.0;            // along a side, inside of it, at a width of 640: two or three points
 constexpr std::size_t kStripPointsMax = 100;  // twenty times those that it takes
 constexpr double kOccluderShare = 0.6;  // of what lies outside of a side in one plane, and inside of it behind that
@@ -74,6 +75,29 @@ double eccentricity(const Vec2& pixel, const Box& box) {
 
 double longer_side(const Box& box, const Camera& camera) {
   return std::max(box.width() / camera.fx, box.height() / camera.fy);
+}
+
+/// Points about one depth.
+struct Layer {
+  std::vector<Vec3> points, behind;
+};
+
+/// About the depth that kNearShare of the points do not reach.
+/// @param reach before and behind that, as a share of the depth
+Layer nearest_layer(const std::vector<Vec3>& points, double reach) {
+  Layer layer;
+  if (points.empty()) return layer;
+  std::vector<double> depths;
+  depths.reserve(points.size());
+  for (const Vec3& point : points) depths.push_back(point.z());
+  const auto near = depths.begin() + static_cast<std::ptrdiff_t>(kNearShare * static_cast<double>(depths.size()));
+  std::nth_element(depths.begin(), near, depths.end());
+  for (const Vec3& point : points) {
+    const double beyond_m = point.z() - *near, reach_m = reach * *near;
+    if (std::abs(beyond_m) <= reach_m) layer.points.push_back(point);
+    if (beyond_m > reach_m) layer.behind.push_back(point);
+  }
+  return layer;
 }
 
 /// The strips along a side, inside and outside of the box.
@@ -187,22 +211,21 @@ std::uint8_t hidden_sides(const FramePoints& points, const Box& box) {
   return hidden;
 }
 
-std::vector<Vec3> object_points(const FramePoints& points, const Box& box) {
+std::vector<std::vector<Vec3>> object_layers(const FramePoints& points, const Box& box) {
   std::vector<Vec3> middle;
   for (const SeenPoint& p : points.in(box, kPointsMax)) {
     if (eccentricity(p.pixel, box) < kMiddle) middle.push_back(p.point_camera);
   }
-  if (middle.size() < kMinPoints) return {};
-  std::vector<double> depths;
-  depths.reserve(middle.size());
-  for (const Vec3& point : middle) depths.push_back(point.z());
-  const auto near = depths.begin() + static_cast<std::ptrdiff_t>(kNearShare * static_cast<double>(depths.size()));
-  std::nth_element(depths.begin(), near, depths.end());
-  const double reach_m = kReach * longer_side(box, points.camera()) * *near;
-  middle.erase(std::remove_if(middle.begin(), middle.end(),
-                              [&](const Vec3& point) { return std::abs(point.z() - *near) > reach_m; }),
-               middle.end());
-  return middle.size() < kMinPoints ? std::vector<Vec3>{} : middle;
+  std::vector<std::vector<Vec3>> layers;
+  if (middle.size() < kMinPoints) return layers;
+  const double reach = kReach * longer_side(box, points.camera());
+  Layer near = nearest_layer(middle, reach);
+  if (near.points.size() < kMinPoints) return layers;
+  layers.push_back(std::move(near.points));
+  if (static_cast<double>(near.behind.size()) < kBehindShare * static_cast<double>(middle.size())) return layers;
+  Layer far = nearest_layer(near.behind, reach);
+  if (far.points.size() >= kMinPoints) layers.push_back(std::move(far.points));
+  return layers;
 }
 
 bool is_one_thing(const Placement& a, const Placement& b) {
@@ -211,14 +234,16 @@ bool is_one_thing(const Placement& a, const Placement& b) {
   return smaller > kOneSize * larger && (a.center - b.center).norm() < kOnePlace * smaller;
 }
 
-std::optional<Placement> place(const FramePoints& points, const Box& box) {
-  const std::vector<Vec3> found = object_points(points, box);
-  if (found.empty()) return std::nullopt;
-  std::vector<double> depths;
-  depths.reserve(found.size());
-  for (const Vec3& point : found) depths.push_back(point.z());
-  const double depth = median(std::move(depths));
-  return Placement{depth * points.camera().ray(box.center()), depth * longer_side(box, points.camera())};
+std::vector<Placement> place(const FramePoints& points, const Box& box) {
+  std::vector<Placement> placements;
+  for (const std::vector<Vec3>& layer : object_layers(points, box)) {
+    std::vector<double> depths;
+    depths.reserve(layer.size());
+    for (const Vec3& point : layer) depths.push_back(point.z());
+    const double depth = median(std::move(depths));
+    placements.push_back({depth * points.camera().ray(box.center()), depth * longer_side(box, points.camera())});
+  }
+  return placements;
 }
 
 }  // namespace semantic_topo_loop::core

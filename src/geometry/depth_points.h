@@ -66,12 +66,15 @@ class FramePoints {
   std::vector<SeenPoint> points_;  ///< in the order of the grid
 };
 
-/// The points of one object: those in the middle of its box about the depth that a third of them do not reach, as far
-/// before and behind it as half of the box's longer side is long. An object is in front of what is behind it, holes
-/// in it and where depth is missing notwithstanding.
+/// The points that may be those of a box's object, by depth: those in the middle of the box about the depth that a
+/// third of them do not reach, as far before and behind it as half of the box's longer side is long; and where behind
+/// these is nearly a third of them, the nearest of the others in the same way. Mostly there is one layer, since an
+/// object is in front of what is behind it, holes in it and where depth is missing notwithstanding. Where something
+/// stands before the object, as a desk before a chair, or the object is mostly holes, there are two, and one image does
+/// not tell which is the object.
 /// @param box undistorted, px
-/// @return camera frame, m; empty if too few points are left
-std::vector<Vec3> object_points(const FramePoints& points, const Box& box);
+/// @return nearest first, each in the camera frame, m; empty if too few points are left
+std::vector<std::vector<Vec3>> object_layers(const FramePoints& points, const Box& box);
 
 /// Where depth puts what a box shows, and how large it makes it.
 struct Placement {
@@ -83,8 +86,8 @@ struct Placement {
 /// larger, and they are nearer to each other than 0.4 of the smaller.
 bool is_one_thing(const Placement& a, const Placement& b);
 
-/// @param box undistorted, px   @return nullopt without object_points
-std::optional<Placement> place(const FramePoints& points, const Box& box);
+/// @param box undistorted, px   @return of each of the object_layers, nearest first
+std::vector<Placement> place(const FramePoints& points, const Box& box);
 
 /// The sides of a box at which something in front ends it, as Truncation bits: what lies just inside of them is behind
 /// the plane of what lies outside (RANSAC with a fixed seed). Of a chair behind a desk that is the lower side. The

@@ -297,6 +297,21 @@ TEST(ObjectAssociator, DepthTellsWhatStandsInFrontAndWhatIsOneThingUnderTwoNames
   EXPECT_EQ(renamed.associations[0].landmark_class_id, kCup) << "0.9 against 0.4";
 }
 
+TEST(ObjectAssociator, OfTwoDepthsInABoxItsLandmarkTellsWhichIsTheObject) {
+  ObjectAssociator associator(options("joint"), classes());
+  const Box box = box_at(320.0, 240.0);
+  std::vector<Vec3> both;  // the left half of the box shows something in front
+  add_wall({box.x1, box.y1, box.center().x(), box.y2}, 1.0, &both);
+  add_wall({box.center().x() + 4.0, box.y1, box.x2, box.y2}, 2.0, &both);
+  const Association first = associator.associate(frame_with(0, both), {{kBook, 0.9, box}}).associations[0];
+  EXPECT_GE(first.landmark_id, 0);
+  EXPECT_FALSE(first.has_depth()) << "one image does not tell";
+  ASSERT_TRUE(associator.apply(sphere_update(associator, first.landmark_id, kBook, box)));
+  const Association again = associator.associate(frame_with(1, both), {{kBook, 0.9, box}}).associations[0];
+  EXPECT_EQ(again.landmark_id, first.landmark_id);
+  EXPECT_NEAR(again.near_m, 2.0, 0.01);
+}
+
 TEST(ObjectAssociator, ABoxInsideAnotherOnTheSameThingIsSuppressed) {
   ObjectAssociator associator(options("joint"), sized_classes());
   const Box box{290.0, 200.0, 350.0, 280.0}, lower{290.0, 228.0, 350.0, 280.0};

@@ -35,8 +35,8 @@ Box box_of(const Ellipsoid& ellipsoid, const SE3& pose) {
 BoxView view_of(const Ellipsoid& ellipsoid, const SE3& pose, const DepthScene& scene) {
   const Box box = box_of(ellipsoid, pose);
   const FramePoints points(scene.look(kCamera, pose), kCamera);
-  const std::optional<Placement> placement = place(points, box);
-  return {pose, box, 0, placement ? placement->center.z() : 0.0};
+  const std::vector<Placement> placements = place(points, box);
+  return {pose, box, 0, placements.size() == 1 ? placements.front().center.z() : 0.0};
 }
 
 TEST(FramePoints, FindThePointsInABoxAsALookAtAllOfThemDoes) {
@@ -81,14 +81,14 @@ TEST(Placement, IsOnTheObjectWhereItHasHolesAndWhereTheTableShowsBehindIt) {
     const Vec2 offset = (kCamera.pixel(p) - box.center()).cwiseQuotient(Vec2(box.width(), box.height()));
     if (offset.cwiseAbs().maxCoeff() > 0.33) rim.push_back(p);
   }
-  const std::optional<Placement> placement = place(FramePoints(rim, kCamera), box);
-  ASSERT_TRUE(placement);
-  EXPECT_LT((pose * placement->center - screen.center()).norm(), 0.08);
-  EXPECT_NEAR(placement->size_m, 0.6, 0.06);
+  const std::vector<Placement> placements = place(FramePoints(rim, kCamera), box);
+  ASSERT_EQ(placements.size(), 1U);
+  EXPECT_LT((pose * placements.front().center - screen.center()).norm(), 0.08);
+  EXPECT_NEAR(placements.front().size_m, 0.6, 0.06);
 }
 
 /// Boxes of real detectors are larger than the object: what is left must be the object all the same.
-TEST(ObjectPoints, AreThoseOfTheObjectAndNotOfTheTableBehindIt) {
+TEST(ObjectLayers, AreThoseOfTheObjectAndNotOfTheTableBehindIt) {
   const DepthScene scene{{kCup, kBottle}};
   for (const double angle : {0.0, 70.0, 200.0}) {
     const SE3 pose = from_side(angle);
@@ -96,7 +96,9 @@ TEST(ObjectPoints, AreThoseOfTheObjectAndNotOfTheTableBehindIt) {
     Box box = box_of(kCup, pose);
     const double margin = 0.15 * box.size();
     box = {box.x1 - margin, box.y1 - margin, box.x2 + margin, box.y2 + margin};
-    const std::vector<Vec3> points = object_points(frame, box);
+    const std::vector<std::vector<Vec3>> layers = object_layers(frame, box);
+    ASSERT_EQ(layers.size(), 1U);
+    const std::vector<Vec3>& points = layers.front();
     ASSERT_GT(points.size(), 15U);
     std::size_t on_cup = 0;
     for (const Vec3& p : points) {
@@ -107,13 +109,26 @@ TEST(ObjectPoints, AreThoseOfTheObjectAndNotOfTheTableBehindIt) {
   }
 }
 
-TEST(ObjectPoints, OfASheetOnATableAreItsPartOfTheTable) {
+TEST(ObjectLayers, OfASheetOnATableAreItsPartOfTheTable) {
   const SE3 pose = from_side(0.0);
   const Ellipsoid sheet = on_table(0.0, 0.0, Vec3(0.10, 0.15, 0.001));
   const FramePoints frame(DepthScene{{sheet}}.look(kCamera, pose), kCamera);
-  const std::vector<Vec3> points = object_points(frame, box_of(sheet, pose));
-  ASSERT_GT(points.size(), 30U);
-  for (const Vec3& p : points) EXPECT_NEAR((pose * p).z(), 0.0, 0.02);
+  const std::vector<std::vector<Vec3>> layers = object_layers(frame, box_of(sheet, pose));
+  ASSERT_EQ(layers.size(), 1U);
+  ASSERT_GT(layers.front().size(), 30U);
+  for (const Vec3& p : layers.front()) EXPECT_NEAR((pose * p).z(), 0.0, 0.02);
+}
+
+TEST(ObjectLayers, AreTwoOfAChairBehindTheTable) {
+  const Ellipsoid chair{SE3(Quaternion::Identity(), Vec3(-1.8, 0.0, -0.3)), Vec3(0.25, 0.25, 0.5)};
+  const SE3 pose = look_at(Vec3(1.2, 0.0, 0.8), Vec3(-1.0, 0.0, 0.1));
+  const FramePoints frame(DepthScene{{chair}}.look(kCamera, pose), kCamera);
+  const std::vector<Placement> placements = place(frame, box_of(chair, pose));
+  ASSERT_EQ(placements.size(), 2U);
+  EXPECT_LT((pose * placements[0].center).x(), -0.2) << "the end of the table";
+  EXPECT_GT((pose * placements[0].center).x(), -1.1);
+  EXPECT_LT((pose * placements[1].center - chair.center()).norm(), 0.3);
+  EXPECT_GT(placements[1].size_m, placements[0].size_m);
 }
 
 TEST(HiddenSides, NoneOfWhatStandsOnTheTable) {
@@ -156,15 +171,15 @@ TEST(HiddenSides, BadInputHidesNothing) {
   EXPECT_EQ(hidden_sides(same, {300.0, 220.0, 340.0, 260.0}), 0) << "one point many times";
 }
 
-TEST(ObjectPoints, BadInputGivesNone) {
+TEST(ObjectLayers, BadInputGivesNone) {
   const FramePoints empty({}, kCamera);
-  EXPECT_TRUE(object_points(empty, {100.0, 100.0, 200.0, 200.0}).empty());
+  EXPECT_TRUE(object_layers(empty, {100.0, 100.0, 200.0, 200.0}).empty());
   const FramePoints same(std::vector<Vec3>(50, Vec3(0.0, 0.0, 1.0)), kCamera);
-  EXPECT_LE(object_points(same, {300.0, 220.0, 340.0, 260.0}).size(), 50U) << "no crash on one point many times";
-  EXPECT_TRUE(object_points(same, {340.0, 220.0, 300.0, 260.0}).empty());
+  EXPECT_EQ(object_layers(same, {300.0, 220.0, 340.0, 260.0}).size(), 1U) << "no crash on one point many times";
+  EXPECT_TRUE(object_layers(same, {340.0, 220.0, 300.0, 260.0}).empty());
   const double nan = std::numeric_limits<double>::quiet_NaN();
-  EXPECT_TRUE(object_points(same, {nan, 220.0, 340.0, 260.0}).empty());
-  EXPECT_FALSE(place(empty, {100.0, 100.0, 200.0, 200.0}));
+  EXPECT_TRUE(object_layers(same, {nan, 220.0, 340.0, 260.0}).empty());
+  EXPECT_TRUE(place(empty, {100.0, 100.0, 200.0, 200.0}).empty());
 }
 
 TEST(DepthFit, OneViewGivesTheCentreToAThirdOfTheRadius) {

@@ -63,8 +63,8 @@ class MapperFixture : public ::testing::Test {
       association.score = object.score;
       association.box = *project_box(object.ellipsoid, projection_matrix(kMapperCamera, pose));
       if (frame.points_camera) {
-        const auto placement = place(FramePoints(*frame.points_camera, frame.camera), association.box);
-        if (placement) association.near_m = placement->center.z();
+        const auto placements = place(FramePoints(*frame.points_camera, frame.camera), association.box);
+        if (placements.size() == 1) association.near_m = placements.front().center.z();
       }
       associations.associations.push_back(association);
     }
