@@ -2,7 +2,6 @@
 
 #include <cstdio>
 #include <filesystem>
-#include <functional>
 #include <iostream>
 #include <map>
 #include <memory>
@@ -12,6 +11,7 @@
 #include <vector>
 
 #include "apps/program.h"
+#include "apps/sample_source.h"
 #include "geometry/up_estimator.h"
 #include "odometry/odometry_delay.h"
 #include "pipeline/map_state.h"
@@ -31,7 +31,6 @@
 #include "semantic_topo_loop/map/point_map.h"
 #include "semantic_topo_loop/pipeline/frame_builder.h"
 #include "semantic_topo_loop/pipeline/object_slam.h"
-#include "semantic_topo_loop/pipeline/read_ahead.h"
 #include "semantic_topo_loop/types/stamp.h"
 #include "tools/report/report.h"
 
@@ -46,131 +45,6 @@ struct Arguments {
   bool frozen = false, report = false;
   std::string truth, reference;  ///< for the report
   OptionTexts assignments;
-};
-
-// --- camera poses -------------------------------------------------------------------------------------------------
-
-/// How far a source is, and what became of its images where there are any.
-struct SourceState {
-  std::size_t done = 0, total = 0;  ///< images gone through so far, and of all
-  /// The samples ended early because all of them should be found anew: the calibration was corrected.
-  bool needs_rewind = false;
-  std::optional<Camera> camera;          ///< of the last sample, where the source corrects its calibration
-  std::optional<TrackingReport> report;  ///< of images
-  DepthRange depth_range;                ///< of the images read so far
-  std::string warning;                   ///< at the end: what was left out; empty if nothing
-  std::string fault;                     ///< at the end: why the recording ended early; empty if it did not
-};
-
-/// Where the camera poses of a run come from.
-class SampleSource {
- public:
-  virtual ~SampleSource() = default;
-  /// The next image that has a pose, or nullopt at the end.
-  virtual std::optional<PoseSample> next() = 0;
-  /// To the first image, the second time with what was learned of the camera.
-  virtual Status rewind() { return Error{"the source cannot be rewound"}; }
-  /// The color image of the last sample; empty where there are no images.
-  virtual cv::Mat color() const { return {}; }
-  /// What the point map keeps of the last image, where there are images.
-  virtual std::shared_ptr<const KeyframePoints> keyframe_points(int /*semi_dense_max*/) const { return nullptr; }
-  const SourceState& state() const { return state_; }
-
- protected:
-  SourceState state_;
-};
-
-/// Poses of a trajectory file.
-class TrajectorySource : public SampleSource {
- public:
-  explicit TrajectorySource(StampedPoses poses) : poses_(std::move(poses)) { state_.total = poses_.size(); }
-  std::optional<PoseSample> next() override {
-    if (state_.done == poses_.size()) return std::nullopt;
-    const StampedPose& pose = poses_[state_.done++];
-    PoseSample sample;
-    sample.stamp_ns = pose.stamp_ns;
-    sample.T_odom_camera = pose.T_world_camera;
-    return sample;
-  }
-
- private:
-  StampedPoses poses_;
-};
-
-/// Poses that the RGB-D front end finds in a recording's images, which are read while others are tracked.
-class RgbdSource : public SampleSource {
- public:
-  /// Opens the recording at its first image.
-  using Open = std::function<Result<RgbdRecording>()>;
-
-  RgbdSource(Open open_recording, RgbdFrontend frontend)
-      : open_recording_(std::move(open_recording)), frontend_(std::move(frontend)) {}
-
-  std::optional<PoseSample> next() override {
-    while (const std::optional<RgbdReading> reading = readings_->next()) {
-      ++state_.done;
-      if (!reading->left_out.empty()) {
-        DetectionReport::Cause& cause = left_out_[reading->left_out];
-        if (cause.count++ == 0) cause.first = reading->image.message();
-        continue;
-      }
-      if (!reading->image) {
-        state_.report->add_unreadable(reading->image.message());
-        continue;
-      }
-      state_.depth_range.add(reading->image->depth_range);
-      TrackedImage tracked = frontend_.track(*reading->image);
-      state_.needs_rewind = tracked.is_recalibrated;
-      if (tracked.is_recalibrated) return std::nullopt;
-      last_image_ = *reading->image;
-      state_.camera = frontend_.camera();
-      state_.report->add(tracked);
-      if (tracked.sample) return std::move(tracked.sample);
-    }
-    state_.fault = fault_;
-    for (const auto& [name, cause] : left_out_) {
-      state_.warning += (state_.warning.empty() ? "" : "; ") + std::to_string(cause.count) + " " + name +
-                        " (first: " + cause.first + ")";
-    }
-    return std::nullopt;
-  }
-  cv::Mat color() const override { return last_image_.color; }
-  std::shared_ptr<const KeyframePoints> keyframe_points(int semi_dense_max) const override {
-    return std::make_shared<const KeyframePoints>(frontend_.keyframe_points(last_image_, semi_dense_max));
-  }
-  Status rewind() override {
-    readings_.reset();
-    Result<RgbdRecording> opened = open_recording_();
-    if (!opened) return opened.error();
-    recording_ = *std::move(opened);
-    if (state_.needs_rewind) frontend_.begin_anew();
-    state_ = {};
-    state_.total = recording_.total;
-    state_.report.emplace();
-    left_out_.clear();
-    last_image_ = {};
-    fault_.clear();
-    readings_ = std::make_unique<ReadAhead<RgbdReading>>([this] { return read(); }, kReadAhead);
-    return {};
-  }
-
- private:
-  static constexpr std::size_t kReadAhead = 8;
-
-  /// On the reading thread.
-  std::optional<RgbdReading> read() {
-    Result<std::optional<RgbdReading>> reading = recording_.next();
-    fault_ = reading.message();
-    return reading ? *std::move(reading) : std::nullopt;
-  }
-
-  Open open_recording_;
-  RgbdRecording recording_;  ///< of the reading thread, once it runs
-  RgbdFrontend frontend_;
-  std::map<std::string, DetectionReport::Cause> left_out_;  ///< images that the recording itself does not count
-  RgbdImage last_image_;
-  std::string fault_;                                 ///< written before the reading thread ends the stream
-  std::unique_ptr<ReadAhead<RgbdReading>> readings_;  ///< last: its thread ends before what it uses
 };
 
 void say(const std::string& warning) { std::cerr << "offline: warning: " << warning << '\n'; }
@@ -191,15 +65,14 @@ struct RunInputs {
 
 /// The poses of --trajectory, or those found from the images of --bag or --rgbd.
 Result<std::unique_ptr<SampleSource>> open_source(const Arguments& arguments, const RunInputs& inputs) {
-  using Source = std::unique_ptr<SampleSource>;
   if (!arguments.trajectory.empty()) {
     Result<StampedPoses> trajectory = read_tum_trajectory(arguments.trajectory);
     if (!trajectory) return trajectory.error();
-    return Source(std::make_unique<TrajectorySource>(*std::move(trajectory)));
+    return source_of_poses(*std::move(trajectory));
   }
   const Camera& camera = inputs.camera;
   const DepthOptions& depth = inputs.options.depth;
-  RgbdSource::Open open_recording = [bag = arguments.bag, camera, depth] {
+  OpenRecording open_recording = [bag = arguments.bag, camera, depth] {
     return semantic_topo_loop::open_tum_bag(bag, camera, depth);
   };
   if (arguments.bag.empty()) {
@@ -208,9 +81,7 @@ Result<std::unique_ptr<SampleSource>> open_source(const Arguments& arguments, co
     if (!read->warning.empty()) say(read->warning);
     open_recording = [camera, depth, files = read->files] { return read_images(files, camera, depth); };
   }
-  Source source = std::make_unique<RgbdSource>(open_recording, RgbdFrontend(inputs.options.frontend, camera));
-  if (const Status opened = source->rewind(); !opened) return opened.error();
-  return Result<Source>(std::move(source));
+  return source_of_images(std::move(open_recording), RgbdFrontend(inputs.options.frontend, camera));
 }
 
 /// Reads what may be left out.
