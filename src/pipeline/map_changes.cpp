@@ -19,8 +19,9 @@ constexpr double kMinSeen_s = 2.0;
 constexpr int kMinLooks = 15, kMinLooksOfGone = 5, kMinLooksOfMoved = 2, kMinLooksOfMany = 2;
 /// For which depth must have shown what lies behind an object that is gone, wherever from.
 constexpr double kMinSeenThrough_s = 1.0;
-/// Of the boxes of an object that is gone, what the last session may have by mistake.
-constexpr double kMistakenShare = 0.05;
+/// Of the boxes of an object that is gone, what the last session may have by mistake: a share of those that it should
+/// have, and a false one or two.
+constexpr double kMistakenShare = 0.05, kMistaken_s = 0.2;
 /// An object that is boxed for longer than it is in view, by this factor, is not where the map has it.
 constexpr double kMaxSeenShare = 1.25;
 /// Of a projection that must be in view to be asked about, however little of it was seen before.
@@ -218,8 +219,8 @@ std::vector<MapChange> map_changes(const MapState& map) {
       const bool is_missed = looked_after >= kMinLooksOfGone && boxes.one_s * expected >= kMinSeen_s;
       change.seen_through_s = seen_through_s(landmark);
       if (!is_missed && change.seen_through_s < kMinSeenThrough_s) continue;
-      if (boxes.after > kMistakenShare * (is_missed ? std::min<double>(boxes.before, expected) : boxes.before))
-        continue;
+      const double should_have = is_missed ? std::min<double>(boxes.before, expected) : boxes.before;
+      if (boxes.after > kMistakenShare * should_have && boxes.after_s() > kMistaken_s) continue;
       // By one of its size, it is that one, by another id.
       const auto is_there_now = [&](const MappedLandmark& other) {
         return count_boxes(other, first).after_s() >= kMinSeen_s &&

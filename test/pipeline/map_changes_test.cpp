@@ -8,6 +8,7 @@
 #include <utility>
 #include <vector>
 
+#include "geometry/statistics.h"
 #include "support/package_config.h"
 #include "support/random_poses.h"
 #include "support/simulated_run.h"
@@ -104,6 +105,32 @@ TEST(MapChanges, ASessionThatOnlyFoundItsWayMissesNothing) {
   // As in localisation mode: keyframes came, boxes did not.
   both.objects = first->objects;
   EXPECT_TRUE(listed(both).empty()) << listed(both).front();
+}
+
+TEST(MapChanges, AFalseBoxOrTwoDoesNotBringBackWhatHasGone) {
+  const TwoDays days = two_days(1);
+  const auto first = testing::map_of(days.sequence, 0, days.second, shared_coco());
+  MapState map = *testing::map_of(days.sequence, days.second, days.sequence.odometry.size(), shared_coco(), {}, first);
+  const auto changes = map_changes(map);
+  const auto is_gone = [](const MapChange& change) { return change.kind == MapChange::Kind::kGone; };
+  const auto gone = std::find_if(changes.begin(), changes.end(), is_gone);
+  ASSERT_NE(gone, changes.end());
+  const auto landmark = std::find_if(map.objects.landmarks.begin(), map.objects.landmarks.end(),
+                                     [&](const MappedLandmark& l) { return l.state.id == *gone->before_id; });
+  landmark->observations = spread(landmark->observations, 50);
+  const auto is_listed_with = [&](std::size_t false_boxes) {
+    MapState seen = map;
+    MappedLandmark& object = seen.objects.landmarks[static_cast<std::size_t>(landmark - map.objects.landmarks.begin())];
+    Observation box = object.observations.back();
+    box.keyframe_id = seen.graph.next_keyframe_id() - 1;
+    object.observations.insert(object.observations.end(), false_boxes, box);
+    object.sightings.seen_s = 0.06 * static_cast<double>(object.observations.size());
+    const auto left = map_changes(seen);
+    return std::any_of(left.begin(), left.end(), [&](const MapChange& c) { return c.before_id == gone->before_id; });
+  };
+  EXPECT_TRUE(is_listed_with(0));
+  EXPECT_TRUE(is_listed_with(3));
+  EXPECT_FALSE(is_listed_with(8)) << "so many are no mistake";
 }
 
 TEST(MapChanges, AChairThatTheBorderOfTheImageAlwaysCutsIsMissedToo) {
