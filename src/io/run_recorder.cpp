@@ -1,13 +1,8 @@
 #include "semantic_topo_loop/io/run_recorder.h"
 
-#include <unistd.h>
-
 #include <algorithm>
 #include <array>
-#include <cerrno>
 #include <cmath>
-#include <cstdio>
-#include <cstdlib>
 #include <cstring>
 #include <filesystem>
 #include <iterator>
@@ -19,6 +14,7 @@
 #include "geometry/relative_pose.h"
 #include "io/csv.h"
 #include "io/process_memory.h"
+#include "io/spool.h"
 #include "loop/graph/relocalisation.h"
 #include "odometry/held_poses.h"
 #include "semantic_topo_loop/io/run_files.h"
@@ -109,72 +105,6 @@ const Rows& headers() {
                                 "frame_id,resident_mb,peak_mb\n"};
   return kHeaders;
 }
-
-/// Bytes that grow for as long as a run, on the disk but for their end: in a file without a name, which goes with the
-/// process.
-class Spool {
- public:
-  /// @param directory of the file, which is there
-  void add(std::string_view bytes, const std::string& directory) {
-    end_ += bytes;
-    if (end_.size() >= kEndMax) write_end(directory);
-  }
-
-  /// Calls take(bytes) in order, part by part, each of whole rows of `row_size` bytes.
-  /// @return an error if the disk does not give the bytes back
-  template <class Take>
-  Status read(std::size_t row_size, const Take& take) const {
-    std::string part(kEndMax - kEndMax % row_size, '\0');
-    std::size_t held = 0;  // bytes of a row of which the rest has not been read
-    for (off_t at = 0; file_;) {
-      const ssize_t length = ::pread(::fileno(file_.get()), part.data() + held, part.size() - held, at);
-      if (length < 0 && errno == EINTR) continue;
-      if (length < 0) return Error{"the rows of the run cannot be read: " + std::system_category().message(errno)};
-      if (length == 0) break;
-      at += length;
-      held += static_cast<std::size_t>(length);
-      const std::size_t whole = held - held % row_size;
-      take(std::string_view(part.data(), whole));
-      held -= whole;
-      std::copy_n(part.data() + whole, held, part.data());
-    }
-    if (held > 0) return Error{"the rows of the run cannot be read: they end within one"};
-    take(std::string_view(end_));
-    return {};
-  }
-
- private:
-  static constexpr std::size_t kEndMax = 1 << 18;  ///< bytes: short runs need no file
-
-  /// What a full disk does not take stays, and is written with what comes next.
-  void write_end(const std::string& directory) {
-    if (!file_) file_.reset(open_nameless(directory));
-    std::size_t written = 0;
-    while (file_ && written < end_.size()) {
-      const ssize_t length = ::pwrite(::fileno(file_.get()), end_.data() + written, end_.size() - written, length_);
-      if (length < 0 && errno == EINTR) continue;
-      if (length <= 0) break;
-      written += static_cast<std::size_t>(length);
-      length_ += length;
-    }
-    end_.erase(0, written);
-  }
-
-  static std::FILE* open_nameless(const std::string& directory) {
-    std::string path = directory + "/.rows_XXXXXX";
-    const int descriptor = ::mkstemp(path.data());
-    if (descriptor < 0) return nullptr;
-    ::unlink(path.c_str());
-    return ::fdopen(descriptor, "w+b");
-  }
-
-  struct Close {
-    void operator()(std::FILE* file) const { std::fclose(file); }
-  };
-  std::unique_ptr<std::FILE, Close> file_;
-  off_t length_ = 0;  ///< of the file
-  std::string end_;   ///< behind what the file holds
-};
 
 /// Of a frame, what is needed at the end; plain numbers, so that its bytes can be kept.
 struct FramePlace {
