@@ -1,5 +1,7 @@
 #include <algorithm>
 #include <cmath>
+#include <map>
+#include <set>
 
 #include "geometry/wide_image.h"
 #include "map/mapped_landmark.h"
@@ -119,6 +121,42 @@ std::vector<ExpectedLandmark> expected_landmarks(const std::map<std::int64_t, Ma
     expected.push_back({candidate.id, candidate.box.size(), candidate.share(), is_in_it, is_seen_through});
   }
   return expected;
+}
+
+std::map<std::int64_t, double> recounted_expected_s(const std::map<std::int64_t, MappedLandmark>& landmarks,
+                                                    const Camera& camera, const KeyframePlaces& S_map_keyframe) {
+  struct Looks {
+    std::set<std::int64_t> with_box;
+    int expected = 0, seen = 0;
+  };
+  std::map<std::int64_t, Looks> looks;
+  std::set<std::int64_t> with_any_box;
+  for (const auto& [id, landmark] : landmarks) {
+    const auto kept = static_cast<std::int64_t>(landmark.observations.size());
+    const bool is_asked = !landmark.sightings.is_placed() && kept == landmark.state.observations;
+    for (const Observation& observation : landmark.observations) {
+      with_any_box.insert(observation.keyframe_id);
+      if (is_asked) looks[id].with_box.insert(observation.keyframe_id);
+    }
+  }
+  Frame frame;
+  frame.camera = camera;
+  for (const std::int64_t keyframe_id : with_any_box) {
+    const auto place = S_map_keyframe.find(keyframe_id);
+    if (place == S_map_keyframe.end()) continue;
+    for (const ExpectedLandmark& expected : expected_landmarks(landmarks, frame, nullptr, place->second.T, {})) {
+      const auto asked = looks.find(expected.id);
+      if (asked == looks.end() || keyframe_id < *asked->second.with_box.begin()) continue;
+      ++asked->second.expected;
+      asked->second.seen += asked->second.with_box.count(keyframe_id) != 0 ? 1 : 0;
+    }
+  }
+  std::map<std::int64_t, double> expected_s;
+  for (const auto& [id, look] : looks) {
+    constexpr double kHardlySeen = 0.5;  // keyframes, where those with boxes do not expect it
+    expected_s[id] = landmarks.at(id).sightings.seen_s * look.expected / std::max<double>(look.seen, kHardlySeen);
+  }
+  return expected_s;
 }
 
 double landmark_quality(const MappedLandmark& landmark) {

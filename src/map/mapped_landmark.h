@@ -198,6 +198,14 @@ std::vector<ExpectedLandmark> expected_landmarks(const std::map<std::int64_t, Ma
                                                  const AssociationFrame& associations,
                                                  double least_share = kFullyVisibleShare);
 
+/// What the time should be for which a landmark that boxes alone place is expected, by where the keyframes are now: the
+/// time that it was seen, times the keyframes that expect it since its first box over those with boxes of it. While the
+/// odometry drifts a running count asks from where the camera was not. Keyframes without any box do not count, nor does
+/// what has more boxes than are kept.
+/// @return s, by id
+std::map<std::int64_t, double> recounted_expected_s(const std::map<std::int64_t, MappedLandmark>& landmarks,
+                                                    const Camera& camera, const KeyframePlaces& S_map_keyframe);
+
 /// rho in [0, 1]: 1 for an object well seen from all around, 0 for a guess.
 ///   rho = mean IoU (1 - e^(-baseline / 15 deg)) (1 - e^(-seen / 0.7 s)) / (1 + sigma / 5 cm),
 /// with sigma the root mean variance of the centre; without the baseline where depth places it.

@@ -505,12 +505,19 @@ struct QuadricMapper::Impl {
     changed_.insert(landmark->state.id);
   }
 
-  /// At the end of a stream: every landmark fitted on all its views, duplicates and parts gone.
+  /// At the end of a stream: every landmark fitted on all its views, duplicates and parts gone, and what should have
+  /// been seen counted by where the camera was after all.
   void finish(MapUpdate* update) {
     for (auto& [id, landmark] : landmarks_) fit(&landmark);
     constexpr int kRounds = 3;  // a merge moves the survivor, which may uncover another duplicate
     for (int round = 0; round < kRounds; ++round) merge_duplicates(update);
     remove_parts(update);
+    for (const auto& [id, expected_s] : recounted_expected_s(landmarks_, camera_, S_map_keyframe_)) {
+      Sightings& sightings = landmarks_.at(id).sightings;
+      if (expected_s <= sightings.expected_s) continue;
+      sightings.expected_s = expected_s;
+      touched_.insert(id);
+    }
   }
 
   /// Parts of an object that the detector boxed alone for a while.
