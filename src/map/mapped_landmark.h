@@ -200,9 +200,8 @@ std::vector<ExpectedLandmark> expected_landmarks(const std::map<std::int64_t, Ma
 
 /// What the time should be for which a landmark that boxes alone place is expected, by where the keyframes are now: the
 /// time that it was seen, times the keyframes that expect it since its first box over those with boxes of it. While the
-/// odometry drifts a running count asks from where the camera was not. Keyframes without any box do not count, nor does
-/// what has more boxes than are kept.
-/// @return s, by id
+/// odometry drifts a running count asks from where the camera was not. Keyframes without any box do not count.
+/// @return s, by id; not of what was seen for 10 s and more, nor of what has more boxes than are kept
 std::map<std::int64_t, double> recounted_expected_s(const std::map<std::int64_t, MappedLandmark>& landmarks,
                                                     const Camera& camera, const KeyframePlaces& S_map_keyframe);
 
