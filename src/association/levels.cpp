@@ -80,8 +80,11 @@ NearestPlacement nearest_placement(const Track& track, const PreparedDetection& 
 }
 
 bool show_one_thing(const PreparedDetection& a, const PreparedDetection& b) {
-  return a.placements.size() == 1 && b.placements.size() == 1 &&
-         is_one_thing(a.placements.front(), b.placements.front()) &&
+  const auto is_also_b = [&b](const Placement& of_a) {
+    return std::any_of(b.placements.begin(), b.placements.end(),
+                       [&of_a](const Placement& of_b) { return is_one_thing(of_a, of_b); });
+  };
+  return std::any_of(a.placements.begin(), a.placements.end(), is_also_b) &&
          intersection_area(a.visible, b.visible) > kInside * std::min(a.visible.area(), b.visible.area());
 }
 

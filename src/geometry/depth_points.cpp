@@ -63,6 +63,8 @@ constexpr double kMiddle = 0.8;               // of the box: the ellipse that a 
 constexpr double kNearShare = 0.35;           // of the points in it: less than the part that anything but a frame fills
 constexpr double kReach = 0.5;                // of the box's longer side, before and behind that
 constexpr double kBehindShare = 0.3;          // of the points in it, behind that: then these may be the object's
+constexpr double kPlaneShare = 0.4;           // of a layer, in one plane: a table top with what lies on it
+constexpr double kGoesOnShare = 0.08;         // of what lies around the box, in that plane
 constexpr double kStrip_px = 10.0;            // along a side, inside of it, at a width of 640: two or three points
 constexpr std::size_t kStripPointsMax = 100;  // twenty times those that it takes
 constexpr double kOccluderShare = 0.6;  // of what lies outside of a side in one plane, and inside of it behind that
@@ -126,6 +128,22 @@ bool is_behind(const std::vector<SeenPoint>& inside, const std::vector<SeenPoint
     return plane->distance(p.point_camera) < -plane_tolerance_m(p.point_camera.z());
   });
   return static_cast<double>(behind) > kOccluderShare * static_cast<double>(inside.size());
+}
+
+/// Whether the plane that holds most of a layer goes on outside of the box: an object ends with its box, a desk that
+/// stands before it does not.
+bool goes_on_outside(const std::vector<Vec3>& layer, const FramePoints& points, const Box& box) {
+  const std::optional<Plane> plane = dominant_plane(layer, kHypotheses, kPlaneShare);
+  if (!plane) return false;
+  const double margin_x = kRing * box.width(), margin_y = kRing * box.height();
+  std::size_t around = 0, on_plane = 0;
+  for (const SeenPoint& p :
+       points.in({box.x1 - margin_x, box.y1 - margin_y, box.x2 + margin_x, box.y2 + margin_y}, kPointsMax)) {
+    if (contains(box, p.pixel)) continue;
+    ++around;
+    on_plane += plane->holds(p.point_camera) ? 1 : 0;
+  }
+  return static_cast<double>(on_plane) > kGoesOnShare * static_cast<double>(around);
 }
 
 }  // namespace
@@ -223,6 +241,7 @@ std::vector<std::vector<Vec3>> object_layers(const FramePoints& points, const Bo
   if (near.points.size() < kMinPoints) return layers;
   layers.push_back(std::move(near.points));
   if (static_cast<double>(near.behind.size()) < kBehindShare * static_cast<double>(middle.size())) return layers;
+  if (!goes_on_outside(layers.front(), points, box)) return layers;
   Layer far = nearest_layer(near.behind, reach);
   if (far.points.size() >= kMinPoints) layers.push_back(std::move(far.points));
   return layers;

@@ -67,11 +67,10 @@ class FramePoints {
 };
 
 /// The points that may be those of a box's object, by depth: those in the middle of the box about the depth that a
-/// third of them do not reach, as far before and behind it as half of the box's longer side is long; and where behind
-/// these is nearly a third of them, the nearest of the others in the same way. Mostly there is one layer, since an
-/// object is in front of what is behind it, holes in it and where depth is missing notwithstanding. Where something
-/// stands before the object, as a desk before a chair, or the object is mostly holes, there are two, and one image does
-/// not tell which is the object.
+/// third of them do not reach, as far before and behind it as half of the box's longer side is long. Mostly that is the
+/// object, since it is in front of what is behind it, holes in it and where depth is missing notwithstanding. Where
+/// nearly a third lies farther back and the plane of the nearer ones goes on outside of the box, as that of a desk
+/// before a chair, the nearest of the others come second, and one image does not tell which is the object.
 /// @param box undistorted, px
 /// @return nearest first, each in the camera frame, m; empty if too few points are left
 std::vector<std::vector<Vec3>> object_layers(const FramePoints& points, const Box& box);

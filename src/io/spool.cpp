@@ -42,8 +42,14 @@ Status Spool::read(std::size_t row_size, const std::function<void(std::string_vi
     held -= whole;
     std::copy_n(part.data() + whole, held, part.data());
   }
-  if (held > 0) return Error{"the rows of the run cannot be read: they end within one"};
-  take(std::string_view(end_));
+  std::string_view end = end_;
+  if (held > 0) {  // the disk was full within a row
+    const std::size_t missing = row_size - held;
+    if (end.size() < missing) return Error{"the rows of the run cannot be read: they end within one"};
+    take(part.substr(0, held).append(end.substr(0, missing)));
+    end.remove_prefix(missing);
+  }
+  take(end);
   return {};
 }
 

@@ -1,7 +1,5 @@
 #include <algorithm>
 #include <cmath>
-#include <map>
-#include <set>
 
 #include "geometry/wide_image.h"
 #include "map/mapped_landmark.h"
@@ -16,8 +14,8 @@ constexpr double kBoundedShare = 0.2, kBoundedShareOfBoxes = 0.5;
 // Of familiar views: what depth places and a detector finds again no more often is a mistake of it. Chosen on fr1_xyz,
 // its images thinned and boxes dropped: objects from 0.30 on (60 % dropped), mistakes 0.12 to 0.31.
 constexpr double kFoundAgainShare = 0.25;
-// Seen for longer is there, whatever else hides it: of two simulated houses, where walls do, the count would otherwise
-// cost 8 objects of 252, and fr2_desk's drifted files have their mistakes for 2 to 9 s.
+// Seen for longer is there, from however few of the keyframes that expect it: walls of houses hide things, and nothing
+// tells of them. The mistakes on fr2_desk's drifted files were seen for 2 to 9 s.
 constexpr double kSurelyThere_s = 10.0;
 constexpr double kTransparentShare = 0.1;  // of the time seen: what shows more of its background has holes
 constexpr double kHollowShare = 0.5;       // of the time seen uncut: what shows more of its inside is hollow
@@ -126,43 +124,6 @@ std::vector<ExpectedLandmark> expected_landmarks(const std::map<std::int64_t, Ma
   return expected;
 }
 
-std::map<std::int64_t, double> recounted_expected_s(const std::map<std::int64_t, MappedLandmark>& landmarks,
-                                                    const Camera& camera, const KeyframePlaces& S_map_keyframe) {
-  struct Looks {
-    std::set<std::int64_t> with_box;
-    int expected = 0, seen = 0;
-  };
-  std::map<std::int64_t, Looks> looks;
-  std::set<std::int64_t> with_any_box;
-  for (const auto& [id, landmark] : landmarks) {
-    const auto kept = static_cast<std::int64_t>(landmark.observations.size());
-    const bool is_asked = !landmark.sightings.is_placed() && landmark.sightings.seen_s < kSurelyThere_s &&
-                          kept == landmark.state.observations;
-    for (const Observation& observation : landmark.observations) {
-      with_any_box.insert(observation.keyframe_id);
-      if (is_asked) looks[id].with_box.insert(observation.keyframe_id);
-    }
-  }
-  Frame frame;
-  frame.camera = camera;
-  for (const std::int64_t keyframe_id : with_any_box) {
-    const auto place = S_map_keyframe.find(keyframe_id);
-    if (place == S_map_keyframe.end()) continue;
-    for (const ExpectedLandmark& expected : expected_landmarks(landmarks, frame, nullptr, place->second.T, {})) {
-      const auto asked = looks.find(expected.id);
-      if (asked == looks.end() || keyframe_id < *asked->second.with_box.begin()) continue;
-      ++asked->second.expected;
-      asked->second.seen += asked->second.with_box.count(keyframe_id) != 0 ? 1 : 0;
-    }
-  }
-  std::map<std::int64_t, double> expected_s;
-  for (const auto& [id, look] : looks) {
-    constexpr double kHardlySeen = 0.5;  // keyframes, where those with boxes do not expect it
-    expected_s[id] = landmarks.at(id).sightings.seen_s * look.expected / std::max<double>(look.seen, kHardlySeen);
-  }
-  return expected_s;
-}
-
 double landmark_quality(const MappedLandmark& landmark) {
   const Landmark& state = landmark.state;
   const double from_around = landmark.sightings.is_placed() ? 1.0 : 1.0 - std::exp(-state.baseline_deg / 15.0);
@@ -188,11 +149,13 @@ LandmarkState life_cycle_state(const MappedLandmark& landmark, const QuadricMapp
   // Every side must have been seen to end, if not at once: what is cut counts. Boxes alone need several directions,
   // depth needs none.
   const auto is_bounded = [&](double share) { return sightings.least_bounded_s() >= share * options.confirm_seen_s; };
-  const bool is_known = sightings.is_placed()
-                            ? sightings.placed_s >= options.confirm_seen_s && is_bounded(kBoundedShare) &&
-                                  sightings.familiar_share() >= kFoundAgainShare
-                            : sightings.seen_s >= options.confirm_seen_s && is_bounded(kBoundedShareOfBoxes) &&
-                                  state.baseline_deg >= options.confirm_baseline_deg;
+  const bool is_known =
+      sightings.is_placed()
+          ? sightings.placed_s >= options.confirm_seen_s && is_bounded(kBoundedShare) &&
+                sightings.familiar_share() >= kFoundAgainShare
+          : sightings.seen_s >= options.confirm_seen_s && is_bounded(kBoundedShareOfBoxes) &&
+                state.baseline_deg >= options.confirm_baseline_deg &&
+                (sightings.seen_s >= kSurelyThere_s || sightings.views.found_share() >= options.confirm_seen_share);
   const bool confirmed = state.ellipsoid && state.observations >= options.min_views && is_known &&
                          state.mean_iou >= options.confirm_mean_iou && seen_share >= options.confirm_seen_share &&
                          landmark_quality(landmark) >= options.confirm_quality;

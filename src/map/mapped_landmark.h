@@ -33,6 +33,27 @@ struct Observation {
 /// The time that a frame stands for at most: a slow detector's interval.
 constexpr double kStepMax_s = 0.2;
 
+/// From how many keyframes a landmark was found, and from how many it was expected without. Time does not tell: a
+/// mistake of the detector stays for as long as the camera hardly moves.
+struct Views {
+  int found = 0, missed = 0;
+  std::int64_t keyframe_id = -1;  ///< the last one
+  bool is_found = false;          ///< from there
+
+  void add(std::int64_t keyframe, bool has_box) {
+    if (keyframe != keyframe_id) {
+      keyframe_id = keyframe;
+      is_found = has_box;
+      ++(has_box ? found : missed);
+    } else if (has_box && !is_found) {
+      is_found = true;
+      --missed;
+      ++found;
+    }
+  }
+  double found_share() const { return found + missed > 0 ? static_cast<double>(found) / (found + missed) : 1.0; }
+};
+
 /// How long a landmark was seen and should have been. Time, not counts, so that 6 Hz and 30 Hz behave alike. Where
 /// depth tells of what one box shows, the time that it was seen is weighed by the detector's score.
 struct Sightings {
@@ -48,6 +69,7 @@ struct Sightings {
   /// In view where depth shows what lies behind it: while it had a box (it has holes, or is misplaced), and without a
   /// box since the last one (it has gone).
   double transparent_s = 0.0, seen_through_since_s = 0.0;
+  Views views;
 
   /// Whether depth has told most of the time where it is.
   bool is_placed() const { return placed_s > 0.5 * seen_s; }
@@ -70,6 +92,8 @@ struct Sightings {
     familiar_missed_s += sign * other.familiar_missed_s;
     hollow_s += sign * other.hollow_s;
     transparent_s += sign * other.transparent_s;
+    views.found += sign > 0.0 ? other.views.found : -other.views.found;
+    views.missed += sign > 0.0 ? other.views.missed : -other.views.missed;
   }
 };
 
@@ -197,13 +221,6 @@ std::vector<ExpectedLandmark> expected_landmarks(const std::map<std::int64_t, Ma
                                                  const Frame& frame, const FramePoints* points, const SE3& T_map_camera,
                                                  const AssociationFrame& associations,
                                                  double least_share = kFullyVisibleShare);
-
-/// What the time should be for which a landmark that boxes alone place is expected, by where the keyframes are now: the
-/// time that it was seen, times the keyframes that expect it since its first box over those with boxes of it. While the
-/// odometry drifts a running count asks from where the camera was not. Keyframes without any box do not count.
-/// @return s, by id; not of what was seen for 10 s and more, nor of what has more boxes than are kept
-std::map<std::int64_t, double> recounted_expected_s(const std::map<std::int64_t, MappedLandmark>& landmarks,
-                                                    const Camera& camera, const KeyframePlaces& S_map_keyframe);
 
 /// rho in [0, 1]: 1 for an object well seen from all around, 0 for a guess.
 ///   rho = mean IoU (1 - e^(-baseline / 15 deg)) (1 - e^(-seen / 0.7 s)) / (1 + sigma / 5 cm),

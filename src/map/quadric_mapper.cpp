@@ -278,6 +278,7 @@ struct QuadricMapper::Impl {
         landmark.next_fit_at = options_.min_views;
       }
       count_seen(association, points != nullptr, &landmark.sightings);
+      if (association.truncated != 0) landmark.sightings.views.add(frame.keyframe_id, true);
       if (association.has_depth() && !landmark.state.ellipsoid && !has_depth(landmark)) landmark.next_fit_at = 1;
       const int hidden = points != nullptr ? hidden_sides(*points, association.box) : 0;
       const auto truncated = static_cast<std::uint8_t>(association.truncated | hidden);
@@ -323,10 +324,12 @@ struct QuadricMapper::Impl {
       if (landmark.last_stamp_ns == frame.stamp_ns) {
         landmark.seen_from.add(direction, expected.size_px);
         landmark.sightings.familiar_seen_s += step_s_;
+        landmark.sightings.views.add(frame.keyframe_id, true);
         if (expected.is_seen_into) landmark.sightings.hollow_s += step_s_;
         landmark.sightings.transparent_s += seen_through_s;
       } else {
         landmark.sightings.seen_through_since_s += seen_through_s;
+        landmark.sightings.views.add(frame.keyframe_id, false);
         if (landmark.seen_from.covers(direction, expected.size_px)) {
           landmark.sightings.familiar_missed_s += step_s_;
           landmark.sightings.missed_since_s += step_s_;
@@ -505,19 +508,12 @@ struct QuadricMapper::Impl {
     changed_.insert(landmark->state.id);
   }
 
-  /// At the end of a stream: every landmark fitted on all its views, duplicates and parts gone, and what should have
-  /// been seen counted by where the camera was after all.
+  /// At the end of a stream: every landmark fitted on all its views, duplicates and parts gone.
   void finish(MapUpdate* update) {
     for (auto& [id, landmark] : landmarks_) fit(&landmark);
     constexpr int kRounds = 3;  // a merge moves the survivor, which may uncover another duplicate
     for (int round = 0; round < kRounds; ++round) merge_duplicates(update);
     remove_parts(update);
-    for (const auto& [id, expected_s] : recounted_expected_s(landmarks_, camera_, S_map_keyframe_)) {
-      Sightings& sightings = landmarks_.at(id).sightings;
-      if (expected_s <= sightings.expected_s) continue;
-      sightings.expected_s = expected_s;
-      touched_.insert(id);
-    }
   }
 
   /// Parts of an object that the detector boxed alone for a while.

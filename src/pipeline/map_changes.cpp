@@ -20,8 +20,8 @@ constexpr int kMinLooks = 15, kMinLooksOfGone = 5, kMinLooksOfMoved = 2, kMinLoo
 /// For which depth must have shown what lies behind an object that is gone, wherever from.
 constexpr double kMinSeenThrough_s = 1.0;
 /// Of the boxes of an object that is gone, what the last session may have by mistake: a share of those that it should
-/// have, and a false one or two.
-constexpr double kMistakenShare = 0.05, kMistaken_s = 0.2;
+/// have, two at least, and as long as two of a slow detector.
+constexpr double kMistakenShare = 0.05, kMistakenBoxes = 2.0, kMistaken_s = 0.2;
 /// An object that is boxed for longer than it is in view, by this factor, is not where the map has it.
 constexpr double kMaxSeenShare = 1.25;
 /// Of a projection that must be in view to be asked about, however little of it was seen before.
@@ -220,7 +220,9 @@ std::vector<MapChange> map_changes(const MapState& map) {
       change.seen_through_s = seen_through_s(landmark);
       if (!is_missed && change.seen_through_s < kMinSeenThrough_s) continue;
       const double should_have = is_missed ? std::min<double>(boxes.before, expected) : boxes.before;
-      if (boxes.after > kMistakenShare * should_have && boxes.after_s() > kMistaken_s) continue;
+      const bool is_mistake =
+          boxes.after <= std::max(kMistakenShare * should_have, kMistakenBoxes) || boxes.after_s() <= kMistaken_s;
+      if (!is_mistake) continue;
       // By one of its size, it is that one, by another id.
       const auto is_there_now = [&](const MappedLandmark& other) {
         return count_boxes(other, first).after_s() >= kMinSeen_s &&

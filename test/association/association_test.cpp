@@ -300,8 +300,8 @@ TEST(ObjectAssociator, DepthTellsWhatStandsInFrontAndWhatIsOneThingUnderTwoNames
 TEST(ObjectAssociator, OfTwoDepthsInABoxItsLandmarkTellsWhichIsTheObject) {
   ObjectAssociator associator(options("joint"), classes());
   const Box box = box_at(320.0, 240.0);
-  std::vector<Vec3> both;  // the left half of the box shows something in front
-  add_wall({box.x1, box.y1, box.center().x(), box.y2}, 1.0, &both);
+  std::vector<Vec3> both;  // in the left half of the box, and beside it, something stands in front
+  add_wall({box.x1 - box.width(), box.y1, box.center().x(), box.y2}, 1.0, &both);
   add_wall({box.center().x() + 4.0, box.y1, box.x2, box.y2}, 2.0, &both);
   const Association first = associator.associate(frame_with(0, both), {{kBook, 0.9, box}}).associations[0];
   EXPECT_GE(first.landmark_id, 0);

@@ -131,6 +131,20 @@ TEST(ObjectLayers, AreTwoOfAChairBehindTheTable) {
   EXPECT_GT(placements[1].size_m, placements[0].size_m);
 }
 
+TEST(ObjectLayers, IsOneOfAThingWithHolesThatEndsWithItsBox) {
+  std::vector<Vec3> points;  // the left half of the box, and a wall behind all of it
+  const Box box{280.0, 200.0, 360.0, 280.0};
+  for (double v = 150.0; v < 330.0; v += 4.0) {
+    for (double u = 230.0; u < 410.0; u += 4.0) {
+      const bool is_thing = u > box.x1 && u < box.center().x() && v > box.y1 && v < box.y2;
+      points.push_back((is_thing ? 1.0 : 3.0) * kCamera.ray(Vec2(u, v)));
+    }
+  }
+  const std::vector<Placement> placements = place(FramePoints(points, kCamera), box);
+  ASSERT_EQ(placements.size(), 1U);
+  EXPECT_NEAR(placements.front().center.z(), 1.0, 1e-6);
+}
+
 TEST(HiddenSides, NoneOfWhatStandsOnTheTable) {
   for (const Ellipsoid& object : {kCup, kKeyboard, kBottle}) {
     for (const double angle : {0.0, 70.0, 140.0, 200.0, 300.0}) {

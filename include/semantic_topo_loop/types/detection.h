@@ -46,7 +46,8 @@ struct Association {
   Box box;                     ///< undistorted, px
   std::uint8_t truncated = 0;  ///< Truncation bits
   int landmark_class_id = -1;  ///< most frequent class of the landmark, this detection included
-  double near_m = 0.0;         ///< depth of the near side of what the box shows; 0 where the frame does not tell
+  /// Depth of the near side of the landmark; 0 where the frame does not tell, or leaves open which of two depths it is.
+  double near_m = 0.0;
 
   bool has_depth() const { return std::isfinite(near_m) && near_m > 0.0; }
 };
