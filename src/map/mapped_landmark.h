@@ -51,7 +51,8 @@ struct Views {
       ++found;
     }
   }
-  double found_share() const { return found + missed > 0 ? static_cast<double>(found) / (found + missed) : 1.0; }
+  /// 1 where nothing was counted yet, as in maps of before.
+  double found_share() const { return found > 0 ? static_cast<double>(found) / (found + missed) : 1.0; }
 };
 
 /// How long a landmark was seen and should have been. Time, not counts, so that 6 Hz and 30 Hz behave alike. Where
