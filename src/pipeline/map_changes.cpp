@@ -20,7 +20,7 @@ constexpr int kMinLooks = 15, kMinLooksOfGone = 5, kMinLooksOfMoved = 2, kMinLoo
 /// For which depth must have shown what lies behind an object that is gone, wherever from.
 constexpr double kMinSeenThrough_s = 1.0;
 /// Of the boxes of an object that is gone, what the last session may have by mistake: a share of those that it should
-/// have, two at least, and as long as two of a slow detector.
+/// have, or two, or those of so short a time.
 constexpr double kMistakenShare = 0.05, kMistakenBoxes = 2.0, kMistaken_s = 0.2;
 /// An object that is boxed for longer than it is in view, by this factor, is not where the map has it.
 constexpr double kMaxSeenShare = 1.25;
