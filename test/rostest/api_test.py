@@ -14,6 +14,7 @@ import rospy
 import rostest
 
 from playback import PACKAGE, DirectoryTest, wait_until
+from semantic_topo_loop.msg import DetectionArray
 from wall import camera_yaml
 
 NODELETS = re.compile(r'<class name="%s/(\w+)"' % PACKAGE)
@@ -77,8 +78,10 @@ class ApiTest(DirectoryTest):
         classes = os.path.join(rospkg.RosPack().get_path(PACKAGE), 'config', 'classes_coco.yaml')
         cls.processes, cls.outputs = [], {}
         # What is made while somebody listens.
-        cls.listeners = [rospy.Subscriber('/%s/%s' % (PACKAGE, topic), rospy.AnyMsg, lambda message: None)
+        cls.peers = [rospy.Subscriber('/%s/%s' % (PACKAGE, topic), rospy.AnyMsg, lambda message: None)
                          for topic in ('markers/keyframes', 'markers/topology', 'annotated_image')]
+        # Who takes boxes takes several types, and without a model no ObjectDetector says which it sends.
+        cls.peers.append(rospy.Publisher('/%s/detections_in' % PACKAGE, DetectionArray, queue_size=1))
         for name in cls.names:
             for key, value in own.get(name, {}).items():
                 rospy.set_param('/%s/%s/%s' % (PACKAGE, name, key), value)
@@ -97,8 +100,8 @@ class ApiTest(DirectoryTest):
             process.wait(30)
         for output in cls.outputs.values():
             output.close()
-        for listener in cls.listeners:
-            listener.unregister()
+        for peer in cls.peers:
+            peer.unregister()
         rospy.delete_param('/use_sim_time')
         super().tearDownClass()
 
