@@ -105,10 +105,10 @@ required_packages() {
 }
 
 # What .ci/run needs beside them. Chromium (120 MB to fetch) opens the page of a run; Ubuntu has it as a snap only, so that
-# its test is skipped there.
+# its test is skipped there; so are those of scripts/prepare_model without the module onnx.
 ci_packages() {
   echo clang-format clang-tidy mkdocs
-  if [ "$(. /etc/os-release && echo "$ID")" = ubuntu ]; then echo python3-catkin-lint; else echo catkin-lint chromium; fi
+  if [ "$(. /etc/os-release && echo "$ID")" = ubuntu ]; then echo python3-catkin-lint; else echo catkin-lint chromium python3-onnx; fi
 }
 
 # install_dependencies [further packages...]

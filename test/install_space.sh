@@ -35,5 +35,6 @@ cd "$prefix/share/semantic_topo_loop"
 rostest --results-base-dir "$temporary" --results-filename demo.xml rostest/run.test name:=demo
 rosrun semantic_topo_loop paper_tables --help > /dev/null
 rosrun semantic_topo_loop fetch_data --help > /dev/null
+rosrun semantic_topo_loop prepare_model --help > /dev/null
 [ -f rviz/semantic_topo_loop.rviz ] || { echo "launch files name a file for rviz that is not there" >&2; exit 1; }
 say "the install space is complete"

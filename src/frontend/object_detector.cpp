@@ -34,6 +34,8 @@ std::string cause(const cv::Exception& exception) {
   return text.substr(0, text.find('\n'));
 }
 
+constexpr char kPrepare[] = " (an export that this OpenCV does not run: rosrun semantic_topo_loop prepare_model)";
+
 /// An image on the model's square, as the model was trained:  model pixel = scale R (image pixel) + offset
 struct Letterbox {
   double scale = 1.0;                               ///< model pixels in one of the image
@@ -102,7 +104,7 @@ class ObjectDetector::Impl {
     try {
       net_ = readNetFromONNX(options_.model);
     } catch (const cv::Exception& exception) {
-      return failure("cannot be read as an ONNX model: " + cause(exception));
+      return failure("cannot be read as an ONNX model: " + cause(exception) + kPrepare);
     }
     net_.setPreferableBackend(backend);
     net_.setPreferableTarget(target);
@@ -167,7 +169,7 @@ class ObjectDetector::Impl {
         }
         problem += (problem.empty() ? "" : "; ") + with + layout.message();
       } catch (const cv::Exception& exception) {
-        problem += (problem.empty() ? "" : "; ") + with + "it fails: " + cause(exception);
+        problem += (problem.empty() ? "" : "; ") + with + "it fails: " + cause(exception) + kPrepare;
       }
     }
     return failure(problem + " (detector.input_px, detector.layout)");

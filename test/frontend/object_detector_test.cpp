@@ -5,6 +5,7 @@
 #include <algorithm>
 #include <array>
 #include <cmath>
+#include <cstdlib>
 #include <opencv2/core/cuda.hpp>
 #include <opencv2/imgproc.hpp>
 #include <set>
@@ -18,6 +19,7 @@
 #include "semantic_topo_loop/io/rgbd_recording.h"
 #include "support/package_config.h"
 #include "support/rolled_image.h"
+#include "support/test_files.h"
 #include "support/tiny_yolo.h"
 
 namespace semantic_topo_loop::core {
@@ -232,6 +234,28 @@ TEST_P(EveryLayout, ClassesAreThoseOfTheNamesFile) {
   EXPECT_EQ(ids(), (std::set<int>{0, 1, 2}));
   options_.names = directory_.write("model.names", "chair\r\nunheard of\n\nbook\n");
   EXPECT_EQ(ids(), (std::set<int>{coco().find("chair")->id, coco().find("book")->id}));
+}
+
+TEST_P(EveryLayout, ModelsAsTheyAreExportedRunOncePrepared) {
+  const cv::Mat image = painted({128, 128}, {{{8, 8, 32, 48}, kRed}, {{56, 64, 48, 32}, kBlue}});
+  options_.names = directory_.write("model.names", "chair\nunheard of\nbook\n");
+  const std::vector<double> expected = values_of(checked(load()->detect(image)));
+  ASSERT_EQ(expected.size(), 12U);
+  network_.is_as_exported = true;
+  write();
+  const std::string prepared = directory_.path("prepared");
+  const std::string command =
+      STL_SOURCE_DIR "/scripts/prepare_model " + options_.model + ' ' + prepared + ".onnx > " + prepared + ".txt 2>&1";
+  if (std::system(command.c_str()) != 0) {
+    const std::string said = read_whole(prepared + ".txt");
+    ASSERT_NE(said.find("module onnx is missing"), std::string::npos) << said;
+    GTEST_SKIP() << said;
+  }
+  options_.model = prepared + ".onnx";
+  options_.names = prepared + ".names";
+  const std::vector<double> found = values_of(checked(load()->detect(image)));
+  ASSERT_EQ(found.size(), expected.size());
+  for (std::size_t i = 0; i < found.size(); ++i) EXPECT_NEAR(found[i], expected[i], 1e-3) << i;
 }
 
 TEST_P(EveryLayout, ScoresAreThoseOfTheNetwork) {

@@ -46,11 +46,13 @@ class OnnxGraph {
   /// @return the name of the output
   std::string add(const std::string& operation, const std::vector<std::string>& inputs,
                   const std::string& attributes = {}) {
-    std::string node;
-    for (const std::string& input : inputs) node += field(1, input);
-    const std::string output = new_name();
-    graph_ += field(1, node + field(2, output) + field(3, output) + field(4, operation) + attributes);
-    return output;
+    return add(operation, inputs, attributes, 1).front();
+  }
+
+  /// Two parts, whose sizes are an input, as since opset 13.
+  std::vector<std::string> split(const std::string& input, const std::string& sizes, const std::string& axis) {
+    opset_ = 13;
+    return add("Split", {input, sizes}, axis, 2);
   }
 
   /// A constant, row-major. @tparam Value float or std::int64_t
@@ -83,20 +85,34 @@ class OnnxGraph {
                onnx_attribute("kernel_shape", {1, 1}));
   }
 
-  /// The file's bytes. The input is called `images`.
+  /// The file's bytes. The input is called `images`. @param names of the classes, where the file tells
   std::string model(const std::vector<int>& input_sizes, const std::string& output,
-                    const std::vector<int>& output_sizes) const {
+                    const std::vector<int>& output_sizes, const std::string& names) const {
     const std::string graph =
         graph_ + field(2, "graph") + onnx_input(input_sizes) + field(12, onnx_value(output, output_sizes));
-    constexpr int kIrVersion = 6, kOpset = 11;
-    return field(1, kIrVersion) + field(7, graph) + field(8, field(2, kOpset));
+    constexpr int kIrVersion = 7;
+    return field(1, kIrVersion) + field(7, graph) + field(8, field(2, opset_)) +
+           (names.empty() ? "" : field(14, field(1, "names") + field(2, names)));
   }
 
  private:
+  std::vector<std::string> add(const std::string& operation, const std::vector<std::string>& inputs,
+                               const std::string& attributes, int output_count) {
+    std::string node;
+    for (const std::string& input : inputs) node += field(1, input);
+    std::vector<std::string> outputs;
+    for (int i = 0; i < output_count; ++i) {
+      outputs.push_back(new_name());
+      node += field(2, outputs.back());
+    }
+    graph_ += field(1, node + field(3, outputs.front()) + field(4, operation) + attributes);
+    return outputs;
+  }
+
   std::string new_name() { return "t" + std::to_string(names_++); }
 
   std::string graph_;  ///< fields of GraphProto
-  int names_ = 0;
+  int names_ = 0, opset_ = 11;
 };
 
 }  // namespace semantic_topo_loop::core::testing

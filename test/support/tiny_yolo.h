@@ -1,6 +1,8 @@
 #pragma once
 
 #include <cmath>
+#include <cstdint>
+#include <limits>
 #include <string>
 #include <vector>
 
@@ -16,6 +18,7 @@ struct TinyYolo {
   YoloLayout layout = YoloLayout::kYolox;
   int input_px = 128;
   std::vector<int> strides = {8, 16, 32};
+  bool is_as_exported = false;  ///< with what older versions of OpenCV do not run (scripts/prepare_model)
 
   std::string onnx() const {
     OnnxGraph graph;
@@ -24,7 +27,8 @@ struct TinyYolo {
     const double steep = is_yolox ? kSteep / 255.0 : kSteep;
     std::vector<std::vector<double>> colors(kClasses, {-0.5 * steep, -0.5 * steep, -0.5 * steep, -0.5 * kSteep});
     for (std::size_t i = 0; i < kClasses; ++i) colors[i][is_yolox ? kClasses - 1 - i : i] = steep;
-    const std::string classes = graph.add("Sigmoid", {graph.linear("images", colors)});
+    const std::string classes =
+        graph.add("Sigmoid", {graph.linear(is_as_exported ? sliced(&graph) : "images", colors)});
 
     int rows = 0;
     std::vector<std::string> scales;
@@ -53,8 +57,10 @@ struct TinyYolo {
     }
     std::string output = graph.add("Concat", scales, onnx_attribute("axis", layout == YoloLayout::kYolov5 ? 1 : 2));
     if (is_yolox) output = graph.add("Transpose", {output}, onnx_attribute("perm", {0, 2, 1}));
+    if (is_as_exported) output = split(&graph, output, rows);
     return graph.model({1, kClasses, input_px, input_px}, output,
-                       is_yolov8 ? std::vector{1, row_size(), rows} : std::vector{1, rows, row_size()});
+                       is_yolov8 ? std::vector{1, row_size(), rows} : std::vector{1, rows, row_size()},
+                       is_as_exported ? "{0: 'chair', 1: 'unheard of', 2: 'book'}" : "");
   }
 
  private:
@@ -63,6 +69,32 @@ struct TinyYolo {
   inline static const std::string kByChannel = onnx_attribute("axis", 1);
 
   int row_size() const { return (layout == YoloLayout::kYolov8 ? 4 : 5) + kClasses; }
+
+  /// The image, of slices with steps.
+  std::string sliced(OnnxGraph* graph) const {
+    std::vector<std::string> halves;
+    const auto number = [graph](std::int64_t value) { return graph->constant<std::int64_t>({1}, {value}); };
+    constexpr std::int64_t kToTheEnd = std::numeric_limits<std::int64_t>::max();
+    for (const std::int64_t start : {0, 1}) {
+      const std::string half = graph->add("Slice", {"images", number(start), number(kToTheEnd), number(3), number(2)});
+      halves.push_back(graph->reshape(half, {1, kClasses, input_px, input_px / 2, 1}));
+    }
+    return graph->reshape(graph->add("Concat", halves, onnx_attribute("axis", 4)), {1, kClasses, input_px, input_px});
+  }
+
+  /// The output, of parts whose sizes are an input; of boxes that are taken from a constant, times one of a lower rank.
+  std::string split(OnnxGraph* graph, const std::string& output, int rows) const {
+    const bool is_yolov8 = layout == YoloLayout::kYolov8;
+    const std::string axis = onnx_attribute("axis", is_yolov8 ? 1 : 2);
+    const std::vector<std::string> parts =
+        graph->split(output, graph->constant<std::int64_t>({2}, {4, row_size() - 4}), axis);
+    const std::vector<int> shape = is_yolov8 ? std::vector{1, 4, rows} : std::vector{1, rows, 4};
+    const std::string ten = graph->constant(shape, std::vector<float>(static_cast<std::size_t>(4 * rows), 10.0F));
+    const std::string boxes = graph->add("Sub", {ten, graph->add("Sub", {ten, parts[0]})});
+    const std::string one =
+        graph->constant({1, shape[2]}, std::vector<float>(static_cast<std::size_t>(shape[2]), 1.0F));
+    return graph->add("Concat", {graph->add("Mul", {boxes, one}), parts[1]}, axis);
+  }
 
   /// How much lies before and behind each cell, with half of its own, on its line.
   static std::string reach(OnnxGraph* graph, const std::string& share, int side, bool along_x) {
