@@ -9,7 +9,8 @@ namespace semantic_topo_loop::core {
 
 /// What of a motion the odometry missed, so that what is in view told it.
 struct MissedMotion {
-  double frozen_s = 0.0;           ///< for how long it stood still though what was in view moved
+  /// For how long it stood still though what was in view moved; with the motions next to that where it was bridged.
+  double frozen_s = 0.0;
   double slipped_s = 0.0;          ///< for how long it went another way than what was in view tells
   Mat6 covariance = Mat6::Zero();  ///< how well that is known: right, (translation m, rotation rad)
 

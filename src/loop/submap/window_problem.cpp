@@ -12,7 +12,7 @@ namespace {
 // differently.
 constexpr double kKnotInterval_s = 0.45;  ///< poses are solved for this often: boxes of closer frames are off alike
 constexpr double kDriftSpan_s = 3.0;      ///< for which a drift lasts
-/// m/s and rad/s: how a camera may move while the odometry does not follow it.
+/// m/s and rad/s: how a camera may move while the odometry does not follow it, and nothing else tells.
 constexpr double kUnseenRate = 0.5;
 constexpr int kMaxCutSides = 2;
 constexpr double kMinDepth_m = 0.15;  ///< of an object before the camera
@@ -121,8 +121,8 @@ const SE3* WindowSolution::find(std::int64_t stamp_ns) const {
 }
 
 WindowProblem::WindowProblem(const std::deque<ObservedFrame>& window, const std::vector<std::size_t>& knots,
-                             std::size_t anchor_frame, const std::vector<bool>& missed, const std::optional<Slip>& slip,
-                             const WindowNoise& window_noise, const WindowSolution& last)
+                             std::size_t anchor_frame, const MissedMotions& missed, const WindowNoise& window_noise,
+                             const WindowSolution& last)
     : noise(window_noise) {
   std::map<std::int64_t, WindowTrack> by_id;
   for (std::size_t k = 0; k < knots.size(); ++k) {
@@ -141,7 +141,7 @@ WindowProblem::WindowProblem(const std::deque<ObservedFrame>& window, const std:
   for (std::size_t i = 0; i < steps(); ++i) {
     drift_of.push_back(static_cast<std::size_t>(0.5 * (times_s[i] + times_s[i + 1]) / kDriftSpan_s));
   }
-  const SE3 T_odom_last = start_knots(window, knots, missed, slip, last);
+  const SE3 T_odom_last = start_knots(window, knots, missed, last);
   for (auto& [id, track] : by_id) {
     if (track.views.size() < kMinWindowViews) continue;
     std::optional<Vec5> known;
@@ -158,19 +158,28 @@ WindowProblem::WindowProblem(const std::deque<ObservedFrame>& window, const std:
 /// What is known goes on by the odometry, and where that misses something turns by what the boxes move.
 /// @return from the world of what is known to this one's
 SE3 WindowProblem::start_knots(const std::deque<ObservedFrame>& window, const std::vector<std::size_t>& knots,
-                               const std::vector<bool>& missed, const std::optional<Slip>& slip,
-                               const WindowSolution& last) {
+                               const MissedMotions& motions, const WindowSolution& last) {
+  const std::optional<Slip>& slip = motions.slip;
   start = T_odom_knot;
   missed_s.assign(steps(), 0.0);
+  missed_variances.assign(steps(), Vec6::Zero());
   if (const SE3* known = last.find(window.front().stamp_ns)) start.front() = *known;
   for (std::size_t step = 0; step < steps(); ++step) {
     const std::size_t from = knots[step], to = knots[step + 1];
     Quaternion turn = Quaternion::Identity();
+    double unseen_s = 0.0;
     for (std::size_t i = from; i < to; ++i) {
-      if (!missed[i]) continue;
-      missed_s[step] += seconds_into(window, i + 1) - seconds_into(window, i);
-      turn = turn * turn_by_boxes(window[i], window[i + 1]);
+      if (!motions.missed[i]) continue;
+      const double time_s = seconds_into(window, i + 1) - seconds_into(window, i);
+      missed_s[step] += time_s;
+      if (motions.bridged[i]) {
+        missed_variances[step] += *motions.bridged[i];
+      } else {
+        unseen_s += time_s;
+        turn = turn * turn_by_boxes(window[i], window[i + 1]);
+      }
     }
+    missed_variances[step] += variances(kUnseenRate * unseen_s, kUnseenRate * unseen_s);
     if (const SE3* known = last.find(window[to].stamp_ns)) {
       start[step + 1] = *known;
     } else if (slip) {
@@ -189,8 +198,7 @@ SE3 WindowProblem::start_knots(const std::deque<ObservedFrame>& window, const st
 }
 
 Vec6 WindowProblem::step_variances(std::size_t step) const {
-  const double unseen = kUnseenRate * missed_s[step];
-  return duration_s(step) * variances(noise.odometry.step_m, noise.odometry.step_rad) + variances(unseen, unseen);
+  return duration_s(step) * variances(noise.odometry.step_m, noise.odometry.step_rad) + missed_variances[step];
 }
 
 Vec6 WindowProblem::drift_variances() const { return variances(noise.odometry.drift_mps, noise.odometry.drift_radps); }

@@ -48,25 +48,30 @@ struct WindowSolution {
   const SE3* find(std::int64_t stamp_ns) const;
 };
 
+/// Where the odometry does not follow the camera, one a frame: from this frame to the next.
+struct MissedMotions {
+  std::vector<bool> missed;
+  std::vector<std::optional<Vec6>> bridged;  ///< variances of missed ones that are known by what was before and after
+  std::optional<Slip> slip;                  ///< the last of them, if it is one
+};
+
 /// The camera's motion through a window, and the objects that it sees there, as they are to be solved for.
 struct WindowProblem {
   std::vector<SE3> T_odom_knot;                 ///< as the odometry has them
   std::vector<std::optional<Vec6>> velocities;  ///< there: (m/s, rad/s), camera frame; nothing where frames are sparse
   std::vector<SE3> start;                       ///< of the knots
   std::vector<double> times_s;
-  std::vector<std::size_t> drift_of;  ///< of each step, from a knot to the next
-  std::vector<double> missed_s;       ///< of each step: for how long the odometry did not follow the camera
+  std::vector<std::size_t> drift_of;   ///< of each step, from a knot to the next
+  std::vector<double> missed_s;        ///< of each step: for how long the odometry did not follow the camera
+  std::vector<Vec6> missed_variances;  ///< of what the odometry is off by for that
   std::vector<WindowTrack> tracks;
   std::size_t anchor = 0;  ///< the knot that stays where it is
   WindowNoise noise;
 
   /// @param knots the frames that poses are solved for   @param anchor one of them
-  /// @param missed one a frame: whether the odometry does not follow the camera from this frame to the next
-  /// @param slip the last part of that, if it is one   @param last of the window before, from where what is known goes
-  /// on
+  /// @param last of the window before, from where what is known goes on
   WindowProblem(const std::deque<ObservedFrame>& window, const std::vector<std::size_t>& knots, std::size_t anchor,
-                const std::vector<bool>& missed, const std::optional<Slip>& slip, const WindowNoise& noise,
-                const WindowSolution& last);
+                const MissedMotions& missed, const WindowNoise& noise, const WindowSolution& last);
 
   std::size_t steps() const { return T_odom_knot.size() - 1; }
   std::size_t drifts() const { return drift_of.back() + 1; }
@@ -79,7 +84,7 @@ struct WindowProblem {
 
  private:
   SE3 start_knots(const std::deque<ObservedFrame>& window, const std::vector<std::size_t>& knots,
-                  const std::vector<bool>& missed, const std::optional<Slip>& slip, const WindowSolution& last);
+                  const MissedMotions& motions, const WindowSolution& last);
 };
 
 /// Frames that poses are solved for, the first, the last and the anchor among them.

@@ -14,6 +14,7 @@
 #include "geometry/least_squares.h"
 #include "geometry/relative_pose.h"
 #include "geometry/statistics.h"
+#include "loop/submap/bridging.h"
 #include "semantic_topo_loop/geometry/lie.h"
 
 namespace semantic_topo_loop::core {
@@ -461,12 +462,15 @@ std::deque<ObservedFrame> WindowSolver::solve(std::deque<ObservedFrame> window, 
   is_slipping_ = slip.has_value();
   applied_delay_s_ = delay_s();
   window = undelayed(std::move(window), applied_delay_s_);
-  const std::vector<bool> frozen = frozen_motions(window);
-  std::vector<bool> missed = frozen;
+  std::vector<bool> frozen = frozen_motions(window);
+  MissedMotions motions;
+  motions.slip = slip;
+  motions.bridged = bridge(frozen, anchor, &window);
   for (std::size_t i = 0; i + 1 < window.size(); ++i) {
-    if (memory_->slipped_to.count(window[i + 1].stamp_ns) > 0) missed[i] = true;
+    frozen[i] = frozen[i] || motions.bridged[i];
+    motions.missed.push_back(frozen[i] || memory_->slipped_to.count(window[i + 1].stamp_ns) > 0);
   }
-  const WindowProblem problem(window, knots, anchor, missed, slip, noise(), memory_->last);
+  const WindowProblem problem(window, knots, anchor, motions, noise(), memory_->last);
   Unknowns unknowns;
   if (!core::solve(problem, &unknowns, &memory_->equations, &memory_->spare)) return window;
   const double since_s = 1e-9 * static_cast<double>(window.back().stamp_ns - learnt_ns_);
@@ -479,7 +483,7 @@ std::deque<ObservedFrame> WindowSolver::solve(std::deque<ObservedFrame> window, 
   WindowSolution& last = memory_->last = {};
   std::size_t step = 0;
   for (std::size_t i = 0; i < window.size(); ++i) {
-    if (i > 0 && missed[i - 1]) {
+    if (i > 0 && motions.missed[i - 1]) {
       const double time_s = seconds_into(window, i) - seconds_into(window, i - 1);
       (frozen[i - 1] ? window[i].missed.frozen_s : window[i].missed.slipped_s) = time_s;
       window[i].missed.covariance = time_s * covariances[step];
