@@ -120,7 +120,7 @@ TEST(Bridge, AMomentBetweenTwoFreezesIsBridgedWithThem) {
   const auto bridged = bridge(recording.frozen, 0, &recording.window);
   for (std::size_t i = 0; i < bridged.size(); ++i) {
     const double time_s = static_cast<double>(i) * kInterval_s;
-    if (time_s > 2.0 && time_s < 3.0) EXPECT_TRUE(bridged[i]) << time_s;
+    EXPECT_TRUE(bridged[i] || time_s < 2.0 || time_s > 3.0) << time_s;
   }
   EXPECT_LT(error(recording, 0, recording.window.size() - 1).head<3>().norm(), 0.02);
 }
