@@ -108,7 +108,11 @@ required_packages() {
 # its test is skipped there; so are those of scripts/prepare_model without the module onnx.
 ci_packages() {
   echo clang-format clang-tidy mkdocs
-  if [ "$(. /etc/os-release && echo "$ID")" = ubuntu ]; then echo python3-catkin-lint; else echo catkin-lint chromium python3-onnx; fi
+  if [ "$(. /etc/os-release && echo "$ID")" = ubuntu ]; then
+    echo python3-catkin-lint
+  else
+    echo catkin-lint chromium python3-onnx
+  fi
 }
 
 # install_dependencies [further packages...]

@@ -5,12 +5,10 @@
 #include <cmath>
 #include <cstddef>
 #include <functional>
-#include <random>
 #include <string>
 
 #include "semantic_topo_loop/geometry/lie.h"
 #include "semantic_topo_loop/io/tum_trajectory.h"
-#include "support/synthetic_desk.h"
 #include "support/test_files.h"
 
 namespace semantic_topo_loop::core {

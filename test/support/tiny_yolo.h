@@ -60,7 +60,9 @@ struct TinyYolo {
     if (is_as_exported) output = split(&graph, output, rows);
     return graph.model({1, kClasses, input_px, input_px}, output,
                        is_yolov8 ? std::vector{1, row_size(), rows} : std::vector{1, rows, row_size()},
-                       is_as_exported ? "{0: 'chair', 1: 'unheard of', 2: 'book'}" : "");
+                       !is_as_exported                 ? ""
+                       : layout == YoloLayout::kYolov5 ? "['chair', 'unheard of', 'book']"  // as older exporters do
+                                                       : "{0: 'chair', 1: 'unheard of', 2: 'book'}");
   }
 
  private:

@@ -121,7 +121,7 @@ const SE3* WindowSolution::find(std::int64_t stamp_ns) const {
 }
 
 WindowProblem::WindowProblem(const std::deque<ObservedFrame>& window, const std::vector<std::size_t>& knots,
-                             std::size_t anchor_frame, const MissedMotions& missed, const WindowNoise& window_noise,
+                             std::size_t anchor_frame, const Unfollowed& unfollowed, const WindowNoise& window_noise,
                              const WindowSolution& last)
     : noise(window_noise) {
   std::map<std::int64_t, WindowTrack> by_id;
@@ -141,7 +141,7 @@ WindowProblem::WindowProblem(const std::deque<ObservedFrame>& window, const std:
   for (std::size_t i = 0; i < steps(); ++i) {
     drift_of.push_back(static_cast<std::size_t>(0.5 * (times_s[i] + times_s[i + 1]) / kDriftSpan_s));
   }
-  const SE3 T_odom_last = start_knots(window, knots, missed, last);
+  const SE3 T_odom_last = start_knots(window, knots, unfollowed, last);
   for (auto& [id, track] : by_id) {
     if (track.views.size() < kMinWindowViews) continue;
     std::optional<Vec5> known;
@@ -158,8 +158,8 @@ WindowProblem::WindowProblem(const std::deque<ObservedFrame>& window, const std:
 /// What is known goes on by the odometry, and where that misses something turns by what the boxes move.
 /// @return from the world of what is known to this one's
 SE3 WindowProblem::start_knots(const std::deque<ObservedFrame>& window, const std::vector<std::size_t>& knots,
-                               const MissedMotions& motions, const WindowSolution& last) {
-  const std::optional<Slip>& slip = motions.slip;
+                               const Unfollowed& unfollowed, const WindowSolution& last) {
+  const std::optional<Slip>& slip = unfollowed.slip;
   start = T_odom_knot;
   missed_s.assign(steps(), 0.0);
   missed_variances.assign(steps(), Vec6::Zero());
@@ -169,11 +169,11 @@ SE3 WindowProblem::start_knots(const std::deque<ObservedFrame>& window, const st
     Quaternion turn = Quaternion::Identity();
     double unseen_s = 0.0;
     for (std::size_t i = from; i < to; ++i) {
-      if (!motions.missed[i]) continue;
+      if (!unfollowed.missed[i]) continue;
       const double time_s = seconds_into(window, i + 1) - seconds_into(window, i);
       missed_s[step] += time_s;
-      if (motions.bridged[i]) {
-        missed_variances[step] += *motions.bridged[i];
+      if (unfollowed.bridged[i]) {
+        missed_variances[step] += *unfollowed.bridged[i];
       } else {
         unseen_s += time_s;
         turn = turn * turn_by_boxes(window[i], window[i + 1]);

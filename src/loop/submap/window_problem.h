@@ -49,7 +49,7 @@ struct WindowSolution {
 };
 
 /// Where the odometry does not follow the camera, one a frame: from this frame to the next.
-struct MissedMotions {
+struct Unfollowed {
   std::vector<bool> missed;
   std::vector<std::optional<Vec6>> bridged;  ///< variances of missed ones that are known by what was before and after
   std::optional<Slip> slip;                  ///< the last of them, if it is one
@@ -71,7 +71,7 @@ struct WindowProblem {
   /// @param knots the frames that poses are solved for   @param anchor one of them
   /// @param last of the window before, from where what is known goes on
   WindowProblem(const std::deque<ObservedFrame>& window, const std::vector<std::size_t>& knots, std::size_t anchor,
-                const MissedMotions& missed, const WindowNoise& noise, const WindowSolution& last);
+                const Unfollowed& unfollowed, const WindowNoise& noise, const WindowSolution& last);
 
   std::size_t steps() const { return T_odom_knot.size() - 1; }
   std::size_t drifts() const { return drift_of.back() + 1; }
@@ -84,7 +84,7 @@ struct WindowProblem {
 
  private:
   SE3 start_knots(const std::deque<ObservedFrame>& window, const std::vector<std::size_t>& knots,
-                  const MissedMotions& motions, const WindowSolution& last);
+                  const Unfollowed& unfollowed, const WindowSolution& last);
 };
 
 /// Frames that poses are solved for, the first, the last and the anchor among them.

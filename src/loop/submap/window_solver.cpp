@@ -463,14 +463,14 @@ std::deque<ObservedFrame> WindowSolver::solve(std::deque<ObservedFrame> window, 
   applied_delay_s_ = delay_s();
   window = undelayed(std::move(window), applied_delay_s_);
   std::vector<bool> frozen = frozen_motions(window);
-  MissedMotions motions;
-  motions.slip = slip;
-  motions.bridged = bridge(frozen, anchor, &window);
+  Unfollowed unfollowed;
+  unfollowed.slip = slip;
+  unfollowed.bridged = bridge(frozen, anchor, &window);
   for (std::size_t i = 0; i + 1 < window.size(); ++i) {
-    frozen[i] = frozen[i] || motions.bridged[i];
-    motions.missed.push_back(frozen[i] || memory_->slipped_to.count(window[i + 1].stamp_ns) > 0);
+    frozen[i] = frozen[i] || unfollowed.bridged[i];
+    unfollowed.missed.push_back(frozen[i] || memory_->slipped_to.count(window[i + 1].stamp_ns) > 0);
   }
-  const WindowProblem problem(window, knots, anchor, motions, noise(), memory_->last);
+  const WindowProblem problem(window, knots, anchor, unfollowed, noise(), memory_->last);
   Unknowns unknowns;
   if (!core::solve(problem, &unknowns, &memory_->equations, &memory_->spare)) return window;
   const double since_s = 1e-9 * static_cast<double>(window.back().stamp_ns - learnt_ns_);
@@ -483,7 +483,7 @@ std::deque<ObservedFrame> WindowSolver::solve(std::deque<ObservedFrame> window, 
   WindowSolution& last = memory_->last = {};
   std::size_t step = 0;
   for (std::size_t i = 0; i < window.size(); ++i) {
-    if (i > 0 && motions.missed[i - 1]) {
+    if (i > 0 && unfollowed.missed[i - 1]) {
       const double time_s = seconds_into(window, i) - seconds_into(window, i - 1);
       (frozen[i - 1] ? window[i].missed.frozen_s : window[i].missed.slipped_s) = time_s;
       window[i].missed.covariance = time_s * covariances[step];
