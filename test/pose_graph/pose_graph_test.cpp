@@ -344,6 +344,22 @@ TEST(PoseGraph, LoopsTellWhetherTheOdometrysOrTheSolvedMotionsAreBetter) {
   EXPECT_LT(worst_error_with(bad, right, loops), 0.03);
 }
 
+TEST(PoseGraph, AFaultlessOdometryIsHardlyBentByLoopsOrBoxes) {
+  double worst = 0.0;
+  for (std::uint64_t seed = 1; seed <= 3; ++seed) {
+    const SyntheticRun exact;
+    SyntheticRun boxes;
+    boxes.drift(0.0005, 0.0002, seed);
+    std::vector<SolvedMotion> motions;
+    for (int k = 1; k < exact.size(); ++k) {
+      motions.push_back(true_motion(exact, k - 1, k));
+      motions.back().T_from_to = boxes.odometry(k - 1).inverse() * boxes.odometry(k);
+    }
+    worst = std::max(worst, worst_error_with(exact, motions, noisy_loops(exact, seed, 2)));
+  }
+  EXPECT_LT(worst, 0.006) << "a loop's error is 0.035 m";
+}
+
 TEST(PoseGraph, WhatNoNeighboursOrAKnownNoiseTellIsNotReplaced) {
   SyntheticRun run;
   run.drift(0.01, 0.005, 1);
