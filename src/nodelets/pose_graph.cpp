@@ -149,7 +149,7 @@ class PoseGraphNodelet : public StageWith<PoseGraphParameters> {
     parts.objects = has_objects();
     const auto map = session_map(parts);
     if (!map) return;
-    graph_->restore(map->graph, core::place_beside(*map));
+    core::restore_graph(*map, graph_.get());
     graph_->apply(core::objects_of(*map, options_, classes()));
     restored_keyframes_ = map->graph.next_keyframe_id();
   }

@@ -137,6 +137,29 @@ SE3 place_beside(const MapState& map) {
   return {Quaternion::Identity(), Vec3(reach_m + kBeside_m, 0.0, 0.0)};
 }
 
+std::map<std::int64_t, AssociationFrame> boxes_in_keyframes(const MapState& map) {
+  std::map<std::int64_t, AssociationFrame> result;
+  std::map<std::int64_t, std::int64_t> keyframe_of_frame;
+  for (const GraphKeyframe& keyframe : map.graph.keyframes) {
+    keyframe_of_frame[keyframe.pose.frame_id] = keyframe.pose.keyframe_id;
+  }
+  for (const MappedLandmark& landmark : map.objects.landmarks) {
+    for (const Observation& observation : landmark.observations) {
+      const auto keyframe = keyframe_of_frame.find(observation.frame_id);
+      if (keyframe == keyframe_of_frame.end()) continue;
+      AssociationFrame& boxes = result[keyframe->second];
+      boxes.frame_id = observation.frame_id;
+      Association& box = boxes.associations.emplace_back();
+      box.landmark_id = landmark.state.id;
+      box.class_id = observation.class_id;
+      box.box = observation.view.box;
+      box.truncated = observation.view.truncated;
+      box.near_m = observation.view.near_m;
+    }
+  }
+  return result;
+}
+
 void restore_points(const MapState& map, PointMap* points) {
   auto session = map.graph.sessions.begin();
   auto keyframe = map.graph.keyframes.begin();

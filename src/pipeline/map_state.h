@@ -1,6 +1,7 @@
 #pragma once
 
 #include <cstdint>
+#include <map>
 #include <optional>
 #include <string>
 #include <utility>
@@ -9,6 +10,7 @@
 #include "map/mapper_state.h"
 #include "pose_graph/graph_state.h"
 #include "semantic_topo_loop/map/point_map.h"
+#include "semantic_topo_loop/types/detection.h"
 #include "semantic_topo_loop/types/local_map.h"
 #include "semantic_topo_loop/types/loop_closure.h"
 #include "semantic_topo_loop/types/result.h"
@@ -54,6 +56,9 @@ class SavePoints {
 
 /// Where something unplaced stands, so that nothing of the map is taken for what it shows: some way beside it, along x.
 SE3 place_beside(const MapState& map);
+
+/// The boxes of its objects in the images of keyframes, by keyframe_id.
+std::map<std::int64_t, AssociationFrame> boxes_in_keyframes(const MapState& map);
 
 /// Takes the points of a map's sessions into a point map, which begins a further one beside them.
 void restore_points(const MapState& map, PointMap* points);

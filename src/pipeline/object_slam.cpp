@@ -53,7 +53,7 @@ FrameResult ObjectSlam::process(const Frame& frame, const std::vector<Detection>
 MapUpdate ObjectSlam::restore(const MapState& map) {
   const MapUpdate update = restore_objects(map, &mapper_);
   loop_detector_.restore(map.submaps, map.keyframe_poses(), map.refused);
-  pose_graph_.restore(map.graph, place_beside(map));
+  restore_graph(map, &pose_graph_);
   tell(update);
   return update;
 }
@@ -74,6 +74,13 @@ std::shared_ptr<const MapDelta> ObjectSlam::take_delta() {
   delta->objects = mapper_.take_delta(false);
   delta->submaps = loop_detector_.take_delta(false);
   return delta;
+}
+
+void restore_graph(const MapState& map, PoseGraph* graph) {
+  graph->restore(map.graph, place_beside(map));
+  for (const auto& [keyframe_id, associations] : boxes_in_keyframes(map)) {
+    graph->recall(keyframe_id, map.objects.camera, associations);
+  }
 }
 
 MapUpdate restore_objects(const MapState& map, QuadricMapper* mapper) {
@@ -133,7 +140,10 @@ MergedMaps merge_maps(const MapState& a, MapState b, const Options& options,
   MergedMaps merged;
   merged.loops = detector.detect(queries);
 
-  ObjectSlam slam(options, std::move(classes));
+  // No object is known to be of both yet, and within each map all is settled.
+  Options by_loops = options;
+  by_loops.pose_graph.objects = "off";
+  ObjectSlam slam(by_loops, std::move(classes));
   slam.restore(both);
   Frame end;
   end.is_end = true;

@@ -35,13 +35,17 @@ struct PoseGraph::Impl {
     set_object_noise();
   }
 
-  void set_object_noise() {
-    trajectory_.objects.noise = {options_.object_weight, options_.object_sigma_px, options_.object_sigma_share};
-  }
+  void set_object_noise() { trajectory_.objects.noise = {options_.object_sigma_px, options_.object_sigma_share}; }
 
   void observe(const Frame& frame, const AssociationFrame& associations) {
     if (has_objects_ && is_vertex(frame))
-      objects_.add(static_cast<int>(trajectory_.T_map_vertex.size()), frame, associations);
+      objects_.add(static_cast<int>(trajectory_.T_map_vertex.size()), frame.camera, associations);
+  }
+
+  void recall(std::int64_t keyframe_id, const Camera& camera, const AssociationFrame& associations) {
+    if (!has_objects_) return;
+    const Carrier carrier = this->carrier(number(keyframe_id));
+    if (carrier.vertex >= 0 && !carrier.T_vertex_keyframe) objects_.add(carrier.vertex, camera, associations);
   }
 
   void apply(const MapUpdate& update) {
@@ -475,6 +479,9 @@ PoseGraph::PoseGraph(const PoseGraphOptions& options) : impl_(new Impl(options),
 
 void PoseGraph::observe(const Frame& frame, const AssociationFrame& associations) {
   impl_->observe(frame, associations);
+}
+void PoseGraph::recall(std::int64_t keyframe_id, const Camera& camera, const AssociationFrame& associations) {
+  impl_->recall(keyframe_id, camera, associations);
 }
 void PoseGraph::apply(const MapUpdate& update) { impl_->apply(update); }
 void PoseGraph::refine(const std::vector<SolvedMotion>& motions) { impl_->refine(motions); }

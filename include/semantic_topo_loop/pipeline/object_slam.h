@@ -64,6 +64,8 @@ class ObjectSlam {
   PoseGraph pose_graph_;
 };
 
+/// Has a pose graph go on with a map's, and with its objects' boxes.
+void restore_graph(const MapState& map, PoseGraph* graph);
 /// Has a mapper go on with a map, beside which the new session stands.   @return all objects, for who follows the map
 MapUpdate restore_objects(const MapState& map, QuadricMapper* mapper);
 /// What that returns, for stages that only follow the map.

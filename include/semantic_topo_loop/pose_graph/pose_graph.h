@@ -44,13 +44,16 @@ class PoseGraph {
   /// @param extra_loops loops from outside, treated alike
   MapCorrection process(const Frame& frame, const std::vector<LoopClosure>& loops,
                         const std::vector<LoopClosure>& extra_loops = {});
-  /// What a later session goes on with (src/pose_graph/graph_state.h). Objects' boxes are not part of it: those of
-  /// earlier sessions take no part in `pose_graph.objects`.
+  /// What a later session goes on with (src/pose_graph/graph_state.h). Objects' boxes are not part of it, see `recall`.
   GraphState state() const;
   /// Goes on with earlier sessions' graph; the odometry of this one has nothing to do with theirs. Call it before the
   /// first frame.
   /// @param T_map_odom where this session stands as long as no loop tells
   void restore(GraphState state, const SE3& T_map_odom);
+  /// Remembers an earlier session's boxes of objects, after `restore`, in ascending order of keyframes. Those in
+  /// keyframes that are no vertices are left out.
+  /// @param camera undistorted, whose pixels the boxes are in
+  void recall(std::int64_t keyframe_id, const Camera& camera, const AssociationFrame& associations);
   /// Takes the accepted loops between two keyframes out again; the next frame optimises without them.
   /// @return false if none is remembered: those that repeat others are forgotten in time
   bool withdraw(std::int64_t query_keyframe_id, std::int64_t match_keyframe_id);

@@ -24,10 +24,9 @@ struct PoseGraphOptions {
   std::string scale = "fixed";
   double scale_walk = 0.02;
   std::string objects = "auto";
-  double object_weight = 0.1;
   double object_sigma_px = 4.0;
   double object_sigma_share = 0.06;
-  int object_views = 30;
+  int object_views = 100;
 
   void visit(OptionVisitor& visitor) {
     visitor.module("pose_graph");
@@ -63,8 +62,8 @@ struct PoseGraphOptions {
         "objects", objects, one_of({"off", "auto", "on"}),
         "whether objects take part in corrections: off, auto (if loops show odometry to be wrong) or on (then the end "
         "of a run is one, too)");
-    visitor.live("object_weight", object_weight, positive(), "factor on the squared errors of object observations");
-    visitor.live("object_sigma_px", object_sigma_px, positive(), "noise of a box edge, constant part");
+    visitor.live("object_sigma_px", object_sigma_px, positive(),
+                 "noise of a box edge, constant part: of one box, and of all from about one direction alike");
     visitor.live("object_sigma_share", object_sigma_share, not_negative(),
                  "noise of a box edge, share of the box size");
     visitor.live("object_views", object_views, at_least(4),

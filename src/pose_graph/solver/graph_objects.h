@@ -43,10 +43,10 @@ struct GraphObject {
   std::vector<GraphObjectView> views;
 };
 
-/// What object observations count for.
+/// Noise of a box edge, sigma_px + sigma_share * box size: of each box by itself, and once more of all boxes that show
+/// an object from about one direction.
 struct ObjectNoise {
-  double weight = 0.1;    ///< factor on the squared errors
-  double sigma_px = 4.0;  ///< of a box edge: sigma_px + sigma_share * box size
+  double sigma_px = 4.0;
   double sigma_share = 0.06;
 };
 
@@ -86,7 +86,7 @@ GraphObjects well_seen(const GraphObjects& objects, const std::vector<SE3>& T_wo
 class ObjectMemory {
  public:
   /// The boxes of a keyframe.
-  void add(int vertex, const Frame& frame, const AssociationFrame& associations);
+  void add(int vertex, const Camera& camera, const AssociationFrame& associations);
   /// @param vertex_of what a keyframe moves with, by its id; -1 if it is unknown
   /// @param T_map_vertex as they were when the update was made
   void apply(const MapUpdate& update, const std::function<int(std::int64_t)>& vertex_of,
@@ -114,14 +114,26 @@ class ObjectMemory {
 class ObjectBlocks {
  public:
   /// Adds, to a problem that has the vertices, for each view the errors of the box edges, and of the distance of the
-  /// visible side where it was measured, over (t, q) of the keyframe, centre and log axes; Cauchy loss.
+  /// visible side where it was measured, over (t, q) of the keyframe, centre, log axes and what views from about the
+  /// same direction err by alike; Cauchy loss.
   ObjectBlocks(const GraphObjects& objects, std::vector<SE3>* T_world_vertex, ceres::Problem* problem);
 
  private:
   struct Unknowns {
     Vec3 center, log_axes;
   };
+  /// Of an object, from about one direction: how no ellipsoid has its outline, and what the detector makes of it there.
+  struct Aspect {
+    Vec3 direction = Vec3::UnitZ();  ///< from the object to the camera, unit vector in the world
+    double distance_m = 0.0;
+    Vec4 edge_errors = Vec4::Zero();  ///< that its views have in common, in their sigmas
+    double depth_error = 0.0;         ///< likewise
+  };
+  /// @param T_world_camera a view of the object, whose aspects are those from `first` on
+  Aspect& aspect(const SE3& T_world_camera, const Vec3& center, std::size_t first, ceres::Problem* problem);
+
   std::deque<Unknowns> unknowns_;  ///< addresses stay valid
+  std::deque<Aspect> aspects_;     ///< likewise
 };
 
 }  // namespace semantic_topo_loop::core

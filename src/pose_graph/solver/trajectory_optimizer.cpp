@@ -200,12 +200,25 @@ class TrajectoryOptimizer {
     return solve_graph(result_.edges, solver_options_, &result_.T_map_vertex).usable;
   }
 
-  /// Boxes share their errors: where nothing is found wrong with the odometry, it knows more than they do.
+  /// Where nothing is found wrong with the odometry, it knows more than boxes do; over a break that loops lead over it
+  /// knows nothing.
   bool has_objects() const {
     if (trajectory_.objects.objects.empty()) return false;
     return options_.objects == "on" || exceeds(result_.knowledge.noise, noise_prior(options_).least) ||
            std::any_of(motions().begin(), motions().end(),
-                       [](const OdometryEdge& edge) { return edge.missed.is_any(); });
+                       [](const OdometryEdge& edge) { return edge.missed.is_any(); }) ||
+           is_joined_over_break();
+  }
+
+  bool is_joined_over_break() const {
+    for (std::size_t i = 0; i < motions().size(); ++i) {
+      for (std::size_t k = 0; motions()[i].is_break && k < trajectory_.loops.size(); ++k) {
+        const auto [before, after] = std::minmax({trajectory_.loops[k].from, trajectory_.loops[k].to});
+        const bool leads_over = before <= static_cast<int>(i) && static_cast<int>(i) < after;
+        if (leads_over && result_.knowledge.kept[k]) return true;
+      }
+    }
+    return false;
   }
 
   /// From the solution without them, which stays where this finds none.
