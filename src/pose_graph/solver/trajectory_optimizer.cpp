@@ -224,8 +224,10 @@ class TrajectoryOptimizer {
   /// From the solution without them, which stays where this finds none.
   void solve_with_objects() {
     const bool has_loss = solver_options_.loss != GraphLoss::kNone;
+    constexpr int kFewViews = 20;  // while the robot runs, for time
+    const int views = starts_afresh() ? options_.object_views : std::min(kFewViews, options_.object_views);
     solve_graph(graph(result_.knowledge.noise, !has_loss, Steady::kOpen), solver_options_, &result_.T_map_vertex,
-                well_seen(trajectory_.objects, result_.T_map_vertex, options_.object_views));
+                well_seen(trajectory_.objects, result_.T_map_vertex, views));
   }
 
   /// The errors that last: as the loops tell them, or open to what changes along the way, which loops do not see.
