@@ -188,8 +188,12 @@ struct PoseGraph::Impl {
     if (!is_vertex(frame)) return;
     if (!keyframes_.empty()) {
       trajectory_.edges.push_back(accumulator_.finish(T_odom_keyframe_, frame.T_odom_camera));
-      // Nothing is known of the way from an earlier session to this one.
-      if (keyframes_.size() == restored_) trajectory_.edges.back().is_break = true;
+      // Nothing is known of the way from an earlier session to this one, which is to stay where it stands until a loop
+      // tells.
+      if (keyframes_.size() == restored_) {
+        trajectory_.edges.back().is_break = true;
+        trajectory_.edges.back().T_from_to = trajectory_.T_map_vertex.back().inverse() * place(frame.T_odom_camera);
+      }
     }
     number_of_[frame.keyframe_id] = static_cast<int>(keyframes_.size());
     keyframe_of_.push_back(keyframes_.size());

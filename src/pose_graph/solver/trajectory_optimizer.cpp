@@ -211,12 +211,11 @@ class TrajectoryOptimizer {
   }
 
   bool is_joined_over_break() const {
-    for (std::size_t i = 0; i < motions().size(); ++i) {
-      for (std::size_t k = 0; motions()[i].is_break && k < trajectory_.loops.size(); ++k) {
-        const auto [before, after] = std::minmax({trajectory_.loops[k].from, trajectory_.loops[k].to});
-        const bool leads_over = before <= static_cast<int>(i) && static_cast<int>(i) < after;
-        if (leads_over && result_.knowledge.kept[k]) return true;
-      }
+    const auto is_break = [](const OdometryEdge& edge) { return edge.is_break; };
+    for (std::size_t k = 0; k < trajectory_.loops.size(); ++k) {
+      if (!result_.knowledge.kept[k]) continue;
+      const auto [from, to] = std::minmax({trajectory_.loops[k].from, trajectory_.loops[k].to});
+      if (std::any_of(motions().begin() + from, motions().begin() + to, is_break)) return true;
     }
     return false;
   }
