@@ -223,9 +223,14 @@ class TrajectoryOptimizer {
   /// From the solution without them, which stays where this finds none.
   void solve_with_objects() {
     const bool has_loss = solver_options_.loss != GraphLoss::kNone;
-    constexpr int kFewViews = 20;  // while the robot runs, for time
-    const int views = starts_afresh() ? options_.object_views : std::min(kFewViews, options_.object_views);
-    solve_graph(graph(result_.knowledge.noise, !has_loss, Steady::kOpen), solver_options_, &result_.T_map_vertex,
+    GraphSolverOptions solver_options = solver_options_;
+    int views = options_.object_views;
+    if (!starts_afresh()) {
+      constexpr int kFewViews = 10, kFewIterations = 6;  // while the robot runs, for time
+      views = std::min(views, kFewViews);
+      solver_options.max_iterations = std::min(solver_options.max_iterations, kFewIterations);
+    }
+    solve_graph(graph(result_.knowledge.noise, !has_loss, Steady::kOpen), solver_options, &result_.T_map_vertex,
                 well_seen(trajectory_.objects, result_.T_map_vertex, views));
   }
 
