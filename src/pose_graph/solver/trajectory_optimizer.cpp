@@ -223,13 +223,12 @@ class TrajectoryOptimizer {
   /// From the solution without them, which stays where this finds none.
   void solve_with_objects() {
     const bool has_loss = solver_options_.loss != GraphLoss::kNone;
+    // For time, and less of it while the robot runs: what all objects together are seen in, and how often it is solved.
+    constexpr int kLeastViews = 4, kManyViews = 6000, kFewViews = 400, kFewIterations = 6;
+    const int share = (starts_afresh() ? kManyViews : kFewViews) / static_cast<int>(trajectory_.objects.objects.size());
+    const int views = std::min(std::max(share, kLeastViews), options_.object_views);
     GraphSolverOptions solver_options = solver_options_;
-    int views = options_.object_views;
-    if (!starts_afresh()) {
-      constexpr int kFewViews = 10, kFewIterations = 6;  // while the robot runs, for time
-      views = std::min(views, kFewViews);
-      solver_options.max_iterations = std::min(solver_options.max_iterations, kFewIterations);
-    }
+    if (!starts_afresh()) solver_options.max_iterations = std::min(solver_options.max_iterations, kFewIterations);
     solve_graph(graph(result_.knowledge.noise, !has_loss, Steady::kOpen), solver_options, &result_.T_map_vertex,
                 well_seen(trajectory_.objects, result_.T_map_vertex, views));
   }
