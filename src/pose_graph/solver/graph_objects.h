@@ -43,8 +43,8 @@ struct GraphObject {
   std::vector<GraphObjectView> views;
 };
 
-/// Noise of a box edge, sigma_px + sigma_share * box size: of each box by itself, and once more of all boxes that show
-/// an object from about one direction.
+/// Noise of a box edge, sigma_px + sigma_share * box size, that all boxes share which show an object from about one
+/// direction; 0.6 of it each box has by itself.
 struct ObjectNoise {
   double sigma_px = 4.0;
   double sigma_share = 0.06;
@@ -124,13 +124,12 @@ class ObjectBlocks {
   };
   /// Of an object, from about one direction: how no ellipsoid has its outline, and what the detector makes of it there.
   struct Aspect {
-    Vec3 direction = Vec3::UnitZ();  ///< from the object to the camera, unit vector in the world
-    double distance_m = 0.0;
-    Vec4 edge_errors = Vec4::Zero();  ///< that its views have in common, in their sigmas
+    Vec3 direction = Vec3::UnitZ();   ///< from the object to the camera, unit vector in the world
+    Vec4 edge_errors = Vec4::Zero();  ///< that its views have in common, in sigmas
     double depth_error = 0.0;         ///< likewise
   };
-  /// @param T_world_camera a view of the object, whose aspects are those from `first` on
-  Aspect& aspect(const SE3& T_world_camera, const Vec3& center, std::size_t first, ceres::Problem* problem);
+  /// @param to_camera from the object, whose aspects are those from `first` on
+  Aspect& aspect(const Vec3& to_camera, std::size_t first, ceres::Problem* problem);
 
   std::deque<Unknowns> unknowns_;  ///< addresses stay valid
   std::deque<Aspect> aspects_;     ///< likewise
