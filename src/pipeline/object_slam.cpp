@@ -140,10 +140,7 @@ MergedMaps merge_maps(const MapState& a, MapState b, const Options& options,
   MergedMaps merged;
   merged.loops = detector.detect(queries);
 
-  // No object is known to be of both yet, and within each map all is settled.
-  Options by_loops = options;
-  by_loops.pose_graph.objects = "off";
-  ObjectSlam slam(by_loops, std::move(classes));
+  ObjectSlam slam(options, std::move(classes));
   slam.restore(both);
   Frame end;
   end.is_end = true;
