@@ -293,8 +293,10 @@ struct LoopDetector::Impl {
 
   /// A submap must not straddle a jump of the odometry, and spans less time the less is known of its motion.
   void watch_odometry(const Frame& frame, bool taken) {
-    // The boxes show a jump at once, the motion by itself only once the jump is over.
-    const bool has_burst = bursts_.push(frame);
+    // The boxes show a jump at once, the motion by itself only once the jump is over; what stands out of it may be a
+    // jolt of the camera.
+    const std::optional<Vec6> burst = bursts_.push(frame);
+    const bool has_burst = burst && (window_.frames().empty() || !monitor_.refutes(*burst, last_frame()));
     const bool has_shift = taken && !window_.frames().empty() && monitor_.push(last_frame());
     if (has_burst || has_shift) {
       monitor_.restart();
@@ -311,8 +313,7 @@ struct LoopDetector::Impl {
         if (has_shift) settled_ns_ = frame.stamp_ns + kSettle_ns;
       }
     }
-    // A burst is small, and may be a jolt of the camera itself: where the odometry sees itself still tells places
-    // apart.
+    // A burst is small: where the odometry sees itself still tells places apart.
     if (has_shift) ++segment_;
     if (const std::optional<double> span_s = solver_.span_s(radians(options_.window_sigma_deg))) {
       window_.set_span(std::clamp(*span_s, options_.min_window_s, options_.window_s));

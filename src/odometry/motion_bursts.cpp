@@ -171,7 +171,7 @@ MotionBursts::SuspectedJump MotionBursts::suspected_jump(std::size_t section) co
   return sum;
 }
 
-bool BurstWatch::push(const Frame& frame) {
+std::optional<Vec6> BurstWatch::push(const Frame& frame) {
   constexpr std::int64_t kSection_ns = 500'000'000;  // longer than any burst
   constexpr double kMinTranslation_m = 0.05;  // less does not spoil a submap; finds the bursts of drifted recordings
   constexpr double kMinRotation_rad = 0.06;   // as much at about a metre
@@ -185,7 +185,8 @@ bool BurstWatch::push(const Frame& frame) {
     section_ += jumped ? kBeyond : 1;
     section_ns_ = frame.stamp_ns;
   }
-  return jumped;
+  if (!jumped) return std::nullopt;
+  return jump;
 }
 
 }  // namespace semantic_topo_loop::core

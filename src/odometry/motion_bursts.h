@@ -77,8 +77,8 @@ class MotionBursts {
 /// Tells jumps of the odometry by its motion alone, a sixth of a second after their end.
 class BurstWatch {
  public:
-  /// @return true if a jump that spoils a submap has just been noticed
-  bool push(const Frame& frame);
+  /// @return a jump that spoils a submap and has just been noticed: (m, rad), in the axes of the odometry
+  std::optional<Vec6> push(const Frame& frame);
 
  private:
   MotionBursts bursts_;

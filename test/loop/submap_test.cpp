@@ -747,6 +747,42 @@ TEST(OdometryMonitor, NoticesAJumpInACrowd) {
   EXPECT_TRUE(monitor.push(moved));
 }
 
+TEST(OdometryMonitor, RefutesAJumpWhoseObjectsStandWhereTheyDid) {
+  LocalMap map;
+  for (int i = 0; i < 4; ++i) {
+    LocalObject object;
+    object.label = i;
+    object.spheroid.center = Vec3(0.3 * i - 0.5, 0.1 * i, 2.0);
+    object.spheroid.log_axes = Vec2::Constant(std::log(0.1));
+    map.objects.push_back(object);
+  }
+  Vec6 jump;
+  jump << 0.1, 0.0, 0.0, 0.0, radians(5.0), 0.0;
+  const SE3 moved(so3_exp(jump.tail<3>()), jump.head<3>());
+  OdometryMonitor monitor;
+  monitor.set_reference(map);
+  const auto seen_from = [&map](const SE3& T_odom_camera, std::size_t count) {
+    ObservedFrame frame;
+    for (std::size_t i = 0; i < count; ++i) {
+      const LocalObject& object = map.objects[i];
+      const Vec3 p = T_odom_camera.inverse() * object.spheroid.center;
+      const Vec2 at = p.head<2>() / p.z(), half = Vec2::Constant(0.1 / p.z());
+      ObservedBox box;
+      box.label = object.label;
+      box.box = {at.x() - half.x(), at.y() - half.y(), at.x() + half.x(), at.y() + half.y()};
+      frame.boxes.push_back(box);
+    }
+    return frame;
+  };
+  ObservedFrame jolted = seen_from(moved, 4), jumped = seen_from(SE3(), 4), one = seen_from(moved, 1);
+  for (ObservedFrame* frame : {&jolted, &jumped, &one}) frame->T_odom_camera = moved;
+  EXPECT_TRUE(monitor.refutes(jump, jolted)) << "the camera moved";
+  EXPECT_FALSE(monitor.refutes(jump, jumped)) << "the odometry alone did";
+  EXPECT_FALSE(monitor.refutes(jump, one)) << "one object may be anywhere";
+  monitor.restart();
+  EXPECT_FALSE(monitor.refutes(jump, jolted)) << "there is nothing to tell by";
+}
+
 TEST(OdometryMonitor, SaysNothingWithoutAReference) {
   OdometryMonitor monitor;
   EXPECT_FALSE(monitor.push(ObservedFrame()));

@@ -6,6 +6,7 @@
 #include <vector>
 
 #include "geometry/statistics.h"
+#include "semantic_topo_loop/geometry/lie.h"
 
 namespace semantic_topo_loop::core {
 namespace {
@@ -17,6 +18,7 @@ constexpr double kMaxOffset = 0.6;        ///< rad; what moved farther is anothe
 constexpr double kMaxSizeRatio = 1.6;     ///< of detected and predicted box
 constexpr double kMaxDepth_m = 6.0;       ///< the default of loop.max_depth_m
 constexpr int kMinSupport = 3;            ///< objects that a shift is told by
+constexpr int kMinMore = 2;               ///< objects in place than without a jump: a single box may be off
 constexpr std::size_t kMaxCompared = 40;  ///< objects and boxes of a frame: the time grows with the square of both
 constexpr int kJumpFrames = 2;            ///< consecutive frames that show a jump
 constexpr std::size_t kMaxRates = 200;    ///< some 20 s of frames at the default of loop.frame_interval_s
@@ -47,6 +49,19 @@ bool is_supported(const Prediction& prediction, const Vec2& offset, const std::v
 int support(const std::vector<Prediction>& predictions, const Vec2& offset, const std::vector<ObservedBox>& boxes) {
   return static_cast<int>(std::count_if(predictions.begin(), predictions.end(),
                                         [&](const Prediction& p) { return is_supported(p, offset, boxes); }));
+}
+
+/// The objects before the camera.
+template <class Node>
+std::vector<Prediction> predict(const std::vector<Node>& nodes, const SE3& T_odom_camera) {
+  const SE3 T_camera_odom = T_odom_camera.inverse();
+  std::vector<Prediction> predictions;
+  for (const Node& node : nodes) {
+    const Vec3 p = T_camera_odom * node.center;
+    if (!(p.z() > node.radius) || p.z() > kMaxDepth_m) continue;
+    predictions.push_back({node.label, Vec2(p.x(), p.y()) / p.z(), 2.0 * node.radius / p.z()});
+  }
+  return largest(std::move(predictions), [](const Prediction& prediction) { return prediction.size; });
 }
 
 }  // namespace
@@ -84,6 +99,14 @@ bool OdometryMonitor::push(const ObservedFrame& frame) {
   return false;
 }
 
+bool OdometryMonitor::refutes(const Vec6& jump, const ObservedFrame& frame) const {
+  const auto in_place = [&](const SE3& T_odom_camera) {
+    return support(predict(nodes_, T_odom_camera), Vec2::Zero(), frame.boxes);
+  };
+  const SE3 moved_back(so3_exp(-jump.tail<3>()) * frame.T_odom_camera.q, frame.T_odom_camera.t - jump.head<3>());
+  return in_place(frame.T_odom_camera) >= in_place(moved_back) + kMinMore;
+}
+
 std::optional<double> OdometryMonitor::drift_rad_s() const {
   if (rates_.size() < kMinRates) return std::nullopt;
   return median({rates_.begin(), rates_.end()});
@@ -91,14 +114,7 @@ std::optional<double> OdometryMonitor::drift_rad_s() const {
 
 /// The offset between predicted and detected boxes of one label that most objects share; the smallest on ties.
 OdometryMonitor::Shift OdometryMonitor::common_shift(const ObservedFrame& frame) const {
-  const SE3 T_camera_odom = frame.T_odom_camera.inverse();
-  std::vector<Prediction> predictions;
-  for (const Node& node : nodes_) {
-    const Vec3 p = T_camera_odom * node.center;
-    if (!(p.z() > node.radius) || p.z() > kMaxDepth_m) continue;
-    predictions.push_back({node.label, Vec2(p.x(), p.y()) / p.z(), 2.0 * node.radius / p.z()});
-  }
-  predictions = largest(std::move(predictions), [](const Prediction& prediction) { return prediction.size; });
+  const std::vector<Prediction> predictions = predict(nodes_, frame.T_odom_camera);
   const std::vector<ObservedBox> boxes =
       largest(frame.boxes, [](const ObservedBox& observed) { return observed.box.size(); });
   Shift best;

@@ -17,6 +17,9 @@ class OdometryMonitor {
   void set_reference(const LocalMap& map);
   /// @return true if the odometry has jumped since the reference, which is then dropped
   bool push(const ObservedFrame& frame);
+  /// Whether the objects stand where the odometry puts them, and would not if it were to be moved back by a jump.
+  /// @param jump of the odometry before the frame: (m, rad), in its axes
+  bool refutes(const Vec6& jump, const ObservedFrame& frame) const;
   /// Forgets the reference, at a break.
   void restart();
   /// Apparent drift, rad/s: the median of recent frames. It holds the noise of the boxes, so that it never is zero.
