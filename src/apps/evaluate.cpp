@@ -2,6 +2,7 @@
 #include <cstdio>
 #include <map>
 #include <nlohmann/json.hpp>
+#include <optional>
 #include <string>
 #include <vector>
 
@@ -22,7 +23,7 @@ struct Arguments {
   std::string run;        ///< directory of the run, or its trajectory
   std::string truth;      ///< trajectory
   std::string reference;  ///< objects
-  std::string json, mocap, sightings, details;
+  std::string json, aligned_by, mocap, sightings, details;
   bool with_scale = false;
 };
 
@@ -65,18 +66,25 @@ struct Report {
   }
 };
 
-Result<TrajectoryEvaluation> align_files(const std::string& estimate, const std::string& reference, bool with_scale) {
+Result<TrajectoryEvaluation> align_files(const std::string& estimate, const std::string& reference, bool with_scale,
+                                         const std::optional<Alignment>& known = std::nullopt) {
   const auto estimated = read_tum_trajectory(estimate);
   if (!estimated) return estimated.error();
   const auto truth = read_tum_ground_truth(reference);
   if (!truth) return truth.error();
-  auto evaluation = evaluate_trajectory(*estimated, *truth, with_scale);
+  auto evaluation = evaluate_trajectory(*estimated, *truth, with_scale, known);
   if (!evaluation) return Error{estimate + ": " + evaluation.message()};
   return evaluation;
 }
 
 Result<Report> report_trajectory(const Arguments& arguments) {
-  const auto e = align_files(arguments.run, arguments.truth, arguments.with_scale);
+  std::optional<Alignment> known;
+  if (!arguments.aligned_by.empty()) {
+    const auto other = align_files(arguments.aligned_by, arguments.truth, arguments.with_scale);
+    if (!other) return other.error();
+    known = other->alignment;
+  }
+  const auto e = align_files(arguments.run, arguments.truth, arguments.with_scale, known);
   if (!e) return e.error();
   Report report;
   report.table =
@@ -85,6 +93,7 @@ Result<Report> report_trajectory(const Arguments& arguments) {
   report.add("pairs within 0.02 s", "pairs", static_cast<int>(e->pairs));
   report.table += line("scale", std::to_string(e->alignment.scale));
   report.add("ATE", "ate_m", {e->absolute_m, "m"});
+  report.add("ATE, rotation", "ate_deg", {e->absolute_deg, "deg"});
   report.add("RPE over 1 s, translation", "rpe_m", {e->relative_m, "m"});
   report.add("RPE over 1 s, rotation", "rpe_deg", {e->relative_deg, "deg"});
   return report;
@@ -298,11 +307,13 @@ Command make_command(const char* name, const char* usage, const char* purpose,
 /// Judges the files of a run.
 int main(int argc, char** argv) {
   Arguments arguments;
-  Command trajectory = make_command("trajectory", "EST GT [--scale] [--json FILE]",
+  Command trajectory = make_command("trajectory", "EST GT [--scale] [--aligned-by FILE] [--json FILE]",
                                     "Absolute (ATE) and relative (RPE over 1 s) errors of a TUM trajectory.\n",
                                     report_trajectory, &arguments);
   trajectory.words = {{"EST", &arguments.run}, {"GT", &arguments.truth}};
-  trajectory.option("scale", po::bool_switch(&arguments.with_scale), "align by a similarity (monocular odometry)");
+  trajectory.option("scale", po::bool_switch(&arguments.with_scale), "align by a similarity (monocular odometry)")
+      .option("aligned-by", po::value(&arguments.aligned_by),
+              "trajectory in the same frame, such as the map's, by which it is aligned instead");
   Command objects = make_command("objects", "RUN_DIR GT REFERENCE [--json FILE]",
                                  "objects.csv against reference objects, aligned by trajectory.txt and GT.\n",
                                  report_objects, &arguments);

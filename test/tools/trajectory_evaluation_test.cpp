@@ -66,6 +66,26 @@ TEST(TrajectoryEvaluation, ARigidlyMovedTrajectoryHasNoError) {
   EXPECT_NEAR((e->alignment.T_a_b.matrix() - T.inverse().matrix()).norm(), 0.0, 1e-9);
 }
 
+TEST(TrajectoryEvaluation, WithAKnownAlignmentWhatIsOffAsAWholeIsAnError) {
+  RandomPoses random(41);
+  const StampedPoses reference = make_path(200);
+  const SE3 T_reference_map = random.pose(5.0), off(so3_exp(Vec3(0.0, radians(3.0), 0.0)), Vec3::Zero());
+  StampedPoses session = reference;
+  for (StampedPose& pose : session) {
+    pose.T_world_camera = T_reference_map.inverse() * pose.T_world_camera * off;
+    pose.T_world_camera.t += Vec3(0.0, 0.1, 0.0);
+  }
+  const Alignment known{T_reference_map, 1.0};
+  const auto e = evaluate_trajectory(session, reference, false, known);
+  ASSERT_TRUE(e);
+  EXPECT_NEAR(e->absolute_m.median, 0.1, 1e-9);
+  EXPECT_NEAR(e->absolute_deg.median, 3.0, 1e-6);
+  EXPECT_NEAR(evaluate_trajectory(session, reference)->absolute_m.max, 0.0, 1e-9);
+  const StampedPoses one(session.begin(), session.begin() + 1);
+  EXPECT_TRUE(evaluate_trajectory(one, reference, false, known)) << "one pose is enough";
+  EXPECT_FALSE(evaluate_trajectory({}, reference, false, known));
+}
+
 TEST(TrajectoryEvaluation, ScaleIsAnErrorUnlessAligned) {
   const StampedPoses reference = make_path(200);
   StampedPoses estimate = reference;

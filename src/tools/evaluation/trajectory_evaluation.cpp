@@ -58,7 +58,7 @@ ErrorStatistics error_statistics(std::vector<double> errors) {
 }
 
 Result<TrajectoryEvaluation> evaluate_trajectory(const StampedPoses& estimate, const StampedPoses& reference,
-                                                 bool with_scale) {
+                                                 bool with_scale, const std::optional<Alignment>& known) {
   IndexPairs pairs;
   std::vector<Vec3> points_reference, points_estimate;
   for (std::size_t i = 0; i < estimate.size(); ++i) {
@@ -68,7 +68,9 @@ Result<TrajectoryEvaluation> evaluate_trajectory(const StampedPoses& estimate, c
     points_estimate.push_back(estimate[i].T_world_camera.t);
     points_reference.push_back(nearest->T_world_camera.t);
   }
-  const std::optional<Alignment> alignment = align_points(points_reference, points_estimate, with_scale);
+  if (known && pairs.empty()) return Error{"no pose has a partner in time"};
+  const std::optional<Alignment> alignment =
+      known ? known : align_points(points_reference, points_estimate, with_scale);
   if (!alignment) {
     return Error{"cannot align the trajectories: " + std::to_string(pairs.size()) +
                  " poses have a partner in time (3 that are not on a line are needed)"};
@@ -78,13 +80,17 @@ Result<TrajectoryEvaluation> evaluate_trajectory(const StampedPoses& estimate, c
   result.reference = reference.size();
   result.pairs = pairs.size();
   result.alignment = *alignment;
-  std::vector<double> distances;
+  std::vector<double> distances, angles;
   for (std::size_t k = 0; k < pairs.size(); ++k) {
     const Vec3 aligned = alignment->scale * (alignment->T_a_b.q * points_estimate[k]) + alignment->T_a_b.t;
     distances.push_back((aligned - points_reference[k]).norm());
-    result.errors.push_back({estimate[pairs[k].first].stamp_ns, distances.back()});
+    const auto& [i, j] = pairs[k];
+    angles.push_back(
+        degrees(rotation_angle(alignment->T_a_b.q * estimate[i].T_world_camera.q, reference[j].T_world_camera.q)));
+    result.errors.push_back({estimate[i].stamp_ns, distances.back()});
   }
   result.absolute_m = error_statistics(std::move(distances));
+  result.absolute_deg = error_statistics(std::move(angles));
   relative_errors(estimate, reference, pairs, alignment->scale, &result);
   return result;
 }

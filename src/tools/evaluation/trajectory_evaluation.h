@@ -1,6 +1,7 @@
 #pragma once
 
 #include <cstddef>
+#include <optional>
 #include <vector>
 
 #include "semantic_topo_loop/geometry/alignment.h"
@@ -36,14 +37,18 @@ struct TrajectoryEvaluation {
   std::size_t pairs = 0;                     ///< poses that have a partner
   Alignment alignment;                       ///< T_reference_estimate
   ErrorStatistics absolute_m;                ///< ATE: distances after alignment
+  ErrorStatistics absolute_deg;              ///< angles between the orientations after alignment
   std::vector<PoseError> errors;             ///< these distances, in order of time
   ErrorStatistics relative_m;                ///< RPE over 1 s, translation
   ErrorStatistics relative_deg;              ///< RPE over 1 s, rotation
 };
 
 /// @param with_scale align by a similarity (monocular odometry)
-/// @return an error, with the cause, if fewer than 3 poses have a partner or they lie on one line
+/// @param known that of the estimate's frame, instead of the one that suits the estimate best
+/// @return an error, with the cause, if fewer than 3 poses have a partner or they lie on one line; with a known
+///     alignment, if none has a partner
 Result<TrajectoryEvaluation> evaluate_trajectory(const StampedPoses& estimate, const StampedPoses& reference,
-                                                 bool with_scale = false);
+                                                 bool with_scale = false,
+                                                 const std::optional<Alignment>& known = std::nullopt);
 
 }  // namespace semantic_topo_loop::core
