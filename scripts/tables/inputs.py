@@ -35,13 +35,13 @@ def thinned(context, sequence, step):
     os.makedirs(folder, exist_ok=True)
     path = os.path.join(folder, f"{stem}_every_{step}.txt")
     with open(path, "w") as file:
-        file.writelines(poses_of(sequence)[::step])
+        file.writelines(lines_of(sequence.trajectory)[::step])
     return dataclasses.replace(sequence, name=f"{sequence.name}_every_{step}", trajectory=path)
 
 
-def poses_of(sequence):
-    """Lines of its odometry."""
-    with open(sequence.trajectory) as file:
+def lines_of(path):
+    """Of a TUM file, without comments."""
+    with open(path) as file:
         return [line for line in file if line.strip() and not line.startswith("#")]
 
 
@@ -60,7 +60,7 @@ def restarted(context, sequence, seed):
     folder = os.path.join(context.inputs, sequence.name)
     os.makedirs(folder, exist_ok=True)
     path = os.path.join(folder, f"restart_s{seed}.txt")
-    lines = poses_of(sequence)
+    lines = lines_of(sequence.trajectory)
     with open(path, "w") as file:
         file.writelines(lines[:len(lines) // 2])
         file.writelines(moved(lines[len(lines) // 2:], random.Random(seed)))

@@ -27,6 +27,10 @@ class Sequence:
     drifted_real: tuple = ()  # that drifts as cameras and wheels do
     images: str = ""  # TUM folder
 
+    def source(self, path):
+        """Words for `offline`. @param path of an odometry, or of a TUM folder, of its own"""
+        return ["--rgbd", path, "--set", "depth.scale=5000"] if self.images else ["--trajectory", path]
+
 
 @dataclass(frozen=True)
 class Method:
@@ -175,9 +179,9 @@ class Programs:
             raise Failure(f"{name}: {result.stderr.strip()}")
         return result.stdout
 
-    def offline(self, sequence, trajectory, output, *arguments):
-        """A run that no table shares, on an odometry of one's own."""
-        self.call("offline", "--trajectory", trajectory, "--detections", sequence.detections, "--camera",
+    def offline(self, sequence, path, output, *arguments):
+        """A run that no table shares, on an odometry or images of one's own."""
+        self.call("offline", *sequence.source(path), "--detections", sequence.detections, "--camera",
                   os.path.join(self._cameras, sequence.camera), "--output", output, *arguments)
 
     def _call(self, name, *arguments):
@@ -191,9 +195,7 @@ class Programs:
     def _run(self, sequence, method):
         run = Run(sequence, method, os.path.join(self._output, "runs", sequence.name, method.key))
         os.makedirs(run.directory, exist_ok=True)
-        source = ["--trajectory", sequence.trajectory]
-        if sequence.images:
-            source = ["--rgbd", sequence.images, "--set", "depth.scale=5000"]
+        source = sequence.source(sequence.images or sequence.trajectory)
         result = self._call("offline", *source, "--detections", sequence.detections, "--camera",
                             os.path.join(self._cameras, sequence.camera), "--classes", self._classes, "--output",
                             run.directory, *(word for setting in method.settings for word in ("--set", setting)))

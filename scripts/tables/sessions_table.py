@@ -5,26 +5,46 @@ import random
 import statistics
 
 from association_tables import markdown
-from inputs import moved, poses_of
+from inputs import lines_of, moved
 from runs import read_rows
 
 FIRST_FRAMES = {"fr2_desk": 1400, "fr3_office": 1291}  # of the map
 STARTS, STARTS_ELSEWHERE = 20, 4
 LAST_FRAMES = 500  # that the last start has left
+IMAGE_STARTS, IMAGES_S = 5, 10  # of images that long
 FOUND_COLUMNS = ("map", "later run", "starts", "found", "after, s", "ATE of both, m")
+IMAGE_COLUMNS = ("map", "later run", "starts", "found", "after, s", "off by, m", "off by, deg", "ATE of both, m")
 MERGED_COLUMNS = ("sequence", "confirmed objects of the parts", "of both", "ATE of all keyframes, m")
 
 NOTES = """Starts are spread evenly from the end of the map's part on, each odometry in a frame of its own (a random SE(3),
 seed: number of the start). Found: a loop into the map is accepted; after: recorded time until then. ATE of the keyframes
-of both sessions, in one frame. Least, median, most.
+of both sessions, in one frame. Least, median, most. Runs from images find their odometry themselves; off by: the median
+over the session's keyframes, where the truth is aligned by those of the map.
 """
 
 
-def write(context, name, lines):
-    path = os.path.join(context.inputs, name + ".txt")
+def write(context, sequence, name, lines):
+    """A part of a sequence: of its odometry, or the folder of its images."""
+    path = os.path.join(context.inputs, name)
+    if not sequence.images:
+        return written(path + ".txt", lines)
+    os.makedirs(path, exist_ok=True)
+    for entry in ("rgb", "depth", "depth.txt"):
+        link = os.path.join(path, entry)
+        if not os.path.exists(link):
+            os.symlink(os.path.abspath(os.path.join(sequence.images, entry)), link)
+    written(os.path.join(path, "rgb.txt"), lines)
+    return path
+
+
+def written(path, lines):
     with open(path, "w") as file:
         file.writelines(lines)
     return path
+
+
+def stamp(line):
+    return float(line.split()[0])
 
 
 class Session:
@@ -35,8 +55,8 @@ class Session:
         folder = os.path.join(context.output, "sessions", name)
         self.map = folder + ".db"
         words = ["--map", earlier.map] if earlier else []
-        self._programs.offline(sequence, write(context, name, lines), folder, *words, "--save-map", self.map)
-        begin_s = float(lines[0].split()[0])
+        self._programs.offline(sequence, write(context, sequence, name, lines), folder, *words, "--save-map", self.map)
+        self._begin_s = begin_s = stamp(lines[0])
         # Frames are counted on from those of the map, whatever the clocks of the two recordings say.
         begin = int(read_rows(os.path.join(folder, "keyframes.csv"))[0]["frame_id"])
         self.found_s = [float(row["query_stamp"]) - begin_s for row in read_rows(os.path.join(folder, "loops.csv"))
@@ -44,6 +64,15 @@ class Session:
 
     def ate_m(self):
         return ate_m(self._programs, self.map, self.sequence)
+
+    def off_by(self):
+        """@return m and deg by which the session's keyframes are off, in the frame of the map that it goes on with"""
+        self._programs.call("inspect_map", self.map, "--trajectory", self.map + ".txt")
+        lines = lines_of(self.map + ".txt")
+        earlier = written(self.map + ".earlier.txt", [line for line in lines if stamp(line) < self._begin_s])
+        own = written(self.map + ".own.txt", [line for line in lines if stamp(line) >= self._begin_s])
+        errors = self._programs.trajectory(own, self.sequence.ground_truth, "--aligned-by", earlier)
+        return errors["ate_m"]["median"], errors["ate_deg"]["median"]
 
 
 def ate_m(programs, path, sequence):
@@ -72,6 +101,32 @@ def later_row(context, first, sequence, lines, starts, begin):
             spread([run.ate_m() for run in found], 4)]
 
 
+def image_row(context, first, sequence, lines, begin):
+    """Runs on images from some places after `begin` on, in the map of `first`."""
+    last = max(k for k, line in enumerate(lines) if stamp(lines[-1]) - stamp(line) >= IMAGES_S)
+    runs = []
+    for k in range(IMAGE_STARTS):
+        rest = lines[begin + k * (last - begin) // (IMAGE_STARTS - 1):]
+        part = [line for line in rest if stamp(line) < stamp(rest[0]) + IMAGES_S]
+        runs.append(Session(context, sequence, f"{sequence.name}_in_{first.sequence.name}_{k + 1}", part, first))
+    found = [run for run in runs if run.found_s]
+    same = found if first.sequence.name == sequence.name else []
+    off = [run.off_by() for run in same]
+    return [first.sequence.name, sequence.name, IMAGE_STARTS, len(found), spread([min(run.found_s) for run in found], 1),
+            spread([m for m, _ in off], 3), spread([deg for _, deg in off], 1), spread([run.ate_m() for run in same], 4)]
+
+
+def rows_from_images(context, elsewhere):
+    """Each sequence's second half in the map of its first, and in other maps."""
+    rows = []
+    for sequence in context.image_sequences:
+        lines = lines_of(os.path.join(sequence.images, "rgb.txt"))
+        begin = len(lines) // 2
+        first = Session(context, sequence, sequence.name + "_first", lines[:begin])
+        rows += [image_row(context, earlier, sequence, lines, begin) for earlier in (first, *elsewhere)]
+    return rows
+
+
 def confirmed(programs, path):
     programs.call("inspect_map", path, "--objects", path + ".csv")
     return sum(row["state"] == "confirmed" for row in read_rows(path + ".csv"))
@@ -89,7 +144,7 @@ def merged_row(context, first, second):
 
 def table_sessions(context):
     sequences = [sequence for sequence in context.sequences if sequence.name in FIRST_FRAMES]
-    lines = {sequence.name: poses_of(sequence) for sequence in sequences}
+    lines = {sequence.name: lines_of(sequence.trajectory) for sequence in sequences}
     ends = {name: FIRST_FRAMES[name] for name in lines}
     firsts = [Session(context, s, s.name + "_first", lines[s.name][:ends[s.name]]) for s in sequences]
     found = [later_row(context, first, s, lines[s.name], STARTS, ends[s.name]) for first, s in zip(firsts, sequences)]
@@ -99,5 +154,6 @@ def table_sessions(context):
     for first, s in zip(firsts, sequences):
         rest = list(moved(lines[s.name][ends[s.name]:], random.Random(0)))
         merged.append(merged_row(context, first, Session(context, s, s.name + "_rest", rest)))
-    return ("### Sessions\n\n**Later runs in a map**\n\n" + markdown(FOUND_COLUMNS, found) + "\n**Maps joined**\n\n" +
+    return ("### Sessions\n\n**Later runs in a map**\n\n" + markdown(FOUND_COLUMNS, found) + "\n**Later runs from images**\n\n" +
+            markdown(IMAGE_COLUMNS, rows_from_images(context, firsts)) + "\n**Maps joined**\n\n" +
             markdown(MERGED_COLUMNS, merged) + "\n" + NOTES)

@@ -148,7 +148,7 @@ TEST_F(OfflineProgram, FindsItsPlaceInTheMapOfAnotherRunByObjectsAndSurfaces) {
   const auto recording = shared_data("tum/fr1_xyz");
   if (!recording) GTEST_SKIP() << "SEMANTIC_TOPO_LOOP_DATA is not set";
   write_part(*recording, 0.0, 13.3, "first", directory_);
-  write_part(*recording, 14.9, 24.9, "second", directory_);
+  write_part(*recording, 16.0, 26.0, "second", directory_);
   const std::string source = " --set depth.scale=5000 --camera " STL_CONFIG_DIR
                              "/camera/tum_fr1.yaml --classes " STL_CONFIG_DIR "/classes_coco.yaml --detections " +
                              *recording + "/detections_yolox_nano.json";
