@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <iterator>
+#include <utility>
 
 #include "geometry/statistics.h"
 #include "semantic_topo_loop/geometry/quadric.h"
@@ -16,6 +17,10 @@ constexpr double kPartInside = 0.7;       // median share of a part's boxes insi
 // Chosen on fr2_desk's drifted files, where a quarter, which vetoes merges, leaves more objects twice.
 constexpr double kThingBeside = 0.8;
 constexpr double kPartSeen = 0.3;    // of the time for which the whole is seen, at most: what is seen more is a thing
+constexpr double kForeignIou = 0.1;  // of a box with an object's projection: less shows something else
+// Of the frames side by side, those that were mixed up, so that the others veto no merge. Chosen on fr2_desk's drifted
+// files, where 0.7 to 0.9 do alike; where fewer are, as in fr3_office's rows of bottles, two things stand side by side.
+constexpr double kMixedUp = 0.8;
 constexpr double kSameCenter = 0.5;  // mean semi-axes: centres nearer than this are one object's, whatever the boxes
 
 struct Overlap {
@@ -60,6 +65,28 @@ int frames_side_by_side(const MappedLandmark& a, const MappedLandmark& b) {
   return std::max(frames(a, b.state.id), frames(b, a.state.id));
 }
 
+/// Whether, in nearly all frames in which both have a box, that of `a` shows something else and that of `b` shows `a`:
+/// while the odometry was wrong, `a` was given a neighbour's boxes, and its own made `b`.
+/// @param same_iou of a box with the projection of what it shows, at least
+bool are_mixed_up(const MappedLandmark& a, const MappedLandmark& b, const ViewSource& source, double same_iou) {
+  std::vector<std::pair<Observation, Observation>> common;
+  auto other = b.observations.begin();
+  for (const Observation& observation : a.observations) {
+    while (other != b.observations.end() && other->frame_id < observation.frame_id) ++other;
+    if (other == b.observations.end()) break;
+    if (other->frame_id == observation.frame_id) common.emplace_back(observation, *other);
+  }
+  if (common.empty()) return false;
+  common = spread(common, kVotingViews);
+  const auto mixed_up = std::count_if(common.begin(), common.end(), [&](const auto& boxes) {
+    const BoxView view = source.view(boxes.first);
+    const std::optional<Box> projected =
+        project_box(*a.state.ellipsoid, projection_matrix(source.camera(), view.T_world_camera));
+    return projected && iou(*projected, view.box) < kForeignIou && iou(*projected, boxes.second.view.box) > same_iou;
+  });
+  return static_cast<double>(mixed_up) >= kMixedUp * static_cast<double>(common.size());
+}
+
 Remains remains_of(const KeyframePlaces& S_map_keyframe, const LandmarkRecord& landmark) {
   Remains remains{landmark, {}, 1.0};
   const auto anchor = S_map_keyframe.find(landmark.state.anchor_keyframe_id);
@@ -89,7 +116,8 @@ bool DuplicateTest::is_duplicate(const MappedLandmark& a, const MappedLandmark& 
   const double distance = (a.state.ellipsoid->center() - b.state.ellipsoid->center()).norm();
   if (distance > reach_m(a.state.ellipsoid->semi_axes.maxCoeff(), b.state.ellipsoid->semi_axes.maxCoeff()))
     return false;
-  const bool vetoed = frames_side_by_side(a, b) >= options_.merge_veto_share * b.state.observations;
+  const bool vetoed = frames_side_by_side(a, b) >= options_.merge_veto_share * b.state.observations &&
+                      !are_mixed_up(a, b, views, options_.merge_iou);
   const Overlap o = overlap(a, b, views);
   if (!vetoed && is_one_place(a, b) && o.inside > kPartInside) return true;
   if (!same) return confusable && o.iou > options_.merge_iou_confusable;

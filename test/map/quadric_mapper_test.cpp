@@ -381,6 +381,18 @@ TEST_F(MapperTest, ObjectsSeenSideBySideDoNotMerge) {
   EXPECT_NE(find(1), nullptr);
 }
 
+TEST_F(MapperTest, ABoxGivenToANeighbourMeanwhileVetoesNoMerge) {
+  Ellipsoid neighbour = kCup;
+  neighbour.T_world_quadric.t += Vec3(0.0, 0.16, 0.0);
+  for (const SE3& pose : arc(120, 120.0)) step(pose, {{0, 41, kCup}});
+  // As while the odometry was wrong.
+  for (const SE3& pose : arc(40, 60.0)) step(pose, {{0, 41, neighbour}, {1, 41, kCup}});
+  end();
+  ASSERT_NE(find(0), nullptr);
+  EXPECT_EQ(find(1), nullptr);
+  EXPECT_LT((find(0)->ellipsoid->center() - kCup.center()).norm(), 0.02);
+}
+
 TEST_F(MapperTest, WhatWasSeenBesideOneThatWasMergedDoesNotMergeEither) {
   QuadricMapperOptions options;
   options.maintenance_interval_s = 1e6;  // duplicates are looked for at the end only
