@@ -93,7 +93,7 @@ Result<Report> report_trajectory(const Arguments& arguments) {
   report.add("pairs within 0.02 s", "pairs", static_cast<int>(e->pairs));
   report.table += line("scale", std::to_string(e->alignment.scale));
   report.add("ATE", "ate_m", {e->absolute_m, "m"});
-  report.add("ATE, rotation", "ate_deg", {e->absolute_deg, "deg"});
+  report.add("rotation after alignment", "ate_deg", {e->absolute_deg, "deg"});
   report.add("RPE over 1 s, translation", "rpe_m", {e->relative_m, "m"});
   report.add("RPE over 1 s, rotation", "rpe_deg", {e->relative_deg, "deg"});
   return report;
