@@ -67,18 +67,22 @@ class Session:
 
     def off_by(self):
         """@return m and deg by which the session's keyframes are off, in the frame of the map that it goes on with"""
-        self._programs.call("inspect_map", self.map, "--trajectory", self.map + ".txt")
-        lines = lines_of(self.map + ".txt")
+        lines = lines_of(keyframes_of(self._programs, self.map))
         earlier = written(self.map + ".earlier.txt", [line for line in lines if stamp(line) < self._begin_s])
         own = written(self.map + ".own.txt", [line for line in lines if stamp(line) >= self._begin_s])
         errors = self._programs.trajectory(own, self.sequence.ground_truth, "--aligned-by", earlier)
         return errors["ate_m"]["median"], errors["ate_deg"]["median"]
 
 
+def keyframes_of(programs, path):
+    """Writes those of a map. @return path of the trajectory"""
+    programs.call("inspect_map", path, "--trajectory", path + ".txt")
+    return path + ".txt"
+
+
 def ate_m(programs, path, sequence):
     """Of all keyframes of a map."""
-    programs.call("inspect_map", path, "--trajectory", path + ".txt")
-    return programs.trajectory(path + ".txt", sequence.ground_truth)["ate_m"]["rmse"]
+    return programs.trajectory(keyframes_of(programs, path), sequence.ground_truth)["ate_m"]["rmse"]
 
 
 def spread(values, digits):
