@@ -296,7 +296,9 @@ struct LoopDetector::Impl {
     // The boxes show a jump at once, the motion by itself only once the jump is over; what stands out of it may be a
     // jolt of the camera.
     const std::optional<Vec6> burst = bursts_.push(frame);
-    const bool has_burst = burst && (window_.frames().empty() || !monitor_.refutes(*burst, last_frame()));
+    const bool is_seen =
+        !window_.frames().empty() && frame.stamp_ns - window_.frames().back().stamp_ns < kBurstNoticed_ns;
+    const bool has_burst = burst && !(is_seen && monitor_.refutes(*burst, last_frame()));
     const bool has_shift = taken && !window_.frames().empty() && monitor_.push(last_frame());
     if (has_burst || has_shift) {
       monitor_.restart();
@@ -313,8 +315,11 @@ struct LoopDetector::Impl {
         if (has_shift) settled_ns_ = frame.stamp_ns + kSettle_ns;
       }
     }
-    // A burst is small: where the odometry sees itself still tells places apart.
-    if (has_shift) ++segment_;
+    // A burst is small: where the odometry sees itself still tells places apart, and where the map is.
+    if (has_shift) {
+      ++segment_;
+      relocaliser_.restart();
+    }
     if (const std::optional<double> span_s = solver_.span_s(radians(options_.window_sigma_deg))) {
       window_.set_span(std::clamp(*span_s, options_.min_window_s, options_.window_s));
     }

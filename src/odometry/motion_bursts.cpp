@@ -11,8 +11,8 @@ namespace {
 
 // In seconds; chosen on recordings at 30 Hz.
 constexpr std::array<double, 6> kLengths_s{0.033, 0.067, 0.133, 0.2, 0.267, 0.367};
-constexpr double kSide_s = 0.167;    // before and as much after, the mean of which foretells
-constexpr double kHistory_s = 20.0;  // that say what is usual
+constexpr double kSide_s = 1e-9 * kBurstNoticed_ns;  // before and as much after, the mean of which foretells
+constexpr double kHistory_s = 20.0;                  // that say what is usual
 constexpr double kMinHistory_s = 2.0;
 constexpr std::size_t kMinHistory = 20;  // frames: of fewer, no tenth may be jumps
 constexpr double kRefresh_s = 0.5;       // after which it is asked again, to save time

@@ -74,7 +74,10 @@ class MotionBursts {
   std::map<std::size_t, SuspectedJump> jumps_;  ///< by section, where one stood out, without those of greatest_
 };
 
-/// Tells jumps of the odometry by its motion alone, a sixth of a second after their end.
+/// How long after its end a burst is noticed.
+inline constexpr std::int64_t kBurstNoticed_ns = 167'000'000;
+
+/// Tells jumps of the odometry by its motion alone, kBurstNoticed_ns after their end.
 class BurstWatch {
  public:
   /// @return a jump that spoils a submap and has just been noticed: (m, rad), in the axes of the odometry

@@ -317,21 +317,27 @@ TEST(LoopDetector, ASlipOfTheOdometryIsTold) {
   EXPECT_LT(((truth.front().inverse() * truth[last]).inverse() * T_first_last).t.norm(), 0.1);
 }
 
-/// First frame of the last submap of 14 s along a desk, after seven of which the odometry is turned at once.
-std::int64_t last_begin_after_a_turn(bool camera_turns) {
+/// First frame of the last submap along a desk, where after seven seconds (210 frames) the odometry is turned at once.
+/// @param answered_every frames that the detector takes for an answer
+std::int64_t last_begin_after_a_turn(bool camera_turns, int frames = 420, std::int64_t answered_every = 1) {
   const auto desk = random_desk(6, 12);
   LoopDetector detector(LoopOptions(), testing::desk_classes());
   FrameBuilder builder(KeyframeOptions(), testing::desk_camera());
   std::mt19937_64 random(2);
   const SE3 turn(so3_exp(Vec3(0.0, radians(4.0), 0.0)), Vec3::Zero());
-  for (std::int64_t k = 0; k < 420; ++k) {
+  for (std::int64_t k = 0; k < frames; ++k) {
     const double time_s = static_cast<double>(k) / 30.0;
     const SE3 pose = testing::desk_pose({{0.0, 20.0, 0.0, 120.0}}, time_s);
     PoseSample sample;
     sample.stamp_ns = std::llround(1e9 * (1.0 + time_s));
     sample.T_odom_camera = time_s < 7.0 ? pose : pose * turn;
     const auto frame = builder.build(sample);
-    detector.detect(*frame, testing::observe(desk, *frame, camera_turns ? sample.T_odom_camera : pose, 0, random));
+    AssociationFrame seen = testing::observe(desk, *frame, camera_turns ? sample.T_odom_camera : pose, 0, random);
+    if ((k + 5) % answered_every != 0) {
+      seen.associations.clear();
+      seen.unanswered = true;
+    }
+    detector.detect(*frame, seen);
   }
   const std::vector<LocalMap> submaps = detector.submaps();
   return submaps.empty() ? -1 : submaps.back().begin_frame;
@@ -340,6 +346,12 @@ std::int64_t last_begin_after_a_turn(bool camera_turns) {
 TEST(LoopDetector, AJoltOfTheCameraEndsNoSubmap) {
   EXPECT_EQ(last_begin_after_a_turn(true), 0);
   EXPECT_NE(last_begin_after_a_turn(false), 0);
+}
+
+TEST(LoopDetector, BoxesFromBeforeAJumpDoNotRefuteIt) {
+  const std::int64_t begin = last_begin_after_a_turn(false, 600, 15);  // the last ones 5 frames before it
+  EXPECT_GT(begin, 210);
+  EXPECT_LT(begin, 235) << "before the boxes could show it";
 }
 
 TEST(LoopDetector, NothingIsSolvedForWhileLoopClosingIsOffNorInPaperMode) {

@@ -70,6 +70,25 @@ TEST(Relocalisation, IsThatOfTheOdometrySinceItsLastBreak) {
   EXPECT_EQ(found->agreeing, found->total) << "those before the break do not count against it";
 }
 
+TEST(Relocalisation, IsThatOfTheOdometrySinceAJumpThatTheBoxesShow) {
+  RunSetup setup = later_run(1);
+  setup.visits.push_back({14.0, 26.0, -10.0, 70.0});
+  setup.end_s = 26.0;
+  setup.earlier_map = map_of(1);
+  setup.drift = SE3(so3_exp(Vec3(0.0, 0.0, radians(8.0))), Vec3(0.1, 0.0, 0.0));
+  setup.drift_from_s = 16.0;
+  std::optional<Relocalisation> before, found;
+  int frames = 0;
+  setup.at_every_frame = [&](const LoopDetector& detector) {
+    if (++frames == 159) before = detector.relocalisation();
+  };
+  run(LoopOptions(), setup, [&found](const LoopDetector& detector) { found = detector.relocalisation(); });
+  ASSERT_TRUE(before.has_value());
+  ASSERT_TRUE(found.has_value());
+  EXPECT_LT(error_m(found->T_earlier_odom * setup.T_odom_world * setup.drift, SE3()), 0.1);
+  EXPECT_EQ(found->agreeing, found->total) << "those before the jump do not count against it";
+}
+
 TEST(Relocalisation, IsNotFoundInTheMapOfAnotherPlace) {
   for (std::uint64_t seed = 1; seed <= 2; ++seed) {
     RunSetup setup = later_run(seed);

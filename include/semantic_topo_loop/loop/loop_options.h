@@ -73,7 +73,7 @@ struct LoopOptions {
     visitor("scale", scale, one_of({"fixed", "free"}),
             "graph mode: fixed, or free for an odometry whose scale drifts (monocular)");
     visitor("min_gap_s", min_gap_s, positive(), "graph mode: no loop between submaps closer in time");
-    visitor.live("max_candidates", max_candidates, at_least(1), "loops accepted a keyframe at most");
+    visitor.live("max_candidates", max_candidates, at_least(1), "loops accepted an attempt at most");
     visitor.live("attempt_interval_s", attempt_interval_s, not_negative(),
                  "loops are looked for this often; paper mode: and at keyframes");
     visitor("window_s", window_s, positive(), "graph mode: time span of a submap, at most");
@@ -98,7 +98,7 @@ struct LoopOptions {
     visitor("min_distance_m", min_distance_m, not_negative(), "objects closer to each other say nothing");
     visitor("inlier_distance_m", inlier_distance_m, positive(),
             "an object is an inlier of an alignment within this distance");
-    visitor.live("min_inliers", min_inliers, at_least(3), "aligned objects of an accepted loop");
+    visitor.live("min_inliers", min_inliers, at_least(4), "aligned objects of an accepted loop");
     visitor.live("min_confirmed_inliers", min_confirmed_inliers, at_least(4),
                  "the same where surfaces confirm the loop");
     visitor.live("min_labels", min_labels, at_least(1), "different classes of an accepted loop");

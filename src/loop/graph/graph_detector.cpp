@@ -4,6 +4,7 @@
 #include <cmath>
 #include <iterator>
 #include <set>
+#include <tuple>
 
 #include "semantic_topo_loop/geometry/lie.h"
 
@@ -187,8 +188,8 @@ std::vector<LoopClosure> GraphDetector::detect(const LocalMap& query) {
   select(&candidates);
   std::vector<LoopClosure> loops;
   for (const Candidate& candidate : candidates) {
+    if (is_accepted(candidate)) mark_compared(match_of(candidate), query.end_ns);
     loops.push_back(finish(query, candidate));
-    if (loops.back().accepted) mark_closed(match_of(candidate), query.end_ns);
   }
   return loops;
 }
@@ -289,7 +290,7 @@ std::vector<GraphDetector::Candidate> GraphDetector::examine(const LocalMap& que
 void GraphDetector::find_ambiguous(const LocalMap& query, std::vector<Candidate>* candidates) const {
   std::vector<Candidate*> accepted;
   for (Candidate& candidate : *candidates) {
-    if (candidate.verdict.reason == LoopReason::kAccepted) accepted.push_back(&candidate);
+    if (is_accepted(candidate)) accepted.push_back(&candidate);
   }
   for (Candidate* candidate : accepted) {
     const LocalMap& match = match_of(*candidate);
@@ -306,14 +307,16 @@ void GraphDetector::find_ambiguous(const LocalMap& query, std::vector<Candidate>
   }
 }
 
-/// The best of every place: submaps that overlap in time tell of one place, accepted ones first, then by score. After
-/// the very best come the places that were closed least recently, since they say more than the same loop once more.
-/// Those beyond `max_candidates` and those of a place that has a better one are outranked, and come last.
+/// The best of every place: submaps that overlap in time tell of one place, accepted ones first, of these those with
+/// enough objects by themselves, then by score. After the very best come the places that were compared least recently,
+/// since they say more than the same loop once more. Those beyond `max_candidates` and those of a place that has a
+/// better one are outranked, and come last.
 void GraphDetector::select(std::vector<Candidate>* candidates) const {
-  const auto is_accepted = [](const Candidate& candidate) { return candidate.verdict.reason == LoopReason::kAccepted; };
-  std::stable_sort(candidates->begin(), candidates->end(), [&](const Candidate& p, const Candidate& q) {
-    return is_accepted(p) != is_accepted(q) ? is_accepted(p) : p.alignment.score > q.alignment.score;
-  });
+  const auto rank = [this](const Candidate& candidate) {
+    return std::make_tuple(!is_accepted(candidate), has_few(candidate), -candidate.alignment.score);
+  };
+  std::stable_sort(candidates->begin(), candidates->end(),
+                   [&](const Candidate& p, const Candidate& q) { return rank(p) < rank(q); });
   std::vector<Candidate> places, others;
   for (Candidate& candidate : *candidates) {
     const bool repeats = std::any_of(places.begin(), places.end(), [&](const Candidate& other) {
@@ -324,7 +327,7 @@ void GraphDetector::select(std::vector<Candidate>* candidates) const {
   const auto rejected = std::find_if_not(places.begin(), places.end(), is_accepted);
   if (rejected - places.begin() > 2) {
     std::stable_sort(places.begin() + 1, rejected, [this](const Candidate& p, const Candidate& q) {
-      return maps_.at(p.stored).closed_ns < maps_.at(q.stored).closed_ns;
+      return maps_.at(p.stored).compared_ns < maps_.at(q.stored).compared_ns;
     });
   }
   const std::size_t kept = std::min(places.size(), static_cast<std::size_t>(options_.max_candidates));
@@ -335,9 +338,9 @@ void GraphDetector::select(std::vector<Candidate>* candidates) const {
   *candidates = std::move(places);
 }
 
-void GraphDetector::mark_closed(const LocalMap& match, std::int64_t query_ns) {
+void GraphDetector::mark_compared(const LocalMap& match, std::int64_t query_ns) {
   for (auto& [number, stored] : maps_) {
-    if (overlap(stored.map, match) > kSamePlace) stored.closed_ns = query_ns;
+    if (overlap(stored.map, match) > kSamePlace) stored.compared_ns = query_ns;
   }
 }
 

@@ -86,7 +86,7 @@ class GraphDetector {
   struct StoredMap {
     LocalMap map;
     std::vector<LabelledPoint> points;
-    std::int64_t closed_ns = -1;  ///< stamp of the last query that was closed with its place
+    std::int64_t compared_ns = -1;  ///< stamp of the last query that was compared with its place, surfaces and all
   };
   /// Submaps kept, by number in the order they came.
   const std::map<int, StoredMap>& submaps() const { return maps_; }
@@ -115,6 +115,7 @@ class GraphDetector {
   /// Submaps worth matching, of the numbers below `end`.
   std::vector<int> propose(const std::vector<LabelledPoint>& points, int end) const;
   const LocalMap& match_of(const Candidate& candidate) const { return maps_.at(candidate.stored).map; }
+  static bool is_accepted(const Candidate& candidate) { return candidate.verdict.reason == LoopReason::kAccepted; }
   /// Fewer objects than a loop needs whose surfaces do not confirm it.
   bool has_few(const Candidate& candidate) const {
     return static_cast<int>(candidate.alignment.pairs.size()) < options_.min_inliers;
@@ -127,7 +128,7 @@ class GraphDetector {
                                  const std::vector<int>& numbers) const;
   void find_ambiguous(const LocalMap& query, std::vector<Candidate>* candidates) const;
   void select(std::vector<Candidate>* candidates) const;
-  void mark_closed(const LocalMap& match, std::int64_t query_ns);
+  void mark_compared(const LocalMap& match, std::int64_t query_ns);
   LoopClosure finish(const LocalMap& query, const Candidate& candidate) const;
 
   LoopOptions options_;
