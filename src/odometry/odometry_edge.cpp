@@ -26,6 +26,11 @@ Mat6 suspected_jump_covariance(const OdometryEdge& edge) {
          isotropic_covariance(edge.jump_error_m * edge.jump_error_m, edge.jump_error_rad * edge.jump_error_rad);
 }
 
+/// What the source does not vouch for.
+Vec6 open_jump(const OdometryEdge& edge) {
+  return edge.is_break || edge.covariance ? Vec6(Vec6::Zero()) : edge.suspected_jump;
+}
+
 std::size_t index(int vertex) { return static_cast<std::size_t>(vertex); }
 
 constexpr OdometryNoise kNoNoise{0.0, 0.0, 0.0, 0.0, 0.0, 0.0}, kOnlyJumps{0.0, 0.0, 0.0, 0.0, 0.0, 1.0};
@@ -79,8 +84,7 @@ Mat6 isotropic_covariance(double translation_variance, double rotation_variance)
 }
 
 Vec6 expected_jump(const OdometryEdge& edge, const OdometryNoise& noise) {
-  if (edge.is_break || edge.covariance) return Vec6::Zero();
-  return kMeanJump * noise.jump_prior * noise.jump_prior * edge.suspected_jump;
+  return kMeanJump * noise.jump_prior * noise.jump_prior * open_jump(edge);
 }
 
 Mat6 odometry_covariance(const OdometryEdge& edge, const OdometryNoise& noise) {
@@ -134,7 +138,7 @@ OdometryEdge join(const OdometryEdge& first, const OdometryEdge& second) {
   edge.rotation_rad = first.rotation_rad + second.rotation_rad;
   edge.is_break = first.is_break || second.is_break;
   edge.missed = join(first.missed, second.missed, second.T_from_to);
-  edge.suspected_jump = carry * first.suspected_jump + second.suspected_jump;
+  edge.suspected_jump = carry * open_jump(first) + open_jump(second);
   if (first.measured || second.measured) {
     edge.measured = std::make_shared<const OdometryEdge>(join(measured_edge(first), measured_edge(second)));
   }

@@ -72,19 +72,27 @@ Status check(const GraphState& state) {
   for (const RememberedLoop& loop : state.loops) {
     const bool is_fine =
         !loop.loop || (0 <= loop.loop->from && loop.loop->from <= loop.loop->to && loop.loop->to < vertices);
-    if (!is_fine) return Error{"loop " + std::to_string(loop.told.number) + " joins vertices that are not there"};
-    if (!loop.is_in_graph) continue;
     const std::string name = "loop " + std::to_string(loop.told.number);
+    if (!is_fine) return Error{name + " joins vertices that are not there"};
+    // One that only repeats others takes the place of those that turn out to be wrong.
+    if (loop.loop && !is_invertible(loop.loop->covariance)) {
+      return Error{name + " has a covariance that is not positive definite"};
+    }
+    if (!loop.is_in_graph) continue;
     if (!loop.loop) return Error{name + " has no pose"};
     if (loop.loop->from == loop.loop->to) return Error{name + " joins a vertex with itself"};
-    if (!is_invertible(loop.loop->covariance)) return Error{name + " has a covariance that is not positive definite"};
   }
+  const OdometryNoise none{0.0, 0.0, 0.0, 0.0, 0.0, 0.0}, all{1.0, 1.0, 0.0, 0.0, 0.0, 1.0};
   for (std::size_t i = 0; i < state.edges.size(); ++i) {
     const OdometryEdge& edge = state.edges[i];
     const Mat6& missed = edge.missed.covariance;
     const bool missed_is_fine = missed.isZero(0.0) || is_invertible(missed);
-    if (missed_is_fine && (!edge.covariance || is_invertible(*edge.covariance))) continue;
-    return Error{"edge " + std::to_string(i) + " has a covariance that is not positive definite"};
+    const bool is_path = edge.path_m >= 0.0 && edge.rotation_rad >= 0.0;
+    if (missed_is_fine && is_path && is_invertible(odometry_covariance(edge, none)) &&
+        is_invertible(odometry_covariance(edge, all))) {
+      continue;
+    }
+    return Error{"edge " + std::to_string(i) + " has a covariance that is not positive definite, or a negative path"};
   }
   for (const OdometryJump& jump : state.noise.jumps) {
     if (jump.edge >= state.edges.size()) return Error{"a jump is in edge " + std::to_string(jump.edge) + ", not there"};

@@ -118,7 +118,9 @@ struct PoseGraph::Impl {
       state.keyframes.push_back(
           {pose, is_vertex ? std::nullopt : std::optional(T_vertex_keyframe_[k]), T_map_live_[k]});
     }
-    state.edges = trajectory_.edges;
+    // Poses and noise are those of the motions that the solution rests on.
+    if (knowledge_.prefers_measured) state.edges = measured_edges(trajectory_.edges);
+    if (state.edges.empty()) state.edges = trajectory_.edges;
     state.loops = loops_.remembered();
     state.accepted_loops = loops_.accepted();
     state.noise = knowledge_.noise;
@@ -147,7 +149,6 @@ struct PoseGraph::Impl {
     knowledge_.noise = std::move(state.noise);
     knowledge_.loose_factor = state.loose_factor;
     restored_ = told_keyframes_ = keyframes_.size();
-    learnt_loops_ = loops_.size();
     T_map_odom_ = T_map_odom;
   }
 
@@ -200,7 +201,7 @@ struct PoseGraph::Impl {
     T_vertex_keyframe_.emplace_back();
     trajectory_.T_map_vertex.push_back(place(frame.T_odom_camera));
     T_map_live_.emplace_back(trajectory_.T_map_vertex.back());
-    log_scale_.push_back(log_scale_.empty() ? 0.0 : log_scale_.back());
+    log_scale_.push_back(has_free_scale() && !log_scale_.empty() ? log_scale_.back() : 0.0);
     keyframes_.push_back({frame.keyframe_id, frame.frame_id, frame.stamp_ns, SE3()});
     T_odom_keyframe_ = frame.T_odom_camera;
     q_camera_odom_.push_back(T_odom_keyframe_.q.conjugate());
@@ -280,7 +281,11 @@ struct PoseGraph::Impl {
     forget_behind_breaks(keyframe_of, edges, carriers);
     // Where loops hold more, the next time comes as many vertices later.
     max_vertices_ = std::max(kMaxVertices, keyframe_of_.size() + kMaxVertices - kCoarseVertices);
-    log_scale_.resize(keyframe_of_.size());  // all 0
+    std::vector<double> log_scale(keyframe_of_.size());
+    for (std::size_t v = 0; v < carriers.size(); ++v) {
+      if (!carriers[v].T_vertex_keyframe) log_scale[static_cast<std::size_t>(carriers[v].vertex)] = log_scale_[v];
+    }
+    log_scale_ = std::move(log_scale);
     for (std::size_t v = 0; v < keyframe_of_.size(); ++v) {
       const SE3 T_vertex_map = trajectory_.T_map_vertex[v].inverse();
       for (std::size_t k = keyframe_of_[v]; k < end_of(v); ++k) {

@@ -296,7 +296,9 @@ TEST_F(MapFile, NamesTheFieldOfAPackedRow) {
   EXPECT_EQ(error_with("edge", "/T_from_to/6", 5.0), "edge 0.T_from_to holds a quaternion that is no rotation");
   EXPECT_EQ(error_with("loop", "/loop/to", 100000), "loop 0 joins vertices that are not there");
   EXPECT_EQ(error_with("loop", "/loop/from", -4294967296), "loop 0.loop.from = -4294967296 is out of range");
-  const std::string of_edge = "edge 0 has a covariance that is not positive definite";
+  EXPECT_EQ(error_with("loop", "/loop/covariance/0", 0.0), "loop 0 has a covariance that is not positive definite");
+  const std::string of_edge = "edge 0 has a covariance that is not positive definite, or a negative path";
+  EXPECT_EQ(error_with("edge", "/path_m", -1e3), of_edge);
   EXPECT_EQ(error_with("edge", "/missed_covariance/0", -1.0), of_edge);
   const std::string covariance = "loop 0 has a covariance that is not positive definite";
   EXPECT_EQ(error_with("loop", "/loop/covariance/0", -1.0), covariance);

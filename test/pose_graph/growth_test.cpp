@@ -247,6 +247,17 @@ TEST(Coarsening, JoinedOdometryRemembersWhatSolvedMotionsTookThePlaceOf) {
   EXPECT_EQ(measured[1].T_from_to.t, edges[13].T_from_to.t);
 }
 
+TEST(Coarsening, AJumpThatTheSourceVouchesForIsNoneOfTheJoinedOdometry) {
+  SyntheticRun run;
+  std::vector<OdometryEdge> edges = run.edges();
+  edges[10].suspected_jump = Vec6::Constant(0.1);
+  edges[10].covariance = Mat6(1e-6 * Mat6::Identity());
+  const OdometryNoise noise{0.02, 0.03, 0.0, 0.0, 0.0, 1.0};
+  EXPECT_TRUE(expected_jump(join(edges[10], edges[11]), noise).isZero(0.0));
+  edges[10].covariance.reset();
+  EXPECT_FALSE(expected_jump(join(edges[10], edges[11]), noise).isZero(0.0));
+}
+
 TEST(Coarsening, ALoopMovesWithTheVertexOfItsKeyframe) {
   SyntheticRun run;
   const GraphLoop loop = graph_loop(run.exact_loop(150, 50));

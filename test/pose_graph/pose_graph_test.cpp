@@ -10,6 +10,7 @@
 #include <string>
 
 #include "geometry/relative_pose.h"
+#include "pose_graph/graph_state.h"
 #include "pose_graph/rejection/loop_rejection.h"
 #include "pose_graph/solver/graph_solver.h"
 #include "semantic_topo_loop/geometry/lie.h"
@@ -342,6 +343,28 @@ TEST(PoseGraph, LoopsTellWhetherTheOdometrysOrTheSolvedMotionsAreBetter) {
   const std::vector<LoopClosure> loops = noisy_loops(good, 3, 2);
   EXPECT_LT(worst_error_with(good, wrong, loops), 0.03);
   EXPECT_LT(worst_error_with(bad, right, loops), 0.03);
+}
+
+TEST(PoseGraph, TheStateHasTheMotionsThatItsPosesRestOn) {
+  SyntheticRun good, bad;
+  good.drift(0.0005, 0.0002, 1);
+  bad.drift(0.02, 0.01, 2);
+  PoseGraph graph{PoseGraphOptions()};
+  const std::vector<LoopClosure> loops = noisy_loops(good, 3, 2);
+  for (int k = 0; k < good.size(); ++k) {
+    graph.process(good.frame(k), loops_at(k, loops));
+    if (k == 0) continue;
+    SolvedMotion wrong = true_motion(good, k - 1, k);
+    wrong.T_from_to = bad.odometry(k - 1).inverse() * bad.odometry(k);
+    graph.refine({wrong});
+  }
+  graph.process(good.end_frame(), {});
+  const GraphState state = graph.state();
+  ASSERT_EQ(static_cast<int>(state.edges.size()), good.size() - 1);
+  for (int k = 1; k < good.size(); ++k) {
+    const SE3 T_from_to = good.odometry(k - 1).inverse() * good.odometry(k);
+    EXPECT_LT((state.edges[static_cast<std::size_t>(k - 1)].T_from_to.t - T_from_to.t).norm(), 1e-12) << k;
+  }
 }
 
 TEST(PoseGraph, AFaultlessOdometryIsHardlyBentByLoopsOrBoxes) {

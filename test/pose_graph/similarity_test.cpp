@@ -272,6 +272,42 @@ TEST(FreeScale, ALoopTheOtherWayRoundSaysTheSame) {
   }
 }
 
+TEST(FreeScale, WhatTheOdometryMissedIsInTheMapsUnitToo) {
+  Trajectory trajectory;
+  trajectory.T_map_vertex = {SE3(), SE3(Quaternion::Identity(), Vec3(1.0, 0.0, 0.0))};
+  trajectory.edges.emplace_back();
+  trajectory.edges[0].missed.frozen_s = 1.0;
+  trajectory.edges[0].missed.covariance = Mat6::Identity();
+  const Mat6 missed = in_map_unit(trajectory, {std::log(0.5), std::log(0.5)}).edges[0].missed.covariance;
+  EXPECT_NEAR(missed(0, 0), 0.25, 1e-12) << "m^2";
+  EXPECT_NEAR(missed(3, 3), 1.0, 1e-12) << "rad^2";
+}
+
+TEST(FreeScale, AMapGoneOnWithAtAFixedScaleKeepsItsKeyframesScales) {
+  const SyntheticRun run = monocular_run();
+  const std::vector<LoopClosure> loops = monocular_loops(run);
+  PoseGraph first(free_scale());
+  for (int k = 0; k < run.size(); ++k) first.process(run.frame(k), loops_at(k, loops));
+  first.process(run.end_frame(), {});
+  const std::vector<KeyframePose> before = first.keyframes();
+  ASSERT_NE(before.back().scale, 1.0);
+  PoseGraph second{PoseGraphOptions()};
+  second.restore(first.state(), SE3());
+  Frame frame = run.frame(run.size() - 1);
+  constexpr int kMany = 2500;  // so many that the graph becomes coarser
+  for (int k = 0; k < kMany; ++k) {
+    ++frame.frame_id;
+    ++frame.keyframe_id;
+    frame.stamp_ns += 1'000'000'000;
+    second.process(frame, {});
+  }
+  const std::vector<KeyframePose> after = second.keyframes();
+  EXPECT_EQ(after.back().scale, 1.0);
+  for (std::size_t k = 0; k < before.size(); ++k) {
+    EXPECT_NEAR(after[k].scale, before[k].scale, 0.05) << k << ", that of the vertex that carries it";
+  }
+}
+
 TEST(FreeScale, LoopsWithAnImpossibleScaleAreRefusedByName) {
   const SyntheticRun run = monocular_run();
   const LoopClosure good = monocular_loops(run)[3];

@@ -214,6 +214,8 @@ LoopVerdict LoopRejection::verdict(const Entry& entry, const Chi2& chi2, double 
   verdict.kept = false;
   verdict.reason = entry.refusal;
   if (!entry.loop) return verdict;
+  // What was found holds, when its keyframes have become one vertex of a coarser graph.
+  if (entry.is_told && !is_open(*entry.loop)) return entry.told;
   const double disagreement = chi2(*entry.loop) / (loop_factor * loop_factor);
   verdict.kept = entry.is_in_graph ? entry.kept : disagreement <= options_.robust_chi2;
   if (entry.is_in_graph && !entry.may_vote) {

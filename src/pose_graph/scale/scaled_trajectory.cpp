@@ -71,6 +71,8 @@ OdometryEdge in_unit(OdometryEdge edge, double scale) {
   edge.path_m *= scale;
   edge.suspected_jump.head<3>() *= scale;
   edge.jump_error_m *= scale;
+  edge.missed.covariance.topRows<3>() *= scale;
+  edge.missed.covariance.leftCols<3>() *= scale;
   if (edge.covariance) {
     edge.covariance->topRows<3>() *= scale;
     edge.covariance->leftCols<3>() *= scale;

@@ -185,7 +185,10 @@ class TrajectoryOptimizer {
     const OdometryNoise least = noise_prior(options_).least;
     if (exceeds(noise, least)) return false;
     constexpr double kRestless = 10.0;  // 1 cm after one metre: any odometry may drift so
-    return model.cost(scaled(least, kRestless), noise.loop_factor) > model.cost(least, noise.loop_factor) + kPrice;
+    OdometryNoise restless = least;
+    restless.translation_m *= kRestless;
+    restless.rotation_rad *= kRestless;
+    return model.cost(restless, noise.loop_factor) > model.cost(least, noise.loop_factor) + kPrice;
   }
 
   /// The odometry between the vertices that the solution rests on.
