@@ -21,7 +21,7 @@ namespace semantic_topo_loop::core {
 namespace {
 
 constexpr double kMinProjection_px = 2.0;  // of either side: no detector boxes what is smaller
-/// Twice the default of mapper.forget_unconfirmed_s, after which the map gives up itself what it has taken up.
+/// Twice the default of mapping.forget_unconfirmed_s, after which the map gives up itself what it has taken up.
 constexpr std::int64_t kGiveUpAfter_ns = 600'000'000'000, kGiveUpInterval_ns = 60'000'000'000;
 constexpr int kNoTrack = -1;                      // as assign_max has it
 constexpr double kProvisionalBaseline_deg = 3.0;  // with less parallax, boxes cannot have corrected a wrong depth

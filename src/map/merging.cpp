@@ -21,6 +21,7 @@ constexpr double kForeignIou = 0.1;  // of a box with an object's projection: le
 // Of the frames side by side, those that were mixed up, so that the others veto no merge. Chosen on fr2_desk's drifted
 // files, where 0.7 to 0.9 do alike; where fewer are, as in fr3_office's rows of bottles, two things stand side by side.
 constexpr double kMixedUp = 0.8;
+constexpr std::size_t kMostRecords = 1000;  // merges that can be taken back: some minutes of a large map at least
 constexpr double kSameCenter = 0.5;  // mean semi-axes: centres nearer than this are one object's, whatever the boxes
 
 struct Overlap {
@@ -95,6 +96,14 @@ Remains remains_of(const KeyframePlaces& S_map_keyframe, const LandmarkRecord& l
     remains.anchor_scale = anchor->second.scale;
   }
   return remains;
+}
+
+void give_up(const LandmarkRecord& merged, LandmarkRecord* survivor) {
+  survivor->state.observations -= merged.state.observations;
+  for (const ClassCount& c : merged.state.class_counts) survivor->state.count_class(c.class_id, -c.count);
+  survivor->sightings.add(merged.sightings, -1.0);
+  for (const auto& [id, count] : merged.seen_beside) survivor->seen_beside[id] -= count;
+  survivor->seen_beside.erase(survivor->state.id);
 }
 
 MappedLandmark restore(const KeyframePlaces& S_map_keyframe, const Remains& remains) {
@@ -211,6 +220,7 @@ void MergeHistory::join(const KeyframePlaces& S_map_keyframe, MappedLandmark mer
   for (const Observation& observation : merged.observations) record.sources.push_back(observation.source_id);
   std::sort(record.sources.begin(), record.sources.end());
   record.sources.erase(std::unique(record.sources.begin(), record.sources.end()), record.sources.end());
+  if (records_.size() == kMostRecords) records_.erase(records_.begin());
   records_.push_back(std::move(record));
   survivor_of_[merged.state.id] = survivor->state.id;
 
@@ -249,17 +259,24 @@ MappedLandmark MergeHistory::split(const KeyframePlaces& S_map_keyframe, std::si
   all.erase(std::remove_if(all.begin(), all.end(), belongs_to_merged), all.end());
 
   const LandmarkRecord& before = record.survivor.landmark;
-  if (survivor->state.observations == before.state.observations + merged.state.observations) {
+  const bool has_gone_on = survivor->state.id != before.state.id;
+  if (!has_gone_on && survivor->state.observations == before.state.observations + merged.state.observations) {
     MappedLandmark restored = restore(S_map_keyframe, record.survivor);
     restored.observations = std::move(survivor->observations);
     *survivor = std::move(restored);
     return merged;
   }
-  survivor->state.observations -= merged.state.observations;
-  for (const ClassCount& c : merged.state.class_counts) survivor->state.count_class(c.class_id, -c.count);
-  survivor->sightings.add(merged.sightings, -1.0);
-  for (const auto& [id, count] : merged.seen_beside) survivor->seen_beside[id] -= count;
-  survivor->seen_beside.erase(survivor->state.id);
+  give_up(merged, survivor);
+  // What was merged into others meanwhile comes back without it.
+  for (std::size_t i = index; i < records_.size() && has_gone_on; ++i) {
+    MergeRecord& later = records_[i];
+    std::vector<std::int64_t> left;
+    std::set_difference(later.sources.begin(), later.sources.end(), record.sources.begin(), record.sources.end(),
+                        std::back_inserter(left));
+    if (left.size() == later.sources.size()) continue;
+    later.sources = std::move(left);
+    give_up(merged, &later.merged.landmark);
+  }
   return merged;
 }
 

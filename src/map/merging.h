@@ -20,8 +20,9 @@ class DuplicateTest {
   DuplicateTest(const QuadricMapperOptions& options, const ClassTable& classes)
       : options_(options), classes_(classes) {}
 
-  /// True if b, the less observed one, is the same object as a: class group, overlap of b's boxes with a's projection,
-  /// not seen side by side; where depth places both, also one thing of two names: same place, about one size.
+  /// True if b, the less observed one, is the same object as a: overlap of b's boxes with a's projection, and of one
+  /// class and not seen side by side, or of two classes of a group, which a detector may give one thing at once; where
+  /// depth places both, also one thing of two names: same place, about one size.
   bool is_duplicate(const MappedLandmark& a, const MappedLandmark& b, const ViewSource& views) const;
   /// True if b is a part of a that the detector boxed alone: little seen, inside a much-seen one of its class group.
   bool is_part(const MappedLandmark& a, const MappedLandmark& b, const ViewSource& views) const;

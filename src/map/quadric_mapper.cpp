@@ -476,7 +476,9 @@ struct QuadricMapper::Impl {
       const MergeRecord& record = merges_.records()[i];
       const auto merged = MergeHistory::place(S_map_keyframe_, record.merged);
       const auto survivor = MergeHistory::place(S_map_keyframe_, record.survivor);
-      const auto holder = landmarks_.find(record.merge.survivor_id);
+      // The survivor may have gone into another one since.
+      const std::int64_t holder_id = merges_.resolve(record.merge.survivor_id);
+      const auto holder = landmarks_.find(holder_id);
       if (!merged || !survivor || holder == landmarks_.end()) continue;
       const double apart = (merged->center() - survivor->center()).norm();
       if (apart <= kUndoReach * DuplicateTest::reach_m(merged->semi_axes.maxCoeff(), survivor->semi_axes.maxCoeff()))
@@ -485,10 +487,10 @@ struct QuadricMapper::Impl {
       landmarks_[merge.merged_id] = merges_.split(S_map_keyframe_, i, &holder->second);
       update->unmerged.push_back(merge);
       merge_log_.take_back(merge, update->frame_id);
-      for (const std::int64_t id : {merge.merged_id, merge.survivor_id}) note_rewritten(id);
-      changed_.insert({merge.merged_id, merge.survivor_id});
+      for (const std::int64_t id : {merge.merged_id, holder_id}) note_rewritten(id);
+      changed_.insert({merge.merged_id, holder_id});
       // They were fitted in the map that has just been corrected.
-      for (const std::int64_t id : {merge.merged_id, merge.survivor_id}) {
+      for (const std::int64_t id : {merge.merged_id, holder_id}) {
         if (landmarks_.at(id).state.mean_iou > 0.0) fit_due_.insert(id);
       }
     }
@@ -502,7 +504,8 @@ struct QuadricMapper::Impl {
     const Sim3 S_new_old = S_map_keyframe_.at(landmark->state.anchor_keyframe_id) * old_pose->second.inverse();
     landmark->state.ellipsoid->T_world_quadric = S_new_old.pose(landmark->state.ellipsoid->T_world_quadric);
     landmark->state.ellipsoid->semi_axes *= S_new_old.scale;
-    landmark->state.center_covariance *= S_new_old.scale * S_new_old.scale;
+    const Mat3 by_old = S_new_old.scale * S_new_old.T.q.toRotationMatrix();
+    landmark->state.center_covariance = by_old * landmark->state.center_covariance * by_old.transpose();
     if (rotation_angle(S_new_old.T.q, Quaternion::Identity()) > kTurned_rad) landmark->seen_from.turn(S_new_old.T.q);
     if (landmark->state.mean_iou > 0.0) fit_due_.insert(landmark->state.id);
     changed_.insert(landmark->state.id);

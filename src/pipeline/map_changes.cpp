@@ -144,11 +144,12 @@ double seen_through_s(const MappedLandmark& landmark) {
 
 /// Whether another stands, or stood, in the place of a landmark. @param is_there whether one counts
 template <class IsThere>
-bool is_taken(const MapState& map, const Ellipsoid& place, const IsThere& is_there) {
+bool is_taken(const MapState& map, const Landmark& landmark, const IsThere& is_there) {
+  const Ellipsoid& place = *landmark.ellipsoid;
   return std::any_of(map.objects.landmarks.begin(), map.objects.landmarks.end(), [&](const MappedLandmark& other) {
-    if (!other.state.ellipsoid || !is_there(other)) return false;
+    if (!other.state.ellipsoid || other.state.id == landmark.id) return false;
     const double apart_m = (other.state.ellipsoid->center() - place.center()).norm();
-    return apart_m < std::max(place.radius(), other.state.ellipsoid->radius());
+    return apart_m < std::max(place.radius(), other.state.ellipsoid->radius()) && is_there(other);
   });
 }
 
@@ -228,7 +229,7 @@ std::vector<MapChange> map_changes(const MapState& map) {
         return count_boxes(other, first).after_s() >= kMinSeen_s &&
                is_as_large(*other.state.ellipsoid, *state.ellipsoid);
       };
-      if (is_taken(map, *state.ellipsoid, is_there_now)) continue;
+      if (is_taken(map, state, is_there_now)) continue;
       change.before_id = state.id;
       change.looked_at_after = looked_after;
       gone.push_back(change);
@@ -241,7 +242,7 @@ std::vector<MapChange> map_changes(const MapState& map) {
       const auto was_there = [first](const MappedLandmark& other) {
         return count_boxes(other, first).before_s() >= kMinSeen_s;
       };
-      if (looked_before >= kMinLooksOfMoved && !is_taken(map, *state.ellipsoid, was_there)) added.push_back(change);
+      if (looked_before >= kMinLooksOfMoved && !is_taken(map, state, was_there)) added.push_back(change);
     }
   }
   find_moves(map, &gone, &added);

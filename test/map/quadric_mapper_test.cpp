@@ -661,6 +661,80 @@ TEST_F(MapperTest, MergeIsUndoneWhenACorrectionPullsTheTwoApart) {
   EXPECT_LT((find(1)->ellipsoid->center() - T_new_old * kCup.center()).norm(), 0.01);
 }
 
+TEST_F(MapperTest, AWrongMergeIsUndoneAfterItsSurvivorHasGoneIntoAnother) {
+  QuadricMapperOptions options;
+  options.maintenance_interval_s = 1e6;  // duplicates are looked for at the end, and once more
+  options.retire_missed_s = 1e6;
+  mapper_ = QuadricMapper(options, classes_);
+  const std::vector<SE3> poses = arc(60, 90.0);
+  const auto laps = [&](std::int64_t id, int count) {
+    for (int lap = 0; lap < count; ++lap) {
+      for (const SE3& pose : poses) step(pose, {{id, 41, kCup}});
+    }
+  };
+  laps(0, 2);
+  laps(1, 1);  // keyframes 24 to 35
+  const Landmark second = *find(1);
+  ASSERT_EQ(end().merged.size(), 1U);
+  laps(2, 4);
+  options.maintenance_interval_s = 1e-3;
+  mapper_.set_options(options);
+  const MapUpdate merge = step(poses[0], {});
+  ASSERT_EQ(merge.merged.size(), 1U);
+  ASSERT_EQ(merge.merged[0].survivor_id, 2);
+  ASSERT_EQ(mapper_.landmarks().size(), 1U);
+  const int all = find(2)->observations;
+
+  const SE3 T_new_old(so3_exp(Vec3(0.0, 0.0, 1.0)), Vec3(1.0, 0.0, 0.0));
+  MapCorrection correction;
+  correction.frame_id = next_frame_;
+  correction.changed = true;
+  correction.valid_to_keyframe_id = 1000;
+  for (std::int64_t id = 24; id <= 35; ++id) {
+    correction.keyframes.push_back({id, id * 5, 0, T_new_old * poses[static_cast<std::size_t>(id - 24) * 5]});
+  }
+  const MapUpdate update = mapper_.apply(correction);
+  ASSERT_EQ(update.unmerged.size(), 1U);
+  EXPECT_EQ(update.unmerged[0].merged_id, 1);
+  ASSERT_NE(find(1), nullptr);
+  EXPECT_EQ(find(1)->observations, second.observations);
+  EXPECT_EQ(find(2)->observations, all - second.observations);
+  EXPECT_EQ(find(2)->class_counts[0].count, all - second.observations);
+  EXPECT_LT((find(1)->ellipsoid->center() - T_new_old * kCup.center()).norm(), 0.01);
+  EXPECT_LT((find(2)->ellipsoid->center() - kCup.center()).norm(), 0.01);
+
+  // The other merge was of what is left of the survivor.
+  correction.frame_id = ++next_frame_;
+  correction.keyframes.clear();
+  const SE3 T_newer_old(Quaternion::Identity(), Vec3(-1.0, 0.0, 0.0));
+  for (std::int64_t id = 0; id < 24; ++id) {
+    correction.keyframes.push_back({id, id * 5, 0, T_newer_old * poses[static_cast<std::size_t>(id % 12) * 5]});
+  }
+  ASSERT_EQ(mapper_.apply(correction).unmerged.size(), 1U);
+  ASSERT_NE(find(0), nullptr);
+  EXPECT_EQ(find(0)->observations, 120);
+  EXPECT_EQ(find(2)->observations, 240);
+}
+
+TEST_F(MapperTest, TheCovarianceOfWhatACorrectionTurnsTurnsWithIt) {
+  const std::vector<SE3> poses = arc(60, 90.0);
+  for (const SE3& pose : poses) step(pose, {{0, 41, kCup}});
+  const Mat3 before = find(0)->center_covariance;
+  const SE3 T_new_old(so3_exp(Vec3(0.0, 0.0, 0.5 * kPi)), Vec3(1.0, 0.0, 0.0));
+  MapCorrection correction;
+  correction.frame_id = next_frame_;
+  correction.changed = true;
+  correction.T_map_odom = T_new_old;
+  correction.valid_to_keyframe_id = 11;
+  for (std::int64_t id = 0; id <= 11; ++id) {
+    correction.keyframes.push_back({id, id * 5, 0, T_new_old * poses[static_cast<std::size_t>(id) * 5]});
+  }
+  mapper_.apply(correction);
+  const Mat3 R = T_new_old.q.toRotationMatrix();
+  EXPECT_LT((find(0)->center_covariance - R * before * R.transpose()).norm(), 1e-9 * before.norm());
+  EXPECT_GT((find(0)->center_covariance - before).norm(), 0.1 * before.norm()) << "it is no ball";
+}
+
 /// The id of what was merged away is given out again in the next session, which undoes a merge of its own.
 TEST_F(MapperTest, AMergeUndoneTakesNoBoxesOfAnEarlierSession) {
   QuadricMapperOptions options;

@@ -49,7 +49,7 @@ struct QuadricMapperOptions {
                  "overlap of one landmark's boxes with the other's projection, same class");
     visitor.live("merge_iou_confusable", merge_iou_confusable, share(), "the same for two classes of one group");
     visitor.live("merge_veto_share", merge_veto_share, share(),
-                 "no merge if seen side by side in more of the common frames");
+                 "no merge if side by side for this share of the boxes of the less seen one");
     visitor.live("confirm_seen_s", confirm_seen_s, not_negative(),
                  "time for which a confirmed landmark was seen, and for half of it every side");
     visitor.live("confirm_baseline_deg", confirm_baseline_deg, at_least(0).below(180),
