@@ -325,6 +325,7 @@ struct RgbdFrontend::Impl {
     has_new_registration = false;
     new_focal_factor = 1.0;
     focal_estimate = {};
+    next_focal_check = kFocalKeyframes;
     grid = DepthGrid(camera, options.point_stride_px);
     map = TrackingMap(options);
     ++starts;
@@ -450,7 +451,8 @@ void TrackingReport::add(const TrackedImage& image) {
   relocalised += is(TrackingState::kRelocalised);
   lost += is(TrackingState::kLost);
   unusable += is(TrackingState::kUnusable);
-  if (image.sample && image.sample->is_break) ++restarts;
+  // What was found again in an older part of the map has a break, too.
+  restarts += image.sample && image.sample->is_break ? is(TrackingState::kStarted) : 0;
 }
 
 void TrackingReport::add_unreadable(const std::string& problem) {

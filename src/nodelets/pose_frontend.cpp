@@ -141,8 +141,7 @@ class PoseFrontendNodelet : public StageWith<PoseFrontendParameters, FrontendSta
       return true;
     }
     if (!take_points(trigger, is_late, &answer.sample)) return false;
-    source_->use(trigger.stamp_ns);
-    emit(answer.sample, camera());
+    if (emit(answer.sample, camera())) source_->use(trigger.stamp_ns);
     return true;
   }
 

@@ -153,7 +153,10 @@ class RgbdFrontendNodelet : public StageWith<RgbdFrontendParameters, FrontendSta
       return begin_session("self-calibration: depth registered anew, or fx = " + std::to_string(found.fx), true);
     }
     report_.add(tracked);
-    if (tracked.sample) return emit(*tracked.sample, frontend_->camera());
+    if (tracked.sample) {
+      emit(*tracked.sample, frontend_->camera());
+      return;
+    }
     const bool is_lost = tracked.state == core::TrackingState::kLost;
     fail_image(image.stamp_ns, is_lost ? "images lost track of" : "images with nothing to follow",
                "stamp " + std::to_string(image.stamp_ns) + " ns: " + std::to_string(tracked.matches) + " matches, " +

@@ -156,10 +156,6 @@ core::Result<core::Camera> checked_camera(const sensor_msgs::CameraInfo& message
     return core::Error{"camera_info distortion_model = '" + message.distortion_model + "' with " +
                        std::to_string(message.D.size()) + " coefficients is not plumb_bob with at most 5"};
   }
-  constexpr std::uint32_t kLargestSide = 16384;  // four times a large camera's; tables are made for every pixel
-  for (const auto& [name, value] : {std::pair("width", message.width), std::pair("height", message.height)}) {
-    if (value > kLargestSide) return bad(std::string("camera_info ") + name, value, "is more than 16384 pixels");
-  }
   const core::Camera camera = from_msg(message);
   if (const core::Status status = camera.check(); !status) return core::Error{"camera_info " + status.message()};
   return camera;

@@ -67,21 +67,24 @@ core::Status FrontendStage::set_map(const std::string& file, bool frozen) {
     next.is_link = *loaded != absolute;
     next.frozen = frozen;
     const auto map = core::read_map(next.file, *classes());
-    if (!map) return map.error();
-    if (frozen && (*map)->submaps.empty()) return core::Error{file + ": holds no place to be found at"};
+    const bool has_no_place = map && frozen && (*map)->submaps.empty();
+    if (!map || has_no_place) {
+      if (next.file != map_.file) remove_link(next);
+      return has_no_place ? core::Error{file + ": holds no place to be found at"} : map.error();
+    }
     if (!frozen) {
       next.next_frame_id = (*map)->graph.next_frame_id;
       next.next_keyframe_id = (*map)->graph.next_keyframe_id();
     }
   }
-  if (next.file != map_.file) remove_link();
+  if (next.file != map_.file) remove_link(map_);
   map_ = next;
   return {};
 }
 
-void FrontendStage::remove_link() const {
+void FrontendStage::remove_link(const SessionMap& map) {
   std::error_code code;
-  if (map_.is_link) std::filesystem::remove(map_.file, code);
+  if (map.is_link) std::filesystem::remove(map.file, code);
 }
 
 bool FrontendStage::on_load_map(LoadMap::Request& request, LoadMap::Response& response) {
@@ -234,25 +237,31 @@ bool FrontendStage::is_in_order(std::int64_t stamp_ns) {
   return false;
 }
 
-void FrontendStage::emit(const core::PoseSample& sample, const std::optional<core::Camera>& camera) {
+bool FrontendStage::emit(const core::PoseSample& sample, const std::optional<core::Camera>& camera) {
   if (!camera) {
-    return fail_image(sample.stamp_ns, "images without a calibration", "neither camera_file nor a usable camera_info");
+    fail_image(sample.stamp_ns, "images without a calibration", "neither camera_file nor a usable camera_info");
+    return false;
   }
   if (!builder_) make_builder(*camera);
   builder_->set_camera(*camera);
   if (builder_->is_held(sample)) {
-    return fail_image(sample.stamp_ns, "images between the poses of a slower odometry",
-                      "its pose at stamp " + std::to_string(sample.stamp_ns) + " ns is the last one again",
-                      FrameDone::STATUS_NO_POSE);
+    fail_image(sample.stamp_ns, "images between the poses of a slower odometry",
+               "its pose at stamp " + std::to_string(sample.stamp_ns) + " ns is the last one again",
+               FrameDone::STATUS_NO_POSE);
+    return false;
   }
   core::Result<core::Frame> frame = builder_->build(sample);
-  if (!frame) return fail_image(sample.stamp_ns, "images left out", frame.message());
+  if (!frame) {
+    fail_image(sample.stamp_ns, "images left out", frame.message());
+    return false;
+  }
   if (frame->is_break && frame->frame_id > map_.next_frame_id) statistics().count("breaks of the odometry");
   if (frame->is_keyframe && points_publisher_.getNumSubscribers() > 0) frame->keyframe_points = keyframe_points();
   image_watch_.hear_frame();
   publish_frame(*frame);
   if (broadcaster_) publish_odom_tf(*frame);
   count_processed();
+  return true;
 }
 
 void FrontendStage::emit_end() {

@@ -29,7 +29,7 @@ class FrontendStage : public Stage {
   explicit FrontendStage(std::string name) : Stage(std::move(name)) {}
   ~FrontendStage() override {
     stop();
-    remove_link();
+    remove_link(map_);
   }
 
   /// Reads the calibration, advertises, and makes the session the worker's first task.
@@ -60,7 +60,8 @@ class FrontendStage : public Stage {
   /// @param rewind ask for the images of this session again, which a recording can give
   void begin_session(const std::string& reason, bool rewind = false);
   /// @param camera of the frame; none: the image is answered by a failure
-  void emit(const core::PoseSample& sample, const std::optional<core::Camera>& camera);
+  /// @return whether the image has become a frame
+  bool emit(const core::PoseSample& sample, const std::optional<core::Camera>& camera);
   void emit_end();
   /// Answers an image that gives no frame, and complains.
   void fail_image(std::int64_t stamp_ns, const std::string& cause, const std::string& detail,
@@ -73,7 +74,6 @@ class FrontendStage : public Stage {
  private:
   /// What the sessions to come go on with. @param file a map's, or empty   @return an error if it cannot be read
   core::Status set_map(const std::string& file, bool frozen);
-  void remove_link() const;
   void make_builder(const core::Camera& camera);
   bool on_load_map(LoadMap::Request& request, LoadMap::Response& response);
   void publish_done(std::int64_t stamp_ns, std::uint8_t status) {
@@ -120,6 +120,7 @@ class FrontendStage : public Stage {
     bool frozen = false;
     std::int64_t next_frame_id = 0, next_keyframe_id = 0;
   };
+  static void remove_link(const SessionMap& map);
   SessionMap map_;
   SessionControlPtr control_;  ///< the last command; never null once the worker runs
   std::unique_ptr<tf2_ros::TransformBroadcaster> broadcaster_;

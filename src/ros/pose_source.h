@@ -37,7 +37,7 @@ class PoseSource {
   virtual ~PoseSource() = default;
   /// @param camera_frame tf frame of the camera's optical frame
   virtual Answer at(std::int64_t stamp_ns, const std::string& camera_frame) = 0;
-  /// A frame is made of the pose at this stamp, where the motion to the next one begins.
+  /// A frame was made of the pose at this stamp, where the motion to the next one begins.
   virtual void use(std::int64_t /*stamp_ns*/) {}
   /// A new session begins: the next pose has no predecessor.
   virtual void reset() {}

@@ -90,7 +90,7 @@ TEST(CheckedCamera, RefusesOtherLensModelsAndBadNumbers) {
   EXPECT_EQ(checked_camera(message).message(), "camera_info fx = nan must be > 0");
   to_msg(camera, &message);
   message.width = message.height = 1000000;
-  EXPECT_EQ(checked_camera(message).message(), "camera_info width = 1e+06 is more than 16384 pixels");
+  EXPECT_EQ(checked_camera(message).message(), "camera_info width = 1e+06 must be in (0, 10000]");
 }
 
 }  // namespace
