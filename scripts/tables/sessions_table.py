@@ -7,6 +7,7 @@ import statistics
 from association_tables import markdown
 from inputs import lines_of, moved
 from runs import read_rows
+from trajectory_table import geometric_mean
 
 FIRST_FRAMES = {"fr2_desk": 1400, "fr3_office": 1291}  # of the map
 STARTS, STARTS_ELSEWHERE = 20, 4
@@ -14,12 +15,15 @@ LAST_FRAMES = 500  # that the last start has left
 IMAGE_STARTS, IMAGES_S = 5, 10  # of images that long
 FOUND_COLUMNS = ("map", "later run", "starts", "found", "after, s", "ATE of both, m")
 IMAGE_COLUMNS = ("map", "later run", "starts", "found", "after, s", "off by, m", "off by, deg", "ATE of both, m")
+POORER_LEVEL = "_1m_"  # of the drifting odometry
+POORER_COLUMNS = ("map", "odometries", "ATE before, m", "alone, m", "in the map, m", "most, alone, m", "most, in the map, m")
 MERGED_COLUMNS = ("sequence", "confirmed objects of the parts", "of both", "ATE of all keyframes, m")
 
 NOTES = """Starts are spread evenly from the end of the map's part on, each odometry in a frame of its own (a random SE(3),
 seed: number of the start). Found: a loop into the map is accepted; after: recorded time until then. ATE of the keyframes
 of both sessions, in one frame. Least, median, most. Runs from images find their odometry themselves; off by: the median
-over the session's keyframes, where the truth is aligned by those of the map.
+over the session's keyframes, where the truth is aligned by those of the map. Poorer odometry: of the whole sequence,
+drifted as cameras and wheels do, in the map of its own odometry; geometric means over the files.
 """
 
 
@@ -131,6 +135,24 @@ def rows_from_images(context, elsewhere):
     return rows
 
 
+def poorer_row(context, sequence):
+    """Odometry that drifts, alone and in the map of one that hardly does."""
+    programs = context.programs
+    first = Session(context, sequence, sequence.name + "_whole", lines_of(sequence.trajectory))
+    columns = [[], [], []]
+    for path in sequence.drifted_real:
+        if POORER_LEVEL not in path:
+            continue
+        folder = os.path.join(context.output, "sessions", sequence.name + "_" + os.path.basename(path)[:-4])
+        result = os.path.join(folder, "trajectory.txt")
+        columns[0].append(programs.trajectory(path, sequence.ground_truth)["ate_m"]["rmse"])
+        for column, words in zip(columns[1:], ([], ["--map", first.map])):
+            programs.offline(sequence, path, folder, *words)
+            column.append(programs.trajectory(result, sequence.ground_truth)["ate_m"]["rmse"])
+    means = [f"{geometric_mean(column):.3f}" for column in columns]
+    return [sequence.name, len(columns[0]), *means, *(f"{max(column):.3f}" for column in columns[1:])]
+
+
 def confirmed(programs, path):
     programs.call("inspect_map", path, "--objects", path + ".csv")
     return sum(row["state"] == "confirmed" for row in read_rows(path + ".csv"))
@@ -159,5 +181,6 @@ def table_sessions(context):
         rest = list(moved(lines[s.name][ends[s.name]:], random.Random(0)))
         merged.append(merged_row(context, first, Session(context, s, s.name + "_rest", rest)))
     return ("### Sessions\n\n**Later runs in a map**\n\n" + markdown(FOUND_COLUMNS, found) + "\n**Later runs from images**\n\n" +
-            markdown(IMAGE_COLUMNS, rows_from_images(context, firsts)) + "\n**Maps joined**\n\n" +
+            markdown(IMAGE_COLUMNS, rows_from_images(context, firsts)) + "\n**Poorer odometry**\n\n" +
+            markdown(POORER_COLUMNS, [poorer_row(context, s) for s in sequences]) + "\n**Maps joined**\n\n" +
             markdown(MERGED_COLUMNS, merged) + "\n" + NOTES)

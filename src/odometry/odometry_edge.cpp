@@ -124,6 +124,15 @@ bool OdometryEdge::refine(const SolvedMotion& motion) {
   return true;
 }
 
+void OdometryEdge::settle(const SE3& T, const Mat6& error) {
+  T_from_to = T;
+  covariance = error;
+  suspected_jump.setZero();
+  jump_error_m = jump_error_rad = 0.0;
+  joined.reset();
+  measured.reset();
+}
+
 MissedMotion join(const MissedMotion& first, const MissedMotion& second, const SE3& T_from_to) {
   const Mat6 carry = transport(T_from_to);
   return {first.frozen_s + second.frozen_s, first.slipped_s + second.slipped_s,
@@ -195,6 +204,7 @@ PathNoise::PathNoise(const std::vector<SE3>& T_world_vertex, const std::vector<O
   residual_.assign(n, Vec6::Zero());
   jump_.assign(n, Vec6::Zero());
   stated_.assign(n, 0);
+  modelled_.assign(n, 0);
   for (std::size_t i = 0; i + 1 < n; ++i) {
     const OdometryEdge& edge = edges[i];
     SE3 place = about_first(T_world_vertex[i + 1]);
@@ -209,6 +219,7 @@ PathNoise::PathNoise(const std::vector<SE3>& T_world_vertex, const std::vector<O
     jump_[i + 1] = jump_[i] + to_origin * expected_jump(edge, kOnlyJumps);
     residual_[i + 1] = residual_[i];
     stated_[i + 1] = stated_[i] + (edge.covariance ? 1 : 0);
+    modelled_[i + 1] = modelled_[i] + (edge.covariance || edge.is_break ? 0 : 1);
     if (!edge.is_break) {
       residual_[i + 1] += to_origin * relative_pose_residual(T_world_vertex[i], T_world_vertex[i + 1], edge.T_from_to);
     }
@@ -263,5 +274,7 @@ double PathNoise::explaining_factor(const GraphLoop& loop, const OdometryNoise& 
 }
 
 bool PathNoise::has_stated(const GraphLoop& loop) const { return stated_[index(loop.to)] != stated_[index(loop.from)]; }
+
+int PathNoise::modelled(const GraphLoop& loop) const { return modelled_[index(loop.to)] - modelled_[index(loop.from)]; }
 
 }  // namespace semantic_topo_loop::core

@@ -41,7 +41,7 @@ struct OdometryEdge {
   SE3 T_from_to;
   double path_m = 0.0;             ///< length of the camera's path, frame by frame
   double rotation_rad = 0.0;       ///< sum of the rotation angles, frame by frame
-  std::optional<Mat6> covariance;  ///< stated by the source: (translation m, rotation rad), right
+  std::optional<Mat6> covariance;  ///< stated by the source, or settled: (translation m, rotation rad), right
   bool is_break = false;           ///< nothing is known about this motion
   MissedMotion missed;
   /// Motion that stands out of that before and after, see MotionBursts: the odometry may have jumped by it, or not at
@@ -58,6 +58,9 @@ struct OdometryEdge {
   /// a break, joined, or of a source that states how good it is.
   /// @return whether it did
   bool refine(const SolvedMotion& motion);
+  /// Becomes what was found out about it in the end: no noise that is learnt later changes it.
+  /// @param error of it
+  void settle(const SE3& T, const Mat6& error);
 };
 
 /// Noise of an odometry whose source states none: a random walk, and errors that last.
@@ -125,6 +128,10 @@ class PathNoise {
   double explaining_factor(const GraphLoop& loop, const OdometryNoise& noise, double max_factor) const;
   /// Whether the source states a covariance somewhere between the loop's ends.
   bool has_stated(const GraphLoop& loop) const;
+  /// Whether the noise model holds all the way, or somewhere, between the loop's ends: neither is a covariance stated
+  /// there nor a break.
+  bool is_modelled(const GraphLoop& loop) const { return modelled(loop) == loop.to - loop.from; }
+  bool has_modelled(const GraphLoop& loop) const { return modelled(loop) != 0; }
 
   /// From the first vertex to each.
   const std::vector<EdgeCovariance>& sums() const { return sums_; }
@@ -135,11 +142,13 @@ class PathNoise {
   /// In the world's axes about the first vertex: carried far away, a small noise is lost among large ones.
   SE3 about_first(const SE3& T_world_vertex) const;
 
+  int modelled(const GraphLoop& loop) const;
+
   const std::vector<SE3>* vertices_;
   std::vector<EdgeCovariance> sums_;
   std::vector<Mat6> to_origin_;
   std::vector<Vec6> residual_, jump_;
-  std::vector<int> stated_;
+  std::vector<int> stated_, modelled_;  ///< how many edges up to each vertex
 };
 
 }  // namespace semantic_topo_loop::core

@@ -148,8 +148,17 @@ struct PoseGraph::Impl {
     loops_.restore(std::move(state.loops), state.accepted_loops);
     knowledge_.noise = std::move(state.noise);
     knowledge_.loose_factor = state.loose_factor;
+    if (!has_free_scale()) settle_odometry();
     restored_ = told_keyframes_ = keyframes_.size();
     T_map_odom_ = T_map_odom;
+  }
+
+  /// What was learnt of the odometry so far holds for its edges; that of the session to come is another.
+  void settle_odometry() {
+    loops_.hand_over(&trajectory_, &knowledge_);
+    trajectory_.edges = settled_odometry(trajectory_, options_, knowledge_);
+    knowledge_ = GraphKnowledge();
+    knowledge_.noise.odometry = noise_prior(options_).least;
   }
 
   bool withdraw(std::int64_t query_keyframe_id, std::int64_t match_keyframe_id) {

@@ -367,6 +367,58 @@ TEST(PoseGraph, TheStateHasTheMotionsThatItsPosesRestOn) {
   }
 }
 
+/// The map of a good odometry, and a poor one's session that goes on with it.
+TEST(PoseGraph, ALaterSessionsNoiseIsItsOwn) {
+  SyntheticRun good, poor;
+  good.drift(0.0003, 0.0001, 1);
+  poor.drift(0.02, 0.01, 2);
+  PoseGraph first{PoseGraphOptions()}, second{PoseGraphOptions()};
+  const std::vector<LoopClosure> loops = noisy_loops(good, 3, 2), later_loops = noisy_loops(poor, 4, 2);
+  for (int k = 0; k < good.size(); ++k) first.process(good.frame(k), loops_at(k, loops));
+  first.process(good.end_frame(), {});
+  const std::vector<KeyframePose> before = first.keyframes();
+  second.restore(first.state(), SE3());
+
+  const auto later = [&good](LoopClosure loop, bool leads_to_the_map) {
+    loop.query_keyframe_id += good.size();
+    for (auto frame : {&LoopClosure::query_frame, &LoopClosure::query_begin, &LoopClosure::query_end}) {
+      loop.*frame += good.size() + 1;
+    }
+    if (leads_to_the_map) return loop;
+    loop.match_keyframe_id += good.size();
+    for (auto frame : {&LoopClosure::match_frame, &LoopClosure::match_begin, &LoopClosure::match_end}) {
+      loop.*frame += good.size() + 1;
+    }
+    return loop;
+  };
+  for (int k = 0; k < poor.size(); ++k) {
+    std::vector<LoopClosure> found;
+    for (const LoopClosure& loop : loops_at(k, later_loops)) {
+      found.push_back(later(loop, false));
+      found.push_back(later(loop, true));
+    }
+    Frame frame = poor.frame(k);
+    frame.frame_id += good.size() + 1;
+    frame.keyframe_id += good.size();
+    second.process(frame, found);
+  }
+  Frame end = poor.end_frame();
+  end.frame_id += good.size() + 1;
+  second.process(end, {});
+  std::vector<KeyframePose> after = second.keyframes();
+  ASSERT_EQ(after.size(), before.size() + static_cast<std::size_t>(poor.size()));
+  double moved = 0.0, worst = 0.0;
+  const SE3 T_truth_map = good.truth(0) * before.front().T_map_camera.inverse();
+  for (std::size_t k = 0; k < before.size(); ++k) {
+    moved = std::max(moved, (after[k].T_map_camera.t - before[k].T_map_camera.t).norm());
+    const SE3 T = T_truth_map * after[before.size() + k].T_map_camera;
+    worst = std::max(worst, (T.t - poor.truth(static_cast<int>(k)).t).norm());
+  }
+  EXPECT_GT(poor.worst_odometry_error_m(), 0.3);
+  EXPECT_LT(moved, 0.01) << "the map";
+  EXPECT_LT(worst, 0.2) << "the session; by the noise of the map it is 0.8 m off";
+}
+
 TEST(PoseGraph, AFaultlessOdometryIsHardlyBentByLoopsOrBoxes) {
   double worst = 0.0;
   for (std::uint64_t seed = 1; seed <= 3; ++seed) {

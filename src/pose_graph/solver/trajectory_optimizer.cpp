@@ -83,6 +83,16 @@ class TrajectoryOptimizer {
     return result_;
   }
 
+  std::vector<OdometryEdge> settled() {
+    if (options_.estimate_noise) learn_noise();
+    std::vector<OdometryEdge> edges = motions();
+    const std::vector<Motion> judged = judged_motions(result_.knowledge.noise, Steady::kOpen);
+    for (std::size_t i = 0; i < edges.size(); ++i) {
+      if (!edges[i].is_break) edges[i].settle(judged[i].T_from_to, judged[i].covariance);
+    }
+    return edges;
+  }
+
  private:
   bool starts_afresh() const { return effort_ != Effort::kUpdate && effort_ != Effort::kLearn; }
   bool doubts_all() const { return effort_ == Effort::kFull || effort_ == Effort::kClassify; }
@@ -128,7 +138,8 @@ class TrajectoryOptimizer {
     for (std::size_t k = 0; k < votes_.size(); ++k) {
       if (!votes_[k]) continue;
       factors.push_back(path.explaining_factor(trajectory_.loops[k], least, factor_max));
-      weights.push_back(counts_[k] && factors.back() <= kMaxStrain ? 1.0 / redundancy_[k] : 0.0);
+      const bool tells = counts_[k] && factors.back() <= kMaxStrain && path.is_modelled(trajectory_.loops[k]);
+      weights.push_back(tells ? 1.0 / redundancy_[k] : 0.0);
     }
     double& loose = result_.knowledge.loose_factor;
     if (loose <= 0.0 || effort_ != Effort::kUpdate) {
@@ -152,8 +163,8 @@ class TrajectoryOptimizer {
     // As many as can be afforded, at the end of a run and in it: the cost grows with their cube.
     constexpr std::size_t kManyLoops = 60, kFewLoops = 24;
     const std::size_t max_loops = starts_afresh() ? kManyLoops : kFewLoops;
-    const std::vector<GraphLoop> some = some_kept(trajectory_.loops, result_.knowledge.kept, max_loops);
     GraphKnowledge& known = result_.knowledge;
+    const std::vector<GraphLoop> some = some_kept(trajectory_.loops, telling(known.kept), max_loops);
     InnovationModel model(result_.T_map_vertex, motions(), some);
     if (effort_ != Effort::kUpdate) {
       const int max_new_jumps = starts_afresh() ? kManyJumps : kFewJumps;
@@ -177,6 +188,14 @@ class TrajectoryOptimizer {
     }
     model.set_jumps(known.noise.jumps);
     steady_errors_ = model.steady_errors(known.noise);
+  }
+
+  /// Of the loops that are kept those between whose ends there is noise to be learnt; all where there is none anywhere.
+  std::vector<bool> telling(const std::vector<bool>& kept) const {
+    const PathNoise path(result_.T_map_vertex, trajectory_.edges);
+    std::vector<bool> tell = kept;
+    for (std::size_t k = 0; k < tell.size(); ++k) tell[k] = tell[k] && path.has_modelled(trajectory_.loops[k]);
+    return std::find(tell.begin(), tell.end(), true) == tell.end() ? kept : tell;
   }
 
   /// Whether the loops find no more than the least noise, and would tell if there were more: without any, or with few
@@ -239,20 +258,29 @@ class TrajectoryOptimizer {
   /// The errors that last: as the loops tell them, or open to what changes along the way, which loops do not see.
   enum class Steady { kKnown, kOpen };
 
+  /// The odometry as it is taken to be: without the errors that are known of, and as uncertain as the rest leaves it.
+  struct Motion {
+    SE3 T_from_to;
+    Mat6 covariance;
+  };
+  std::vector<Motion> judged_motions(const NoiseEstimate& noise, Steady steady) const {
+    std::vector<Motion> judged;
+    for (const OdometryEdge& edge : motions()) {
+      Motion motion{edge.T_from_to * se3_exp(expected_jump(edge, noise.odometry)).inverse(),
+                    odometry_covariance(edge, noise.odometry)};
+      if (!steady_errors_.empty()) motion.T_from_to = motion.T_from_to * se3_exp(steady_errors_[judged.size()]);
+      if (steady == Steady::kOpen) motion.covariance += steady_covariance(edge, noise.odometry);
+      judged.push_back(motion);
+    }
+    for (const OdometryJump& jump : noise.jumps) judged[jump.edge].covariance += jump.covariance();
+    return judged;
+  }
+
   std::vector<GraphEdge> graph(const NoiseEstimate& noise, bool only_kept, Steady steady = Steady::kKnown) const {
     std::vector<GraphEdge> edges;
-    const std::vector<OdometryEdge>& motions = this->motions();
-    std::vector<Mat6> covariances;
-    for (const OdometryEdge& edge : motions) {
-      covariances.push_back(odometry_covariance(edge, noise.odometry));
-      if (steady == Steady::kOpen) covariances.back() += steady_covariance(edge, noise.odometry);
-    }
-    for (const OdometryJump& jump : noise.jumps) covariances[jump.edge] += jump.covariance();
-    for (std::size_t i = 0; i < motions.size(); ++i) {
-      SE3 T_from_to = motions[i].T_from_to * se3_exp(expected_jump(motions[i], noise.odometry)).inverse();
-      if (!steady_errors_.empty()) T_from_to = T_from_to * se3_exp(steady_errors_[i]);
-      edges.push_back({static_cast<int>(i), static_cast<int>(i) + 1, T_from_to, square_root_information(covariances[i]),
-                       1.0, false});
+    for (const Motion& motion : judged_motions(noise, steady)) {
+      const int from = static_cast<int>(edges.size());
+      edges.push_back({from, from + 1, motion.T_from_to, square_root_information(motion.covariance), 1.0, false});
     }
     for (std::size_t k = 0; k < trajectory_.loops.size(); ++k) {
       const GraphLoop& loop = trajectory_.loops[k];
@@ -290,6 +318,11 @@ NoisePrior noise_prior(const PoseGraphOptions& options) {
 OptimizedTrajectory optimize_trajectory(const Trajectory& trajectory, const PoseGraphOptions& options,
                                         const GraphKnowledge& knowledge, Effort effort) {
   return TrajectoryOptimizer(trajectory, options, knowledge, effort).run();
+}
+
+std::vector<OdometryEdge> settled_odometry(const Trajectory& trajectory, const PoseGraphOptions& options,
+                                           const GraphKnowledge& knowledge) {
+  return TrajectoryOptimizer(trajectory, options, knowledge, Effort::kUpdate).settled();
 }
 
 std::vector<Carrier> coarsen(std::size_t size, const std::vector<bool>& has_loops, std::vector<std::size_t>* keyframes,

@@ -52,6 +52,12 @@ enum class Effort {
 OptimizedTrajectory optimize_trajectory(const Trajectory& trajectory, const PoseGraphOptions& options,
                                         const GraphKnowledge& knowledge, Effort effort);
 
+/// The odometry as a solution at what is known takes it: without the errors that were found in it, and with the
+/// covariance of what is left, as if its source stated that. So another odometry may go on from there, whose noise is
+/// its own.
+std::vector<OdometryEdge> settled_odometry(const Trajectory& trajectory, const PoseGraphOptions& options,
+                                           const GraphKnowledge& knowledge);
+
 NoisePrior noise_prior(const PoseGraphOptions& options);
 
 /// Leaves out vertices until `size` are left, and joins the odometry over them, its noise as it was. The past comes in
