@@ -33,7 +33,7 @@ Vec6 open_jump(const OdometryEdge& edge) {
 
 std::size_t index(int vertex) { return static_cast<std::size_t>(vertex); }
 
-constexpr OdometryNoise kNoNoise{0.0, 0.0, 0.0, 0.0, 0.0, 0.0}, kOnlyJumps{0.0, 0.0, 0.0, 0.0, 0.0, 1.0};
+constexpr OdometryNoise kOnlyJumps{0.0, 0.0, 0.0, 0.0, 0.0, 1.0};
 
 bool is_motion(const SolvedMotion& motion) {
   const auto is_length = [](double value) { return std::isfinite(value) && value >= 0.0; };

@@ -73,6 +73,8 @@ struct OdometryNoise {
   /// Prior of suspected jumps, the root of twice the probability that one is real: 0 never, 1 as likely as not.
   double jump_prior = 1.0;
 };
+/// Leaves of an edge's covariance what does not hang on the noise.
+inline constexpr OdometryNoise kNoNoise{0.0, 0.0, 0.0, 0.0, 0.0, 0.0};
 
 /// Covariance of (translation, rotation) without correlations, the same on all axes. @param ..._variance m^2, rad^2
 Mat6 isotropic_covariance(double translation_variance, double rotation_variance);

@@ -127,19 +127,11 @@ Status check_join(const MergedMaps& merged, std::int64_t first_of_b, const LoopO
                " of one that the other should have seen"};
 }
 
-GraphState settled(GraphState graph, const PoseGraphOptions& options) {
-  PoseGraph known(options);
-  known.restore(std::move(graph), SE3());
-  return known.state();
-}
-
 }  // namespace
 
 MergedMaps merge_maps(const MapState& a, MapState b, const Options& options,
                       std::shared_ptr<const ClassTable> classes) {
   MapState both = a;
-  // Each odometry with a noise of its own.
-  for (GraphState* graph : {&both.graph, &b.graph}) *graph = settled(std::move(*graph), options.pose_graph);
   both.append(std::move(b));
   const auto theirs = both.submaps.begin() + static_cast<std::ptrdiff_t>(a.submaps.size());
   const std::vector<LocalMap> queries(theirs, both.submaps.end());

@@ -82,14 +82,14 @@ Status check(const GraphState& state) {
     if (!loop.loop) return Error{name + " has no pose"};
     if (loop.loop->from == loop.loop->to) return Error{name + " joins a vertex with itself"};
   }
-  const OdometryNoise none{0.0, 0.0, 0.0, 0.0, 0.0, 0.0}, all{1.0, 1.0, 0.0, 0.0, 0.0, 1.0};
+  constexpr OdometryNoise kEveryNoise{1.0, 1.0, 0.0, 0.0, 0.0, 1.0};
   for (std::size_t i = 0; i < state.edges.size(); ++i) {
     const OdometryEdge& edge = state.edges[i];
     const Mat6& missed = edge.missed.covariance;
     const bool missed_is_fine = missed.isZero(0.0) || is_invertible(missed);
     const bool is_path = edge.path_m >= 0.0 && edge.rotation_rad >= 0.0;
-    if (missed_is_fine && is_path && is_invertible(odometry_covariance(edge, none)) &&
-        is_invertible(odometry_covariance(edge, all))) {
+    if (missed_is_fine && is_path && is_invertible(odometry_covariance(edge, kNoNoise)) &&
+        is_invertible(odometry_covariance(edge, kEveryNoise))) {
       continue;
     }
     return Error{"edge " + std::to_string(i) + " has a covariance that is not positive definite, or a negative path"};

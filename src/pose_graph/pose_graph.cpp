@@ -148,12 +148,11 @@ struct PoseGraph::Impl {
     loops_.restore(std::move(state.loops), state.accepted_loops);
     knowledge_.noise = std::move(state.noise);
     knowledge_.loose_factor = state.loose_factor;
-    if (!has_free_scale()) settle_odometry();
     restored_ = told_keyframes_ = keyframes_.size();
     T_map_odom_ = T_map_odom;
   }
 
-  /// What was learnt of the odometry so far holds for its edges; that of the session to come is another.
+  /// What was learnt of the map's odometry holds for its edges; that of the session that begins is another.
   void settle_odometry() {
     loops_.hand_over(&trajectory_, &knowledge_);
     trajectory_.edges = settled_odometry(trajectory_, options_, knowledge_);
@@ -197,6 +196,7 @@ struct PoseGraph::Impl {
     T_odom_frame_ = frame.T_odom_camera;
     if (!is_vertex(frame)) return;
     if (!keyframes_.empty()) {
+      if (keyframes_.size() == restored_ && !has_free_scale()) settle_odometry();
       trajectory_.edges.push_back(accumulator_.finish(T_odom_keyframe_, frame.T_odom_camera));
       // Nothing is known of the way from an earlier session to this one, which is to stay where it stands until a loop
       // tells.

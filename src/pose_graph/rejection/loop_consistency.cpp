@@ -17,9 +17,6 @@ constexpr double kSigmas = 3.5;      // of position and angle each: a right pair
 // Beyond these sigmas agreement says nothing: any two loops of one room would agree.
 constexpr double kTelling_m = 0.3, kTelling_rad = 0.35;
 
-/// Leaves what is known of an edge by itself, whatever the usual noise is.
-constexpr OdometryNoise kNoNoise{0.0, 0.0, 0.0, 0.0, 0.0, 0.0};
-
 double squared(double x) { return x * x; }
 double mean_sigma(const Mat6& covariance, int first) {
   return std::sqrt(covariance.diagonal().segment<3>(first).mean());

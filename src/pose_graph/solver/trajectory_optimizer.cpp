@@ -87,8 +87,16 @@ class TrajectoryOptimizer {
     if (options_.estimate_noise) learn_noise();
     std::vector<OdometryEdge> edges = motions();
     const std::vector<Motion> judged = judged_motions(result_.knowledge.noise, Steady::kOpen);
+    std::vector<int> ends(edges.size() + 1);  // how many more loops begin than end there
+    for (std::size_t k = 0; k < trajectory_.loops.size(); ++k) {
+      if (!result_.knowledge.kept[k]) continue;
+      ++ends[static_cast<std::size_t>(trajectory_.loops[k].from)];
+      --ends[static_cast<std::size_t>(trajectory_.loops[k].to)];
+    }
+    int loops = 0;
     for (std::size_t i = 0; i < edges.size(); ++i) {
-      if (!edges[i].is_break) edges[i].settle(judged[i].T_from_to, judged[i].covariance);
+      loops += ends[i];
+      if (loops > 0 && !edges[i].is_break) edges[i].settle(judged[i].T_from_to, judged[i].covariance);
     }
     return edges;
   }
