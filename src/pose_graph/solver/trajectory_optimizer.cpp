@@ -86,17 +86,10 @@ class TrajectoryOptimizer {
   std::vector<OdometryEdge> settled() {
     if (options_.estimate_noise) learn_noise();
     std::vector<OdometryEdge> edges = motions();
+    if (!is_noise_known(edges)) return edges;
     const std::vector<Motion> judged = judged_motions(result_.knowledge.noise, Steady::kOpen);
-    std::vector<int> ends(edges.size() + 1);  // how many more loops begin than end there
-    for (std::size_t k = 0; k < trajectory_.loops.size(); ++k) {
-      if (!result_.knowledge.kept[k]) continue;
-      ++ends[static_cast<std::size_t>(trajectory_.loops[k].from)];
-      --ends[static_cast<std::size_t>(trajectory_.loops[k].to)];
-    }
-    int loops = 0;
     for (std::size_t i = 0; i < edges.size(); ++i) {
-      loops += ends[i];
-      if (loops > 0 && !edges[i].is_break) edges[i].settle(judged[i].T_from_to, judged[i].covariance);
+      if (!edges[i].is_break) edges[i].settle(judged[i].T_from_to, judged[i].covariance);
     }
     return edges;
   }
@@ -165,6 +158,24 @@ class TrajectoryOptimizer {
       if (!votes_[k]) continue;
       votes_[k] = factors[voter++] <= limit || path.has_stated(trajectory_.loops[k]);
     }
+  }
+
+  /// Whether loops lead over most of the edges whose noise is to be learnt.
+  bool is_noise_known(const std::vector<OdometryEdge>& edges) const {
+    std::vector<int> ends(edges.size() + 1);  // how many more loops begin than end there
+    for (std::size_t k = 0; k < trajectory_.loops.size(); ++k) {
+      if (!result_.knowledge.kept[k]) continue;
+      ++ends[static_cast<std::size_t>(trajectory_.loops[k].from)];
+      --ends[static_cast<std::size_t>(trajectory_.loops[k].to)];
+    }
+    int open = 0, below_loops = 0, loops = 0;
+    for (std::size_t i = 0; i < edges.size(); ++i) {
+      loops += ends[i];
+      if (edges[i].is_break || edges[i].covariance) continue;
+      ++open;
+      below_loops += loops > 0 ? 1 : 0;
+    }
+    return 2 * below_loops > open;
   }
 
   void learn_noise() {

@@ -53,8 +53,8 @@ OptimizedTrajectory optimize_trajectory(const Trajectory& trajectory, const Pose
                                         const GraphKnowledge& knowledge, Effort effort);
 
 /// The odometry as a solution at what is known takes it: without the errors that were found in it, and with the
-/// covariance of what is left, as if its source stated that, but where no loop has told anything. So another odometry
-/// may go on from there, whose noise is its own.
+/// covariance of what is left, as if its source stated that. So another odometry may go on from there, whose noise is
+/// its own. As it is, where loops lead over less than half of it and so tell little of its noise.
 std::vector<OdometryEdge> settled_odometry(const Trajectory& trajectory, const PoseGraphOptions& options,
                                            const GraphKnowledge& knowledge);
 
