@@ -90,7 +90,7 @@ TEST(CheckedCamera, RefusesOtherLensModelsAndBadNumbers) {
   EXPECT_EQ(checked_camera(message).message(), "camera_info fx = nan must be > 0");
   to_msg(camera, &message);
   message.width = message.height = 1000000;
-  EXPECT_EQ(checked_camera(message).message(), "camera_info width = 1e+06 must be in (0, 10000]");
+  EXPECT_EQ(checked_camera(message).message(), "camera_info width = 1000000 must be in (0, 10000]");
 }
 
 }  // namespace

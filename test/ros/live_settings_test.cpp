@@ -53,7 +53,7 @@ TEST(LiveSettings, AreDescribedByTheRows) {
   EXPECT_EQ(parameters[0].type, "bool");
   EXPECT_EQ(parameters[1].name, "max_candidates");
   EXPECT_EQ(parameters[1].type, "int");
-  EXPECT_EQ(parameters[1].description, "loops accepted a keyframe at most (>= 1)");
+  EXPECT_EQ(parameters[1].description, "loops accepted an attempt at most (>= 1)");
   EXPECT_EQ(value_of(description.min.ints, "max_candidates"), 1);
   EXPECT_EQ(value_of(description.max.ints, "max_candidates"), std::numeric_limits<int>::max());
   EXPECT_EQ(value_of(description.min.doubles, "reprojection_iou"), 0.0);
