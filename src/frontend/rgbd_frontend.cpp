@@ -452,7 +452,7 @@ void TrackingReport::add(const TrackedImage& image) {
   lost += is(TrackingState::kLost);
   unusable += is(TrackingState::kUnusable);
   // What was found again in an older part of the map has a break, too.
-  restarts += image.sample && image.sample->is_break ? is(TrackingState::kStarted) : 0;
+  if (image.sample && image.sample->is_break) restarts += is(TrackingState::kStarted);
 }
 
 void TrackingReport::add_unreadable(const std::string& problem) {

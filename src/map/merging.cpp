@@ -21,8 +21,8 @@ constexpr double kForeignIou = 0.1;  // of a box with an object's projection: le
 // Of the frames side by side, those that were mixed up, so that the others veto no merge. Chosen on fr2_desk's drifted
 // files, where 0.7 to 0.9 do alike; where fewer are, as in fr3_office's rows of bottles, two things stand side by side.
 constexpr double kMixedUp = 0.8;
-constexpr std::size_t kMostRecords = 1000;  // merges that can be taken back: some minutes of a large map at least
 constexpr double kSameCenter = 0.5;  // mean semi-axes: centres nearer than this are one object's, whatever the boxes
+constexpr std::size_t kMostRecords = 1000;  // merges that can be taken back: some minutes of a large map at least
 
 struct Overlap {
   double iou = 0.0;     ///< of b's boxes with a's projection, median
@@ -98,6 +98,7 @@ Remains remains_of(const KeyframePlaces& S_map_keyframe, const LandmarkRecord& l
   return remains;
 }
 
+/// What a landmark knows less without another one that it had taken over, but for the observations.
 void give_up(const LandmarkRecord& merged, LandmarkRecord* survivor) {
   survivor->state.observations -= merged.state.observations;
   for (const ClassCount& c : merged.state.class_counts) survivor->state.count_class(c.class_id, -c.count);

@@ -204,7 +204,6 @@ PathNoise::PathNoise(const std::vector<SE3>& T_world_vertex, const std::vector<O
   residual_.assign(n, Vec6::Zero());
   jump_.assign(n, Vec6::Zero());
   stated_.assign(n, 0);
-  modelled_.assign(n, 0);
   for (std::size_t i = 0; i + 1 < n; ++i) {
     const OdometryEdge& edge = edges[i];
     SE3 place = about_first(T_world_vertex[i + 1]);
@@ -219,7 +218,6 @@ PathNoise::PathNoise(const std::vector<SE3>& T_world_vertex, const std::vector<O
     jump_[i + 1] = jump_[i] + to_origin * expected_jump(edge, kOnlyJumps);
     residual_[i + 1] = residual_[i];
     stated_[i + 1] = stated_[i] + (edge.covariance ? 1 : 0);
-    modelled_[i + 1] = modelled_[i] + (edge.covariance || edge.is_break ? 0 : 1);
     if (!edge.is_break) {
       residual_[i + 1] += to_origin * relative_pose_residual(T_world_vertex[i], T_world_vertex[i + 1], edge.T_from_to);
     }
@@ -274,7 +272,5 @@ double PathNoise::explaining_factor(const GraphLoop& loop, const OdometryNoise& 
 }
 
 bool PathNoise::has_stated(const GraphLoop& loop) const { return stated_[index(loop.to)] != stated_[index(loop.from)]; }
-
-int PathNoise::modelled(const GraphLoop& loop) const { return modelled_[index(loop.to)] - modelled_[index(loop.from)]; }
 
 }  // namespace semantic_topo_loop::core

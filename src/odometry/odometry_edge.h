@@ -130,10 +130,6 @@ class PathNoise {
   double explaining_factor(const GraphLoop& loop, const OdometryNoise& noise, double max_factor) const;
   /// Whether the source states a covariance somewhere between the loop's ends.
   bool has_stated(const GraphLoop& loop) const;
-  /// Whether the noise model holds all the way, or somewhere, between the loop's ends: neither is a covariance stated
-  /// there nor a break.
-  bool is_modelled(const GraphLoop& loop) const { return modelled(loop) == loop.to - loop.from; }
-  bool has_modelled(const GraphLoop& loop) const { return modelled(loop) != 0; }
 
   /// From the first vertex to each.
   const std::vector<EdgeCovariance>& sums() const { return sums_; }
@@ -144,13 +140,11 @@ class PathNoise {
   /// In the world's axes about the first vertex: carried far away, a small noise is lost among large ones.
   SE3 about_first(const SE3& T_world_vertex) const;
 
-  int modelled(const GraphLoop& loop) const;
-
   const std::vector<SE3>* vertices_;
   std::vector<EdgeCovariance> sums_;
   std::vector<Mat6> to_origin_;
   std::vector<Vec6> residual_, jump_;
-  std::vector<int> stated_, modelled_;  ///< how many edges up to each vertex
+  std::vector<int> stated_;
 };
 
 }  // namespace semantic_topo_loop::core

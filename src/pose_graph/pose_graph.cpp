@@ -447,7 +447,8 @@ struct PoseGraph::Impl {
       return fault;
     };
     for (std::size_t i = 0; i < trajectory_.edges.size(); ++i) {
-      report.stated_edges += trajectory_.edges[i].covariance ? 1 : 0;
+      // Those of a map are settled.
+      report.stated_edges += trajectory_.edges[i].covariance && keyframe_of_[i] >= restored_ ? 1 : 0;
       if (trajectory_.edges[i].is_break) fault(i).is_break = true;
       const MissedMotion& missed = trajectory_.edges[i].missed;
       if (missed.frozen_s > 0.0) fault(i).frozen_s = missed.frozen_s;

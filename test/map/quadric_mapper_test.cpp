@@ -157,6 +157,21 @@ class MapperTest : public testing::MapperFixture {
     correction.frame_id = frame.frame_id;
     return mapper_.apply(correction);
   }
+
+  /// A correction that moves keyframes, each the fifth of so many poses.
+  /// @param poses laps of which were stepped through   @param last the newest keyframe that was solved for
+  MapCorrection moved(std::int64_t first, std::int64_t last, const std::vector<SE3>& poses,
+                      const SE3& T_new_old) const {
+    MapCorrection correction;
+    correction.frame_id = next_frame_;
+    correction.changed = true;
+    correction.valid_to_keyframe_id = last;
+    for (std::int64_t id = first; id <= last; ++id) {
+      correction.keyframes.push_back(
+          {id, id * 5, 0, T_new_old * poses[static_cast<std::size_t>(id) * 5 % poses.size()]});
+    }
+    return correction;
+  }
 };
 
 TEST_F(MapperTest, CandidateBecomesConfirmedWithViewsAndParallax) {
@@ -639,14 +654,8 @@ TEST_F(MapperTest, MergeIsUndoneWhenACorrectionPullsTheTwoApart) {
   ASSERT_EQ(mapper_.landmarks().size(), 1U);
 
   const SE3 T_new_old(Quaternion::Identity(), Vec3(1.0, 0.0, 0.0));
-  MapCorrection correction;
-  correction.frame_id = next_frame_;
-  correction.changed = true;
+  MapCorrection correction = moved(12, 23, poses, T_new_old);
   correction.T_map_odom = T_new_old;
-  correction.valid_to_keyframe_id = 23;
-  for (std::int64_t id = 12; id <= 23; ++id) {
-    correction.keyframes.push_back({id, id * 5, 0, T_new_old * poses[static_cast<std::size_t>(id - 12) * 5]});
-  }
   const MapUpdate update = mapper_.apply(correction);
   ASSERT_EQ(update.unmerged.size(), 1U);
   EXPECT_EQ(update.unmerged[0].merged_id, merge.merged[0].merged_id);
@@ -686,14 +695,7 @@ TEST_F(MapperTest, AWrongMergeIsUndoneAfterItsSurvivorHasGoneIntoAnother) {
   const int all = find(2)->observations;
 
   const SE3 T_new_old(so3_exp(Vec3(0.0, 0.0, 1.0)), Vec3(1.0, 0.0, 0.0));
-  MapCorrection correction;
-  correction.frame_id = next_frame_;
-  correction.changed = true;
-  correction.valid_to_keyframe_id = 1000;
-  for (std::int64_t id = 24; id <= 35; ++id) {
-    correction.keyframes.push_back({id, id * 5, 0, T_new_old * poses[static_cast<std::size_t>(id - 24) * 5]});
-  }
-  const MapUpdate update = mapper_.apply(correction);
+  const MapUpdate update = mapper_.apply(moved(24, 35, poses, T_new_old));
   ASSERT_EQ(update.unmerged.size(), 1U);
   EXPECT_EQ(update.unmerged[0].merged_id, 1);
   ASSERT_NE(find(1), nullptr);
@@ -704,13 +706,9 @@ TEST_F(MapperTest, AWrongMergeIsUndoneAfterItsSurvivorHasGoneIntoAnother) {
   EXPECT_LT((find(2)->ellipsoid->center() - kCup.center()).norm(), 0.01);
 
   // The other merge was of what is left of the survivor.
-  correction.frame_id = ++next_frame_;
-  correction.keyframes.clear();
+  ++next_frame_;
   const SE3 T_newer_old(Quaternion::Identity(), Vec3(-1.0, 0.0, 0.0));
-  for (std::int64_t id = 0; id < 24; ++id) {
-    correction.keyframes.push_back({id, id * 5, 0, T_newer_old * poses[static_cast<std::size_t>(id % 12) * 5]});
-  }
-  ASSERT_EQ(mapper_.apply(correction).unmerged.size(), 1U);
+  ASSERT_EQ(mapper_.apply(moved(0, 23, poses, T_newer_old)).unmerged.size(), 1U);
   ASSERT_NE(find(0), nullptr);
   EXPECT_EQ(find(0)->observations, 120);
   EXPECT_EQ(find(2)->observations, 240);
@@ -721,14 +719,8 @@ TEST_F(MapperTest, TheCovarianceOfWhatACorrectionTurnsTurnsWithIt) {
   for (const SE3& pose : poses) step(pose, {{0, 41, kCup}});
   const Mat3 before = find(0)->center_covariance;
   const SE3 T_new_old(so3_exp(Vec3(0.0, 0.0, 0.5 * kPi)), Vec3(1.0, 0.0, 0.0));
-  MapCorrection correction;
-  correction.frame_id = next_frame_;
-  correction.changed = true;
+  MapCorrection correction = moved(0, 11, poses, T_new_old);
   correction.T_map_odom = T_new_old;
-  correction.valid_to_keyframe_id = 11;
-  for (std::int64_t id = 0; id <= 11; ++id) {
-    correction.keyframes.push_back({id, id * 5, 0, T_new_old * poses[static_cast<std::size_t>(id) * 5]});
-  }
   mapper_.apply(correction);
   const Mat3 R = T_new_old.q.toRotationMatrix();
   EXPECT_LT((find(0)->center_covariance - R * before * R.transpose()).norm(), 1e-9 * before.norm());
@@ -846,14 +838,9 @@ TEST_F(MapperTest, LandmarksMoveWithTheirKeyframesAndVersionsChain) {
     version = update.map_version;
   }
   const SE3 T_new_old(so3_exp(Vec3(0.0, 0.1, 0.3)), Vec3(1.0, -2.0, 0.5));
-  MapCorrection correction;
+  MapCorrection correction = moved(0, 9, poses, T_new_old);  // the last two keyframes are newer than the solution
   correction.frame_id = next_frame_ - 1;
-  correction.changed = true;
   correction.T_map_odom = T_new_old;
-  correction.valid_to_keyframe_id = 9;  // the last two keyframes are newer than the solution
-  for (std::int64_t id = 0; id <= 9; ++id) {
-    correction.keyframes.push_back({id, id * 5, 0, T_new_old * poses[static_cast<std::size_t>(id) * 5]});
-  }
   const Vec3 before = find(0)->ellipsoid->center();
   const MapUpdate update = mapper_.apply(correction);
   EXPECT_EQ(update.base_version, version);

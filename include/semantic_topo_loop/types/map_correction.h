@@ -38,7 +38,7 @@ struct OdometryFault {
 /// What the odometry's errors are taken to be: see OdometryNoise, and NoiseEstimate for the factor on the loops'
 /// sigmas.
 struct OdometryReport {
-  int stated_edges = 0;  ///< edges whose source states a covariance: the noise below is not used there
+  int stated_edges = 0;  ///< of this session, whose source states a covariance: the noise below is not used there
   double translation_m = 0.0, rotation_rad = 0.0;
   double steady_translation = 0.0, steady_rotation_rad = 0.0, scale = 0.0;
   double loop_factor = 1.0;

@@ -58,6 +58,9 @@ class TrajectoryOptimizer {
       counts_[k] = counts_[k] && knowledge.kept[k];
     }
     redundancy_ = redundancy(trajectory.loops, counts_);
+    for (const OdometryEdge& edge : trajectory.edges) {
+      modelled_.push_back(modelled_.back() + (edge.covariance || edge.is_break ? 0 : 1));
+    }
     result_.T_map_vertex = trajectory.T_map_vertex;
     result_.knowledge = knowledge;
     // What is learnt last must not depend on what was believed on the way.
@@ -84,9 +87,9 @@ class TrajectoryOptimizer {
   }
 
   std::vector<OdometryEdge> settled() {
-    if (options_.estimate_noise) learn_noise();
     std::vector<OdometryEdge> edges = motions();
-    if (!is_noise_known(edges)) return edges;
+    if (!is_noise_known()) return edges;
+    if (options_.estimate_noise) learn_noise();
     const std::vector<Motion> judged = judged_motions(result_.knowledge.noise, Steady::kOpen);
     for (std::size_t i = 0; i < edges.size(); ++i) {
       if (!edges[i].is_break) edges[i].settle(judged[i].T_from_to, judged[i].covariance);
@@ -139,7 +142,7 @@ class TrajectoryOptimizer {
     for (std::size_t k = 0; k < votes_.size(); ++k) {
       if (!votes_[k]) continue;
       factors.push_back(path.explaining_factor(trajectory_.loops[k], least, factor_max));
-      const bool tells = counts_[k] && factors.back() <= kMaxStrain && path.is_modelled(trajectory_.loops[k]);
+      const bool tells = counts_[k] && factors.back() <= kMaxStrain && is_modelled(trajectory_.loops[k]);
       weights.push_back(tells ? 1.0 / redundancy_[k] : 0.0);
     }
     double& loose = result_.knowledge.loose_factor;
@@ -160,22 +163,25 @@ class TrajectoryOptimizer {
     }
   }
 
+  int modelled(const GraphLoop& loop) const {
+    return modelled_[static_cast<std::size_t>(loop.to)] - modelled_[static_cast<std::size_t>(loop.from)];
+  }
+  bool is_modelled(const GraphLoop& loop) const { return modelled(loop) == loop.to - loop.from; }
+
   /// Whether loops lead over most of the edges whose noise is to be learnt.
-  bool is_noise_known(const std::vector<OdometryEdge>& edges) const {
-    std::vector<int> ends(edges.size() + 1);  // how many more loops begin than end there
+  bool is_noise_known() const {
+    std::vector<int> ends(modelled_.size());  // how many more loops begin than end there
     for (std::size_t k = 0; k < trajectory_.loops.size(); ++k) {
       if (!result_.knowledge.kept[k]) continue;
       ++ends[static_cast<std::size_t>(trajectory_.loops[k].from)];
       --ends[static_cast<std::size_t>(trajectory_.loops[k].to)];
     }
-    int open = 0, below_loops = 0, loops = 0;
-    for (std::size_t i = 0; i < edges.size(); ++i) {
+    int below_loops = 0, loops = 0;
+    for (std::size_t i = 0; i + 1 < ends.size(); ++i) {
       loops += ends[i];
-      if (edges[i].is_break || edges[i].covariance) continue;
-      ++open;
-      below_loops += loops > 0 ? 1 : 0;
+      if (loops > 0) below_loops += modelled_[i + 1] - modelled_[i];
     }
-    return 2 * below_loops > open;
+    return 2 * below_loops > modelled_.back();
   }
 
   void learn_noise() {
@@ -211,9 +217,8 @@ class TrajectoryOptimizer {
 
   /// Of the loops that are kept those between whose ends there is noise to be learnt; all where there is none anywhere.
   std::vector<bool> telling(const std::vector<bool>& kept) const {
-    const PathNoise path(result_.T_map_vertex, trajectory_.edges);
     std::vector<bool> tell = kept;
-    for (std::size_t k = 0; k < tell.size(); ++k) tell[k] = tell[k] && path.has_modelled(trajectory_.loops[k]);
+    for (std::size_t k = 0; k < tell.size(); ++k) tell[k] = tell[k] && modelled(trajectory_.loops[k]) > 0;
     return std::find(tell.begin(), tell.end(), true) == tell.end() ? kept : tell;
   }
 
@@ -317,6 +322,8 @@ class TrajectoryOptimizer {
   std::vector<bool> votes_;   ///< which loops may be kept
   std::vector<bool> counts_;  ///< which of them say how noisy the odometry is, and share evidence
   std::vector<double> redundancy_;
+  /// How many edges up to each vertex have a noise that is learnt: no covariance is stated, and they are no break.
+  std::vector<int> modelled_{0};
   std::vector<Vec6> steady_errors_;  ///< of each edge; empty before they are known
   GraphSolverOptions solver_options_;
   OptimizedTrajectory result_;
