@@ -75,7 +75,7 @@ TEST(Relocalisation, IsThatOfTheOdometrySinceAJumpThatTheBoxesShow) {
   setup.visits.push_back({14.0, 26.0, -10.0, 70.0});
   setup.end_s = 26.0;
   setup.earlier_map = map_of(1);
-  setup.drift = SE3(so3_exp(Vec3(0.0, 0.0, radians(8.0))), Vec3(0.1, 0.0, 0.0));
+  setup.drift = SE3(so3_exp(Vec3(0.0, 0.0, radians(18.0))), Vec3(0.1, 0.0, 0.0));
   setup.drift_from_s = 16.0;
   std::optional<Relocalisation> before, found;
   int frames = 0;
