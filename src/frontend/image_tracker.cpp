@@ -8,19 +8,39 @@
 namespace semantic_topo_loop::core {
 namespace {
 
-/// Fits the pose from `T_camera_map`; features that do not agree lose their point.
+int trusted_inliers(const PoseEstimate& estimate, const std::vector<PoseObservation>& observations) {
+  int count = 0;
+  for (std::size_t i = 0; i < observations.size(); ++i) {
+    count += observations[i].is_trusted && estimate.is_inlier[i] ? 1 : 0;
+  }
+  return count;
+}
+
+/// Fits the pose from `T_camera_map`; features that do not agree lose their point. New points have no say in it as long
+/// as there are others: what moves by itself is never where it was for long.
 bool fit(const SE3& T_camera_map, const Camera& camera, TrackingMap* map, TrackedFeatures* image) {
+  constexpr int kProven = 4;  // the image that made the point, and three that found it: a tenth of a second
   std::vector<PoseObservation> observations;
   std::vector<std::size_t> features;
   for (std::size_t i = 0; i < image->points.size(); ++i) {
     const MapPoint* point = map->point(image->points[i]);
     if (point == nullptr) continue;
     observations.push_back(observation(image->features.features[i], *point, map->options().scale_factor));
+    observations.back().is_trusted = point->found >= kProven;
     features.push_back(i);
   }
   image->matches = static_cast<int>(features.size());
   image->inliers = 0;
-  const std::optional<PoseEstimate> estimate = refine_pose(camera, T_camera_map, observations);
+  std::optional<PoseEstimate> estimate = refine_pose(camera, T_camera_map, observations);
+  const int proven = estimate ? trusted_inliers(*estimate, observations) : 0;
+  if (proven < strong_inliers(map->options())) {
+    std::vector<PoseObservation> all = observations;
+    for (PoseObservation& o : all) o.is_trusted = true;
+    std::optional<PoseEstimate> together = refine_pose(camera, T_camera_map, all);
+    // What costs a proven point follows something that moves.
+    const bool is_known = proven >= map->options().min_inliers / 2;
+    if (!is_known || (together && trusted_inliers(*together, observations) >= proven)) estimate = std::move(together);
+  }
   if (!estimate) return false;
   image->T_camera_map = estimate->T_camera_map;
   image->covariance = estimate->covariance;
@@ -166,6 +186,7 @@ bool find_points(const TrackingKeyframe& keyframe, const Camera& camera, Trackin
   }
   image->T_camera_map = estimate->T_camera_map;
   image->section = keyframe.section;
+  image->world = keyframe.world;
   return true;
 }
 

@@ -50,7 +50,8 @@ void jacobians(const Camera& camera, const PoseObservation& o, Linearised* out) 
   }
 }
 
-double huber_weight(double squared, double gate2) { return squared <= gate2 ? 1.0 : std::sqrt(gate2 / squared); }
+/// Those that are far off lose their say: together they would pull a pose away.
+double cauchy_weight(double squared, double gate2) { return gate2 / (gate2 + squared); }
 
 struct NormalEquations {
   Mat6 hessian = Mat6::Zero();
@@ -64,12 +65,12 @@ NormalEquations accumulate(const Camera& camera, const SE3& T, const std::vector
   NormalEquations n;
   for (std::size_t i = 0; i < observations.size(); ++i) {
     Linearised l;
-    if (!used[i] || !errors(camera, T, observations[i], &l)) continue;
+    if (!used[i] || !observations[i].is_trusted || !errors(camera, T, observations[i], &l)) continue;
     jacobians(camera, observations[i], &l);
     const double pixel2 = l.pixel_error.squaredNorm(), depth2 = l.depth_error * l.depth_error;
-    const double pixel_weight = is_robust ? huber_weight(pixel2, kPixelGate2) : 1.0;
-    double depth_weight = huber_weight(depth2, kDepthGate2);
-    if (!is_robust && depth2 > kDepthGate2) depth_weight = 0.0;
+    const double pixel_weight = is_robust ? cauchy_weight(pixel2, kPixelGate2) : 1.0;
+    const double depth_gate = depth2 <= kDepthGate2 ? 1.0 : 0.0;
+    const double depth_weight = is_robust ? cauchy_weight(depth2, kDepthGate2) : depth_gate;
     n.hessian += pixel_weight * l.pixel_jacobian.transpose() * l.pixel_jacobian +
                  depth_weight * l.depth_jacobian.transpose() * l.depth_jacobian;
     n.gradient += pixel_weight * l.pixel_jacobian.transpose() * l.pixel_error +

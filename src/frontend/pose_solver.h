@@ -17,6 +17,7 @@ struct PoseObservation {
   double pixel_sigma = 1.0;
   double depth_m = 0.0;  ///< measured; 0: none
   double depth_sigma_m = 0.0;
+  bool is_trusted = true;  ///< otherwise the pose does not hang on it
 };
 
 struct PoseEstimate {
@@ -26,8 +27,9 @@ struct PoseEstimate {
   int inliers = 0;
 };
 
-/// Fits a camera pose to observations: Gauss-Newton on reprojection and depth errors, robust at first, then without
-/// those that do not fit. A wrong depth alone does not cost an observation its pixel.
+/// Fits a camera pose to the observations that are trusted: Gauss-Newton on reprojection and depth errors, with
+/// Cauchy's loss at first, then without those that do not fit. A wrong depth alone does not cost an observation its
+/// pixel. Of the others it is only told whether they fit.
 /// @return nullopt if the observations do not determine a pose
 std::optional<PoseEstimate> refine_pose(const Camera& camera, const SE3& T_camera_map,
                                         const std::vector<PoseObservation>& observations);

@@ -119,7 +119,7 @@ struct RgbdFrontend::Impl {
     image->T_camera_map = last ? last->T_camera_map : SE3();
     image->inliers = image->matches = 0;
     image->points.assign(image->features.size(), -1);
-    image->section = next_section++;
+    image->section = image->world = next_section++;
     return true;
   }
 
@@ -222,7 +222,7 @@ struct RgbdFrontend::Impl {
                               rotation_angle(again.q.conjugate(), image.T_camera_map.q) < kAlike_rad;
         if (is_alike) {
           refinement = {};  // it has its keyframes where they were
-          map.join(there.section, image.section, T_here_there);
+          map.join(there.section, image, T_here_there);
           sighting.reset();
           return found;
         }
@@ -259,8 +259,8 @@ struct RgbdFrontend::Impl {
     return covariance;
   }
 
-  void take_in(const TrackedFeatures& image) {
-    const std::int64_t id = add_keyframe(image, calibration.camera, &map);
+  void take_in(const TrackedFeatures& image, const std::vector<Vec3>& points_camera) {
+    const std::int64_t id = add_keyframe(image, points_camera, calibration.camera, &map);
     if (map.keyframes().size() < 2) return;
     BundleProblem around = local_bundle(map, id, options);
     // Blurred images with few points, and few keyframes, would explain their errors by any focal length.
@@ -351,7 +351,7 @@ struct RgbdFrontend::Impl {
     look_for_registration(rgbd);
     image.features = extract_features(rgbd, options, calibration.camera, calibration.registration);
     image.points.assign(image.features.size(), -1);
-    if (last) image.section = last->section;
+    if (last) image.section = last->section, image.world = last->world;
     take_refinement();
     TrackedImage result;
     bool is_break = false;
@@ -385,7 +385,7 @@ struct RgbdFrontend::Impl {
         // What hangs on a weak pose may lie wrong against the rest: it is looked for there as after a loss.
         const bool is_weak = result.state == TrackingState::kTracked && image.inliers < strong_inliers(options);
         if (is_weak) image.section = next_section++;
-        take_in(image);
+        take_in(image, *result.sample->points_camera);
         image.points = map.keyframes().rbegin()->second.points;
         if (!image.source_loop) result.sample->source_loop = look_back(image);
       } else if (is_sighting_open(image)) {

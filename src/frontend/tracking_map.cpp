@@ -16,6 +16,19 @@ int count_points(const TrackingMap& map, const std::vector<std::int64_t>& points
   return count;
 }
 
+/// Whether a point stands where a keyframe before saw through.
+bool has_come(const Vec3& position, const TrackingKeyframe& keyframe, const Camera& camera, const TrackingMap& map) {
+  constexpr int kLooked = 20;  // keyframes: some seconds while something moves through the view, whose parts are new
+  int looked = 0;
+  for (auto it = map.keyframes().rbegin(); it != map.keyframes().rend() && looked < kLooked; ++it) {
+    const TrackingKeyframe& before = it->second;
+    if (before.id == keyframe.id || before.world != keyframe.world) continue;
+    if (before.depth.sees_through(camera, before.T_camera_map * position)) return true;
+    ++looked;
+  }
+  return false;
+}
+
 void add_points(std::int64_t id, const Camera& camera, TrackingMap* map) {
   const TrackingKeyframe& keyframe = *map->keyframe(id);
   const SE3 T_map_camera = keyframe.T_camera_map.inverse();
@@ -23,6 +36,7 @@ void add_points(std::int64_t id, const Camera& camera, TrackingMap* map) {
     const ImageFeature& feature = keyframe.features.features[i];
     if (keyframe.points[i] >= 0 || !feature.has_depth()) continue;
     const Vec3 position = T_map_camera * Vec3(feature.depth_m * camera.ray(feature.pixel));
+    if (has_come(position, keyframe, camera, *map)) continue;
     map->refresh(&map->add_point(position, id, static_cast<int>(i)));
   }
 }
@@ -123,16 +137,6 @@ PoseObservation observation(const ImageFeature& feature, const MapPoint& point, 
   return {point.position, feature.pixel, feature.pixel_sigma(scale_factor), feature.depth_m, feature.depth_sigma_m};
 }
 
-std::optional<Vec2> pixel_in_view(const Camera& camera, const Vec3& p) {
-  constexpr double kNearest_m = 0.1;  // what is nearer is a blur in any image
-  if (p.z() < kNearest_m) return std::nullopt;
-  const Vec2 pixel = camera.pixel(p);
-  if (!(pixel.x() >= 0.0 && pixel.y() >= 0.0 && pixel.x() < camera.width && pixel.y() < camera.height)) {
-    return std::nullopt;
-  }
-  return pixel;
-}
-
 TrackingKeyframe& TrackingMap::add_keyframe(TrackingKeyframe keyframe) {
   const std::int64_t id = keyframe.id;
   keyframe.points.resize(keyframe.features.size(), -1);
@@ -202,7 +206,7 @@ void TrackingMap::merge(std::int64_t from, std::int64_t into) {
   refresh(&target);
 }
 
-void TrackingMap::join(int from, int into, const SE3& T_into_from) {
+void TrackingMap::join(int from, const FeatureImage& into, const SE3& T_into_from) {
   for (auto& [id, point] : points_) {
     if (keyframes_.at(point.views.begin()->first).section != from) continue;
     point.position = T_into_from * point.position;
@@ -212,7 +216,8 @@ void TrackingMap::join(int from, int into, const SE3& T_into_from) {
   for (auto& [id, keyframe] : keyframes_) {
     if (keyframe.section != from) continue;
     keyframe.T_camera_map = keyframe.T_camera_map * T_from_into;
-    keyframe.section = into;
+    keyframe.section = into.section;
+    keyframe.world = into.world;
   }
 }
 
@@ -299,9 +304,11 @@ bool needs_keyframe(const TrackedFeatures& image, const TrackingMap& map) {
   return tracked < few_tracked && untracked > many_untracked;
 }
 
-std::int64_t add_keyframe(const TrackedFeatures& image, const Camera& camera, TrackingMap* map) {
+std::int64_t add_keyframe(const TrackedFeatures& image, const std::vector<Vec3>& points_camera, const Camera& camera,
+                          TrackingMap* map) {
   const std::int64_t id = map->keyframes().empty() ? 0 : map->keyframes().rbegin()->first + 1;
-  map->add_keyframe({{id, image.stamp_ns, image.T_camera_map, image.section, image.features, image.points},
+  map->add_keyframe({{id, image.stamp_ns, image.T_camera_map, image.section, image.world, image.features, image.points},
+                     NearestDepth(camera, points_camera),
                      image.T_camera_map.inverse(),
                      visual_words(image.features)});
   drop_points(id, map);

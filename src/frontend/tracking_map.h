@@ -6,6 +6,7 @@
 #include <vector>
 
 #include "frontend/image_features.h"
+#include "frontend/nearest_depth.h"
 #include "frontend/pose_solver.h"
 #include "semantic_topo_loop/frontend/frontend_options.h"
 #include "semantic_topo_loop/types/frame.h"
@@ -37,7 +38,8 @@ struct FeatureImage {
   std::int64_t id = -1;
   std::int64_t stamp_ns = 0;
   SE3 T_camera_map;
-  int section = 0;  ///< of the map; how sections lie to each other is not known, as the camera was lost in between
+  int section = 0;  ///< of the map; how sections lie to each other is not known, or not well
+  int world = 0;    ///< sections of one followed each other without a loss: they lie together but for some centimetres
   ImageFeatures features;
   std::vector<std::int64_t> points;  ///< of each feature; -1: none
   Vec3 center() const { return T_camera_map.inverse().t; }
@@ -45,6 +47,7 @@ struct FeatureImage {
 
 /// One that the map is built from; its id counts keyframes.
 struct TrackingKeyframe : FeatureImage {
+  NearestDepth depth;
   SE3 T_odom_camera;                 ///< as it was told
   std::vector<std::uint32_t> words;  ///< visual_words of its features
 };
@@ -62,9 +65,6 @@ inline int strong_inliers(const FrontendOptions& options) { return 3 * options.m
 
 PoseObservation observation(const ImageFeature& feature, const MapPoint& point, double scale_factor);
 
-/// Undistorted pixel of a point in the camera frame; nullopt if it is out of view.
-std::optional<Vec2> pixel_in_view(const Camera& camera, const Vec3& point_camera);
-
 /// Keyframes and the points they see.
 class TrackingMap {
  public:
@@ -79,8 +79,8 @@ class TrackingMap {
   void remove_keyframe(std::int64_t keyframe);
   /// One point for two: `from` is removed, its views become those of `into`.
   void merge(std::int64_t from, std::int64_t into);
-  /// Makes a section part of another one, which stays where it is. @param T_into_from of their coordinates
-  void join(int from, int into, const SE3& T_into_from);
+  /// Makes a section part of an image's, which stays where it is. @param T_into_from of their coordinates
+  void join(int from, const FeatureImage& into, const SE3& T_into_from);
   /// Descriptor, direction and distance, from the views.
   void refresh(MapPoint* point) const;
 
@@ -107,9 +107,12 @@ class TrackingMap {
 
 /// Whether the image shows enough that the map does not have.
 bool needs_keyframe(const TrackedFeatures& image, const TrackingMap& map);
-/// Adds the image as a keyframe, with new points from its depths, and tidies up around it.
+/// Adds the image as a keyframe, with new points from its depths, and tidies up around it. What stands where keyframes
+/// before saw through has come by itself, and gives no points.
+/// @param points_camera its depth image
 /// @return id of the keyframe
-std::int64_t add_keyframe(const TrackedFeatures& image, const Camera& camera, TrackingMap* map);
+std::int64_t add_keyframe(const TrackedFeatures& image, const std::vector<Vec3>& points_camera, const Camera& camera,
+                          TrackingMap* map);
 
 // Three ways to find an image's pose in the map (image_tracker.cpp).
 

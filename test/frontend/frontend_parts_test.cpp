@@ -7,7 +7,9 @@
 #include "frontend/bundle_adjustment.h"
 #include "frontend/depth_registration.h"
 #include "frontend/image_features.h"
+#include "frontend/nearest_depth.h"
 #include "frontend/pose_solver.h"
+#include "frontend/tracking_map.h"
 #include "semantic_topo_loop/frontend/rgbd_frontend.h"
 #include "semantic_topo_loop/geometry/lie.h"
 
@@ -93,12 +95,104 @@ TEST(PoseSolver, FindsAPoseAmongWrongMatches) {
   EXPECT_FALSE(find_pose(kKinect, observations, 60));
 }
 
+TEST(PoseSolver, WhatIsNotTrustedHasNoSayAndIsToldWhetherItFits) {
+  Noise noise;
+  const SE3 T_moved(so3_exp(Vec3(0.0, 0.0, 0.02)), Vec3(0.03, 0.02, 0.0));
+  std::vector<PoseObservation> trusted, observations;
+  for (int i = 0; i < 150; ++i) {
+    PoseObservation o = observe(kPose, &noise);
+    o.is_trusted = i < 50;
+    if (i >= 100) o.point_map = T_moved * o.point_map;
+    if (o.is_trusted) trusted.push_back(o);
+    observations.push_back(o);
+  }
+  const std::optional<PoseEstimate> alone = refine_pose(kKinect, kPose, trusted);
+  const std::optional<PoseEstimate> estimate = refine_pose(kKinect, kPose, observations);
+  ASSERT_TRUE(alone && estimate);
+  EXPECT_EQ(estimate->T_camera_map.t, alone->T_camera_map.t);
+  EXPECT_EQ(estimate->covariance, alone->covariance);
+  const auto agreeing = [&estimate](int from, int to) {
+    return std::count(estimate->is_inlier.begin() + from, estimate->is_inlier.begin() + to, true);
+  };
+  EXPECT_GT(agreeing(50, 100), 40);
+  EXPECT_LT(agreeing(100, 150), 10);
+}
+
+TEST(PoseSolver, ManyThatMovedAlikeDoNotPullIt) {
+  Noise noise;
+  std::vector<PoseObservation> observations;
+  for (int i = 0; i < 100; ++i) {
+    observations.push_back(observe(kPose, &noise));
+    if (i % 5 < 2) observations.back().pixel += Vec2(15.0, 0.0);
+  }
+  const std::optional<PoseEstimate> estimate = refine_pose(kKinect, kPose, observations);
+  ASSERT_TRUE(estimate);
+  EXPECT_LT((estimate->T_camera_map.t - kPose.t).norm(), 0.005);
+  EXPECT_LT(degrees(rotation_angle(estimate->T_camera_map.q, kPose.q)), 0.2);
+}
+
 TEST(PoseSolver, TooFewObservationsAreNoPose) {
   Noise noise;
   std::vector<PoseObservation> observations;
   for (int i = 0; i < 5; ++i) observations.push_back(observe(kPose, &noise));
   EXPECT_FALSE(refine_pose(kKinect, kPose, observations));
   EXPECT_FALSE(find_pose(kKinect, {}, 6));
+}
+
+/// A wall 3 m away with a hole in its depth to the right, and a box 2 m away to the left of the middle.
+std::vector<Vec3> wall_with_box() {
+  std::vector<Vec3> points;
+  for (int v = 2; v < kKinect.height; v += 4) {
+    for (int u = 2; u < kKinect.width; u += 4) {
+      if (u > 500) continue;
+      points.push_back((u > 200 && u < 300 ? 2.0 : 3.0) * kKinect.ray(Vec2(u, v)));
+    }
+  }
+  return points;
+}
+
+TEST(NearestDepth, SeesThroughWhereNothingWas) {
+  const NearestDepth depth(kKinect, wall_with_box());
+  const auto sees_through = [&depth](double u, double z_m) {
+    return depth.sees_through(kKinect, z_m * kKinect.ray(Vec2(u, 240.0)));
+  };
+  EXPECT_TRUE(sees_through(400.0, 2.5));
+  EXPECT_FALSE(sees_through(400.0, 3.0)) << "the wall itself";
+  EXPECT_FALSE(sees_through(400.0, 2.9)) << "as good as the wall";
+  EXPECT_FALSE(sees_through(400.0, 3.5)) << "hidden by the wall";
+  EXPECT_FALSE(sees_through(250.0, 2.0)) << "the box";
+  EXPECT_TRUE(sees_through(250.0, 1.5));
+  EXPECT_FALSE(sees_through(310.0, 2.0)) << "next to the box, whose outline is not known to a pixel";
+  EXPECT_FALSE(sees_through(600.0, 1.0)) << "no depth there";
+  EXPECT_FALSE(sees_through(-50.0, 1.0)) << "out of view";
+  EXPECT_FALSE(sees_through(400.0, -1.0)) << "behind the camera";
+  EXPECT_FALSE(NearestDepth().sees_through(kKinect, Vec3(0.0, 0.0, 1.0))) << "nothing is known";
+}
+
+TEST(TrackingMap, WhatHasComeGivesNoPoints) {
+  const auto image_of = [](int world, const std::vector<double>& depths_m) {
+    TrackedFeatures image;
+    image.section = image.world = world;
+    for (std::size_t i = 0; i < depths_m.size(); ++i) {
+      ImageFeature feature;
+      feature.pixel = Vec2(350.0 + 40.0 * static_cast<double>(i), 240.0);
+      feature.depth_m = depths_m[i];
+      feature.depth_sigma_m = 0.01;
+      image.features.features.push_back(feature);
+    }
+    image.features.descriptors.resize(depths_m.size());
+    image.features.index(kKinect);
+    image.points.assign(depths_m.size(), -1);
+    return image;
+  };
+  const FrontendOptions options;
+  TrackingMap map(options);
+  add_keyframe(image_of(0, {}), wall_with_box(), kKinect, &map);
+  add_keyframe(image_of(0, {3.0, 1.5}), wall_with_box(), kKinect, &map);
+  ASSERT_EQ(map.points().size(), 1U);
+  EXPECT_NEAR(map.points().begin()->second.position.z(), 3.0, 1e-9);
+  add_keyframe(image_of(1, {1.5}), wall_with_box(), kKinect, &map);
+  EXPECT_EQ(map.points().size(), 2U) << "how another world lies to this one is not known";
 }
 
 /// A camera that goes around points, with errors in the start values.

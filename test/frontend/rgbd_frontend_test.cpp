@@ -136,6 +136,30 @@ TEST(RgbdFrontend, SameImagesSamePosesForAnyNumberOfThreads) {
   }
 }
 
+/// Something with a texture of its own, 0.8 m from the camera, comes in from the left and goes out to the right.
+RgbdImage with_passer(RgbdImage image, double left_px, int width_px) {
+  static const RgbdImage kTexture = kRoom.render(0, SE3(so3_exp(Vec3(0.0, 2.0, 0.0)), Vec3(0.5, 0.0, 0.0)));
+  const int left = static_cast<int>(left_px);
+  for (int v = 20; v < image.gray.rows; ++v) {
+    for (int u = std::max(0, left); u < std::min(image.gray.cols, left + width_px); ++u) {
+      image.gray.at<std::uint8_t>(v, u) = kTexture.gray.at<std::uint8_t>(v, u - left);
+      image.depth_m.at<float>(v, u) = 0.8F;
+    }
+  }
+  return image;
+}
+
+TEST(RgbdFrontend, WhatMovesThroughTheViewIsNotFollowed) {
+  constexpr int kBegin = 10, kPassing = 75, kWidth_px = 150;
+  RgbdFrontend frontend = after_walk(kBegin);
+  for (int i = kBegin; i < kBegin + kPassing + 5; ++i) {
+    const double left_px = -kWidth_px + (kCamera.width + kWidth_px) * static_cast<double>(i - kBegin) / kPassing;
+    const TrackedImage tracked = frontend.track(with_passer(on_walk(i), left_px, kWidth_px));
+    ASSERT_EQ(tracked.state, TrackingState::kTracked) << i;
+    EXPECT_LT(error_m(tracked, i), 0.03) << i;
+  }
+}
+
 TEST(RgbdFrontend, BlackImageHasNoPoseAndTheNextIsFoundAgain) {
   RgbdFrontend frontend = after_walk(6);
   RgbdImage black = on_walk(6);
