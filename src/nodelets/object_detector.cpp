@@ -43,10 +43,12 @@ class ObjectDetectorNodelet : public StageWith<ObjectDetectorParameters> {
     statistics().count(kLeftOut, 0);
     publisher_ = advertise<DetectionsMessage>("detections_in");
     serve_settings(&options_.detector, [this] { detector_->set_options(options_.detector); });
-    image_transport::ImageTransport transport(subscriber_node());
+    const ros::NodeHandle node = subscriber_node();
     constexpr std::uint32_t kImages = 10;  // that wait for the callback, which is short
-    subscriber_ = transport.subscribe("color", kImages, &ObjectDetectorNodelet::on_image, this,
-                                      {parameters_.color_transport, {}, getPrivateNodeHandle(), "color_transport"});
+    // Remapped here, as the names that image_transport makes of it ("color/compressed") have remappings of their own.
+    subscriber_ = image_transport::ImageTransport(node).subscribe(
+        node.resolveName("color"), kImages, &ObjectDetectorNodelet::on_image, this,
+        {parameters_.color_transport, {}, getPrivateNodeHandle(), "color_transport"});
     subscribe("frames", Keep::kAlways, &ObjectDetectorNodelet::on_frame);
     follow_sessions();
   }

@@ -140,10 +140,12 @@ class VisualizationNodelet : public StageWith<VisualizationParameters> {
     if (wanted == static_cast<bool>(color_subscriber_)) return;
     if (wanted) {
       joiner_->clear();
+      const ros::NodeHandle node = subscriber_node();
       constexpr std::uint32_t kImages = 10;  // that wait for the callback, which is short
-      color_subscriber_ = image_transport::ImageTransport(subscriber_node())
-                              .subscribe("color", kImages, &VisualizationNodelet::on_image, this,
-                                         {parameters_.color_transport, {}, getPrivateNodeHandle(), "color_transport"});
+      // Remapped here, as the names that image_transport makes of it ("color/compressed") have remappings of their own.
+      color_subscriber_ = image_transport::ImageTransport(node).subscribe(
+          node.resolveName("color"), kImages, &VisualizationNodelet::on_image, this,
+          {parameters_.color_transport, {}, getPrivateNodeHandle(), "color_transport"});
     } else {
       color_subscriber_.shutdown();
     }
