@@ -5,12 +5,14 @@ import json
 import os
 import re
 import shutil
+import subprocess
 import unittest
 
 import rosbag
 import rospkg
 import rospy
 import rostest
+import yaml
 from geometry_msgs.msg import TransformStamped
 from tf2_msgs.msg import TFMessage
 
@@ -157,6 +159,16 @@ class ArgumentsTest(unittest.TestCase):
                 self.assertEqual(launch.process.returncode, 1)
                 self.assertIn("Invalid <arg> tag: '%s'" % error, launch.output())
                 self.assertNotIn('started with pid', launch.output())
+
+    def test_a_detector_in_lockstep_is_waited_for_however_long(self):
+        parameter = '/%s/detection_ingestion/detection_timeout_s' % PACKAGE
+        for arguments, expected in [(['detector:=/model.onnx'], 1e9),
+                                    (['detector:=/model.onnx', 'realtime:=true'], 2.0),
+                                    (['detections:=topic', 'detection_timeout_s:=5'], 5.0)]:
+            with self.subTest(arguments):
+                text = subprocess.check_output(['roslaunch', '--dump-params', PACKAGE, 'tum.launch', 'bag:=/none.bag'] +
+                                               arguments, universal_newlines=True)
+                self.assertEqual(yaml.safe_load(text)[parameter], expected)
 
 
 class Recorder:
