@@ -1,6 +1,5 @@
 #include "semantic_topo_loop/frontend/object_detector.h"
 
-#include <image_transport/image_transport.h>
 #include <sensor_msgs/image_encodings.h>
 
 #include <deque>
@@ -39,16 +38,19 @@ class ObjectDetectorNodelet : public StageWith<ObjectDetectorParameters> {
       return;
     }
     detector_ = *std::move(detector);
+    constexpr std::uint32_t kImages = 10;  // that wait for the callback, which is short
+    auto subscriber =
+        subscribe_to_images(subscriber_node(), getPrivateNodeHandle(), "color", parameters_.color_transport, kImages,
+                            [this](const sensor_msgs::ImageConstPtr& image) { on_image(image); });
+    if (!subscriber) {
+      fail(subscriber.message());
+      return;
+    }
+    subscriber_ = *std::move(subscriber);
     reset_session();
     statistics().count(kLeftOut, 0);
     publisher_ = advertise<DetectionsMessage>("detections_in");
     serve_settings(&options_.detector, [this] { detector_->set_options(options_.detector); });
-    const ros::NodeHandle node = subscriber_node();
-    constexpr std::uint32_t kImages = 10;  // that wait for the callback, which is short
-    // Remapped here, as the names that image_transport makes of it ("color/compressed") have remappings of their own.
-    subscriber_ = image_transport::ImageTransport(node).subscribe(
-        node.resolveName("color"), kImages, &ObjectDetectorNodelet::on_image, this,
-        {parameters_.color_transport, {}, getPrivateNodeHandle(), "color_transport"});
     subscribe("frames", Keep::kAlways, &ObjectDetectorNodelet::on_frame);
     follow_sessions();
   }

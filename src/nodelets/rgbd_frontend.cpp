@@ -1,8 +1,5 @@
 #include "semantic_topo_loop/frontend/rgbd_frontend.h"
 
-#include <image_transport/image_transport.h>
-#include <image_transport/subscriber_filter.h>
-
 #include <mutex>
 #include <pluginlib/class_list_macros.hpp>
 #include <tuple>
@@ -17,8 +14,7 @@ class RgbdFrontendNodelet : public StageWith<RgbdFrontendParameters, FrontendSta
  public:
   RgbdFrontendNodelet() : StageWith("RgbdFrontend") {}
   ~RgbdFrontendNodelet() override {
-    color_.unsubscribe();
-    depth_.unsubscribe();
+    unsubscribe();
     stop();
   }
 
@@ -35,42 +31,54 @@ class RgbdFrontendNodelet : public StageWith<RgbdFrontendParameters, FrontendSta
       constexpr double kMaxGapS = 1.0;
       transforms = std::make_shared<TfPoses>(parameters_.odom_frame, kMaxGapS);
     }
-    if (!open(options_.keyframe, parameters_, transforms)) return;
+    // First, as without its images there is no session to open.
+    if (!subscribe_images() || !open(options_.keyframe, parameters_, transforms)) return unsubscribe();
     statistics().count(kSingle, 0);
     report_publisher_ = advertise<TrackingMessage>("tracking_report");
-    subscribe_images();
+    take_images();
     constexpr double kWatchPeriodS = 0.25;  // a fraction of pair_timeout_s and starvation_s
     start_timer(kWatchPeriodS, [this] { watch(); });
     follow_stream();
   }
 
-  void subscribe_images() {
-    const ros::NodeHandle node = subscriber_node();
+  /// @return false after fail()
+  bool subscribe_images() {
+    using Add = void (RgbdSynchronizer::*)(const ImageConstPtr&, Clock::time_point);
+    const auto hear = [this](const char* topic, const std::string& transport, int queue_size, Add add,
+                             image_transport::Subscriber* subscriber) {
+      const auto take = [this, topic, add](const ImageConstPtr& image) {
+        statistics().count_input(topic);
+        const std::lock_guard<std::mutex> lock(mutex_);
+        if (synchronizer_) ((*synchronizer_).*add)(image, Clock::now());
+      };
+      auto subscribed = subscribe_to_images(subscriber_node(), getPrivateNodeHandle(), topic, transport,
+                                            static_cast<std::uint32_t>(queue_size), take);
+      if (!subscribed) return fail(subscribed.message());
+      *subscriber = *std::move(subscribed);
+      return true;
+    };
+    const RgbdFrontendParameters& p = parameters_;
+    return hear("color", p.color_transport, p.color_queue_size, &RgbdSynchronizer::add_color, &color_) &&
+           hear("depth", p.depth_transport, p.depth_queue_size, &RgbdSynchronizer::add_depth, &depth_);
+  }
+
+  void unsubscribe() {
+    color_.shutdown();
+    depth_.shutdown();
+  }
+
+  /// From now on: those that came before the session was there are nobody's.
+  void take_images() {
     PairingParameters pairing = parameters_.pairing;
-    // Remapped here, as the names that image_transport makes of them ("color/compressed") have remappings of their own.
-    pairing.color_topic = node.resolveName("color");
-    pairing.depth_topic = node.resolveName("depth");
+    pairing.color_topic = getNodeHandle().resolveName("color");
+    pairing.depth_topic = getNodeHandle().resolveName("depth");
+    const std::lock_guard<std::mutex> lock(mutex_);
     synchronizer_ = std::make_unique<RgbdSynchronizer>(
         pairing,
         [this](const ImageConstPtr& color, const ImageConstPtr& depth) {
           push("pairs of images", Keep::kDroppable, [this, color, depth] { on_pair(color, depth); });
         },
         [this](std::int64_t stamp_ns) { push(kSingle, Keep::kAlways, [this, stamp_ns] { on_single(stamp_ns); }); });
-    const auto hear = [this](image_transport::SubscriberFilter* filter, const char* topic, auto add) {
-      filter->registerCallback(boost::function<void(const ImageConstPtr&)>([this, topic, add](const auto& image) {
-        statistics().count_input(topic);
-        const std::lock_guard<std::mutex> lock(mutex_);
-        ((*synchronizer_).*add)(image, Clock::now());
-      }));
-    };
-    hear(&color_, "color", &RgbdSynchronizer::add_color);
-    hear(&depth_, "depth", &RgbdSynchronizer::add_depth);
-    image_transport::ImageTransport transport(node);
-    const ros::NodeHandle& own = getPrivateNodeHandle();
-    color_.subscribe(transport, pairing.color_topic, static_cast<std::uint32_t>(parameters_.color_queue_size),
-                     {parameters_.color_transport, {}, own, "color_transport"});
-    depth_.subscribe(transport, pairing.depth_topic, static_cast<std::uint32_t>(parameters_.depth_queue_size),
-                     {parameters_.depth_transport, {}, own, "depth_transport"});
   }
 
   /// Once in a while: images that wait for too long, topics that are silent.
@@ -164,7 +172,7 @@ class RgbdFrontendNodelet : public StageWith<RgbdFrontendParameters, FrontendSta
                FrameDone::STATUS_NO_POSE);
   }
 
-  image_transport::SubscriberFilter color_, depth_;
+  image_transport::Subscriber color_, depth_;
   ros::Publisher report_publisher_;
   std::optional<core::RgbdFrontend> frontend_;  ///< what it found out about the camera outlives the session
   std::optional<core::Camera> frontend_camera_;
@@ -172,8 +180,8 @@ class RgbdFrontendNodelet : public StageWith<RgbdFrontendParameters, FrontendSta
   core::TrackingReport report_;
   core::DepthRange depth_range_;
 
-  std::mutex mutex_;  ///< guards synchronizer_, which the callbacks share
-  std::unique_ptr<RgbdSynchronizer> synchronizer_;
+  std::mutex mutex_;                                ///< guards synchronizer_, which the callbacks share
+  std::unique_ptr<RgbdSynchronizer> synchronizer_;  ///< null until images are taken
 };
 
 }  // namespace semantic_topo_loop

@@ -137,18 +137,21 @@ class VisualizationNodelet : public StageWith<VisualizationParameters> {
   }
 
   void toggle_images(bool wanted) {
-    if (wanted == static_cast<bool>(color_subscriber_)) return;
-    if (wanted) {
-      joiner_->clear();
-      const ros::NodeHandle node = subscriber_node();
-      constexpr std::uint32_t kImages = 10;  // that wait for the callback, which is short
-      // Remapped here, as the names that image_transport makes of it ("color/compressed") have remappings of their own.
-      color_subscriber_ = image_transport::ImageTransport(node).subscribe(
-          node.resolveName("color"), kImages, &VisualizationNodelet::on_image, this,
-          {parameters_.color_transport, {}, getPrivateNodeHandle(), "color_transport"});
-    } else {
+    if (wanted == are_images_wanted_) return;
+    are_images_wanted_ = wanted;
+    if (!wanted) {
       color_subscriber_.shutdown();
+      warn_while("color", "");
+      return;
     }
+    joiner_->clear();
+    constexpr std::uint32_t kImages = 10;  // that wait for the callback, which is short
+    auto subscriber =
+        subscribe_to_images(subscriber_node(), getPrivateNodeHandle(), "color", parameters_.color_transport, kImages,
+                            [this](const sensor_msgs::ImageConstPtr& image) { on_image(image); });
+    if (subscriber) color_subscriber_ = *std::move(subscriber);
+    // The markers need no images.
+    if (!subscriber) warn_while("color", "no annotated_image: " + subscriber.message());
   }
 
   /// For viewers, whose z is up: the map's need not be.
@@ -185,6 +188,7 @@ class VisualizationNodelet : public StageWith<VisualizationParameters> {
   LazyPublisher quadrics_, labels_, topology_, loops_, loop_map_, keyframes_;
   image_transport::Publisher annotated_;
   image_transport::Subscriber color_subscriber_;
+  bool are_images_wanted_ = false;
   std::unique_ptr<Joiner> joiner_;  ///< by stamp
   ros::Subscriber frame_subscriber_, association_subscriber_, full_map_subscriber_;
   std::unique_ptr<tf2_ros::StaticTransformBroadcaster> tf_broadcaster_;

@@ -1,6 +1,8 @@
 #include "ros/rgbd_images.h"
 
 #include <cv_bridge/cv_bridge.h>
+#include <image_transport/exception.h>
+#include <image_transport/image_transport.h>
 #include <sensor_msgs/image_encodings.h>
 
 #include <algorithm>
@@ -58,6 +60,20 @@ core::Result<core::RgbdImage> make_rgbd_image(const sensor_msgs::Image& color, c
   const core::Result<cv::Mat> distance = to_mat(depth, depth.encoding, "depth");
   if (!distance) return distance.error();
   return core::make_rgbd_image(to_stamp_ns(color.header.stamp), *gray, *distance, camera, options);
+}
+
+core::Result<image_transport::Subscriber> subscribe_to_images(
+    const ros::NodeHandle& node, const ros::NodeHandle& own, const std::string& topic, const std::string& transport,
+    std::uint32_t queue_size, const boost::function<void(const sensor_msgs::ImageConstPtr&)>& take) {
+  const std::string parameter = topic + "_transport";
+  try {
+    return image_transport::ImageTransport(node).subscribe(node.resolveName(topic), queue_size, take, ros::VoidPtr(),
+                                                           {transport, {}, own, parameter});
+  } catch (const image_transport::Exception& exception) {
+    std::string cause = exception.what();
+    std::replace(cause.begin(), cause.end(), '\n', ' ');
+    return core::Error{"parameter '" + parameter + "' = '" + transport + "': " + cause};
+  }
 }
 
 void DepthPairing::add_depth(const sensor_msgs::ImagePtr& image) {

@@ -1,9 +1,12 @@
 #pragma once
 
+#include <image_transport/subscriber.h>
 #include <message_filters/sync_policies/approximate_time.h>
 #include <message_filters/synchronizer.h>
+#include <ros/node_handle.h>
 #include <sensor_msgs/Image.h>
 
+#include <boost/function.hpp>
 #include <chrono>
 #include <cstdint>
 #include <deque>
@@ -27,6 +30,14 @@ core::Result<cv::Mat> to_mat(const sensor_msgs::Image& image, const std::string&
 /// @return an error that names topic and value for an encoding or size that cannot be used
 core::Result<core::RgbdImage> make_rgbd_image(const sensor_msgs::Image& color, const sensor_msgs::Image& depth,
                                               const core::Camera& camera, const core::DepthOptions& options);
+
+/// Subscribes by image_transport, to the topic as it is remapped: the names that are made of it ("color/compressed")
+/// have remappings of their own.
+/// @param own namespace of the parameter TOPIC_transport and of the transport's own ones   @param transport its value
+/// @return an error that names that parameter if the transport is misspelt or not installed
+core::Result<image_transport::Subscriber> subscribe_to_images(
+    const ros::NodeHandle& node, const ros::NodeHandle& own, const std::string& topic, const std::string& transport,
+    std::uint32_t queue_size, const boost::function<void(const sensor_msgs::ImageConstPtr&)>& take);
 
 /// Which depth image of a recording belongs to which colour image: the one nearest in stamp, `max_delay_s` away at
 /// most, each once. The same recording gives the same pairs, whatever order its two topics were recorded in.

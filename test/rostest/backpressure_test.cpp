@@ -264,6 +264,19 @@ TEST(Diagnostics, AStageThatDoesNotWorkShowsItsValuesAllTheSame) {
   EXPECT_GT(std::atof(values["memory of the process"].c_str()), 1.0) << values["memory of the process"];
 }
 
+TEST(Diagnostics, AFrontEndWithoutItsTransportNamesItAndIsInert) {
+  Diagnostics diagnostics;
+  InProcessChain chain;
+  chain.set("deaf_frontend", "depth_transport", "nonsense");
+  chain.load("deaf_frontend", "RgbdFrontend");
+  const auto summary = [&] { return diagnostics.of("RgbdFrontend")["summary"]; };
+  EXPECT_TRUE(wait_until([&] { return summary().find("parameter 'depth_transport' = 'nonsense': ") == 0; }))
+      << summary();
+  EXPECT_EQ(summary().find('\n'), std::string::npos) << summary();
+  EXPECT_FALSE(ros::service::exists("/deaf_frontend/reset", false));
+  chain.unload_all();
+}
+
 TEST(Player, WaitsForWhoWorksAndNamesWhoDoesNot) {
   const core::TestDirectory directory;
   write_simulation({{"trajectory.duration_s", "2"}}, directory.path("data"));
