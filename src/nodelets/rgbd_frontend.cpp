@@ -156,9 +156,10 @@ class RgbdFrontendNodelet : public StageWith<RgbdFrontendParameters, FrontendSta
     image_ = image;
     const core::TrackedImage tracked = frontend_->track(image);
     if (tracked.is_recalibrated) {
-      // The image is of the session that ends here, and has no answer.
+      // The image is of the session that ends here, and has no answer. Who is not rewound goes on with the next one.
       const core::Camera& found = frontend_->camera();
-      return begin_session("self-calibration: depth registered anew, or fx = " + std::to_string(found.fx), true);
+      return begin_session("self-calibration: depth registered anew, or fx = " + std::to_string(found.fx),
+                           parameters_.lockstep && is_played());
     }
     report_.add(tracked);
     if (tracked.sample) {

@@ -125,8 +125,7 @@ void FrontendStage::follow_stream() {
 
 bool FrontendStage::awaits_images() const {
   // Before the first /clock nobody plays yet; a player waits for slow stages, and says itself who has stalled.
-  const bool is_played = !ros::Time::isValid() || end_subscriber_.getNumPublishers() > 0;
-  return !is_paused_ && !is_over_ && !is_played;
+  return !is_paused_ && !is_over_ && ros::Time::isValid() && !is_played();
 }
 
 void FrontendStage::watch_images() {

@@ -57,7 +57,7 @@ class FrontendStage : public Stage {
 
   /// @return whether an image is to be worked on; else it is answered. A jump back in time begins a session.
   bool accept(std::int64_t stamp_ns);
-  /// @param rewind ask for the images of this session again, which a recording can give
+  /// @param rewind ask for the images of this session again, which a Player in lockstep gives
   void begin_session(const std::string& reason, bool rewind = false);
   /// @param camera of the frame; none: the image is answered by a failure
   /// @return whether the image has become a frame
@@ -68,6 +68,8 @@ class FrontendStage : public Stage {
                   std::uint8_t status = FrameDone::STATUS_FAILED);
   /// Whether it is wrong that no image comes.
   bool awaits_images() const;
+  /// Whether images come from a Player, which alone can be asked for them again.
+  bool is_played() const { return end_subscriber_.getNumPublishers() > 0; }
   const std::optional<core::Camera>& camera() const { return camera_; }
   const std::string& camera_frame() const { return camera_frame_; }
 

@@ -121,6 +121,7 @@ struct RgbdFrontendParameters : FrontendParameters {
   int color_queue_size = 10;
   int depth_queue_size = 10;
   PairingParameters pairing;
+  bool lockstep = false;
 
   void visit(core::OptionVisitor& visitor) {
     FrontendParameters::visit(visitor);
@@ -135,6 +136,8 @@ struct RgbdFrontendParameters : FrontendParameters {
             "how long a color image waits for its depth, wall time");
     visitor("starvation_s", pairing.starvation_s, core::positive(),
             "a topic that is silent for longer is reported, wall time");
+    visitor("lockstep", lockstep,
+            "a Player in lockstep gives the images: self-calibration asks for them from the first one on again");
   }
 };
 

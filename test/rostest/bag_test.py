@@ -302,6 +302,12 @@ class ImagesTest(DirectoryTest):
         self.assertEqual(status, 0, text)
         with open(self.path('ate.json')) as file:
             self.assertLess(json.load(file)['ate_m']['rmse'], 0.04)
+        # At a rate nobody rewinds: the new session goes on with the next image.
+        launch = self.play(bag, 'at_a_rate', camera=self.path('stated.yaml'),
+                           detections=self.path('sim/detections.json'), lockstep='false', rate='0.5')
+        self.assertIn('self-calibration', launch.output())
+        self.assertNotIn('images left out before a rewind', launch.output())
+        self.assertTrue(os.path.isdir(self.path('at_a_rate~')), 'what was mapped before stays')
 
     def test_a_bag_whose_tf_does_not_know_the_camera(self):
         bag = self.path('no_rig.bag')
