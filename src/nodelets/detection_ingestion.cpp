@@ -36,9 +36,7 @@ class DetectionIngestionNodelet : public StageWith<DetectionParameters> {
     is_file_ = parameters_.source == "file";
     if (is_file_ && !load_file()) return;
     for (const char* counter : {kMissing, kUnmatched, kApart}) statistics().count(counter, 0);
-    // A detector that is late must find its frames still waiting, and one that is ahead its detections still kept.
-    constexpr std::size_t kKeptPerFrame = 10;
-    matcher_ = std::make_unique<DetectionMatcher>(queue_capacity() * kKeptPerFrame);
+    make_matcher();
     publisher_ = advertise<DetectionsMessage>("detections");
     if (parameters_.source == "topic") {
       watch_.emplace(getNodeHandle().resolveName("frames"), getNodeHandle().resolveName("detections_in"));
@@ -71,6 +69,14 @@ class DetectionIngestionNodelet : public StageWith<DetectionParameters> {
   void reset_session() override {
     waiting_.clear();
     matched_ = 0;
+    // Answers of the first pass would pass for those of later images.
+    if (session().rewind) make_matcher();
+  }
+
+  void make_matcher() {
+    // A detector that is late must find its frames still waiting, and one that is ahead its detections still kept.
+    constexpr std::size_t kKeptPerFrame = 10;
+    matcher_ = std::make_unique<DetectionMatcher>(queue_capacity() * kKeptPerFrame);
   }
 
   void on_frame(const FrameMessage::ConstPtr& frame) {

@@ -1,4 +1,4 @@
-// A real network on real images in the chain's first part: front end, detector, ingestion; and a tiny one alone.
+// A real network on real images in the chain's first part: front end, detector, ingestion; and the last two alone.
 #include <diagnostic_msgs/DiagnosticArray.h>
 #include <sensor_msgs/CameraInfo.h>
 #include <sensor_msgs/Image.h>
@@ -15,11 +15,13 @@
 #include <optional>
 #include <set>
 #include <string>
+#include <thread>
 #include <vector>
 
 #include "geometry/up_estimator.h"
 #include "ros/conversions.h"
 #include "semantic_topo_loop/SessionAck.h"
+#include "semantic_topo_loop/SessionControl.h"
 #include "semantic_topo_loop/frontend/object_detector.h"
 #include "semantic_topo_loop/geometry/lie.h"
 #include "semantic_topo_loop/io/rgbd_recording.h"
@@ -251,6 +253,77 @@ TEST(DetectorAlone, TellsHowLongItsLastImagesTook) {
   ASSERT_TRUE(changed.wait_for(lock, std::chrono::minutes(1), [&latency_ms] { return latency_ms.has_value(); }));
   EXPECT_LT(*latency_ms, 1e3 * std::chrono::duration<double>(std::chrono::steady_clock::now() - before).count());
   lock.unlock();
+  chain.unload_all();
+}
+
+TEST(IngestionAlone, AnswersOfTheFirstPassVoidNoFrameOfTheSecond) {
+  ros::NodeHandle node;
+  const ros::Publisher control = node.advertise<SessionControl>("session_control", 10);
+  const ros::Publisher frames = node.advertise<FrameMessage>("frames", 10);
+  const ros::Publisher boxes = node.advertise<DetectionsMessage>("detections_in", 10);
+  std::mutex mutex;  // guards both below
+  std::condition_variable changed;
+  std::uint32_t acknowledged = 0;  // session
+  DetectionsMessage::ConstPtr joined;
+  const boost::function<void(const SessionAck::ConstPtr&)> acknowledge = [&](const auto& ack) {
+    const std::lock_guard<std::mutex> lock(mutex);
+    acknowledged = ack->session_id;
+    changed.notify_all();
+  };
+  const boost::function<void(const DetectionsMessage::ConstPtr&)> take = [&](const auto& message) {
+    const std::lock_guard<std::mutex> lock(mutex);
+    joined = message;
+    changed.notify_all();
+  };
+  const ros::Subscriber acks = node.subscribe<SessionAck>("session_acks", 10, acknowledge);
+  const ros::Subscriber detections = node.subscribe<DetectionsMessage>("detections", 10, take);
+  InProcessChain chain;
+  constexpr double kForever = 60.0;
+  chain.set("rewound_ingestion", "detection_timeout_s", kForever);
+  chain.load("rewound_ingestion", "DetectionIngestion");
+  const auto is_connected = [&] {
+    return control.getNumSubscribers() > 0 && frames.getNumSubscribers() > 0 && boxes.getNumSubscribers() > 0 &&
+           acks.getNumPublishers() > 0 && detections.getNumPublishers() > 0;
+  };
+  for (int i = 0; i < 6000 && !is_connected(); ++i) std::this_thread::sleep_for(std::chrono::milliseconds(10));
+  ASSERT_TRUE(is_connected());
+  // A session with one frame.
+  const auto begin = [&](std::uint32_t session_id, bool rewind, double time_s) {
+    SessionControl start;
+    start.header.stamp = ros::Time(session_id, 0);
+    start.session_id = session_id;
+    start.rewind = rewind;
+    control.publish(start);
+    std::unique_lock<std::mutex> lock(mutex);
+    ASSERT_TRUE(changed.wait_for(lock, std::chrono::minutes(1), [&] { return acknowledged == session_id; }));
+    auto frame = boost::make_shared<FrameMessage>();
+    frame->header = make_header(ros::Time(time_s), "odom");
+    frame->session_id = session_id;
+    frame->stamp_ns = to_stamp_ns(frame->header.stamp);
+    frames.publish(frame);
+  };
+  const auto detect = [&boxes](double time_s) {
+    auto detected = boost::make_shared<DetectionsMessage>();
+    detected->header = make_header(ros::Time(time_s), "camera");
+    detected->detections.push_back({41, 0.9, {40.0, 40.0, 80.0, 80.0}});
+    boxes.publish(detected);
+  };
+  const auto wait_for = [&](std::uint32_t session_id) {
+    std::unique_lock<std::mutex> lock(mutex);
+    changed.wait_for(lock, std::chrono::minutes(1), [&] { return joined && joined->session_id == session_id; });
+    return joined;
+  };
+  ASSERT_NO_FATAL_FAILURE(begin(1, false, 1.4));
+  detect(1.5);
+  const auto first = wait_for(1);
+  ASSERT_TRUE(first);
+  EXPECT_TRUE(first->unanswered) << "a later image was answered, and waits for its frame";
+  ASSERT_NO_FATAL_FAILURE(begin(2, true, 1.0));
+  detect(1.0);
+  const auto second = wait_for(2);
+  ASSERT_TRUE(second);
+  EXPECT_EQ(second->session_id, 2U);
+  EXPECT_EQ(second->detections.size(), 1U);
   chain.unload_all();
 }
 
