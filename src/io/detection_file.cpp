@@ -63,9 +63,11 @@ class Collector {
   std::set<std::int64_t> stamps_;
 };
 
-/// "rgb/1311868164.363181.png" -> 1311868164363181000.
+/// "rgb/1311868164.363181.png", or without an extension, whose place the fraction must not take: 1311868164363181000.
 std::optional<std::int64_t> stamp_of_file_name(const std::string& name) {
-  return parse_stamp(std::filesystem::path(name).stem().string());
+  const std::filesystem::path path(name);
+  const std::optional<std::int64_t> whole = parse_stamp(path.filename().string());
+  return whole ? whole : parse_stamp(path.stem().string());
 }
 
 // --- JSON: images of OA-SLAM, boxes of COCO's results -------------------------------------------------------------
@@ -112,8 +114,7 @@ using CocoImages = std::map<std::int64_t, CocoImage>;
 void collect_coco_box(const JsonField& field, CocoImages* images) {
   const JsonField id = field.member("image_id");
   const std::string name = id.json().is_number_float() ? id.json().dump() : id.text();
-  std::optional<std::int64_t> stamp_ns = parse_stamp(name);
-  if (!stamp_ns) stamp_ns = stamp_of_file_name(name);
+  const std::optional<std::int64_t> stamp_ns = stamp_of_file_name(name);
   if (!stamp_ns) {
     return id.reject(std::string("must be the stamp of the image in seconds, 1311868164.363181, or its file name") +
                      (id.json().is_number_integer() ? ": the list that integers count in is not in the file" : ""));

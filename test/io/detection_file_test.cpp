@@ -106,6 +106,19 @@ TEST_F(DetectionReader, ReadsResultsOfCoco) {
   EXPECT_TRUE(report_.warnings().empty());
 }
 
+TEST_F(DetectionReader, FileNamesWithoutAnExtensionKeepTheirFraction) {
+  ASSERT_TRUE(read(R"([
+    {"file_name": "1311868164.363181", "detections": []},
+    {"file_name": "rgb/1311868164.399026", "detections": []},
+    {"image_id": "rgb/1311868164.431129", "category_id": 41, "bbox": [1, 2, 30, 40], "score": 0.5},
+    {"image_id": "1311868165", "category_id": 41, "bbox": [1, 2, 30, 40], "score": 0.5}])"))
+      << error_;
+  std::vector<std::int64_t> stamps_ns;
+  for (const DetectionFrame& frame : frames_) stamps_ns.push_back(frame.stamp_ns);
+  EXPECT_EQ(stamps_ns, (std::vector<std::int64_t>{1311868164363181000, 1311868164399026000, 1311868164431129000,
+                                                  1311868165000000000}));
+}
+
 TEST_F(DetectionReader, BadResultsOfCocoAreNamed) {
   const auto box = [](const std::string& id, const std::string& rest) {
     return R"([{"image_id": )" + id + R"(, "category_id": 41, )" + rest + "}]";
