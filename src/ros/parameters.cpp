@@ -13,6 +13,8 @@ namespace {
 
 /// Read from a nodelet's private namespace by diagnostic_updater and by `nodelet standalone`.
 constexpr std::array<const char*, 2> kForeignKeys = {"diagnostic_period", "num_worker_threads"};
+/// Their values name groups there that image_transport's plugins read and write, by dynamic_reconfigure say.
+constexpr std::array<const char*, 2> kTransportKeys = {"color_transport", "depth_transport"};
 
 /// XmlRpcValue's conversions and iterators are not const: they work on this copy.
 core::Status flatten(XmlRpc::XmlRpcValue value, const std::string& key, core::OptionTexts* texts) {
@@ -99,14 +101,23 @@ core::Result<core::OptionTexts> flatten_parameters(const XmlRpc::XmlRpcValue& tr
   return texts;
 }
 
+core::OptionTexts own_parameters(core::OptionTexts texts) {
+  for (const char* key : kForeignKeys) texts.erase(key);
+  for (const char* key : kTransportKeys) {
+    const auto transport = texts.find(key);
+    if (transport == texts.end()) continue;
+    const std::string group = transport->second + ".";
+    const auto is_in_group = [&](auto text) { return text != texts.end() && text->first.rfind(group, 0) == 0; };
+    for (auto text = texts.lower_bound(group); is_in_group(text);) text = texts.erase(text);
+  }
+  return texts;
+}
+
 core::Result<core::OptionTexts> read_parameters(const ros::NodeHandle& private_handle) {
   XmlRpc::XmlRpcValue tree;
   if (!ros::param::get(private_handle.getNamespace(), tree)) return core::OptionTexts();
   core::Result<core::OptionTexts> texts = flatten_parameters(tree);
-  if (texts) {
-    for (const char* key : kForeignKeys) texts->erase(key);
-  }
-  return texts;
+  return texts ? own_parameters(*std::move(texts)) : texts;
 }
 
 }  // namespace semantic_topo_loop

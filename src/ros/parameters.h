@@ -334,8 +334,11 @@ std::string exact_text(double value);
 /// @return an error that names the key for a list, a binary or a date
 core::Result<core::OptionTexts> flatten_parameters(const XmlRpc::XmlRpcValue& tree);
 
-/// Reads everything below the handle's namespace; none set gives an empty map. Parameters that roscpp's own tools read
-/// there (diagnostic_period, num_worker_threads) are left out.
+/// Leaves out what others read and write in a nodelet's namespace: roscpp's own tools (diagnostic_period,
+/// num_worker_threads), and image_transport's plugins, in groups named after the transports.
+core::OptionTexts own_parameters(core::OptionTexts texts);
+
+/// Reads everything below the handle's namespace but what is others'; none set gives an empty map.
 core::Result<core::OptionTexts> read_parameters(const ros::NodeHandle& private_handle);
 
 /// Parameters of a nodelet: the options of the core and its own, whose keys are at top level ("map_frame").

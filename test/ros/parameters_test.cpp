@@ -40,6 +40,16 @@ TEST(Flatten, RefusesListsByName) {
             "parameter 'mapping.min_views' is neither a text, a number, true, false nor a group");
 }
 
+TEST(OwnParameters, LeaveOutWhatOthersHaveInTheNamespace) {
+  const core::OptionTexts own = {
+      {"color_transport", "compressed"}, {"compressedDepth.png_level", "9"}, {"loop.enabled", "false"}};
+  core::OptionTexts all = own;
+  all.insert({{"compressed.mode", "color"}, {"compressed.jpeg.quality", "80"}, {"diagnostic_period", "0.5"}});
+  EXPECT_EQ(own_parameters(all), own) << "of transports that are in use";
+  all["depth_transport"] = "compressedDepth";
+  EXPECT_EQ(own_parameters(all).count("compressedDepth.png_level"), 0U);
+}
+
 TEST(NodeletParameters, SplitsCoreOptionsFromItsOwn) {
   const auto parameters = make_nodelet_parameters<StageParameters>(
       {{"queue_size", "7"}, {"association.min_score", "1"}, {"loop.mode", "paper"}});
