@@ -21,8 +21,8 @@ class PointMappingNodelet : public StageWith<PointMappingParameters> {
   void onInit() override {
     if (!start(2)) return;
     reset_session();
-    sparse_.open(advertise<sensor_msgs::PointCloud2>("map_points_sparse"));
-    semi_dense_.open(advertise<sensor_msgs::PointCloud2>("map_points_semi_dense"));
+    sparse_.open<sensor_msgs::PointCloud2>(getNodeHandle(), "map_points_sparse", queue_capacity());
+    semi_dense_.open<sensor_msgs::PointCloud2>(getNodeHandle(), "map_points_semi_dense", queue_capacity());
     serve("save_points", &PointMappingNodelet::on_save);
     subscribe("keyframe_points", Keep::kAlways, &PointMappingNodelet::on_points);
     subscribe("map_corrections", Keep::kAlways, &PointMappingNodelet::on_correction);

@@ -105,8 +105,8 @@ class PoseGraphNodelet : public StageWith<PoseGraphParameters> {
       if (std::get<0>(partial)) process(**std::get<0>(partial), {}, std::get<2>(partial).value_or(nullptr));
     });
     correction_publisher_ = advertise<CorrectionMessage>("map_corrections");
-    odometry_path_.open(advertise<nav_msgs::Path>("path_odometry"));
-    corrected_path_.open(advertise<nav_msgs::Path>("path_corrected"));
+    odometry_path_.open<nav_msgs::Path>(getNodeHandle(), "path_odometry", queue_capacity());
+    corrected_path_.open<nav_msgs::Path>(getNodeHandle(), "path_corrected", queue_capacity());
     for (const char* counter : {kWithoutLoops, kExternal, kRefused}) statistics().count(counter, 0);
     reset_session();
     if (parameters_.publish_tf) {

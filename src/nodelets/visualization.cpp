@@ -32,12 +32,15 @@ class VisualizationNodelet : public StageWith<VisualizationParameters> {
 
   void onInit() override {
     if (!start(2)) return;
-    quadrics_.open(advertise<visualization_msgs::MarkerArray>("markers/quadrics"));
-    labels_.open(advertise<visualization_msgs::MarkerArray>("markers/labels"));
-    topology_.open(advertise<visualization_msgs::MarkerArray>("markers/topology"));
-    loops_.open(advertise<visualization_msgs::MarkerArray>("markers/loops"));
-    keyframes_.open(advertise<visualization_msgs::MarkerArray>("markers/keyframes"));
-    loop_map_.open(advertise<LoopMap>("loop_map"));
+    const auto open = [this](const char* topic, LazyPublisher* publisher) {
+      publisher->open<visualization_msgs::MarkerArray>(getNodeHandle(), topic, queue_capacity());
+    };
+    open("markers/quadrics", &quadrics_);
+    open("markers/labels", &labels_);
+    open("markers/topology", &topology_);
+    open("markers/loops", &loops_);
+    open("markers/keyframes", &keyframes_);
+    loop_map_.open<LoopMap>(getNodeHandle(), "loop_map", queue_capacity());
     annotated_ = image_transport::ImageTransport(getNodeHandle()).advertise("annotated_image", 1);
     joiner_ = std::make_unique<Joiner>(queue_capacity());
     tf_broadcaster_ = std::make_unique<tf2_ros::StaticTransformBroadcaster>();

@@ -112,26 +112,25 @@ class StageStatistics {
 /// Publishes something costly only when somebody listens and has not seen it. Not thread-safe.
 class LazyPublisher {
  public:
-  void open(const ros::Publisher& publisher) { publisher_ = publisher; }
-  bool has_listeners() const { return publisher_.getNumSubscribers() > 0; }
-  void mark_changed() { changed_ = true; }
-  /// Somebody listens, and the content changed or a listener came since the last publish.
-  bool is_due() {
-    const std::uint32_t listeners = publisher_.getNumSubscribers();
-    if (listeners > listeners_) changed_ = true;
-    listeners_ = listeners;
-    return listeners > 0 && changed_;
+  template <class Message>
+  void open(ros::NodeHandle node, const std::string& topic, std::size_t queue_size) {
+    publisher_ = node.advertise<Message>(topic, static_cast<std::uint32_t>(queue_size),
+                                         [changed = changed_](const auto&) { *changed = true; });
   }
+  bool has_listeners() const { return publisher_.getNumSubscribers() > 0; }
+  void mark_changed() { *changed_ = true; }
+  /// Somebody listens, and the content changed or a listener came since the last publish.
+  bool is_due() const { return has_listeners() && *changed_; }
   template <class MessagePtr>
   void publish(const MessagePtr& message) {
-    changed_ = false;
+    *changed_ = false;
     publisher_.publish(message);
   }
 
  private:
   ros::Publisher publisher_;
-  std::uint32_t listeners_ = 0;
-  bool changed_ = false;
+  /// Since the last publish, the content or who listens. Shared: a callback may outlive this.
+  std::shared_ptr<std::atomic<bool>> changed_ = std::make_shared<std::atomic<bool>>(false);
 };
 
 /// A callback queue with a thread of its own: for what may wait, and for what must not wait for others.

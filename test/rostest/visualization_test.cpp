@@ -2,12 +2,14 @@
 #include <cv_bridge/cv_bridge.h>
 #include <sensor_msgs/Image.h>
 #include <sensor_msgs/image_encodings.h>
+#include <std_msgs/String.h>
 
 #include <cmath>
 #include <optional>
 #include <vector>
 
 #include "ros/conversions.h"
+#include "ros/stage.h"
 #include "semantic_topo_loop/Keyframe.h"
 #include "semantic_topo_loop/LoopMap.h"
 #include "semantic_topo_loop/SessionAck.h"
@@ -175,6 +177,20 @@ TEST_F(Visualization, WhoComesLateHasEveryLoopAndItsMoves) {
   correction.loops = {{0, 1, 0, false}};
   corrections_.publish(boost::make_shared<CorrectionMessage>(std_msgs::Header(), 1, correction));
   EXPECT_TRUE(late.wait_for([](const LoopMap& m) { return m.loops[0].query.x == 0.5 && !m.loops[0].kept; }));
+}
+
+TEST(LazyPublisher, IsDueForWhoComesInTheOthersPlace) {
+  ros::NodeHandle node;
+  LazyPublisher publisher;
+  publisher.open<std_msgs::String>(node, "lazy", 1);
+  const boost::function<void(const std_msgs::String::ConstPtr&)> ignore = [](const auto&) {};
+  ros::Subscriber listener = node.subscribe<std_msgs::String>("lazy", 1, ignore);
+  ASSERT_TRUE(wait_until([&publisher] { return publisher.is_due(); }));
+  publisher.publish(boost::make_shared<std_msgs::String>());
+  EXPECT_FALSE(publisher.is_due());
+  listener.shutdown();
+  listener = node.subscribe<std_msgs::String>("lazy", 1, ignore);
+  EXPECT_TRUE(wait_until([&publisher] { return publisher.is_due(); }));
 }
 
 }  // namespace
