@@ -22,6 +22,19 @@ std::string explain(const std::string& file, const std::string& cause) {
   return "bag '" + file + "': " + (cause.empty() ? "cannot be read" : cause);
 }
 
+/// @return why nothing of a topic can be played; empty: it can
+template <class Message>
+std::string check_topic(const rosbag::Bag& bag, const std::string& topic) {
+  rosbag::View view(bag, rosbag::TopicQuery(topic));
+  if (view.size() == 0) return "holds no message on " + topic;
+  std::string types;
+  for (const rosbag::ConnectionInfo* connection : view.getConnections()) {
+    if (connection->md5sum == ros::message_traits::md5sum<Message>()) return {};
+    types += (types.empty() ? "" : ", ") + connection->datatype;
+  }
+  return "holds " + types + " on " + topic + ", which must be " + ros::message_traits::datatype<Message>();
+}
+
 }  // namespace
 
 core::Result<std::unique_ptr<TumBagSource>> TumBagSource::open(
@@ -43,15 +56,18 @@ core::Result<std::unique_ptr<TumBagSource>> TumBagSource::open(
 std::string TumBagSource::open_bag() {
   if (const core::Status intact = check_bag_structure(options_.file); !intact) return intact.message();
   bag_.open(options_.file, rosbag::bagmode::Read);
-  const auto count = [this](const std::string& topic) { return rosbag::View(bag_, rosbag::TopicQuery(topic)).size(); };
-  const std::string stamp_topic = options_.stamps == "image" ? tum_topic::kColor : tum_topic::kCameraInfo;
-  size_ = count(stamp_topic);
-  if (size_ == 0) return "holds no message on " + stamp_topic;
+  const bool has_image_stamps = options_.stamps == "image";
+  const std::string stamp_topic = has_image_stamps ? tum_topic::kColor : tum_topic::kCameraInfo;
+  std::string problem = has_image_stamps ? check_topic<sensor_msgs::Image>(bag_, stamp_topic)
+                                         : check_topic<sensor_msgs::CameraInfo>(bag_, stamp_topic);
+  if (!problem.empty()) return problem;
+  size_ = rosbag::View(bag_, rosbag::TopicQuery(stamp_topic)).size();
   std::vector<std::string> topics = {tum_topic::kTf, tum_topic::kCameraInfo};
-  if (stamp_topic == tum_topic::kColor) topics.emplace_back(tum_topic::kColor);
-  if (options_.plays_depth()) topics.emplace_back(tum_topic::kDepth);
-  if (options_.plays_depth() && count(tum_topic::kDepth) == 0) {
-    return std::string("holds no message on ") + tum_topic::kDepth + ": without depth, poses must come from elsewhere";
+  if (has_image_stamps) topics.emplace_back(tum_topic::kColor);
+  if (options_.plays_depth()) {
+    topics.emplace_back(tum_topic::kDepth);
+    problem = check_topic<sensor_msgs::Image>(bag_, tum_topic::kDepth);
+    if (!problem.empty()) return problem + ": without depth, poses must come from elsewhere";
   }
   view_ = std::make_unique<rosbag::View>(bag_, rosbag::TopicQuery(topics));
   position_ = view_->begin();

@@ -42,7 +42,7 @@ class TumBagSource {
   using Image = DepthPairing::Answer;  ///< without what is not played
 
   explicit TumBagSource(const TumBagPlayback& options) : options_(options), pairing_(options.max_depth_delay_s) {}
-  /// @return what is missing in it; empty: nothing
+  /// @return what is wrong with it; empty: nothing
   std::string open_bag();
   bool is_due() const;
   void read_message(const rosbag::MessageInstance& message);

@@ -1,5 +1,6 @@
 #include <gtest/gtest.h>
 #include <rosbag/bag.h>
+#include <sensor_msgs/CompressedImage.h>
 #include <sensor_msgs/Image.h>
 
 #include <cmath>
@@ -533,6 +534,11 @@ TEST(TumBagSource, SaysWhatIsWrongWithAFile) {
   const std::string other = directory.path("other.bag");
   rosbag::Bag(other, rosbag::bagmode::Write).write("/imu", ros::Time(1), message_of(transform("a", "b", 0, 0.0)));
   expect_in("/camera/rgb/image_color", problem(other));
+  const std::string compressed = directory.path("compressed.bag");
+  rosbag::Bag(compressed, rosbag::bagmode::Write)
+      .write("/camera/rgb/image_color", ros::Time(1), sensor_msgs::CompressedImage());
+  expect_in("holds sensor_msgs/CompressedImage on /camera/rgb/image_color, which must be sensor_msgs/Image",
+            problem(compressed));
 }
 
 TEST(TumBagSource, NoChangedByteLeadsAstray) {
