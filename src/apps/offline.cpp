@@ -436,7 +436,9 @@ Status check(Arguments* arguments) {
   }
   if (!arguments->associations.empty() && arguments->rgbd.empty()) return Error{"argument --associations needs --rgbd"};
   if (arguments->frozen && arguments->map.empty()) return Error{"argument --frozen needs --map"};
-  if (!arguments->points.empty() && arguments->rgbd.empty()) return Error{"argument --points needs --rgbd"};
+  if (!arguments->points.empty() && !arguments->trajectory.empty()) {
+    return Error{"argument --points needs --rgbd or --bag"};
+  }
   if (!arguments->truth.empty() && !arguments->report) return Error{"argument --groundtruth needs --report"};
   if (!arguments->reference.empty() && arguments->truth.empty()) {
     return Error{"argument --reference needs --groundtruth"};
@@ -445,17 +447,17 @@ Status check(Arguments* arguments) {
 }
 
 Command run_command(Arguments* arguments) {
-  Command command{
-      "",
-      "--trajectory FILE --detections FILE_OR_DIR --camera YAML --output DIR\n"
-      "               [--classes YAML] [--config YAML] [--set module.field=value ...]\n"
-      "               [--extra-loops CSV] [--map FILE [--frozen]] [--save-map FILE] [--points FILE]\n"
-      "               [--report [--groundtruth FILE [--reference CSV]]]\n"
-      "       offline --rgbd DIR --camera YAML --output DIR [--associations FILE]\n"
-      "               [--detections FILE_OR_DIR | --detector ONNX] ...\n"
-      "       offline --bag FILE --camera YAML --output DIR [--detections FILE_OR_DIR | --detector ONNX] ...",
-      "Runs the whole chain on recorded files, without a ROS master.\n", [arguments] { return run(*arguments); },
-      [arguments] { return check(arguments); }};
+  Command command{"",
+                  "--trajectory FILE --detections FILE_OR_DIR --camera YAML --output DIR\n"
+                  "               [--classes YAML] [--config YAML] [--set module.field=value ...]\n"
+                  "               [--extra-loops CSV] [--map FILE [--frozen]] [--save-map FILE]\n"
+                  "               [--report [--groundtruth FILE [--reference CSV]]]\n"
+                  "       offline --rgbd DIR --camera YAML --output DIR [--associations FILE]\n"
+                  "               [--detections FILE_OR_DIR | --detector ONNX] [--points FILE] ...\n"
+                  "       offline --bag FILE --camera YAML --output DIR [--detections FILE_OR_DIR | --detector ONNX]\n"
+                  "               [--points FILE] ...",
+                  "Runs the whole chain on recorded files, without a ROS master.\n",
+                  [arguments] { return run(*arguments); }, [arguments] { return check(arguments); }};
   const auto take_points = [arguments](const std::string& given) {
     arguments->points = given;
     return given.empty() || is_point_cloud_path(given);
@@ -495,7 +497,7 @@ Command run_command(Arguments* arguments) {
       .option("save-map", po::value(&arguments->save_map),
               "file for the map, written once a second of the recording, for later runs")
       .option("points", checked("a path that ends in .ply or .pcd", take_points),
-              "with --rgbd: file for the map's points")
+              "with --rgbd and --bag: file for the map's points")
       .option("report", po::bool_switch(&arguments->report), "writes report.html into the output, as `report` does")
       .option("groundtruth", po::value(&arguments->truth), "with --report: true trajectory, TUM format")
       .option("reference", po::value(&arguments->reference), "with --groundtruth: reference objects");

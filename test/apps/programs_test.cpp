@@ -52,7 +52,8 @@ TEST_F(OfflineProgram, ArgumentsThatDoNotFitAreOneClearError) {
   expect_bad_arguments("--rgbd @ --bag @b.bag", no_source);
   expect_bad_arguments("--trajectory @t.txt", "argument --detections is missing");
   expect_bad_arguments("--bag @b.bag --associations @a.txt", "argument --associations needs --rgbd");
-  expect_bad_arguments("--bag @b.bag --points a.ply", "argument --points needs --rgbd");
+  expect_bad_arguments("--trajectory @t.txt --detections @d.json --points a.ply",
+                       "argument --points needs --rgbd or --bag");
   expect_bad_arguments("--bag @b.bag --frozen", "argument --frozen needs --map");
   expect_bad_arguments("--rgbd @ --points a.obj",
                        "the argument ('a.obj') for option '--points' must be a path that ends in .ply or .pcd");
