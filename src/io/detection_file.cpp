@@ -196,7 +196,8 @@ Status collect_yolo_file(const std::string& path, Collector* collector) {
   return {};
 }
 
-Status collect_yolo(const std::string& directory, Collector* collector) {
+/// Paths of the text files in a directory.
+Result<std::vector<std::string>> list_yolo_files(const std::string& directory) {
   std::vector<std::string> paths;
   std::error_code code;
   for (std::filesystem::directory_iterator it(directory, code), end; !code && it != end; it.increment(code)) {
@@ -204,7 +205,13 @@ Status collect_yolo(const std::string& directory, Collector* collector) {
   }
   if (code) return Error{directory + ": cannot list the directory: " + code.message()};
   std::sort(paths.begin(), paths.end());  // the order of a directory differs from machine to machine
-  for (const std::string& path : paths) {
+  return paths;
+}
+
+Status collect_yolo(const std::string& directory, Collector* collector) {
+  const Result<std::vector<std::string>> paths = list_yolo_files(directory);
+  if (!paths) return paths.error();
+  for (const std::string& path : *paths) {
     if (const Status collected = collect_yolo_file(path, collector); !collected) return collected;
   }
   return {};
@@ -307,11 +314,19 @@ Status write_detections_json(const std::string& path, const std::vector<Detectio
 
 Status write_detections_yolo(const std::string& directory, const std::vector<DetectionFrame>& frames) {
   if (const Status made = make_directory(directory); !made) return made;
+  const Result<std::vector<std::string>> present = list_yolo_files(directory);
+  if (!present) return present.error();
+  const auto name_of = [](const DetectionFrame& frame) { return format_stamp(frame.stamp_ns) + ".txt"; };
+  std::set<std::string> names;
+  for (const DetectionFrame& frame : frames) names.insert(name_of(frame));
+  for (const std::string& path : *present) {
+    if (names.count(std::filesystem::path(path).filename().string()) > 0) continue;
+    return Error{path + ": is of other detections, with which these would be read: give another directory"};
+  }
   for (const DetectionFrame& frame : frames) {
     std::string text;
     for (const Detection& detection : frame.detections) text += yolo_line(detection);
-    const Status written = write_text_file(directory + "/" + format_stamp(frame.stamp_ns) + ".txt", text);
-    if (!written) return written;
+    if (const Status written = write_text_file(directory + "/" + name_of(frame), text); !written) return written;
   }
   return {};
 }

@@ -297,6 +297,19 @@ TEST_F(DetectionReader, ReadsWhatTheWritersWrite) {
             std::string::npos);
 }
 
+TEST_F(DetectionReader, ADirectoryOfOtherImagesIsNotWrittenInto) {
+  const std::vector<DetectionFrame> frames = {{1500000000, {}}};
+  directory_.write("out/1.500000.txt", "41 1 2 30 40 0.5\n");
+  directory_.write("out/README.md", "");
+  ASSERT_EQ(write_detections_yolo(directory_.path("out"), frames).message(), "");
+  EXPECT_EQ(read_whole(directory_.path("out/1.500000.txt")), "") << "replaced";
+  directory_.write("out/1.500000.txt", "41 1 2 30 40 0.5\n");
+  directory_.write("out/1.600000.txt", "");
+  const std::string error = write_detections_yolo(directory_.path("out"), frames).message();
+  EXPECT_NE(error.find("out/1.600000.txt: is of other detections"), std::string::npos) << error;
+  EXPECT_NE(read_whole(directory_.path("out/1.500000.txt")), "") << "left alone";
+}
+
 TEST_F(DetectionReader, ReadsTheSharedRecordings) {
   const auto json = shared_data("tum/fr2_desk/detections_yolov5.json");
   const auto yolo = shared_data("tum/fr3_office/detections_yolov3");

@@ -72,7 +72,7 @@ Result<DetectionRecording> read_detections(const std::string& path, const ClassT
                                            std::size_t boxes_max = std::numeric_limits<std::size_t>::max());
 
 /// Write what read_detections reads; stamps become file names.
-/// @return an error, with the path, if a file cannot be written
+/// @return an error, with the path, if a file cannot be written, or a directory holds text files of other images
 Status write_detections_json(const std::string& path, const std::vector<DetectionFrame>& frames);
 Status write_detections_yolo(const std::string& directory, const std::vector<DetectionFrame>& frames);
 
