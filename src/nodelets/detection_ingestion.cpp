@@ -156,8 +156,10 @@ class DetectionIngestionNodelet : public StageWith<DetectionParameters> {
     const std::size_t unused = file_.size() - matched_;
     statistics().set(kUnmatched, unused);
     if (unused == 0) return;
-    NODELET_WARN("%zu of %zu images in %s had no frame: the odometry has no pose there", unused, file_.size(),
-                 parameters_.detections_file.c_str());
+    NODELET_WARN(
+        "%zu of %zu images in %s had no frame: the odometry has no pose there, or the frame was dropped on the way, "
+        "see the diagnostics",
+        unused, file_.size(), parameters_.detections_file.c_str());
   }
 
   ros::Publisher publisher_;
