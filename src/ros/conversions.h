@@ -69,8 +69,8 @@ core::Result<std::vector<core::Vec3>> from_msg(const sensor_msgs::PointCloud2& m
 /// A pose from outside: finite, and a quaternion of norm 1 within 1 %, which is then normalised.
 /// @return an error that names `field`'s component and its value
 core::Result<core::SE3> checked_pose(const geometry_msgs::Pose& message, const std::string& field);
-/// A calibration from outside: plumb_bob or no distortion model, at most 5 coefficients, at most 16384 pixels a side,
-/// Camera::check.
+/// A calibration from outside: plumb_bob or no distortion model, at most 5 coefficients, Camera::check, as at most
+/// 10000 pixels a side.
 core::Result<core::Camera> checked_camera(const sensor_msgs::CameraInfo& message);
 
 }  // namespace semantic_topo_loop

@@ -62,7 +62,7 @@ struct DetectionRecording {
 
 /// Reads
 /// - a file: OA-SLAM's JSON, `[{file_name: "<stamp>.png", detections: [{category_id, detection_score,
-///   bbox: [x1, y1, x2, y2]}]}]`
+///   bbox: [x1, y1, x2, y2]}]}]`, or COCO's results, `[{image_id: "<stamp>", category_id, bbox: [x, y, w, h], score}]`
 /// - a directory: YOLO text files `<stamp>.txt` with a line `class x y w h score` a box, (x, y) the top-left corner
 ///
 /// Single bad boxes are left out and counted, and so are those beyond `boxes_max` of an image.
