@@ -1,5 +1,6 @@
 #include <Eigen/LU>
 #include <algorithm>
+#include <boost/algorithm/string/predicate.hpp>
 #include <cmath>
 #include <cstdio>
 #include <filesystem>
@@ -27,6 +28,7 @@
 
 namespace {
 
+using boost::algorithm::ends_with;
 using namespace semantic_topo_loop::apps;
 using namespace semantic_topo_loop::core;
 
@@ -34,10 +36,6 @@ struct Arguments {
   std::string map, classes, objects, trajectory, graph, points, refused, merges, live;
   bool dump = false;
 };
-
-bool ends_with(const std::string& text, const std::string& end) {
-  return text.size() >= end.size() && text.compare(text.size() - end.size(), end.size(), end) == 0;
-}
 
 void print_counts(const MapState& map, const ClassTable& classes) {
   std::printf("integrity   ok");

@@ -44,7 +44,7 @@ class DetectionIngestionNodelet : public StageWith<DetectionParameters> {
       constexpr double kDeadlinePeriodS = 0.02;  // below the time between two frames
       start_timer(kDeadlinePeriodS, [this] {
         resolve();
-        watch();
+        if (warn_while("topics", watch_->starvation(Clock::now()))) statistics().count(kApart);
       });
     }
     subscribe("frames", Keep::kDroppable, &DetectionIngestionNodelet::on_frame);
@@ -92,10 +92,6 @@ class DetectionIngestionNodelet : public StageWith<DetectionParameters> {
     watch_->hear_detections(detections->stamp_ns, Clock::now());
     matcher_->add(*std::move(detections));
     resolve();
-  }
-
-  void watch() {
-    if (warn_while("topics", watch_->starvation(Clock::now()))) statistics().count(kApart);
   }
 
   void resolve() {

@@ -48,9 +48,7 @@ class ObjectAssociationNodelet : public StageWith<ClassStageParameters> {
     open_.clear();
     has_frames_ = false;
     first_frame_id_ = 0;
-    core::MapParts parts;
-    parts.objects = true;
-    const auto map = session_map(parts);
+    const auto map = session_map({true});
     if (!map) return;
     first_frame_id_ = map->graph.next_frame_id;
     take_over(follower_.follow(core::objects_of(*map, options_, classes())));

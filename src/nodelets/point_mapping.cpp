@@ -33,9 +33,7 @@ class PointMappingNodelet : public StageWith<PointMappingParameters> {
   void reset_session() override {
     const std::lock_guard<std::mutex> lock(mutex_);
     map_ = std::make_unique<core::PointMap>(options_.point_map);
-    core::MapParts parts;
-    parts.points = true;
-    if (const auto map = session_map(parts)) core::restore_points(*map, map_.get());
+    if (const auto map = session_map({false, false, true})) core::restore_points(*map, map_.get());
     mark_changed();
   }
 

@@ -145,9 +145,7 @@ class PoseGraphNodelet : public StageWith<PoseGraphParameters> {
     restored_keyframes_ = 0;
     is_joined_ = false;
     if (tf_sender_) tf_sender_->reset();
-    core::MapParts parts;
-    parts.objects = has_objects();
-    const auto map = session_map(parts);
+    const auto map = session_map({has_objects()});
     if (!map) return;
     core::restore_graph(*map, graph_.get());
     graph_->apply(core::objects_of(*map, options_, classes()));

@@ -52,9 +52,7 @@ class QuadricMappingNodelet : public StageWith<QuadricMappingParameters> {
     published_version_.reset();
     last_stamp_ = session().header.stamp;
     map_parts_.reset_session();
-    core::MapParts parts;
-    parts.objects = true;
-    if (const auto map = session_map(parts)) core::restore_objects(*map, mapper_.get());
+    if (const auto map = session_map({true})) core::restore_objects(*map, mapper_.get());
     show_objects({});
     publish_map();
   }

@@ -77,10 +77,8 @@ class RecorderNodelet : public StageWith<RecorderParameters> {
     has_recorded_ = false;
     set_unsaved(false);
     recorder_ = core::make_run_recorder(classes(), parameters_.output_dir);
-    core::MapParts parts;
-    parts.objects = true;
     if (parameters_.output_dir.empty()) return;
-    if (const auto map = session_map(parts)) recorder_->record(core::objects_of(*map, options_, classes()));
+    if (const auto map = session_map({true})) recorder_->record(core::objects_of(*map, options_, classes()));
   }
 
   /// @return absolute path of the directory

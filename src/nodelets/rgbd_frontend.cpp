@@ -119,7 +119,8 @@ class RgbdFrontendNodelet : public StageWith<RgbdFrontendParameters, FrontendSta
     if (!accept(stamp_ns) || !prepare(stamp_ns)) return;
     const core::Result<core::RgbdImage> image = make_rgbd_image(*color, *depth, *frontend_camera_, options_.depth);
     if (image) {
-      watch_depth(*image);
+      depth_range_.add(image->depth_range);
+      warn_while("depth", depth_range_.warning(options_.depth));
       return track(*image);
     }
     report_.add_unreadable(image.message());
@@ -144,12 +145,6 @@ class RgbdFrontendNodelet : public StageWith<RgbdFrontendParameters, FrontendSta
       frontend_.emplace(options_.frontend, *frontend_camera_);
     }
     return true;
-  }
-
-  /// Looks at where the depth lies. Worker thread.
-  void watch_depth(const core::RgbdImage& image) {
-    depth_range_.add(image.depth_range);
-    warn_while("depth", depth_range_.warning(options_.depth));
   }
 
   void track(const core::RgbdImage& image) {

@@ -58,9 +58,7 @@ class VisualizationNodelet : public StageWith<VisualizationParameters> {
     follower_ = MapFollower();
     joiner_->clear();
     sent_upright_.reset();
-    core::MapParts parts;
-    parts.objects = true;
-    if (const auto map = session_map(parts)) {
+    if (const auto map = session_map({true})) {
       for (const core::KeyframePose& pose : map->keyframe_poses()) {
         view_.add_keyframe(pose.keyframe_id, pose.T_map_camera);
       }

@@ -68,13 +68,10 @@ void PlayerLedger::done(const FrameDone& done) {
   if (done.status != FrameDone::STATUS_PROCESSED && in_flight_.count(stamp_ns) == 0) return;
   ++frames_done_;
   if (done.status == FrameDone::STATUS_NO_POSE) ++frames_without_pose_;
-  const auto frame = in_flight_.upper_bound(stamp_ns);
-  if (done.status == FrameDone::STATUS_PROCESSED) {
-    // Frames leave the chain in order: an older one that has not come was dropped, as stages may do in real time.
-    in_flight_.erase(in_flight_.begin(), frame);
-  } else {
-    in_flight_.erase(stamp_ns);
-  }
+  // Frames leave the chain in order: an older one that has not come was dropped, as stages may do in real time.
+  const bool answers_older = done.status == FrameDone::STATUS_PROCESSED;
+  in_flight_.erase(answers_older ? in_flight_.begin() : in_flight_.lower_bound(stamp_ns),
+                   in_flight_.upper_bound(stamp_ns));
 }
 
 std::string PlayerLedger::silent_stage() const {

@@ -259,7 +259,7 @@ class Stage : public nodelet::Nodelet {
     });
   }
   /// For services that ask what the worker owns: waits for its answer.
-  /// @return nullopt if it is busy for longer than that, or ends
+  /// @return nullopt if none comes in time: it is busy for longer, or ends
   template <class Question>
   auto ask(const std::string& service, Question question) {
     using Answer = decltype(question());
@@ -268,11 +268,7 @@ class Stage : public nodelet::Nodelet {
     std::future<Answer> future = answer->get_future();
     push(service, Keep::kPinned, [answer, question] { answer->set_value(question()); });
     if (future.wait_for(kPatience) != std::future_status::ready) return std::optional<Answer>();
-    try {
-      return std::optional<Answer>(future.get());
-    } catch (const std::future_error&) {  // the task was forgotten
-      return std::optional<Answer>();
-    }
+    return std::optional<Answer>(future.get());
   }
   /// A std_srvs/Trigger that answers what `act` gives back.
   void serve_trigger(const std::string& service, const std::function<core::Result<std::string>()>& act);
