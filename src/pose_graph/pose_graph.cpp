@@ -61,7 +61,7 @@ struct PoseGraph::Impl {
     correction.T_map_odom_old = T_map_odom_;
     last_frame_id_ = frame.frame_id;
     if (frame.is_end) {
-      suspect_jumps();
+      suspect_jumps(&trajectory_.edges);
     } else {
       add_frame(frame);
     }
@@ -118,9 +118,11 @@ struct PoseGraph::Impl {
       state.keyframes.push_back(
           {pose, is_vertex ? std::nullopt : std::optional(T_vertex_keyframe_[k]), T_map_live_[k]});
     }
+    std::vector<OdometryEdge> edges = trajectory_.edges;
+    suspect_jumps(&edges);
     // Poses and noise are those of the motions that the solution rests on.
-    if (knowledge_.prefers_measured) state.edges = measured_edges(trajectory_.edges);
-    if (state.edges.empty()) state.edges = trajectory_.edges;
+    if (knowledge_.prefers_measured) state.edges = measured_edges(edges);
+    if (state.edges.empty()) state.edges = std::move(edges);
     state.loops = loops_.remembered();
     state.accepted_loops = loops_.accepted();
     state.noise = knowledge_.noise;
@@ -281,7 +283,7 @@ struct PoseGraph::Impl {
   }
 
   void coarsen() {
-    suspect_jumps();
+    suspect_jumps(&trajectory_.edges);
     const std::vector<KeyframePose> poses = keyframes();
     const std::vector<std::size_t> keyframe_of = keyframe_of_;
     const std::vector<OdometryEdge> edges = trajectory_.edges;
@@ -344,7 +346,7 @@ struct PoseGraph::Impl {
     const Effort effort = this->effort(is_end);
     keyframes_since_ = 0;
     has_new_loops_ = has_outliers_ = is_urgent_ = is_withdrawn_ = false;
-    suspect_jumps();
+    suspect_jumps(&trajectory_.edges);
     if (has_objects_) trajectory_.objects.objects = objects_.objects();
     loops_.hand_over(&trajectory_, &knowledge_);
     const std::vector<SE3> before = trajectory_.T_map_vertex;
@@ -364,12 +366,12 @@ struct PoseGraph::Impl {
   }
 
   /// In this session's edges that are not joined: those of the others are settled.
-  void suspect_jumps() {
-    for (std::size_t i = 0; i < trajectory_.edges.size(); ++i) {
+  void suspect_jumps(std::vector<OdometryEdge>* edges) const {
+    for (std::size_t i = 0; i < edges->size(); ++i) {
       if (keyframe_of_[i + 1] != keyframe_of_[i] + 1 || keyframe_of_[i] < restored_) continue;
       const MotionBursts::SuspectedJump jump = bursts_.suspected_jump(keyframe_of_[i]);
       const Quaternion& q_camera_odom = q_camera_odom_[keyframe_of_[i + 1]];
-      OdometryEdge& edge = trajectory_.edges[i];
+      OdometryEdge& edge = (*edges)[i];
       edge.suspected_jump.head<3>() = q_camera_odom * jump.motion.head<3>();
       edge.suspected_jump.tail<3>() = q_camera_odom * jump.motion.tail<3>();
       edge.jump_error_m = jump.error_m;

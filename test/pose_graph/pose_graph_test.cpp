@@ -367,6 +367,19 @@ TEST(PoseGraph, TheStateHasTheMotionsThatItsPosesRestOn) {
   }
 }
 
+TEST(PoseGraph, TheStateHasTheSuspectedJumpsAtAnyTime) {
+  SyntheticRun run;
+  run.drift(0.0005, 0.0002, 3);
+  run.restart(80, SE3(so3_exp(Vec3(0.02, 0.05, -0.04)), Vec3(0.3, -0.1, 0.1)));
+  PoseGraph graph{PoseGraphOptions()};
+  for (int k = 0; k < 100; ++k) graph.process(run.frame(k), {});
+  const Vec6 jump = graph.state().edges[79].suspected_jump;
+  EXPECT_GT(jump.head<3>().norm(), 0.1);
+  for (int k = 100; k < run.size(); ++k) graph.process(run.frame(k), {});
+  graph.process(run.end_frame(), {});
+  EXPECT_EQ(graph.state().edges[79].suspected_jump, jump);
+}
+
 /// The map of a good odometry, and a poor one's session that goes on with it.
 TEST(PoseGraph, ALaterSessionsNoiseIsItsOwn) {
   SyntheticRun good, poor;
