@@ -2,8 +2,8 @@
 
 #include <Eigen/Core>
 #include <algorithm>
+#include <deque>
 #include <limits>
-#include <map>
 #include <numeric>
 #include <optional>
 #include <set>
@@ -42,6 +42,12 @@ std::optional<std::set<std::string>> parse_levels(const std::string& text) {
 bool AssociatorOptions::is_level_list(const std::string& text) { return parse_levels(text).has_value(); }
 
 struct ObjectAssociator::Impl {
+  /// A track as it was when it was merged, without what was taken back from it since.
+  struct MergedTrack {
+    Track track;
+    std::int64_t survivor_id = -1;
+  };
+
   Impl(const AssociatorOptions& options, std::shared_ptr<const ClassTable> classes)
       : options_(options), classes_(std::move(classes)) {
     const std::set<std::string> names = parse_levels(options_.levels).value_or(std::set<std::string>{});
@@ -90,8 +96,8 @@ struct ObjectAssociator::Impl {
     const Track* merged = tracks_.find(merge.merged_id);
     if (merged == nullptr) return;
     Track* survivor = tracks_.find(merge.survivor_id);
-    if (survivor != nullptr) {
-      merged_tracks_[merge.merged_id] = *merged;
+    if (survivor != nullptr && survivor != merged) {
+      merged_tracks_.push_back({*merged, merge.survivor_id});
       for (const auto& [class_id, weight] : merged->class_weights) survivor->add_class_weight(class_id, weight);
       survivor->observations += merged->observations;
       if (merged->last_answer > survivor->last_answer) {
@@ -105,19 +111,31 @@ struct ObjectAssociator::Impl {
     tracks_.erase(merge.merged_id);
   }
 
-  /// The merged track comes back as it was; the survivor gives up what it had taken over.
+  /// The merged track comes back as it was. Who has it by now, and those that went there with it, give it up.
   void unmerge_tracks(const LandmarkMerge& merge) {
-    const auto record = merged_tracks_.find(merge.merged_id);
+    const auto record = merged_track(merge.merged_id);
     if (record == merged_tracks_.end()) return;
     Track& restored = tracks_.create(merge.merged_id);
-    restored = record->second;
+    restored = record->track;
+    merged_tracks_.erase(record);
     tracks_.place(&restored);
     tracks_.touch(&restored);
-    if (Track* survivor = tracks_.find(merge.survivor_id)) {
-      for (const auto& [class_id, weight] : restored.class_weights) survivor->add_class_weight(class_id, -weight);
-      survivor->observations = std::max<std::int64_t>(1, survivor->observations - restored.observations);
+    std::int64_t holder_id = merge.survivor_id;
+    for (auto later = merged_track(holder_id); later != merged_tracks_.end(); later = merged_track(holder_id)) {
+      give_up(restored, &later->track);
+      holder_id = later->survivor_id;
     }
-    merged_tracks_.erase(record);
+    if (Track* holder = tracks_.find(holder_id)) give_up(restored, holder);
+  }
+
+  std::deque<MergedTrack>::iterator merged_track(std::int64_t id) {
+    return std::find_if(merged_tracks_.begin(), merged_tracks_.end(),
+                        [id](const MergedTrack& merged) { return merged.track.id == id; });
+  }
+
+  static void give_up(const Track& merged, Track* holder) {
+    for (const auto& [class_id, weight] : merged.class_weights) holder->add_class_weight(class_id, -weight);
+    holder->observations = std::max<std::int64_t>(1, holder->observations - merged.observations);
   }
 
   void set_geometry(const Landmark& landmark) {
@@ -125,6 +143,8 @@ struct ObjectAssociator::Impl {
     if (track == nullptr) {
       // The map speaks of a landmark that was given up here meanwhile (real time): take it back.
       track = &tracks_.create(landmark.id);
+      const auto record = merged_track(landmark.id);
+      if (record != merged_tracks_.end()) merged_tracks_.erase(record);
       track->observations = landmark.observations;
       track->add_class_weight(landmark.class_id, landmark.observations);
       // Ids are given out one after the other: one beyond is nobody's, whatever a message says.
@@ -360,7 +380,7 @@ struct ObjectAssociator::Impl {
   std::shared_ptr<const ClassTable> classes_;
   std::vector<std::pair<AssociationLevel, AssociationScore>> levels_;  ///< of the cascade, in order
   TrackStore tracks_;
-  std::map<std::int64_t, Track> merged_tracks_;  ///< as they were when they were merged, by id
+  std::deque<MergedTrack> merged_tracks_;  ///< in the order they were merged; none of a track that there is
   std::int64_t next_id_ = 0;
   std::uint64_t map_version_ = 0;
   SE3 T_map_odom_;

@@ -390,6 +390,39 @@ TEST(ObjectAssociator, AMergeTakenBackGivesBothTracksTheirOwn) {
   EXPECT_EQ(next.associations[1].landmark_class_id, kVase);
 }
 
+/// A vase and a book were taken for one, and both for a cup.
+TEST(ObjectAssociator, AMergeTakenBackLeavesNoLabelsAlongItsChain) {
+  ObjectAssociator associator(options("joint"), classes());
+  const Box left = box_at(100.0, 240.0), middle = box_at(320.0, 240.0), right = box_at(540.0, 240.0);
+  const std::vector<Detection> seen{{kCup, 0.5, left}, {kVase, 0.45, middle}, {kBook, 0.9, right}};
+  AssociationFrame last;
+  for (int k = 0; k < 5; ++k) last = associator.associate(frame_at(k), seen);
+  const std::int64_t cup = last.associations[0].landmark_id, vase = last.associations[1].landmark_id,
+                     book = last.associations[2].landmark_id;
+  const auto apply = [&associator](const std::vector<LandmarkMerge>& unmerged,
+                                   const std::vector<LandmarkMerge>& merged) {
+    MapUpdate update;
+    update.base_version = associator.map_version();
+    update.map_version = update.base_version + 1;
+    update.unmerged = unmerged;
+    update.merged = merged;
+    ASSERT_TRUE(associator.apply(update));
+  };
+  apply({}, {{book, vase}, {vase, cup}});
+  apply({{book, vase}}, {});
+  const AssociationFrame without_book = associator.associate(frame_at(5), {seen[0], seen[2]});
+  EXPECT_EQ(without_book.associations[0].landmark_id, cup);
+  EXPECT_EQ(without_book.associations[0].landmark_class_id, kCup);
+  EXPECT_EQ(without_book.associations[1].landmark_id, book);
+  EXPECT_EQ(without_book.associations[1].landmark_class_id, kBook);
+  apply({{vase, cup}}, {});
+  const AssociationFrame apart = associator.associate(frame_at(6), seen);
+  EXPECT_EQ(apart.associations[0].landmark_id, cup);
+  EXPECT_EQ(apart.associations[0].landmark_class_id, kCup);
+  EXPECT_EQ(apart.associations[1].landmark_id, vase);
+  EXPECT_EQ(apart.associations[1].landmark_class_id, kVase);
+}
+
 TEST(TrackStore, AViewWithoutBoundsDoesNotVisitEveryCell) {
   TrackStore store;
   Track& track = store.create(0);
