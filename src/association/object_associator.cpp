@@ -98,6 +98,7 @@ struct ObjectAssociator::Impl {
     Track* survivor = tracks_.find(merge.survivor_id);
     if (survivor != nullptr && survivor != merged) {
       merged_tracks_.push_back({*merged, merge.survivor_id});
+      if (merged_tracks_.size() > kMostOpenMerges) merged_tracks_.pop_front();
       for (const auto& [class_id, weight] : merged->class_weights) survivor->add_class_weight(class_id, weight);
       survivor->observations += merged->observations;
       if (merged->last_answer > survivor->last_answer) {

@@ -22,7 +22,6 @@ constexpr double kForeignIou = 0.1;  // of a box with an object's projection: le
 // files, where 0.7 to 0.9 do alike; where fewer are, as in fr3_office's rows of bottles, two things stand side by side.
 constexpr double kMixedUp = 0.8;
 constexpr double kSameCenter = 0.5;  // mean semi-axes: centres nearer than this are one object's, whatever the boxes
-constexpr std::size_t kMostRecords = 1000;  // merges that can be taken back: some minutes of a large map at least
 
 struct Overlap {
   double iou = 0.0;     ///< of b's boxes with a's projection, median
@@ -221,7 +220,7 @@ void MergeHistory::join(const KeyframePlaces& S_map_keyframe, MappedLandmark mer
   for (const Observation& observation : merged.observations) record.sources.push_back(observation.source_id);
   std::sort(record.sources.begin(), record.sources.end());
   record.sources.erase(std::unique(record.sources.begin(), record.sources.end()), record.sources.end());
-  if (records_.size() == kMostRecords) records_.erase(records_.begin());
+  if (records_.size() == kMostOpenMerges) records_.erase(records_.begin());
   records_.push_back(std::move(record));
   survivor_of_[merged.state.id] = survivor->state.id;
 

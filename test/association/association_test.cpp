@@ -423,6 +423,26 @@ TEST(ObjectAssociator, AMergeTakenBackLeavesNoLabelsAlongItsChain) {
   EXPECT_EQ(apart.associations[1].landmark_class_id, kVase);
 }
 
+TEST(ObjectAssociator, TheFirstMergesAreForgotten) {
+  ObjectAssociator associator(options("joint"), classes());
+  constexpr auto kMerges = static_cast<std::int64_t>(kMostOpenMerges) + 1;
+  const Box forgotten = box_at(150.0, 240.0), remembered = box_at(450.0, 240.0);
+  MapUpdate landmarks, merge, undo;
+  landmarks.map_version = merge.base_version = 1;
+  merge.map_version = undo.base_version = 2;
+  undo.map_version = 3;
+  for (std::int64_t id = 0; id <= kMerges; ++id) {
+    const Box box = id == 1 ? forgotten : id == 2 ? remembered : box_at(320.0, 80.0);
+    landmarks.changed.push_back(sphere_update(associator, id, kCup, box).changed.front());
+    if (id > 0) merge.merged.push_back({id, 0});
+  }
+  undo.unmerged = {{2, 0}, {1, 0}};
+  for (const MapUpdate& update : {landmarks, merge, undo}) ASSERT_TRUE(associator.apply(update));
+  const AssociationFrame result = associator.associate(frame_at(0), {{kCup, 0.9, forgotten}, {kCup, 0.9, remembered}});
+  EXPECT_GT(result.associations[0].landmark_id, kMerges) << "a new one";
+  EXPECT_EQ(result.associations[1].landmark_id, 2);
+}
+
 TEST(TrackStore, AViewWithoutBoundsDoesNotVisitEveryCell) {
   TrackStore store;
   Track& track = store.create(0);

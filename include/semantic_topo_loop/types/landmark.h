@@ -1,6 +1,7 @@
 #pragma once
 
 #include <cmath>
+#include <cstddef>
 #include <cstdint>
 #include <map>
 #include <optional>
@@ -55,6 +56,9 @@ struct LandmarkMerge {
   std::int64_t merged_id = -1;
   std::int64_t survivor_id = -1;
 };
+
+/// So many merges can be taken back, the last ones: some minutes of a large map at least.
+inline constexpr std::size_t kMostOpenMerges = 1000;
 
 /// Why a map version came about.
 enum class MapUpdatePhase : std::uint8_t {
