@@ -256,7 +256,9 @@ class PoseGraphNodelet : public StageWith<PoseGraphParameters> {
 
   void announce_joining(const core::MapCorrection& correction) {
     for (const core::LoopVerdict& loop : correction.loops) {
-      if (is_joined_ || !loop.kept || loop.match_keyframe_id >= restored_keyframes_) continue;
+      const bool is_into_map =
+          loop.query_keyframe_id >= restored_keyframes_ && loop.match_keyframe_id < restored_keyframes_;
+      if (is_joined_ || !loop.kept || !is_into_map) continue;
       is_joined_ = true;
       NODELET_INFO(
           "joined the map of earlier sessions at keyframe %ld: the transform from map to odometry jumps by %.2f m",
