@@ -16,6 +16,7 @@
 #include "io/csv.h"
 #include "pipeline/map_changes.h"
 #include "pipeline/map_state.h"
+#include "semantic_topo_loop/geometry/lie.h"
 #include "semantic_topo_loop/io/map_file.h"
 #include "semantic_topo_loop/io/point_cloud_file.h"
 #include "semantic_topo_loop/io/run_files.h"
@@ -185,7 +186,7 @@ Status write_trajectory(const std::string& path, const MapState& map, bool live)
   return written;
 }
 
-/// Vertices, their odometry edges and the loops that are kept, with the noise that was found.
+/// Vertices, their odometry edges and the loops that are kept, with the noise and the jumps that were found.
 Status write_graph(const std::string& path, const MapState& map) {
   G2oGraph graph;
   std::vector<std::int64_t> ids;
@@ -200,14 +201,18 @@ Status write_graph(const std::string& path, const MapState& map) {
     const Mat6 information = by_quaternion.asDiagonal() * covariance.inverse() * by_quaternion.asDiagonal();
     graph.edges.push_back({ids[from], ids[to], T, 0.5 * (information + information.transpose())});
   };
-  for (std::size_t i = 0; i < map.graph.edges.size(); ++i) {
+  const NoiseEstimate& noise = map.graph.noise;
+  std::vector<Mat6> covariances;
+  for (const OdometryEdge& edge : map.graph.edges) covariances.push_back(odometry_covariance(edge, noise.odometry));
+  for (const OdometryJump& jump : noise.jumps) covariances[jump.edge] += jump.covariance();
+  for (std::size_t i = 0; i < covariances.size(); ++i) {
     const OdometryEdge& edge = map.graph.edges[i];
-    add(i, i + 1, edge.T_from_to, odometry_covariance(edge, map.graph.noise.odometry));
+    add(i, i + 1, edge.T_from_to * se3_exp(expected_jump(edge, noise.odometry)).inverse(), covariances[i]);
   }
   for (const RememberedLoop& loop : map.graph.loops) {
     if (!loop.is_in_graph || !loop.kept) continue;
     const auto from = static_cast<std::size_t>(loop.loop->from), to = static_cast<std::size_t>(loop.loop->to);
-    add(from, to, loop.loop->T_from_to, loop.loop->covariance);
+    add(from, to, loop.loop->T_from_to, noise.loop_factor * noise.loop_factor * loop.loop->covariance);
   }
   return write_g2o(path, graph);
 }

@@ -1,5 +1,6 @@
 #include <gtest/gtest.h>
 
+#include <Eigen/LU>
 #include <cmath>
 #include <cstdlib>
 #include <cstring>
@@ -11,6 +12,7 @@
 #include <vector>
 
 #include "pipeline/map_state.h"
+#include "semantic_topo_loop/geometry/lie.h"
 #include "semantic_topo_loop/io/map_file.h"
 #include "semantic_topo_loop/io/run_files.h"
 #include "semantic_topo_loop/io/tum_trajectory.h"
@@ -311,6 +313,47 @@ TEST_F(InspectMapProgram, CountsAndExports) {
   EXPECT_EQ(loops.back().match_frame, refused.back().match_frame);
   ASSERT_EQ(run("@map.db --dump"), 0) << err_;
   EXPECT_EQ(out_.find("class "), 0U);
+}
+
+TEST_F(InspectMapProgram, AGraphHasTheNoiseAndTheJumpsThatWereFound) {
+  MapState map = *checked(read_map(directory_.path("map.db"), coco()));
+  GraphState& graph = map.graph;
+  constexpr std::size_t kJumped = 4, kSuspect = 6;
+  ASSERT_GT(graph.edges.size(), kSuspect);
+  for (const std::size_t i : {kJumped, kSuspect}) {
+    OdometryEdge edge;
+    edge.T_from_to = graph.edges[i].T_from_to;
+    edge.path_m = edge.rotation_rad = 0.1;
+    graph.edges[i] = edge;
+  }
+  graph.noise.jumps.clear();
+  graph.noise.loop_factor = graph.noise.odometry.jump_prior = 1.0;
+  const auto exported = [&] {
+    EXPECT_EQ(write_map(directory_.path("changed.db"), map, coco()).message(), "");
+    EXPECT_EQ(run("@changed.db --graph @g.g2o" + classes_), 0) << err_;
+    return checked(read_g2o(directory_.path("g.g2o"), nullptr)).edges;
+  };
+  const auto covariance = [](const G2oEdge& edge) {
+    Vec6 by_quaternion;
+    by_quaternion << Vec3::Ones(), Vec3::Constant(2.0);
+    return Mat6(by_quaternion.asDiagonal() * edge.information.inverse() * by_quaternion.asDiagonal());
+  };
+  const std::vector<G2oEdge> before = exported();
+  graph.noise.jumps = {{kJumped, 0.3, 0.2}};
+  graph.noise.loop_factor = 2.0;
+  graph.edges[kSuspect].suspected_jump << 0.2, -0.1, 0.0, 0.0, 0.0, 0.1;
+  const std::vector<G2oEdge> after = exported();
+  ASSERT_GT(before.size(), graph.edges.size()) << "loops, too";
+  ASSERT_EQ(after.size(), before.size());
+  const Mat6 of_jump = covariance(after[kJumped]) - covariance(before[kJumped]);
+  EXPECT_LT((of_jump - isotropic_covariance(0.09, 0.04)).norm(), 1e-6);
+  const Vec6 half = 0.5 * graph.edges[kSuspect].suspected_jump;  // a jump by all of it or by nothing, each as likely
+  const SE3 T_taken_out = after[kSuspect].T_from_to.inverse() * before[kSuspect].T_from_to;
+  EXPECT_LT((se3_log(T_taken_out) - half).norm(), 1e-9);
+  const Mat6 of_suspect = covariance(after[kSuspect]) - covariance(before[kSuspect]);
+  EXPECT_LT((of_suspect - half * half.transpose()).norm(), 1e-6);
+  const Mat6 &loop_before = before.back().information, &loop_after = after.back().information;
+  EXPECT_LT((4.0 * loop_after - loop_before).norm(), 1e-9 * loop_before.norm());
 }
 
 /// Sessions may be joined in any order of their times.
