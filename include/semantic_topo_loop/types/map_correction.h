@@ -44,7 +44,8 @@ struct OdometryReport {
   double loop_factor = 1.0;
   double delay_s = 0.0;       ///< by how much its poses were last taken to be late against the images; < 0: early
   ShortTermNoise short_term;  ///< as it was last taken to be; 0 before anything is known
-  std::vector<OdometryFault> faults;  ///< in order of the keyframes
+  /// In order of the keyframes; breaks, freezes and slips of earlier sessions too, jumps of this one's odometry alone.
+  std::vector<OdometryFault> faults;
 };
 
 /// What the pose graph says after a frame; `changed` is false, and the lists are empty, when nothing moved. The lists

@@ -74,7 +74,7 @@ class GraphDetector {
   void set_options(const LoopOptions& options) { options_ = options; }
 
   /// Matches the submap with those kept at least `min_gap_s` before it.
-  /// @return the best candidate, then those whose place was closed least recently, then all others
+  /// @return the best candidate, then those whose place was compared least recently, then all others
   std::vector<LoopClosure> detect(const LocalMap& query);
   /// Keeps the submap for later queries if it spans enough time and the last one kept is old enough. Where enough are
   /// kept that see the same place alike, the poorest of them goes: memory and time grow with what there is to see, not

@@ -15,7 +15,7 @@ class Relocaliser {
   /// Takes in an accepted loop with T_earlier_match; others are ignored.
   /// @param T_odom_query pose of the camera at the loop's query_frame
   void add(const LoopClosure& loop, const SE3& T_odom_query);
-  /// Forgets the loops, at a break of the odometry: those behind it tell of another world.
+  /// Forgets the loops, at a break of the odometry or a jump that boxes show: those behind it tell of another world.
   void restart() { votes_.clear(); }
   /// @return nullopt until three loops agree and outnumber the others
   std::optional<Relocalisation> estimate() const;
