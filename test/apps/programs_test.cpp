@@ -304,7 +304,7 @@ TEST_F(InspectMapProgram, CountsAndExports) {
   EXPECT_NE(out_.find("merges      "), std::string::npos) << out_;
   EXPECT_EQ(read_whole(directory_.path("m.csv")).find("number,merged_id,survivor_id,"), 0U);
   ASSERT_EQ(run("@map.db --refused @r.csv" + classes_), 0) << err_;
-  const std::vector<LoopFigures>& refused = checked(read_map(directory_.path("map.db"), coco()))->refused;
+  const std::vector<LoopFigures> refused = checked(read_map(directory_.path("map.db"), coco()))->refused;
   ASSERT_FALSE(refused.empty());
   EXPECT_NE(out_.find("refused     " + std::to_string(refused.size()) + " candidates"), std::string::npos) << out_;
   EXPECT_NE(out_.find(std::string(" ") + to_string(refused[0].reason) + "\n"), std::string::npos) << out_;
