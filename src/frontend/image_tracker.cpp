@@ -186,7 +186,6 @@ bool find_points(const TrackingKeyframe& keyframe, const Camera& camera, Trackin
   }
   image->T_camera_map = estimate->T_camera_map;
   image->section = keyframe.section;
-  image->world = keyframe.world;
   return true;
 }
 

@@ -1,5 +1,6 @@
 #pragma once
 
+#include <opencv2/core.hpp>
 #include <optional>
 #include <vector>
 
@@ -10,7 +11,7 @@ namespace semantic_topo_loop::core {
 /// Undistorted pixel of a point in the camera frame; nullopt if it is out of view.
 std::optional<Vec2> pixel_in_view(const Camera& camera, const Vec3& point_camera);
 
-/// The nearest that an image sees in each cell of some pixels.
+/// The nearest that an image sees, by cells of some pixels.
 class NearestDepth {
  public:
   NearestDepth() = default;
@@ -19,8 +20,10 @@ class NearestDepth {
   bool sees_through(const Camera& camera, const Vec3& point_camera) const;
 
  private:
-  int cell_px_ = 1, columns_ = 0, rows_ = 0;
-  std::vector<float> nearest_m_;  ///< row by row; 0: without depth
+  cv::Point cell(const Vec2& pixel) const;
+
+  int cell_px_ = 1;
+  cv::Mat1f nearest_m_;  ///< in each cell and around it; 0: no depth in the cell
 };
 
 }  // namespace semantic_topo_loop::core

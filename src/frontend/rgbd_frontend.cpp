@@ -86,7 +86,7 @@ struct Refined {
 
 /// A section of the map that an image of another one sees.
 struct Sighting {
-  int section = 0, seen_from = 0;
+  MapSection section, seen_from;
   SE3 T_here_there;  ///< of the two sections
   std::int64_t stamp_ns = 0;
 };
@@ -119,7 +119,8 @@ struct RgbdFrontend::Impl {
     image->T_camera_map = last ? last->T_camera_map : SE3();
     image->inliers = image->matches = 0;
     image->points.assign(image->features.size(), -1);
-    image->section = image->world = next_section++;
+    image->section = {next_section, next_section};
+    ++next_section;
     return true;
   }
 
@@ -222,7 +223,7 @@ struct RgbdFrontend::Impl {
                               rotation_angle(again.q.conjugate(), image.T_camera_map.q) < kAlike_rad;
         if (is_alike) {
           refinement = {};  // it has its keyframes where they were
-          map.join(there.section, image, T_here_there);
+          map.join(there.section, image.section, T_here_there);
           sighting.reset();
           return found;
         }
@@ -351,7 +352,7 @@ struct RgbdFrontend::Impl {
     look_for_registration(rgbd);
     image.features = extract_features(rgbd, options, calibration.camera, calibration.registration);
     image.points.assign(image.features.size(), -1);
-    if (last) image.section = last->section, image.world = last->world;
+    if (last) image.section = last->section;
     take_refinement();
     TrackedImage result;
     bool is_break = false;
@@ -384,7 +385,7 @@ struct RgbdFrontend::Impl {
       if (map.keyframes().empty() || needs_keyframe(image, map)) {
         // What hangs on a weak pose may lie wrong against the rest: it is looked for there as after a loss.
         const bool is_weak = result.state == TrackingState::kTracked && image.inliers < strong_inliers(options);
-        if (is_weak) image.section = next_section++;
+        if (is_weak) image.section.number = next_section++;
         take_in(image, *result.sample->points_camera);
         image.points = map.keyframes().rbegin()->second.points;
         if (!image.source_loop) result.sample->source_loop = look_back(image);

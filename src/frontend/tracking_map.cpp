@@ -22,7 +22,7 @@ bool has_come(const Vec3& position, const TrackingKeyframe& keyframe, const Came
   int looked = 0;
   for (auto it = map.keyframes().rbegin(); it != map.keyframes().rend() && looked < kLooked; ++it) {
     const TrackingKeyframe& before = it->second;
-    if (before.id == keyframe.id || before.world != keyframe.world) continue;
+    if (before.id == keyframe.id || before.section.world != keyframe.section.world) continue;
     if (before.depth.sees_through(camera, before.T_camera_map * position)) return true;
     ++looked;
   }
@@ -206,7 +206,7 @@ void TrackingMap::merge(std::int64_t from, std::int64_t into) {
   refresh(&target);
 }
 
-void TrackingMap::join(int from, const FeatureImage& into, const SE3& T_into_from) {
+void TrackingMap::join(const MapSection& from, const MapSection& into, const SE3& T_into_from) {
   for (auto& [id, point] : points_) {
     if (keyframes_.at(point.views.begin()->first).section != from) continue;
     point.position = T_into_from * point.position;
@@ -216,8 +216,7 @@ void TrackingMap::join(int from, const FeatureImage& into, const SE3& T_into_fro
   for (auto& [id, keyframe] : keyframes_) {
     if (keyframe.section != from) continue;
     keyframe.T_camera_map = keyframe.T_camera_map * T_from_into;
-    keyframe.section = into.section;
-    keyframe.world = into.world;
+    keyframe.section = into;
   }
 }
 
@@ -307,7 +306,7 @@ bool needs_keyframe(const TrackedFeatures& image, const TrackingMap& map) {
 std::int64_t add_keyframe(const TrackedFeatures& image, const std::vector<Vec3>& points_camera, const Camera& camera,
                           TrackingMap* map) {
   const std::int64_t id = map->keyframes().empty() ? 0 : map->keyframes().rbegin()->first + 1;
-  map->add_keyframe({{id, image.stamp_ns, image.T_camera_map, image.section, image.world, image.features, image.points},
+  map->add_keyframe({{id, image.stamp_ns, image.T_camera_map, image.section, image.features, image.points},
                      NearestDepth(camera, points_camera),
                      image.T_camera_map.inverse(),
                      visual_words(image.features)});

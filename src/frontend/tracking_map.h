@@ -33,13 +33,20 @@ struct MapPoint {
   }
 };
 
+/// A part of the map. How sections lie to each other is not known, or not well.
+struct MapSection {
+  int number = 0;
+  int world = 0;  ///< sections of one followed each other without a loss: they lie together but for some centimetres
+  bool operator==(const MapSection& other) const { return number == other.number; }
+  bool operator!=(const MapSection& other) const { return !(*this == other); }
+};
+
 /// An image without its pixels.
 struct FeatureImage {
   std::int64_t id = -1;
   std::int64_t stamp_ns = 0;
   SE3 T_camera_map;
-  int section = 0;  ///< of the map; how sections lie to each other is not known, or not well
-  int world = 0;    ///< sections of one followed each other without a loss: they lie together but for some centimetres
+  MapSection section;
   ImageFeatures features;
   std::vector<std::int64_t> points;  ///< of each feature; -1: none
   Vec3 center() const { return T_camera_map.inverse().t; }
@@ -79,8 +86,8 @@ class TrackingMap {
   void remove_keyframe(std::int64_t keyframe);
   /// One point for two: `from` is removed, its views become those of `into`.
   void merge(std::int64_t from, std::int64_t into);
-  /// Makes a section part of an image's, which stays where it is. @param T_into_from of their coordinates
-  void join(int from, const FeatureImage& into, const SE3& T_into_from);
+  /// Makes a section part of another one, which stays where it is. @param T_into_from of their coordinates
+  void join(const MapSection& from, const MapSection& into, const SE3& T_into_from);
   /// Descriptor, direction and distance, from the views.
   void refresh(MapPoint* point) const;
 

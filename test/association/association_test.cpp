@@ -355,15 +355,23 @@ TEST(ObjectAssociator, MergeRemovalRetirementAndVersionGap) {
   EXPECT_NE(associator.associate(frame_at(3), {{kBook, 0.9, box}}).associations[0].landmark_id, d);
 }
 
+/// Tells of merges taken back and made.
+bool apply(const std::vector<LandmarkMerge>& unmerged, const std::vector<LandmarkMerge>& merged,
+           ObjectAssociator* associator) {
+  MapUpdate update;
+  update.base_version = associator->map_version();
+  update.map_version = update.base_version + 1;
+  update.unmerged = unmerged;
+  update.merged = merged;
+  return associator->apply(update);
+}
+
 TEST(ObjectAssociator, AMergeGivesTheSurvivorTheLabelsOfBoth) {
   ObjectAssociator associator(options("joint"), classes());
   const Box left = box_at(150.0, 240.0), right = box_at(450.0, 240.0);
   const AssociationFrame first = associator.associate(frame_at(0), {{kCup, 0.9, left}, {kVase, 0.9, right}});
   for (int i = 1; i < 3; ++i) associator.associate(frame_at(i), {{kVase, 0.9, right}});
-  MapUpdate merge;
-  merge.map_version = 1;
-  merge.merged.push_back({first.associations[1].landmark_id, first.associations[0].landmark_id});
-  ASSERT_TRUE(associator.apply(merge));
+  ASSERT_TRUE(apply({}, {{first.associations[1].landmark_id, first.associations[0].landmark_id}}, &associator));
   const AssociationFrame next = associator.associate(frame_at(3), {{kVase, 0.9, right}});
   EXPECT_EQ(next.associations[0].landmark_id, first.associations[0].landmark_id);
   EXPECT_EQ(next.associations[0].landmark_class_id, kVase);
@@ -374,15 +382,8 @@ TEST(ObjectAssociator, AMergeTakenBackGivesBothTracksTheirOwn) {
   const Box left = box_at(150.0, 240.0), right = box_at(450.0, 240.0);
   const AssociationFrame first = associator.associate(frame_at(0), {{kCup, 0.9, left}, {kVase, 0.9, right}});
   const std::int64_t a = first.associations[0].landmark_id, b = first.associations[1].landmark_id;
-  MapUpdate merge;
-  merge.map_version = 1;
-  merge.merged.push_back({b, a});
-  ASSERT_TRUE(associator.apply(merge));
-  MapUpdate undo;
-  undo.base_version = 1;
-  undo.map_version = 2;
-  undo.unmerged.push_back({b, a});
-  ASSERT_TRUE(associator.apply(undo));
+  ASSERT_TRUE(apply({}, {{b, a}}, &associator));
+  ASSERT_TRUE(apply({{b, a}}, {}, &associator));
   const AssociationFrame next = associator.associate(frame_at(1), {{kCup, 0.9, left}, {kVase, 0.9, right}});
   EXPECT_EQ(next.associations[0].landmark_id, a);
   EXPECT_EQ(next.associations[0].landmark_class_id, kCup);
@@ -399,23 +400,14 @@ TEST(ObjectAssociator, AMergeTakenBackLeavesNoLabelsAlongItsChain) {
   for (int k = 0; k < 5; ++k) last = associator.associate(frame_at(k), seen);
   const std::int64_t cup = last.associations[0].landmark_id, vase = last.associations[1].landmark_id,
                      book = last.associations[2].landmark_id;
-  const auto apply = [&associator](const std::vector<LandmarkMerge>& unmerged,
-                                   const std::vector<LandmarkMerge>& merged) {
-    MapUpdate update;
-    update.base_version = associator.map_version();
-    update.map_version = update.base_version + 1;
-    update.unmerged = unmerged;
-    update.merged = merged;
-    ASSERT_TRUE(associator.apply(update));
-  };
-  apply({}, {{book, vase}, {vase, cup}});
-  apply({{book, vase}}, {});
+  ASSERT_TRUE(apply({}, {{book, vase}, {vase, cup}}, &associator));
+  ASSERT_TRUE(apply({{book, vase}}, {}, &associator));
   const AssociationFrame without_book = associator.associate(frame_at(5), {seen[0], seen[2]});
   EXPECT_EQ(without_book.associations[0].landmark_id, cup);
   EXPECT_EQ(without_book.associations[0].landmark_class_id, kCup);
   EXPECT_EQ(without_book.associations[1].landmark_id, book);
   EXPECT_EQ(without_book.associations[1].landmark_class_id, kBook);
-  apply({{vase, cup}}, {});
+  ASSERT_TRUE(apply({{vase, cup}}, {}, &associator));
   const AssociationFrame apart = associator.associate(frame_at(6), seen);
   EXPECT_EQ(apart.associations[0].landmark_id, cup);
   EXPECT_EQ(apart.associations[0].landmark_class_id, kCup);

@@ -172,7 +172,7 @@ TEST(NearestDepth, SeesThroughWhereNothingWas) {
 TEST(TrackingMap, WhatHasComeGivesNoPoints) {
   const auto image_of = [](int world, const std::vector<double>& depths_m) {
     TrackedFeatures image;
-    image.section = image.world = world;
+    image.section = {world, world};
     for (std::size_t i = 0; i < depths_m.size(); ++i) {
       ImageFeature feature;
       feature.pixel = Vec2(350.0 + 40.0 * static_cast<double>(i), 240.0);
