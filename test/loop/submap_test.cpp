@@ -292,8 +292,8 @@ std::vector<NodePair> true_pairs(const BuiltMap& a, const BuiltMap& b) {
   std::vector<NodePair> pairs;
   for (int i = 0; i < static_cast<int>(a.map.objects.size()); ++i) {
     for (int j = 0; j < static_cast<int>(b.map.objects.size()); ++j) {
-      const LocalObject& p = a.map.objects[static_cast<std::size_t>(i)];
-      const LocalObject& q = b.map.objects[static_cast<std::size_t>(j)];
+      const LocalObject& p = a.map.object(i);
+      const LocalObject& q = b.map.object(j);
       if (p.label == q.label && (p.spheroid.center - T_a_b * q.spheroid.center).norm() < 0.06) pairs.push_back({i, j});
     }
   }

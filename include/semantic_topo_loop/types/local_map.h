@@ -1,6 +1,7 @@
 #pragma once
 
 #include <cmath>
+#include <cstddef>
 #include <cstdint>
 #include <memory>
 #include <vector>
@@ -94,6 +95,9 @@ struct LocalMap {
   std::vector<int> check_frames;   ///< indices of frames, spread evenly over the window
   std::vector<LocalObject> objects;
   std::shared_ptr<const std::vector<Surfel>> surfels;  ///< local frame; null if no frame came with points
+
+  /// By the number that matching calls it by.
+  const LocalObject& object(int i) const { return objects[static_cast<std::size_t>(i)]; }
 };
 
 /// What is new in a collection of submaps, and in what was found between them.

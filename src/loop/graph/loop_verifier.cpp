@@ -12,8 +12,6 @@ namespace {
 constexpr double kObjectSeenShare = 0.3;  ///< of the frames that should see an object: detectors miss it in many
 constexpr int kMinExpected = 2;           ///< frames that should see it; one alone may be hidden or cut
 
-const LocalObject& object(const LocalMap& map, int i) { return map.objects[static_cast<std::size_t>(i)]; }
-
 /// The best overlap of a projected box with a detection of the label; marks the detection if it is enough.
 bool find_detection(const LocalFrame& frame, const Box& projected, int label, double min_iou,
                     std::vector<bool>* explained) {
@@ -122,8 +120,8 @@ bool is_mirrored(const LocalMap& a, const LocalMap& b, const GraphMatch& match) 
   Vec3 middle = Vec3::Zero();
   std::vector<Vec3> points;
   for (const NodePair& pair : match.pairs) {
-    points.push_back(object(a, pair.a).spheroid.center);
-    points.push_back(match.T_a_b * object(b, pair.b).spheroid.center);
+    points.push_back(a.object(pair.a).spheroid.center);
+    points.push_back(match.T_a_b * b.object(pair.b).spheroid.center);
   }
   for (const Vec3& point : points) middle += point / static_cast<double>(points.size());
   Mat3 scatter = Mat3::Zero();

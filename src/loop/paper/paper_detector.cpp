@@ -37,8 +37,6 @@ LoopOptions with_vague_edges(LoopOptions options) {
   return options;
 }
 
-const LocalObject& object(const LocalMap& map, int i) { return map.objects[static_cast<std::size_t>(i)]; }
-
 }  // namespace
 
 Mat3 rotation_between(const Vec3& from, const Vec3& to) {
@@ -151,8 +149,8 @@ std::vector<LoopClosure> PaperDetector::detect(LocalMap map, bool search) {
 PaperDetector::Keyframe PaperDetector::make_keyframe(LocalMap map) const {
   Keyframe keyframe;
   for (int i = 0; i < static_cast<int>(map.objects.size()); ++i) {
-    const auto [it, inserted] = keyframe.object_of_landmark.emplace(object(map, i).landmark_id, i);
-    if (!inserted && object(map, i).frames_seen > object(map, it->second).frames_seen) it->second = i;
+    const auto [it, inserted] = keyframe.object_of_landmark.emplace(map.object(i).landmark_id, i);
+    if (!inserted && map.object(i).frames_seen > map.object(it->second).frames_seen) it->second = i;
   }
   keyframe.map = std::move(map);
   return keyframe;
@@ -172,9 +170,9 @@ std::vector<NodePair> PaperDetector::common_objects(const Keyframe& match, const
 double PaperDetector::score(const Keyframe& match, const Keyframe& query) const {
   std::vector<CommonNode> nodes;
   for (const NodePair& pair : common_objects(match, query)) {
-    const LocalObject& node = object(query.map, pair.b);
+    const LocalObject& node = query.map.object(pair.b);
     const auto quality = quality_.find(redirects_.resolve(node.landmark_id));
-    nodes.push_back({node.spheroid.center, object(match.map, pair.a).spheroid.center,
+    nodes.push_back({node.spheroid.center, match.map.object(pair.a).spheroid.center,
                      quality == quality_.end() ? 0.0 : quality->second});
   }
   return options_.score == "printed" ? printed_score(nodes) : corrected_score(nodes);
@@ -235,8 +233,8 @@ void PaperDetector::align(const Keyframe& match, const Keyframe& query, LoopClos
   const std::vector<NodePair> common = common_objects(match, query);
   std::vector<LabelledPoint> points_match, points_query;
   for (int k = 0; k < static_cast<int>(common.size()); ++k) {
-    const LocalObject& in_match = object(match.map, common[static_cast<std::size_t>(k)].a);
-    const LocalObject& in_query = object(query.map, common[static_cast<std::size_t>(k)].b);
+    const LocalObject& in_match = match.map.object(common[static_cast<std::size_t>(k)].a);
+    const LocalObject& in_query = query.map.object(common[static_cast<std::size_t>(k)].b);
     points_match.push_back({in_match.spheroid.center, k, in_match.spheroid.radius(), in_match.class_id});
     points_query.push_back({in_query.spheroid.center, k, in_query.spheroid.radius(), in_query.class_id});
   }

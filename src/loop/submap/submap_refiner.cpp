@@ -118,8 +118,8 @@ class RefinementProblem {
                     const LoopOptions& options)
       : T_0_(T_0), axis_(common_axis(a, b, T_0)) {
     for (const NodePair& pair : pairs) {
-      const LocalObject& in_a = a.objects[static_cast<std::size_t>(pair.a)];
-      const LocalObject& in_b = b.objects[static_cast<std::size_t>(pair.b)];
+      const LocalObject& in_a = a.object(pair.a);
+      const LocalObject& in_b = b.object(pair.b);
       const Spheroid &s_a = in_a.spheroid, &s_b = in_b.spheroid;
       add_object(a, in_a, false, options);
       add_object(b, in_b, true, options);
@@ -284,8 +284,7 @@ std::optional<Refinement> refine_submaps(const LocalMap& a, const LocalMap& b, c
                        [](const SubmapView& view) { return view.depth_m > 0.0; });
   };
   const bool with_depth = options.use_points && std::any_of(pairs.begin(), pairs.end(), [&](const NodePair& pair) {
-                            return has_depth(a.objects[static_cast<std::size_t>(pair.a)]) ||
-                                   has_depth(b.objects[static_cast<std::size_t>(pair.b)]);
+                            return has_depth(a.object(pair.a)) || has_depth(b.object(pair.b));
                           });
   return with_depth ? refine_with<kPose, kSpheroidAndOffset>(a, b, T_a_b, pairs, options)
                     : refine_with<kPose, kSpheroid>(a, b, T_a_b, pairs, options);
@@ -317,7 +316,7 @@ std::vector<SubmapObject> list_objects(const LocalMap& map, const std::vector<in
   }
   std::vector<SubmapObject> objects;
   for (const int i : order) {
-    const LocalObject& object = map.objects[static_cast<std::size_t>(i)];
+    const LocalObject& object = map.object(i);
     const double radius_m = std::exp(object.spheroid.log_axes(0));
     objects.push_back({object.landmark_id, object.class_id, object.spheroid.center, radius_m});
   }
@@ -338,8 +337,7 @@ void set_alignment(const LocalMap& match, const LocalMap& query, const GraphMatc
   for (const NodePair& pair : alignment.pairs) {
     of_query.push_back(pair.b);
     of_match.push_back(pair.a);
-    loop->matches.push_back({query.objects[static_cast<std::size_t>(pair.b)].landmark_id,
-                             match.objects[static_cast<std::size_t>(pair.a)].landmark_id});
+    loop->matches.push_back({query.object(pair.b).landmark_id, match.object(pair.a).landmark_id});
   }
   loop->query_objects = list_objects(query, of_query);
   loop->match_objects = list_objects(match, of_match);
