@@ -57,11 +57,15 @@ class ChainSystem {
   Eigen::VectorXd right_;
 };
 
+void scale_translation(double scale, Mat6* covariance) {
+  covariance->topRows<3>() *= scale;
+  covariance->leftCols<3>() *= scale;
+}
+
 /// In a unit of length of which `scale` make one of the old.
 GraphLoop in_unit(GraphLoop loop, double scale) {
   loop.T_from_to.t *= scale;
-  loop.covariance.topRows<3>() *= scale;
-  loop.covariance.leftCols<3>() *= scale;
+  scale_translation(scale, &loop.covariance);
   loop.scale_covariance.head<3>() *= scale;
   return loop;
 }
@@ -71,12 +75,8 @@ OdometryEdge in_unit(OdometryEdge edge, double scale) {
   edge.path_m *= scale;
   edge.suspected_jump.head<3>() *= scale;
   edge.jump_error_m *= scale;
-  edge.missed.covariance.topRows<3>() *= scale;
-  edge.missed.covariance.leftCols<3>() *= scale;
-  if (edge.covariance) {
-    edge.covariance->topRows<3>() *= scale;
-    edge.covariance->leftCols<3>() *= scale;
-  }
+  scale_translation(scale, &edge.missed.covariance);
+  if (edge.covariance) scale_translation(scale, &*edge.covariance);
   return edge;
 }
 
