@@ -7,13 +7,10 @@
 namespace semantic_topo_loop::core {
 namespace {
 
-constexpr double kAgreement_m = 0.5;        ///< three times the largest sigma of an accepted loop (loop.max_sigma_m)
-constexpr double kAgreement_rad = 0.26;     ///< 15 deg, three times loop.max_sigma_deg
-constexpr std::size_t kMinAgreeing = 3;     ///< two may be one mistake made twice
-constexpr std::size_t kMaxVotes = 1000;     ///< the latest: the odometry drifts away from the earlier ones
-constexpr std::size_t kMaxHypotheses = 50;  ///< votes whose supporters are counted, spread evenly
-constexpr int kRounds = 3;                  ///< of fit and supporters
-constexpr int kIterations = 5;              ///< of Gauss-Newton, which starts from a loop that most agree with
+constexpr std::size_t kMinAgreeing = 3;  ///< two may be one mistake made twice
+constexpr std::size_t kMaxVotes = 1000;  ///< the latest: the odometry drifts away from the earlier ones
+constexpr int kRounds = 3;               ///< of fit and supporters
+constexpr int kIterations = 5;           ///< of Gauss-Newton, which starts from a loop that most agree with
 
 }  // namespace
 
@@ -24,18 +21,14 @@ void Relocaliser::add(const LoopClosure& loop, const SE3& T_odom_query) {
   if (ldlt.info() != Eigen::Success || !ldlt.isPositive()) return;
   const Mat6 information = ldlt.solve(Mat6::Identity());
   if (!information.allFinite()) return;
-  votes_.push_back({*loop.T_earlier_match * loop.T_match_query, T_odom_query, information});
+  votes_.push_back({{*loop.T_earlier_match * loop.T_match_query, T_odom_query}, information});
   if (votes_.size() > kMaxVotes) votes_.pop_front();
 }
 
 std::vector<const Relocaliser::Vote*> Relocaliser::supporters(const SE3& T_earlier_odom) const {
   std::vector<const Vote*> agreeing;
   for (const Vote& vote : votes_) {
-    const SE3 T_earlier_query = T_earlier_odom * vote.T_odom_query;
-    if ((T_earlier_query.t - vote.T_earlier_query.t).norm() < kAgreement_m &&
-        rotation_angle(T_earlier_query.q, vote.T_earlier_query.q) < kAgreement_rad) {
-      agreeing.push_back(&vote);
-    }
+    if (agrees(vote, T_earlier_odom)) agreeing.push_back(&vote);
   }
   return agreeing;
 }
@@ -46,11 +39,11 @@ SE3 Relocaliser::fit(const std::vector<const Vote*>& votes, SE3 T_earlier_odom) 
     Mat6 H = Mat6::Zero();
     Vec6 g = Vec6::Zero();
     for (const Vote* vote : votes) {
-      const Vec6 r = se3_log(vote->T_earlier_query.inverse() * (T_earlier_odom * vote->T_odom_query));
+      const Vec6 r = se3_log(vote->T_a_x.inverse() * (T_earlier_odom * vote->T_b_x));
       Mat6 J = Mat6::Zero();
-      J.topLeftCorner<3, 3>() = vote->T_earlier_query.rotation().transpose() * T_earlier_odom.rotation();
-      J.topRightCorner<3, 3>() = -J.topLeftCorner<3, 3>() * hat(vote->T_odom_query.t);
-      J.bottomRightCorner<3, 3>() = vote->T_odom_query.rotation().transpose();
+      J.topLeftCorner<3, 3>() = vote->T_a_x.rotation().transpose() * T_earlier_odom.rotation();
+      J.topRightCorner<3, 3>() = -J.topLeftCorner<3, 3>() * hat(vote->T_b_x.t);
+      J.bottomRightCorner<3, 3>() = vote->T_b_x.rotation().transpose();
       const double weight = 1.0 / (1.0 + r.dot(vote->information * r));  // Cauchy
       H += weight * J.transpose() * vote->information * J;
       g += weight * J.transpose() * vote->information * r;
@@ -63,16 +56,8 @@ SE3 Relocaliser::fit(const std::vector<const Vote*>& votes, SE3 T_earlier_odom) 
 }
 
 std::optional<Relocalisation> Relocaliser::estimate() const {
-  std::vector<const Vote*> best;
-  const std::size_t stride = 1 + votes_.size() / kMaxHypotheses;
-  SE3 T_earlier_odom;
-  for (std::size_t i = 0; i < votes_.size(); i += stride) {
-    const SE3 hypothesis = votes_[i].T_earlier_query * votes_[i].T_odom_query.inverse();
-    std::vector<const Vote*> agreeing = supporters(hypothesis);
-    if (agreeing.size() <= best.size()) continue;
-    best = std::move(agreeing);
-    T_earlier_odom = hypothesis;
-  }
+  SE3 T_earlier_odom = most_supported(votes_).T_a_b;
+  std::vector<const Vote*> best = supporters(T_earlier_odom);
   for (int round = 0; round < kRounds && best.size() >= kMinAgreeing; ++round) {
     T_earlier_odom = fit(best, T_earlier_odom);
     best = supporters(T_earlier_odom);

@@ -4,6 +4,7 @@
 #include <optional>
 #include <vector>
 
+#include "geometry/pose_consensus.h"
 #include "semantic_topo_loop/types/loop_closure.h"
 
 namespace semantic_topo_loop::core {
@@ -21,9 +22,9 @@ class Relocaliser {
   std::optional<Relocalisation> estimate() const;
 
  private:
-  struct Vote {
-    SE3 T_earlier_query, T_odom_query;
-    Mat6 information;  ///< of T_earlier_query: (translation m, rotation rad), right
+  /// Where the query is in the earlier map (a) and in the odometry's world (b).
+  struct Vote : PosePair {
+    Mat6 information;  ///< of T_a_x: (translation m, rotation rad), right
   };
   std::vector<const Vote*> supporters(const SE3& T_earlier_odom) const;
   static SE3 fit(const std::vector<const Vote*>& votes, SE3 T_earlier_odom);
