@@ -207,11 +207,6 @@ std::optional<Ellipsoid> MergeHistory::place(const KeyframePlaces& S_map_keyfram
                    anchor->second.scale / remains.anchor_scale * state.ellipsoid->semi_axes};
 }
 
-std::int64_t MergeHistory::resolve(std::int64_t id) const {
-  for (auto it = survivor_of_.find(id); it != survivor_of_.end(); it = survivor_of_.find(id)) id = it->second;
-  return id;
-}
-
 void MergeHistory::join(const KeyframePlaces& S_map_keyframe, MappedLandmark merged, MappedLandmark* survivor) {
   MergeRecord record;
   record.merge = {merged.state.id, survivor->state.id};
@@ -221,8 +216,8 @@ void MergeHistory::join(const KeyframePlaces& S_map_keyframe, MappedLandmark mer
   std::sort(record.sources.begin(), record.sources.end());
   record.sources.erase(std::unique(record.sources.begin(), record.sources.end()), record.sources.end());
   if (records_.size() == kMostOpenMerges) records_.erase(records_.begin());
+  redirects_.merge(record.merge);
   records_.push_back(std::move(record));
-  survivor_of_[merged.state.id] = survivor->state.id;
 
   std::vector<Observation> all;
   all.reserve(survivor->observations.size() + merged.observations.size());
@@ -248,7 +243,7 @@ void MergeHistory::join(const KeyframePlaces& S_map_keyframe, MappedLandmark mer
 MappedLandmark MergeHistory::split(const KeyframePlaces& S_map_keyframe, std::size_t index, MappedLandmark* survivor) {
   const MergeRecord record = std::move(records_[index]);
   records_.erase(records_.begin() + static_cast<std::ptrdiff_t>(index));
-  survivor_of_.erase(record.merge.merged_id);
+  redirects_.unmerge(record.merge.merged_id);
 
   MappedLandmark merged = restore(S_map_keyframe, record.merged);
   const auto belongs_to_merged = [&record](const Observation& observation) {

@@ -86,11 +86,11 @@ class MergeHistory {
   /// Where a landmark's remains stand now; nullopt without an ellipsoid.
   static std::optional<Ellipsoid> place(const KeyframePlaces& S_map_keyframe, const Remains& remains);
   /// The landmark that an id has become.
-  std::int64_t resolve(std::int64_t id) const;
+  std::int64_t resolve(std::int64_t id) const { return redirects_.resolve(id); }
 
  private:
-  std::vector<MergeRecord> records_;                  ///< in the order they were made
-  std::map<std::int64_t, std::int64_t> survivor_of_;  ///< merged id -> survivor
+  std::vector<MergeRecord> records_;  ///< in the order they were made
+  LandmarkRedirects redirects_;
 };
 
 }  // namespace semantic_topo_loop::core

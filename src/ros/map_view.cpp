@@ -45,15 +45,15 @@ void MapFollower::take(const core::MapUpdate& update) {
 }
 
 void MapView::apply(const core::MapUpdate& update) {
-  for (const core::LandmarkMerge& merge : update.unmerged) redirects_.erase(merge.merged_id);
+  for (const core::LandmarkMerge& merge : update.unmerged) redirects_.unmerge(merge.merged_id);
   for (const core::Landmark& landmark : update.changed) {
     landmarks_[landmark.id] = landmark;
-    redirects_.erase(landmark.id);  // it lives again, though the update that says so may be lost
+    redirects_.unmerge(landmark.id);  // it lives again, though the update that says so may be lost
   }
   for (const std::int64_t id : update.removed) landmarks_.erase(id);
   for (const core::LandmarkMerge& merge : update.merged) {
     landmarks_.erase(merge.merged_id);
-    redirects_[merge.merged_id] = merge.survivor_id;
+    redirects_.merge(merge);
   }
   T_map_odom_ = update.T_map_odom;
 }
@@ -102,16 +102,6 @@ void MapView::set_view(const core::AssociationFrame& associations) {
   for (const core::Association& association : associations.associations) {
     if (association.landmark_id >= 0) in_view_.push_back(association.landmark_id);
   }
-}
-
-std::int64_t MapView::survivor(std::int64_t id) const {
-  // No longer than there are redirects: bad updates may make a ring of them.
-  auto it = redirects_.find(id);
-  for (std::size_t i = 0; i < redirects_.size() && it != redirects_.end(); ++i) {
-    id = it->second;
-    it = redirects_.find(id);
-  }
-  return id;
 }
 
 std::vector<const core::Landmark*> MapView::objects_of(const std::vector<std::int64_t>& ids) const {

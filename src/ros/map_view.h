@@ -90,7 +90,7 @@ class MapView {
   const std::optional<core::Frame>& frame() const { return frame_; }
   const core::SE3& T_map_odom() const { return T_map_odom_; }
   /// The landmark that this one lives on as; itself, unless it was merged.
-  std::int64_t survivor(std::int64_t id) const;
+  std::int64_t survivor(std::int64_t id) const { return redirects_.resolve(id); }
   /// Objects of the last frame with detections that have an ellipsoid and are not retired, in order of id, each once.
   std::vector<const core::Landmark*> objects_in_view() const { return objects_of(in_view_); }
   /// The same of the objects that two places share, by their ids on either side.
@@ -106,7 +106,7 @@ class MapView {
   std::vector<const core::Landmark*> objects_of(const std::vector<std::int64_t>& ids) const;
 
   std::map<std::int64_t, core::Landmark> landmarks_;
-  std::map<std::int64_t, std::int64_t> redirects_;  ///< merged id to survivor; none of a landmark that lives
+  core::LandmarkRedirects redirects_;  ///< none of a landmark that lives
   std::map<std::int64_t, Keyframe> keyframes_;
   std::map<Loop, AcceptedLoop> loops_, extra_loops_;
   std::map<Loop, core::LoopReason> refused_;  ///< none that was accepted later

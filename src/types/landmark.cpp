@@ -34,19 +34,23 @@ void Landmark::count_class(int of_class, int count) {
 }
 
 void LandmarkRedirects::apply(const MapUpdate& update) {
-  for (const LandmarkMerge& merge : update.unmerged) {
-    const auto it = survivor_.find(merge.merged_id);
-    if (it == survivor_.end() || it->second != merge.survivor_id) continue;
-    std::vector<std::int64_t>& merged = merged_into_[merge.survivor_id];
-    merged.erase(std::remove(merged.begin(), merged.end(), merge.merged_id), merged.end());
-    survivor_.erase(it);
+  for (const LandmarkMerge& merge : update.unmerged) unmerge(merge.merged_id);
+  for (const LandmarkMerge& merge : update.merged) this->merge(merge);
+}
+
+void LandmarkRedirects::merge(const LandmarkMerge& merge) {
+  if (resolve(merge.survivor_id) == merge.merged_id) return;  // no id stands for itself by a detour
+  if (survivor_.emplace(merge.merged_id, merge.survivor_id).second) {
+    merged_into_[merge.survivor_id].push_back(merge.merged_id);
   }
-  for (const LandmarkMerge& merge : update.merged) {
-    if (resolve(merge.survivor_id) == merge.merged_id) continue;  // no id stands for itself by a detour
-    if (survivor_.emplace(merge.merged_id, merge.survivor_id).second) {
-      merged_into_[merge.survivor_id].push_back(merge.merged_id);
-    }
-  }
+}
+
+void LandmarkRedirects::unmerge(std::int64_t merged_id) {
+  const auto it = survivor_.find(merged_id);
+  if (it == survivor_.end()) return;
+  std::vector<std::int64_t>& merged = merged_into_[it->second];
+  merged.erase(std::remove(merged.begin(), merged.end(), merged_id), merged.end());
+  survivor_.erase(it);
 }
 
 std::int64_t LandmarkRedirects::resolve(std::int64_t id) const {

@@ -85,6 +85,8 @@ class LandmarkRedirects {
  public:
   /// Takes over the merges of an update and those that it takes back.
   void apply(const MapUpdate& update);
+  void merge(const LandmarkMerge& merge);
+  void unmerge(std::int64_t merged_id);
   std::int64_t resolve(std::int64_t id) const;
   /// All ids that stand for the landmark of this id, ascending.
   std::vector<std::int64_t> aliases(std::int64_t id) const;
