@@ -15,7 +15,6 @@
 #include "io/csv.h"
 #include "io/process_memory.h"
 #include "io/spool.h"
-#include "loop/graph/relocalisation.h"
 #include "odometry/held_poses.h"
 #include "semantic_topo_loop/io/run_files.h"
 #include "semantic_topo_loop/io/text_file.h"
@@ -199,6 +198,8 @@ class FileRecorder : public RunRecorder {
     open_[frame_id].loops = loops;
   }
 
+  void record(const std::optional<Relocalisation>& relocalisation) override { relocalisation_ = relocalisation; }
+
   void record(const MapCorrection& correction) override {
     open_[correction.frame_id].optimise_us = correction.duration_us;
     open_[correction.frame_id].T_map_odom = correction.T_map_odom;
@@ -214,11 +215,7 @@ class FileRecorder : public RunRecorder {
 
   void record(const TrackingReport& tracking) override { tracking_ = tracking; }
 
-  std::optional<Relocalisation> relocalisation() const override {
-    Relocaliser relocaliser = settled_votes_;
-    for (const auto& [frame_id, frame] : open_) add_votes(frame, &relocaliser);
-    return relocaliser.estimate();
-  }
+  std::optional<Relocalisation> relocalisation() const override { return relocalisation_; }
 
   std::optional<JoinedMap> joined_map() const override {
     if (keyframes_.empty()) return std::nullopt;
@@ -332,16 +329,7 @@ class FileRecorder : public RunRecorder {
         settled_places_.add({reinterpret_cast<const char*>(&*frame.place), sizeof(FramePlace)}, directory_);
       }
       settled_counts_.add(frame);
-      add_votes(frame, &settled_votes_);
       open_.erase(open_.begin());
-    }
-  }
-
-  void add_votes(const OpenFrame& frame, Relocaliser* relocaliser) const {
-    if (frame.is_break) relocaliser->restart();
-    for (const LoopClosure& loop : frame.loops) {
-      const auto query = keyframes_.find(loop.query_keyframe_id);
-      if (query != keyframes_.end()) relocaliser->add(loop, query->second.T_odom_camera());
     }
   }
 
@@ -460,7 +448,7 @@ class FileRecorder : public RunRecorder {
     if (const std::optional<JoinedMap> joined = joined_map()) {
       summary["joined_map"] = {{"after_s", joined->after_s}, {"loops", joined->loops}};
     }
-    if (has_earlier_map_) summary["relocalisation"] = to_json(relocalisation());
+    if (has_earlier_map_) summary["relocalisation"] = to_json(relocalisation_);
     constexpr int kIndent = 2;
     file << summary.dump(kIndent) << '\n';
   }
@@ -474,7 +462,6 @@ class FileRecorder : public RunRecorder {
   std::array<Spool, kTables> settled_;            ///< rows of the frames before
   Spool settled_places_;                          ///< of them
   Counts settled_counts_;
-  Relocaliser settled_votes_;
   SE3 settled_T_map_odom_;
   std::pair<std::int64_t, SE3> last_T_map_odom_{-1, {}};  ///< with the id of the frame
   std::map<std::int64_t, Landmark> landmarks_;            ///< latest state of those that still exist
@@ -484,6 +471,7 @@ class FileRecorder : public RunRecorder {
   std::map<std::int64_t, LoopVerdict> verdicts_;          ///< by the loop's number
   OdometryReport odometry_;                               ///< of the last correction that changed something
   std::optional<TrackingReport> tracking_;
+  std::optional<Relocalisation> relocalisation_;
   int merges_ = 0;
   int corrections_ = 0;
 };
@@ -495,6 +483,7 @@ void record(const Frame& frame, const FrameResult& result, RunRecorder* recorder
   recorder->record(result.associations);
   recorder->record(result.observation);
   recorder->record(frame.frame_id, result.loops, result.loop_us);
+  recorder->record(result.relocalisation);
   recorder->record(result.correction);
   recorder->record(result.completion);
 }

@@ -141,6 +141,7 @@ class LoopDetectionNodelet : public StageWith<LoopDetectionParameters> {
       loops.closures = detector_->detect(frame, *std::get<1>(*joined));
       loops.motions = detector_->motions();
       loops.duration_us = stopwatch.elapsed_us();
+      loops.relocalisation = detector_->relocalisation();
       delay_s = detector_->odometry_delay_s();
     }
     warn_while("odometry", core::describe_delay(delay_s));

@@ -117,6 +117,7 @@ class RecorderNodelet : public StageWith<RecorderParameters> {
 
   void on_loops(const LoopsMessage::ConstPtr& loops) {
     record(loops->frame_id, loops->closures, loops->duration_us);
+    record(loops->relocalisation);
     add<kLoops>(loops->frame_id, {});
   }
 

@@ -42,6 +42,7 @@ FrameResult ObjectSlam::process(const Frame& frame, const std::vector<Detection>
   const Stopwatch stopwatch;
   result.loops = loop_detector_.detect(frame, result.associations);
   result.loop_us = stopwatch.elapsed_us();
+  result.relocalisation = loop_detector_.relocalisation();
   pose_graph_.refine(loop_detector_.motions());
   pose_graph_.observe(frame, result.associations);
   result.correction = pose_graph_.process(frame, result.loops, extra_loops);

@@ -178,6 +178,21 @@ TEST(Relocaliser, NeedsThreeThatAgreeAndAMajority) {
   EXPECT_FALSE(relocaliser.estimate().has_value()) << "two places, three loops each";
 }
 
+TEST(Relocaliser, TheLastThousandLoopsCountAndNoneAfterARestart) {
+  const SE3 truth(so3_exp(Vec3(0.3, 0.0, 0.0)), Vec3(1.0, 0.0, 0.0)), other(Mat3::Identity(), Vec3(-9.0, 0.0, 0.0));
+  Relocaliser relocaliser;
+  for (int i = 0; i < 1600; ++i) relocaliser.add(vote(i < 600 ? other : truth, 0.03), SE3());
+  for (int times = 0; times < 2; ++times) {
+    const std::optional<Relocalisation> found = relocaliser.estimate();
+    ASSERT_TRUE(found.has_value());
+    EXPECT_EQ(found->agreeing, 1000);
+    EXPECT_EQ(found->total, 1000);
+    EXPECT_LT(error_m(found->T_earlier_odom, truth), 1e-9);
+  }
+  relocaliser.restart();
+  EXPECT_FALSE(relocaliser.estimate().has_value());
+}
+
 TEST(Relocaliser, IgnoresWhatIsNoLoopIntoTheMap) {
   Relocaliser relocaliser;
   for (int i = 0; i < 5; ++i) {

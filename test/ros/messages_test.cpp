@@ -319,7 +319,7 @@ TEST(Messages, LoopClosureNamesItsFieldsAsTheMessageDoes) {
 
 TEST(Messages, Loops) {
   Random random(7);
-  FrameLoops loops{random.integer(), random.number(), {}, {}};
+  FrameLoops loops{random.integer(), random.number(), {}, {}, core::Relocalisation{random.pose(), 5, 7}};
   for (int i = 0; i < 6; ++i) {
     core::LoopClosure loop;
     core::visit_fields(loop, [&random](const char*, auto& field) {
@@ -384,6 +384,12 @@ TEST(Messages, Loops) {
     EXPECT_EQ(generated.motions[i].delay_s, loops.motions[i].delay_s);
     EXPECT_EQ(generated.motions[i].noise.drift_radps, loops.motions[i].noise.drift_radps);
   }
+  EXPECT_TRUE(generated.has_relocalisation);
+  EXPECT_TRUE(same(generated.relocalisation.earlier_map_from_odom, loops.relocalisation->T_earlier_odom));
+  EXPECT_EQ(generated.relocalisation.agreeing, 5);
+  EXPECT_EQ(generated.relocalisation.total, 7);
+  loops.relocalisation.reset();
+  EXPECT_FALSE(expect_generated_is_same(random.message<LoopsMessage>(loops)).has_relocalisation);
 }
 
 TEST(Messages, Correction) {

@@ -82,7 +82,7 @@ class Feed {
     is_stuck_ = !wait([&] { return observed_ == frame.frame_id; });
   }
   void publish_loops(const core::Frame& frame, const std::vector<core::LoopClosure>& loops) {
-    loops_.publish(LoopsMessage(header_of(frame), session_, FrameLoops{frame.frame_id, 0.0, loops, {}}));
+    loops_.publish(LoopsMessage(header_of(frame), session_, FrameLoops{frame.frame_id, 0.0, loops, {}, {}}));
   }
 
   void publish(const ExternalLoop& loop) { external_loops_.publish(loop); }

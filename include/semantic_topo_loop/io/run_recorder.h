@@ -36,6 +36,8 @@ class RunRecorder {
   virtual void record(const AssociationFrame& associations) = 0;
   virtual void record(const MapUpdate& update) = 0;
   virtual void record(std::int64_t frame_id, const std::vector<LoopClosure>& loops, double loop_us) = 0;
+  /// Where the run is in an earlier run's map, as loop detection has it after a frame.
+  virtual void record(const std::optional<Relocalisation>& relocalisation) = 0;
   virtual void record(const MapCorrection& correction) = 0;
   /// What the RGB-D front end made of the images, where there is one.
   virtual void record(const TrackingReport& tracking) = 0;
@@ -46,7 +48,7 @@ class RunRecorder {
   /// directory. All are written before the first takes its place. The run may go on.
   /// @return an error, with the path, if a file cannot be written
   virtual Status write(const std::string& directory) const = 0;
-  /// Where the run is in an earlier run's map, by the loops recorded so far.
+  /// As it was recorded last.
   virtual std::optional<Relocalisation> relocalisation() const = 0;
   /// nullopt without a loop into the map of earlier sessions, or without such a map.
   virtual std::optional<JoinedMap> joined_map() const = 0;

@@ -73,7 +73,7 @@ class LoopDetector {
   /// Graph mode: looks for the place in an earlier run's submaps, too (io/map_file.h). Call it before the first
   /// frame.
   void set_earlier_map(std::vector<LocalMap> submaps);
-  /// Where the run is in the earlier run's map, by the last accepted loops into it.
+  /// Where the run is in the earlier run's map; nullopt until it is known.
   std::optional<Relocalisation> relocalisation() const;
   /// Goes on with the submaps of earlier sessions, poses in the map: loops into them are loops of one graph. Call it
   /// before the first frame.

@@ -1,6 +1,7 @@
 #pragma once
 
 #include <memory>
+#include <optional>
 #include <utility>
 #include <vector>
 
@@ -24,6 +25,7 @@ struct FrameResult {
   MapUpdate observation;  ///< after the associations were integrated
   std::vector<LoopClosure> loops;
   double loop_us = 0.0;
+  std::optional<Relocalisation> relocalisation;  ///< see LoopDetector
   MapCorrection correction;
   MapUpdate completion;  ///< after the correction was applied
 };

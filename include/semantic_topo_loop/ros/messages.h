@@ -78,12 +78,13 @@ struct FrameDetections {
   std::vector<core::Detection> detections;
 };
 
-/// Every candidate of one frame, and the motions solved for with it.
+/// Every candidate of one frame, the motions solved for with it, and where the run then is in an earlier run's map.
 struct FrameLoops {
   std::int64_t frame_id = 0;
   double duration_us = 0.0;
   std::vector<core::LoopClosure> closures;
   std::vector<core::SolvedMotion> motions;
+  std::optional<core::Relocalisation> relocalisation;
 };
 
 /// The full map as an update of every landmark; what it follows is left to the holder.
@@ -304,7 +305,9 @@ SEMANTIC_TOPO_LOOP_FIELDS(core::AssociationFrame, m.frame_id, m.unanswered, m.ma
 SEMANTIC_TOPO_LOOP_FIELDS(core::MapUpdate, m.frame_id, m.phase, m.base_version, m.map_version, m.T_map_odom, m.changed,
                           m.removed, m.unmerged, m.merged, m.duration_us)
 SEMANTIC_TOPO_LOOP_FIELDS(semantic_topo_loop::FullMap, m.map_version, m.T_map_odom, m.changed)
-SEMANTIC_TOPO_LOOP_FIELDS(semantic_topo_loop::FrameLoops, m.frame_id, m.duration_us, m.closures, m.motions)
+SEMANTIC_TOPO_LOOP_FIELDS(core::Relocalisation, m.T_earlier_odom, m.agreeing, m.total)
+SEMANTIC_TOPO_LOOP_FIELDS(semantic_topo_loop::FrameLoops, m.frame_id, m.duration_us, m.closures, m.motions,
+                          m.relocalisation)
 SEMANTIC_TOPO_LOOP_FIELDS(core::MapCorrection, m.frame_id, m.changed, m.valid_to_keyframe_id, m.T_map_odom_old,
                           m.T_map_odom, m.scale, m.keyframes, m.loops, m.odometry, m.duration_us)
 SEMANTIC_TOPO_LOOP_FIELDS(core::TrackingReport, m.images, m.tracked, m.relocalised, m.restarts, m.lost, m.unusable,

@@ -138,11 +138,11 @@ void visit_fields(Loop& loop, Visitor&& visit) {
   }
 }
 
-/// Where a run is in the map of an earlier one.
+/// Where a run is in the map of an earlier one, by the accepted loops into it since the odometry last broke or jumped.
 struct Relocalisation {
   SE3 T_earlier_odom;  ///< the run's odometry frame in the earlier run's map
-  int agreeing = 0;    ///< accepted loops into that map that say so
-  int total = 0;       ///< all accepted loops into that map
+  int agreeing = 0;    ///< loops that say so
+  int total = 0;       ///< the last thousand at most
 };
 
 }  // namespace semantic_topo_loop::core

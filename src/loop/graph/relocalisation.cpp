@@ -1,6 +1,7 @@
 #include "loop/graph/relocalisation.h"
 
 #include <Eigen/Cholesky>
+#include <utility>
 
 #include "semantic_topo_loop/geometry/lie.h"
 
@@ -23,6 +24,12 @@ void Relocaliser::add(const LoopClosure& loop, const SE3& T_odom_query) {
   if (!information.allFinite()) return;
   votes_.push_back({{*loop.T_earlier_match * loop.T_match_query, T_odom_query}, information});
   if (votes_.size() > kMaxVotes) votes_.pop_front();
+  is_current_ = false;
+}
+
+const std::optional<Relocalisation>& Relocaliser::estimate() {
+  if (!std::exchange(is_current_, true)) estimate_ = consensus();
+  return estimate_;
 }
 
 std::vector<const Relocaliser::Vote*> Relocaliser::supporters(const SE3& T_earlier_odom) const {
@@ -55,7 +62,7 @@ SE3 Relocaliser::fit(const std::vector<const Vote*>& votes, SE3 T_earlier_odom) 
   return T_earlier_odom;
 }
 
-std::optional<Relocalisation> Relocaliser::estimate() const {
+std::optional<Relocalisation> Relocaliser::consensus() const {
   SE3 T_earlier_odom = most_supported(votes_).T_a_b;
   std::vector<const Vote*> best = supporters(T_earlier_odom);
   for (int round = 0; round < kRounds && best.size() >= kMinAgreeing; ++round) {

@@ -17,19 +17,23 @@ class Relocaliser {
   /// @param T_odom_query pose of the camera at the loop's query_frame
   void add(const LoopClosure& loop, const SE3& T_odom_query);
   /// Forgets the loops, at a break of the odometry or a jump that boxes show: those behind it tell of another world.
-  void restart() { votes_.clear(); }
+  void restart() { *this = Relocaliser(); }
+  /// Made when it is asked for, once for the same loops.
   /// @return nullopt until three loops agree and outnumber the others
-  std::optional<Relocalisation> estimate() const;
+  const std::optional<Relocalisation>& estimate();
 
  private:
   /// Where the query is in the earlier map (a) and in the odometry's world (b).
   struct Vote : PosePair {
     Mat6 information;  ///< of T_a_x: (translation m, rotation rad), right
   };
+  std::optional<Relocalisation> consensus() const;
   std::vector<const Vote*> supporters(const SE3& T_earlier_odom) const;
   static SE3 fit(const std::vector<const Vote*>& votes, SE3 T_earlier_odom);
 
   std::deque<Vote> votes_;
+  std::optional<Relocalisation> estimate_;
+  bool is_current_ = true;  ///< estimate_ is by all votes
 };
 
 }  // namespace semantic_topo_loop::core
