@@ -342,6 +342,15 @@ struct PoseGraph::Impl {
     return loops_since_learnt_ > learnt_loops_ / kTenth ? Effort::kLearn : Effort::kUpdate;
   }
 
+  /// This session's loops in the graph: those of a map tell nothing of its odometry.
+  std::size_t own_loops() const {
+    const auto is_own = [this](const RememberedLoop& entry) {
+      return entry.is_in_graph && keyframe_of_[static_cast<std::size_t>(entry.loop->to)] >= restored_;
+    };
+    const std::vector<RememberedLoop>& loops = loops_.remembered();
+    return static_cast<std::size_t>(std::count_if(loops.begin(), loops.end(), is_own));
+  }
+
   bool optimize(bool is_end) {
     const Effort effort = this->effort(is_end);
     keyframes_since_ = 0;
@@ -358,7 +367,7 @@ struct PoseGraph::Impl {
       return false;
     }
     if (effort != Effort::kUpdate) {
-      learnt_loops_ = loops_.size();
+      learnt_loops_ = own_loops();
       loops_since_learnt_ = 0;
     }
     T_map_odom_ = trajectory_.T_map_vertex.back() * T_odom_keyframe_.inverse();

@@ -380,44 +380,44 @@ TEST(PoseGraph, TheStateHasTheSuspectedJumpsAtAnyTime) {
   EXPECT_EQ(graph.state().edges[79].suspected_jump, jump);
 }
 
+/// A frame as a session counts it that goes on with a run's map.
+Frame later(Frame frame, const SyntheticRun& before) {
+  frame.frame_id += before.size() + 1;
+  frame.keyframe_id += before.size();
+  return frame;
+}
+
+LoopClosure later(LoopClosure loop, const SyntheticRun& before, bool leads_to_the_map) {
+  loop.query_keyframe_id += before.size();
+  for (auto frame : {&LoopClosure::query_frame, &LoopClosure::query_begin, &LoopClosure::query_end}) {
+    loop.*frame += before.size() + 1;
+  }
+  if (leads_to_the_map) return loop;
+  loop.match_keyframe_id += before.size();
+  for (auto frame : {&LoopClosure::match_frame, &LoopClosure::match_begin, &LoopClosure::match_end}) {
+    loop.*frame += before.size() + 1;
+  }
+  return loop;
+}
+
 /// The map of a good odometry, and a poor one's session that goes on with it.
 TEST(PoseGraph, ALaterSessionsNoiseIsItsOwn) {
   SyntheticRun good, poor;
   good.drift(0.0003, 0.0001, 1);
   poor.drift(0.02, 0.01, 2);
-  PoseGraph first{PoseGraphOptions()}, second{PoseGraphOptions()};
-  const std::vector<LoopClosure> loops = noisy_loops(good, 3, 2), later_loops = noisy_loops(poor, 4, 2);
-  for (int k = 0; k < good.size(); ++k) first.process(good.frame(k), loops_at(k, loops));
-  first.process(good.end_frame(), {});
-  const std::vector<KeyframePose> before = first.keyframes();
-  second.restore(first.state(), SE3());
-
-  const auto later = [&good](LoopClosure loop, bool leads_to_the_map) {
-    loop.query_keyframe_id += good.size();
-    for (auto frame : {&LoopClosure::query_frame, &LoopClosure::query_begin, &LoopClosure::query_end}) {
-      loop.*frame += good.size() + 1;
-    }
-    if (leads_to_the_map) return loop;
-    loop.match_keyframe_id += good.size();
-    for (auto frame : {&LoopClosure::match_frame, &LoopClosure::match_begin, &LoopClosure::match_end}) {
-      loop.*frame += good.size() + 1;
-    }
-    return loop;
-  };
+  const FinishedRun first = finish(good, noisy_loops(good, 3, 2));
+  const std::vector<LoopClosure> later_loops = noisy_loops(poor, 4, 2);
+  const std::vector<KeyframePose> before = first.graph.keyframes();
+  PoseGraph second{PoseGraphOptions()};
+  second.restore(first.graph.state(), SE3());
   for (int k = 0; k < poor.size(); ++k) {
     std::vector<LoopClosure> found;
     for (const LoopClosure& loop : loops_at(k, later_loops)) {
-      found.push_back(later(loop, false));
-      found.push_back(later(loop, true));
+      for (const bool leads_to_the_map : {false, true}) found.push_back(later(loop, good, leads_to_the_map));
     }
-    Frame frame = poor.frame(k);
-    frame.frame_id += good.size() + 1;
-    frame.keyframe_id += good.size();
-    second.process(frame, found);
+    second.process(later(poor.frame(k), good), found);
   }
-  Frame end = poor.end_frame();
-  end.frame_id += good.size() + 1;
-  EXPECT_EQ(second.process(end, {}).odometry.stated_edges, 0) << "of this session";
+  EXPECT_EQ(second.process(later(poor.end_frame(), good), {}).odometry.stated_edges, 0) << "of this session";
   const std::vector<KeyframePose> after = second.keyframes();
   ASSERT_EQ(after.size(), before.size() + static_cast<std::size_t>(poor.size()));
   double moved = 0.0, worst = 0.0;
@@ -430,6 +430,33 @@ TEST(PoseGraph, ALaterSessionsNoiseIsItsOwn) {
   EXPECT_GT(poor.worst_odometry_error_m(), 0.3);
   EXPECT_LT(moved, 0.01) << "the map";
   EXPECT_LT(worst, 0.2) << "the session; by the noise of the map it is 0.8 m off";
+}
+
+/// An odometry that begins to drift: few loops tell, where the map has many.
+TEST(PoseGraph, ALaterSessionsNoiseIsLearntAsOftenAsThatOfTheFirst) {
+  SyntheticRun good, session;
+  good.drift(0.0003, 0.0001, 1);
+  Vec6 bias = Vec6::Zero();
+  bias << 0.002, 0.001, 0.0, 0.0, 0.0, 0.0003;
+  session.drift(0.0, 0.0, 2, bias, 110);
+  const FinishedRun first = finish(good, noisy_loops(good, 3, 2));
+  ASSERT_GE(first.graph.size().loops, 40U);
+  PoseGraph second{PoseGraphOptions()};
+  second.restore(first.graph.state(), SE3());
+  const auto noise_at = [&](int begin, int end) {
+    for (int k = begin; k < end; ++k) second.process(later(session.frame(k), good), {});
+    std::vector<LoopClosure> found;
+    for (int k = end - 2; k <= end; ++k) {
+      found.push_back(later(session.exact_loop(k, k - session.round()), good, false));
+    }
+    const MapCorrection correction = second.process(later(session.frame(end), good), found);
+    EXPECT_TRUE(correction.changed) << end;
+    const OdometryReport& odometry = correction.odometry;
+    return odometry.translation_m + odometry.rotation_rad + odometry.steady_translation + odometry.steady_rotation_rad +
+           odometry.scale;
+  };
+  const double before = noise_at(0, 105);
+  EXPECT_GT(noise_at(106, 124), 2.0 * before);
 }
 
 TEST(PoseGraph, AFaultlessOdometryIsHardlyBentByLoopsOrBoxes) {
