@@ -68,16 +68,20 @@ void InnovationModel::accumulate_edges() {
   double path = 0.0, turn = 0.0;
   std::vector<double> paths, turns;
   for (const OdometryEdge& edge : *edges_) {
+    if (edge.covariance) continue;
     paths.push_back(edge.path_m);
     turns.push_back(edge.rotation_rad);
     path += edge.path_m;
     turn += edge.rotation_rad;
   }
+  modelled_edges_ = paths.size();
   usual_motion_ = {median(std::move(paths)), median(std::move(turns))};
   metres_per_radian_ = turn > 0.0 ? path / turn : 0.0;
   progress_.assign(n, 0.0);
   for (std::size_t i = 0; i + 1 < n; ++i) {
-    progress_[i + 1] = progress_[i] + 0.5 * ((*edges_)[i].path_m + metres_per_radian_ * (*edges_)[i].rotation_rad);
+    const OdometryEdge& edge = (*edges_)[i];
+    const double way = edge.covariance ? 0.0 : 0.5 * (edge.path_m + metres_per_radian_ * edge.rotation_rad);
+    progress_[i + 1] = progress_[i] + way;
   }
   sum_steady_.assign(n, Basis::Zero(6, kSteadyColumns));
   for (std::size_t i = 0; i + 1 < n; ++i) {
@@ -193,7 +197,7 @@ std::vector<Vec6> InnovationModel::steady_errors(const NoiseEstimate& noise) con
 std::size_t InnovationModel::stride() const {
   constexpr std::size_t kMaxCandidates =
       250;  // bounds the time of a search in long runs; neighbours tell nearly the same
-  return 1 + edges_->size() / kMaxCandidates;
+  return 1 + modelled_edges_ / kMaxCandidates;
 }
 
 InnovationModel::MotionBound InnovationModel::motion_bound(std::size_t edge) const {
@@ -235,7 +239,7 @@ bool InnovationModel::explains_path_away(const NoiseEstimate& noise) const {
   const std::vector<Vec6> errors = steady_errors(noise);
   double path_m = 0.0, error_m = 0.0;
   for (std::size_t i = 0; i < errors.size(); ++i) {
-    path_m += (*edges_)[i].path_m;
+    if (!(*edges_)[i].covariance) path_m += (*edges_)[i].path_m;
     error_m += errors[i].head<3>().norm();
   }
   return error_m > kMaxShare * path_m;

@@ -82,9 +82,11 @@ class InnovationModel {
   const std::vector<SE3>* vertices_;
   const std::vector<OdometryEdge>* edges_;
   const std::vector<GraphLoop>* graph_loops_;
+  // Of the edges whose covariance is not given.
   std::vector<double> progress_;  ///< path and rotation so far, in metres
   double metres_per_radian_ = 0.0;
-  MotionBound usual_motion_;  ///< median over the edges
+  MotionBound usual_motion_;  ///< median
+  std::size_t modelled_edges_ = 0;
   PathNoise path_;
   std::vector<Basis> sum_steady_;  ///< one a vertex, carried to the first one's place
   std::vector<Mat6> from_origin_;  ///< one a loop

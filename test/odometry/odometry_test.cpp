@@ -301,6 +301,38 @@ TEST(NoiseEstimator, LoopsThatOverstateTheirPrecisionAreFoundOut) {
   EXPECT_NEAR(found.loop_factor, 2.0, 0.4);
 }
 
+TEST(NoiseEstimator, EdgesOfAMapThatIsGoneOnWithSayNothingOfTheNoise) {
+  constexpr int kBefore = 600;
+  SyntheticRun run;
+  Vec6 bias = Vec6::Zero();
+  bias << 0.004, 0.002, 0.0, 0.0, 0.0, 0.0006;
+  run.drift(1e-4, 1e-4, 3, bias, 60);  // in a part of the run
+  const Case session = make_case(run, 1.0, 3);
+  OdometryEdge settled;
+  settled.T_from_to.t = Vec3(0.0, 0.0, 0.3);
+  settled.path_m = 0.3;
+  settled.covariance = Mat6(1e-8 * Mat6::Identity());
+  Case both{{session.vertices.front() * SE3(Quaternion::Identity(), Vec3(0.0, 0.0, -0.3 * kBefore))},
+            std::vector<OdometryEdge>(kBefore, settled),
+            session.loops};
+  for (int k = 1; k < kBefore; ++k) both.vertices.push_back(both.vertices.back() * settled.T_from_to);
+  both.vertices.insert(both.vertices.end(), session.vertices.begin(), session.vertices.end());
+  both.edges.insert(both.edges.end(), session.edges.begin(), session.edges.end());
+  for (GraphLoop& loop : both.loops) {
+    loop.from += kBefore;
+    loop.to += kBefore;
+  }
+  NoisePrior prior;
+  prior.least.steady_translation = 0.0003;
+  prior.least.steady_rotation_rad = 0.0001;
+  const OdometryNoise alone = estimate(session, prior).odometry, behind = estimate(both, prior).odometry;
+  constexpr double kRounding = 0.01;
+  EXPECT_GT(alone.steady_translation, 10.0 * prior.least.steady_translation) << "the drift shows";
+  EXPECT_NEAR(behind.translation_m, alone.translation_m, kRounding * alone.translation_m);
+  EXPECT_NEAR(behind.steady_translation, alone.steady_translation, kRounding * alone.steady_translation);
+  EXPECT_NEAR(behind.steady_rotation_rad, alone.steady_rotation_rad, kRounding * alone.steady_rotation_rad);
+}
+
 TEST(NoiseEstimator, StaysInItsBounds) {
   NoisePrior prior;
   prior.factor_max = 3.0;

@@ -285,7 +285,8 @@ std::vector<Cluster> strained(const Trajectory& trajectory, const std::vector<bo
   const PathNoise path(trajectory.T_map_vertex, trajectory.edges);
   const OdometryNoise least{prior.least.translation_m, prior.least.rotation_rad};
   std::vector<std::pair<double, Cluster>> clusters;
-  for (Cluster& cluster : loop_clusters(trajectory.loops, kept)) {
+  // Those of an earlier session were doubted at its end.
+  for (Cluster& cluster : loop_clusters(trajectory.loops, telling_loops(trajectory, kept))) {
     const double factor = path.explaining_factor(middle(cluster, trajectory), least, prior.factor_max);
     if (factor > kLittle) clusters.emplace_back(factor, std::move(cluster));
   }
@@ -315,7 +316,8 @@ void judge(const Cluster& cluster, double evidence, const PoseGraphOptions& opti
   const GraphLoop& loop = middle(cluster, *trajectory);
   if (!without.usable || chi_squared(loop, without.T_map_vertex) <= options.robust_chi2) return;
   // Linear about the poses with and without the cluster: right loops behind large jumps are likely about the former.
-  const std::vector<GraphLoop> rest = some_kept(trajectory->loops, without.knowledge.kept, kMaxLoops);
+  const std::vector<GraphLoop> rest =
+      some_kept(trajectory->loops, telling_loops(*trajectory, without.knowledge.kept), kMaxLoops);
   const NoisePrior prior = noise_prior(options);
   const double least = std::min(unlikelihood(loop, rest, without.T_map_vertex, trajectory->edges, prior),
                                 unlikelihood(loop, rest, trajectory->T_map_vertex, trajectory->edges, prior));

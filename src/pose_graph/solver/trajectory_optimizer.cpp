@@ -47,20 +47,28 @@ constexpr double kPrice = 5.0;
 
 constexpr int kFewJumps = 2, kManyJumps = 8;  // that are looked for in one go: in a run and at its end, for time
 
+/// Of the edges before each vertex those whose noise is to be learnt.
+std::vector<int> count_modelled(const std::vector<OdometryEdge>& edges) {
+  std::vector<int> counts{0};
+  for (const OdometryEdge& edge : edges) counts.push_back(counts.back() + (edge.covariance || edge.is_break ? 0 : 1));
+  return counts;
+}
+
 class TrajectoryOptimizer {
  public:
   TrajectoryOptimizer(const Trajectory& trajectory, const PoseGraphOptions& options, const GraphKnowledge& knowledge,
                       Effort effort)
-      : trajectory_(trajectory), options_(options), effort_(effort), votes_(trajectory.votes) {
+      : trajectory_(trajectory),
+        options_(options),
+        effort_(effort),
+        votes_(trajectory.votes),
+        modelled_(count_modelled(trajectory.edges)) {
     if (votes_.empty()) votes_.assign(trajectory.loops.size(), true);
     counts_ = votes_;
     for (std::size_t k = 0; k < knowledge.kept.size() && effort == Effort::kSettle; ++k) {
       counts_[k] = counts_[k] && knowledge.kept[k];
     }
     redundancy_ = redundancy(trajectory.loops, counts_);
-    for (const OdometryEdge& edge : trajectory.edges) {
-      modelled_.push_back(modelled_.back() + (edge.covariance || edge.is_break ? 0 : 1));
-    }
     result_.T_map_vertex = trajectory.T_map_vertex;
     result_.knowledge = knowledge;
     // What is learnt last must not depend on what was believed on the way.
@@ -189,7 +197,7 @@ class TrajectoryOptimizer {
     constexpr std::size_t kManyLoops = 60, kFewLoops = 24;
     const std::size_t max_loops = starts_afresh() ? kManyLoops : kFewLoops;
     GraphKnowledge& known = result_.knowledge;
-    const std::vector<GraphLoop> some = some_kept(trajectory_.loops, telling(known.kept), max_loops);
+    const std::vector<GraphLoop> some = some_kept(trajectory_.loops, telling_loops(trajectory_, known.kept), max_loops);
     InnovationModel model(result_.T_map_vertex, motions(), some);
     if (effort_ != Effort::kUpdate) {
       const int max_new_jumps = starts_afresh() ? kManyJumps : kFewJumps;
@@ -213,13 +221,6 @@ class TrajectoryOptimizer {
     }
     model.set_jumps(known.noise.jumps);
     steady_errors_ = model.steady_errors(known.noise);
-  }
-
-  /// Of the loops that are kept those between whose ends there is noise to be learnt; all where there is none anywhere.
-  std::vector<bool> telling(const std::vector<bool>& kept) const {
-    std::vector<bool> tell = kept;
-    for (std::size_t k = 0; k < tell.size(); ++k) tell[k] = tell[k] && modelled(trajectory_.loops[k]) > 0;
-    return std::find(tell.begin(), tell.end(), true) == tell.end() ? kept : tell;
   }
 
   /// Whether the loops find no more than the least noise, and would tell if there were more: without any, or with few
@@ -323,7 +324,7 @@ class TrajectoryOptimizer {
   std::vector<bool> counts_;  ///< which of them say how noisy the odometry is, and share evidence
   std::vector<double> redundancy_;
   /// How many edges up to each vertex have a noise that is learnt: no covariance is stated, and they are no break.
-  std::vector<int> modelled_{0};
+  std::vector<int> modelled_;
   std::vector<Vec6> steady_errors_;  ///< of each edge; empty before they are known
   GraphSolverOptions solver_options_;
   OptimizedTrajectory result_;
@@ -349,6 +350,17 @@ OptimizedTrajectory optimize_trajectory(const Trajectory& trajectory, const Pose
 std::vector<OdometryEdge> settled_odometry(const Trajectory& trajectory, const PoseGraphOptions& options,
                                            const GraphKnowledge& knowledge) {
   return TrajectoryOptimizer(trajectory, options, knowledge, Effort::kUpdate).settled();
+}
+
+std::vector<bool> telling_loops(const Trajectory& trajectory, const std::vector<bool>& kept) {
+  const std::vector<int> modelled = count_modelled(trajectory.edges);
+  std::vector<bool> tell = kept;
+  for (std::size_t k = 0; k < tell.size(); ++k) {
+    const auto from = static_cast<std::size_t>(trajectory.loops[k].from),
+               to = static_cast<std::size_t>(trajectory.loops[k].to);
+    tell[k] = tell[k] && modelled[from] != modelled[to];
+  }
+  return std::find(tell.begin(), tell.end(), true) == tell.end() ? kept : tell;
 }
 
 std::vector<Carrier> coarsen(std::size_t size, const std::vector<bool>& has_loops, std::vector<std::size_t>* keyframes,

@@ -58,6 +58,10 @@ OptimizedTrajectory optimize_trajectory(const Trajectory& trajectory, const Pose
 std::vector<OdometryEdge> settled_odometry(const Trajectory& trajectory, const PoseGraphOptions& options,
                                            const GraphKnowledge& knowledge);
 
+/// Of the loops that are kept those between whose ends there is noise to be learnt; all where there is none anywhere.
+/// @param kept one a loop
+std::vector<bool> telling_loops(const Trajectory& trajectory, const std::vector<bool>& kept);
+
 NoisePrior noise_prior(const PoseGraphOptions& options);
 
 /// Leaves out vertices until `size` are left, and joins the odometry over them, its noise as it was. The past comes in
