@@ -110,10 +110,10 @@ void match_points(const std::vector<MapPoint*>& points, const TrackingMap& map, 
   for (MapPoint* point : points) {
     if (matched.count(point->id) > 0) continue;
     const std::optional<SearchItem> item = expect(map, *point, image->T_camera_map, camera);
-    if (!item) continue;
-    point->expect_in(image->id);
-    items.push_back(*item);
+    if (item) items.push_back(*item);
   }
+  image->expected.clear();
+  for (const SearchItem& item : items) image->expected.push_back(item.point);
   constexpr double kRatio = 0.8;  // stricter than for the last image's points, as in ORB-SLAM: there are more of them
   const std::vector<int> found = search(items, image->features, is_taken, kMatchBits, kRatio);
   for (std::size_t k = 0; k < items.size(); ++k) {
@@ -201,15 +201,20 @@ bool track_local_map(const Camera& camera, TrackingMap* map, TrackedFeatures* im
     }
   }
   match_points(points, *map, camera, image);
-  if (!fit(image->T_camera_map, camera, map, image)) return false;
-  if (image->inliers < map->options().min_inliers) return false;
-  for (const std::int64_t id : image->points) {
+  return fit(image->T_camera_map, camera, map, image) && image->inliers >= map->options().min_inliers;
+}
+
+void count_views(const TrackedFeatures& image, TrackingMap* map) {
+  const std::set<std::int64_t> found(image.points.begin(), image.points.end());
+  for (const std::int64_t id : found) {
     MapPoint* point = map->point(id);
     if (point == nullptr) continue;
-    point->expect_in(image->id);
     ++point->found;
+    ++point->expected;
   }
-  return true;
+  for (const std::int64_t id : image.expected) {
+    if (MapPoint* point = map->point(id); point != nullptr && found.count(id) == 0) ++point->expected;
+  }
 }
 
 }  // namespace semantic_topo_loop::core

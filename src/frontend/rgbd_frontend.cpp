@@ -3,6 +3,8 @@
 #include <algorithm>
 #include <cmath>
 #include <future>
+#include <limits>
+#include <set>
 #include <utility>
 
 #include "frontend/bundle_adjustment.h"
@@ -84,10 +86,10 @@ struct Refined {
   std::optional<FocalEstimate> focal;
 };
 
-/// A section of the map that an image of another one sees.
+/// What an image sees in a section of the map but is not followed by.
 struct Sighting {
   MapSection section, seen_from;
-  SE3 T_here_there;  ///< of the two sections
+  SE3 T_here_there;  ///< of the two sections, or across an offset within one
   std::int64_t stamp_ns = 0;
 };
 
@@ -151,9 +153,9 @@ struct RgbdFrontend::Impl {
       if (is_asked(it->second)) tried.push_back(it->first);
     }
     const std::int64_t oldest_tried = tried.empty() ? 0 : tried.back();
-    const std::vector<std::int64_t> alike = most_alike(*image, kAlike, [&](const TrackingKeyframe& keyframe) {
-      return keyframe.id < oldest_tried && is_asked(keyframe);
-    });
+    const std::vector<std::int64_t> alike = most_alike(
+        visual_words(image->features), kAlike,
+        [&](const TrackingKeyframe& keyframe, int) { return keyframe.id < oldest_tried && is_asked(keyframe); });
     tried.insert(tried.end(), alike.begin(), alike.end());
     // The pose that explains most: a wrong one is seldom that.
     const int strong = strong_inliers(options);
@@ -174,15 +176,16 @@ struct RgbdFrontend::Impl {
     return best.has_value();
   }
 
-  /// The keyframes asked for that look most like an image, best first; the newer of two that are equally alike.
+  /// The keyframes asked for that look most like an image of these words, best first; the newer of two that are equally
+  /// alike.
+  /// @param is_asked of a keyframe and how alike it is
   template <typename Predicate>
-  std::vector<std::int64_t> most_alike(const TrackedFeatures& image, std::size_t count, Predicate is_asked) const {
+  std::vector<std::int64_t> most_alike(const std::vector<std::uint32_t>& words, std::size_t count,
+                                       Predicate is_asked) const {
     std::vector<std::pair<int, std::int64_t>> alike;
-    std::vector<std::uint32_t> words;
     for (const auto& [id, keyframe] : map.keyframes()) {
-      if (!is_asked(keyframe)) continue;
-      if (words.empty()) words = visual_words(image.features);
-      alike.emplace_back(common_words(words, keyframe.words), id);
+      const int common = common_words(words, keyframe.words);
+      if (is_asked(keyframe, common)) alike.emplace_back(common, id);
     }
     std::sort(alike.rbegin(), alike.rend());
     alike.resize(std::min(alike.size(), count));
@@ -204,37 +207,69 @@ struct RgbdFrontend::Impl {
     return loop;
   }
 
-  /// Looks for what a keyframe sees in the sections that were left by a loss. What is found twice alike joins the
-  /// keyframe's section: its poses go on as they are.
+  /// Whether poses are missing for so long that what comes is taken for a break.
+  bool is_after_gap(const TrackedFeatures& image) const {
+    constexpr std::int64_t kGap_ns = 500'000'000;
+    return last && image.stamp_ns - last->stamp_ns > kGap_ns;
+  }
+
+  /// To the keyframe that shares most points; none where the map begins.
+  std::optional<SourceLoop> loop_to_nearest(const TrackedFeatures& image) {
+    const std::vector<std::pair<std::int64_t, int>> nearest = map.covisible(image.points);
+    if (nearest.empty()) return std::nullopt;
+    return loop_to(*map.keyframe(nearest.front().first), image);
+  }
+
+  /// Looks for what a keyframe sees where it is not followed: in the sections that were left by a loss, and in older
+  /// keyframes of its own, which lie across an offset. What another section shows twice alike joins the keyframe's:
+  /// its poses go on as they are.
   std::optional<SourceLoop> look_back(const TrackedFeatures& image) {
     constexpr std::size_t kTried = 3;  // bounds the time of a keyframe
-    const auto is_elsewhere = [&](const TrackingKeyframe& keyframe) { return keyframe.section != image.section; };
-    for (const std::int64_t id : most_alike(image, kTried, is_elsewhere)) {
+    // An older keyframe that looks no less alike than those it shares points with should share some, too.
+    std::set<std::int64_t> followed;
+    int least_alike = std::numeric_limits<int>::max();
+    const std::vector<std::uint32_t> words = visual_words(image.features);
+    for (const auto& [id, shared] : map.covisible(image.points)) {
+      if (shared < options.min_inliers) break;
+      followed.insert(id);
+      least_alike = std::min(least_alike, common_words(words, map.keyframe(id)->words));
+    }
+    const auto is_elsewhere = [&](const TrackingKeyframe& keyframe, int alike) {
+      return keyframe.section != image.section || (alike >= least_alike && followed.count(keyframe.id) == 0);
+    };
+    for (const std::int64_t id : most_alike(words, kTried, is_elsewhere)) {
       const TrackingKeyframe& keyframe = *map.keyframe(id);
       TrackedFeatures there = image;
       if (!find_points(keyframe, calibration.camera, &map, &there)) continue;
       if (!track_local_map(calibration.camera, &map, &there) || there.inliers < strong_inliers(options)) continue;
       const SourceLoop found = loop_to(keyframe, there);
-      constexpr double kAlike_m = 0.05, kAlike_rad = 0.05;  // of two sightings: the drift of a second or so
+      const bool is_other_section = there.section != image.section;
       const SE3 T_here_there = image.T_camera_map.inverse() * there.T_camera_map;
-      if (sighting && sighting->section == there.section && sighting->seen_from == image.section) {
-        const SE3 again = sighting->T_here_there * there.T_camera_map.inverse();
-        const bool is_alike = (again.t - image.center()).norm() < kAlike_m &&
-                              rotation_angle(again.q.conjugate(), image.T_camera_map.q) < kAlike_rad;
-        if (is_alike) {
+      if (is_seen_again(image, there)) {
+        if (is_other_section) {
           refinement = {};  // it has its keyframes where they were
           map.join(there.section, image.section, T_here_there);
-          sighting.reset();
-          return found;
         }
+        sighting.reset();
+        return found;
       }
       sighting = Sighting{there.section, image.section, T_here_there, image.stamp_ns};
-      return found;
+      // In its own section what moved meanwhile looks like an offset, once.
+      return is_other_section ? std::optional(found) : std::nullopt;
     }
     return std::nullopt;
   }
 
-  /// Whether a section was seen that is worth a second look.
+  /// Whether the last sighting had the two places lie to each other as this one.
+  bool is_seen_again(const TrackedFeatures& image, const TrackedFeatures& there) const {
+    constexpr double kAlike_m = 0.05, kAlike_rad = 0.05;  // of two sightings: the drift of a second or so
+    if (!sighting || sighting->section != there.section || sighting->seen_from != image.section) return false;
+    const SE3 again = sighting->T_here_there * there.T_camera_map.inverse();
+    return (again.t - image.center()).norm() < kAlike_m &&
+           rotation_angle(again.q.conjugate(), image.T_camera_map.q) < kAlike_rad;
+  }
+
+  /// Whether something was seen that is worth a second look.
   bool is_sighting_open(const TrackedFeatures& image) const {
     constexpr std::int64_t kSoon_ns = 200'000'000, kLate_ns = 1'000'000'000;  // another view, not yet another place
     if (!sighting) return false;
@@ -373,6 +408,8 @@ struct RgbdFrontend::Impl {
     result.inliers = image.inliers;
     const bool has_pose = result.state != TrackingState::kLost && result.state != TrackingState::kUnusable;
     if (has_pose) {
+      count_views(image, &map);
+      if (!image.source_loop && is_after_gap(image)) image.source_loop = loop_to_nearest(image);
       PoseSample sample;
       sample.stamp_ns = image.stamp_ns;
       sample.T_odom_camera = image.T_camera_map.inverse();

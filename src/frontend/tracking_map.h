@@ -24,13 +24,7 @@ struct MapPoint {
   std::int64_t first_keyframe = -1;
   int expected = 1;               ///< images in which it should be seen
   int found = 1;                  ///< images in which it was
-  std::int64_t expected_in = -1;  ///< the last image in which it should have been seen
   std::int64_t search = -1;       ///< the last search that looked for it
-
-  void expect_in(std::int64_t image) {
-    if (expected_in != image) ++expected;
-    expected_in = image;
-  }
 };
 
 /// A part of the map. How sections lie to each other is not known, or not well.
@@ -64,6 +58,7 @@ struct TrackedFeatures : FeatureImage {
   Mat6 covariance = Mat6::Zero();  ///< of the pose, camera frame
   int matches = 0;
   int inliers = 0;
+  std::vector<std::int64_t> expected;     ///< points that were looked for around its first ones
   std::optional<SourceLoop> source_loop;  ///< of the section that it was found in after a loss
 };
 
@@ -112,6 +107,8 @@ class TrackingMap {
   std::int64_t next_search_ = 0;
 };
 
+/// Counts for every point that the image should see whether it does.
+void count_views(const TrackedFeatures& image, TrackingMap* map);
 /// Whether the image shows enough that the map does not have.
 bool needs_keyframe(const TrackedFeatures& image, const TrackingMap& map);
 /// Adds the image as a keyframe, with new points from its depths, and tidies up around it. What stands where keyframes

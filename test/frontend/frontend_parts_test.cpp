@@ -169,30 +169,47 @@ TEST(NearestDepth, SeesThroughWhereNothingWas) {
   EXPECT_FALSE(NearestDepth().sees_through(kKinect, Vec3(0.0, 0.0, 1.0))) << "nothing is known";
 }
 
+/// Features 40 pixels apart, which no point has yet.
+TrackedFeatures features_at(int world, const std::vector<double>& depths_m) {
+  TrackedFeatures image;
+  image.section = {world, world};
+  for (std::size_t i = 0; i < depths_m.size(); ++i) {
+    ImageFeature feature;
+    feature.pixel = Vec2(350.0 + 40.0 * static_cast<double>(i), 240.0);
+    feature.depth_m = depths_m[i];
+    feature.depth_sigma_m = 0.01;
+    image.features.features.push_back(feature);
+  }
+  image.features.descriptors.resize(depths_m.size());
+  image.features.index(kKinect);
+  image.points.assign(depths_m.size(), -1);
+  return image;
+}
+
 TEST(TrackingMap, WhatHasComeGivesNoPoints) {
-  const auto image_of = [](int world, const std::vector<double>& depths_m) {
-    TrackedFeatures image;
-    image.section = {world, world};
-    for (std::size_t i = 0; i < depths_m.size(); ++i) {
-      ImageFeature feature;
-      feature.pixel = Vec2(350.0 + 40.0 * static_cast<double>(i), 240.0);
-      feature.depth_m = depths_m[i];
-      feature.depth_sigma_m = 0.01;
-      image.features.features.push_back(feature);
-    }
-    image.features.descriptors.resize(depths_m.size());
-    image.features.index(kKinect);
-    image.points.assign(depths_m.size(), -1);
-    return image;
-  };
   const FrontendOptions options;
   TrackingMap map(options);
-  add_keyframe(image_of(0, {}), wall_with_box(), kKinect, &map);
-  add_keyframe(image_of(0, {3.0, 1.5}), wall_with_box(), kKinect, &map);
+  add_keyframe(features_at(0, {}), wall_with_box(), kKinect, &map);
+  add_keyframe(features_at(0, {3.0, 1.5}), wall_with_box(), kKinect, &map);
   ASSERT_EQ(map.points().size(), 1U);
   EXPECT_NEAR(map.points().begin()->second.position.z(), 3.0, 1e-9);
-  add_keyframe(image_of(1, {1.5}), wall_with_box(), kKinect, &map);
+  add_keyframe(features_at(1, {1.5}), wall_with_box(), kKinect, &map);
   EXPECT_EQ(map.points().size(), 2U) << "how another world lies to this one is not known";
+}
+
+TEST(TrackingMap, AnImageCountsForWhatItSeesAndForWhatItMisses) {
+  const FrontendOptions options;
+  TrackingMap map(options);
+  const TrackedFeatures first = features_at(0, {2.0, 2.0, 2.0});
+  add_keyframe(first, {}, kKinect, &map);
+  ASSERT_EQ(map.points().size(), 3U);
+  TrackedFeatures image = first;
+  image.points = {0, 1, -1};
+  image.expected = {1, 2, 7};
+  count_views(image, &map);
+  for (const std::int64_t id : {0, 1, 2}) EXPECT_EQ(map.point(id)->expected, 2) << id;
+  for (const std::int64_t id : {0, 1}) EXPECT_EQ(map.point(id)->found, 2) << id;
+  EXPECT_EQ(map.point(2)->found, 1) << "looked for, and not there";
 }
 
 /// A camera that goes around points, with errors in the start values.

@@ -194,6 +194,9 @@ TEST(RgbdFrontend, GapOfTwoSecondsIsBridged) {
   const TrackedImage tracked = frontend.track(image);
   ASSERT_EQ(tracked.state, TrackingState::kTracked);
   EXPECT_LT(error_m(tracked, 15), 0.02);
+  ASSERT_TRUE(tracked.sample->source_loop) << "behind the break that such a gap is taken for";
+  EXPECT_LE(tracked.sample->source_loop->stamp_ns, stamp_of(7));
+  EXPECT_LT((tracked.sample->source_loop->T_odom_camera.t - true_motion(0, 15).t).norm(), 0.02);
 }
 
 TEST(RgbdFrontend, LostElsewhereAndFoundAgain) {
@@ -334,6 +337,36 @@ TEST(RgbdFrontend, WhatItSawBeforeASpellOfFewPointsIsFoundAgain) {
     EXPECT_LT(degrees(rotation_angle(loop.T_odom_camera.q, true_motion(0, i).q)), 0.5) << i;
   }
   EXPECT_GT(weak, 5);
+  EXPECT_GT(loops, 0);
+}
+
+TEST(RgbdFrontend, WhatItSawBeforeItDriftedIsFoundAgainAcrossTheOffset) {
+  // Full turns with a focal length that is too long: they close some degrees off.
+  constexpr int kTurn = 150;  // images, once round
+  constexpr double kTooLong = 1.04;
+  const auto turned = [](int image) { return SE3(so3_exp(Vec3(0.0, 2.0 * kPi * image / kTurn, 0.0)), Vec3::Zero()); };
+  Camera stated = kCamera;
+  stated.fx *= kTooLong;
+  stated.fy *= kTooLong;
+  FrontendOptions options;
+  options.self_calibration = false;
+  RgbdFrontend frontend(options, stated);
+  int loops = 0;
+  double most_off_deg = 0.0;
+  for (int i = 0; i < kTurn + 15; ++i) {
+    const TrackedImage tracked = frontend.track(kRoom.render(stamp_of(i), turned(i)));
+    ASSERT_EQ(tracked.state, i == 0 ? TrackingState::kStarted : TrackingState::kTracked) << i;
+    const Quaternion& q = tracked.sample->T_odom_camera.q;
+    most_off_deg = std::max(most_off_deg, degrees(rotation_angle(q, turned(i).q)));
+    if (!tracked.sample->source_loop) continue;
+    ++loops;
+    const SourceLoop& loop = *tracked.sample->source_loop;
+    EXPECT_GE(i, kTurn - 20) << "where the turn closes";
+    EXPECT_LT(loop.stamp_ns, stamp_of(20)) << i;
+    EXPECT_GE(loop.points, 60) << i;
+    EXPECT_LT(degrees(rotation_angle(loop.T_odom_camera.q, turned(i).q)), 1.5) << i;
+  }
+  EXPECT_GT(most_off_deg, 6.0);
   EXPECT_GT(loops, 0);
 }
 
