@@ -1,8 +1,14 @@
 #include "semantic_topo_loop/io/map_database.h"
 
+#include <signal.h>
+#include <unistd.h>
+
 #include <algorithm>
+#include <atomic>
+#include <cerrno>
 #include <chrono>
 #include <condition_variable>
+#include <cstdlib>
 #include <deque>
 #include <exception>
 #include <filesystem>
@@ -21,8 +27,9 @@ namespace semantic_topo_loop::core {
 namespace {
 
 constexpr std::chrono::seconds kRetry(1);
-// What follows a map's name: of the one that a session goes on with, and of what is not in the file yet.
-constexpr char kLoaded[] = ".loaded";
+// What follows a map's name: of the one that a session goes on with, before numbers, and of what is not in the file
+// yet.
+constexpr char kLoaded[] = ".loaded-";
 constexpr const char* kJournals[] = {"-wal", "-shm"};
 
 Status status_of(const SqliteFile& file) { return file.is_fine() ? Status() : Error{file.problem()}; }
@@ -30,6 +37,19 @@ Status status_of(const SqliteFile& file) { return file.is_fine() ? Status() : Er
 bool is_there(const std::string& path) {
   std::error_code code;
   return std::filesystem::exists(path, code) && std::filesystem::file_size(path, code) > 0;
+}
+
+/// What programs that were killed left of the names `stem`, a process id, and anything.
+void remove_links_of_the_dead(const std::string& stem) {
+  std::error_code code;
+  const std::filesystem::path folder = std::filesystem::path(stem).parent_path();
+  for (std::filesystem::directory_iterator it(folder.empty() ? "." : folder, code), end; !code && it != end;
+       it.increment(code)) {
+    const std::string path = it->path().string();
+    if (path.compare(0, stem.size(), stem) != 0) continue;
+    const int process = std::atoi(path.c_str() + stem.size());
+    if (process > 0 && ::kill(process, 0) != 0 && errno == ESRCH) std::filesystem::remove(path, code);
+  }
 }
 
 /// What a writer that was killed left in its journal goes into the file, and the journal with it.
@@ -121,9 +141,11 @@ Result<std::string> link_loaded_map(const std::string& path) {
   SqliteFile file(path, SqliteFile::Mode::kWrite);
   take_in_journal(&file);
   if (file.is_busy()) return Error{file.problem()};
-  const std::string link = path + kLoaded;
+  remove_links_of_the_dead(path + kLoaded);
+  // Other programs, and the session before, may still read theirs.
+  static std::atomic<int> next{1};
+  const std::string link = path + kLoaded + std::to_string(::getpid()) + "-" + std::to_string(next++);
   std::error_code code;
-  std::filesystem::remove(link, code);
   std::filesystem::create_hard_link(path, link, code);
   return code ? path : link;
 }
@@ -171,8 +193,8 @@ class MapDatabase::Impl {
   }
 
   Result<MapCounts> copy_to(const std::string& path) const {
-    for (const char* part : {"", kLoaded, kJournals[0], kJournals[1]}) {
-      if (is_same_file(path, path_ + part)) return Error{path + ": is a file of the map that is being written"};
+    for (const std::string& own : {path_, path_ + kJournals[0], path_ + kJournals[1], earlier_}) {
+      if (is_same_file(path, own)) return Error{path + ": is a file of the map that is being written"};
     }
     if (!is_made()) return Error{path_ + ": nothing is written yet"};
     MapCounts counts;
@@ -238,6 +260,7 @@ class MapDatabase::Impl {
 
   /// The file with all there is: later ones change rows of it.
   Status make(const Parts& whole) {
+    if (!earlier_.empty() && !is_there(earlier_)) return Error{earlier_ + ": is not there any more"};
     return replace_map(path_, [&](const std::string& temporary) -> Status {
       SqliteFile file(temporary, SqliteFile::Mode::kWrite);
       file.run("PRAGMA journal_mode = OFF; PRAGMA synchronous = OFF");

@@ -59,7 +59,7 @@ void SqliteFile::reject(const std::string& problem) {
 void SqliteFile::note(int code) {
   if (code == SQLITE_OK || code == SQLITE_ROW || code == SQLITE_DONE) return;
   is_busy_ = is_busy_ || (is_fine() && code == SQLITE_BUSY);
-  if (code == SQLITE_BUSY) return reject("is being written by another program");
+  if (code == SQLITE_BUSY) return reject("is being written by another session or program");
   reject(database_ ? sqlite3_errmsg(database_.get()) : sqlite3_errstr(code));
 }
 

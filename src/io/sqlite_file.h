@@ -18,7 +18,7 @@ class SqliteFile {
 
   const std::string& problem() const { return problem_; }
   bool is_fine() const { return problem_.empty(); }
-  /// Whether the problem is that another program writes it.
+  /// Whether the problem is that another session or program writes it.
   bool is_busy() const { return is_busy_; }
   void reject(const std::string& problem);
   /// Statements without a result.
