@@ -2,12 +2,14 @@
 
 #include <algorithm>
 #include <cmath>
+#include <filesystem>
 #include <fstream>
 #include <opencv2/core/utils/logger.hpp>
 #include <opencv2/dnn.hpp>
 #include <opencv2/imgproc.hpp>
 #include <optional>
 #include <string>
+#include <system_error>
 #include <utility>
 
 #include "frontend/onnx_input.h"
@@ -100,6 +102,10 @@ class ObjectDetector::Impl {
     if (std::find(targets.begin(), targets.end(), target) == targets.end()) {
       return failure("cannot run with detector.backend=" + options_.backend + ", which this OpenCV or computer lacks");
     }
+    // OpenCV takes a file that is not there for one that it does not understand.
+    std::error_code code;
+    if (std::filesystem::is_directory(options_.model, code)) return failure("is a directory, not a file");
+    if (!std::ifstream(options_.model)) return failure("cannot open the file");
     const Silence silence;
     try {
       net_ = readNetFromONNX(options_.model);
@@ -114,6 +120,7 @@ class ObjectDetector::Impl {
   }
 
   void set_options(const ObjectDetectorOptions& options) { options_ = options; }
+  void restart() { last_slot_.reset(); }
 
   /// The first image of each slot of time, which slots are the same for every run over a recording.
   bool is_due(std::int64_t stamp_ns) {
@@ -218,6 +225,7 @@ Result<std::unique_ptr<ObjectDetector>> ObjectDetector::load(const ObjectDetecto
 }
 
 void ObjectDetector::set_options(const ObjectDetectorOptions& options) { impl_->set_options(options); }
+void ObjectDetector::restart() { impl_->restart(); }
 bool ObjectDetector::is_due(std::int64_t stamp_ns) { return impl_->is_due(stamp_ns); }
 Result<std::vector<Detection>> ObjectDetector::detect(const cv::Mat& color, double roll_rad) {
   return impl_->detect(color, roll_rad);

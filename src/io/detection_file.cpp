@@ -50,6 +50,8 @@ class Collector {
     report.detections += static_cast<int>(recording_.frames.back().detections.size());
   }
 
+  const ClassTable& classes() const { return classes_; }
+
   DetectionRecording take_sorted() {
     std::stable_sort(recording_.frames.begin(), recording_.frames.end(),
                      [](const DetectionFrame& a, const DetectionFrame& b) { return a.stamp_ns < b.stamp_ns; });
@@ -111,7 +113,7 @@ struct CocoImage {
 };
 using CocoImages = std::map<std::int64_t, CocoImage>;
 
-void collect_coco_box(const JsonField& field, CocoImages* images) {
+void collect_coco_box(const JsonField& field, const ClassTable& classes, CocoImages* images) {
   const JsonField id = field.member("image_id");
   const std::string name = id.json().is_number_float() ? id.json().dump() : id.text();
   const std::optional<std::int64_t> stamp_ns = stamp_of_file_name(name);
@@ -119,7 +121,12 @@ void collect_coco_box(const JsonField& field, CocoImages* images) {
     return id.reject(std::string("must be the stamp of the image in seconds, 1311868164.363181, or its file name") +
                      (id.json().is_number_integer() ? ": the list that integers count in is not in the file" : ""));
   }
-  const Detection detection = read_detection(field, "score", true);
+  Detection detection = read_detection(field, "score", true);
+  const ObjectClass* found = classes.find_by_coco_id(detection.class_id);
+  if (found == nullptr) {
+    return field.member("category_id").reject("is no coco_id of the class table");
+  }
+  detection.class_id = found->id;
   CocoImage& image = (*images)[*stamp_ns];
   image.frame.stamp_ns = *stamp_ns;
   image.frame.detections.push_back(detection);
@@ -142,7 +149,7 @@ Status collect_json(const std::string& path, Collector* collector) {
     const JsonField field(parsed, "[" + std::to_string(elements++) + "]", &problem);
     if (!problem.empty()) return false;
     const bool is_coco = parsed.is_object() && parsed.contains("image_id");
-    is_coco ? collect_coco_box(field, &coco) : collect_json_frame(field, path, collector);
+    is_coco ? collect_coco_box(field, collector->classes(), &coco) : collect_json_frame(field, path, collector);
     return false;
   };
   const Result<Json> emptied = parse_json(*text, take);

@@ -136,13 +136,14 @@ ClassRole read_role(const YamlMap& map) {
 
 ObjectClass read_class(const YamlMap& map) {
   ObjectClass read;
-  if (!map.has_keys({"id", "name", "role"}, {"group", "size_prior_m", "size_range_m"})) return read;
+  if (!map.has_keys({"id", "name", "role"}, {"coco_id", "group", "size_prior_m", "size_range_m"})) return read;
   read.id = map.value<int>("id", "an integer");
   read.name = map.value<std::string>("name", "a text");
   // Names are fields of the CSV files.
   const bool is_field = !read.name.empty() && read.name.find_first_of(",\"\n") == std::string::npos;
   if (!is_field) map.reject("name", "a text without commas and quotes");
   read.role = read_role(map);
+  if (map.has("coco_id")) read.coco_id = map.value<int>("coco_id", "an integer");
   if (map.has("group")) read.group = map.value<std::string>("group", "a text");
   if (map.has("size_prior_m")) {
     read.size_prior_m = map.value<double>("size_prior_m", "a number > 0");
@@ -227,7 +228,7 @@ Result<ClassTable> read_class_table(const std::string& path) {
   for (std::size_t i = 0; problem.empty() && i < list.size(); ++i) {
     if (!list[i].IsMap())
       return Error{yaml_place(path, list[i]) +
-                   ": a class must be a map {id, name, role, group, size_prior_m, size_range_m}"};
+                   ": a class must be a map {id, name, role, coco_id, group, size_prior_m, size_range_m}"};
     classes.push_back(read_class(YamlMap(path, list[i], &problem)));
   }
   if (!problem.empty()) return Error{problem};

@@ -59,6 +59,7 @@ class ObjectDetectorNodelet : public StageWith<ObjectDetectorParameters> {
     up_ = std::make_unique<core::UpEstimator>(options_.loop.up_window_s);
     waiting_.clear();
     roll_rad_.clear();
+    detector_->restart();
   }
 
   void on_image(const sensor_msgs::ImageConstPtr& image) {

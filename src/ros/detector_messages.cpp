@@ -34,9 +34,17 @@ core::Box to_box(const vision_msgs::BoundingBox2D& box) {
   return {box.center.x - half_width, box.center.y - half_height, box.center.x + half_width, box.center.y + half_height};
 }
 
+/// Of the image, where the message says it: detectors stamp the array by their own clock, too.
+ros::Time image_stamp(const vision_msgs::Detection2DArray& message) {
+  if (message.detections.empty()) return message.header.stamp;
+  const vision_msgs::Detection2D& first = message.detections.front();
+  if (!first.source_img.header.stamp.isZero()) return first.source_img.header.stamp;
+  return first.header.stamp.isZero() ? message.header.stamp : first.header.stamp;
+}
+
 core::DetectionFrame convert(const vision_msgs::Detection2DArray& message, const core::ClassTable& /*classes*/,
                              const core::OnLeftOut& on_left_out) {
-  core::DetectionFrame frame{to_stamp_ns(message.header.stamp), {}};
+  core::DetectionFrame frame{to_stamp_ns(image_stamp(message)), {}};
   for (std::size_t i = 0; i < message.detections.size(); ++i) {
     const auto& results = message.detections[i].results;
     const auto best = std::max_element(results.begin(), results.end(),

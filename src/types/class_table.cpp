@@ -7,7 +7,10 @@ namespace semantic_topo_loop::core {
 Result<ClassTable> ClassTable::create(std::vector<ObjectClass> classes) {
   ClassTable table;
   for (ObjectClass& object_class : classes) {
-    const int id = object_class.id;
+    const int id = object_class.id, coco_id = object_class.coco_id;
+    if (coco_id >= 0 && !table.ids_by_coco_id_.emplace(coco_id, id).second) {
+      return Error{"coco_id " + std::to_string(coco_id) + " is listed twice"};
+    }
     if (!table.classes_.emplace(id, std::move(object_class)).second) {
       return Error{"class id " + std::to_string(id) + " is listed twice"};
     }
@@ -31,6 +34,12 @@ const ObjectClass* ClassTable::find(const std::string& name) const {
     if (object_class.name == name) return &object_class;
   }
   return nullptr;
+}
+
+const ObjectClass* ClassTable::find_by_coco_id(int coco_id) const {
+  if (ids_by_coco_id_.empty()) return find(coco_id);
+  const auto it = ids_by_coco_id_.find(coco_id);
+  return it == ids_by_coco_id_.end() ? nullptr : find(it->second);
 }
 
 std::string ClassTable::name(int id) const {

@@ -134,16 +134,18 @@ TEST(ObjectDetector, AComputerThatCannotIsOneError) {
 
 TEST(ObjectDetector, FilesThatAreNoModelAreOneError) {
   const TestDirectory directory;
-  for (const std::string& path :
-       {directory.path("none.onnx"), directory.write("empty.onnx", ""), directory.write("text.onnx", "no model\n"),
-        directory.write("cut.onnx", testing::TinyYolo().onnx().substr(0, 5000)), directory.path("")}) {
+  const auto refusal = [](const std::string& path) {
     ObjectDetectorOptions options;
     options.model = path;
-    const auto detector = ObjectDetector::load(options, coco());
-    ASSERT_FALSE(detector) << path;
-    EXPECT_EQ(detector.message().find(path + ": cannot be read as an ONNX model: "), 0U) << detector.message();
-    EXPECT_EQ(detector.message().find('\n'), std::string::npos);
+    return ObjectDetector::load(options, coco()).message();
+  };
+  for (const std::string& path : {directory.write("empty.onnx", ""), directory.write("text.onnx", "no model\n"),
+                                  directory.write("cut.onnx", testing::TinyYolo().onnx().substr(0, 5000))}) {
+    EXPECT_EQ(refusal(path).find(path + ": cannot be read as an ONNX model: "), 0U) << refusal(path);
+    EXPECT_EQ(refusal(path).find('\n'), std::string::npos);
   }
+  EXPECT_EQ(refusal(directory.path("none.onnx")), directory.path("none.onnx") + ": cannot open the file");
+  EXPECT_EQ(refusal(directory.path("")), directory.path("") + ": is a directory, not a file");
 }
 
 /// The networks of tiny_yolo.h, in a file.

@@ -66,7 +66,7 @@ TEST_F(DetectionReader, ReadsJsonInOrderOfStamps) {
   EXPECT_EQ(frames_[1].stamp_ns, 1311868164399026000);
   EXPECT_TRUE(frames_[1].detections.empty());
   ASSERT_EQ(frames_[0].detections.size(), 2u);
-  EXPECT_EQ(frames_[0].detections[0].class_id, 77);
+  EXPECT_EQ(frames_[0].detections[0].class_id, 77) << "the teddy bear, which COCO counts as 88";
   EXPECT_EQ(frames_[0].detections[0].score, 0.25);
   EXPECT_EQ(frames_[0].detections[0].box.edges(), Vec4(293.0, 68.0, 359.5, 97.0));
   EXPECT_EQ(report_.frames, 2);
@@ -90,15 +90,15 @@ TEST_F(DetectionReader, ReadsADirectoryOfYoloFiles) {
 
 TEST_F(DetectionReader, ReadsResultsOfCoco) {
   ASSERT_TRUE(read(R"([
-    {"image_id": 1311868164.399026, "category_id": 41, "bbox": [1, 2, 30.5, 40], "score": 0.5},
-    {"image_id": "1311868164.363181", "category_id": 77, "bbox": [293, 68, 66.5, 29], "score": 0.25, "area": 1928.5},
-    {"image_id": "rgb/1311868164.399026.png", "category_id": 73, "bbox": [5, 6, 7, 8], "score": 1}])"))
+    {"image_id": 1311868164.399026, "category_id": 47, "bbox": [1, 2, 30.5, 40], "score": 0.5},
+    {"image_id": "1311868164.363181", "category_id": 88, "bbox": [293, 68, 66.5, 29], "score": 0.25, "area": 1928.5},
+    {"image_id": "rgb/1311868164.399026.png", "category_id": 84, "bbox": [5, 6, 7, 8], "score": 1}])"))
       << error_;
   ASSERT_EQ(frames_.size(), 2u);
   EXPECT_EQ(frames_[0].stamp_ns, 1311868164363181000);
   EXPECT_EQ(frames_[1].stamp_ns, 1311868164399026000);
   ASSERT_EQ(frames_[0].detections.size(), 1u);
-  EXPECT_EQ(frames_[0].detections[0].class_id, 77);
+  EXPECT_EQ(frames_[0].detections[0].class_id, 77) << "the teddy bear, which COCO counts as 88";
   EXPECT_EQ(frames_[0].detections[0].score, 0.25);
   EXPECT_EQ(frames_[0].detections[0].box.edges(), Vec4(293.0, 68.0, 359.5, 97.0));
   ASSERT_EQ(frames_[1].detections.size(), 2u);
@@ -136,6 +136,8 @@ TEST_F(DetectionReader, BadResultsOfCocoAreNamed) {
   expect_error({"[0].bbox", "[x, y, w, h]"});
   EXPECT_FALSE(read(box("1.5", R"("bbox": [1, 2, 3, 4])")));
   expect_error({"[0] has no 'score'"});
+  EXPECT_FALSE(read(R"([{"image_id": "1.5", "category_id": 12, "score": 0.5, "bbox": [1, 2, 3, 4]}])"));
+  expect_error({"[0].category_id = 12 is no coco_id of the class table"});
   ASSERT_TRUE(read(box("1.5", R"("score": 0.5, "bbox": [5, 2, -3, 4])"))) << error_;
   expect_left_out(DetectionProblem::kBoxInverted, "boxes.json: [0]: box [5, 2, 2, 6]");
 }

@@ -123,6 +123,17 @@ TEST_F(DetectorMessages, OfVisionMsgs) {
   expect_all_bytes_needed(message);
 }
 
+TEST_F(DetectorMessages, OfVisionMsgsHaveTheStampOfTheImageWhereOneIsThere) {
+  vision_msgs::Detection2DArray message;
+  message.header.stamp = to_ros_time(kStamp_ns + 300'000'000);  // when the detector was done
+  message.detections = {vision_box(kCup, 0.75, 40.0, 20.0)};
+  EXPECT_EQ(read_all(message).stamp_ns, kStamp_ns + 300'000'000);
+  message.detections[0].header.stamp = to_ros_time(kStamp_ns + 100'000'000);
+  EXPECT_EQ(read_all(message).stamp_ns, kStamp_ns + 100'000'000);
+  message.detections[0].source_img.header.stamp = to_ros_time(kStamp_ns);
+  EXPECT_EQ(read_all(message).stamp_ns, kStamp_ns);
+}
+
 TEST_F(DetectorMessages, BadBoxesOfVisionMsgsAreLeftOut) {
   vision_msgs::Detection2DArray message;
   EXPECT_TRUE(read_all(message).detections.empty()) << "nothing seen";

@@ -61,6 +61,8 @@ class ObjectDetector {
   /// Whether an image is to be looked at: at most `rate_hz` a second are, whatever the camera's rate. Asked once an
   /// image, in order.
   bool is_due(std::int64_t stamp_ns);
+  /// The next image is due: images begin anew.
+  void restart();
   /// From the next image on. @param options those that it has, but for live ones
   void set_options(const ObjectDetectorOptions& options);
   /// @param color CV_8UC3 as BGR, or CV_8UC1

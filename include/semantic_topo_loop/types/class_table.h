@@ -16,6 +16,7 @@ struct ObjectClass {
   int id = -1;
   std::string name;
   ClassRole role = ClassRole::kStatic;
+  int coco_id = -1;           ///< in files of COCO's results; -1: not stated
   std::string group;          ///< classes a detector confuses share a group; empty: none
   double size_prior_m = 0.3;  ///< typical diameter, m
   /// Longer side of a box around one of them, as depth measures it, from the smallest seen from its narrow side to the
@@ -27,11 +28,13 @@ struct ObjectClass {
 class ClassTable {
  public:
   ClassTable() = default;
-  /// @return an error that names the duplicated id if the classes are not unique
+  /// @return an error that names the duplicated id, or coco_id, if the classes are not unique
   static Result<ClassTable> create(std::vector<ObjectClass> classes);
 
   const ObjectClass* find(int id) const;
   const ObjectClass* find(const std::string& name) const;
+  /// By its number in files of COCO's results; where the table states none, they count as the table does.
+  const ObjectClass* find_by_coco_id(int coco_id) const;
   /// "class_<id>" for an unknown id.
   std::string name(int id) const;
   /// True for the same class and for two classes of one group.
@@ -44,6 +47,7 @@ class ClassTable {
 
  private:
   std::map<int, ObjectClass> classes_;
+  std::map<int, int> ids_by_coco_id_;
   std::map<int, int> labels_;  ///< of the mappable classes, by id: asked for every detection
 };
 
