@@ -68,7 +68,7 @@ void InnovationModel::accumulate_edges() {
   double path = 0.0, turn = 0.0;
   std::vector<double> paths, turns;
   for (const OdometryEdge& edge : *edges_) {
-    if (edge.covariance) continue;
+    if (!edge.is_modelled()) continue;
     paths.push_back(edge.path_m);
     turns.push_back(edge.rotation_rad);
     path += edge.path_m;
@@ -80,14 +80,14 @@ void InnovationModel::accumulate_edges() {
   progress_.assign(n, 0.0);
   for (std::size_t i = 0; i + 1 < n; ++i) {
     const OdometryEdge& edge = (*edges_)[i];
-    const double way = edge.covariance ? 0.0 : 0.5 * (edge.path_m + metres_per_radian_ * edge.rotation_rad);
+    const double way = edge.is_modelled() ? 0.5 * (edge.path_m + metres_per_radian_ * edge.rotation_rad) : 0.0;
     progress_[i + 1] = progress_[i] + way;
   }
   sum_steady_.assign(n, Basis::Zero(6, kSteadyColumns));
   for (std::size_t i = 0; i + 1 < n; ++i) {
     sum_steady_[i + 1] = sum_steady_[i];
     const OdometryEdge& edge = (*edges_)[i];
-    if (!edge.is_break && !edge.covariance) sum_steady_[i + 1] += path_.to_origin(i) * steady_basis(i);
+    if (edge.is_modelled()) sum_steady_[i + 1] += path_.to_origin(i) * steady_basis(i);
   }
 }
 
@@ -189,7 +189,7 @@ std::vector<Vec6> InnovationModel::steady_errors(const NoiseEstimate& noise) con
   weights(kSteadyColumns - 1) *= squared(noise.odometry.scale);
   std::vector<Vec6> errors(edges_->size(), Vec6::Zero());
   for (std::size_t i = 0; i < errors.size(); ++i) {
-    if (!(*edges_)[i].is_break && !(*edges_)[i].covariance) errors[i] = steady_basis(i) * weights;
+    if ((*edges_)[i].is_modelled()) errors[i] = steady_basis(i) * weights;
   }
   return errors;
 }
@@ -239,7 +239,7 @@ bool InnovationModel::explains_path_away(const NoiseEstimate& noise) const {
   const std::vector<Vec6> errors = steady_errors(noise);
   double path_m = 0.0, error_m = 0.0;
   for (std::size_t i = 0; i < errors.size(); ++i) {
-    if (!(*edges_)[i].covariance) path_m += (*edges_)[i].path_m;
+    if ((*edges_)[i].is_modelled()) path_m += (*edges_)[i].path_m;
     error_m += errors[i].head<3>().norm();
   }
   return error_m > kMaxShare * path_m;
@@ -250,7 +250,7 @@ std::optional<InnovationModel::Candidate> InnovationModel::best_jump(const Noise
   const Whitened whitened = whiten(noise);
   std::optional<Candidate> best;
   for (std::size_t edge = 0; edge < edges_->size(); edge += stride()) {
-    if ((*edges_)[edge].is_break || (*edges_)[edge].covariance) continue;
+    if (!(*edges_)[edge].is_modelled()) continue;
     const Candidate candidate = judge_jump(edge, whitened);
     if (candidate.gain > (best ? best->gain : least_gain)) best = candidate;
   }

@@ -82,7 +82,7 @@ class InnovationModel {
   const std::vector<SE3>* vertices_;
   const std::vector<OdometryEdge>* edges_;
   const std::vector<GraphLoop>* graph_loops_;
-  // Of the edges whose covariance is not given.
+  // Of the edges that are modelled.
   std::vector<double> progress_;  ///< path and rotation so far, in metres
   double metres_per_radian_ = 0.0;
   MotionBound usual_motion_;  ///< median

@@ -27,9 +27,7 @@ Mat6 suspected_jump_covariance(const OdometryEdge& edge) {
 }
 
 /// What the source does not vouch for.
-Vec6 open_jump(const OdometryEdge& edge) {
-  return edge.is_break || edge.covariance ? Vec6(Vec6::Zero()) : edge.suspected_jump;
-}
+Vec6 open_jump(const OdometryEdge& edge) { return edge.is_modelled() ? edge.suspected_jump : Vec6(Vec6::Zero()); }
 
 std::size_t index(int vertex) { return static_cast<std::size_t>(vertex); }
 
@@ -47,7 +45,7 @@ EdgeCovariance by_causes(const OdometryEdge& edge) {
   EdgeCovariance parts;
   parts.given = odometry_covariance(edge, kNoNoise);
   parts.suspected_jumps = odometry_covariance(edge, kOnlyJumps) - parts.given;
-  if (edge.is_break || edge.covariance) return parts;
+  if (!edge.is_modelled()) return parts;
   parts.translation = isotropic_covariance(edge.path_m, 0.0);
   parts.rotation = isotropic_covariance(0.0, edge.rotation_rad);
   return parts;
@@ -106,7 +104,7 @@ Mat6 odometry_covariance(const OdometryEdge& edge, const OdometryNoise& noise) {
 }
 
 Mat6 steady_covariance(const OdometryEdge& edge, const OdometryNoise& noise) {
-  if (edge.is_break || edge.covariance) return Mat6::Zero();
+  if (!edge.is_modelled()) return Mat6::Zero();
   // Chosen on fr3_office's drifted_real files; 4 m and more trust boxes too much there.
   constexpr double kSteadyFor_m = 1.0;
   const double way_m2 = kSteadyFor_m * edge.path_m;

@@ -54,6 +54,8 @@ struct OdometryEdge {
   /// The motion as the odometry had it, if a solved one stands above.
   std::shared_ptr<const OdometryEdge> measured;
 
+  /// Whether the edge is as uncertain as the odometry's noise has it.
+  bool is_modelled() const { return !covariance && !is_break; }
   /// Takes over a solved motion between the same keyframes, unless that has figures that no motion has, or this one is
   /// a break, joined, or of a source that states how good it is.
   /// @return whether it did

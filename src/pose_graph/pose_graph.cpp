@@ -345,7 +345,7 @@ struct PoseGraph::Impl {
   /// This session's loops in the graph: those of a map tell nothing of its odometry.
   std::size_t own_loops() const {
     const auto is_own = [this](const RememberedLoop& entry) {
-      return entry.is_in_graph && keyframe_of_[static_cast<std::size_t>(entry.loop->to)] >= restored_;
+      return entry.is_in_graph && entry.loop->to >= trajectory_.session_begin;
     };
     const std::vector<RememberedLoop>& loops = loops_.remembered();
     return static_cast<std::size_t>(std::count_if(loops.begin(), loops.end(), is_own));
@@ -355,6 +355,8 @@ struct PoseGraph::Impl {
     const Effort effort = this->effort(is_end);
     keyframes_since_ = 0;
     has_new_loops_ = has_outliers_ = is_urgent_ = is_withdrawn_ = false;
+    const auto first = std::lower_bound(keyframe_of_.begin(), keyframe_of_.end(), restored_);
+    trajectory_.session_begin = static_cast<int>(first - keyframe_of_.begin());
     suspect_jumps(&trajectory_.edges);
     if (has_objects_) trajectory_.objects.objects = objects_.objects();
     loops_.hand_over(&trajectory_, &knowledge_);

@@ -285,8 +285,12 @@ std::vector<Cluster> strained(const Trajectory& trajectory, const std::vector<bo
   const PathNoise path(trajectory.T_map_vertex, trajectory.edges);
   const OdometryNoise least{prior.least.translation_m, prior.least.rotation_rad};
   std::vector<std::pair<double, Cluster>> clusters;
-  // Those of an earlier session were doubted at its end.
-  for (Cluster& cluster : loop_clusters(trajectory.loops, telling_loops(trajectory, kept))) {
+  std::vector<bool> doubted = kept;
+  for (std::size_t k = 0; k < doubted.size(); ++k) {
+    // Those of an earlier session were doubted at its end.
+    doubted[k] = doubted[k] && trajectory.loops[k].to >= trajectory.session_begin;
+  }
+  for (Cluster& cluster : loop_clusters(trajectory.loops, doubted)) {
     const double factor = path.explaining_factor(middle(cluster, trajectory), least, prior.factor_max);
     if (factor > kLittle) clusters.emplace_back(factor, std::move(cluster));
   }

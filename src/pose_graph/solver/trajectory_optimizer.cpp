@@ -47,10 +47,10 @@ constexpr double kPrice = 5.0;
 
 constexpr int kFewJumps = 2, kManyJumps = 8;  // that are looked for in one go: in a run and at its end, for time
 
-/// Of the edges before each vertex those whose noise is to be learnt.
+/// How many edges before each vertex have a noise that is to be learnt.
 std::vector<int> count_modelled(const std::vector<OdometryEdge>& edges) {
   std::vector<int> counts{0};
-  for (const OdometryEdge& edge : edges) counts.push_back(counts.back() + (edge.covariance || edge.is_break ? 0 : 1));
+  for (const OdometryEdge& edge : edges) counts.push_back(counts.back() + (edge.is_modelled() ? 1 : 0));
   return counts;
 }
 
@@ -323,7 +323,6 @@ class TrajectoryOptimizer {
   std::vector<bool> votes_;   ///< which loops may be kept
   std::vector<bool> counts_;  ///< which of them say how noisy the odometry is, and share evidence
   std::vector<double> redundancy_;
-  /// How many edges up to each vertex have a noise that is learnt: no covariance is stated, and they are no break.
   std::vector<int> modelled_;
   std::vector<Vec6> steady_errors_;  ///< of each edge; empty before they are known
   GraphSolverOptions solver_options_;

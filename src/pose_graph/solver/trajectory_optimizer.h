@@ -15,6 +15,7 @@ namespace semantic_topo_loop::core {
 struct Trajectory {
   std::vector<SE3> T_map_vertex;
   std::vector<OdometryEdge> edges;
+  int session_begin = 0;  ///< first vertex of this session
   /// Other motions, which take the places of `edges` in the solution if the loops bear them out better, as one that
   /// starts afresh finds out; or none.
   std::vector<OdometryEdge> measured;
