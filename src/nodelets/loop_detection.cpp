@@ -150,22 +150,16 @@ class LoopDetectionNodelet : public StageWith<LoopDetectionParameters> {
       relocalised = relocalised || (loop.accepted && loop.T_earlier_match);
       statistics().count(loop.accepted ? kAccepted : std::string("loops rejected: ") + to_string(loop.reason));
     }
+    if (relocalised && loops.relocalisation) publish_relocalisation(frame, *loops.relocalisation);
     publish<LoopsMessage>(publisher_, make_header(frame.header.stamp, frame.camera_frame), std::move(loops));
-    if (relocalised) publish_relocalisation(frame);
     count_processed();
   }
 
-  void publish_relocalisation(const FrameMessage& frame) {
-    std::optional<core::Relocalisation> found;
-    {
-      const std::lock_guard<std::mutex> lock(mutex_);
-      found = detector_->relocalisation();
-    }
-    if (!found) return;
+  void publish_relocalisation(const FrameMessage& frame, const core::Relocalisation& found) {
     const std_msgs::Header header = make_header(frame.header.stamp, parameters_.earlier_map_frame);
     relocalisation_publisher_.publish(boost::make_shared<geometry_msgs::TransformStamped>(
-        make_transform(header, frame.header.frame_id, found->T_earlier_odom)));
-    NODELET_INFO_ONCE("the run's place in the earlier map is known, by %d of %d loops", found->agreeing, found->total);
+        make_transform(header, frame.header.frame_id, found.T_earlier_odom)));
+    NODELET_INFO_ONCE("the run's place in the earlier map is known, by %d of %d loops", found.agreeing, found.total);
   }
 
   ros::Publisher publisher_, relocalisation_publisher_;

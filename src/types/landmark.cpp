@@ -40,9 +40,9 @@ void LandmarkRedirects::apply(const MapUpdate& update) {
 
 void LandmarkRedirects::merge(const LandmarkMerge& merge) {
   if (resolve(merge.survivor_id) == merge.merged_id) return;  // no id stands for itself by a detour
-  if (survivor_.emplace(merge.merged_id, merge.survivor_id).second) {
-    merged_into_[merge.survivor_id].push_back(merge.merged_id);
-  }
+  unmerge(merge.merged_id);                                   // from what an unmerge that was lost left it in
+  survivor_.emplace(merge.merged_id, merge.survivor_id);
+  merged_into_[merge.survivor_id].push_back(merge.merged_id);
 }
 
 void LandmarkRedirects::unmerge(std::int64_t merged_id) {

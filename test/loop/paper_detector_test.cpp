@@ -145,6 +145,12 @@ TEST(ObjectIndex, FollowsMergesAndWhatTakesThemBack) {
   EXPECT_EQ(redirects.resolve(7), 7);
   EXPECT_EQ(redirects.aliases(1), std::vector<std::int64_t>{1});
   EXPECT_EQ(index.query({1, 2}, redirects), (std::map<int, int>{{0, 2}, {1, 1}}));
+  update.merged = {{5, 1}};
+  redirects.apply(update);
+  update.merged = {{5, 2}};  // whoever took it out of the first was not heard
+  redirects.apply(update);
+  EXPECT_EQ(redirects.resolve(5), 2);
+  EXPECT_EQ(redirects.aliases(1), std::vector<std::int64_t>{1});
 }
 
 }  // namespace
