@@ -51,13 +51,15 @@ bool fit(const SE3& T_camera_map, const Camera& camera, TrackingMap* map, Tracke
   return true;
 }
 
-std::vector<std::int64_t> local_keyframes(const TrackingMap& map, const TrackedFeatures& image) {
+std::vector<std::int64_t> local_keyframes(const TrackingMap& map, const TrackedFeatures& image,
+                                          const std::set<std::int64_t>* apart_from) {
   constexpr std::size_t kCovisible = 25, kMax = 45;  // bound the time of an image; 80 in ORB-SLAM
   constexpr double kNear_m = 1.0, kMinCosine = 0.7;  // 45 deg: half of what is seen from there is seen from here
   std::vector<std::int64_t> ids;
   for (const auto& [id, shared] : map.covisible(image.points)) {
-    if (ids.size() < kCovisible) ids.push_back(id);
+    if (ids.size() < kCovisible && (apart_from == nullptr || apart_from->count(id) == 0)) ids.push_back(id);
   }
+  if (apart_from != nullptr) return ids;
   // Places seen before are found again by where they are, long before anything in them is matched.
   const SE3 T_map_camera = image.T_camera_map.inverse();
   std::vector<std::pair<double, std::int64_t>> near;
@@ -189,10 +191,11 @@ bool find_points(const TrackingKeyframe& keyframe, const Camera& camera, Trackin
   return true;
 }
 
-bool track_local_map(const Camera& camera, TrackingMap* map, TrackedFeatures* image) {
+bool track_local_map(const Camera& camera, TrackingMap* map, TrackedFeatures* image,
+                     const std::set<std::int64_t>* apart_from) {
   const std::int64_t number = map->begin_search();
   std::vector<MapPoint*> points;
-  for (const std::int64_t id : local_keyframes(*map, *image)) {
+  for (const std::int64_t id : local_keyframes(*map, *image, apart_from)) {
     for (const std::int64_t point_id : map->keyframe(id)->points) {
       MapPoint* point = map->point(point_id);
       if (point == nullptr || point->search == number) continue;

@@ -15,7 +15,8 @@
 namespace semantic_topo_loop::core {
 namespace {
 
-constexpr int kFocalKeyframes = 6;   ///< fewer have not turned enough to tell a focal length
+constexpr int kFocalKeyframes = 6;              ///< fewer have not turned enough to tell a focal length
+constexpr std::int64_t kSoon_ns = 200'000'000;  ///< after which a sighting is another view of the same place
 constexpr double kMaxGuess_s = 0.5;  ///< motion is not carried on for longer: a hand turns back within a second
 
 /// Camera-frame points of an even grid of depth pixels.
@@ -153,9 +154,9 @@ struct RgbdFrontend::Impl {
       if (is_asked(it->second)) tried.push_back(it->first);
     }
     const std::int64_t oldest_tried = tried.empty() ? 0 : tried.back();
-    const std::vector<std::int64_t> alike = most_alike(
-        visual_words(image->features), kAlike,
-        [&](const TrackingKeyframe& keyframe, int) { return keyframe.id < oldest_tried && is_asked(keyframe); });
+    const std::vector<std::int64_t> alike =
+        most_alike(visual_words(image->features), kAlike,
+                   [&](const TrackingKeyframe& keyframe) { return keyframe.id < oldest_tried && is_asked(keyframe); });
     tried.insert(tried.end(), alike.begin(), alike.end());
     // The pose that explains most: a wrong one is seldom that.
     const int strong = strong_inliers(options);
@@ -178,14 +179,15 @@ struct RgbdFrontend::Impl {
 
   /// The keyframes asked for that look most like an image of these words, best first; the newer of two that are equally
   /// alike.
-  /// @param is_asked of a keyframe and how alike it is
+  /// @param least words in common
   template <typename Predicate>
-  std::vector<std::int64_t> most_alike(const std::vector<std::uint32_t>& words, std::size_t count,
-                                       Predicate is_asked) const {
+  std::vector<std::int64_t> most_alike(const std::vector<std::uint32_t>& words, std::size_t count, Predicate is_asked,
+                                       int least = 0) const {
     std::vector<std::pair<int, std::int64_t>> alike;
     for (const auto& [id, keyframe] : map.keyframes()) {
+      if (!is_asked(keyframe)) continue;
       const int common = common_words(words, keyframe.words);
-      if (is_asked(keyframe, common)) alike.emplace_back(common, id);
+      if (common >= least) alike.emplace_back(common, id);
     }
     std::sort(alike.rbegin(), alike.rend());
     alike.resize(std::min(alike.size(), count));
@@ -207,43 +209,48 @@ struct RgbdFrontend::Impl {
     return loop;
   }
 
-  /// Whether poses are missing for so long that what comes is taken for a break.
-  bool is_after_gap(const TrackedFeatures& image) const {
-    constexpr std::int64_t kGap_ns = 500'000'000;
-    return last && image.stamp_ns - last->stamp_ns > kGap_ns;
-  }
-
-  /// To the keyframe that shares most points; none where the map begins.
-  std::optional<SourceLoop> loop_to_nearest(const TrackedFeatures& image) {
-    const std::vector<std::pair<std::int64_t, int>> nearest = map.covisible(image.points);
-    if (nearest.empty()) return std::nullopt;
-    return loop_to(*map.keyframe(nearest.front().first), image);
-  }
-
-  /// Looks for what a keyframe sees where it is not followed: in the sections that were left by a loss, and in older
-  /// keyframes of its own, which lie across an offset. What another section shows twice alike joins the keyframe's:
-  /// its poses go on as they are.
-  std::optional<SourceLoop> look_back(const TrackedFeatures& image) {
-    constexpr std::size_t kTried = 3;  // bounds the time of a keyframe
-    // An older keyframe that looks no less alike than those it shares points with should share some, too.
-    std::set<std::int64_t> followed;
-    int least_alike = std::numeric_limits<int>::max();
-    const std::vector<std::uint32_t> words = visual_words(image.features);
+  /// Keyframes that an image is followed by: they share enough points with it.
+  std::set<std::int64_t> followed(const TrackedFeatures& image) const {
+    std::set<std::int64_t> ids;
     for (const auto& [id, shared] : map.covisible(image.points)) {
-      if (shared < options.min_inliers) break;
-      followed.insert(id);
-      least_alike = std::min(least_alike, common_words(words, map.keyframe(id)->words));
+      if (shared >= options.min_inliers) ids.insert(id);
     }
-    const auto is_elsewhere = [&](const TrackingKeyframe& keyframe, int alike) {
-      return keyframe.section != image.section || (alike >= least_alike && followed.count(keyframe.id) == 0);
+    return ids;
+  }
+
+  /// Keyframes that look like an image but are none of these, best first: of other sections, then older ones of its
+  /// own, which look no less alike than those that it is followed by.
+  std::vector<std::int64_t> unfollowed(const TrackedFeatures& image, const std::set<std::int64_t>& followed) const {
+    constexpr std::size_t kTried = 3;  // bounds the time of a keyframe
+    const std::vector<std::uint32_t> words = visual_words(image.features);
+    std::vector<std::int64_t> tried =
+        most_alike(words, kTried, [&](const TrackingKeyframe& keyframe) { return keyframe.section != image.section; });
+    int least_alike = std::numeric_limits<int>::max();
+    for (const std::int64_t id : followed) {
+      least_alike = std::min(least_alike, common_words(words, map.keyframes().at(id).words));
+    }
+    const auto is_across_offset = [&](const TrackingKeyframe& keyframe) {
+      return keyframe.section == image.section && followed.count(keyframe.id) == 0;
     };
-    for (const std::int64_t id : most_alike(words, kTried, is_elsewhere)) {
+    const std::vector<std::int64_t> own = most_alike(words, kTried - tried.size(), is_across_offset, least_alike);
+    tried.insert(tried.end(), own.begin(), own.end());
+    return tried;
+  }
+
+  /// Looks for what a keyframe sees where it is not followed: in the sections that were left by a loss, and across an
+  /// offset within its own. What another section shows twice alike joins the keyframe's: its poses go on as they are.
+  std::optional<SourceLoop> look_back(const TrackedFeatures& image) {
+    const std::set<std::int64_t> followed = this->followed(image);
+    for (const std::int64_t id : unfollowed(image, followed)) {
       const TrackingKeyframe& keyframe = *map.keyframe(id);
       TrackedFeatures there = image;
       if (!find_points(keyframe, calibration.camera, &map, &there)) continue;
-      if (!track_local_map(calibration.camera, &map, &there) || there.inliers < strong_inliers(options)) continue;
-      const SourceLoop found = loop_to(keyframe, there);
       const bool is_other_section = there.section != image.section;
+      // In its own section there are points of this side of the offset around.
+      const std::set<std::int64_t>* apart_from = is_other_section ? nullptr : &followed;
+      if (!track_local_map(calibration.camera, &map, &there, apart_from)) continue;
+      if (there.inliers < strong_inliers(options)) continue;
+      const SourceLoop found = loop_to(keyframe, there);
       const SE3 T_here_there = image.T_camera_map.inverse() * there.T_camera_map;
       if (is_seen_again(image, there)) {
         if (is_other_section) {
@@ -254,7 +261,7 @@ struct RgbdFrontend::Impl {
         return found;
       }
       sighting = Sighting{there.section, image.section, T_here_there, image.stamp_ns};
-      // In its own section what moved meanwhile looks like an offset, once.
+      // In its own section what is moving looks like an offset, too.
       return is_other_section ? std::optional(found) : std::nullopt;
     }
     return std::nullopt;
@@ -264,6 +271,7 @@ struct RgbdFrontend::Impl {
   bool is_seen_again(const TrackedFeatures& image, const TrackedFeatures& there) const {
     constexpr double kAlike_m = 0.05, kAlike_rad = 0.05;  // of two sightings: the drift of a second or so
     if (!sighting || sighting->section != there.section || sighting->seen_from != image.section) return false;
+    if (image.stamp_ns - sighting->stamp_ns <= kSoon_ns) return false;
     const SE3 again = sighting->T_here_there * there.T_camera_map.inverse();
     return (again.t - image.center()).norm() < kAlike_m &&
            rotation_angle(again.q.conjugate(), image.T_camera_map.q) < kAlike_rad;
@@ -271,7 +279,7 @@ struct RgbdFrontend::Impl {
 
   /// Whether something was seen that is worth a second look.
   bool is_sighting_open(const TrackedFeatures& image) const {
-    constexpr std::int64_t kSoon_ns = 200'000'000, kLate_ns = 1'000'000'000;  // another view, not yet another place
+    constexpr std::int64_t kLate_ns = 1'000'000'000;  // not yet another place
     if (!sighting) return false;
     const std::int64_t age_ns = image.stamp_ns - sighting->stamp_ns;
     return age_ns > kSoon_ns && age_ns < kLate_ns;
@@ -364,6 +372,7 @@ struct RgbdFrontend::Impl {
     next_focal_check = kFocalKeyframes;
     grid = DepthGrid(camera, options.point_stride_px);
     map = TrackingMap(options);
+    sighting.reset();
     ++starts;
     image->points.assign(image->features.size(), -1);
     if (image->stamp_ns - first_stamp_ns > kEarly_ns || calibration.restarts == kMostRestarts) return false;
@@ -409,11 +418,11 @@ struct RgbdFrontend::Impl {
     const bool has_pose = result.state != TrackingState::kLost && result.state != TrackingState::kUnusable;
     if (has_pose) {
       count_views(image, &map);
-      if (!image.source_loop && is_after_gap(image)) image.source_loop = loop_to_nearest(image);
       PoseSample sample;
       sample.stamp_ns = image.stamp_ns;
       sample.T_odom_camera = image.T_camera_map.inverse();
       sample.is_break = is_break;
+      sample.is_continuous = !is_break;
       sample.points_camera = grid.points(rgbd.depth_m, calibration.registration, calibration.camera);
       if (last && !is_break) sample.covariance = motion_covariance(image);
       sample.source_loop = image.source_loop;
@@ -426,7 +435,7 @@ struct RgbdFrontend::Impl {
         take_in(image, *result.sample->points_camera);
         image.points = map.keyframes().rbegin()->second.points;
         if (!image.source_loop) result.sample->source_loop = look_back(image);
-      } else if (is_sighting_open(image)) {
+      } else if (!image.source_loop && is_sighting_open(image)) {
         result.sample->source_loop = look_back(image);
       }
       accept(std::move(image));

@@ -3,6 +3,7 @@
 #include <cstdint>
 #include <map>
 #include <optional>
+#include <set>
 #include <vector>
 
 #include "frontend/image_features.h"
@@ -22,9 +23,9 @@ struct MapPoint {
   double level_0_distance_m = 0.0;    ///< from where it is seen on level 0 of the pyramid
   std::map<std::int64_t, int> views;  ///< keyframe to the index of its feature
   std::int64_t first_keyframe = -1;
-  int expected = 1;               ///< images in which it should be seen
-  int found = 1;                  ///< images in which it was
-  std::int64_t search = -1;       ///< the last search that looked for it
+  int expected = 1;          ///< images in which it should be seen
+  int found = 1;             ///< images in which it was
+  std::int64_t search = -1;  ///< the last search that looked for it
 };
 
 /// A part of the map. How sections lie to each other is not known, or not well.
@@ -58,7 +59,7 @@ struct TrackedFeatures : FeatureImage {
   Mat6 covariance = Mat6::Zero();  ///< of the pose, camera frame
   int matches = 0;
   int inliers = 0;
-  std::vector<std::int64_t> expected;     ///< points that were looked for around its first ones
+  std::vector<std::int64_t> expected;     ///< points that the last search around its first ones looked for
   std::optional<SourceLoop> source_loop;  ///< of the section that it was found in after a loss
 };
 
@@ -126,6 +127,8 @@ bool follow_points(const TrackedFeatures& last, const SE3& T_camera_map, const C
 /// Looks for the points of a keyframe without knowing where.
 bool find_points(const TrackingKeyframe& keyframe, const Camera& camera, TrackingMap* map, TrackedFeatures* image);
 /// Looks for all points around that should be in view, and fits the pose to all that were found.
-bool track_local_map(const Camera& camera, TrackingMap* map, TrackedFeatures* image);
+/// @param apart_from of these keyframes, and of what is near but shares no points with the image, none are looked for
+bool track_local_map(const Camera& camera, TrackingMap* map, TrackedFeatures* image,
+                     const std::set<std::int64_t>* apart_from = nullptr);
 
 }  // namespace semantic_topo_loop::core

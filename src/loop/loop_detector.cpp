@@ -3,9 +3,11 @@
 #include <algorithm>
 #include <cmath>
 #include <iterator>
+#include <limits>
 #include <map>
 #include <set>
 #include <sstream>
+#include <tuple>
 
 #include "geometry/relative_pose.h"
 #include "loop/graph/graph_detector.h"
@@ -66,8 +68,10 @@ struct LoopDetector::Impl {
     LoopClosure loop;
     loop.query_keyframe_id = query->first;
     loop.match_keyframe_id = match->first;
-    loop.query_frame = loop.query_begin = loop.query_end = query->second.frame_id;
-    loop.match_frame = loop.match_begin = loop.match_end = match->second.frame_id;
+    loop.query_frame = query->second.frame_id;
+    loop.match_frame = match->second.frame_id;
+    std::tie(loop.query_begin, loop.query_end) = frames_around(query->second.stamp_ns);
+    std::tie(loop.match_begin, loop.match_end) = frames_around(match->second.stamp_ns);
     loop.query_stamp_ns = query->second.stamp_ns;
     loop.match_stamp_ns = match->second.stamp_ns;
     loop.accepted = true;
@@ -80,6 +84,19 @@ struct LoopDetector::Impl {
     loop.state_sigmas(loop.covariance);
     record_.add({loop});
     return loop;
+  }
+
+  /// First and last keyframe's frame that loops of the odometry's source share evidence with: the points around are
+  /// bent alike.
+  std::pair<std::int64_t, std::int64_t> frames_around(std::int64_t stamp_ns) const {
+    constexpr std::int64_t kAround_ns = 2'000'000'000;
+    std::pair<std::int64_t, std::int64_t> frames{std::numeric_limits<std::int64_t>::max(), -1};
+    for (auto it = keyframes_.rbegin(); it != keyframes_.rend() && it->second.stamp_ns >= stamp_ns - kAround_ns; ++it) {
+      if (it->second.stamp_ns > stamp_ns + kAround_ns) continue;
+      frames.first = std::min(frames.first, it->second.frame_id);
+      frames.second = std::max(frames.second, it->second.frame_id);
+    }
+    return frames;
   }
 
   std::vector<LoopClosure> detect_by_objects(const Frame& frame, const AssociationFrame& associations) {

@@ -39,7 +39,7 @@ Result<Frame> FrameBuilder::build(const PoseSample& sample) {
     const double moved_s = since_s(frame.held_since_ns.value_or(last_->stamp_ns));
     const double distance_m = (sample.T_odom_camera.t - last_->T_odom_camera.t).norm();
     const double angle_deg = degrees(rotation_angle(sample.T_odom_camera.q, last_->T_odom_camera.q));
-    const bool has_gap = since_s(last_->stamp_ns) > options_.break_gap_s && !motion.is_way;
+    const bool has_gap = since_s(last_->stamp_ns) > options_.break_gap_s && !motion.is_way && !sample.is_continuous;
     frame.is_break = frame.is_break || has_gap || distance_m > options_.break_speed_m_s * moved_s ||
                      angle_deg > options_.break_rate_deg_s * moved_s;
   }

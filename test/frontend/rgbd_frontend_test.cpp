@@ -194,9 +194,7 @@ TEST(RgbdFrontend, GapOfTwoSecondsIsBridged) {
   const TrackedImage tracked = frontend.track(image);
   ASSERT_EQ(tracked.state, TrackingState::kTracked);
   EXPECT_LT(error_m(tracked, 15), 0.02);
-  ASSERT_TRUE(tracked.sample->source_loop) << "behind the break that such a gap is taken for";
-  EXPECT_LE(tracked.sample->source_loop->stamp_ns, stamp_of(7));
-  EXPECT_LT((tracked.sample->source_loop->T_odom_camera.t - true_motion(0, 15).t).norm(), 0.02);
+  EXPECT_TRUE(tracked.sample->is_continuous);
 }
 
 TEST(RgbdFrontend, LostElsewhereAndFoundAgain) {
@@ -209,6 +207,7 @@ TEST(RgbdFrontend, LostElsewhereAndFoundAgain) {
   const TrackedImage tracked = frontend.track(on_walk(20));
   ASSERT_EQ(tracked.state, TrackingState::kRelocalised);
   EXPECT_FALSE(tracked.sample->is_break);
+  EXPECT_TRUE(tracked.sample->is_continuous);
   EXPECT_LT(error_m(tracked, 20), 0.02);
 }
 
@@ -278,6 +277,7 @@ TEST(RgbdFrontend, WhatItSawBeforeItBeganAnewIsFoundAgain) {
   }
   ASSERT_EQ(found.state, TrackingState::kRelocalised);
   EXPECT_TRUE(found.sample->is_break) << "how the two maps lie to each other is not known";
+  EXPECT_FALSE(found.sample->is_continuous);
   EXPECT_LT(error_m(found, 7), 0.012) << "in the first map";
   ASSERT_TRUE(found.sample->source_loop);
   EXPECT_LT(found.sample->source_loop->stamp_ns, stamp_of(kWalked));
@@ -341,33 +341,34 @@ TEST(RgbdFrontend, WhatItSawBeforeASpellOfFewPointsIsFoundAgain) {
 }
 
 TEST(RgbdFrontend, WhatItSawBeforeItDriftedIsFoundAgainAcrossTheOffset) {
-  // Full turns with a focal length that is too long: they close some degrees off.
+  // Full turns with a focal length that is too long close some degrees off: 15, or not many pixels more than points are
+  // looked for around.
   constexpr int kTurn = 150;  // images, once round
-  constexpr double kTooLong = 1.04;
   const auto turned = [](int image) { return SE3(so3_exp(Vec3(0.0, 2.0 * kPi * image / kTurn, 0.0)), Vec3::Zero()); };
-  Camera stated = kCamera;
-  stated.fx *= kTooLong;
-  stated.fy *= kTooLong;
-  FrontendOptions options;
-  options.self_calibration = false;
-  RgbdFrontend frontend(options, stated);
-  int loops = 0;
-  double most_off_deg = 0.0;
-  for (int i = 0; i < kTurn + 15; ++i) {
-    const TrackedImage tracked = frontend.track(kRoom.render(stamp_of(i), turned(i)));
-    ASSERT_EQ(tracked.state, i == 0 ? TrackingState::kStarted : TrackingState::kTracked) << i;
-    const Quaternion& q = tracked.sample->T_odom_camera.q;
-    most_off_deg = std::max(most_off_deg, degrees(rotation_angle(q, turned(i).q)));
-    if (!tracked.sample->source_loop) continue;
-    ++loops;
-    const SourceLoop& loop = *tracked.sample->source_loop;
-    EXPECT_GE(i, kTurn - 20) << "where the turn closes";
-    EXPECT_LT(loop.stamp_ns, stamp_of(20)) << i;
-    EXPECT_GE(loop.points, 60) << i;
-    EXPECT_LT(degrees(rotation_angle(loop.T_odom_camera.q, turned(i).q)), 1.5) << i;
+  for (const double too_long : {1.04, 1.015}) {
+    Camera stated = kCamera;
+    stated.fx *= too_long;
+    stated.fy *= too_long;
+    FrontendOptions options;
+    options.self_calibration = false;
+    RgbdFrontend frontend(options, stated);
+    int loops = 0;
+    for (int i = 0; i < kTurn + 15; ++i) {
+      const TrackedImage tracked = frontend.track(kRoom.render(stamp_of(i), turned(i)));
+      ASSERT_EQ(tracked.state, i == 0 ? TrackingState::kStarted : TrackingState::kTracked) << i;
+      if (!tracked.sample->source_loop) continue;
+      ++loops;
+      const SourceLoop& loop = *tracked.sample->source_loop;
+      EXPECT_GE(i, kTurn - 20) << "where the turn closes";
+      EXPECT_LT(loop.stamp_ns, stamp_of(20)) << i;
+      EXPECT_GE(loop.points, 60) << i;
+      const double off_deg = degrees(rotation_angle(tracked.sample->T_odom_camera.q, turned(i).q));
+      EXPECT_GT(off_deg, 120.0 * (too_long - 1.0)) << i;
+      EXPECT_LT(degrees(rotation_angle(loop.T_odom_camera.q, turned(i).q)), 0.3 * off_deg) << i;
+    }
+    EXPECT_GT(loops, 0) << too_long;
+    EXPECT_LT(loops, 4) << "two sightings each";
   }
-  EXPECT_GT(most_off_deg, 6.0);
-  EXPECT_GT(loops, 0);
 }
 
 TEST(RgbdFrontend, DistortedImages) {

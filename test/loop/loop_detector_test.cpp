@@ -13,9 +13,11 @@
 
 #include "loop/pair_record.h"
 #include "loop/submap/submap_builder.h"
+#include "odometry/graph_loop.h"
 #include "semantic_topo_loop/geometry/lie.h"
 #include "semantic_topo_loop/pipeline/options.h"
 #include "support/synthetic_desk.h"
+#include "support/test_files.h"
 
 namespace semantic_topo_loop::core {
 namespace {
@@ -159,6 +161,27 @@ TEST(LoopDetector, PassesOnWhatTheOdometrysSourceFound) {
   detector.set_options(off);
   found.stamp_ns = 2'000'000'000;
   EXPECT_TRUE(detect(5, 1, false, T_odom_query, found).empty());
+}
+
+TEST(LoopDetector, WhatTheSourceFoundOfOnePlaceInARowSharesEvidence) {
+  LoopDetector detector(LoopOptions(), std::make_shared<const ClassTable>());
+  constexpr int kFrames = 60, kFound = 40;  // twice a second
+  std::vector<GraphLoop> loops;
+  for (int k = 0; k < kFrames; ++k) {
+    Frame frame;
+    frame.frame_id = frame.keyframe_id = k;
+    frame.stamp_ns = 500'000'000LL * (k + 1);
+    frame.is_keyframe = true;
+    if (k == kFound || k == kFound + 1 || k == kFound + 15) {
+      frame.source_loop = SourceLoop{500'000'000LL * (k + 1 - 30), SE3(), 1e-4 * Mat6::Identity(), 80};
+    }
+    for (const LoopClosure& loop : detector.detect(frame, {}))
+      loops.push_back(checked(make_graph_loop(loop, k, k - 30)));
+  }
+  ASSERT_EQ(loops.size(), 3U);
+  EXPECT_GT(shared_evidence(loops[0], loops[1]), 0.3);
+  EXPECT_LT(shared_evidence(loops[0], loops[1]), 0.9);
+  EXPECT_EQ(shared_evidence(loops[0], loops[2]), 0.0) << "seconds later, of another place";
 }
 
 /// T_match_query of a scaled odometry has the match's unit of length, which is the true one here.

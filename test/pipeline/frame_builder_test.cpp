@@ -78,6 +78,18 @@ TEST_F(FrameBuilderTest, AGapThatTheOdometryGoesOnOverIsNoBreak) {
   EXPECT_TRUE(build(Vec3(7.0, 0.0, 0.0), 0.0, 1'500'000'000)->is_break) << "a jump is no speed";
 }
 
+TEST_F(FrameBuilderTest, AGapThatTheSourceVouchesForIsNoBreak) {
+  ASSERT_TRUE(build(Vec3::Zero()));
+  PoseSample sample;
+  sample.is_continuous = true;
+  sample.T_odom_camera.t = Vec3(2.0, 0.0, 0.0);
+  sample.stamp_ns = stamp_ns_ + 5'000'000'000;
+  EXPECT_FALSE(builder_.build(sample)->is_break);
+  sample.T_odom_camera.t = Vec3(50.0, 0.0, 0.0);
+  sample.stamp_ns += 5'000'000'000;
+  EXPECT_TRUE(builder_.build(sample)->is_break) << "no camera moves so fast";
+}
+
 TEST_F(FrameBuilderTest, WhatTheOdometryCatchesUpIsNoBreak) {
   double x = 0.0;
   for (int i = 0; i < 30; ++i) ASSERT_TRUE(build(Vec3(x = 0.02 * i, 0.0, 0.0)));

@@ -35,6 +35,7 @@ struct PoseSample {
   SE3 T_odom_camera;
   std::optional<Mat6> covariance;  ///< of the motion since the previous sample
   bool is_break = false;           ///< as stated by the source
+  bool is_continuous = false;      ///< the source vouches for the motion, however long the previous sample is ago
   std::optional<SourceLoop> source_loop;
   std::shared_ptr<const std::vector<Vec3>> points_camera;
 };
