@@ -39,8 +39,8 @@ void LandmarkRedirects::apply(const MapUpdate& update) {
 }
 
 void LandmarkRedirects::merge(const LandmarkMerge& merge) {
-  if (resolve(merge.survivor_id) == merge.merged_id) return;  // no id stands for itself by a detour
   unmerge(merge.merged_id);                                   // from what an unmerge that was lost left it in
+  if (resolve(merge.survivor_id) == merge.merged_id) return;  // no id stands for itself by a detour
   survivor_.emplace(merge.merged_id, merge.survivor_id);
   merged_into_[merge.survivor_id].push_back(merge.merged_id);
 }

@@ -151,6 +151,12 @@ TEST(ObjectIndex, FollowsMergesAndWhatTakesThemBack) {
   redirects.apply(update);
   EXPECT_EQ(redirects.resolve(5), 2);
   EXPECT_EQ(redirects.aliases(1), std::vector<std::int64_t>{1});
+  for (const LandmarkMerge& detour : {LandmarkMerge{7, 5}, LandmarkMerge{5, 7}, LandmarkMerge{5, 5}}) {
+    update.merged = {detour};
+    redirects.apply(update);
+  }
+  EXPECT_EQ(redirects.resolve(7), 5);
+  EXPECT_EQ(redirects.resolve(5), 5) << "no ring";
 }
 
 }  // namespace
