@@ -70,7 +70,7 @@ Landmark landmark_in_hall(std::int64_t i) {
 /// A frame with 20 boxes against a map of range(0) landmarks, of which 20 are in view.
 void associate_frame(benchmark::State& state, const char* mode) {
   const auto classes =
-      std::make_shared<const ClassTable>(*ClassTable::create({{kCup, "cup", ClassRole::kMovable, -1, "", 0.1}}));
+      std::make_shared<const ClassTable>(*ClassTable::create({{kCup, "cup", ClassRole::kMovable, "", 0.1}}));
   AssociatorOptions options;
   options.mode = mode;
   ObjectAssociator associator(options, classes);

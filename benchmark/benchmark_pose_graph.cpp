@@ -66,7 +66,7 @@ class Rounds {
   }
 
   static std::shared_ptr<const ClassTable> classes() {
-    return std::make_shared<ClassTable>(*ClassTable::create({{41, "cup", ClassRole::kMovable, -1, "", 0.1}}));
+    return std::make_shared<ClassTable>(*ClassTable::create({{41, "cup", ClassRole::kMovable, "", 0.1}}));
   }
 
   SE3 truth(int k) const {

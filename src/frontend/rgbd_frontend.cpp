@@ -210,7 +210,7 @@ struct RgbdFrontend::Impl {
   }
 
   /// Keyframes that an image is followed by: they share enough points with it.
-  std::set<std::int64_t> followed(const TrackedFeatures& image) const {
+  std::set<std::int64_t> followed_keyframes(const TrackedFeatures& image) const {
     std::set<std::int64_t> ids;
     for (const auto& [id, shared] : map.covisible(image.points)) {
       if (shared >= options.min_inliers) ids.insert(id);
@@ -240,7 +240,7 @@ struct RgbdFrontend::Impl {
   /// Looks for what a keyframe sees where it is not followed: in the sections that were left by a loss, and across an
   /// offset within its own. What another section shows twice alike joins the keyframe's: its poses go on as they are.
   std::optional<SourceLoop> look_back(const TrackedFeatures& image) {
-    const std::set<std::int64_t> followed = this->followed(image);
+    const std::set<std::int64_t> followed = followed_keyframes(image);
     for (const std::int64_t id : unfollowed(image, followed)) {
       const TrackingKeyframe& keyframe = *map.keyframe(id);
       TrackedFeatures there = image;

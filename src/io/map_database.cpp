@@ -39,16 +39,15 @@ bool is_there(const std::string& path) {
   return std::filesystem::exists(path, code) && std::filesystem::file_size(path, code) > 0;
 }
 
-/// What programs that were killed left of the names `stem`, a process id, and anything.
-void remove_links_of_the_dead(const std::string& stem) {
+/// Files beside `stem` whose names are its own, a process id, and anything, where no such process is any more.
+void remove_links_of_the_dead(const std::filesystem::path& stem) {
   std::error_code code;
-  const std::filesystem::path folder = std::filesystem::path(stem).parent_path();
-  for (std::filesystem::directory_iterator it(folder.empty() ? "." : folder, code), end; !code && it != end;
-       it.increment(code)) {
-    const std::string path = it->path().string();
-    if (path.compare(0, stem.size(), stem) != 0) continue;
-    const int process = std::atoi(path.c_str() + stem.size());
-    if (process > 0 && ::kill(process, 0) != 0 && errno == ESRCH) std::filesystem::remove(path, code);
+  const std::string name = stem.filename().string();
+  for (std::filesystem::directory_iterator it(stem.parent_path(), code), end; !code && it != end; it.increment(code)) {
+    const std::string other = it->path().filename().string();
+    if (other.compare(0, name.size(), name) != 0) continue;
+    const int process = std::atoi(other.c_str() + name.size());
+    if (process > 0 && ::kill(process, 0) != 0 && errno == ESRCH) std::filesystem::remove(it->path(), code);
   }
 }
 
@@ -141,7 +140,7 @@ Result<std::string> link_loaded_map(const std::string& path) {
   SqliteFile file(path, SqliteFile::Mode::kWrite);
   take_in_journal(&file);
   if (file.is_busy()) return Error{file.problem()};
-  remove_links_of_the_dead(path + kLoaded);
+  remove_links_of_the_dead(std::filesystem::absolute(path).string() + kLoaded);
   // Other programs, and the session before, may still read theirs.
   static std::atomic<int> next{1};
   const std::string link = path + kLoaded + std::to_string(::getpid()) + "-" + std::to_string(next++);

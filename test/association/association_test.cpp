@@ -17,12 +17,11 @@ const Camera kCamera{500.0, 500.0, 320.0, 240.0, 640, 480, {}};
 constexpr int kPerson = 0, kCup = 41, kVase = 75, kBook = 73, kIgnored = 99;
 
 std::shared_ptr<const ClassTable> classes() {
-  return std::make_shared<const ClassTable>(
-      *ClassTable::create({{kPerson, "person", ClassRole::kDynamic, -1, "", 1.6},
-                           {kCup, "cup", ClassRole::kMovable, -1, "vessel", 0.1},
-                           {kVase, "vase", ClassRole::kMovable, -1, "vessel", 0.2},
-                           {kBook, "book", ClassRole::kMovable, -1, "", 0.2},
-                           {kIgnored, "noise", ClassRole::kIgnore, -1, "", 0.2}}));
+  return std::make_shared<const ClassTable>(*ClassTable::create({{kPerson, "person", ClassRole::kDynamic, "", 1.6},
+                                                                 {kCup, "cup", ClassRole::kMovable, "vessel", 0.1},
+                                                                 {kVase, "vase", ClassRole::kMovable, "vessel", 0.2},
+                                                                 {kBook, "book", ClassRole::kMovable, "", 0.2},
+                                                                 {kIgnored, "noise", ClassRole::kIgnore, "", 0.2}}));
 }
 
 Frame frame_at(std::int64_t id) {
@@ -251,8 +250,8 @@ Frame frame_with(std::int64_t id, std::vector<Vec3> points) {
 
 std::shared_ptr<const ClassTable> sized_classes() {
   return std::make_shared<const ClassTable>(
-      *ClassTable::create({{kCup, "cup", ClassRole::kMovable, -1, "", 0.1, 0.05, 0.2},
-                           {kBook, "book", ClassRole::kMovable, -1, "", 0.25, 0.1, 0.5}}));
+      *ClassTable::create({{kCup, "cup", ClassRole::kMovable, "", 0.1, 0.05, 0.2},
+                           {kBook, "book", ClassRole::kMovable, "", 0.25, 0.1, 0.5}}));
 }
 
 TEST(ObjectAssociator, WhatDepthMakesTooLargeOrTooSmallForItsClassIsLeftOut) {

@@ -20,7 +20,7 @@ namespace {
 constexpr std::int64_t kStart = 1500000000000000000, kPeriod = 33333333;
 
 std::shared_ptr<const ClassTable> classes() {
-  return std::make_shared<ClassTable>(*ClassTable::create({{41, "cup", ClassRole::kMovable, -1, "", 0.1}}));
+  return std::make_shared<ClassTable>(*ClassTable::create({{41, "cup", ClassRole::kMovable, "", 0.1}}));
 }
 
 /// Ten frames with keyframes at 0 and 5; after frame 7 both keyframes move.

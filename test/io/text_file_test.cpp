@@ -39,7 +39,7 @@ TEST(TextFile, AByteOrderMarkIsNoContent) {
                 .width,
             640);
   EXPECT_EQ(checked(read_keyframes(directory.write("k.csv", mark + keyframe_table_header()))).size(), 0U);
-  const ClassTable cups = *ClassTable::create({{41, "cup", ClassRole::kMovable, -1, "", 0.1}});
+  const ClassTable cups = *ClassTable::create({{41, "cup", ClassRole::kMovable, "", 0.1}});
   const std::string frames = R"([{"file_name": "1.0.png", "detections": []}])";
   EXPECT_EQ(checked(read_detections(directory.write("d.json", mark + frames), cups)).frames.size(), 1U);
 }
@@ -248,7 +248,7 @@ TEST(Text, NumbersHaveADecimalPointInEveryLocale) {
                                    {{1'500'000'000, SE3(Quaternion::Identity(), Vec3(0.5, 1.25, 2.0))}}));
   EXPECT_EQ(read_whole(directory.path("poses.txt")),
             "1.500000 0.500000000 1.250000000 2.000000000 0.000000000 0.000000000 0.000000000 1.000000000\n");
-  const ClassTable cups = *ClassTable::create({{41, "cup", ClassRole::kMovable, -1, "", 0.1}});
+  const ClassTable cups = *ClassTable::create({{41, "cup", ClassRole::kMovable, "", 0.1}});
   ASSERT_TRUE(write_detections_json(directory.path("boxes.json"), {{2, {{41, 0.75, {1.5, 2.5, 3.5, 4.5}}}}}));
   EXPECT_EQ(checked(read_detections(directory.path("boxes.json"), cups)).frames.at(0).detections.at(0).score, 0.75);
 }

@@ -286,7 +286,7 @@ TEST(DepthFit, ViewsWithTheDepthOfSomethingElseDoNotMoveIt) {
 class DepthMapperTest : public testing::MapperFixture {
  protected:
   DepthMapperTest()
-      : MapperFixture({{41, "cup", ClassRole::kMovable, -1, "", 0.1}, {62, "tv", ClassRole::kStatic, -1, "", 0.4}}) {}
+      : MapperFixture({{41, "cup", ClassRole::kMovable, "", 0.1}, {62, "tv", ClassRole::kStatic, "", 0.4}}) {}
 
   void step(const SE3& pose, const std::vector<Seen>& seen, const DepthScene& scene) {
     MapperFixture::step(pose, seen, std::make_shared<const std::vector<Vec3>>(scene.look(kCamera, pose)));

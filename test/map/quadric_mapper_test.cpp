@@ -143,10 +143,10 @@ TEST(QuadricFit, RefusesDegenerateInput) {
 class MapperTest : public testing::MapperFixture {
  protected:
   MapperTest()
-      : MapperFixture({{41, "cup", ClassRole::kMovable, -1, "vessel", 0.1},
-                       {75, "vase", ClassRole::kMovable, -1, "vessel", 0.2},
-                       {73, "book", ClassRole::kMovable, -1, "", 0.2},
-                       {62, "tv", ClassRole::kStatic, -1, "", 0.2}}) {}
+      : MapperFixture({{41, "cup", ClassRole::kMovable, "vessel", 0.1},
+                       {75, "vase", ClassRole::kMovable, "vessel", 0.2},
+                       {73, "book", ClassRole::kMovable, "", 0.2},
+                       {62, "tv", ClassRole::kStatic, "", 0.2}}) {}
 
   MapUpdate end() {
     Frame frame;
@@ -896,7 +896,7 @@ class MappedRounds : public TwoRounds {
 
  private:
   static std::shared_ptr<const ClassTable> classes() {
-    return std::make_shared<ClassTable>(*ClassTable::create({{kCup, "cup", ClassRole::kMovable, -1, "", 0.1}}));
+    return std::make_shared<ClassTable>(*ClassTable::create({{kCup, "cup", ClassRole::kMovable, "", 0.1}}));
   }
   void process(const Frame& frame, const AssociationFrame& associations, const std::vector<LoopClosure>& loops) {
     count(mapper_.integrate(frame, associations));

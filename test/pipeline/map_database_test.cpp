@@ -23,6 +23,7 @@
 #include "io/sqlite_file.h"
 #include "pipeline/map_state.h"
 #include "semantic_topo_loop/io/map_file.h"
+#include "semantic_topo_loop/io/text_file.h"
 #include "support/package_config.h"
 #include "support/simulated_run.h"
 #include "support/test_files.h"
@@ -406,6 +407,25 @@ TEST_F(MapDatabaseTest, ACopyDoesNotTakeThePlaceOfTheMapItself) {
     EXPECT_EQ(database.copy_to(place).message(), place + ": is a file of the map that is being written");
   }
   EXPECT_EQ(checked(database.copy_to(directory_.path("copy.db"))).sessions, 1);
+}
+
+TEST_F(MapDatabaseTest, WhoGoesOnWithAMapHoldsItByANameOfHisOwn) {
+  ChainRun run(laps(), shared_coco());
+  for (int i = 0; i < 50; ++i) run.next();
+  ASSERT_EQ(write_map(path_, *run.slam().map(), *shared_coco()).message(), "");
+  const pid_t gone = ::fork();
+  ASSERT_GE(gone, 0);
+  if (gone == 0) ::_exit(0);
+  ::waitpid(gone, nullptr, 0);
+  const std::string left = path_ + ".loaded-" + std::to_string(gone) + "-1", others = path_ + ".loaded-1-1";
+  for (const std::string& link : {left, others}) std::filesystem::create_hard_link(path_, link);
+  const std::string first = checked(link_loaded_map(path_)), second = checked(link_loaded_map(path_));
+  EXPECT_NE(first, second);
+  for (const std::string& link : {first, second}) EXPECT_TRUE(is_same_file(link, path_)) << link;
+  EXPECT_FALSE(std::filesystem::exists(left)) << "of a program that was killed";
+  EXPECT_TRUE(std::filesystem::exists(others)) << "of one that runs";
+  std::filesystem::remove(first);
+  EXPECT_TRUE(read_map(second, *shared_coco()));
 }
 
 TEST_F(MapDatabaseTest, SeveralMayCloseAtOnce) {

@@ -153,7 +153,7 @@ class Report : public ProgramTest {
   /// @param first frame of this run: a later one than the first of all goes on with a map, to which the loops lead
   void write_run(int frames, const std::vector<int>& loops, bool with_object, int first = 0) {
     const auto classes =
-        std::make_shared<const ClassTable>(*ClassTable::create({{41, kLabel, ClassRole::kMovable, -1, "", 0.1}}));
+        std::make_shared<const ClassTable>(*ClassTable::create({{41, kLabel, ClassRole::kMovable, "", 0.1}}));
     const auto recorder = make_run_recorder(classes, directory_.path(""));
     StampedPoses truth;
     for (int i = first; i < first + frames; ++i) {

@@ -9,12 +9,12 @@ namespace semantic_topo_loop::core {
 namespace {
 
 ClassTable small_table() {
-  return *ClassTable::create({{0, "person", ClassRole::kDynamic, -1, "", 1.7},
-                              {41, "cup", ClassRole::kMovable, -1, "vessel", 0.1},
-                              {62, "tv", ClassRole::kStatic, -1, "", 0.5},
-                              {75, "vase", ClassRole::kMovable, -1, "vessel", 0.2},
-                              {27, "tie", ClassRole::kIgnore, -1, "", 0.4},
-                              {58, "plant", ClassRole::kStatic, -1, "", 0.6}});
+  return *ClassTable::create({{0, "person", ClassRole::kDynamic, "", 1.7},
+                              {41, "cup", ClassRole::kMovable, "vessel", 0.1},
+                              {62, "tv", ClassRole::kStatic, "", 0.5},
+                              {75, "vase", ClassRole::kMovable, "vessel", 0.2},
+                              {27, "tie", ClassRole::kIgnore, "", 0.4},
+                              {58, "plant", ClassRole::kStatic, "", 0.6}});
 }
 
 TEST(ClassTable, FindsByIdAndName) {
@@ -49,10 +49,14 @@ TEST(ClassTable, OnlyStaticAndMovableClassesAreMapped) {
 }
 
 TEST(ClassTable, RefusesAnIdTwice) {
-  const auto table =
-      ClassTable::create({{3, "a", ClassRole::kStatic, -1, "", 1.0}, {3, "b", ClassRole::kStatic, -1, "", 1.0}});
+  const auto table = ClassTable::create({{3, "a", ClassRole::kStatic, "", 1.0}, {3, "b", ClassRole::kStatic, "", 1.0}});
   ASSERT_FALSE(table);
   EXPECT_EQ(table.message(), "class id 3 is listed twice");
+  ObjectClass a, b;
+  a.id = 3;
+  b.id = 4;
+  a.coco_id = b.coco_id = 5;
+  EXPECT_EQ(ClassTable::create({a, b}).message(), "coco_id 5 is listed twice");
 }
 
 TEST(Stamp, ReadsDecimalTextExactly) {

@@ -15,7 +15,7 @@ constexpr int kClasses = 12;
 ClassTable table() {
   std::vector<ObjectClass> classes;
   for (int id = 0; id < kClasses; ++id) {
-    classes.push_back({id, "class " + std::to_string(id), ClassRole::kMovable, -1, "", 0.1 * (id + 1)});
+    classes.push_back({id, "class " + std::to_string(id), ClassRole::kMovable, "", 0.1 * (id + 1)});
   }
   return *ClassTable::create(std::move(classes));
 }

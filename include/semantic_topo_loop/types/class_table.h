@@ -16,12 +16,12 @@ struct ObjectClass {
   int id = -1;
   std::string name;
   ClassRole role = ClassRole::kStatic;
-  int coco_id = -1;           ///< in files of COCO's results; -1: not stated
   std::string group;          ///< classes a detector confuses share a group; empty: none
   double size_prior_m = 0.3;  ///< typical diameter, m
   /// Longer side of a box around one of them, as depth measures it, from the smallest seen from its narrow side to the
   /// diagonal of the largest, m.
   double size_min_m = 0.0, size_max_m = std::numeric_limits<double>::infinity();
+  int coco_id = -1;  ///< in files of COCO's results; -1: not stated
 };
 
 /// The detector's classes by id, read from config/classes_*.yaml.
