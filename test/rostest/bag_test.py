@@ -330,6 +330,8 @@ class ImagesTest(DirectoryTest):
             time_s += wall.PERIOD_S
             stamp, late = wall.stamp_at(time_s), wall.stamp_at(time_s + DEPTH_DELAY_S)
             black.header.stamp = stamp
+            # After the gap the camera is elsewhere.
+            place = i if i <= 30 else i + 200
             stamps.append(stamp)
             if i == 8:
                 recorder.step(i, time_s, with_depth=False)
@@ -343,7 +345,7 @@ class ImagesTest(DirectoryTest):
                 back = wall.stamp_at(time_s - 0.5)
                 recorder.step(i, time_s, color=wall.color(back, i))
             else:
-                recorder.step(i, time_s)
+                recorder.step(place, time_s)
             if i == 30:
                 time_s += 2.0
         recorder.close()
