@@ -1,11 +1,10 @@
 #pragma once
 
-#include <array>
 #include <cmath>
 #include <cstdint>
-#include <opencv2/core/hal/hal.hpp>
 #include <vector>
 
+#include "geometry/descriptor.h"
 #include "geometry/point_grid.h"
 #include "semantic_topo_loop/types/camera.h"
 
@@ -14,15 +13,6 @@ namespace semantic_topo_loop::core {
 struct DepthRegistration;
 struct FrontendOptions;
 struct RgbdImage;
-
-/// 256 bits of an ORB feature.
-using Descriptor = std::array<std::uint64_t, 4>;
-
-/// Number of bits that differ.
-inline int hamming(const Descriptor& a, const Descriptor& b) {
-  const auto bytes = [](const Descriptor& d) { return reinterpret_cast<const std::uint8_t*>(d.data()); };
-  return cv::hal::normHamming(bytes(a), bytes(b), sizeof(Descriptor));
-}
 
 struct ImageFeature {
   Vec2 pixel = Vec2::Zero();  ///< undistorted
@@ -53,11 +43,6 @@ struct ImageFeatures {
 /// Finds ORB features, spread evenly over the image, with the depth around each.
 ImageFeatures extract_features(const RgbdImage& image, const FrontendOptions& options, const Camera& camera,
                                const DepthRegistration& registration);
-
-/// Bits out of 256 by which two views of one point differ at most: ORB-SLAM's thresholds (Mur-Artal, Montiel and Tardos
-/// 2015). Unrelated features differ by 128 in the mean.
-constexpr int kMatchBits = 100;   ///< where the place in the image is known
-constexpr int kSimilarBits = 50;  ///< where a mistake would last: it joins two points of the map
 
 /// What an image looks like, to compare it with many: four words of 16 bits a descriptor, ascending. Descriptors of one
 /// point have a word in common with some 25 % (15 % of their bits differ), others by chance with one in 2^14.

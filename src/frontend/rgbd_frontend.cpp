@@ -383,6 +383,24 @@ struct RgbdFrontend::Impl {
     return true;
   }
 
+  /// The map's points that an image shows, camera frame.
+  std::shared_ptr<const std::vector<PointFeature>> features_of(const TrackedFeatures& image) {
+    auto features = std::make_shared<std::vector<PointFeature>>();
+    for (const std::int64_t id : image.points) {
+      const MapPoint* point = id >= 0 ? map.point(id) : nullptr;
+      if (point == nullptr) continue;
+      const Vec3 point_camera = image.T_camera_map * point->position;
+      features->push_back({lasting_id(id), point_camera.cast<float>(), point->descriptor});
+    }
+    return features;
+  }
+
+  /// Of a point, also over maps that follow each other.
+  std::int64_t lasting_id(std::int64_t point) const {
+    constexpr int kPointBits = 40;  // of an id within its map: a year of 1000 new points an image; leaves 2^23 maps
+    return (starts << kPointBits) + point;
+  }
+
   void accept(TrackedFeatures image) {
     const bool is_next = last && last_tracked_image == images - 1;
     motion_s = is_next ? 1e-9 * static_cast<double>(image.stamp_ns - last->stamp_ns) : 0.0;
@@ -427,6 +445,7 @@ struct RgbdFrontend::Impl {
       sample.is_break = is_break;
       sample.is_continuous = !is_break;
       sample.points_camera = grid.points(rgbd.depth_m, calibration.registration, calibration.camera);
+      sample.features = features_of(image);
       if (last && !is_break) sample.covariance = motion_covariance(image);
       sample.source_loop = image.source_loop;
       result.sample = std::move(sample);
@@ -479,15 +498,11 @@ void RgbdFrontend::begin_anew() { impl_.reset(new Impl(impl_->options, impl_->ca
 const Camera& RgbdFrontend::camera() const { return impl_->calibration.camera; }
 
 KeyframePoints RgbdFrontend::keyframe_points(const RgbdImage& image, int semi_dense_max) const {
-  constexpr int kPointBits = 40;  // of an id within its map: a year of 1000 new points an image; leaves 2^23 maps
   const Calibration& known = impl_->calibration;
   KeyframePoints points{{}, semi_dense_points(image, known.camera, known.registration, semi_dense_max)};
   if (!impl_->last) return points;
-  for (const std::int64_t id : impl_->last->points) {
-    const MapPoint* point = id >= 0 ? impl_->map.point(id) : nullptr;
-    if (point == nullptr) continue;
-    const Vec3 point_camera = impl_->last->T_camera_map * point->position;
-    points.sparse.push_back({(impl_->starts << kPointBits) + id, point_camera.cast<float>()});
+  for (const PointFeature& feature : *impl_->features_of(*impl_->last)) {
+    points.sparse.push_back({feature.id, feature.position});
   }
   const auto by_id = [](const SparsePoint& a, const SparsePoint& b) { return a.id < b.id; };
   std::sort(points.sparse.begin(), points.sparse.end(), by_id);

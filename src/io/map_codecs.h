@@ -27,6 +27,8 @@ inline constexpr bool is_row<SubmapView> = true;
 template <>
 inline constexpr bool is_row<Surfel> = true;
 template <>
+inline constexpr bool is_row<PointFeature> = true;
+template <>
 inline constexpr bool is_row<KeyframePose> = true;
 template <>
 inline constexpr bool is_row<GraphKeyframe> = true;
@@ -40,6 +42,22 @@ struct Codec<LandmarkState> {
     const int number = field.small_integer();
     if (number < 0 || number > static_cast<int>(LandmarkState::kRetired)) return field.reject("is no state");
     *value = static_cast<LandmarkState>(number);
+  }
+};
+
+/// As signed numbers, which a field reads.
+template <>
+struct Codec<Descriptor> {
+  using Words = std::array<std::int64_t, std::tuple_size_v<Descriptor>>;
+  static Json write(const Descriptor& value) {
+    Words words{};
+    std::copy(value.begin(), value.end(), words.begin());
+    return to_archive(words);
+  }
+  static void read(const JsonField& field, Descriptor* value) {
+    Words words{};
+    from_archive(field, &words);
+    std::copy(words.begin(), words.end(), value->begin());
   }
 };
 
@@ -202,9 +220,10 @@ VISIT_MEMBERS(SubmapView, MEMBER(frame) MEMBER(box) MEMBER(depth_m) MEMBER(trunc
 VISIT_MEMBERS(LocalObject, MEMBER(landmark_id) MEMBER(class_id) MEMBER(spheroid) MEMBER(covariance) MEMBER(frames_seen)
                                MEMBER(seen_share) MEMBER(parallax_deg) MEMBER(views))
 VISIT_MEMBERS(Surfel, MEMBER(position) MEMBER(normal))
+VISIT_MEMBERS(PointFeature, MEMBER(id) MEMBER(position) MEMBER(descriptor))
 VISIT_MEMBERS(LocalMap, MEMBER(keyframe_id) MEMBER(frame_id) MEMBER(stamp_ns) MEMBER(begin_frame) MEMBER(end_frame)
                             MEMBER(end_ns) MEMBER(span_s) MEMBER(drift_rad_s) MEMBER(up) MEMBER(frames)
-                                MEMBER(check_frames) MEMBER(objects) MEMBER(surfels))
+                                MEMBER(check_frames) MEMBER(objects) MEMBER(surfels) LATER_MEMBER(features))
 
 VISIT_MEMBERS(KeyframePose, MEMBER(keyframe_id) MEMBER(frame_id) MEMBER(stamp_ns) MEMBER(T_map_camera) MEMBER(scale))
 VISIT_MEMBERS(GraphKeyframe, MEMBER(pose) MEMBER(T_vertex_keyframe) MEMBER(T_map_live))

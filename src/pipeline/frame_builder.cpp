@@ -27,6 +27,7 @@ Result<Frame> FrameBuilder::build(const PoseSample& sample) {
   frame.covariance = sample.covariance;
   frame.source_loop = sample.source_loop;
   frame.points_camera = sample.points_camera;
+  frame.features = sample.features;
   frame.camera = camera_;
 
   const HeldPoses::Motion motion = held_poses_->move(sample.stamp_ns, sample.T_odom_camera);
@@ -71,6 +72,7 @@ Frame FrameBuilder::end() const {
   frame.held_since_ns.reset();
   frame.source_loop.reset();
   frame.points_camera.reset();
+  frame.features.reset();
   frame.keyframe_points.reset();
   return frame;
 }

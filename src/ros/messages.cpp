@@ -1,5 +1,6 @@
 #include "semantic_topo_loop/ros/messages.h"
 
+#include <algorithm>
 #include <atomic>
 #include <memory>
 
@@ -22,12 +23,17 @@ void FrameSensors::take_from(const FrameMessage& frame) {
   camera.header = points.header = make_header(frame.header.stamp, frame.camera_frame);
   has_points = frame.points_camera != nullptr;
   if (has_points) to_cloud(*frame.points_camera, &points);
+  if (frame.features) features = *frame.features;
 }
 
 void FrameSensors::give_to(FrameMessage* frame) const {
   ++decoded;
   frame->stamp_ns = to_stamp_ns(frame->header.stamp);
   frame->camera = from_msg(camera);
+  const auto is_finite = [](const core::PointFeature& feature) { return feature.position.allFinite(); };
+  if (!features.empty() && std::all_of(features.begin(), features.end(), is_finite)) {
+    frame->features = std::make_shared<const std::vector<core::PointFeature>>(features);
+  }
   if (!has_points) return;
   core::Result<std::vector<core::Vec3>> read = from_msg(points);
   if (read) frame->points_camera = std::make_shared<const std::vector<core::Vec3>>(*std::move(read));

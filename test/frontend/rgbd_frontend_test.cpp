@@ -3,7 +3,10 @@
 #include <gtest/gtest.h>
 
 #include <Eigen/Eigenvalues>
+#include <cstdint>
+#include <map>
 
+#include "geometry/descriptor.h"
 #include "semantic_topo_loop/geometry/lie.h"
 #include "support/synthetic_room.h"
 
@@ -100,6 +103,26 @@ TEST(RgbdFrontend, BeginsAnewWithTheFocalLengthItFound) {
   RgbdFrontend uncorrected(as_stated, stated);
   EXPECT_FALSE(is_recalibrated(&uncorrected));
   EXPECT_EQ(uncorrected.camera().fx, stated.fx);
+}
+
+TEST(RgbdFrontend, FeaturesArePointsOfTheMapWithWhatTheyLookLike) {
+  RgbdFrontend frontend = after_walk(10);
+  const TrackedImage before = frontend.track(on_walk(10)), tracked = frontend.track(on_walk(11));
+  ASSERT_TRUE(before.sample && tracked.sample && before.sample->features && tracked.sample->features);
+  EXPECT_GE(static_cast<int>(tracked.sample->features->size()), tracked.inliers);
+  std::map<std::int64_t, const PointFeature*> shown;
+  for (const PointFeature& feature : *before.sample->features) shown[feature.id] = &feature;
+  const SE3 T_before_now = before.sample->T_odom_camera.inverse() * tracked.sample->T_odom_camera;
+  std::size_t again = 0;
+  for (const PointFeature& feature : *tracked.sample->features) {
+    const auto earlier = shown.find(feature.id);
+    if (earlier == shown.end()) continue;
+    ++again;
+    const Vec3 position = T_before_now * feature.position.cast<double>();
+    EXPECT_LT((position - earlier->second->position.cast<double>()).norm(), 0.02) << feature.id;
+    EXPECT_LT(hamming(feature.descriptor, earlier->second->descriptor), kMatchBits) << feature.id;
+  }
+  EXPECT_GT(2 * again, tracked.sample->features->size());
 }
 
 TEST(RgbdFrontend, PointsAreThoseOfTheDepthImageAndExactInFloat) {

@@ -129,17 +129,27 @@ TEST_F(MapFile, WhatIsReadAndWrittenAgainIsTheSameToTheLastBit) {
   EXPECT_TRUE(read_whole(path_) == read_whole(again));
 }
 
-TEST_F(MapFile, KeepsSurfaces) {
+TEST_F(MapFile, KeepsSurfacesAndFeatures) {
   MapState map = desk();
   const Eigen::Vector3f normal = Eigen::Vector3f(1.0F, -2.0F, 2.0F) / 3.0F;
   map.submaps[0].surfels =
       std::make_shared<const std::vector<Surfel>>(std::vector<Surfel>{{{0.1F, -0.2F, 1.5F}, normal}});
+  const Eigen::Vector3f position(0.3F, -0.1F, 1.2F);
+  const Descriptor descriptor{1, ~std::uint64_t{0}, std::uint64_t{1} << 63, 0};
+  map.submaps[0].features =
+      std::make_shared<const std::vector<PointFeature>>(std::vector<PointFeature>{{5, position, descriptor}});
   ASSERT_EQ(write_map(path_, map, *shared_coco()).message(), "");
   const auto read = checked(read_map(path_, *shared_coco()));
   ASSERT_NE(read->submaps[0].surfels, nullptr);
   EXPECT_EQ((*read->submaps[0].surfels)[0].position, map.submaps[0].surfels->front().position);
   EXPECT_EQ((*read->submaps[0].surfels)[0].normal, normal);
   EXPECT_EQ(read->submaps[1].surfels, nullptr);
+  ASSERT_NE(read->submaps[0].features, nullptr);
+  const PointFeature& feature = (*read->submaps[0].features)[0];
+  EXPECT_EQ(feature.id, 5);
+  EXPECT_EQ(feature.position, position);
+  EXPECT_EQ(feature.descriptor, descriptor);
+  EXPECT_EQ(read->submaps[1].features, nullptr);
 }
 
 TEST_F(MapFile, KeepsPointsToTheMillimetre) {

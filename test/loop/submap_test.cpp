@@ -5,6 +5,7 @@
 #include <functional>
 #include <limits>
 #include <memory>
+#include <random>
 #include <vector>
 
 #include "geometry/depth_points.h"
@@ -100,7 +101,7 @@ TEST(LocalMap, UpIsUncertainWithoutTurning) {
   EXPECT_FALSE(built.map.up.certain);
 }
 
-TEST(LocalMap, HasTheSurfacesOfItsFramesWherePointsAreUsed) {
+TEST(LocalMap, HasSurfacesAndFeaturesOfItsFramesWherePointsAreUsed) {
   ObservationWindow window(15.0, 0.09, *desk_classes());
   std::vector<Vec3> wall;
   for (int i = 0; i < 900; ++i) {
@@ -111,17 +112,20 @@ TEST(LocalMap, HasTheSurfacesOfItsFramesWherePointsAreUsed) {
   frame.camera = desk_camera();
   frame.is_keyframe = true;
   frame.points_camera = std::make_shared<const std::vector<Vec3>>(std::move(wall));
+  frame.features = std::make_shared<const std::vector<PointFeature>>(7);
   window.push(frame, {});
   LoopOptions options;
   const UpEstimator up(options.up_window_s);
-  const auto surfels = [&] { return build_local_map(window.frames(), LandmarkRedirects(), up, options)->surfels; };
-  ASSERT_NE(surfels(), nullptr);
-  EXPECT_GT(surfels()->size(), 100U);
+  const auto map = [&] { return *build_local_map(window.frames(), LandmarkRedirects(), up, options); };
+  ASSERT_NE(map().surfels, nullptr);
+  EXPECT_GT(map().surfels->size(), 100U);
+  ASSERT_NE(map().features, nullptr);
+  EXPECT_EQ(map().features->size(), 1U) << "of one id";
   options.scale = "free";
-  EXPECT_EQ(surfels(), nullptr);
+  EXPECT_TRUE(map().surfels == nullptr && map().features == nullptr);
   options.scale = "fixed";
   options.use_points = false;
-  EXPECT_EQ(surfels(), nullptr);
+  EXPECT_TRUE(map().surfels == nullptr && map().features == nullptr);
 }
 
 /// Of what is seen of the desk, such that its centre is told.
@@ -414,6 +418,43 @@ TEST(SubmapRefiner, FewObjectsSufficeWhereSurfacesConfirmThem) {
   EXPECT_EQ(decide(), LoopReason::kContradicted);
   query.surfels = std::make_shared<const std::vector<Surfel>>();
   EXPECT_EQ(decide(), LoopReason::kTooFewInliers) << "surfaces that do not meet confirm nothing";
+}
+
+TEST(SubmapRefiner, PointsThatBothSubmapsShowSayThePose) {
+  const auto desk = random_desk(1, 12);
+  BuiltMap built = sweep(desk, 0.0, 60.0, 5);
+  LocalMap& match = built.map;
+  LocalMap query = match;
+  GraphMatch alignment;
+  for (int i = 0; i < 4; ++i) alignment.pairs.push_back({i, i});
+  std::mt19937_64 random(3);
+  const auto uniform = [&random] { return 2.0F * static_cast<float>(random() % 1000) / 1000.0F - 1.0F; };
+  std::vector<PointFeature> points(60);
+  for (PointFeature& point : points) {
+    point.position = Eigen::Vector3f(uniform(), uniform(), 2.0F + 0.5F * uniform());
+    for (std::uint64_t& word : point.descriptor) word = random();
+  }
+  match.features = std::make_shared<const std::vector<PointFeature>>(points);
+  // What the boxes alone cannot tell.
+  const Eigen::Vector3f shift(0.03F, 0.0F, 0.01F);
+  for (PointFeature& point : points) point.position += shift;
+  query.features = std::make_shared<const std::vector<PointFeature>>(points);
+  const LoopOptions options;
+  const auto decide = [&] {
+    LoopClosure loop = make_closure(match, query);
+    refine_and_decide(match, query, alignment, true, options, &loop);
+    return loop;
+  };
+  const LoopClosure loop = decide();
+  EXPECT_EQ(loop.reason, LoopReason::kAccepted) << "few objects suffice";
+  EXPECT_LT((loop.T_match_query.t + shift.cast<double>()).norm(), 0.002);
+  EXPECT_LT(loop.sigma_m, 0.02);
+  match.surfels = wall_at(0.8F);
+  query.surfels = wall_at(3.0F);
+  EXPECT_EQ(decide().reason, LoopReason::kContradicted) << "for all that looks alike";
+  match.surfels = query.surfels = nullptr;
+  query.features = nullptr;
+  EXPECT_EQ(decide().reason, LoopReason::kTooFewInliers);
 }
 
 TEST(LoopVerifier, AcceptsTheTruthAndTellsWhatFails) {

@@ -121,6 +121,10 @@ CameraFrame random_frame(Random* random) {
     const Eigen::Vector3f p = random->vector().cast<float>();
     frame.points_camera = std::make_shared<const std::vector<core::Vec3>>(3, p.cast<double>());
   }
+  if (random->flag()) {
+    const core::PointFeature feature{random->integer(), random->vector().cast<float>(), {1, ~std::uint64_t{0}, 3, 4}};
+    frame.features = std::make_shared<const std::vector<core::PointFeature>>(2, feature);
+  }
   frame.camera_frame = "camera" + std::to_string(random->small());
   return frame;
 }
@@ -153,6 +157,7 @@ TEST(Messages, Frame) {
     EXPECT_EQ(generated.camera.K[4], message.camera.fy);
     EXPECT_EQ(generated.points.header.frame_id, message.camera_frame);
     EXPECT_EQ(generated.points.width, message.points_camera ? 3u : 0u);
+    EXPECT_EQ(generated.features.size(), message.features ? 2u : 0u);
 
     const auto before = decoded_frames();
     const auto back = as<FrameMessage>(generated);
@@ -165,6 +170,12 @@ TEST(Messages, Frame) {
     ASSERT_EQ(back.points_camera != nullptr, message.points_camera != nullptr);
     if (message.points_camera) {
       EXPECT_EQ(*back.points_camera, *message.points_camera);
+    }
+    ASSERT_EQ(back.features != nullptr, message.features != nullptr);
+    if (message.features) {
+      EXPECT_EQ(back.features->back().id, message.features->back().id);
+      EXPECT_EQ(back.features->back().position, message.features->back().position);
+      EXPECT_EQ(back.features->back().descriptor, message.features->back().descriptor);
     }
   }
 }

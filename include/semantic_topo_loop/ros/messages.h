@@ -130,12 +130,13 @@ namespace wire {
 /// The part of Frame.msg that is of sensor_msgs.
 struct FrameSensors {
   void take_from(const FrameMessage& frame);
-  /// Fills camera, points and stamp.
+  /// Fills camera, points, features and stamp.
   void give_to(FrameMessage* frame) const;
 
   sensor_msgs::CameraInfo camera;
   bool has_points = false;
   sensor_msgs::PointCloud2 points;
+  std::vector<core::PointFeature> features;
 };
 
 /// The part of KeyframePoints.msg that holds the points.
@@ -224,8 +225,8 @@ namespace core = semantic_topo_loop::core;
 using semantic_topo_loop::wire::next;
 
 /// Row by row.
-template <int rows, int cols>
-struct Serializer<Eigen::Matrix<double, rows, cols>> {
+template <class Scalar, int rows, int cols>
+struct Serializer<Eigen::Matrix<Scalar, rows, cols>> {
   template <class Stream, class T>
   static void allInOne(Stream& stream, T m) {
     for (Eigen::Index row = 0; row < rows; ++row) {
@@ -277,6 +278,8 @@ struct Serializer<core::MapUpdatePhase> : semantic_topo_loop::wire::EnumSerializ
 // A pose: the coefficients of Eigen's quaternion lie in the order x, y, z, w.
 SEMANTIC_TOPO_LOOP_FIELDS(core::SE3, m.t, m.q.coeffs())
 SEMANTIC_TOPO_LOOP_FIELDS(core::SourceLoop, m.stamp_ns, m.T_odom_camera, m.covariance, m.points)
+SEMANTIC_TOPO_LOOP_FIELDS(core::PointFeature, m.id, m.position, m.descriptor[0], m.descriptor[1], m.descriptor[2],
+                          m.descriptor[3])
 SEMANTIC_TOPO_LOOP_FIELDS(core::Box, m.x1, m.y1, m.x2, m.y2)
 SEMANTIC_TOPO_LOOP_FIELDS(core::Detection, m.class_id, m.score, m.box)
 SEMANTIC_TOPO_LOOP_FIELDS(core::Association, m.detection_index, m.landmark_id, m.level, m.class_id, m.score, m.box,
@@ -341,7 +344,7 @@ struct Serializer<semantic_topo_loop::FrameMessage> {
          m.T_odom_camera, m.held_since_ns, m.covariance, m.source_loop, m.camera_frame);
     semantic_topo_loop::wire::FrameSensors sensors;
     if constexpr (!semantic_topo_loop::wire::kIsInput<Stream>) sensors.take_from(m);
-    next(stream, sensors.camera, sensors.has_points, sensors.points);
+    next(stream, sensors.camera, sensors.has_points, sensors.points, sensors.features);
     if constexpr (semantic_topo_loop::wire::kIsInput<Stream>) sensors.give_to(&m);
   }
   ROS_DECLARE_ALLINONE_SERIALIZER

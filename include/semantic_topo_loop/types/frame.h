@@ -6,6 +6,7 @@
 #include <vector>
 
 #include "semantic_topo_loop/types/camera.h"
+#include "semantic_topo_loop/types/point_feature.h"
 
 namespace semantic_topo_loop::core {
 
@@ -38,6 +39,7 @@ struct PoseSample {
   bool is_continuous = false;      ///< the source vouches for the motion, however long the previous sample is ago
   std::optional<SourceLoop> source_loop;
   std::shared_ptr<const std::vector<Vec3>> points_camera;
+  std::shared_ptr<const std::vector<PointFeature>> features;
 };
 
 /// What the odometry says about one image. Immutable once built; every stage reads the same one.
@@ -54,8 +56,9 @@ struct Frame {
   std::optional<Mat6> covariance;  ///< of the motion since the previous frame: (translation m, rotation rad)
   std::optional<SourceLoop> source_loop;
   Camera camera;
-  std::shared_ptr<const std::vector<Vec3>> points_camera;  ///< optional points seen by this frame, camera frame, m
-  std::shared_ptr<const KeyframePoints> keyframe_points;   ///< optional, of keyframes: what the point map keeps of it
+  std::shared_ptr<const std::vector<Vec3>> points_camera;     ///< optional points seen by this frame, camera frame, m
+  std::shared_ptr<const std::vector<PointFeature>> features;  ///< optional, of the front end's map, camera frame
+  std::shared_ptr<const KeyframePoints> keyframe_points;  ///< optional, of keyframes: what the point map keeps of it
 };
 
 }  // namespace semantic_topo_loop::core

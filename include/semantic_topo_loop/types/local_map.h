@@ -8,6 +8,7 @@
 
 #include "semantic_topo_loop/types/box.h"
 #include "semantic_topo_loop/types/loop_closure.h"
+#include "semantic_topo_loop/types/point_feature.h"
 #include "semantic_topo_loop/types/transform.h"
 
 namespace semantic_topo_loop::core {
@@ -94,7 +95,8 @@ struct LocalMap {
   std::vector<LocalFrame> frames;  ///< those that views or checks refer to
   std::vector<int> check_frames;   ///< indices of frames, spread evenly over the window
   std::vector<LocalObject> objects;
-  std::shared_ptr<const std::vector<Surfel>> surfels;  ///< local frame; null if no frame came with points
+  std::shared_ptr<const std::vector<Surfel>> surfels;         ///< local frame; null if no frame came with points
+  std::shared_ptr<const std::vector<PointFeature>> features;  ///< local frame; null if no frame came with any
 
   /// By the number that matching calls it by.
   const LocalObject& object(int i) const { return objects[static_cast<std::size_t>(i)]; }
@@ -110,7 +112,7 @@ struct SubmapDelta {
 };
 
 /// The submap in a unit of length of which `scale` make one of the old; boxes on the plane z = 1 do not depend on it.
-/// Its surfels are left out: a camera that measures depth knows the unit.
+/// Its surfels and features are left out: a camera that measures depth knows the unit.
 inline LocalMap rescaled(LocalMap map, double scale) {
   for (LocalFrame& frame : map.frames) {
     frame.position *= scale;
@@ -122,6 +124,7 @@ inline LocalMap rescaled(LocalMap map, double scale) {
     object.covariance *= scale * scale;
   }
   map.surfels.reset();
+  map.features.reset();
   return map;
 }
 

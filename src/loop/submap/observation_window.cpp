@@ -118,6 +118,7 @@ bool ObservationWindow::push(const Frame& frame, const AssociationFrame& associa
   const bool taken = sampled || frame.is_keyframe;
   if (taken && frame.points_camera && (frames_.empty() || frame.stamp_ns - last_points_ns_ >= kPointInterval_ns)) {
     observed.points = thinned(*frame.points_camera);
+    observed.features = frame.features;
     last_points_ns_ = frame.stamp_ns;
   }
   if (taken) frames_.push_back(std::move(observed));

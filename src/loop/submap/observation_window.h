@@ -60,6 +60,7 @@ struct ObservedFrame {
   std::vector<ObservedBox> boxes;
   /// Camera frame, m; of two frames a second, if they come with points. Null for all others.
   std::shared_ptr<const std::vector<Eigen::Vector3f>> points;
+  std::shared_ptr<const std::vector<PointFeature>> features;  ///< of the same frames, if they come with any
 };
 
 /// The last seconds of frames with their boxes; starts afresh at a break of the odometry.

@@ -9,6 +9,7 @@
 #include <utility>
 
 #include "geometry/statistics.h"
+#include "loop/submap/feature_alignment.h"
 #include "loop/submap/ray_clusters.h"
 #include "loop/submap/spheroid.h"
 #include "loop/submap/surfels.h"
@@ -214,7 +215,10 @@ std::optional<LocalMap> build_local_map(const std::deque<ObservedFrame>& window,
   }
   map.objects = find_objects(window, map, redirects, options);
   compact(&map);
-  if (uses_depth(options)) map.surfels = make_surfels(window, T_anchor_odom);
+  if (uses_depth(options)) {
+    map.surfels = make_surfels(window, T_anchor_odom);
+    map.features = make_features(window, *middle);
+  }
   return map;
 }
 

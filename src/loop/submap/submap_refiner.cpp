@@ -7,6 +7,7 @@
 
 #include "geometry/least_squares.h"
 #include "geometry/statistics.h"
+#include "loop/submap/feature_alignment.h"
 #include "loop/submap/spheroid.h"
 #include "loop/submap/surface_alignment.h"
 #include "semantic_topo_loop/geometry/lie.h"
@@ -348,21 +349,36 @@ namespace {
 /// What the surfaces of both submaps make of a loop.
 enum class SurfaceVerdict { kSilent, kContradicts, kConfirms };
 
-/// Refines the loop's pose on the surfaces of both submaps, where they meet, and judges the result.
-SurfaceVerdict judge_surfaces(const LocalMap& match, const LocalMap& query, LoopClosure* loop) {
-  if (!match.surfels || !query.surfels) return SurfaceVerdict::kSilent;
-  const std::optional<SurfaceAlignment> aligned = align_surfaces(match, query, loop->T_match_query, loop->covariance);
-  if (aligned) {
-    loop->T_match_query = aligned->T_a_b;
-    loop->covariance = aligned->covariance;
-    loop->state_sigmas(aligned->covariance);
+/// Takes the pose that points of both submaps say, or else that of their surfaces, where they meet.
+/// @return whether points say it
+bool refine_on_depth(const LocalMap& match, const LocalMap& query, LoopClosure* loop) {
+  const auto take = [loop](const SE3& T_match_query, const Mat6& covariance) {
+    loop->T_match_query = T_match_query;
+    loop->covariance = covariance;
+    loop->state_sigmas(covariance);
+  };
+  if (match.features && query.features) {
+    const std::optional<FeatureAlignment> aligned = align_features(match, query, loop->T_match_query);
+    if (aligned) {
+      take(aligned->T_a_b, aligned->covariance);
+      return true;
+    }
   }
+  if (match.surfels && query.surfels) {
+    const std::optional<SurfaceAlignment> aligned = align_surfaces(match, query, loop->T_match_query, loop->covariance);
+    if (aligned) take(aligned->T_a_b, aligned->covariance);
+  }
+  return false;
+}
+
+SurfaceVerdict judge_surfaces(const LocalMap& match, const LocalMap& query, const SE3& T_match_query) {
+  if (!match.surfels || !query.surfels) return SurfaceVerdict::kSilent;
   constexpr int kMinJudged = 200;            // surfels, 1 m^2: fewer may be what was moved
   constexpr double kMaxContradicted = 0.35;  // nine in ten right ones: below 0.22, wrong ones: above 0.47
   // To confirm: of fr1_xyz 188 right ones dissent by up to 0.013, in a rendered office 260 wrong ones from 0.16 on.
   constexpr int kMinSeen = 400;
   constexpr double kMaxDissent = 0.1;
-  const SurfaceAgreement agreement = compare_surfaces(match, query, loop->T_match_query);
+  const SurfaceAgreement agreement = compare_surfaces(match, query, T_match_query);
   const auto is_below = [&agreement](double share) { return agreement.contradicted < share * agreement.judged; };
   if (agreement.judged >= kMinJudged && !is_below(kMaxContradicted)) return SurfaceVerdict::kContradicts;
   return agreement.judged >= kMinSeen && is_below(kMaxDissent) ? SurfaceVerdict::kConfirms : SurfaceVerdict::kSilent;
@@ -387,12 +403,13 @@ void refine_and_decide(const LocalMap& match, const LocalMap& query, const Graph
   loop->covariance = refined->covariance;
   loop->scale *= refined->scale;
   loop->scale_covariance = refined->scale_covariance;
-  const SurfaceVerdict verdict = judge_surfaces(match, query, loop);
+  const bool points_agree = refine_on_depth(match, query, loop);
+  const SurfaceVerdict verdict = judge_surfaces(match, query, loop->T_match_query);
   if (verdict == SurfaceVerdict::kContradicts) {
     loop->reason = LoopReason::kContradicted;
     return;
   }
-  if (needs_confirmation && verdict != SurfaceVerdict::kConfirms) {
+  if (needs_confirmation && !points_agree && verdict != SurfaceVerdict::kConfirms) {
     loop->reason = LoopReason::kTooFewInliers;
     return;
   }

@@ -30,9 +30,9 @@ std::optional<Refinement> refine_submaps(const LocalMap& a, const LocalMap& b, c
 LoopClosure make_closure(const LocalMap& match, const LocalMap& query);
 /// Writes down an alignment (a: match, b: query) and the landmarks it pairs.
 void set_alignment(const LocalMap& match, const LocalMap& query, const GraphMatch& alignment, LoopClosure* loop);
-/// Refines the alignment on boxes and surfaces and accepts the loop, or rejects it if the refinement fails or moves it
-/// too far, or surfaces contradict it.   @param needs_confirmation reject it, as of too few objects, unless surfaces
-/// confirm it
+/// Refines the alignment on boxes, points and surfaces and accepts the loop, or rejects it if the refinement fails or
+/// moves it too far, or surfaces contradict it.   @param needs_confirmation reject it, as of too few objects, unless
+/// points or surfaces confirm it
 void refine_and_decide(const LocalMap& match, const LocalMap& query, const GraphMatch& alignment,
                        bool needs_confirmation, const LoopOptions& options, LoopClosure* loop);
 
