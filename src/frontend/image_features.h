@@ -44,12 +44,6 @@ struct ImageFeatures {
 ImageFeatures extract_features(const RgbdImage& image, const FrontendOptions& options, const Camera& camera,
                                const DepthRegistration& registration);
 
-/// What an image looks like, to compare it with many: four words of 16 bits a descriptor, ascending. Descriptors of one
-/// point have a word in common with some 25 % (15 % of their bits differ), others by chance with one in 2^14.
-std::vector<std::uint32_t> visual_words(const ImageFeatures& features);
-/// How many words two images have in common.
-int common_words(const std::vector<std::uint32_t>& a, const std::vector<std::uint32_t>& b);
-
 /// Where something is looked for in an image.
 struct SearchItem {
   Descriptor descriptor{};

@@ -158,7 +158,7 @@ struct RgbdFrontend::Impl {
     }
     const std::int64_t oldest_tried = tried.empty() ? 0 : tried.back();
     const std::vector<std::int64_t> alike =
-        most_alike(visual_words(image->features), kAlike,
+        most_alike(visual_words(image->features.descriptors), kAlike,
                    [&](const TrackingKeyframe& keyframe) { return keyframe.id < oldest_tried && is_asked(keyframe); });
     tried.insert(tried.end(), alike.begin(), alike.end());
     // The pose that explains most: a wrong one is seldom that.
@@ -225,7 +225,7 @@ struct RgbdFrontend::Impl {
   /// own, which look no less alike than those that it is followed by.
   std::vector<std::int64_t> unfollowed(const TrackedFeatures& image, const std::set<std::int64_t>& followed) const {
     constexpr std::size_t kTried = 3;  // bounds the time of a keyframe
-    const std::vector<std::uint32_t> words = visual_words(image.features);
+    const std::vector<std::uint32_t> words = visual_words(image.features.descriptors);
     std::vector<std::int64_t> tried =
         most_alike(words, kTried, [&](const TrackingKeyframe& keyframe) { return keyframe.section != image.section; });
     int least_alike = std::numeric_limits<int>::max();

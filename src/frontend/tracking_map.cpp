@@ -309,7 +309,7 @@ std::int64_t add_keyframe(const TrackedFeatures& image, const std::vector<Vec3>&
   map->add_keyframe({{id, image.stamp_ns, image.T_camera_map, image.section, image.features, image.points},
                      NearestDepth(camera, points_camera),
                      image.T_camera_map.inverse(),
-                     visual_words(image.features)});
+                     visual_words(image.features.descriptors)});
   drop_points(id, map);
   add_points(id, camera, map);
   fuse(id, camera, map);

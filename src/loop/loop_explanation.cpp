@@ -35,7 +35,7 @@ std::string describe(const LoopFigures& loop, const LoopOptions& options) {
   sentence.stream().precision(3);
   sentence.stream() << (loop.accepted ? "accepted" : "rejected: ") << (loop.accepted ? "" : to_string(loop.reason));
   if (loop.reason == LoopReason::kFoundBySource) {
-    sentence.stream() << ": the odometry's source found the place itself, by " << loop.inliers << " points";
+    sentence.stream() << ": not by objects, but by " << loop.inliers << " points";
     return sentence.stream().str();
   }
   if (options.mode == "paper") {

@@ -12,8 +12,10 @@
 
 #include "geometry/depth_points.h"
 #include "geometry/descriptor.h"
+#include "loop/graph/graph_detector.h"
 #include "loop/submap/observation_window.h"
 #include "semantic_topo_loop/geometry/lie.h"
+#include "semantic_topo_loop/loop/loop_options.h"
 
 namespace semantic_topo_loop::core {
 namespace {
@@ -132,9 +134,57 @@ TEST(FeatureAlignment, TooFewPointsSayNothing) {
   const Meeting far = meeting(60, 100, &random);
   EXPECT_FALSE(align_features(far.a, far.b, far.truth * SE3(Quaternion::Identity(), Vec3(3.0, 0.0, 0.0))))
       << "a start that is metres off";
+  const Meeting some = meeting(25, 100, &random);
+  EXPECT_TRUE(align_features(some.a, some.b, some.truth));
+  EXPECT_FALSE(align_features(some.a, some.b, std::nullopt)) << "where nothing is known, more are asked for";
   const LocalMap empty = submap_of({}, SE3(), &random);
   EXPECT_FALSE(align_features(empty, far.b, far.truth));
   EXPECT_FALSE(align_features(far.a, empty, far.truth));
+}
+
+TEST(FeatureAlignment, ASmallThingMayBeOneOfTwo) {
+  std::mt19937_64 random(7);
+  Features thing = scene(60, &random);
+  for (PointFeature& point : thing) point.position = 0.1F * point.position + Eigen::Vector3f(0.0F, 0.0F, 1.0F);
+  const LocalMap a = submap_of(thing, SE3(), &random), b = submap_of(thing, SE3(), &random);
+  EXPECT_FALSE(align_features(a, b, std::nullopt));
+}
+
+TEST(GraphDetector, FindsAnotherSessionsPlaceByPointsAloneWhereObjectsSayNothing) {
+  std::mt19937_64 random(8);
+  const Meeting both = meeting(80, 200, &random);
+  LocalMap earlier = both.a, query = both.b;
+  earlier.segment = LocalMap::kOtherSession;
+  GraphDetector detector{LoopOptions()};
+  for (int i = 0; i < 5; ++i) {
+    LocalMap elsewhere = submap_of(scene(300, &random), SE3(), &random);
+    elsewhere.segment = LocalMap::kOtherSession;
+    detector.insert(elsewhere);
+  }
+  EXPECT_TRUE(detector.detect(query).empty());
+  detector.insert(earlier);
+  const std::vector<LoopClosure> loops = detector.detect(query);
+  ASSERT_EQ(loops.size(), 1U);
+  EXPECT_TRUE(loops[0].accepted);
+  EXPECT_EQ(loops[0].reason, LoopReason::kFoundBySource);
+  EXPECT_GE(loops[0].inliers, 50);
+  EXPECT_TRUE(loops[0].matches.empty());
+  const Vec6 error = se3_log(both.truth.inverse() * loops[0].T_match_query);
+  EXPECT_LT(error.head<3>().norm(), 0.01);
+  EXPECT_LT(error.tail<3>().norm(), radians(0.4));
+
+  query.segment = LocalMap::kOtherSession;
+  EXPECT_TRUE(detector.detect(query).empty()) << "of one part of the odometry, where the front end looks itself";
+  query.segment = 0;
+  // The match's, as the query sees it, and turned away from it.
+  query.up = {both.truth.q.conjugate() * both.a.up.direction, true};
+  LocalMap upright = earlier;
+  upright.up.certain = true;
+  GraphDetector with_up{LoopOptions()};
+  with_up.insert(upright);
+  EXPECT_EQ(with_up.detect(query).size(), 1U);
+  query.up.direction = -query.up.direction;
+  EXPECT_TRUE(with_up.detect(query).empty());
 }
 
 TEST(FeatureAlignment, PointsOnOneLineTellNoPose) {

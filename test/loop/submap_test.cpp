@@ -452,6 +452,10 @@ TEST(SubmapRefiner, PointsThatBothSubmapsShowSayThePose) {
   match.surfels = wall_at(0.8F);
   query.surfels = wall_at(3.0F);
   EXPECT_EQ(decide().reason, LoopReason::kContradicted) << "for all that looks alike";
+  LoopClosure by_points = make_closure(match, query);
+  decide_by_points(match, query, &by_points);
+  EXPECT_EQ(by_points.reason, LoopReason::kContradicted);
+  EXPECT_FALSE(by_points.accepted);
   match.surfels = query.surfels = nullptr;
   query.features = nullptr;
   EXPECT_EQ(decide().reason, LoopReason::kTooFewInliers);

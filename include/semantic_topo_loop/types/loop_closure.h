@@ -26,7 +26,7 @@ enum class LoopReason : std::uint8_t {
   kInconsistent = 12,   ///< paper mode: not repeated over consecutive keyframes
   kOutranked = 13,      ///< passed every test on the alignment, but a better candidate speaks for its place
   kContradicted = 14,   ///< surfaces of one submap are where the other's cameras see through
-  kFoundBySource = 15,  ///< accepted, not by objects: found by the odometry's source (SourceLoop), or from outside
+  kFoundBySource = 15,  ///< accepted, not by objects: found by points, in the odometry's source or not, or from outside
 };
 
 const char* to_string(LoopReason reason);

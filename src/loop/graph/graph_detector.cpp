@@ -6,6 +6,7 @@
 #include <set>
 #include <tuple>
 
+#include "geometry/descriptor.h"
 #include "semantic_topo_loop/geometry/lie.h"
 
 namespace semantic_topo_loop::core {
@@ -47,6 +48,14 @@ std::vector<LabelledPoint> graph_of(const LocalMap& map) {
     points.push_back({object.spheroid.center, object.label, object.spheroid.radius(), object.class_id});
   }
   return points;
+}
+
+std::vector<std::uint32_t> words_of(const LocalMap& map) {
+  std::vector<Descriptor> descriptors;
+  if (map.features) {
+    for (const PointFeature& feature : *map.features) descriptors.push_back(feature.descriptor);
+  }
+  return visual_words(descriptors);
 }
 
 /// The query in the match's unit of length; `scaled` holds it if that is another one.
@@ -191,7 +200,31 @@ std::vector<LoopClosure> GraphDetector::detect(const LocalMap& query) {
     if (is_accepted(candidate)) mark_compared(match_of(candidate), query.end_ns);
     loops.push_back(finish(query, candidate));
   }
+  const bool is_found = std::any_of(loops.begin(), loops.end(), [](const LoopClosure& loop) { return loop.accepted; });
+  if (is_found) return loops;
+  if (std::optional<LoopClosure> loop = find_by_points(query)) loops.push_back(*std::move(loop));
   return loops;
+}
+
+/// In its own part of the odometry the front end looks for places of long ago itself, in every keyframe.
+std::optional<LoopClosure> GraphDetector::find_by_points(const LocalMap& query) const {
+  constexpr std::size_t kTried = 3;  // bounds the time of a query
+  if (!query.features) return std::nullopt;
+  const std::vector<std::uint32_t> words = words_of(query);
+  std::vector<std::pair<int, int>> alike;
+  for (const auto& [number, stored] : maps_) {
+    if (stored.map.segment != query.segment) alike.emplace_back(common_words(words, stored.words), number);
+  }
+  std::sort(alike.rbegin(), alike.rend());
+  alike.resize(std::min(alike.size(), kTried));
+  for (const auto& [common, number] : alike) {
+    const LocalMap& match = maps_.at(number).map;
+    LoopClosure loop = make_closure(match, query);
+    decide_by_points(match, query, &loop);
+    loop.tilt_deg = degrees(tilt(match, query, loop.T_match_query));
+    if (loop.accepted && loop.tilt_deg <= options_.max_tilt_deg) return loop;
+  }
+  return std::nullopt;
 }
 
 void GraphDetector::store(LocalMap map) {
@@ -234,7 +267,8 @@ std::vector<int> GraphDetector::find_alike(const LocalMap& map) const {
 
 void GraphDetector::insert(LocalMap map) {
   std::vector<LabelledPoint> points = graph_of(map);
-  maps_.emplace(index_.size(), StoredMap{std::move(map), points});
+  std::vector<std::uint32_t> words = words_of(map);
+  maps_.emplace(index_.size(), StoredMap{std::move(map), points, std::move(words)});
   index_.insert(points);
 }
 

@@ -66,7 +66,8 @@ bool is_mirrored(const LocalMap& a, const LocalMap& b, const GraphMatch& match);
 /// Angle between the two up directions, rad; 0 if one of them is uncertain.
 double tilt(const LocalMap& a, const LocalMap& b, const SE3& T_a_b);
 
-/// Loops between the submap of the last seconds and all earlier ones, by their object graphs alone.
+/// Loops between the submap of the last seconds and all earlier ones, by their object graphs; where those find none,
+/// and no odometry leads there, by points that look alike.
 class GraphDetector {
  public:
   explicit GraphDetector(const LoopOptions& options);
@@ -74,7 +75,8 @@ class GraphDetector {
   void set_options(const LoopOptions& options) { options_ = options; }
 
   /// Matches the submap with those kept at least `min_gap_s` before it.
-  /// @return the best candidate, then those whose place was compared least recently, then all others
+  /// @return the best candidate, then those whose place was compared least recently, then all others; last what points
+  /// found
   std::vector<LoopClosure> detect(const LocalMap& query);
   /// Keeps the submap for later queries if it spans enough time and the last one kept is old enough. Where enough are
   /// kept that see the same place alike, the poorest of them goes: memory and time grow with what there is to see, not
@@ -86,7 +88,8 @@ class GraphDetector {
   struct StoredMap {
     LocalMap map;
     std::vector<LabelledPoint> points;
-    std::int64_t compared_ns = -1;  ///< stamp of the last query that was compared with its place, surfaces and all
+    std::vector<std::uint32_t> words;  ///< visual_words of its features
+    std::int64_t compared_ns = -1;     ///< stamp of the last query that was compared with its place, surfaces and all
   };
   /// Submaps kept, by number in the order they came.
   const std::map<int, StoredMap>& submaps() const { return maps_; }
@@ -130,6 +133,7 @@ class GraphDetector {
   void select(std::vector<Candidate>* candidates) const;
   void mark_compared(const LocalMap& match, std::int64_t query_ns);
   LoopClosure finish(const LocalMap& query, const Candidate& candidate) const;
+  std::optional<LoopClosure> find_by_points(const LocalMap& query) const;
 
   LoopOptions options_;
   SubmapIndex index_;

@@ -22,7 +22,9 @@ namespace {
 constexpr std::size_t kMaxFeatures = 500;
 constexpr float kSearch_m = 0.5F;  ///< by which objects alone may be off, and what is far from the anchors more
 constexpr double kClear = 0.85;    ///< share of the bits of the second most similar that the most similar differs by
-constexpr int kMinPoints = 20;
+constexpr int kMinPoints = 20;     ///< about where they should be
+constexpr int kMinPointsAnywhere = 30;  ///< and of more than one thing, of which there may be two:
+constexpr double kMinSpread_m = 0.2;
 constexpr double kPixel = 2e-3;  ///< a pixel of 525 to the metre: across the ray
 constexpr double kGate = 3.0;    ///< in standard deviations
 
@@ -37,18 +39,19 @@ double sigma_m(const Vec3& position) {
   return std::hypot(kPixel * range_m, depth_sigma_m(range_m));
 }
 
-/// For each feature of `from` that of `to` which is most like it about where it should be, or -1.
+/// For each feature of `from` that of `to` which is most like it, or -1.
+/// @param T_to_from about where it should be, or nullopt
 std::vector<int> most_similar(const std::vector<PointFeature>& from, const std::vector<PointFeature>& to,
-                              const SE3& T_to_from) {
-  const Eigen::Matrix3f R = T_to_from.rotation().cast<float>();
-  const Eigen::Vector3f t = T_to_from.t.cast<float>();
+                              const std::optional<SE3>& T_to_from) {
+  const Eigen::Matrix3f R = T_to_from.value_or(SE3()).rotation().cast<float>();
+  const Eigen::Vector3f t = T_to_from.value_or(SE3()).t.cast<float>();
   std::vector<int> result;
   result.reserve(from.size());
   for (const PointFeature& feature : from) {
     const Eigen::Vector3f expected = R * feature.position + t;
     int best = std::numeric_limits<int>::max(), second = best, index = -1;
     for (std::size_t i = 0; i < to.size(); ++i) {
-      if ((to[i].position - expected).squaredNorm() > kSearch_m * kSearch_m) continue;
+      if (T_to_from && (to[i].position - expected).squaredNorm() > kSearch_m * kSearch_m) continue;
       const int bits = hamming(feature.descriptor, to[i].descriptor);
       if (bits < best) {
         second = std::exchange(best, bits);
@@ -64,8 +67,9 @@ std::vector<int> most_similar(const std::vector<PointFeature>& from, const std::
 
 /// Mutually most similar ones.
 std::vector<FeaturePair> find_pairs(const std::vector<PointFeature>& a, const std::vector<PointFeature>& b,
-                                    const SE3& T_a_b) {
-  const std::vector<int> a_of_b = most_similar(b, a, T_a_b), b_of_a = most_similar(a, b, T_a_b.inverse());
+                                    const std::optional<SE3>& T_a_b) {
+  const std::vector<int> a_of_b = most_similar(b, a, T_a_b);
+  const std::vector<int> b_of_a = most_similar(a, b, T_a_b ? std::optional(T_a_b->inverse()) : std::nullopt);
   std::vector<FeaturePair> pairs;
   for (std::size_t i = 0; i < b.size(); ++i) {
     if (a_of_b[i] < 0 || b_of_a[static_cast<std::size_t>(a_of_b[i])] != static_cast<int>(i)) continue;
@@ -95,14 +99,14 @@ bool is_rigid(const std::array<const FeaturePair*, 3>& three) {
 }
 
 /// The pose of three pairs with which most agree.
-std::optional<SE3> find_consensus(const std::vector<FeaturePair>& pairs) {
+std::optional<SE3> find_consensus(const std::vector<FeaturePair>& pairs, int min_points) {
   // Of 200 triples one is free of wrong pairs with 99 % if 30 % of them are right.
   constexpr int kMaxTested = 200, kDraws = 2000;
   constexpr double kWideGate = 2.0 * kGate;  // three points give a rough pose
   constexpr std::uint64_t kSeed = 20231108;  // any: the same input gives the same pose
   std::mt19937_64 generator(kSeed);
   std::optional<SE3> best;
-  int best_count = kMinPoints - 1;
+  int best_count = min_points - 1;
   for (int draw = 0, tested = 0; draw < kDraws && tested < kMaxTested; ++draw) {
     std::array<const FeaturePair*, 3> three{};
     for (const FeaturePair*& pair : three) pair = &pairs[generator() % pairs.size()];
@@ -117,6 +121,18 @@ std::optional<SE3> find_consensus(const std::vector<FeaturePair>& pairs) {
     best = alignment->T_a_b;
   }
   return best;
+}
+
+/// How far the points that agree are apart, in the second of their main directions, m.
+double spread_m(const std::vector<FeaturePair>& pairs, const SE3& T_a_b) {
+  std::vector<Vec3> a, b;
+  for (const FeaturePair& pair : pairs) {
+    if (distance(pair, T_a_b) >= kGate) continue;
+    a.push_back(pair.a);
+    b.push_back(pair.b);
+  }
+  const std::optional<Alignment> alignment = align_points(a, b);
+  return alignment ? alignment->spread_m()(1) : 0.0;
 }
 
 /// Gauss-Newton with Geman-McClure weights.
@@ -186,13 +202,15 @@ std::shared_ptr<const std::vector<PointFeature>> make_features(const std::deque<
   return features;
 }
 
-std::optional<FeatureAlignment> align_features(const LocalMap& a, const LocalMap& b, const SE3& T_a_b) {
+std::optional<FeatureAlignment> align_features(const LocalMap& a, const LocalMap& b, const std::optional<SE3>& T_a_b) {
   const std::vector<FeaturePair> pairs = find_pairs(*a.features, *b.features, T_a_b);
-  if (static_cast<int>(pairs.size()) < kMinPoints) return std::nullopt;
-  const std::optional<SE3> consensus = find_consensus(pairs);
+  const int min_points = T_a_b ? kMinPoints : kMinPointsAnywhere;
+  if (static_cast<int>(pairs.size()) < min_points) return std::nullopt;
+  const std::optional<SE3> consensus = find_consensus(pairs, min_points);
   if (!consensus) return std::nullopt;
   std::optional<FeatureAlignment> result = refine(pairs, *consensus);
-  if (!result || result->points < kMinPoints) return std::nullopt;
+  if (!result || result->points < min_points) return std::nullopt;
+  if (!T_a_b && spread_m(pairs, result->T_a_b) < kMinSpread_m) return std::nullopt;
   constexpr double kMostSigma_m = 0.05, kMostSigma_rad = 0.05;  // beyond, as along one edge, surfaces know better
   const Mat6& C = result->covariance;
   if (std::sqrt(C.topLeftCorner<3, 3>().trace()) > kMostSigma_m) return std::nullopt;

@@ -26,8 +26,8 @@ struct FeatureAlignment {
 
 /// Finds points of two submaps that look alike, and where b is for most of them to be in one place (RANSAC with a fixed
 /// seed, then robust least squares).
-/// @param a, b with features   @param T_a_b within decimetres   @return nullopt if too few points agree, or they tell
-/// no pose, as those of one line
-std::optional<FeatureAlignment> align_features(const LocalMap& a, const LocalMap& b, const SE3& T_a_b);
+/// @param a, b with features   @param T_a_b within decimetres; nullopt: not known, and more points are asked for
+/// @return nullopt if too few points agree, or they tell no pose, as those of one line
+std::optional<FeatureAlignment> align_features(const LocalMap& a, const LocalMap& b, const std::optional<SE3>& T_a_b);
 
 }  // namespace semantic_topo_loop::core

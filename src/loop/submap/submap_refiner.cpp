@@ -349,24 +349,24 @@ namespace {
 /// What the surfaces of both submaps make of a loop.
 enum class SurfaceVerdict { kSilent, kContradicts, kConfirms };
 
+void take_pose(const SE3& T_match_query, const Mat6& covariance, LoopClosure* loop) {
+  loop->T_match_query = T_match_query;
+  loop->covariance = covariance;
+  loop->state_sigmas(covariance);
+}
+
 /// Takes the pose that points of both submaps say, or else that of their surfaces, where they meet.
 /// @return whether points say it
 bool refine_on_depth(const LocalMap& match, const LocalMap& query, LoopClosure* loop) {
-  const auto take = [loop](const SE3& T_match_query, const Mat6& covariance) {
-    loop->T_match_query = T_match_query;
-    loop->covariance = covariance;
-    loop->state_sigmas(covariance);
-  };
   if (match.features && query.features) {
-    const std::optional<FeatureAlignment> aligned = align_features(match, query, loop->T_match_query);
-    if (aligned) {
-      take(aligned->T_a_b, aligned->covariance);
+    if (const auto aligned = align_features(match, query, loop->T_match_query)) {
+      take_pose(aligned->T_a_b, aligned->covariance, loop);
       return true;
     }
   }
   if (match.surfels && query.surfels) {
-    const std::optional<SurfaceAlignment> aligned = align_surfaces(match, query, loop->T_match_query, loop->covariance);
-    if (aligned) take(aligned->T_a_b, aligned->covariance);
+    const auto aligned = align_surfaces(match, query, loop->T_match_query, loop->covariance);
+    if (aligned) take_pose(aligned->T_a_b, aligned->covariance, loop);
   }
   return false;
 }
@@ -416,6 +416,16 @@ void refine_and_decide(const LocalMap& match, const LocalMap& query, const Graph
   if (loop->sigma_m > options.max_sigma_m || loop->sigma_deg > options.max_sigma_deg) return;
   loop->reason = LoopReason::kAccepted;
   loop->accepted = true;
+}
+
+void decide_by_points(const LocalMap& match, const LocalMap& query, LoopClosure* loop) {
+  if (!match.features || !query.features) return;
+  const std::optional<FeatureAlignment> aligned = align_features(match, query, std::nullopt);
+  if (!aligned) return;
+  take_pose(aligned->T_a_b, aligned->covariance, loop);
+  loop->inliers = aligned->points;
+  loop->accepted = judge_surfaces(match, query, aligned->T_a_b) != SurfaceVerdict::kContradicts;
+  loop->reason = loop->accepted ? LoopReason::kFoundBySource : LoopReason::kContradicted;
 }
 
 }  // namespace semantic_topo_loop::core

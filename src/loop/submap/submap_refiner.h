@@ -36,4 +36,8 @@ void set_alignment(const LocalMap& match, const LocalMap& query, const GraphMatc
 void refine_and_decide(const LocalMap& match, const LocalMap& query, const GraphMatch& alignment,
                        bool needs_confirmation, const LoopOptions& options, LoopClosure* loop);
 
+/// Accepts the loop where points of both submaps alone say its pose, as kFoundBySource, and surfaces do not contradict
+/// it.
+void decide_by_points(const LocalMap& match, const LocalMap& query, LoopClosure* loop);
+
 }  // namespace semantic_topo_loop::core
