@@ -501,9 +501,8 @@ KeyframePoints RgbdFrontend::keyframe_points(const RgbdImage& image, int semi_de
   const Calibration& known = impl_->calibration;
   KeyframePoints points{{}, semi_dense_points(image, known.camera, known.registration, semi_dense_max)};
   if (!impl_->last) return points;
-  for (const PointFeature& feature : *impl_->features_of(*impl_->last)) {
-    points.sparse.push_back({feature.id, feature.position});
-  }
+  const auto features = impl_->features_of(*impl_->last);
+  for (const PointFeature& feature : *features) points.sparse.push_back({feature.id, feature.position});
   const auto by_id = [](const SparsePoint& a, const SparsePoint& b) { return a.id < b.id; };
   std::sort(points.sparse.begin(), points.sparse.end(), by_id);
   return points;
