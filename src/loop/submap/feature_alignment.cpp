@@ -190,6 +190,7 @@ std::shared_ptr<const std::vector<PointFeature>> make_features(const std::deque<
   }
   if (points.empty()) return nullptr;
   std::vector<std::pair<int, std::int64_t>> often;
+  often.reserve(points.size());
   for (const auto& [id, shown] : points) often.emplace_back(-shown.times, id);
   std::sort(often.begin(), often.end());
   often.resize(std::min(often.size(), kMaxFeatures));
