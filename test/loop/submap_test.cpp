@@ -392,13 +392,20 @@ TEST(SubmapRefiner, ALoopThatSurfacesContradictIsRefusedWithThatReason) {
   EXPECT_EQ(decide().reason, LoopReason::kAccepted);
 }
 
-TEST(SubmapRefiner, FewObjectsSufficeWhereSurfacesConfirmThem) {
-  const auto desk = random_desk(1, 12);
-  BuiltMap built = sweep(desk, 0.0, 60.0, 5);
-  LocalMap& match = built.map;
-  LocalMap query = match;
+/// A submap, itself once more, and four objects that are the same in both.
+struct FourObjects {
+  LocalMap match = sweep(random_desk(1, 12), 0.0, 60.0, 5).map, query = match;
   GraphMatch alignment;
-  for (int i = 0; i < 4; ++i) alignment.pairs.push_back({i, i});
+
+  FourObjects() {
+    for (int i = 0; i < 4; ++i) alignment.pairs.push_back({i, i});
+  }
+};
+
+TEST(SubmapRefiner, FewObjectsSufficeWhereSurfacesConfirmThem) {
+  FourObjects seen;
+  LocalMap &match = seen.match, &query = seen.query;
+  GraphMatch& alignment = seen.alignment;
   alignment.classes = 3;
   alignment.score = 9.0;
   alignment.spread_m = Vec3(0.5, 0.3, 0.05);
@@ -421,12 +428,9 @@ TEST(SubmapRefiner, FewObjectsSufficeWhereSurfacesConfirmThem) {
 }
 
 TEST(SubmapRefiner, PointsThatBothSubmapsShowSayThePose) {
-  const auto desk = random_desk(1, 12);
-  BuiltMap built = sweep(desk, 0.0, 60.0, 5);
-  LocalMap& match = built.map;
-  LocalMap query = match;
-  GraphMatch alignment;
-  for (int i = 0; i < 4; ++i) alignment.pairs.push_back({i, i});
+  FourObjects seen;
+  LocalMap &match = seen.match, &query = seen.query;
+  GraphMatch& alignment = seen.alignment;
   std::mt19937_64 random(3);
   const auto uniform = [&random] { return 2.0F * static_cast<float>(random() % 1000) / 1000.0F - 1.0F; };
   std::vector<PointFeature> points(60);
