@@ -70,7 +70,9 @@ Result<std::unique_ptr<SampleSource>> open_source(const Arguments& arguments, co
     if (!trajectory) return trajectory.error();
     return source_of_poses(*std::move(trajectory));
   }
-  const Camera& camera = inputs.camera;
+  const bool takes_over = inputs.earlier_map != nullptr && inputs.options.frontend.self_calibration;
+  const Camera camera =
+      takes_over ? inputs.camera.with_focal_lengths_of(inputs.earlier_map->objects.camera) : inputs.camera;
   const DepthOptions& depth = inputs.options.depth;
   OpenRecording open_recording = [bag = arguments.bag, camera, depth] {
     return semantic_topo_loop::open_tum_bag(bag, camera, depth);
@@ -134,10 +136,10 @@ Result<RunInputs> load(const Arguments& arguments) {
   inputs.options = *options;
   inputs.camera = *camera;
   inputs.classes = std::make_shared<const ClassTable>(*classes);
+  if (const Status loaded = load_optional(arguments, &inputs); !loaded) return loaded.error();
   Result<std::unique_ptr<SampleSource>> source = open_source(arguments, inputs);
   if (!source) return source.error();
   inputs.source = *std::move(source);
-  if (const Status loaded = load_optional(arguments, &inputs); !loaded) return loaded.error();
   return Result<RunInputs>(std::move(inputs));
 }
 

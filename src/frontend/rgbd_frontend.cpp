@@ -79,7 +79,7 @@ bool is_clear(const FocalEstimate& estimate, bool is_given) {
   // Where depth is off by per cents, or taken at other times, so is the best focal length.
   const double min_change = is_given ? 0.03 : 0.005, min_gain = is_given ? 0.02 : 0.005;
   // Keyframes that have hardly turned say anything: a given length counts like views that tell it this well.
-  const double given_information = is_given ? 15.0 : 0.0;
+  const double given_information = is_given ? 20.0 : 0.0;
   const double share = estimate.information / (estimate.information + given_information);
   return share * std::abs(estimate.log_factor) > min_change && estimate.gain() > min_gain;
 }

@@ -91,6 +91,7 @@ class RgbdFrontendNodelet : public StageWith<RgbdFrontendParameters, FrontendSta
   }
 
   void forget() override {
+    if (is_for_another_camera()) frontend_.reset();
     if (frontend_) frontend_->begin_anew();
     image_ = {};
     report_ = {};
@@ -133,18 +134,23 @@ class RgbdFrontendNodelet : public StageWith<RgbdFrontendParameters, FrontendSta
       fail_image(stamp_ns, "images without a calibration", "neither camera_file nor a usable camera_info");
       return false;
     }
-    const auto fields = [](const core::Camera& c) {
-      return std::tie(c.fx, c.fy, c.cx, c.cy, c.width, c.height, c.distortion);
-    };
-    if (frontend_ && fields(*frontend_camera_) != fields(*camera())) {
-      begin_session("another calibration came");
-      frontend_.reset();
-    }
+    if (is_for_another_camera()) begin_session("another calibration came");
     if (!frontend_) {
-      frontend_camera_ = camera();
+      frontend_camera_ = known_camera();
       frontend_.emplace(options_.frontend, *frontend_camera_);
     }
     return true;
+  }
+
+  /// What the front end begins with: the camera that was given, as earlier sessions of the map corrected it.
+  core::Camera known_camera() const {
+    return options_.frontend.self_calibration ? camera()->with_focal_lengths_of(map_camera()) : *camera();
+  }
+  bool is_for_another_camera() const {
+    const auto fields = [](const core::Camera& c) {
+      return std::tie(c.fx, c.fy, c.cx, c.cy, c.width, c.height, c.distortion);
+    };
+    return frontend_ && fields(*frontend_camera_) != fields(known_camera());
   }
 
   void track(const core::RgbdImage& image) {

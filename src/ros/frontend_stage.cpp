@@ -72,6 +72,7 @@ core::Status FrontendStage::set_map(const std::string& file, bool frozen) {
       if (next.file != map_.file) remove_link(next);
       return has_no_place ? core::Error{file + ": holds no place to be found at"} : map.error();
     }
+    next.camera = (*map)->objects.camera;
     if (!frozen) {
       next.next_frame_id = (*map)->graph.next_frame_id;
       next.next_keyframe_id = (*map)->graph.next_keyframe_id();

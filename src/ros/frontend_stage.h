@@ -71,6 +71,8 @@ class FrontendStage : public Stage {
   /// Whether images come from a Player, which alone can be asked for them again.
   bool is_played() const { return end_subscriber_.getNumPublishers() > 0; }
   const std::optional<core::Camera>& camera() const { return camera_; }
+  /// That of the map that a session goes on with, where it has one.
+  const core::Camera& map_camera() const { return map_.camera; }
   const std::string& camera_frame() const { return camera_frame_; }
 
  private:
@@ -121,6 +123,7 @@ class FrontendStage : public Stage {
     bool is_link = false;  ///< made for them
     bool frozen = false;
     std::int64_t next_frame_id = 0, next_keyframe_id = 0;
+    core::Camera camera;
   };
   static void remove_link(const SessionMap& map);
   SessionMap map_;

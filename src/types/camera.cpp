@@ -1,6 +1,8 @@
 #include "semantic_topo_loop/types/camera.h"
 
 #include <algorithm>
+#include <cmath>
+#include <tuple>
 
 #include "semantic_topo_loop/types/text.h"
 
@@ -59,6 +61,13 @@ Status Camera::check() const {
 
 bool Camera::has_distortion() const {
   return std::any_of(distortion.begin(), distortion.end(), [](double value) { return value != 0.0; });
+}
+
+Camera Camera::with_focal_lengths_of(const Camera& other) const {
+  constexpr double kSameRatio = 1e-9;
+  const auto rest = [](const Camera& c) { return std::tie(c.cx, c.cy, c.width, c.height, c.distortion); };
+  const bool is_same = rest(*this) == rest(other) && std::abs(other.fx * fy - other.fy * fx) < kSameRatio * fx * fy;
+  return is_same ? other : *this;
 }
 
 Vec2 Camera::undistort(const Vec2& pixel) const { return has_distortion() ? undistort_pixel(*this, pixel) : pixel; }

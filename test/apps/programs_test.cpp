@@ -183,6 +183,20 @@ TEST_F(OfflineProgram, FindsItsPlaceInTheMapOfAnotherRunByObjectsAndSurfaces) {
   const StampedPoses second = checked(read_tum_trajectory(directory_.path("three/trajectory.txt")));
   poses.insert(poses.end(), second.begin(), second.end());
   EXPECT_LT(checked(evaluate_trajectory(poses, mocap)).absolute_m.rmse, 0.02);
+
+  // What self-calibration found for the map holds for its sessions.
+  write_part(*recording, 16.0, 17.0, "third", directory_);
+  MapState map = *checked(read_map(directory_.path("map.db"), coco()));
+  const double stated = map.objects.camera.fx, corrected = 1.02 * stated;
+  map.objects.camera.fx = corrected;
+  map.objects.camera.fy *= 1.02;
+  ASSERT_EQ(write_map(directory_.path("map.db"), map, coco()).message(), "");
+  for (const bool takes_over : {true, false}) {
+    const std::string setting = takes_over ? "" : " --set frontend.self_calibration=false";
+    ASSERT_EQ(run("--rgbd @third --output @three --map @map.db --save-map @both.db" + source + setting), 0) << err_;
+    const auto both = checked(read_map(directory_.path("both.db"), coco()));
+    EXPECT_EQ(both->objects.camera.fx, takes_over ? corrected : stated);
+  }
 }
 
 /// Mean of the points of a PLY file, of four floats each.

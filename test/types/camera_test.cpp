@@ -85,6 +85,23 @@ TEST(Camera, DistortsByThePlumbBobFormula) {
   EXPECT_NEAR((camera.distort({500.0 * x + 320.0, 400.0 * y + 240.0}) - expected).norm(), 0.0, 1e-10);
 }
 
+TEST(Camera, TakesOverFocalLengthsOfTheSameCameraOnly) {
+  const Camera stated = tum_camera("fr1");
+  Camera corrected = stated;
+  corrected.fx *= 0.95;
+  corrected.fy *= 0.95;
+  EXPECT_EQ(stated.with_focal_lengths_of(corrected).fx, corrected.fx);
+  EXPECT_EQ(stated.with_focal_lengths_of(corrected).fy, corrected.fy);
+  Camera stretched = corrected, moved = corrected, of_another_lens = corrected, larger = corrected;
+  stretched.fy *= 1.001;
+  moved.cx += 1.0;
+  of_another_lens.distortion[0] += 0.01;
+  larger.width *= 2;
+  for (const Camera& other : {stretched, moved, of_another_lens, larger, tum_camera("fr2"), Camera()}) {
+    EXPECT_EQ(stated.with_focal_lengths_of(other).fx, stated.fx);
+  }
+}
+
 TEST(Camera, WithoutDistortionPixelsStay) {
   const Camera camera = tum_camera("fr3");
   EXPECT_FALSE(camera.has_distortion());

@@ -17,6 +17,9 @@ struct Camera {
   /// @return an error that names field and value if no image can come from these values
   Status check() const;
   bool has_distortion() const;
+  /// As self-calibration corrected it before: the other's focal lengths, if that differs by one factor of them at most;
+  /// else as it is.
+  Camera with_focal_lengths_of(const Camera& other) const;
   /// Pixel of the raw image to pixel of the undistorted image with the same intrinsics.
   Vec2 undistort(const Vec2& pixel) const;
   /// Inverse of undistort.
