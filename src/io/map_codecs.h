@@ -230,6 +230,7 @@ VISIT_MEMBERS(GraphKeyframe, MEMBER(pose) MEMBER(T_vertex_keyframe) MEMBER(T_map
 VISIT_MEMBERS(Session, MEMBER(first_keyframe_id) MEMBER(begin_ns) MEMBER(end_ns))
 VISIT_MEMBERS(GraphState, MEMBER(sessions) MEMBER(next_frame_id) MEMBER(keyframes) MEMBER(edges) MEMBER(loops)
                               MEMBER(accepted_loops) MEMBER(noise) MEMBER(loose_factor))
+VISIT_MEMBERS(GraphDelta, MEMBER(is_whole) MEMBER(state))
 VISIT_MEMBERS(LandmarkDelta, MEMBER(record) MEMBER(first) MEMBER(observations))
 VISIT_MEMBERS(LandmarkMerge, MEMBER(merged_id) MEMBER(survivor_id))
 VISIT_MEMBERS(LoggedMerge, MEMBER(number) MEMBER(merge) MEMBER(merged_class_id) MEMBER(merged_observations)

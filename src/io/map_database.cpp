@@ -124,15 +124,17 @@ Status set_map_aside(const std::string& path) {
 }
 
 void append(MapDatabase::Parts parts, MapDatabase::Parts* waiting) {
-  if (std::any_of(parts.begin(), parts.end(), [](const auto& part) { return part->graph.has_value(); })) {
-    for (auto& part : *waiting) {
-      if (!part->graph) continue;
-      auto rest = std::make_shared<MapDelta>(*part);
+  for (auto& part : parts) {
+    for (auto& before : *waiting) {
+      if (!part->graph || !before->graph) continue;
+      auto both = std::make_shared<MapDelta>(*part), rest = std::make_shared<MapDelta>(*before);
+      put_before(*before->graph, &*both->graph);
       rest->graph.reset();
-      part = std::move(rest);
+      part = std::move(both);
+      before = std::move(rest);
     }
+    waiting->push_back(std::move(part));
   }
-  waiting->insert(waiting->end(), std::make_move_iterator(parts.begin()), std::make_move_iterator(parts.end()));
 }
 
 Result<std::string> link_loaded_map(const std::string& path) {

@@ -324,7 +324,7 @@ Status write_map(const std::string& path, const MapState& map, const ClassTable&
     create_map_tables(&file);
     MapTables tables(&file, classes);
     tables.write_configuration(map.configuration);
-    tables.write(map.graph);
+    tables.write(map.graph, true);
     tables.write(map.objects.camera);
     for (const MappedLandmark& landmark : map.objects.landmarks) tables.write(landmark, landmark.observations, 0);
     for (const LoggedMerge& merge : map.objects.merges) tables.write(merge);

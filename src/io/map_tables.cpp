@@ -52,29 +52,6 @@ SqliteStatement& operator<<(SqliteStatement& statement, const SE3& pose) {
   return statement;
 }
 
-/// The bytes of numbers, to tell whether they have changed.
-template <class... Numbers>
-std::string bytes_of(const Numbers&... numbers) {
-  std::string bytes;
-  (bytes.append(reinterpret_cast<const char*>(&numbers), sizeof(numbers)), ...);
-  return bytes;
-}
-
-std::string bytes_of(const GraphKeyframe& keyframe) {
-  const KeyframePose& pose = keyframe.pose;
-  std::string bytes = bytes_of(pose.frame_id, pose.stamp_ns, pose.scale);
-  const auto append = [&bytes](const SE3& T) {
-    for (int i = 0; i < 3; ++i) bytes += bytes_of(T.t(i));
-    for (int i = 0; i < 4; ++i) bytes += bytes_of(T.q.coeffs()(i));
-  };
-  append(pose.T_map_camera);
-  for (const std::optional<SE3>& T : {keyframe.T_vertex_keyframe, keyframe.T_map_live}) {
-    bytes += bytes_of(T.has_value());
-    if (T) append(*T);
-  }
-  return bytes;
-}
-
 }  // namespace
 
 void create_map_tables(SqliteFile* file) {
@@ -110,9 +87,11 @@ void MapTables::name_class(int class_id) {
   (insert << static_cast<std::int64_t>(class_id) << classes_.name(class_id)).run();
 }
 
-void MapTables::write(const GraphState& graph) {
-  if (!has_graph_) file_->run("DELETE FROM keyframe; DELETE FROM edge; DELETE FROM loop; DELETE FROM session");
-  has_graph_ = true;
+void MapTables::write(const GraphState& graph, bool is_whole) {
+  if (is_whole) {
+    file_->run("DELETE FROM keyframe; DELETE FROM edge; DELETE FROM loop; DELETE FROM session");
+    edges_ = loops_ = {};
+  }
   write_meta("next_frame", Json(graph.next_frame_id).dump());
   write_meta("accepted_loops", Json(graph.accepted_loops).dump());
   write_meta("noise", to_archive(graph.noise).dump());
@@ -125,7 +104,6 @@ void MapTables::write(const GraphState& graph) {
       file_, "INSERT OR REPLACE INTO keyframe VALUES(?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?)");
   for (const GraphKeyframe& keyframe : graph.keyframes) {
     const KeyframePose& pose = keyframe.pose;
-    if (!keyframes_.take(pose.keyframe_id, bytes_of(keyframe))) continue;
     keyframes << pose.keyframe_id << pose.frame_id << pose.stamp_ns << pose.T_map_camera << pose.scale;
     if (keyframe.T_vertex_keyframe) {
       keyframes.blob(packed(*keyframe.T_vertex_keyframe));
@@ -135,7 +113,6 @@ void MapTables::write(const GraphState& graph) {
     if (keyframe.T_map_live) keyframes << *keyframe.T_map_live;
     keyframes.run();
   }
-  finish("keyframe", "id", &keyframes_);
   SqliteStatement edges(file_, "INSERT OR REPLACE INTO edge VALUES(?, ?)");
   for (std::size_t i = 0; i < graph.edges.size(); ++i) {
     const std::string body = packed(graph.edges[i]);
@@ -223,7 +200,7 @@ void MapTables::write(const PointsOfKeyframe& keyframe) {
 
 void MapTables::write(const MapDelta& delta) {
   for (const PointsOfKeyframe& keyframe : delta.points) write(keyframe);
-  if (delta.graph) write(*delta.graph);
+  if (delta.graph) write(delta.graph->state, delta.graph->is_whole);
   if (delta.objects) {
     if (delta.objects->is_whole) file_->run("DELETE FROM object; DELETE FROM observation; DELETE FROM merge");
     write(delta.objects->camera);

@@ -20,14 +20,15 @@ constexpr std::int64_t kMapVersion = 5;
 /// Makes the empty tables of a map (docs/files.md).
 void create_map_tables(SqliteFile* file);
 
-/// Fills them, within a transaction of the caller's. Of the graph, which is given as a whole, only rows that are other
-/// than what this object wrote last are touched.
+/// Fills them, within a transaction of the caller's. Of the graph's edges and loops, which are given as a whole, only
+/// rows that are other than what this object wrote last are touched.
 class MapTables {
  public:
   /// @param file outlives this
   MapTables(SqliteFile* file, const ClassTable& classes);
 
-  void write(const GraphState& graph);
+  /// @param is_whole its keyframes are all there are
+  void write(const GraphState& graph, bool is_whole);
   void write_configuration(const std::string& text);
   void write(const Camera& camera);
   /// @param first number of the first of the observations; what there is from it on is replaced
@@ -53,8 +54,7 @@ class MapTables {
 
   SqliteFile* file_;
   const ClassTable& classes_;
-  bool has_graph_ = false;  ///< what the tables hold of it is what this object wrote
-  Mirror keyframes_, edges_, loops_;
+  Mirror edges_, loops_;
   std::set<int> named_;  ///< classes that are in the table
 };
 

@@ -116,8 +116,8 @@ class MapDatabaseNodelet : public StageWith<MapDatabaseParameters> {
   void add(const Part& part) {
     if (!part) return;
     const core::MapDelta& delta = *part->delta;
-    const bool is_whole =
-        delta.graph || (delta.objects && delta.objects->is_whole) || (delta.submaps && delta.submaps->is_whole);
+    const bool is_whole = (delta.graph && delta.graph->is_whole) || (delta.objects && delta.objects->is_whole) ||
+                          (delta.submaps && delta.submaps->is_whole);
     has_whole_.at(part->stage) = has_whole_.at(part->stage) || is_whole;
     if (has_whole_.at(part->stage)) core::append({part->delta}, &waiting_);
   }

@@ -249,7 +249,7 @@ class PoseGraphNodelet : public StageWith<PoseGraphParameters> {
     corrected_path_.mark_changed();
     if (frame.is_end) map_parts_.set_end(frame.frame_id);
     map_parts_.follow(frame.header, session_id(), frame.frame_id,
-                      [this](bool, core::MapDelta* delta) { delta->graph = graph_->state(); });
+                      [this](bool whole, core::MapDelta* delta) { delta->graph = graph_->take_delta(whole); });
     if (frame.is_end) publish_paths();  // the recording may be over before the timer comes round
     count_processed();
   }

@@ -36,7 +36,7 @@ struct MapState {
 
 /// What is new in a map: of those stages that tell.
 struct MapDelta {
-  std::optional<GraphState> graph;  ///< all of it, which is little
+  std::optional<GraphDelta> graph;
   std::optional<MapperDelta> objects;
   std::optional<SubmapDelta> submaps;
   std::vector<PointsOfKeyframe> points;  ///< of new keyframes

@@ -71,7 +71,7 @@ std::shared_ptr<const MapState> ObjectSlam::map() const {
 
 std::shared_ptr<const MapDelta> ObjectSlam::take_delta() {
   auto delta = std::make_shared<MapDelta>();
-  delta->graph = pose_graph_.state();
+  delta->graph = pose_graph_.take_delta(false);
   delta->objects = mapper_.take_delta(false);
   delta->submaps = loop_detector_.take_delta(false);
   return delta;

@@ -3,6 +3,7 @@
 #include <Eigen/Cholesky>
 #include <algorithm>
 #include <cstddef>
+#include <iterator>
 #include <utility>
 
 #include "geometry/relative_pose.h"
@@ -46,6 +47,18 @@ void GraphState::append(GraphState other) {
     jump.edge += static_cast<std::size_t>(vertices);
     noise.jumps.push_back(jump);
   }
+}
+
+void put_before(const GraphDelta& earlier, GraphDelta* later) {
+  if (later->is_whole) return;
+  later->is_whole = earlier.is_whole;
+  const auto is_earlier = [](const GraphKeyframe& a, const GraphKeyframe& b) {
+    return a.pose.keyframe_id < b.pose.keyframe_id;
+  };
+  std::vector<GraphKeyframe> keyframes;
+  const std::vector<GraphKeyframe>&before = earlier.state.keyframes, &after = later->state.keyframes;
+  std::set_union(after.begin(), after.end(), before.begin(), before.end(), std::back_inserter(keyframes), is_earlier);
+  later->state.keyframes = std::move(keyframes);
 }
 
 Status check(const GraphState& state) {

@@ -55,6 +55,15 @@ struct GraphState {
   void append(GraphState other);
 };
 
+/// What is new in a pose graph.
+struct GraphDelta {
+  bool is_whole = false;  ///< and not new only
+  GraphState state;       ///< all but its keyframes, which are many: of these the new ones and those that moved
+};
+
+/// Makes of a delta the one of both. @param earlier that before it
+void put_before(const GraphDelta& earlier, GraphDelta* later);
+
 /// @return an error that names what does not fit together
 Status check(const GraphState& state);
 

@@ -103,20 +103,39 @@ struct PoseGraph::Impl {
   }
 
   GraphState state() const {
+    GraphState state = state_but_keyframes();
+    for (std::size_t v = 0; v < keyframe_of_.size(); ++v) add_keyframes(v, &state);
+    return state;
+  }
+
+  GraphDelta take_delta(bool whole) {
+    GraphDelta delta{whole || written_.empty(), state_but_keyframes()};
+    std::map<std::size_t, WrittenVertex> written;
+    for (std::size_t v = 0; v < keyframe_of_.size(); ++v) {
+      const WrittenVertex now{end_of(v), trajectory_.T_map_vertex[v], log_scale_[v]};
+      const auto before = written_.find(keyframe_of_[v]);
+      if (delta.is_whole || before == written_.end() || !(before->second == now)) add_keyframes(v, &delta.state);
+      written.emplace_hint(written.end(), keyframe_of_[v], now);
+    }
+    written_ = std::move(written);
+    return delta;
+  }
+
+  void add_keyframes(std::size_t vertex, GraphState* state) const {
+    for (std::size_t k = keyframe_of_[vertex]; k < end_of(vertex); ++k) {
+      const std::optional<SE3> T_vertex_keyframe =
+          k == keyframe_of_[vertex] ? std::nullopt : std::optional(T_vertex_keyframe_[k]);
+      state->keyframes.push_back({followed(vertex, k), T_vertex_keyframe, T_map_live_[k]});
+    }
+  }
+
+  GraphState state_but_keyframes() const {
     GraphState state;
     state.sessions = sessions_;
     state.next_frame_id = next_frame_id_;
     if (keyframes_.size() > restored_) {
       state.sessions.push_back({keyframes_[restored_].keyframe_id, keyframes_[restored_].stamp_ns, last_stamp_ns_});
       state.next_frame_id = last_frame_id_ + 1;
-    }
-    std::size_t vertex = 0;
-    for (const KeyframePose& pose : keyframes()) {
-      const std::size_t k = state.keyframes.size();
-      while (vertex + 1 < keyframe_of_.size() && keyframe_of_[vertex + 1] <= k) ++vertex;
-      const bool is_vertex = keyframe_of_[vertex] == k;
-      state.keyframes.push_back(
-          {pose, is_vertex ? std::nullopt : std::optional(T_vertex_keyframe_[k]), T_map_live_[k]});
     }
     std::vector<OdometryEdge> edges = trajectory_.edges;
     suspect_jumps(&edges);
@@ -256,13 +275,16 @@ struct PoseGraph::Impl {
     return vertex + 1 < keyframe_of_.size() ? keyframe_of_[vertex + 1] : keyframes_.size();
   }
 
-  void follow(std::size_t vertex, std::vector<KeyframePose>* keyframes) const {
-    const std::size_t own = keyframe_of_[vertex];
+  /// A keyframe where its vertex has taken it.
+  KeyframePose followed(std::size_t vertex, std::size_t k) const {
     const SE3& T_map_vertex = trajectory_.T_map_vertex[vertex];
-    for (std::size_t k = own; k < end_of(vertex); ++k) {
-      (*keyframes)[k].T_map_camera = k == own ? T_map_vertex : T_map_vertex * T_vertex_keyframe_[k];
-      (*keyframes)[k].scale = std::exp(log_scale_[vertex]);
-    }
+    KeyframePose pose = keyframes_[k];
+    pose.T_map_camera = k == keyframe_of_[vertex] ? T_map_vertex : T_map_vertex * T_vertex_keyframe_[k];
+    pose.scale = std::exp(log_scale_[vertex]);
+    return pose;
+  }
+  void follow(std::size_t vertex, std::vector<KeyframePose>* keyframes) const {
+    for (std::size_t k = keyframe_of_[vertex]; k < end_of(vertex); ++k) (*keyframes)[k] = followed(vertex, k);
   }
 
   std::vector<KeyframePose> moved_keyframes(bool all) {
@@ -303,6 +325,7 @@ struct PoseGraph::Impl {
         T_vertex_keyframe_[k] = T_vertex_map * poses[k].T_map_camera;
       }
     }
+    for (auto& [first, vertex] : written_) vertex.end = 0;  // they hang on others now, or at another place of theirs
     loops_.move([&carriers](int v) { return carriers[static_cast<std::size_t>(v)]; });
     objects_.move(carriers);
     for (OdometryJump& jump : knowledge_.noise.jumps) {
@@ -475,10 +498,23 @@ struct PoseGraph::Impl {
     return report;
   }
 
+  /// What take_delta has told of a vertex.
+  struct WrittenVertex {
+    std::size_t end = 0;  ///< of the keyframes that move with it
+    SE3 T_map_vertex;
+    double log_scale = 0.0;
+
+    bool operator==(const WrittenVertex& other) const {
+      return end == other.end && log_scale == other.log_scale && T_map_vertex.t == other.T_map_vertex.t &&
+             T_map_vertex.q.coeffs() == other.T_map_vertex.q.coeffs();
+    }
+  };
+
   PoseGraphOptions options_;
   Trajectory trajectory_;
-  std::vector<KeyframePose> keyframes_;         ///< every one; poses as told last
-  std::map<std::int64_t, int> number_of_;       ///< index of a keyframe in `keyframes_` by its id
+  std::map<std::size_t, WrittenVertex> written_;  ///< by the index of its keyframe
+  std::vector<KeyframePose> keyframes_;           ///< every one; poses as told last
+  std::map<std::int64_t, int> number_of_;         ///< index of a keyframe in `keyframes_` by its id
   std::vector<std::size_t> keyframe_of_;        ///< index of each vertex's keyframe; those up to the next move with it
   std::vector<SE3> T_vertex_keyframe_;          ///< one a keyframe
   std::vector<std::optional<SE3>> T_map_live_;  ///< one a keyframe, see GraphKeyframe
@@ -522,6 +558,7 @@ MapCorrection PoseGraph::process(const Frame& frame, const std::vector<LoopClosu
   return impl_->process(frame, loops, extra_loops);
 }
 GraphState PoseGraph::state() const { return impl_->state(); }
+GraphDelta PoseGraph::take_delta(bool whole) { return impl_->take_delta(whole); }
 void PoseGraph::restore(GraphState state, const SE3& T_map_odom) { impl_->restore(std::move(state), T_map_odom); }
 bool PoseGraph::withdraw(std::int64_t query_keyframe_id, std::int64_t match_keyframe_id) {
   return impl_->withdraw(query_keyframe_id, match_keyframe_id);

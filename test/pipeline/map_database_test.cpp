@@ -345,7 +345,7 @@ TEST_F(MapDatabaseTest, AMapIsNotReplacedByOneThatLostAPartOfIt) {
     ChainRun next(laps(), shared_coco(), {}, whole, 200);
     next.next();
     auto delta = std::make_shared<MapDelta>(*next.slam().take_delta());
-    if (lost == std::string("keyframe")) delta->graph = GraphState();
+    if (lost == std::string("keyframe")) delta->graph = GraphDelta{true, {}};
     if (lost == std::string("observation")) delta->objects->changed.clear();
     if (lost == std::string("submap")) delta->submaps->added.clear();
     MapDatabase database(path_, shared_coco(), {}, path_);
@@ -439,16 +439,25 @@ TEST_F(MapDatabaseTest, SeveralMayCloseAtOnce) {
   EXPECT_EQ(check_map_place(path_).message(), "");
 }
 
-TEST_F(MapDatabaseTest, OfGraphsThatWaitOnlyTheLastIsKept) {
+TEST_F(MapDatabaseTest, OfGraphsThatWaitOnlyTheLastIsKeptWithWhatIsNewInThoseBefore) {
   ChainRun run(laps(), shared_coco());
   MapDatabase::Parts waiting;
   for (int i = 0; i < 3; ++i) {
-    run.next();
+    for (int frame = 0; frame < 30; ++frame) run.next();
     append({run.slam().take_delta()}, &waiting);
   }
   ASSERT_EQ(waiting.size(), 3U);
   EXPECT_FALSE(waiting[0]->graph || waiting[1]->graph);
   EXPECT_TRUE(waiting[0]->objects && waiting[1]->objects && waiting[2]->graph);
+  EXPECT_TRUE(waiting[2]->graph->is_whole);
+  const std::vector<GraphKeyframe> all = run.slam().map()->graph.keyframes, &told = waiting[2]->graph->state.keyframes;
+  ASSERT_EQ(told.size(), all.size());
+  for (std::size_t k = 0; k < all.size(); ++k) {
+    EXPECT_EQ(told[k].pose.keyframe_id, all[k].pose.keyframe_id);
+    EXPECT_EQ(told[k].pose.T_map_camera.t, all[k].pose.T_map_camera.t);
+  }
+  run.next();
+  EXPECT_LT(run.slam().take_delta()->graph->state.keyframes.size(), 2U);
 }
 
 TEST_F(MapDatabaseTest, WhatIsNoMapStaysAsItIs) {

@@ -10,6 +10,7 @@
 #include <vector>
 
 #include "geometry/relative_pose.h"
+#include "pose_graph/graph_state.h"
 #include "pose_graph/solver/trajectory_optimizer.h"
 #include "semantic_topo_loop/geometry/lie.h"
 #include "semantic_topo_loop/pose_graph/pose_graph.h"
@@ -30,6 +31,18 @@ std::vector<LoopClosure> loops_of(const SyntheticRun& run, int k, Random* random
   return loops;
 }
 
+/// Who writes a graph's deltas down, one after the other, as a map's file.
+struct Written {
+  void take(const GraphDelta& delta) {
+    if (delta.is_whole) keyframes.clear();
+    for (const GraphKeyframe& keyframe : delta.state.keyframes) keyframes[keyframe.pose.keyframe_id] = keyframe;
+    told += delta.state.keyframes.size();
+    edges = delta.state.edges.size();
+  }
+  std::map<std::int64_t, GraphKeyframe> keyframes;
+  std::size_t told = 0, edges = 0;
+};
+
 struct LongRun {
   explicit LongRun(int rounds) : run(kPerRound, rounds), graph(PoseGraphOptions()) {
     run.drift(0.004, 0.002, 5);
@@ -38,8 +51,10 @@ struct LongRun {
       const std::vector<LoopClosure> loops = loops_of(run, k, &random);
       accepted += static_cast<int>(loops.size());
       follow(graph.process(run.frame(k), loops));
+      if (k % 3 == 0) written.take(graph.take_delta(false));
     }
     follow(graph.process(run.end_frame(), {}));
+    written.take(graph.take_delta(false));
   }
 
   void follow(const MapCorrection& correction) {
@@ -53,6 +68,7 @@ struct LongRun {
 
   SyntheticRun run;
   PoseGraph graph;
+  Written written;
   int accepted = 0;
   std::size_t vertices = 0, loops = 0;  ///< at most
   std::size_t largest = 0;              ///< verdicts of one correction
@@ -88,6 +104,35 @@ TEST(Growth, CorrectionsSayWhatIsNew) {
     ASSERT_NE(followed, run.keyframes.end()) << keyframe.keyframe_id;
     EXPECT_EQ(followed->second.T_map_camera.t, keyframe.T_map_camera.t) << keyframe.keyframe_id;
   }
+}
+
+TEST(Growth, DeltasAddUpToTheGraph) {
+  const LongRun& run = ten_rounds();
+  const GraphState state = run.graph.state();
+  EXPECT_LT(state.edges.size(), state.keyframes.size() / 2) << "keyframes that move with others";
+  EXPECT_EQ(run.written.edges, state.edges.size());
+  ASSERT_EQ(run.written.keyframes.size(), state.keyframes.size());
+  for (const GraphKeyframe& keyframe : state.keyframes) {
+    const GraphKeyframe& written = run.written.keyframes.at(keyframe.pose.keyframe_id);
+    EXPECT_EQ(written.pose.T_map_camera.t, keyframe.pose.T_map_camera.t) << keyframe.pose.keyframe_id;
+    EXPECT_EQ(written.pose.T_map_camera.q.coeffs(), keyframe.pose.T_map_camera.q.coeffs());
+    ASSERT_EQ(written.T_vertex_keyframe.has_value(), keyframe.T_vertex_keyframe.has_value());
+    if (keyframe.T_vertex_keyframe) {
+      EXPECT_EQ(written.T_vertex_keyframe->t, keyframe.T_vertex_keyframe->t);
+    }
+  }
+}
+
+TEST(Growth, OnlyNewKeyframesAreWrittenWhileNothingMoves) {
+  SyntheticRun run;
+  PoseGraph graph{PoseGraphOptions()};
+  Written written;
+  for (int k = 0; k < run.size(); ++k) {
+    graph.process(run.frame(k), {});
+    written.take(graph.take_delta(false));
+  }
+  EXPECT_EQ(written.told, static_cast<std::size_t>(run.size()));
+  EXPECT_EQ(graph.take_delta(true).state.keyframes.size(), written.told) << "all of them, if that is asked for";
 }
 
 TEST(Growth, OdometryThatBreaksAgainAndAgainFitsIntoOneGraph) {

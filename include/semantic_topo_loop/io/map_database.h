@@ -59,7 +59,7 @@ class MapDatabase {
 /// @return an error if a map cannot be written there: no place, another program writes it, or it is no map's file
 Status check_map_place(const std::string& path);
 
-/// Adds what is to be written after what waits. Of graphs only the last is kept, which says all.
+/// Adds what is to be written after what waits. Of graphs only the last one is kept, with what those before had new.
 void append(MapDatabase::Parts parts, MapDatabase::Parts* waiting);
 
 /// As replace_file, for a map. @return also an error where check_map_place has one

@@ -13,6 +13,7 @@
 
 namespace semantic_topo_loop::core {
 
+struct GraphDelta;
 struct GraphState;
 struct PoseGraphOptions;
 
@@ -46,6 +47,8 @@ class PoseGraph {
                         const std::vector<LoopClosure>& extra_loops = {});
   /// What a later session goes on with (src/pose_graph/graph_state.h). Objects' boxes are not part of it, see `recall`.
   GraphState state() const;
+  /// What is new in it since this was called last. @param whole give all of it again
+  GraphDelta take_delta(bool whole);
   /// Goes on with earlier sessions' graph; the odometry of this one has nothing to do with theirs. Call it before the
   /// first frame.
   /// @param T_map_odom where this session stands as long as no loop tells
