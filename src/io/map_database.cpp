@@ -268,8 +268,10 @@ class MapDatabase::Impl {
       if (!earlier_.empty()) (SqliteStatement(&file, "ATTACH ? AS earlier") << earlier_).run();
       file.run("BEGIN");
       create_map_tables(&file);
-      if (!earlier_.empty() && file.number("PRAGMA earlier.user_version") > 1) {  // before, maps had none
-        file.run("INSERT INTO points SELECT * FROM earlier.points");
+      const std::int64_t version = earlier_.empty() ? 0 : file.number("PRAGMA earlier.user_version");
+      if (version > 1) {  // before, maps had none
+        file.run(std::string("INSERT INTO points SELECT keyframe, sparse, semi_dense, body, ") +
+                 (version > 5 ? "checksum" : "NULL") + " FROM earlier.points");
       }
       MapTables tables(&file, *classes_);
       tables.write_configuration(configuration_);

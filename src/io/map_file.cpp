@@ -16,6 +16,8 @@
 namespace semantic_topo_loop::core {
 namespace {
 
+constexpr char kTables[] = "SELECT name FROM sqlite_master WHERE type = 'table' ORDER BY name";
+
 /// The text of JSON or the bytes of CBOR into a value. @param place of it, for messages   @return what is wrong
 template <class T>
 Status unpacked(const std::string& place, const Json& json, T* value) {
@@ -267,6 +269,19 @@ void know_what_was_missed(OdometryEdge* edge) {
   if (edge->missed.covariance.isZero(0.0)) edge->missed.covariance = isotropic_covariance(sigma * sigma, sigma * sigma);
 }
 
+/// What SQLite does not see: bits that changed within a row.
+void check_rows(SqliteFile* file) {
+  SqliteStatement tables(file, kTables);
+  while (tables.next()) {
+    const std::string table = tables.bytes(0);
+    SqliteStatement rows(file, "SELECT * FROM " + table);
+    while (rows.next()) {
+      if (!rows.is_intact())
+        return file->reject(row_name(table.c_str(), rows) + " is damaged: not what its checksum says");
+    }
+  }
+}
+
 void read_all(const ClassTable& classes, MapParts parts, SqliteFile* file, MapState* map) {
   if (file->number("PRAGMA application_id") != kMapApplicationId)
     return file->reject("is no map of semantic_topo_loop");
@@ -277,6 +292,7 @@ void read_all(const ClassTable& classes, MapParts parts, SqliteFile* file, MapSt
   }
   SqliteStatement checked(file, "PRAGMA quick_check(1)");
   if (checked.next() && checked.bytes(0) != "ok") return file->reject("is damaged: " + checked.bytes(0));
+  if (version > 5) check_rows(file);
   require(check_classes(classes, file), file);
   read_meta("configuration", file, &map->configuration);
   read_meta("next_frame", file, &map->graph.next_frame_id);
@@ -338,13 +354,14 @@ Status write_map(const std::string& path, const MapState& map, const ClassTable&
 
 Status dump_map(const std::string& path, std::ostream& out) {
   SqliteFile file(path, SqliteFile::Mode::kRead);
-  SqliteStatement tables(&file, "SELECT name FROM sqlite_master WHERE type = 'table' ORDER BY name");
+  const int checksums = file.number("PRAGMA user_version") > 5 ? 1 : 0;  // which follow from the rest
+  SqliteStatement tables(&file, kTables);
   while (tables.next()) {
     const std::string table = tables.bytes(0);
     SqliteStatement rows(&file, "SELECT * FROM " + table + " ORDER BY 1, 2");
     while (rows.next()) {
       out << table;
-      for (int column = 0; column < rows.columns(); ++column) {
+      for (int column = 0; column < rows.columns() - checksums; ++column) {
         constexpr int kDigits = 17;  // all of a double
         out << ' ';
         if (rows.is_blob(column)) {

@@ -9,34 +9,37 @@
 namespace semantic_topo_loop::core {
 namespace {
 
+// Each row ends with the checksum of what is before; null where it comes from a file that has none.
 constexpr char kSchema[] = R"(
-CREATE TABLE meta(key TEXT PRIMARY KEY, value TEXT NOT NULL) WITHOUT ROWID;
-CREATE TABLE session(first_keyframe INTEGER PRIMARY KEY, begin_ns INTEGER NOT NULL, end_ns INTEGER NOT NULL);
-CREATE TABLE class(id INTEGER PRIMARY KEY, name TEXT NOT NULL);
+CREATE TABLE meta(key TEXT PRIMARY KEY, value TEXT NOT NULL, checksum INTEGER) WITHOUT ROWID;
+CREATE TABLE session(first_keyframe INTEGER PRIMARY KEY, begin_ns INTEGER NOT NULL, end_ns INTEGER NOT NULL,
+  checksum INTEGER);
+CREATE TABLE class(id INTEGER PRIMARY KEY, name TEXT NOT NULL, checksum INTEGER);
 CREATE TABLE keyframe(id INTEGER PRIMARY KEY, frame INTEGER NOT NULL, stamp_ns INTEGER NOT NULL,
   x REAL NOT NULL, y REAL NOT NULL, z REAL NOT NULL,
   qx REAL NOT NULL, qy REAL NOT NULL, qz REAL NOT NULL, qw REAL NOT NULL, scale REAL NOT NULL,
   vertex_from_keyframe BLOB,
-  live_x REAL, live_y REAL, live_z REAL, live_qx REAL, live_qy REAL, live_qz REAL, live_qw REAL);
-CREATE TABLE edge(number INTEGER PRIMARY KEY, body BLOB NOT NULL);
+  live_x REAL, live_y REAL, live_z REAL, live_qx REAL, live_qy REAL, live_qz REAL, live_qw REAL, checksum INTEGER);
+CREATE TABLE edge(number INTEGER PRIMARY KEY, body BLOB NOT NULL, checksum INTEGER);
 CREATE TABLE loop(number INTEGER PRIMARY KEY, query INTEGER NOT NULL, match INTEGER NOT NULL, kept INTEGER NOT NULL,
-  reason TEXT NOT NULL, body BLOB NOT NULL);
+  reason TEXT NOT NULL, body BLOB NOT NULL, checksum INTEGER);
 CREATE TABLE object(id INTEGER PRIMARY KEY, class INTEGER NOT NULL, state TEXT NOT NULL, observations INTEGER NOT NULL,
-  quality REAL NOT NULL, x REAL, y REAL, z REAL, body BLOB NOT NULL);
+  quality REAL NOT NULL, x REAL, y REAL, z REAL, body BLOB NOT NULL, checksum INTEGER);
 CREATE TABLE observation(object INTEGER, number INTEGER, frame INTEGER NOT NULL, source INTEGER NOT NULL,
   keyframe INTEGER NOT NULL, class INTEGER NOT NULL, x REAL NOT NULL, y REAL NOT NULL, z REAL NOT NULL,
   qx REAL NOT NULL, qy REAL NOT NULL, qz REAL NOT NULL, qw REAL NOT NULL,
   x1 REAL NOT NULL, y1 REAL NOT NULL, x2 REAL NOT NULL, y2 REAL NOT NULL, truncated INTEGER NOT NULL,
-  near_m REAL NOT NULL, PRIMARY KEY(object, number)) WITHOUT ROWID;
+  near_m REAL NOT NULL, checksum INTEGER, PRIMARY KEY(object, number)) WITHOUT ROWID;
 CREATE TABLE merge(number INTEGER PRIMARY KEY, merged INTEGER NOT NULL, survivor INTEGER NOT NULL,
   class INTEGER NOT NULL, observations INTEGER NOT NULL, frame INTEGER NOT NULL, stamp_ns INTEGER NOT NULL,
-  undone_frame INTEGER);
+  undone_frame INTEGER, checksum INTEGER);
 CREATE TABLE submap(frame INTEGER PRIMARY KEY, keyframe INTEGER NOT NULL, stamp_ns INTEGER NOT NULL,
-  objects INTEGER NOT NULL, body BLOB NOT NULL);
+  objects INTEGER NOT NULL, body BLOB NOT NULL, checksum INTEGER);
 CREATE TABLE points(keyframe INTEGER PRIMARY KEY, sparse INTEGER NOT NULL, semi_dense INTEGER NOT NULL,
-  body BLOB NOT NULL);
+  body BLOB NOT NULL, checksum INTEGER);
 CREATE TABLE refused_loop(query INTEGER, match INTEGER, query_ns INTEGER NOT NULL, match_ns INTEGER NOT NULL,
-  reason TEXT NOT NULL, inliers INTEGER NOT NULL, body BLOB NOT NULL, PRIMARY KEY(query, match)) WITHOUT ROWID;
+  reason TEXT NOT NULL, inliers INTEGER NOT NULL, body BLOB NOT NULL, checksum INTEGER,
+  PRIMARY KEY(query, match)) WITHOUT ROWID;
 )";
 
 template <class T>
@@ -78,13 +81,13 @@ void MapTables::finish(const char* table, const char* key, Mirror* mirror) {
 }
 
 void MapTables::write_meta(const std::string& key, const std::string& value) {
-  (SqliteStatement(file_, "INSERT OR REPLACE INTO meta VALUES(?, ?)") << key << value).run();
+  (SqliteStatement(file_, "INSERT OR REPLACE INTO meta VALUES(?, ?, ?)") << key << value).run_with_checksum();
 }
 
 void MapTables::name_class(int class_id) {
   if (!named_.insert(class_id).second) return;
-  SqliteStatement insert(file_, "INSERT OR REPLACE INTO class VALUES(?, ?)");
-  (insert << static_cast<std::int64_t>(class_id) << classes_.name(class_id)).run();
+  SqliteStatement insert(file_, "INSERT OR REPLACE INTO class VALUES(?, ?, ?)");
+  (insert << static_cast<std::int64_t>(class_id) << classes_.name(class_id)).run_with_checksum();
 }
 
 void MapTables::write(const GraphState& graph, bool is_whole) {
@@ -96,12 +99,12 @@ void MapTables::write(const GraphState& graph, bool is_whole) {
   write_meta("accepted_loops", Json(graph.accepted_loops).dump());
   write_meta("noise", to_archive(graph.noise).dump());
   write_meta("loose_factor", Json(graph.loose_factor).dump());
-  SqliteStatement sessions(file_, "INSERT OR REPLACE INTO session VALUES(?, ?, ?)");
+  SqliteStatement sessions(file_, "INSERT OR REPLACE INTO session VALUES(?, ?, ?, ?)");
   for (const Session& session : graph.sessions) {
-    (sessions << session.first_keyframe_id << session.begin_ns << session.end_ns).run();
+    (sessions << session.first_keyframe_id << session.begin_ns << session.end_ns).run_with_checksum();
   }
   SqliteStatement keyframes(
-      file_, "INSERT OR REPLACE INTO keyframe VALUES(?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?)");
+      file_, "INSERT OR REPLACE INTO keyframe VALUES(?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?)");
   for (const GraphKeyframe& keyframe : graph.keyframes) {
     const KeyframePose& pose = keyframe.pose;
     keyframes << pose.keyframe_id << pose.frame_id << pose.stamp_ns << pose.T_map_camera << pose.scale;
@@ -111,21 +114,22 @@ void MapTables::write(const GraphState& graph, bool is_whole) {
       keyframes << nullptr;
     }
     if (keyframe.T_map_live) keyframes << *keyframe.T_map_live;
-    keyframes.run();
+    keyframes.run_with_checksum();
   }
-  SqliteStatement edges(file_, "INSERT OR REPLACE INTO edge VALUES(?, ?)");
+  SqliteStatement edges(file_, "INSERT OR REPLACE INTO edge VALUES(?, ?, ?)");
   for (std::size_t i = 0; i < graph.edges.size(); ++i) {
     const std::string body = packed(graph.edges[i]);
-    if (edges_.take(static_cast<std::int64_t>(i), body)) (edges << static_cast<std::int64_t>(i)).blob(body).run();
+    if (edges_.take(static_cast<std::int64_t>(i), body))
+      (edges << static_cast<std::int64_t>(i)).blob(body).run_with_checksum();
   }
   finish("edge", "number", &edges_);
-  SqliteStatement loops(file_, "INSERT OR REPLACE INTO loop VALUES(?, ?, ?, ?, ?, ?)");
+  SqliteStatement loops(file_, "INSERT OR REPLACE INTO loop VALUES(?, ?, ?, ?, ?, ?, ?)");
   for (const RememberedLoop& loop : graph.loops) {
     const LoopVerdict& told = loop.told;
     const std::string body = packed(loop);
     if (!loops_.take(told.number, body)) continue;
     loops << told.number << told.query_keyframe_id << told.match_keyframe_id << static_cast<std::int64_t>(told.kept);
-    (loops << told.reason).blob(body).run();
+    (loops << told.reason).blob(body).run_with_checksum();
   }
   finish("loop", "number", &loops_);
 }
@@ -139,7 +143,7 @@ void MapTables::write(const Camera& camera) { write_meta("camera", to_archive(ca
 
 void MapTables::write(const LandmarkRecord& record, const std::vector<Observation>& observations, std::size_t first) {
   const Landmark& state = record.state;
-  SqliteStatement insert(file_, "INSERT OR REPLACE INTO object VALUES(?, ?, ?, ?, ?, ?, ?, ?, ?)");
+  SqliteStatement insert(file_, "INSERT OR REPLACE INTO object VALUES(?, ?, ?, ?, ?, ?, ?, ?, ?, ?)");
   name_class(state.class_id);
   insert << state.id << static_cast<std::int64_t>(state.class_id) << std::string(to_string(state.state));
   insert << static_cast<std::int64_t>(state.observations) << state.quality;
@@ -150,29 +154,29 @@ void MapTables::write(const LandmarkRecord& record, const std::vector<Observatio
       insert << nullptr;
     }
   }
-  insert.blob(packed(record)).run();
+  insert.blob(packed(record)).run_with_checksum();
   auto number = static_cast<std::int64_t>(first);
   (SqliteStatement(file_, "DELETE FROM observation WHERE object = ? AND number >= ?") << state.id << number).run();
   SqliteStatement rows(file_,
-                       "INSERT INTO observation VALUES(?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?)");
+                       "INSERT INTO observation VALUES(?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?)");
   for (const Observation& observation : observations) {
     const BoxView& view = observation.view;
     name_class(observation.class_id);
     rows << state.id << number++ << observation.frame_id << observation.source_id << observation.keyframe_id;
     rows << static_cast<std::int64_t>(observation.class_id) << view.T_world_camera;
     rows << view.box.x1 << view.box.y1 << view.box.x2 << view.box.y2;
-    (rows << static_cast<std::int64_t>(view.truncated) << view.near_m).run();
+    (rows << static_cast<std::int64_t>(view.truncated) << view.near_m).run_with_checksum();
   }
 }
 
 void MapTables::write(const LoggedMerge& merge) {
   name_class(merge.merged_class_id);
-  SqliteStatement insert(file_, "INSERT OR REPLACE INTO merge VALUES(?, ?, ?, ?, ?, ?, ?, ?)");
+  SqliteStatement insert(file_, "INSERT OR REPLACE INTO merge VALUES(?, ?, ?, ?, ?, ?, ?, ?, ?)");
   insert << merge.number << merge.merge.merged_id << merge.merge.survivor_id;
   insert << static_cast<std::int64_t>(merge.merged_class_id) << static_cast<std::int64_t>(merge.merged_observations);
   insert << merge.frame_id << merge.stamp_ns;
   if (merge.undone_frame_id) insert << *merge.undone_frame_id;
-  insert.run();
+  insert.run_with_checksum();
 }
 
 void MapTables::write(const LocalMap& submap) {
@@ -180,22 +184,24 @@ void MapTables::write(const LocalMap& submap) {
   for (const LocalFrame& frame : submap.frames) {
     for (const ObservedBox& box : frame.boxes) name_class(box.class_id);
   }
-  SqliteStatement insert(file_, "INSERT OR REPLACE INTO submap VALUES(?, ?, ?, ?, ?)");
+  SqliteStatement insert(file_, "INSERT OR REPLACE INTO submap VALUES(?, ?, ?, ?, ?, ?)");
   insert << submap.frame_id << submap.keyframe_id << submap.stamp_ns;
-  (insert << static_cast<std::int64_t>(submap.objects.size())).blob(packed(submap)).run();
+  (insert << static_cast<std::int64_t>(submap.objects.size())).blob(packed(submap)).run_with_checksum();
 }
 
 void MapTables::write_refused(const LoopFigures& loop) {
-  SqliteStatement insert(file_, "INSERT OR REPLACE INTO refused_loop VALUES(?, ?, ?, ?, ?, ?, ?)");
+  SqliteStatement insert(file_, "INSERT OR REPLACE INTO refused_loop VALUES(?, ?, ?, ?, ?, ?, ?, ?)");
   insert << loop.query_keyframe_id << loop.match_keyframe_id << loop.query_stamp_ns << loop.match_stamp_ns;
-  (insert << std::string(to_string(loop.reason)) << static_cast<std::int64_t>(loop.inliers)).blob(packed(loop)).run();
+  (insert << std::string(to_string(loop.reason)) << static_cast<std::int64_t>(loop.inliers))
+      .blob(packed(loop))
+      .run_with_checksum();
 }
 
 void MapTables::write(const PointsOfKeyframe& keyframe) {
-  SqliteStatement insert(file_, "INSERT OR REPLACE INTO points VALUES(?, ?, ?, ?)");
+  SqliteStatement insert(file_, "INSERT OR REPLACE INTO points VALUES(?, ?, ?, ?, ?)");
   insert << keyframe.keyframe_id << static_cast<std::int64_t>(keyframe.points->sparse.size());
   insert << static_cast<std::int64_t>(keyframe.points->semi_dense.size());
-  insert.blob(compressed(packed(*keyframe.points))).run();
+  insert.blob(compressed(packed(*keyframe.points))).run_with_checksum();
 }
 
 void MapTables::write(const MapDelta& delta) {

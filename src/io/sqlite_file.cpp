@@ -1,6 +1,9 @@
 #include "io/sqlite_file.h"
 
+#include <zlib.h>
+
 #include <algorithm>
+#include <cmath>
 #include <filesystem>
 #include <utility>
 
@@ -72,6 +75,24 @@ std::int64_t SqliteFile::number(const std::string& sql) {
   return statement.next() ? statement.integer(0) : 0;
 }
 
+void Checksum::add_as(char type, const void* bytes, std::size_t size) {
+  const auto add = [this](const void* data, std::size_t count) {
+    crc_ = ::crc32(crc_, static_cast<const Bytef*>(data), static_cast<uInt>(count));
+  };
+  const auto count = static_cast<std::uint64_t>(size);
+  add(&type, 1);
+  add(&count, sizeof(count));
+  if (size > 0) add(bytes, size);
+}
+void Checksum::add(std::int64_t value) { add_as('i', &value, sizeof(value)); }
+void Checksum::add(double value) {
+  if (std::isnan(value)) return add_null();
+  value += 0.0;  // of -0 is 0
+  add_as('r', &value, sizeof(value));
+}
+void Checksum::add(const void* bytes, std::size_t size) { add_as('b', bytes, size); }
+void Checksum::add_null() { add_as('n', nullptr, 0); }
+
 SqliteStatement::SqliteStatement(SqliteFile* file, const std::string& sql) : file_(file) {
   if (!file_->is_fine()) return;
   sqlite3_stmt* statement = nullptr;
@@ -81,10 +102,12 @@ SqliteStatement::SqliteStatement(SqliteFile* file, const std::string& sql) : fil
 
 SqliteStatement& SqliteStatement::operator<<(std::int64_t value) {
   if (file_->is_fine()) file_->note(sqlite3_bind_int64(statement_.get(), ++bound_, value));
+  checksum_.add(value);
   return *this;
 }
 SqliteStatement& SqliteStatement::operator<<(double value) {
   if (file_->is_fine()) file_->note(sqlite3_bind_double(statement_.get(), ++bound_, value));
+  checksum_.add(value);
   return *this;
 }
 SqliteStatement& SqliteStatement::operator<<(const std::string& text) {
@@ -92,16 +115,19 @@ SqliteStatement& SqliteStatement::operator<<(const std::string& text) {
     file_->note(
         sqlite3_bind_text64(statement_.get(), ++bound_, text.data(), text.size(), SQLITE_TRANSIENT, SQLITE_UTF8));
   }
+  checksum_.add(text.data(), text.size());
   return *this;
 }
 SqliteStatement& SqliteStatement::operator<<(std::nullptr_t) {
   ++bound_;  // null is what a parameter is that is not bound
+  checksum_.add_null();
   return *this;
 }
 SqliteStatement& SqliteStatement::blob(const std::string& bytes) {
   if (file_->is_fine()) {
     file_->note(sqlite3_bind_blob64(statement_.get(), ++bound_, bytes.data(), bytes.size(), SQLITE_TRANSIENT));
   }
+  checksum_.add(bytes.data(), bytes.size());
   return *this;
 }
 
@@ -111,6 +137,37 @@ void SqliteStatement::run() {
   file_->note(sqlite3_reset(statement_.get()));
   sqlite3_clear_bindings(statement_.get());
   bound_ = 0;
+  checksum_ = {};
+}
+
+void SqliteStatement::run_with_checksum() {
+  if (!file_->is_fine()) return;
+  while (bound_ + 1 < sqlite3_bind_parameter_count(statement_.get())) *this << nullptr;
+  *this << checksum_.value();
+  run();
+}
+
+bool SqliteStatement::is_intact() const {
+  const int last = columns() - 1;
+  if (is_null(last)) return true;
+  Checksum checksum;
+  for (int column = 0; column < last; ++column) {
+    switch (sqlite3_column_type(statement_.get(), column)) {
+      case SQLITE_INTEGER:
+        checksum.add(integer(column));
+        break;
+      case SQLITE_FLOAT:
+        checksum.add(number(column));
+        break;
+      case SQLITE_NULL:
+        checksum.add_null();
+        break;
+      default:
+        const void* bytes = sqlite3_column_blob(statement_.get(), column);
+        checksum.add(bytes, static_cast<std::size_t>(sqlite3_column_bytes(statement_.get(), column)));
+    }
+  }
+  return checksum.value() == integer(last);
 }
 
 bool SqliteStatement::next() {

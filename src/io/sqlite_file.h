@@ -2,6 +2,7 @@
 
 #include <sqlite3.h>
 
+#include <cstddef>
 #include <cstdint>
 #include <memory>
 #include <string>
@@ -40,6 +41,20 @@ class SqliteFile {
   bool is_busy_ = false;
 };
 
+/// CRC-32 of values one after the other, as they are read back: a number that is none is null, and zero has no sign.
+class Checksum {
+ public:
+  void add(std::int64_t value);
+  void add(double value);
+  void add(const void* bytes, std::size_t size);
+  void add_null();
+  std::int64_t value() const { return static_cast<std::int64_t>(crc_); }
+
+ private:
+  void add_as(char type, const void* bytes, std::size_t size);
+  unsigned long crc_ = 0;
+};
+
 /// A prepared statement: bind its parameters in order, or step through its rows.
 class SqliteStatement {
  public:
@@ -53,9 +68,14 @@ class SqliteStatement {
   SqliteStatement& blob(const std::string& bytes);
   /// Runs it with what was bound, to be bound anew.
   void run();
+  /// The same of an insertion into a table whose last column is the checksum of those before (CRC-32), which is bound
+  /// here.
+  void run_with_checksum();
 
   /// To the next row. @return false if there is none
   bool next();
+  /// Whether the row's last column is the checksum of those before, or null: not known.
+  bool is_intact() const;
   int columns() const;
   bool is_null(int column) const;
   bool is_blob(int column) const;
@@ -71,6 +91,7 @@ class SqliteStatement {
   SqliteFile* file_;
   std::unique_ptr<sqlite3_stmt, Finalize> statement_;
   int bound_ = 0;
+  Checksum checksum_;  ///< of what is bound
 };
 
 }  // namespace semantic_topo_loop::core

@@ -10,6 +10,7 @@
 #include <functional>
 #include <map>
 #include <memory>
+#include <random>
 #include <sstream>
 #include <string>
 #include <utility>
@@ -64,7 +65,10 @@ class MapFile : public ::testing::Test {
     EXPECT_EQ(write_map(path_, desk(), *shared_coco()).message(), "");
     sqlite3* database = nullptr;
     EXPECT_EQ(sqlite3_open(path_.c_str(), &database), SQLITE_OK);
-    EXPECT_EQ(sqlite3_exec(database, sql.c_str(), nullptr, nullptr, nullptr), SQLITE_OK) << sql;
+    // As of a version without checksums, which else are all that is wrong.
+    for (const std::string& statement : {std::string("PRAGMA user_version = 5"), sql}) {
+      EXPECT_EQ(sqlite3_exec(database, statement.c_str(), nullptr, nullptr, nullptr), SQLITE_OK) << statement;
+    }
     sqlite3_close(database);
   }
   /// What is said behind the path, in one line.
@@ -94,7 +98,8 @@ class MapFile : public ::testing::Test {
     body[Json::json_pointer(pointer)] = value;
     const std::vector<std::uint8_t> packed = Json::to_cbor(body);
     sqlite3_stmt* update = nullptr;
-    sqlite3_prepare_v2(database, ("UPDATE " + table + " SET body = ? WHERE rowid = ?").c_str(), -1, &update, nullptr);
+    sqlite3_prepare_v2(database, ("UPDATE " + table + " SET body = ?, checksum = NULL WHERE rowid = ?").c_str(), -1,
+                       &update, nullptr);
     sqlite3_bind_blob(update, 1, packed.data(), static_cast<int>(packed.size()), SQLITE_STATIC);
     sqlite3_bind_int64(update, 2, row);
     EXPECT_EQ(sqlite3_step(update), SQLITE_DONE);
@@ -214,7 +219,8 @@ TEST_F(MapFile, KeepsWhichObjectsWereMerged) {
   EXPECT_EQ(merge.undone_frame_id, std::optional<std::int64_t>(120));
   EXPECT_FALSE(read->objects.merges[0].undone_frame_id.has_value());
   EXPECT_NE(dump_of(path_).find("merge 3 8 2 41 12 100 5000000001 \n"), std::string::npos);
-  SqliteFile(path_, SqliteFile::Mode::kWrite).run("UPDATE merge SET class = 9999 WHERE number = 4");
+  SqliteFile(path_, SqliteFile::Mode::kWrite)
+      .run("PRAGMA user_version = 5; UPDATE merge SET class = 9999 WHERE number = 4");
   EXPECT_EQ(error(), "merge 4 has class 9999");
 }
 
@@ -249,7 +255,8 @@ TEST_F(MapFile, KeepsWhatLoopDetectionRefused) {
   EXPECT_FALSE(loop.accepted);
   EXPECT_EQ(loop.T_match_query.q.coeffs(), map.refused[0].T_match_query.q.coeffs());
   EXPECT_NE(dump_of(path_).find("refused_loop 5 2 5000000001 0 tilt 7 ["), std::string::npos);
-  SqliteFile(path_, SqliteFile::Mode::kWrite).run("UPDATE refused_loop SET body = x'ff' WHERE match = 2");
+  SqliteFile(path_, SqliteFile::Mode::kWrite)
+      .run("PRAGMA user_version = 5; UPDATE refused_loop SET body = x'ff' WHERE match = 2");
   EXPECT_EQ(error(), "refused_loop 5 to 2 is damaged");
 }
 
@@ -277,9 +284,29 @@ TEST_F(MapFile, OfAnOlderVersionIsRead) {
   EXPECT_TRUE(frozen->graph.edges[0].missed.covariance.isApprox(0.075 * 0.075 * Mat6::Identity()));
 }
 
+TEST_F(MapFile, ABitThatChangedIsDamageOrOfNoMatter) {
+  SqliteFile(path_, SqliteFile::Mode::kWrite).run("UPDATE keyframe SET x = x + 1e-9 WHERE id = 2");
+  EXPECT_EQ(error(), "keyframe 2 is damaged: not what its checksum says");
+  ASSERT_EQ(write_map(path_, desk(), *shared_coco()).message(), "");
+  const std::string whole = read_whole(path_), dump = dump_of(path_);
+  std::mt19937 random(5);
+  int damaged = 0;
+  for (int i = 0; i < 200; ++i) {
+    std::string changed = whole;
+    changed[random() % changed.size()] ^= static_cast<char>(1 << random() % 8);
+    directory_.write("map.db", changed);
+    if (!read_map(path_, *shared_coco())) {
+      ++damaged;
+    } else {
+      EXPECT_TRUE(dump_of(path_) == dump) << "not seen";
+    }
+  }
+  EXPECT_GT(damaged, 150);
+}
+
 TEST_F(MapFile, NamesWhatIsWrong) {
-  EXPECT_EQ(error_after("PRAGMA user_version = 9"), "is a map of version 9; this program reads 1 to 5");
-  EXPECT_EQ(error_after("INSERT INTO points VALUES(0, 0, 0, x'78')"), "points 0 is damaged");
+  EXPECT_EQ(error_after("PRAGMA user_version = 9"), "is a map of version 9; this program reads 1 to 6");
+  EXPECT_EQ(error_after("INSERT INTO points VALUES(0, 0, 0, x'78', NULL)"), "points 0 is damaged");
   EXPECT_EQ(error_after("PRAGMA application_id = 9"), "is no map of semantic_topo_loop");
   EXPECT_EQ(error_after("DELETE FROM meta WHERE key = 'noise'"), "meta has no 'noise'");
   EXPECT_EQ(error_after("UPDATE meta SET value = '{' WHERE key = 'noise'"), "meta 'noise' is damaged");
@@ -414,7 +441,8 @@ TEST_F(ReadOnlyMapFile, IsRead) {
 /// As a writer that was killed leaves it.
 TEST_F(ReadOnlyMapFile, IsReadThoughItWasNotClosed) {
   SqliteFile writer(path_, SqliteFile::Mode::kWrite);
-  writer.run("PRAGMA journal_mode = WAL; UPDATE meta SET value = '\"late\"' WHERE key = 'configuration'");
+  writer.run(
+      "PRAGMA journal_mode = WAL; UPDATE meta SET value = '\"late\"', checksum = NULL WHERE key = 'configuration'");
   keep({path_});
   EXPECT_TRUE(as_nobody([this] {
     const auto map = read_map(kept_, *shared_coco());
