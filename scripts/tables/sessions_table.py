@@ -13,16 +13,15 @@ FIRST_FRAMES = {"fr2_desk": 1400, "fr3_office": 1291}  # of the map
 STARTS, STARTS_ELSEWHERE = 20, 4
 LAST_FRAMES = 500  # that the last start has left
 IMAGE_STARTS, IMAGES_S = 5, 10  # of images that long
-FOUND_COLUMNS = ("map", "later run", "starts", "found", "after, s", "ATE of both, m")
-IMAGE_COLUMNS = ("map", "later run", "starts", "found", "after, s", "off by, m", "off by, deg", "ATE of both, m")
+FOUND_COLUMNS = ("map", "later run", "starts", "found", "after, s", "off by, m", "off by, deg", "ATE of both, m")
 POORER_LEVEL = "_1m_"  # of the drifting odometry
 POORER_COLUMNS = ("map", "odometries", "ATE before, m", "alone, m", "in the map, m", "most, alone, m", "most, in the map, m")
 MERGED_COLUMNS = ("sequence", "confirmed objects of the parts", "of both", "ATE of all keyframes, m")
 
 NOTES = """Starts are spread evenly from the end of the map's part on, each odometry in a frame of its own (a random SE(3),
 seed: number of the start). Found: a loop into the map is accepted; after: recorded time until then. ATE of the keyframes
-of both sessions, in one frame. Least, median, most. Runs from images find their odometry themselves; off by: the median
-over the session's keyframes, where the truth is aligned by those of the map. Poorer odometry: of the whole sequence,
+of both sessions, in one frame. Least, median, most. Off by: the median over the session's keyframes, where the truth is
+aligned by those of the map. Runs from images find their odometry themselves. Poorer odometry: of the whole sequence,
 drifted as cameras and wheels do, in the map of its own odometry; geometric means over the files.
 """
 
@@ -104,9 +103,16 @@ def later_row(context, first, sequence, lines, starts, begin):
         part = lines[begin + (seed - 1) * step:]
         name = f"{sequence.name}_in_{first.sequence.name}_{seed}"
         runs.append(Session(context, sequence, name, list(moved(part, random.Random(seed))), first))
+    return found_row(first, sequence, runs)
+
+
+def found_row(first, sequence, runs):
+    """How soon and how well runs on a sequence found their places in a map."""
     found = [run for run in runs if run.found_s]
-    return [first.sequence.name, sequence.name, starts, len(found), spread([min(run.found_s) for run in found], 1),
-            spread([run.ate_m() for run in found], 4)]
+    same = found if first.sequence.name == sequence.name else []
+    off = [run.off_by() for run in same]
+    return [first.sequence.name, sequence.name, len(runs), len(found), spread([min(run.found_s) for run in found], 1),
+            spread([m for m, _ in off], 3), spread([deg for _, deg in off], 1), spread([run.ate_m() for run in same], 4)]
 
 
 def image_row(context, first, sequence, lines, begin):
@@ -117,11 +123,7 @@ def image_row(context, first, sequence, lines, begin):
         rest = lines[begin + k * (last - begin) // (IMAGE_STARTS - 1):]
         part = [line for line in rest if stamp(line) < stamp(rest[0]) + IMAGES_S]
         runs.append(Session(context, sequence, f"{sequence.name}_in_{first.sequence.name}_{k + 1}", part, first))
-    found = [run for run in runs if run.found_s]
-    same = found if first.sequence.name == sequence.name else []
-    off = [run.off_by() for run in same]
-    return [first.sequence.name, sequence.name, IMAGE_STARTS, len(found), spread([min(run.found_s) for run in found], 1),
-            spread([m for m, _ in off], 3), spread([deg for _, deg in off], 1), spread([run.ate_m() for run in same], 4)]
+    return found_row(first, sequence, runs)
 
 
 def rows_from_images(context, elsewhere):
@@ -181,6 +183,6 @@ def table_sessions(context):
         rest = list(moved(lines[s.name][ends[s.name]:], random.Random(0)))
         merged.append(merged_row(context, first, Session(context, s, s.name + "_rest", rest)))
     return ("### Sessions\n\n**Later runs in a map**\n\n" + markdown(FOUND_COLUMNS, found) + "\n**Later runs from images**\n\n" +
-            markdown(IMAGE_COLUMNS, rows_from_images(context, firsts)) + "\n**Poorer odometry**\n\n" +
+            markdown(FOUND_COLUMNS, rows_from_images(context, firsts)) + "\n**Poorer odometry**\n\n" +
             markdown(POORER_COLUMNS, [poorer_row(context, s) for s in sequences]) + "\n**Maps joined**\n\n" +
             markdown(MERGED_COLUMNS, merged) + "\n" + NOTES)
