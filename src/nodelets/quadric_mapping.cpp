@@ -60,6 +60,17 @@ class QuadricMappingNodelet : public StageWith<QuadricMappingParameters> {
   void set_localization(bool localization) override { mapper_->set_fixed(localization); }
 
   bool on_query(QueryObjects::Request& request, QueryObjects::Response& response) {
+    const core::Vec3 low(request.low.x, request.low.y, request.low.z);
+    const core::Vec3 high(request.high.x, request.high.y, request.high.z);
+    if (!(low.array() <= high.array()).all()) {
+      response.message = "low must not be above high, nor anything but a number";
+      return true;
+    }
+    for (const std::uint8_t state : request.states) {
+      if (state <= static_cast<std::uint8_t>(core::LandmarkState::kRetired)) continue;
+      response.message = "states: " + std::to_string(state) + " is no state";
+      return true;
+    }
     std::set<int> class_ids;
     for (const std::string& label : request.labels) {
       const core::ObjectClass* object_class = classes()->find(label);

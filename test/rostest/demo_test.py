@@ -141,7 +141,13 @@ class DemoTest(DirectoryTest):
                                          high=Point(at.x + 0.01, at.y + 0.01, at.z + 0.01)))
         self.assertEqual([o.id for o in near.objects], [confirmed.objects[0].id])
         self.assertEqual(len(query(QueryObjectsRequest(since=rospy.Time(1500000000))).objects), 0)
-        self.assertIn("label 'nothing'", query(QueryObjectsRequest(labels=['nothing'])).message)
+        for wrong, message in ((QueryObjectsRequest(labels=['nothing']), "label 'nothing'"),
+                               (QueryObjectsRequest(states=[7]), 'states: 7 is no state'),
+                               (QueryObjectsRequest(low=Point(1.0, 0.0, 0.0)), 'low must not be above high'),
+                               (QueryObjectsRequest(high=Point(0.0, float('nan'), 0.0)), 'low must not be above high')):
+            answer = query(wrong)
+            self.assertIn(message, answer.message)
+            self.assertEqual(len(answer.objects), 0)
 
     def test_the_trajectory_is_saved_where_it_may(self):
         save = rospy.ServiceProxy('/%s/pose_graph/save_trajectory' % PACKAGE, SaveTrajectory)
