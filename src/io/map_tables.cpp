@@ -91,10 +91,9 @@ void MapTables::name_class(int class_id) {
 }
 
 void MapTables::write(const GraphState& graph, bool is_whole) {
-  if (is_whole) {
-    file_->run("DELETE FROM keyframe; DELETE FROM edge; DELETE FROM loop; DELETE FROM session");
-    edges_ = loops_ = {};
-  }
+  if (is_whole) file_->run("DELETE FROM keyframe; DELETE FROM session");
+  if (!has_graph_) file_->run("DELETE FROM edge; DELETE FROM loop");
+  has_graph_ = true;
   write_meta("next_frame", Json(graph.next_frame_id).dump());
   write_meta("accepted_loops", Json(graph.accepted_loops).dump());
   write_meta("noise", to_archive(graph.noise).dump());
@@ -119,8 +118,8 @@ void MapTables::write(const GraphState& graph, bool is_whole) {
   SqliteStatement edges(file_, "INSERT OR REPLACE INTO edge VALUES(?, ?, ?)");
   for (std::size_t i = 0; i < graph.edges.size(); ++i) {
     const std::string body = packed(graph.edges[i]);
-    if (edges_.take(static_cast<std::int64_t>(i), body))
-      (edges << static_cast<std::int64_t>(i)).blob(body).run_with_checksum();
+    const auto number = static_cast<std::int64_t>(i);
+    if (edges_.take(number, body)) (edges << number).blob(body).run_with_checksum();
   }
   finish("edge", "number", &edges_);
   SqliteStatement loops(file_, "INSERT OR REPLACE INTO loop VALUES(?, ?, ?, ?, ?, ?, ?)");

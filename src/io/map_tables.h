@@ -54,6 +54,7 @@ class MapTables {
 
   SqliteFile* file_;
   const ClassTable& classes_;
+  bool has_graph_ = false;  ///< what the tables hold of edges and loops is what this object wrote
   Mirror edges_, loops_;
   std::set<int> named_;  ///< classes that are in the table
 };

@@ -439,6 +439,29 @@ TEST_F(MapDatabaseTest, SeveralMayCloseAtOnce) {
   EXPECT_EQ(check_map_place(path_).message(), "");
 }
 
+TEST_F(MapDatabaseTest, EdgesAndLoopsThatTheGraphHasNoMoreGo) {
+  ChainRun run(laps(), shared_coco());
+  for (int i = 0; i < 400; ++i) run.next();
+  const auto whole = run.slam().take_delta();
+  ASSERT_GT(whole->graph->state.edges.size(), 10U);
+  ASSERT_GT(whole->graph->state.loops.size(), 1U);
+  auto less = std::make_shared<MapDelta>(*run.slam().take_delta());
+  EXPECT_FALSE(less->graph->is_whole);
+  less->graph->state.edges.resize(10);
+  less->graph->state.loops.resize(1);
+  MapDatabase database(path_, shared_coco());
+  for (const auto& delta : {whole, std::shared_ptr<const MapDelta>(less)}) {
+    database.write({delta});
+    wait_for(database);
+  }
+  EXPECT_EQ(database.close().message(), "");
+  SqliteFile file(path_, SqliteFile::Mode::kRead);
+  EXPECT_EQ(file.number("SELECT count(*) FROM edge"), 10);
+  EXPECT_EQ(file.number("SELECT count(*) FROM loop"), 1);
+  EXPECT_EQ(file.number("SELECT count(*) FROM keyframe"),
+            static_cast<std::int64_t>(whole->graph->state.keyframes.size()));
+}
+
 TEST_F(MapDatabaseTest, OfGraphsThatWaitOnlyTheLastIsKeptWithWhatIsNewInThoseBefore) {
   ChainRun run(laps(), shared_coco());
   MapDatabase::Parts waiting;
