@@ -3,7 +3,9 @@
 #include <zlib.h>
 
 #include <algorithm>
+#include <array>
 #include <cmath>
+#include <cstring>
 #include <filesystem>
 #include <utility>
 
@@ -80,9 +82,12 @@ void Checksum::add_as(char type, const void* bytes, std::size_t size) {
     crc_ = ::crc32(crc_, static_cast<const Bytef*>(data), static_cast<uInt>(count));
   };
   const auto count = static_cast<std::uint64_t>(size);
-  add(&type, 1);
-  add(&count, sizeof(count));
-  if (size > 0) add(bytes, size);
+  std::array<char, 1 + sizeof(count) + sizeof(double)> head{type};  // of a number all of it
+  std::memcpy(&head[1], &count, sizeof(count));
+  const std::size_t with = size <= sizeof(double) ? size : 0;
+  if (with > 0) std::memcpy(&head[1 + sizeof(count)], bytes, with);
+  add(head.data(), 1 + sizeof(count) + with);
+  if (size > with) add(static_cast<const char*>(bytes) + with, size - with);
 }
 void Checksum::add(std::int64_t value) { add_as('i', &value, sizeof(value)); }
 void Checksum::add(double value) {
@@ -93,8 +98,19 @@ void Checksum::add(double value) {
 void Checksum::add(const void* bytes, std::size_t size) { add_as('b', bytes, size); }
 void Checksum::add_null() { add_as('n', nullptr, 0); }
 
-SqliteStatement::SqliteStatement(SqliteFile* file, const std::string& sql) : file_(file) {
+void SqliteStatement::Release::operator()(sqlite3_stmt* statement) const {
+  sqlite3_reset(statement);
+  sqlite3_clear_bindings(statement);
+  file->idle_.emplace(sqlite3_sql(statement), statement);
+}
+
+SqliteStatement::SqliteStatement(SqliteFile* file, const std::string& sql)
+    : file_(file), statement_(nullptr, Release{file}) {
   if (!file_->is_fine()) return;
+  if (auto idle = file_->idle_.extract(sql); !idle.empty()) {
+    statement_.reset(idle.mapped().release());
+    return;
+  }
   sqlite3_stmt* statement = nullptr;
   file_->note(sqlite3_prepare_v2(file_->database_.get(), sql.c_str(), -1, &statement, nullptr));
   statement_.reset(statement);

@@ -4,6 +4,7 @@
 
 #include <cstddef>
 #include <cstdint>
+#include <map>
 #include <memory>
 #include <string>
 
@@ -32,11 +33,16 @@ class SqliteFile {
   struct Close {
     void operator()(sqlite3* database) const { sqlite3_close(database); }
   };
+  struct Finalize {
+    void operator()(sqlite3_stmt* statement) const { sqlite3_finalize(statement); }
+  };
   void note(int code);
   int open(const std::string& name, int flags);
 
   std::string path_;
   std::unique_ptr<sqlite3, Close> database_;
+  /// Statements that are done with, by their text: to prepare one takes longer than to run it.
+  std::multimap<std::string, std::unique_ptr<sqlite3_stmt, Finalize>> idle_;
   std::string problem_;
   bool is_busy_ = false;
 };
@@ -58,6 +64,7 @@ class Checksum {
 /// A prepared statement: bind its parameters in order, or step through its rows.
 class SqliteStatement {
  public:
+  /// @param file outlives this
   SqliteStatement(SqliteFile* file, const std::string& sql);
 
   SqliteStatement& operator<<(std::int64_t value);
@@ -85,11 +92,12 @@ class SqliteStatement {
   std::string bytes(int column) const;
 
  private:
-  struct Finalize {
-    void operator()(sqlite3_stmt* statement) const { sqlite3_finalize(statement); }
+  struct Release {
+    SqliteFile* file;
+    void operator()(sqlite3_stmt* statement) const;
   };
   SqliteFile* file_;
-  std::unique_ptr<sqlite3_stmt, Finalize> statement_;
+  std::unique_ptr<sqlite3_stmt, Release> statement_;
   int bound_ = 0;
   Checksum checksum_;  ///< of what is bound
 };
