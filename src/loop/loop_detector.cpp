@@ -5,7 +5,6 @@
 #include <iterator>
 #include <limits>
 #include <map>
-#include <set>
 #include <sstream>
 #include <tuple>
 
@@ -175,12 +174,15 @@ struct LoopDetector::Impl {
     SubmapDelta delta;
     delta.is_whole = whole || !has_told_;
     has_told_ = true;
-    std::set<std::int64_t> kept;
+    std::vector<std::int64_t> kept;
+    kept.reserve(graph_.submaps().size());
     for (const auto& [number, stored] : graph_.submaps()) {
       const std::int64_t frame_id = stored.map.frame_id;
-      kept.insert(frame_id);
-      if (delta.is_whole || told_submaps_.count(frame_id) == 0) delta.added.push_back(stored.map);
+      kept.push_back(frame_id);
+      const bool is_told = std::binary_search(told_submaps_.begin(), told_submaps_.end(), frame_id);
+      if (delta.is_whole || !is_told) delta.added.push_back(stored.map);
     }
+    std::sort(kept.begin(), kept.end());
     if (!delta.is_whole) {
       std::set_difference(told_submaps_.begin(), told_submaps_.end(), kept.begin(), kept.end(),
                           std::back_inserter(delta.forgotten));
@@ -362,8 +364,8 @@ struct LoopDetector::Impl {
   PairRecord record_{kRecordCapacity};
   std::map<std::int64_t, KeyframeTime> keyframes_;
   bool is_fixed_ = false;
-  bool has_told_ = false;                ///< take_delta, before
-  std::set<std::int64_t> told_submaps_;  ///< frame_ids of those that it told of
+  bool has_told_ = false;                   ///< take_delta, before
+  std::vector<std::int64_t> told_submaps_;  ///< frame_ids of those that it told of, in order
 };
 
 LoopDetector::LoopDetector(const LoopOptions& options, std::shared_ptr<const ClassTable> classes)
