@@ -497,7 +497,7 @@ Command run_command(Arguments* arguments) {
       .option("frozen", po::bool_switch(&arguments->frozen),
               "the run's place in the map is looked for, and the map stays as it is")
       .option("save-map", po::value(&arguments->save_map),
-              "file for the map, written once a second of the recording, for later runs")
+              "file for the map, written twice a second of the recording, for later runs")
       .option("points", checked("a path that ends in .ply or .pcd", take_points),
               "with --rgbd and --bag: file for the map's points")
       .option("report", po::bool_switch(&arguments->report), "writes report.html into the output, as `report` does")

@@ -42,11 +42,11 @@ struct MapDelta {
   std::vector<PointsOfKeyframe> points;  ///< of new keyframes
 };
 
-/// Once a second, by the stamps of the data, in which a map is saved.
+/// Twice a second, by the stamps of the data, a map is saved.
 class SavePoints {
  public:
   bool is_due(std::int64_t stamp_ns) {
-    constexpr std::int64_t kInterval_ns = 1'000'000'000;
+    constexpr std::int64_t kInterval_ns = 500'000'000;
     return std::exchange(last_, stamp_ns / kInterval_ns) != stamp_ns / kInterval_ns;
   }
 

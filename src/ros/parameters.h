@@ -280,7 +280,7 @@ struct MapDatabaseParameters : FileStageParameters<ClassStageParameters> {
   void visit(core::OptionVisitor& visitor) {
     FileStageParameters::visit(visitor);
     visitor("save_map_file", save_map_file, core::any(),
-            "file that the map is written to, once a second of data; it may be the map that the session goes on with; "
+            "file that the map is written to, twice a second of data; it may be the map that the session goes on with; "
             "empty: none");
   }
 };
