@@ -52,6 +52,12 @@ def pose(values):
     return T
 
 
+def product(a, b):
+    """Of two poses x, y, z, qx, qy, qz, qw."""
+    (u, s), (v, t) = ((np.array(q[3:6]), q[6]) for q in (a, b))
+    return (*map(float, (*pose(a)[:3, 3] + pose(a)[:3, :3] @ b[:3], *s * v + t * u + np.cross(u, v), s * t - u @ v)),)
+
+
 class Map:
     """What a map's file holds, by session: those of a joined map are the robots', in the order they were joined."""
 
@@ -59,8 +65,11 @@ class Map:
         with sqlite3.connect(path) as database:
             firsts = [row[0] for row in database.execute("SELECT first_keyframe FROM session ORDER BY first_keyframe")]
             self._firsts = firsts
-            self.keyframes = {row[0]: (row[1], row[2], row[3:]) for row in database.execute(
-                "SELECT id, frame, stamp_ns, x, y, z, qx, qy, qz, qw FROM keyframe ORDER BY id")}
+            self.keyframes = {}  # by id: frame, stamp in ns, pose in the map
+            for keyframe, frame, stamp_ns, is_vertex, *values in database.execute(
+                    "SELECT id, frame, stamp_ns, is_vertex, x, y, z, qx, qy, qz, qw FROM keyframe ORDER BY id"):
+                vertex = tuple(values) if is_vertex else vertex
+                self.keyframes[keyframe] = (frame, stamp_ns, vertex if is_vertex else product(vertex, values))
             self._first_frames = [self.keyframes[first][0] for first in firsts]
             camera = json.loads(database.execute("SELECT value FROM meta WHERE key = 'camera'").fetchone()[0])
             self.focal = np.array([camera["fx"], camera["fy"]])

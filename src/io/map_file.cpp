@@ -140,12 +140,29 @@ std::vector<MappedLandmark> read_objects(SqliteFile* file) {
   return landmarks;
 }
 
-std::vector<GraphKeyframe> read_keyframes(bool has_live, SqliteFile* file) {
+/// Of those that move with the vertex before them, whose place in the map is not in the file.
+void place_keyframes(SqliteFile* file, std::vector<GraphKeyframe>* keyframes) {
+  const KeyframePose* vertex = nullptr;
+  for (GraphKeyframe& keyframe : *keyframes) {
+    KeyframePose& pose = keyframe.pose;
+    if (!keyframe.T_vertex_keyframe) {
+      vertex = &pose;
+    } else if (vertex == nullptr) {
+      return file->reject("keyframe " + std::to_string(pose.keyframe_id) + " has no vertex before it");
+    } else {
+      pose.T_map_camera = vertex->T_map_camera * *keyframe.T_vertex_keyframe;
+      pose.scale = vertex->scale;
+    }
+  }
+}
+
+std::vector<GraphKeyframe> read_keyframes(std::int64_t version, SqliteFile* file) {
+  const bool has_live = version > 4, has_places = version > 6;
   std::vector<GraphKeyframe> keyframes;
-  SqliteStatement rows(file,
-                       std::string("SELECT id, frame, stamp_ns, x, y, z, qx, qy, qz, qw, scale, vertex_from_keyframe") +
-                           (has_live ? ", live_x, live_y, live_z, live_qx, live_qy, live_qz, live_qw" : "") +
-                           " FROM keyframe ORDER BY id");
+  SqliteStatement rows(file, std::string("SELECT id, frame, stamp_ns, x, y, z, qx, qy, qz, qw, scale, ") +
+                                 (has_places ? "is_vertex" : "vertex_from_keyframe") +
+                                 (has_live ? ", live_x, live_y, live_z, live_qx, live_qy, live_qz, live_qw" : "") +
+                                 " FROM keyframe ORDER BY id");
   while (rows.next()) {
     GraphKeyframe& keyframe = keyframes.emplace_back();
     KeyframePose& pose = keyframe.pose;
@@ -160,10 +177,14 @@ std::vector<GraphKeyframe> read_keyframes(bool has_live, SqliteFile* file) {
       keyframe.T_map_live = read_pose(rows, kLiveColumn);
       if (!is_place(*keyframe.T_map_live)) file->reject(row_name("keyframe", rows) + " has no live pose");
     }
-    if (rows.is_null(kVertexColumn)) continue;
-    unpack(file, row_name("keyframe", rows) + " vertex_from_keyframe", rows.bytes(kVertexColumn),
-           &keyframe.T_vertex_keyframe.emplace());
+    if (has_places) {
+      if (rows.integer(kVertexColumn) == 0) keyframe.T_vertex_keyframe = pose.T_map_camera;
+    } else if (!rows.is_null(kVertexColumn)) {
+      unpack(file, row_name("keyframe", rows) + " vertex_from_keyframe", rows.bytes(kVertexColumn),
+             &keyframe.T_vertex_keyframe.emplace());
+    }
   }
+  if (has_places) place_keyframes(file, &keyframes);
   return keyframes;
 }
 
@@ -304,7 +325,7 @@ void read_all(const ClassTable& classes, MapParts parts, SqliteFile* file, MapSt
   while (sessions.next()) {
     map->graph.sessions.push_back({sessions.integer(0), sessions.integer(1), sessions.integer(2)});
   }
-  map->graph.keyframes = read_keyframes(version > 4, file);
+  map->graph.keyframes = read_keyframes(version, file);
   map->graph.edges = read_bodies<OdometryEdge>("edge", "number", file);
   for (OdometryEdge& edge : map->graph.edges) know_what_was_missed(&edge);
   map->graph.loops = read_bodies<RememberedLoop>("loop", "number", file);

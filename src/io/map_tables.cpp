@@ -16,9 +16,8 @@ CREATE TABLE session(first_keyframe INTEGER PRIMARY KEY, begin_ns INTEGER NOT NU
   checksum INTEGER);
 CREATE TABLE class(id INTEGER PRIMARY KEY, name TEXT NOT NULL, checksum INTEGER);
 CREATE TABLE keyframe(id INTEGER PRIMARY KEY, frame INTEGER NOT NULL, stamp_ns INTEGER NOT NULL,
-  x REAL NOT NULL, y REAL NOT NULL, z REAL NOT NULL,
+  is_vertex INTEGER NOT NULL, x REAL NOT NULL, y REAL NOT NULL, z REAL NOT NULL,
   qx REAL NOT NULL, qy REAL NOT NULL, qz REAL NOT NULL, qw REAL NOT NULL, scale REAL NOT NULL,
-  vertex_from_keyframe BLOB,
   live_x REAL, live_y REAL, live_z REAL, live_qx REAL, live_qy REAL, live_qz REAL, live_qw REAL, checksum INTEGER);
 CREATE TABLE edge(number INTEGER PRIMARY KEY, body BLOB NOT NULL, checksum INTEGER);
 CREATE TABLE loop(number INTEGER PRIMARY KEY, query INTEGER NOT NULL, match INTEGER NOT NULL, kept INTEGER NOT NULL,
@@ -106,12 +105,9 @@ void MapTables::write(const GraphState& graph, bool is_whole) {
       file_, "INSERT OR REPLACE INTO keyframe VALUES(?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?)");
   for (const GraphKeyframe& keyframe : graph.keyframes) {
     const KeyframePose& pose = keyframe.pose;
-    keyframes << pose.keyframe_id << pose.frame_id << pose.stamp_ns << pose.T_map_camera << pose.scale;
-    if (keyframe.T_vertex_keyframe) {
-      keyframes.blob(packed(*keyframe.T_vertex_keyframe));
-    } else {
-      keyframes << nullptr;
-    }
+    keyframes << pose.keyframe_id << pose.frame_id << pose.stamp_ns;
+    keyframes << static_cast<std::int64_t>(!keyframe.T_vertex_keyframe);
+    keyframes << keyframe.T_vertex_keyframe.value_or(pose.T_map_camera) << pose.scale;
     if (keyframe.T_map_live) keyframes << *keyframe.T_map_live;
     keyframes.run_with_checksum();
   }

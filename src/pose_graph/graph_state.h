@@ -58,7 +58,9 @@ struct GraphState {
 /// What is new in a pose graph.
 struct GraphDelta {
   bool is_whole = false;  ///< and not new only
-  GraphState state;       ///< all but its keyframes, which are many: of these the new ones and those that moved
+  /// All but its keyframes, which are many: of these the new ones, vertices that moved (not what only moves with one),
+  /// and those that move with another vertex than before.
+  GraphState state;
 };
 
 /// Makes of a delta the one of both. @param earlier that before it

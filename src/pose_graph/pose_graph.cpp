@@ -104,7 +104,7 @@ struct PoseGraph::Impl {
 
   GraphState state() const {
     GraphState state = state_but_keyframes();
-    for (std::size_t v = 0; v < keyframe_of_.size(); ++v) add_keyframes(v, &state);
+    for (std::size_t v = 0; v < keyframe_of_.size(); ++v) add_keyframes(v, keyframe_of_[v], &state);
     return state;
   }
 
@@ -112,21 +112,30 @@ struct PoseGraph::Impl {
     GraphDelta delta{whole || written_.empty(), state_but_keyframes()};
     std::map<std::size_t, WrittenVertex> written;
     for (std::size_t v = 0; v < keyframe_of_.size(); ++v) {
+      const std::size_t first = keyframe_of_[v];
       const WrittenVertex now{end_of(v), trajectory_.T_map_vertex[v], log_scale_[v]};
-      const auto before = written_.find(keyframe_of_[v]);
-      if (delta.is_whole || before == written_.end() || !(before->second == now)) add_keyframes(v, &delta.state);
-      written.emplace_hint(written.end(), keyframe_of_[v], now);
+      const auto before = written_.find(first);
+      if (delta.is_whole || before == written_.end()) {
+        add_keyframes(v, first, &delta.state);
+      } else {
+        const std::size_t told = std::max(before->second.end, first);
+        if (told > first && !now.is_where(before->second)) delta.state.keyframes.push_back(graph_keyframe(v, first));
+        add_keyframes(v, told, &delta.state);
+      }
+      written.emplace_hint(written.end(), first, now);
     }
     written_ = std::move(written);
     return delta;
   }
 
-  void add_keyframes(std::size_t vertex, GraphState* state) const {
-    for (std::size_t k = keyframe_of_[vertex]; k < end_of(vertex); ++k) {
-      const std::optional<SE3> T_vertex_keyframe =
-          k == keyframe_of_[vertex] ? std::nullopt : std::optional(T_vertex_keyframe_[k]);
-      state->keyframes.push_back({followed(vertex, k), T_vertex_keyframe, T_map_live_[k]});
-    }
+  GraphKeyframe graph_keyframe(std::size_t vertex, std::size_t k) const {
+    const bool is_vertex = k == keyframe_of_[vertex];
+    return {followed(vertex, k), is_vertex ? std::nullopt : std::optional(T_vertex_keyframe_[k]), T_map_live_[k]};
+  }
+
+  /// @param k the first of them
+  void add_keyframes(std::size_t vertex, std::size_t k, GraphState* state) const {
+    for (; k < end_of(vertex); ++k) state->keyframes.push_back(graph_keyframe(vertex, k));
   }
 
   GraphState state_but_keyframes() const {
@@ -504,8 +513,8 @@ struct PoseGraph::Impl {
     SE3 T_map_vertex;
     double log_scale = 0.0;
 
-    bool operator==(const WrittenVertex& other) const {
-      return end == other.end && log_scale == other.log_scale && T_map_vertex.t == other.T_map_vertex.t &&
+    bool is_where(const WrittenVertex& other) const {
+      return log_scale == other.log_scale && T_map_vertex.t == other.T_map_vertex.t &&
              T_map_vertex.q.coeffs() == other.T_map_vertex.q.coeffs();
     }
   };

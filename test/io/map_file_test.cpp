@@ -30,6 +30,10 @@
 namespace semantic_topo_loop::core {
 namespace {
 
+/// Makes of a map without keyframes that move with others one of version 5, which has no checksums: what else is wrong
+/// is not all that they say.
+constexpr char kAsOf5[] = "ALTER TABLE keyframe ADD COLUMN vertex_from_keyframe BLOB; PRAGMA user_version = 5; ";
+
 /// A map of a desk that was gone round twice.
 const MapState& desk() {
   static const std::shared_ptr<const MapState> map = [] {
@@ -65,8 +69,7 @@ class MapFile : public ::testing::Test {
     EXPECT_EQ(write_map(path_, desk(), *shared_coco()).message(), "");
     sqlite3* database = nullptr;
     EXPECT_EQ(sqlite3_open(path_.c_str(), &database), SQLITE_OK);
-    // As of a version without checksums, which else are all that is wrong.
-    for (const std::string& statement : {std::string("PRAGMA user_version = 5"), sql}) {
+    for (const std::string& statement : {std::string(kAsOf5), sql}) {
       EXPECT_EQ(sqlite3_exec(database, statement.c_str(), nullptr, nullptr, nullptr), SQLITE_OK) << statement;
     }
     sqlite3_close(database);
@@ -220,7 +223,7 @@ TEST_F(MapFile, KeepsWhichObjectsWereMerged) {
   EXPECT_FALSE(read->objects.merges[0].undone_frame_id.has_value());
   EXPECT_NE(dump_of(path_).find("merge 3 8 2 41 12 100 5000000001 \n"), std::string::npos);
   SqliteFile(path_, SqliteFile::Mode::kWrite)
-      .run("PRAGMA user_version = 5; UPDATE merge SET class = 9999 WHERE number = 4");
+      .run(std::string(kAsOf5) + "UPDATE merge SET class = 9999 WHERE number = 4");
   EXPECT_EQ(error(), "merge 4 has class 9999");
 }
 
@@ -256,8 +259,30 @@ TEST_F(MapFile, KeepsWhatLoopDetectionRefused) {
   EXPECT_EQ(loop.T_match_query.q.coeffs(), map.refused[0].T_match_query.q.coeffs());
   EXPECT_NE(dump_of(path_).find("refused_loop 5 2 5000000001 0 tilt 7 ["), std::string::npos);
   SqliteFile(path_, SqliteFile::Mode::kWrite)
-      .run("PRAGMA user_version = 5; UPDATE refused_loop SET body = x'ff' WHERE match = 2");
+      .run(std::string(kAsOf5) + "UPDATE refused_loop SET body = x'ff' WHERE match = 2");
   EXPECT_EQ(error(), "refused_loop 5 to 2 is damaged");
+}
+
+TEST_F(MapFile, KeyframesThatMoveWithOthersArePlacedByThese) {
+  MapState map;
+  GraphState& graph = map.graph;
+  graph.keyframes.assign(desk().graph.keyframes.begin(), desk().graph.keyframes.begin() + 3);
+  graph.edges = {desk().graph.edges[0]};
+  graph.next_frame_id = desk().graph.next_frame_id;
+  const SE3 T_vertex_keyframe(so3_exp(Vec3(0.1, -0.2, 0.3)), Vec3(1.0, 2.0, 3.0));
+  graph.keyframes[0].pose.scale = 1.5;
+  graph.keyframes[1].T_vertex_keyframe = T_vertex_keyframe;
+  ASSERT_EQ(write_map(path_, map, *shared_coco()).message(), "");
+  const auto read = checked(read_map(path_, *shared_coco()));
+  ASSERT_EQ(read->graph.keyframes.size(), 3U);
+  const GraphKeyframe& keyframe = read->graph.keyframes[1];
+  EXPECT_EQ(keyframe.T_vertex_keyframe->t, T_vertex_keyframe.t);
+  const SE3 T_map_camera = read->graph.keyframes[0].pose.T_map_camera * T_vertex_keyframe;
+  EXPECT_EQ(keyframe.pose.T_map_camera.t, T_map_camera.t);
+  EXPECT_EQ(keyframe.pose.T_map_camera.q.coeffs(), T_map_camera.q.coeffs());
+  EXPECT_EQ(keyframe.pose.scale, 1.5);
+  SqliteFile(path_, SqliteFile::Mode::kWrite).run("UPDATE keyframe SET is_vertex = 0, checksum = NULL WHERE id = 0");
+  EXPECT_EQ(error(), "keyframe 0 has no vertex before it");
 }
 
 TEST_F(MapFile, OfAnOlderVersionIsRead) {
@@ -305,7 +330,7 @@ TEST_F(MapFile, ABitThatChangedIsDamageOrOfNoMatter) {
 }
 
 TEST_F(MapFile, NamesWhatIsWrong) {
-  EXPECT_EQ(error_after("PRAGMA user_version = 9"), "is a map of version 9; this program reads 1 to 6");
+  EXPECT_EQ(error_after("PRAGMA user_version = 9"), "is a map of version 9; this program reads 1 to 7");
   EXPECT_EQ(error_after("INSERT INTO points VALUES(0, 0, 0, x'78', NULL)"), "points 0 is damaged");
   EXPECT_EQ(error_after("PRAGMA application_id = 9"), "is no map of semantic_topo_loop");
   EXPECT_EQ(error_after("DELETE FROM meta WHERE key = 'noise'"), "meta has no 'noise'");
