@@ -172,6 +172,7 @@ class ObjectDetector::Impl {
           layout_ = *layout;
           input_px_ = size;
           class_count_ = yolo_class_count(output, layout_);
+          output_shape_ = shape_of(output);
           return {};
         }
         problem += (problem.empty() ? "" : "; ") + with + layout.message();
@@ -196,7 +197,7 @@ class ObjectDetector::Impl {
       }
       if (class_ids_.size() != static_cast<std::size_t>(class_count_)) {
         return Error{options_.names + ": " + std::to_string(class_ids_.size()) + " names, but the output of " +
-                     options_.model + " has " + std::to_string(class_count_) + " classes"};
+                     options_.model + " is " + output_shape_ + ", of " + std::to_string(class_count_) + " classes"};
       }
     }
     if (std::all_of(class_ids_.begin(), class_ids_.end(), [](int id) { return id < 0; })) {
@@ -209,6 +210,7 @@ class ObjectDetector::Impl {
   cv::dnn::Net net_;
   YoloLayout layout_ = YoloLayout::kYolox;
   int input_px_ = 0, class_count_ = 0;
+  std::string output_shape_;
   std::optional<std::int64_t> last_slot_;
   std::vector<int> class_ids_;  ///< of the table, by the model's; -1 where it has none
 };

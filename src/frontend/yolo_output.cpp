@@ -26,12 +26,6 @@ std::vector<Cell> grid(int input_px) {
   return cells;
 }
 
-std::string shape_of(const cv::Mat& output) {
-  std::string text;
-  for (int i = 0; i < output.dims; ++i) text += (i == 0 ? "" : " x ") + std::to_string(output.size[i]);
-  return text;
-}
-
 bool fits(const cv::Mat& output, int cells, YoloLayout layout) {
   if (output.dims != 3 || output.size[0] != 1 || output.type() != CV_32FC1) return false;
   switch (layout) {
@@ -46,6 +40,12 @@ bool fits(const cv::Mat& output, int cells, YoloLayout layout) {
 }
 
 }  // namespace
+
+std::string shape_of(const cv::Mat& output) {
+  std::string text;
+  for (int i = 0; i < output.dims; ++i) text += (i == 0 ? "" : " x ") + std::to_string(output.size[i]);
+  return text;
+}
 
 Result<YoloLayout> find_yolo_layout(const cv::Mat& output, int input_px, const std::string& stated) {
   const int cells = static_cast<int>(grid(input_px).size());

@@ -16,6 +16,9 @@ enum class YoloLayout {
   kYolov8,  ///< 1 x (4 + classes) x cells: centre and size in pixels, scores
 };
 
+/// Such as "1 x 3549 x 85".
+std::string shape_of(const cv::Mat& output);
+
 /// The layout that has the output's shape.
 /// @param input_px side of the input   @param stated "yolox", "yolov5", "yolov8", or "auto" for whichever fits
 /// @return an error that names the shape if it has not

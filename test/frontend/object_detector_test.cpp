@@ -340,7 +340,8 @@ TEST_P(EveryLayout, AnInputThatTheModelDoesNotTakeIsOneError) {
 
 TEST_F(TinyNetwork, NamesOfAnotherNumberThanItsClassesAreOneError) {
   options_.names = directory_.write("two.names", "book\nchair\n");
-  EXPECT_EQ(refusal(), options_.names + ": 2 names, but the output of " + options_.model + " has 3 classes");
+  EXPECT_EQ(refusal(),
+            options_.names + ": 2 names, but the output of " + options_.model + " is 1 x 336 x 8, of 3 classes");
   options_.names = directory_.path("none.names");
   EXPECT_EQ(refusal(), options_.names + ": cannot open the file");
   options_.names = directory_.write("unknown.names", "one\ntwo\nthree\n");
