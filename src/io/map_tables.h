@@ -14,7 +14,8 @@
 namespace semantic_topo_loop::core {
 
 constexpr std::int64_t kMapApplicationId = 0x53544c6d;  ///< "STLm"
-/// 2: points; 3: refused_loop; 4: merge; 5: live poses; 6: checksums. Of earlier versions all is read.
+/// 2: points; 3: refused_loop; 4: merge; 5: live poses; 6: checksums; 7: keyframes placed by vertices. Of earlier
+/// versions all is read.
 constexpr std::int64_t kMapVersion = 7;
 
 /// Makes the empty tables of a map (docs/files.md).
