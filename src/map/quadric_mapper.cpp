@@ -12,6 +12,7 @@
 #include "map/mapped_landmark.h"
 #include "map/mapper_state.h"
 #include "map/merging.h"
+#include "map/motion_blur.h"
 #include "semantic_topo_loop/geometry/lie.h"
 #include "semantic_topo_loop/map/mapper_options.h"
 #include "semantic_topo_loop/types/stamp.h"
@@ -70,6 +71,7 @@ struct QuadricMapper::Impl {
     } else {
       take_camera(frame.camera);
       add_keyframe(frame);
+      blur_.push(frame);
       if (!is_fixed_) grow(frame, associations, &update);
     }
     end_update(&update);
@@ -319,20 +321,23 @@ struct QuadricMapper::Impl {
     for (const ExpectedLandmark& expected : expected_landmarks(landmarks_, frame, points, T_map_camera, associations)) {
       MappedLandmark& landmark = landmarks_.at(expected.id);
       const Vec3 direction = landmark.state.ellipsoid->center() - T_map_camera.t;
-      landmark.sightings.expected_s += step_s_;
-      const double seen_through_s = expected.is_seen_through ? step_s_ : 0.0;
+      // What is missing in a blurred image tells little.
+      const double recall = blur_.recall(T_map_camera.inverse() * landmark.state.ellipsoid->center());
+      const double step_s = recall * step_s_;
+      landmark.sightings.expected_s += step_s;
+      const double seen_through_s = expected.is_seen_through ? step_s : 0.0;
       if (landmark.last_stamp_ns == frame.stamp_ns) {
         landmark.seen_from.add(direction, expected.size_px);
-        landmark.sightings.familiar_seen_s += step_s_;
+        landmark.sightings.familiar_seen_s += step_s;
         landmark.sightings.views.add(frame.keyframe_id, true);
-        if (expected.is_seen_into) landmark.sightings.hollow_s += step_s_;
+        if (expected.is_seen_into) landmark.sightings.hollow_s += step_s;
         landmark.sightings.transparent_s += seen_through_s;
       } else {
         landmark.sightings.seen_through_since_s += seen_through_s;
-        landmark.sightings.views.add(frame.keyframe_id, false);
+        if (recall > 0.5) landmark.sightings.views.add(frame.keyframe_id, false);
         if (landmark.seen_from.covers(direction, expected.size_px)) {
-          landmark.sightings.familiar_missed_s += step_s_;
-          landmark.sightings.missed_since_s += step_s_;
+          landmark.sightings.familiar_missed_s += step_s;
+          landmark.sightings.missed_since_s += step_s;
         }
       }
       touched_.insert(expected.id);
@@ -556,6 +561,7 @@ struct QuadricMapper::Impl {
   std::int64_t last_maintenance_ns_ = 0;
   bool is_fixed_ = false;
   double step_s_ = 0.0;  ///< the time that this answer stands for
+  MotionBlur blur_;
   /// Of a landmark that take_delta told of: how many of its observations, and whether they, or anything, is other now.
   struct Told {
     std::size_t observations = 0;

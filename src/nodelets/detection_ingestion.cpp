@@ -89,7 +89,7 @@ class DetectionIngestionNodelet : public StageWith<DetectionParameters> {
   void on_input(const DetectorMessage::ConstPtr& message) {
     core::Result<core::DetectionFrame> detections = read_detector_message(*message, *classes(), leave_out());
     if (!detections) return complain("messages that are no detections", "on detections_in: " + detections.message());
-    watch_->hear_detections(detections->stamp_ns, Clock::now());
+    if (!detections->unanswered) watch_->hear_detections(detections->stamp_ns, Clock::now());
     matcher_->add(*std::move(detections));
     resolve();
   }
@@ -110,13 +110,14 @@ class DetectionIngestionNodelet : public StageWith<DetectionParameters> {
       const std::optional<core::DetectionFrame> found = matcher_->take(frame.stamp_ns);
       if (!found && !matcher_->is_past(frame.stamp_ns) && Clock::now() < waiting.deadline) return false;
       matcher_->forget_before(frame.stamp_ns);
-      if (found) watch_->meet();
       if (!found) {
         complain(kMissing, "nothing on detections_in for stamp " + std::to_string(frame.stamp_ns) + " ns within " +
                                std::to_string(parameters_.detection_timeout_s) + " s, or not before a later one's");
       } else if (found->unanswered) {
+        watch_->meet_unanswered();
         statistics().count(kMissing);
       } else {
+        watch_->meet();
         answer = core::usable_boxes(found->detections, *classes(), boxes_max(), leave_out());
       }
     }

@@ -7,8 +7,8 @@
 
 namespace semantic_topo_loop {
 
-/// Notices when frames and detections do not meet: one of the topics is silent while messages come on the other, or the
-/// stamps are never the same. Not thread-safe.
+/// Notices when frames and detections do not meet: one of the topics is silent while messages come on the other, the
+/// stamps are never the same, or a detector's answers come when nobody waits for them any more. Not thread-safe.
 class DetectionWatch {
  public:
   using Clock = std::chrono::steady_clock;
@@ -20,12 +20,15 @@ class DetectionWatch {
   }
 
   void hear_frame(std::int64_t stamp_ns, Clock::time_point now) { hear(stamp_ns, now, &frames_); }
+  /// Of an image that the detector looked at.
   void hear_detections(std::int64_t stamp_ns, Clock::time_point now) { hear(stamp_ns, now, &detections_); }
   /// A frame has found its detections.
   void meet() {
     frames_.alone_since.reset();
     detections_.alone_since.reset();
   }
+  /// A frame has found that the detector leaves its image out: somebody is there, who may yet be too late with others.
+  void meet_unanswered() { frames_.alone_since.reset(); }
   /// What has been alone for 3 s, with topics and stamps; empty while nothing is.
   std::string starvation(Clock::time_point now) const;
 

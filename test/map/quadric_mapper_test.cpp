@@ -8,6 +8,7 @@
 #include "map/landmark_fitter.h"
 #include "map/mapper_state.h"
 #include "map/merging.h"
+#include "map/motion_blur.h"
 #include "map/quadric_fit.h"
 #include "semantic_topo_loop/geometry/lie.h"
 #include "semantic_topo_loop/geometry/quadric.h"
@@ -545,6 +546,49 @@ TEST_F(MapperTest, NeverSeenAgainWhereExpectedIsRetired) {
   for (int i = 0; i < 900; ++i) step(poses[static_cast<std::size_t>(i % 60)], {{1, 73, book}});
   EXPECT_EQ(find(0)->state, LandmarkState::kRetired);
   EXPECT_EQ(find(1)->state, LandmarkState::kConfirmed);
+}
+
+TEST_F(MapperTest, WhatABlurredImageDoesNotShowHasNotGone) {
+  const std::vector<SE3> poses = arc(120, 60.0);
+  Ellipsoid book = kCup;
+  book.T_world_quadric.t += Vec3(0.3, -0.3, 0.0);
+  const auto look_for_s = [&](double seconds, double roll_rad_s) {
+    for (int i = 0; i < static_cast<int>(30.0 * seconds); ++i) {
+      const int k = i % 238;  // to and fro
+      SE3 pose = poses[static_cast<std::size_t>(k < 120 ? k : 238 - k)];
+      pose.q = pose.q * so3_exp(Vec3(0.1 * std::sin(roll_rad_s * i / 30.0), 0.0, 0.0));
+      step(pose, {{1, 73, book}});
+    }
+    return find(0)->state;
+  };
+  for (const SE3& pose : poses) step(pose, {{0, 41, kCup}});
+  ASSERT_EQ(find(0)->state, LandmarkState::kConfirmed);
+  EXPECT_EQ(look_for_s(10.0, 30.0), LandmarkState::kConfirmed) << "nodding by 6 deg five times a second";
+  EXPECT_EQ(look_for_s(10.0, 0.0), LandmarkState::kRetired);
+}
+
+TEST(MotionBlur, OfHowFarAThingMovesInTheImage) {
+  Frame frame;
+  frame.camera = kCamera;
+  MotionBlur blur;
+  blur.push(frame);
+  const Vec3 ahead(0.0, 0.0, 2.0);
+  EXPECT_EQ(blur.recall(ahead), 1.0) << "nothing is known of the motion yet";
+  frame.stamp_ns = 33'333'333;
+  frame.T_odom_camera.q = so3_exp(Vec3(0.0, 1.0 / 30.0, 0.0));
+  blur.push(frame);  // 1 rad/s, 520 px/s, 10.4 px
+  EXPECT_NEAR(blur.recall(ahead), 0.41, 0.03);
+  frame.stamp_ns *= 2;
+  frame.T_odom_camera = SE3(so3_exp(Vec3(0.0, 2.0 / 30.0, 0.0)), Vec3::Zero());
+  frame.T_odom_camera.t =
+      frame.T_odom_camera.q * Vec3(0.0, 0.0, -2.0) - so3_exp(Vec3(0.0, 1.0 / 30.0, 0.0)) * Vec3(0.0, 0.0, -2.0);
+  blur.push(frame);  // round the thing
+  EXPECT_GT(blur.recall(ahead), 0.99);
+  EXPECT_LT(blur.recall(Vec3(0.0, 0.0, 8.0)), 0.6) << "behind it";
+  frame.stamp_ns += 1'000'000'000;
+  frame.T_odom_camera = {};
+  blur.push(frame);
+  EXPECT_EQ(blur.recall(ahead), 1.0) << "too long ago";
 }
 
 TEST_F(MapperTest, WhatWasMovedIsRetiredWhereItWasAndWhatIsFixedIsNot) {

@@ -311,6 +311,17 @@ TEST_F(WatchedDetections, ASlowDetectorIsNone) {
   }
 }
 
+TEST_F(WatchedDetections, AnswersThatNobodyWaitsForAnyMore) {
+  for (int i = 0; i < 3; ++i) {  // 1.3 s an image; only those that were left out meanwhile meet their frames
+    EXPECT_EQ(watch_.starvation(now_), "");
+    run(1.3, 1300 * i, -1);
+    watch_.hear_detections(at_ms(1300 * i), now_);
+    watch_.meet_unanswered();
+  }
+  run(0.5, 3900, -1);
+  expect("frames on '/frames' and detections on '/boxes', but none with the stamp of the other", "; gap -1.700000 s");
+}
+
 TEST(ImageWatch, NamesTheTopicThatIsSilent) {
   ImageWatch watch;
   for (int i = 0; i < 4; ++i) EXPECT_EQ(watch.tick("/info"), "");
