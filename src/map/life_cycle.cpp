@@ -14,6 +14,8 @@ constexpr double kBoundedShare = 0.2, kBoundedShareOfBoxes = 0.5;
 // Of familiar views: what depth places and a detector finds again no more often is a mistake of it. Chosen on fr1_xyz,
 // its images thinned and boxes dropped: objects from 0.30 on (60 % dropped), mistakes 0.12 to 0.31.
 constexpr double kFoundAgainShare = 0.25;
+// Of familiar views, below which that share says little. Those mistakes had 2 s and more.
+constexpr double kFamiliar_s = 1.0;
 // Seen for longer is there, from however few of the keyframes that expect it: walls of houses hide things, and nothing
 // tells of them. The mistakes on fr2_desk's drifted files were seen for 2 to 9 s.
 constexpr double kSurelyThere_s = 10.0;
@@ -152,7 +154,8 @@ LandmarkState life_cycle_state(const MappedLandmark& landmark, const QuadricMapp
   const bool is_known =
       sightings.is_placed()
           ? sightings.placed_s >= options.confirm_seen_s && is_bounded(kBoundedShare) &&
-                sightings.familiar_share() >= kFoundAgainShare
+                (sightings.familiar_seen_s + sightings.familiar_missed_s < kFamiliar_s ||
+                 sightings.familiar_share() >= kFoundAgainShare)
           : sightings.seen_s >= options.confirm_seen_s && is_bounded(kBoundedShareOfBoxes) &&
                 state.baseline_deg >= options.confirm_baseline_deg &&
                 (sightings.seen_s >= kSurelyThere_s || sightings.views.found_share() >= options.confirm_seen_share);

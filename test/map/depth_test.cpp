@@ -395,6 +395,22 @@ TEST_F(DepthMapperTest, WhatADetectorHardlyFindsAgainIsItsMistake) {
   EXPECT_EQ(find(1)->state, LandmarkState::kCandidate) << "boxed for 2 s, but once in six views from there";
 }
 
+TEST(LifeCycle, AFewMissesAreNoMistakeOfTheDetector) {
+  MappedLandmark landmark;
+  landmark.state.ellipsoid = kCup;
+  landmark.state.observations = 100;
+  landmark.state.mean_iou = 0.9;
+  Sightings& sightings = landmark.sightings;
+  sightings.seen_s = sightings.placed_s = sightings.whole_s = 3.0;
+  sightings.expected_s = 1.3;
+  sightings.familiar_seen_s = 0.1;
+  sightings.familiar_missed_s = 0.5;
+  EXPECT_EQ(life_cycle_state(landmark, {}, false), LandmarkState::kConfirmed);
+  sightings.familiar_seen_s = 0.4;
+  sightings.familiar_missed_s = 2.0;
+  EXPECT_EQ(life_cycle_state(landmark, {}, false), LandmarkState::kCandidate) << "the same share of more";
+}
+
 TEST_F(DepthMapperTest, WhatIsHollowIsThereAsLongAsSomethingIsInsideIt) {
   const Ellipsoid chair = on_table(0.0, 0.0, Vec3::Constant(0.2));
   const Ellipsoid tv = on_table(-0.3, 0.2, Vec3(0.06, 0.2, 0.18));
