@@ -154,8 +154,7 @@ LandmarkState life_cycle_state(const MappedLandmark& landmark, const QuadricMapp
   const bool is_known =
       sightings.is_placed()
           ? sightings.placed_s >= options.confirm_seen_s && is_bounded(kBoundedShare) &&
-                (sightings.familiar_seen_s + sightings.familiar_missed_s < kFamiliar_s ||
-                 sightings.familiar_share() >= kFoundAgainShare)
+                (sightings.familiar_s() < kFamiliar_s || sightings.familiar_share() >= kFoundAgainShare)
           : sightings.seen_s >= options.confirm_seen_s && is_bounded(kBoundedShareOfBoxes) &&
                 state.baseline_deg >= options.confirm_baseline_deg &&
                 (sightings.seen_s >= kSurelyThere_s || sightings.views.found_share() >= options.confirm_seen_share);

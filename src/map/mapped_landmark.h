@@ -77,12 +77,10 @@ struct Sightings {
   /// Of the side that was cut most. Maps of before counted sides only where depth places.
   double least_bounded_s() const { return std::max(whole_s, bounded_s.minCoeff()); }
   double seen_share() const { return expected_s > 0.0 ? seen_s / expected_s : 1.0; }
-  /// Of the familiar views, those with a box, 1 if there are none; without the last absence, which says nothing of the
-  /// time before.
-  double familiar_share() const {
-    const double missed_s = familiar_missed_s - missed_since_s;
-    return familiar_seen_s > 0.0 ? familiar_seen_s / (familiar_seen_s + missed_s) : 1.0;
-  }
+  /// Of familiar views; without the last absence, which says nothing of the time before.
+  double familiar_s() const { return familiar_seen_s + (familiar_missed_s - missed_since_s); }
+  /// Of these, those with a box, 1 if there are none.
+  double familiar_share() const { return familiar_seen_s > 0.0 ? familiar_seen_s / familiar_s() : 1.0; }
   /// @param sign -1 to take back what was added
   void add(const Sightings& other, double sign = 1.0) {
     seen_s += sign * other.seen_s;

@@ -10,7 +10,7 @@ namespace semantic_topo_loop::core {
 
 /// How many of the boxes that a detector finds in a sharp image it finds in one that the camera's motion has blurred.
 /// Measured on fr1_xyz's images smeared along a line, with YOLOX-Nano (docs/algorithms.md): by 6, 10, 15 of 640 px
-/// 0.75, 0.41 and 0.17 are left. Their edges are hardly worse.
+/// 0.74, 0.41 and 0.18 are left. Their edges are hardly worse.
 class MotionBlur {
  public:
   /// Every frame, in order.
@@ -18,8 +18,10 @@ class MotionBlur {
     constexpr double kStepMax_s = 0.2;  // over which a hand goes on alike
     const double step_s = stamp_ns_ && !frame.is_break ? 1e-9 * static_cast<double>(frame.stamp_ns - *stamp_ns_) : 0.0;
     is_known_ = step_s > 0.0 && step_s <= kStepMax_s;
-    T_before_now_ = T_odom_camera_.inverse() * frame.T_odom_camera;
-    steps_per_limit_ = kExposure_s / (step_s * kLimitOfWidth) * frame.camera.fx / frame.camera.width;
+    if (is_known_) {
+      T_before_now_ = T_odom_camera_.inverse() * frame.T_odom_camera;
+      limits_per_ray_ = kExposure_s / (step_s * kLimitOfWidth) * frame.camera.fx / frame.camera.width;
+    }
     stamp_ns_ = frame.stamp_ns;
     T_odom_camera_ = frame.T_odom_camera;
   }
@@ -30,7 +32,7 @@ class MotionBlur {
     const Vec3 before = T_before_now_ * point_camera;
     if (!is_known_ || !(point_camera.z() > 0.0) || !(before.z() > 0.0)) return 1.0;
     const Vec2 moved = point_camera.head<2>() / point_camera.z() - before.head<2>() / before.z();
-    return std::exp(-std::pow(steps_per_limit_, 2) * moved.squaredNorm());
+    return std::exp(-(limits_per_ray_ * moved).squaredNorm());
   }
 
  private:
@@ -41,7 +43,7 @@ class MotionBlur {
   SE3 T_odom_camera_;
   bool is_known_ = false;
   SE3 T_before_now_;
-  double steps_per_limit_ = 0.0;  ///< 1 / what a ray moves in a step at that blur
+  double limits_per_ray_ = 0.0;  ///< blur, in that limit, of what moves by 1 on the plane z = 1 in a step
 };
 
 }  // namespace semantic_topo_loop::core

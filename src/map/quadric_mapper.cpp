@@ -321,23 +321,23 @@ struct QuadricMapper::Impl {
     for (const ExpectedLandmark& expected : expected_landmarks(landmarks_, frame, points, T_map_camera, associations)) {
       MappedLandmark& landmark = landmarks_.at(expected.id);
       const Vec3 direction = landmark.state.ellipsoid->center() - T_map_camera.t;
-      // What is missing in a blurred image tells little.
+      // A box that is missing in a blurred image tells little; depth tells as much as ever.
       const double recall = blur_.recall(T_map_camera.inverse() * landmark.state.ellipsoid->center());
-      const double step_s = recall * step_s_;
-      landmark.sightings.expected_s += step_s;
-      const double seen_through_s = expected.is_seen_through ? step_s : 0.0;
+      const double expected_s = recall * step_s_;
+      landmark.sightings.expected_s += expected_s;
+      const double seen_through_s = expected.is_seen_through ? step_s_ : 0.0;
       if (landmark.last_stamp_ns == frame.stamp_ns) {
         landmark.seen_from.add(direction, expected.size_px);
-        landmark.sightings.familiar_seen_s += step_s;
+        landmark.sightings.familiar_seen_s += expected_s;
         landmark.sightings.views.add(frame.keyframe_id, true);
-        if (expected.is_seen_into) landmark.sightings.hollow_s += step_s;
+        if (expected.is_seen_into) landmark.sightings.hollow_s += step_s_;
         landmark.sightings.transparent_s += seen_through_s;
       } else {
         landmark.sightings.seen_through_since_s += seen_through_s;
         if (recall > 0.5) landmark.sightings.views.add(frame.keyframe_id, false);
         if (landmark.seen_from.covers(direction, expected.size_px)) {
-          landmark.sightings.familiar_missed_s += step_s;
-          landmark.sightings.missed_since_s += step_s;
+          landmark.sightings.familiar_missed_s += expected_s;
+          landmark.sightings.missed_since_s += expected_s;
         }
       }
       touched_.insert(expected.id);

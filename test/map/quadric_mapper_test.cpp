@@ -579,9 +579,9 @@ TEST(MotionBlur, OfHowFarAThingMovesInTheImage) {
   blur.push(frame);  // 1 rad/s, 520 px/s, 10.4 px
   EXPECT_NEAR(blur.recall(ahead), 0.41, 0.03);
   frame.stamp_ns *= 2;
-  frame.T_odom_camera = SE3(so3_exp(Vec3(0.0, 2.0 / 30.0, 0.0)), Vec3::Zero());
-  frame.T_odom_camera.t =
-      frame.T_odom_camera.q * Vec3(0.0, 0.0, -2.0) - so3_exp(Vec3(0.0, 1.0 / 30.0, 0.0)) * Vec3(0.0, 0.0, -2.0);
+  const Vec3 thing = frame.T_odom_camera * ahead;
+  frame.T_odom_camera.q = so3_exp(Vec3(0.0, 2.0 / 30.0, 0.0));
+  frame.T_odom_camera.t = thing - frame.T_odom_camera.q * ahead;
   blur.push(frame);  // round the thing
   EXPECT_GT(blur.recall(ahead), 0.99);
   EXPECT_LT(blur.recall(Vec3(0.0, 0.0, 8.0)), 0.6) << "behind it";
