@@ -201,8 +201,9 @@ class DetectionSource {
     }
     up_.push(frame);
     if (!inputs_->detector->is_due(frame.stamp_ns)) return Found(nullptr);
-    const Result<std::vector<Detection>> boxes =
-        inputs_->detector->detect(inputs_->source->color(), up_.roll_rad(frame.T_odom_camera.q));
+    const Result<cv::Mat> color = inputs_->source->color();
+    if (!color) return color.error();
+    const Result<std::vector<Detection>> boxes = inputs_->detector->detect(*color, up_.roll_rad(frame.T_odom_camera.q));
     if (!boxes) return boxes.error();
     const auto leave_out = [&](std::size_t, DetectionProblem problem, const std::string& value) {
       report_.add(problem, "stamp " + format_stamp(frame.stamp_ns) + ": " + value);

@@ -48,7 +48,7 @@ class RgbdSource : public SampleSource {
       TrackedImage tracked = frontend_.track(*reading->image);
       state_.needs_rewind = tracked.is_recalibrated;
       if (tracked.is_recalibrated) return std::nullopt;
-      last_image_ = *reading->image;
+      last_reading_ = *reading;
       state_.camera = frontend_.camera();
       state_.report->add(tracked);
       if (tracked.sample) return std::move(tracked.sample);
@@ -60,9 +60,9 @@ class RgbdSource : public SampleSource {
     }
     return std::nullopt;
   }
-  cv::Mat color() const override { return last_image_.color; }
+  Result<cv::Mat> color() const override { return last_reading_->color(); }
   std::shared_ptr<const KeyframePoints> keyframe_points(int semi_dense_max) const override {
-    return std::make_shared<const KeyframePoints>(frontend_.keyframe_points(last_image_, semi_dense_max));
+    return std::make_shared<const KeyframePoints>(frontend_.keyframe_points(*last_reading_->image, semi_dense_max));
   }
   Status rewind() override {
     readings_.reset();
@@ -74,7 +74,7 @@ class RgbdSource : public SampleSource {
     state_.total = recording_.total;
     state_.report.emplace();
     left_out_.clear();
-    last_image_ = {};
+    last_reading_.reset();
     fault_.clear();
     readings_ = std::make_unique<ReadAhead<RgbdReading>>([this] { return read(); }, kReadAhead);
     return {};
@@ -94,9 +94,9 @@ class RgbdSource : public SampleSource {
   RgbdRecording recording_;  ///< of the reading thread, once it runs
   RgbdFrontend frontend_;
   std::map<std::string, DetectionReport::Cause> left_out_;  ///< images that the recording itself does not count
-  RgbdImage last_image_;
-  std::string fault_;                                 ///< written before the reading thread ends the stream
-  std::unique_ptr<ReadAhead<RgbdReading>> readings_;  ///< last: its thread ends before what it uses
+  std::optional<RgbdReading> last_reading_;                 ///< of the last sample
+  std::string fault_;                                       ///< written before the reading thread ends the stream
+  std::unique_ptr<ReadAhead<RgbdReading>> readings_;        ///< last: its thread ends before what it uses
 };
 
 }  // namespace

@@ -35,8 +35,8 @@ class SampleSource {
   virtual std::optional<core::PoseSample> next() = 0;
   /// To the first image, the second time with what was learned of the camera.
   virtual core::Status rewind() { return core::Error{"the source cannot be rewound"}; }
-  /// The color image of the last sample; empty where there are no images.
-  virtual cv::Mat color() const { return {}; }
+  /// The color image of the last sample, CV_8UC3 as BGR, or an error if it cannot be read.
+  virtual core::Result<cv::Mat> color() const { return core::Error{"the source has no images"}; }
   /// What the point map keeps of the last image, where there are images.
   virtual std::shared_ptr<const core::KeyframePoints> keyframe_points(int /*semi_dense_max*/) const { return nullptr; }
   const SourceState& state() const { return state_; }

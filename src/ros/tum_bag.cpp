@@ -181,13 +181,10 @@ core::Result<core::RgbdRecording> open_tum_bag(const std::string& file, const co
     const std::optional<PlayerItem> item = source->next();
     if (!item && !source->end()) return source->end().error();
     if (!item) return std::optional<core::RgbdReading>();
-    core::RgbdReading reading{core::Error{item->detail}, item->left_out};
-    if (item->left_out.empty()) reading.image = make_rgbd_image(*item->color, *item->depth, camera, options);
-    if (reading.image) {
-      const core::Result<cv::Mat> color = to_mat(*item->color, sensor_msgs::image_encodings::BGR8, "colour");
-      if (!color) return color.error();
-      reading.image->color = *color;
-    }
+    core::RgbdReading reading{core::Error{item->detail}, item->left_out, {}};
+    if (!item->left_out.empty()) return std::optional(std::move(reading));
+    reading.image = make_rgbd_image(*item->color, *item->depth, camera, options);
+    reading.color = [color = item->color] { return to_mat(*color, sensor_msgs::image_encodings::BGR8, "colour"); };
     return std::optional(std::move(reading));
   };
   return core::RgbdRecording{next, source->size()};

@@ -118,6 +118,26 @@ TEST_F(RgbdFolder, ReadsAnImage) {
   EXPECT_EQ(image->gray.at<std::uint8_t>(3, 4), 50);
 }
 
+TEST_F(RgbdFolder, ColorIsReadWhenItIsAskedFor) {
+  for (const std::string name : {"color.png", "red.jpg"}) {
+    cv::imwrite(path("red.jpg"), cv::Mat(24, 32, CV_8UC3, cv::Scalar(0, 0, 200)));
+    DepthOptions options;
+    options.scale = 5000.0;
+    RgbdRecording recording = read_images({{1, path(name), path("depth.png")}}, small_camera(), options);
+    const auto reading = recording.next();
+    ASSERT_TRUE(reading && *reading && (*reading)->image) << name;
+    const cv::Mat gray = (*reading)->image->gray;
+    const Result<cv::Mat> color = (*reading)->color();
+    ASSERT_TRUE(color) << color.message();
+    ASSERT_EQ(color->type(), CV_8UC3);
+    const auto pixel = color->at<cv::Vec3b>(5, 5);
+    EXPECT_NEAR(gray.at<std::uint8_t>(5, 5), 0.114 * pixel[0] + 0.587 * pixel[1] + 0.299 * pixel[2], 1.5) << name;
+    EXPECT_TRUE(recording.next());
+    std::remove(path("red.jpg").c_str());
+    EXPECT_EQ(static_cast<bool>((*reading)->color()), name == "color.png");
+  }
+}
+
 TEST_F(RgbdFolder, BadImagesAreNamed) {
   EXPECT_NE(read("color.png", "missing.png").message().find("missing.png: no such file"), std::string::npos);
   EXPECT_NE(read("broken.png", "depth.png").message().find("broken.png: not an image"), std::string::npos);

@@ -52,10 +52,9 @@ struct DepthRange {
   std::string warning(const DepthOptions& options) const;
 };
 
-/// A color image with its depth, as the front end works on it.
+/// An image with its depth, as the front end works on it.
 struct RgbdImage {
   std::int64_t stamp_ns = 0;
-  cv::Mat color;    ///< for the detector: CV_8UC3 as BGR, or CV_8UC1 where make_rgbd_image was given no more
   cv::Mat gray;     ///< CV_8UC1, raw (distorted) pixels
   cv::Mat depth_m;  ///< CV_32FC1 of the same size: m along the color camera's z axis; 0 where there is none
   DepthRange depth_range;

@@ -17,6 +17,8 @@ namespace semantic_topo_loop::core {
 struct RgbdReading {
   Result<RgbdImage> image;
   std::string left_out;  ///< the cause, if the recording does not count it as an image at all
+  /// CV_8UC3 as BGR, for a detector, which seldom looks at every image: decoded when it is asked for.
+  std::function<Result<cv::Mat>()> color;
 };
 
 /// A recording's color images with their depth, in time order.
