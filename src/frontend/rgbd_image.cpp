@@ -29,43 +29,49 @@ SE3 parse_pose(const std::vector<double>& v) {
 constexpr float kNear_m = 0.3F;  ///< few depth cameras measure what is nearer: Kinects begin at 0.4 m
 constexpr int kRangeStride_px = 8;
 
-/// Of the range every kRangeStride_px-th pixel of every such row counts, 4800 of a 640 x 480 image.
-template <class Raw, class ToMetres>
-cv::Mat converted(const cv::Mat& depth, const DepthOptions& options, const ToMetres& to_metres, DepthRange* range) {
-  cv::Mat metres(depth.size(), CV_32FC1);
-  const auto max_m = static_cast<float>(options.max_m);
-  for (int v = 0; v < depth.rows; ++v) {
-    const Raw* from = depth.ptr<Raw>(v);
-    float* to = metres.ptr<float>(v);
-    for (int u = 0; u < depth.cols; ++u) {
-      const float z_m = to_metres(from[u]);
-      to[u] = z_m > 0.0F && z_m <= max_m ? z_m : 0.0F;  // false for NaN
-      if (v % kRangeStride_px != 0 || u % kRangeStride_px != 0 || !(z_m > 0.0F) || !std::isfinite(z_m)) continue;
-      ++range->pixels;
-      if (z_m > max_m) ++range->far;
-      if (z_m < kNear_m) ++range->near;
+template <class Raw>
+void multiply(const cv::Mat& raw, double factor, cv::Mat* product) {
+  for (int v = 0; v < raw.rows; ++v) {
+    const Raw* from = raw.ptr<Raw>(v);
+    float* to = product->ptr<float>(v);
+    for (int u = 0; u < raw.cols; ++u) to[u] = static_cast<float>(factor * from[u]);
+  }
+}
+
+/// By every kRangeStride_px-th pixel of every such row, 4800 of a 640 x 480 image.
+DepthRange range_of(const cv::Mat& depth_m, float max_m) {
+  DepthRange range;
+  for (int v = 0; v < depth_m.rows; v += kRangeStride_px) {
+    for (int u = 0; u < depth_m.cols; u += kRangeStride_px) {
+      const float z_m = depth_m.at<float>(v, u);
+      if (!(z_m > 0.0F) || !std::isfinite(z_m)) continue;
+      ++range.pixels;
+      if (z_m > max_m) ++range.far;
+      if (z_m < kNear_m) ++range.near;
     }
   }
-  return metres;
+  return range;
 }
 
 /// The depth image in metres, 0 where there is none, in its own pixels.
 cv::Mat to_metres(const cv::Mat& depth, const DepthOptions& options, DepthRange* range) {
+  const auto max_m = static_cast<float>(options.max_m);
+  cv::Mat metres(depth.size(), CV_32FC1);
   if (depth.type() == CV_32FC1) {
-    range->is_in_metres = true;
-    const auto factor = static_cast<float>(options.scale_correction);
-    return converted<float>(
-        depth, options, [factor](float m) { return factor * m; }, range);
+    multiply<float>(depth, options.scale_correction, &metres);
+  } else {
+    multiply<std::uint16_t>(depth, options.scale_correction / options.scale, &metres);
+    for (const double value : numbers(options.invalid_values).value_or(std::vector<double>())) {
+      if (value > 0.0) metres.setTo(0.0, depth == value);
+    }
   }
-  // One look-up a pixel: 65536 values are fewer than an image has pixels.
-  std::vector<float> table(65536);
-  for (std::size_t raw = 0; raw < table.size(); ++raw) {
-    table[raw] = static_cast<float>(static_cast<double>(raw) * options.scale_correction / options.scale);
+  *range = range_of(metres, max_m);
+  range->is_in_metres = depth.type() == CV_32FC1;
+  for (int v = 0; v < metres.rows; ++v) {
+    float* row = metres.ptr<float>(v);
+    for (int u = 0; u < metres.cols; ++u) row[u] = row[u] > 0.0F && row[u] <= max_m ? row[u] : 0.0F;  // false for NaN
   }
-  const std::vector<double> invalid = numbers(options.invalid_values).value_or(std::vector<double>());
-  for (const double value : invalid) table[static_cast<std::size_t>(std::clamp(value, 0.0, 65535.0))] = 0.0F;
-  return converted<std::uint16_t>(
-      depth, options, [&table](std::uint16_t raw) { return table[raw]; }, range);
+  return metres;
 }
 
 /// Depth seen by another camera, as the color camera would see it: nearest surface first, each value drawn on so many
@@ -172,7 +178,6 @@ Result<RgbdImage> make_rgbd_image(std::int64_t stamp_ns, const cv::Mat& color, c
   }
   RgbdImage image;
   image.stamp_ns = stamp_ns;
-  image.color = color;
   if (color.type() == CV_8UC3) {
     cv::cvtColor(color, image.gray, cv::COLOR_BGR2GRAY);
   } else {
