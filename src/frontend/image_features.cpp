@@ -5,6 +5,7 @@
 #include <limits>
 #include <opencv2/features2d.hpp>
 #include <opencv2/imgproc.hpp>
+#include <tuple>
 
 #include "frontend/depth_registration.h"
 #include "geometry/depth_points.h"
@@ -183,18 +184,31 @@ std::vector<cv::KeyPoint> spread(std::vector<cv::KeyPoint> corners, const cv::Si
   if (static_cast<int>(corners.size()) <= wanted) return corners;
   const double cell_px = std::max(1.0, std::sqrt(static_cast<double>(size.area()) / wanted));
   const int columns = static_cast<int>(size.width / cell_px) + 1, rows = static_cast<int>(size.height / cell_px) + 1;
-  std::stable_sort(corners.begin(), corners.end(),
-                   [](const cv::KeyPoint& a, const cv::KeyPoint& b) { return a.response > b.response; });
-  std::vector<int> taken(static_cast<std::size_t>(columns * rows), 0);
-  for (cv::KeyPoint& corner : corners) {
-    const auto cell = static_cast<std::size_t>(static_cast<int>(corner.pt.y / cell_px) * columns +
-                                               static_cast<int>(corner.pt.x / cell_px));
-    corner.class_id = taken[cell]++;
+  const auto cell_of = [cell_px, columns](const cv::KeyPoint& corner) {
+    return static_cast<std::size_t>(static_cast<int>(corner.pt.y / cell_px) * columns +
+                                    static_cast<int>(corner.pt.x / cell_px));
+  };
+  constexpr float kTaken = -1.0F;  // instead of a contrast
+  std::vector<cv::KeyPoint> chosen;
+  while (static_cast<int>(chosen.size()) < wanted) {
+    std::vector<cv::KeyPoint*> strongest(static_cast<std::size_t>(columns * rows), nullptr);
+    for (cv::KeyPoint& corner : corners) {
+      cv::KeyPoint*& other = strongest[cell_of(corner)];
+      if (corner.response > (other != nullptr ? other->response : kTaken)) other = &corner;
+    }
+    const std::size_t before = chosen.size();
+    for (cv::KeyPoint* corner : strongest) {
+      if (corner == nullptr) continue;
+      chosen.push_back(*corner);
+      corner->response = kTaken;
+    }
+    std::sort(chosen.begin() + static_cast<std::ptrdiff_t>(before), chosen.end(),
+              [](const cv::KeyPoint& a, const cv::KeyPoint& b) {
+                return std::make_tuple(-a.response, a.pt.y, a.pt.x) < std::make_tuple(-b.response, b.pt.y, b.pt.x);
+              });
   }
-  std::stable_sort(corners.begin(), corners.end(),
-                   [](const cv::KeyPoint& a, const cv::KeyPoint& b) { return a.class_id < b.class_id; });
-  corners.resize(static_cast<std::size_t>(wanted));
-  return corners;
+  chosen.resize(static_cast<std::size_t>(wanted));
+  return chosen;
 }
 
 void extract_level(const cv::Mat& image, int level, int wanted, const FrontendOptions& options, const Camera& camera,

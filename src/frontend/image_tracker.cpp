@@ -99,18 +99,14 @@ std::optional<SearchItem> expect(const TrackingMap& map, const MapPoint& point, 
   return SearchItem{point.descriptor, *pixel, radius_px, level, -1.0F, point.id};
 }
 
-/// Looks for points in view that the image has not been matched with.
+/// Looks for the points that are in view.
 void match_points(const std::vector<MapPoint*>& points, const TrackingMap& map, const Camera& camera,
                   TrackedFeatures* image) {
-  std::vector<bool> is_taken(image->points.size(), false);
-  std::set<std::int64_t> matched;
-  for (std::size_t i = 0; i < image->points.size(); ++i) {
-    is_taken[i] = image->points[i] >= 0;
-    if (is_taken[i]) matched.insert(image->points[i]);
-  }
+  std::vector<bool> is_taken(image->points.size());
+  std::transform(image->points.begin(), image->points.end(), is_taken.begin(),
+                 [](std::int64_t point) { return point >= 0; });
   std::vector<SearchItem> items;
-  for (MapPoint* point : points) {
-    if (matched.count(point->id) > 0) continue;
+  for (const MapPoint* point : points) {
     const std::optional<SearchItem> item = expect(map, *point, image->T_camera_map, camera);
     if (item) items.push_back(*item);
   }
@@ -194,6 +190,9 @@ bool find_points(const TrackingKeyframe& keyframe, const Camera& camera, Trackin
 bool track_local_map(const Camera& camera, TrackingMap* map, TrackedFeatures* image,
                      const std::set<std::int64_t>* apart_from) {
   const std::int64_t number = map->begin_search();
+  for (const std::int64_t matched : image->points) {
+    if (MapPoint* point = map->point(matched)) point->search = number;
+  }
   std::vector<MapPoint*> points;
   for (const std::int64_t id : local_keyframes(*map, *image, apart_from)) {
     for (const std::int64_t point_id : map->keyframe(id)->points) {

@@ -71,8 +71,13 @@ NormalEquations accumulate(const Camera& camera, const SE3& T, const std::vector
     const double pixel_weight = is_robust ? cauchy_weight(pixel2, kPixelGate2) : 1.0;
     const double depth_gate = depth2 <= kDepthGate2 ? 1.0 : 0.0;
     const double depth_weight = is_robust ? cauchy_weight(depth2, kDepthGate2) : depth_gate;
-    n.hessian += pixel_weight * l.pixel_jacobian.transpose() * l.pixel_jacobian +
-                 depth_weight * l.depth_jacobian.transpose() * l.depth_jacobian;
+    // Of what is symmetric the lower triangle, which is all that its factors are made of.
+    for (int column = 0; column < 6; ++column) {
+      const Vec2 pixel = pixel_weight * l.pixel_jacobian.col(column);
+      const double depth = depth_weight * l.depth_jacobian[column];
+      n.hessian.col(column).tail(6 - column) += l.pixel_jacobian.rightCols(6 - column).transpose() * pixel +
+                                                depth * l.depth_jacobian.tail(6 - column).transpose();
+    }
     n.gradient += pixel_weight * l.pixel_jacobian.transpose() * l.pixel_error +
                   depth_weight * l.depth_jacobian.transpose() * l.depth_error;
     n.squared += pixel_weight * pixel2 + depth_weight * depth2;

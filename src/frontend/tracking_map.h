@@ -1,9 +1,11 @@
 #pragma once
 
+#include <boost/container/flat_map.hpp>
 #include <cstdint>
 #include <map>
 #include <optional>
 #include <set>
+#include <unordered_map>
 #include <vector>
 
 #include "frontend/image_features.h"
@@ -17,11 +19,11 @@ namespace semantic_topo_loop::core {
 /// A point of the map that images are tracked against.
 struct MapPoint {
   std::int64_t id = -1;
-  Vec3 position = Vec3::Zero();       ///< map frame, m
-  Descriptor descriptor{};            ///< the one of its views that is most like the others
-  Vec3 direction = Vec3::Zero();      ///< mean of the unit vectors from the keyframes that see it
-  double level_0_distance_m = 0.0;    ///< from where it is seen on level 0 of the pyramid
-  std::map<std::int64_t, int> views;  ///< keyframe to the index of its feature
+  Vec3 position = Vec3::Zero();                         ///< map frame, m
+  Descriptor descriptor{};                              ///< the one of its views that is most like the others
+  Vec3 direction = Vec3::Zero();                        ///< mean of the unit vectors from the keyframes that see it
+  double level_0_distance_m = 0.0;                      ///< from where it is seen on level 0 of the pyramid
+  boost::container::flat_map<std::int64_t, int> views;  ///< keyframe to the index of its feature
   std::int64_t first_keyframe = -1;
   int expected = 1;          ///< images in which it should be seen
   int found = 1;             ///< images in which it was
@@ -92,7 +94,8 @@ class TrackingMap {
   MapPoint* point(std::int64_t id);
   TrackingKeyframe* keyframe(std::int64_t id);
   const std::map<std::int64_t, TrackingKeyframe>& keyframes() const { return keyframes_; }
-  const std::map<std::int64_t, MapPoint>& points() const { return points_; }
+  /// In no order: they are looked up some ten thousand times an image.
+  const std::unordered_map<std::int64_t, MapPoint>& points() const { return points_; }
   /// Keyframes that see points of this one, most first (the newer of two equal ones), with the number of points.
   std::vector<std::pair<std::int64_t, int>> covisible(std::int64_t keyframe) const;
   /// The same for a list of points (-1: none).
@@ -103,7 +106,7 @@ class TrackingMap {
  private:
   FrontendOptions options_;
   std::map<std::int64_t, TrackingKeyframe> keyframes_;
-  std::map<std::int64_t, MapPoint> points_;
+  std::unordered_map<std::int64_t, MapPoint> points_;
   std::int64_t next_point_ = 0;
   std::int64_t next_search_ = 0;
 };
