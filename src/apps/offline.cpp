@@ -1,6 +1,7 @@
 #include <unistd.h>
 
 #include <cstdio>
+#include <ctime>
 #include <filesystem>
 #include <iostream>
 #include <map>
@@ -308,6 +309,7 @@ Status run_once(const Arguments& arguments, const RunInputs& inputs, ChainResult
   Counts counts;
   int shown_percent = -1;
   const Stopwatch stopwatch;
+  const std::clock_t before = std::clock();
   while (const std::optional<PoseSample> sample = inputs.source->next()) {
     if (source.camera) builder.set_camera(*source.camera);
     if (builder.is_held(*sample)) {
@@ -348,12 +350,13 @@ Status run_once(const Arguments& arguments, const RunInputs& inputs, ChainResult
   }
 
   const double seconds = 1e-6 * stopwatch.elapsed_us();
+  const double processor_ms = 1e3 * static_cast<double>(std::clock() - before) / CLOCKS_PER_SEC;  // of all threads
   const double recorded = 1e-9 * static_cast<double>(counts.last_ns - counts.first_ns);
   for (const std::string& warning : detection_source.warnings()) say(warning);
   warn(inputs, counts, extra_loops.left());
   if (const std::string delay = describe_delay(slam.loop_detector().odometry_delay_s()); !delay.empty()) say(delay);
-  std::printf("%zu frames in %.2f s, %.1f x real time; the end took %.2f s\n", counts.frames, seconds,
-              recorded / seconds, end_s);
+  std::printf("%zu frames in %.2f s, %.1f x real time, %.1f ms of processor time a frame; the end took %.2f s\n",
+              counts.frames, seconds, recorded / seconds, processor_ms / static_cast<double>(counts.frames), end_s);
   return {};
 }
 
