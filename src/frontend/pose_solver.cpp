@@ -54,7 +54,7 @@ void jacobians(const Camera& camera, const PoseObservation& o, Linearised* out) 
 double cauchy_weight(double squared, double gate2) { return gate2 / (gate2 + squared); }
 
 struct NormalEquations {
-  Mat6 hessian = Mat6::Zero();
+  Mat6 hessian = Mat6::Zero();  ///< its lower triangle, which is all that its factors are made of
   Vec6 gradient = Vec6::Zero();
   double squared = 0.0;  ///< weighted sum of squares
   double values = 0.0;   ///< how many values were summed, by weight
@@ -71,7 +71,6 @@ NormalEquations accumulate(const Camera& camera, const SE3& T, const std::vector
     const double pixel_weight = is_robust ? cauchy_weight(pixel2, kPixelGate2) : 1.0;
     const double depth_gate = depth2 <= kDepthGate2 ? 1.0 : 0.0;
     const double depth_weight = is_robust ? cauchy_weight(depth2, kDepthGate2) : depth_gate;
-    // Of what is symmetric the lower triangle, which is all that its factors are made of.
     for (int column = 0; column < 6; ++column) {
       const Vec2 pixel = pixel_weight * l.pixel_jacobian.col(column);
       const double depth = depth_weight * l.depth_jacobian[column];
