@@ -59,6 +59,59 @@ class ArchiveReader {
   const JsonField& field_;
 };
 
+/// What visit_members calls to compare without writing, in a fraction of its time: two values of a type are written
+/// alike if all their members have the same bytes.
+class ArchiveBytes {
+ public:
+  template <class T>
+  void operator()(const char*, const T& value) {
+    add(value);
+  }
+  template <class T>
+  void later(const char*, const T& value) {
+    add(value);
+  }
+  template <class T>
+  void add(const T& value) {
+    if constexpr (std::is_arithmetic_v<T>) {
+      bytes_.append(reinterpret_cast<const char*>(&value), sizeof(value));
+    } else {
+      visit_members(const_cast<T&>(value), *this);  // it changes nothing
+    }
+  }
+  void add(const std::string& value) {
+    add(value.size());
+    bytes_ += value;
+  }
+  template <int rows, int columns>
+  void add(const Eigen::Matrix<double, rows, columns>& value) {
+    bytes_.append(reinterpret_cast<const char*>(value.data()), sizeof(double) * static_cast<std::size_t>(value.size()));
+  }
+  void add(const SE3& value) {
+    add(value.t);
+    add(Vec4(value.q.coeffs()));
+  }
+  template <class T>
+  void add(const std::optional<T>& value) {
+    add_if_any(value);
+  }
+  template <class T>
+  void add(const std::shared_ptr<const T>& value) {
+    add_if_any(value);
+  }
+  void clear() { bytes_.clear(); }
+  const std::string& bytes() const { return bytes_; }
+
+ private:
+  template <class Holder>
+  void add_if_any(const Holder& value) {
+    add(static_cast<bool>(value));
+    if (value) add(*value);
+  }
+
+  std::string bytes_;
+};
+
 namespace archive {
 
 /// Whether a struct is written as an array of its members in their order: there are many of it, and the names would be

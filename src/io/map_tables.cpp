@@ -64,19 +64,25 @@ void create_map_tables(SqliteFile* file) {
 
 MapTables::MapTables(SqliteFile* file, const ClassTable& classes) : file_(file), classes_(classes) {}
 
-bool MapTables::Mirror::take(std::int64_t key, std::string row) {
-  const auto found = rows.find(key);
-  const bool is_other = found == rows.end() || found->second != row;
-  next.emplace_hint(next.end(), key, std::move(row));
+bool MapTables::Mirror::take(std::int64_t key, const std::string& bytes) {
+  Row& row = rows.try_emplace(key).first->second;
+  const bool is_other = row.given == 0 || row.bytes != bytes;
+  row.given = time;
+  if (is_other) row.bytes = bytes;
   return is_other;
 }
 
 void MapTables::finish(const char* table, const char* key, Mirror* mirror) {
   SqliteStatement remove(file_, std::string("DELETE FROM ") + table + " WHERE " + key + " = ?");
-  for (const auto& [number, row] : mirror->rows) {
-    if (mirror->next.count(number) == 0) (remove << number).run();
+  for (auto it = mirror->rows.begin(); it != mirror->rows.end();) {
+    if (it->second.given == mirror->time) {
+      ++it;
+    } else {
+      (remove << it->first).run();
+      it = mirror->rows.erase(it);
+    }
   }
-  mirror->rows = std::exchange(mirror->next, {});
+  ++mirror->time;
 }
 
 void MapTables::write_meta(const std::string& key, const std::string& value) {
@@ -111,20 +117,25 @@ void MapTables::write(const GraphState& graph, bool is_whole) {
     if (keyframe.T_map_live) keyframes << *keyframe.T_map_live;
     keyframes.run_with_checksum();
   }
+  ArchiveBytes bytes;
+  const auto bytes_of = [&bytes](const auto& value) -> const std::string& {
+    bytes.clear();
+    bytes.add(value);
+    return bytes.bytes();
+  };
   SqliteStatement edges(file_, "INSERT OR REPLACE INTO edge VALUES(?, ?, ?)");
   for (std::size_t i = 0; i < graph.edges.size(); ++i) {
-    const std::string body = packed(graph.edges[i]);
+    const OdometryEdge& edge = graph.edges[i];
     const auto number = static_cast<std::int64_t>(i);
-    if (edges_.take(number, body)) (edges << number).blob(body).run_with_checksum();
+    if (edges_.take(number, bytes_of(edge))) (edges << number).blob(packed(edge)).run_with_checksum();
   }
   finish("edge", "number", &edges_);
   SqliteStatement loops(file_, "INSERT OR REPLACE INTO loop VALUES(?, ?, ?, ?, ?, ?, ?)");
   for (const RememberedLoop& loop : graph.loops) {
     const LoopVerdict& told = loop.told;
-    const std::string body = packed(loop);
-    if (!loops_.take(told.number, body)) continue;
+    if (!loops_.take(told.number, bytes_of(loop))) continue;
     loops << told.number << told.query_keyframe_id << told.match_keyframe_id << static_cast<std::int64_t>(told.kept);
-    (loops << told.reason).blob(body).run_with_checksum();
+    (loops << told.reason).blob(packed(loop)).run_with_checksum();
   }
   finish("loop", "number", &loops_);
 }

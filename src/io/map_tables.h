@@ -41,12 +41,16 @@ class MapTables {
   void write(const MapDelta& delta);
 
  private:
-  /// The rows of a table that is given as a whole.
+  /// The rows of a table that is given as a whole, each time.
   struct Mirror {
-    std::map<std::int64_t, std::string> rows;  ///< what was written last, by key
-    std::map<std::int64_t, std::string> next;  ///< what is given now
+    struct Row {
+      std::string bytes;       ///< see ArchiveBytes; what was written last
+      std::int64_t given = 0;  ///< when it was last
+    };
+    std::map<std::int64_t, Row> rows;  ///< by key
+    std::int64_t time = 1;             ///< counts how often the table is given
     /// @return whether the row is new or other
-    bool take(std::int64_t key, std::string row);
+    bool take(std::int64_t key, const std::string& bytes);
   };
   /// Removes the rows that were not given again.
   void finish(const char* table, const char* key, Mirror* mirror);
