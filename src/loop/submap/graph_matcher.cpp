@@ -5,7 +5,6 @@
 #include <cmath>
 #include <map>
 #include <optional>
-#include <set>
 #include <utility>
 
 #include "geometry/statistics.h"
@@ -72,6 +71,8 @@ constexpr int kMaxCliqueSteps = 20000;
 /// Of correspondences that cliques are looked for among, whose cube the time grows with: those of twenty objects alike.
 constexpr std::size_t kMaxSeeds = 400;
 static_assert(kMaxSeeds <= Bits::kMax);
+/// Room for a clique without a second allocation, of which matching would be a fifth.
+constexpr std::size_t kUsualClique = 32;
 /// A round that finds the inliers of the one before ends it; a set that swings is left as it is.
 constexpr int kRegrowRounds = 3;
 /// Residual at which an inlier's share of the score has fallen to exp(-1/2): half the usual inlier distance.
@@ -95,9 +96,16 @@ bool are_distinct(const std::vector<LabelledPoint>& b, const GraphMatch& p, cons
          rotation_angle(p.T_a_b.q, q.T_a_b.q) > kDistinct_rad;
 }
 
+std::size_t count_distinct(std::vector<int> numbers) {
+  std::sort(numbers.begin(), numbers.end());
+  return static_cast<std::size_t>(std::unique(numbers.begin(), numbers.end()) - numbers.begin());
+}
+
 std::optional<Alignment> align(const std::vector<NodePair>& pairs, const std::vector<LabelledPoint>& a,
                                const std::vector<LabelledPoint>& b, bool with_scale = false) {
   std::vector<Vec3> points_a, points_b;
+  points_a.reserve(pairs.size());
+  points_b.reserve(pairs.size());
   for (const NodePair& pair : pairs) {
     points_a.push_back(a[static_cast<std::size_t>(pair.a)].position);
     points_b.push_back(b[static_cast<std::size_t>(pair.b)].position);
@@ -213,15 +221,16 @@ class Matching {
     Clique largest = largest_clique(graph, kMaxCliqueSteps);
     if (largest.size() < min_pairs_) return {};
     const std::size_t least = least_beside(largest.size());
-    std::set<Clique> found{std::move(largest)};
+    std::vector<Clique> found{std::move(largest)};
     for (std::size_t i = 0; i < graph.size(); ++i) {
       if (graph[i].count_common(graph[i]) + 1 < least) continue;
       Clique clique = greedy_clique(graph, i, least);
-      if (clique.size() >= least) found.insert(std::move(clique));
+      if (clique.size() >= least) found.push_back(std::move(clique));
     }
-    std::vector<Clique> sorted(found.begin(), found.end());
-    std::stable_sort(sorted.begin(), sorted.end(), [](const auto& p, const auto& q) { return p.size() > q.size(); });
-    return sorted;
+    std::sort(found.begin(), found.end(),
+              [](const Clique& p, const Clique& q) { return p.size() != q.size() ? p.size() > q.size() : p < q; });
+    found.erase(std::unique(found.begin(), found.end()), found.end());
+    return found;
   }
 
   /// True if most of the clique already agrees with a match found, so that it would grow into the same.
@@ -244,8 +253,10 @@ class Matching {
   std::vector<NodePair> inliers(const SE3& T_a_b) const {
     const Mat3 R = T_a_b.rotation();
     std::vector<Vec3> turned;
+    turned.reserve(b_.size());
     for (const LabelledPoint& point : b_) turned.push_back(R * point.position);
     std::vector<std::pair<double, std::size_t>> near;
+    near.reserve(candidates_.size());
     for (std::size_t i = 0; i < candidates_.size(); ++i) {
       const NodePair& pair = candidates_[i];
       const double distance = (at(a_, pair.a).position - turned[static_cast<std::size_t>(pair.b)] - T_a_b.t).norm();
@@ -254,6 +265,7 @@ class Matching {
     std::sort(near.begin(), near.end());
     std::vector<bool> used_a(a_.size(), false), used_b(b_.size(), false);
     std::vector<NodePair> pairs;
+    pairs.reserve(near.size());
     for (const auto& [distance, i] : near) {
       const NodePair& pair = candidates_[i];
       if (used_a[static_cast<std::size_t>(pair.a)] || used_b[static_cast<std::size_t>(pair.b)]) continue;
@@ -267,6 +279,7 @@ class Matching {
   /// @param min_pairs below which the clique is given up, for it would say nothing against the best match
   std::optional<GraphMatch> grow(const Clique& clique, std::size_t min_pairs) const {
     GraphMatch match;
+    match.pairs.reserve(clique.size());
     for (const std::size_t i : clique) match.pairs.push_back(seeds_[i]);
     std::optional<Alignment> alignment = align(match.pairs, a_, b_);
     for (int round = 0; round < kRegrowRounds && alignment; ++round) {
@@ -286,15 +299,16 @@ class Matching {
   }
 
   void assess(GraphMatch* match) const {
-    std::set<int> classes_a, classes_b;
+    std::vector<int> classes_a, classes_b;
     const Mat3 R = match->T_a_b.rotation();
     for (const NodePair& pair : match->pairs) {
       const double z = residual(R, match->T_a_b.t, pair) / (kScoreSigmaShare * options_.inlier_distance_m);
       match->score += std::exp(-0.5 * z * z);
-      classes_a.insert(at(a_, pair.a).class_id);
-      classes_b.insert(at(b_, pair.b).class_id);
+      classes_a.push_back(at(a_, pair.a).class_id);
+      classes_b.push_back(at(b_, pair.b).class_id);
     }
-    match->classes = static_cast<int>(std::min(classes_a.size(), classes_b.size()));
+    match->classes =
+        static_cast<int>(std::min(count_distinct(std::move(classes_a)), count_distinct(std::move(classes_b))));
   }
 
   /// Keeps the list sorted by score and free of near copies.
@@ -397,8 +411,10 @@ std::vector<GraphMatch> match_scaled(const std::vector<LabelledPoint>& a, const 
 Clique largest_clique(const BitGraph& graph, int max_steps) { return CliqueSearch(graph, max_steps).run(); }
 
 Clique greedy_clique(const BitGraph& graph, std::size_t vertex, std::size_t least) {
-  Clique clique{vertex};
   Bits candidates = graph[vertex];
+  Clique clique;
+  clique.reserve(kUsualClique);
+  clique.push_back(vertex);
   while (candidates.any()) {
     std::size_t best = Bits::kNone, best_common = 0;
     for (std::size_t v = candidates.next(0); v != Bits::kNone; v = candidates.next(v + 1)) {
