@@ -66,7 +66,7 @@ MapTables::MapTables(SqliteFile* file, const ClassTable& classes) : file_(file),
 
 bool MapTables::Mirror::take(std::int64_t key, const std::string& bytes) {
   Row& row = rows.try_emplace(key).first->second;
-  const bool is_other = row.given == 0 || row.bytes != bytes;
+  const bool is_other = row.bytes != bytes;  // a new one has none
   row.given = time;
   if (is_other) row.bytes = bytes;
   return is_other;

@@ -71,7 +71,7 @@ constexpr int kMaxCliqueSteps = 20000;
 /// Of correspondences that cliques are looked for among, whose cube the time grows with: those of twenty objects alike.
 constexpr std::size_t kMaxSeeds = 400;
 static_assert(kMaxSeeds <= Bits::kMax);
-/// Room for a clique without a second allocation, of which matching would be a fifth.
+/// Room for most cliques, so that they need not be moved while they grow.
 constexpr std::size_t kUsualClique = 32;
 /// A round that finds the inliers of the one before ends it; a set that swings is left as it is.
 constexpr int kRegrowRounds = 3;
