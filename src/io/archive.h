@@ -10,106 +10,75 @@
 #include <type_traits>
 #include <vector>
 
-#include "io/json_field.h"
+#include "io/cbor.h"
+#include "semantic_topo_loop/types/box.h"
 #include "semantic_topo_loop/types/transform.h"
 
 namespace semantic_topo_loop::core {
 
-// Values as JSON and back, to the last bit. Enums need a Codec of their own, which knows their values. For a struct
+// Values as CBOR and back, to the last bit. Enums need a Codec of their own, which knows their values. For a struct
 // write once
 //   template <class Visitor> void visit_members(T& value, Visitor& visit) { visit("name", value.name); ... }
 
 template <class T>
-Json to_archive(const T& value);
+void to_archive(const T& value, CborWriter* writer);
 template <class T>
-void from_archive(const JsonField& field, T* value);
+void from_archive(CborReader* reader, T* value);
 
 /// What visit_members calls to write.
 class ArchiveWriter {
  public:
+  /// @param is_row values alone, without their names
+  ArchiveWriter(CborWriter* writer, bool is_row) : writer_(*writer), is_row_(is_row) {}
   template <class T>
   void operator()(const char* name, const T& value) {
-    json_[name] = to_archive(value);
+    if (!is_row_) writer_.text(name);
+    to_archive(value, &writer_);
   }
   template <class T>
   void later(const char* name, const T& value) {
     (*this)(name, value);
   }
-  Json take() { return std::move(json_); }
 
  private:
-  Json json_ = Json::object();
+  CborWriter& writer_;
+  const bool is_row_;
 };
 
-/// What visit_members calls to read; problems are noted where the field notes them.
+/// What visit_members calls to count.
+class MemberCount {
+ public:
+  template <class T>
+  void operator()(const char*, const T&) {
+    ++count_;
+  }
+  template <class T>
+  void later(const char*, const T&) {
+    ++count_;
+  }
+  std::size_t count() const { return count_; }
+
+ private:
+  std::size_t count_ = 0;
+};
+
+/// What visit_members calls to read.
 class ArchiveReader {
  public:
-  explicit ArchiveReader(const JsonField& field) : field_(field) {}
+  explicit ArchiveReader(CborReader* reader) : reader_(reader), members_(reader) {}
   template <class T>
   void operator()(const char* name, T& value) {
-    from_archive(field_.member(name), &value);
+    members_.member(name, [&] { from_archive(reader_, &value); });
   }
   /// Of a member that files of the same version may lack: it stays as it is.
   template <class T>
   void later(const char* name, T& value) {
-    if (field_.has(name)) (*this)(name, value);
+    if (members_.has(name)) (*this)(name, value);
   }
 
  private:
-  const JsonField& field_;
-};
-
-/// What visit_members calls to compare without writing, in a fraction of its time: two values of a type are written
-/// alike if all their members have the same bytes.
-class ArchiveBytes {
- public:
-  template <class T>
-  void operator()(const char*, const T& value) {
-    add(value);
-  }
-  template <class T>
-  void later(const char*, const T& value) {
-    add(value);
-  }
-  template <class T>
-  void add(const T& value) {
-    if constexpr (std::is_arithmetic_v<T>) {
-      bytes_.append(reinterpret_cast<const char*>(&value), sizeof(value));
-    } else {
-      visit_members(const_cast<T&>(value), *this);  // it changes nothing
-    }
-  }
-  void add(const std::string& value) {
-    add(value.size());
-    bytes_ += value;
-  }
-  template <int rows, int columns>
-  void add(const Eigen::Matrix<double, rows, columns>& value) {
-    bytes_.append(reinterpret_cast<const char*>(value.data()), sizeof(double) * static_cast<std::size_t>(value.size()));
-  }
-  void add(const SE3& value) {
-    add(value.t);
-    add(Vec4(value.q.coeffs()));
-  }
-  template <class T>
-  void add(const std::optional<T>& value) {
-    add_if_any(value);
-  }
-  template <class T>
-  void add(const std::shared_ptr<const T>& value) {
-    add_if_any(value);
-  }
-  void clear() { bytes_.clear(); }
-  const std::string& bytes() const { return bytes_; }
-
- private:
-  template <class Holder>
-  void add_if_any(const Holder& value) {
-    add(static_cast<bool>(value));
-    if (value) add(*value);
-  }
-
-  std::string bytes_;
+  CborReader* reader_;
+  CborReader::Members members_;
 };
 
 namespace archive {
@@ -119,185 +88,199 @@ namespace archive {
 template <class T>
 inline constexpr bool is_row = false;
 
-class RowWriter {
- public:
-  template <class T>
-  void operator()(const char*, const T& value) {
-    json_.push_back(to_archive(value));
-  }
-  Json take() { return std::move(json_); }
+template <class T>
+void write_elements(const T* values, std::size_t size, CborWriter* writer) {
+  writer->array(size);
+  for (std::size_t i = 0; i < size; ++i) to_archive(values[i], writer);
+}
 
- private:
-  Json json_ = Json::array();
-};
+/// Of an array that has as many.
+template <class T>
+void read_elements(CborReader* reader, std::size_t size, T* values) {
+  const std::uint8_t* const at = reader->at();
+  std::size_t next = 0;
+  const std::size_t found = reader->elements([&] {
+    T beyond{};
+    from_archive(reader, next < size ? &values[next++] : &beyond);
+  });
+  if (found != size) reader->reject(at, "must have " + std::to_string(size) + " elements");
+}
 
 class RowReader {
  public:
-  explicit RowReader(const JsonField& field) : field_(field), elements_(field.elements()) {}
+  explicit RowReader(CborReader* reader) : reader_(reader), row_(reader) {}
   template <class T>
   void operator()(const char* name, T& value) {
-    if (next_ == elements_.size()) return field_.reject(std::string("has no '") + name + "'");
-    from_archive(elements_[next_++], &value);
+    row_.member(name, [&] { from_archive(reader_, &value); });
   }
 
  private:
-  const JsonField& field_;
-  std::vector<JsonField> elements_;
-  std::size_t next_ = 0;
+  CborReader* reader_;
+  CborReader::Row row_;
 };
 
 template <class T>
+void write_members(const T& value, CborWriter* writer) {
+  T& visited = const_cast<T&>(value);  // neither changes anything
+  MemberCount members;
+  visit_members(visited, members);
+  is_row<T> ? writer->array(members.count()) : writer->map(members.count());
+  ArchiveWriter visitor(writer, is_row<T>);
+  visit_members(visited, visitor);
+}
+template <class T>
+void read_members(CborReader* reader, T* value) {
+  std::conditional_t<is_row<T>, RowReader, ArchiveReader> visitor(reader);
+  visit_members(*value, visitor);
+}
+
+template <class T>
 struct Codec {
-  static Json write(const T& value) {
-    if constexpr (std::is_arithmetic_v<T>) {
-      return value;
+  static void write(const T& value, CborWriter* writer) {
+    if constexpr (std::is_same_v<T, bool>) {
+      writer->flag(value);
+    } else if constexpr (std::is_floating_point_v<T>) {
+      writer->number(static_cast<double>(value));
+    } else if constexpr (std::is_integral_v<T>) {
+      writer->integer(static_cast<std::int64_t>(value));
     } else {
-      std::conditional_t<is_row<T>, RowWriter, ArchiveWriter> writer;
-      visit_members(const_cast<T&>(value), writer);  // a writer changes nothing
-      return writer.take();
+      write_members(value, writer);
     }
   }
-  static void read(const JsonField& field, T* value) {
+  static void read(CborReader* reader, T* value) {
     if constexpr (std::is_same_v<T, bool>) {
-      *value = field.flag();
+      *value = reader->flag();
     } else if constexpr (std::is_floating_point_v<T>) {
-      *value = static_cast<T>(field.number());
+      *value = static_cast<T>(reader->number());
     } else if constexpr (std::is_integral_v<T>) {
-      const std::int64_t number = field.integer();
+      const std::uint8_t* const at = reader->at();
+      const std::int64_t number = reader->integer();
       *value = static_cast<T>(number);
       const bool is_lost = static_cast<std::int64_t>(*value) != number || (std::is_unsigned_v<T> && number < 0);
-      if (is_lost) field.reject("is out of range");
+      if (is_lost) reader->reject(at, "is out of range");
     } else {
-      std::conditional_t<is_row<T>, RowReader, ArchiveReader> reader(field);
-      visit_members(*value, reader);
+      read_members(reader, value);
     }
   }
 };
 
 template <>
 struct Codec<std::string> {
-  static Json write(const std::string& value) { return value; }
-  static void read(const JsonField& field, std::string* value) {
-    if (!field.json().is_string()) field.reject("must be a text");
-    *value = field.text();
-  }
+  static void write(const std::string& value, CborWriter* writer) { writer->text(value); }
+  static void read(CborReader* reader, std::string* value) { *value = reader->text(); }
 };
 
 template <class Scalar, int rows, int columns>
 struct Codec<Eigen::Matrix<Scalar, rows, columns>> {
   using Matrix = Eigen::Matrix<Scalar, rows, columns>;
-  static Json write(const Matrix& value) {
-    Json array = Json::array();
-    for (Eigen::Index i = 0; i < value.size(); ++i) array.push_back(value(i));
-    return array;
-  }
-  static void read(const JsonField& field, Matrix* value) {
-    const auto numbers = field.numbers<rows * columns>();
-    for (Eigen::Index i = 0; i < value->size(); ++i) (*value)(i) = static_cast<Scalar>(numbers(i));
-  }
+  static void write(const Matrix& value, CborWriter* writer) { write_elements(value.data(), rows * columns, writer); }
+  static void read(CborReader* reader, Matrix* value) { read_elements(reader, rows * columns, value->data()); }
 };
 
 /// x, y, z, qx, qy, qz, qw.
 template <>
 struct Codec<SE3> {
-  static Json write(const SE3& value) {
+  static void write(const SE3& value, CborWriter* writer) {
     Vec7 v;
     v << value.t, value.q.coeffs();
-    return to_archive(v);
+    to_archive(v, writer);
   }
-  static void read(const JsonField& field, SE3* value) {
-    const Vec7 v = field.numbers<7>();
+  static void read(CborReader* reader, SE3* value) {
+    const std::uint8_t* const at = reader->at();
+    Vec7 v;
+    from_archive(reader, &v);
     *value = {Quaternion(v(6), v(3), v(4), v(5)), v.head<3>()};
-    if (field.is_fine() && !is_rotation(value->q)) field.reject("holds a quaternion that is no rotation");
+    if (!is_rotation(value->q)) reader->reject(at, "holds a quaternion that is no rotation");
   }
 };
 
 template <>
 struct Codec<Box> {
-  static Json write(const Box& value) { return to_archive(value.edges()); }
-  static void read(const JsonField& field, Box* value) { *value = field.box(); }
+  static void write(const Box& value, CborWriter* writer) { to_archive(value.edges(), writer); }
+  static void read(CborReader* reader, Box* value) {
+    const std::uint8_t* const at = reader->at();
+    Vec4 v;
+    from_archive(reader, &v);
+    *value = {v(0), v(1), v(2), v(3)};
+    if (!value->is_valid()) reader->reject(at, "is no box [x1, y1, x2, y2]");
+  }
 };
 
 /// null or the value.
 template <class T>
 struct Codec<std::optional<T>> {
-  static Json write(const std::optional<T>& value) { return value ? to_archive(*value) : Json(); }
-  static void read(const JsonField& field, std::optional<T>* value) {
+  static void write(const std::optional<T>& value, CborWriter* writer) {
+    value ? to_archive(*value, writer) : writer->null();
+  }
+  static void read(CborReader* reader, std::optional<T>* value) {
     value->reset();
-    if (!field.json().is_null()) from_archive(field, &value->emplace());
+    if (!reader->null()) from_archive(reader, &value->emplace());
   }
 };
 template <class T>
 struct Codec<std::shared_ptr<const T>> {
-  static Json write(const std::shared_ptr<const T>& value) { return value ? to_archive(*value) : Json(); }
-  static void read(const JsonField& field, std::shared_ptr<const T>* value) {
-    std::optional<T> read;
-    from_archive(field, &read);
-    *value = read ? std::make_shared<const T>(*read) : nullptr;
+  static void write(const std::shared_ptr<const T>& value, CborWriter* writer) {
+    value ? to_archive(*value, writer) : writer->null();
+  }
+  static void read(CborReader* reader, std::shared_ptr<const T>* value) {
+    value->reset();
+    if (reader->null()) return;
+    auto read = std::make_shared<T>();
+    from_archive(reader, read.get());
+    *value = std::move(read);
   }
 };
 
 template <class T>
 struct Codec<std::vector<T>> {
-  static Json write(const std::vector<T>& values) {
-    Json array = Json::array();
-    for (const T& value : values) array.push_back(to_archive(value));
-    return array;
+  static void write(const std::vector<T>& values, CborWriter* writer) {
+    write_elements(values.data(), values.size(), writer);
   }
-  static void read(const JsonField& field, std::vector<T>* values) {
+  static void read(CborReader* reader, std::vector<T>* values) {
     values->clear();
-    for (const JsonField& element : field.elements()) from_archive(element, &values->emplace_back());
+    reader->elements([&] { from_archive(reader, &values->emplace_back()); });
   }
 };
 
 template <class T, std::size_t n>
 struct Codec<std::array<T, n>> {
-  static Json write(const std::array<T, n>& values) { return values; }
-  static void read(const JsonField& field, std::array<T, n>* values) {
-    const std::vector<JsonField> elements = field.elements();
-    if (elements.size() != n) return field.reject("must have " + std::to_string(n) + " elements");
-    for (std::size_t i = 0; i < n; ++i) from_archive(elements[i], &(*values)[i]);
-  }
+  static void write(const std::array<T, n>& values, CborWriter* writer) { write_elements(values.data(), n, writer); }
+  static void read(CborReader* reader, std::array<T, n>* values) { read_elements(reader, n, values->data()); }
 };
 
 /// [[key, value], ...]
 template <class Key, class T>
 struct Codec<std::map<Key, T>> {
-  static Json write(const std::map<Key, T>& values) {
-    Json array = Json::array();
-    for (const auto& [key, value] : values) array.push_back({to_archive(key), to_archive(value)});
-    return array;
-  }
-  static void read(const JsonField& field, std::map<Key, T>* values) {
-    values->clear();
-    for (const JsonField& element : field.elements()) {
-      const std::vector<JsonField> pair = element.elements();
-      if (pair.size() != 2) return element.reject("must be [key, value]");
-      Key key{};
-      from_archive(pair[0], &key);
-      from_archive(pair[1], &(*values)[key]);
+  static void write(const std::map<Key, T>& values, CborWriter* writer) {
+    writer->array(values.size());
+    for (const auto& [key, value] : values) {
+      writer->array(2);
+      to_archive(key, writer);
+      to_archive(value, writer);
     }
+  }
+  static void read(CborReader* reader, std::map<Key, T>* values) {
+    values->clear();
+    reader->elements([&] {
+      Key key{};
+      T value{};
+      RowReader pair(reader);
+      pair("key", key);
+      pair("value", value);
+      values->insert_or_assign(std::move(key), std::move(value));
+    });
   }
 };
 
 }  // namespace archive
 
 template <class T>
-Json to_archive(const T& value) {
-  return archive::Codec<T>::write(value);
+void to_archive(const T& value, CborWriter* writer) {
+  archive::Codec<T>::write(value, writer);
 }
 template <class T>
-void from_archive(const JsonField& field, T* value) {
-  archive::Codec<T>::read(field, value);
-}
-
-/// @return discarded if that is no CBOR, or nests deeper than anything that is packed here
-Json from_cbor(const std::uint8_t* begin, const std::uint8_t* end);
-/// @param bytes a string or a vector of them
-template <class Bytes>
-Json from_cbor(const Bytes& bytes) {
-  const auto* begin = reinterpret_cast<const std::uint8_t*>(bytes.data());
-  return from_cbor(begin, begin + bytes.size());
+void from_archive(CborReader* reader, T* value) {
+  archive::Codec<T>::read(reader, value);
 }
 
 }  // namespace semantic_topo_loop::core

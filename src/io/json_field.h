@@ -8,7 +8,6 @@
 #include <utility>
 #include <vector>
 
-#include "semantic_topo_loop/types/box.h"
 #include "semantic_topo_loop/types/result.h"
 
 namespace semantic_topo_loop::core {
@@ -22,21 +21,18 @@ inline std::string printable(const Json& json) { return json.dump(-1, ' ', false
 /// tree is read in one go and checked once; what is read after it means nothing.
 class JsonField {
  public:
-  /// @param is_named without, a problem does not say where it is, and a large tree is read in half the time
-  JsonField(const Json& json, std::string name, std::string* problem, bool is_named = true)
-      : json_(json), name_(std::move(name)), problem_(problem), is_named_(is_named) {}
-
-  bool has(const char* key) const { return json_.is_object() && json_.contains(key); }
+  JsonField(const Json& json, std::string name, std::string* problem)
+      : json_(json), name_(std::move(name)), problem_(problem) {}
 
   JsonField member(const char* key) const {
     if (!json_.is_object()) {
       reject("must be an object");
     } else if (const auto it = json_.find(key); it != json_.end()) {
-      return child(*it, [&] { return (name_.empty() ? "" : ".") + std::string(key); });
+      return {*it, name_ + (name_.empty() ? "" : ".") + key, problem_};
     } else {
       reject(std::string("has no '") + key + "'");
     }
-    return {kNothing, name_, problem_, is_named_};
+    return {kNothing, name_, problem_};
   }
 
   std::vector<JsonField> elements() const {
@@ -45,38 +41,21 @@ class JsonField {
     if (!json_.is_array()) return fields;
     fields.reserve(json_.size());
     for (std::size_t i = 0; i < json_.size(); ++i) {
-      fields.push_back(child(json_[i], [i] { return '[' + std::to_string(i) + ']'; }));
+      fields.emplace_back(json_[i], name_ + '[' + std::to_string(i) + ']', problem_);
     }
     return fields;
   }
 
-  std::int64_t integer() const {
-    constexpr std::uint64_t kMax = std::numeric_limits<std::int64_t>::max();
-    const bool is_larger = json_.is_number_unsigned() && json_.get<std::uint64_t>() > kMax;
-    if (json_.is_number_integer() && !is_larger) return json_.get<std::int64_t>();
-    reject("must be an integer");
+  int small_integer() const {
+    constexpr int kMin = std::numeric_limits<int>::min(), kMax = std::numeric_limits<int>::max();
+    // Of a large one not to the last digit.
+    const double value = json_.is_number_integer() ? json_.get<double>() : std::nan("");
+    if (value >= kMin && value <= kMax) return static_cast<int>(value);
+    reject("must be an integer of 32 bits");
     return 0;
   }
 
-  int small_integer() const {
-    const std::int64_t value = integer();
-    if (value != static_cast<int>(value)) reject("must be an integer of 32 bits");
-    return static_cast<int>(value);
-  }
-
-  bool flag() const {
-    if (json_.is_boolean()) return json_.get<bool>();
-    reject("must be true or false");
-    return false;
-  }
-
-  double number() const {
-    const double value = json_.is_number() ? json_.get<double>() : std::nan("");
-    if (!std::isfinite(value)) reject("must be a finite number");
-    return value;
-  }
-
-  /// The same, but null stands for NaN, as JSON writers have it.
+  /// Null stands for NaN, as JSON writers have it.
   double number_or_nan() const {
     if (json_.is_number()) return json_.get<double>();
     if (!json_.is_null()) reject("must be a number");
@@ -85,28 +64,6 @@ class JsonField {
 
   /// Empty if it is no text.
   std::string text() const { return json_.is_string() ? json_.get<std::string>() : std::string(); }
-
-  template <int n>
-  Eigen::Matrix<double, n, 1> numbers() const {
-    Eigen::Matrix<double, n, 1> v = Eigen::Matrix<double, n, 1>::Zero();
-    if (!json_.is_array()) {
-      reject("must be an array");
-    } else if (json_.size() < static_cast<std::size_t>(n)) {
-      reject("must have " + std::to_string(n) + " numbers");
-    } else {
-      for (std::size_t i = 0; i < static_cast<std::size_t>(n); ++i) {
-        v(static_cast<Eigen::Index>(i)) = child(json_[i], [i] { return '[' + std::to_string(i) + ']'; }).number();
-      }
-    }
-    return v;
-  }
-
-  Box box() const {
-    const Vec4 v = numbers<4>();
-    const Box box{v(0), v(1), v(2), v(3)};
-    if (!box.is_valid()) reject("is no box [x1, y1, x2, y2]");
-    return box;
-  }
 
   /// The name, and the value if it is a single one, for messages.
   std::string place() const {
@@ -122,16 +79,10 @@ class JsonField {
   bool is_fine() const { return problem_->empty(); }
 
  private:
-  template <class Suffix>
-  JsonField child(const Json& json, const Suffix& suffix) const {
-    return {json, is_named_ ? name_ + suffix() : std::string(), problem_, is_named_};
-  }
-
   inline static const Json kNothing;
   const Json& json_;
   std::string name_;
   std::string* problem_;
-  bool is_named_;
 };
 
 /// @param take nlohmann's callback, or null   @return an error that names line and column, or key and value

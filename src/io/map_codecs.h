@@ -35,48 +35,54 @@ inline constexpr bool is_row<GraphKeyframe> = true;
 template <>
 inline constexpr bool is_row<LoopFigures> = true;
 
+/// Of an enum by its number.
+/// @param rule that numbers break which it does not have
+template <class Enum>
+void read_enum(CborReader* reader, Enum last, const char* rule, Enum* value) {
+  const std::uint8_t* const at = reader->at();
+  const std::int64_t number = reader->integer();
+  if (number < 0 || number > static_cast<std::int64_t>(last)) return reader->reject(at, rule);
+  *value = static_cast<Enum>(number);
+}
+
 template <>
 struct Codec<LandmarkState> {
-  static Json write(LandmarkState value) { return static_cast<int>(value); }
-  static void read(const JsonField& field, LandmarkState* value) {
-    const int number = field.small_integer();
-    if (number < 0 || number > static_cast<int>(LandmarkState::kRetired)) return field.reject("is no state");
-    *value = static_cast<LandmarkState>(number);
-  }
-};
-
-/// As signed numbers, which a field reads.
-template <>
-struct Codec<Descriptor> {
-  using Words = std::array<std::int64_t, std::tuple_size_v<Descriptor>>;
-  static Json write(const Descriptor& value) {
-    Words words{};
-    std::copy(value.begin(), value.end(), words.begin());
-    return to_archive(words);
-  }
-  static void read(const JsonField& field, Descriptor* value) {
-    Words words{};
-    from_archive(field, &words);
-    std::copy(words.begin(), words.end(), value->begin());
+  static void write(LandmarkState value, CborWriter* writer) { writer->integer(static_cast<int>(value)); }
+  static void read(CborReader* reader, LandmarkState* value) {
+    read_enum(reader, LandmarkState::kRetired, "is no state", value);
   }
 };
 
 template <>
 struct Codec<LoopReason> {
-  static Json write(LoopReason value) { return static_cast<int>(value); }
-  static void read(const JsonField& field, LoopReason* value) {
-    const int number = field.small_integer();
-    if (number < 0 || number > static_cast<int>(LoopReason::kFoundBySource)) return field.reject("is no reason");
-    *value = static_cast<LoopReason>(number);
+  static void write(LoopReason value, CborWriter* writer) { writer->integer(static_cast<int>(value)); }
+  static void read(CborReader* reader, LoopReason* value) {
+    read_enum(reader, LoopReason::kFoundBySource, "is no reason", value);
+  }
+};
+
+/// As signed numbers, which a reader takes.
+template <>
+struct Codec<Descriptor> {
+  using Words = std::array<std::int64_t, std::tuple_size_v<Descriptor>>;
+  static void write(const Descriptor& value, CborWriter* writer) {
+    Words words{};
+    std::copy(value.begin(), value.end(), words.begin());
+    to_archive(words, writer);
+  }
+  static void read(CborReader* reader, Descriptor* value) {
+    Words words{};
+    from_archive(reader, &words);
+    std::copy(words.begin(), words.end(), value->begin());
   }
 };
 
 template <>
 struct Codec<SeenFrom> {
-  static Json write(const SeenFrom& value) { return to_archive(value.smallest_px()); }
-  static void read(const JsonField& field, SeenFrom* value) {
+  static void write(const SeenFrom& value, CborWriter* writer) { to_archive(value.smallest_px(), writer); }
+  static void read(CborReader* reader, SeenFrom* value) {
     SeenFrom::Bins bins{};
-    from_archive(field, &bins);
+    from_archive(reader, &bins);
     *value = SeenFrom(bins);
   }
 };
@@ -84,53 +90,47 @@ struct Codec<SeenFrom> {
 /// By its camera's rotation and place, from which the rest follows.
 template <>
 struct Codec<LocalFrame> {
-  static Json write(const LocalFrame& value) {
-    return {{"frame_id", value.frame_id},
-            {"camera_from_anchor_rotation", to_archive(value.R_camera_local)},
-            {"position", to_archive(value.position)},
-            {"focal_px", to_archive(value.focal_px)},
-            {"image", to_archive(value.image)},
-            {"boxes", to_archive(value.boxes)}};
-  }
-  static void read(const JsonField& field, LocalFrame* value) {
-    from_archive(field.member("frame_id"), &value->frame_id);
-    from_archive(field.member("camera_from_anchor_rotation"), &value->R_camera_local);
-    from_archive(field.member("position"), &value->position);
-    from_archive(field.member("focal_px"), &value->focal_px);
-    from_archive(field.member("image"), &value->image);
-    from_archive(field.member("boxes"), &value->boxes);
+  static void write(const LocalFrame& value, CborWriter* writer) { write_members(value, writer); }
+  static void read(CborReader* reader, LocalFrame* value) {
+    const std::uint8_t* const at = reader->at();
+    read_members(reader, value);
     constexpr double kTolerance = 1e-6;
     if (!value->R_camera_local.isUnitary(kTolerance) || value->R_camera_local.determinant() < 0.0) {
-      field.member("camera_from_anchor_rotation").reject("is no rotation");
+      reader->reject(at, "has a camera_from_anchor_rotation that is none");
     }
     value->t_camera_local = -value->R_camera_local * value->position;
-    if (!(value->focal_px.minCoeff() > 0.0)) field.member("focal_px").reject("must be > 0");
+    if (!(value->focal_px.minCoeff() > 0.0)) reader->reject(at, "must have a focal_px > 0");
   }
 };
 
 /// In whole millimetres, each point as the way from the one before: neighbours are near, and compress well.
 class PointsOfWays {
  public:
-  static Json write(const std::vector<Eigen::Vector3f>& points) {
-    Json array = Json::array();
+  /// @param point_of the place of each of `points`
+  template <class Point, class PointOf>
+  static void write(const std::vector<Point>& points, const PointOf& point_of, CborWriter* writer) {
+    writer->array(3 * points.size());
     std::array<std::int64_t, 3> last{};
-    for (const Eigen::Vector3f& point : points) {
+    for (const Point& point : points) {
       for (std::size_t k = 0; k < 3; ++k) {
-        const double metres = static_cast<double>(point(static_cast<Eigen::Index>(k)));
+        const double metres = static_cast<double>(point_of(point)(static_cast<Eigen::Index>(k)));
         const std::int64_t now = std::llround(std::clamp(1e3 * metres, -kMost, kMost));
-        array.push_back(now - std::exchange(last[k], now));
+        writer->integer(now - std::exchange(last[k], now));
       }
     }
-    return array;
   }
-  static void read(const JsonField& field, std::vector<Eigen::Vector3f>* points) {
-    const std::vector<JsonField> numbers = field.elements();
-    if (numbers.size() % 3 != 0) return field.reject("must have three numbers a point");
+  static std::vector<Eigen::Vector3f> read(CborReader* reader) {
+    const std::uint8_t* const at = reader->at();
+    std::vector<Eigen::Vector3f> points;
     Eigen::Vector3d last = Eigen::Vector3d::Zero();
-    for (std::size_t i = 0; i < numbers.size(); i += 3) {
-      for (std::size_t k = 0; k < 3; ++k) last(static_cast<Eigen::Index>(k)) += numbers[i + k].number();
-      points->push_back((1e-3 * last).cast<float>());
-    }
+    Eigen::Index k = 0;
+    reader->elements([&] {
+      last(k) += reader->number();
+      if (k == 2) points.push_back((1e-3 * last).cast<float>());
+      k = (k + 1) % 3;
+    });
+    if (k != 0) reader->reject(at, "must have three numbers a point");
+    return points;
   }
 
  private:
@@ -139,25 +139,28 @@ class PointsOfWays {
 
 template <>
 struct Codec<KeyframePoints> {
-  static Json write(const KeyframePoints& value) {
-    Json ids = Json::array();
-    std::vector<Eigen::Vector3f> sparse;
+  static void write(const KeyframePoints& value, CborWriter* writer) {
+    writer->map(3);
+    writer->text("sparse_id_steps");
+    writer->array(value.sparse.size());
     std::int64_t last = 0;
-    for (const SparsePoint& point : value.sparse) {
-      ids.push_back(point.id - std::exchange(last, point.id));
-      sparse.push_back(point.point_camera);
-    }
-    return {{"sparse_id_steps", ids},
-            {"sparse_mm_steps", PointsOfWays::write(sparse)},
-            {"semi_dense_mm_steps", PointsOfWays::write(value.semi_dense)}};
+    for (const SparsePoint& point : value.sparse) writer->integer(point.id - std::exchange(last, point.id));
+    writer->text("sparse_mm_steps");
+    PointsOfWays::write(
+        value.sparse, [](const SparsePoint& point) { return point.point_camera; }, writer);
+    writer->text("semi_dense_mm_steps");
+    PointsOfWays::write(
+        value.semi_dense, [](const Eigen::Vector3f& point) { return point; }, writer);
   }
-  static void read(const JsonField& field, KeyframePoints* value) {
+  static void read(CborReader* reader, KeyframePoints* value) {
+    const std::uint8_t* const at = reader->at();
     std::vector<std::int64_t> steps;
-    from_archive(field.member("sparse_id_steps"), &steps);
     std::vector<Eigen::Vector3f> sparse;
-    PointsOfWays::read(field.member("sparse_mm_steps"), &sparse);
-    PointsOfWays::read(field.member("semi_dense_mm_steps"), &value->semi_dense);
-    if (steps.size() != sparse.size()) return field.member("sparse_id_steps").reject("has not one number a point");
+    CborReader::Members members(reader);
+    members.member("sparse_id_steps", [&] { from_archive(reader, &steps); });
+    members.member("sparse_mm_steps", [&] { sparse = PointsOfWays::read(reader); });
+    members.member("semi_dense_mm_steps", [&] { value->semi_dense = PointsOfWays::read(reader); });
+    if (steps.size() != sparse.size()) return reader->reject(at, "has not one of sparse_id_steps a point");
     std::int64_t id = 0;
     for (std::size_t i = 0; i < steps.size(); ++i) value->sparse.push_back({id += steps[i], sparse[i]});
   }
@@ -216,6 +219,8 @@ VISIT_MEMBERS(LandmarkRecord, MEMBER(state) MEMBER(seen_beside) MEMBER(sightings
 VISIT_MEMBERS(UpDirection, MEMBER(direction) MEMBER(certain))
 VISIT_MEMBERS(Spheroid, MEMBER(center) MEMBER(log_axes))
 VISIT_MEMBERS(ObservedBox, MEMBER(landmark_id) MEMBER(class_id) MEMBER(box) MEMBER(truncated) MEMBER(depth_m))
+VISIT_MEMBERS(LocalFrame, MEMBER(frame_id) MEMBER_AS("camera_from_anchor_rotation", R_camera_local) MEMBER(position)
+                              MEMBER(focal_px) MEMBER(image) MEMBER(boxes))
 VISIT_MEMBERS(SubmapView, MEMBER(frame) MEMBER(box) MEMBER(depth_m) MEMBER(truncated))
 VISIT_MEMBERS(LocalObject, MEMBER(landmark_id) MEMBER(class_id) MEMBER(spheroid) MEMBER(covariance) MEMBER(frames_seen)
                                MEMBER(seen_share) MEMBER(parallax_deg) MEMBER(views))

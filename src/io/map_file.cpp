@@ -1,11 +1,12 @@
 #include "semantic_topo_loop/io/map_file.h"
 
 #include <cstddef>
-#include <future>
+#include <cstdint>
 #include <utility>
 #include <vector>
 
 #include "io/compression.h"
+#include "io/json_field.h"
 #include "io/map_codecs.h"
 #include "io/map_tables.h"
 #include "io/sqlite_file.h"
@@ -18,16 +19,13 @@ namespace {
 
 constexpr char kTables[] = "SELECT name FROM sqlite_master WHERE type = 'table' ORDER BY name";
 
-/// The text of JSON or the bytes of CBOR into a value. @param place of it, for messages   @return what is wrong
+/// A body into a value. @param place of it, for messages   @return what is wrong
 template <class T>
-Status unpacked(const std::string& place, const Json& json, T* value) {
-  if (json.is_discarded()) return Error{place + " is damaged"};
-  std::string problem;
-  from_archive(JsonField(json, place, &problem, false), value);
-  if (problem.empty()) return {};
-  problem.clear();  // once more, to say where
-  from_archive(JsonField(json, place, &problem), value);
-  return Error{problem};
+Status unpacked(const std::string& place, const std::string& body, T* value) {
+  const auto* const begin = reinterpret_cast<const std::uint8_t*>(body.data());
+  CborReader reader(place, begin, begin + body.size());
+  from_archive(&reader, value);
+  return reader.is_fine() ? Status() : Error{reader.problem()};
 }
 
 void require(const Status& status, SqliteFile* file) {
@@ -35,50 +33,30 @@ void require(const Status& status, SqliteFile* file) {
 }
 
 template <class T>
-void unpack(SqliteFile* file, const std::string& place, const Json& json, T* value) {
-  if (file->is_fine()) require(unpacked(place, json, value), file);
-}
-template <class T>
-void unpack(SqliteFile* file, const std::string& place, const std::string& bytes, T* value) {
-  unpack(file, place, from_cbor(bytes), value);
+void unpack(SqliteFile* file, const std::string& place, const std::string& body, T* value) {
+  if (file->is_fine()) require(unpacked(place, body, value), file);
 }
 
 template <class T>
 void read_meta(const std::string& key, SqliteFile* file, T* value) {
   SqliteStatement select(file, "SELECT value FROM meta WHERE key = '" + key + "'");
   if (!select.next()) return file->reject("meta has no '" + key + "'");
-  unpack(file, "meta '" + key + "'", Json::parse(select.bytes(0), nullptr, false), value);
+  const Json json = Json::parse(select.bytes(0), nullptr, false);
+  std::string body;  // none is damaged
+  if (!json.is_discarded()) Json::to_cbor(json, body);
+  unpack(file, "meta '" + key + "'", body, value);
 }
 
 std::string row_name(const char* table, const SqliteStatement& row) { return std::string(table) + ' ' + row.bytes(0); }
 
-/// Bodies of a table's rows, in order: unpacked side by side, as that is most of the work.
+/// Bodies of a table's rows, in order.
 /// @param name of a row, an expression   @param key what they are in order of; null: the name
 template <class T>
 std::vector<T> read_bodies(const char* table, const char* name, SqliteFile* file, const char* key = nullptr) {
-  constexpr std::size_t kAtOnce = 256;
-  constexpr std::size_t kThreads = 4;
   std::vector<T> values;
   SqliteStatement rows(
       file, std::string("SELECT ") + name + ", body FROM " + table + " ORDER BY " + (key != nullptr ? key : name));
-  for (bool is_more = true; is_more;) {
-    std::vector<std::pair<std::string, std::string>> bodies;  // place, bytes
-    while (bodies.size() < kAtOnce && (is_more = rows.next())) {
-      bodies.emplace_back(row_name(table, rows), rows.bytes(1));
-    }
-    const std::size_t first = values.size();
-    values.resize(first + bodies.size());
-    std::vector<Status> read(bodies.size());
-    const auto unpack_from = [&](std::size_t begin) {
-      for (std::size_t i = begin; i < bodies.size(); i += kThreads) {
-        read[i] = unpacked(bodies[i].first, from_cbor(bodies[i].second), &values[first + i]);
-      }
-    };
-    std::vector<std::future<void>> threads;
-    for (std::size_t i = 0; i < kThreads; ++i) threads.push_back(std::async(std::launch::async, unpack_from, i));
-    for (std::future<void>& thread : threads) thread.get();
-    for (const Status& status : read) require(status, file);
-  }
+  while (rows.next()) unpack(file, row_name(table, rows), rows.bytes(1), &values.emplace_back());
   return values;
 }
 

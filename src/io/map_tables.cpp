@@ -4,6 +4,7 @@
 #include <utility>
 
 #include "io/compression.h"
+#include "io/json_field.h"
 #include "io/map_codecs.h"
 
 namespace semantic_topo_loop::core {
@@ -43,9 +44,14 @@ CREATE TABLE refused_loop(query INTEGER, match INTEGER, query_ns INTEGER NOT NUL
 
 template <class T>
 std::string packed(const T& value) {
-  std::string bytes;
-  Json::to_cbor(to_archive(value), bytes);
-  return bytes;
+  CborWriter writer;
+  to_archive(value, &writer);
+  return writer.take();
+}
+
+template <class T>
+std::string as_text(const T& value) {
+  return from_cbor(packed(value)).dump();
 }
 
 SqliteStatement& operator<<(SqliteStatement& statement, const SE3& pose) {
@@ -64,12 +70,12 @@ void create_map_tables(SqliteFile* file) {
 
 MapTables::MapTables(SqliteFile* file, const ClassTable& classes) : file_(file), classes_(classes) {}
 
-bool MapTables::Mirror::take(std::int64_t key, const std::string& bytes) {
+const std::string* MapTables::Mirror::take(std::int64_t key, std::string body) {
   Row& row = rows.try_emplace(key).first->second;
-  const bool is_other = row.bytes != bytes;  // a new one has none
   row.given = time;
-  if (is_other) row.bytes = bytes;
-  return is_other;
+  if (row.body == body) return nullptr;
+  row.body = std::move(body);
+  return &row.body;
 }
 
 void MapTables::finish(const char* table, const char* key, Mirror* mirror) {
@@ -99,10 +105,10 @@ void MapTables::write(const GraphState& graph, bool is_whole) {
   if (is_whole) file_->run("DELETE FROM keyframe; DELETE FROM session");
   if (!has_graph_) file_->run("DELETE FROM edge; DELETE FROM loop");
   has_graph_ = true;
-  write_meta("next_frame", Json(graph.next_frame_id).dump());
-  write_meta("accepted_loops", Json(graph.accepted_loops).dump());
-  write_meta("noise", to_archive(graph.noise).dump());
-  write_meta("loose_factor", Json(graph.loose_factor).dump());
+  write_meta("next_frame", as_text(graph.next_frame_id));
+  write_meta("accepted_loops", as_text(graph.accepted_loops));
+  write_meta("noise", as_text(graph.noise));
+  write_meta("loose_factor", as_text(graph.loose_factor));
   SqliteStatement sessions(file_, "INSERT OR REPLACE INTO session VALUES(?, ?, ?, ?)");
   for (const Session& session : graph.sessions) {
     (sessions << session.first_keyframe_id << session.begin_ns << session.end_ns).run_with_checksum();
@@ -117,25 +123,20 @@ void MapTables::write(const GraphState& graph, bool is_whole) {
     if (keyframe.T_map_live) keyframes << *keyframe.T_map_live;
     keyframes.run_with_checksum();
   }
-  ArchiveBytes bytes;
-  const auto bytes_of = [&bytes](const auto& value) -> const std::string& {
-    bytes.clear();
-    bytes.add(value);
-    return bytes.bytes();
-  };
   SqliteStatement edges(file_, "INSERT OR REPLACE INTO edge VALUES(?, ?, ?)");
   for (std::size_t i = 0; i < graph.edges.size(); ++i) {
-    const OdometryEdge& edge = graph.edges[i];
     const auto number = static_cast<std::int64_t>(i);
-    if (edges_.take(number, bytes_of(edge))) (edges << number).blob(packed(edge)).run_with_checksum();
+    if (const std::string* body = edges_.take(number, packed(graph.edges[i])))
+      (edges << number).blob(*body).run_with_checksum();
   }
   finish("edge", "number", &edges_);
   SqliteStatement loops(file_, "INSERT OR REPLACE INTO loop VALUES(?, ?, ?, ?, ?, ?, ?)");
   for (const RememberedLoop& loop : graph.loops) {
     const LoopVerdict& told = loop.told;
-    if (!loops_.take(told.number, bytes_of(loop))) continue;
+    const std::string* const body = loops_.take(told.number, packed(loop));
+    if (body == nullptr) continue;
     loops << told.number << told.query_keyframe_id << told.match_keyframe_id << static_cast<std::int64_t>(told.kept);
-    (loops << told.reason).blob(packed(loop)).run_with_checksum();
+    (loops << told.reason).blob(*body).run_with_checksum();
   }
   finish("loop", "number", &loops_);
 }
@@ -145,7 +146,7 @@ void MapTables::write_configuration(const std::string& text) {
   write_meta("configuration", printable(Json(text)));
 }
 
-void MapTables::write(const Camera& camera) { write_meta("camera", to_archive(camera).dump()); }
+void MapTables::write(const Camera& camera) { write_meta("camera", as_text(camera)); }
 
 void MapTables::write(const LandmarkRecord& record, const std::vector<Observation>& observations, std::size_t first) {
   const Landmark& state = record.state;
@@ -242,15 +243,16 @@ void MapTables::write(const MapDelta& delta) {
   }
 }
 
-std::vector<std::uint8_t> pack(const MapDelta& delta) { return Json::to_cbor(to_archive(delta)); }
+std::vector<std::uint8_t> pack(const MapDelta& delta) {
+  const std::string bytes = packed(delta);
+  return {bytes.begin(), bytes.end()};
+}
 
 std::shared_ptr<const MapDelta> unpack_map_delta(const std::vector<std::uint8_t>& bytes) {
-  const Json json = from_cbor(bytes);
-  if (json.is_discarded()) return nullptr;
-  std::string problem;
+  CborReader reader("part of a map", bytes.data(), bytes.data() + bytes.size());
   auto delta = std::make_shared<MapDelta>();
-  from_archive(JsonField(json, "part of a map", &problem, false), delta.get());
-  return problem.empty() ? delta : nullptr;
+  from_archive(&reader, delta.get());
+  return reader.is_fine() ? delta : nullptr;
 }
 
 }  // namespace semantic_topo_loop::core

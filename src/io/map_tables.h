@@ -44,13 +44,13 @@ class MapTables {
   /// The rows of a table that is given as a whole, each time.
   struct Mirror {
     struct Row {
-      std::string bytes;       ///< see ArchiveBytes; what was written last
+      std::string body;        ///< what was written last
       std::int64_t given = 0;  ///< when it was last
     };
     std::map<std::int64_t, Row> rows;  ///< by key
     std::int64_t time = 1;             ///< counts how often the table is given
-    /// @return whether the row is new or other
-    bool take(std::int64_t key, const std::string& bytes);
+    /// @return what to write; null if the row has it already
+    const std::string* take(std::int64_t key, std::string body);
   };
   /// Removes the rows that were not given again.
   void finish(const char* table, const char* key, Mirror* mirror);
