@@ -105,14 +105,14 @@ class Selection {
   }
   BundleProblem problem;
 
-  void add_views(double scale_factor) {
+  void add_views() {
     for (std::size_t i = 0; i < problem.points.size(); ++i) {
       const MapPoint& point = map_->points().at(problem.points[i].id);
       for (const auto& [keyframe, index] : point.views) {
         const auto pose = pose_of_.find(keyframe);
         if (pose == pose_of_.end()) continue;
         const ImageFeature& feature = map_->keyframes().at(keyframe).features.features[static_cast<std::size_t>(index)];
-        problem.views.push_back({pose->second, i, observation(feature, point, scale_factor), false});
+        problem.views.push_back({pose->second, i, observation(feature, point), false});
       }
     }
   }
@@ -147,7 +147,7 @@ std::pair<bool, bool> agrees(const Camera& camera, const SE3& T_camera_map, cons
 
 BundleProblem local_bundle(const TrackingMap& map, std::int64_t keyframe, const FrontendOptions& options) {
   Selection selection(map, keyframe, options);
-  selection.add_views(options.scale_factor);
+  selection.add_views();
   return std::move(selection.problem);
 }
 
@@ -248,17 +248,21 @@ void apply(const BundleProblem& problem, TrackingMap* map) {
   for (const BundleProblem::Pose& pose : problem.poses) {
     if (!pose.is_fixed) map->keyframe(pose.keyframe)->T_camera_map = pose.T_camera_map;
   }
+  std::vector<bool> has_lost(problem.points.size(), false);  // a view
   for (const BundleProblem::View& view : problem.views) {
-    if (view.is_outlier) map->remove_view(problem.points[view.point].id, problem.poses[view.pose].keyframe);
+    if (!view.is_outlier) continue;
+    map->remove_view(problem.points[view.point].id, problem.poses[view.pose].keyframe);
+    has_lost[view.point] = true;
   }
-  for (const BundleProblem::Point& point : problem.points) {
+  for (std::size_t i = 0; i < problem.points.size(); ++i) {
+    const BundleProblem::Point& point = problem.points[i];
     MapPoint* refined = map->point(point.id);
     if (refined->views.empty()) {
       map->remove_point(point.id);
       continue;
     }
     refined->position = point.position;
-    map->refresh(refined);
+    has_lost[i] ? map->refresh(refined) : map->refresh_geometry(refined);
   }
 }
 

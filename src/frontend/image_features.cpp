@@ -151,54 +151,85 @@ constexpr int kPatchRadius_px = 15;  ///< of orientation and descriptor
 constexpr int kBorder_px = 19;       ///< a descriptor's pairs of pixels lie within +-13 px, turned within 13 sqrt(2)
 constexpr int kFastRadius_px = 3;    ///< of the circle that a corner is found by
 
-/// Half width of each row of the round patch.
-std::array<int, kPatchRadius_px + 1> circle_rows() {
-  std::array<int, kPatchRadius_px + 1> half_width{};
-  for (int v = 0; v <= kPatchRadius_px; ++v) {
-    half_width[static_cast<std::size_t>(v)] =
-        static_cast<int>(std::floor(std::sqrt(kPatchRadius_px * kPatchRadius_px - v * v)));
+/// Weights of a patch's pixels in its moments, in rows of a length that the compiler makes vectors of.
+struct RoundPatch {
+  static constexpr std::size_t kRows = 2 * kPatchRadius_px + 1, kColumns = kRows + 1;
+  using Weights = std::array<std::array<std::int16_t, kColumns>, kRows>;
+  Weights of_u{}, of_v{};  ///< 0 outside of the circle
+  RoundPatch() {
+    for (int v = -kPatchRadius_px; v <= kPatchRadius_px; ++v) {
+      const int half = static_cast<int>(std::floor(std::sqrt(kPatchRadius_px * kPatchRadius_px - v * v)));
+      for (int u = -half; u <= half; ++u) {
+        const auto row = static_cast<std::size_t>(v + kPatchRadius_px),
+                   column = static_cast<std::size_t>(u + kPatchRadius_px);
+        of_u[row][column] = static_cast<std::int16_t>(u);
+        of_v[row][column] = static_cast<std::int16_t>(v);
+      }
+    }
   }
-  return half_width;
-}
+};
 
 /// Direction from the corner to the centroid of its patch's brightness.
 float orientation_deg(const cv::Mat& image, int x, int y) {
-  static const std::array<int, kPatchRadius_px + 1> half_width = circle_rows();
+  static const RoundPatch patch;
   int m10 = 0, m01 = 0;
-  for (int v = -kPatchRadius_px; v <= kPatchRadius_px; ++v) {
-    const std::uint8_t* row = image.ptr<std::uint8_t>(y + v) + x;
-    const int half = half_width[static_cast<std::size_t>(std::abs(v))];
-    int sum = 0;
-    for (int u = -half; u <= half; ++u) {
-      m10 += u * row[u];
-      sum += row[u];
+  for (std::size_t row = 0; row < RoundPatch::kRows; ++row) {
+    const std::uint8_t* pixels =
+        image.ptr<std::uint8_t>(y - kPatchRadius_px + static_cast<int>(row)) + x - kPatchRadius_px;
+    const auto &of_u = patch.of_u[row], &of_v = patch.of_v[row];
+    for (std::size_t column = 0; column < RoundPatch::kColumns; ++column) {
+      const auto brightness = static_cast<std::int16_t>(pixels[column]);
+      m10 += of_u[column] * brightness;
+      m01 += of_v[column] * brightness;
     }
-    m01 += v * sum;
   }
   return cv::fastAtan2(static_cast<float>(m01), static_cast<float>(m10));
 }
 
+/// Cells of an image that are about as many as the corners that are wanted of it.
+class CornerCells {
+ public:
+  CornerCells(const cv::Size& size, int wanted)
+      : size_(size), cell_px_(std::max(1.0, std::sqrt(static_cast<double>(size.area()) / wanted))) {}
+  int columns() const { return static_cast<int>(size_.width / cell_px_) + 1; }
+  int rows() const { return static_cast<int>(size_.height / cell_px_) + 1; }
+  std::size_t count() const { return static_cast<std::size_t>(columns() * rows()); }
+  std::size_t of(const cv::Point2f& pixel) const {
+    return static_cast<std::size_t>(static_cast<int>(pixel.y / cell_px_) * columns() +
+                                    static_cast<int>(pixel.x / cell_px_));
+  }
+  /// The pixels of some cells of a row and so many around them.
+  cv::Rect pixels(int row, int first, int end, int around) const {
+    const auto edge = [this](int cell) { return static_cast<int>(std::floor(cell * cell_px_)); };
+    const cv::Point low(edge(first) - around, edge(row) - around),
+        high(edge(end) + 1 + around, edge(row + 1) + 1 + around);
+    return cv::Rect(low, high) & cv::Rect(cv::Point(), size_);
+  }
+
+ private:
+  cv::Size size_;
+  double cell_px_;
+};
+
 /// The strongest corner of each cell, then the second strongest, and so on, until enough are chosen: even over the
 /// image, and the best where there is much to choose from.
-std::vector<cv::KeyPoint> spread(std::vector<cv::KeyPoint> corners, const cv::Size& size, int wanted) {
-  if (static_cast<int>(corners.size()) <= wanted) return corners;
-  const double cell_px = std::max(1.0, std::sqrt(static_cast<double>(size.area()) / wanted));
-  const int columns = static_cast<int>(size.width / cell_px) + 1, rows = static_cast<int>(size.height / cell_px) + 1;
-  const auto cell_of = [cell_px, columns](const cv::KeyPoint& corner) {
-    return static_cast<std::size_t>(static_cast<int>(corner.pt.y / cell_px) * columns +
-                                    static_cast<int>(corner.pt.x / cell_px));
-  };
+/// @param known where a cell has a corner of this response, others of less may be missing
+/// @return fewer if more of these are needed
+std::vector<cv::KeyPoint> spread(std::vector<cv::KeyPoint> corners, const CornerCells& cells, int wanted, float known) {
   constexpr float kTaken = -1.0F;  // instead of a contrast
   std::vector<cv::KeyPoint> chosen;
-  while (static_cast<int>(chosen.size()) < wanted) {
-    std::vector<cv::KeyPoint*> strongest(static_cast<std::size_t>(columns * rows), nullptr);
-    for (cv::KeyPoint& corner : corners) {
-      cv::KeyPoint*& other = strongest[cell_of(corner)];
-      if (corner.response > (other != nullptr ? other->response : kTaken)) other = &corner;
+  std::vector<std::size_t> cell_of(corners.size());
+  std::transform(corners.begin(), corners.end(), cell_of.begin(),
+                 [&cells](const cv::KeyPoint& corner) { return cells.of(corner.pt); });
+  for (bool is_first = true; static_cast<int>(chosen.size()) < wanted; is_first = false) {
+    std::vector<cv::KeyPoint*> strongest(cells.count(), nullptr);
+    for (std::size_t i = 0; i < corners.size(); ++i) {
+      cv::KeyPoint*& other = strongest[cell_of[i]];
+      if (corners[i].response > (other != nullptr ? other->response : kTaken)) other = &corners[i];
     }
     const std::size_t before = chosen.size();
     for (cv::KeyPoint* corner : strongest) {
-      if (corner == nullptr) continue;
+      if (corner == nullptr || (!is_first && corner->response < known)) continue;
       chosen.push_back(*corner);
       corner->response = kTaken;
     }
@@ -206,22 +237,61 @@ std::vector<cv::KeyPoint> spread(std::vector<cv::KeyPoint> corners, const cv::Si
               [](const cv::KeyPoint& a, const cv::KeyPoint& b) {
                 return std::make_tuple(-a.response, a.pt.y, a.pt.x) < std::make_tuple(-b.response, b.pt.y, b.pt.x);
               });
+    if (!is_first && known > 0.0F) break;
   }
-  chosen.resize(static_cast<std::size_t>(wanted));
+  if (static_cast<int>(chosen.size()) > wanted) chosen.resize(static_cast<std::size_t>(wanted));
   return chosen;
 }
 
-void extract_level(const cv::Mat& image, int level, int wanted, const FrontendOptions& options, const Camera& camera,
-                   std::vector<cv::Vec2f>* raw_pixels, ImageFeatures* result) {
+/// FAST corners, spread evenly. Weak ones, of which there are most, are looked for only where there are no others, as
+/// long as that makes no difference.
+std::vector<cv::KeyPoint> find_corners(const cv::Mat& image, int threshold, int wanted) {
+  constexpr int kStrong = 20;  // a third of the time, and half of the cells of a desk have one
+  if (wanted <= 0) return {};
+  const CornerCells cells(image.size(), wanted);
+  std::vector<cv::KeyPoint> corners;
+  if (threshold < kStrong) {
+    cv::FAST(image, corners, kStrong, true);
+    if (static_cast<int>(corners.size()) > wanted) {
+      std::vector<bool> has_strong(cells.count(), false);
+      for (const cv::KeyPoint& corner : corners) has_strong[cells.of(corner.pt)] = true;
+      const auto is_weak = [&](int row, int column) {
+        return !has_strong[static_cast<std::size_t>(row * cells.columns() + column)];
+      };
+      std::vector<cv::KeyPoint> weak;
+      for (int row = 0; row < cells.rows(); ++row) {
+        for (int column = 0, end = 0; column < cells.columns(); column = end + 1) {
+          for (end = column; end < cells.columns() && is_weak(row, end);) ++end;
+          // The circle, and the neighbours that a corner is compared with.
+          const cv::Rect part = cells.pixels(row, column, end, kFastRadius_px + 1);
+          if (end == column || part.width <= 2 * kFastRadius_px || part.height <= 2 * kFastRadius_px) continue;
+          cv::FAST(image(part), weak, threshold, true);
+          for (cv::KeyPoint& corner : weak) {
+            corner.pt += cv::Point2f(part.tl());
+            const std::size_t cell = cells.of(corner.pt);
+            const std::size_t first = static_cast<std::size_t>(row * cells.columns());
+            if (cell >= first + static_cast<std::size_t>(column) && cell < first + static_cast<std::size_t>(end))
+              corners.push_back(corner);
+          }
+        }
+      }
+      std::vector<cv::KeyPoint> chosen = spread(std::move(corners), cells, wanted, kStrong);
+      if (static_cast<int>(chosen.size()) == wanted) return chosen;
+    }
+  }
+  cv::FAST(image, corners, threshold, true);
+  return static_cast<int>(corners.size()) > wanted ? spread(std::move(corners), cells, wanted, 0.0F) : corners;
+}
+
+void extract_level(const cv::Mat& image, int level, double scale, int wanted, const FrontendOptions& options,
+                   const Camera& camera, std::vector<cv::Vec2f>* raw_pixels, ImageFeatures* result) {
   // Sizes are whole numbers, so that the two axes are not scaled by exactly the same.
   const double scale_x = static_cast<double>(camera.width) / image.cols;
   const double scale_y = static_cast<double>(camera.height) / image.rows;
   if (image.cols <= 2 * kBorder_px || image.rows <= 2 * kBorder_px) return;
   const int margin = kBorder_px - kFastRadius_px;
   const cv::Rect inner(margin, margin, image.cols - 2 * margin, image.rows - 2 * margin);
-  std::vector<cv::KeyPoint> corners;
-  cv::FAST(image(inner), corners, options.corner_threshold, true);
-  corners = spread(std::move(corners), inner.size(), wanted);
+  std::vector<cv::KeyPoint> corners = find_corners(image(inner), options.corner_threshold, wanted);
   for (cv::KeyPoint& corner : corners) {
     corner.pt.x += static_cast<float>(margin);
     corner.pt.y += static_cast<float>(margin);
@@ -239,6 +309,7 @@ void extract_level(const cv::Mat& image, int level, int wanted, const FrontendOp
     ImageFeature feature;
     feature.pixel = camera.undistort(Vec2(raw[0], raw[1]));
     feature.level = level;
+    feature.scale = scale;
     feature.angle_deg = corners[i].angle;
     Descriptor descriptor;
     std::memcpy(descriptor.data(), descriptors.ptr(static_cast<int>(i)), sizeof(descriptor));
@@ -291,8 +362,8 @@ ImageFeatures extract_features(const RgbdImage& image, const FrontendOptions& op
   double share = (1.0 - ratio) / (1.0 - std::pow(ratio, options.levels));
   cv::Mat level_image = image.gray;
   for (int level = 0; level < options.levels; ++level) {
+    const double scale = std::pow(options.scale_factor, level);
     if (level > 0) {
-      const double scale = std::pow(options.scale_factor, level);
       const cv::Size size(static_cast<int>(std::lround(image.gray.cols / scale)),
                           static_cast<int>(std::lround(image.gray.rows / scale)));
       if (size.width <= 2 * kBorder_px || size.height <= 2 * kBorder_px) break;
@@ -301,7 +372,7 @@ ImageFeatures extract_features(const RgbdImage& image, const FrontendOptions& op
       level_image = smaller;
     }
     const int wanted = static_cast<int>(std::lround(options.features * share));
-    extract_level(level_image, level, wanted, options, camera, &raw_pixels, &result);
+    extract_level(level_image, level, scale, wanted, options, camera, &raw_pixels, &result);
     share *= ratio;
   }
   for (std::size_t i = 0; i < result.size(); ++i) {

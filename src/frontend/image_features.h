@@ -1,6 +1,5 @@
 #pragma once
 
-#include <cmath>
 #include <cstdint>
 #include <vector>
 
@@ -17,12 +16,11 @@ struct RgbdImage;
 struct ImageFeature {
   Vec2 pixel = Vec2::Zero();  ///< undistorted
   int level = 0;              ///< of the pyramid
+  double scale = 1.0;         ///< of the level: its pixels are so many wide, and what it shows is placed as well
   float angle_deg = 0.0F;
   double depth_m = 0.0;  ///< 0: none that can be relied on
   double depth_sigma_m = 0.0;
   bool has_depth() const { return depth_m > 0.0; }
-  /// Standard deviation of the pixel, which is known as well as the level's pixels are small.
-  double pixel_sigma(double scale_factor) const { return std::pow(scale_factor, level); }
 };
 
 /// The features of one image, and which lie near a pixel.

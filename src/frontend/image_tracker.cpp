@@ -8,6 +8,22 @@
 namespace semantic_topo_loop::core {
 namespace {
 
+/// Points by their ids, which are asked for some ten thousand times an image.
+class PointSet {
+ public:
+  explicit PointSet(const TrackingMap& map) : is_in_(static_cast<std::size_t>(map.next_point()), false) {}
+  /// @param id -1: none   @return whether it is one, and new
+  bool insert(std::int64_t id) {
+    if (id < 0 || contains(id)) return false;
+    is_in_[static_cast<std::size_t>(id)] = true;
+    return true;
+  }
+  bool contains(std::int64_t id) const { return is_in_[static_cast<std::size_t>(id)]; }
+
+ private:
+  std::vector<bool> is_in_;
+};
+
 int trusted_inliers(const PoseEstimate& estimate, const std::vector<PoseObservation>& observations) {
   int count = 0;
   for (std::size_t i = 0; i < observations.size(); ++i) {
@@ -25,7 +41,7 @@ bool fit(const SE3& T_camera_map, const Camera& camera, TrackingMap* map, Tracke
   for (std::size_t i = 0; i < image->points.size(); ++i) {
     const MapPoint* point = map->point(image->points[i]);
     if (point == nullptr) continue;
-    observations.push_back(observation(image->features.features[i], *point, map->options().scale_factor));
+    observations.push_back(observation(image->features.features[i], *point));
     observations.back().is_trusted = point->found >= kProven;
     features.push_back(i);
   }
@@ -84,7 +100,6 @@ std::optional<SearchItem> expect(const TrackingMap& map, const MapPoint& point, 
   constexpr double kMinCosine = 0.5;  // 60 deg, beyond which ORB's descriptor is another one (as in ORB-SLAM)
   constexpr double kRadius_px = 8.0;  // on level 0: ORB-SLAM2's for RGB-D are 7.5 to 12
   constexpr double kFarther = 1.3;    // than level 0 shows it alike: a level and a half of the pyramid
-  constexpr int kNearerLevels = 2;    // as much nearer than the last one does, and a bit
   const Vec3 p = T_camera_map * point.position;
   const std::optional<Vec2> pixel = pixel_in_view(camera, p);
   if (!pixel) return std::nullopt;
@@ -92,15 +107,15 @@ std::optional<SearchItem> expect(const TrackingMap& map, const MapPoint& point, 
   if ((T_camera_map.q * point.direction).dot(p) < kMinCosine * distance_m) return std::nullopt;
   // Nearer or farther than any level of the pyramid shows it alike.
   const double farthest_m = kFarther * point.level_0_distance_m;
-  const double nearest_m = farthest_m / std::pow(map.options().scale_factor, map.options().levels + kNearerLevels);
+  const double nearest_m = farthest_m / map.scale_of(map.options().levels + TrackingMap::kBeyond);
   if (distance_m > farthest_m || distance_m < nearest_m) return std::nullopt;
   const int level = map.predict_level(point, distance_m);
-  const double radius_px = kRadius_px * std::pow(map.options().scale_factor, level);
+  const double radius_px = kRadius_px * map.scale_of(level);
   return SearchItem{point.descriptor, *pixel, radius_px, level, -1.0F, point.id};
 }
 
 /// Looks for the points that are in view.
-void match_points(const std::vector<MapPoint*>& points, const TrackingMap& map, const Camera& camera,
+void match_points(const std::vector<const MapPoint*>& points, const TrackingMap& map, const Camera& camera,
                   TrackedFeatures* image) {
   std::vector<bool> is_taken(image->points.size());
   std::transform(image->points.begin(), image->points.end(), is_taken.begin(),
@@ -136,8 +151,7 @@ bool follow_points(const TrackedFeatures& last, const SE3& T_camera_map, const C
       const std::optional<Vec2> pixel = pixel_in_view(camera, T_camera_map * point->position);
       if (!pixel) continue;
       const ImageFeature& feature = last.features.features[i];
-      const double radius_px =
-          factor * kRadius_px * pixel_factor(camera) * std::pow(options.scale_factor, feature.level);
+      const double radius_px = factor * kRadius_px * pixel_factor(camera) * feature.scale;
       items.push_back({last.features.descriptors[i], *pixel, radius_px, feature.level, feature.angle_deg, point->id});
     }
     const std::vector<int> found =
@@ -173,7 +187,7 @@ bool find_points(const TrackingKeyframe& keyframe, const Camera& camera, Trackin
     if (matches[i] < 0) continue;
     const auto feature = static_cast<std::size_t>(matches[i]);
     const MapPoint* point = map->point(keyframe.points[i]);
-    observations.push_back(observation(image->features.features[feature], *point, options.scale_factor));
+    observations.push_back(observation(image->features.features[feature], *point));
     pairs.emplace_back(feature, point->id);
   }
   const std::optional<PoseEstimate> estimate = find_pose(camera, observations, options.min_inliers / 2);
@@ -189,17 +203,12 @@ bool find_points(const TrackingKeyframe& keyframe, const Camera& camera, Trackin
 
 bool track_local_map(const Camera& camera, TrackingMap* map, TrackedFeatures* image,
                      const std::set<std::int64_t>* apart_from) {
-  const std::int64_t number = map->begin_search();
-  for (const std::int64_t matched : image->points) {
-    if (MapPoint* point = map->point(matched)) point->search = number;
-  }
-  std::vector<MapPoint*> points;
+  PointSet known(*map);
+  for (const std::int64_t matched : image->points) known.insert(matched);
+  std::vector<const MapPoint*> points;
   for (const std::int64_t id : local_keyframes(*map, *image, apart_from)) {
-    for (const std::int64_t point_id : map->keyframe(id)->points) {
-      MapPoint* point = map->point(point_id);
-      if (point == nullptr || point->search == number) continue;
-      point->search = number;
-      points.push_back(point);
+    for (const std::int64_t point : map->keyframe(id)->points) {
+      if (known.insert(point)) points.push_back(map->point(point));
     }
   }
   match_points(points, *map, camera, image);
@@ -207,15 +216,15 @@ bool track_local_map(const Camera& camera, TrackingMap* map, TrackedFeatures* im
 }
 
 void count_views(const TrackedFeatures& image, TrackingMap* map) {
-  const std::set<std::int64_t> found(image.points.begin(), image.points.end());
-  for (const std::int64_t id : found) {
-    MapPoint* point = map->point(id);
+  PointSet found(*map);
+  for (const std::int64_t id : image.points) {
+    MapPoint* point = found.insert(id) ? map->point(id) : nullptr;
     if (point == nullptr) continue;
     ++point->found;
     ++point->expected;
   }
   for (const std::int64_t id : image.expected) {
-    if (MapPoint* point = map->point(id); point != nullptr && found.count(id) == 0) ++point->expected;
+    if (MapPoint* point = found.contains(id) ? nullptr : map->point(id)) ++point->expected;
   }
 }
 

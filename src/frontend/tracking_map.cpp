@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <cmath>
 #include <limits>
+#include <utility>
 
 namespace semantic_topo_loop::core {
 namespace {
@@ -10,8 +11,8 @@ namespace {
 int count_points(const TrackingMap& map, const std::vector<std::int64_t>& points, std::size_t min_views) {
   int count = 0;
   for (const std::int64_t id : points) {
-    const auto found = map.points().find(id);
-    count += found != map.points().end() && found->second.views.size() >= min_views ? 1 : 0;
+    const MapPoint* point = map.point(id);
+    count += point != nullptr && point->views.size() >= min_views ? 1 : 0;
   }
   return count;
 }
@@ -52,7 +53,7 @@ void fuse_into(const std::vector<std::int64_t>& points, std::int64_t id, const C
     const std::optional<Vec2> pixel = pixel_in_view(camera, p);
     if (!pixel) continue;
     const int level = map->predict_level(*point, p.norm());
-    const double radius_px = kRadius_px * std::pow(map->options().scale_factor, level);
+    const double radius_px = kRadius_px * map->scale_of(level);
     items.push_back({point->descriptor, *pixel, radius_px, level, -1.0F, point_id});
   }
   const std::vector<int> found =
@@ -99,15 +100,15 @@ void drop_points(std::int64_t newest, TrackingMap* map) {
   // Keyframes since the point was made, and the share of the images that should show it: of ORB-SLAM's order.
   constexpr std::int64_t kYoung = 3, kSettled = 8;
   constexpr double kMinFoundShare = 0.25;
-  std::vector<std::int64_t> dropped;
-  for (const auto& [id, point] : map->points()) {
-    const std::int64_t age = newest - point.first_keyframe;
-    if (age > kSettled) continue;
-    const bool is_rarely_found = point.found < kMinFoundShare * point.expected;
-    const bool is_alone = age >= kYoung && point.views.size() < 2;
-    if (is_rarely_found || is_alone) dropped.push_back(id);
+  for (std::int64_t id = map->next_point() - 1; id >= 0; --id) {
+    const MapPoint* point = map->point(id);
+    if (point == nullptr) continue;
+    const std::int64_t age = newest - point->first_keyframe;
+    if (age > kSettled) break;  // and those before are older
+    const bool is_rarely_found = point->found < kMinFoundShare * point->expected;
+    const bool is_alone = age >= kYoung && point->views.size() < 2;
+    if (is_rarely_found || is_alone) map->remove_point(id);
   }
-  for (const std::int64_t id : dropped) map->remove_point(id);
 }
 
 void drop_keyframes(std::int64_t newest, TrackingMap* map) {
@@ -133,8 +134,14 @@ void drop_keyframes(std::int64_t newest, TrackingMap* map) {
 
 }  // namespace
 
-PoseObservation observation(const ImageFeature& feature, const MapPoint& point, double scale_factor) {
-  return {point.position, feature.pixel, feature.pixel_sigma(scale_factor), feature.depth_m, feature.depth_sigma_m};
+PoseObservation observation(const ImageFeature& feature, const MapPoint& point) {
+  return {point.position, feature.pixel, feature.scale, feature.depth_m, feature.depth_sigma_m};
+}
+
+TrackingMap::TrackingMap(const FrontendOptions& options) : options_(options) {
+  for (int level = 0; level < options.levels + kBeyond + 1; ++level) {
+    scales_.push_back(std::pow(options.scale_factor, level));
+  }
 }
 
 TrackingKeyframe& TrackingMap::add_keyframe(TrackingKeyframe keyframe) {
@@ -220,20 +227,25 @@ void TrackingMap::join(const MapSection& from, const MapSection& into, const SE3
   }
 }
 
-void TrackingMap::refresh(MapPoint* point) const {
-  std::vector<const Descriptor*> descriptors;
+void TrackingMap::refresh_geometry(MapPoint* point) const {
   point->direction.setZero();
   double distance_m = 0.0;
   for (const auto& [id, feature] : point->views) {
     const TrackingKeyframe& keyframe = keyframes_.at(id);
-    const auto index = static_cast<std::size_t>(feature);
-    descriptors.push_back(&keyframe.features.descriptors[index]);
     const Vec3 ray = point->position - keyframe.center();
     point->direction += ray.normalized();
-    distance_m += ray.norm() * std::pow(options_.scale_factor, keyframe.features.features[index].level);
+    distance_m += ray.norm() * keyframe.features.features[static_cast<std::size_t>(feature)].scale;
   }
   point->direction.normalize();
-  point->level_0_distance_m = distance_m / static_cast<double>(descriptors.size());
+  point->level_0_distance_m = distance_m / static_cast<double>(point->views.size());
+}
+
+void TrackingMap::refresh(MapPoint* point) const {
+  refresh_geometry(point);
+  std::vector<const Descriptor*> descriptors;
+  for (const auto& [id, feature] : point->views) {
+    descriptors.push_back(&keyframes_.at(id).features.descriptors[static_cast<std::size_t>(feature)]);
+  }
   int smallest = std::numeric_limits<int>::max();
   std::vector<int> distances(descriptors.size());
   for (const Descriptor* candidate : descriptors) {
@@ -247,10 +259,13 @@ void TrackingMap::refresh(MapPoint* point) const {
   }
 }
 
-MapPoint* TrackingMap::point(std::int64_t id) {
+const MapPoint* TrackingMap::point(std::int64_t id) const {
+  if (id < 0) return nullptr;  // of most features, without a search
   const auto found = points_.find(id);
   return found == points_.end() ? nullptr : &found->second;
 }
+
+MapPoint* TrackingMap::point(std::int64_t id) { return const_cast<MapPoint*>(std::as_const(*this).point(id)); }
 
 TrackingKeyframe* TrackingMap::keyframe(std::int64_t id) {
   const auto found = keyframes_.find(id);
@@ -265,13 +280,19 @@ std::vector<std::pair<std::int64_t, int>> TrackingMap::covisible(std::int64_t ke
 }
 
 std::vector<std::pair<std::int64_t, int>> TrackingMap::covisible(const std::vector<std::int64_t>& points) const {
-  std::map<std::int64_t, int> counts;
+  if (keyframes_.empty()) return {};
+  const std::int64_t first = keyframes_.begin()->first, last = keyframes_.rbegin()->first;
+  std::vector<int> counts(static_cast<std::size_t>(last - first + 1), 0);
   for (const std::int64_t id : points) {
-    const auto found = points_.find(id);
-    if (found == points_.end()) continue;
-    for (const auto& [keyframe, feature] : found->second.views) ++counts[keyframe];
+    const MapPoint* seen = point(id);
+    if (seen == nullptr) continue;
+    for (const auto& [keyframe, feature] : seen->views) ++counts[static_cast<std::size_t>(keyframe - first)];
   }
-  std::vector<std::pair<std::int64_t, int>> sorted(counts.rbegin(), counts.rend());
+  std::vector<std::pair<std::int64_t, int>> sorted;
+  for (std::int64_t id = last; id >= first; --id) {
+    const int count = counts[static_cast<std::size_t>(id - first)];
+    if (count > 0) sorted.emplace_back(id, count);
+  }
   std::stable_sort(sorted.begin(), sorted.end(), [](const auto& a, const auto& b) { return a.second > b.second; });
   return sorted;
 }

@@ -25,9 +25,8 @@ struct MapPoint {
   double level_0_distance_m = 0.0;                      ///< from where it is seen on level 0 of the pyramid
   boost::container::flat_map<std::int64_t, int> views;  ///< keyframe to the index of its feature
   std::int64_t first_keyframe = -1;
-  int expected = 1;          ///< images in which it should be seen
-  int found = 1;             ///< images in which it was
-  std::int64_t search = -1;  ///< the last search that looked for it
+  int expected = 1;  ///< images in which it should be seen
+  int found = 1;     ///< images in which it was
 };
 
 /// A part of the map. How sections lie to each other is not known, or not well.
@@ -68,12 +67,12 @@ struct TrackedFeatures : FeatureImage {
 /// Inliers that leave no doubt of a pose; with fewer, other ways to it are tried, and the map is built on.
 inline int strong_inliers(const FrontendOptions& options) { return 3 * options.min_inliers; }
 
-PoseObservation observation(const ImageFeature& feature, const MapPoint& point, double scale_factor);
+PoseObservation observation(const ImageFeature& feature, const MapPoint& point);
 
 /// Keyframes and the points they see.
 class TrackingMap {
  public:
-  explicit TrackingMap(const FrontendOptions& options) : options_(options) {}
+  explicit TrackingMap(const FrontendOptions& options);
   const FrontendOptions& options() const { return options_; }
 
   TrackingKeyframe& add_keyframe(TrackingKeyframe keyframe);
@@ -86,14 +85,18 @@ class TrackingMap {
   void merge(std::int64_t from, std::int64_t into);
   /// Makes a section part of another one, which stays where it is. @param T_into_from of their coordinates
   void join(const MapSection& from, const MapSection& into, const SE3& T_into_from);
-  /// Descriptor, direction and distance, from the views.
+  /// Direction and distance, from its place and that of its views.
+  void refresh_geometry(MapPoint* point) const;
+  /// The descriptor as well, once the views are others.
   void refresh(MapPoint* point) const;
 
-  /// Number of a new search, for MapPoint::search.
-  std::int64_t begin_search() { return next_search_++; }
+  /// @param id -1: none
   MapPoint* point(std::int64_t id);
+  const MapPoint* point(std::int64_t id) const;
   TrackingKeyframe* keyframe(std::int64_t id);
   const std::map<std::int64_t, TrackingKeyframe>& keyframes() const { return keyframes_; }
+  /// Of the next point that is made: ids count points.
+  std::int64_t next_point() const { return next_point_; }
   /// In no order: they are looked up some ten thousand times an image.
   const std::unordered_map<std::int64_t, MapPoint>& points() const { return points_; }
   /// Keyframes that see points of this one, most first (the newer of two equal ones), with the number of points.
@@ -102,13 +105,16 @@ class TrackingMap {
   std::vector<std::pair<std::int64_t, int>> covisible(const std::vector<std::int64_t>& points) const;
   /// Level of the pyramid on which a point is expected to be seen from a distance.
   int predict_level(const MapPoint& point, double distance_m) const;
+  /// Size of its pixels on level 0. @param level up to kBeyond above the last
+  double scale_of(int level) const { return scales_[static_cast<std::size_t>(level)]; }
+  static constexpr int kBeyond = 2;
 
  private:
   FrontendOptions options_;
+  std::vector<double> scales_;  ///< of the levels
   std::map<std::int64_t, TrackingKeyframe> keyframes_;
   std::unordered_map<std::int64_t, MapPoint> points_;
   std::int64_t next_point_ = 0;
-  std::int64_t next_search_ = 0;
 };
 
 /// Counts for every point that the image should see whether it does.

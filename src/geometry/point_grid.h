@@ -1,7 +1,6 @@
 #pragma once
 
 #include <algorithm>
-#include <cmath>
 #include <cstdint>
 #include <numeric>
 #include <vector>
@@ -50,8 +49,7 @@ class PointGrid {
  private:
   int cell_of(double coordinate, int cells) const {
     constexpr double kFar_px = 1e6;  // beyond any image, and its cells still fit an int
-    const double cell = std::floor(std::clamp(coordinate, -kFar_px, kFar_px) / cell_px_);
-    return std::clamp(static_cast<int>(cell), 0, cells - 1);
+    return std::clamp(static_cast<int>(std::clamp(coordinate, -kFar_px, kFar_px) / cell_px_), 0, cells - 1);
   }
 
   int columns_ = 1, rows_ = 1;

@@ -95,6 +95,7 @@ struct QuadricMapper::Impl {
     if (keyframe == T_odom_keyframe_.end()) return;  // only after a dropped keyframe: nothing to hang the boxes on
     const SE3 T_keyframe_camera = keyframe->second.inverse() * frame.T_odom_camera;
     begin_step(frame.stamp_ns);
+    if (associations.associations.empty()) return;  // nothing at all was detected: rather the detector's fault
     std::optional<FramePoints> points;
     if (frame.points_camera) points.emplace(*frame.points_camera, frame.camera);
     add_observations(frame, T_keyframe_camera, points ? &*points : nullptr, associations);
@@ -316,7 +317,6 @@ struct QuadricMapper::Impl {
   }
 
   void count_expected(const Frame& frame, const FramePoints* points, const AssociationFrame& associations) {
-    if (associations.associations.empty()) return;  // nothing at all was detected: rather the detector's fault
     const SE3 T_map_camera = T_map_odom_ * frame.T_odom_camera;
     for (const ExpectedLandmark& expected : expected_landmarks(landmarks_, frame, points, T_map_camera, associations)) {
       MappedLandmark& landmark = landmarks_.at(expected.id);
