@@ -99,10 +99,8 @@ template <class T>
 void read_elements(CborReader* reader, std::size_t size, T* values) {
   const std::uint8_t* const at = reader->at();
   std::size_t next = 0;
-  const std::size_t found = reader->elements([&] {
-    T beyond{};
-    from_archive(reader, next < size ? &values[next++] : &beyond);
-  });
+  T beyond{};
+  const std::size_t found = reader->elements([&] { from_archive(reader, next < size ? &values[next++] : &beyond); });
   if (found != size) reader->reject(at, "must have " + std::to_string(size) + " elements");
 }
 
@@ -187,7 +185,7 @@ struct Codec<SE3> {
   }
   static void read(CborReader* reader, SE3* value) {
     const std::uint8_t* const at = reader->at();
-    Vec7 v;
+    Vec7 v = Vec7::Zero();
     from_archive(reader, &v);
     *value = {Quaternion(v(6), v(3), v(4), v(5)), v.head<3>()};
     if (!is_rotation(value->q)) reader->reject(at, "holds a quaternion that is no rotation");
@@ -199,7 +197,7 @@ struct Codec<Box> {
   static void write(const Box& value, CborWriter* writer) { to_archive(value.edges(), writer); }
   static void read(CborReader* reader, Box* value) {
     const std::uint8_t* const at = reader->at();
-    Vec4 v;
+    Vec4 v = Vec4::Zero();
     from_archive(reader, &v);
     *value = {v(0), v(1), v(2), v(3)};
     if (!value->is_valid()) reader->reject(at, "is no box [x1, y1, x2, y2]");

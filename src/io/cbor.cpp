@@ -12,7 +12,7 @@ namespace {
 
 constexpr int kPositive = 0, kNegative = 1, kText = 3, kArray = 4, kMap = 5, kOther = 7;
 // Of kOther:
-constexpr int kFalse = 20, kTrue = 21, kNull = 22, kFloat = 26, kDouble = 27;
+constexpr int kFalse = 20, kTrue = 21, kNull = 22, kHalf = 25, kFloat = 26, kDouble = 27;
 constexpr std::uint64_t kMaxInteger = std::numeric_limits<std::int64_t>::max();
 
 /// @return whether it is all there, and of no kind that is never written
@@ -29,9 +29,8 @@ bool take_head(const std::uint8_t** at, const std::uint8_t* end, CborHead* head)
     head->argument = 0;
     for (int i = 0; i < size; ++i) head->argument = head->argument << 8 | *(*at)++;
   }
-  const int info = head->info;
-  if (head->kind == kOther)
-    return info == kFalse || info == kTrue || info == kNull || info == kFloat || info == kDouble;
+  // Half precision is what earlier programs wrote for what is no finite number.
+  if (head->kind == kOther) return (head->info >= kFalse && head->info <= kNull) || head->info >= kHalf;
   return head->kind == kPositive || head->kind == kNegative || (head->kind >= kText && head->kind <= kMap);
 }
 
@@ -40,26 +39,31 @@ std::uint64_t values_in(const CborHead& head) {
   return head.kind == kArray ? head.argument : head.kind == kMap ? 2 * head.argument : 0;
 }
 
-/// Whether this is one value, and nests no deeper than ours do.
+/// Whether this is one value, whose maps have texts for keys, and nests no deeper than ours do.
 bool is_sound(const std::uint8_t* begin, const std::uint8_t* end) {
   constexpr std::size_t kDeepest = 64;
-  std::vector<std::uint64_t> to_come = {1};  // of those that are open, the innermost last
+  struct Open {
+    std::uint64_t to_come = 1;
+    bool is_map = false;
+  };
+  std::vector<Open> open = {Open()};  // the innermost last
   const std::uint8_t* at = begin;
-  while (!to_come.empty()) {
-    if (to_come.back() == 0) {
-      to_come.pop_back();
+  while (!open.empty()) {
+    if (open.back().to_come == 0) {
+      open.pop_back();
       continue;
     }
-    --to_come.back();
+    const bool is_key = open.back().is_map && open.back().to_come % 2 == 0;
+    --open.back().to_come;
     CborHead head;
-    if (!take_head(&at, end, &head)) return false;
+    if (!take_head(&at, end, &head) || (is_key && head.kind != kText)) return false;
     if (head.kind < kText || head.kind > kMap) continue;
     if (head.argument > static_cast<std::uint64_t>(end - at)) return false;  // each takes a byte at least
     if (head.kind == kText) {
       at += head.argument;
     } else {
-      to_come.push_back(values_in(head));
-      if (to_come.size() > kDeepest) return false;
+      open.push_back({values_in(head), head.kind == kMap});
+      if (open.size() > kDeepest) return false;
     }
   }
   return at == end;
@@ -190,13 +194,13 @@ std::string CborReader::text() {
   }
   const auto* const characters = reinterpret_cast<const char*>(at_);
   at_ += head.argument;
-  return {characters, head.argument};
+  return {characters, static_cast<std::size_t>(head.argument)};
 }
 
 std::size_t CborReader::size_of(int kind, const char* rule) {
   const std::uint8_t* const begin = at_;
   const CborHead head = take();
-  if (head.kind == kind) return head.argument;
+  if (head.kind == kind) return static_cast<std::size_t>(head.argument);
   reject(begin, rule);
   return 0;
 }
@@ -216,8 +220,8 @@ bool CborReader::Members::find(const char* name) {
   const std::size_t length = std::strlen(name);
   const auto is_here = [&] {
     const CborHead head = reader_.take();
-    const bool is_name = head.kind == kText && head.argument == length && std::memcmp(reader_.at_, name, length) == 0;
-    if (head.kind == kText) reader_.at_ += head.argument;
+    const bool is_name = head.argument == length && std::memcmp(reader_.at_, name, length) == 0;
+    reader_.at_ += head.argument;
     return is_name;
   };
   reader_.at_ = next_;
@@ -238,8 +242,10 @@ void CborReader::reject(const std::uint8_t* at, const std::string& rule) {
     place += step.member != nullptr ? '.' + std::string(step.member) : '[' + std::to_string(step.number) + ']';
   }
   at_ = at;
+  const bool is_single = values_in(take()) == 0;
+  at_ = at;
   skip();
-  JsonField(parsed(at, at_), place, &problem_).reject(rule);
+  JsonField(is_single ? parsed(at, at_) : Json::array(), place, &problem_).reject(rule);
 }
 
 Json from_cbor(const std::string& bytes) {

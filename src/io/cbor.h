@@ -2,7 +2,7 @@
 
 #include <cstddef>
 #include <cstdint>
-#include <nlohmann/json.hpp>
+#include <nlohmann/json_fwd.hpp>
 #include <string>
 #include <string_view>
 #include <utility>
@@ -10,8 +10,8 @@
 
 namespace semantic_topo_loop::core {
 
-// CBOR (RFC 8949) without a tree in memory. Of its kinds those are written and read that JSON has: null, true and
-// false, integers, floating point of 32 and 64 bits, text, arrays and maps of known size.
+// CBOR (RFC 8949), written and read without a tree in memory. Of its kinds those are written and read that JSON has:
+// null, true and false, integers, floating point of 32 and 64 bits, text, arrays and maps of known size.
 
 /// What a value begins with.
 struct CborHead {
@@ -129,9 +129,8 @@ class CborReader {
     void member(const char* name, const Read& read) {
       if (!reader_.is_fine()) return;
       if (!find(name)) return reader_.reject(place_, std::string("has no '") + name + "'");
-      const bool is_next = is_next_;
       reader_.step({name, 0}, read);
-      if (!is_next) return;
+      if (!is_next_) return;
       next_ = reader_.at_;
       --left_;
     }

@@ -41,8 +41,10 @@ template <class T>
 void read_meta(const std::string& key, SqliteFile* file, T* value) {
   SqliteStatement select(file, "SELECT value FROM meta WHERE key = '" + key + "'");
   if (!select.next()) return file->reject("meta has no '" + key + "'");
-  const Json json = Json::parse(select.bytes(0), nullptr, false);
-  std::string body;  // none is damaged
+  constexpr int kDeepest = 64;  // writing CBOR calls itself for each level
+  const auto is_shallow = [](int depth, Json::parse_event_t, const Json&) { return depth < kDeepest; };
+  const Json json = Json::parse(select.bytes(0), is_shallow, false);
+  std::string body;  // empty: damaged
   if (!json.is_discarded()) Json::to_cbor(json, body);
   unpack(file, "meta '" + key + "'", body, value);
 }

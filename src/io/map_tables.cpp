@@ -70,11 +70,11 @@ void create_map_tables(SqliteFile* file) {
 
 MapTables::MapTables(SqliteFile* file, const ClassTable& classes) : file_(file), classes_(classes) {}
 
-const std::string* MapTables::Mirror::take(std::int64_t key, std::string body) {
+const std::string* MapTables::Mirror::take(std::int64_t key, const std::string& body) {
   Row& row = rows.try_emplace(key).first->second;
   row.given = time;
   if (row.body == body) return nullptr;
-  row.body = std::move(body);
+  row.body = body;  // a copy is no longer than it must be
   return &row.body;
 }
 

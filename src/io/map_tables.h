@@ -50,7 +50,7 @@ class MapTables {
     std::map<std::int64_t, Row> rows;  ///< by key
     std::int64_t time = 1;             ///< counts how often the table is given
     /// @return what to write; null if the row has it already
-    const std::string* take(std::int64_t key, std::string body);
+    const std::string* take(std::int64_t key, const std::string& body);
   };
   /// Removes the rows that were not given again.
   void finish(const char* table, const char* key, Mirror* mirror);

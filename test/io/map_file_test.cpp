@@ -340,6 +340,9 @@ TEST_F(MapFile, NamesWhatIsWrong) {
   EXPECT_EQ(error_after("UPDATE meta SET value = '{' WHERE key = 'noise'"), "meta 'noise' is damaged");
   EXPECT_EQ(error_after("UPDATE meta SET value = '\"far\"' WHERE key = 'next_frame'"),
             "meta 'next_frame' = \"far\" must be an integer");
+  const std::string opened(200000, '['), closed(200000, ']');
+  EXPECT_EQ(error_after("UPDATE meta SET value = '" + opened + closed + "' WHERE key = 'noise'"),
+            "meta 'noise' is damaged");
   EXPECT_EQ(error_after("DROP TABLE edge"), "no such table: edge");
   EXPECT_EQ(error_after("UPDATE edge SET body = x'00' WHERE number = 3"), "edge 3 = 0 must be an object");
   EXPECT_EQ(error_after("UPDATE edge SET body = x'ff' WHERE number = 3"), "edge 3 is damaged");
