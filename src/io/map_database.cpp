@@ -82,7 +82,8 @@ class OpenMap {
     return status_of(file_);
   }
   Status close() {
-    file_.run("COMMIT; PRAGMA journal_mode = DELETE");
+    file_.run("COMMIT");
+    file_.run_if_free("PRAGMA journal_mode = DELETE");  // who reads it leaves the journal to the next one
     return status_of(file_);
   }
 
@@ -94,7 +95,7 @@ class OpenMap {
 }  // namespace
 
 Status check_map_place(const std::string& path) {
-  if (!is_there(path)) return {};
+  if (!is_there(path)) return check_writable(path);
   SqliteFile file(path, SqliteFile::Mode::kWrite);
   const std::int64_t application = file.number("PRAGMA application_id");
   if (file.is_fine() && application != kMapApplicationId) file.reject("is there already, and is no map");
@@ -142,22 +143,27 @@ Result<std::string> link_loaded_map(const std::string& path) {
   SqliteFile file(path, SqliteFile::Mode::kWrite);
   take_in_journal(&file);
   if (file.is_busy()) return Error{file.problem()};
-  remove_links_of_the_dead(std::filesystem::absolute(path).string() + kLoaded);
+  std::error_code code;
+  // A link to a symbolic link would lead to whatever takes the map's place.
+  const std::string map = std::filesystem::canonical(path, code).string();
+  if (code) return path;
+  remove_links_of_the_dead(map + kLoaded);
   // Other programs, and the session before, may still read theirs.
   static std::atomic<int> next{1};
-  const std::string link = path + kLoaded + std::to_string(::getpid()) + "-" + std::to_string(next++);
-  std::error_code code;
-  std::filesystem::create_hard_link(path, link, code);
+  const std::string link = map + kLoaded + std::to_string(::getpid()) + "-" + std::to_string(next++);
+  std::filesystem::create_hard_link(map, link, code);
   return code ? path : link;
 }
 
 class MapDatabase::Impl {
  public:
-  Impl(std::string path, std::shared_ptr<const ClassTable> classes, std::string configuration, std::string earlier)
+  Impl(std::string path, std::shared_ptr<const ClassTable> classes, std::string configuration, std::string earlier,
+       bool sets_aside)
       : path_(std::move(path)),
         classes_(std::move(classes)),
         configuration_(std::move(configuration)),
         earlier_(std::move(earlier)),
+        sets_aside_(sets_aside),
         thread_([this] { run(); }) {}
 
   void write(Parts parts) {
@@ -250,6 +256,11 @@ class MapDatabase::Impl {
       if (made) map_.emplace(path_, *classes_);  // from now on nobody else writes it
       return made;
     }
+    // What was renamed or removed could be written on, and SQLite would begin an empty file in its place.
+    if (!is_there(path_)) {
+      map_.reset();
+      return Error{path_ + ": is not there any more"};
+    }
     if (!map_) map_.emplace(path_, *classes_);
     const Status written = map_->write(parts);
     if (!written) map_.reset();  // what was begun is undone
@@ -278,6 +289,7 @@ class MapDatabase::Impl {
       for (const auto& part : whole) tables.write(*part);
       if (!earlier_.empty()) require_earlier(&file);
       file.run("COMMIT");
+      if (file.is_fine() && sets_aside_ && is_there(path_)) return set_map_aside(path_);
       return status_of(file);
     });
   }
@@ -285,6 +297,7 @@ class MapDatabase::Impl {
   const std::string path_;
   const std::shared_ptr<const ClassTable> classes_;
   const std::string configuration_, earlier_;
+  const bool sets_aside_;
   std::mutex closing_;        ///< held while the thread is waited for
   mutable std::mutex mutex_;  ///< guards all below but map_, which is the thread's alone
   std::condition_variable wake_;
@@ -297,9 +310,9 @@ class MapDatabase::Impl {
 };
 
 MapDatabase::MapDatabase(std::string path, std::shared_ptr<const ClassTable> classes, std::string configuration,
-                         std::string earlier)
-    : impl_(std::make_unique<Impl>(std::move(path), std::move(classes), std::move(configuration), std::move(earlier))) {
-}
+                         std::string earlier, bool sets_aside)
+    : impl_(std::make_unique<Impl>(std::move(path), std::move(classes), std::move(configuration), std::move(earlier),
+                                   sets_aside)) {}
 MapDatabase::~MapDatabase() { static_cast<void>(close()); }
 void MapDatabase::write(Parts parts) { impl_->write(std::move(parts)); }
 bool MapDatabase::is_behind() const { return impl_->is_behind(); }

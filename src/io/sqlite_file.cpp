@@ -72,6 +72,12 @@ void SqliteFile::run(const std::string& sql) {
   if (is_fine()) note(sqlite3_exec(database_.get(), sql.c_str(), nullptr, nullptr, nullptr));
 }
 
+void SqliteFile::run_if_free(const std::string& sql) {
+  if (!is_fine()) return;
+  const int code = sqlite3_exec(database_.get(), sql.c_str(), nullptr, nullptr, nullptr);
+  if (code != SQLITE_BUSY) note(code);
+}
+
 std::int64_t SqliteFile::number(const std::string& sql) {
   SqliteStatement statement(this, sql);
   return statement.next() ? statement.integer(0) : 0;

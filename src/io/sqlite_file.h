@@ -25,6 +25,8 @@ class SqliteFile {
   void reject(const std::string& problem);
   /// Statements without a result.
   void run(const std::string& sql);
+  /// The same, but where others use the file it is left undone.
+  void run_if_free(const std::string& sql);
   /// First column of the first row; 0 without one.
   std::int64_t number(const std::string& sql);
 

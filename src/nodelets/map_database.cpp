@@ -64,18 +64,17 @@ class MapDatabaseNodelet : public StageWith<MapDatabaseParameters> {
     warn_while(kStages, "");
     // What another session of this process mapped stays, unless this one has its images again.
     const auto before = database();
-    const bool is_own = before && before->is_made();
-    const core::Status aside = is_own && !session().rewind ? core::set_map_aside(path_) : core::Status();
-    if (!aside) complain("maps of earlier sessions that were overwritten", aside.message());
+    const bool sets_aside = before && before->is_made() && !session().rewind;
     const bool is_itself = session().frozen && core::is_same_file(path_, session().map_file);
     warn_while("frozen map",
                is_itself ? "no map is written: " + path_ + ": is the frozen map, which stays as it is" : std::string());
     const std::lock_guard<std::mutex> lock(mutex_);
     database_.reset();
+    loaded_ = session().map_file;
     if (is_itself) return;
     database_ =
         std::make_shared<core::MapDatabase>(path_, classes(), core::format_options_yaml(core::list_options(options_)),
-                                            session().frozen ? std::string() : session().map_file);
+                                            session().frozen ? std::string() : session().map_file, sets_aside);
   }
 
   void on_points(const KeyframePointsMessage::ConstPtr& message) {
@@ -142,6 +141,11 @@ class MapDatabaseNodelet : public StageWith<MapDatabaseParameters> {
     return database_;
   }
 
+  bool is_loaded(const std::string& path) const {
+    const std::lock_guard<std::mutex> lock(mutex_);
+    return core::is_same_file(path, loaded_);
+  }
+
   void watch() {
     if (const auto database = this->database()) warn_while("map", database->problem().message());
   }
@@ -166,6 +170,10 @@ class MapDatabaseNodelet : public StageWith<MapDatabaseParameters> {
     const core::Result<std::string> place = path_below(parameters_.save_dir, request.path, parameters_.allow_any_path);
     answer(place, &response);
     if (!place) return true;
+    if (is_loaded(*place)) {
+      answer(core::Result<std::string>(core::Error{*place + ": is the map that the session goes on with"}), &response);
+      return true;
+    }
     const core::Result<core::MapCounts> copied = database->copy_to(*place);
     if (!copied) {
       answer(core::Result<std::string>(copied.error()), &response);
@@ -183,8 +191,9 @@ class MapDatabaseNodelet : public StageWith<MapDatabaseParameters> {
   std::unique_ptr<Joiner> joiner_;
   std::array<bool, 3> has_whole_{};   ///< by stage
   core::MapDatabase::Parts waiting_;  ///< until each stage has sent its part as a whole
-  mutable std::mutex mutex_;          ///< guards the pointer
+  mutable std::mutex mutex_;          ///< guards what follows, which services use
   std::shared_ptr<core::MapDatabase> database_;
+  std::string loaded_;  ///< file of the map that the session goes on with or looks at
 };
 
 }  // namespace semantic_topo_loop

@@ -397,6 +397,71 @@ TEST_F(MapDatabaseTest, AMapIsSetAsideWithItsJournal) {
   EXPECT_EQ(read_whole(path_ + "~2"), "the next one");
 }
 
+TEST_F(MapDatabaseTest, WhatWasThereIsSetAsideOnceSomethingTakesItsPlace) {
+  ChainRun run(laps(), shared_coco());
+  for (int i = 0; i < 20; ++i) run.next();
+  ASSERT_EQ(write_map(path_, *run.slam().map(), *shared_coco()).message(), "");
+  const std::string before = read_whole(path_);
+  { const MapDatabase nothing_comes(path_, shared_coco(), {}, {}, true); }
+  EXPECT_TRUE(read_whole(path_) == before);
+  ChainRun other(laps(), shared_coco());
+  other.next();
+  MapDatabase next(path_, shared_coco(), {}, {}, true);
+  next.write({other.slam().take_delta()});
+  EXPECT_EQ(next.close().message(), "");
+  EXPECT_TRUE(read_whole(path_ + "~") == before);
+  EXPECT_EQ(checked(read_map(path_, *shared_coco()))->graph.keyframes.size(), 1U);
+}
+
+TEST_F(MapDatabaseTest, AMapThatDisappearsIsTold) {
+  ChainRun run(laps(), shared_coco());
+  run.next();
+  MapDatabase database(path_, shared_coco());
+  database.write({run.slam().take_delta()});
+  wait_for(database);
+  std::filesystem::remove(path_);
+  run.next();
+  database.write({run.slam().take_delta()});
+  EXPECT_EQ(database.close().message(), path_ + ": is not there any more");
+  EXPECT_FALSE(std::filesystem::exists(path_)) << "an empty one in its place";
+}
+
+TEST_F(MapDatabaseTest, WhoReadsAtTheEndDoesNotMakeItAFailure) {
+  ChainRun run(laps(), shared_coco());
+  run.next();
+  MapDatabase database(path_, shared_coco());
+  database.write({run.slam().take_delta()});
+  wait_for(database);
+  run.next();
+  database.write({run.slam().take_delta()});
+  wait_for(database);
+  {
+    SqliteFile reader(path_, SqliteFile::Mode::kRead);
+    SqliteStatement rows(&reader, "SELECT * FROM meta");
+    ASSERT_TRUE(rows.next());
+    EXPECT_EQ(database.close().message(), "");
+  }
+  EXPECT_EQ(check_map_place(path_).message(), "") << "the journal that was left is taken in";
+  EXPECT_EQ(checked(read_map(path_, *shared_coco()))->graph.keyframes.size(), run.slam().map()->graph.keyframes.size());
+}
+
+TEST_F(MapDatabaseTest, ALoadedMapStaysThoughItsNameIsALink) {
+  ChainRun run(laps(), shared_coco());
+  run.next();
+  ASSERT_EQ(write_map(directory_.path("site.db"), *run.slam().map(), *shared_coco()).message(), "");
+  std::filesystem::create_symlink(directory_.path("site.db"), path_);
+  const std::string loaded = checked(link_loaded_map(path_));
+  const std::string before = read_whole(loaded);
+  for (int i = 0; i < 20; ++i) run.next();
+  ASSERT_EQ(write_map(path_, *run.slam().map(), *shared_coco()).message(), "");
+  EXPECT_TRUE(read_whole(loaded) == before);
+}
+
+TEST_F(MapDatabaseTest, AMapHasNoPlaceWhereThereIsNoFolder) {
+  const std::string place = directory_.path("no/such/map.db");
+  EXPECT_NE(check_map_place(place).message().find(place), std::string::npos) << check_map_place(place).message();
+}
+
 TEST_F(MapDatabaseTest, ACopyDoesNotTakeThePlaceOfTheMapItself) {
   ChainRun run(laps(), shared_coco());
   run.next();
