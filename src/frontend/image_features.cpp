@@ -213,8 +213,8 @@ class CornerCells {
 
 /// The strongest corner of each cell, then the second strongest, and so on, until enough are chosen: even over the
 /// image, and the best where there is much to choose from.
-/// @param known where a cell has a corner of this response, others of less may be missing
-/// @return fewer if more of these are needed
+/// @param known where a cell has a corner of this response, others of less may be missing; 0: none are
+/// @return fewer if it could matter that they are
 std::vector<cv::KeyPoint> spread(std::vector<cv::KeyPoint> corners, const CornerCells& cells, int wanted, float known) {
   constexpr float kTaken = -1.0F;  // instead of a contrast
   std::vector<cv::KeyPoint> chosen;
@@ -243,45 +243,49 @@ std::vector<cv::KeyPoint> spread(std::vector<cv::KeyPoint> corners, const Corner
   return chosen;
 }
 
-/// FAST corners, spread evenly. Weak ones, of which there are most, are looked for only where there are no others, as
-/// long as that makes no difference.
-std::vector<cv::KeyPoint> find_corners(const cv::Mat& image, int threshold, int wanted) {
-  constexpr int kStrong = 20;  // a third of the time, and half of the cells of a desk have one
+/// Adds corners of cells that have none.
+void add_weak_corners(const cv::Mat& image, const CornerCells& cells, int threshold,
+                      std::vector<cv::KeyPoint>* corners) {
+  std::vector<bool> has_strong(cells.count(), false);
+  for (const cv::KeyPoint& corner : *corners) has_strong[cells.of(corner.pt)] = true;
+  std::vector<cv::KeyPoint> found;
+  const auto columns = static_cast<std::size_t>(cells.columns());
+  for (int row = 0; row < cells.rows(); ++row) {
+    const std::size_t begin_of_row = static_cast<std::size_t>(row) * columns;
+    for (std::size_t first = 0, end = 0; first < columns; first = end + 1) {
+      for (end = first; end < columns && !has_strong[begin_of_row + end];) ++end;
+      // With the circle around a corner, and the neighbours that it is compared with.
+      const cv::Rect part = cells.pixels(row, static_cast<int>(first), static_cast<int>(end), kFastRadius_px + 1);
+      if (end == first || part.width <= 2 * kFastRadius_px || part.height <= 2 * kFastRadius_px) continue;
+      cv::FAST(image(part), found, threshold, true);
+      for (cv::KeyPoint& corner : found) {
+        corner.pt += cv::Point2f(part.tl());
+        const std::size_t cell = cells.of(corner.pt);
+        if (cell >= begin_of_row + first && cell < begin_of_row + end) corners->push_back(corner);
+      }
+    }
+  }
+}
+
+}  // namespace
+
+std::vector<cv::KeyPoint> find_corners(const cv::Mat& image, int threshold, int wanted, int strong) {
   if (wanted <= 0) return {};
   const CornerCells cells(image.size(), wanted);
   std::vector<cv::KeyPoint> corners;
-  if (threshold < kStrong) {
-    cv::FAST(image, corners, kStrong, true);
+  if (strong > threshold) {
+    cv::FAST(image, corners, strong, true);
     if (static_cast<int>(corners.size()) > wanted) {
-      std::vector<bool> has_strong(cells.count(), false);
-      for (const cv::KeyPoint& corner : corners) has_strong[cells.of(corner.pt)] = true;
-      const auto is_weak = [&](int row, int column) {
-        return !has_strong[static_cast<std::size_t>(row * cells.columns() + column)];
-      };
-      std::vector<cv::KeyPoint> weak;
-      for (int row = 0; row < cells.rows(); ++row) {
-        for (int column = 0, end = 0; column < cells.columns(); column = end + 1) {
-          for (end = column; end < cells.columns() && is_weak(row, end);) ++end;
-          // The circle, and the neighbours that a corner is compared with.
-          const cv::Rect part = cells.pixels(row, column, end, kFastRadius_px + 1);
-          if (end == column || part.width <= 2 * kFastRadius_px || part.height <= 2 * kFastRadius_px) continue;
-          cv::FAST(image(part), weak, threshold, true);
-          for (cv::KeyPoint& corner : weak) {
-            corner.pt += cv::Point2f(part.tl());
-            const std::size_t cell = cells.of(corner.pt);
-            const std::size_t first = static_cast<std::size_t>(row * cells.columns());
-            if (cell >= first + static_cast<std::size_t>(column) && cell < first + static_cast<std::size_t>(end))
-              corners.push_back(corner);
-          }
-        }
-      }
-      std::vector<cv::KeyPoint> chosen = spread(std::move(corners), cells, wanted, kStrong);
+      add_weak_corners(image, cells, threshold, &corners);
+      std::vector<cv::KeyPoint> chosen = spread(std::move(corners), cells, wanted, static_cast<float>(strong));
       if (static_cast<int>(chosen.size()) == wanted) return chosen;
     }
   }
   cv::FAST(image, corners, threshold, true);
   return static_cast<int>(corners.size()) > wanted ? spread(std::move(corners), cells, wanted, 0.0F) : corners;
 }
+
+namespace {
 
 void extract_level(const cv::Mat& image, int level, double scale, int wanted, const FrontendOptions& options,
                    const Camera& camera, std::vector<cv::Vec2f>* raw_pixels, ImageFeatures* result) {

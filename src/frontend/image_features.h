@@ -1,6 +1,8 @@
 #pragma once
 
 #include <cstdint>
+#include <opencv2/core/mat.hpp>
+#include <opencv2/core/types.hpp>
 #include <vector>
 
 #include "geometry/descriptor.h"
@@ -37,6 +39,13 @@ struct ImageFeatures {
  private:
   PointGrid grid_;
 };
+
+/// FAST corners, spread evenly over the image: the strongest of each of about as many cells as are wanted, then the
+/// second strongest, and so on; in the order of the image if there are no more than wanted.
+/// @param threshold smallest contrast, grey levels
+/// @param strong contrast of those that are looked for first, in a third of the time: weaker ones, of which there are
+/// most, then only where there are none. The corners are the same
+std::vector<cv::KeyPoint> find_corners(const cv::Mat& image, int threshold, int wanted, int strong = 20);
 
 /// Finds ORB features, spread evenly over the image, with the depth around each.
 ImageFeatures extract_features(const RgbdImage& image, const FrontendOptions& options, const Camera& camera,
