@@ -105,7 +105,8 @@ class TrackingMap {
   std::vector<std::pair<std::int64_t, int>> covisible(const std::vector<std::int64_t>& points) const;
   /// Level of the pyramid on which a point is expected to be seen from a distance.
   int predict_level(const MapPoint& point, double distance_m) const;
-  /// Size of its pixels on level 0. @param level up to kBeyond above the last
+  /// Size of its pixels on level 0. @param level up to kBeyond above the last one: what would be seen still larger is
+  /// too near to look alike
   double scale_of(int level) const { return scales_[static_cast<std::size_t>(level)]; }
   static constexpr int kBeyond = 2;
 
