@@ -39,6 +39,11 @@ bool is_there(const std::string& path) {
   return std::filesystem::exists(path, code) && std::filesystem::file_size(path, code) > 0;
 }
 
+std::filesystem::file_time_type written_at(const std::string& path) {
+  std::error_code code;
+  return std::filesystem::last_write_time(path, code);
+}
+
 /// Files beside `stem` whose names are its own, a process id, and anything, where no such process is any more.
 void remove_links_of_the_dead(const std::filesystem::path& stem) {
   std::error_code code;
@@ -164,6 +169,7 @@ class MapDatabase::Impl {
         configuration_(std::move(configuration)),
         earlier_(std::move(earlier)),
         sets_aside_(sets_aside),
+        found_(written_at(path_)),
         thread_([this] { run(); }) {}
 
   void write(Parts parts) {
@@ -273,6 +279,8 @@ class MapDatabase::Impl {
   /// The file with all there is: later ones change rows of it.
   Status make(const Parts& whole) {
     if (!earlier_.empty() && !is_there(earlier_)) return Error{earlier_ + ": is not there any more"};
+    // Another program may have written, and ended, since.
+    const bool keeps_other = sets_aside_ || written_at(path_) != found_;
     return replace_map(path_, [&](const std::string& temporary) -> Status {
       SqliteFile file(temporary, SqliteFile::Mode::kWrite);
       file.run("PRAGMA journal_mode = OFF; PRAGMA synchronous = OFF");
@@ -289,7 +297,7 @@ class MapDatabase::Impl {
       for (const auto& part : whole) tables.write(*part);
       if (!earlier_.empty()) require_earlier(&file);
       file.run("COMMIT");
-      if (file.is_fine() && sets_aside_ && is_there(path_)) return set_map_aside(path_);
+      if (file.is_fine() && keeps_other && is_there(path_)) return set_map_aside(path_);
       return status_of(file);
     });
   }
@@ -298,8 +306,9 @@ class MapDatabase::Impl {
   const std::shared_ptr<const ClassTable> classes_;
   const std::string configuration_, earlier_;
   const bool sets_aside_;
-  std::mutex closing_;        ///< held while the thread is waited for
-  mutable std::mutex mutex_;  ///< guards all below but map_, which is the thread's alone
+  const std::filesystem::file_time_type found_;  ///< when what was there at the begin was written
+  std::mutex closing_;                           ///< held while the thread is waited for
+  mutable std::mutex mutex_;                     ///< guards all below but map_, which is the thread's alone
   std::condition_variable wake_;
   std::deque<Parts> waiting_;
   Status problem_;

@@ -413,6 +413,22 @@ TEST_F(MapDatabaseTest, WhatWasThereIsSetAsideOnceSomethingTakesItsPlace) {
   EXPECT_EQ(checked(read_map(path_, *shared_coco()))->graph.keyframes.size(), 1U);
 }
 
+TEST_F(MapDatabaseTest, WhatAnotherProgramWroteMeanwhileIsSetAside) {
+  ChainRun run(laps(), shared_coco()), other(laps(), shared_coco());
+  run.next();
+  for (int i = 0; i < 20; ++i) other.next();
+  MapDatabase late(path_, shared_coco());
+  {
+    MapDatabase early(path_, shared_coco());
+    early.write({other.slam().take_delta()});
+  }
+  const std::string before = read_whole(path_);
+  late.write({run.slam().take_delta()});
+  EXPECT_EQ(late.close().message(), "");
+  EXPECT_TRUE(read_whole(path_ + "~") == before);
+  EXPECT_EQ(checked(read_map(path_, *shared_coco()))->graph.keyframes.size(), 1U);
+}
+
 TEST_F(MapDatabaseTest, AMapThatDisappearsIsTold) {
   ChainRun run(laps(), shared_coco());
   run.next();
