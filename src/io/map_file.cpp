@@ -19,22 +19,17 @@ namespace {
 
 constexpr char kTables[] = "SELECT name FROM sqlite_master WHERE type = 'table' ORDER BY name";
 
-/// A body into a value. @param place of it, for messages   @return what is wrong
-template <class T>
-Status unpacked(const std::string& place, const std::string& body, T* value) {
-  const auto* const begin = reinterpret_cast<const std::uint8_t*>(body.data());
-  CborReader reader(place, begin, begin + body.size());
-  from_archive(&reader, value);
-  return reader.is_fine() ? Status() : Error{reader.problem()};
-}
-
 void require(const Status& status, SqliteFile* file) {
   if (!status) file->reject(status.message());
 }
 
+/// @param place of the body, for messages
 template <class T>
 void unpack(SqliteFile* file, const std::string& place, const std::string& body, T* value) {
-  if (file->is_fine()) require(unpacked(place, body, value), file);
+  const auto* const begin = reinterpret_cast<const std::uint8_t*>(body.data());
+  CborReader reader(place, begin, begin + body.size());
+  from_archive(&reader, value);
+  if (!reader.is_fine()) file->reject(reader.problem());
 }
 
 template <class T>

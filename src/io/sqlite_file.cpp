@@ -185,6 +185,9 @@ bool SqliteStatement::is_intact() const {
         checksum.add_null();
         break;
       default:
+        // A text and a blob have the same checksum; which it is the table says.
+        const char* const declared = sqlite3_column_decltype(statement_.get(), column);
+        if (declared != nullptr && std::string(declared) == (is_blob(column) ? "TEXT" : "BLOB")) return false;
         const void* bytes = sqlite3_column_blob(statement_.get(), column);
         checksum.add(bytes, static_cast<std::size_t>(sqlite3_column_bytes(statement_.get(), column)));
     }

@@ -320,13 +320,10 @@ TEST_F(MapFile, ABitThatChangedIsDamageOrOfNoMatter) {
     std::string changed = whole;
     changed[random() % changed.size()] ^= static_cast<char>(1 << random() % 8);
     directory_.write("map.db", changed);
-    const auto read = read_map(path_, *shared_coco());
-    if (!read) {
+    if (!read_map(path_, *shared_coco())) {
       ++damaged;
     } else {
-      const std::string again = directory_.path("again.db");
-      ASSERT_EQ(write_map(again, **read, *shared_coco()).message(), "");
-      EXPECT_TRUE(dump_of(again) == dump) << "not seen";
+      EXPECT_TRUE(dump_of(path_) == dump) << "not seen";
     }
   }
   EXPECT_GT(damaged, 150);
