@@ -89,6 +89,8 @@ class MapDatabaseNodelet : public StageWith<MapDatabaseParameters> {
   void on_part(const Part& part) {
     if (!part->delta) return complain("unreadable parts of the map", "of frame " + std::to_string(part->frame_id));
     if (!database()) return;
+    // The others were written without it.
+    const bool is_late = joiner_->is_past(part->frame_id);
     std::optional<Joiner::Set> joined;
     switch (part->stage) {
       case MapPart::STAGE_POSE_GRAPH:
@@ -104,10 +106,15 @@ class MapDatabaseNodelet : public StageWith<MapDatabaseParameters> {
         return complain("parts of the map of no stage", "stage " + std::to_string(part->stage));
     }
     statistics().set(kIncomplete, joiner_->evicted());
-    if (!joined) return;
-    std::apply([this](const auto&... each) { (add(each), ...); }, *joined);
+    if (joined) {
+      std::apply([this](const auto&... each) { (add(each), ...); }, *joined);
+      count_processed();
+    } else if (is_late) {
+      add(part);
+    } else {
+      return;
+    }
     write();
-    count_processed();
     if (part->is_end) close();
   }
 
@@ -174,10 +181,15 @@ class MapDatabaseNodelet : public StageWith<MapDatabaseParameters> {
       answer(core::Result<std::string>(core::Error{*place + ": is the map that the session goes on with"}), &response);
       return true;
     }
+    const core::Status problem = database->problem();
     const core::Result<core::MapCounts> copied = database->copy_to(*place);
     if (!copied) {
       answer(core::Result<std::string>(copied.error()), &response);
       return true;
+    }
+    if (!problem) {
+      const std::string lacks = *place + ": saved without what came since the map cannot be written: ";
+      answer(core::Result<std::string>(core::Error{lacks + problem.message()}), &response);
     }
     response.sessions = copied->sessions;
     response.keyframes = copied->keyframes;

@@ -1,9 +1,14 @@
 #include <chrono>
 #include <deque>
+#include <filesystem>
+#include <functional>
 #include <set>
+#include <sstream>
+#include <string>
 #include <thread>
 #include <utility>
 
+#include "semantic_topo_loop/io/map_file.h"
 #include "semantic_topo_loop/io/run_files.h"
 #include "semantic_topo_loop/io/tum_trajectory.h"
 #include "semantic_topo_loop/ros/messages.h"
@@ -14,12 +19,19 @@
 namespace semantic_topo_loop {
 namespace {
 
-/// Passes the map's updates on after a while, as a slow mapping would.
+/// Passes messages on after a while, as a slow stage would.
+template <class Message>
 class Delay {
  public:
-  Delay(const std::string& from, const std::string& to, std::chrono::milliseconds delay) : delay_(delay) {
-    publisher_ = node_.advertise<MapUpdateMessage>(to, 1000);
-    subscriber_ = node_.subscribe<MapUpdateMessage>(from, 1000, &Delay::take, this);
+  using IsSlow = std::function<bool(const Message&)>;
+
+  /// @param is_slow of which messages; the others are passed on at once
+  Delay(
+      const std::string& from, const std::string& to, std::chrono::milliseconds delay,
+      IsSlow is_slow = [](const Message&) { return true; })
+      : delay_(delay), is_slow_(std::move(is_slow)) {
+    publisher_ = node_.advertise<Message>(to, 1000);
+    subscriber_ = node_.subscribe<Message>(from, 1000, &Delay::take, this);
     thread_ = std::thread([this] { run(); });
   }
   ~Delay() {
@@ -35,9 +47,10 @@ class Delay {
  private:
   using Clock = std::chrono::steady_clock;
 
-  void take(const MapUpdateMessage::ConstPtr& update) {
+  void take(const typename Message::ConstPtr& message) {
+    if (!is_slow_(*message)) return publisher_.publish(message);
     const std::lock_guard<std::mutex> lock(mutex_);
-    waiting_.emplace_back(Clock::now() + delay_, update);
+    waiting_.emplace_back(Clock::now() + delay_, message);
     changed_.notify_all();
   }
   void run() {
@@ -55,12 +68,13 @@ class Delay {
   }
 
   const std::chrono::milliseconds delay_;
+  const IsSlow is_slow_;
   ros::NodeHandle node_;
   ros::Publisher publisher_;
   ros::Subscriber subscriber_;
   std::mutex mutex_;  ///< guards all below but the thread
   std::condition_variable changed_;
-  std::deque<std::pair<Clock::time_point, MapUpdateMessage::ConstPtr>> waiting_;
+  std::deque<std::pair<Clock::time_point, typename Message::ConstPtr>> waiting_;
   bool stop_ = false;
   std::thread thread_;
 };
@@ -132,7 +146,7 @@ TEST(LateMapping, CostsNeitherLandmarksNorObjects) {
     prompt.unload_all();
   }
   {
-    const Delay delay("prompt_updates", "quadric_map_updates", std::chrono::milliseconds(300));
+    const Delay<MapUpdateMessage> delay("prompt_updates", "quadric_map_updates", std::chrono::milliseconds(300));
     LandmarkWatch watch;
     InProcessChain late;
     late.load_stages(data, directory.path("late"), {{"quadric_map_updates", "prompt_updates"}});
@@ -149,6 +163,39 @@ TEST(LateMapping, CostsNeitherLandmarksNorObjects) {
   EXPECT_GE(late_f, prompt_f - 0.03);
   RecordProperty("prompt_f", std::to_string(prompt_f));
   RecordProperty("late_f", std::to_string(late_f));
+}
+
+std::string rows_of(const std::string& path) {
+  std::ostringstream text;
+  EXPECT_EQ(core::dump_map(path, text).message(), "");
+  return text.str();
+}
+
+TEST(LateMapping, LosesNothingOfTheMap) {
+  const core::TestDirectory directory;
+  const std::string data = directory.path("data"), prompt = directory.path("prompt.db"),
+                    late = directory.path("late.db");
+  write_simulation({{"trajectory.duration_s", "24"}}, data);
+  if (::testing::Test::HasFatalFailure()) return;
+  const Delay<MapPartMessage> delay("map_parts", "late_parts", std::chrono::seconds(2),
+                                    [](const auto& part) { return part.stage == MapPart::STAGE_QUADRIC_MAPPING; });
+  InProcessChain chain;
+  chain.set("map_database", "save_map_file", prompt);
+  chain.load("map_database", "MapDatabase", {});
+  chain.set("late_map_database", "save_map_file", late);
+  chain.set("late_map_database", "queue_size", 2);
+  chain.load("late_map_database", "MapDatabase", {{"map_parts", "late_parts"}});
+  chain.load_stages(data, directory.path("results"));
+  chain.load_player(data, true);
+  ASSERT_EQ(chain.wait_for_end(60.0), "finished");
+  const auto end = std::chrono::steady_clock::now() + std::chrono::seconds(20);
+  const auto is_same = [&] { return std::filesystem::exists(late) && rows_of(late) == rows_of(prompt); };
+  while (!is_same() && std::chrono::steady_clock::now() < end) {
+    std::this_thread::sleep_for(std::chrono::milliseconds(100));
+  }
+  EXPECT_TRUE(is_same());
+  EXPECT_NE(rows_of(prompt).find("object "), std::string::npos);
+  chain.unload_all();
 }
 
 }  // namespace
