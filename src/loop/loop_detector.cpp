@@ -149,7 +149,8 @@ struct LoopDetector::Impl {
     none.delay_s = solver_.applied_delay_s();
     none.noise = solver_.noise().odometry;
     SolvedMotion motion = none;
-    for (const ObservedFrame& frame : window) {
+    const std::deque<ObservedFrame> frames = with_all_keyframes(window);
+    for (const ObservedFrame& frame : frames) {
       if (from != nullptr) {
         const SE3 step = last->T_odom_camera.inverse() * frame.T_odom_camera;
         motion.path_m += step.t.norm();
@@ -168,6 +169,33 @@ struct LoopDetector::Impl {
       motion = none;
     }
     told_from_ = middle_keyframe_id;
+  }
+
+  /// A solved window, and between its frames the keyframes that no detector looked at, where the odometry has them on
+  /// the solved way. What was missed on the way may have been on either side of them.
+  std::deque<ObservedFrame> with_all_keyframes(const std::deque<ObservedFrame>& window) const {
+    const std::deque<ObservedFrame>& measured = window_.frames();
+    std::deque<ObservedFrame> frames;
+    for (std::size_t i = 0; i < window.size(); ++i) {
+      for (auto next = i > 0 ? keyframes_.upper_bound(measured[i - 1].keyframe_id) : keyframes_.end();
+           next != keyframes_.end() && next->second.frame_id < measured[i].frame_id; ++next) {
+        const ObservedFrame &before = measured[i - 1], &after = measured[i];
+        const SE3 T_before_odom = before.T_odom_camera.inverse();
+        const double share = static_cast<double>(next->second.stamp_ns - before.stamp_ns) /
+                             static_cast<double>(after.stamp_ns - before.stamp_ns);
+        ObservedFrame frame;
+        frame.keyframe_id = next->first;
+        frame.is_keyframe = true;
+        frame.missed = window[i].missed;
+        frame.T_odom_camera =
+            window[i - 1].T_odom_camera *
+            motion_on_the_way(T_before_odom * next->second.T_odom_camera, T_before_odom * after.T_odom_camera,
+                              window[i - 1].T_odom_camera.inverse() * window[i].T_odom_camera, share);
+        frames.push_back(std::move(frame));
+      }
+      frames.push_back(window[i]);
+    }
+    return frames;
   }
 
   SubmapDelta take_delta(bool whole) {

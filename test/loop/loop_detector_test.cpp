@@ -280,8 +280,10 @@ TEST(LoopDetector, AnotherDeskIsNoLoop) {
 
 /// Motions of a run along a desk; what comes later holds. @param drift_mps straight ahead, beside the true motion
 /// @param slip_from_s from then on for 2.4 s by 0.6 m in all, longer than any burst
+/// @param answered_every frames that the detector takes for an answer
 std::map<std::int64_t, SolvedMotion> motions_along_a_desk(LoopDetector* detector, double drift_mps,
-                                                          std::vector<SE3>* keyframes, double slip_from_s = 1e9) {
+                                                          std::vector<SE3>* keyframes, double slip_from_s = 1e9,
+                                                          std::int64_t answered_every = 1) {
   const auto desk = random_desk(6, 10);
   FrameBuilder builder(KeyframeOptions(), testing::desk_camera());
   std::mt19937_64 random(2);
@@ -295,7 +297,12 @@ std::map<std::int64_t, SolvedMotion> motions_along_a_desk(LoopDetector* detector
     sample.T_odom_camera = SE3(Quaternion::Identity(), Vec3(drift_mps * time_s, slipped_m, 0.0)) * pose;
     const auto frame = builder.build(sample);
     if (frame->is_keyframe) keyframes->push_back(pose);
-    detector->detect(*frame, testing::observe(desk, *frame, pose, 0, random));
+    AssociationFrame seen = testing::observe(desk, *frame, pose, 0, random);
+    if (k % answered_every != 0) {
+      seen.associations.clear();
+      seen.unanswered = true;
+    }
+    detector->detect(*frame, seen);
     for (const SolvedMotion& motion : detector->motions()) motions[motion.from_keyframe_id] = motion;
   }
   detector->detect(builder.end(), {});
@@ -324,10 +331,12 @@ TEST(LoopDetector, TellsHowTheCameraMovedFromKeyframeToKeyframe) {
   EXPECT_NEAR(path_m, 4.3, 0.4) << "the length of the way around the desk, up and down";
 }
 
-TEST(LoopDetector, ASlipOfTheOdometryIsTold) {
+class LoopDetectorSlip : public ::testing::TestWithParam<std::int64_t> {};
+
+TEST_P(LoopDetectorSlip, IsToldFromKeyframeToKeyframe) {
   LoopDetector detector(LoopOptions(), testing::desk_classes());
   std::vector<SE3> truth;
-  const auto motions = motions_along_a_desk(&detector, 0.0, &truth, 9.0);
+  const auto motions = motions_along_a_desk(&detector, 0.0, &truth, 9.0, GetParam());
   EXPECT_GT(motions.size() + 4, truth.size()) << "it parts nothing";
   double slipped_s = 0.0;
   SE3 T_first_last;
@@ -339,6 +348,8 @@ TEST(LoopDetector, ASlipOfTheOdometryIsTold) {
   const std::size_t last = static_cast<std::size_t>(motions.rbegin()->second.to_keyframe_id);
   EXPECT_LT(((truth.front().inverse() * truth[last]).inverse() * T_first_last).t.norm(), 0.1);
 }
+
+INSTANTIATE_TEST_SUITE_P(AnsweredEvery, LoopDetectorSlip, ::testing::Values(1, 2));
 
 /// First frame of the last submap along a desk, where after seven seconds (210 frames) the odometry is turned at once.
 /// @param answered_every frames that the detector takes for an answer
