@@ -1,5 +1,7 @@
 #include "semantic_topo_loop/pipeline/frame_builder.h"
 
+#include <algorithm>
+
 #include "odometry/held_poses.h"
 #include "semantic_topo_loop/geometry/lie.h"
 
@@ -37,7 +39,9 @@ Result<Frame> FrameBuilder::build(const PoseSample& sample) {
     const auto since_s = [&sample](std::int64_t stamp_ns) {
       return 1e-9 * static_cast<double>(sample.stamp_ns - stamp_ns);
     };
-    const double moved_s = since_s(frame.held_since_ns.value_or(last_->stamp_ns));
+    // Of a faster camera, or of images that came together, a hiccup would be beyond all speeds.
+    constexpr double kLeast_s = 0.03;
+    const double moved_s = std::max(kLeast_s, since_s(frame.held_since_ns.value_or(last_->stamp_ns)));
     const double distance_m = (sample.T_odom_camera.t - last_->T_odom_camera.t).norm();
     const double angle_deg = degrees(rotation_angle(sample.T_odom_camera.q, last_->T_odom_camera.q));
     const bool has_gap = since_s(last_->stamp_ns) > options_.break_gap_s && !motion.is_way && !sample.is_continuous;

@@ -189,8 +189,10 @@ std::optional<core::Mat6> OdometryPoses::step_covariance(std::int64_t stamp_ns, 
   const auto after = twist_covariances_.upper_bound(stamp_ns);
   if (!last_stamp_ns_ || after == twist_covariances_.begin()) return std::nullopt;
   const double dt_s = 1e-9 * static_cast<double>(stamp_ns - *last_stamp_ns_);
+  // Errors of a velocity last: a second's are the same however many images it has.
+  constexpr double kLasting_s = 0.1;
   const core::Mat6 carry = core::transport(T_base_camera);
-  return core::Mat6(dt_s * dt_s * carry * std::prev(after)->second * carry.transpose());
+  return core::Mat6(dt_s * std::max(dt_s, kLasting_s) * carry * std::prev(after)->second * carry.transpose());
 }
 
 }  // namespace semantic_topo_loop

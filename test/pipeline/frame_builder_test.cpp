@@ -56,6 +56,12 @@ TEST_F(FrameBuilderTest, AParkedRobotMakesNoKeyframesAndAMovedOneAtOnce) {
   EXPECT_FALSE(build(Vec3(0.04, 0.0, 0.0))->is_keyframe);
 }
 
+TEST_F(FrameBuilderTest, AHiccupOfAFastCameraIsNoBreak) {
+  EXPECT_TRUE(build(Vec3::Zero()));
+  EXPECT_FALSE(build(Vec3(0.15, 0.0, 0.0), 0.0, 3'000'000)->is_break) << "50 m/s, and 6 m/s over the time of a frame";
+  EXPECT_TRUE(build(Vec3(0.45, 0.0, 0.0), 0.0, 3'000'000)->is_break);
+}
+
 TEST_F(FrameBuilderTest, JumpOfTheOdometryAndAGapAreBreaks) {
   EXPECT_TRUE(build(Vec3::Zero()));
   EXPECT_FALSE(build(Vec3(0.15, 0.0, 0.0))->is_break);

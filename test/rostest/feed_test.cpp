@@ -163,6 +163,10 @@ TEST(OdometryPoses, TakesTheStepsCovarianceFromTheTwist) {
   const PoseSource::Answer answer = poses.at(at_ms(600), "base");
   ASSERT_TRUE(answer.sample.covariance);
   EXPECT_LT((*answer.sample.covariance - 0.01 * core::Mat6::Identity()).norm(), 1e-12) << "(0.2 m/s * 0.5 s)^2";
+  const auto variance_of = [&poses](int step_ms) {
+    return (*poses.at(at_ms(100 + step_ms), "base").sample.covariance)(0, 0);
+  };
+  EXPECT_NEAR(50.0 * variance_of(20), 20.0 * variance_of(50), 1e-12) << "of a second, at 50 and at 20 images a second";
   poses.reset();
   EXPECT_FALSE(poses.at(at_ms(700), "base").sample.covariance);
 }
