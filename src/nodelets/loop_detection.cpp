@@ -39,7 +39,6 @@ class LoopDetectionNodelet : public StageWith<LoopDetectionParameters> {
     serve_settings(&options_.loop, [this] { take_options(); });
     serve("set_loop_closing", &LoopDetectionNodelet::on_switch);
     serve("why_loop", &LoopDetectionNodelet::on_why);
-    relocalisation_publisher_ = advertise<geometry_msgs::TransformStamped>("earlier_map_from_odom", true);
     map_parts_.open(getNodeHandle(), queue_capacity());
     subscribe("map_corrections", Keep::kAlways, &LoopDetectionNodelet::on_correction);
     subscribe("quadric_map_updates", Keep::kAlways, &LoopDetectionNodelet::on_update);
@@ -50,6 +49,9 @@ class LoopDetectionNodelet : public StageWith<LoopDetectionParameters> {
 
   void reset_session() override {
     joiner_->clear();
+    // Latched: who comes must not hear where the session before was.
+    relocalisation_publisher_.shutdown();
+    relocalisation_publisher_ = advertise<geometry_msgs::TransformStamped>("earlier_map_from_odom", true);
     const std::lock_guard<std::mutex> lock(mutex_);
     detector_ = std::make_unique<core::LoopDetector>(options_.loop, classes());
     map_parts_.reset_session();

@@ -111,12 +111,14 @@ void to_msg(const core::Camera& camera, sensor_msgs::CameraInfo* message) {
 
 core::Camera from_msg(const sensor_msgs::CameraInfo& message) {
   core::Camera camera;
-  camera.fx = message.K[0];
-  camera.cx = message.K[2];
-  camera.fy = message.K[4];
-  camera.cy = message.K[5];
-  camera.width = static_cast<int>(message.width);
-  camera.height = static_cast<int>(message.height);
+  // K, width and height are those of the whole sensor; the image is a part of it, or binned.
+  const std::uint32_t binning_x = std::max(1U, message.binning_x), binning_y = std::max(1U, message.binning_y);
+  camera.fx = message.K[0] / binning_x;
+  camera.cx = (message.K[2] - message.roi.x_offset) / binning_x;
+  camera.fy = message.K[4] / binning_y;
+  camera.cy = (message.K[5] - message.roi.y_offset) / binning_y;
+  camera.width = static_cast<int>((message.roi.width > 0 ? message.roi.width : message.width) / binning_x);
+  camera.height = static_cast<int>((message.roi.height > 0 ? message.roi.height : message.height) / binning_y);
   const auto coefficients = static_cast<std::ptrdiff_t>(std::min(message.D.size(), camera.distortion.size()));
   std::copy_n(message.D.begin(), coefficients, camera.distortion.begin());
   return camera;

@@ -101,6 +101,7 @@ struct Reader {
     } catch (const ros::Exception& exception) {  // another version's sum, or bytes that end too early
       return core::Error{message.getDataType() + ": " + exception.what()};
     }
+    if (frame && frame->stamp_ns == 0) return core::Error{message.getDataType() + ": header.stamp is 0"};
     if (frame) return *std::move(frame);
     return core::Error{"type " + message.getDataType() + ", but this build reads " + known};
   }

@@ -227,6 +227,10 @@ bool FrontendStage::is_in_order(std::int64_t stamp_ns) {
   if (!last_stamp_ns_ || stamp_ns > *last_stamp_ns_) return true;
   const std::string detail =
       "stamp " + std::to_string(stamp_ns) + " ns after " + std::to_string(*last_stamp_ns_) + " ns";
+  if (stamp_ns == 0) {
+    fail_image(stamp_ns, "images without a stamp", detail);
+    return false;
+  }
   if (stamp_ns < *last_stamp_ns_ - kJumpBack_ns) {
     NODELET_WARN("time jumped back: %s", detail.c_str());
     begin_session("time jumped back");

@@ -93,5 +93,25 @@ TEST(CheckedCamera, RefusesOtherLensModelsAndBadNumbers) {
   EXPECT_EQ(checked_camera(message).message(), "camera_info width = 1000000 must be in (0, 10000]");
 }
 
+TEST(CameraInfo, OfAPartOfTheSensorOrOfBinnedPixels) {
+  sensor_msgs::CameraInfo message;
+  message.K = {600.0, 0.0, 640.0, 0.0, 610.0, 360.0, 0.0, 0.0, 1.0};
+  message.width = 1280;
+  message.height = 720;
+  message.binning_x = message.binning_y = 2;
+  core::Camera camera = *checked_camera(message);
+  EXPECT_EQ((std::vector<double>{camera.fx, camera.fy, camera.cx, camera.cy}),
+            (std::vector<double>{300.0, 305.0, 320.0, 180.0}));
+  EXPECT_EQ(std::make_pair(camera.width, camera.height), std::make_pair(640, 360));
+  message.roi.x_offset = 40;
+  message.roi.y_offset = 20;
+  message.roi.width = 800;
+  message.roi.height = 600;
+  camera = *checked_camera(message);
+  EXPECT_EQ((std::vector<double>{camera.fx, camera.fy, camera.cx, camera.cy}),
+            (std::vector<double>{300.0, 305.0, 300.0, 170.0}));
+  EXPECT_EQ(std::make_pair(camera.width, camera.height), std::make_pair(400, 300));
+}
+
 }  // namespace
 }  // namespace semantic_topo_loop
