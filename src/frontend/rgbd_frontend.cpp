@@ -224,7 +224,7 @@ struct RgbdFrontend::Impl {
   /// Keyframes that look like an image but are none of these, best first: of other sections, then older ones of its
   /// own, which look no less alike than those that it is followed by.
   std::vector<std::int64_t> unfollowed(const TrackedFeatures& image, const std::set<std::int64_t>& followed) const {
-    constexpr std::size_t kTried = 3;  // bounds the time of a keyframe
+    constexpr std::size_t kTried = 3, kOwn = 1;  // bound the time of a keyframe
     const std::vector<std::uint32_t> words = visual_words(image.features.descriptors);
     std::vector<std::int64_t> tried =
         most_alike(words, kTried, [&](const TrackingKeyframe& keyframe) { return keyframe.section != image.section; });
@@ -235,7 +235,8 @@ struct RgbdFrontend::Impl {
     const auto is_across_offset = [&](const TrackingKeyframe& keyframe) {
       return keyframe.section == image.section && followed.count(keyframe.id) == 0;
     };
-    const std::vector<std::int64_t> own = most_alike(words, kTried - tried.size(), is_across_offset, least_alike);
+    const std::vector<std::int64_t> own =
+        most_alike(words, std::max(kOwn, kTried - tried.size()), is_across_offset, least_alike);
     tried.insert(tried.end(), own.begin(), own.end());
     return tried;
   }

@@ -381,7 +381,10 @@ struct QuadricMapper::Impl {
       const auto& [id, landmark] = *next++;
       const double unseen_s = 1e-9 * static_cast<double>(*last_stamp_ns_ - landmark.last_stamp_ns);
       const bool is_short = landmark.sightings.seen_s < options_.forget_candidate_seen_s;
-      const bool is_candidate = landmark.state.state == LandmarkState::kCandidate;
+      // Retired, but never an object: what was carried through the view, say.
+      const bool is_candidate =
+          landmark.state.state == LandmarkState::kCandidate ||
+          (landmark.state.state == LandmarkState::kRetired && landmark.sightings.seen_s < options_.confirm_seen_s);
       const bool is_stale = (is_short && unseen_s > options_.forget_candidate_s) ||
                             (is_candidate && unseen_s > options_.forget_unconfirmed_s);
       // What the session before had as an object may be unseen for days, and is to be found gone.
