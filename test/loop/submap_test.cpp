@@ -507,6 +507,7 @@ TEST(LoopVerifier, AcceptsTheTruthAndTellsWhatFails) {
 }
 
 TEST(LoopVerifier, RejectsAMirroredWorld) {
+  constexpr double kMaxRms_m = 0.09;
   // All centres in one plane: a half turn about an axis in the plane puts them onto their own mirror image.
   LocalMap a;
   a.frames.resize(1);
@@ -521,10 +522,16 @@ TEST(LoopVerifier, RejectsAMirroredWorld) {
   GraphMatch match;
   match.T_a_b = SE3(so3_exp(Vec3(kPi, 0, 0)), Vec3::Zero());
   for (int i = 0; i < 8; ++i) match.pairs.push_back({i, i});
-  EXPECT_TRUE(is_mirrored(a, b, match));
+  EXPECT_TRUE(is_mirrored(a, b, match, kMaxRms_m));
+  LocalMap deep_a = a, deep_b = b;
+  for (std::size_t i = 0; i < a.objects.size(); i += 2) {
+    deep_a.objects[i].spheroid.center.z() += 0.4;
+    deep_b.objects[i].spheroid.center.z() -= 0.4;
+  }
+  EXPECT_FALSE(is_mirrored(deep_a, deep_b, match, kMaxRms_m)) << "a mirror image would not fit";
   GraphMatch same = match;
   same.T_a_b = SE3();
-  EXPECT_FALSE(is_mirrored(a, a, same));
+  EXPECT_FALSE(is_mirrored(a, a, same, kMaxRms_m));
   // No residual shows it: all that is said of the match is perfect.
   for (GraphMatch* perfect : {&match, &same}) {
     perfect->classes = 5;

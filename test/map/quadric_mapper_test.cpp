@@ -631,6 +631,9 @@ TEST_F(MapperTest, WhatIsNotDetectedFromBehindOrWhileHiddenHasNotGone) {
   screen.semi_axes = Vec3::Constant(0.25);
   for (int i = 0; i < 600; ++i) step(poses[static_cast<std::size_t>(50 + i % 20)], {{2, 62, screen}});
   EXPECT_EQ(find(0)->state, LandmarkState::kConfirmed) << "behind a landmark";
+  const SE3 aside(so3_exp(Vec3(0.0, radians(22.0), 0.0)), Vec3::Zero());
+  for (int i = 0; i < 600; ++i) step(poses[static_cast<std::size_t>(50 + i % 20)] * aside, {{2, 62, screen}});
+  EXPECT_EQ(find(0)->state, LandmarkState::kConfirmed) << "behind one that the border cuts";
 }
 
 TEST_F(MapperTest, WhatWasHardlySeenIsNotGivenUpBeforeItWasExpectedForSomeTime) {

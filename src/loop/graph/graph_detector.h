@@ -60,9 +60,10 @@ struct Verdict {
 /// @param second_score of the best distinct alternative   @return the first test that fails, or kAccepted
 Verdict verify_alignment(const LocalMap& a, const LocalMap& b, const GraphMatch& match, double second_score,
                          const LoopOptions& options);
-/// True if the two submaps' cameras lie on different sides of the plane through the matched objects: then one is the
+/// True if the matched objects lie in a plane, and the two submaps' cameras on different sides of it: then one is the
 /// mirror image of the other, which no residual shows.
-bool is_mirrored(const LocalMap& a, const LocalMap& b, const GraphMatch& match);
+/// @param max_rms_m from a plane; beyond, the residual of a mirror image would show it
+bool is_mirrored(const LocalMap& a, const LocalMap& b, const GraphMatch& match, double max_rms_m);
 /// Angle between the two up directions, rad; 0 if one of them is uncertain.
 double tilt(const LocalMap& a, const LocalMap& b, const SE3& T_a_b);
 

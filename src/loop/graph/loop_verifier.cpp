@@ -102,7 +102,7 @@ Verdict verify_alignment(const LocalMap& a, const LocalMap& b, const GraphMatch&
   verdict.reason = check_alignment(match, a.surfels && b.surfels, second_score, options);
   verdict.tilt_deg = degrees(tilt(a, b, match.T_a_b));
   if (verdict.reason != LoopReason::kAccepted) return verdict;
-  if (is_mirrored(a, b, match)) {
+  if (is_mirrored(a, b, match, options.max_rms_m)) {
     verdict.reason = LoopReason::kMirrored;
   } else if (verdict.tilt_deg > options.max_tilt_deg) {
     verdict.reason = LoopReason::kTilt;
@@ -116,7 +116,7 @@ Verdict verify_alignment(const LocalMap& a, const LocalMap& b, const GraphMatch&
   return verdict;
 }
 
-bool is_mirrored(const LocalMap& a, const LocalMap& b, const GraphMatch& match) {
+bool is_mirrored(const LocalMap& a, const LocalMap& b, const GraphMatch& match, double max_rms_m) {
   Vec3 middle = Vec3::Zero();
   std::vector<Vec3> points;
   for (const NodePair& pair : match.pairs) {
@@ -126,7 +126,9 @@ bool is_mirrored(const LocalMap& a, const LocalMap& b, const GraphMatch& match) 
   for (const Vec3& point : points) middle += point / static_cast<double>(points.size());
   Mat3 scatter = Mat3::Zero();
   for (const Vec3& point : points) scatter += (point - middle) * (point - middle).transpose();
-  const Vec3 normal = Eigen::SelfAdjointEigenSolver<Mat3>(scatter).eigenvectors().col(0);
+  const Eigen::SelfAdjointEigenSolver<Mat3> solver(scatter / static_cast<double>(points.size()));
+  if (solver.eigenvalues()(0) > max_rms_m * max_rms_m) return false;
+  const Vec3 normal = solver.eigenvectors().col(0);
   const double side_a = normal.dot(mean_position(a) - middle);
   const double side_b = normal.dot(match.T_a_b * mean_position(b) - middle);
   return side_a * side_b < 0.0;
