@@ -1,6 +1,8 @@
 #include "map/mapper_state.h"
 
 #include <cmath>
+#include <iterator>
+#include <set>
 
 namespace semantic_topo_loop::core {
 
@@ -14,6 +16,16 @@ bool move_boxes(const Camera& from, const Camera& to, MappedLandmark* landmark) 
   }
   landmark->seen_from.scale(std::sqrt(to.fx * to.fy / (from.fx * from.fy)));
   return true;
+}
+
+void forget_gone_neighbours(std::vector<MappedLandmark>* landmarks) {
+  std::set<std::int64_t> known;
+  for (const MappedLandmark& landmark : *landmarks) known.insert(landmark.state.id);
+  for (MappedLandmark& landmark : *landmarks) {
+    for (auto next = landmark.seen_beside.begin(); next != landmark.seen_beside.end();) {
+      next = known.count(next->first) > 0 ? std::next(next) : landmark.seen_beside.erase(next);
+    }
+  }
 }
 
 }  // namespace semantic_topo_loop::core

@@ -48,4 +48,8 @@ struct MapperState {
 /// @return false, and all as it was, if their pixels are the same
 bool move_boxes(const Camera& from, const Camera& to, MappedLandmark* landmark);
 
+/// Forgets beside which landmarks each was seen that are no more: another one may be given their id.
+/// @param landmarks all of a map
+void forget_gone_neighbours(std::vector<MappedLandmark>* landmarks);
+
 }  // namespace semantic_topo_loop::core

@@ -172,6 +172,7 @@ struct QuadricMapper::Impl {
       T_odom_keyframe_[keyframe.keyframe_id] = keyframe.T_map_camera;
       S_map_keyframe_[keyframe.keyframe_id] = Sim3(keyframe.T_map_camera, keyframe.scale);
     }
+    forget_gone_neighbours(&state.landmarks);
     for (MappedLandmark& landmark : state.landmarks) {
       changed_.insert(landmark.state.id);
       landmark.was_confirmed = landmark.state.state == LandmarkState::kConfirmed;

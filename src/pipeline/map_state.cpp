@@ -105,6 +105,8 @@ void MapState::append(MapState other) {
   for (RememberedLoop& loop : other.graph.loops) raise_ids(frames, keyframes, &loop);
   graph.append(std::move(other.graph));
   if (objects.landmarks.empty()) objects.camera = other.objects.camera;
+  forget_gone_neighbours(&objects.landmarks);
+  forget_gone_neighbours(&other.objects.landmarks);
   for (MappedLandmark& landmark : other.objects.landmarks) {
     move_boxes(other.objects.camera, objects.camera, &landmark);
     raise_ids(frames, keyframes, landmarks, &landmark);

@@ -1016,5 +1016,16 @@ TEST(QuadricMapperOptions, RejectsValuesOutOfRangeByName) {
   EXPECT_EQ(validate(options).message(), "parameter 'mapping.merge_iou' = '1.5' must be in [0, 1]");
 }
 
+TEST(MapperState, WhoIsNoMoreVetoesNoMergeOfTheOneWithItsId) {
+  std::vector<MappedLandmark> landmarks(2);
+  landmarks[0].state.id = 1;
+  landmarks[0].seen_beside = {{2, 5}, {7, 200}};
+  landmarks[1].state.id = 2;
+  landmarks[1].seen_beside = {{1, 5}};
+  forget_gone_neighbours(&landmarks);
+  EXPECT_EQ(landmarks[0].seen_beside, (std::map<std::int64_t, int>{{2, 5}}));
+  EXPECT_EQ(landmarks[1].seen_beside, (std::map<std::int64_t, int>{{1, 5}}));
+}
+
 }  // namespace
 }  // namespace semantic_topo_loop::core
