@@ -142,60 +142,70 @@ struct LoopDetector::Impl {
     return loops;
   }
 
+  /// A place on the solved way through a window.
+  struct Waypoint {
+    std::optional<std::int64_t> keyframe_id;  ///< if it is one
+    SE3 T_odom_camera;
+    MissedMotion missed;  ///< since the waypoint before
+  };
+
   /// From where the last window was known best, its middle.
   void tell_motions(const std::deque<ObservedFrame>& window, std::int64_t middle_keyframe_id) {
-    const ObservedFrame *from = nullptr, *last = nullptr;
+    const Waypoint *from = nullptr, *last = nullptr;
     SolvedMotion none;
     none.delay_s = solver_.applied_delay_s();
     none.noise = solver_.noise().odometry;
     SolvedMotion motion = none;
-    const std::deque<ObservedFrame> frames = with_all_keyframes(window);
-    for (const ObservedFrame& frame : frames) {
+    const std::vector<Waypoint> way = way_through(window);
+    for (const Waypoint& place : way) {
       if (from != nullptr) {
-        const SE3 step = last->T_odom_camera.inverse() * frame.T_odom_camera;
+        const SE3 step = last->T_odom_camera.inverse() * place.T_odom_camera;
         motion.path_m += step.t.norm();
         motion.rotation_rad += rotation_angle(step.q, Quaternion::Identity());
-        motion.missed = join(motion.missed, frame.missed, step);
+        motion.missed = join(motion.missed, place.missed, step);
       }
-      last = &frame;
-      if (!frame.is_keyframe) continue;
-      if (from != nullptr && from->keyframe_id >= told_from_) {
-        motion.from_keyframe_id = from->keyframe_id;
-        motion.to_keyframe_id = frame.keyframe_id;
-        motion.T_from_to = from->T_odom_camera.inverse() * frame.T_odom_camera;
+      last = &place;
+      if (!place.keyframe_id) continue;
+      if (from != nullptr && *from->keyframe_id >= told_from_) {
+        motion.from_keyframe_id = *from->keyframe_id;
+        motion.to_keyframe_id = *place.keyframe_id;
+        motion.T_from_to = from->T_odom_camera.inverse() * place.T_odom_camera;
         motions_.push_back(motion);
       }
-      from = &frame;
+      from = &place;
       motion = none;
     }
     told_from_ = middle_keyframe_id;
   }
 
-  /// A solved window, and between its frames the keyframes that no detector looked at, where the odometry has them on
-  /// the solved way. What was missed on the way may have been on either side of them.
-  std::deque<ObservedFrame> with_all_keyframes(const std::deque<ObservedFrame>& window) const {
+  /// Through a window's frames, and between them through the keyframes that no detector looked at: where the odometry
+  /// has them, but for their share, by time, of what solving has changed.
+  std::vector<Waypoint> way_through(const std::deque<ObservedFrame>& window) const {
+    const auto part = [](const MissedMotion& missed, double share) {
+      return MissedMotion{share * missed.frozen_s, share * missed.slipped_s, share * missed.covariance};
+    };
     const std::deque<ObservedFrame>& measured = window_.frames();
-    std::deque<ObservedFrame> frames;
+    std::vector<Waypoint> way;
     for (std::size_t i = 0; i < window.size(); ++i) {
+      double reached = 0.0;  // share of the time since the frame before
       for (auto next = i > 0 ? keyframes_.upper_bound(measured[i - 1].keyframe_id) : keyframes_.end();
            next != keyframes_.end() && next->second.frame_id < measured[i].frame_id; ++next) {
         const ObservedFrame &before = measured[i - 1], &after = measured[i];
         const SE3 T_before_odom = before.T_odom_camera.inverse();
         const double share = static_cast<double>(next->second.stamp_ns - before.stamp_ns) /
                              static_cast<double>(after.stamp_ns - before.stamp_ns);
-        ObservedFrame frame;
-        frame.keyframe_id = next->first;
-        frame.is_keyframe = true;
-        frame.missed = window[i].missed;
-        frame.T_odom_camera =
-            window[i - 1].T_odom_camera *
+        const SE3 T_before_keyframe =
             motion_on_the_way(T_before_odom * next->second.T_odom_camera, T_before_odom * after.T_odom_camera,
                               window[i - 1].T_odom_camera.inverse() * window[i].T_odom_camera, share);
-        frames.push_back(std::move(frame));
+        way.push_back(
+            {next->first, window[i - 1].T_odom_camera * T_before_keyframe, part(window[i].missed, share - reached)});
+        reached = share;
       }
-      frames.push_back(window[i]);
+      const std::optional<std::int64_t> keyframe_id =
+          window[i].is_keyframe ? std::optional(window[i].keyframe_id) : std::nullopt;
+      way.push_back({keyframe_id, window[i].T_odom_camera, part(window[i].missed, 1.0 - reached)});
     }
-    return frames;
+    return way;
   }
 
   SubmapDelta take_delta(bool whole) {

@@ -39,6 +39,7 @@ struct Candidate {
   Box box, whole;                       ///< inside the image, and not clipped
   double near_m = 0.0, center_m = 0.0;  ///< depths of the near side and the centre
   bool is_hollow = false;
+  bool is_looked_for = false;  ///< enough of it is in view; less hides others all the same
 
   double share() const { return box.area() / whole.area(); }
 };
@@ -94,7 +95,7 @@ std::vector<ExpectedLandmark> expected_landmarks(const std::map<std::int64_t, Ma
                                                  const AssociationFrame& associations, double least_share) {
   const Mat34 P = projection_matrix(frame.camera, T_map_camera);
   const double px = pixel_factor(frame.camera);
-  std::vector<Candidate> in_view, visible_parts;
+  std::vector<Candidate> in_view;
   for (const auto& [id, landmark] : landmarks) {
     if (!landmark.state.ellipsoid || landmark.state.state == LandmarkState::kRetired) continue;
     const Mat3 shape = landmark.state.ellipsoid->shape();
@@ -105,17 +106,16 @@ std::vector<ExpectedLandmark> expected_landmarks(const std::map<std::int64_t, Ma
     if (!box || depth > kRange_m) continue;
     const Box visible = clip(*box, frame.camera.width, frame.camera.height);
     if (!visible.is_valid()) continue;
-    visible_parts.push_back({id, &*landmark.state.ellipsoid, visible, *box,
-                             depth - std::sqrt(std::max(0.0, axis.dot(shape * axis))), depth,
-                             landmark.sightings.hollow_s > kHollowShare * landmark.sightings.familiar_seen_s});
     const double least_area = (points != nullptr ? kPartlyVisibleShare : least_share) * box->area();
-    if (visible.area() > least_area && visible.width() > kMinWidth_px * px && visible.height() > kMinHeight_px * px) {
-      in_view.push_back(visible_parts.back());
-    }
+    in_view.push_back(
+        {id, &*landmark.state.ellipsoid, visible, *box, depth - std::sqrt(std::max(0.0, axis.dot(shape * axis))), depth,
+         landmark.sightings.hollow_s > kHollowShare * landmark.sightings.familiar_seen_s,
+         visible.area() > least_area && visible.width() > kMinWidth_px * px && visible.height() > kMinHeight_px * px});
   }
   std::vector<ExpectedLandmark> expected;
   for (const Candidate& candidate : in_view) {
-    if (is_hidden_by_landmark(candidate, visible_parts) || is_hidden_by_other(candidate, associations)) continue;
+    if (!candidate.is_looked_for) continue;
+    if (is_hidden_by_landmark(candidate, in_view) || is_hidden_by_other(candidate, associations)) continue;
     const DepthThere there = points != nullptr ? depth_there(candidate, *points, T_map_camera) : DepthThere::kUnknown;
     if (there == DepthThere::kInFront) continue;
     const bool is_in_it = there == DepthThere::kInIt;

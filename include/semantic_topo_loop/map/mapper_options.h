@@ -61,7 +61,7 @@ struct QuadricMapperOptions {
     visitor.live("forget_candidate_seen_s", forget_candidate_seen_s, not_negative(),
                  "unless it was seen for this long");
     visitor.live("forget_unconfirmed_s", forget_unconfirmed_s, positive(),
-                 "a candidate unseen for so long is given up, however long it was seen");
+                 "what is no object and unseen for so long is given up, however long it was seen");
     visitor.live("retire_seen_share", retire_seen_share, share(),
                  "a landmark is retired when seen / expected falls below");
     visitor.live("retire_expected_s", retire_expected_s, positive(), "and it was expected for this long");
