@@ -56,6 +56,20 @@ void remove_links_of_the_dead(const std::filesystem::path& stem) {
   }
 }
 
+/// FILE~, or FILE~2 if that is there, and so on.
+std::string free_name_beside(const std::string& path) {
+  std::string aside = path + "~";
+  for (int next = 2; is_there(aside); ++next) aside = path + "~" + std::to_string(next);
+  return aside;
+}
+
+/// What is committed, though another connection writes on.
+Status copy_map(const std::string& from, const std::string& to) {
+  SqliteFile file(from, SqliteFile::Mode::kRead);
+  (SqliteStatement(&file, "VACUUM INTO ?") << to).run();
+  return status_of(file);
+}
+
 /// What a writer that was killed left in its journal goes into the file, and the journal with it.
 void take_in_journal(SqliteFile* file) { file->run("BEGIN IMMEDIATE; COMMIT; PRAGMA journal_mode = DELETE"); }
 
@@ -119,8 +133,7 @@ Status replace_map(const std::string& path, const std::function<Status(const std
 }
 
 Status set_map_aside(const std::string& path) {
-  std::string aside = path + "~";
-  for (int next = 2; is_there(aside); ++next) aside = path + "~" + std::to_string(next);
+  const std::string aside = free_name_beside(path);
   std::error_code code, none;
   for (const char* journal : kJournals) std::filesystem::remove(aside + journal, none);
   std::filesystem::rename(path, aside, code);
@@ -172,10 +185,10 @@ class MapDatabase::Impl {
         found_(written_at(path_)),
         thread_([this] { run(); }) {}
 
-  void write(Parts parts) {
+  void write(Parts parts, bool keeps_copy) {
     const std::lock_guard<std::mutex> lock(mutex_);
-    if (waiting_.empty()) waiting_.emplace_back();
-    append(std::move(parts), &waiting_.back());
+    if (waiting_.empty() || keeps_copy) waiting_.push_back({{}, keeps_copy});
+    append(std::move(parts), &waiting_.back().parts);
     wake_.notify_one();
   }
 
@@ -212,9 +225,7 @@ class MapDatabase::Impl {
     if (!is_made()) return Error{path_ + ": nothing is written yet"};
     MapCounts counts;
     const auto copy = [&](const std::string& temporary) -> Status {
-      SqliteFile file(path_, SqliteFile::Mode::kRead);
-      (SqliteStatement(&file, "VACUUM INTO ?") << temporary).run();
-      if (!file.is_fine()) return status_of(file);
+      if (const Status done = copy_map(path_, temporary); !done) return done;
       SqliteFile copied(temporary, SqliteFile::Mode::kRead);
       const auto count = [&copied](const char* table) {
         return copied.number(std::string("SELECT count(*) FROM ") + table);
@@ -227,23 +238,29 @@ class MapDatabase::Impl {
   }
 
  private:
+  /// What is one transaction.
+  struct Batch {
+    Parts parts;
+    bool keeps_copy = false;  ///< of the file as it was before
+  };
+
   void run() {
     std::unique_lock<std::mutex> lock(mutex_);
     for (;;) {
       wake_.wait(lock, [this] { return is_closed_ || !waiting_.empty(); });
       if (waiting_.empty()) break;
-      Parts parts = std::move(waiting_.front());
+      Batch batch = std::move(waiting_.front());
       waiting_.pop_front();
       is_writing_ = true;
       const bool is_first = !is_made_;
       lock.unlock();
-      const Status written = write_now(parts, is_first);
+      const Status written = write_now(&batch, is_first);
       lock.lock();
       is_writing_ = false;
       problem_ = written;
       is_made_ = is_made_ || written;
       if (written) continue;
-      waiting_.push_front(std::move(parts));
+      waiting_.push_front(std::move(batch));
       if (is_closed_) return;
       wake_.wait_for(lock, kRetry, [this] { return is_closed_; });
     }
@@ -256,9 +273,9 @@ class MapDatabase::Impl {
   }
 
   /// What throws (memory that is not there) is a problem as any other, not the end of the process.
-  Status write_now(const Parts& parts, bool is_first) try {
+  Status write_now(Batch* batch, bool is_first) try {
     if (is_first) {
-      Status made = make(parts);
+      Status made = make(batch->parts);
       if (made) map_.emplace(path_, *classes_);  // from now on nobody else writes it
       return made;
     }
@@ -268,7 +285,12 @@ class MapDatabase::Impl {
       return Error{path_ + ": is not there any more"};
     }
     if (!map_) map_.emplace(path_, *classes_);
-    const Status written = map_->write(parts);
+    if (batch->keeps_copy) {
+      const auto copy = [this](const std::string& temporary) { return copy_map(path_, temporary); };
+      if (const Status kept = replace_file(free_name_beside(path_), copy); !kept) return kept;
+      batch->keeps_copy = false;
+    }
+    const Status written = map_->write(batch->parts);
     if (!written) map_.reset();  // what was begun is undone
     return written;
   } catch (const std::exception& exception) {
@@ -310,7 +332,7 @@ class MapDatabase::Impl {
   std::mutex closing_;                           ///< held while the thread is waited for
   mutable std::mutex mutex_;                     ///< guards all below but map_, which is the thread's alone
   std::condition_variable wake_;
-  std::deque<Parts> waiting_;
+  std::deque<Batch> waiting_;
   Status problem_;
   bool is_writing_ = false, is_closed_ = false;
   bool is_made_ = false;  ///< the file is this one's
@@ -323,7 +345,7 @@ MapDatabase::MapDatabase(std::string path, std::shared_ptr<const ClassTable> cla
     : impl_(std::make_unique<Impl>(std::move(path), std::move(classes), std::move(configuration), std::move(earlier),
                                    sets_aside)) {}
 MapDatabase::~MapDatabase() { static_cast<void>(close()); }
-void MapDatabase::write(Parts parts) { impl_->write(std::move(parts)); }
+void MapDatabase::write(Parts parts, bool keeps_copy) { impl_->write(std::move(parts), keeps_copy); }
 bool MapDatabase::is_behind() const { return impl_->is_behind(); }
 Status MapDatabase::close() { return impl_->close(); }
 bool MapDatabase::is_made() const { return impl_->is_made(); }

@@ -60,7 +60,8 @@ class MapDatabaseNodelet : public StageWith<MapDatabaseParameters> {
     joiner_->clear();
     close();
     waiting_.clear();
-    has_whole_ = {};
+    told_by_ = {};
+    keeps_copy_ = false;
     warn_while(kStages, "");
     // What another session of this process mapped stays, unless this one has its images again.
     const auto before = database();
@@ -118,20 +119,27 @@ class MapDatabaseNodelet : public StageWith<MapDatabaseParameters> {
     if (part->is_end) close();
   }
 
-  /// Only what follows a whole part can be written.
+  /// Only what follows a stage's whole part can be written. One that was loaded anew no longer knows what it told
+  /// before, which its whole part is to take the place of: a copy of the map still has it.
   void add(const Part& part) {
     if (!part) return;
     const core::MapDelta& delta = *part->delta;
     const bool is_whole = (delta.graph && delta.graph->is_whole) || (delta.objects && delta.objects->is_whole) ||
                           (delta.submaps && delta.submaps->is_whole);
-    has_whole_.at(part->stage) = has_whole_.at(part->stage) || is_whole;
-    if (has_whole_.at(part->stage)) core::append({part->delta}, &waiting_);
+    std::optional<ros::Time>& told_by = told_by_.at(part->stage);
+    if (is_whole) {
+      const bool is_anew = told_by && *told_by != part->loaded;
+      if (is_anew) complain("stages loaded anew", kStageNames.at(part->stage) + (": " + path_) + " is kept beside it");
+      keeps_copy_ = keeps_copy_ || is_anew;
+      told_by = part->loaded;
+    }
+    if (told_by == part->loaded) core::append({part->delta}, &waiting_);
   }
 
   std::string missing_stages() const {
     std::string missing;
-    for (std::size_t stage = 0; stage < has_whole_.size(); ++stage) {
-      if (!has_whole_[stage]) missing += (missing.empty() ? "" : ", ") + std::string(kStageNames[stage]);
+    for (std::size_t stage = 0; stage < told_by_.size(); ++stage) {
+      if (!told_by_[stage]) missing += (missing.empty() ? "" : ", ") + std::string(kStageNames[stage]);
     }
     return missing;
   }
@@ -139,7 +147,7 @@ class MapDatabaseNodelet : public StageWith<MapDatabaseParameters> {
   void write() {
     if (!missing_stages().empty()) return;
     warn_while(kStages, "");
-    database()->write(std::exchange(waiting_, {}));
+    database()->write(std::exchange(waiting_, {}), std::exchange(keeps_copy_, false));
     set_unsaved(true);
   }
 
@@ -201,8 +209,9 @@ class MapDatabaseNodelet : public StageWith<MapDatabaseParameters> {
 
   std::string path_;  ///< absolute
   std::unique_ptr<Joiner> joiner_;
-  std::array<bool, 3> has_whole_{};   ///< by stage
-  core::MapDatabase::Parts waiting_;  ///< until each stage has sent its part as a whole
+  std::array<std::optional<ros::Time>, 3> told_by_;  ///< by stage: when the one was loaded that sent its whole part
+  core::MapDatabase::Parts waiting_;                 ///< until each stage has sent its part as a whole
+  bool keeps_copy_ = false;                          ///< of what was written before those
   mutable std::mutex mutex_;          ///< guards what follows, which services use
   std::shared_ptr<core::MapDatabase> database_;
   std::string loaded_;  ///< file of the map that the session goes on with or looks at

@@ -41,6 +41,7 @@ class MapPartSender {
     MapPartValue part;
     part.frame_id = frame_id;
     part.stage = stage_;
+    part.loaded = loaded_;
     part.is_end = is_end;
     auto delta = std::make_shared<core::MapDelta>();
     take(is_awaited_->exchange(false), delta.get());
@@ -50,6 +51,8 @@ class MapPartSender {
 
  private:
   const std::uint8_t stage_;
+  /// Of the wall, which no bag's clock moves.
+  const ros::Time loaded_{ros::WallTime::now().toSec()};
   ros::Publisher publisher_;
   core::SavePoints save_points_;
   std::int64_t end_frame_id_ = -1;

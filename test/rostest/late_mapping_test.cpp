@@ -12,7 +12,9 @@
 #include "semantic_topo_loop/io/run_files.h"
 #include "semantic_topo_loop/io/tum_trajectory.h"
 #include "semantic_topo_loop/ros/messages.h"
+#include "pipeline/map_state.h"
 #include "support/in_process_chain.h"
+#include "support/package_config.h"
 #include "tools/evaluation/object_evaluation.h"
 #include "tools/evaluation/trajectory_evaluation.h"
 
@@ -196,6 +198,37 @@ TEST(LateMapping, LosesNothingOfTheMap) {
   EXPECT_TRUE(is_same());
   EXPECT_NE(rows_of(prompt).find("object "), std::string::npos);
   chain.unload_all();
+}
+
+/// A stage that is loaded anew begins with nothing; what it told the map before is not lost by that.
+TEST(LateMapping, AStageThatIsLoadedAnewDoesNotTakeAwayWhatItToldBefore) {
+  const core::TestDirectory directory;
+  const std::string data = directory.path("data"), map = directory.path("map.db");
+  write_simulation({{"trajectory.duration_s", "24"}}, data);
+  if (::testing::Test::HasFatalFailure()) return;
+  InProcessChain chain;
+  chain.set("map_database", "save_map_file", map);
+  chain.load("map_database", "MapDatabase", {});
+  chain.load_stages(data, directory.path("results"));
+  chain.set("player", "rate", 3.0);
+  chain.load_player(data, false);
+  const auto submaps = [](const std::string& path) {
+    const auto read = std::filesystem::exists(path) ? core::read_map(path, *core::shared_coco()) : core::Error{path};
+    return read ? (*read)->submaps.size() : 0;
+  };
+  const auto wait_for = [](const auto& is_so) {
+    const auto end = std::chrono::steady_clock::now() + std::chrono::seconds(30);
+    while (!is_so() && std::chrono::steady_clock::now() < end) std::this_thread::sleep_for(std::chrono::milliseconds(50));
+  };
+  wait_for([&] { return submaps(map) >= 3; });
+  chain.unload("loop_detection");
+  const std::size_t told = submaps(map);
+  ASSERT_GE(told, 3U);
+  chain.load("loop_detection", "LoopDetection", {});
+  ASSERT_EQ(chain.wait_for_end(60.0), "finished");
+  chain.unload_all();
+  EXPECT_GE(submaps(map + "~"), told);
+  EXPECT_GT(submaps(map), 0U);
 }
 
 }  // namespace

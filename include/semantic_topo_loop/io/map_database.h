@@ -38,7 +38,8 @@ class MapDatabase {
   using Parts = std::vector<std::shared_ptr<const MapDelta>>;
   /// Returns at once. What comes while the last cannot be written is written with it.
   /// @param parts of the first call: whole, and of every stage
-  void write(Parts parts);
+  /// @param keeps_copy what is written by then stays as FILE~, or FILE~2 if that is there: these take its place
+  void write(Parts parts, bool keeps_copy = false);
   /// Whether something waits to be written: who can tell more at once later may wait with it.
   bool is_behind() const;
   /// Writes what waits, leaves one file without a journal beside it, and ends. @return what could not be written, and

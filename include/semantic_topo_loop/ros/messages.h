@@ -94,6 +94,7 @@ struct FullMap : core::MapUpdate {};
 struct MapPartValue {
   std::int64_t frame_id = 0;
   std::uint8_t stage = MapPart::STAGE_POSE_GRAPH;
+  ros::Time loaded;                             ///< when that stage was
   bool is_end = false;                          ///< nothing follows in this session
   std::shared_ptr<const core::MapDelta> delta;  ///< null: what came over a socket is none
 };
@@ -366,7 +367,7 @@ template <>
 struct Serializer<semantic_topo_loop::MapPartMessage> {
   template <class Stream, class T>
   static void allInOne(Stream& stream, T m) {
-    next(stream, m.header, m.session_id, m.frame_id, m.stage, m.is_end);
+    next(stream, m.header, m.session_id, m.frame_id, m.stage, m.loaded, m.is_end);
     semantic_topo_loop::wire::MapBody body;
     if constexpr (!semantic_topo_loop::wire::kIsInput<Stream>) body.take_from(m);
     next(stream, body.bytes);
