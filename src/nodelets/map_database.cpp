@@ -212,7 +212,7 @@ class MapDatabaseNodelet : public StageWith<MapDatabaseParameters> {
   std::array<std::optional<ros::Time>, 3> told_by_;  ///< by stage: when the one was loaded that sent its whole part
   core::MapDatabase::Parts waiting_;                 ///< until each stage has sent its part as a whole
   bool keeps_copy_ = false;                          ///< of what was written before those
-  mutable std::mutex mutex_;          ///< guards what follows, which services use
+  mutable std::mutex mutex_;                         ///< guards what follows, which services use
   std::shared_ptr<core::MapDatabase> database_;
   std::string loaded_;  ///< file of the map that the session goes on with or looks at
 };

@@ -1,5 +1,6 @@
 #include "semantic_topo_loop/frontend/rgbd_frontend.h"
 
+#include <atomic>
 #include <mutex>
 #include <pluginlib/class_list_macros.hpp>
 #include <tuple>
@@ -22,6 +23,7 @@ class RgbdFrontendNodelet : public StageWith<RgbdFrontendParameters, FrontendSta
   using ImageConstPtr = sensor_msgs::ImageConstPtr;
   using Clock = RgbdSynchronizer::Clock;
   static constexpr char kSingle[] = "colour images without depth";
+  static constexpr char kLate[] = "dropped, late";
 
   void onInit() override {
     if (!start(1)) return;
@@ -34,6 +36,7 @@ class RgbdFrontendNodelet : public StageWith<RgbdFrontendParameters, FrontendSta
     // First, as without its images there is no session to open.
     if (!subscribe_images() || !open(options_.keyframe, parameters_, transforms)) return unsubscribe();
     statistics().count(kSingle, 0);
+    statistics().count(kLate, 0);
     report_publisher_ = advertise<TrackingMessage>("tracking_report");
     take_images();
     constexpr double kWatchPeriodS = 0.25;  // a fraction of pair_timeout_s and starvation_s
@@ -76,6 +79,7 @@ class RgbdFrontendNodelet : public StageWith<RgbdFrontendParameters, FrontendSta
     synchronizer_ = std::make_unique<RgbdSynchronizer>(
         pairing,
         [this](const ImageConstPtr& color, const ImageConstPtr& depth) {
+          newest_pair_ns_ = to_stamp_ns(color->header.stamp);
           push("pairs of images", Keep::kDroppable, [this, color, depth] { on_pair(color, depth); });
         },
         [this](std::int64_t stamp_ns) { push(kSingle, Keep::kAlways, [this, stamp_ns] { on_single(stamp_ns); }); });
@@ -117,6 +121,11 @@ class RgbdFrontendNodelet : public StageWith<RgbdFrontendParameters, FrontendSta
 
   void on_pair(const ImageConstPtr& color, const ImageConstPtr& depth) {
     const std::int64_t stamp_ns = to_stamp_ns(color->header.stamp);
+    // Who is slower than the camera would else follow it by as many images as the queue holds, for good.
+    if (!parameters_.lockstep && 1e-9 * static_cast<double>(newest_pair_ns_ - stamp_ns) > parameters_.max_lag_s) {
+      statistics().count_lost(kLate);
+      return;
+    }
     if (!accept(stamp_ns) || !prepare(stamp_ns)) return;
     const core::Result<core::RgbdImage> image = make_rgbd_image(*color, *depth, *frontend_camera_, options_.depth);
     if (image) {
@@ -181,6 +190,7 @@ class RgbdFrontendNodelet : public StageWith<RgbdFrontendParameters, FrontendSta
   core::RgbdImage image_;  ///< the last one
   core::TrackingReport report_;
   core::DepthRange depth_range_;
+  std::atomic<std::int64_t> newest_pair_ns_{0};
 
   std::mutex mutex_;                                ///< guards synchronizer_, which the callbacks share
   std::unique_ptr<RgbdSynchronizer> synchronizer_;  ///< null until images are taken

@@ -121,6 +121,7 @@ struct RgbdFrontendParameters : FrontendParameters {
   int color_queue_size = 10;
   int depth_queue_size = 10;
   PairingParameters pairing;
+  double max_lag_s = 0.5;
   bool lockstep = false;
 
   void visit(core::OptionVisitor& visitor) {
@@ -136,6 +137,8 @@ struct RgbdFrontendParameters : FrontendParameters {
             "how long a color image waits for its depth, wall time");
     visitor("starvation_s", pairing.starvation_s, core::positive(),
             "a topic that is silent for longer is reported, wall time");
+    visitor("max_lag_s", max_lag_s, core::positive(),
+            "without lockstep: images that are further behind the newest one are left out, by their stamps");
     visitor("lockstep", lockstep,
             "a Player in lockstep gives the images: self-calibration asks for them from the first one on again");
   }

@@ -2,6 +2,7 @@
 // _max_tf_age_s:=0.2` for a long run whose map -> odom must never be older.
 #include <diagnostic_msgs/DiagnosticArray.h>
 #include <sensor_msgs/CameraInfo.h>
+#include <sensor_msgs/Image.h>
 #include <std_srvs/Trigger.h>
 #include <tf2_msgs/TFMessage.h>
 #include <visualization_msgs/MarkerArray.h>
@@ -274,6 +275,54 @@ TEST(Diagnostics, AFrontEndWithoutItsTransportNamesItAndIsInert) {
       << summary();
   EXPECT_EQ(summary().find('\n'), std::string::npos) << summary();
   EXPECT_FALSE(ros::service::exists("/deaf_frontend/reset", false));
+  chain.unload_all();
+}
+
+/// Follows the camera at its own pace, not at the end of its queue.
+TEST(RgbdFrontend, LeavesOutImagesThatAreFarBehindTheNewest) {
+  constexpr int kImages = 30;
+  Diagnostics diagnostics;
+  InProcessChain chain;
+  chain.set("late_frontend", "camera_file", STL_CONFIG_DIR "/camera/tum_fr2.yaml");
+  for (const char* topic : {"color", "depth", "sync"}) {
+    chain.set("late_frontend", topic + std::string("_queue_size"), kImages);
+  }
+  chain.load("late_frontend", "RgbdFrontend");
+  ros::NodeHandle node;
+  ros::Publisher color = node.advertise<sensor_msgs::Image>("color", kImages);
+  ros::Publisher depth = node.advertise<sensor_msgs::Image>("depth", kImages);
+  ASSERT_TRUE(wait_until([&] { return color.getNumSubscribers() > 0 && depth.getNumSubscribers() > 0; }));
+  std::mt19937 random(1);
+  const auto make_image = [](const std::string& encoding, std::uint32_t bytes) {
+    auto image = boost::make_shared<sensor_msgs::Image>();
+    image->width = 640;
+    image->height = 480;
+    image->encoding = encoding;
+    image->step = 640 * bytes;
+    image->data.resize(480 * image->step, 4);
+    return image;
+  };
+  std::vector<sensor_msgs::ImagePtr> colors;
+  for (int i = 0; i < kImages; ++i) {
+    colors.push_back(make_image("mono8", 1));
+    for (std::uint8_t& pixel : colors.back()->data) pixel = static_cast<std::uint8_t>(random());
+  }
+  // All at once, as after a stall, of half a minute.
+  for (int i = 0; i < kImages; ++i) {
+    const sensor_msgs::ImagePtr image = colors[static_cast<std::size_t>(i)], of_depth = make_image("16UC1", 2);
+    image->header = of_depth->header = make_header(ros::Time(100.0 + i), "camera");
+    color.publish(image);
+    depth.publish(of_depth);
+  }
+  const auto late = [&] { return diagnostics.count("RgbdFrontend", "dropped, late"); };
+  const auto looked_at = [&] {
+    return diagnostics.count("RgbdFrontend", "frames processed") +
+           diagnostics.count("RgbdFrontend", "images lost track of") +
+           diagnostics.count("RgbdFrontend", "images with nothing to follow");
+  };
+  EXPECT_TRUE(wait_until([&] { return late() + looked_at() == kImages; })) << late() << " and " << looked_at();
+  EXPECT_GT(late(), 0U);
+  EXPECT_GT(looked_at(), 1U) << "the newest ones";
   chain.unload_all();
 }
 

@@ -8,11 +8,11 @@
 #include <thread>
 #include <utility>
 
+#include "pipeline/map_state.h"
 #include "semantic_topo_loop/io/map_file.h"
 #include "semantic_topo_loop/io/run_files.h"
 #include "semantic_topo_loop/io/tum_trajectory.h"
 #include "semantic_topo_loop/ros/messages.h"
-#include "pipeline/map_state.h"
 #include "support/in_process_chain.h"
 #include "support/package_config.h"
 #include "tools/evaluation/object_evaluation.h"
@@ -218,7 +218,8 @@ TEST(LateMapping, AStageThatIsLoadedAnewDoesNotTakeAwayWhatItToldBefore) {
   };
   const auto wait_for = [](const auto& is_so) {
     const auto end = std::chrono::steady_clock::now() + std::chrono::seconds(30);
-    while (!is_so() && std::chrono::steady_clock::now() < end) std::this_thread::sleep_for(std::chrono::milliseconds(50));
+    while (!is_so() && std::chrono::steady_clock::now() < end)
+      std::this_thread::sleep_for(std::chrono::milliseconds(50));
   };
   wait_for([&] { return submaps(map) >= 3; });
   chain.unload("loop_detection");
