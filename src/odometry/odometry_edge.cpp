@@ -172,17 +172,33 @@ void OdometryAccumulator::add(const Frame& frame) {
   const bool is_first = !T_odom_previous_;
   const SE3 motion = is_first ? SE3() : T_odom_previous_->inverse() * frame.T_odom_camera;
   T_odom_previous_ = frame.T_odom_camera;
+  if (is_first || frame.is_break) T_odom_counted_ = frame.T_odom_camera;
   if (is_first) return;
   if (frame.is_break) {
     edge_.is_break = true;
     return;
   }
-  edge_.path_m += motion.t.norm();
-  edge_.rotation_rad += rotation_angle(motion.q, Quaternion::Identity());
+  count_way(frame.T_odom_camera);
   all_stated_ = all_stated_ && frame.covariance && is_covariance(*frame.covariance);
   if (!all_stated_) return;
   const Mat6 carry = transport(motion);
   covariance_ = (carry * covariance_ * carry.transpose() + *frame.covariance).eval();
+}
+
+void OdometryAccumulator::count_way(const SE3& T_odom_camera) {
+  // An odometry that stands jitters by millimetres; keyframes are apart by some of these. On drifted_real, where
+  // nothing stands, they make no difference.
+  constexpr double kStill_m = 0.01, kStill_rad = 0.0045;
+  const double moved_m = (T_odom_camera.t - T_odom_counted_->t).norm();
+  const double turned_rad = rotation_angle(T_odom_counted_->q, T_odom_camera.q);
+  if (moved_m >= kStill_m) {
+    edge_.path_m += moved_m;
+    T_odom_counted_->t = T_odom_camera.t;
+  }
+  if (turned_rad >= kStill_rad) {
+    edge_.rotation_rad += turned_rad;
+    T_odom_counted_->q = T_odom_camera.q;
+  }
 }
 
 OdometryEdge OdometryAccumulator::finish(const SE3& T_odom_from, const SE3& T_odom_to) {

@@ -39,8 +39,8 @@ struct EdgeCovariance {
 /// The odometry between two keyframes, consecutive ones unless several edges were joined.
 struct OdometryEdge {
   SE3 T_from_to;
-  double path_m = 0.0;             ///< length of the camera's path, frame by frame
-  double rotation_rad = 0.0;       ///< sum of the rotation angles, frame by frame
+  double path_m = 0.0;             ///< length of the camera's path
+  double rotation_rad = 0.0;       ///< sum of the rotation angles along it
   std::optional<Mat6> covariance;  ///< stated by the source, or settled: (translation m, rotation rad), right
   bool is_break = false;           ///< nothing is known about this motion
   MissedMotion missed;
@@ -106,7 +106,11 @@ class OdometryAccumulator {
   OdometryEdge finish(const SE3& T_odom_from, const SE3& T_odom_to);
 
  private:
+  /// Jitter about one place is no way, however many frames show it.
+  void count_way(const SE3& T_odom_camera);
+
   std::optional<SE3> T_odom_previous_;
+  std::optional<SE3> T_odom_counted_;  ///< where the sums of the way were added to last
   OdometryEdge edge_;
   bool all_stated_ = true;
   Mat6 covariance_ = Mat6::Zero();

@@ -208,6 +208,34 @@ TEST(OdometryAccumulator, CovariancesAddUpBetweenKeyframes) {
   EXPECT_LT((sampled - *edge.covariance).cwiseAbs().maxCoeff(), 0.1 * edge.covariance->cwiseAbs().maxCoeff());
 }
 
+/// Path and sum of rotations of ten seconds at 0.2 m/s and 0.3 rad/s, or standing, with jitter of each pose.
+OdometryEdge jittering_edge(double rate_hz, bool stands) {
+  OdometryAccumulator accumulator;
+  Random random(11);
+  constexpr double kDuration_s = 10.0, kJitter_m = 0.0005, kJitter_rad = 0.0002;
+  const auto pose = [&](double time_s) {
+    const double moves_for_s = stands ? 0.0 : time_s;
+    const SE3 T(so3_exp(Vec3(0.0, 0.3 * moves_for_s, 0.0)), Vec3(0.2 * moves_for_s, 0.0, 0.0));
+    return T * random_motion(&random, kJitter_m, kJitter_rad);
+  };
+  Frame frame;
+  for (int i = 0; i <= static_cast<int>(kDuration_s * rate_hz); ++i) {
+    frame.T_odom_camera = pose(i / rate_hz);
+    accumulator.add(frame);
+  }
+  return accumulator.finish(SE3(), frame.T_odom_camera);
+}
+
+TEST(OdometryAccumulator, HasTheSameWayAtAnyRateAndNoneOfACameraThatStands) {
+  for (const double rate_hz : {5.0, 10.0, 30.0, 60.0}) {
+    const OdometryEdge moving = jittering_edge(rate_hz, false), standing = jittering_edge(rate_hz, true);
+    EXPECT_NEAR(moving.path_m, 2.0, 0.05) << rate_hz << " Hz";
+    EXPECT_NEAR(moving.rotation_rad, 3.0, 0.05) << rate_hz << " Hz";
+    EXPECT_EQ(standing.path_m, 0.0) << rate_hz << " Hz";
+    EXPECT_EQ(standing.rotation_rad, 0.0) << rate_hz << " Hz";
+  }
+}
+
 TEST(OdometryAccumulator, AFrameWithoutCovarianceMakesTheEdgeUseTheModel) {
   SyntheticRun run;
   OdometryAccumulator accumulator;
