@@ -407,7 +407,13 @@ struct RgbdFrontend::Impl {
     motion_s = is_next ? 1e-9 * static_cast<double>(image.stamp_ns - last->stamp_ns) : 0.0;
     if (is_next) T_last_before = image.T_camera_map * last->T_camera_map.inverse();
     last_tracked_image = images;
+    lost_since_ns.reset();
     last = std::move(image);
+  }
+
+  /// A pause of the camera is none.
+  bool is_lost_for_long(std::int64_t stamp_ns) const {
+    return lost_since_ns && 1e-9 * static_cast<double>(stamp_ns - *lost_since_ns) > options.restart_after_s;
   }
 
   TrackedImage track(const RgbdImage& rgbd) {
@@ -431,7 +437,7 @@ struct RgbdFrontend::Impl {
     } else if (last_tracked_image != images - 1 && find_again(&image, true)) {
       result.state = TrackingState::kRelocalised;
       is_break = image.section != last->section;
-    } else if (1e-9 * static_cast<double>(image.stamp_ns - last->stamp_ns) > options.restart_after_s && start(&image)) {
+    } else if (is_lost_for_long(image.stamp_ns) && start(&image)) {
       result.state = TrackingState::kStarted;
       is_break = true;
     }
@@ -462,6 +468,8 @@ struct RgbdFrontend::Impl {
         result.sample->source_loop = look_back(image);
       }
       accept(std::move(image));
+    } else if (!lost_since_ns) {
+      lost_since_ns = image.stamp_ns;
     }
     ++images;
     return result;
@@ -485,6 +493,7 @@ struct RgbdFrontend::Impl {
   std::optional<Sighting> sighting;     ///< the last one
   std::optional<TrackedFeatures> last;  ///< the last image that has a pose
   std::int64_t last_tracked_image = -1;
+  std::optional<std::int64_t> lost_since_ns;  ///< stamp of the first image since without a pose
   SE3 T_last_before;  ///< motion of the camera over the last two images, in the camera frame
   double motion_s = 0.0;
 };

@@ -220,6 +220,21 @@ TEST(RgbdFrontend, GapOfTwoSecondsIsBridged) {
   EXPECT_TRUE(tracked.sample->is_continuous);
 }
 
+TEST(RgbdFrontend, ABadImageAfterAPauseIsNoNewBeginning) {
+  RgbdFrontend frontend = after_walk(10);
+  const auto late = [](RgbdImage image) {
+    image.stamp_ns += 5'000'000'000;
+    return image;
+  };
+  const RgbdImage bad = late(elsewhere(10));
+  EXPECT_EQ(frontend.track(bad).state, TrackingState::kLost);
+  const TrackedImage tracked = frontend.track(late(on_walk(11)));
+  ASSERT_TRUE(tracked.sample);
+  EXPECT_EQ(tracked.state, TrackingState::kRelocalised);
+  EXPECT_FALSE(tracked.sample->is_break);
+  EXPECT_LT(error_m(tracked, 11), 0.012);
+}
+
 TEST(RgbdFrontend, LostElsewhereAndFoundAgain) {
   RgbdFrontend frontend = after_walk(10);
   for (int i = 10; i < 20; ++i) {
