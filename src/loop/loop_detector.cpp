@@ -111,6 +111,7 @@ struct LoopDetector::Impl {
     // A slip is not over yet, or is a jump, which the motion tells better, a little later.
     if (solver_.is_slipping()) return {};
     if (!paper_mode_ && options_.enabled) tell_motions(window, window[*anchor].keyframe_id);
+    add_missed(window, *anchor);
     std::optional<LocalMap> map = build_local_map(window, redirects_, up_, options_);
     if (!map) return {};
     // What the odometry missed is between the reference and the frames to come.
@@ -126,6 +127,7 @@ struct LoopDetector::Impl {
       return loops;
     }
     map->segment = segment_;
+    map->missed = missed_;
     map->drift_rad_s = monitor_.drift_rad_s().value_or(0.0);
     std::vector<LoopClosure> loops;
     if (options_.enabled) {
@@ -340,6 +342,22 @@ struct LoopDetector::Impl {
     ++segment_;
   }
 
+  /// What the odometry missed before a submap's anchor moves it against all earlier ones.   @param window solved
+  void add_missed(const std::deque<ObservedFrame>& window, std::size_t anchor) {
+    const std::deque<ObservedFrame>& measured = window_.frames();
+    for (std::size_t i = 1; i <= anchor; ++i) {
+      const MissedMotion& missed = window[i].missed;
+      if (missed.frozen_s <= 0.0 || window[i].stamp_ns <= missed_ns_) continue;
+      missed_ns_ = window[i].stamp_ns;
+      const SE3 T_measured = measured[i - 1].T_odom_camera.inverse() * measured[i].T_odom_camera;
+      const SE3 T_solved = window[i - 1].T_odom_camera.inverse() * window[i].T_odom_camera;
+      missed_.translation_m +=
+          (T_solved.t - T_measured.t).norm() + std::sqrt(missed.covariance.topLeftCorner<3, 3>().trace());
+      missed_.rotation_rad +=
+          rotation_angle(T_solved.q, T_measured.q) + std::sqrt(missed.covariance.bottomRightCorner<3, 3>().trace());
+    }
+  }
+
   /// Of the window, where the camera was.
   ObservedFrame last_frame() const {
     const std::deque<ObservedFrame>& frames = window_.frames();
@@ -386,6 +404,8 @@ struct LoopDetector::Impl {
   bool paper_mode_;
   std::int64_t last_attempt_ns_ = 0;
   int segment_ = 0;
+  LocalMap::Missed missed_;      ///< since the begin
+  std::int64_t missed_ns_ = 0;   ///< up to which that is summed
   std::int64_t settled_ns_ = 0;  ///< frames before are left out, after a jump
   ObservationWindow window_;
   WindowSolver solver_;

@@ -329,6 +329,7 @@ TEST(LoopDetector, TellsHowTheCameraMovedFromKeyframeToKeyframe) {
   const SE3 error = (truth.front().inverse() * truth[last]).inverse() * T_first_last;
   EXPECT_LT(error.t.norm(), 0.5 * 20.0 * kDrift_mps);
   EXPECT_NEAR(path_m, 4.3, 0.4) << "the length of the way around the desk, up and down";
+  EXPECT_EQ(detector.submaps().back().missed.translation_m, 0.0);
 }
 
 class LoopDetectorSlip : public ::testing::TestWithParam<std::int64_t> {};
@@ -399,6 +400,32 @@ TEST(LoopDetector, NothingIsSolvedForWhileLoopClosingIsOffNorInPaperMode) {
   options.mode = "paper";
   LoopDetector paper(options, testing::desk_classes());
   EXPECT_TRUE(motions_along_a_desk(&paper, 0.0, &truth).empty());
+}
+
+TEST(LoopDetector, SubmapsTellWhatTheOdometryMissedWhileItStood) {
+  const auto desk = random_desk(6, 12);
+  LoopDetector detector(LoopOptions(), testing::desk_classes());
+  FrameBuilder builder(KeyframeOptions(), testing::desk_camera());
+  std::mt19937_64 random(2);
+  const auto camera_at = [](double time_s) { return testing::desk_pose({{0.0, 20.0, 0.0, 120.0}}, time_s); };
+  constexpr double kStands_s = 7.0, kGoesOn_s = 8.5;
+  for (int k = 0; k < 450; ++k) {
+    const double time_s = k / 30.0;
+    PoseSample sample;
+    sample.stamp_ns = std::llround(1e9 * (1.0 + time_s));
+    sample.T_odom_camera = camera_at(std::min(time_s, kStands_s));
+    if (time_s > kGoesOn_s) {
+      sample.T_odom_camera = sample.T_odom_camera * camera_at(kGoesOn_s).inverse() * camera_at(time_s);
+    }
+    const auto frame = builder.build(sample);
+    detector.detect(*frame, testing::observe(desk, *frame, camera_at(time_s), 0, random));
+  }
+  const std::vector<LocalMap> submaps = detector.submaps();
+  ASSERT_GE(submaps.size(), 2U);
+  EXPECT_EQ(submaps.front().missed.translation_m, 0.0);
+  const SE3 missed = camera_at(kStands_s).inverse() * camera_at(kGoesOn_s);
+  EXPECT_NEAR(submaps.back().missed.translation_m, missed.t.norm(), 0.5 * missed.t.norm());
+  EXPECT_NEAR(submaps.back().missed.rotation_rad, rotation_angle(missed.q, Quaternion::Identity()), 0.1);
 }
 
 TEST(LoopDetector, TwoIdenticalGroupsAreAmbiguous) {

@@ -87,7 +87,12 @@ struct LocalMap {
   std::int64_t end_ns = 0;  ///< stamp of the last frame
   double span_s = 0.0;
   static constexpr int kOtherSession = -1;
-  int segment = 0;                 ///< of the odometry, counted from break to break; or kOtherSession
+  int segment = 0;  ///< of the odometry, counted from break to break; or kOtherSession
+  /// What the odometry missed of the way to it while it stood, and what is not known of that: by so much more it may be
+  /// off between two submaps of one segment. What it goes wrong by while it moves may be objects that look alike.
+  struct Missed {
+    double translation_m = 0.0, rotation_rad = 0.0;
+  } missed;
   double drift_rad_s = 0.0;        ///< apparent drift of the odometry at the time
   bool is_earlier = false;         ///< of an earlier run, whose map is then what T_odom_anchor leads to
   SE3 T_odom_anchor;               ///< for the comparison with frames that follow, not with other submaps
