@@ -494,7 +494,7 @@ struct RgbdFrontend::Impl {
   std::optional<TrackedFeatures> last;  ///< the last image that has a pose
   std::int64_t last_tracked_image = -1;
   std::optional<std::int64_t> lost_since_ns;  ///< stamp of the first image since without a pose
-  SE3 T_last_before;  ///< motion of the camera over the last two images, in the camera frame
+  SE3 T_last_before;                          ///< motion of the camera over the last two images, in the camera frame
   double motion_s = 0.0;
 };
 

@@ -3,7 +3,9 @@
 #include <gtest/gtest.h>
 
 #include <algorithm>
+#include <set>
 
+#include "loop/graph/graph_detector.h"
 #include "semantic_topo_loop/geometry/lie.h"
 #include "support/synthetic_desk.h"
 
@@ -132,6 +134,26 @@ TEST(Relocalisation, AbstainsBetweenPlacesOfTwoSessionsThatLookAlike) {
   EXPECT_EQ(outcome.accepted(), 0);
   EXPECT_TRUE(std::any_of(outcome.loops.begin(), outcome.loops.end(),
                           [](const LoopClosure& loop) { return loop.reason == LoopReason::kAmbiguous; }));
+}
+
+TEST(GraphDetector, TakesAPlaceForAnotherWhereTheOdometryHasItUnlessThatStoodOnTheWay) {
+  const std::vector<LocalMap> map = map_of(1);
+  ASSERT_FALSE(map.empty());
+  GraphDetector detector{LoopOptions()};
+  detector.insert(map.front());
+  LocalMap again = map.front();
+  const std::int64_t later_ns = 60'000'000'000;
+  for (std::int64_t* stamp_ns : {&again.stamp_ns, &again.end_ns}) *stamp_ns += later_ns;
+  for (std::int64_t* id : {&again.keyframe_id, &again.frame_id, &again.begin_frame, &again.end_frame}) *id += 10'000;
+  again.T_odom_anchor.t += Vec3(4.0, 0.0, 0.0);
+  const auto reasons = [&] {
+    std::set<LoopReason> reasons;
+    for (const LoopClosure& loop : detector.detect(again)) reasons.insert(loop.reason);
+    return reasons;
+  };
+  EXPECT_EQ(reasons(), std::set<LoopReason>{LoopReason::kAmbiguous});
+  again.missed.translation_m = 3.0;
+  EXPECT_EQ(reasons(), std::set<LoopReason>{LoopReason::kAccepted});
 }
 
 LoopClosure vote(const SE3& T_earlier_query, double sigma) {
