@@ -147,7 +147,8 @@ struct ObjectAssociator::Impl {
       const auto record = merged_track(landmark.id);
       if (record != merged_tracks_.end()) merged_tracks_.erase(record);
       track->observations = landmark.observations;
-      track->add_class_weight(landmark.class_id, landmark.observations);
+      for (const ClassCount& counted : landmark.class_counts) track->add_class_weight(counted.class_id, counted.count);
+      if (landmark.class_counts.empty()) track->add_class_weight(landmark.class_id, landmark.observations);
       // Ids are given out one after the other: one beyond is nobody's, whatever a message says.
       constexpr std::int64_t kBeyond = std::numeric_limits<std::int64_t>::max() / 2;
       if (landmark.id < kBeyond) next_id_ = std::max(next_id_, landmark.id + 1);

@@ -366,6 +366,18 @@ bool apply(const std::vector<LandmarkMerge>& unmerged, const std::vector<Landmar
   return associator->apply(update);
 }
 
+TEST(ObjectAssociator, ALaterSessionKnowsWhatAnObjectWasCalled) {
+  ObjectAssociator associator(options("joint"), classes());
+  const Box box = box_at(320.0, 240.0);
+  MapUpdate update = sphere_update(associator, 0, kCup, box);
+  update.changed.front().class_counts = {{kCup, 21}, {kVase, 19}};
+  ASSERT_TRUE(associator.apply(update));
+  AssociationFrame seen;
+  for (int i = 0; i < 4; ++i) seen = associator.associate(frame_at(i), {{kVase, 0.9, box}});
+  EXPECT_EQ(seen.associations[0].landmark_id, 0);
+  EXPECT_EQ(seen.associations[0].landmark_class_id, kVase);
+}
+
 TEST(ObjectAssociator, AMergeGivesTheSurvivorTheLabelsOfBoth) {
   ObjectAssociator associator(options("joint"), classes());
   const Box left = box_at(150.0, 240.0), right = box_at(450.0, 240.0);
