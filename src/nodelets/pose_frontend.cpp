@@ -94,6 +94,12 @@ class PoseFrontendNodelet : public StageWith<PoseFrontendParameters, FrontendSta
 
   void on_odometry(const nav_msgs::Odometry::ConstPtr& message) {
     if (const core::Status added = odometry_->add(*message); !added) complain("bad odometry", added.message());
+    // Where we send that frame ourselves it may have any name.
+    const std::string frame = strip_leading_slash(message->header.frame_id);
+    const bool is_other = !frame.empty() && frame != parameters_.odom_frame && !parameters_.publish_odom_tf;
+    warn_while("frame", is_other
+                            ? "odometry in frame '" + frame + "', but odom_frame = '" + parameters_.odom_frame + "'"
+                            : std::string());
     resolve();
   }
 

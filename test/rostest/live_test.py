@@ -318,11 +318,11 @@ class OdometryTest(DetectorTest):
         cls.odometry, cls.cloud = cls.publisher('/odometry', Odometry), cls.publisher('/cloud', PointCloud2)
         cls.wait_until_up()
 
-    def drive(self, begin_s, end_s):
+    def drive(self, begin_s, end_s, frame_id='/odom'):
         """1 m/s along x at 50 Hz, with a tenth of a m/s and rad/s of noise."""
         for i in range(round(50 * begin_s), round(50 * end_s) + 1):
             message = Odometry()
-            message.header.frame_id = '/odom'
+            message.header.frame_id = frame_id
             message.header.stamp = rospy.Time.from_sec(START_S + i / 50.0)
             message.child_frame_id = '/base_link'
             message.pose.pose.position.x = i / 50.0
@@ -356,6 +356,16 @@ class OdometryTest(DetectorTest):
         joined = self.joined.at(0.307).detections
         self.assertEqual([(d.class_id, d.box.x2) for d in joined], [(CUP, 200.0)])
         self.assert_counted('DetectionIngestion', 'unknown class id', 3)
+
+    def test_where_odometry_has_another_frame_is_told(self):
+        def summary():
+            return self.diagnostics.summaries.get('PoseFrontend', '')
+
+        self.drive(3.0, 3.5, '/wheels')
+        expected = "odometry in frame 'wheels', but odom_frame = 'odom'"
+        self.assertTrue(wait_until(lambda: expected in summary(), 5), summary())
+        self.drive(3.5, 4.0)
+        self.assertTrue(wait_until(lambda: expected not in summary(), 5), summary())
 
     def test_unusable_points_are_counted(self):
         self.drive(1.0, 2.0)
