@@ -411,7 +411,12 @@ struct RgbdFrontend::Impl {
     last = std::move(image);
   }
 
-  /// A pause of the camera is none.
+  /// A pause of the camera is none, nor does one that was lost before it count on.
+  void note_pause(std::int64_t stamp_ns) {
+    constexpr std::int64_t kPause_ns = 2'000'000'000;
+    if (stamp_ns - previous_stamp_ns > kPause_ns) lost_since_ns.reset();
+    previous_stamp_ns = stamp_ns;
+  }
   bool is_lost_for_long(std::int64_t stamp_ns) const {
     return lost_since_ns && 1e-9 * static_cast<double>(stamp_ns - *lost_since_ns) > options.restart_after_s;
   }
@@ -421,6 +426,7 @@ struct RgbdFrontend::Impl {
     image.id = images;
     image.stamp_ns = rgbd.stamp_ns;
     if (images == 0) first_stamp_ns = rgbd.stamp_ns;
+    note_pause(rgbd.stamp_ns);
     look_for_registration(rgbd);
     image.features = extract_features(rgbd, options, calibration.camera, calibration.registration);
     image.points.assign(image.features.size(), -1);
@@ -493,6 +499,7 @@ struct RgbdFrontend::Impl {
   std::optional<Sighting> sighting;     ///< the last one
   std::optional<TrackedFeatures> last;  ///< the last image that has a pose
   std::int64_t last_tracked_image = -1;
+  std::int64_t previous_stamp_ns = 0;         ///< of the last image, with or without a pose
   std::optional<std::int64_t> lost_since_ns;  ///< stamp of the first image since without a pose
   SE3 T_last_before;                          ///< motion of the camera over the last two images, in the camera frame
   double motion_s = 0.0;

@@ -65,6 +65,12 @@ std::string free_name_beside(const std::string& path) {
 
 /// What is committed, though another connection writes on.
 Status copy_map(const std::string& from, const std::string& to) {
+  std::error_code code;
+  // Tried again and again, it would keep a disk full that others write to.
+  const std::uintmax_t size = std::filesystem::file_size(from, code);
+  if (!code && std::filesystem::space(std::filesystem::path(to).parent_path(), code).available < size) {
+    return Error{to + ": no room for a copy of " + from};
+  }
   SqliteFile file(from, SqliteFile::Mode::kRead);
   (SqliteStatement(&file, "VACUUM INTO ?") << to).run();
   return status_of(file);
@@ -287,7 +293,7 @@ class MapDatabase::Impl {
     if (!map_) map_.emplace(path_, *classes_);
     if (batch->keeps_copy) {
       const auto copy = [this](const std::string& temporary) { return copy_map(path_, temporary); };
-      if (const Status kept = replace_file(free_name_beside(path_), copy); !kept) return kept;
+      if (const Status kept = replace_map(free_name_beside(path_), copy); !kept) return kept;
       batch->keeps_copy = false;
     }
     const Status written = map_->write(batch->parts);

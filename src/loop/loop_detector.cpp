@@ -342,19 +342,31 @@ struct LoopDetector::Impl {
     ++segment_;
   }
 
-  /// What the odometry missed before a submap's anchor moves it against all earlier ones.   @param window solved
+  /// What the odometry missed while it stood moves a submap against all from before. @param window solved, of which
+  /// what ends by the anchor is taken in
   void add_missed(const std::deque<ObservedFrame>& window, std::size_t anchor) {
-    const std::deque<ObservedFrame>& measured = window_.frames();
+    MissedMotion missed;
+    std::size_t from = 0;  // the last frame before the odometry stood
     for (std::size_t i = 1; i <= anchor; ++i) {
-      const MissedMotion& missed = window[i].missed;
-      if (missed.frozen_s <= 0.0 || window[i].stamp_ns <= missed_ns_) continue;
-      missed_ns_ = window[i].stamp_ns;
-      const SE3 T_measured = measured[i - 1].T_odom_camera.inverse() * measured[i].T_odom_camera;
-      const SE3 T_solved = window[i - 1].T_odom_camera.inverse() * window[i].T_odom_camera;
-      missed_.translation_m +=
-          (T_solved.t - T_measured.t).norm() + std::sqrt(missed.covariance.topLeftCorner<3, 3>().trace());
-      missed_.rotation_rad +=
-          rotation_angle(T_solved.q, T_measured.q) + std::sqrt(missed.covariance.bottomRightCorner<3, 3>().trace());
+      if (window[i].missed.frozen_s > 0.0) {
+        missed = join(missed, window[i].missed, window[i - 1].T_odom_camera.inverse() * window[i].T_odom_camera);
+        continue;
+      }
+      const std::size_t to = i - 1;
+      if (missed.is_any() && window[to].stamp_ns > missed_ns_) {
+        const auto measured = [this](std::size_t frame) {
+          return pose_at_image(window_.frames(), frame, solver_.applied_delay_s());
+        };
+        const SE3 T_measured = measured(from).inverse() * measured(to);
+        const SE3 T_solved = window[from].T_odom_camera.inverse() * window[to].T_odom_camera;
+        const auto sigma = [](const Mat3& covariance) { return std::sqrt(covariance.trace()); };
+        missed_.translation_m += (T_solved.t - T_measured.t).norm() + sigma(missed.covariance.topLeftCorner<3, 3>());
+        missed_.rotation_rad +=
+            rotation_angle(T_solved.q, T_measured.q) + sigma(missed.covariance.bottomRightCorner<3, 3>());
+        missed_ns_ = window[to].stamp_ns;
+      }
+      missed = {};
+      from = i;
     }
   }
 

@@ -122,7 +122,8 @@ class RgbdFrontendNodelet : public StageWith<RgbdFrontendParameters, FrontendSta
   void on_pair(const ImageConstPtr& color, const ImageConstPtr& depth) {
     const std::int64_t stamp_ns = to_stamp_ns(color->header.stamp);
     // Who is slower than the camera would else follow it by as many images as the queue holds, for good.
-    if (!parameters_.lockstep && 1e-9 * static_cast<double>(newest_pair_ns_ - stamp_ns) > parameters_.max_lag_s) {
+    const std::chrono::duration<double> lag = Clock::now() - task_arrival();
+    if (!parameters_.lockstep && stamp_ns != newest_pair_ns_ && lag.count() > parameters_.max_lag_s) {
       statistics().count_lost(kLate);
       return;
     }

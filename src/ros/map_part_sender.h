@@ -15,8 +15,8 @@
 namespace semantic_topo_loop {
 
 /// Sends what is new in a stage's part of the map, twice a second of data and at the end, as long as somebody listens.
-/// Every stage sends at the same frames, those whose corrections come first in their second; who begins to listen gets
-/// the whole part first.
+/// Every stage sends at the same frames, those whose corrections come first in their half second; who begins to listen
+/// gets the whole part first.
 class MapPartSender {
  public:
   explicit MapPartSender(std::uint8_t stage) : stage_(stage) {}

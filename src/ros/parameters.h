@@ -138,9 +138,10 @@ struct RgbdFrontendParameters : FrontendParameters {
     visitor("starvation_s", pairing.starvation_s, core::positive(),
             "a topic that is silent for longer is reported, wall time");
     visitor("max_lag_s", max_lag_s, core::positive(),
-            "without lockstep: images that are further behind the newest one are left out, by their stamps");
+            "without lockstep: images that have waited for longer are left out, but for the newest; wall time");
     visitor("lockstep", lockstep,
-            "a Player in lockstep gives the images: self-calibration asks for them from the first one on again");
+            "a Player in lockstep gives the images: none is left out for having waited, and self-calibration asks for "
+            "them from the first one on again");
   }
 };
 

@@ -354,6 +354,8 @@ class Stage : public nodelet::Nodelet {
 
   /// Call when a frame has gone through: latency is counted from the arrival of the task that runs.
   void count_processed() { statistics_.count_processed(task_arrival_); }
+  /// When what is worked on arrived.
+  StageStatistics::Clock::time_point task_arrival() const { return task_arrival_; }
   StageStatistics& statistics() { return statistics_; }
   const std::string& name() const { return name_; }
   /// On the worker's thread only; 0 before the first session.

@@ -226,8 +226,8 @@ TEST(RgbdFrontend, ABadImageAfterAPauseIsNoNewBeginning) {
     image.stamp_ns += 5'000'000'000;
     return image;
   };
-  const RgbdImage bad = late(elsewhere(10));
-  EXPECT_EQ(frontend.track(bad).state, TrackingState::kLost);
+  EXPECT_EQ(frontend.track(elsewhere(10)).state, TrackingState::kLost) << "a hand before the camera";
+  EXPECT_EQ(frontend.track(late(elsewhere(10))).state, TrackingState::kLost);
   const TrackedImage tracked = frontend.track(late(on_walk(11)));
   ASSERT_TRUE(tracked.sample);
   EXPECT_EQ(tracked.state, TrackingState::kRelocalised);

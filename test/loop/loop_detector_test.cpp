@@ -409,7 +409,7 @@ TEST(LoopDetector, SubmapsTellWhatTheOdometryMissedWhileItStood) {
   std::mt19937_64 random(2);
   const auto camera_at = [](double time_s) { return testing::desk_pose({{0.0, 20.0, 0.0, 120.0}}, time_s); };
   constexpr double kStands_s = 7.0, kGoesOn_s = 8.5;
-  for (int k = 0; k < 450; ++k) {
+  for (int k = 0; k < 600; ++k) {
     const double time_s = k / 30.0;
     PoseSample sample;
     sample.stamp_ns = std::llround(1e9 * (1.0 + time_s));
@@ -424,8 +424,8 @@ TEST(LoopDetector, SubmapsTellWhatTheOdometryMissedWhileItStood) {
   ASSERT_GE(submaps.size(), 2U);
   EXPECT_EQ(submaps.front().missed.translation_m, 0.0);
   const SE3 missed = camera_at(kStands_s).inverse() * camera_at(kGoesOn_s);
-  EXPECT_NEAR(submaps.back().missed.translation_m, missed.t.norm(), 0.5 * missed.t.norm());
-  EXPECT_NEAR(submaps.back().missed.rotation_rad, rotation_angle(missed.q, Quaternion::Identity()), 0.1);
+  EXPECT_NEAR(submaps.back().missed.translation_m, missed.t.norm(), 0.3 * missed.t.norm());
+  EXPECT_NEAR(submaps.back().missed.rotation_rad, rotation_angle(missed.q, Quaternion::Identity()), 0.05);
 }
 
 TEST(LoopDetector, TwoIdenticalGroupsAreAmbiguous) {

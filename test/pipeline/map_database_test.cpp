@@ -545,6 +545,30 @@ TEST_F(MapDatabaseTest, EdgesAndLoopsThatTheGraphHasNoMoreGo) {
             static_cast<std::int64_t>(whole->graph->state.keyframes.size()));
 }
 
+TEST_F(MapDatabaseTest, WhatIsReplacedStaysBesideItWhereThatIsAskedFor) {
+  const auto rows = [](const std::string& path) {
+    std::ostringstream text;
+    EXPECT_EQ(dump_map(path, text).message(), "");
+    return text.str();
+  };
+  MapDatabase database(path_, shared_coco());
+  directory_.write("map.db~-wal", "of a map that is no more");
+  std::vector<std::string> before;
+  for (const int frames : {50, 20, 10}) {
+    ChainRun run(laps(), shared_coco());
+    for (int i = 0; i < frames; ++i) run.next();
+    database.write({run.slam().take_delta()}, !before.empty());
+    wait_for(database);
+    before.push_back(rows(path_));
+  }
+  EXPECT_EQ(database.close().message(), "");
+  EXPECT_EQ(rows(path_ + "~"), before[0]);
+  EXPECT_EQ(rows(path_ + "~2"), before[1]);
+  EXPECT_EQ(rows(path_), before[2]);
+  EXPECT_LT(before[1].size(), before[0].size());
+  EXPECT_FALSE(std::filesystem::exists(path_ + "~3"));
+}
+
 TEST_F(MapDatabaseTest, OfGraphsThatWaitOnlyTheLastIsKeptWithWhatIsNewInThoseBefore) {
   ChainRun run(laps(), shared_coco());
   MapDatabase::Parts waiting;

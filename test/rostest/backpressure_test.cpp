@@ -284,6 +284,7 @@ TEST(RgbdFrontend, LeavesOutImagesThatAreFarBehindTheNewest) {
   Diagnostics diagnostics;
   InProcessChain chain;
   chain.set("late_frontend", "camera_file", STL_CONFIG_DIR "/camera/tum_fr2.yaml");
+  chain.set("late_frontend", "max_lag_s", 0.01);
   for (const char* topic : {"color", "depth", "sync"}) {
     chain.set("late_frontend", topic + std::string("_queue_size"), kImages);
   }
@@ -307,7 +308,7 @@ TEST(RgbdFrontend, LeavesOutImagesThatAreFarBehindTheNewest) {
     colors.push_back(make_image("mono8", 1));
     for (std::uint8_t& pixel : colors.back()->data) pixel = static_cast<std::uint8_t>(random());
   }
-  // All at once, as after a stall, of half a minute.
+  // All at once, as after a stall.
   for (int i = 0; i < kImages; ++i) {
     const sensor_msgs::ImagePtr image = colors[static_cast<std::size_t>(i)], of_depth = make_image("16UC1", 2);
     image->header = of_depth->header = make_header(ros::Time(100.0 + i), "camera");
@@ -322,7 +323,7 @@ TEST(RgbdFrontend, LeavesOutImagesThatAreFarBehindTheNewest) {
   };
   EXPECT_TRUE(wait_until([&] { return late() + looked_at() == kImages; })) << late() << " and " << looked_at();
   EXPECT_GT(late(), 0U);
-  EXPECT_GT(looked_at(), 1U) << "the newest ones";
+  EXPECT_GT(looked_at(), 0U) << "the newest";
   chain.unload_all();
 }
 
