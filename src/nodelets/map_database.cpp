@@ -129,7 +129,8 @@ class MapDatabaseNodelet : public StageWith<MapDatabaseParameters> {
     std::optional<ros::Time>& told_by = told_by_.at(part->stage);
     if (is_whole) {
       const bool is_anew = missing_stages().empty() && *told_by != part->loaded;
-      if (is_anew) complain("stages loaded anew", kStageNames.at(part->stage) + (": " + path_) + " is kept beside it");
+      if (is_anew)
+        complain("stages loaded anew", kStageNames.at(part->stage) + ("; the map so far stays beside " + path_));
       keeps_copy_ = keeps_copy_ || is_anew;
       told_by = part->loaded;
     }
