@@ -407,18 +407,7 @@ struct RgbdFrontend::Impl {
     motion_s = is_next ? 1e-9 * static_cast<double>(image.stamp_ns - last->stamp_ns) : 0.0;
     if (is_next) T_last_before = image.T_camera_map * last->T_camera_map.inverse();
     last_tracked_image = images;
-    lost_since_ns.reset();
     last = std::move(image);
-  }
-
-  /// A pause of the camera is none, nor does one that was lost before it count on.
-  void note_pause(std::int64_t stamp_ns) {
-    constexpr std::int64_t kPause_ns = 2'000'000'000;
-    if (stamp_ns - previous_stamp_ns > kPause_ns) lost_since_ns.reset();
-    previous_stamp_ns = stamp_ns;
-  }
-  bool is_lost_for_long(std::int64_t stamp_ns) const {
-    return lost_since_ns && 1e-9 * static_cast<double>(stamp_ns - *lost_since_ns) > options.restart_after_s;
   }
 
   TrackedImage track(const RgbdImage& rgbd) {
@@ -426,7 +415,6 @@ struct RgbdFrontend::Impl {
     image.id = images;
     image.stamp_ns = rgbd.stamp_ns;
     if (images == 0) first_stamp_ns = rgbd.stamp_ns;
-    note_pause(rgbd.stamp_ns);
     look_for_registration(rgbd);
     image.features = extract_features(rgbd, options, calibration.camera, calibration.registration);
     image.points.assign(image.features.size(), -1);
@@ -434,16 +422,18 @@ struct RgbdFrontend::Impl {
     take_refinement();
     TrackedImage result;
     bool is_break = false;
+    const bool is_lost = last_tracked_image != images - 1;  // the image before; after a pause one alone may be bad
     if (static_cast<int>(image.features.size()) < options.min_inliers) {
       result.state = TrackingState::kUnusable;
     } else if (!last) {
       result.state = start(&image) ? TrackingState::kStarted : TrackingState::kUnusable;
     } else if (follow(&image)) {
       result.state = TrackingState::kTracked;
-    } else if (last_tracked_image != images - 1 && find_again(&image, true)) {
+    } else if (is_lost && find_again(&image, true)) {
       result.state = TrackingState::kRelocalised;
       is_break = image.section != last->section;
-    } else if (is_lost_for_long(image.stamp_ns) && start(&image)) {
+    } else if (is_lost && 1e-9 * static_cast<double>(image.stamp_ns - last->stamp_ns) > options.restart_after_s &&
+               start(&image)) {
       result.state = TrackingState::kStarted;
       is_break = true;
     }
@@ -474,8 +464,6 @@ struct RgbdFrontend::Impl {
         result.sample->source_loop = look_back(image);
       }
       accept(std::move(image));
-    } else if (!lost_since_ns) {
-      lost_since_ns = image.stamp_ns;
     }
     ++images;
     return result;
@@ -499,9 +487,7 @@ struct RgbdFrontend::Impl {
   std::optional<Sighting> sighting;     ///< the last one
   std::optional<TrackedFeatures> last;  ///< the last image that has a pose
   std::int64_t last_tracked_image = -1;
-  std::int64_t previous_stamp_ns = 0;         ///< of the last image, with or without a pose
-  std::optional<std::int64_t> lost_since_ns;  ///< stamp of the first image since without a pose
-  SE3 T_last_before;                          ///< motion of the camera over the last two images, in the camera frame
+  SE3 T_last_before;  ///< motion of the camera over the last two images, in the camera frame
   double motion_s = 0.0;
 };
 
