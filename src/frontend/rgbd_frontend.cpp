@@ -110,6 +110,9 @@ struct RgbdFrontend::Impl {
     }
   }
 
+  /// Whether the image before has no pose. After a pause one alone may be bad.
+  bool is_lost() const { return last_tracked_image != images - 1; }
+
   SE3 guess(std::int64_t stamp_ns) const {
     const double dt_s = 1e-9 * static_cast<double>(stamp_ns - last->stamp_ns);
     if (motion_s <= 0.0 || dt_s > kMaxGuess_s || motion_s > kMaxGuess_s) return last->T_camera_map;
@@ -131,7 +134,7 @@ struct RgbdFrontend::Impl {
   }
 
   bool follow(TrackedFeatures* image) {
-    if (last_tracked_image != images - 1) return false;
+    if (is_lost()) return false;
     const int strong = strong_inliers(options);
     TrackedFeatures followed = *image;
     const bool is_followed = follow_points(*last, guess(image->stamp_ns), calibration.camera, &map, &followed) &&
@@ -403,7 +406,7 @@ struct RgbdFrontend::Impl {
   }
 
   void accept(TrackedFeatures image) {
-    const bool is_next = last && last_tracked_image == images - 1;
+    const bool is_next = last && !is_lost();
     motion_s = is_next ? 1e-9 * static_cast<double>(image.stamp_ns - last->stamp_ns) : 0.0;
     if (is_next) T_last_before = image.T_camera_map * last->T_camera_map.inverse();
     last_tracked_image = images;
@@ -422,17 +425,16 @@ struct RgbdFrontend::Impl {
     take_refinement();
     TrackedImage result;
     bool is_break = false;
-    const bool is_lost = last_tracked_image != images - 1;  // the image before; after a pause one alone may be bad
     if (static_cast<int>(image.features.size()) < options.min_inliers) {
       result.state = TrackingState::kUnusable;
     } else if (!last) {
       result.state = start(&image) ? TrackingState::kStarted : TrackingState::kUnusable;
     } else if (follow(&image)) {
       result.state = TrackingState::kTracked;
-    } else if (is_lost && find_again(&image, true)) {
+    } else if (is_lost() && find_again(&image, true)) {
       result.state = TrackingState::kRelocalised;
       is_break = image.section != last->section;
-    } else if (is_lost && 1e-9 * static_cast<double>(image.stamp_ns - last->stamp_ns) > options.restart_after_s &&
+    } else if (is_lost() && 1e-9 * static_cast<double>(image.stamp_ns - last->stamp_ns) > options.restart_after_s &&
                start(&image)) {
       result.state = TrackingState::kStarted;
       is_break = true;

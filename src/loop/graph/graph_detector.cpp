@@ -39,9 +39,8 @@ constexpr double kAlike_m = 1.0, kAlike_rad = 0.5;
 constexpr std::size_t kEnough = 8;
 /// An odometry without a noticed break is at most this wrong over a short time, jumps that nobody saw included.
 constexpr double kMinDisagreement_m = 2.5;
-constexpr double kDriftDepth_m = 2.0;   ///< of the usual object: turns apparent drift, an angle, into metres
-constexpr double kDriftFactor = 2.0;    ///< on the drift observed
-constexpr double kMissedDepth_m = 4.0;  ///< of how far places lie apart: turns what was missed of a turn into metres
+constexpr double kDriftDepth_m = 2.0;  ///< of the usual object: turns apparent drift, an angle, into metres
+constexpr double kDriftFactor = 2.0;   ///< on the drift observed, and what was missed of turns
 
 std::vector<LabelledPoint> graph_of(const LocalMap& map) {
   std::vector<LabelledPoint> points;
@@ -86,10 +85,10 @@ SE3 implied_pose(const LocalMap& match, const GraphMatch& alignment) { return ma
 bool are_apart(const LocalMap& map_p, const SE3& p, const LocalMap& map_q, const SE3& q) {
   if (map_p.segment != map_q.segment) return false;
   const double time_s = is_of_other_session(map_p) ? 0.0 : std::abs(seconds_since(map_p, map_q));
-  const double drift_m = std::max(map_p.drift_rad_s, map_q.drift_rad_s) * kDriftDepth_m * time_s;
-  const double missed_m = std::abs(map_p.missed.translation_m - map_q.missed.translation_m) +
-                          kMissedDepth_m * std::abs(map_p.missed.rotation_rad - map_q.missed.rotation_rad);
-  return (p.t - q.t).norm() > kMinDisagreement_m + kDriftFactor * drift_m + missed_m;
+  const double turned_rad = std::max(map_p.drift_rad_s, map_q.drift_rad_s) * time_s +
+                            std::abs(map_p.missed.rotation_rad - map_q.missed.rotation_rad);
+  const double missed_m = std::abs(map_p.missed.translation_m - map_q.missed.translation_m);
+  return (p.t - q.t).norm() > kMinDisagreement_m + kDriftFactor * kDriftDepth_m * turned_rad + missed_m;
 }
 
 }  // namespace
