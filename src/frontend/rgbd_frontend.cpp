@@ -113,6 +113,13 @@ struct RgbdFrontend::Impl {
   /// Whether the image before has no pose. After a pause one alone may be bad.
   bool is_lost() const { return last_tracked_image != images - 1; }
 
+  /// Whether the odometry is to start anew. What was followed for a moment alone, a start with a blurred image, say, is
+  /// waited for no longer than that.
+  bool is_given_up(std::int64_t stamp_ns) const {
+    const double followed_s = 1e-9 * static_cast<double>(last->stamp_ns - started_ns);
+    return 1e-9 * static_cast<double>(stamp_ns - last->stamp_ns) > std::min(options.restart_after_s, followed_s);
+  }
+
   SE3 guess(std::int64_t stamp_ns) const {
     const double dt_s = 1e-9 * static_cast<double>(stamp_ns - last->stamp_ns);
     if (motion_s <= 0.0 || dt_s > kMaxGuess_s || motion_s > kMaxGuess_s) return last->T_camera_map;
@@ -434,8 +441,7 @@ struct RgbdFrontend::Impl {
     } else if (is_lost() && find_again(&image, true)) {
       result.state = TrackingState::kRelocalised;
       is_break = image.section != last->section;
-    } else if (is_lost() && 1e-9 * static_cast<double>(image.stamp_ns - last->stamp_ns) > options.restart_after_s &&
-               start(&image)) {
+    } else if (is_lost() && is_given_up(image.stamp_ns) && start(&image)) {
       result.state = TrackingState::kStarted;
       is_break = true;
     }
@@ -465,6 +471,7 @@ struct RgbdFrontend::Impl {
       } else if (!image.source_loop && is_sighting_open(image)) {
         result.sample->source_loop = look_back(image);
       }
+      if (result.state == TrackingState::kStarted) started_ns = image.stamp_ns;
       accept(std::move(image));
     }
     ++images;
@@ -489,6 +496,7 @@ struct RgbdFrontend::Impl {
   std::optional<Sighting> sighting;     ///< the last one
   std::optional<TrackedFeatures> last;  ///< the last image that has a pose
   std::int64_t last_tracked_image = -1;
+  std::int64_t started_ns = 0;  ///< stamp of the last start
   SE3 T_last_before;  ///< motion of the camera over the last two images, in the camera frame
   double motion_s = 0.0;
 };

@@ -158,16 +158,18 @@ struct LoopDetector::Impl {
     none.delay_s = solver_.applied_delay_s();
     none.noise = solver_.noise().odometry;
     SolvedMotion motion = none;
+    WayCounter counter;
     const std::vector<Waypoint> way = way_through(window);
     for (const Waypoint& place : way) {
-      if (from != nullptr) {
-        const SE3 step = last->T_odom_camera.inverse() * place.T_odom_camera;
-        motion.path_m += step.t.norm();
-        motion.rotation_rad += rotation_angle(step.q, Quaternion::Identity());
-        motion.missed = join(motion.missed, place.missed, step);
+      if (last == nullptr) {
+        counter.start(place.T_odom_camera);
+      } else {
+        counter.add(place.T_odom_camera);
+        motion.missed = join(motion.missed, place.missed, last->T_odom_camera.inverse() * place.T_odom_camera);
       }
       last = &place;
       if (!place.keyframe_id) continue;
+      std::tie(motion.path_m, motion.rotation_rad) = counter.take();
       if (from != nullptr && *from->keyframe_id >= told_from_) {
         motion.from_keyframe_id = *from->keyframe_id;
         motion.to_keyframe_id = *place.keyframe_id;
@@ -343,11 +345,12 @@ struct LoopDetector::Impl {
   }
 
   /// What the odometry missed while it stood moves a submap against all from before. @param window solved, of which
-  /// what ends by the anchor is taken in
+  /// what ends by the anchor is taken in; the rest waits
   void add_missed(const std::deque<ObservedFrame>& window, std::size_t anchor) {
+    missed_next_ = {};
     MissedMotion missed;
     std::size_t from = 0;  // the last frame before the odometry stood
-    for (std::size_t i = 1; i <= anchor; ++i) {
+    for (std::size_t i = 1; i < window.size(); ++i) {
       if (window[i].missed.frozen_s > 0.0) {
         missed = join(missed, window[i].missed, window[i - 1].T_odom_camera.inverse() * window[i].T_odom_camera);
         continue;
@@ -360,10 +363,11 @@ struct LoopDetector::Impl {
         const SE3 T_measured = measured(from).inverse() * measured(to);
         const SE3 T_solved = window[from].T_odom_camera.inverse() * window[to].T_odom_camera;
         const auto sigma = [](const Mat3& covariance) { return std::sqrt(covariance.trace()); };
-        missed_.translation_m += (T_solved.t - T_measured.t).norm() + sigma(missed.covariance.topLeftCorner<3, 3>());
-        missed_.rotation_rad +=
+        LocalMap::Missed& sum = i <= anchor ? missed_ : missed_next_;
+        sum.translation_m += (T_solved.t - T_measured.t).norm() + sigma(missed.covariance.topLeftCorner<3, 3>());
+        sum.rotation_rad +=
             rotation_angle(T_solved.q, T_measured.q) + sigma(missed.covariance.bottomRightCorner<3, 3>());
-        missed_ns_ = window[to].stamp_ns;
+        if (i <= anchor) missed_ns_ = window[to].stamp_ns;
       }
       missed = {};
       from = i;
@@ -397,6 +401,9 @@ struct LoopDetector::Impl {
       const bool is_missed =
           (frozen_ns && (has_shift || is_recent(*frozen_ns))) || (slipped_ns && is_recent(*slipped_ns));
       if (!is_missed) {
+        missed_.translation_m += missed_next_.translation_m;
+        missed_.rotation_rad += missed_next_.rotation_rad;
+        missed_next_ = {};
         window_.clear();
         up_.clear();
         if (has_shift) settled_ns_ = frame.stamp_ns + kSettle_ns;
@@ -416,9 +423,10 @@ struct LoopDetector::Impl {
   bool paper_mode_;
   std::int64_t last_attempt_ns_ = 0;
   int segment_ = 0;
-  LocalMap::Missed missed_;      ///< since the begin
-  std::int64_t missed_ns_ = 0;   ///< up to which that is summed
-  std::int64_t settled_ns_ = 0;  ///< frames before are left out, after a jump
+  LocalMap::Missed missed_;       ///< since the begin
+  std::int64_t missed_ns_ = 0;    ///< up to which that is summed
+  LocalMap::Missed missed_next_;  ///< from there to the end of the window
+  std::int64_t settled_ns_ = 0;   ///< frames before are left out, after a jump
   ObservationWindow window_;
   WindowSolver solver_;
   OdometryMonitor monitor_;

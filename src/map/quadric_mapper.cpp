@@ -95,9 +95,9 @@ struct QuadricMapper::Impl {
     if (keyframe == T_odom_keyframe_.end()) return;  // only after a dropped keyframe: nothing to hang the boxes on
     const SE3 T_keyframe_camera = keyframe->second.inverse() * frame.T_odom_camera;
     begin_step(frame.stamp_ns);
-    if (associations.associations.empty()) return;  // nothing at all was detected: rather the detector's fault
     std::optional<FramePoints> points;
     if (frame.points_camera) points.emplace(*frame.points_camera, frame.camera);
+    if (!points && associations.associations.empty()) return;  // no box and no depth tell nothing
     add_observations(frame, T_keyframe_camera, points ? &*points : nullptr, associations);
     count_expected(frame, points ? &*points : nullptr, associations);
   }
@@ -322,8 +322,11 @@ struct QuadricMapper::Impl {
     for (const ExpectedLandmark& expected : expected_landmarks(landmarks_, frame, points, T_map_camera, associations)) {
       MappedLandmark& landmark = landmarks_.at(expected.id);
       const Vec3 direction = landmark.state.ellipsoid->center() - T_map_camera.t;
-      // A box that is missing in a blurred image tells little; depth tells as much as ever.
-      const double recall = blur_.recall(T_map_camera.inverse() * landmark.state.ellipsoid->center());
+      // A box that is missing in a blurred image tells little, and nothing where nothing at all was detected: that is
+      // rather the detector's fault. Depth tells as much as ever.
+      const double recall = associations.associations.empty()
+                                ? 0.0
+                                : blur_.recall(T_map_camera.inverse() * landmark.state.ellipsoid->center());
       const double expected_s = recall * step_s_;
       landmark.sightings.expected_s += expected_s;
       const double seen_through_s = expected.is_seen_through ? step_s_ : 0.0;

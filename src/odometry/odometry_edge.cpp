@@ -5,6 +5,7 @@
 #include <cmath>
 #include <iterator>
 #include <limits>
+#include <tuple>
 
 #include "geometry/relative_pose.h"
 #include "semantic_topo_loop/geometry/lie.h"
@@ -168,41 +169,42 @@ std::vector<OdometryEdge> measured_edges(const std::vector<OdometryEdge>& edges)
   return measured;
 }
 
+void WayCounter::add(const SE3& T_odom_camera) {
+  // An odometry that stands jitters by millimetres; keyframes are apart by some of these. On drifted_real, where
+  // nothing stands, they make no difference.
+  constexpr double kStill_m = 0.01, kStill_rad = 0.0045;
+  const double moved_m = (T_odom_camera.t - T_odom_counted_.t).norm();
+  const double turned_rad = rotation_angle(T_odom_counted_.q, T_odom_camera.q);
+  if (moved_m >= kStill_m) {
+    path_m_ += moved_m;
+    T_odom_counted_.t = T_odom_camera.t;
+  }
+  if (turned_rad >= kStill_rad) {
+    rotation_rad_ += turned_rad;
+    T_odom_counted_.q = T_odom_camera.q;
+  }
+}
+
 void OdometryAccumulator::add(const Frame& frame) {
   const bool is_first = !T_odom_previous_;
   const SE3 motion = is_first ? SE3() : T_odom_previous_->inverse() * frame.T_odom_camera;
   T_odom_previous_ = frame.T_odom_camera;
-  if (is_first || frame.is_break) T_odom_counted_ = frame.T_odom_camera;
+  if (is_first || frame.is_break) way_.start(frame.T_odom_camera);
   if (is_first) return;
   if (frame.is_break) {
     edge_.is_break = true;
     return;
   }
-  count_way(frame.T_odom_camera);
+  way_.add(frame.T_odom_camera);
   all_stated_ = all_stated_ && frame.covariance && is_covariance(*frame.covariance);
   if (!all_stated_) return;
   const Mat6 carry = transport(motion);
   covariance_ = (carry * covariance_ * carry.transpose() + *frame.covariance).eval();
 }
 
-void OdometryAccumulator::count_way(const SE3& T_odom_camera) {
-  // An odometry that stands jitters by millimetres; keyframes are apart by some of these. On drifted_real, where
-  // nothing stands, they make no difference.
-  constexpr double kStill_m = 0.01, kStill_rad = 0.0045;
-  const double moved_m = (T_odom_camera.t - T_odom_counted_->t).norm();
-  const double turned_rad = rotation_angle(T_odom_counted_->q, T_odom_camera.q);
-  if (moved_m >= kStill_m) {
-    edge_.path_m += moved_m;
-    T_odom_counted_->t = T_odom_camera.t;
-  }
-  if (turned_rad >= kStill_rad) {
-    edge_.rotation_rad += turned_rad;
-    T_odom_counted_->q = T_odom_camera.q;
-  }
-}
-
 OdometryEdge OdometryAccumulator::finish(const SE3& T_odom_from, const SE3& T_odom_to) {
   OdometryEdge edge = edge_;
+  std::tie(edge.path_m, edge.rotation_rad) = way_.take();
   edge.T_from_to = T_odom_from.inverse() * T_odom_to;
   if (all_stated_ && is_covariance(covariance_)) edge.covariance = covariance_;
   edge_ = OdometryEdge();

@@ -2,6 +2,7 @@
 
 #include <memory>
 #include <optional>
+#include <utility>
 #include <vector>
 
 #include "odometry/graph_loop.h"
@@ -97,6 +98,21 @@ OdometryEdge join(const OdometryEdge& first, const OdometryEdge& second);
 /// The edges as the odometry had them; none if no solved motion took a place.
 std::vector<OdometryEdge> measured_edges(const std::vector<OdometryEdge>& edges);
 
+/// Length and turns of a way. Jitter about one place is no way, however many poses show it.
+class WayCounter {
+ public:
+  /// Goes on from there: what lies between is no way.
+  void start(const SE3& T_odom_camera) { T_odom_counted_ = T_odom_camera; }
+  /// Needs a start.
+  void add(const SE3& T_odom_camera);
+  /// @return path in m and turns in rad since the last call
+  std::pair<double, double> take() { return {std::exchange(path_m_, 0.0), std::exchange(rotation_rad_, 0.0)}; }
+
+ private:
+  SE3 T_odom_counted_;  ///< where the sums were added to last
+  double path_m_ = 0.0, rotation_rad_ = 0.0;
+};
+
 /// Collects frames between two keyframes into an edge.
 class OdometryAccumulator {
  public:
@@ -106,11 +122,8 @@ class OdometryAccumulator {
   OdometryEdge finish(const SE3& T_odom_from, const SE3& T_odom_to);
 
  private:
-  /// Jitter about one place is no way, however many frames show it.
-  void count_way(const SE3& T_odom_camera);
-
   std::optional<SE3> T_odom_previous_;
-  std::optional<SE3> T_odom_counted_;  ///< where the sums of the way were added to last
+  WayCounter way_;
   OdometryEdge edge_;
   bool all_stated_ = true;
   Mat6 covariance_ = Mat6::Zero();

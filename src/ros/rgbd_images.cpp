@@ -10,6 +10,8 @@
 #include <cstdint>
 #include <cstdlib>
 #include <exception>
+#include <iterator>
+#include <limits>
 #include <utility>
 
 #include "ros/conversions.h"
@@ -88,23 +90,35 @@ bool DepthPairing::is_clear(std::int64_t color_ns) const {
          (newest_depth_ns_ && *newest_depth_ns_ >= color_ns + max_delay_ns_);
 }
 
+DepthPairing::Depths::iterator DepthPairing::nearest(std::int64_t color_ns, std::int64_t before_ns) {
+  const auto end = depths_.lower_bound(std::min(before_ns, color_ns + max_delay_ns_ + 1));
+  const auto nearest = std::min_element(
+      depths_.lower_bound(color_ns - max_delay_ns_), end,
+      [color_ns](const auto& a, const auto& b) { return std::abs(a.first - color_ns) < std::abs(b.first - color_ns); });
+  return nearest == end ? depths_.end() : nearest;
+}
+
 std::optional<DepthPairing::Answer> DepthPairing::take() {
-  if (colors_.empty()) return std::nullopt;
+  if (colors_.empty() || (colors_.size() == 1 && !is_finished_)) return std::nullopt;
+  constexpr std::int64_t kAny = std::numeric_limits<std::int64_t>::max();
   const std::int64_t color_ns = to_stamp_ns(colors_.front().color->header.stamp);
   if (!is_clear(color_ns)) return std::nullopt;
+  auto own = nearest(color_ns, kAny);
+  if (own != depths_.end() && colors_.size() > 1) {
+    const std::int64_t next_ns = to_stamp_ns(colors_[1].color->header.stamp);
+    if (std::abs(own->first - next_ns) < std::abs(own->first - color_ns)) {
+      if (!is_clear(next_ns)) return std::nullopt;
+      if (nearest(next_ns, kAny) == own) own = nearest(color_ns, own->first);
+    }
+  }
   Answer answer = colors_.front();
   colors_.pop_front();
-  const auto begin = depths_.lower_bound(color_ns - max_delay_ns_);
-  const auto end = depths_.upper_bound(color_ns + max_delay_ns_);
-  const auto nearest = std::min_element(begin, end, [color_ns](const auto& a, const auto& b) {
-    return std::abs(a.first - color_ns) < std::abs(b.first - color_ns);
-  });
-  if (nearest == end) {
-    depths_.erase(depths_.begin(), begin);
+  if (own == depths_.end()) {
+    depths_.erase(depths_.begin(), depths_.lower_bound(color_ns - max_delay_ns_));
     return answer;
   }
-  answer.depth = nearest->second;
-  depths_.erase(depths_.begin(), std::next(nearest));
+  answer.depth = own->second;
+  depths_.erase(depths_.begin(), std::next(own));
   return answer;
 }
 

@@ -3,6 +3,7 @@
 #include <gtest/gtest.h>
 
 #include <Eigen/Eigenvalues>
+#include <algorithm>
 #include <cstdint>
 #include <map>
 
@@ -235,17 +236,17 @@ TEST(RgbdFrontend, ABadImageAfterAPauseIsNoNewBeginning) {
 }
 
 TEST(RgbdFrontend, LostElsewhereAndFoundAgain) {
-  RgbdFrontend frontend = after_walk(10);
-  for (int i = 10; i < 20; ++i) {
+  RgbdFrontend frontend = after_walk(15);
+  for (int i = 15; i < 25; ++i) {
     const TrackedImage tracked = frontend.track(elsewhere(i));
     EXPECT_EQ(tracked.state, TrackingState::kLost);
     EXPECT_FALSE(tracked.sample);
   }
-  const TrackedImage tracked = frontend.track(on_walk(20));
+  const TrackedImage tracked = frontend.track(on_walk(25));
   ASSERT_EQ(tracked.state, TrackingState::kRelocalised);
   EXPECT_FALSE(tracked.sample->is_break);
   EXPECT_TRUE(tracked.sample->is_continuous);
-  EXPECT_LT(error_m(tracked, 20), 0.02);
+  EXPECT_LT(error_m(tracked, 25), 0.02);
 }
 
 TEST(RgbdFrontend, PutElsewhereItIsFoundAtOnceByWhatLooksAlike) {
@@ -269,10 +270,10 @@ TEST(RgbdFrontend, PutElsewhereItIsFoundAtOnceByWhatLooksAlike) {
 TEST(RgbdFrontend, LostForLongItStartsAnewWithABreak) {
   FrontendOptions options;
   options.restart_after_s = 0.2;
-  RgbdFrontend frontend = after_walk(5, options);
+  RgbdFrontend frontend = after_walk(8, options);
   int lost = 0;
   TrackedImage tracked;
-  for (int i = 5; i < 20; ++i) {
+  for (int i = 8; i < 20; ++i) {
     tracked = frontend.track(elsewhere(i));
     if (tracked.sample) break;
     ++lost;
@@ -283,10 +284,27 @@ TEST(RgbdFrontend, LostForLongItStartsAnewWithABreak) {
   EXPECT_TRUE(tracked.sample->is_break);
   EXPECT_FALSE(tracked.sample->covariance);
   const SE3 last = tracked.sample->T_odom_camera;
-  EXPECT_LT((last.t - true_motion(0, 4).t).norm(), 0.012);  // where it was seen last
+  EXPECT_LT((last.t - true_motion(0, 7).t).norm(), 0.012);  // where it was seen last
   tracked = frontend.track(elsewhere(20));
   ASSERT_EQ(tracked.state, TrackingState::kTracked);
   EXPECT_LT((tracked.sample->T_odom_camera.t - last.t).norm(), 1e-3);
+}
+
+TEST(RgbdFrontend, IsLostForNoLongerThanItWasFollowed) {
+  for (const int followed : {0, 2}) {
+    RgbdFrontend frontend({}, kCamera);
+    int next = 0;
+    while (next <= followed) EXPECT_TRUE(frontend.track(elsewhere(next++)).sample);
+    for (int lost = 0; lost < std::max(1, followed); ++lost)
+      EXPECT_EQ(frontend.track(on_walk(next++)).state, TrackingState::kLost);
+    const TrackedImage again = frontend.track(on_walk(next++));
+    ASSERT_EQ(again.state, TrackingState::kStarted) << followed;
+    EXPECT_TRUE(again.sample->is_break);
+    const TrackedImage tracked = frontend.track(on_walk(next));
+    ASSERT_EQ(tracked.state, TrackingState::kTracked);
+    const SE3 motion = again.sample->T_odom_camera.inverse() * tracked.sample->T_odom_camera;
+    EXPECT_LT((motion.t - true_motion(next - 1, next).t).norm(), 0.012);
+  }
 }
 
 /// A front end that has followed the walk, was lost and has begun anew at the other end of the room.

@@ -16,6 +16,7 @@
 #include "odometry/graph_loop.h"
 #include "semantic_topo_loop/geometry/lie.h"
 #include "semantic_topo_loop/pipeline/options.h"
+#include "support/random_motions.h"
 #include "support/synthetic_desk.h"
 #include "support/test_files.h"
 
@@ -332,6 +333,37 @@ TEST(LoopDetector, TellsHowTheCameraMovedFromKeyframeToKeyframe) {
   EXPECT_EQ(detector.submaps().back().missed.translation_m, 0.0);
 }
 
+TEST(LoopDetector, TellsNoWayWhileTheCameraStands) {
+  const auto desk = random_desk(6, 12);
+  LoopDetector detector(LoopOptions(), testing::desk_classes());
+  FrameBuilder builder(KeyframeOptions(), testing::desk_camera());
+  std::mt19937_64 random(2);
+  Random jitter(3);
+  constexpr double kStands_s = 7.0, kGoesOn_s = 17.0;
+  SE3 last_pose;
+  double way_m = 0.0;
+  std::vector<double> ways_m;  // to each keyframe
+  std::map<std::int64_t, SolvedMotion> motions;
+  for (int k = 0; k < 900; ++k) {
+    const double time_s = k / 30.0;
+    const double moves_for_s = std::min(time_s, kStands_s) + std::max(time_s - kGoesOn_s, 0.0);
+    const SE3 pose = testing::desk_pose({{0.0, 20.0, 0.0, 120.0}}, moves_for_s);
+    if (k > 0) way_m += (pose.t - last_pose.t).norm();
+    last_pose = pose;
+    PoseSample sample;
+    sample.stamp_ns = std::llround(1e9 * (1.0 + time_s));
+    sample.T_odom_camera = pose * random_motion(&jitter, 0.002, 0.0005);
+    const auto frame = builder.build(sample);
+    if (frame->is_keyframe) ways_m.push_back(way_m);
+    detector.detect(*frame, testing::observe(desk, *frame, pose, 0, random));
+    for (const SolvedMotion& motion : detector.motions()) motions[motion.from_keyframe_id] = motion;
+  }
+  double path_m = 0.0;
+  for (const auto& [from, motion] : motions) path_m += motion.path_m;
+  const double expected_m = ways_m[static_cast<std::size_t>(motions.rbegin()->second.to_keyframe_id)];
+  EXPECT_NEAR(path_m, expected_m, 0.05 * expected_m);
+}
+
 class LoopDetectorSlip : public ::testing::TestWithParam<std::int64_t> {};
 
 TEST_P(LoopDetectorSlip, IsToldFromKeyframeToKeyframe) {
@@ -402,14 +434,18 @@ TEST(LoopDetector, NothingIsSolvedForWhileLoopClosingIsOffNorInPaperMode) {
   EXPECT_TRUE(motions_along_a_desk(&paper, 0.0, &truth).empty());
 }
 
-TEST(LoopDetector, SubmapsTellWhatTheOdometryMissedWhileItStood) {
+class LoopDetectorStand : public ::testing::TestWithParam<double> {};
+
+TEST_P(LoopDetectorStand, IsToldBySubmapsThatFollowWithAllThatWasMissed) {
   const auto desk = random_desk(6, 12);
   LoopDetector detector(LoopOptions(), testing::desk_classes());
   FrameBuilder builder(KeyframeOptions(), testing::desk_camera());
   std::mt19937_64 random(2);
   const auto camera_at = [](double time_s) { return testing::desk_pose({{0.0, 20.0, 0.0, 120.0}}, time_s); };
   constexpr double kStands_s = 7.0, kGoesOn_s = 8.5;
-  for (int k = 0; k < 600; ++k) {
+  const double turns_s = GetParam();
+  const SE3 turn(so3_exp(Vec3(0.0, radians(4.0), 0.0)), Vec3::Zero());
+  for (int k = 0; k < 750; ++k) {
     const double time_s = k / 30.0;
     PoseSample sample;
     sample.stamp_ns = std::llround(1e9 * (1.0 + time_s));
@@ -417,6 +453,7 @@ TEST(LoopDetector, SubmapsTellWhatTheOdometryMissedWhileItStood) {
     if (time_s > kGoesOn_s) {
       sample.T_odom_camera = sample.T_odom_camera * camera_at(kGoesOn_s).inverse() * camera_at(time_s);
     }
+    if (time_s > turns_s) sample.T_odom_camera = sample.T_odom_camera * turn;
     const auto frame = builder.build(sample);
     detector.detect(*frame, testing::observe(desk, *frame, camera_at(time_s), 0, random));
   }
@@ -427,6 +464,9 @@ TEST(LoopDetector, SubmapsTellWhatTheOdometryMissedWhileItStood) {
   EXPECT_NEAR(submaps.back().missed.translation_m, missed.t.norm(), 0.3 * missed.t.norm());
   EXPECT_NEAR(submaps.back().missed.rotation_rad, rotation_angle(missed.q, Quaternion::Identity()), 0.05);
 }
+
+// A burst of the odometry, soon afterwards, ends the window that tells of the stand; or there is none.
+INSTANTIATE_TEST_SUITE_P(TurnsAt, LoopDetectorStand, ::testing::Values(1e9, 11.0, 13.0));
 
 TEST(LoopDetector, TwoIdenticalGroupsAreAmbiguous) {
   // The first visit sees two equal groups side by side, the second visit one of them.

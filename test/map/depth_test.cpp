@@ -373,6 +373,15 @@ TEST_F(DepthMapperTest, WhatDepthSeesThroughIsRetiredAndWhatItSeesInFrontHidesIt
   EXPECT_EQ(find(1)->state, LandmarkState::kConfirmed);
 }
 
+TEST_F(DepthMapperTest, DepthAloneTellsWhereNothingIsBoxed) {
+  const DepthScene scene{{kCup}};
+  for (int i = 0; i < 60; ++i) step(from_side(1.5 * i), {{0, 41, kCup}}, scene);
+  for (int i = 0; i < 200; ++i) step(from_side(1.5 * (i % 60)), {}, scene);
+  EXPECT_EQ(find(0)->state, LandmarkState::kConfirmed) << "the detector fails";
+  for (int i = 0; i < 85; ++i) step(from_side(1.5 * (i % 60)), {}, {});
+  EXPECT_EQ(find(0)->state, LandmarkState::kRetired) << "the only thing on the table is gone";
+}
+
 TEST_F(DepthMapperTest, ADetectorThatMissesWhatDepthStillShowsRetiresNothing) {
   const Ellipsoid tv = on_table(-0.3, 0.2, Vec3(0.06, 0.2, 0.18));
   const DepthScene scene{{kCup, tv}};

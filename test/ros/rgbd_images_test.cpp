@@ -43,8 +43,9 @@ TEST(DepthPairing, TakesTheNearestOnceItIsClear) {
   EXPECT_TRUE(take_all(&pairing).empty()) << "a nearer one may come";
   pairing.add_depth(image_at(5));
   pairing.add_depth(image_at(40));
-  EXPECT_EQ(take_all(&pairing), (std::vector<std::pair<int, int>>{{0, 5}}));
+  EXPECT_TRUE(take_all(&pairing).empty()) << "a colour image that is nearer to it may come";
   pairing.add_color({}, image_at(33));
+  EXPECT_EQ(take_all(&pairing), (std::vector<std::pair<int, int>>{{0, 5}}));
   pairing.add_color({}, image_at(66));
   pairing.finish();
   EXPECT_EQ(take_all(&pairing), (std::vector<std::pair<int, int>>{{33, 40}, {66, -1}}));
@@ -65,6 +66,27 @@ TEST(DepthPairing, UsesEachDepthOnce) {
   pairing.add_depth(image_at(8));
   pairing.finish();
   EXPECT_EQ(take_all(&pairing), (std::vector<std::pair<int, int>>{{0, 8}, {16, -1}}));
+}
+
+TEST(DepthPairing, LeavesToTheNextColourImageWhatBelongsToIt) {
+  DepthPairing pairing(0.02);
+  std::vector<std::pair<int, int>> expected;
+  for (int i = 0; i < 20; ++i) {
+    const int time_ms = 17 * i;
+    pairing.add_color({}, image_at(time_ms));
+    if (i % 2 == 1) pairing.add_depth(image_at(time_ms));
+    expected.emplace_back(time_ms, i % 2 == 1 ? time_ms : -1);
+  }
+  pairing.finish();
+  EXPECT_EQ(take_all(&pairing), expected);
+}
+
+TEST(DepthPairing, KeepsWhatTheNextColourImageHasANearerOneThan) {
+  DepthPairing pairing(0.02);
+  for (const int time_ms : {0, 33}) pairing.add_color({}, image_at(time_ms));
+  for (const int time_ms : {18, 35}) pairing.add_depth(image_at(time_ms));
+  pairing.finish();
+  EXPECT_EQ(take_all(&pairing), (std::vector<std::pair<int, int>>{{0, 18}, {33, 35}}));
 }
 
 core::Camera camera() { return {100.0, 100.0, 32.0, 24.0, 64, 48, {}}; }
