@@ -1,11 +1,10 @@
 """Tables I and II (objects by sequence, by association method, and by its levels) and the timing table."""
 
-import csv
 import os
 import statistics
 
 import paper_figures
-from runs import FULL_LEVELS, JDA, JOINT, LEVELS, bare, cascade
+from runs import FULL_LEVELS, JDA, JOINT, LEVELS, bare, cascade, read_rows
 
 FULL = cascade(FULL_LEVELS)
 PLAIN = cascade("2d")
@@ -121,8 +120,7 @@ def table_2(context):
 
 
 def read_times(run, column):
-    with open(os.path.join(run.directory, "timing.csv"), newline="") as file:
-        return [float(row[column]) for row in csv.DictReader(file)]
+    return [float(row[column]) for row in read_rows(os.path.join(run.directory, "timing.csv"))]
 
 
 def percentile(values, share):

@@ -15,7 +15,7 @@ import sys
 import numpy as np
 
 from association_tables import markdown
-from inputs import moved
+from inputs import lines_of, moved
 from robots_table import pose
 from runs import Failure, Programs, package_folder, read_rows
 
@@ -104,8 +104,7 @@ class Desk:
 
     def _in_world(self, place):
         """Of a map, which begins at the first camera."""
-        with open(os.path.join(self._sequence, "groundtruth_frames.txt")) as file:
-            first = next(line for line in file if not line.startswith("#"))
+        first = lines_of(os.path.join(self._sequence, "groundtruth_frames.txt"))[0]
         T_world_map = pose([float(value) for value in first.split()[1:]])
         return (T_world_map @ [*map(float, place), 1.0])[:3]
 
@@ -125,8 +124,7 @@ class Desk:
 
     def _write_lap(self, name, lap, is_moved=False):
         """The lines of a file that belong to one lap. @param is_moved their poses are put into another frame"""
-        with open(os.path.join(self._sequence, name)) as file:
-            lines = [line for line in file if not line.startswith("#")]
+        lines = lines_of(os.path.join(self._sequence, name))
         end_s = float(lines[0].split()[0]) + LAP_S - 0.5 / RATE_HZ
         lines = [line for line in lines if (float(line.split()[0]) > end_s) == bool(lap)]
         path = self.path(f"lap{lap}_{name}")

@@ -14,14 +14,13 @@ import time
 
 from inputs import restarted
 from robustness_table import corrupted
-from runs import Failure, Programs, find_sequences, package_folder
+from runs import Failure, Programs, default_data, find_sequences, package_folder
 
 CONFIG = os.path.join(package_folder(), "config")
 # Of every sequence, one that drifts steadily and one that jumps.
 DRIFTED = ("smooth_1m_15deg_s1.txt", "jump_1m_15deg_s2.txt")
 CLASSES = os.path.join(CONFIG, "classes_coco.yaml")
 RENDERED_S = 20
-MAX_DEPTH_DELAY_S = 0.02
 
 
 class Context:
@@ -65,30 +64,14 @@ def rendered(context, build):
     return folder
 
 
-def nearest_pairs(folder, path):
-    """Writes associations.txt of a folder in the benchmark's layout, which has none."""
-    def read(name):
-        with open(os.path.join(folder, name)) as file:
-            return [line.split() for line in file if line.strip() and not line.startswith("#")]
-
-    depth = read("depth.txt")
-    with open(path, "w") as file:
-        for color in read("rgb.txt"):
-            best = min(depth, key=lambda row: abs(float(row[0]) - float(color[0])))
-            if abs(float(best[0]) - float(color[0])) <= MAX_DEPTH_DELAY_S:
-                file.write(" ".join([*color[:2], *best[:2]]) + "\n")
-
-
-def with_images(context, data, rendered_folder):
+def with_images(data, rendered_folder):
     runs = {"rendered": ["--rgbd", rendered_folder, "--detections", os.path.join(rendered_folder, "detections.json"),
                          "--camera", os.path.join(rendered_folder, "camera.yaml")]}
     folder = os.path.join(data, "tum/fr1_xyz")
     if os.path.isdir(folder):
-        associations = os.path.join(context.inputs, "fr1_xyz_associations.txt")
-        nearest_pairs(folder, associations)
-        runs["fr1_xyz"] = ["--rgbd", folder, "--associations", associations, "--set", "depth.scale=5000",
-                           "--detections", os.path.join(folder, "detections_yolox_nano.json"),
-                           "--camera", os.path.join(CONFIG, "camera/tum_fr1.yaml")]
+        runs["fr1_xyz"] = ["--rgbd", folder, "--set", "depth.scale=5000", "--detections",
+                           os.path.join(folder, "detections_yolox_nano.json"), "--camera",
+                           os.path.join(CONFIG, "camera/tum_fr1.yaml")]
     return runs
 
 
@@ -132,8 +115,7 @@ def parse_arguments():
                                      formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("first", help="build directory of the version that is taken as right")
     parser.add_argument("second", help="build directory of the version that is judged")
-    parser.add_argument("--data", default=os.environ.get("SEMANTIC_TOPO_LOOP_DATA")
-                        or os.path.join(os.path.dirname(package_folder()), "shared"), help="folder of tum/")
+    parser.add_argument("--data", default=default_data(), help="folder of tum/")
     parser.add_argument("--output", default="/tmp/semantic_topo_loop_comparison", metavar="DIR",
                         help="folder for inputs and results (default: %(default)s)")
     parser.add_argument("--only", default="", metavar="TEXT", help="only the runs whose name contains it")
@@ -147,7 +129,7 @@ def main():
         context = Context(arguments.first, arguments.output)
         runs = recorded(context, arguments.data)
         folder = rendered(context, arguments.first)
-        runs.update(with_images(context, arguments.data, folder))
+        runs.update(with_images(arguments.data, folder))
         same = [compare(name, builds, arguments.output,
                         lambda build, to, values=values: call(build, "offline", *values, "--classes", CLASSES, "--output", to))
                 for name, values in runs.items() if arguments.only in name]

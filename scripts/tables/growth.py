@@ -13,7 +13,8 @@ import threading
 import time
 from decimal import Decimal
 
-from runs import Failure, find_sequences, package_folder, read_rows
+from inputs import lines_of
+from runs import Failure, default_data, find_sequences, package_folder, read_rows
 
 PARTS = 8  # of a run of less than two hours
 SETTLED_S = 300.0  # recorded time from which on memory should hardly grow: what is bounded is full
@@ -25,8 +26,7 @@ def to_and_fro(sequence, passes, folder):
     """Writes trajectory.txt, detections.json and groundtruth.txt of `passes` passes; every second one goes backwards.
     A pass begins one image after the one before has ended."""
     def rows(path):
-        with open(path) as file:
-            return [line.split() for line in file if line.strip() and not line.startswith("#")]
+        return [line.split() for line in lines_of(path)]
 
     poses = rows(sequence.trajectory)
     first, last = Decimal(poses[0][0]), Decimal(poses[-1][0])
@@ -138,8 +138,7 @@ def parse_arguments():
                                      formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("programs", help="folder of the programs offline and evaluate")
     parser.add_argument("--passes", type=int, default=16, help="how often fr2_desk is gone through (default: 16)")
-    parser.add_argument("--data", default=os.environ.get("SEMANTIC_TOPO_LOOP_DATA")
-                        or os.path.join(os.path.dirname(package_folder()), "shared"), help="folder of tum/")
+    parser.add_argument("--data", default=default_data(), help="folder of tum/")
     parser.add_argument("--output", default="/tmp/semantic_topo_loop_growth", metavar="DIR",
                         help="folder for inputs and results (default: %(default)s)")
     parser.add_argument("--inputs-only", action="store_true", help="only write the input")

@@ -7,7 +7,7 @@ import statistics
 
 import paper_figures
 from association_tables import markdown, ratio
-from inputs import LEVELS, RESTART_SEEDS, UNDRIFTED, drifted, restarted
+from inputs import LEVELS, RESTART_SEEDS, UNDRIFTED, drifted, lines_of, restarted
 from runs import GRAPH, PAPER_CORRECTED, PAPER_PRINTED, read_rows
 
 METHODS = (PAPER_CORRECTED, PAPER_PRINTED, GRAPH)
@@ -223,8 +223,7 @@ def restart_rows(context, sequence):
         group = Group(context, sequence, GRAPH, f"restart, seed {seed}", [restarted(context, sequence, seed)])
         with open(group.runs[0].sequence.trajectory) as file:
             middle = float(file.readlines()[group.runs[0].summary["frames"] // 2].split()[0])
-        with open(sequence.frames) as file:
-            stamps = [float(line.split()[0]) for line in file if line.strip() and not line.startswith("#")]
+        stamps = [float(line.split()[0]) for line in lines_of(sequence.frames)]
         first = bisect.bisect_left(stamps, middle - 0.005)
         across = [row for row in group.judged_loops() if int(row["match_image"]) < first <= int(row["query_image"])]
         right = [row for row in across if float(row["error_m"]) <= 0.35 and float(row["error_deg"]) <= 10.0]

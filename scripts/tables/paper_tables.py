@@ -12,7 +12,8 @@ import robustness_table
 import sessions_table
 import trajectory_table
 from association_tables import FULL
-from runs import JDA, JOINT, Failure, Programs, cascade, find_image_sequences, find_sequences, package_folder
+from runs import (JDA, JOINT, Failure, Programs, cascade, default_data, find_image_sequences, find_sequences,
+                  package_folder)
 
 PACKAGE = package_folder()
 
@@ -42,10 +43,6 @@ class Context:
         self.output = arguments.output  # for pictures and curves
         self.pictures = not arguments.no_pictures
         self.inputs = os.path.join(arguments.output, "inputs")  # made here from recorded ones
-
-
-def default_data():
-    return os.environ.get("SEMANTIC_TOPO_LOOP_DATA") or os.path.join(os.path.dirname(PACKAGE), "shared")
 
 
 def default_output():

@@ -18,6 +18,7 @@ import time
 import numpy as np
 
 from association_tables import markdown
+from inputs import lines_of
 from runs import Failure, package_folder, read_rows
 
 ROOMS, ROOMS_OF_ROBOT, FIRST_ROOMS = 12, 6, (1, 4, 7)
@@ -144,8 +145,7 @@ class House:
         references = {}
         with open(self.path("truth.txt"), "w") as file:
             for robot in range(len(FIRST_ROOMS)):
-                with open(self.path(f"robot{robot}", "groundtruth_frames.txt")) as lines:
-                    rows = [line.split() for line in lines if not line.startswith("#")]
+                rows = [line.split() for line in lines_of(self.path(f"robot{robot}", "groundtruth_frames.txt"))]
                 self.truth.append(np.array([pose([float(v) for v in row[1:]]) for row in rows]))
                 for row in rows:
                     second, fraction = row[0].split(".")

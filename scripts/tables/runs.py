@@ -140,6 +140,10 @@ def package_folder():
     return above if os.path.exists(os.path.join(above, "package.xml")) else installed
 
 
+def default_data():
+    return os.environ.get("SEMANTIC_TOPO_LOOP_DATA") or os.path.join(os.path.dirname(package_folder()), "shared")
+
+
 class Programs:
     """Calls the package's programs and keeps the results, so that two tables share a run."""
 
