@@ -497,7 +497,7 @@ struct RgbdFrontend::Impl {
   std::optional<TrackedFeatures> last;  ///< the last image that has a pose
   std::int64_t last_tracked_image = -1;
   std::int64_t started_ns = 0;  ///< stamp of the last start
-  SE3 T_last_before;  ///< motion of the camera over the last two images, in the camera frame
+  SE3 T_last_before;            ///< motion of the camera over the last two images, in the camera frame
   double motion_s = 0.0;
 };
 
