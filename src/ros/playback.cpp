@@ -1,6 +1,7 @@
 #include "ros/playback.h"
 
 #include <algorithm>
+#include <iterator>
 
 namespace semantic_topo_loop {
 namespace {
@@ -68,15 +69,23 @@ void PlayerLedger::done(const FrameDone& done) {
   if (done.status != FrameDone::STATUS_PROCESSED && in_flight_.count(stamp_ns) == 0) return;
   ++frames_done_;
   if (done.status == FrameDone::STATUS_NO_POSE) ++frames_without_pose_;
-  // Frames leave the chain in order: an older one that has not come was dropped, as stages may do in real time.
-  const bool answers_older = done.status == FrameDone::STATUS_PROCESSED;
-  in_flight_.erase(answers_older ? in_flight_.begin() : in_flight_.lower_bound(stamp_ns),
-                   in_flight_.upper_bound(stamp_ns));
+  // Frames leave the chain in order: an older one that has not come was dropped, as stages may do in real time; and as
+  // front ends may, an image that they have not numbered before they refuse a later one.
+  const bool answers_all = done.status == FrameDone::STATUS_PROCESSED;
+  const auto last = in_flight_.upper_bound(stamp_ns);
+  for (auto image = in_flight_.begin(); image != last;) {
+    const bool is_answered = answers_all || image->first == stamp_ns || image->second == kUnknownFrame;
+    image = is_answered ? in_flight_.erase(image) : std::next(image);
+  }
 }
 
 std::string PlayerLedger::silent_stage() const {
   if (is_end_done_) return kRecorder;
-  const std::int64_t frame_id = in_flight_.empty() ? end_frame_id_ : in_flight_.begin()->second;
+  // An image without a number before a frame was dropped by the front end.
+  const auto frame = std::find_if(in_flight_.begin(), in_flight_.end(),
+                                  [](const auto& image) { return image.second != kUnknownFrame; });
+  const std::int64_t unnumbered = in_flight_.empty() ? end_frame_id_ : kUnknownFrame;
+  const std::int64_t frame_id = frame != in_flight_.end() ? frame->second : unnumbered;
   if (frame_id == kUnknownFrame || last_seen_[kFrames] <= frame_id) return frontend_;
   for (std::size_t link = kDetections; link < kLinkCount; ++link) {
     if (last_seen_[link] <= frame_id) return kPublishers[link - kDetections];
