@@ -191,8 +191,10 @@ bool RegistrationEstimator::is_clearly_better(const DepthRegistration& registrat
   return mean > kMinSigmas * sigma && mean > kMinGain && moved_px / n > kMinMotion_px;
 }
 
+bool RegistrationEstimator::has_outlines() const { return rims_.size() >= kMinRims; }
+
 std::optional<DepthRegistration> RegistrationEstimator::estimate() const {
-  if (rims_.size() < kMinRims) return std::nullopt;
+  if (!has_outlines()) return std::nullopt;
   DepthRegistration best;
   double highest = -1.0;
   // Where a climb ends depends on where it begins. A Kinect's focal lengths, 525 and 585 px, differ by a tenth.

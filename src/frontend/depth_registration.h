@@ -42,6 +42,8 @@ class RegistrationEstimator {
 
   void add(const RgbdImage& image);
   int images() const { return static_cast<int>(gradients_.size()); }
+  /// Whether they show enough to tell anything.
+  bool has_outlines() const;
   /// @return the registration, if it differs from the identity and explains the images clearly better
   std::optional<DepthRegistration> estimate() const;
 

@@ -15,8 +15,9 @@
 namespace semantic_topo_loop::core {
 namespace {
 
-constexpr int kFocalKeyframes = 6;              ///< fewer have not turned enough to tell a focal length
-constexpr std::int64_t kSoon_ns = 200'000'000;  ///< after which a sighting is another view of the same place
+constexpr int kFocalKeyframes = 6;                  ///< fewer have not turned enough to tell a focal length
+constexpr std::int64_t kSoon_ns = 200'000'000;      ///< after which a sighting is another view of the same place
+constexpr std::int64_t kEarly_ns = 15'000'000'000;  ///< so much of a recording is read twice, or lost of a live session
 constexpr double kMaxGuess_s = 0.5;  ///< motion is not carried on for longer: a hand turns back within a second
 
 /// Camera-frame points of an even grid of depth pixels.
@@ -354,6 +355,11 @@ struct RgbdFrontend::Impl {
     registration_estimator->add(image);
     last_registration_ns = image.stamp_ns;
     if (registration_estimator->images() < kImages) return;
+    // A bare wall says nothing of it: the next images may.
+    if (!registration_estimator->has_outlines() && image.stamp_ns - first_stamp_ns < kEarly_ns) {
+      registration_estimator.emplace(calibration.camera);
+      return;
+    }
     if (const std::optional<DepthRegistration> found = registration_estimator->estimate()) {
       calibration.registration = *found;
       has_new_registration = true;
@@ -372,8 +378,6 @@ struct RgbdFrontend::Impl {
   /// Begins the map anew at an image that has a pose, if the calibration turned out to be wrong.
   /// @return whether every pose should be found anew
   bool correct_calibration(TrackedFeatures* image) {
-    constexpr std::int64_t kEarly_ns =
-        15'000'000'000;               // so much of a recording is read twice, or lost of a live session
     constexpr int kMostRestarts = 4;  // registration, then focal lengths that converge
     if (!has_new_registration && new_focal_factor == 1.0) return false;
     if (new_focal_factor != 1.0) calibration.is_focal_given = false;

@@ -349,6 +349,30 @@ TEST(DepthRegistration, NoOutlinesSayNothing) {
   EXPECT_FALSE(estimator.estimate());
 }
 
+TEST(DepthRegistration, IsLookedForUntilThereAreOutlines) {
+  DepthRegistration truth;
+  truth.scale = 0.92;
+  truth.shift_px = Vec2(2.0, -3.0);
+  truth.parallax_px_m = Vec2(13.0, 0.0);
+  constexpr int kBare = 40, kImages = 90;  // of a wall, for longer than a second
+  Noise noise;
+  RgbdFrontend frontend({}, kKinect);
+  bool is_found = false;
+  for (int i = 0; i < kImages && !is_found; ++i) {
+    RgbdImage image = rectangles(truth, &noise);
+    if (i < kBare) {
+      image.gray = cv::Scalar(120);
+      image.depth_m = cv::Scalar(3.5);
+    }
+    image.stamp_ns = 1'000'000'000 + i * 33'333'333LL;
+    is_found = frontend.track(image).is_recalibrated;
+    if (i < kBare) {
+      EXPECT_FALSE(is_found) << i;
+    }
+  }
+  EXPECT_TRUE(is_found);
+}
+
 const Camera kVga{500.0, 500.0, 320.0, 240.0, 640, 480, {}};
 
 /// A light square, 1 m away, before a dark wall at 3 m.
