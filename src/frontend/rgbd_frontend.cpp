@@ -114,11 +114,11 @@ struct RgbdFrontend::Impl {
   /// Whether the image before has no pose. After a pause one alone may be bad.
   bool is_lost() const { return last_tracked_image != images - 1; }
 
-  /// Whether the odometry is to start anew. What was followed for a moment alone, a start with a blurred image, say, is
-  /// waited for no longer than that.
+  /// Whether the odometry is to start anew. What has just begun, with a blurred image, say, is waited for no longer
+  /// than it is old.
   bool is_given_up(std::int64_t stamp_ns) const {
-    const double followed_s = 1e-9 * static_cast<double>(last->stamp_ns - started_ns);
-    return 1e-9 * static_cast<double>(stamp_ns - last->stamp_ns) > std::min(options.restart_after_s, followed_s);
+    const double age_s = 1e-9 * static_cast<double>(last->stamp_ns - first_stamp_ns);
+    return 1e-9 * static_cast<double>(stamp_ns - last->stamp_ns) > std::min(options.restart_after_s, age_s);
   }
 
   SE3 guess(std::int64_t stamp_ns) const {
@@ -355,6 +355,7 @@ struct RgbdFrontend::Impl {
     registration_estimator->add(image);
     last_registration_ns = image.stamp_ns;
     if (registration_estimator->images() < kImages) return;
+    is_registration_judged = true;
     // A bare wall says nothing of it: the next images may.
     if (!registration_estimator->has_outlines() && image.stamp_ns - first_stamp_ns < kEarly_ns) {
       registration_estimator.emplace(calibration.camera);
@@ -368,7 +369,7 @@ struct RgbdFrontend::Impl {
   }
 
   bool is_focal_check_due() {
-    if (!options.self_calibration || registration_estimator) return false;
+    if (!options.self_calibration || (registration_estimator && !is_registration_judged)) return false;
     const auto keyframes = static_cast<int>(map.keyframes().size());
     if (keyframes < next_focal_check) return false;
     next_focal_check = keyframes + keyframes / 2;  // of half as much again: 6, 9, 13, ...
@@ -475,7 +476,6 @@ struct RgbdFrontend::Impl {
       } else if (!image.source_loop && is_sighting_open(image)) {
         result.sample->source_loop = look_back(image);
       }
-      if (result.state == TrackingState::kStarted) started_ns = image.stamp_ns;
       accept(std::move(image));
     }
     ++images;
@@ -488,6 +488,7 @@ struct RgbdFrontend::Impl {
   TrackingMap map;
   std::optional<RegistrationEstimator> registration_estimator;  ///< until it has decided
   std::int64_t last_registration_ns = 0;                        ///< stamp of the last image it took
+  bool is_registration_judged = false;                          ///< for the first time
   bool has_new_registration = false;
   FocalEstimate focal_estimate;            ///< of all checks of this map
   double new_focal_factor = 1.0;           ///< to be applied
@@ -500,8 +501,7 @@ struct RgbdFrontend::Impl {
   std::optional<Sighting> sighting;     ///< the last one
   std::optional<TrackedFeatures> last;  ///< the last image that has a pose
   std::int64_t last_tracked_image = -1;
-  std::int64_t started_ns = 0;  ///< stamp of the last start
-  SE3 T_last_before;            ///< motion of the camera over the last two images, in the camera frame
+  SE3 T_last_before;  ///< motion of the camera over the last two images, in the camera frame
   double motion_s = 0.0;
 };
 

@@ -170,8 +170,7 @@ std::vector<OdometryEdge> measured_edges(const std::vector<OdometryEdge>& edges)
 }
 
 void WayCounter::add(const SE3& T_odom_camera) {
-  // An odometry that stands jitters by millimetres; keyframes are apart by some of these. On drifted_real, where
-  // nothing stands, they make no difference.
+  // An odometry that stands jitters by millimetres; keyframes are apart by some of these. Chosen by that alone.
   constexpr double kStill_m = 0.01, kStill_rad = 0.0045;
   const double moved_m = (T_odom_camera.t - T_odom_counted_.t).norm();
   const double turned_rad = rotation_angle(T_odom_counted_.q, T_odom_camera.q);

@@ -70,11 +70,13 @@ void PlayerLedger::done(const FrameDone& done) {
   ++frames_done_;
   if (done.status == FrameDone::STATUS_NO_POSE) ++frames_without_pose_;
   // Frames leave the chain in order: an older one that has not come was dropped, as stages may do in real time; and as
-  // front ends may, an image that they have not numbered before they refuse a later one.
+  // front ends may, an image that has no number when a later one has no pose.
   const bool answers_all = done.status == FrameDone::STATUS_PROCESSED;
+  const bool answers_unnumbered = done.status == FrameDone::STATUS_NO_POSE;
   const auto last = in_flight_.upper_bound(stamp_ns);
   for (auto image = in_flight_.begin(); image != last;) {
-    const bool is_answered = answers_all || image->first == stamp_ns || image->second == kUnknownFrame;
+    const bool is_dropped = answers_all || (answers_unnumbered && image->second == kUnknownFrame);
+    const bool is_answered = is_dropped || image->first == stamp_ns;
     image = is_answered ? in_flight_.erase(image) : std::next(image);
   }
 }

@@ -99,7 +99,9 @@ DepthPairing::Depths::iterator DepthPairing::nearest(std::int64_t color_ns, std:
 }
 
 std::optional<DepthPairing::Answer> DepthPairing::take() {
-  if (colors_.empty() || (colors_.size() == 1 && !is_finished_)) return std::nullopt;
+  // Where colour pauses, the depth that belongs to this image would not be kept for as long.
+  const bool may_wait = !is_finished_ && depths_.size() < kMaxWaiting;
+  if (colors_.empty() || (colors_.size() == 1 && may_wait)) return std::nullopt;
   constexpr std::int64_t kAny = std::numeric_limits<std::int64_t>::max();
   const std::int64_t color_ns = to_stamp_ns(colors_.front().color->header.stamp);
   if (!is_clear(color_ns)) return std::nullopt;

@@ -6,6 +6,7 @@
 #include <algorithm>
 #include <cstdint>
 #include <map>
+#include <opencv2/imgproc.hpp>
 
 #include "geometry/descriptor.h"
 #include "semantic_topo_loop/geometry/lie.h"
@@ -290,7 +291,7 @@ TEST(RgbdFrontend, LostForLongItStartsAnewWithABreak) {
   EXPECT_LT((tracked.sample->T_odom_camera.t - last.t).norm(), 1e-3);
 }
 
-TEST(RgbdFrontend, IsLostForNoLongerThanItWasFollowed) {
+TEST(RgbdFrontend, IsLostForNoLongerThanItIsOld) {
   for (const int followed : {0, 2}) {
     RgbdFrontend frontend({}, kCamera);
     int next = 0;
@@ -305,6 +306,22 @@ TEST(RgbdFrontend, IsLostForNoLongerThanItWasFollowed) {
     const SE3 motion = again.sample->T_odom_camera.inverse() * tracked.sample->T_odom_camera;
     EXPECT_LT((motion.t - true_motion(next - 1, next).t).norm(), 0.012);
   }
+}
+
+TEST(RgbdFrontend, StartsAnewEverMoreRarelyWhereNothingCanBeFollowed) {
+  RgbdFrontend frontend({}, kCamera);
+  int started = 0;
+  constexpr int kImages = 90;
+  for (int i = 0; i < kImages; ++i) {
+    RgbdImage image = on_walk(0);
+    image.stamp_ns = stamp_of(i);
+    cv::Mat noise(kCamera.height / 4, kCamera.width / 4, CV_8UC1);
+    cv::RNG(static_cast<std::uint64_t>(i + 1)).fill(noise, cv::RNG::UNIFORM, 0, 256);
+    cv::resize(noise, image.gray, image.gray.size(), 0.0, 0.0, cv::INTER_NEAREST);
+    started += frontend.track(image).state == TrackingState::kStarted ? 1 : 0;
+  }
+  EXPECT_GE(started, 2);
+  EXPECT_LE(started, 8) << "each time it waits for as long as it is old";
 }
 
 /// A front end that has followed the walk, was lost and has begun anew at the other end of the room.

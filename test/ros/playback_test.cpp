@@ -54,6 +54,12 @@ TEST(PlayerLedger, ARefusedImageAnswersThoseThatTheFrontEndDropped) {
   EXPECT_EQ(ledger.in_flight(), 0U);
 }
 
+TEST(PlayerLedger, AnImageThatIsRefusedOutOfTurnAnswersForItselfAlone) {
+  PlayerLedger ledger = playing(3, {});
+  ledger.done(done(2, FrameDone::STATUS_FAILED));
+  EXPECT_EQ(ledger.in_flight(), 2U);
+}
+
 TEST(PlayerLedger, NamesTheStageThatTheOldestFrameWaitsFor) {
   PlayerLedger ledger = playing(3, {1});  // the first one was dropped
   EXPECT_EQ(ledger.silent_stage(), "DetectionIngestion");

@@ -81,6 +81,17 @@ TEST(DepthPairing, LeavesToTheNextColourImageWhatBelongsToIt) {
   EXPECT_EQ(take_all(&pairing), expected);
 }
 
+TEST(DepthPairing, KeepsWhatBelongsToAnImageThatColourPausesAfter) {
+  DepthPairing pairing(0.02);
+  pairing.add_color({}, image_at(0));
+  std::vector<std::pair<int, int>> pairs;
+  for (int i = 0; i < 60; ++i) {
+    pairing.add_depth(image_at(33 * i));
+    for (const auto& pair : take_all(&pairing)) pairs.push_back(pair);
+  }
+  EXPECT_EQ(pairs, (std::vector<std::pair<int, int>>{{0, 0}}));
+}
+
 TEST(DepthPairing, KeepsWhatTheNextColourImageHasANearerOneThan) {
   DepthPairing pairing(0.02);
   for (const int time_ms : {0, 33}) pairing.add_color({}, image_at(time_ms));
