@@ -407,6 +407,7 @@ TEST(PlayerLedger, GivesCreditBackOnceAFrameIsDone) {
   PlayerLedger ledger("PoseFrontend", {}, false);
   ledger.take(start_of(1));
   for (const int time_ms : {0, 33, 66}) ledger.sent(at_ms(time_ms));
+  ledger.numbered(1, at_ms(0), 0, false);
   ledger.done(done_of(33, FrameDone::STATUS_NO_POSE));
   EXPECT_EQ(ledger.in_flight(), 2u);
   EXPECT_EQ(ledger.frames_without_pose(), 1u);
@@ -419,6 +420,21 @@ TEST(PlayerLedger, GivesCreditBackOnceAFrameIsDone) {
   EXPECT_EQ(ledger.in_flight(), 1u) << "the session was only repeated";
   ledger.take(start_of(2));
   EXPECT_EQ(ledger.in_flight(), 0u) << "the stages have forgotten it";
+}
+
+TEST(PlayerLedger, AnImageWithoutAPoseAnswersThoseThatTheFrontEndDropped) {
+  PlayerLedger ledger("RgbdFrontend", {}, false);
+  ledger.take(start_of(1));
+  for (const int time_ms : {0, 33, 66, 99, 132}) ledger.sent(at_ms(time_ms));
+  ledger.numbered(1, at_ms(33), 0, false);
+  EXPECT_EQ(ledger.silent_stage(), "DetectionIngestion") << "the image before that frame was dropped";
+  ledger.done(done_of(99, FrameDone::STATUS_FAILED));
+  EXPECT_EQ(ledger.in_flight(), 4u) << "what is refused may be so out of turn";
+  ledger.done(done_of(132, FrameDone::STATUS_NO_POSE));
+  EXPECT_EQ(ledger.in_flight(), 1u) << "the frame is still in the chain";
+  EXPECT_EQ(ledger.frames_done(), 2u);
+  ledger.done(done_of(33, FrameDone::STATUS_PROCESSED));
+  EXPECT_EQ(ledger.in_flight(), 0u);
 }
 
 TEST(PlayerLedger, NamesTheFirstStageThatHasNotShownTheFrame) {
