@@ -29,7 +29,7 @@ struct FrontendOptions {
             "depth is taken to be off by up to this many pixels against the color image");
     visitor("min_inliers", min_inliers, at_least(6), "fewer features that agree on a pose are no pose");
     visitor("restart_after_s", restart_after_s, not_negative(),
-            "lost for longer, the odometry starts anew from the last pose, with a break");
+            "lost for longer, or than the odometry is old, it starts anew from the last pose, with a break");
     visitor("window_keyframes", window_keyframes, at_least(2), "keyframes refined by a local bundle adjustment");
     visitor("window_iterations", window_iterations, at_least(1), "iterations of a local bundle adjustment at most");
     visitor("max_keyframes", max_keyframes, any(), "keyframes kept; the oldest ones are forgotten");
