@@ -57,8 +57,7 @@ double cauchy_weight(double squared, double gate2) { return gate2 / (gate2 + squ
 struct NormalEquations {
   Mat6 hessian = Mat6::Zero();  ///< its lower triangle, which is all that its factors are made of
   Vec6 gradient = Vec6::Zero();
-  double squared = 0.0;  ///< weighted sum of squares
-  double values = 0.0;   ///< how many values were summed, by weight
+  double pixels = 0.0, pixel_squared = 0.0;  ///< count and squared errors of the pixels, by weight
 };
 
 NormalEquations accumulate(const Camera& camera, const SE3& T, const std::vector<PoseObservation>& observations,
@@ -82,8 +81,8 @@ NormalEquations accumulate(const Camera& camera, const SE3& T, const std::vector
     }
     n.gradient += pixel_weight * l.pixel_jacobian.transpose() * l.pixel_error +
                   depth_weight * l.depth_jacobian.transpose() * l.depth_error;
-    n.squared += pixel_weight * pixel2 + depth_weight * depth2;
-    n.values += 2.0 * pixel_weight + (observations[i].depth_m > 0.0 ? depth_weight : 0.0);
+    n.pixels += pixel_weight;
+    n.pixel_squared += pixel_weight * pixel2;
   }
   return n;
 }
@@ -103,6 +102,26 @@ bool iterate(const Camera& camera, const std::vector<PoseObservation>& observati
     if (step.norm() < kConverged) break;
   }
   return true;
+}
+
+/// Variance of a pose from the observations within the gate, over the one that their stated sigmas give it. Errors of a
+/// blurred image reach beyond the gate: how large they are tells the mean of those below it, which is that of a normal
+/// distribution cut off there. Where the cut falls hangs on the pose, which therefore gains less from what is left:
+/// asymptotic variance of an M-estimator (Huber, Robust Statistics, 1981) whose influence ends at the gate.
+double variance_factor(const NormalEquations& n) {
+  constexpr double kMost = 4.0;  // twice the sigmas: wider errors are next to even within the gate
+  constexpr double kUsual = 10.0, kUsualMean = 1.685;  // as many that are as stated, with the mean that the gate has
+  const double mean = (n.pixel_squared + kUsual * kUsualMean) / (n.pixels + kUsual);
+  const auto share_beyond = [](double variance) { return std::exp(-0.5 * kPixelGate2 / variance); };
+  double low = 1.0, high = kMost;
+  constexpr int kBisections = 20;
+  for (int i = 0; i < kBisections; ++i) {
+    const double variance = 0.5 * (low + high), beyond = share_beyond(variance);
+    const double expected = 2.0 * variance - kPixelGate2 * beyond / (1.0 - beyond);
+    (expected < mean ? low : high) = variance;
+  }
+  const double within = 1.0 - share_beyond(low);
+  return low * within / (within - 0.5 * kPixelGate2 / low * (1.0 - within));
 }
 
 /// Which observations' pixels the pose explains.
@@ -150,8 +169,7 @@ std::optional<PoseEstimate> refine(const Camera& camera, const SE3& T_camera_map
   const NormalEquations n = accumulate(camera, *T, observations, estimate.is_inlier, false);
   const Eigen::LDLT<Mat6> factor(n.hessian);
   if (estimate.inliers < kMinObservations || factor.info() != Eigen::Success) return std::nullopt;
-  const double variance_factor = std::max(1.0, n.squared / std::max(1.0, n.values - 6.0));
-  estimate.covariance = variance_factor * factor.solve(Mat6::Identity());
+  estimate.covariance = variance_factor(n) * factor.solve(Mat6::Identity());
   if (!estimate.covariance.allFinite()) return std::nullopt;
   return estimate;
 }
