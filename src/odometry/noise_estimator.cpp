@@ -33,11 +33,13 @@ KnotMatrix knot_root() {
   return covariance.llt().matrixL();
 }
 
-/// Columns of one kind of steady error: `offset` within the knot, `width` columns.
-Eigen::MatrixXd columns(const Eigen::MatrixXd& steady, int offset, int width) {
-  Eigen::MatrixXd result(steady.rows(), kKnots * width);
-  for (int knot = 0; knot < kKnots; ++knot) {
-    result.middleCols(knot * width, width) = steady.middleCols(knot * kKnotColumns + offset, width);
+/// Columns of one kind of steady error: `offset` within each odometry's first knot, `width` columns of `knots`.
+Eigen::MatrixXd columns(const Eigen::MatrixXd& steady, int offset, int width, int knots = kKnots) {
+  const Eigen::Index odometries = steady.cols() / kSteadyColumns;
+  Eigen::MatrixXd result(steady.rows(), odometries * knots * width);
+  for (Eigen::Index i = 0; i < odometries * knots; ++i) {
+    const Eigen::Index first = i / knots * kSteadyColumns + i % knots * kKnotColumns;
+    result.middleCols(i * width, width) = steady.middleCols(first + offset, width);
   }
   return result;
 }
@@ -46,24 +48,26 @@ Eigen::MatrixXd columns(const Eigen::MatrixXd& steady, int offset, int width) {
 
 InnovationModel::Basis InnovationModel::steady_basis(std::size_t edge) const {
   static const KnotMatrix kRoot = knot_root();
-  const double way = progress_[edge + 1] - progress_[edge];
-  const double share = (progress_[edge] + 0.5 * way) / std::max(progress_.back(), 1e-9);
+  const Progress& progress = progress_[edge];
+  const double way = progress.way_m;
+  const double share = (progress.before_m + 0.5 * way) / std::max(length_m_[progress.odometry], 1e-9);
   const double x = share * (kKnots - 1);
   const int knot = std::clamp(static_cast<int>(x), 0, kKnots - 2);
   const Eigen::Matrix<double, 1, kKnots> at = (1.0 - (x - knot)) * kRoot.row(knot) + (x - knot) * kRoot.row(knot + 1);
   const Mat3 R_vertex_world = (*vertices_)[edge + 1].q.conjugate().normalized().toRotationMatrix();
-  Basis basis = Basis::Zero(6, kSteadyColumns);
+  Basis basis = Basis::Zero(6, steady_.cols());
+  const auto first = static_cast<Eigen::Index>(progress.odometry) * kSteadyColumns;
   for (int k = 0; k < kKnots; ++k) {
-    basis.block<3, 3>(3, k * kKnotColumns) = way * at(k) * Mat3::Identity();
-    basis.block<3, 3>(0, k * kKnotColumns + 3) = way * at(k) * Mat3::Identity();
-    basis.block<3, 3>(0, k * kKnotColumns + 6) = way * at(k) * R_vertex_world;
+    basis.block<3, 3>(3, first + k * kKnotColumns) = way * at(k) * Mat3::Identity();
+    basis.block<3, 3>(0, first + k * kKnotColumns + 3) = way * at(k) * Mat3::Identity();
+    basis.block<3, 3>(0, first + k * kKnotColumns + 6) = way * at(k) * R_vertex_world;
   }
   const SE3& T_from_to = (*edges_)[edge].T_from_to;
-  basis.col(kSteadyColumns - 1).head<3>() = T_from_to.q.conjugate() * T_from_to.t;
+  basis.col(first + kSteadyColumns - 1).head<3>() = T_from_to.q.conjugate() * T_from_to.t;
   return basis;
 }
 
-void InnovationModel::accumulate_edges() {
+void InnovationModel::accumulate_edges(const std::vector<int>& odometry_begins) {
   const std::size_t n = edges_->size() + 1;
   double path = 0.0, turn = 0.0;
   std::vector<double> paths, turns;
@@ -77,13 +81,21 @@ void InnovationModel::accumulate_edges() {
   modelled_edges_ = paths.size();
   usual_motion_ = {median(std::move(paths)), median(std::move(turns))};
   metres_per_radian_ = turn > 0.0 ? path / turn : 0.0;
-  progress_.assign(n, 0.0);
+  progress_.resize(n - 1);
+  int last = -1;
   for (std::size_t i = 0; i + 1 < n; ++i) {
     const OdometryEdge& edge = (*edges_)[i];
-    const double way = edge.is_modelled() ? 0.5 * (edge.path_m + metres_per_radian_ * edge.rotation_rad) : 0.0;
-    progress_[i + 1] = progress_[i] + way;
+    if (!edge.is_modelled()) continue;
+    const auto begins = std::upper_bound(odometry_begins.begin(), odometry_begins.end(), static_cast<int>(i));
+    const int odometry = static_cast<int>(begins - odometry_begins.begin());
+    if (length_m_.empty() || odometry != last) length_m_.push_back(0.0);
+    last = odometry;
+    const double way_m = 0.5 * (edge.path_m + metres_per_radian_ * edge.rotation_rad);
+    progress_[i] = {length_m_.size() - 1, length_m_.back(), way_m};
+    length_m_.back() += way_m;
   }
-  sum_steady_.assign(n, Basis::Zero(6, kSteadyColumns));
+  steady_.resize(row(graph_loops_->size()), static_cast<Eigen::Index>(length_m_.size()) * kSteadyColumns);
+  sum_steady_.assign(n, Basis::Zero(6, steady_.cols()));
   for (std::size_t i = 0; i + 1 < n; ++i) {
     sum_steady_[i + 1] = sum_steady_[i];
     const OdometryEdge& edge = (*edges_)[i];
@@ -92,14 +104,13 @@ void InnovationModel::accumulate_edges() {
 }
 
 InnovationModel::InnovationModel(const std::vector<SE3>& T_world_vertex, const std::vector<OdometryEdge>& edges,
-                                 const std::vector<GraphLoop>& loops)
+                                 const std::vector<GraphLoop>& loops, const std::vector<int>& odometry_begins)
     : vertices_(&T_world_vertex), edges_(&edges), graph_loops_(&loops), path_(T_world_vertex, edges) {
-  accumulate_edges();
+  accumulate_edges(odometry_begins);
   const auto n = row(loops.size());
   misfit_.resize(n);
   expected_jump_.resize(n);
   for (Eigen::MatrixXd* m : {&given_, &translation_, &rotation_, &suspected_jumps_, &loops_, &jumps_}) m->setZero(n, n);
-  steady_.setZero(n, kSteadyColumns);
   std::vector<Mat6> roots(loops.size());
   from_origin_.resize(loops.size());
   for (std::size_t k = 0; k < loops.size(); ++k) {
@@ -132,7 +143,8 @@ InnovationModel::InnovationModel(const std::vector<SE3>& T_world_vertex, const s
   const Eigen::MatrixXd turning = columns(steady_, 0, 3), moving = columns(steady_, 3, 6);
   steady_rotation_ = turning * turning.transpose();
   steady_translation_ = moving * moving.transpose();
-  scale_ = steady_.rightCols<1>() * steady_.rightCols<1>().transpose();
+  const Eigen::MatrixXd scaling = columns(steady_, kSteadyColumns - 1, 1, 1);
+  scale_ = scaling * scaling.transpose();
 }
 
 Eigen::MatrixXd InnovationModel::effect(std::size_t edge) const {
@@ -182,11 +194,13 @@ InnovationModel::Whitened InnovationModel::whiten(const NoiseEstimate& noise) co
 std::vector<Vec6> InnovationModel::steady_errors(const NoiseEstimate& noise) const {
   const Eigen::VectorXd pull = whiten(noise).pull;
   Eigen::VectorXd weights = -(steady_.transpose() * pull);
-  for (int knot = 0; knot < kKnots; ++knot) {
-    weights.segment<3>(knot * kKnotColumns) *= squared(noise.odometry.steady_rotation_rad);
-    weights.segment<6>(knot * kKnotColumns + 3) *= squared(noise.odometry.steady_translation);
+  for (Eigen::Index first = 0; first < weights.size(); first += kSteadyColumns) {
+    for (Eigen::Index knot = first; knot < first + kKnots * kKnotColumns; knot += kKnotColumns) {
+      weights.segment<3>(knot) *= squared(noise.odometry.steady_rotation_rad);
+      weights.segment<6>(knot + 3) *= squared(noise.odometry.steady_translation);
+    }
+    weights(first + kSteadyColumns - 1) *= squared(noise.odometry.scale);
   }
-  weights(kSteadyColumns - 1) *= squared(noise.odometry.scale);
   std::vector<Vec6> errors(edges_->size(), Vec6::Zero());
   for (std::size_t i = 0; i < errors.size(); ++i) {
     if ((*edges_)[i].is_modelled()) errors[i] = steady_basis(i) * weights;

@@ -33,8 +33,10 @@ struct NoiseEstimate {
 class InnovationModel {
  public:
   /// Linearises about the given poses, which need not be those of the odometry.
+  /// @param odometry_begins vertices from which on another odometry tells, ascending: alike noisy, but with errors of
+  ///     its own that last
   InnovationModel(const std::vector<SE3>& T_world_vertex, const std::vector<OdometryEdge>& edges,
-                  const std::vector<GraphLoop>& loops);
+                  const std::vector<GraphLoop>& loops, const std::vector<int>& odometry_begins = {});
 
   /// Minus the log likelihood of the innovations, up to a constant.
   double cost(const OdometryNoise& noise, double loop_factor) const;
@@ -65,7 +67,7 @@ class InnovationModel {
   };
   MotionBound motion_bound(std::size_t edge) const;
 
-  void accumulate_edges();
+  void accumulate_edges(const std::vector<int>& odometry_begins);
   Basis steady_basis(std::size_t edge) const;
   Eigen::MatrixXd covariance(const OdometryNoise& noise, double loop_factor) const;
   /// What of the misfit suspected jumps do not let expect.
@@ -83,7 +85,12 @@ class InnovationModel {
   const std::vector<OdometryEdge>* edges_;
   const std::vector<GraphLoop>* graph_loops_;
   // Of the edges that are modelled.
-  std::vector<double> progress_;  ///< path and rotation so far, in metres
+  struct Progress {
+    std::size_t odometry = 0;            ///< of those that have such edges
+    double before_m = 0.0, way_m = 0.0;  ///< path and rotation of this odometry so far and along the edge, in metres
+  };
+  std::vector<Progress> progress_;  ///< one an edge
+  std::vector<double> length_m_;    ///< one an odometry
   double metres_per_radian_ = 0.0;
   MotionBound usual_motion_;  ///< median
   std::size_t modelled_edges_ = 0;

@@ -184,6 +184,7 @@ struct PoseGraph::Impl {
 
   /// What was learnt of the map's odometry holds for its edges; that of the session that begins is another.
   void settle_odometry() {
+    mark_sessions();
     loops_.hand_over(&trajectory_, &knowledge_);
     trajectory_.edges = settled_odometry(trajectory_, options_, knowledge_);
     knowledge_ = GraphKnowledge();
@@ -383,12 +384,25 @@ struct PoseGraph::Impl {
     return static_cast<std::size_t>(std::count_if(loops.begin(), loops.end(), is_own));
   }
 
+  /// Each session's odometry has errors of its own.
+  void mark_sessions() {
+    const auto vertex_from = [this](std::size_t k) {
+      return static_cast<int>(std::lower_bound(keyframe_of_.begin(), keyframe_of_.end(), k) - keyframe_of_.begin());
+    };
+    trajectory_.session_begin = vertex_from(restored_);
+    trajectory_.odometry_begins.clear();
+    for (const Session& session : sessions_) {
+      const int k = number(session.first_keyframe_id);
+      if (k > 0) trajectory_.odometry_begins.push_back(vertex_from(static_cast<std::size_t>(k)));
+    }
+    trajectory_.odometry_begins.push_back(trajectory_.session_begin);
+  }
+
   bool optimize(bool is_end) {
     const Effort effort = this->effort(is_end);
     keyframes_since_ = 0;
     has_new_loops_ = has_outliers_ = is_urgent_ = is_withdrawn_ = false;
-    const auto first = std::lower_bound(keyframe_of_.begin(), keyframe_of_.end(), restored_);
-    trajectory_.session_begin = static_cast<int>(first - keyframe_of_.begin());
+    mark_sessions();
     suspect_jumps(&trajectory_.edges);
     if (has_objects_) trajectory_.objects.objects = objects_.objects();
     loops_.hand_over(&trajectory_, &knowledge_);

@@ -361,6 +361,47 @@ TEST(NoiseEstimator, EdgesOfAMapThatIsGoneOnWithSayNothingOfTheNoise) {
   EXPECT_NEAR(behind.steady_rotation_rad, alone.steady_rotation_rad, kRounding * alone.steady_rotation_rad);
 }
 
+TEST(NoiseEstimator, EachOdometryHasErrorsOfItsOwnThatLast) {
+  // Two robots, of whom one's odometry turns to one side, the other's as much to the other.
+  const Vec3 bias(0.0, 0.0, 0.002);
+  Case both;
+  std::vector<int> odometry_begins;
+  for (const double sign : {1.0, -1.0}) {
+    SyntheticRun run;
+    Vec6 turn = Vec6::Zero();
+    turn.tail<3>() = sign * bias;
+    run.drift(1e-4, 1e-5, 3, turn);
+    const Case alone = make_case(run, 1.0, 3);
+    const int first = static_cast<int>(both.vertices.size());
+    if (first > 0) {
+      odometry_begins.push_back(first);
+      both.edges.emplace_back().is_break = true;
+    }
+    both.vertices.insert(both.vertices.end(), alone.vertices.begin(), alone.vertices.end());
+    both.edges.insert(both.edges.end(), alone.edges.begin(), alone.edges.end());
+    for (GraphLoop loop : alone.loops) {
+      loop.from += first;
+      loop.to += first;
+      both.loops.push_back(loop);
+    }
+  }
+  NoisePrior prior;
+  prior.least.steady_translation = 0.0003;
+  prior.least.steady_rotation_rad = 0.0001;
+  InnovationModel model(both.vertices, both.edges, both.loops, odometry_begins);
+  const NoiseEstimate noise = estimate_noise_and_jumps(&model, prior, {prior.least, 1.0, {}}, 0).noise;
+  const std::vector<Vec6> errors = model.steady_errors(noise);
+  for (const int first : {0, odometry_begins.front()}) {
+    Vec3 mean = Vec3::Zero();
+    for (int i = first; i + 1 < first + odometry_begins.front(); ++i) {
+      mean += errors[static_cast<std::size_t>(i)].tail<3>();
+    }
+    mean /= odometry_begins.front() - 1;
+    EXPECT_LT((mean - (first == 0 ? -bias : bias)).norm(), 0.2 * bias.norm()) << mean.transpose();
+  }
+  EXPECT_LT(noise.odometry.translation_m, 0.01);
+}
+
 TEST(NoiseEstimator, StaysInItsBounds) {
   NoisePrior prior;
   prior.factor_max = 3.0;

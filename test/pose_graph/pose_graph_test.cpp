@@ -459,6 +459,48 @@ TEST(PoseGraph, ALaterSessionsNoiseIsLearntAsOftenAsThatOfTheFirst) {
   EXPECT_GT(noise_at(106, 124), 2.0 * before);
 }
 
+/// Two robots whose odometry turns a little all along, one's to the left, the other's to the right.
+TEST(PoseGraph, OfJoinedMapsEachOdometryHasErrorsOfItsOwn) {
+  GraphState joined;
+  std::array<SyntheticRun, 2> runs;
+  for (const int robot : {0, 1}) {
+    SyntheticRun& run = runs.at(static_cast<std::size_t>(robot));
+    Vec6 turn = Vec6::Zero();
+    turn(5) = robot == 0 ? 0.003 : -0.003;
+    run.drift(1e-4, 1e-5, 1, turn);
+    PoseGraph graph{PoseGraphOptions()};
+    for (int k = 0; k < run.size(); ++k) {
+      std::vector<LoopClosure> loops;
+      if (k >= 110 && k < 120) loops.push_back(run.exact_loop(k, k - run.round()));
+      if (robot == 0) {
+        graph.process(run.frame(k), loops);
+      } else {
+        for (LoopClosure& loop : loops) loop = later(loop, runs[0], false);
+        graph.process(later(run.frame(k), runs[0]), loops);
+      }
+    }
+    joined.append(graph.state());
+  }
+  PoseGraph graph{PoseGraphOptions()};
+  graph.restore(joined, SE3());
+  std::vector<LoopClosure> between;
+  for (int k = 0; k < 5; ++k) between.push_back(later(runs[1].exact_loop(k, k), runs[0], true));
+  graph.process(later(later(runs[1].end_frame(), runs[0]), runs[1]), between);
+  const std::vector<KeyframePose> keyframes = graph.keyframes();
+  for (const int robot : {0, 1}) {
+    const SyntheticRun& run = runs.at(static_cast<std::size_t>(robot));
+    const auto first = static_cast<std::size_t>(robot * runs[0].size());
+    const SE3 T_truth_map = run.truth(0) * keyframes[first].T_map_camera.inverse();
+    double worst = 0.0;
+    for (int k = 0; k < run.size(); ++k) {
+      const SE3& T_map_camera = keyframes[first + static_cast<std::size_t>(k)].T_map_camera;
+      worst = std::max(worst, (T_truth_map * T_map_camera.t - run.truth(k).t).norm());
+    }
+    EXPECT_GT(run.worst_odometry_error_m(), 1.0);
+    EXPECT_LT(worst, 0.05) << "robot " << robot << "; with one for both 0.8 and 0.2 m";
+  }
+}
+
 TEST(PoseGraph, AFaultlessOdometryIsHardlyBentByLoopsOrBoxes) {
   double worst = 0.0;
   for (std::uint64_t seed = 1; seed <= 3; ++seed) {

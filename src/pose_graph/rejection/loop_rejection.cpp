@@ -252,20 +252,20 @@ constexpr double kLogPlaces = 11.3;
 /// A piece of evidence is false once in ten times: logarithm of 10.
 constexpr double kLogRare = 2.3;
 
-double cost(const std::vector<SE3>& T_map_vertex, const std::vector<OdometryEdge>& edges,
-            const std::vector<GraphLoop>& loops, const NoisePrior& prior) {
+double cost(const std::vector<SE3>& T_map_vertex, const Trajectory& trajectory, const std::vector<GraphLoop>& loops,
+            const NoisePrior& prior) {
   constexpr int kJumps = 2;  // that may stand behind the cluster, beside those that the motion shows
-  InnovationModel model(T_map_vertex, edges, loops);
+  InnovationModel model(T_map_vertex, trajectory.edges, loops, trajectory.odometry_begins);
   return estimate_noise_and_jumps(&model, prior, {prior.least, 1.0, {}}, kJumps).cost;
 }
 
 /// Minus the log likelihood of a loop given others, linear about the given poses.
 double unlikelihood(const GraphLoop& loop, std::vector<GraphLoop> others, const std::vector<SE3>& T_map_vertex,
-                    const std::vector<OdometryEdge>& edges, const NoisePrior& prior) {
-  const double alone = cost(T_map_vertex, edges, others, prior);
+                    const Trajectory& trajectory, const NoisePrior& prior) {
+  const double alone = cost(T_map_vertex, trajectory, others, prior);
   others.push_back(loop);
   constexpr double kLogTwoPi = 1.8378771;  // of the normal distribution, for each of six dimensions
-  return cost(T_map_vertex, edges, others, prior) - alone + 0.5 * 6.0 * kLogTwoPi;
+  return cost(T_map_vertex, trajectory, others, prior) - alone + 0.5 * 6.0 * kLogTwoPi;
 }
 
 double evidence(const Cluster& cluster, const std::vector<double>& redundancy) {
@@ -323,8 +323,8 @@ void judge(const Cluster& cluster, double evidence, const PoseGraphOptions& opti
   const std::vector<GraphLoop> rest =
       some_kept(trajectory->loops, telling_loops(*trajectory, without.knowledge.kept), kMaxLoops);
   const NoisePrior prior = noise_prior(options);
-  const double least = std::min(unlikelihood(loop, rest, without.T_map_vertex, trajectory->edges, prior),
-                                unlikelihood(loop, rest, trajectory->T_map_vertex, trajectory->edges, prior));
+  const double least = std::min(unlikelihood(loop, rest, without.T_map_vertex, *trajectory, prior),
+                                unlikelihood(loop, rest, trajectory->T_map_vertex, *trajectory, prior));
   const double odds = least - kLogPlaces - kLogRare * evidence;
   if (odds > worst->odds) *worst = {odds, std::move(others.kept), std::move(without.T_map_vertex)};
 }
