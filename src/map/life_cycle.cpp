@@ -115,9 +115,11 @@ std::vector<ExpectedLandmark> expected_landmarks(const std::map<std::int64_t, Ma
   std::vector<ExpectedLandmark> expected;
   for (const Candidate& candidate : in_view) {
     if (!candidate.is_looked_for) continue;
-    if (is_hidden_by_landmark(candidate, in_view) || is_hidden_by_other(candidate, associations)) continue;
+    if (is_hidden_by_other(candidate, associations)) continue;
     const DepthThere there = points != nullptr ? depth_there(candidate, *points, T_map_camera) : DepthThere::kUnknown;
     if (there == DepthThere::kInFront) continue;
+    // What depth shows is hidden by nothing, even if it lies on a table whose near side is nearer.
+    if (there == DepthThere::kUnknown && is_hidden_by_landmark(candidate, in_view)) continue;
     const bool is_in_it = there == DepthThere::kInIt;
     const bool is_seen_through = there == DepthThere::kBehind || (is_in_it && !candidate.is_hollow);
     if (!is_seen_through && candidate.share() <= least_share) continue;

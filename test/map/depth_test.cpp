@@ -286,7 +286,9 @@ TEST(DepthFit, ViewsWithTheDepthOfSomethingElseDoNotMoveIt) {
 class DepthMapperTest : public testing::MapperFixture {
  protected:
   DepthMapperTest()
-      : MapperFixture({{41, "cup", ClassRole::kMovable, "", 0.1}, {62, "tv", ClassRole::kStatic, "", 0.4}}) {}
+      : MapperFixture({{41, "cup", ClassRole::kMovable, "", 0.1},
+                       {60, "dining table", ClassRole::kStatic, "", 1.2},
+                       {62, "tv", ClassRole::kStatic, "", 0.4}}) {}
 
   void step(const SE3& pose, const std::vector<Seen>& seen, const DepthScene& scene) {
     MapperFixture::step(pose, seen, std::make_shared<const std::vector<Vec3>>(scene.look(kCamera, pose)));
@@ -371,6 +373,16 @@ TEST_F(DepthMapperTest, WhatDepthSeesThroughIsRetiredAndWhatItSeesInFrontHidesIt
   for (int i = 0; i < 85; ++i) step(from_side(-1.5 * (i + 4)), {{1, 62, tv}}, without_cup);
   EXPECT_EQ(find(0)->state, LandmarkState::kRetired) << "within 2.8 s, from where it had never been seen";
   EXPECT_EQ(find(1)->state, LandmarkState::kConfirmed);
+}
+
+TEST_F(DepthMapperTest, ATableHidesNothingOfWhatDepthShowsOnIt) {
+  const Ellipsoid table{SE3(Quaternion::Identity(), Vec3(0.2, 0.0, -0.02)), Vec3(0.6, 0.6, 0.02)};
+  const Ellipsoid cup = on_table(-0.05, 0.0, Vec3(0.045, 0.045, 0.06));
+  for (int i = 0; i < 60; ++i) step(from_side(0.5 * i), {{0, 41, cup}, {1, 60, table}}, DepthScene{{cup}});
+  ASSERT_EQ(find(0)->state, LandmarkState::kConfirmed);
+  ASSERT_TRUE(find(1)->ellipsoid);
+  for (int i = 0; i < 85; ++i) step(from_side(0.5 * (i % 60)), {{1, 60, table}}, {});
+  EXPECT_EQ(find(0)->state, LandmarkState::kRetired) << "carried away";
 }
 
 TEST_F(DepthMapperTest, DepthAloneTellsWhereNothingIsBoxed) {
