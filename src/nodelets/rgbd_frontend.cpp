@@ -127,6 +127,7 @@ class RgbdFrontendNodelet : public StageWith<RgbdFrontendParameters, FrontendSta
       statistics().count_lost(kLate);
       return;
     }
+    on_image_frame(color->header.frame_id);
     if (!accept(stamp_ns) || !prepare(stamp_ns)) return;
     const core::Result<core::RgbdImage> image = make_rgbd_image(*color, *depth, *frontend_camera_, options_.depth);
     if (image) {

@@ -171,13 +171,18 @@ void FrontendStage::set_paused(bool is_paused) {
 }
 
 void FrontendStage::on_camera_info(const sensor_msgs::CameraInfo::ConstPtr& message) {
-  if (parameters_.camera_frame.empty()) camera_frame_ = strip_leading_slash(message->header.frame_id);
+  const bool names_frame = !message->header.frame_id.empty();
+  if (parameters_.camera_frame.empty() && names_frame) camera_frame_ = strip_leading_slash(message->header.frame_id);
   if (!has_camera_file_) {
     const core::Result<core::Camera> camera = checked_camera(*message);
     camera_ = camera ? std::optional(*camera) : std::nullopt;
     if (!camera) complain("camera_info without a usable calibration", camera.message() + "; give camera_file");
   }
   on_camera_stamp(to_stamp_ns(message->header.stamp));
+}
+
+void FrontendStage::on_image_frame(const std::string& frame_id) {
+  if (camera_frame_.empty()) camera_frame_ = strip_leading_slash(frame_id);
 }
 
 void FrontendStage::take_transforms(const tf2_msgs::TFMessage& message, bool is_static) {
@@ -293,14 +298,20 @@ void FrontendStage::publish_frame(core::Frame frame) {
 
 void FrontendStage::publish_odom_tf(const core::Frame& frame) {
   core::SE3 T_odom_child = frame.T_odom_camera;
+  if (camera_frame_.empty()) {
+    complain("no tf without the camera's frame", "images and camera_info name none; give camera_frame");
+    return;
+  }
   std::string child = parameters_.base_frame.empty() ? transforms_->root(camera_frame_) : parameters_.base_frame;
-  if (child != camera_frame_ && !transforms_->is_mounted(camera_frame_)) {
+  if (!transforms_->is_mounted(camera_frame_)) {
     // Its place on the robot may come yet. If it does not, the camera is all that there is to move.
     constexpr std::int64_t kPatience_ns = 1'000'000'000;
     if (!unknown_since_ns_) unknown_since_ns_ = frame.stamp_ns;
     if (frame.stamp_ns - *unknown_since_ns_ < kPatience_ns) return;
-    complain("tf sent to the camera, whose place on base_frame is unknown",
-             "nothing in tf has '" + camera_frame_ + "' below '" + child + "'");
+    if (child != camera_frame_) {
+      complain("tf sent to the camera, whose place on base_frame is unknown",
+               "nothing in tf has '" + camera_frame_ + "' below '" + child + "'");
+    }
     child = camera_frame_;
   }
   if (child != camera_frame_) {

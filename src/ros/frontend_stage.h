@@ -55,6 +55,8 @@ class FrontendStage : public Stage {
   /// The stream has ended: call `emit_end` once every image is answered.
   virtual void on_end() = 0;
 
+  /// Where the camera is in tf as its images have it, until a parameter or camera_info tells.
+  void on_image_frame(const std::string& frame_id);
   /// @return whether an image is to be worked on; else it is answered. A jump back in time begins a session.
   bool accept(std::int64_t stamp_ns);
   /// @param rewind ask for the images of this session again, which a Player in lockstep gives

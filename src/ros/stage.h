@@ -5,6 +5,7 @@
 #include <ros/callback_queue.h>
 #include <ros/ros.h>
 
+#include <array>
 #include <atomic>
 #include <boost/circular_buffer.hpp>
 #include <chrono>
@@ -141,7 +142,7 @@ struct CallbackThread {
   ros::AsyncSpinner spinner;
 };
 
-/// Of these topics each frame has its message, or two, in order.
+/// Of these topics each frame has its message, in order, or one of each phase.
 template <class Message>
 constexpr bool is_for_each_frame =
     std::is_same_v<Message, FrameMessage> || std::is_same_v<Message, DetectionsMessage> ||
@@ -365,7 +366,7 @@ class Stage : public nodelet::Nodelet {
   std::size_t queue_capacity() const { return queue_size_; }
 
  private:
-  /// Of a topic with a message for each frame: what came last.
+  /// Of a topic with a message for each frame: what came last, of one phase.
   struct Sequence {
     std::uint32_t session_id = 0;
     std::int64_t frame_id = 0;
@@ -374,15 +375,20 @@ class Stage : public nodelet::Nodelet {
   ros::Subscriber make_subscriber(const std::string& topic, Keep keep,
                                   void (Derived::*handler)(const boost::shared_ptr<const Message>&)) {
     using ConstPtr = boost::shared_ptr<const Message>;
-    const boost::function<void(const ConstPtr&)> callback = [this, topic, keep, handler,
-                                                             last = Sequence()](const ConstPtr& message) mutable {
-      Keep own_keep = keep;
-      if constexpr (is_for_each_frame<Message>) count_missed(topic, {message->session_id, message->frame_id}, &last);
-      if constexpr (std::is_same_v<Message, FrameMessage>) own_keep = message->is_end ? Keep::kPinned : keep;
-      push(topic, own_keep, [this, message, handler] {
-        if (is_current(message->session_id)) (static_cast<Derived*>(this)->*handler)(message);
-      });
-    };
+    const boost::function<void(const ConstPtr&)> callback =
+        [this, topic, keep, handler, last = std::array<Sequence, 2>()](const ConstPtr& message) mutable {
+          Keep own_keep = keep;
+          if constexpr (is_for_each_frame<Message>) {
+            std::size_t phase = 0;  // a frame's correction may come after the next ones' observations
+            if constexpr (std::is_same_v<Message, MapUpdateMessage>)
+              phase = message->phase == core::MapUpdatePhase::kObservation ? 0 : 1;
+            count_missed(topic, {message->session_id, message->frame_id}, &last[phase]);
+          }
+          if constexpr (std::is_same_v<Message, FrameMessage>) own_keep = message->is_end ? Keep::kPinned : keep;
+          push(topic, own_keep, [this, message, handler] {
+            if (is_current(message->session_id)) (static_cast<Derived*>(this)->*handler)(message);
+          });
+        };
     // The recorder of a run in lockstep is waited for by nobody, and may be a tenth of a second behind at any time.
     const std::uint32_t room = keep == Keep::kDroppable ? queue_size_ : kRoomForState * queue_size_;
     return subscriber_node().template subscribe<Message>(topic, room, callback);

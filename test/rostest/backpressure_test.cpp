@@ -95,7 +95,7 @@ class SlowStage : public Stage {
   void let_go() { gate_.set_value(); }
 
   std::atomic<bool> is_stopped{false};
-  std::atomic<int> frames{0}, ticks{0}, sessions{0}, ends{0}, calls{0};
+  std::atomic<int> frames{0}, updates{0}, ticks{0}, sessions{0}, ends{0}, calls{0};
 
  private:
   void onInit() override {
@@ -104,6 +104,7 @@ class SlowStage : public Stage {
     if (!start(&options, &parameters, 1)) return;
     serve("call", &SlowStage::on_call);
     subscribe("frames", Keep::kDroppable, &SlowStage::on_frame);
+    subscribe("quadric_map_updates", Keep::kAlways, &SlowStage::on_update);
     start_timer(0.01, [this] { ++ticks; });
     follow_sessions();
   }
@@ -117,6 +118,7 @@ class SlowStage : public Stage {
     if (frame->is_end) ++ends;
     count_processed();
   }
+  void on_update(const MapUpdateMessage::ConstPtr& /*update*/) { ++updates; }
   /// Waits for the worker, as a service may.
   bool on_call(std_srvs::Trigger::Request&, std_srvs::Trigger::Response& response) {
     ++calls;
@@ -133,6 +135,7 @@ class Backpressure : public ::testing::Test {
   void SetUp() override {
     ros::param::set("/slow/queue_size", SlowStage::kQueueSize);
     frames_ = node_.advertise<FrameMessage>("frames", 1000);
+    updates_ = node_.advertise<MapUpdateMessage>("quadric_map_updates", 1000);
     control_ = node_.advertise<SessionControl>("session_control", 10);
     stage_.load();
     start_session(1);
@@ -158,7 +161,7 @@ class Backpressure : public ::testing::Test {
   }
 
   ros::NodeHandle node_;
-  ros::Publisher frames_, control_;
+  ros::Publisher frames_, updates_, control_;
   std::uint32_t session_ = 0;
   Diagnostics diagnostics_;
   SlowStage stage_;
@@ -190,6 +193,24 @@ TEST_F(Backpressure, WhatNeverArrivesIsCounted) {
   const int reports = diagnostics_.reports();
   EXPECT_TRUE(wait_until([&] { return diagnostics_.reports() > reports + 1; }));
   EXPECT_EQ(diagnostics_.count("Slow", "never arrived: frames"), 4U) << "a session may be joined late";
+}
+
+/// A correction that takes longer than a frame comes after the next frames' observations.
+TEST_F(Backpressure, OfEachPhaseOfTheMapsUpdatesOneAFrameArrives) {
+  stage_.let_go();
+  constexpr auto kObservation = core::MapUpdatePhase::kObservation, kCorrection = core::MapUpdatePhase::kCorrection;
+  const std::vector<std::pair<std::int64_t, core::MapUpdatePhase>> updates{
+      {1, kObservation}, {2, kObservation}, {1, kCorrection}, {3, kObservation},
+      {2, kCorrection},  {5, kObservation}, {3, kCorrection}};
+  for (const auto& [frame_id, phase] : updates) {
+    core::MapUpdate update;
+    update.frame_id = frame_id;
+    update.phase = phase;
+    updates_.publish(boost::make_shared<MapUpdateMessage>(std_msgs::Header(), session_, update));
+  }
+  EXPECT_TRUE(wait_until([&] { return stage_.updates == static_cast<int>(updates.size()); }));
+  EXPECT_TRUE(wait_until([this] { return diagnostics_.count("Slow", "never arrived: quadric_map_updates") > 0; }));
+  EXPECT_EQ(diagnostics_.count("Slow", "never arrived: quadric_map_updates"), 1U) << "the observation of frame 4";
 }
 
 TEST_F(Backpressure, WhatIsOfAnotherSessionIsLeftOutAndCounted) {
