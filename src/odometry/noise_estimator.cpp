@@ -15,55 +15,55 @@ namespace {
 /// Two loops from the same windows still differ a little: their keyframes do.
 constexpr double kMaxCorrelation = 0.95;
 
-/// The steady errors are linear between this many knots, which share most of their variance.
-constexpr int kKnots = 5;              // a drift that changes a few times in a run, at a cost that stays small
-constexpr double kKnotVariance = 0.2;  // of each knot by itself, over that of their common part
-/// Columns of a knot: rotation, translation fixed to the camera, translation fixed to the world; the scale is the last.
-constexpr int kKnotColumns = 9, kSteadyColumns = kKnots * kKnotColumns + 1;
+/// After a way of `kForgets_m` the steady errors hang little on what they were. Chosen on the shared drifted files,
+/// where 30 and 100 m do alike. They are linear between knots, as far apart as they hardly change in between; where
+/// those are too many, for time, farther.
+constexpr double kForgets_m = 100.0, kKnotDistance_m = kForgets_m / 3.0, kMaxKnots = 9.0;
+/// Columns of a knot: rotation, translation fixed to the camera, translation fixed to the world. The scale comes behind
+/// the last knot.
+constexpr int kKnotColumns = 9;
 
 Eigen::Index row(std::size_t loop) { return 6 * static_cast<Eigen::Index>(loop); }
 
 double squared(double x) { return x * x; }
 
-using KnotMatrix = Eigen::Matrix<double, kKnots, kKnots>;
-
-/// Root of the knots' covariance.
-KnotMatrix knot_root() {
-  const KnotMatrix covariance = (KnotMatrix::Ones() + kKnotVariance * KnotMatrix::Identity()) / (1.0 + kKnotVariance);
-  return covariance.llt().matrixL();
-}
-
-/// Columns of one kind of steady error: `offset` within each odometry's first knot, `width` columns of `knots`.
-Eigen::MatrixXd columns(const Eigen::MatrixXd& steady, int offset, int width, int knots = kKnots) {
-  const Eigen::Index odometries = steady.cols() / kSteadyColumns;
-  Eigen::MatrixXd result(steady.rows(), odometries * knots * width);
-  for (Eigen::Index i = 0; i < odometries * knots; ++i) {
-    const Eigen::Index first = i / knots * kSteadyColumns + i % knots * kKnotColumns;
-    result.middleCols(i * width, width) = steady.middleCols(first + offset, width);
+/// Root of the covariance of knots so far apart.
+Eigen::MatrixXd knot_root(double length_m) {
+  const double count = std::clamp(1.0 + std::ceil(length_m / kKnotDistance_m), 2.0, kMaxKnots);
+  constexpr double kLeast_m = 1.0;  // nearer knots would be one
+  const double distance_m = std::max(length_m, kLeast_m) / (count - 1.0);
+  const auto knots = static_cast<Eigen::Index>(count);
+  Eigen::MatrixXd covariance(knots, knots);
+  for (Eigen::Index i = 0; i < knots; ++i) {
+    for (Eigen::Index j = 0; j < knots; ++j) {
+      covariance(i, j) = std::exp(-distance_m / kForgets_m * static_cast<double>(std::abs(i - j)));
+    }
   }
-  return result;
+  return covariance.llt().matrixL();
 }
 
 }  // namespace
 
 InnovationModel::Basis InnovationModel::steady_basis(std::size_t edge) const {
-  static const KnotMatrix kRoot = knot_root();
   const Progress& progress = progress_[edge];
-  const double way = progress.way_m;
-  const double share = (progress.before_m + 0.5 * way) / std::max(length_m_[progress.odometry], 1e-9);
-  const double x = share * (kKnots - 1);
-  const int knot = std::clamp(static_cast<int>(x), 0, kKnots - 2);
-  const Eigen::Matrix<double, 1, kKnots> at = (1.0 - (x - knot)) * kRoot.row(knot) + (x - knot) * kRoot.row(knot + 1);
+  const Way& way = ways_[progress.way];
+  const Eigen::Index knots = way.knot_root.rows();
+  const double step_m = progress.step_m;
+  const double share = (progress.before_m + 0.5 * step_m) / std::max(way.length_m, 1e-9);
+  const double x = share * static_cast<double>(knots - 1);
+  const Eigen::Index knot = std::clamp<Eigen::Index>(static_cast<Eigen::Index>(x), 0, knots - 2);
+  const double ratio = x - static_cast<double>(knot);
+  const Eigen::RowVectorXd at = (1.0 - ratio) * way.knot_root.row(knot) + ratio * way.knot_root.row(knot + 1);
   const Mat3 R_vertex_world = (*vertices_)[edge + 1].q.conjugate().normalized().toRotationMatrix();
   Basis basis = Basis::Zero(6, steady_.cols());
-  const auto first = static_cast<Eigen::Index>(progress.odometry) * kSteadyColumns;
-  for (int k = 0; k < kKnots; ++k) {
-    basis.block<3, 3>(3, first + k * kKnotColumns) = way * at(k) * Mat3::Identity();
-    basis.block<3, 3>(0, first + k * kKnotColumns + 3) = way * at(k) * Mat3::Identity();
-    basis.block<3, 3>(0, first + k * kKnotColumns + 6) = way * at(k) * R_vertex_world;
+  for (Eigen::Index k = 0; k < knots; ++k) {
+    const Eigen::Index column = way.first_column + k * kKnotColumns;
+    basis.block<3, 3>(3, column) = step_m * at(k) * Mat3::Identity();
+    basis.block<3, 3>(0, column + 3) = step_m * at(k) * Mat3::Identity();
+    basis.block<3, 3>(0, column + 6) = step_m * at(k) * R_vertex_world;
   }
   const SE3& T_from_to = (*edges_)[edge].T_from_to;
-  basis.col(first + kSteadyColumns - 1).head<3>() = T_from_to.q.conjugate() * T_from_to.t;
+  basis.col(way.first_column + knots * kKnotColumns).head<3>() = T_from_to.q.conjugate() * T_from_to.t;
   return basis;
 }
 
@@ -82,19 +82,24 @@ void InnovationModel::accumulate_edges(const std::vector<int>& odometry_begins) 
   usual_motion_ = {median(std::move(paths)), median(std::move(turns))};
   metres_per_radian_ = turn > 0.0 ? path / turn : 0.0;
   progress_.resize(n - 1);
-  int last = -1;
+  std::ptrdiff_t last = -1;
   for (std::size_t i = 0; i + 1 < n; ++i) {
     const OdometryEdge& edge = (*edges_)[i];
     if (!edge.is_modelled()) continue;
     const auto begins = std::upper_bound(odometry_begins.begin(), odometry_begins.end(), static_cast<int>(i));
-    const int odometry = static_cast<int>(begins - odometry_begins.begin());
-    if (length_m_.empty() || odometry != last) length_m_.push_back(0.0);
-    last = odometry;
-    const double way_m = 0.5 * (edge.path_m + metres_per_radian_ * edge.rotation_rad);
-    progress_[i] = {length_m_.size() - 1, length_m_.back(), way_m};
-    length_m_.back() += way_m;
+    if (begins - odometry_begins.begin() != last) ways_.emplace_back();
+    last = begins - odometry_begins.begin();
+    const double step_m = 0.5 * (edge.path_m + metres_per_radian_ * edge.rotation_rad);
+    progress_[i] = {ways_.size() - 1, ways_.back().length_m, step_m};
+    ways_.back().length_m += step_m;
   }
-  steady_.resize(row(graph_loops_->size()), static_cast<Eigen::Index>(length_m_.size()) * kSteadyColumns);
+  Eigen::Index columns = 0;
+  for (Way& way : ways_) {
+    way.first_column = columns;
+    way.knot_root = knot_root(way.length_m);
+    columns += way.knot_root.rows() * kKnotColumns + 1;
+  }
+  steady_.resize(row(graph_loops_->size()), columns);
   sum_steady_.assign(n, Basis::Zero(6, steady_.cols()));
   for (std::size_t i = 0; i + 1 < n; ++i) {
     sum_steady_[i + 1] = sum_steady_[i];
@@ -140,11 +145,17 @@ InnovationModel::InnovationModel(const std::vector<SE3>& T_world_vertex, const s
       suspected_jumps_.block<6, 6>(row(k), row(l)) = between(&EdgeCovariance::suspected_jumps);
     }
   }
-  const Eigen::MatrixXd turning = columns(steady_, 0, 3), moving = columns(steady_, 3, 6);
-  steady_rotation_ = turning * turning.transpose();
-  steady_translation_ = moving * moving.transpose();
-  const Eigen::MatrixXd scaling = columns(steady_, kSteadyColumns - 1, 1, 1);
-  scale_ = scaling * scaling.transpose();
+  for (Eigen::MatrixXd* m : {&steady_rotation_, &steady_translation_, &scale_}) m->setZero(n, n);
+  for (const Way& way : ways_) {
+    Eigen::Index column = way.first_column;
+    for (Eigen::Index knot = 0; knot < way.knot_root.rows(); ++knot, column += kKnotColumns) {
+      const auto turning = steady_.middleCols<3>(column);
+      const auto moving = steady_.middleCols<6>(column + 3);
+      steady_rotation_ += turning * turning.transpose();
+      steady_translation_ += moving * moving.transpose();
+    }
+    scale_ += steady_.col(column) * steady_.col(column).transpose();
+  }
 }
 
 Eigen::MatrixXd InnovationModel::effect(std::size_t edge) const {
@@ -194,12 +205,13 @@ InnovationModel::Whitened InnovationModel::whiten(const NoiseEstimate& noise) co
 std::vector<Vec6> InnovationModel::steady_errors(const NoiseEstimate& noise) const {
   const Eigen::VectorXd pull = whiten(noise).pull;
   Eigen::VectorXd weights = -(steady_.transpose() * pull);
-  for (Eigen::Index first = 0; first < weights.size(); first += kSteadyColumns) {
-    for (Eigen::Index knot = first; knot < first + kKnots * kKnotColumns; knot += kKnotColumns) {
-      weights.segment<3>(knot) *= squared(noise.odometry.steady_rotation_rad);
-      weights.segment<6>(knot + 3) *= squared(noise.odometry.steady_translation);
+  for (const Way& way : ways_) {
+    Eigen::Index column = way.first_column;
+    for (Eigen::Index knot = 0; knot < way.knot_root.rows(); ++knot, column += kKnotColumns) {
+      weights.segment<3>(column) *= squared(noise.odometry.steady_rotation_rad);
+      weights.segment<6>(column + 3) *= squared(noise.odometry.steady_translation);
     }
-    weights(first + kSteadyColumns - 1) *= squared(noise.odometry.scale);
+    weights(column) *= squared(noise.odometry.scale);
   }
   std::vector<Vec6> errors(edges_->size(), Vec6::Zero());
   for (std::size_t i = 0; i < errors.size(); ++i) {
@@ -311,7 +323,7 @@ constexpr Steps kWide{3.2, 0.1}, kNear{0.8, 0.15};  ///< of the logarithms
 
 NoiseFit fit_noise(const InnovationModel& model, const NoisePrior& prior, const NoiseEstimate& start,
                    const Steps& steps) {
-  LogFactors lows{}, highs{}, best{};
+  LogFactors highs{}, best{};
   highs.fill(std::log(prior.factor_max));
   highs[kLoopIndex] = kMaxLogLoop;
   best[kLoopIndex] = std::log(start.loop_factor);
@@ -321,7 +333,7 @@ NoiseFit fit_noise(const InnovationModel& model, const NoisePrior& prior, const 
     if (i == kJumpPriorIndex) highs[i] = -std::log(std::max(least[i], 1e-9));
     best[i] = least[i] > 0.0 && first[i] > 0.0 ? std::log(first[i] / least[i]) : 0.0;
   }
-  for (std::size_t i = 0; i < best.size(); ++i) best[i] = std::clamp(best[i], lows[i], highs[i]);
+  for (std::size_t i = 0; i < best.size(); ++i) best[i] = std::clamp(best[i], 0.0, highs[i]);
   const auto cost = [&](const LogFactors& x) {
     const NoiseEstimate estimate = to_estimate(x, prior, {});
     return model.cost(estimate.odometry, estimate.loop_factor) + penalty(x, prior);
@@ -333,7 +345,7 @@ NoiseFit fit_noise(const InnovationModel& model, const NoisePrior& prior, const 
     for (std::size_t i = 0; i < best.size(); ++i) {
       for (const double sign : {1.0, -1.0}) {
         LogFactors x = best;
-        x[i] = std::clamp(x[i] + sign * std::min(step, i < kWalks ? kMaxWalkStep : step), lows[i], highs[i]);
+        x[i] = std::clamp(x[i] + sign * std::min(step, i < kWalks ? kMaxWalkStep : step), 0.0, highs[i]);
         if (x[i] == best[i]) continue;
         const double value = cost(x);
         if (!(value < best_cost)) continue;

@@ -85,12 +85,18 @@ class InnovationModel {
   const std::vector<OdometryEdge>* edges_;
   const std::vector<GraphLoop>* graph_loops_;
   // Of the edges that are modelled.
-  struct Progress {
-    std::size_t odometry = 0;            ///< of those that have such edges
-    double before_m = 0.0, way_m = 0.0;  ///< path and rotation of this odometry so far and along the edge, in metres
+  /// Of one odometry, in metres: half its path, half what it turns.
+  struct Way {
+    double length_m = 0.0;
+    Eigen::MatrixXd knot_root;      ///< root of the covariance of the steady errors' knots, a row each
+    Eigen::Index first_column = 0;  ///< of its steady errors
   };
+  struct Progress {
+    std::size_t way = 0;
+    double before_m = 0.0, step_m = 0.0;  ///< along it
+  };
+  std::vector<Way> ways_;
   std::vector<Progress> progress_;  ///< one an edge
-  std::vector<double> length_m_;    ///< one an odometry
   double metres_per_radian_ = 0.0;
   MotionBound usual_motion_;  ///< median
   std::size_t modelled_edges_ = 0;
