@@ -129,6 +129,17 @@ class SeenFrom {
     return smallest > 0.0F && box_size_px >= static_cast<double>(smallest);
   }
 
+  /// By far, from wherever: a detector finds nothing below a size of its own.
+  bool is_smaller_than_ever(double box_size_px) const {
+    constexpr float kByFar = 0.7F;
+    const auto is_smaller = [box_size_px](float smallest) {
+      return smallest == 0.0F || box_size_px < static_cast<double>(kByFar * smallest);
+    };
+    const auto is_known = [](float smallest) { return smallest > 0.0F; };
+    return std::any_of(smallest_px_.begin(), smallest_px_.end(), is_known) &&
+           std::all_of(smallest_px_.begin(), smallest_px_.end(), is_smaller);
+  }
+
   static constexpr int kSteps = 4;  // along each side of a cube's face
   using Bins = std::array<float, 6 * kSteps * kSteps>;
   /// Smallest boxes by direction, px; 0 where it was not seen from.

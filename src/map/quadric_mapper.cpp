@@ -327,10 +327,14 @@ struct QuadricMapper::Impl {
       const double recall = associations.associations.empty()
                                 ? 0.0
                                 : blur_.recall(T_map_camera.inverse() * landmark.state.ellipsoid->center());
-      const double expected_s = recall * step_s_;
+      const bool is_boxed = landmark.last_stamp_ns == frame.stamp_ns;
+      // What depth placed from nearby may never have been looked at from where the detector still finds it.
+      const bool is_too_small =
+          points != nullptr && !is_boxed && landmark.seen_from.is_smaller_than_ever(expected.size_px);
+      const double expected_s = is_too_small ? 0.0 : recall * step_s_;
       landmark.sightings.expected_s += expected_s;
       const double seen_through_s = expected.is_seen_through ? step_s_ : 0.0;
-      if (landmark.last_stamp_ns == frame.stamp_ns) {
+      if (is_boxed) {
         landmark.seen_from.add(direction, expected.size_px);
         landmark.sightings.familiar_seen_s += expected_s;
         landmark.sightings.views.add(frame.keyframe_id, true);
@@ -338,7 +342,7 @@ struct QuadricMapper::Impl {
         landmark.sightings.transparent_s += seen_through_s;
       } else {
         landmark.sightings.seen_through_since_s += seen_through_s;
-        if (recall > 0.5) landmark.sightings.views.add(frame.keyframe_id, false);
+        if (recall > 0.5 && !is_too_small) landmark.sightings.views.add(frame.keyframe_id, false);
         if (landmark.seen_from.covers(direction, expected.size_px)) {
           landmark.sightings.familiar_missed_s += expected_s;
           landmark.sightings.missed_since_s += expected_s;
@@ -538,8 +542,10 @@ struct QuadricMapper::Impl {
     for (std::size_t i = 0; i < ids.size(); ++i) {
       for (std::size_t j = i + 1; j < ids.size(); ++j) {
         if (landmarks_.count(ids[i]) == 0 || landmarks_.count(ids[j]) == 0) continue;
-        if (!duplicates_.is_part(landmarks_.at(ids[i]), landmarks_.at(ids[j]), views_)) continue;
-        remove(ids[j], update);
+        const MappedLandmark &whole = landmarks_.at(ids[i]), &part = landmarks_.at(ids[j]);
+        const bool is_surer =
+            state_of(part) == LandmarkState::kConfirmed && state_of(whole) != LandmarkState::kConfirmed;
+        if (!is_surer && duplicates_.is_part(whole, part, views_)) remove(ids[j], update);
       }
     }
   }

@@ -402,6 +402,19 @@ TEST_F(DepthMapperTest, ADetectorThatMissesWhatDepthStillShowsRetiresNothing) {
   EXPECT_EQ(find(0)->state, LandmarkState::kConfirmed);
 }
 
+TEST_F(DepthMapperTest, WhatWasFoundFromNearbyAloneIsNotMissedFromAfar) {
+  const Ellipsoid tv = on_table(-0.3, 0.2, Vec3(0.06, 0.2, 0.18));
+  const DepthScene scene{{kCup, tv}};
+  for (int i = 0; i < 60; ++i) step(from_side(1.5 * i), {{0, 41, kCup}, {1, 62, tv}}, scene);
+  ASSERT_EQ(find(0)->state, LandmarkState::kConfirmed);
+  for (int i = 0; i < 600; ++i) {
+    const double a = radians(0.15 * i);
+    const SE3 from_afar = look_at(Vec3(2.6 * std::cos(a), 2.6 * std::sin(a), 1.5), Vec3::Zero());
+    step(from_afar, {{1, 62, tv}}, scene);
+  }
+  EXPECT_EQ(find(0)->state, LandmarkState::kConfirmed) << "the detector is too small for a cup three metres away";
+}
+
 TEST_F(DepthMapperTest, WhatADetectorHardlyFindsAgainIsItsMistake) {
   const Ellipsoid tv = on_table(-0.3, 0.2, Vec3(0.06, 0.2, 0.18));
   const DepthScene scene{{kCup, tv, kBottle}};

@@ -331,6 +331,19 @@ TEST_F(MapperTest, ASmallThingThatStoodBesideALargeOneIsNoPartOfIt) {
   EXPECT_NE(find(1), nullptr);
 }
 
+TEST_F(MapperTest, AConfirmedThingIsNoPartOfWhatIsNone) {
+  Ellipsoid large = kCup;
+  large.semi_axes *= 3.0;
+  const std::vector<SE3> poses = arc(300, 120.0);
+  for (std::size_t i = 0; i < poses.size(); ++i) {
+    step(poses[i], {i < 240 ? Seen{0, 73, large, kBottom} : Seen{1, 73, kCup}});
+  }
+  ASSERT_EQ(find(0)->state, LandmarkState::kCandidate) << "the border always cuts it";
+  ASSERT_EQ(find(1)->state, LandmarkState::kConfirmed);
+  end();
+  EXPECT_NE(find(1), nullptr);
+}
+
 TEST_F(MapperTest, WhatNoImageShowsWholeIsNotConfirmed) {
   const std::vector<SE3> poses = arc(60, 90.0);
   Ellipsoid book = kCup;
