@@ -2,6 +2,7 @@
 
 #include <std_srvs/SetBool.h>
 
+#include <cstdlib>
 #include <filesystem>
 #include <utility>
 
@@ -139,7 +140,6 @@ void FrontendStage::begin_session(const std::string& reason, bool rewind) {
   forget();
   rewound_at_ns_ = rewind ? last_stamp_ns_ : std::nullopt;
   before_rewind_ = 0;
-  unknown_since_ns_.reset();
   last_stamp_ns_.reset();
   is_paused_ = is_over_ = false;
   control(SessionControl::COMMAND_START, reason, rewind);
@@ -307,7 +307,7 @@ void FrontendStage::publish_odom_tf(const core::Frame& frame) {
     // Its place on the robot may come yet. If it does not, the camera is all that there is to move.
     constexpr std::int64_t kPatience_ns = 1'000'000'000;
     if (!unknown_since_ns_) unknown_since_ns_ = frame.stamp_ns;
-    if (frame.stamp_ns - *unknown_since_ns_ < kPatience_ns) return;
+    if (std::abs(frame.stamp_ns - *unknown_since_ns_) < kPatience_ns) return;  // of any session: once is enough
     if (child != camera_frame_) {
       complain("tf sent to the camera, whose place on base_frame is unknown",
                "nothing in tf has '" + camera_frame_ + "' below '" + child + "'");

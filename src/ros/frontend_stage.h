@@ -114,7 +114,7 @@ class FrontendStage : public Stage {
   std::optional<std::int64_t> last_stamp_ns_;
   std::optional<std::int64_t> rewound_at_ns_;     ///< the last image before the rewind that this session waits for
   std::size_t before_rewind_ = 0;                 ///< images left out since
-  std::optional<std::int64_t> unknown_since_ns_;  ///< tf does not know the camera
+  std::optional<std::int64_t> unknown_since_ns_;  ///< tf did not know the camera first
   bool is_paused_ = false, is_localizing_ = false;
   bool is_over_ = false;  ///< the stream has ended, and no image came since
   ImageWatch image_watch_;
