@@ -33,8 +33,8 @@ struct NoiseEstimate {
 class InnovationModel {
  public:
   /// Linearises about the given poses, which need not be those of the odometry.
-  /// @param odometry_begins vertices from which on another odometry tells, ascending: alike noisy, but with errors of
-  ///     its own that last
+  /// @param odometry_begins first vertex of each odometry, ascending: alike noisy, with lasting errors of its own;
+  ///     none: there is one
   InnovationModel(const std::vector<SE3>& T_world_vertex, const std::vector<OdometryEdge>& edges,
                   const std::vector<GraphLoop>& loops, const std::vector<int>& odometry_begins = {});
 

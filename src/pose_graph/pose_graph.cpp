@@ -378,24 +378,23 @@ struct PoseGraph::Impl {
   /// This session's loops in the graph: those of a map tell nothing of its odometry.
   std::size_t own_loops() const {
     const auto is_own = [this](const RememberedLoop& entry) {
-      return entry.is_in_graph && entry.loop->to >= trajectory_.session_begin;
+      return entry.is_in_graph && entry.loop->to >= trajectory_.session_begins.back();
     };
     const std::vector<RememberedLoop>& loops = loops_.remembered();
     return static_cast<std::size_t>(std::count_if(loops.begin(), loops.end(), is_own));
   }
 
-  /// Each session's odometry has errors of its own.
   void mark_sessions() {
-    const auto vertex_from = [this](std::size_t k) {
-      return static_cast<int>(std::lower_bound(keyframe_of_.begin(), keyframe_of_.end(), k) - keyframe_of_.begin());
+    const auto begin_at = [this](std::size_t k) {
+      const auto first = std::lower_bound(keyframe_of_.begin(), keyframe_of_.end(), k);
+      trajectory_.session_begins.push_back(static_cast<int>(first - keyframe_of_.begin()));
     };
-    trajectory_.session_begin = vertex_from(restored_);
-    trajectory_.odometry_begins.clear();
+    trajectory_.session_begins.clear();
     for (const Session& session : sessions_) {
       const int k = number(session.first_keyframe_id);
-      if (k > 0) trajectory_.odometry_begins.push_back(vertex_from(static_cast<std::size_t>(k)));
+      if (k >= 0) begin_at(static_cast<std::size_t>(k));
     }
-    trajectory_.odometry_begins.push_back(trajectory_.session_begin);
+    begin_at(restored_);
   }
 
   bool optimize(bool is_end) {

@@ -273,6 +273,18 @@ Case make_case(const OdometryNoise& noise, double loop_factor, std::uint64_t see
   return make_case(run, loop_factor, seed);
 }
 
+/// Puts a case behind another, whose last edge leads to it.
+void append(const Case& later, Case* all) {
+  const int first = static_cast<int>(all->vertices.size());
+  all->vertices.insert(all->vertices.end(), later.vertices.begin(), later.vertices.end());
+  all->edges.insert(all->edges.end(), later.edges.begin(), later.edges.end());
+  for (GraphLoop loop : later.loops) {
+    loop.from += first;
+    loop.to += first;
+    all->loops.push_back(loop);
+  }
+}
+
 NoiseEstimate estimate(const Case& data, const NoisePrior& prior = {}) {
   InnovationModel model(data.vertices, data.edges, data.loops);
   return estimate_noise_and_jumps(&model, prior, {prior.least, 1.0, {}}, 0).noise;
@@ -342,14 +354,9 @@ TEST(NoiseEstimator, EdgesOfAMapThatIsGoneOnWithSayNothingOfTheNoise) {
   settled.covariance = Mat6(1e-8 * Mat6::Identity());
   Case both{{session.vertices.front() * SE3(Quaternion::Identity(), Vec3(0.0, 0.0, -0.3 * kBefore))},
             std::vector<OdometryEdge>(kBefore, settled),
-            session.loops};
+            {}};
   for (int k = 1; k < kBefore; ++k) both.vertices.push_back(both.vertices.back() * settled.T_from_to);
-  both.vertices.insert(both.vertices.end(), session.vertices.begin(), session.vertices.end());
-  both.edges.insert(both.edges.end(), session.edges.begin(), session.edges.end());
-  for (GraphLoop& loop : both.loops) {
-    loop.from += kBefore;
-    loop.to += kBefore;
-  }
+  append(session, &both);
   NoisePrior prior;
   prior.least.steady_translation = 0.0003;
   prior.least.steady_rotation_rad = 0.0001;
@@ -371,19 +378,9 @@ TEST(NoiseEstimator, EachOdometryHasErrorsOfItsOwnThatLast) {
     Vec6 turn = Vec6::Zero();
     turn.tail<3>() = sign * bias;
     run.drift(1e-4, 1e-5, 3, turn);
-    const Case alone = make_case(run, 1.0, 3);
-    const int first = static_cast<int>(both.vertices.size());
-    if (first > 0) {
-      odometry_begins.push_back(first);
-      both.edges.emplace_back().is_break = true;
-    }
-    both.vertices.insert(both.vertices.end(), alone.vertices.begin(), alone.vertices.end());
-    both.edges.insert(both.edges.end(), alone.edges.begin(), alone.edges.end());
-    for (GraphLoop loop : alone.loops) {
-      loop.from += first;
-      loop.to += first;
-      both.loops.push_back(loop);
-    }
+    if (sign < 0.0) both.edges.emplace_back().is_break = true;
+    odometry_begins.push_back(static_cast<int>(both.vertices.size()));
+    append(make_case(run, 1.0, 3), &both);
   }
   NoisePrior prior;
   prior.least.steady_translation = 0.0003;
@@ -391,12 +388,11 @@ TEST(NoiseEstimator, EachOdometryHasErrorsOfItsOwnThatLast) {
   InnovationModel model(both.vertices, both.edges, both.loops, odometry_begins);
   const NoiseEstimate noise = estimate_noise_and_jumps(&model, prior, {prior.least, 1.0, {}}, 0).noise;
   const std::vector<Vec6> errors = model.steady_errors(noise);
-  for (const int first : {0, odometry_begins.front()}) {
+  const int size = odometry_begins.back();
+  for (const int first : odometry_begins) {
     Vec3 mean = Vec3::Zero();
-    for (int i = first; i + 1 < first + odometry_begins.front(); ++i) {
-      mean += errors[static_cast<std::size_t>(i)].tail<3>();
-    }
-    mean /= odometry_begins.front() - 1;
+    for (int i = first; i + 1 < first + size; ++i) mean += errors[static_cast<std::size_t>(i)].tail<3>();
+    mean /= size - 1;
     EXPECT_LT((mean - (first == 0 ? -bias : bias)).norm(), 0.2 * bias.norm()) << mean.transpose();
   }
   EXPECT_LT(noise.odometry.translation_m, 0.01);

@@ -255,7 +255,7 @@ constexpr double kLogRare = 2.3;
 double cost(const std::vector<SE3>& T_map_vertex, const Trajectory& trajectory, const std::vector<GraphLoop>& loops,
             const NoisePrior& prior) {
   constexpr int kJumps = 2;  // that may stand behind the cluster, beside those that the motion shows
-  InnovationModel model(T_map_vertex, trajectory.edges, loops, trajectory.odometry_begins);
+  InnovationModel model(T_map_vertex, trajectory.edges, loops, trajectory.session_begins);
   return estimate_noise_and_jumps(&model, prior, {prior.least, 1.0, {}}, kJumps).cost;
 }
 
@@ -288,7 +288,7 @@ std::vector<Cluster> strained(const Trajectory& trajectory, const std::vector<bo
   std::vector<bool> doubted = kept;
   for (std::size_t k = 0; k < doubted.size(); ++k) {
     // Those of an earlier session were doubted at its end.
-    doubted[k] = doubted[k] && trajectory.loops[k].to >= trajectory.session_begin;
+    doubted[k] = doubted[k] && trajectory.loops[k].to >= trajectory.session_begins.back();
   }
   for (Cluster& cluster : loop_clusters(trajectory.loops, doubted)) {
     const double factor = path.explaining_factor(middle(cluster, trajectory), least, prior.factor_max);

@@ -198,7 +198,7 @@ class TrajectoryOptimizer {
     const std::size_t max_loops = starts_afresh() ? kManyLoops : kFewLoops;
     GraphKnowledge& known = result_.knowledge;
     const std::vector<GraphLoop> some = some_kept(trajectory_.loops, telling_loops(trajectory_, known.kept), max_loops);
-    InnovationModel model(result_.T_map_vertex, motions(), some, trajectory_.odometry_begins);
+    InnovationModel model(result_.T_map_vertex, motions(), some, trajectory_.session_begins);
     if (effort_ != Effort::kUpdate) {
       const int max_new_jumps = starts_afresh() ? kManyJumps : kFewJumps;
       const auto fit = [&](InnovationModel* to) {
@@ -207,7 +207,7 @@ class TrajectoryOptimizer {
       NoiseFit best = fit(&model);
       bool stays = starts_afresh() && is_faultless(model, best.noise);
       if (starts_afresh() && !trajectory_.measured.empty()) {
-        InnovationModel other(result_.T_map_vertex, trajectory_.measured, some, trajectory_.odometry_begins);
+        InnovationModel other(result_.T_map_vertex, trajectory_.measured, some, trajectory_.session_begins);
         NoiseFit measured = fit(&other);
         stays = stays && is_faultless(other, measured.noise);
         known.prefers_measured = stays || measured.cost + kPrice < best.cost;

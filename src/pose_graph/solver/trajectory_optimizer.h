@@ -15,8 +15,8 @@ namespace semantic_topo_loop::core {
 struct Trajectory {
   std::vector<SE3> T_map_vertex;
   std::vector<OdometryEdge> edges;
-  int session_begin = 0;             ///< first vertex of this session
-  std::vector<int> odometry_begins;  ///< first vertices of later sessions, each with errors of its odometry
+  /// First vertex of each session, whose odometry has errors of its own that last; this session's is the last.
+  std::vector<int> session_begins{0};
   /// Other motions, which take the places of `edges` in the solution if the loops bear them out better, as one that
   /// starts afresh finds out; or none.
   std::vector<OdometryEdge> measured;
