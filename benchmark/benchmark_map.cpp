@@ -46,12 +46,10 @@ MapState one_minute() {
   ObjectSlam slam(options, std::make_shared<const ClassTable>(classes()));
   FrameBuilder builder(options.keyframe, camera);
   for (std::size_t i = 0; i < sequence.odometry.size(); ++i) {
-    PoseSample sample;
-    sample.stamp_ns = sequence.odometry[i].stamp_ns;
-    sample.T_odom_camera = sequence.odometry[i].T_world_camera;
+    const auto& [stamp_ns, T_world_camera] = sequence.odometry[i];
     std::vector<Detection> detections;
     for (const SimulatedDetection& d : sequence.detections[i]) detections.push_back(d.detection);
-    slam.process(or_exit(builder.build(sample)), &detections);
+    slam.process(or_exit(builder.build({stamp_ns, T_world_camera})), &detections);
   }
   slam.process(builder.end(), nullptr);
   return *slam.map();

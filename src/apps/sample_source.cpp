@@ -17,10 +17,7 @@ class TrajectorySource : public SampleSource {
   std::optional<PoseSample> next() override {
     if (state_.done == poses_.size()) return std::nullopt;
     const StampedPose& pose = poses_[state_.done++];
-    PoseSample sample;
-    sample.stamp_ns = pose.stamp_ns;
-    sample.T_odom_camera = pose.T_world_camera;
-    return sample;
+    return PoseSample{pose.stamp_ns, pose.T_world_camera};
   }
 
  private:

@@ -242,12 +242,10 @@ void write_valid_files(const std::string& directory) {
     record(frame, slam.process(frame, detections), recorder.get());
   };
   for (std::size_t i = 0; i < sequence.odometry.size(); ++i) {
-    PoseSample sample;
-    sample.stamp_ns = sequence.odometry[i].stamp_ns;
-    sample.T_odom_camera = sequence.odometry[i].T_world_camera;
+    const auto& [stamp_ns, T_world_camera] = sequence.odometry[i];
     std::vector<Detection> detections;
     for (const SimulatedDetection& d : sequence.detections[i]) detections.push_back(d.detection);
-    process(checked(builder.build(sample)), &detections);
+    process(checked(builder.build({stamp_ns, T_world_camera})), &detections);
   }
   process(builder.end(), nullptr);
   if (written) written = recorder->write(directory);

@@ -47,10 +47,7 @@ Recording record(const std::string& sequence, const std::string& trajectory, con
   ObjectSlam slam(options, classes);
   FrameBuilder builder(options.keyframe, *camera);
   for (std::size_t i = 0; i < std::min(poses->size(), max_frames); i += kFrameStep) {
-    PoseSample sample;
-    sample.stamp_ns = (*poses)[i].stamp_ns;
-    sample.T_odom_camera = (*poses)[i].T_world_camera;
-    const auto frame = builder.build(sample);
+    const auto frame = builder.build({(*poses)[i].stamp_ns, (*poses)[i].T_world_camera});
     const DetectionFrame* seen = find_stamp(boxes->frames, frame->stamp_ns, 1000);
     FrameResult result = slam.process(*frame, seen != nullptr ? &seen->detections : nullptr);
     std::vector<LandmarkMerge> merged = result.observation.merged;

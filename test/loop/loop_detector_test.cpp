@@ -249,13 +249,11 @@ std::vector<LoopClosure> two_visits(
   std::vector<LoopClosure> loops;
   for (std::int64_t k = 0; k < 420; ++k) {
     const double time_s = 0.1 * static_cast<double>(k);
-    PoseSample sample;
-    sample.stamp_ns = k * 100'000'000;
-    sample.T_odom_camera = testing::desk_pose(setup.visits, time_s);
-    Frame frame = *builder.build(sample);
+    const SE3 pose = testing::desk_pose(setup.visits, time_s);
+    Frame frame = *builder.build({k * 100'000'000, pose});
     const bool is_first = time_s < 20.0;
     AssociationFrame associations =
-        testing::observe(is_first ? setup.desk : second, frame, sample.T_odom_camera, is_first ? 0 : 500, random);
+        testing::observe(is_first ? setup.desk : second, frame, pose, is_first ? 0 : 500, random);
     spoil(k, &frame, &associations);
     for (LoopClosure& loop : detector.detect(frame, associations)) loops.push_back(std::move(loop));
   }
@@ -292,11 +290,9 @@ std::map<std::int64_t, SolvedMotion> motions_along_a_desk(LoopDetector* detector
   for (std::int64_t k = 0; k < 200; ++k) {
     const double time_s = 0.1 * static_cast<double>(k);
     const SE3 pose = testing::desk_pose({{0.0, 20.0, 0.0, 120.0}}, time_s);
-    PoseSample sample;
-    sample.stamp_ns = 1'000'000'000 + k * 100'000'000;
     const double slipped_m = 0.25 * std::clamp(time_s - slip_from_s, 0.0, 2.4);
-    sample.T_odom_camera = SE3(Quaternion::Identity(), Vec3(drift_mps * time_s, slipped_m, 0.0)) * pose;
-    const auto frame = builder.build(sample);
+    const SE3 drift(Quaternion::Identity(), Vec3(drift_mps * time_s, slipped_m, 0.0));
+    const auto frame = builder.build({1'000'000'000 + k * 100'000'000, drift * pose});
     if (frame->is_keyframe) keyframes->push_back(pose);
     AssociationFrame seen = testing::observe(desk, *frame, pose, 0, random);
     if (k % answered_every != 0) {
@@ -350,10 +346,8 @@ TEST(LoopDetector, TellsNoWayWhileTheCameraStands) {
     const SE3 pose = testing::desk_pose({{0.0, 20.0, 0.0, 120.0}}, moves_for_s);
     if (k > 0) way_m += (pose.t - last_pose.t).norm();
     last_pose = pose;
-    PoseSample sample;
-    sample.stamp_ns = std::llround(1e9 * (1.0 + time_s));
-    sample.T_odom_camera = pose * random_motion(&jitter, 0.002, 0.0005);
-    const auto frame = builder.build(sample);
+    const auto frame =
+        builder.build({std::llround(1e9 * (1.0 + time_s)), pose * random_motion(&jitter, 0.002, 0.0005)});
     if (frame->is_keyframe) ways_m.push_back(way_m);
     detector.detect(*frame, testing::observe(desk, *frame, pose, 0, random));
     for (const SolvedMotion& motion : detector.motions()) motions[motion.from_keyframe_id] = motion;
@@ -395,11 +389,9 @@ std::int64_t last_begin_after_a_turn(bool camera_turns, int frames = 420, std::i
   for (std::int64_t k = 0; k < frames; ++k) {
     const double time_s = static_cast<double>(k) / 30.0;
     const SE3 pose = testing::desk_pose({{0.0, 20.0, 0.0, 120.0}}, time_s);
-    PoseSample sample;
-    sample.stamp_ns = std::llround(1e9 * (1.0 + time_s));
-    sample.T_odom_camera = time_s < 7.0 ? pose : pose * turn;
-    const auto frame = builder.build(sample);
-    AssociationFrame seen = testing::observe(desk, *frame, camera_turns ? sample.T_odom_camera : pose, 0, random);
+    const SE3 T_odom_camera = time_s < 7.0 ? pose : pose * turn;
+    const auto frame = builder.build({std::llround(1e9 * (1.0 + time_s)), T_odom_camera});
+    AssociationFrame seen = testing::observe(desk, *frame, camera_turns ? T_odom_camera : pose, 0, random);
     if ((k + 5) % answered_every != 0) {
       seen.associations.clear();
       seen.unanswered = true;
@@ -447,14 +439,10 @@ TEST_P(LoopDetectorStand, IsToldBySubmapsThatFollowWithAllThatWasMissed) {
   const SE3 turn(so3_exp(Vec3(0.0, radians(4.0), 0.0)), Vec3::Zero());
   for (int k = 0; k < 750; ++k) {
     const double time_s = k / 30.0;
-    PoseSample sample;
-    sample.stamp_ns = std::llround(1e9 * (1.0 + time_s));
-    sample.T_odom_camera = camera_at(std::min(time_s, kStands_s));
-    if (time_s > kGoesOn_s) {
-      sample.T_odom_camera = sample.T_odom_camera * camera_at(kGoesOn_s).inverse() * camera_at(time_s);
-    }
-    if (time_s > turns_s) sample.T_odom_camera = sample.T_odom_camera * turn;
-    const auto frame = builder.build(sample);
+    SE3 T_odom_camera = camera_at(std::min(time_s, kStands_s));
+    if (time_s > kGoesOn_s) T_odom_camera = T_odom_camera * camera_at(kGoesOn_s).inverse() * camera_at(time_s);
+    if (time_s > turns_s) T_odom_camera = T_odom_camera * turn;
+    const auto frame = builder.build({std::llround(1e9 * (1.0 + time_s)), T_odom_camera});
     detector.detect(*frame, testing::observe(desk, *frame, camera_at(time_s), 0, random));
   }
   const std::vector<LocalMap> submaps = detector.submaps();
@@ -485,10 +473,7 @@ TEST(LoopDetector, TwoIdenticalGroupsAreAmbiguous) {
     const double time_s = 0.1 * static_cast<double>(k);
     SE3 pose = testing::desk_pose(setup.visits, time_s);
     pose.t += pose.q * Vec3(0.0, 0.0, -1.2);
-    PoseSample sample;
-    sample.stamp_ns = k * 100'000'000;
-    sample.T_odom_camera = pose;
-    const auto frame = builder.build(sample);
+    const auto frame = builder.build({k * 100'000'000, pose});
     const auto associations = testing::observe(time_s < 20.0 ? both : group, *frame, pose, 0, random);
     for (const LoopClosure& loop : detector.detect(*frame, associations)) {
       EXPECT_FALSE(loop.accepted);
@@ -522,15 +507,13 @@ struct AlikeDesks {
         const double walked = std::max(0.0, (time_s - visit_s) / 6.0);
         const std::vector<testing::Visit> round{{0.0, visit_s, 0.0, 80.0}};
         const SE3 begin = testing::desk_pose(round, 0.0, next);
-        PoseSample sample;
-        sample.stamp_ns = k * 100'000'000;
-        sample.T_odom_camera = testing::desk_pose(round, std::min(time_s, visit_s), middle);
-        sample.T_odom_camera.t += walked * (begin.t - sample.T_odom_camera.t);
-        sample.T_odom_camera.q = sample.T_odom_camera.q.slerp(walked, begin.q);
-        const auto frame = builder.build(sample);
-        const auto seen = testing::observe(objects, *frame, sample.T_odom_camera, 0, random);
+        SE3 pose = testing::desk_pose(round, std::min(time_s, visit_s), middle);
+        pose.t += walked * (begin.t - pose.t);
+        pose.q = pose.q.slerp(walked, begin.q);
+        const auto frame = builder.build({k * 100'000'000, pose});
+        const auto seen = testing::observe(objects, *frame, pose, 0, random);
         for (LoopClosure& loop : detector.detect(*frame, seen)) outcome.loops.push_back(std::move(loop));
-        outcome.T_world_camera.push_back(sample.T_odom_camera);
+        outcome.T_world_camera.push_back(pose);
       }
     }
     return outcome;

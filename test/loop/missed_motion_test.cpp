@@ -65,10 +65,7 @@ Watched watch(const std::function<SE3(double)>& camera_at,
       T_odom_camera = T_odom_camera * (is_off ? made_of(motion) : motion);
     }
     watched.truth.push_back(pose);
-    PoseSample sample;
-    sample.stamp_ns = std::llround(1e9 * (1.0 + time_s));
-    sample.T_odom_camera = T_odom_camera;
-    const auto frame = builder.build(sample);
+    const auto frame = builder.build({std::llround(1e9 * (1.0 + time_s)), T_odom_camera});
     window.push(*frame, testing::observe(desk_at(time_s), *frame, pose, 0, random));
   }
   watched.window = window.frames();

@@ -46,10 +46,7 @@ BuiltMap sweep(const std::vector<DeskObject>& desk, double begin_deg, double end
   std::vector<SE3> poses;
   for (std::int64_t k = 0; k < 80; ++k) {
     const SE3 pose = testing::desk_pose({{0.0, 8.0, begin_deg, end_deg}}, 0.1 * static_cast<double>(k));
-    PoseSample sample;
-    sample.stamp_ns = k * 100'000'000;
-    sample.T_odom_camera = pose;
-    const auto frame = builder.build(sample);
+    const auto frame = builder.build({k * 100'000'000, pose});
     AssociationFrame associations = testing::observe(desk, *frame, pose, 0, random);
     for (Association& association : associations.associations) {
       if (change) change(pose, &association);
@@ -733,11 +730,8 @@ struct Watch {
     for (std::int64_t k = 0; k < 200; ++k) {
       const double time_s = 0.1 * static_cast<double>(k);
       const SE3 pose = testing::desk_pose({{0.0, 20.0, 0.0, 120.0}}, time_s);
-      PoseSample sample;
-      sample.stamp_ns = k * 100'000'000;
       const SE3 turn(so3_exp(Vec3(radians(drift_deg_s * time_s), 0.0, 0.0)), Vec3::Zero());
-      sample.T_odom_camera = (time_s < 14.0 ? SE3() : jump) * turn * pose;
-      const auto frame = builder.build(sample);
+      const auto frame = builder.build({k * 100'000'000, (time_s < 14.0 ? SE3() : jump) * turn * pose});
       window.push(*frame, testing::observe(desk, *frame, pose, 0, random));
       up.push(*frame);
       if (monitor.push(window.frames().back())) {

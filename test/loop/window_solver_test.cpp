@@ -65,10 +65,7 @@ Errors go_round(const Drift& drift, std::uint64_t seed, double rate_hz = 10.0, d
     T_odom_camera = k == 0 ? pose : T_odom_camera * (last.inverse() * odometry) * se3_exp(drifted);
     last = odometry;
     truth.push_back(pose);
-    PoseSample sample;
-    sample.stamp_ns = std::llround(1e9 * (1.0 + time_s));
-    sample.T_odom_camera = T_odom_camera;
-    const auto frame = builder.build(sample);
+    const auto frame = builder.build({std::llround(1e9 * (1.0 + time_s)), T_odom_camera});
     window.push(*frame, testing::observe(desk, *frame, pose, 0, random));
     if (time_s < next_s) continue;
     next_s += kSolveInterval_s;

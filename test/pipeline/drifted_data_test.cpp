@@ -72,9 +72,7 @@ class DriftedData : public ::testing::Test {
     outcome.name = sequence + " " + name;
     std::vector<Frame> frames;
     for (const StampedPose& pose : odometry) {
-      PoseSample sample;
-      sample.stamp_ns = pose.stamp_ns;
-      sample.T_odom_camera = pose.T_world_camera;
+      const PoseSample sample{pose.stamp_ns, pose.T_world_camera};
       if (builder.is_held(sample)) continue;
       frames.push_back(*builder.build(sample));
       const DetectionFrame* seen = find_stamp(boxes.frames, pose.stamp_ns, 1000);

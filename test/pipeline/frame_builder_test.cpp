@@ -15,10 +15,7 @@ class FrameBuilderTest : public ::testing::Test {
  protected:
   Result<Frame> build(const Vec3& position, double yaw_deg = 0.0, std::int64_t step_ns = kPeriod_ns) {
     stamp_ns_ += step_ns;
-    PoseSample sample;
-    sample.stamp_ns = stamp_ns_;
-    sample.T_odom_camera = SE3(so3_exp(Vec3(0.0, 0.0, radians(yaw_deg))), position);
-    return builder_.build(sample);
+    return builder_.build({stamp_ns_, SE3(so3_exp(Vec3(0.0, 0.0, radians(yaw_deg))), position)});
   }
 
   FrameBuilder builder_{KeyframeOptions{}, Camera{500.0, 500.0, 320.0, 240.0, 640, 480, {}}};

@@ -79,9 +79,7 @@ class MapSessions : public ::testing::Test {
     SessionResult result;
     for (std::size_t i = begin; i < end; ++i) {
       const StampedPose& pose = recording.odometry[i];
-      PoseSample sample;
-      sample.stamp_ns = pose.stamp_ns;
-      sample.T_odom_camera = T_odom_world * pose.T_world_camera;
+      const PoseSample sample{pose.stamp_ns, T_odom_world * pose.T_world_camera};
       const DetectionFrame* seen = find_stamp(recording.detections.frames, pose.stamp_ns, 1000);
       const FrameResult frame =
           slam.process(checked(builder.build(sample)), seen != nullptr ? &seen->detections : nullptr);

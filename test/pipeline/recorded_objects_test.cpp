@@ -69,10 +69,7 @@ class RecordedDesk : public testing::Test {
     ObjectSlam slam(options, classes_);
     FrameBuilder builder(options.keyframe, camera_);
     for (std::size_t i = 0; i < trajectory_.size(); i += stride) {
-      PoseSample sample;
-      sample.stamp_ns = trajectory_[i].stamp_ns;
-      sample.T_odom_camera = trajectory_[i].T_world_camera;
-      const auto frame = builder.build(sample);
+      const auto frame = builder.build({trajectory_[i].stamp_ns, trajectory_[i].T_world_camera});
       EXPECT_TRUE(frame) << frame.message();
       if (!frame) break;
       const DetectionFrame* seen = find_stamp(detections, frame->stamp_ns, kStampTolerance_ns);

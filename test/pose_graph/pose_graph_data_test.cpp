@@ -84,10 +84,7 @@ class Simulation {
     FrameBuilder builder{KeyframeOptions(), Camera()};
     std::vector<KeyframePose> keyframes;
     for (const StampedPose& pose : sequence_.odometry) {
-      PoseSample sample;
-      sample.stamp_ns = pose.stamp_ns;
-      sample.T_odom_camera = pose.T_world_camera;
-      const Frame frame = *builder.build(sample);
+      const Frame frame = *builder.build({pose.stamp_ns, pose.T_world_camera});
       if (frame.is_keyframe) keyframes.push_back({frame.keyframe_id, frame.frame_id, frame.stamp_ns, truth(frame)});
     }
     extra_loops_ = make_false_loops(keyframes, options, seed_);
@@ -103,10 +100,7 @@ class Simulation {
       for (const LoopVerdict& verdict : graph.process(frame, loops, extra).loops) verdicts[verdict.number] = verdict;
     };
     for (const StampedPose& pose : sequence_.odometry) {
-      PoseSample sample;
-      sample.stamp_ns = pose.stamp_ns;
-      sample.T_odom_camera = pose.T_world_camera;
-      frames.push_back(*builder.build(sample));
+      frames.push_back(*builder.build({pose.stamp_ns, pose.T_world_camera}));
       std::vector<LoopClosure> loops;
       if (frames.back().is_keyframe) {
         if (const auto loop = make_loop(frames.back())) loops.push_back(*loop);

@@ -33,14 +33,12 @@ class ChainRun {
 
   /// @return stamp of the image
   std::int64_t next() {
-    PoseSample sample;
-    sample.stamp_ns = sequence_.odometry[done_].stamp_ns;
-    sample.T_odom_camera = T_new_odom_ * sequence_.odometry[done_].T_world_camera;
+    const auto& [stamp_ns, T_world_camera] = sequence_.odometry[done_];
     std::vector<Detection> detections;
     for (const SimulatedDetection& d : sequence_.detections[done_]) detections.push_back(d.detection);
-    count(slam_.process(checked(builder_.build(sample)), &detections));
+    count(slam_.process(checked(builder_.build({stamp_ns, T_new_odom_ * T_world_camera})), &detections));
     ++done_;
-    return sample.stamp_ns;
+    return stamp_ns;
   }
   void end() { count(slam_.process(builder_.end(), nullptr)); }
 

@@ -34,12 +34,12 @@ struct SourceLoop {
 struct PoseSample {
   std::int64_t stamp_ns = 0;
   SE3 T_odom_camera;
-  std::optional<Mat6> covariance;  ///< of the motion since the previous sample
-  bool is_break = false;           ///< as stated by the source
-  bool is_continuous = false;      ///< the source vouches for the motion, however long the previous sample is ago
-  std::optional<SourceLoop> source_loop;
-  std::shared_ptr<const std::vector<Vec3>> points_camera;
-  std::shared_ptr<const std::vector<PointFeature>> features;
+  std::optional<Mat6> covariance = {};  ///< of the motion since the previous sample
+  bool is_break = false;                ///< as stated by the source
+  bool is_continuous = false;           ///< the source vouches for the motion, however long the previous sample is ago
+  std::optional<SourceLoop> source_loop = {};
+  std::shared_ptr<const std::vector<Vec3>> points_camera = {};
+  std::shared_ptr<const std::vector<PointFeature>> features = {};
 };
 
 /// What the odometry says about one image. Immutable once built; every stage reads the same one.
