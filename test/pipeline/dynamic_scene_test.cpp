@@ -2,10 +2,8 @@
 
 #include <algorithm>
 
-#include "semantic_topo_loop/pipeline/frame_builder.h"
-#include "semantic_topo_loop/pipeline/object_slam.h"
+#include "support/simulated_run.h"
 #include "support/test_fixtures.h"
-#include "tools/simulation/sequence.h"
 
 namespace semantic_topo_loop::core {
 namespace {
@@ -25,15 +23,6 @@ SimulatedSequence simulate_laps(Texts texts, const ClassTable& classes) {
                 {"drift.position_m", "0"},
                 {"drift.rotation_deg", "0"}});
   return simulation_test::simulate_fr2(texts, classes);
-}
-
-std::vector<std::vector<Detection>> detections_of(const SimulatedSequence& sequence) {
-  std::vector<std::vector<Detection>> frames;
-  for (const auto& frame : sequence.detections) {
-    frames.emplace_back();
-    for (const SimulatedDetection& d : frame) frames.back().push_back(d.detection);
-  }
-  return frames;
 }
 
 /// What a run left behind.
@@ -56,49 +45,40 @@ struct Outcome {
   }
 };
 
-Outcome run(const SimulatedSequence& sequence, const std::vector<std::vector<Detection>>& detections,
-            const std::shared_ptr<const ClassTable>& classes, bool with_loops) {
+Outcome run(const SimulatedSequence& sequence, const std::shared_ptr<const ClassTable>& classes, bool with_loops) {
   Options options;
   options.loop.enabled = with_loops;
-  ObjectSlam slam(options, classes);
-  FrameBuilder builder(options.keyframe, sequence.camera);
+  testing::ChainRun chain(sequence, classes, {}, nullptr, 0, options);
   Outcome outcome;
   for (std::size_t i = 0; i < sequence.odometry.size(); ++i) {
-    PoseSample sample;
-    sample.stamp_ns = sequence.odometry[i].stamp_ns;
-    sample.T_odom_camera = sequence.odometry[i].T_world_camera;
-    std::string error;
-    const auto frame = builder.build(sample);
-    EXPECT_TRUE(frame) << frame.message();
-    if (!frame) break;
-    const FrameResult result = slam.process(*frame, &detections[i]);
-    for (const Association& a : result.associations.associations) {
+    chain.next();
+    for (const Association& a : chain.last().associations.associations) {
       if (a.class_id != kPerson) continue;
       ++outcome.person_boxes;
       outcome.person_boxes_associated += a.landmark_id >= 0 ? 1 : 0;
     }
-    outcome.loops.insert(outcome.loops.end(), result.loops.begin(), result.loops.end());
-    if (2 * i == sequence.odometry.size()) outcome.landmarks_halfway = slam.mapper().landmarks();
+    const std::vector<LoopClosure>& loops = chain.last().loops;
+    outcome.loops.insert(outcome.loops.end(), loops.begin(), loops.end());
+    if (2 * i == sequence.odometry.size()) outcome.landmarks_halfway = chain.slam().mapper().landmarks();
   }
-  slam.process(builder.end(), nullptr);
-  outcome.landmarks = slam.mapper().landmarks();
+  chain.end();
+  outcome.landmarks = chain.slam().mapper().landmarks();
   return outcome;
 }
 
 TEST(WalkingPeople, BecomeNeitherLandmarksNorLoopNodes) {
   const auto classes = shared_coco();
-  const auto sequence = simulate_laps({{"dynamics.persons", "6"},
-                                       {"trajectory.duration_s", "40"},
-                                       {"trajectory.lap_s", "20"},
-                                       {"trajectory.rate_hz", "10"}},
-                                      *classes);
-  const auto all = detections_of(sequence);
+  const auto all = simulate_laps({{"dynamics.persons", "6"},
+                                  {"trajectory.duration_s", "40"},
+                                  {"trajectory.lap_s", "20"},
+                                  {"trajectory.rate_hz", "10"}},
+                                 *classes);
+  const auto is_person = [](const SimulatedDetection& d) { return d.detection.class_id == kPerson; };
   auto others = all;
-  for (std::vector<Detection>& frame : others) {
-    frame.erase(std::remove_if(frame.begin(), frame.end(), [](const Detection& d) { return d.class_id == kPerson; }),
-                frame.end());
+  for (auto& frame : others.detections) {
+    frame.erase(std::remove_if(frame.begin(), frame.end(), is_person), frame.end());
   }
-  const Outcome with = run(sequence, all, classes, true), without = run(sequence, others, classes, true);
+  const Outcome with = run(all, classes, true), without = run(others, classes, true);
   EXPECT_GT(with.person_boxes, 30);
   EXPECT_EQ(with.person_boxes_associated, 0);
   for (const Landmark& landmark : with.landmarks) EXPECT_NE(landmark.class_id, kPerson) << landmark.id;
@@ -162,7 +142,7 @@ class MovedCup : public ::testing::TestWithParam<std::tuple<std::string, int>> {
         result->others.push_back(sequence.scene.objects[static_cast<std::size_t>(r.object)]);
       }
     }
-    result->outcome = run(sequence, detections_of(sequence), classes_, false);
+    result->outcome = run(sequence, classes_, false);
   }
 
   std::shared_ptr<const ClassTable> classes_ = shared_coco();

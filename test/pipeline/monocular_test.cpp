@@ -4,8 +4,7 @@
 #include <algorithm>
 #include <map>
 
-#include "semantic_topo_loop/pipeline/frame_builder.h"
-#include "semantic_topo_loop/pipeline/object_slam.h"
+#include "support/simulated_run.h"
 #include "support/test_fixtures.h"
 #include "tools/evaluation/trajectory_evaluation.h"
 
@@ -36,23 +35,14 @@ struct Outcome {
 Outcome run(const SimulatedSequence& sequence, const std::shared_ptr<const ClassTable>& classes) {
   Options options;
   options.loop.scale = options.pose_graph.scale = "free";
-  ObjectSlam slam(options, classes);
-  FrameBuilder builder(options.keyframe, sequence.camera);
-  for (std::size_t i = 0; i < sequence.odometry.size(); ++i) {
-    PoseSample sample;
-    sample.stamp_ns = sequence.odometry[i].stamp_ns;
-    sample.T_odom_camera = sequence.odometry[i].T_world_camera;
-    const auto frame = builder.build(sample);
-    std::vector<Detection> detections;
-    for (const SimulatedDetection& d : sequence.detections[i]) detections.push_back(d.detection);
-    slam.process(*frame, &detections);
-  }
-  slam.process(builder.end(), nullptr);
+  testing::ChainRun chain(sequence, classes, {}, nullptr, 0, options);
+  while (chain.done() < sequence.odometry.size()) chain.next();
+  chain.end();
   Outcome outcome;
-  for (const KeyframePose& keyframe : slam.pose_graph().keyframes()) {
+  for (const KeyframePose& keyframe : chain.slam().pose_graph().keyframes()) {
     outcome.keyframes.push_back({keyframe.stamp_ns, keyframe.T_map_camera});
   }
-  outcome.landmarks = slam.mapper().landmarks();
+  outcome.landmarks = chain.slam().mapper().landmarks();
   return outcome;
 }
 

@@ -20,11 +20,11 @@ class ChainRun {
  public:
   /// @param T_new_odom where the odometry starts   @param earlier null, or the map that the run goes on with
   ChainRun(const SimulatedSequence& sequence, const std::shared_ptr<const ClassTable>& classes, SE3 T_new_odom = {},
-           const std::shared_ptr<const MapState>& earlier = nullptr, std::size_t begin = 0)
+           const std::shared_ptr<const MapState>& earlier = nullptr, std::size_t begin = 0, const Options& options = {})
       : sequence_(sequence),
         T_new_odom_(std::move(T_new_odom)),
-        slam_(options_, classes),
-        builder_(options_.keyframe, sequence.camera),
+        slam_(options, classes),
+        builder_(options.keyframe, sequence.camera),
         done_(begin) {
     if (earlier == nullptr) return;
     slam_.restore(*earlier);
@@ -36,29 +36,31 @@ class ChainRun {
     const auto& [stamp_ns, T_world_camera] = sequence_.odometry[done_];
     std::vector<Detection> detections;
     for (const SimulatedDetection& d : sequence_.detections[done_]) detections.push_back(d.detection);
-    count(slam_.process(checked(builder_.build({stamp_ns, T_new_odom_ * T_world_camera})), &detections));
+    take(slam_.process(checked(builder_.build({stamp_ns, T_new_odom_ * T_world_camera})), &detections));
     ++done_;
     return stamp_ns;
   }
-  void end() { count(slam_.process(builder_.end(), nullptr)); }
+  void end() { take(slam_.process(builder_.end(), nullptr)); }
 
   std::size_t done() const { return done_; }
   ObjectSlam& slam() { return slam_; }
+  const FrameResult& last() const { return last_; }  ///< of the last image, or the end
   int corrections() const { return corrections_; }
   std::size_t merges() const { return merges_; }
 
  private:
-  void count(const FrameResult& result) {
+  void take(FrameResult result) {
     corrections_ += result.correction.changed ? 1 : 0;
     merges_ += result.observation.merged.size() + result.completion.merged.size();
+    last_ = std::move(result);
   }
 
   const SimulatedSequence& sequence_;
   const SE3 T_new_odom_;
-  const Options options_;
   ObjectSlam slam_;
   FrameBuilder builder_;
   std::size_t done_;
+  FrameResult last_;
   int corrections_ = 0;
   std::size_t merges_ = 0;
 };
