@@ -1,8 +1,5 @@
 #include <gtest/gtest.h>
 
-#include <algorithm>
-#include <cstdlib>
-
 #include "semantic_topo_loop/frontend/rgbd_frontend.h"
 #include "semantic_topo_loop/io/detection_file.h"
 #include "semantic_topo_loop/io/rgbd_recording.h"
@@ -11,6 +8,7 @@
 #include "semantic_topo_loop/io/yaml_files.h"
 #include "semantic_topo_loop/pipeline/frame_builder.h"
 #include "semantic_topo_loop/pipeline/object_slam.h"
+#include "support/package_config.h"
 #include "tools/evaluation/object_evaluation.h"
 #include "tools/evaluation/trajectory_evaluation.h"
 #include "tools/perturbation/perturbation.h"
@@ -34,32 +32,18 @@ std::vector<MappedObject> mapped_objects(const ObjectSlam& slam, const ClassTabl
 class RecordedDesk : public testing::Test {
  protected:
   static void SetUpTestSuite() {
-    const char* data = std::getenv("SEMANTIC_TOPO_LOOP_DATA");
-    if (data == nullptr) return;
-    const std::string directory = std::string(data) + "/tum/fr2_desk/";
-    const auto table = read_class_table(STL_CONFIG_DIR "/classes_coco.yaml");
-    ASSERT_TRUE(table) << table.message();
-    classes_ = std::make_shared<const ClassTable>(*table);
-    const auto camera = read_camera(STL_CONFIG_DIR "/camera/tum_fr2.yaml");
-    ASSERT_TRUE(camera) << camera.message();
-    camera_ = *camera;
-    const auto trajectory = read_tum_trajectory(directory + "orbslam2_rgbd_trajectory.txt");
-    const auto truth = read_tum_ground_truth(directory + "groundtruth.txt");
-    ASSERT_TRUE(trajectory && truth) << trajectory.message() << truth.message();
-    trajectory_ = *trajectory;
-    const auto evaluation = evaluate_trajectory(trajectory_, *truth);
-    ASSERT_TRUE(evaluation) << evaluation.message();
-    alignment_ = evaluation->alignment;
-    const auto detections = read_detections(directory + "detections_yolov5.json", *classes_);
-    ASSERT_TRUE(detections) << detections.message();
-    detections_ = detections->frames;
-    const auto reference = read_reference_objects(directory + "reference_objects.csv");
-    ASSERT_TRUE(reference) << reference.message();
-    reference_ = *reference;
+    const auto directory = shared_data("tum/fr2_desk/");
+    if (!directory) return;
+    classes_ = shared_coco();
+    trajectory_ = checked(read_tum_trajectory(*directory + "orbslam2_rgbd_trajectory.txt"));
+    const StampedPoses truth = checked(read_tum_ground_truth(*directory + "groundtruth.txt"));
+    alignment_ = checked(evaluate_trajectory(trajectory_, truth)).alignment;
+    detections_ = checked(read_detections(*directory + "detections_yolov5.json", *classes_)).frames;
+    reference_ = checked(read_reference_objects(*directory + "reference_objects.csv"));
   }
 
   void SetUp() override {
-    if (std::getenv("SEMANTIC_TOPO_LOOP_DATA") == nullptr) GTEST_SKIP() << "SEMANTIC_TOPO_LOOP_DATA is not set";
+    if (!shared_data("tum/fr2_desk/")) GTEST_SKIP() << "SEMANTIC_TOPO_LOOP_DATA is not set";
   }
 
   /// Maps every `stride`-th frame and judges the objects. Loops are off: this odometry does not drift.
@@ -67,20 +51,17 @@ class RecordedDesk : public testing::Test {
                                       Options options = {}) {
     options.loop.enabled = false;
     ObjectSlam slam(options, classes_);
-    FrameBuilder builder(options.keyframe, camera_);
+    FrameBuilder builder(options.keyframe, camera_fr2());
     for (std::size_t i = 0; i < trajectory_.size(); i += stride) {
-      const auto frame = builder.build({trajectory_[i].stamp_ns, trajectory_[i].T_world_camera});
-      EXPECT_TRUE(frame) << frame.message();
-      if (!frame) break;
-      const DetectionFrame* seen = find_stamp(detections, frame->stamp_ns, kStampTolerance_ns);
-      slam.process(*frame, seen != nullptr ? &seen->detections : nullptr);
+      const Frame frame = checked(builder.build({trajectory_[i].stamp_ns, trajectory_[i].T_world_camera}));
+      const DetectionFrame* seen = find_stamp(detections, frame.stamp_ns, kStampTolerance_ns);
+      slam.process(frame, seen != nullptr ? &seen->detections : nullptr);
     }
     slam.process(builder.end(), nullptr);
     return evaluate_objects(mapped_objects(slam, *classes_), reference_, alignment_);
   }
 
   static inline std::shared_ptr<const ClassTable> classes_;
-  static inline Camera camera_;
   static inline StampedPoses trajectory_;
   static inline Alignment alignment_;
   static inline std::vector<DetectionFrame> detections_;
@@ -126,18 +107,14 @@ TEST_F(RecordedDesk, MergingAndConfirmationDecidePrecision) {
 /// fr1_xyz: real images and depth, a small real detector, objects marked by hand; the whole chain with its front end.
 /// Every second and third image with boxes, and a half, too: what holds on the whole must not hang on it.
 TEST(RecordedImages, ObjectsOfASmallDetectorHoldWithDepth) {
-  const char* data = std::getenv("SEMANTIC_TOPO_LOOP_DATA");
-  const std::string directory = std::string(data == nullptr ? "" : data) + "/tum/fr1_xyz";
+  const std::string directory = shared_data("tum/fr1_xyz").value_or("");
   const auto reference = read_reference_objects(directory + "/reference_objects.csv");
-  if (data == nullptr || !reference) GTEST_SKIP() << "SEMANTIC_TOPO_LOOP_DATA has no tum/fr1_xyz";
-  const auto table = read_class_table(STL_CONFIG_DIR "/classes_coco.yaml");
-  const auto camera = read_camera(STL_CONFIG_DIR "/camera/tum_fr1.yaml");
-  const auto truth = read_tum_ground_truth(directory + "/groundtruth.txt");
-  const auto files = associate_images(directory);
-  ASSERT_TRUE(table && camera && truth && files);
-  const auto classes = std::make_shared<const ClassTable>(*table);
-  const auto detections = read_detections(directory + "/detections_yolox_nano.json", *classes);
-  ASSERT_TRUE(detections) << detections.message();
+  if (!reference) GTEST_SKIP() << "SEMANTIC_TOPO_LOOP_DATA has no tum/fr1_xyz";
+  const auto camera = checked(read_camera(STL_CONFIG_DIR "/camera/tum_fr1.yaml"));
+  const auto truth = checked(read_tum_ground_truth(directory + "/groundtruth.txt"));
+  const auto files = checked(associate_images(directory)).files;
+  const auto classes = shared_coco();
+  const auto detections = checked(read_detections(directory + "/detections_yolox_nano.json", *classes)).frames;
   Options options;
   options.depth.scale = 5000.0;
   options.loop.enabled = false;
@@ -149,30 +126,28 @@ TEST(RecordedImages, ObjectsOfASmallDetectorHoldWithDepth) {
   const std::vector<Run> runs{{1, 1.0, 0.92, 0.8}, {2, 1.0, 0.92, 0.8}, {3, 1.0, 0.92, 0.8}, {1, 0.5, 0.88, 0.75}};
   std::vector<ObjectSlam> slams;
   for (std::size_t i = 0; i < runs.size(); ++i) slams.emplace_back(options, classes);
-  RgbdFrontend frontend(options.frontend, *camera);
-  FrameBuilder builder(options.keyframe, *camera);
+  RgbdFrontend frontend(options.frontend, camera);
+  FrameBuilder builder(options.keyframe, camera);
   StampedPoses poses;
-  for (std::size_t i = 0; i < files->files.size(); ++i) {
-    const auto image = read_rgbd_image(files->files[i], *camera, options.depth);
+  for (std::size_t i = 0; i < files.size(); ++i) {
+    const auto image = read_rgbd_image(files[i], camera, options.depth);
     ASSERT_TRUE(image) << image.message();
     const TrackedImage tracked = frontend.track(*image);
     if (!tracked.sample) continue;
     builder.set_camera(frontend.camera());
-    const auto frame = builder.build(*tracked.sample);
-    ASSERT_TRUE(frame) << frame.message();
-    poses.push_back({frame->stamp_ns, frame->T_odom_camera});
-    const DetectionFrame* seen = find_stamp(detections->frames, frame->stamp_ns, kStampTolerance_ns);
+    const Frame frame = checked(builder.build(*tracked.sample));
+    poses.push_back({frame.stamp_ns, frame.T_odom_camera});
+    const DetectionFrame* seen = find_stamp(detections, frame.stamp_ns, kStampTolerance_ns);
     for (std::size_t k = 0; k < runs.size(); ++k) {
-      if (static_cast<double>(i) > runs[k].until * static_cast<double>(files->files.size())) continue;
+      if (static_cast<double>(i) > runs[k].until * static_cast<double>(files.size())) continue;
       const bool has_boxes = seen != nullptr && i % static_cast<std::size_t>(runs[k].stride) == 0;
-      slams[k].process(*frame, has_boxes ? &seen->detections : nullptr);
+      slams[k].process(frame, has_boxes ? &seen->detections : nullptr);
     }
   }
-  const auto evaluation = evaluate_trajectory(poses, *truth);
-  ASSERT_TRUE(evaluation) << evaluation.message();
+  const Alignment alignment = checked(evaluate_trajectory(poses, truth)).alignment;
   for (std::size_t k = 0; k < runs.size(); ++k) {
     slams[k].process(builder.end(), nullptr);
-    const ObjectEvaluation e = evaluate_objects(mapped_objects(slams[k], *classes), *reference, evaluation->alignment);
+    const ObjectEvaluation e = evaluate_objects(mapped_objects(slams[k], *classes), *reference, alignment);
     EXPECT_GE(e.certain.f(), runs[k].f) << k;
     EXPECT_GE(e.strict.f(), runs[k].strict) << k;
     EXPECT_LE(e.center_m.median, 0.055) << k;
