@@ -1,6 +1,5 @@
 // What a stage does that cannot keep up, and the chain under a load: 60 boxes at 30 Hz. `_duration_s:=600
 // _max_tf_age_s:=0.2` for a long run whose map -> odom must never be older.
-#include <diagnostic_msgs/DiagnosticArray.h>
 #include <sensor_msgs/CameraInfo.h>
 #include <sensor_msgs/Image.h>
 #include <std_srvs/Trigger.h>
@@ -23,62 +22,6 @@ namespace semantic_topo_loop {
 namespace {
 
 using Clock = std::chrono::steady_clock;
-constexpr std::chrono::seconds kPatience(30);
-
-template <class Condition>
-bool wait_until(const Condition& condition) {
-  const auto deadline = Clock::now() + kPatience;
-  while (!condition() && Clock::now() < deadline) std::this_thread::sleep_for(std::chrono::milliseconds(10));
-  return condition();
-}
-
-/// The last word of each stage on /diagnostics.
-class Diagnostics {
- public:
-  Diagnostics() { subscriber_ = node_.subscribe("/diagnostics", 100, &Diagnostics::take, this); }
-  ~Diagnostics() { subscriber_.shutdown(); }
-
-  std::map<std::string, std::string> of(const std::string& stage) {
-    const std::lock_guard<std::mutex> lock(mutex_);
-    return values_[stage];
-  }
-  std::uint64_t count(const std::string& stage, const std::string& key) {
-    const auto values = of(stage);
-    const auto found = values.find(key);
-    return found == values.end() ? 0 : std::stoull(found->second);
-  }
-  /// Of all stages, of all causes that begin so.
-  std::uint64_t sum(const std::string& begin) {
-    const std::lock_guard<std::mutex> lock(mutex_);
-    std::uint64_t sum = 0;
-    for (const auto& [stage, values] : values_) {
-      for (const auto& [key, value] : values) sum += key.rfind(begin, 0) == 0 ? std::stoull(value) : 0;
-    }
-    return sum;
-  }
-  int reports() {
-    const std::lock_guard<std::mutex> lock(mutex_);
-    return reports_;
-  }
-
- private:
-  void take(const diagnostic_msgs::DiagnosticArray::ConstPtr& message) {
-    const std::lock_guard<std::mutex> lock(mutex_);
-    ++reports_;
-    for (const diagnostic_msgs::DiagnosticStatus& status : message->status) {
-      auto& values = values_[status.name.substr(status.name.rfind(' ') + 1)];
-      values.clear();
-      values["summary"] = status.message;
-      for (const diagnostic_msgs::KeyValue& value : status.values) values[value.key] = value.value;
-    }
-  }
-
-  ros::NodeHandle node_;
-  ros::Subscriber subscriber_;
-  std::mutex mutex_;  ///< guards both below
-  std::map<std::string, std::map<std::string, std::string>> values_;
-  int reports_ = 0;
-};
 
 /// A stage that stops at its first frame until it is let go.
 class SlowStage : public Stage {

@@ -1,6 +1,5 @@
 // Random messages, good and bad, on every topic, and services called at random. `_messages:=1000000 _seed:=7` for as
 // many as wanted.
-#include <diagnostic_msgs/DiagnosticArray.h>
 #include <dynamic_reconfigure/Reconfigure.h>
 #include <nav_msgs/Odometry.h>
 #include <sensor_msgs/CameraInfo.h>
@@ -340,39 +339,6 @@ class Fuzzer {
   std::uint64_t images_ = 0;
 };
 
-/// What the diagnostics count, by stage and cause.
-class Counters {
- public:
-  Counters() { subscriber_ = node_.subscribe("/diagnostics", 100, &Counters::take, this); }
-  ~Counters() { subscriber_.shutdown(); }
-  bool has(const std::string& stage, const std::string& cause) {
-    const auto deadline = std::chrono::steady_clock::now() + std::chrono::seconds(10);
-    while (std::chrono::steady_clock::now() < deadline) {
-      {
-        const std::lock_guard<std::mutex> lock(mutex_);
-        if (counted_[{stage, cause}] > 0) return true;
-      }
-      std::this_thread::sleep_for(std::chrono::milliseconds(50));
-    }
-    return false;
-  }
-
- private:
-  void take(const diagnostic_msgs::DiagnosticArray::ConstPtr& message) {
-    const std::lock_guard<std::mutex> lock(mutex_);
-    for (const diagnostic_msgs::DiagnosticStatus& status : message->status) {
-      const std::string stage = status.name.substr(status.name.rfind(' ') + 1);
-      for (const diagnostic_msgs::KeyValue& value : status.values)
-        counted_[{stage, value.key}] = std::atof(value.value.c_str());
-    }
-  }
-
-  ros::NodeHandle node_;
-  ros::Subscriber subscriber_;
-  std::mutex mutex_;  ///< guards counted_
-  std::map<std::pair<std::string, std::string>, double> counted_;
-};
-
 class Fuzz : public ::testing::Test {
  protected:
   void load(const std::string& frontend, const std::string& type) {
@@ -428,11 +394,13 @@ class Fuzz : public ::testing::Test {
     subscriber.shutdown();
   }
   void expect_counted(const std::string& stage, const std::vector<std::string>& causes) {
-    for (const std::string& cause : causes) EXPECT_TRUE(counters_.has(stage, cause)) << stage << ": " << cause;
+    for (const std::string& cause : causes) {
+      EXPECT_TRUE(wait_until([&] { return diagnostics_.count(stage, cause) > 0; })) << stage << ": " << cause;
+    }
   }
 
   const core::TestDirectory directory_;
-  Counters counters_;
+  Diagnostics diagnostics_;
   InProcessChain chain_;
 };
 

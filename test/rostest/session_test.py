@@ -12,10 +12,9 @@ from xmlrpc.client import ServerProxy
 import rosgraph
 import rospy
 import rostest
-from diagnostic_msgs.msg import DiagnosticArray
 from std_srvs.srv import Trigger
 
-from playback import PACKAGE, RESULT_FILES, DirectoryTest, Listener, demo, wait_until
+from playback import PACKAGE, RESULT_FILES, Diagnostics, DirectoryTest, Listener, demo, wait_until
 from semantic_topo_loop.msg import AssociationArray, FrameDone, QuadricMap
 
 
@@ -174,10 +173,9 @@ class UnloadTest(DirectoryTest):
         self.lock = threading.Lock()
         self.done = 0
         self.associations = 0
-        self.alive = set()
+        self.diagnostics = Diagnostics()
         rospy.Subscriber('/%s/frame_done' % PACKAGE, FrameDone, self.take_done)
         rospy.Subscriber('/%s/associations' % PACKAGE, AssociationArray, self.take_associations)
-        rospy.Subscriber('/diagnostics', DiagnosticArray, self.take_diagnostics)
 
     def take_done(self, _):
         with self.lock:
@@ -187,10 +185,6 @@ class UnloadTest(DirectoryTest):
         with self.lock:
             self.associations += 1
 
-    def take_diagnostics(self, message):
-        with self.lock:
-            self.alive |= {status.name.split(': ')[-1] for status in message.status}
-
     def test_unloaded_stage_is_named(self):
         launch = demo(duration='30', data=self.path('data'), lockstep='false', stall_timeout_s='4')
         try:
@@ -198,13 +192,13 @@ class UnloadTest(DirectoryTest):
             unloaded = subprocess.run(['rosrun', 'nodelet', 'nodelet', 'unload', '/%s/quadric_mapping' % PACKAGE,
                                        '/%s/manager' % PACKAGE], stdout=subprocess.DEVNULL, timeout=20)
             self.assertEqual(unloaded.returncode, 0)
-            with self.lock:
-                self.alive.clear()
-                before = self.associations
+            alive = self.diagnostics.summaries
+            alive.clear()
+            before = self.associations
             others = {'PoseFrontend', 'DetectionIngestion', 'ObjectAssociation', 'LoopDetection', 'PoseGraph',
                       'Recorder', 'Visualization', 'Player'}
-            self.assertTrue(wait_until(lambda: others <= self.alive, 3.5), self.alive)
-            self.assertNotIn('QuadricMapping', self.alive)
+            self.assertTrue(wait_until(lambda: others <= alive.keys(), 3.5), alive)
+            self.assertNotIn('QuadricMapping', alive)
             self.assertGreater(self.associations, before)
             self.assertTrue(launch.wait(40), launch.output())
         finally:

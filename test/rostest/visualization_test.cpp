@@ -51,12 +51,6 @@ class Last {
   boost::shared_ptr<const Message> last_;
 };
 
-bool wait_until(const std::function<bool()>& is_so) {
-  const ros::WallTime deadline = ros::WallTime::now() + ros::WallDuration(kPatience_s);
-  while (!is_so() && ros::WallTime::now() < deadline) ros::WallDuration(0.01).sleep();
-  return is_so();
-}
-
 /// Plays the stages that Visualization listens to. One object, a sphere of 0.3 m 2 m before the first camera.
 class Visualization : public ::testing::Test {
  protected:

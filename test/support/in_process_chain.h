@@ -1,5 +1,6 @@
 #pragma once
 
+#include <diagnostic_msgs/DiagnosticArray.h>
 #include <gtest/gtest.h>
 #include <nodelet/loader.h>
 #include <ros/ros.h>
@@ -7,15 +8,75 @@
 
 #include <chrono>
 #include <condition_variable>
+#include <cstdint>
+#include <functional>
 #include <map>
 #include <mutex>
 #include <string>
+#include <thread>
 
 #include "semantic_topo_loop/io/yaml_files.h"
 #include "support/test_files.h"
 #include "tools/simulation/sequence.h"
 
 namespace semantic_topo_loop {
+
+/// @return whether it is so, at the latest after the time
+inline bool wait_until(const std::function<bool()>& is_so, double timeout_s = 30.0) {
+  const auto deadline = std::chrono::steady_clock::now() + std::chrono::duration<double>(timeout_s);
+  while (!is_so() && std::chrono::steady_clock::now() < deadline) {
+    std::this_thread::sleep_for(std::chrono::milliseconds(2));
+  }
+  return is_so();
+}
+
+/// The last word of each stage on /diagnostics.
+class Diagnostics {
+ public:
+  Diagnostics() { subscriber_ = node_.subscribe("/diagnostics", 100, &Diagnostics::take, this); }
+  ~Diagnostics() { subscriber_.shutdown(); }
+
+  std::map<std::string, std::string> of(const std::string& stage) {
+    const std::lock_guard<std::mutex> lock(mutex_);
+    return values_[stage];
+  }
+  std::uint64_t count(const std::string& stage, const std::string& key) {
+    const auto values = of(stage);
+    const auto found = values.find(key);
+    return found == values.end() ? 0 : std::stoull(found->second);
+  }
+  /// Of all stages, of all causes that begin so.
+  std::uint64_t sum(const std::string& begin) {
+    const std::lock_guard<std::mutex> lock(mutex_);
+    std::uint64_t sum = 0;
+    for (const auto& [stage, values] : values_) {
+      for (const auto& [key, value] : values) sum += key.rfind(begin, 0) == 0 ? std::stoull(value) : 0;
+    }
+    return sum;
+  }
+  int reports() {
+    const std::lock_guard<std::mutex> lock(mutex_);
+    return reports_;
+  }
+
+ private:
+  void take(const diagnostic_msgs::DiagnosticArray::ConstPtr& message) {
+    const std::lock_guard<std::mutex> lock(mutex_);
+    ++reports_;
+    for (const diagnostic_msgs::DiagnosticStatus& status : message->status) {
+      auto& values = values_[status.name.substr(status.name.rfind(' ') + 1)];
+      values.clear();
+      values["summary"] = status.message;
+      for (const diagnostic_msgs::KeyValue& value : status.values) values[value.key] = value.value;
+    }
+  }
+
+  ros::NodeHandle node_;
+  ros::Subscriber subscriber_;
+  std::mutex mutex_;  ///< guards both below
+  std::map<std::string, std::map<std::string, std::string>> values_;
+  int reports_ = 0;
+};
 
 /// Simulates a sequence into a directory, as the simulate program does.
 inline void write_simulation(const std::map<std::string, std::string>& options, const std::string& directory) {
