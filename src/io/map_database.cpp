@@ -120,12 +120,14 @@ class OpenMap {
 }  // namespace
 
 Status check_map_place(const std::string& path) {
-  if (!is_there(path)) return check_writable(path);
-  SqliteFile file(path, SqliteFile::Mode::kWrite);
-  const std::int64_t application = file.number("PRAGMA application_id");
-  if (file.is_fine() && application != kMapApplicationId) file.reject("is there already, and is no map");
-  take_in_journal(&file);
-  return status_of(file);
+  if (is_there(path)) {
+    SqliteFile file(path, SqliteFile::Mode::kWrite);
+    const std::int64_t application = file.number("PRAGMA application_id");
+    if (file.is_fine() && application != kMapApplicationId) file.reject("is there already, and is no map");
+    take_in_journal(&file);
+    if (!file.is_fine()) return status_of(file);
+  }
+  return check_writable(path);  // of a file that is there, too: another one is to take its place
 }
 
 Status replace_map(const std::string& path, const std::function<Status(const std::string&)>& write) {
@@ -166,11 +168,12 @@ Result<std::string> link_loaded_map(const std::string& path) {
   if (!is_there(path)) return path;
   SqliteFile file(path, SqliteFile::Mode::kWrite);
   take_in_journal(&file);
-  if (file.is_busy()) return Error{file.problem()};
   std::error_code code;
   // A link to a symbolic link would lead to whatever takes the map's place.
   const std::string map = std::filesystem::canonical(path, code).string();
   if (code) return path;
+  // Under another name it would be read without what is in its journal.
+  if (!file.is_fine() && (file.is_busy() || is_there(map + kJournals[0]))) return Error{file.problem()};
   remove_links_of_the_dead(map + kLoaded);
   // Other programs, and the session before, may still read theirs.
   static std::atomic<int> next{1};
@@ -181,9 +184,10 @@ Result<std::string> link_loaded_map(const std::string& path) {
 
 class MapDatabase::Impl {
  public:
-  Impl(std::string path, std::shared_ptr<const ClassTable> classes, std::string configuration, std::string earlier,
+  Impl(const std::string& path, std::shared_ptr<const ClassTable> classes, std::string configuration,
+       std::string earlier,
        bool sets_aside)
-      : path_(std::move(path)),
+      : path_(behind_links(path)),  // a link that is set aside would lead to what takes the map's place
         classes_(std::move(classes)),
         configuration_(std::move(configuration)),
         earlier_(std::move(earlier)),
@@ -316,9 +320,11 @@ class MapDatabase::Impl {
       file.run("BEGIN");
       create_map_tables(&file);
       const std::int64_t version = earlier_.empty() ? 0 : file.number("PRAGMA earlier.user_version");
-      if (version > 1) {  // before, maps had none
+      // Those of keyframes that the map never got would be the new session's. Before version 2, maps had none.
+      if (version > 1) {
         file.run(std::string("INSERT INTO points SELECT keyframe, sparse, semi_dense, body, ") +
-                 (version > 5 ? "checksum" : "NULL") + " FROM earlier.points");
+                 (version > 5 ? "checksum" : "NULL") +
+                 " FROM earlier.points WHERE keyframe IN (SELECT id FROM earlier.keyframe)");
       }
       MapTables tables(&file, *classes_);
       tables.write_configuration(configuration_);
@@ -348,8 +354,8 @@ class MapDatabase::Impl {
 
 MapDatabase::MapDatabase(std::string path, std::shared_ptr<const ClassTable> classes, std::string configuration,
                          std::string earlier, bool sets_aside)
-    : impl_(std::make_unique<Impl>(std::move(path), std::move(classes), std::move(configuration), std::move(earlier),
-                                   sets_aside)) {}
+    : impl_(
+          std::make_unique<Impl>(path, std::move(classes), std::move(configuration), std::move(earlier), sets_aside)) {}
 MapDatabase::~MapDatabase() { static_cast<void>(close()); }
 void MapDatabase::write(Parts parts, bool keeps_copy) { impl_->write(std::move(parts), keeps_copy); }
 bool MapDatabase::is_behind() const { return impl_->is_behind(); }

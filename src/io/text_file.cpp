@@ -20,18 +20,6 @@ namespace {
 constexpr char kStandardOutput[] = "/dev/stdout";
 constexpr char kByteOrderMark[] = "\xEF\xBB\xBF";  ///< that editors of Windows begin UTF-8 with
 
-/// Where links lead, of which the last one need not lead to a file.
-std::string behind_links(const std::string& path) {
-  constexpr int kLinksMax = 40;  // as the kernel
-  std::filesystem::path target = path;
-  std::error_code code;
-  for (int links = 0; links < kLinksMax; ++links) {
-    if (!std::filesystem::is_symlink(std::filesystem::symlink_status(target, code))) return target;
-    target = target.parent_path() / std::filesystem::read_symlink(target, code);
-  }
-  return path;
-}
-
 /// A file that is written beside the one whose place it shall take, and removed unless it takes it. A device is written
 /// itself.
 class TemporaryFile {
@@ -155,11 +143,24 @@ Status check_writable(const std::string& path) {
   std::error_code missing;
   const bool is_inside = !path.empty() && path.back() == '/';
   if (!is_inside && std::filesystem::is_directory(path, missing)) return Error{path + ": is a directory, not a file"};
-  const std::string probe = path + ".writable";
-  if (const Status written = write_text_file(probe, ""); !written) return written;
+  const std::string probe = behind_links(path) + ".writable";
+  if (const Status written = write_text_file(probe, ""); !written) {
+    return Error{path + written.message().substr(probe.size())};
+  }
   std::error_code ignored;
   std::filesystem::remove(probe, ignored);
   return {};
+}
+
+std::string behind_links(const std::string& path) {
+  constexpr int kLinksMax = 40;  // as the kernel
+  std::filesystem::path target = path;
+  std::error_code code;
+  for (int links = 0; links < kLinksMax; ++links) {
+    if (!std::filesystem::is_symlink(std::filesystem::symlink_status(target, code))) return target;
+    target = target.parent_path() / std::filesystem::read_symlink(target, code);
+  }
+  return path;
 }
 
 bool is_same_file(const std::string& a, const std::string& b) {

@@ -466,6 +466,12 @@ TEST_F(ReadOnlyMapFile, IsRead) {
   EXPECT_TRUE(read_whole(kept_) == read_whole(path_));
 }
 
+TEST_F(ReadOnlyMapFile, IsNoPlaceForAMapThoughItCanBeWrittenItself) {
+  keep({path_});
+  std::filesystem::permissions(kept_, Permissions::others_read | Permissions::others_write);
+  EXPECT_TRUE(as_nobody([this] { return check_map_place(kept_).message().find(kept_) == 0; }));
+}
+
 /// As a writer that was killed leaves it.
 TEST_F(ReadOnlyMapFile, IsReadThoughItWasNotClosed) {
   SqliteFile writer(path_, SqliteFile::Mode::kWrite);

@@ -199,6 +199,9 @@ TEST_F(MapDatabaseTest, PointsOfTheMapThatASessionGoesOnWithStay) {
     save(&database, 2);
   }
   EXPECT_EQ(checked(read_map(path_, *shared_coco()))->points.size(), 2U);
+  // A program that was killed may leave those of a keyframe that the map never got.
+  SqliteFile(path_, SqliteFile::Mode::kWrite)
+      .run("INSERT INTO points SELECT 1000, sparse, semi_dense, body, checksum FROM points LIMIT 1");
   const auto whole = run.slam().map();
   const std::string old = directory_.path("old.db");
   ASSERT_EQ(write_map(old, *whole, *shared_coco()).message(), "");
@@ -218,6 +221,7 @@ TEST_F(MapDatabaseTest, PointsOfTheMapThatASessionGoesOnWithStay) {
     ASSERT_EQ(map->points.size(), count) << earlier;
     EXPECT_EQ(map->points[count / 2].keyframe_id, 1);
     EXPECT_EQ(map->left_out, 0U);
+    EXPECT_EQ(SqliteFile(earlier, SqliteFile::Mode::kRead).number("SELECT count(*) FROM points"), count);
   }
 }
 
@@ -471,6 +475,32 @@ TEST_F(MapDatabaseTest, ALoadedMapStaysThoughItsNameIsALink) {
   for (int i = 0; i < 20; ++i) run.next();
   ASSERT_EQ(write_map(path_, *run.slam().map(), *shared_coco()).message(), "");
   EXPECT_TRUE(read_whole(loaded) == before);
+}
+
+TEST_F(MapDatabaseTest, WhatIsSetAsideIsTheMapAndNotALinkToIt) {
+  ChainRun run(laps(), shared_coco());
+  run.next();
+  const std::string site = directory_.path("site.db");
+  ASSERT_EQ(write_map(site, *run.slam().map(), *shared_coco()).message(), "");
+  const std::string before = read_whole(site);
+  std::filesystem::create_symlink(site, path_);
+  MapDatabase database(path_, shared_coco(), {}, {}, true);
+  for (int i = 0; i < 2; ++i) {
+    run.next();
+    database.write({run.slam().take_delta()});
+  }
+  EXPECT_EQ(database.close().message(), "");
+  EXPECT_TRUE(read_whole(site + "~") == before);
+  EXPECT_TRUE(std::filesystem::is_symlink(path_));
+  EXPECT_EQ(rows_of(path_), rows_of(site));
+  EXPECT_EQ(checked(read_map(site, *shared_coco()))->graph.sessions.size(), 1U);
+}
+
+TEST_F(MapDatabaseTest, AMapIsNotReadWithoutItsJournal) {
+  directory_.write("map.db", "what a disk left of a map");
+  EXPECT_TRUE(link_loaded_map(path_));
+  directory_.write("map.db-wal", "what was written last");
+  EXPECT_EQ(link_loaded_map(path_).message(), path_ + ": file is not a database");
 }
 
 TEST_F(MapDatabaseTest, AMapHasNoPlaceWhereThereIsNoFolder) {

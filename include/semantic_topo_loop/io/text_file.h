@@ -37,6 +37,9 @@ bool is_device(const std::string& path);
 /// Sees whether a file of that name, or for "DIRECTORY/" one in it, can be written.
 Status check_writable(const std::string& path);
 
+/// The file that a name leads to by symbolic links, of which the last one need not lead to a file.
+std::string behind_links(const std::string& path);
+
 /// Whether two names lead to one file, by links too; of files that are not there, whether they would.
 bool is_same_file(const std::string& a, const std::string& b);
 
