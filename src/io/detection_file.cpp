@@ -254,6 +254,16 @@ std::string yolo_line(const Detection& detection) {
   return text + ' ' + format_fixed(detection.score, kScoreDecimals) + '\n';
 }
 
+/// Whether all boxes end in the first two pixels: they are shares of the image, as YOLO writes them.
+bool are_shares(const DetectionRecording& recording) {
+  constexpr double kMost = 2.0;  // x and width, one each, are read as a corner and a size
+  double largest = 0.0;
+  for (const DetectionFrame& frame : recording.frames) {
+    for (const Detection& detection : frame.detections) largest = std::max(largest, detection.box.edges().maxCoeff());
+  }
+  return recording.report.detections > 0 && largest <= kMost;
+}
+
 }  // namespace
 
 const char* to_string(DetectionProblem problem) {
@@ -309,6 +319,7 @@ Result<DetectionRecording> read_detections(const std::string& path, const ClassT
   const Status collected = is_directory ? collect_yolo(path, &collector) : collect_json(path, &collector);
   if (!collected) return collected.error();
   DetectionRecording recording = collector.take_sorted();
+  if (are_shares(recording)) return Error{path + ": boxes must be in pixels, these are shares of the image"};
   if (recording.report.frames > 0) return recording;
   return Error{path + (is_directory ? ": contains no <stamp>.txt file" : ": contains no image")};
 }

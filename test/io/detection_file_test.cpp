@@ -198,6 +198,14 @@ TEST_F(DetectionReader, MissingEmptyAndTruncatedFilesAreErrors) {
   expect_error({"empty: contains no <stamp>.txt file"});
 }
 
+TEST_F(DetectionReader, SharesOfTheImageAreNoPixels) {
+  directory_.write("yolo/1.0.txt", "56 0.9 0.43 0.8 0.31 0.88\n");
+  EXPECT_FALSE(read_path(directory_.path("yolo")));
+  expect_error({"yolo: boxes must be in pixels, these are shares of the image"});
+  directory_.write("yolo/1.1.txt", "56 500 300 80 60 0.88\n");
+  EXPECT_TRUE(read_path(directory_.path("yolo"))) << "a box in the corner may be so small";
+}
+
 TEST_F(DetectionReader, JsonOfAnotherShapeIsAnErrorThatNamesTheField) {
   EXPECT_FALSE(read(R"([{"detections": []}])"));
   expect_error({"boxes.json: [0] has no 'file_name'"});
