@@ -186,18 +186,22 @@ Status write_trajectory(const std::string& path, const MapState& map, bool live)
   return written;
 }
 
-/// Vertices, their odometry edges and the loops that are kept, with the noise and the jumps that were found.
+/// Vertices, their odometry edges and the loops that are kept, with the noise and the jumps that were found; all in the
+/// map's unit of length.
 Status write_graph(const std::string& path, const MapState& map) {
   G2oGraph graph;
   std::vector<std::int64_t> ids;
+  std::vector<double> scales;  // of that unit over what each vertex's edges are in
   for (const GraphKeyframe& keyframe : map.graph.keyframes) {
     if (keyframe.T_vertex_keyframe) continue;
     ids.push_back(keyframe.pose.keyframe_id);
+    scales.push_back(keyframe.pose.scale);
     graph.vertices.push_back({ids.back(), keyframe.pose.T_map_camera, ids.size() == 1});
   }
-  const auto add = [&](std::size_t from, std::size_t to, const SE3& T, const Mat6& covariance) {
+  const auto add = [&](std::size_t from, std::size_t to, SE3 T, const Mat6& covariance) {
+    T.t *= scales[from];
     Vec6 by_quaternion;  // whose vector part, in g2o's errors, is half the rotation
-    by_quaternion << Vec3::Ones(), Vec3::Constant(2.0);
+    by_quaternion << Vec3::Constant(1.0 / scales[from]), Vec3::Constant(2.0);
     const Mat6 information = by_quaternion.asDiagonal() * covariance.inverse() * by_quaternion.asDiagonal();
     graph.edges.push_back({ids[from], ids[to], T, 0.5 * (information + information.transpose())});
   };

@@ -274,6 +274,7 @@ struct ChainResult {
 /// @return an error if the inputs have no frame in common. If the source needs to be rewound the result means nothing
 Status run_once(const Arguments& arguments, const RunInputs& inputs, ChainResult* chain) {
   RunRecorder* const recorder = chain->recorder.get();
+  if (inputs.detector) inputs.detector->restart();
   ObjectSlam slam(inputs.options, inputs.classes);
   FrameBuilder builder(inputs.options.keyframe, inputs.camera);
   PointMap point_map(inputs.options.point_map);
@@ -330,7 +331,9 @@ Status run_once(const Arguments& arguments, const RunInputs& inputs, ChainResult
     if (*detections != nullptr) ++counts.with_detections;
     point_map.add(*frame);
     take(*frame, slam.process(*frame, *detections, extra_loops.at(*frame)));
-    if (database && save_points.is_due(frame->stamp_ns) && !database->is_behind()) save();
+    // Detections of another recording must not take a map's place.
+    const bool may_save = counts.with_detections > 0 || inputs.detections.empty();
+    if (database && may_save && save_points.is_due(frame->stamp_ns) && !database->is_behind()) save();
     if (counts.frames++ == 0) counts.first_ns = frame->stamp_ns;
     counts.last_ns = frame->stamp_ns;
     show_progress(source.done, source.total, &shown_percent);

@@ -275,6 +275,14 @@ TEST_F(OfflineRun, OutputThatCannotBeWrittenIsOneClearErrorBeforeTheRun) {
   expect_failure(with("d.json", "taken"), 1, "taken");
 }
 
+TEST_F(OfflineRun, DetectionsOfAnotherRecordingLeaveTheMapThatIsThere) {
+  ASSERT_EQ(run(with("d.json", "run") + " --save-map @map.db"), 0) << err_;
+  const std::string before = read_whole(directory_.path("map.db"));
+  directory_.write("other.json", R"([{"file_name": "7.0.png", "detections": []}])");
+  expect_failure(with("other.json", "run") + " --save-map @map.db", 1, "no detection has the stamp of a pose");
+  EXPECT_TRUE(read_whole(directory_.path("map.db")) == before);
+}
+
 TEST_F(OfflineRun, NumbersThatNothingHoldsAreOneClearError) {
   directory_.write("huge.json", R"([{"file_name": "1.0.png", "detections": [{"category_id": 41, "detection_score": )"
                                 R"(1e999, "bbox": [1, 2, 30, 40]}]}])");
@@ -327,6 +335,23 @@ TEST_F(InspectMapProgram, CountsAndExports) {
   EXPECT_EQ(loops.back().match_frame, refused.back().match_frame);
   ASSERT_EQ(run("@map.db --dump"), 0) << err_;
   EXPECT_EQ(out_.find("class "), 0U);
+}
+
+TEST_F(InspectMapProgram, AGraphIsInTheUnitOfTheMap) {
+  MapState map = *checked(read_map(directory_.path("map.db"), coco()));
+  const auto exported = [&](double scale) {
+    for (GraphKeyframe& keyframe : map.graph.keyframes) keyframe.pose.scale = scale;
+    EXPECT_EQ(write_map(directory_.path("scaled.db"), map, coco()).message(), "");
+    EXPECT_EQ(run("@scaled.db --graph @g.g2o" + classes_), 0) << err_;
+    return checked(read_g2o(directory_.path("g.g2o"), nullptr)).edges;
+  };
+  const std::vector<G2oEdge> metres = exported(1.0), halves = exported(2.0);
+  ASSERT_EQ(halves.size(), metres.size());
+  for (std::size_t i = 0; i < metres.size(); ++i) {
+    EXPECT_LT((halves[i].T_from_to.t - 2.0 * metres[i].T_from_to.t).norm(), 1e-6) << i;
+    EXPECT_NEAR(halves[i].information(0, 0) / metres[i].information(0, 0), 0.25, 1e-6) << i;
+    EXPECT_NEAR(halves[i].information(5, 5) / metres[i].information(5, 5), 1.0, 1e-6) << i;
+  }
 }
 
 TEST_F(InspectMapProgram, AGraphHasTheNoiseAndTheJumpsThatWereFound) {
