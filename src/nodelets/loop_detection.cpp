@@ -32,7 +32,13 @@ class LoopDetectionNodelet : public StageWith<LoopDetectionParameters> {
 
   void onInit() override {
     if (!start(2)) return;
-    joiner_ = std::make_unique<Joiner>(queue_capacity());
+    // A break, and what the odometry's source found, are told by one frame alone, whose boxes may get lost.
+    joiner_ = std::make_unique<Joiner>(queue_capacity(), [this](std::int64_t frame_id, const Joiner::Partial& partial) {
+      core::AssociationFrame unseen;
+      unseen.frame_id = frame_id;
+      unseen.unanswered = true;
+      if (const auto& frame = std::get<0>(partial)) detect(**frame, unseen);
+    });
     publisher_ = advertise<LoopsMessage>("loop_closures");
     for (const char* counter : {kIncomplete, kAccepted}) statistics().count(counter, 0);
     reset_session();
@@ -43,7 +49,7 @@ class LoopDetectionNodelet : public StageWith<LoopDetectionParameters> {
     subscribe("map_corrections", Keep::kAlways, &LoopDetectionNodelet::on_correction);
     subscribe("quadric_map_updates", Keep::kAlways, &LoopDetectionNodelet::on_update);
     subscribe("associations", Keep::kDroppable, &LoopDetectionNodelet::on_associations);
-    subscribe("frames", Keep::kDroppable, &LoopDetectionNodelet::on_frame);
+    subscribe("frames", Keep::kAlways, &LoopDetectionNodelet::on_frame);
     follow_sessions();
   }
 
@@ -114,11 +120,11 @@ class LoopDetectionNodelet : public StageWith<LoopDetectionParameters> {
 
   void on_frame(const FrameMessage::ConstPtr& frame) {
     if (frame->is_end) map_parts_.set_end(frame->frame_id);
-    detect(joiner_->add<0>(frame->frame_id, frame));
+    take(joiner_->add<0>(frame->frame_id, frame));
   }
 
   void on_associations(const AssociationsMessage::ConstPtr& associations) {
-    detect(joiner_->add<1>(associations->frame_id, associations));
+    take(joiner_->add<1>(associations->frame_id, associations));
   }
 
   /// Updates are applied as they come, which is the order in which the map made them.
@@ -127,20 +133,22 @@ class LoopDetectionNodelet : public StageWith<LoopDetectionParameters> {
       const std::lock_guard<std::mutex> lock(mutex_);
       detector_->apply(*update);
     }
-    if (update->phase == core::MapUpdatePhase::kObservation) detect(joiner_->add<2>(update->frame_id, update));
+    if (update->phase == core::MapUpdatePhase::kObservation) take(joiner_->add<2>(update->frame_id, update));
   }
 
-  void detect(const std::optional<Joiner::Set>& joined) {
+  void take(const std::optional<Joiner::Set>& joined) {
     statistics().set_lost(kIncomplete, joiner_->evicted());
-    if (!joined) return;
-    const FrameMessage& frame = *std::get<0>(*joined);
+    if (joined) detect(*std::get<0>(*joined), *std::get<1>(*joined));
+  }
+
+  void detect(const FrameMessage& frame, const core::AssociationFrame& associations) {
     FrameLoops loops;
     loops.frame_id = frame.frame_id;
     double delay_s = 0.0;
     {
       const std::lock_guard<std::mutex> lock(mutex_);
       const core::Stopwatch stopwatch;
-      loops.closures = detector_->detect(frame, *std::get<1>(*joined));
+      loops.closures = detector_->detect(frame, associations);
       loops.motions = detector_->motions();
       loops.duration_us = stopwatch.elapsed_us();
       loops.relocalisation = detector_->relocalisation();

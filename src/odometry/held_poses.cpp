@@ -80,4 +80,9 @@ HeldPoses::Motion HeldPoses::move(std::int64_t stamp_ns, const SE3& T_odom_camer
   return motion;
 }
 
+void HeldPoses::begin_anew() {
+  speeds_.clear();
+  if (last_) last_->since_ns = last_->stamp_ns;
+}
+
 }  // namespace semantic_topo_loop::core

@@ -30,8 +30,8 @@ class HeldPoses {
   };
   /// Call it once a frame, in order.   @return how the odometry came to its pose
   Motion move(std::int64_t stamp_ns, const SE3& T_odom_camera);
-  /// The last motion was a break: how fast it was tells nothing of the camera.
-  void forget_speeds() { speeds_.clear(); }
+  /// The last motion was a break: how fast it was tells nothing of the camera, nor how long the odometry stood.
+  void begin_anew();
 
  private:
   struct Speed {

@@ -48,7 +48,7 @@ Result<Frame> FrameBuilder::build(const PoseSample& sample) {
     frame.is_break = frame.is_break || has_gap || distance_m > options_.break_speed_m_s * moved_s ||
                      angle_deg > options_.break_rate_deg_s * moved_s;
   }
-  if (frame.is_break) held_poses_->forget_speeds();
+  if (frame.is_break) held_poses_->begin_anew();
   frame.is_keyframe = !last_keyframe_ || frame.is_break;
   if (!frame.is_keyframe) {
     // A robot that is parked for a day shows nothing new; odometry from images moves by less while it stands.

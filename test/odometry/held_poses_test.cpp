@@ -113,6 +113,16 @@ TEST(HeldPoses, OverAGapTheWayGoesOn) {
   EXPECT_FALSE(after(2.5, way).is_way);
 }
 
+TEST(HeldPoses, NothingIsHeldAcrossABreak) {
+  for (const bool is_break : {false, true}) {
+    HeldPoses poses;
+    for (int i = 0; i < 4; ++i) poses.move(i * kInterval_ns, SE3());
+    if (is_break) poses.begin_anew();
+    const SE3 turned(so3_exp(Vec3(0.0, 0.0, 0.05)), Vec3::Zero());
+    EXPECT_EQ(poses.move(4 * kInterval_ns, turned).caught_up_since_ns.has_value(), !is_break);
+  }
+}
+
 TEST(HeldPoses, FramesBetweenWereOnTheWayAndOthersWhereTheyWere) {
   Frame later;
   later.stamp_ns = 5 * kInterval_ns;

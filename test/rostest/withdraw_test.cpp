@@ -50,7 +50,8 @@ class Feed {
     }
   }
 
-  bool start_session(std::uint32_t session = kSession) {
+  /// @param stages that are to acknowledge it
+  bool start_session(std::uint32_t session = kSession, int stages = 2) {
     SessionControl start;
     start.header.stamp = ros::Time(session);
     start.session_id = session_ = session;
@@ -60,7 +61,7 @@ class Feed {
       acknowledged_ = 0;
     }
     control_.publish(start);
-    return wait([this] { return acknowledged_ >= 2; });
+    return wait([this, stages] { return acknowledged_ >= stages; });
   }
 
   /// In the order of the chain, each stage awaited, so that the run is the same every time.
@@ -74,12 +75,14 @@ class Feed {
   }
   /// As step, as far as it goes without the frame's loops.
   void begin_step(const core::Frame& frame, const core::AssociationFrame& associations) {
-    const std_msgs::Header header = header_of(frame);
-    AssociationsMessage seen(header, session_, associations);
+    AssociationsMessage seen(header_of(frame), session_, associations);
     seen.frame_id = frame.frame_id;
-    frames_.publish(FrameMessage(header, session_, CameraFrame{frame, "camera"}));
+    publish_frame(frame);
     associations_.publish(seen);
     is_stuck_ = !wait([&] { return observed_ == frame.frame_id; });
+  }
+  void publish_frame(const core::Frame& frame) {
+    frames_.publish(FrameMessage(header_of(frame), session_, CameraFrame{frame, "camera"}));
   }
   void publish_loops(const core::Frame& frame, const std::vector<core::LoopClosure>& loops) {
     loops_.publish(LoopsMessage(header_of(frame), session_, FrameLoops{frame.frame_id, 0.0, loops, {}, {}}));
@@ -273,6 +276,43 @@ TEST(LateLoops, OfAFrameThatWentInWithoutThemCloseWithALaterOne) {
   ASSERT_FALSE(feed.corrections().empty());
   EXPECT_EQ(feed.corrections().back().loops.size(), late_loops.size());
   EXPECT_GT(new_position(feed.corrections().back()).norm(), 0.3) << "the drift is corrected";
+  chain.unload_all();
+}
+
+TEST(LoopDetection, HearsOfAFrameWhoseBoxesAreLost) {
+  InProcessChain chain;
+  chain.load_correction();
+  chain.load("loop_detection", "LoopDetection");
+  Feed feed;
+  std::mutex mutex;
+  std::map<std::int64_t, LoopsMessage::ConstPtr> heard;  // by frame
+  ros::NodeHandle node;
+  const boost::function<void(const LoopsMessage::ConstPtr&)> take = [&](const LoopsMessage::ConstPtr& loops) {
+    const std::lock_guard<std::mutex> lock(mutex);
+    heard[loops->frame_id] = loops;
+  };
+  const ros::Subscriber subscriber = node.subscribe<LoopsMessage>("loop_closures", 10, take);
+  ASSERT_TRUE(feed.start_session(kSession, 3));
+  constexpr std::int64_t kFrames = 4, kLost = 2;
+  for (std::int64_t i = 0; i < kFrames; ++i) {
+    core::Frame frame = first_frame(10.0 + 0.5 * static_cast<double>(i));
+    frame.frame_id = frame.keyframe_id = i;
+    if (i != kLost) {
+      feed.begin_step(frame, {});
+      continue;
+    }
+    frame.is_break = true;
+    frame.source_loop = core::SourceLoop{first_frame(10.0).stamp_ns, {}, core::Mat6::Identity(), 100};
+    feed.publish_frame(frame);
+  }
+  EXPECT_TRUE(wait_until([&] {
+    const std::lock_guard<std::mutex> lock(mutex);
+    return heard.size() == kFrames;
+  }));
+  const std::lock_guard<std::mutex> lock(mutex);
+  ASSERT_EQ(heard.count(kLost), 1U);
+  ASSERT_EQ(heard[kLost]->closures.size(), 1U) << "what the odometry's source found";
+  EXPECT_EQ(heard[kLost]->closures[0].match_frame, 0);
   chain.unload_all();
 }
 
