@@ -185,8 +185,7 @@ Result<std::string> link_loaded_map(const std::string& path) {
 class MapDatabase::Impl {
  public:
   Impl(const std::string& path, std::shared_ptr<const ClassTable> classes, std::string configuration,
-       std::string earlier,
-       bool sets_aside)
+       std::string earlier, bool sets_aside)
       : path_(behind_links(path)),  // a link that is set aside would lead to what takes the map's place
         classes_(std::move(classes)),
         configuration_(std::move(configuration)),
