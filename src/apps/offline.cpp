@@ -251,6 +251,11 @@ void warn(const RunInputs& inputs, const Counts& counts, std::size_t loops_left)
   }
 }
 
+/// Whether the detections, if there are any, are of this recording: some frame had its own.
+bool are_of_one_recording(const RunInputs& inputs, const Counts& counts) {
+  return counts.with_detections > 0 || inputs.detections.empty();
+}
+
 /// An error if there were no frames, or no detections that belong to them although there are some.
 Status check_input(const RunInputs& inputs, const Counts& counts) {
   if (counts.frames == 0) {
@@ -260,7 +265,7 @@ Status check_input(const RunInputs& inputs, const Counts& counts) {
     return Error{"no image has a pose" + (source.report ? ": " + source.report->warning() : std::string()) +
                  (depth.empty() ? "" : "; " + depth)};
   }
-  if (counts.with_detections > 0 || inputs.detections.empty()) return {};
+  if (are_of_one_recording(inputs, counts)) return {};
   return Error{"no detection has the stamp of a pose: the first of each are " + std::to_string(counts.first_ns) +
                " ns (pose) and " + std::to_string(inputs.detections.front().stamp_ns) + " ns (detection)"};
 }
@@ -331,9 +336,9 @@ Status run_once(const Arguments& arguments, const RunInputs& inputs, ChainResult
     if (*detections != nullptr) ++counts.with_detections;
     point_map.add(*frame);
     take(*frame, slam.process(*frame, *detections, extra_loops.at(*frame)));
-    // Detections of another recording must not take a map's place.
-    const bool may_save = counts.with_detections > 0 || inputs.detections.empty();
-    if (database && may_save && save_points.is_due(frame->stamp_ns) && !database->is_behind()) save();
+    // What another recording's detections make must not take a map's place.
+    const bool may_save = database && are_of_one_recording(inputs, counts);
+    if (may_save && save_points.is_due(frame->stamp_ns) && !database->is_behind()) save();
     if (counts.frames++ == 0) counts.first_ns = frame->stamp_ns;
     counts.last_ns = frame->stamp_ns;
     show_progress(source.done, source.total, &shown_percent);

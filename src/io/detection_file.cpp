@@ -224,6 +224,16 @@ Status collect_yolo(const std::string& directory, Collector* collector) {
   return {};
 }
 
+/// Whether all boxes end in the first two pixels: they are shares of the image, as YOLO writes them.
+bool are_shares(const DetectionRecording& recording) {
+  constexpr double kMost = 2.0;  // x and width, one each, are read as a corner and a size
+  double largest = 0.0;
+  for (const DetectionFrame& frame : recording.frames) {
+    for (const Detection& detection : frame.detections) largest = std::max(largest, detection.box.edges().maxCoeff());
+  }
+  return recording.report.detections > 0 && largest <= kMost;
+}
+
 // --- writing ------------------------------------------------------------------------------------------------------
 
 constexpr int kCoordinateDecimals = 4;
@@ -252,16 +262,6 @@ std::string yolo_line(const Detection& detection) {
     text += ' ' + format_fixed(value, kCoordinateDecimals);
   }
   return text + ' ' + format_fixed(detection.score, kScoreDecimals) + '\n';
-}
-
-/// Whether all boxes end in the first two pixels: they are shares of the image, as YOLO writes them.
-bool are_shares(const DetectionRecording& recording) {
-  constexpr double kMost = 2.0;  // x and width, one each, are read as a corner and a size
-  double largest = 0.0;
-  for (const DetectionFrame& frame : recording.frames) {
-    for (const Detection& detection : frame.detections) largest = std::max(largest, detection.box.edges().maxCoeff());
-  }
-  return recording.report.detections > 0 && largest <= kMost;
 }
 
 }  // namespace

@@ -351,7 +351,7 @@ class MapDatabase::Impl {
   std::thread thread_;
 };
 
-MapDatabase::MapDatabase(std::string path, std::shared_ptr<const ClassTable> classes, std::string configuration,
+MapDatabase::MapDatabase(const std::string& path, std::shared_ptr<const ClassTable> classes, std::string configuration,
                          std::string earlier, bool sets_aside)
     : impl_(
           std::make_unique<Impl>(path, std::move(classes), std::move(configuration), std::move(earlier), sets_aside)) {}

@@ -1,5 +1,5 @@
 // What PoseGraph makes of loops: corrections and tf, of loops that come late or from outside, of one that is withdrawn
-// by service, and of a new session.
+// by service, and of a new session; and that LoopDetection tells of each frame, with its boxes or without.
 #include <nav_msgs/Path.h>
 #include <tf2_msgs/TFMessage.h>
 

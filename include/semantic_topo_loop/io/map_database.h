@@ -27,7 +27,7 @@ class MapDatabase {
   /// @param configuration kept for who wonders how the map came about
   /// @param earlier map's file with which the session goes on, whose points stay, or empty
   /// @param sets_aside what is there by then stays, as set_map_aside has it
-  MapDatabase(std::string path, std::shared_ptr<const ClassTable> classes, std::string configuration = {},
+  MapDatabase(const std::string& path, std::shared_ptr<const ClassTable> classes, std::string configuration = {},
               std::string earlier = {}, bool sets_aside = false);
   /// As `close`.
   ~MapDatabase();
