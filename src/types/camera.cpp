@@ -88,6 +88,21 @@ Box Camera::undistort(const Box& box) const {
   return {x(box.x1), y(box.y1), x(box.x2), y(box.y2)};
 }
 
+Box Camera::image() const {
+  Box image{0.0, 0.0, static_cast<double>(width), static_cast<double>(height)};
+  if (!has_distortion()) return image;
+  const Vec2 c = image.center();
+  const auto undistorted = [this](const Vec2& pixel, Eigen::Index axis) {
+    const Vec2 p = undistort_pixel(*this, pixel);
+    return (distort(p) - pixel).norm() < 1.0 ? p(axis) : pixel(axis);
+  };
+  image.x1 = std::min(image.x1, undistorted({image.x1, c.y()}, 0));
+  image.y1 = std::min(image.y1, undistorted({c.x(), image.y1}, 1));
+  image.x2 = std::max(image.x2, undistorted({image.x2, c.y()}, 0));
+  image.y2 = std::max(image.y2, undistorted({c.x(), image.y2}, 1));
+  return image;
+}
+
 Mat3 Camera::intrinsics() const {
   Mat3 K;
   K << fx, 0.0, cx, 0.0, fy, cy, 0.0, 0.0, 1.0;

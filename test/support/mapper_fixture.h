@@ -35,7 +35,7 @@ class MapperFixture : public ::testing::Test {
   Frame next_frame(const SE3& pose) {
     Frame frame;
     frame.frame_id = next_frame_;
-    frame.stamp_ns = next_frame_ * 33333333;
+    frame.stamp_ns = clock_ns_ + next_frame_ * 33333333;
     frame.is_keyframe = makes_keyframes_ && next_frame_ % 5 == 0;
     if (frame.is_keyframe) {
       keyframe_id_ = next_frame_ / 5;
@@ -44,6 +44,7 @@ class MapperFixture : public ::testing::Test {
     frame.keyframe_id = keyframe_id_;
     frame.T_odom_camera = pose;
     frame.camera = kMapperCamera;
+    frame.is_break = std::exchange(is_break_, false);
     ++next_frame_;
     return frame;
   }
@@ -99,7 +100,9 @@ class MapperFixture : public ::testing::Test {
   std::map<std::int64_t, Landmark> found_;  ///< as last looked for
   std::vector<KeyframePose> keyframes_;
   std::int64_t next_frame_ = 0, keyframe_id_ = 0;
+  std::int64_t clock_ns_ = 0;    ///< at frame 0
   bool makes_keyframes_ = true;  ///< every fifth frame is one
+  bool is_break_ = false;        ///< the next frame
 };
 
 }  // namespace semantic_topo_loop::core::testing

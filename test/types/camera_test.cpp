@@ -51,6 +51,21 @@ TEST(Box, NamesTheCutSides) {
   EXPECT_EQ(truncated_sides({0.0, 0.0, 640.0, 480.0}, 640.0, 480.0, 0.0), kLeft | kTop | kRight | kBottom);
 }
 
+TEST(Camera, SeesBeyondTheRawImagesRectangleThroughAWideLens) {
+  Camera wide{458.654, 457.296, 367.215, 240.0, 752, 480, {-0.28340811, 0.07395907, 0.0, 0.0, 0.0}};
+  const Box image = wide.image();
+  EXPECT_NEAR(wide.distort(Vec2(image.x1, 240.0)).x(), 0.0, 1e-9);
+  EXPECT_NEAR(wide.distort(Vec2(image.x2, 240.0)).x(), 752.0, 1e-9);
+  EXPECT_LT(image.x1, -90.0);
+  EXPECT_GT(image.x2, 860.0);
+  EXPECT_LT(image.y1, -20.0);
+  EXPECT_GT(image.y2, 499.0);
+  wide.distortion = {-2.0, 0.0, 0.0, 0.0, 0.0};
+  EXPECT_EQ(wide.image().x1, 0.0) << "where no ray comes from";
+  wide.distortion = {};
+  EXPECT_EQ(wide.image().edges(), Vec4(0.0, 0.0, 752.0, 480.0));
+}
+
 Camera tum_camera(const std::string& name) {
   return checked(read_camera(std::string(STL_CONFIG_DIR) + "/camera/tum_" + name + ".yaml"));
 }

@@ -34,11 +34,13 @@ inline double iou(const Box& a, const Box& b) {
   return intersection > 0.0 ? intersection / (a.area() + b.area() - intersection) : 0.0;
 }
 
-/// The part of the box inside an image of the given size (may be empty).
-inline Box clip(const Box& box, double width, double height) {
-  return {std::clamp(box.x1, 0.0, width), std::clamp(box.y1, 0.0, height), std::clamp(box.x2, 0.0, width),
-          std::clamp(box.y2, 0.0, height)};
+/// The part of the box inside an image (may be empty).
+inline Box clip(const Box& box, const Box& image) {
+  return {std::clamp(box.x1, image.x1, image.x2), std::clamp(box.y1, image.y1, image.y2),
+          std::clamp(box.x2, image.x1, image.x2), std::clamp(box.y2, image.y1, image.y2)};
 }
+/// The same for one of the given size.
+inline Box clip(const Box& box, double width, double height) { return clip(box, {0.0, 0.0, width, height}); }
 
 /// Which sides of a box touch the image border and therefore do not bound the object.
 enum Truncation : std::uint8_t { kLeft = 1, kTop = 2, kRight = 4, kBottom = 8 };

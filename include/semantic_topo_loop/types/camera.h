@@ -26,6 +26,9 @@ struct Camera {
   Vec2 distort(const Vec2& pixel) const;
   /// Undistorts a detector's box by the middles of its four sides.
   Box undistort(const Box& box) const;
+  /// The part of the undistorted image that the camera sees, by the middles of its four sides, and at least the raw
+  /// image's rectangle; of a side where the lens model does not hold, the raw one's.
+  Box image() const;
   /// Ray of an undistorted pixel in the camera frame, z = 1.
   Vec3 ray(const Vec2& pixel) const { return {(pixel.x() - cx) / fx, (pixel.y() - cy) / fy, 1.0}; }
   /// Undistorted pixel of a point before the camera, in the camera frame.

@@ -45,8 +45,8 @@ struct LocalFrame {
   Mat3 R_camera_local = Mat3::Identity();
   Vec3 t_camera_local = Vec3::Zero();
   Vec3 position = Vec3::Zero();  ///< of the camera, local frame, m
-  Vec2 focal_px = Vec2::Ones();
-  Box image;  ///< on the plane z = 1
+  Vec2 focal_px = Vec2::Ones();  ///< of the image made 640 pixels wide, if it is wider
+  Box image;                     ///< on the plane z = 1
   std::vector<ObservedBox> boxes;
 
   Vec3 to_camera(const Vec3& point) const { return R_camera_local * point + t_camera_local; }
@@ -87,7 +87,9 @@ struct LocalMap {
   std::int64_t end_ns = 0;  ///< stamp of the last frame
   double span_s = 0.0;
   static constexpr int kOtherSession = -1;
-  int segment = 0;  ///< of the odometry, counted from break to break; or kOtherSession
+  /// Of the odometry, counted from break to break; below 0: of another session, of whose map parts that no loop joins
+  /// have other numbers.
+  int segment = 0;
   /// What the odometry missed of the way to it while it stood, and what is not known of that: by so much more it may be
   /// off between two submaps of one segment. What it goes wrong by while it moves may be objects that look alike.
   struct Missed {
