@@ -6,6 +6,7 @@
 #include <algorithm>
 #include <chrono>
 #include <cmath>
+#include <memory>
 #include <random>
 #include <vector>
 
@@ -151,6 +152,33 @@ void detection(benchmark::State& state) {
   for (auto _ : state) benchmark::DoNotOptimize(detector.detect(queries[k++ % queries.size()]));
 }
 BENCHMARK(detection)->Arg(10)->Arg(100)->Arg(1000)->Unit(benchmark::kMicrosecond);
+
+void add_features(std::mt19937_64& random, LocalMap* map) {
+  constexpr int kFeatures = 500;
+  auto features = std::make_shared<std::vector<PointFeature>>(kFeatures);
+  for (PointFeature& feature : *features) {
+    for (std::uint64_t& part : feature.descriptor) part = random();
+  }
+  map->features = std::move(features);
+}
+
+/// One query whose objects fit nowhere against a map of an earlier session with `range(0)` submaps, so that those that
+/// look most alike are compared by their points.
+void relocalisation_by_points(benchmark::State& state) {
+  std::mt19937_64 random(1);
+  GraphDetector detector{LoopOptions()};
+  for (std::int64_t k = 0; k < state.range(0); ++k) {
+    LocalMap map = random_map(random, k * 2'000'000'000);
+    add_features(random, &map);
+    map.segment = LocalMap::kOtherSession;
+    detector.insert(std::move(map));
+  }
+  LocalMap query = random_map(random, 0);
+  add_features(random, &query);
+  query.segment = 0;
+  for (auto _ : state) benchmark::DoNotOptimize(detector.detect(query));
+}
+BENCHMARK(relocalisation_by_points)->Arg(100)->Arg(1000)->Arg(3000)->Unit(benchmark::kMicrosecond);
 
 }  // namespace
 }  // namespace semantic_topo_loop::core

@@ -148,6 +148,7 @@ TrackingKeyframe& TrackingMap::add_keyframe(TrackingKeyframe keyframe) {
   const std::int64_t id = keyframe.id;
   keyframe.points.resize(keyframe.features.size(), -1);
   TrackingKeyframe& added = keyframes_.insert_or_assign(id, std::move(keyframe)).first->second;
+  words_.insert(static_cast<int>(id), visual_words(added.features.descriptors));
   for (std::size_t i = 0; i < added.points.size(); ++i) {
     MapPoint* seen = point(added.points[i]);
     added.points[i] = -1;
@@ -200,6 +201,7 @@ void TrackingMap::remove_keyframe(std::int64_t keyframe) {
       refresh(&p);
     }
   }
+  words_.erase(static_cast<int>(keyframe), visual_words(keyframes_.at(keyframe).features.descriptors));
   keyframes_.erase(keyframe);
 }
 
@@ -329,8 +331,7 @@ std::int64_t add_keyframe(const TrackedFeatures& image, const std::vector<Vec3>&
   const std::int64_t id = map->keyframes().empty() ? 0 : map->keyframes().rbegin()->first + 1;
   map->add_keyframe({{id, image.stamp_ns, image.T_camera_map, image.section, image.features, image.points},
                      NearestDepth(camera, points_camera),
-                     image.T_camera_map.inverse(),
-                     visual_words(image.features.descriptors)});
+                     image.T_camera_map.inverse()});
   drop_points(id, map);
   add_points(id, camera, map);
   fuse(id, camera, map);

@@ -11,6 +11,8 @@
 #include "frontend/image_features.h"
 #include "frontend/nearest_depth.h"
 #include "frontend/pose_solver.h"
+#include "geometry/descriptor.h"
+#include "geometry/word_index.h"
 #include "semantic_topo_loop/frontend/frontend_options.h"
 #include "semantic_topo_loop/types/frame.h"
 
@@ -51,8 +53,7 @@ struct FeatureImage {
 /// One that the map is built from; its id counts keyframes.
 struct TrackingKeyframe : FeatureImage {
   NearestDepth depth;
-  SE3 T_odom_camera;                 ///< as it was told
-  std::vector<std::uint32_t> words;  ///< visual_words of its features
+  SE3 T_odom_camera;  ///< as it was told
 };
 
 /// One on its way through the tracker; its id counts images.
@@ -103,6 +104,10 @@ class TrackingMap {
   std::vector<std::pair<std::int64_t, int>> covisible(std::int64_t keyframe) const;
   /// The same for a list of points (-1: none).
   std::vector<std::pair<std::int64_t, int>> covisible(const std::vector<std::int64_t>& points) const;
+  /// How many visual words an image of these has in common with each keyframe, by id.
+  std::vector<int> common_words(const std::vector<Descriptor>& descriptors) const {
+    return words_.common(visual_words(descriptors));
+  }
   /// Level of the pyramid on which a point is expected to be seen from a distance.
   int predict_level(const MapPoint& point, double distance_m) const;
   /// Size of its pixels on level 0. @param level up to kBeyond above the last one: what would be seen still larger is
@@ -114,6 +119,7 @@ class TrackingMap {
   FrontendOptions options_;
   std::vector<double> scales_;  ///< of the levels
   std::map<std::int64_t, TrackingKeyframe> keyframes_;
+  WordIndex words_;
   std::unordered_map<std::int64_t, MapPoint> points_;
   std::int64_t next_point_ = 0;
 };

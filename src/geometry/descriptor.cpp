@@ -17,15 +17,4 @@ std::vector<std::uint32_t> visual_words(const std::vector<Descriptor>& descripto
   return words;
 }
 
-int common_words(const std::vector<std::uint32_t>& a, const std::vector<std::uint32_t>& b) {
-  int common = 0;
-  for (auto i = a.begin(), j = b.begin(); i != a.end() && j != b.end();) {
-    common += *i == *j ? 1 : 0;
-    const bool i_goes = *i <= *j, j_goes = *j <= *i;
-    i += i_goes ? 1 : 0;
-    j += j_goes ? 1 : 0;
-  }
-  return common;
-}
-
 }  // namespace semantic_topo_loop::core

@@ -22,7 +22,5 @@ constexpr int kSimilarBits = 50;  ///< where a mistake would last: it joins two 
 /// What an image looks like, to compare it with many: four words of 16 bits a descriptor, ascending. Descriptors of one
 /// point have a word in common with some 25 % (15 % of their bits differ), others by chance with one in 2^14.
 std::vector<std::uint32_t> visual_words(const std::vector<Descriptor>& descriptors);
-/// How many words two images have in common.
-int common_words(const std::vector<std::uint32_t>& a, const std::vector<std::uint32_t>& b);
 
 }  // namespace semantic_topo_loop::core

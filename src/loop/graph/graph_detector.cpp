@@ -64,7 +64,7 @@ const LocalMap& in_unit(const LocalMap& query, double scale, std::optional<Local
 }
 
 /// What its stamps say of another session's clock means nothing here.
-bool is_of_other_session(const LocalMap& map) { return map.segment == LocalMap::kOtherSession; }
+bool is_of_other_session(const LocalMap& map) { return map.segment < 0; }
 double seconds_since(const LocalMap& earlier, const LocalMap& later) {
   return 1e-9 * static_cast<double>(later.stamp_ns - earlier.stamp_ns);
 }
@@ -190,11 +190,6 @@ std::vector<int> GraphDetector::propose(const std::vector<LabelledPoint>& points
 std::vector<LoopClosure> GraphDetector::detect(const LocalMap& query) {
   const std::vector<LabelledPoint> points = graph_of(query);
   std::vector<Candidate> candidates = examine(query, points, propose(points, old_enough(query)));
-  last_query_ = {query.frame_id, query.end_frame};
-  alike_.clear();
-  for (const Candidate& candidate : candidates) {
-    if (is_alike(candidate.alignment)) alike_.push_back(candidate.stored);
-  }
   find_ambiguous(query, &candidates);
   select(&candidates);
   std::vector<LoopClosure> loops;
@@ -212,14 +207,14 @@ std::vector<LoopClosure> GraphDetector::detect(const LocalMap& query) {
 std::optional<LoopClosure> GraphDetector::find_by_points(const LocalMap& query) const {
   constexpr std::size_t kTried = 3;  // bounds the time of a query
   if (!query.features) return std::nullopt;
-  const std::vector<std::uint32_t> words = words_of(query);
+  const std::vector<int> common = words_.common(words_of(query));
   std::vector<std::pair<int, int>> alike;
   for (const auto& [number, stored] : maps_) {
-    if (stored.map.segment != query.segment) alike.emplace_back(common_words(words, stored.words), number);
+    if (stored.map.segment != query.segment) alike.emplace_back(common.at(static_cast<std::size_t>(number)), number);
   }
   std::sort(alike.rbegin(), alike.rend());
   alike.resize(std::min(alike.size(), kTried));
-  for (const auto& [common, number] : alike) {
+  for (const auto& [words, number] : alike) {
     const LocalMap& match = maps_.at(number).map;
     LoopClosure loop = make_closure(match, query);
     decide_by_points(match, query, &loop);
@@ -241,36 +236,37 @@ void GraphDetector::store(LocalMap map) {
 }
 
 void GraphDetector::make_room(const LocalMap& map) {
-  const bool is_known = last_query_ == std::pair(map.frame_id, map.end_frame);
-  const std::vector<int> alike = is_known ? alike_ : find_alike(map);
+  const std::vector<int> alike = find_alike(map);
   if (alike.size() < kEnough) return;
   const int poorest = *std::min_element(alike.begin(), alike.end(), [this](int p, int q) {
     return maps_.at(p).points.size() < maps_.at(q).points.size();
   });
   index_.erase(poorest, maps_.at(poorest).points);
+  words_.erase(poorest, words_of(maps_.at(poorest).map));
   maps_.erase(poorest);
-}
-
-bool GraphDetector::is_alike(const GraphMatch& match) const {
-  return static_cast<int>(match.pairs.size()) >= options_.min_inliers && match.T_a_b.t.norm() <= kAlike_m &&
-         rotation_angle(match.T_a_b.q, Quaternion::Identity()) <= kAlike_rad;
 }
 
 std::vector<int> GraphDetector::find_alike(const LocalMap& map) const {
   const std::vector<LabelledPoint> points = graph_of(map);
+  // With as many objects in common as a loop needs, or all that one of the two has.
+  const auto is_alike = [this, &points](const GraphMatch& match, std::size_t objects) {
+    const std::size_t enough = std::min({static_cast<std::size_t>(options_.min_inliers), points.size(), objects});
+    return match.pairs.size() >= enough && match.T_a_b.t.norm() <= kAlike_m &&
+           rotation_angle(match.T_a_b.q, Quaternion::Identity()) <= kAlike_rad;
+  };
   std::vector<int> alike;
   for (const int number : propose(points, old_enough(map))) {
-    const std::vector<GraphMatch> matches =
-        match_graphs(maps_.at(number).points, points, options_, kMinCandidateInliers);
-    if (!matches.empty() && is_alike(matches.front())) alike.push_back(number);
+    const std::vector<LabelledPoint>& stored = maps_.at(number).points;
+    const std::vector<GraphMatch> matches = match_graphs(stored, points, options_, kMinCandidateInliers);
+    if (!matches.empty() && is_alike(matches.front(), stored.size())) alike.push_back(number);
   }
   return alike;
 }
 
 void GraphDetector::insert(LocalMap map) {
   std::vector<LabelledPoint> points = graph_of(map);
-  std::vector<std::uint32_t> words = words_of(map);
-  maps_.emplace(index_.size(), StoredMap{std::move(map), points, std::move(words)});
+  words_.insert(index_.size(), words_of(map));
+  maps_.emplace(index_.size(), StoredMap{std::move(map), points});
   index_.insert(points);
 }
 

@@ -6,6 +6,7 @@
 #include <unordered_map>
 #include <vector>
 
+#include "geometry/word_index.h"
 #include "loop/submap/graph_matcher.h"
 #include "loop/submap/submap_refiner.h"
 #include "semantic_topo_loop/loop/loop_options.h"
@@ -89,8 +90,7 @@ class GraphDetector {
   struct StoredMap {
     LocalMap map;
     std::vector<LabelledPoint> points;
-    std::vector<std::uint32_t> words;  ///< visual_words of its features
-    std::int64_t compared_ns = -1;     ///< stamp of the last query that was compared with its place, surfaces and all
+    std::int64_t compared_ns = -1;  ///< stamp of the last query that was compared with its place, surfaces and all
   };
   /// Submaps kept, by number in the order they came.
   const std::map<int, StoredMap>& submaps() const { return maps_; }
@@ -125,7 +125,6 @@ class GraphDetector {
     return static_cast<int>(candidate.alignment.pairs.size()) < options_.min_inliers;
   }
   void make_room(const LocalMap& map);
-  bool is_alike(const GraphMatch& match) const;
   std::vector<int> find_alike(const LocalMap& map) const;
   /// Aligns and verifies the query with the submaps of these numbers.
   std::vector<Candidate> examine(const LocalMap& query, const std::vector<LabelledPoint>& points,
@@ -138,10 +137,8 @@ class GraphDetector {
 
   LoopOptions options_;
   SubmapIndex index_;
+  WordIndex words_;  ///< of their features, by number
   std::map<int, StoredMap> maps_;
-  /// Of the last query, which is often stored next: its anchor and last frame, and the submaps that are alike.
-  std::pair<std::int64_t, std::int64_t> last_query_{-1, -1};
-  std::vector<int> alike_;
 };
 
 }  // namespace semantic_topo_loop::core
