@@ -3,6 +3,8 @@
 #include <algorithm>
 #include <cmath>
 
+#include "geometry/wide_image.h"
+
 namespace semantic_topo_loop::core {
 namespace {
 
@@ -15,9 +17,8 @@ constexpr double kLogSizeRange = 3.0;     // a new object's sides lie anywhere i
 constexpr double kClassSmoothing = 0.05;  // pseudo-count of every class: an unheard label is unlikely, not impossible
 
 /// log p(z|i): Gaussian in the box centre and in the logarithms of its sides.
-double log_likelihood(const Box& predicted, const Box& box) {
-  const double variance =
-      std::pow(kCenterSigmaShare * predicted.size(), 2) + kCenterSigmaFloor_px * kCenterSigmaFloor_px;
+double log_likelihood(const Box& predicted, const Box& box, double center_floor_px) {
+  const double variance = std::pow(kCenterSigmaShare * predicted.size(), 2) + center_floor_px * center_floor_px;
   const Vec2 log_sides(std::log(std::max(1.0, box.width()) / std::max(1.0, predicted.width())),
                        std::log(std::max(1.0, box.height()) / std::max(1.0, predicted.height())));
   const double size_variance = kLogSizeSigma * kLogSizeSigma;
@@ -106,7 +107,8 @@ double score_posterior(const AssociationContext& context, const TrackInFrame& ca
   const double n = std::min(static_cast<double>(track.observations), options.posterior_count_max);
   const double label =
       (n * track.class_share(detection.class_id) + kClassSmoothing) / (n + class_count * kClassSmoothing);
-  const double existing = std::log(n) + std::log(label) + log_likelihood(predicted, detection.box);
+  const double center_floor_px = kCenterSigmaFloor_px * pixel_factor(context.frame->camera);
+  const double existing = std::log(n) + std::log(label) + log_likelihood(predicted, detection.box, center_floor_px);
   double fresh = std::log(options.posterior_alpha);
   if (options.pro_new_object == "uniform") {
     const double image_area = static_cast<double>(context.frame->camera.width) * context.frame->camera.height;

@@ -41,6 +41,7 @@ struct AssociationContext {
   std::int64_t answer = -1;  ///< which of the detector's answers this is, counted from 0
   double interval_s = 0.0;   ///< since the answer before
   Mat34 P_image_map = Mat34::Zero();
+  Box image = {};  ///< of the frame's camera, undistorted
   std::vector<PreparedDetection> detections = {};
   std::vector<TrackInFrame> tracks = {};
 };

@@ -175,6 +175,7 @@ struct ObjectAssociator::Impl {
     context.interval_s = last_stamp_ns_ ? 1e-9 * static_cast<double>(frame.stamp_ns - *last_stamp_ns_) : 0.0;
     const SE3 T_map_camera = T_map_odom_ * frame.T_odom_camera;
     context.P_image_map = projection_matrix(frame.camera, T_map_camera);
+    context.image = frame.camera.image();
     prepare_detections(frame, detections, result);
     const auto recent = [&](const Track& track) { return is_recent(track, frame); };
     if (options_.mode == "jda") {
@@ -226,7 +227,7 @@ struct ObjectAssociator::Impl {
         }
         placements.erase(implausible, placements.end());
         for (Placement& placement : placements) placement.center = T_map_camera * placement.center;
-        gated_.push_back({association, clip(association.box, camera.width, camera.height), std::move(placements)});
+        gated_.push_back({association, clip(association.box, context_.image), std::move(placements)});
       }
     }
     suppress(result);
@@ -267,7 +268,7 @@ struct ObjectAssociator::Impl {
     if (!track.has_ellipsoid) return std::nullopt;
     const std::optional<Box> box = project_box(track.center_map, track.shape_map, context.P_image_map);
     if (!box) return std::nullopt;
-    const Box visible = clip(*box, context.frame->camera.width, context.frame->camera.height);
+    const Box visible = clip(*box, context.image);
     if (visible.width() <= kMinProjection_px || visible.height() <= kMinProjection_px) return std::nullopt;
     return visible;
   }

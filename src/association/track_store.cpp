@@ -37,8 +37,9 @@ struct Frustum {
   Vec3 apex, low, high;
 
   Frustum(const Camera& camera, const SE3& T_map_camera, double range_m) : apex(T_map_camera.t) {
-    const double w = camera.width, h = camera.height;
-    std::array<Vec3, 4> corners{camera.ray({0.0, 0.0}), camera.ray({w, 0.0}), camera.ray({w, h}), camera.ray({0.0, h})};
+    const Box image = camera.image();
+    std::array<Vec3, 4> corners{camera.ray({image.x1, image.y1}), camera.ray({image.x2, image.y1}),
+                                camera.ray({image.x2, image.y2}), camera.ray({image.x1, image.y2})};
     low = high = apex;
     for (Vec3& corner : corners) {
       corner = T_map_camera.q * corner;

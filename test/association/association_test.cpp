@@ -126,6 +126,24 @@ TEST_P(EveryMode, QuadricBringsALandmarkBackAfterALongAbsence) {
   EXPECT_EQ(result.map_version, associator.map_version());
 }
 
+TEST_P(EveryMode, QuadricBringsALandmarkBackAtTheBorderOfAWideLens) {
+  ObjectAssociator associator(options(GetParam()), classes());
+  const auto wide_frame = [](std::int64_t id) {
+    Frame frame = frame_at(id);
+    frame.camera = {458.654, 457.296, 367.215, 248.375, 752, 480, {-0.28340811, 0.07395907, 0.0, 0.0, 0.0}};
+    return frame;
+  };
+  const Box raw = box_at(720.0, 240.0, 50.0);
+  const Box box = wide_frame(0).camera.undistort(raw);
+  ASSERT_GT(box.x1, 752.0) << "outside, were the lens none";
+  const std::int64_t id = associator.associate(wide_frame(0), {{kCup, 0.9, raw}}).associations[0].landmark_id;
+  MapUpdate update = sphere_update(associator, id, kCup, box);
+  update.changed[0].ellipsoid->T_world_quadric.t = 2.0 * wide_frame(0).camera.ray(box.center());
+  update.changed[0].baseline_deg = 20.0;
+  ASSERT_TRUE(associator.apply(update));
+  EXPECT_EQ(associator.associate(wide_frame(200), {{kCup, 0.9, raw}}).associations[0].landmark_id, id);
+}
+
 TEST_P(EveryMode, FollowsTheMapWhenACorrectionMovesIt) {
   ObjectAssociator associator(options(GetParam()), classes());
   const Box box = box_at(300.0, 220.0);
