@@ -20,7 +20,6 @@ constexpr double kFamiliar_s = 1.0;
 // tells of them. The mistakes on fr2_desk's drifted files were seen for 2 to 9 s.
 constexpr double kSurelyThere_s = 10.0;
 constexpr double kTransparentShare = 0.1;  // of the time seen: what shows more of its background has holes
-constexpr double kHollowShare = 0.5;       // of the time seen uncut: what shows more of its inside is hollow
 constexpr double kMinWidth_px = 12.0, kMinHeight_px = 8.0;  // of a projection at VGA that a detector is expected to box
 constexpr double kRange_m = 10.0;                           // association looks no farther (association.range_m)
 constexpr double kPartlyVisibleShare = 0.4;                 // of its area, for depth to show what lies behind it
@@ -95,6 +94,7 @@ std::vector<ExpectedLandmark> expected_landmarks(const std::map<std::int64_t, Ma
                                                  const AssociationFrame& associations, double least_share) {
   const Mat34 P = projection_matrix(frame.camera, T_map_camera);
   const double px = pixel_factor(frame.camera);
+  const Box image = frame.camera.image();
   std::vector<Candidate> in_view;
   for (const auto& [id, landmark] : landmarks) {
     if (!landmark.state.ellipsoid || landmark.state.state == LandmarkState::kRetired) continue;
@@ -104,24 +104,24 @@ std::vector<ExpectedLandmark> expected_landmarks(const std::map<std::int64_t, Ma
     const double depth = axis.dot(center) + P(2, 3);
     const std::optional<Box> box = project_box(center, shape, P);
     if (!box || depth > kRange_m) continue;
-    const Box visible = clip(*box, frame.camera.width, frame.camera.height);
+    const Box visible = clip(*box, image);
     if (!visible.is_valid()) continue;
     const double least_area = (points != nullptr ? kPartlyVisibleShare : least_share) * box->area();
     in_view.push_back(
         {id, &*landmark.state.ellipsoid, visible, *box, depth - std::sqrt(std::max(0.0, axis.dot(shape * axis))), depth,
-         landmark.sightings.hollow_s > kHollowShare * landmark.sightings.familiar_seen_s,
+         landmark.sightings.is_hollow(),
          visible.area() > least_area && visible.width() > kMinWidth_px * px && visible.height() > kMinHeight_px * px});
   }
   std::vector<ExpectedLandmark> expected;
   for (const Candidate& candidate : in_view) {
     if (!candidate.is_looked_for) continue;
-    if (is_hidden_by_other(candidate, associations)) continue;
     const DepthThere there = points != nullptr ? depth_there(candidate, *points, T_map_camera) : DepthThere::kUnknown;
     if (there == DepthThere::kInFront) continue;
     // What depth shows is hidden by nothing, even if it lies on a table whose near side is nearer.
     if (there == DepthThere::kUnknown && is_hidden_by_landmark(candidate, in_view)) continue;
     const bool is_in_it = there == DepthThere::kInIt;
     const bool is_seen_through = there == DepthThere::kBehind || (is_in_it && !candidate.is_hollow);
+    if (!is_seen_through && is_hidden_by_other(candidate, associations)) continue;
     if (!is_seen_through && candidate.share() <= least_share) continue;
     expected.push_back({candidate.id, candidate.box.size(), candidate.share(), is_in_it, is_seen_through});
   }
@@ -142,8 +142,7 @@ LandmarkState life_cycle_state(const MappedLandmark& landmark, const QuadricMapp
   // What is hardly ever seen was never there; what was often seen and is no longer has gone. The second counts the
   // sightings missed since, so that an object that is seldom detected is given more time.
   // Where depth shows what lies behind it, it is not; unless that was so while it had boxes, too.
-  if (sightings.transparent_s < kTransparentShare * sightings.seen_s &&
-      sightings.seen_through_since_s > options.retire_seen_through_s) {
+  if (sightings.hole_share() < kTransparentShare && sightings.seen_through_since_s > options.retire_seen_through_s) {
     return LandmarkState::kRetired;
   }
   if ((sightings.expected_s > options.retire_expected_s && seen_share < options.retire_seen_share) ||

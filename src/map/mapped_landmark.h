@@ -65,12 +65,19 @@ struct Sightings {
   Vec4 bounded_s = Vec4::Zero();  ///< for each side, with a box that is not cut there
   /// Expected from where it had been seen before: with a box, without one, and without one since the last box.
   double familiar_seen_s = 0.0, familiar_missed_s = 0.0, missed_since_s = 0.0;
-  /// In view with a box where depth shows its inside, as the seat of a chair.
+  /// Of familiar_seen_s, where depth shows its inside, as the seat of a chair.
   double hollow_s = 0.0;
   /// In view where depth shows what lies behind it: while it had a box (it has holes, or is misplaced), and without a
-  /// box since the last one (it has gone).
+  /// box since the last one (it has gone; of what is not hollow, its inside tells the same).
   double transparent_s = 0.0, seen_through_since_s = 0.0;
   Views views;
+
+  bool is_hollow() const { return hollow_s > 0.5 * familiar_seen_s; }
+  /// Of the time with a box, that in which depth showed that nothing is there.
+  double hole_share() const {
+    const double holes_s = transparent_s + (is_hollow() ? 0.0 : hollow_s);
+    return holes_s > 0.0 ? holes_s / std::max(seen_s, holes_s) : 0.0;
+  }
 
   /// Whether depth has told most of the time where it is.
   bool is_placed() const { return placed_s > 0.5 * seen_s; }

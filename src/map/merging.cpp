@@ -34,13 +34,14 @@ Overlap overlap(const MappedLandmark& a, const MappedLandmark& b, const ViewSour
     if (observation.view.truncated == 0) whole.push_back(observation);
   }
   const Camera& camera = source.camera();
+  const Box image = camera.image();
   const Mat3 shape = a.state.ellipsoid->shape();
   std::vector<double> ious, insides;
   for (const BoxView& view : source.views(spread(whole.empty() ? b.observations : whole, kVotingViews))) {
     const std::optional<Box> projected =
         project_box(a.state.ellipsoid->center(), shape, projection_matrix(camera, view.T_world_camera));
-    const Box seen = clip(view.box, camera.width, camera.height);
-    const Box box = projected ? clip(*projected, camera.width, camera.height) : Box{};
+    const Box seen = clip(view.box, image);
+    const Box box = projected ? clip(*projected, image) : Box{};
     ious.push_back(iou(box, seen));
     insides.push_back(seen.area() > 0.0 ? intersection_area(box, seen) / seen.area() : 0.0);
   }

@@ -12,6 +12,7 @@
 #include "geometry/ceres_compat.h"
 #include "geometry/depth_points.h"
 #include "geometry/statistics.h"
+#include "geometry/wide_image.h"
 #include "semantic_topo_loop/geometry/lie.h"
 #include "semantic_topo_loop/geometry/quadric.h"
 
@@ -146,7 +147,7 @@ std::optional<QuadricFit> refine_quadric(const Camera& camera, const std::vector
   std::deque<NearSideCost> near_costs;
   for (const BoxView& view : views) {
     projections.push_back(projection_matrix(camera, view.T_world_camera));
-    sigmas.push_back(options.sigma_px + options.sigma_share * view.box.size());
+    sigmas.push_back(pixel_factor(camera) * options.sigma_px + options.sigma_share * view.box.size());
     costs.emplace_back(projections.back(), view, sigmas.back());
     near_sigmas.push_back(near_sigma_m(view, initial.radius(), options));
     if (view.near_m > 0.0) near_costs.emplace_back(view, near_sigmas.back());
@@ -194,10 +195,10 @@ std::optional<QuadricFit> refine_quadric(const Camera& camera, const std::vector
   for (const BoxView& view : views) depths.push_back(view.depth(center));
   fit.median_depth_m = median(std::move(depths));
   const Mat3 shape = fit.ellipsoid.shape();
+  const Box image = camera.image();
   for (std::size_t i = 0; i < views.size(); ++i) {
     const std::optional<Box> box = project_box(center, shape, projections[i]);
-    if (box)
-      fit.mean_iou += iou(clip(*box, camera.width, camera.height), clip(views[i].box, camera.width, camera.height));
+    if (box) fit.mean_iou += iou(clip(*box, image), clip(views[i].box, image));
   }
   fit.mean_iou /= static_cast<double>(views.size());
   fit.center_covariance = center_covariance(projections, views, sigmas, near_sigmas, fit.ellipsoid);

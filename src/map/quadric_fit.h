@@ -23,7 +23,7 @@ struct BoxView {
 
 struct QuadricFitOptions {
   int max_iterations = 12;  ///< of a fit that is repeated as views come in
-  double sigma_px = 3.0;    ///< noise of a box edge: sigma_px + sigma_share * box size
+  double sigma_px = 3.0;    ///< noise of a box edge: sigma_px (of an image 640 wide) + sigma_share * size
   double sigma_share = 0.1;
   double roundness_weight = 0.01;        ///< pull of the three log axes to their common start, per view
   double near_roundness_weight = 0.002;  ///< the same, per view with depth, which does not leave the distance open

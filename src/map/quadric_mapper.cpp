@@ -69,6 +69,7 @@ struct QuadricMapper::Impl {
     if (frame.is_end) {
       end_frame_id_ = frame.frame_id;
     } else {
+      if (frame.is_break) break_ns_ = frame.stamp_ns;
       take_camera(frame.camera);
       add_keyframe(frame);
       blur_.push(frame);
@@ -108,6 +109,7 @@ struct QuadricMapper::Impl {
     T_map_odom_ = correction.T_map_odom;
     scale_ = correction.scale;
     if (correction.changed) {
+      break_ns_.reset();
       KeyframePlaces before;  // of those that landmarks move with
       for (const auto& [id, landmark] : landmarks_) {
         const auto anchor = S_map_keyframe_.find(landmark.state.anchor_keyframe_id);
@@ -171,11 +173,17 @@ struct QuadricMapper::Impl {
     for (const KeyframePose& keyframe : keyframes) {
       T_odom_keyframe_[keyframe.keyframe_id] = keyframe.T_map_camera;
       S_map_keyframe_[keyframe.keyframe_id] = Sim3(keyframe.T_map_camera, keyframe.scale);
+      map_end_ns_ = keyframe.stamp_ns;
     }
     forget_gone_neighbours(&state.landmarks);
     for (MappedLandmark& landmark : state.landmarks) {
       changed_.insert(landmark.state.id);
       landmark.was_confirmed = landmark.state.state == LandmarkState::kConfirmed;
+      if (landmark.state.state == LandmarkState::kRetired) {
+        left_before_.insert(landmark.state.id);
+      } else {
+        landmark.sightings.seen_through_since_s = 0.0;  // or it would be gone where nobody looks
+      }
       // Merges are settled, and the ids of what went in them are given out again.
       for (Observation& observation : landmark.observations) observation.source_id = landmark.state.id;
       landmarks_[landmark.state.id] = std::move(landmark);
@@ -208,6 +216,7 @@ struct QuadricMapper::Impl {
     const double since_s = last_stamp_ns_ ? 1e-9 * static_cast<double>(stamp_ns - *last_stamp_ns_) : 0.0;
     step_s_ = std::clamp(since_s, 0.0, kStepMax_s);
     if (!last_stamp_ns_ || stamp_ns < last_maintenance_ns_) last_maintenance_ns_ = stamp_ns;
+    if (!last_stamp_ns_) first_stamp_ns_ = stamp_ns;
     last_stamp_ns_ = stamp_ns;
   }
 
@@ -321,6 +330,8 @@ struct QuadricMapper::Impl {
     const SE3 T_map_camera = T_map_odom_ * frame.T_odom_camera;
     for (const ExpectedLandmark& expected : expected_landmarks(landmarks_, frame, points, T_map_camera, associations)) {
       MappedLandmark& landmark = landmarks_.at(expected.id);
+      // Where the camera is to what it saw before a break is not known.
+      if (break_ns_ && landmark.last_stamp_ns < *break_ns_) continue;
       const Vec3 direction = landmark.state.ellipsoid->center() - T_map_camera.t;
       // A box that is missing in a blurred image tells little, and nothing where nothing at all was detected: that is
       // rather the detector's fault. Depth tells as much as ever.
@@ -338,8 +349,11 @@ struct QuadricMapper::Impl {
         landmark.seen_from.add(direction, expected.size_px);
         landmark.sightings.familiar_seen_s += expected_s;
         landmark.sightings.views.add(frame.keyframe_id, true);
-        if (expected.is_seen_into) landmark.sightings.hollow_s += step_s_;
-        landmark.sightings.transparent_s += seen_through_s;
+        if (expected.is_seen_into) {
+          landmark.sightings.hollow_s += expected_s;
+        } else {
+          landmark.sightings.transparent_s += seen_through_s;
+        }
       } else {
         landmark.sightings.seen_through_since_s += seen_through_s;
         if (recall > 0.5 && !is_too_small) landmark.sightings.views.add(frame.keyframe_id, false);
@@ -382,12 +396,15 @@ struct QuadricMapper::Impl {
     }
   }
 
-  /// Those that went unseen until the last answer: while nobody looks none grows older.
+  /// Those that went unseen until the last answer: while nobody looks, as between two sessions, none grows older.
   void forget_stale_candidates(MapUpdate* update) {
     if (!last_stamp_ns_) return;
     for (auto next = landmarks_.begin(); next != landmarks_.end();) {
       const auto& [id, landmark] = *next++;
-      const double unseen_s = 1e-9 * static_cast<double>(*last_stamp_ns_ - landmark.last_stamp_ns);
+      const bool is_of_session = first_stamp_ns_ <= landmark.last_stamp_ns && landmark.last_stamp_ns <= *last_stamp_ns_;
+      const std::int64_t before_ns = std::max(std::int64_t{0}, map_end_ns_ - landmark.last_stamp_ns);
+      const std::int64_t since_ns = is_of_session ? landmark.last_stamp_ns : first_stamp_ns_ - before_ns;
+      const double unseen_s = 1e-9 * static_cast<double>(*last_stamp_ns_ - since_ns);
       const bool is_short = landmark.sightings.seen_s < options_.forget_candidate_seen_s;
       // Retired, but never an object: what was carried through the view, say.
       const bool is_candidate =
@@ -412,11 +429,12 @@ struct QuadricMapper::Impl {
     update->removed.push_back(id);
   }
 
-  /// Landmarks with an ellipsoid, most observed first.
-  std::vector<std::int64_t> by_observations() const {
+  /// Landmarks with an ellipsoid, most observed first. @param with_retired those, too, that this session gave up
+  std::vector<std::int64_t> by_observations(bool with_retired) const {
     std::vector<std::int64_t> ids;
     for (const auto& [id, landmark] : landmarks_) {
-      const bool has_left = landmark.state.state == LandmarkState::kRetired;
+      const bool has_left =
+          landmark.state.state == LandmarkState::kRetired && (!with_retired || left_before_.count(id) != 0);
       if (landmark.state.mean_iou > 0.0 && !has_left) ids.push_back(id);
     }
     std::stable_sort(ids.begin(), ids.end(), [this](std::int64_t a, std::int64_t b) {
@@ -427,7 +445,7 @@ struct QuadricMapper::Impl {
 
   void merge_duplicates(MapUpdate* update) {
     if (!options_.merge_duplicates) return;
-    const std::vector<std::int64_t> ids = by_observations();
+    const std::vector<std::int64_t> ids = by_observations(true);
     std::vector<std::pair<double, std::size_t>> along_x;  // centres, with the index of the id
     double largest_m = 0.0;
     for (std::size_t i = 0; i < ids.size(); ++i) {
@@ -462,7 +480,12 @@ struct QuadricMapper::Impl {
     std::sort(near.begin(), near.end());
     const auto found = std::find_if(near.begin(), near.end(), [&](std::size_t j) {
       const auto other = landmarks_.find(ids[j]);
-      return other != landmarks_.end() && duplicates_.is_duplicate(landmark, other->second, views_);
+      if (other == landmarks_.end()) return false;
+      // Of what was retired from a wrong pose, only what surely is an object shows that it is there.
+      const LandmarkState a = landmark.state.state, b = other->second.state.state;
+      const bool has_left = a == LandmarkState::kRetired || b == LandmarkState::kRetired;
+      const bool is_there = a == LandmarkState::kConfirmed || b == LandmarkState::kConfirmed;
+      return (!has_left || is_there) && duplicates_.is_duplicate(landmark, other->second, views_);
     });
     return found == near.end() ? std::nullopt : std::optional(*found);
   }
@@ -538,14 +561,15 @@ struct QuadricMapper::Impl {
   /// Parts of an object that the detector boxed alone for a while.
   void remove_parts(MapUpdate* update) {
     if (!options_.merge_duplicates) return;
-    const std::vector<std::int64_t> ids = by_observations();
+    const std::vector<std::int64_t> ids = by_observations(false);
     for (std::size_t i = 0; i < ids.size(); ++i) {
       for (std::size_t j = i + 1; j < ids.size(); ++j) {
         if (landmarks_.count(ids[i]) == 0 || landmarks_.count(ids[j]) == 0) continue;
         const MappedLandmark &whole = landmarks_.at(ids[i]), &part = landmarks_.at(ids[j]);
         const bool is_surer =
             state_of(part) == LandmarkState::kConfirmed && state_of(whole) != LandmarkState::kConfirmed;
-        if (!is_surer && duplicates_.is_part(whole, part, views_)) remove(ids[j], update);
+        // What an earlier session had as an object is to be found gone.
+        if (!is_surer && !part.was_confirmed && duplicates_.is_part(whole, part, views_)) remove(ids[j], update);
       }
     }
   }
@@ -565,13 +589,17 @@ struct QuadricMapper::Impl {
   KeyframePlaces S_map_keyframe_;
   std::map<std::int64_t, SE3> T_odom_keyframe_;
   std::map<std::int64_t, MappedLandmark> landmarks_;
+  std::set<std::int64_t> left_before_;  ///< retired by an earlier session: what comes back is new
   MergeHistory merges_;
   MergeLog merge_log_;
   ViewSource views_;
   LandmarkFitter fitter_;
   DuplicateTest duplicates_;
   std::optional<std::int64_t> last_stamp_ns_;  ///< of the answer before
+  std::int64_t first_stamp_ns_ = 0;            ///< of this session's first answer
+  std::int64_t map_end_ns_ = 0;                ///< of the last keyframe of the sessions before
   std::int64_t last_maintenance_ns_ = 0;
+  std::optional<std::int64_t> break_ns_;  ///< of the odometry, and nothing was corrected since
   bool is_fixed_ = false;
   double step_s_ = 0.0;  ///< the time that this answer stands for
   MotionBlur blur_;

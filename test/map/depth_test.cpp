@@ -445,6 +445,18 @@ TEST(LifeCycle, AFewMissesAreNoMistakeOfTheDetector) {
   EXPECT_EQ(life_cycle_state(landmark, {}, false), LandmarkState::kCandidate) << "the same share of more";
 }
 
+TEST(LifeCycle, WhatShowsItsInsideHasHolesUnlessItIsHollow) {
+  MappedLandmark landmark;
+  landmark.state.ellipsoid = kCup;
+  Sightings& sightings = landmark.sightings;
+  sightings.seen_s = sightings.expected_s = sightings.familiar_seen_s = 5.0;
+  sightings.seen_through_since_s = 3.0;
+  sightings.hollow_s = 1.0;
+  EXPECT_EQ(life_cycle_state(landmark, {}, false), LandmarkState::kCandidate) << "a fifth of the time, with a box";
+  sightings.hollow_s = 3.0;
+  EXPECT_EQ(life_cycle_state(landmark, {}, false), LandmarkState::kRetired) << "what lies behind it was never seen";
+}
+
 TEST_F(DepthMapperTest, WhatIsHollowIsThereAsLongAsSomethingIsInsideIt) {
   const Ellipsoid chair = on_table(0.0, 0.0, Vec3::Constant(0.2));
   const Ellipsoid tv = on_table(-0.3, 0.2, Vec3(0.06, 0.2, 0.18));
@@ -460,6 +472,28 @@ TEST_F(DepthMapperTest, WhatIsHollowIsThereAsLongAsSomethingIsInsideIt) {
   EXPECT_EQ(find(0)->state, LandmarkState::kConfirmed) << "its seat is behind its near side";
   for (int i = 0; i < 85; ++i) step(from_side(1.5 * i), {{1, 62, tv}}, {{tv}});
   EXPECT_EQ(find(0)->state, LandmarkState::kRetired);
+}
+
+TEST_F(DepthMapperTest, AnIgnoredBoxHidesNothingThatDepthSeesThrough) {
+  const Ellipsoid tv = on_table(-0.3, 0.2, Vec3(0.06, 0.2, 0.18));
+  for (int i = 0; i < 60; ++i) step(from_side(1.5 * i), {{0, 41, kCup}, {1, 62, tv}}, {{kCup, tv}});
+  ASSERT_EQ(find(0)->state, LandmarkState::kConfirmed);
+  for (int i = 0; i < 85; ++i) {
+    const SE3 pose = from_side(1.5 * (i % 60));
+    const Ellipsoid person{SE3(Quaternion::Identity(), 1.8 * kCup.center() - 0.8 * pose.t), Vec3::Constant(0.4)};
+    step(pose, {{1, 62, tv}, {-1, 41, person}}, {{tv}});
+  }
+  EXPECT_EQ(find(0)->state, LandmarkState::kRetired) << "somebody sits behind where it was";
+}
+
+TEST_F(DepthMapperTest, WhatOneSessionSawThroughTheNextHasNotLookedAt) {
+  const Ellipsoid tv = on_table(-0.3, 0.2, Vec3(0.06, 0.2, 0.18));
+  for (int i = 0; i < 60; ++i) step(from_side(1.5 * i), {{0, 41, kCup}, {1, 62, tv}}, {{kCup, tv}});
+  for (int i = 0; i < 45; ++i) step(from_side(1.5 * i), {{1, 62, tv}}, {{tv}});
+  ASSERT_GT(mapper_.state().landmarks[0].sightings.seen_through_since_s, 1.0);
+  ASSERT_EQ(find(0)->state, LandmarkState::kConfirmed);
+  begin_session();
+  EXPECT_EQ(mapper_.state().landmarks[0].sightings.seen_through_since_s, 0.0);
 }
 
 TEST_F(DepthMapperTest, WhatTheBorderCutsIsSeenThroughAsWellButNotMissed) {

@@ -331,6 +331,21 @@ TEST_F(MapperTest, ASmallThingThatStoodBesideALargeOneIsNoPartOfIt) {
   EXPECT_NE(find(1), nullptr);
 }
 
+/// A list of changes is to say that it is gone.
+TEST_F(MapperTest, WhatWasAnObjectInTheSessionBeforeIsNoPartOfWhatTookItsPlace) {
+  Ellipsoid large = kCup;
+  large.semi_axes *= 3.0;
+  large.T_world_quadric.t += Vec3(-0.06, 0.0, -0.1);
+  const std::vector<SE3> poses = arc(300, 120.0);
+  for (std::size_t i = 0; i < 60; ++i) step(poses[i], {{1, 73, kCup}});
+  ASSERT_EQ(find(1)->state, LandmarkState::kConfirmed);
+  begin_session();
+  for (std::size_t i = 60; i < poses.size(); ++i) step(poses[i], {{0, 73, large}});
+  end();
+  EXPECT_NE(find(0), nullptr);
+  EXPECT_NE(find(1), nullptr);
+}
+
 TEST_F(MapperTest, AConfirmedThingIsNoPartOfWhatIsNone) {
   Ellipsoid large = kCup;
   large.semi_axes *= 3.0;
@@ -448,6 +463,32 @@ TEST_F(MapperTest, StaleCandidateIsGivenUp) {
   EXPECT_EQ(removed, std::vector<std::int64_t>{0});
 }
 
+TEST_F(MapperTest, BetweenTwoSessionsACandidateGrowsNoOlderWhateverTheClock) {
+  QuadricMapperOptions options;
+  options.forget_candidate_s = 2.0;
+  std::vector<int> frames_kept;
+  for (const std::int64_t pause_s : {0, 86'400, -86'400}) {
+    mapper_ = QuadricMapper(options, classes_);
+    keyframes_.clear();
+    next_frame_ = 0;
+    step(arc(2, 1.0)[0], {{0, 41, kCup}});
+    begin_session(options);
+    next_frame_ = 5;
+    clock_ns_ += pause_s * 1'000'000'000;
+    int kept = 0;
+    for (const SE3& pose : arc(120, 120.0)) {
+      const MapUpdate update = step(pose, {{1, 73, kCup}});
+      if (!update.removed.empty()) break;
+      ++kept;
+    }
+    frames_kept.push_back(kept);
+  }
+  EXPECT_EQ(frames_kept[1], frames_kept[0]);
+  EXPECT_EQ(frames_kept[2], frames_kept[0]);
+  EXPECT_GE(frames_kept[0], 60) << "2 s of looking";
+  EXPECT_LT(frames_kept[0], 120);
+}
+
 TEST_F(MapperTest, ADetectorThatLooksEveryThreeSecondsLeavesAMap) {
   const std::vector<SE3> poses = arc(1800, 120.0);
   for (std::size_t i = 0; i < poses.size(); ++i) {
@@ -491,6 +532,7 @@ TEST_F(MapperTest, WhatWasAnObjectInTheSessionBeforeIsNotGivenUp) {
   ASSERT_EQ(find(0)->state, LandmarkState::kConfirmed);
   QuadricMapperOptions options;
   options.confirm_seen_s = 60.0;
+  options.forget_unconfirmed_s = 1.0;
   begin_session(options);
   ASSERT_EQ(find(0)->state, LandmarkState::kCandidate);
   next_frame_ += 54000;  // half an hour
@@ -619,6 +661,40 @@ TEST_F(MapperTest, WhatWasMovedIsRetiredWhereItWasAndWhatIsFixedIsNot) {
   ASSERT_NE(find(2), nullptr);
   EXPECT_EQ(find(2)->state, LandmarkState::kConfirmed);
   EXPECT_LT((find(2)->ellipsoid->center() - moved.center()).norm(), 0.01);
+}
+
+TEST_F(MapperTest, WhatAWrongPoseHadRetiredMergesWithTheOneThatIsThereUnlessItLeftInAnEarlierSession) {
+  const std::vector<SE3> poses = arc(120, 120.0);
+  Ellipsoid tv = kCup;
+  tv.T_world_quadric.t += Vec3(-0.3, 0.3, 0.0);
+  for (const bool in_one_session : {true, false}) {
+    mapper_ = QuadricMapper(QuadricMapperOptions(), classes_);
+    for (const SE3& pose : poses) step(pose, {{0, 41, kCup}, {1, 62, tv}});
+    for (int i = 0; i < 600; ++i) step(poses[static_cast<std::size_t>(i % 120)], {{1, 62, tv}});
+    ASSERT_EQ(find(0)->state, LandmarkState::kRetired);
+    if (!in_one_session) begin_session();
+    for (const SE3& pose : poses) step(pose, {{2, 41, kCup}, {1, 62, tv}});
+    end();
+    ASSERT_NE(find(0), nullptr);
+    EXPECT_EQ(find(0)->state, in_one_session ? LandmarkState::kConfirmed : LandmarkState::kRetired);
+    EXPECT_EQ(find(0)->observations, in_one_session ? 240 : 120);
+    EXPECT_EQ(find(2) == nullptr, in_one_session);
+  }
+}
+
+TEST_F(MapperTest, WhatWasSeenBeforeABreakIsNotMissedBeforeACorrectionSaysWhereItIs) {
+  const std::vector<SE3> poses = arc(120, 120.0);
+  Ellipsoid book = kCup;
+  book.T_world_quadric.t += Vec3(0.3, -0.3, 0.0);
+  for (const SE3& pose : poses) step(pose, {{0, 41, kCup}});
+  is_break_ = true;  // elsewhere, and the odometry counts on as if it were here
+  for (int i = 0; i < 600; ++i) step(poses[static_cast<std::size_t>(i % 120)], {{1, 73, book}});
+  EXPECT_EQ(find(0)->state, LandmarkState::kConfirmed);
+  MapCorrection correction;
+  correction.changed = true;
+  mapper_.apply(correction);
+  for (int i = 0; i < 600; ++i) step(poses[static_cast<std::size_t>(i % 120)], {{1, 73, book}});
+  EXPECT_EQ(find(0)->state, LandmarkState::kRetired);
 }
 
 TEST_F(MapperTest, WhatIsNotDetectedFromBehindOrWhileHiddenHasNotGone) {
