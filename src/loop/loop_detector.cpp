@@ -38,6 +38,7 @@ struct LoopDetector::Impl {
       : options_(options),
         paper_mode_(options.mode == "paper"),
         window_(paper_mode_ ? options.paper_window_s : options.window_s, options.frame_interval_s, classes),
+        monitor_(options.max_depth_m),
         up_(options.up_window_s),
         graph_(options),
         paper_(options, redirects_) {}
@@ -90,7 +91,9 @@ struct LoopDetector::Impl {
   std::pair<std::int64_t, std::int64_t> frames_around(std::int64_t stamp_ns) const {
     constexpr std::int64_t kAround_ns = 2'000'000'000;
     std::pair<std::int64_t, std::int64_t> frames{std::numeric_limits<std::int64_t>::max(), -1};
-    for (auto it = keyframes_.rbegin(); it != keyframes_.rend() && it->second.stamp_ns >= stamp_ns - kAround_ns; ++it) {
+    for (auto it = keyframes_.rbegin();
+         it != keyframes_.rend() && it->first >= first_keyframe_id_ && it->second.stamp_ns >= stamp_ns - kAround_ns;
+         ++it) {
       if (it->second.stamp_ns > stamp_ns + kAround_ns) continue;
       frames.first = std::min(frames.first, it->second.frame_id);
       frames.second = std::max(frames.second, it->second.frame_id);
@@ -322,7 +325,7 @@ struct LoopDetector::Impl {
   std::int64_t anchor(int number) const { return submap(number).keyframe_id; }
   /// @return nullopt between two sessions, whose clocks may not be one
   std::optional<double> gap_s(int query, int match) const {
-    const auto is_own = [this](int number) { return submap(number).segment != LocalMap::kOtherSession; };
+    const auto is_own = [this](int number) { return submap(number).segment >= 0; };
     const double gap_s = 1e-9 * static_cast<double>(submap(query).stamp_ns - submap(match).stamp_ns);
     if (is_own(query) != is_own(match) || gap_s < 0.0) return std::nullopt;
     return gap_s;
@@ -441,6 +444,7 @@ struct LoopDetector::Impl {
   Relocaliser relocaliser_;
   PairRecord record_{kRecordCapacity};
   std::map<std::int64_t, KeyframeTime> keyframes_;
+  std::int64_t first_keyframe_id_ = 0;  ///< of this session: the stamps of others may be another clock's
   bool is_fixed_ = false;
   bool has_told_ = false;                   ///< take_delta, before
   std::vector<std::int64_t> told_submaps_;  ///< frame_ids of those that it told of, in order
@@ -468,7 +472,7 @@ void LoopDetector::set_earlier_map(std::vector<LocalMap> submaps) {
   GraphDetector& earlier = impl_->earlier_.emplace(impl_->options_);
   for (LocalMap& submap : submaps) {
     submap.is_earlier = true;
-    submap.segment = LocalMap::kOtherSession;
+    submap.segment = std::min(submap.segment, LocalMap::kOtherSession);  // or another part of the map
     earlier.insert(std::move(submap));
   }
 }
@@ -476,9 +480,10 @@ void LoopDetector::restore(std::vector<LocalMap> submaps, const std::vector<Keyf
                            const std::vector<LoopFigures>& refused) {
   for (const KeyframePose& keyframe : keyframes) {
     impl_->keyframes_[keyframe.keyframe_id] = {keyframe.frame_id, keyframe.stamp_ns, keyframe.T_map_camera};
+    impl_->first_keyframe_id_ = std::max(impl_->first_keyframe_id_, keyframe.keyframe_id + 1);
   }
   for (LocalMap& submap : submaps) {
-    submap.segment = LocalMap::kOtherSession;
+    submap.segment = std::min(submap.segment, LocalMap::kOtherSession);  // or another part of the map
     impl_->graph_.insert(std::move(submap));
   }
   impl_->record_.restore(refused);

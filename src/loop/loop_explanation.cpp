@@ -2,6 +2,7 @@
 #include <sstream>
 
 #include "loop/pair_record.h"
+#include "loop/paper/paper_detector.h"
 #include "semantic_topo_loop/loop/loop_detector.h"
 #include "semantic_topo_loop/loop/loop_options.h"
 
@@ -38,20 +39,21 @@ std::string describe(const LoopFigures& loop, const LoopOptions& options) {
     sentence.stream() << ": not by objects, but by " << loop.inliers << " points";
     return sentence.stream().str();
   }
-  if (options.mode == "paper") {
+  const bool is_paper = options.mode == "paper";
+  if (is_paper) {
     const bool printed = options.score == "printed";
-    return sentence.add("common landmarks", loop.inliers, ">=", options.paper_min_common)
-        .add("score", loop.score, ">=", printed ? options.paper_printed_min_score : options.paper_corrected_min_score)
-        .stream()
-        .str();
+    sentence.add("common landmarks", loop.inliers, ">=", options.paper_min_common)
+        .add("score", loop.score, ">=", printed ? options.paper_printed_min_score : options.paper_corrected_min_score);
+  } else {
+    const bool is_confirmed = loop.accepted && loop.inliers < options.min_inliers;
+    const int min_inliers = is_confirmed ? options.min_confirmed_inliers : options.min_inliers;
+    sentence.add("aligned objects", loop.inliers, ">=", min_inliers)
+        .add("classes", loop.labels, ">=", options.min_labels)
+        .add("score", loop.score, ">=", options.ambiguity_ratio * loop.second_score);
   }
-  const bool is_confirmed = loop.accepted && loop.inliers < options.min_inliers;
-  const int min_inliers = is_confirmed ? options.min_confirmed_inliers : options.min_inliers;
-  return sentence.add("aligned objects", loop.inliers, ">=", min_inliers)
-      .add("classes", loop.labels, ">=", options.min_labels)
-      .add("spread m", loop.spread_m, ">=", options.min_spread_m)
+  const double sigma_factor = is_paper ? kPaperVagueness : 1.0;
+  return sentence.add("spread m", loop.spread_m, ">=", options.min_spread_m)
       .add("rms m", loop.rms_m, "<=", options.max_rms_m)
-      .add("score", loop.score, ">=", options.ambiguity_ratio * loop.second_score)
       .add("tilt deg", loop.tilt_deg, "<=", options.max_tilt_deg)
       .add("reprojection ratio", loop.reprojection_ratio, ">", options.min_reprojection_ratio)
       .add("reprojected objects", loop.reprojected_objects, ">=", options.min_reprojected_objects)
@@ -59,8 +61,8 @@ std::string describe(const LoopFigures& loop, const LoopOptions& options) {
       .add("box residual", loop.refine_residual, "<=", options.refine_max_residual)
       .add("refinement m", loop.refine_shift_m, "<=", options.refine_max_shift_m)
       .add("refinement deg", loop.refine_shift_deg, "<=", options.refine_max_shift_deg)
-      .add("sigma m", loop.sigma_m, "<=", options.max_sigma_m)
-      .add("sigma deg", loop.sigma_deg, "<=", options.max_sigma_deg)
+      .add("sigma m", loop.sigma_m, "<=", sigma_factor * options.max_sigma_m)
+      .add("sigma deg", loop.sigma_deg, "<=", sigma_factor * options.max_sigma_deg)
       .stream()
       .str();
 }

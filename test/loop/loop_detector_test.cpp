@@ -113,6 +113,27 @@ TEST(LoopDetector, OptionsChangeFromTheNextFrameOn) {
   }
 }
 
+TEST(LoopDetector, WhatTheSourceFoundRestsOnNothingOfAnEarlierSession) {
+  LoopDetector detector(LoopOptions(), std::make_shared<const ClassTable>());
+  constexpr std::int64_t kBefore = 100;
+  std::vector<KeyframePose> keyframes;
+  for (std::int64_t i = 0; i < kBefore; ++i) keyframes.push_back({i, 10 * i, i * 1'000'000'000, {}});
+  detector.restore({}, keyframes, {});
+  std::vector<LoopClosure> loops;
+  for (std::int64_t i = 0; i < 10; ++i) {  // by a clock that begins anew
+    Frame frame;
+    frame.frame_id = 10 * (kBefore + i);
+    frame.keyframe_id = kBefore + i;
+    frame.is_keyframe = true;
+    frame.stamp_ns = i * 1'000'000'000;
+    if (i == 9) frame.source_loop = SourceLoop{0, {}, Mat6::Identity(), 80};
+    loops = detector.detect(frame, {});
+  }
+  ASSERT_EQ(loops.size(), 1U);
+  EXPECT_EQ(loops[0].match_begin, 10 * kBefore);
+  EXPECT_EQ(loops[0].match_end, 10 * (kBefore + 2));
+}
+
 TEST(LoopDetector, PassesOnWhatTheOdometrysSourceFound) {
   const SE3 T_odom_match(so3_exp(Vec3(0.1, 0.2, -0.3)), Vec3(1.0, 2.0, 3.0));
   const SE3 T_match_image(so3_exp(Vec3(0.0, 0.05, 0.0)), Vec3(0.02, 0.0, 0.03));  // of the image that was found again
@@ -155,6 +176,7 @@ TEST(LoopDetector, PassesOnWhatTheOdometrysSourceFound) {
   EXPECT_NEAR(loop.sigma_m, std::sqrt(loop.covariance.topLeftCorner<3, 3>().trace()), 1e-12);
   EXPECT_EQ(loop.inliers, 80);
   EXPECT_NE(detector.explain(1, 0).text.find("80 points"), std::string::npos);
+  EXPECT_EQ(loop.match_begin, 0);
   found.stamp_ns = 0;  // before the run
   EXPECT_TRUE(detect(4, 1, false, T_odom_query, found).empty());
   LoopOptions off;
@@ -606,20 +628,21 @@ TEST(LoopDetector, PaperModeNeedsSharedIdsGapAndScore) {
 }
 
 /// So many visits of 12 s to one side of a desk, half a minute apart.
-RunSetup many_visits(int visits) {
+RunSetup many_visits(int visits, int objects = 12) {
   RunSetup setup;
-  setup.desk = random_desk(2, 12);
+  setup.desk = random_desk(2, objects);
   for (int v = 0; v < visits; ++v) setup.visits.push_back({30.0 * v, 30.0 * v + 12.0, 0.0, 80.0});
   setup.end_s = setup.visits.back().end_s;
   return setup;
 }
 
 TEST(LoopDetector, SubmapsOfAKnownPlaceDoNotPileUp) {
-  const auto submaps_after = [](int visits, bool enabled) {
+  const auto submaps_after = [](int visits, bool enabled, int objects = 12) {
     LoopOptions options;
     options.enabled = enabled;
     std::size_t kept = 0;
-    run(options, many_visits(visits), [&kept](const LoopDetector& detector) { kept = detector.submaps().size(); });
+    run(options, many_visits(visits, objects),
+        [&kept](const LoopDetector& detector) { kept = detector.submaps().size(); });
     return kept;
   };
   const std::size_t few = submaps_after(3, true), many = submaps_after(12, true), more = submaps_after(24, true);
@@ -627,6 +650,9 @@ TEST(LoopDetector, SubmapsOfAKnownPlaceDoNotPileUp) {
   EXPECT_GT(many, few) << "several visits are kept";
   EXPECT_LE(more, many + 2) << "but not all";
   EXPECT_LE(submaps_after(24, false), many + 2) << "also while loops are not looked for";
+  constexpr int kFewObjects = 5;  // than a loop by objects alone needs
+  EXPECT_GE(submaps_after(3, true, kFewObjects), 5U);
+  EXPECT_LE(submaps_after(24, true, kFewObjects), submaps_after(12, true, kFewObjects) + 2);
 }
 
 TEST(LoopDetector, AKnownPlaceIsRecognisedAtEveryVisit) {
@@ -728,6 +754,19 @@ RunSetup revisit() {
   setup.visits = {{0.0, 12.0, 0.0, 80.0}, {30.0, 42.0, 60.0, -20.0}};
   setup.end_s = 42.0;
   return setup;
+}
+
+TEST(LoopExplanation, TellsWhatRefusedALoopOfPaperMode) {
+  LoopFigures loop;
+  loop.reason = LoopReason::kRefinement;
+  loop.inliers = 4;
+  loop.score = 0.3;
+  loop.sigma_m = 0.25;
+  LoopOptions options;
+  options.mode = "paper";
+  options.max_sigma_m = 0.05;
+  EXPECT_EQ(describe(loop, options).substr(0, 40), "rejected: refinement, common landmarks 4");
+  EXPECT_NE(describe(loop, options).find("sigma m 0.25 (<= 0.15)"), std::string::npos) << describe(loop, options);
 }
 
 TEST(LoopExplanation, TellsTheRecordOfEveryCandidate) {

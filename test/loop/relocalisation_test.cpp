@@ -132,8 +132,11 @@ TEST(Relocalisation, AbstainsBetweenPlacesOfTwoSessionsThatLookAlike) {
   setup.earlier_map.insert(setup.earlier_map.end(), others.begin(), others.end());
   const RunOutcome outcome = run(LoopOptions(), setup);
   EXPECT_EQ(outcome.accepted(), 0);
-  EXPECT_TRUE(std::any_of(outcome.loops.begin(), outcome.loops.end(),
-                          [](const LoopClosure& loop) { return loop.reason == LoopReason::kAmbiguous; }));
+  const auto is_ambiguous = [](const LoopClosure& loop) { return loop.reason == LoopReason::kAmbiguous; };
+  EXPECT_TRUE(std::any_of(outcome.loops.begin(), outcome.loops.end(), is_ambiguous));
+  // How parts of a map that nothing joins stand to each other means nothing.
+  for (LocalMap& map : setup.earlier_map) map.segment = map.keyframe_id < 10'000 ? -1 : -2;
+  EXPECT_GT(run(LoopOptions(), setup).accepted(), 0);
 }
 
 TEST(GraphDetector, TakesAPlaceForAnotherWhereTheOdometryHasItUnlessThatStoodOnTheWay) {

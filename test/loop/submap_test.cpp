@@ -608,16 +608,27 @@ TEST(BoxTracker, TakesTheBoxThatOverlapsMost) {
   EXPECT_EQ(next[1].track_id, boxes[0].track_id);
 }
 
+TEST(BoxTracker, FollowsASlowDetectorThroughOneMissedAnswer) {
+  BoxTracker tracker;
+  for (const int second : {0, 1, 2, 3, 5, 6}) {
+    std::vector<ObservedBox> boxes = {box_at(0.0, 0.0)}, none;
+    if (second == 5) follow(&tracker, 4'000'000'000, Quaternion::Identity(), &none);
+    follow(&tracker, second * 1'000'000'000LL, Quaternion::Identity(), &boxes);
+    EXPECT_EQ(boxes[0].track_id, 0) << second;
+  }
+}
+
 TEST(BoxTracker, EndsTracksAfterAWhileAndWhenTold) {
   BoxTracker tracker;
-  std::vector<ObservedBox> boxes = {box_at(0.0, 0.0)}, later = boxes, last = boxes;
+  std::vector<ObservedBox> boxes = {box_at(0.0, 0.0)}, later = boxes, last = boxes, none;
   follow(&tracker, 0, Quaternion::Identity(), &boxes);
+  for (const std::int64_t stamp_ns : {300'000'000, 600'000'000})
+    follow(&tracker, stamp_ns, Quaternion::Identity(), &none);
   follow(&tracker, 1'000'000'000, Quaternion::Identity(), &later);
   EXPECT_NE(later[0].track_id, boxes[0].track_id);
   tracker.clear();
   follow(&tracker, 1'000'000'000 + kFrameNs, Quaternion::Identity(), &last);
   EXPECT_NE(last[0].track_id, later[0].track_id);
-  std::vector<ObservedBox> none;
   follow(&tracker, 2'000'000'000, Quaternion::Identity(), &none);
   EXPECT_TRUE(none.empty());
 }
@@ -725,7 +736,7 @@ struct Watch {
     ObservationWindow window(8.0, options.frame_interval_s, *testing::desk_classes());
     UpEstimator up(options.up_window_s);
     FrameBuilder builder(KeyframeOptions(), testing::desk_camera());
-    OdometryMonitor monitor;
+    OdometryMonitor monitor(LoopOptions().max_depth_m);
     std::mt19937_64 random(5);
     for (std::int64_t k = 0; k < 200; ++k) {
       const double time_s = 0.1 * static_cast<double>(k);
@@ -790,7 +801,7 @@ TEST(OdometryMonitor, NoticesAJumpInACrowd) {
     box.box = box_at(at + shift);
     moved.boxes.push_back(box);
   }
-  OdometryMonitor monitor;
+  OdometryMonitor monitor(LoopOptions().max_depth_m);
   monitor.set_reference(wall);
   for (int k = 0; k < 3; ++k) EXPECT_FALSE(monitor.push(in_place));
   EXPECT_FALSE(monitor.push(moved)) << "one frame is none";
@@ -809,7 +820,7 @@ TEST(OdometryMonitor, RefutesAJumpWhoseObjectsStandWhereTheyDid) {
   Vec6 jump;
   jump << 0.1, 0.0, 0.0, 0.0, radians(5.0), 0.0;
   const SE3 moved(so3_exp(jump.tail<3>()), jump.head<3>());
-  OdometryMonitor monitor;
+  OdometryMonitor monitor(LoopOptions().max_depth_m);
   monitor.set_reference(map);
   const auto seen_from = [&map](const SE3& T_odom_camera, std::size_t count) {
     ObservedFrame frame;
@@ -834,7 +845,7 @@ TEST(OdometryMonitor, RefutesAJumpWhoseObjectsStandWhereTheyDid) {
 }
 
 TEST(OdometryMonitor, SaysNothingWithoutAReference) {
-  OdometryMonitor monitor;
+  OdometryMonitor monitor(LoopOptions().max_depth_m);
   EXPECT_FALSE(monitor.push(ObservedFrame()));
   EXPECT_FALSE(monitor.drift_rad_s().has_value());
 }

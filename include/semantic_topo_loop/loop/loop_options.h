@@ -112,7 +112,9 @@ struct LoopOptions {
     visitor.live("min_explained_share", min_explained_share, share(), "share of the detections explained, both ways");
     visitor.live("max_tilt_deg", max_tilt_deg, positive(), "angle between the up directions of the two submaps");
     visitor("refine_views", refine_views, at_least(1), "boxes of each object and side in the refinement");
-    visitor("refine_sigma_px", refine_sigma_px, positive(), "standard deviation of a box edge in the refinement");
+    visitor(
+        "refine_sigma_px", refine_sigma_px, positive(),
+        "standard deviation of a box edge in the refinement; of an image 640 pixels wide, wider ones in proportion");
     visitor("refine_sigma_share", refine_sigma_share, not_negative(), "plus this share of the box size");
     visitor.live("refine_max_residual", refine_max_residual, positive(),
                  "median box residual after refinement, standard deviations");

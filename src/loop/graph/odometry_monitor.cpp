@@ -16,7 +16,6 @@ constexpr double kMinJump = 0.045;        ///< rad; less does not spoil a submap
 constexpr double kJumpFactor = 4.0;       ///< a jump exceeds the usual drift over the same time by it
 constexpr double kMaxOffset = 0.6;        ///< rad; what moved farther is another object
 constexpr double kMaxSizeRatio = 1.6;     ///< of detected and predicted box
-constexpr double kMaxDepth_m = 6.0;       ///< the default of loop.max_depth_m
 constexpr int kMinSupport = 3;            ///< objects that a shift is told by
 constexpr int kMinMore = 2;               ///< objects in place than without a jump: a single box may be off
 constexpr std::size_t kMaxCompared = 40;  ///< objects and boxes of a frame: the time grows with the square of both
@@ -53,12 +52,12 @@ int support(const std::vector<Prediction>& predictions, const Vec2& offset, cons
 
 /// The objects before the camera.
 template <class Node>
-std::vector<Prediction> predict(const std::vector<Node>& nodes, const SE3& T_odom_camera) {
+std::vector<Prediction> predict(const std::vector<Node>& nodes, const SE3& T_odom_camera, double max_depth_m) {
   const SE3 T_camera_odom = T_odom_camera.inverse();
   std::vector<Prediction> predictions;
   for (const Node& node : nodes) {
     const Vec3 p = T_camera_odom * node.center;
-    if (!(p.z() > node.radius) || p.z() > kMaxDepth_m) continue;
+    if (!(p.z() > node.radius) || p.z() > max_depth_m) continue;
     predictions.push_back({node.label, Vec2(p.x(), p.y()) / p.z(), 2.0 * node.radius / p.z()});
   }
   return largest(std::move(predictions), [](const Prediction& prediction) { return prediction.size; });
@@ -101,7 +100,7 @@ bool OdometryMonitor::push(const ObservedFrame& frame) {
 
 bool OdometryMonitor::refutes(const Vec6& jump, const ObservedFrame& frame) const {
   const auto in_place = [&](const SE3& T_odom_camera) {
-    return support(predict(nodes_, T_odom_camera), Vec2::Zero(), frame.boxes);
+    return support(predict(nodes_, T_odom_camera, max_depth_m_), Vec2::Zero(), frame.boxes);
   };
   const SE3 moved_back(so3_exp(-jump.tail<3>()) * frame.T_odom_camera.q, frame.T_odom_camera.t - jump.head<3>());
   return in_place(frame.T_odom_camera) >= in_place(moved_back) + kMinMore;
@@ -114,7 +113,7 @@ std::optional<double> OdometryMonitor::drift_rad_s() const {
 
 /// The offset between predicted and detected boxes of one label that most objects share; the smallest on ties.
 OdometryMonitor::Shift OdometryMonitor::common_shift(const ObservedFrame& frame) const {
-  const std::vector<Prediction> predictions = predict(nodes_, frame.T_odom_camera);
+  const std::vector<Prediction> predictions = predict(nodes_, frame.T_odom_camera, max_depth_m_);
   const std::vector<ObservedBox> boxes =
       largest(frame.boxes, [](const ObservedBox& observed) { return observed.box.size(); });
   Shift best;

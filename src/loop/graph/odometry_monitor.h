@@ -13,6 +13,8 @@ namespace semantic_topo_loop::core {
 /// Their common shift in the image tells how fast the odometry drifts, and a sudden large one that it has jumped.
 class OdometryMonitor {
  public:
+  /// @param max_depth_m of objects that are looked for, as of submaps
+  explicit OdometryMonitor(double max_depth_m) : max_depth_m_(max_depth_m) {}
   /// The submap that the next frames are compared with.
   void set_reference(const LocalMap& map);
   /// @return true if the odometry has jumped since the reference, which is then dropped
@@ -40,6 +42,7 @@ class OdometryMonitor {
 
   Shift common_shift(const ObservedFrame& frame) const;
 
+  double max_depth_m_;
   std::vector<Node> nodes_;
   std::int64_t reference_ns_ = 0;  ///< mean time of the reference's frames
   int jumped_frames_ = 0;

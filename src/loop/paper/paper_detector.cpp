@@ -31,9 +31,8 @@ constexpr std::int64_t kStreakSpan_ns = 4'000'000'000;
 /// Few common nodes determine the pose poorly; shared landmarks say that the place is right all the same, so the edge
 /// is kept with its wide covariance.
 LoopOptions with_vague_edges(LoopOptions options) {
-  constexpr double kVagueness = 3.0;  // three common nodes for the six that graph mode asks for
-  options.max_sigma_m *= kVagueness;
-  options.max_sigma_deg *= kVagueness;
+  options.max_sigma_m *= kPaperVagueness;
+  options.max_sigma_deg *= kPaperVagueness;
   return options;
 }
 

@@ -15,6 +15,9 @@
 
 namespace semantic_topo_loop::core {
 
+/// Of an edge's sigmas, beside graph mode's limits: three common nodes for the six that it asks for.
+constexpr double kPaperVagueness = 3.0;
+
 /// A landmark that two keyframes share: its centre in each camera frame, estimated by each keyframe for itself.
 struct CommonNode {
   Vec3 center_query = Vec3::Zero();

@@ -8,6 +8,7 @@
 
 #include "geometry/depth_points.h"
 #include "geometry/statistics.h"
+#include "geometry/wide_image.h"
 #include "odometry/held_poses.h"
 #include "semantic_topo_loop/geometry/lie.h"
 
@@ -15,6 +16,7 @@ namespace semantic_topo_loop::core {
 namespace {
 
 constexpr std::int64_t kMemory_ns = 700'000'000;  ///< the detector misses an object for some frames
+constexpr std::int64_t kAnswers = 2;              ///< one missed, however slow it is
 constexpr double kMinOverlap =
     0.25;  ///< of a box with its track's last, at which a pair is still one object in a fast turn
 constexpr double kOtherClassFactor = 0.7;  ///< on the overlap: detectors do rename objects, but seldom
@@ -81,7 +83,10 @@ std::vector<int> BoxTracker::match(const Quaternion& q_odom_camera, const std::v
 
 void BoxTracker::follow(std::int64_t stamp_ns, const Quaternion& q_odom_camera, const std::vector<double>& scores,
                         std::vector<ObservedBox>* boxes) {
-  const auto is_lost = [stamp_ns](const Track& track) { return stamp_ns - track.stamp_ns > kMemory_ns; };
+  ++answer_;
+  const auto is_lost = [this, stamp_ns](const Track& track) {
+    return stamp_ns - track.stamp_ns > kMemory_ns && answer_ - track.answer > kAnswers;
+  };
   tracks_.erase(std::remove_if(tracks_.begin(), tracks_.end(), is_lost), tracks_.end());
   const std::vector<int> track_of = match(q_odom_camera, *boxes);
   for (std::size_t b = 0; b < boxes->size(); ++b) {
@@ -92,6 +97,7 @@ void BoxTracker::follow(std::int64_t stamp_ns, const Quaternion& q_odom_camera, 
     }
     Track& track = track_of[b] < 0 ? tracks_.back() : tracks_[static_cast<std::size_t>(track_of[b])];
     track.stamp_ns = stamp_ns;
+    track.answer = answer_;
     track.q_odom_camera = q_odom_camera;
     track.box = box.box;
     track.classes[box.class_id] += scores[b];
@@ -106,10 +112,7 @@ ObservationWindow::ObservationWindow(double span_s, double interval_s, ClassTabl
       classes_(std::move(classes)) {}
 
 bool ObservationWindow::push(const Frame& frame, const AssociationFrame& associations) {
-  if (frame.is_break) {
-    frames_.clear();
-    tracker_.clear();
-  }
+  if (frame.is_break) clear();
   for (ObservedFrame& f : frames_) f.T_odom_camera = pose_on_the_way(f.stamp_ns, f.T_odom_camera, frame);
   if (associations.unanswered) return false;
   ObservedFrame observed = observe(frame, associations);
@@ -137,12 +140,12 @@ ObservedFrame ObservationWindow::observe(const Frame& frame, const AssociationFr
   observed.stamp_ns = frame.stamp_ns;
   observed.is_keyframe = frame.is_keyframe;
   observed.T_odom_camera = frame.T_odom_camera;
-  observed.focal_px = Vec2(camera.fx, camera.fy);
+  observed.focal_px = Vec2(camera.fx, camera.fy) / pixel_factor(camera);
   const auto normalised = [&camera](const Box& box) {
     const Vec3 low = camera.ray({box.x1, box.y1}), high = camera.ray({box.x2, box.y2});
     return Box{low.x(), low.y(), high.x(), high.y()};
   };
-  observed.image = normalised({0.0, 0.0, static_cast<double>(camera.width), static_cast<double>(camera.height)});
+  observed.image = normalised(camera.image());
   std::vector<double> scores;
   for (const Association& association : associations.associations) {
     if (association.landmark_id < 0 || !association.box.is_valid() || classes_.label(association.class_id) < 0)

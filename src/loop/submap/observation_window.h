@@ -34,6 +34,7 @@ class BoxTracker {
   struct Track {
     std::int64_t id = -1;
     std::int64_t stamp_ns = 0;
+    std::int64_t answer = 0;  ///< of the detector, at that stamp
     Quaternion q_odom_camera = Quaternion::Identity();
     Box box;
     std::map<int, double> classes;  ///< sums of scores
@@ -43,6 +44,7 @@ class BoxTracker {
 
   std::vector<Track> tracks_;  ///< in order of id
   std::int64_t next_id_ = 0;
+  std::int64_t answer_ = 0;
 };
 
 /// What the sides of a box are usually off by (1 sigma), on the plane z = 1.
@@ -54,9 +56,9 @@ struct ObservedFrame {
   std::int64_t stamp_ns = 0;
   bool is_keyframe = false;
   SE3 T_odom_camera;
-  MissedMotion missed;  ///< since the frame before
-  Vec2 focal_px = Vec2::Ones();
-  Box image;  ///< the image's rectangle on the plane z = 1
+  MissedMotion missed;           ///< since the frame before
+  Vec2 focal_px = Vec2::Ones();  ///< of the image made 640 pixels wide, if it is wider
+  Box image;                     ///< the image's rectangle on the plane z = 1
   std::vector<ObservedBox> boxes;
   /// Camera frame, m; of two frames a second, if they come with points. Null for all others.
   std::shared_ptr<const std::vector<Eigen::Vector3f>> points;
