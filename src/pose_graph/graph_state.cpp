@@ -4,6 +4,7 @@
 #include <algorithm>
 #include <cstddef>
 #include <iterator>
+#include <numeric>
 #include <utility>
 
 #include "geometry/relative_pose.h"
@@ -47,6 +48,30 @@ void GraphState::append(GraphState other) {
     jump.edge += static_cast<std::size_t>(vertices);
     noise.jumps.push_back(jump);
   }
+}
+
+std::vector<int> parts_of(const GraphState& state) {
+  std::vector<int> segment_of_vertex = {0};
+  for (const OdometryEdge& edge : state.edges) {
+    segment_of_vertex.push_back(segment_of_vertex.back() + (edge.is_break ? 1 : 0));
+  }
+  std::vector<int> part(static_cast<std::size_t>(segment_of_vertex.back()) + 1);
+  std::iota(part.begin(), part.end(), 0);
+  for (const RememberedLoop& loop : state.loops) {
+    if (!loop.loop || !loop.is_in_graph || !loop.kept) continue;
+    const auto part_of = [&](int vertex) {
+      return part[static_cast<std::size_t>(segment_of_vertex[static_cast<std::size_t>(vertex)])];
+    };
+    const auto [low, high] = std::minmax({part_of(loop.loop->from), part_of(loop.loop->to)});
+    if (low != high) std::replace(part.begin(), part.end(), high, low);
+  }
+  std::vector<int> parts;
+  std::size_t vertex = 0;
+  for (const GraphKeyframe& keyframe : state.keyframes) {
+    if (!keyframe.T_vertex_keyframe && !parts.empty()) ++vertex;
+    parts.push_back(part[static_cast<std::size_t>(segment_of_vertex[vertex])]);
+  }
+  return parts;
 }
 
 void put_before(const GraphDelta& earlier, GraphDelta* later) {

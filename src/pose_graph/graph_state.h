@@ -21,6 +21,7 @@ struct RememberedLoop {
   std::string refusal;
   bool is_in_graph = false;           ///< not if it was refused or repeats others
   bool may_vote = true, kept = true;  ///< of those in the graph
+  bool is_settled = false;            ///< believed when an earlier session ended: its clusters were doubted then
 };
 
 /// A keyframe and what it moves with.
@@ -54,6 +55,9 @@ struct GraphState {
   /// what follows, and a break leads to it. Ids are as they come.
   void append(GraphState other);
 };
+
+/// Numbers of the parts of a graph, by keyframe: what odometry without a break and kept loops join is one.
+std::vector<int> parts_of(const GraphState& state);
 
 /// What is new in a pose graph.
 struct GraphDelta {

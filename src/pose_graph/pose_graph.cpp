@@ -141,10 +141,9 @@ struct PoseGraph::Impl {
   GraphState state_but_keyframes() const {
     GraphState state;
     state.sessions = sessions_;
-    state.next_frame_id = next_frame_id_;
+    state.next_frame_id = std::max(next_frame_id_, last_frame_id_ + 1);
     if (keyframes_.size() > restored_) {
       state.sessions.push_back({keyframes_[restored_].keyframe_id, keyframes_[restored_].stamp_ns, last_stamp_ns_});
-      state.next_frame_id = last_frame_id_ + 1;
     }
     std::vector<OdometryEdge> edges = trajectory_.edges;
     suspect_jumps(&edges);

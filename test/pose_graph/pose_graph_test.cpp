@@ -840,6 +840,13 @@ TEST(FalseLoops, AreNoneOfThoseThatANoisyOdometryNeedsWhateverMayBeLearnt) {
     options.noise_factor_max = factor_max;
     EXPECT_EQ(count_kept(finish(run, loops, options).end.loops), 0) << factor_max;
   }
+  PoseGraphOptions noisy;
+  noisy.translation_noise_m = 0.02;
+  noisy.rotation_noise_deg = 0.4;
+  for (const bool estimates : {true, false}) {
+    noisy.estimate_noise = estimates;
+    EXPECT_EQ(count_kept(finish(run, loops, noisy).end.loops), 0) << "whatever is stated";
+  }
 }
 
 TEST(FalseLoops, TheSameSeedGivesTheSameLoops) {
@@ -977,6 +984,16 @@ TEST(LoopClusters, OneThatTheOdometryDoesNotLetExpectGoes) {
 TEST(LoopClusters, OnesThatDriftExplainsStay) {
   const ClusterCase data = make_cluster_case(SE3());
   EXPECT_EQ(audit_clusters(data.trajectory, {}, data.knowledge), data.knowledge.kept);
+}
+
+TEST(LoopClusters, WhatAnEarlierSessionBelievedInTheEndIsDoubtedNoMoreAndWhatItFoundOutIs) {
+  ClusterCase data = make_cluster_case(SE3(so3_exp(Vec3(0.3, -0.4, 0.2)), Vec3(0.8, -0.6, 0.4)));
+  data.trajectory.session_begins = {static_cast<int>(data.trajectory.T_map_vertex.size())};
+  std::vector<bool> settled(data.trajectory.loops.size(), true);
+  EXPECT_EQ(audit_clusters(data.trajectory, {}, data.knowledge, settled), data.knowledge.kept);
+  std::fill(settled.begin() + static_cast<std::ptrdiff_t>(data.right), settled.end(), false);
+  std::vector<bool> right = settled;
+  EXPECT_EQ(audit_clusters(data.trajectory, {}, data.knowledge, settled), right);
 }
 
 TEST(LoopConsistency, ALoneWrongLoopHasNoVoteAndUnbrokenOnesDo) {

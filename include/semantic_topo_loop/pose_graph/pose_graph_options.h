@@ -62,9 +62,9 @@ struct PoseGraphOptions {
         "objects", objects, one_of({"off", "auto", "on"}),
         "whether objects take part in corrections: off, auto (if loops show odometry to be wrong) or on (then the end "
         "of a run is one, too)");
-    visitor.live(
-        "object_sigma_px", object_sigma_px, positive(),
-        "noise of a box edge that all from about one direction share, constant part; 0.6 of it each has besides");
+    visitor.live("object_sigma_px", object_sigma_px, positive(),
+                 "noise of a box edge that all from about one direction share, constant part; 0.6 of it each has "
+                 "besides; of an image 640 pixels wide, wider ones in proportion");
     visitor.live("object_sigma_share", object_sigma_share, not_negative(),
                  "noise of a box edge, share of the box size");
     visitor.live("object_views", object_views, at_least(4),

@@ -90,6 +90,7 @@ bool LoopRejection::withdraw(std::int64_t query_keyframe_id, std::int64_t match_
 
 void LoopRejection::restore(std::vector<RememberedLoop> loops, std::int64_t accepted) {
   entries_ = std::move(loops);
+  for (Entry& entry : entries_) entry.is_settled = entry.kept;
   accepted_ = accepted;
   consistency_.clear();
 }
@@ -161,18 +162,27 @@ bool LoopRejection::reject_outliers(Trajectory* trajectory, GraphKnowledge* know
   if (trajectory->votes != knowledge->kept && !classify(trajectory, knowledge)) return false;
   drop_outliers(voted, trajectory, knowledge);
   if (!judge_anew({}, trajectory, knowledge)) return false;
-  const std::vector<bool> believed = audit_clusters(*trajectory, options_, *knowledge);
-  return believed == knowledge->kept || judge_anew(believed, trajectory, knowledge);
+  std::vector<bool> settled;
+  for (const Entry& entry : entries_) {
+    if (entry.is_in_graph) settled.push_back(entry.is_settled);
+  }
+  const std::vector<bool> believed = audit_clusters(*trajectory, options_, *knowledge, settled);
+  if (believed == knowledge->kept) return true;
+  std::vector<bool> outliers = knowledge->kept;
+  for (std::size_t k = 0; k < believed.size(); ++k) outliers[k] = outliers[k] && !believed[k];
+  // How far off the others are is judged where the outliers do not pull.
+  trajectory->votes = knowledge->kept = believed;
+  return classify(trajectory, knowledge) && judge_anew(outliers, trajectory, knowledge);
 }
 
 /// Where right loops lie at the border, what was rejected on the way there sways the verdict on them. So the last one
 /// is made anew among those that are not far off.
-/// @param believed one a loop: those that were kept and are no more are outliers; empty: none is
-bool LoopRejection::judge_anew(const std::vector<bool>& believed, Trajectory* trajectory, GraphKnowledge* knowledge) {
+/// @param outliers one a loop; empty: none is
+bool LoopRejection::judge_anew(const std::vector<bool>& outliers, Trajectory* trajectory, GraphKnowledge* knowledge) {
   constexpr double kFarOff = 10.0;  // times the bound on chi^2: beyond three times the sigmas that are allowed
   std::vector<bool> eligible;
   for (std::size_t k = 0; k < trajectory->loops.size(); ++k) {
-    const bool is_outlier = !believed.empty() && knowledge->kept[k] && !believed[k];
+    const bool is_outlier = !outliers.empty() && outliers[k];
     const double chi2 = chi_squared(trajectory->loops[k], trajectory->T_map_vertex);
     eligible.push_back(!is_outlier && chi2 <= kFarOff * options_.robust_chi2);
   }
@@ -279,19 +289,16 @@ const GraphLoop& middle(const Cluster& cluster, const Trajectory& trajectory) {
 }
 
 /// Those that strain the odometry most: a place that looks like another does.
-std::vector<Cluster> strained(const Trajectory& trajectory, const std::vector<bool>& kept, const NoisePrior& prior) {
+/// @param doubted one a loop
+std::vector<Cluster> strained(const Trajectory& trajectory, const std::vector<bool>& doubted,
+                              const PoseGraphOptions& options) {
   constexpr std::size_t kMaxDoubted = 8;  // each costs a solution of the graph
-  constexpr double kLittle = 10.0;        // times the least noise, 1 cm after one metre: any odometry may drift so
+  constexpr double kLittle = 10.0;        // times the usual noise, 1 cm after one metre: any odometry may drift so
   const PathNoise path(trajectory.T_map_vertex, trajectory.edges);
-  const OdometryNoise least{prior.least.translation_m, prior.least.rotation_rad};
+  const OdometryNoise usual = usual_least_noise(options), walk{usual.translation_m, usual.rotation_rad};
   std::vector<std::pair<double, Cluster>> clusters;
-  std::vector<bool> doubted = kept;
-  for (std::size_t k = 0; k < doubted.size(); ++k) {
-    // Those of an earlier session were doubted at its end.
-    doubted[k] = doubted[k] && trajectory.loops[k].to >= trajectory.session_begins.back();
-  }
   for (Cluster& cluster : loop_clusters(trajectory.loops, doubted)) {
-    const double factor = path.explaining_factor(middle(cluster, trajectory), least, prior.factor_max);
+    const double factor = path.explaining_factor(middle(cluster, trajectory), walk, options.noise_factor_max);
     if (factor > kLittle) clusters.emplace_back(factor, std::move(cluster));
   }
   std::stable_sort(clusters.begin(), clusters.end(), [](const auto& a, const auto& b) { return a.first > b.first; });
@@ -331,13 +338,15 @@ void judge(const Cluster& cluster, double evidence, const PoseGraphOptions& opti
 
 }  // namespace
 
-std::vector<bool> audit_clusters(Trajectory trajectory, const PoseGraphOptions& options, GraphKnowledge knowledge) {
+std::vector<bool> audit_clusters(Trajectory trajectory, const PoseGraphOptions& options, GraphKnowledge knowledge,
+                                 const std::vector<bool>& settled) {
   trajectory.objects = {};
-  const NoisePrior prior = noise_prior(options);
   while (loop_clusters(trajectory.loops, knowledge.kept).size() > 1) {
     const std::vector<double> copies = redundancy(trajectory.loops, knowledge.kept);
+    std::vector<bool> doubted = knowledge.kept;
+    for (std::size_t k = 0; k < settled.size(); ++k) doubted[k] = doubted[k] && !settled[k];
     Outlier worst;
-    for (const Cluster& cluster : strained(trajectory, knowledge.kept, prior)) {
+    for (const Cluster& cluster : strained(trajectory, doubted, options)) {
       judge(cluster, evidence(cluster, copies), options, knowledge, &trajectory, &worst);
     }
     if (worst.kept_without.empty()) break;

@@ -105,7 +105,7 @@ class LoopRejection {
 
   /// Whether each loop may vote. @param has_moved whether those of the last call are not what they were
   std::vector<bool> vote(const Trajectory& trajectory, bool has_moved = false);
-  /// Doubts every loop anew and drops the outliers from the graph: they leave no trace.
+  /// Doubts every loop anew, and judges the others as if the outliers had never come.
   /// @param trajectory, knowledge handed over, and voted on   @return false if there is no solution
   bool reject_outliers(Trajectory* trajectory, GraphKnowledge* knowledge);
 
@@ -119,7 +119,7 @@ class LoopRejection {
 
   bool is_repetition(const GraphLoop& loop, std::size_t end) const;
   bool classify(Trajectory* trajectory, GraphKnowledge* knowledge) const;
-  bool judge_anew(const std::vector<bool>& believed, Trajectory* trajectory, GraphKnowledge* knowledge);
+  bool judge_anew(const std::vector<bool>& outliers, Trajectory* trajectory, GraphKnowledge* knowledge);
   void drop_outliers(const std::vector<bool>& had_vote, Trajectory* trajectory, GraphKnowledge* knowledge);
   LoopVerdict verdict(const Entry& entry, const Chi2& chi2, double loop_factor) const;
 
@@ -135,6 +135,8 @@ class LoopRejection {
 /// false loops that may state any pose. Agreement among its own loops helps it only as far as they are evidence of
 /// their own. The worst goes first.
 /// @param knowledge of the last optimisation of this trajectory
-std::vector<bool> audit_clusters(Trajectory trajectory, const PoseGraphOptions& options, GraphKnowledge knowledge);
+/// @param settled one a loop: those that are not doubted; empty: none
+std::vector<bool> audit_clusters(Trajectory trajectory, const PoseGraphOptions& options, GraphKnowledge knowledge,
+                                 const std::vector<bool>& settled = {});
 
 }  // namespace semantic_topo_loop::core

@@ -7,6 +7,7 @@
 #include <utility>
 
 #include "geometry/statistics.h"
+#include "geometry/wide_image.h"
 #include "semantic_topo_loop/geometry/lie.h"
 
 namespace semantic_topo_loop::core {
@@ -101,11 +102,14 @@ GraphObjects well_seen(const GraphObjects& objects, const std::vector<SE3>& T_wo
 }
 
 void ObjectMemory::add(int vertex, const Camera& camera, const AssociationFrame& associations) {
+  const double factor = pixel_factor(camera);
   for (const Association& association : associations.associations) {
     if (association.landmark_id < 0) continue;
-    sightings_.push_back({association.landmark_id,
-                          {vertex, Vec4(camera.fx, camera.fy, camera.cx, camera.cy), association.box,
-                           association.truncated, surface_depth(camera, association)}});
+    const Vec4 edges = association.box.edges() / factor;
+    sightings_.push_back(
+        {association.landmark_id,
+         {vertex, Vec4(camera.fx, camera.fy, camera.cx, camera.cy) / factor,
+          Box{edges(0), edges(1), edges(2), edges(3)}, association.truncated, surface_depth(camera, association)}});
   }
 }
 

@@ -25,7 +25,7 @@ struct SurfaceDepth {
   double distance_m = 0.0;          ///< of the points seen on the object, along the ray
 };
 
-/// One box of an object in a keyframe.
+/// One box of an object in a keyframe, in pixels of the image made 640 wide, if it is wider.
 struct GraphObjectView {
   int vertex = -1;
   Vec4 intrinsics = Vec4::Zero();  ///< fx, fy, cx, cy, px

@@ -36,9 +36,9 @@ OdometryNoise faultless(OdometryNoise noise) {
   return noise;
 }
 
-/// Factors on the least noise that a loop may need, over the usual and in all. A single burst may stand behind some
-/// loops and not behind most: 15 cm after one metre is always granted. 40 cm are no odometry's: a loop that asks for
-/// more has no say in what is usual either.
+/// Factors on the usual least noise that a loop may need, over the usual and in all. A single burst may stand behind
+/// some loops and not behind most: 15 cm after one metre is always granted. 40 cm are no odometry's: a loop that asks
+/// for more has no say in what is usual either.
 constexpr double kStrain = 2.5, kLeastStrain = 150.0, kMaxStrain = 400.0;
 
 /// Log likelihood that one account of the odometry must bring over another: with few loops either may be more likely by
@@ -144,12 +144,12 @@ class TrajectoryOptimizer {
   void vote_by_noise() {
     const PathNoise path(result_.T_map_vertex, trajectory_.edges);
     const NoisePrior prior = noise_prior(options_);
-    const OdometryNoise least = scaled(prior.least, 1.0);
+    const OdometryNoise usual_least = usual_least_noise(options_);
     const double factor_max = std::max(prior.factor_max, 2.0 * kMaxStrain);  // what may be learnt bounds no verdict
     std::vector<double> factors, weights;
     for (std::size_t k = 0; k < votes_.size(); ++k) {
       if (!votes_[k]) continue;
-      factors.push_back(path.explaining_factor(trajectory_.loops[k], least, factor_max));
+      factors.push_back(path.explaining_factor(trajectory_.loops[k], usual_least, factor_max));
       const bool tells = counts_[k] && factors.back() <= kMaxStrain && is_modelled(trajectory_.loops[k]);
       weights.push_back(tells ? 1.0 / redundancy_[k] : 0.0);
     }
@@ -161,14 +161,21 @@ class TrajectoryOptimizer {
         const double usual = std::min(robust_noise_factor(factors, weights), prior.factor_max);
         loose = std::max(loose, options_.gnc_loosening * usual);
       }
+      loose = std::max(1.0, loose / noise_unit());
     }
     if (options_.robust != "gnc") return;
-    const double limit = std::clamp(kStrain * loose / options_.gnc_loosening, kLeastStrain, kMaxStrain);
+    const double limit = std::clamp(kStrain * loose * noise_unit() / options_.gnc_loosening, kLeastStrain, kMaxStrain);
     std::size_t voter = 0;
     for (std::size_t k = 0; k < votes_.size(); ++k) {
       if (!votes_[k]) continue;
       votes_[k] = factors[voter++] <= limit || path.has_stated(trajectory_.loops[k]);
     }
+  }
+
+  /// The least noise that the options state, in the usual one.
+  double noise_unit() const {
+    const OdometryNoise least = noise_prior(options_).least, usual = usual_least_noise(options_);
+    return std::min(least.translation_m / usual.translation_m, least.rotation_rad / usual.rotation_rad);
   }
 
   int modelled(const GraphLoop& loop) const {
@@ -229,9 +236,10 @@ class TrajectoryOptimizer {
     const OdometryNoise least = noise_prior(options_).least;
     if (exceeds(noise, least)) return false;
     constexpr double kRestless = 10.0;  // 1 cm after one metre: any odometry may drift so
+    const OdometryNoise usual = usual_least_noise(options_);
     OdometryNoise restless = least;
-    restless.translation_m *= kRestless;
-    restless.rotation_rad *= kRestless;
+    restless.translation_m = std::max(least.translation_m, kRestless * usual.translation_m);
+    restless.rotation_rad = std::max(least.rotation_rad, kRestless * usual.rotation_rad);
     return model.cost(restless, noise.loop_factor) > model.cost(least, noise.loop_factor) + kPrice;
   }
 
@@ -339,6 +347,12 @@ NoisePrior noise_prior(const PoseGraphOptions& options) {
   constexpr double kLeastJumpPrior = 0.003;  // next to none: without loops the odometry stays as it is
   if (options.estimate_noise) least.jump_prior = kLeastJumpPrior;
   return {least, options.noise_factor_max, options.noise_evidence};
+}
+
+OdometryNoise usual_least_noise(const PoseGraphOptions& options) {
+  PoseGraphOptions usual;
+  usual.estimate_noise = options.estimate_noise;
+  return noise_prior(usual).least;
 }
 
 OptimizedTrajectory optimize_trajectory(const Trajectory& trajectory, const PoseGraphOptions& options,

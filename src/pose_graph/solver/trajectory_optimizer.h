@@ -65,6 +65,8 @@ std::vector<OdometryEdge> settled_odometry(const Trajectory& trajectory, const P
 std::vector<bool> telling_loops(const Trajectory& trajectory, const std::vector<bool>& kept);
 
 NoisePrior noise_prior(const PoseGraphOptions& options);
+/// The least noise by default, in which is stated what no odometry needs, whatever the options say of this one.
+OdometryNoise usual_least_noise(const PoseGraphOptions& options);
 
 /// Leaves out vertices until `size` are left, and joins the odometry over them, its noise as it was. The past comes in
 /// steps that are a share of its age: what goes is the vertex whose neighbours are closest, in keyframes, in relation
