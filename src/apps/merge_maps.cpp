@@ -1,5 +1,9 @@
+#include <algorithm>
+#include <array>
 #include <cstdio>
+#include <map>
 #include <memory>
+#include <set>
 #include <string>
 
 #include "apps/program.h"
@@ -21,12 +25,31 @@ struct Arguments {
   OptionTexts assignments;
 };
 
-std::size_t confirmed(const MapState& map) {
-  std::size_t count = 0;
+std::ptrdiff_t confirmed(const MapState& map) {
+  return std::count_if(map.objects.landmarks.begin(), map.objects.landmarks.end(), [](const MappedLandmark& landmark) {
+    return landmark.state.state == LandmarkState::kConfirmed;
+  });
+}
+
+/// Boxes of a map, each with its keyframe's stamp: no two recordings have one alike to the last digit.
+std::set<std::array<double, 5>> boxes_of(const MapState& map) {
+  std::map<std::int64_t, double> stamps_s;
+  for (const KeyframePose& pose : map.keyframe_poses())
+    stamps_s[pose.keyframe_id] = 1e-9 * static_cast<double>(pose.stamp_ns);
+  std::set<std::array<double, 5>> boxes;
   for (const MappedLandmark& landmark : map.objects.landmarks) {
-    count += landmark.state.state == LandmarkState::kConfirmed ? 1 : 0;
+    for (const Observation& observation : landmark.observations) {
+      const Box& box = observation.view.box;
+      boxes.insert({stamps_s[observation.keyframe_id], box.x1, box.y1, box.x2, box.y2});
+    }
   }
-  return count;
+  return boxes;
+}
+
+std::size_t shared_boxes(const MapState& a, const MapState& b) {
+  const auto boxes_a = boxes_of(a), boxes_b = boxes_of(b);
+  return static_cast<std::size_t>(
+      std::count_if(boxes_a.begin(), boxes_a.end(), [&boxes_b](const auto& box) { return boxes_b.count(box) > 0; }));
 }
 
 Status run(const Arguments& arguments) {
@@ -42,14 +65,26 @@ Status run(const Arguments& arguments) {
   const auto a = read_map(arguments.a, *classes), b = read_map(arguments.b, *classes);
   for (const auto* map : {&a, &b}) {
     if (!*map) return map->error();
-    if ((**map)->graph.sessions.empty()) return Error{(map == &a ? arguments.a : arguments.b) + ": holds submaps only"};
+    const std::string& path = map == &a ? arguments.a : arguments.b;
+    if ((**map)->graph.sessions.empty()) return Error{path + ": holds submaps only"};
+    if (const Status has_scale = (**map)->check_scale(options->pose_graph); !has_scale) {
+      return Error{path + ": " + has_scale.message()};
+    }
+  }
+  const std::size_t shared = shared_boxes(**a, **b);
+  if (shared > 0) {
+    std::fprintf(
+        stderr,
+        "merge_maps: warning: %zu boxes are in both maps, of a session that is in both: it is in the result twice, "
+        "and counts twice\n",
+        shared);
   }
   const Stopwatch stopwatch;
   const MergedMaps merged = merge_maps(**a, **b, *options, std::make_shared<const ClassTable>(*classes));
   if (!merged.joined) {
     return Error{arguments.a + " and " + arguments.b + " have " + merged.joined.message() + "; nothing is written"};
   }
-  std::printf("%zu loops join the maps; %zu and %zu confirmed objects are %zu; %.1f s\n", merged.kept_loops,
+  std::printf("%zu loops join the maps; %td and %td confirmed objects are %td; %.1f s\n", merged.kept_loops,
               confirmed(**a), confirmed(**b), confirmed(*merged.map), 1e-6 * stopwatch.elapsed_us());
   MapState map = *merged.map;
   map.configuration = format_options_yaml(list_options(*options));

@@ -1,6 +1,7 @@
 #include "semantic_topo_loop/io/map_database.h"
 
 #include <signal.h>
+#include <sys/stat.h>
 #include <unistd.h>
 
 #include <algorithm>
@@ -9,6 +10,7 @@
 #include <chrono>
 #include <condition_variable>
 #include <cstdlib>
+#include <cstring>
 #include <deque>
 #include <exception>
 #include <filesystem>
@@ -44,23 +46,52 @@ std::filesystem::file_time_type written_at(const std::string& path) {
   return std::filesystem::last_write_time(path, code);
 }
 
-/// Files beside `stem` whose names are its own, a process id, and anything, where no such process is any more.
-void remove_links_of_the_dead(const std::filesystem::path& stem) {
+/// Files beside `stem` whose names are its own, a process id, '-', a number and `end`, where no such process is any
+/// more.
+void remove_files_of_the_dead(const std::filesystem::path& stem, const std::string& end_of_name) {
   std::error_code code;
   const std::string name = stem.filename().string();
-  for (std::filesystem::directory_iterator it(stem.parent_path(), code), end; !code && it != end; it.increment(code)) {
+  const std::filesystem::path folder = stem.has_parent_path() ? stem.parent_path() : std::filesystem::path(".");
+  for (std::filesystem::directory_iterator it(folder, code), end; !code && it != end; it.increment(code)) {
     const std::string other = it->path().filename().string();
-    if (other.compare(0, name.size(), name) != 0) continue;
-    const int process = std::atoi(other.c_str() + name.size());
-    if (process > 0 && ::kill(process, 0) != 0 && errno == ESRCH) std::filesystem::remove(it->path(), code);
+    if (other.size() <= name.size() + end_of_name.size() || other.compare(0, name.size(), name) != 0) continue;
+    const std::size_t end_at = other.size() - end_of_name.size();
+    if (other.compare(end_at, end_of_name.size(), end_of_name) != 0) continue;
+    const std::string numbers = other.substr(name.size(), end_at - name.size());
+    if (numbers.find_first_not_of("0123456789-") != numbers.npos) continue;
+    const int process = std::atoi(numbers.c_str());
+    if (process > 0 && numbers.find('-') != numbers.npos && ::kill(process, 0) != 0 && errno == ESRCH)
+      std::filesystem::remove(it->path(), code);
   }
 }
 
-/// FILE~, or FILE~2 if that is there, and so on.
-std::string free_name_beside(const std::string& path) {
-  std::string aside = path + "~";
-  for (int next = 2; is_there(aside); ++next) aside = path + "~" + std::to_string(next);
-  return aside;
+using Identity = std::pair<dev_t, ino_t>;
+std::optional<Identity> identity_of(const std::string& path) {
+  struct stat status;
+  if (::stat(path.c_str(), &status) != 0) return std::nullopt;
+  return Identity{status.st_dev, status.st_ino};
+}
+
+/// FILE~, FILE~2 and so on: the last that is there, empty if none is, and the first that is free.
+std::pair<std::string, std::string> names_beside(const std::string& path) {
+  std::pair<std::string, std::string> names{"", path + "~"};
+  for (int next = 2; is_there(names.second); ++next) {
+    names.first = std::exchange(names.second, path + "~" + std::to_string(next));
+  }
+  return names;
+}
+
+/// Gives a map and its journals the next free name. @param stays under its own, too, until another file takes that
+Status put_aside(const std::string& path, bool stays) {
+  const auto [last, aside] = names_beside(path);
+  std::error_code code, none;
+  if (!last.empty() && std::filesystem::equivalent(path, last, none)) return {};  // by an attempt that went wrong later
+  for (const char* journal : kJournals) std::filesystem::remove(aside + journal, none);
+  if (stays) std::filesystem::create_hard_link(path, aside, code);
+  if (!stays || code) std::filesystem::rename(path, aside, code);
+  if (code) return Error{path + ": cannot be renamed to " + aside + ": " + code.message()};
+  for (const char* journal : kJournals) std::filesystem::rename(path + journal, aside + journal, none);
+  return {};
 }
 
 /// What is committed, though another connection writes on.
@@ -111,6 +142,8 @@ class OpenMap {
     file_.run_if_free("PRAGMA journal_mode = DELETE");  // who reads it leaves the journal to the next one
     return status_of(file_);
   }
+  /// The file has another name now: what is in the journal, which has not, goes into it.
+  void leave() { file_.run("COMMIT; PRAGMA wal_checkpoint(TRUNCATE)"); }
 
  private:
   SqliteFile file_;
@@ -131,6 +164,7 @@ Status check_map_place(const std::string& path) {
 }
 
 Status replace_map(const std::string& path, const std::function<Status(const std::string&)>& write) {
+  remove_files_of_the_dead(behind_links(path) + ".", ".tmp");
   if (!is_there(path)) {
     // Whose journal this is went elsewhere; the new file must not be taken for it.
     std::error_code code;
@@ -140,15 +174,7 @@ Status replace_map(const std::string& path, const std::function<Status(const std
   return replace_file(path, write);
 }
 
-Status set_map_aside(const std::string& path) {
-  const std::string aside = free_name_beside(path);
-  std::error_code code, none;
-  for (const char* journal : kJournals) std::filesystem::remove(aside + journal, none);
-  std::filesystem::rename(path, aside, code);
-  if (code) return Error{path + ": cannot be renamed to " + aside + ": " + code.message()};
-  for (const char* journal : kJournals) std::filesystem::rename(path + journal, aside + journal, none);
-  return {};
-}
+Status set_map_aside(const std::string& path) { return put_aside(path, false); }
 
 void append(MapDatabase::Parts parts, MapDatabase::Parts* waiting) {
   for (auto& part : parts) {
@@ -174,12 +200,21 @@ Result<std::string> link_loaded_map(const std::string& path) {
   if (code) return path;
   // Under another name it would be read without what is in its journal.
   if (!file.is_fine() && (file.is_busy() || is_there(map + kJournals[0]))) return Error{file.problem()};
-  remove_links_of_the_dead(map + kLoaded);
+  for (const char* end : {"", kJournals[0], kJournals[1]}) remove_files_of_the_dead(map + kLoaded, end);
   // Other programs, and the session before, may still read theirs.
   static std::atomic<int> next{1};
   const std::string link = map + kLoaded + std::to_string(::getpid()) + "-" + std::to_string(next++);
   std::filesystem::create_hard_link(map, link, code);
-  return code ? path : link;
+  if (!code || copy_map(map, link)) return link;
+  std::filesystem::remove(link, code);
+  return path;  // where nothing can be written, nothing takes its place
+}
+
+std::string loaded_map(const std::string& link) {
+  const std::size_t begin = link.rfind(kLoaded);
+  const bool is_link =
+      begin != std::string::npos && link.find_first_not_of("0123456789-", begin + std::strlen(kLoaded)) == link.npos;
+  return is_link ? link.substr(0, begin) : link;
 }
 
 class MapDatabase::Impl {
@@ -228,7 +263,7 @@ class MapDatabase::Impl {
   }
 
   Result<MapCounts> copy_to(const std::string& path) const {
-    for (const std::string& own : {path_, path_ + kJournals[0], path_ + kJournals[1], earlier_}) {
+    for (const std::string& own : {path_, path_ + kJournals[0], path_ + kJournals[1], earlier_, loaded_map(earlier_)}) {
       if (is_same_file(path, own)) return Error{path + ": is a file of the map that is being written"};
     }
     if (!is_made()) return Error{path_ + ": nothing is written yet"};
@@ -275,7 +310,8 @@ class MapDatabase::Impl {
     }
     if (!map_) return;
     lock.unlock();
-    const Status closed = map_->close();
+    Status closed = check_identity();
+    if (closed) closed = map_->close();
     map_.reset();
     lock.lock();
     problem_ = closed;
@@ -286,17 +322,14 @@ class MapDatabase::Impl {
     if (is_first) {
       Status made = make(batch->parts);
       if (made) map_.emplace(path_, *classes_);  // from now on nobody else writes it
+      identity_ = identity_of(path_);
       return made;
     }
-    // What was renamed or removed could be written on, and SQLite would begin an empty file in its place.
-    if (!is_there(path_)) {
-      map_.reset();
-      return Error{path_ + ": is not there any more"};
-    }
+    if (const Status own = check_identity(); !own) return own;
     if (!map_) map_.emplace(path_, *classes_);
     if (batch->keeps_copy) {
       const auto copy = [this](const std::string& temporary) { return copy_map(path_, temporary); };
-      if (const Status kept = replace_map(free_name_beside(path_), copy); !kept) return kept;
+      if (const Status kept = replace_map(names_beside(path_).second, copy); !kept) return kept;
       batch->keeps_copy = false;
     }
     const Status written = map_->write(batch->parts);
@@ -307,6 +340,16 @@ class MapDatabase::Impl {
     return Error{path_ + ": " + exception.what()};
   }
 
+  /// What was renamed or removed could be written on; SQLite would begin an empty file in its place, and put our
+  /// journal into another one that took it.
+  Status check_identity() {
+    const auto now = identity_of(path_);
+    if (now == identity_) return {};
+    if (map_) map_->leave();
+    map_.reset();
+    return Error{path_ + (now ? ": another file is there now" : ": is not there any more")};
+  }
+
   /// The file with all there is: later ones change rows of it.
   Status make(const Parts& whole) {
     if (!earlier_.empty() && !is_there(earlier_)) return Error{earlier_ + ": is not there any more"};
@@ -315,7 +358,7 @@ class MapDatabase::Impl {
     return replace_map(path_, [&](const std::string& temporary) -> Status {
       SqliteFile file(temporary, SqliteFile::Mode::kWrite);
       file.run("PRAGMA journal_mode = OFF; PRAGMA synchronous = OFF");
-      if (!earlier_.empty()) (SqliteStatement(&file, "ATTACH ? AS earlier") << earlier_).run();
+      if (!earlier_.empty()) file.attach(earlier_, "earlier");
       file.run("BEGIN");
       create_map_tables(&file);
       const std::int64_t version = earlier_.empty() ? 0 : file.number("PRAGMA earlier.user_version");
@@ -330,7 +373,7 @@ class MapDatabase::Impl {
       for (const auto& part : whole) tables.write(*part);
       if (!earlier_.empty()) require_earlier(&file);
       file.run("COMMIT");
-      if (file.is_fine() && keeps_other && is_there(path_)) return set_map_aside(path_);
+      if (file.is_fine() && keeps_other && is_there(path_)) return put_aside(path_, true);
       return status_of(file);
     });
   }
@@ -348,6 +391,7 @@ class MapDatabase::Impl {
   bool is_writing_ = false, is_closed_ = false;
   bool is_made_ = false;  ///< the file is this one's
   std::optional<OpenMap> map_;
+  std::optional<Identity> identity_;  ///< of the file that was made; the thread's alone
   std::thread thread_;
 };
 

@@ -25,6 +25,9 @@
 namespace semantic_topo_loop::core {
 namespace {
 
+/// Besides those that every run has.
+constexpr std::array<const char*, 3> kSometimesWritten = {"relocalisations.csv", "scales.csv", "loop_scales.csv"};
+
 const char* level_name(AssociationLevel level) {
   constexpr std::array<const char*, 10> kNames = {"new", "2d",      "pro",        "3d",        "joint",
                                                   "jda", "ignored", "suppressed", "low_score", "wrong_size"};
@@ -274,7 +277,7 @@ class FileRecorder : public RunRecorder {
     const Status written = write_files(files);
     if (!kept || !written) return kept ? written : kept;
     // What this run does not have may still lie there from one before.
-    for (const char* name : {"relocalisations.csv", "scales.csv", "loop_scales.csv"}) {
+    for (const char* name : kSometimesWritten) {
       const std::string path = directory + "/" + name;
       const auto is_it = [&path](const auto& file) { return file.first == path; };
       std::error_code ignored;
@@ -477,6 +480,18 @@ class FileRecorder : public RunRecorder {
 };
 
 }  // namespace
+
+Status check_survives_run(const std::string& path, const std::string& directory) {
+  std::vector<const char*> names(kSometimesWritten.begin(), kSometimesWritten.end());
+  names.insert(names.end(), {"trajectory_live.txt", "trajectory.txt", "keyframes.csv", "objects.csv", "loops.csv",
+                             "loop_verdicts.csv", "loop_objects.csv", "associations.csv", "timing.csv", "memory.csv",
+                             "summary.json"});
+  for (const char* name : names) {
+    if (!is_same_file(path, directory + "/" + name)) continue;
+    return Error{path + ": the run's results would take its place: give another directory for them"};
+  }
+  return {};
+}
 
 void record(const Frame& frame, const FrameResult& result, RunRecorder* recorder) {
   recorder->record(frame);

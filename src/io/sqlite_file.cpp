@@ -26,29 +26,30 @@ std::string unchanging(const std::string& path) {
 }  // namespace
 
 SqliteFile::SqliteFile(std::string path, Mode mode) : path_(std::move(path)) {
+  std::error_code code;
+  name_ = std::filesystem::absolute(path_, code).string();  // one that begins as a URI is none
   if (mode == Mode::kRead) {
-    std::error_code code;
     if (std::filesystem::is_directory(path_, code)) reject("is a directory, not a file");
     if (!std::filesystem::exists(path_, code)) reject("cannot open the file");
     if (!is_fine()) return;
   }
-  note(open(path_, mode == Mode::kRead ? SQLITE_OPEN_READONLY : SQLITE_OPEN_READWRITE | SQLITE_OPEN_CREATE));
+  note(open(name_, mode == Mode::kRead ? SQLITE_OPEN_READONLY : SQLITE_OPEN_READWRITE | SQLITE_OPEN_CREATE));
   if (mode == Mode::kWrite || !is_fine()) return;
   // A file that its writer did not close is read by a journal beside it, which SQLite wants to make if there is none.
   const int read = sqlite3_exec(database_.get(), "PRAGMA schema_version", nullptr, nullptr, nullptr);
   if (read != SQLITE_READONLY && read != SQLITE_CANTOPEN) return;
   for (const char* journal : {"-wal", "-journal"}) {
-    std::error_code code;
     if (!std::filesystem::exists(path_ + journal, code)) continue;
     reject("its last part is in " + path_ + journal + ", which is only read where files can be written beside it");
     return;
   }
-  note(open(unchanging(path_), SQLITE_OPEN_READONLY | SQLITE_OPEN_URI));
+  name_ = unchanging(path_);
+  note(open(name_, SQLITE_OPEN_READONLY));
 }
 
 int SqliteFile::open(const std::string& name, int flags) {
   sqlite3* database = nullptr;
-  const int opened = sqlite3_open_v2(name.c_str(), &database, flags, nullptr);
+  const int opened = sqlite3_open_v2(name.c_str(), &database, flags | SQLITE_OPEN_URI, nullptr);
   database_.reset(database);
   constexpr int kPatience_ms = 1000;  // for who only takes a look; a writer stays
   if (opened == SQLITE_OK) sqlite3_busy_timeout(database, kPatience_ms);
@@ -59,6 +60,12 @@ void SqliteFile::reject(const std::string& problem) {
   if (!problem_.empty()) return;
   problem_ = path_ + ": " + problem;
   std::replace(problem_.begin(), problem_.end(), '\n', ' ');
+}
+
+void SqliteFile::attach(const std::string& path, const std::string& as) {
+  const SqliteFile readable(path, Mode::kRead);
+  if (is_fine()) problem_ = readable.problem_;
+  (SqliteStatement(this, "ATTACH ? AS " + as) << readable.name_).run();
 }
 
 void SqliteFile::note(int code) {

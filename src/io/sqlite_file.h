@@ -23,6 +23,8 @@ class SqliteFile {
   /// Whether the problem is that another session or program writes it.
   bool is_busy() const { return is_busy_; }
   void reject(const std::string& problem);
+  /// Another one to read beside this, under a name, from wherever it can be read.
+  void attach(const std::string& path, const std::string& as);
   /// Statements without a result.
   void run(const std::string& sql);
   /// The same, but where others use the file it is left undone.
@@ -42,6 +44,7 @@ class SqliteFile {
   int open(const std::string& name, int flags);
 
   std::string path_;
+  std::string name_;  ///< for SQLite
   std::unique_ptr<sqlite3, Close> database_;
   /// Statements that are done with, by their text: to prepare one takes longer than to run it.
   std::multimap<std::string, std::unique_ptr<sqlite3_stmt, Finalize>> idle_;

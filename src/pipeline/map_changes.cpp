@@ -64,6 +64,7 @@ struct SeenAs {
 SeenAs seen_as(const MappedLandmark& landmark, const Camera& camera, const KeyframePlaces& S_map_keyframe) {
   SeenAs seen{landmark.seen_from};
   std::vector<double> shares;
+  const Box image = camera.image();
   for (const Observation& observation : landmark.observations) {
     const auto keyframe = S_map_keyframe.find(observation.keyframe_id);
     if (keyframe == S_map_keyframe.end()) continue;
@@ -72,7 +73,7 @@ SeenAs seen_as(const MappedLandmark& landmark, const Camera& camera, const Keyfr
     const std::optional<Box> whole =
         project_box(ellipsoid.center(), ellipsoid.shape(), projection_matrix(camera, T_map_camera));
     if (!whole) continue;
-    const Box visible = clip(*whole, camera.width, camera.height);
+    const Box visible = clip(*whole, image);
     if (!visible.is_valid()) continue;
     shares.push_back(visible.area() / whole->area());
     if (shares.back() <= kFullyVisibleShare) seen.from.add(ellipsoid.center() - T_map_camera.t, visible.size());
@@ -138,8 +139,7 @@ class Looks {
 /// For how long depth has shown what lies behind an object since its last box, less what its holes may show.
 double seen_through_s(const MappedLandmark& landmark) {
   const Sightings& sightings = landmark.sightings;
-  const double holes = sightings.transparent_s / std::max(sightings.seen_s, sightings.transparent_s + 1e-9);
-  return sightings.seen_through_since_s * (1.0 - holes);
+  return sightings.seen_through_since_s * (1.0 - sightings.hole_share());
 }
 
 /// Whether another stands, or stood, in the place of a landmark. @param is_there whether one counts
@@ -239,8 +239,10 @@ std::vector<MapChange> map_changes(const MapState& map) {
       change.after_id = state.id;
       change.boxes_after = boxes.after;
       change.looked_at_before = looked_before;
+      // What had left before the session is there no more.
       const auto was_there = [first](const MappedLandmark& other) {
-        return count_boxes(other, first).before_s() >= kMinSeen_s;
+        return (other.state.state != LandmarkState::kRetired || other.was_confirmed) &&
+               count_boxes(other, first).before_s() >= kMinSeen_s;
       };
       if (looked_before >= kMinLooksOfMoved && !is_taken(map, state, was_there)) added.push_back(change);
     }

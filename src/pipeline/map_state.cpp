@@ -8,6 +8,7 @@
 #include <utility>
 
 #include "semantic_topo_loop/pipeline/object_slam.h"
+#include "semantic_topo_loop/pose_graph/pose_graph_options.h"
 
 namespace semantic_topo_loop::core {
 namespace {
@@ -86,8 +87,24 @@ std::vector<KeyframePose> MapState::keyframe_poses() const {
   return poses;
 }
 
-std::vector<LocalMap> MapState::submaps_in_unit() const {
+std::vector<LocalMap> MapState::submaps_in_parts() const {
+  const std::vector<int> parts = parts_of(graph);
+  std::map<std::int64_t, int> part_of;
+  for (std::size_t i = 0; i < parts.size(); ++i) part_of[graph.keyframes[i].pose.keyframe_id] = parts[i];
   std::vector<LocalMap> result = submaps;
+  for (LocalMap& submap : result) submap.segment = LocalMap::kOtherSession - part_of[submap.keyframe_id];
+  return result;
+}
+
+Status MapState::check_scale(const PoseGraphOptions& options) const {
+  const bool has_scales = std::any_of(graph.keyframes.begin(), graph.keyframes.end(),
+                                      [](const GraphKeyframe& keyframe) { return keyframe.pose.scale != 1.0; });
+  if (!has_scales || options.scale == "free") return {};
+  return Error{"its unit of length drifts, which needs pose_graph.scale = free"};
+}
+
+std::vector<LocalMap> MapState::submaps_in_unit() const {
+  std::vector<LocalMap> result = submaps_in_parts();
   rescale(keyframe_poses(), &result);
   return result;
 }

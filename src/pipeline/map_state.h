@@ -17,6 +17,8 @@
 
 namespace semantic_topo_loop::core {
 
+struct PoseGraphOptions;
+
 /// A map of one or more sessions: what a later one goes on with.
 struct MapState {
   std::string configuration;  ///< options of the last session (YAML), for who wonders how it came about
@@ -28,7 +30,12 @@ struct MapState {
   std::vector<LoopFigures> refused;      ///< candidates that loop detection refused, see LoopDetector::refused
 
   std::vector<KeyframePose> keyframe_poses() const;
-  /// The submaps in the map's unit of length.
+  /// @return an error if its odometry's unit of length drifts, so that only poses with a scale of their own hold it
+  /// together, and these options give none
+  Status check_scale(const PoseGraphOptions& options) const;
+  /// The submaps with the part of the map that each is in, by `parts_of`, as their segment.
+  std::vector<LocalMap> submaps_in_parts() const;
+  /// The same in the map's unit of length.
   std::vector<LocalMap> submaps_in_unit() const;
   /// Adds a map of which it is not known where it is: it comes to stand beside this one, with ids that follow.
   void append(MapState other);

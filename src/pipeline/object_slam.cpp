@@ -53,7 +53,7 @@ FrameResult ObjectSlam::process(const Frame& frame, const std::vector<Detection>
 
 MapUpdate ObjectSlam::restore(const MapState& map) {
   const MapUpdate update = restore_objects(map, &mapper_);
-  loop_detector_.restore(map.submaps, map.keyframe_poses(), map.refused);
+  loop_detector_.restore(map.submaps_in_parts(), map.keyframe_poses(), map.refused);
   restore_graph(map, &pose_graph_);
   tell(update);
   return update;
@@ -137,7 +137,7 @@ MergedMaps merge_maps(const MapState& a, MapState b, const Options& options,
   const auto theirs = both.submaps.begin() + static_cast<std::ptrdiff_t>(a.submaps.size());
   const std::vector<LocalMap> queries(theirs, both.submaps.end());
   LoopDetector detector(options.loop, classes);
-  detector.restore(a.submaps, a.keyframe_poses(), {});
+  detector.restore(a.submaps_in_parts(), a.keyframe_poses(), {});
   MergedMaps merged;
   merged.loops = detector.detect(queries);
 

@@ -23,6 +23,7 @@
 #include "semantic_topo_loop/geometry/lie.h"
 #include "semantic_topo_loop/io/map_database.h"
 #include "semantic_topo_loop/io/text_file.h"
+#include "semantic_topo_loop/pipeline/object_slam.h"
 #include "support/package_config.h"
 #include "support/simulated_run.h"
 #include "support/test_files.h"
@@ -437,7 +438,10 @@ bool as_nobody(const std::function<bool()>& run) {
 class ReadOnlyMapFile : public MapFile {
  protected:
   using Permissions = std::filesystem::perms;
-  ~ReadOnlyMapFile() override { std::filesystem::permissions(folder_, Permissions::owner_all); }
+  ~ReadOnlyMapFile() override {
+    std::error_code none;
+    std::filesystem::permissions(folder_, Permissions::owner_all, none);
+  }
   /// Files go into a folder, in which nothing can be written then.
   void keep(const std::vector<std::string>& files) {
     std::filesystem::permissions(directory_.path(""), Permissions::owner_all | Permissions::others_exec);
@@ -449,6 +453,14 @@ class ReadOnlyMapFile : public MapFile {
       std::filesystem::permissions(copy, kRead);
     }
     std::filesystem::permissions(folder_, kRead | Permissions::owner_exec | Permissions::others_exec);
+  }
+  /// A folder where everybody may write.
+  std::string place_for_all() {
+    const std::string folder = directory_.path("for all");
+    std::filesystem::permissions(directory_.path(""), Permissions::owner_all | Permissions::others_exec);
+    std::filesystem::create_directory(folder);
+    std::filesystem::permissions(folder, Permissions::all);
+    return folder;
   }
   const std::string folder_ = directory_.path("100% read?only");
   const std::string kept_ = folder_ + "/map.db";
@@ -464,6 +476,17 @@ TEST_F(ReadOnlyMapFile, IsRead) {
   }));
   EXPECT_TRUE(as_nobody([this] { return write_map(kept_, desk(), *shared_coco()).message().find(kept_ + ": ") == 0; }));
   EXPECT_TRUE(read_whole(kept_) == read_whole(path_));
+}
+
+/// As on a medium that has no links: of files that are another user's, systems may allow none.
+TEST_F(ReadOnlyMapFile, IsCopiedWhereItIsReplacedAndCannotBeLinked) {
+  const std::string shared = place_for_all() + "/map.db";
+  std::filesystem::copy_file(path_, shared);
+  EXPECT_TRUE(as_nobody([&] {
+    const auto loaded = link_loaded_map(shared);
+    return loaded && *loaded != shared && loaded_map(*loaded) == shared && std::filesystem::remove(shared) &&
+           (*read_map(*loaded, *shared_coco()))->submaps.size() == desk().submaps.size();
+  }));
 }
 
 TEST_F(ReadOnlyMapFile, IsNoPlaceForAMapThoughItCanBeWrittenItself) {
@@ -482,6 +505,14 @@ TEST_F(ReadOnlyMapFile, IsReadThoughItWasNotClosed) {
     const auto map = read_map(kept_, *shared_coco());
     return map && (*map)->submaps.size() == desk().submaps.size();
   })) << "what is in the file";
+  const std::string grown_map = place_for_all() + "/grown.db";
+  EXPECT_TRUE(as_nobody([&] {
+    ObjectSlam session({}, shared_coco());
+    session.restore(desk());
+    MapDatabase grown(grown_map, shared_coco(), {}, kept_);
+    grown.write({session.take_delta()});
+    return grown.close().message().empty();
+  })) << "by the session that goes on with it, too";
   std::filesystem::permissions(folder_, Permissions::owner_all);
   std::filesystem::remove_all(folder_);
   keep({path_, path_ + "-wal"});

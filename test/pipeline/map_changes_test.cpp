@@ -154,15 +154,20 @@ TEST(MapChanges, AChairThatTheBorderOfTheImageAlwaysCutsIsMissedToo) {
   }
 }
 
-TEST(MapChanges, WhatDepthSeesThroughIsGoneWhereverItIsSeenFrom) {
-  SimulationOptions options;
-  options.seed = 4;
+/// Two sessions of 20 s each.
+MapState map_of_halves(SimulationOptions options) {
   options.trajectory.duration_s = 40.0;
   options.trajectory.rate_hz = 15.0;
   const SimulatedSequence sequence = checked(simulate(options, camera_fr2(), coco()));
   const std::size_t half = sequence.odometry.size() / 2;
   const auto first = testing::map_of(sequence, 0, half, shared_coco());
-  MapState both = *testing::map_of(sequence, half, sequence.odometry.size(), shared_coco(), {}, first);
+  return *testing::map_of(sequence, half, sequence.odometry.size(), shared_coco(), {}, first);
+}
+
+TEST(MapChanges, WhatDepthSeesThroughIsGoneWhereverItIsSeenFrom) {
+  SimulationOptions options;
+  options.seed = 4;
+  MapState both = map_of_halves(options);
   ASSERT_EQ(listed(both), std::vector<std::string>());
   const std::int64_t second = both.graph.sessions.back().first_keyframe_id;
   const auto is_before = [second](const Observation& o) { return o.keyframe_id < second; };
@@ -187,6 +192,38 @@ TEST(MapChanges, WhatDepthSeesThroughIsGoneWhereverItIsSeenFrom) {
   object->was_confirmed = true;
   object->sightings.transparent_s = 9.0;
   EXPECT_EQ(listed(both), std::vector<std::string>()) << "it is mostly holes";
+}
+
+TEST(MapChanges, WhatComesBackToWhereItHadLeftInAnEarlierSessionIsNew) {
+  SimulationOptions options;
+  options.seed = 3;
+  options.trajectory.lap_s = 20.0;
+  MapState both = map_of_halves(options);
+  ASSERT_EQ(listed(both), std::vector<std::string>());
+  const std::int64_t second = both.graph.sessions.back().first_keyframe_id;
+  const auto is_before = [second](const Observation& o) { return o.keyframe_id < second; };
+  auto& landmarks = both.objects.landmarks;
+  const auto object = std::find_if(landmarks.begin(), landmarks.end(), [&](const auto& l) {
+    const auto before = std::count_if(l.observations.begin(), l.observations.end(), is_before);
+    return l.state.state == LandmarkState::kConfirmed && before > 50 &&
+           static_cast<std::ptrdiff_t>(l.observations.size()) - before > 50;
+  });
+  ASSERT_NE(object, landmarks.end());
+  MappedLandmark back = *object;
+  back.state.id = landmarks.back().state.id + 1;
+  back.was_confirmed = false;
+  back.observations.erase(std::remove_if(back.observations.begin(), back.observations.end(), is_before),
+                          back.observations.end());
+  auto& before = object->observations;
+  before.erase(std::remove_if(before.begin(), before.end(), [&](const Observation& o) { return !is_before(o); }),
+               before.end());
+  object->state.state = LandmarkState::kRetired;
+  const std::string name = coco().name(back.state.class_id);
+  const std::int64_t id = object->state.id;
+  landmarks.push_back(std::move(back));
+  EXPECT_EQ(listed(both), std::vector<std::string>()) << "the last session gave it up, and found it again";
+  for (MappedLandmark& landmark : landmarks) landmark.was_confirmed = landmark.was_confirmed && landmark.state.id != id;
+  EXPECT_EQ(listed(both), std::vector<std::string>{"new " + name});
 }
 
 TEST(MapChanges, WhatWasNotLookedAtBeforeIsNotNew) {

@@ -446,6 +446,53 @@ TEST_F(MapDatabaseTest, AMapThatDisappearsIsTold) {
   EXPECT_FALSE(std::filesystem::exists(path_)) << "an empty one in its place";
 }
 
+TEST_F(MapDatabaseTest, AnotherFileThatTakesItsPlaceIsLeftAsItIs) {
+  ChainRun foreign(laps(), shared_coco());
+  foreign.next();
+  const std::string other = directory_.path("other.db"), away = directory_.path("away.db");
+  ASSERT_EQ(write_map(other, *foreign.slam().map(), *shared_coco()).message(), "");
+  const std::string before = read_whole(other);
+  for (const bool goes_first : {false, true}) {
+    SCOPED_TRACE(goes_first);
+    std::filesystem::remove(away);
+    ChainRun run(laps(), shared_coco());
+    SavePoints save_points;
+    MapDatabase database(path_, shared_coco());
+    run_to(60, &run, &save_points, &database);
+    wait_for(database);
+    std::filesystem::rename(path_, away);
+    if (goes_first) {
+      run_to(70, &run, &save_points, &database);
+      wait_for(database);
+    }
+    std::filesystem::copy_file(other, path_);
+    run_to(90, &run, &save_points, &database);
+    EXPECT_EQ(database.close().message(), path_ + ": another file is there now");
+    EXPECT_TRUE(read_whole(path_) == before);
+    EXPECT_EQ(checked(read_map(path_, *shared_coco()))->graph.keyframes.size(), 1U) << "with no journal of ours";
+    EXPECT_GT(checked(read_map(away, *shared_coco()))->graph.keyframes.size(), 5U)
+        << "what was written stays, by its new name";
+    std::filesystem::remove(path_);
+  }
+}
+
+TEST_F(MapDatabaseTest, WhatAKilledWriterLeftGoesAndNothingElse) {
+  ChainRun run(laps(), shared_coco());
+  run.next();
+  const pid_t child = ::fork();
+  if (child == 0) ::_exit(0);
+  ::waitpid(child, nullptr, 0);
+  const std::string dead = "map.db." + std::to_string(child) + "-4.tmp",
+                    own = "map.db." + std::to_string(::getpid()) + "-99.tmp";
+  for (const std::string& name : {dead, own, std::string("map.db.2024-11-30"), std::string("map.db.tmp")})
+    directory_.write(name, "x");
+  ASSERT_EQ(write_map(path_, *run.slam().map(), *shared_coco()).message(), "");
+  EXPECT_FALSE(std::filesystem::exists(directory_.path(dead)));
+  EXPECT_TRUE(std::filesystem::exists(directory_.path(own)));
+  EXPECT_TRUE(std::filesystem::exists(directory_.path("map.db.2024-11-30")));
+  EXPECT_TRUE(std::filesystem::exists(directory_.path("map.db.tmp")));
+}
+
 TEST_F(MapDatabaseTest, WhoReadsAtTheEndDoesNotMakeItAFailure) {
   ChainRun run(laps(), shared_coco());
   run.next();

@@ -2,8 +2,10 @@
 
 #include <gtest/gtest.h>
 
+#include <algorithm>
 #include <cmath>
 #include <memory>
+#include <set>
 #include <string>
 #include <utility>
 #include <vector>
@@ -136,6 +138,24 @@ TEST_F(MapSessions, ALaterSessionInAFrameOfItsOwnBecomesOneGraphWithTheMap) {
   }
 }
 
+TEST_F(MapSessions, APlaceThatAnUnjoinedSessionMappedAgainIsStillFound) {
+  const Recording recording = desk();
+  const Map first = run(recording, 0, 1200, SE3()).map;
+  MapState both = *first;  // as a session is left whose loops are off
+  both.append(*run(recording, 700, 1400, SE3()).map);
+  EXPECT_EQ(std::set<int>({0, 1}), [&both] {
+    const std::vector<int> parts = parts_of(both.graph);
+    return std::set<int>(parts.begin(), parts.end());
+  }());
+  RandomPoses random(9);
+  const SessionResult third =
+      run(recording, 900, 1500, random.pose(5.0), stored(std::make_shared<const MapState>(std::move(both))));
+  EXPECT_GE(third.first_loop_s, 0.0);
+  const std::vector<int> parts = parts_of(third.map->graph);
+  EXPECT_EQ(*std::max_element(parts.begin(), parts.end()), 0) << "it joins all";
+  EXPECT_LE(ate_m(*third.map, recording), 0.012);
+}
+
 /// Its loops lead to few places of the map and are off alike, by 4 cm (ATE up to 0.015 m); what boxes from the same
 /// places show is not.
 TEST_F(MapSessions, BoxesOfBothSessionsHoldThemTogether) {
@@ -266,6 +286,11 @@ TEST_F(MapSessions, TwoMapsOfOnePlaceAreJoined) {
   EXPECT_GT(merged.kept_loops, 10U);
   EXPECT_EQ(merged.map->graph.sessions.size(), 2U);
   EXPECT_EQ(check(*merged.map).message(), "");
+  EXPECT_GT(merged.map->objects.merges.size(), a->objects.merges.size() + b->objects.merges.size());
+  const Map again = stored(merged.map);
+  EXPECT_EQ(again->left_out, 0U);
+  EXPECT_EQ(again->objects.merges.size(), merged.map->objects.merges.size())
+      << "which object of one is which of the other";
   EXPECT_LE(ate_m(*merged.map, recording), 0.012);
   EXPECT_LE(confirmed(*merged.map), std::max(confirmed(*a), confirmed(*b)) + 4);
   // What comes out is a map like any other.

@@ -70,9 +70,12 @@ Status replace_map(const std::string& path, const std::function<Status(const std
 /// Renames a map to FILE~, or FILE~2 if that is there, with what is in its journal yet.
 Status set_map_aside(const std::string& path);
 
-/// A name under which a map stays as it is now, although another takes its place: a link beside it, FILE.loaded-..., or
-/// its own name where no link can be made. Removes such links of programs that are no more.
+/// A name under which a map stays as it is now, although another takes its place: a link beside it, FILE.loaded-..., a
+/// copy where no link can be made, or its own name where nothing can be written. Removes such links of programs that
+/// are no more.
 /// @return an error if another session or program writes it
 Result<std::string> link_loaded_map(const std::string& path);
+/// The map whose link or copy, by such a name, that is; any other name as it is.
+std::string loaded_map(const std::string& link);
 
 }  // namespace semantic_topo_loop::core

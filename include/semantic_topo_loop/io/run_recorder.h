@@ -54,6 +54,9 @@ class RunRecorder {
   virtual std::optional<JoinedMap> joined_map() const = 0;
 };
 
+/// @return an error if the path is a file that RunRecorder::write replaces in the directory
+Status check_survives_run(const std::string& path, const std::string& directory);
+
 /// Records all that a frame came to.
 void record(const Frame& frame, const FrameResult& result, RunRecorder* recorder);
 
