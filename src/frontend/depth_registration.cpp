@@ -4,12 +4,17 @@
 #include <cmath>
 #include <opencv2/imgproc.hpp>
 
+#include "geometry/wide_image.h"
+
 namespace semantic_topo_loop::core {
 namespace {
 
 constexpr int kSharp = 0, kBlurred = 1;          ///< indices of Gradients
 constexpr std::size_t kRimsPerImage = 500;       ///< about, of each axis: bounds the time of the search
 constexpr std::size_t kMinRims = kRimsPerImage;  ///< in all; those of one image hardly tell the five parameters
+
+/// Sigma of the blur, at a width of 640: edges are felt as far as calibrations are wrong, some 10 px.
+constexpr double kBlur_px = 4.0;
 
 /// Strength of edges across an axis, cut off where more contrast says no more.
 cv::Mat edge_strength(const cv::Mat& gray, int axis) {
@@ -90,7 +95,7 @@ std::vector<Eigen::Vector3f> semi_dense_points(const RgbdImage& image, const Cam
 }
 
 void RegistrationEstimator::add_rims(const cv::Mat& depth_m, int axis) {
-  constexpr int kReach_px = 12;   // over the shadow beside a surface, in which there is no depth
+  const double reach_px = 12.0 * pixel_factor(camera_);  // over the shadow beside a surface, in which there is no depth
   constexpr float kStep = 1.15F;  // ratio of the depths: farther apart than any slope's within the reach
   constexpr int kRow = 2;         // every second line
   const int lines = axis == 0 ? depth_m.rows : depth_m.cols, length = axis == 0 ? depth_m.cols : depth_m.rows;
@@ -101,7 +106,7 @@ void RegistrationEstimator::add_rims(const cv::Mat& depth_m, int axis) {
     for (int i = 0; i < length; ++i) {
       const float z = at(line, i);
       if (z <= 0.0F) continue;
-      if (last >= 0 && i - last <= kReach_px) {
+      if (last >= 0 && i - last <= reach_px) {
         const float before = at(line, last);
         const int rim = z > kStep * before ? last : (before > kStep * z ? i : -1);
         if (rim >= 0) {
@@ -117,11 +122,11 @@ void RegistrationEstimator::add_rims(const cv::Mat& depth_m, int axis) {
 }
 
 void RegistrationEstimator::add(const RgbdImage& image) {
-  constexpr double kBlur_px = 4.0;  // sigma: edges are felt as far as calibrations are wrong, some 10 px
+  const double blur_px = kBlur_px * pixel_factor(camera_);
   Gradients gradients;
   for (const int axis : {0, 1}) {
     gradients.of_axis[axis][kSharp] = edge_strength(image.gray, axis);
-    cv::GaussianBlur(gradients.of_axis[axis][kSharp], gradients.of_axis[axis][kBlurred], cv::Size(0, 0), kBlur_px);
+    cv::GaussianBlur(gradients.of_axis[axis][kSharp], gradients.of_axis[axis][kBlurred], cv::Size(0, 0), blur_px);
   }
   gradients_.push_back(gradients);
   add_rims(image.depth_m, 0);
@@ -142,17 +147,18 @@ double RegistrationEstimator::score(const DepthRegistration& registration, int b
   constexpr double kShiftSigma_px = 15.0;       // of the optical centres, between two lenses of one kind
   constexpr double kParallaxSigma_px_m = 25.0;  // 5 cm at a focal length of 525 px
   constexpr double kPriorWeight = 0.01;         // a hundredth of the strongest edges a square sigma
-  const double prior = registration.shift_px.squaredNorm() / (kShiftSigma_px * kShiftSigma_px) +
-                       registration.parallax_px_m.squaredNorm() / (kParallaxSigma_px_m * kParallaxSigma_px_m);
+  const double factor = pixel_factor(camera_);
+  const double prior = (registration.shift_px / (factor * kShiftSigma_px)).squaredNorm() +
+                       (registration.parallax_px_m / (factor * kParallaxSigma_px_m)).squaredNorm();
   return sum / static_cast<double>(rims_.size()) - kPriorWeight * prior;
 }
 
 DepthRegistration RegistrationEstimator::climb(DepthRegistration best, int blur, double step_px) const {
-  constexpr int kRounds = 40;            // 8 px of step in every direction are 320 px: more than any search needs
-  constexpr double kSmallest_px = 0.25;  // outlines are known to no better than half a pixel
+  constexpr int kRounds = 40;  // 8 px of step in every direction are 320 px: more than any search needs
+  const double smallest_px = 0.25 * pixel_factor(camera_);  // outlines are known to no better than twice that
   double highest = score(best, blur);
   const double half_width_px = 0.5 * camera_.width;
-  for (int round = 0; round < kRounds && step_px >= kSmallest_px; ++round) {
+  for (int round = 0; round < kRounds && step_px >= smallest_px; ++round) {
     bool is_better = false;
     for (int parameter = 0; parameter < 5; ++parameter) {
       for (const double change : {-step_px, step_px}) {
@@ -184,31 +190,42 @@ bool RegistrationEstimator::is_clearly_better(const DepthRegistration& registrat
   const auto n = static_cast<double>(rims_.size());
   constexpr double kIndependentShare = 0.02;  // one of 50: rims of one outline tell the same
   constexpr double kMinSigmas = 4.0;
-  constexpr double kMinMotion_px = 3.0;  // registered depth moves by 1 px (fr3_cabinet's)
-  constexpr double kMinGain = 0.03;      // of the strongest edges
+  constexpr double kMinGain = 0.03;                          // of the strongest edges
+  const double min_motion_px = 3.0 * pixel_factor(camera_);  // registered depth moves by 1 px (fr3_cabinet's)
   const double mean = sum / n;
   const double sigma = std::sqrt(std::max(squares / n - mean * mean, 1e-9) / (kIndependentShare * n));
-  return mean > kMinSigmas * sigma && mean > kMinGain && moved_px / n > kMinMotion_px;
+  return mean > kMinSigmas * sigma && mean > kMinGain && moved_px / n > min_motion_px;
 }
 
 bool RegistrationEstimator::has_outlines() const { return rims_.size() >= kMinRims; }
+
+bool RegistrationEstimator::is_telling() const {
+  if (!has_outlines()) return false;
+  constexpr double kMinContrast = 1.5;  // fr1_xyz's is 2.1, among edges everywhere; that of noise is 1
+  double anywhere = 0.0;
+  for (const Gradients& gradients : gradients_) {
+    for (const auto& of_axis : gradients.of_axis) anywhere += cv::mean(of_axis[kSharp])[0] / 255.0;
+  }
+  anywhere /= 2.0 * static_cast<double>(gradients_.size());
+  return score({}, kSharp) > kMinContrast * anywhere;
+}
 
 std::optional<DepthRegistration> RegistrationEstimator::estimate() const {
   if (!has_outlines()) return std::nullopt;
   DepthRegistration best;
   double highest = -1.0;
   // Where a climb ends depends on where it begins. A Kinect's focal lengths, 525 and 585 px, differ by a tenth.
-  constexpr double kCoarseStep_px = 8.0, kFineStep_px = 2.0;  // twice the blur's sigma, and half of it
+  const double coarse_step_px = 2.0 * kBlur_px * pixel_factor(camera_), fine_step_px = 0.25 * coarse_step_px;
   for (const double scale : {1.0, 0.95, 1.05, 0.9, 1.1}) {
     DepthRegistration start;
     start.scale = scale;
-    const DepthRegistration coarse = climb(start, kBlurred, kCoarseStep_px);
+    const DepthRegistration coarse = climb(start, kBlurred, coarse_step_px);
     const double value = score(coarse, kBlurred);
     if (value <= highest) continue;
     highest = value;
     best = coarse;
   }
-  best = climb(best, kSharp, kFineStep_px);
+  best = climb(best, kSharp, fine_step_px);
   if (!is_clearly_better(best)) return std::nullopt;
   return best;
 }

@@ -42,12 +42,14 @@ class RegistrationEstimator {
 
   void add(const RgbdImage& image);
   int images() const { return static_cast<int>(gradients_.size()); }
-  /// Whether they show enough to tell anything.
-  bool has_outlines() const;
+  /// Whether there is more to see in color where depth has outlines than elsewhere. In the dark, or blurred, there is
+  /// not: that nothing was found says nothing then.
+  bool is_telling() const;
   /// @return the registration, if it differs from the identity and explains the images clearly better
   std::optional<DepthRegistration> estimate() const;
 
  private:
+  bool has_outlines() const;
   /// A pixel at the rim of a surface that hides another one.
   struct Rim {
     Vec2 pixel = Vec2::Zero();

@@ -40,14 +40,14 @@ constexpr char kPrepare[] = " (an export that this OpenCV does not run: rosrun s
 
 /// An image on the model's square, as the model was trained:  model pixel = scale R (image pixel) + offset
 struct Letterbox {
-  double scale = 1.0;                               ///< model pixels in one of the image
+  Vec2 scale = Vec2::Ones();                        ///< model pixels in one of the image, along x and y
   Eigen::Matrix2d R = Eigen::Matrix2d::Identity();  ///< that turns the image upright
   Vec2 offset = Vec2::Zero();                       ///< model pixels
   cv::Mat blob;                                     ///< 1 x 3 x S x S
 
   /// The box, in the image, of the ellipse that touches a box on the square from inside.
   Box to_image(const Box& box) const {
-    const Vec4 edges = (box.edges() - offset.replicate<2, 1>()) / scale;
+    const Vec4 edges = (box.edges() - offset.replicate<2, 1>()).cwiseQuotient(scale.replicate<2, 1>());
     const Vec2 center = R.transpose() * (0.5 * (edges.head<2>() + edges.tail<2>()));
     const Vec2 half = 0.5 * (edges.tail<2>() - edges.head<2>());
     const Vec2 in_image = (R.transpose().cwiseAbs2() * half.cwiseAbs2()).cwiseSqrt();
@@ -63,9 +63,9 @@ Letterbox letterbox(const cv::Mat& color, double roll_rad, int input_px, YoloLay
   Letterbox box;
   if (std::abs(roll_rad) > kUpright_rad) box.R = Eigen::Rotation2Dd(roll_rad).toRotationMatrix();
   const Vec2 size = box.R.cwiseAbs() * Vec2(bgr.cols, bgr.rows);  // of the image, turned
-  box.scale = std::min(static_cast<double>(input_px) / size.x(), static_cast<double>(input_px) / size.y());
-  const int width = std::clamp(static_cast<int>(size.x() * box.scale), 1, input_px);
-  const int height = std::clamp(static_cast<int>(size.y() * box.scale), 1, input_px);
+  const double scale = static_cast<double>(input_px) / size.maxCoeff();
+  const int width = std::clamp(static_cast<int>(std::lround(size.x() * scale)), 1, input_px);
+  const int height = std::clamp(static_cast<int>(std::lround(size.y() * scale)), 1, input_px);
   // YOLOX is trained with the image in the corner, on values of 0 to 255 in OpenCV's order; the others with it in the
   // middle, on 0 to 1 in red, green, blue.
   const bool is_yolox = layout == YoloLayout::kYolox;
@@ -74,9 +74,11 @@ Letterbox letterbox(const cv::Mat& color, double roll_rad, int input_px, YoloLay
   cv::Mat square(input_px, input_px, CV_8UC3, cv::Scalar::all(kGray));
   if (box.R.isIdentity(0.0)) {
     box.offset = {left, top};
+    box.scale = Vec2(width, height).cwiseQuotient(size);
     cv::resize(bgr, square(cv::Rect(left, top, width, height)), {width, height});
   } else {
-    const Eigen::Matrix2d A = box.scale * box.R;
+    box.scale.setConstant(scale);
+    const Eigen::Matrix2d A = scale * box.R;
     box.offset = Vec2(left + 0.5 * width, top + 0.5 * height) - A * Vec2(0.5 * bgr.cols, 0.5 * bgr.rows);
     const cv::Matx23d to_square(A(0, 0), A(0, 1), box.offset.x(), A(1, 0), A(1, 1), box.offset.y());
     cv::warpAffine(bgr, square, to_square, square.size(), cv::INTER_LINEAR, cv::BORDER_CONSTANT,
@@ -160,7 +162,14 @@ class ObjectDetector::Impl {
 
   /// Finds the size of the input and the layout of the output.
   Status try_sizes() {
-    const int stated = options_.input_px > 0 ? options_.input_px : declared_input_px(options_.model);
+    const DeclaredInput declared = declared_input(options_.model);
+    if (options_.input_px == 0 && declared.width_px != declared.height_px) {
+      return failure("it declares an input of " + std::to_string(declared.width_px) + " x " +
+                     std::to_string(declared.height_px) +
+                     " px, but images are given it as squares: export it for one " +
+                     "(or state detector.input_px, if it takes any size)");
+    }
+    const int stated = options_.input_px > 0 ? options_.input_px : declared.width_px;
     const std::vector<int> sizes = stated > 0 ? std::vector{stated} : std::vector{416, 640};
     std::string problem;
     for (const int size : sizes) {
@@ -189,10 +198,12 @@ class ObjectDetector::Impl {
     } else {
       std::ifstream file(options_.names);
       if (!file) return Error{options_.names + ": cannot open the file"};
-      for (std::string name; std::getline(file, name);) {
-        if (!name.empty() && name.back() == '\r') name.pop_back();
-        if (name.empty()) continue;
-        const ObjectClass* found = classes.find(name);
+      constexpr char kByteOrderMark[] = "\xEF\xBB\xBF", kBlanks[] = " \t\r";
+      for (std::string line; std::getline(file, line);) {
+        if (class_ids_.empty() && line.compare(0, 3, kByteOrderMark) == 0) line.erase(0, 3);
+        const std::size_t begin = line.find_first_not_of(kBlanks), end = line.find_last_not_of(kBlanks);
+        if (begin == std::string::npos) continue;
+        const ObjectClass* found = classes.find(line.substr(begin, end - begin + 1));
         class_ids_.push_back(found != nullptr ? found->id : -1);
       }
       if (class_ids_.size() != static_cast<std::size_t>(class_count_)) {

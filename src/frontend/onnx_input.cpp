@@ -87,7 +87,7 @@ std::vector<Field> fields(std::string_view message, const std::vector<std::uint6
 
 }  // namespace
 
-int declared_input_px(const std::string& path) {
+DeclaredInput declared_input(const std::string& path) {
   std::ifstream file(path, std::ios::binary);
   const std::string model{std::istreambuf_iterator<char>(file), {}};
   // ModelProto.graph.input.type.tensor_type.shape; weights may be listed as inputs too.
@@ -98,10 +98,11 @@ int declared_input_px(const std::string& path) {
       sizes.push_back(size.empty() ? 0 : size.front().value);
     }
     constexpr std::uint64_t kColors = 3, kCoarsestCell_px = 32, kLargest_px = 8192;
-    if (sizes.size() != 4 || sizes[1] != kColors || sizes[2] != sizes[3]) continue;
-    if (sizes[2] > 0 && sizes[2] % kCoarsestCell_px == 0 && sizes[2] <= kLargest_px) return static_cast<int>(sizes[2]);
+    const auto is_side = [](std::uint64_t px) { return px > 0 && px % kCoarsestCell_px == 0 && px <= kLargest_px; };
+    if (sizes.size() != 4 || sizes[1] != kColors || !is_side(sizes[2]) || !is_side(sizes[3])) continue;
+    return {static_cast<int>(sizes[3]), static_cast<int>(sizes[2])};
   }
-  return 0;
+  return {};
 }
 
 }  // namespace semantic_topo_loop::core

@@ -73,6 +73,7 @@ struct Calibration {
   DepthRegistration registration;
   bool is_focal_given = true;  ///< not corrected here
   int restarts = 0;            ///< advised so far
+  bool is_registration_known = false;
 };
 
 /// Whether a focal length should be changed.   @param is_given it is the user's, which is less readily changed
@@ -106,7 +107,7 @@ struct RgbdFrontend::Impl {
         calibration(std::move(known)),
         grid(calibration.camera, options.point_stride_px),
         map(options) {
-    if (options.self_calibration && calibration.registration.is_identity()) {
+    if (options.self_calibration && !calibration.is_registration_known) {
       registration_estimator.emplace(calibration.camera);
     }
   }
@@ -153,8 +154,19 @@ struct RgbdFrontend::Impl {
       return true;
     }
     const bool is_found = find_again(image, false);
-    if (is_followed && (!is_found || followed.inliers >= image->inliers)) *image = std::move(followed);
+    if (is_followed && (!is_found || followed.inliers >= image->inliers)) {
+      *image = std::move(followed);
+    } else if (!is_found) {
+      tell(followed, image);
+    }
     return is_followed || is_found;
+  }
+
+  /// Of what fails it is told how far the best attempt came.
+  static void tell(const TrackedFeatures& attempt, TrackedFeatures* image) {
+    if (attempt.matches <= image->matches) return;
+    image->matches = attempt.matches;
+    image->inliers = attempt.inliers;
   }
 
   bool find_again(TrackedFeatures* image, bool in_all_sections) {
@@ -169,7 +181,7 @@ struct RgbdFrontend::Impl {
     }
     const std::int64_t oldest_tried = tried.empty() ? 0 : tried.back();
     const std::vector<std::int64_t> alike =
-        most_alike(visual_words(image->features.descriptors), kAlike,
+        most_alike(map.common_words(image->features.descriptors), kAlike,
                    [&](const TrackingKeyframe& keyframe) { return keyframe.id < oldest_tried && is_asked(keyframe); });
     tried.insert(tried.end(), alike.begin(), alike.end());
     // The pose that explains most: a wrong one is seldom that.
@@ -177,30 +189,34 @@ struct RgbdFrontend::Impl {
     std::optional<TrackedFeatures> best;
     for (const std::int64_t id : tried) {
       TrackedFeatures candidate = *image;
-      if (!find_points(*map.keyframe(id), calibration.camera, &map, &candidate)) continue;
-      if (!track_local_map(calibration.camera, &map, &candidate)) continue;
+      candidate.matches = candidate.inliers = 0;
+      if (!find_points(*map.keyframe(id), calibration.camera, &map, &candidate) ||
+          !track_local_map(calibration.camera, &map, &candidate)) {
+        tell(candidate, image);
+        continue;
+      }
       const int inliers = candidate.inliers;
-      if (candidate.section != last->section) {
-        if (inliers < strong) continue;
+      const bool is_strong = inliers >= strong;
+      if (!is_strong && candidate.section.world != last->section.world) continue;
+      if (is_strong && candidate.section != last->section) {
         candidate.source_loop = loop_to(*map.keyframe(id), candidate);
       }
       if (!best || inliers > best->inliers) best = std::move(candidate);
-      if (inliers >= strong) break;
+      if (is_strong) break;
     }
     if (best) *image = std::move(*best);
     return best.has_value();
   }
 
-  /// The keyframes asked for that look most like an image of these words, best first; the newer of two that are equally
-  /// alike.
-  /// @param least words in common
+  /// The keyframes asked for that look most like an image, best first; the newer of two that are equally alike.
+  /// @param common_words with it, by keyframe   @param least of these
   template <typename Predicate>
-  std::vector<std::int64_t> most_alike(const std::vector<std::uint32_t>& words, std::size_t count, Predicate is_asked,
+  std::vector<std::int64_t> most_alike(const std::vector<int>& common_words, std::size_t count, Predicate is_asked,
                                        int least = 0) const {
     std::vector<std::pair<int, std::int64_t>> alike;
     for (const auto& [id, keyframe] : map.keyframes()) {
       if (!is_asked(keyframe)) continue;
-      const int common = common_words(words, keyframe.words);
+      const int common = common_words.at(static_cast<std::size_t>(id));
       if (common >= least) alike.emplace_back(common, id);
     }
     std::sort(alike.rbegin(), alike.rend());
@@ -236,12 +252,12 @@ struct RgbdFrontend::Impl {
   /// own, which look no less alike than those that it is followed by.
   std::vector<std::int64_t> unfollowed(const TrackedFeatures& image, const std::set<std::int64_t>& followed) const {
     constexpr std::size_t kTried = 3, kOwn = 1;  // bound the time of a keyframe
-    const std::vector<std::uint32_t> words = visual_words(image.features.descriptors);
+    const std::vector<int> words = map.common_words(image.features.descriptors);
     std::vector<std::int64_t> tried =
         most_alike(words, kTried, [&](const TrackingKeyframe& keyframe) { return keyframe.section != image.section; });
     int least_alike = std::numeric_limits<int>::max();
     for (const std::int64_t id : followed) {
-      least_alike = std::min(least_alike, common_words(words, map.keyframes().at(id).words));
+      least_alike = std::min(least_alike, words.at(static_cast<std::size_t>(id)));
     }
     const auto is_across_offset = [&](const TrackingKeyframe& keyframe) {
       return keyframe.section == image.section && followed.count(keyframe.id) == 0;
@@ -304,17 +320,21 @@ struct RgbdFrontend::Impl {
     constexpr double kShare = 0.01;  // of the motion: what the points' common errors, as of the focal length, give
     constexpr double kFloor_m = 5e-4, kFloor_rad = 2e-4;  // a tenth of a pixel: 0.1 / 525, and at 2.5 m
     constexpr double kMost_m = 0.2, kMost_rad = 0.2;      // of an image's motion: more than it ever is
+    // Over a second as much adds up at any rate of images, those of 30 Hz were measured; over a gap there is no more.
+    constexpr double kInterval_s = 1.0 / 30.0, kLeast_s = 1e-3, kGap_s = 0.2;
+    const double dt_s = 1e-9 * static_cast<double>(image.stamp_ns - last->stamp_ns);
+    const double intervals = std::clamp(dt_s, kLeast_s, kGap_s) / kInterval_s;
     const SE3 motion = image.T_camera_map * last->T_camera_map.inverse();
-    Mat6 covariance = image.covariance + rotated(last->covariance, motion.rotation());
+    Mat6 covariance = intervals * (image.covariance + rotated(last->covariance, motion.rotation()));
     // A trace beyond the bound says that hardly anything is known; it is scaled down to be of use in a graph.
     const double translation = covariance.topLeftCorner<3, 3>().trace(),
                  rotation = covariance.bottomRightCorner<3, 3>().trace();
     const double excess = std::max({1.0, translation / (kMost_m * kMost_m), rotation / (kMost_rad * kMost_rad)});
     covariance /= excess;
-    const double floor_m = std::hypot(kFloor_m, kShare * motion.t.norm());
-    const double floor_rad = std::hypot(kFloor_rad, kShare * rotation_angle(motion.q, Quaternion::Identity()));
-    covariance.diagonal().head<3>().array() += floor_m * floor_m;
-    covariance.diagonal().tail<3>().array() += floor_rad * floor_rad;
+    const double step_m = motion.t.norm(), step_rad = rotation_angle(motion.q, Quaternion::Identity());
+    const double share = kShare * kShare / intervals;
+    covariance.diagonal().head<3>().array() += intervals * kFloor_m * kFloor_m + share * step_m * step_m;
+    covariance.diagonal().tail<3>().array() += intervals * kFloor_rad * kFloor_rad + share * step_rad * step_rad;
     return covariance;
   }
 
@@ -348,23 +368,23 @@ struct RgbdFrontend::Impl {
   }
 
   void look_for_registration(const RgbdImage& image) {
-    constexpr std::int64_t kInterval_ns = 150'000'000;  // six images of the first second
-    constexpr int kImages = 6;
+    // Twelve images of three seconds: six of one were wrong of some parts of fr1_xyz, either way.
+    constexpr std::int64_t kInterval_ns = 270'000'000;
+    constexpr int kImages = 12;
     if (!registration_estimator) return;
     if (registration_estimator->images() > 0 && image.stamp_ns - last_registration_ns < kInterval_ns) return;
     registration_estimator->add(image);
     last_registration_ns = image.stamp_ns;
     if (registration_estimator->images() < kImages) return;
     is_registration_judged = true;
-    // A bare wall says nothing of it: the next images may.
-    if (!registration_estimator->has_outlines() && image.stamp_ns - first_stamp_ns < kEarly_ns) {
-      registration_estimator.emplace(calibration.camera);
-      return;
-    }
     if (const std::optional<DepthRegistration> found = registration_estimator->estimate()) {
       calibration.registration = *found;
       has_new_registration = true;
+    } else if (!registration_estimator->is_telling() && image.stamp_ns - first_stamp_ns < kEarly_ns) {
+      registration_estimator.emplace(calibration.camera);  // the next images may tell
+      return;
     }
+    calibration.is_registration_known = true;
     registration_estimator.reset();
   }
 
@@ -445,7 +465,7 @@ struct RgbdFrontend::Impl {
       result.state = TrackingState::kTracked;
     } else if (is_lost() && find_again(&image, true)) {
       result.state = TrackingState::kRelocalised;
-      is_break = image.section != last->section;
+      is_break = image.section.world != last->section.world;
     } else if (is_lost() && is_given_up(image.stamp_ns) && start(&image)) {
       result.state = TrackingState::kStarted;
       is_break = true;
@@ -468,7 +488,7 @@ struct RgbdFrontend::Impl {
       result.is_recalibrated = correct_calibration(&image);
       if (map.keyframes().empty() || needs_keyframe(image, map)) {
         // What hangs on a weak pose may lie wrong against the rest: it is looked for there as after a loss.
-        const bool is_weak = result.state == TrackingState::kTracked && image.inliers < strong_inliers(options);
+        const bool is_weak = result.state != TrackingState::kStarted && image.inliers < strong_inliers(options);
         if (is_weak) image.section.number = next_section++;
         take_in(image, *result.sample->points_camera);
         image.points = map.keyframes().rbegin()->second.points;

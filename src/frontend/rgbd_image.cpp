@@ -74,10 +74,13 @@ cv::Mat to_metres(const cv::Mat& depth, const DepthOptions& options, DepthRange*
   return metres;
 }
 
-/// Depth seen by another camera, as the color camera would see it: nearest surface first, each value drawn on so many
-/// pixels around its place, four or more, that no holes open between neighbours.
+/// Depth seen by another camera, as the color camera would see it: nearest surface first, and of a surface the value
+/// that lies nearest to the pixel; the nearest of all is too near. Each value is drawn on so many pixels around its
+/// place, four or more, that no holes open between neighbours.
 cv::Mat registered(const cv::Mat& depth_m, const Camera& color, const Camera& depth, const SE3& T_color_depth) {
+  constexpr double kSurfaceShare = 0.03;  // depths that differ by less are of one: noise, and slope over a pixel
   cv::Mat result = cv::Mat::zeros(color.height, color.width, CV_32FC1);
+  cv::Mat_<float> off_px(color.height, color.width, 0.0F);  ///< squared distance of the value from its pixel
   const int wide = std::max(2, static_cast<int>(color.fx / depth.fx) + 1);
   const int high = std::max(2, static_cast<int>(color.fy / depth.fy) + 1);
   for (int v = 0; v < depth_m.rows; ++v) {
@@ -93,7 +96,12 @@ cv::Mat registered(const cv::Mat& depth_m, const Camera& color, const Camera& de
       for (int y = std::max(top, 0); y < std::min(top + high, color.height); ++y) {
         for (int x = std::max(left, 0); x < std::min(left + wide, color.width); ++x) {
           float& there = result.at<float>(y, x);
-          if (there <= 0.0F || p.z() < there) there = static_cast<float>(p.z());
+          const auto off = static_cast<float>((pixel - Vec2(x, y)).squaredNorm());
+          const double step = p.z() - there;
+          const bool is_of_it = std::abs(step) < kSurfaceShare * there;
+          if (there > 0.0F && (is_of_it ? off >= off_px(y, x) : step > 0.0)) continue;
+          there = static_cast<float>(p.z());
+          off_px(y, x) = off;
         }
       }
     }

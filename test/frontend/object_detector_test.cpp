@@ -111,15 +111,17 @@ TEST(OnnxInput, IsWhatTheModelDeclares) {
   using testing::field, testing::onnx_input;
   const TestDirectory directory;
   const auto declared = [&directory](const std::string& bytes) {
-    return declared_input_px(directory.write("model.onnx", bytes));
+    const DeclaredInput input = declared_input(directory.write("model.onnx", bytes));
+    return std::pair(input.width_px, input.height_px);
   };
+  const std::pair none(0, 0);
   const std::string weights = field(5, std::string(1000, 'w')), kernel = onnx_input({16, 3, 3, 3});
   const std::string model = field(2, "exporter") + field(7, weights + kernel + onnx_input({1, 3, 640, 640}));
-  EXPECT_EQ(declared(model), 640);
-  EXPECT_EQ(declared(field(7, onnx_input({1, 3, 0, 0}))), 0);
-  EXPECT_EQ(declared(field(7, onnx_input({1, 3, 480, 640}))), 0);
-  for (std::size_t size = 0; size < model.size(); ++size) EXPECT_EQ(declared(model.substr(0, size)), 0) << size;
-  EXPECT_EQ(declared_input_px(directory.path("none.onnx")), 0);
+  EXPECT_EQ(declared(model), std::pair(640, 640));
+  EXPECT_EQ(declared(field(7, onnx_input({1, 3, 0, 0}))), none);
+  EXPECT_EQ(declared(field(7, onnx_input({1, 3, 480, 640}))), std::pair(640, 480));
+  for (std::size_t size = 0; size < model.size(); ++size) EXPECT_EQ(declared(model.substr(0, size)), none) << size;
+  EXPECT_EQ(declared_input(directory.path("none.onnx")).width_px, 0);
 }
 
 TEST(ObjectDetector, AComputerThatCannotIsOneError) {
@@ -234,7 +236,9 @@ TEST_P(EveryLayout, ClassesAreThoseOfTheNamesFile) {
     return found;
   };
   EXPECT_EQ(ids(), (std::set<int>{0, 1, 2}));
-  options_.names = directory_.write("model.names", "chair\r\nunheard of\n\nbook\n");
+  options_.names = directory_.write("model.names",
+                                    "\xEF\xBB\xBF"
+                                    "chair \r\nunheard of\n\n\tbook\n");
   EXPECT_EQ(ids(), (std::set<int>{coco().find("chair")->id, coco().find("book")->id}));
 }
 
@@ -391,7 +395,7 @@ class YoloxNano : public ::testing::Test {
   std::string folder_;
 };
 
-TEST_F(YoloxNano, DeclaresItsInput) { EXPECT_EQ(declared_input_px(options_.model), 416); }
+TEST_F(YoloxNano, DeclaresItsInput) { EXPECT_EQ(declared_input(options_.model).width_px, 416); }
 
 TEST_F(YoloxNano, FindsWhatItIsKnownToFind) {
   const std::unique_ptr<ObjectDetector> detector = load();

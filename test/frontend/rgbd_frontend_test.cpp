@@ -66,16 +66,16 @@ TEST(RgbdFrontend, FollowsAWalk) {
 }
 
 TEST(RgbdFrontend, BeginsAnewWithTheFocalLengthItFound) {
-  constexpr int kImages = 90;
+  constexpr int kImages = 110, kStep = 2;  // 7 s at 15 Hz: focal lengths wait until the depth's registration is known
   Camera stated = kCamera;
   stated.fx = stated.fy = kCamera.fx / 0.9;
   // Turning about, which focal lengths are seen by: depth is known, so that shifts alone say nothing of them.
   const auto pose = [](int image) {
-    const double t = kInterval_s * image;
+    const double t = kInterval_s * kStep * image;
     return SE3(so3_exp(Vec3(0.2 * std::sin(1.1 * t), 0.8 * std::sin(1.5 * t), 0.0)), Vec3(0.6 * std::sin(t), 0.0, 0.3));
   };
   std::vector<RgbdImage> images;
-  for (int i = 0; i < kImages; ++i) images.push_back(kRoom.render(stamp_of(i), pose(i)));
+  for (int i = 0; i < kImages; ++i) images.push_back(kRoom.render(stamp_of(kStep * i), pose(i)));
   const auto is_recalibrated = [&images](RgbdFrontend* frontend) {
     for (const RgbdImage& image : images) {
       if (frontend->track(image).is_recalibrated) return true;
@@ -410,6 +410,54 @@ TEST(RgbdFrontend, WhatItSawBeforeASpellOfFewPointsIsFoundAgain) {
   }
   EXPECT_GT(weak, 5);
   EXPECT_GT(loops, 0);
+}
+
+TEST(RgbdFrontend, ALossAfterASpellOfFewPointsIsNoBreakOfWhatItSawBefore) {
+  constexpr int kWalked = 20, kSpell = 4;
+  FrontendOptions options;
+  options.self_calibration = false;
+  RgbdFrontend frontend = after_walk(kWalked, options);
+  for (int i = kWalked; i < kWalked + kSpell; ++i) {
+    RgbdImage image = on_walk(i);
+    image.gray.convertTo(image.gray, -1, 0.1, 100.0);
+    const TrackedImage tracked = frontend.track(image);
+    ASSERT_EQ(tracked.state, TrackingState::kTracked) << i;
+    EXPECT_LT(tracked.inliers, 3 * options.min_inliers) << i;
+  }
+  RgbdImage black = on_walk(kWalked + kSpell);
+  black.gray.setTo(0);
+  ASSERT_EQ(frontend.track(black).state, TrackingState::kUnusable);
+  const TrackedImage found = frontend.track(kRoom.render(stamp_of(kWalked + kSpell + 1), pose_on_walk(0.0)));
+  ASSERT_EQ(found.state, TrackingState::kRelocalised);
+  EXPECT_FALSE(found.sample->is_break);
+  EXPECT_TRUE(found.sample->covariance);
+  EXPECT_LT(error_m(found, 0), 0.02);
+}
+
+TEST(RgbdFrontend, UncertaintyGrowsWithTheTimeNotWithTheImages) {
+  constexpr int kBegin = 15, kEnd = 45;              // a second, once points are proven
+  Vec2 variances[2] = {Vec2::Zero(), Vec2::Zero()};  // of translation and of rotation
+  for (const int stride : {1, 3}) {
+    RgbdFrontend frontend({}, kCamera);
+    for (int i = 0; i <= kEnd; i += stride) {
+      const TrackedImage tracked = frontend.track(on_walk(i));
+      ASSERT_TRUE(tracked.sample) << i;
+      if (i <= kBegin) continue;
+      const Mat6& covariance = *tracked.sample->covariance;
+      variances[stride / 3] +=
+          Vec2(covariance.topLeftCorner<3, 3>().trace(), covariance.bottomRightCorner<3, 3>().trace());
+    }
+  }
+  for (int i = 0; i < 2; ++i) EXPECT_NEAR(std::log(variances[1](i) / variances[0](i)), 0.0, 0.5) << i;
+}
+
+TEST(RgbdFrontend, OfALostImageItIsToldHowFarItCame) {
+  RgbdFrontend frontend = after_walk(10);
+  RgbdImage image = on_walk(10);
+  cv::randu(image.gray(cv::Rect(0, 0, image.gray.cols * 19 / 20, image.gray.rows)), 0, 255);
+  const TrackedImage tracked = frontend.track(image);
+  ASSERT_EQ(tracked.state, TrackingState::kLost) << tracked.inliers;
+  EXPECT_GT(tracked.matches, 0);
 }
 
 TEST(RgbdFrontend, WhatItSawBeforeItDriftedIsFoundAgainAcrossTheOffset) {

@@ -145,6 +145,17 @@ TEST(RgbdImage, CoarseDepthLeavesNoHoles) {
   EXPECT_NE(image_of(depth, options).message().find("depth.intrinsics is empty"), std::string::npos);
 }
 
+TEST(RgbdImage, NoisyDepthOfAnotherCameraIsNoNearer) {
+  constexpr double kSigma_m = 0.01;
+  DepthOptions options;
+  options.color_from_depth = "0.025 0 0 0 0 0 1";
+  cv::Mat depth(kCamera.height, kCamera.width, CV_32FC1);
+  cv::RNG(1).fill(depth, cv::RNG::NORMAL, 2.0, kSigma_m);
+  const auto image = image_of(depth, options);
+  ASSERT_TRUE(image) << image.message();
+  EXPECT_NEAR(cv::mean(image->depth_m, image->depth_m > 0.0)[0], 2.0, 0.05 * kSigma_m);
+}
+
 TEST(RgbdImage, NearerSurfaceWinsWhereTwoMeet) {
   DepthOptions options;
   options.color_from_depth = "0.3 0 0 0 0 0 1";
