@@ -77,7 +77,7 @@ class LoopDetectionNodelet : public StageWith<LoopDetectionParameters> {
       return;
     }
     if (session().frozen) return detector_->set_earlier_map((*map)->submaps_in_unit());
-    detector_->restore((*map)->submaps, (*map)->keyframe_poses(), (*map)->refused);
+    detector_->restore((*map)->submaps_in_parts(), (*map)->keyframe_poses(), (*map)->refused);
     detector_->apply(core::objects_of(**map, options_, classes()));
   }
 

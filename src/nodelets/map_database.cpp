@@ -34,6 +34,10 @@ class MapDatabaseNodelet : public StageWith<MapDatabaseParameters> {
     if (!start(3)) return;
     serve("save_map", &MapDatabaseNodelet::on_save);
     if (parameters_.save_map_file.empty()) return follow_sessions();
+    if (options_.loop.mode != "graph") {
+      fail("parameter 'save_map_file' = '" + parameters_.save_map_file + "' needs loop/mode graph");
+      return;
+    }
     const auto place = write_to(parameters_.save_map_file, core::check_map_place);
     if (!place) {
       fail(place.message());
@@ -65,8 +69,8 @@ class MapDatabaseNodelet : public StageWith<MapDatabaseParameters> {
     warn_while(kStages, "");
     // What another session of this process mapped stays, unless this one has its images again.
     const auto before = database();
-    const bool sets_aside = before && before->is_made() && !session().rewind;
-    const bool is_itself = session().frozen && core::is_same_file(path_, session().map_file);
+    if (before && before->is_made()) has_made_ = !session().rewind;
+    const bool is_itself = session().frozen && is_map_of(path_, session().map_file);
     warn_while("frozen map",
                is_itself ? "no map is written: " + path_ + ": is the frozen map, which stays as it is" : std::string());
     const std::lock_guard<std::mutex> lock(mutex_);
@@ -75,7 +79,7 @@ class MapDatabaseNodelet : public StageWith<MapDatabaseParameters> {
     if (is_itself) return;
     database_ =
         std::make_shared<core::MapDatabase>(path_, classes(), core::format_options_yaml(core::list_options(options_)),
-                                            session().frozen ? std::string() : session().map_file, sets_aside);
+                                            session().frozen ? std::string() : session().map_file, has_made_);
   }
 
   void on_points(const KeyframePointsMessage::ConstPtr& message) {
@@ -159,7 +163,11 @@ class MapDatabaseNodelet : public StageWith<MapDatabaseParameters> {
 
   bool is_loaded(const std::string& path) const {
     const std::lock_guard<std::mutex> lock(mutex_);
-    return core::is_same_file(path, loaded_);
+    return is_map_of(path, loaded_);
+  }
+  /// @param loaded as the session reads it: a link, or a copy
+  static bool is_map_of(const std::string& path, const std::string& loaded) {
+    return core::is_same_file(path, loaded) || core::is_same_file(path, core::loaded_map(loaded));
   }
 
   void watch() {
@@ -213,7 +221,8 @@ class MapDatabaseNodelet : public StageWith<MapDatabaseParameters> {
   std::array<std::optional<ros::Time>, 3> told_by_;  ///< by stage: when the one was loaded that sent its whole part
   core::MapDatabase::Parts waiting_;                 ///< until each stage has sent its part as a whole
   bool keeps_copy_ = false;                          ///< of what was written before those
-  mutable std::mutex mutex_;                         ///< guards what follows, which services use
+  bool has_made_ = false;     ///< the file is of a session of before, whose images are not this one's
+  mutable std::mutex mutex_;  ///< guards what follows, which services use
   std::shared_ptr<core::MapDatabase> database_;
   std::string loaded_;  ///< file of the map that the session goes on with or looks at
 };

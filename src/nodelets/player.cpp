@@ -1,6 +1,7 @@
 #include <rosgraph_msgs/Clock.h>
 #include <std_msgs/Empty.h>
 #include <std_msgs/String.h>
+#include <tf2_ros/static_transform_broadcaster.h>
 
 #include <algorithm>
 #include <chrono>
@@ -68,6 +69,7 @@ class PlayerNodelet : public StageWith<PlayerParameters> {
     publishes_clock_ = ros::param::param<bool>("/use_sim_time", false);
     if (publishes_clock_) clock_publisher_ = getNodeHandle().advertise<rosgraph_msgs::Clock>("/clock", 10);
     tf_publisher_ = getNodeHandle().advertise<tf2_msgs::TFMessage>("/tf", 1000);
+    static_broadcaster_ = std::make_unique<tf2_ros::StaticTransformBroadcaster>();
     camera_info_publisher_ = advertise<sensor_msgs::CameraInfo>("camera_info");
     if (parameters_.bag.with_images) color_publisher_ = advertise<sensor_msgs::Image>("color");
     if (parameters_.bag.plays_depth()) depth_publisher_ = advertise<sensor_msgs::Image>("depth");
@@ -311,6 +313,7 @@ class PlayerNodelet : public StageWith<PlayerParameters> {
   }
 
   void publish_transforms(const PlayerItem& item) {
+    if (!item.static_transforms.empty()) static_broadcaster_->sendTransform(item.static_transforms);
     for (const tf2_msgs::TFMessage& transforms : item.transforms) {
       tf_publisher_.publish(boost::make_shared<tf2_msgs::TFMessage>(transforms));
     }
@@ -324,6 +327,7 @@ class PlayerNodelet : public StageWith<PlayerParameters> {
 
   ros::Publisher clock_publisher_, tf_publisher_, camera_info_publisher_, end_publisher_, query_publisher_;
   ros::Publisher status_publisher_, color_publisher_, depth_publisher_;
+  std::unique_ptr<tf2_ros::StaticTransformBroadcaster> static_broadcaster_;
   bool publishes_clock_ = false;
   std::optional<std::pair<Clock::time_point, std::int64_t>> rate_origin_;  ///< playback thread only
 

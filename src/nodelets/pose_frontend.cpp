@@ -57,7 +57,7 @@ class PoseFrontendNodelet : public StageWith<PoseFrontendParameters, FrontendSta
       transforms_ = std::make_shared<TfPoses>(parameters_.odom_frame, parameters_.max_pose_gap_s);
     }
     if (parameters_.pose_source == "odometry") {
-      odometry_ = std::make_shared<OdometryPoses>(transforms_, parameters_.max_pose_gap_s);
+      odometry_ = std::make_shared<OdometryPoses>(transforms_, parameters_.max_pose_gap_s, parameters_.base_frame);
       source_ = odometry_;
     }
     if (!source_) source_ = transforms_;
@@ -94,6 +94,10 @@ class PoseFrontendNodelet : public StageWith<PoseFrontendParameters, FrontendSta
 
   void on_odometry(const nav_msgs::Odometry::ConstPtr& message) {
     if (const core::Status added = odometry_->add(*message); !added) complain("bad odometry", added.message());
+    if (message->child_frame_id.empty() && parameters_.base_frame.empty()) {
+      complain("odometry without a child_frame_id",
+               "taken for the poses of the camera's optical frame; else give base_frame");
+    }
     // Where we send that frame ourselves it may have any name.
     const std::string frame = strip_leading_slash(message->header.frame_id);
     const bool is_other = !frame.empty() && frame != parameters_.odom_frame && !parameters_.publish_odom_tf;

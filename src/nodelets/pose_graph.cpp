@@ -33,8 +33,9 @@ namespace {
 class MapOdomSender {
  public:
   /// @param tolerance_s how far the transform is dated ahead of the newest frame, so that listeners need not wait
-  MapOdomSender(std::string map_frame, double tolerance_s)
-      : map_frame_(std::move(map_frame)), tolerance_ns_(std::llround(tolerance_s * 1e9)) {}
+  /// @param below send odom -> map instead
+  MapOdomSender(std::string map_frame, double tolerance_s, bool below)
+      : map_frame_(std::move(map_frame)), tolerance_ns_(std::llround(tolerance_s * 1e9)), below_(below) {}
 
   /// A frame has come, to which the transform of its session is taken to apply until the graph says otherwise.
   void follow(const FrameMessage::ConstPtr& frame) {
@@ -62,8 +63,10 @@ class MapOdomSender {
       // tf2 warns of a transform with the stamp of the one before: while no frame comes, one nanosecond makes it
       // another.
       sent_stamp_ns_ = std::max(newest_->stamp_ns + tolerance_ns_, sent_stamp_ns_ + 1);
-      message =
-          make_transform(make_header(to_ros_time(sent_stamp_ns_), map_frame_), newest_->header.frame_id, T_map_odom_);
+      const std::string& odom_frame = newest_->header.frame_id;
+      const std_msgs::Header header = make_header(to_ros_time(sent_stamp_ns_), below_ ? odom_frame : map_frame_);
+      message = below_ ? make_transform(header, map_frame_, T_map_odom_.inverse())
+                       : make_transform(header, odom_frame, T_map_odom_);
     }
     broadcaster_.sendTransform(message);
   }
@@ -71,6 +74,7 @@ class MapOdomSender {
  private:
   const std::string map_frame_;
   const std::int64_t tolerance_ns_;
+  const bool below_;
   tf2_ros::TransformBroadcaster broadcaster_;
   std::mutex mutex_;  ///< guards all below
   core::SE3 T_map_odom_;
@@ -110,7 +114,8 @@ class PoseGraphNodelet : public StageWith<PoseGraphParameters> {
     for (const char* counter : {kWithoutLoops, kExternal, kRefused}) statistics().count(counter, 0);
     reset_session();
     if (parameters_.publish_tf) {
-      tf_sender_ = std::make_unique<MapOdomSender>(parameters_.map_frame, parameters_.tf_tolerance_s);
+      tf_sender_ = std::make_unique<MapOdomSender>(parameters_.map_frame, parameters_.tf_tolerance_s,
+                                                   parameters_.map_below_odom);
       ros::NodeHandle node(getNodeHandle());
       node.setCallbackQueue(&tf_thread_.queue);
       keep_subscriber(node.subscribe("frames", 1, &MapOdomSender::follow, tf_sender_.get()));
@@ -147,6 +152,10 @@ class PoseGraphNodelet : public StageWith<PoseGraphParameters> {
     if (tf_sender_) tf_sender_->reset();
     const auto map = session_map({has_objects()});
     if (!map) return;
+    if (const core::Status has_scale = map->check_scale(options_.pose_graph); !has_scale) {
+      fail(session().map_file + ": " + has_scale.message());
+      return;
+    }
     core::restore_graph(*map, graph_.get());
     graph_->apply(core::objects_of(*map, options_, classes()));
     restored_keyframes_ = map->graph.next_keyframe_id();

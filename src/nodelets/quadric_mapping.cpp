@@ -50,7 +50,7 @@ class QuadricMappingNodelet : public StageWith<QuadricMappingParameters> {
     mapper_ = std::make_unique<core::QuadricMapper>(options_.mapping, classes());
     joiner_->clear();
     published_version_.reset();
-    last_stamp_ = session().header.stamp;
+    last_stamp_ = ros::Time();  // of no data yet: tf takes it for the latest
     map_parts_.reset_session();
     if (const auto map = session_map({true})) core::restore_objects(*map, mapper_.get());
     show_objects({});

@@ -161,7 +161,7 @@ class RgbdFrontendNodelet : public StageWith<RgbdFrontendParameters, FrontendSta
     const auto fields = [](const core::Camera& c) {
       return std::tie(c.fx, c.fy, c.cx, c.cy, c.width, c.height, c.distortion);
     };
-    return frontend_ && fields(*frontend_camera_) != fields(known_camera());
+    return frontend_ && camera() && fields(*frontend_camera_) != fields(known_camera());
   }
 
   void track(const core::RgbdImage& image) {

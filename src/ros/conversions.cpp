@@ -155,8 +155,10 @@ core::Result<core::Camera> checked_camera(const sensor_msgs::CameraInfo& message
   const bool known_model =
       message.distortion_model.empty() || message.distortion_model == sensor_msgs::distortion_models::PLUMB_BOB;
   if (!known_model || message.D.size() > 5) {
-    return core::Error{"camera_info distortion_model = '" + message.distortion_model + "' with " +
-                       std::to_string(message.D.size()) + " coefficients is not plumb_bob with at most 5"};
+    return core::Error{
+        "camera_info distortion_model = '" + message.distortion_model + "' with " + std::to_string(message.D.size()) +
+        " coefficients is not plumb_bob with at most 5: rectified images are needed (image_proc), with a "
+        "calibration that holds fx, fy, cx, cy of their P and no distortion"};
   }
   const core::Camera camera = from_msg(message);
   if (const core::Status status = camera.check(); !status) return core::Error{"camera_info " + status.message()};

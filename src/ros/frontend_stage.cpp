@@ -2,6 +2,7 @@
 
 #include <std_srvs/SetBool.h>
 
+#include <algorithm>
 #include <cstdlib>
 #include <filesystem>
 #include <utility>
@@ -12,6 +13,11 @@
 #include "semantic_topo_loop/io/yaml_files.h"
 
 namespace semantic_topo_loop {
+namespace {
+
+constexpr std::uint32_t kTfQueue = 1000;  ///< seconds of tf at the rate of a robot with many joints
+
+}  // namespace
 
 bool FrontendStage::open(const core::KeyframeOptions& options, const FrontendParameters& parameters,
                          std::shared_ptr<TfPoses> transforms) {
@@ -110,7 +116,6 @@ void FrontendStage::make_builder(const core::Camera& camera) {
 }
 
 void FrontendStage::follow_stream() {
-  constexpr std::uint32_t kTfQueue = 1000;  // seconds of tf at the rate of a robot with many joints
   const auto queue_size = static_cast<std::uint32_t>(queue_capacity());
   if (transforms_) {
     listen("/tf_static", Keep::kAlways, kTfQueue, &FrontendStage::on_static_transforms);
@@ -120,6 +125,14 @@ void FrontendStage::follow_stream() {
       [repeat = once_in_queue([this] { control_publisher_.publish(control_); })](const auto&) { repeat(); };
   keep_subscriber(subscriber_node().subscribe<std_msgs::Empty>("session_queries", queue_size, query));
   end_subscriber_ = listen("end_of_stream", Keep::kPinned, queue_size, &FrontendStage::on_stream_end);
+  listen("working", Keep::kDroppable, queue_size, &FrontendStage::on_working);
+  const boost::function<void(const FrameDone::ConstPtr&)> hear_done = [this](const FrameDone::ConstPtr& done) {
+    if (done->status != FrameDone::STATUS_END) return;
+    push("frame_done", Keep::kPinned, [this, session = done->session_id] {
+      if (session == session_id()) end_at_work_.reset();
+    });
+  };
+  keep_subscriber(subscriber_node().subscribe<FrameDone>("frame_done", kRoomForState * queue_size, hear_done));
   listen("camera_info", Keep::kAlways, queue_size, &FrontendStage::on_camera_info);
   start_timer(ImageWatch::kPeriodS, [this] { watch_images(); });
   open_queue();
@@ -133,6 +146,14 @@ bool FrontendStage::awaits_images() const {
 void FrontendStage::watch_images() {
   if (is_paused_ || is_over_) image_watch_ = {};
   warn_while("images", image_watch_.tick(awaits_images() ? image_topic() : std::string()));
+  constexpr std::chrono::seconds kPatience(5);
+  const auto now = StageStatistics::Clock::now();
+  if (ros::Time::isValid() || is_played()) clock_missed_since_ = now;
+  warn_while("clock",
+             now - clock_missed_since_ < kPatience
+                 ? std::string()
+                 : "use_sim_time is true, but no time has come on /clock for 5 s; what a playback left behind goes by "
+                   "`rosparam delete /use_sim_time` and a new start");
 }
 
 void FrontendStage::begin_session(const std::string& reason, bool rewind) {
@@ -141,7 +162,9 @@ void FrontendStage::begin_session(const std::string& reason, bool rewind) {
   rewound_at_ns_ = rewind ? last_stamp_ns_ : std::nullopt;
   before_rewind_ = 0;
   last_stamp_ns_.reset();
+  last_frame_ns_.reset();
   is_paused_ = is_over_ = false;
+  end_at_work_.reset();
   control(SessionControl::COMMAND_START, reason, rewind);
 }
 
@@ -185,7 +208,19 @@ void FrontendStage::on_image_frame(const std::string& frame_id) {
   if (camera_frame_.empty()) camera_frame_ = strip_leading_slash(frame_id);
 }
 
-void FrontendStage::take_transforms(const tf2_msgs::TFMessage& message, bool is_static) {
+void FrontendStage::take_transforms(tf2_msgs::TFMessage message, bool is_static) {
+  // Who sends odom -> camera hears it, too: it would be a second parent of a camera whose mount is told later.
+  const auto is_own = [this](const geometry_msgs::TransformStamped& transform) {
+    if (!broadcaster_ || strip_leading_slash(transform.header.frame_id) != parameters_.odom_frame) return false;
+    if (std::find(sent_stamps_.begin(), sent_stamps_.end(), transform.header.stamp) == sent_stamps_.end()) {
+      complain("transforms of another odometry", "somebody else sends '" + parameters_.odom_frame + "' -> '" +
+                                                     strip_leading_slash(transform.child_frame_id) +
+                                                     "', too: set pose_source to tf, or publish_odom_tf to false");
+    }
+    return true;
+  };
+  auto& transforms = message.transforms;
+  transforms.erase(std::remove_if(transforms.begin(), transforms.end(), is_own), transforms.end());
   if (const core::Status added = transforms_->add(message, is_static); !added) {
     complain("bad transforms", added.message());
   }
@@ -198,17 +233,18 @@ bool FrontendStage::accept(std::int64_t stamp_ns) {
     publish_done(stamp_ns, FrameDone::STATUS_FAILED);
     return false;
   }
-  if (is_over_ && last_stamp_ns_ && stamp_ns > *last_stamp_ns_ - kJumpBack_ns) {
+  if (is_over_) {
     // What was on its way still is late; a camera that goes on begins anew, since frames after the end would be
     // nobody's.
     constexpr std::int64_t kLate_ns = 1'000'000'000;
-    if (stamp_ns <= *last_stamp_ns_ + kLate_ns) {
+    const bool is_late =
+        last_stamp_ns_ && stamp_ns > *last_stamp_ns_ - kJumpBack_ns && stamp_ns <= *last_stamp_ns_ + kLate_ns;
+    if (is_late || is_ending()) {
       fail_image(stamp_ns, "images after the end of the stream", "stamp " + std::to_string(stamp_ns) + " ns");
       return false;
     }
     begin_session("images after the end of the stream");
   }
-  is_over_ = false;
   image_watch_.hear_image();
   if (is_before_rewind(stamp_ns)) {
     fail_image(stamp_ns, "images left out before a rewind", "they were on their way already");
@@ -217,6 +253,12 @@ bool FrontendStage::accept(std::int64_t stamp_ns) {
   if (!is_in_order(stamp_ns)) return false;
   last_stamp_ns_ = stamp_ns;
   return true;
+}
+
+bool FrontendStage::is_ending() const {
+  // Who works is heard each second. Longer silence: nobody is there to say that the end is through.
+  constexpr std::chrono::seconds kSilence(3);
+  return end_at_work_ && StageStatistics::Clock::now() - *end_at_work_ < kSilence;
 }
 
 bool FrontendStage::is_before_rewind(std::int64_t stamp_ns) {
@@ -236,7 +278,12 @@ bool FrontendStage::is_in_order(std::int64_t stamp_ns) {
     fail_image(stamp_ns, "images without a stamp", detail);
     return false;
   }
-  if (stamp_ns < *last_stamp_ns_ - kJumpBack_ns) {
+  const bool is_far_behind = stamp_ns < *last_stamp_ns_ - kJumpBack_ns;
+  if (is_far_behind && last_frame_ns_ && stamp_ns > *last_frame_ns_ - kJumpBack_ns) {
+    statistics().count("images before the stamp of one that was far ahead");
+    return true;  // which made no frame: that time jumped ahead, and not back
+  }
+  if (is_far_behind) {
     NODELET_WARN("time jumped back: %s", detail.c_str());
     begin_session("time jumped back");
     return true;
@@ -267,6 +314,7 @@ bool FrontendStage::emit(const core::PoseSample& sample, const std::optional<cor
   if (frame->is_break && frame->frame_id > map_.next_frame_id) statistics().count("breaks of the odometry");
   if (frame->is_keyframe && points_publisher_.getNumSubscribers() > 0) frame->keyframe_points = keyframe_points();
   image_watch_.hear_frame();
+  last_frame_ns_ = sample.stamp_ns;
   publish_frame(*frame);
   if (broadcaster_) publish_odom_tf(*frame);
   count_processed();
@@ -323,6 +371,8 @@ void FrontendStage::publish_odom_tf(const core::Frame& frame) {
     T_odom_child = T_odom_child * *T_camera_base;
   }
   const std_msgs::Header header = make_header(to_ros_time(frame.stamp_ns), parameters_.odom_frame);
+  sent_stamps_.push_back(header.stamp);
+  if (sent_stamps_.size() > kTfQueue) sent_stamps_.pop_front();
   broadcaster_->sendTransform(make_transform(header, child, T_odom_child));
 }
 

@@ -2,10 +2,12 @@
 
 #include <sensor_msgs/CameraInfo.h>
 #include <std_msgs/Empty.h>
+#include <std_msgs/String.h>
 #include <tf2_msgs/TFMessage.h>
 #include <tf2_ros/transform_broadcaster.h>
 
 #include <cstdint>
+#include <deque>
 #include <memory>
 #include <optional>
 #include <string>
@@ -94,12 +96,18 @@ class FrontendStage : public Stage {
 
   void on_stream_end(const std_msgs::Empty::ConstPtr& /*message*/) {
     is_over_ = true;
+    end_at_work_ = StageStatistics::Clock::now();
     on_end();
   }
+  void on_working(const std_msgs::String::ConstPtr& stage) {
+    if (end_at_work_ && stage->data != name()) end_at_work_ = StageStatistics::Clock::now();
+  }
+  /// Whether the stages still work on the end of the stream: a session that began now would take it from them.
+  bool is_ending() const;
   void on_camera_info(const sensor_msgs::CameraInfo::ConstPtr& message);
   void on_transforms(const tf2_msgs::TFMessage::ConstPtr& message) { take_transforms(*message, false); }
   void on_static_transforms(const tf2_msgs::TFMessage::ConstPtr& message) { take_transforms(*message, true); }
-  void take_transforms(const tf2_msgs::TFMessage& message, bool is_static);
+  void take_transforms(tf2_msgs::TFMessage message, bool is_static);
 
   void publish_frame(core::Frame frame);
   void publish_odom_tf(const core::Frame& frame);
@@ -111,12 +119,14 @@ class FrontendStage : public Stage {
   std::optional<core::Camera> camera_;
   bool has_camera_file_ = false;
   std::string camera_frame_;
-  std::optional<std::int64_t> last_stamp_ns_;
+  std::optional<std::int64_t> last_stamp_ns_, last_frame_ns_;
   std::optional<std::int64_t> rewound_at_ns_;     ///< the last image before the rewind that this session waits for
   std::size_t before_rewind_ = 0;                 ///< images left out since
   std::optional<std::int64_t> unknown_since_ns_;  ///< tf did not know the camera first
   bool is_paused_ = false, is_localizing_ = false;
   bool is_over_ = false;  ///< the stream has ended, and no image came since
+  /// Until the stages are through with that end: when one of them was heard of last.
+  std::optional<StageStatistics::Clock::time_point> end_at_work_;
   ImageWatch image_watch_;
   ros::Subscriber end_subscriber_;
   /// The map that a session begins with.
@@ -131,6 +141,8 @@ class FrontendStage : public Stage {
   SessionMap map_;
   SessionControlPtr control_;  ///< the last command; never null once the worker runs
   std::unique_ptr<tf2_ros::TransformBroadcaster> broadcaster_;
+  std::deque<ros::Time> sent_stamps_;  ///< of the transforms that it sent
+  StageStatistics::Clock::time_point clock_missed_since_ = StageStatistics::Clock::now();
   ros::Publisher control_publisher_, frame_publisher_, keyframe_publisher_, points_publisher_, done_publisher_;
 };
 

@@ -69,7 +69,8 @@ struct FrontendParameters : FileStageParameters<ClassStageParameters> {
             "calibration that replaces camera_info's, see config/camera; empty: none");
     visitor("odom_frame", odom_frame, core::given(), "tf frame of the odometry");
     visitor("base_frame", base_frame, core::any(),
-            "tf frame that publish_odom_tf moves; empty: the root of the camera's tree in tf, which may be the camera");
+            "tf frame that publish_odom_tf moves, and odometry whose child_frame_id names none; empty: the root of the "
+            "camera's tree in tf, which may be the camera");
     visitor("camera_frame", camera_frame, core::any(), "tf frame of the camera's optical frame; empty: camera_info's");
     visitor("publish_odom_tf", publish_odom_tf, "send odom_frame -> base_frame, for poses that are not in tf");
     visitor("map_file", map_file, core::any(), "map of earlier sessions that this one goes on with; empty: none");
@@ -256,12 +257,16 @@ struct PlayerParameters : StageParameters {
 
 struct PoseGraphParameters : FileStageParameters<MapStageParameters> {
   bool publish_tf = true;
+  bool map_below_odom = false;
   double tf_rate_hz = 20.0;
   double tf_tolerance_s = 0.1;
 
   void visit(core::OptionVisitor& visitor) {
     FileStageParameters::visit(visitor);
     visitor("publish_tf", publish_tf, "send the transform from map_frame to the odometry's frame");
+    visitor("map_below_odom", map_below_odom,
+            "send it the other way round, map_frame as a child of the odometry's frame, above which another program's "
+            "map is");
     visitor("tf_rate_hz", tf_rate_hz, core::positive(), "rate of that transform (wall time)");
     visitor("tf_tolerance_s", tf_tolerance_s, core::not_negative(),
             "how far the transform is dated ahead of the last pose");

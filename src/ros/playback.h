@@ -24,10 +24,11 @@ namespace semantic_topo_loop {
 /// the image itself, where a front end is to track it.
 struct PlayerItem {
   std::vector<tf2_msgs::TFMessage> transforms;  ///< recorded up to a little after the image, so that none is awaited
-  sensor_msgs::CameraInfo camera_info;          ///< stamped as the image
-  sensor_msgs::ImageConstPtr color, depth;      ///< both stamped as camera_info; null where none are played
-  std::string left_out;                         ///< if not empty: no image after all, and why
-  std::string detail;                           ///< of left_out
+  std::vector<geometry_msgs::TransformStamped> static_transforms;
+  sensor_msgs::CameraInfo camera_info;      ///< stamped as the image
+  sensor_msgs::ImageConstPtr color, depth;  ///< both stamped as camera_info; null where none are played
+  std::string left_out;                     ///< if not empty: no image after all, and why
+  std::string detail;                       ///< of left_out
 };
 
 /// A recording, image by image.

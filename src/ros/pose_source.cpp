@@ -149,19 +149,27 @@ std::optional<core::SE3> TfPoses::find(const std::string& target, const std::str
   }
 }
 
-OdometryPoses::OdometryPoses(std::shared_ptr<TfPoses> transforms, double max_gap_s)
-    : transforms_(std::move(transforms)), poses_(max_gap_s, kKeepPoses_s) {}
+OdometryPoses::OdometryPoses(std::shared_ptr<TfPoses> transforms, double max_gap_s, std::string base_frame)
+    : transforms_(std::move(transforms)), poses_(max_gap_s, kKeepPoses_s), base_frame_(std::move(base_frame)) {}
 
 core::Status OdometryPoses::add(const nav_msgs::Odometry& message) {
   const core::Result<core::SE3> pose = checked_pose(message.pose.pose, "odometry pose");
   if (!pose) return pose.error();
+  std::string child = strip_leading_slash(message.child_frame_id);
+  // tf has that frame's own place: the motion would count twice.
+  const bool is_parent = !child.empty() && child == strip_leading_slash(message.header.frame_id);
+  if (is_parent && base_frame_.empty()) {
+    return core::Error{"odometry child_frame_id = '" + child +
+                       "' is its header's frame_id; base_frame can name the frame that moves"};
+  }
+  if (is_parent || child.empty()) child = base_frame_;
   const std::int64_t stamp_ns = to_stamp_ns(message.header.stamp);
   if (!poses_.empty() && stamp_ns < poses_.newest_ns() - kJumpBack_ns) {
     poses_.clear();
     twist_covariances_.clear();
   }
   if (const core::Status added = poses_.add(stamp_ns, *pose); !added) return added.error();
-  base_frame_ = strip_leading_slash(message.child_frame_id);
+  moved_frame_ = std::move(child);
   if (const std::optional<core::Mat6> covariance = to_covariance(message.twist.covariance)) {
     twist_covariances_[stamp_ns] = *covariance;
     while (twist_covariances_.begin()->first < stamp_ns - static_cast<std::int64_t>(kKeepPoses_s * 1e9)) {
@@ -174,7 +182,7 @@ core::Status OdometryPoses::add(const nav_msgs::Odometry& message) {
 PoseSource::Answer OdometryPoses::at(std::int64_t stamp_ns, const std::string& camera_frame) {
   const core::PoseBuffer::Answer pose = poses_.at(stamp_ns);
   if (pose.status != core::PoseBuffer::Status::kFound) return missing("odometry", pose.status);
-  const std::string& base_frame = base_frame_.empty() ? camera_frame : base_frame_;
+  const std::string& base_frame = moved_frame_.empty() ? camera_frame : moved_frame_;
   const std::optional<core::SE3> T_base_camera = transforms_->find(base_frame, camera_frame, stamp_ns);
   if (!T_base_camera) {
     return {
@@ -191,8 +199,16 @@ std::optional<core::Mat6> OdometryPoses::step_covariance(std::int64_t stamp_ns, 
   const double dt_s = 1e-9 * static_cast<double>(stamp_ns - *last_stamp_ns_);
   // Errors of a velocity last: a second's are the same however many images it has.
   constexpr double kLasting_s = 0.1;
+  // Wheels that have not turned err by nothing that their turning errs by; hours of it would make any loop likely.
+  constexpr double kStandingShare = 0.01;
+  const core::PoseBuffer::Answer last = poses_.at(*last_stamp_ns_), now = poses_.at(stamp_ns);
+  constexpr double kRounding = 1e-7;
+  const bool stands = last.status == core::PoseBuffer::Status::kFound &&
+                      (last.pose.t - now.pose.t).norm() < kRounding &&
+                      core::rotation_angle(last.pose.q, now.pose.q) < kRounding;
+  const double scale = (stands ? kStandingShare * kStandingShare : 1.0) * dt_s * std::max(dt_s, kLasting_s);
   const core::Mat6 carry = core::transport(T_base_camera);
-  return core::Mat6(dt_s * std::max(dt_s, kLasting_s) * carry * std::prev(after)->second * carry.transpose());
+  return core::Mat6(scale * carry * std::prev(after)->second * carry.transpose());
 }
 
 }  // namespace semantic_topo_loop

@@ -86,14 +86,15 @@ class TfPoses : public PoseSource {
   std::set<std::string> asked_;                     ///< frames that somebody wanted to know about
 };
 
-/// Poses of nav_msgs/Odometry messages: the pose of `child_frame_id`, moved to the camera by tf.
+/// Poses of nav_msgs/Odometry messages: the pose of `child_frame_id`, moved to the camera by tf. Where that is empty or
+/// the message's own frame it is that of `base_frame`; if there is none, an empty one's is the camera's.
 ///
-/// The covariance of the motion between two images comes from the twist's: its standard deviations times the time
-/// between the images. The pose's own covariance says how far the odometry has drifted since its start, which is no
-/// statement about one step.
+/// The covariance of the motion between two images comes from the twist's: its errors last for a tenth of a second, or
+/// from one image to the next if that is longer. While the pose stays the same they are a hundredth. The pose's own
+/// covariance says how far the odometry has drifted since its start, which is no statement about one step.
 class OdometryPoses : public PoseSource {
  public:
-  OdometryPoses(std::shared_ptr<TfPoses> transforms, double max_gap_s);
+  OdometryPoses(std::shared_ptr<TfPoses> transforms, double max_gap_s, std::string base_frame = {});
 
   /// @return an error that names field and value if the message is left out
   core::Status add(const nav_msgs::Odometry& message);
@@ -107,7 +108,8 @@ class OdometryPoses : public PoseSource {
   std::shared_ptr<TfPoses> transforms_;
   core::PoseBuffer poses_;
   std::map<std::int64_t, core::Mat6> twist_covariances_;  ///< of the messages that state one, by stamp
-  std::string base_frame_;                                ///< child_frame_id
+  const std::string base_frame_;                          ///< where the messages name none
+  std::string moved_frame_;                               ///< empty: the camera's
   std::optional<std::int64_t> last_stamp_ns_;             ///< of the last pose used
 };
 

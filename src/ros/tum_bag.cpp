@@ -62,7 +62,7 @@ std::string TumBagSource::open_bag() {
                                          : check_topic<sensor_msgs::CameraInfo>(bag_, stamp_topic);
   if (!problem.empty()) return problem;
   size_ = rosbag::View(bag_, rosbag::TopicQuery(stamp_topic)).size();
-  std::vector<std::string> topics = {tum_topic::kTf, tum_topic::kCameraInfo};
+  std::vector<std::string> topics = {tum_topic::kTf, tum_topic::kStaticTf, tum_topic::kCameraInfo};
   if (has_image_stamps) topics.emplace_back(tum_topic::kColor);
   if (options_.plays_depth()) {
     topics.emplace_back(tum_topic::kDepth);
@@ -100,8 +100,9 @@ bool TumBagSource::is_due() const {
 
 void TumBagSource::read_message(const rosbag::MessageInstance& message) {
   read_to_ = message.getTime();
-  if (message.getTopic() == tum_topic::kTf) {
-    if (const auto transforms = message.instantiate<tf2_msgs::TFMessage>()) take_transforms(*transforms);
+  const bool is_static = message.getTopic() == tum_topic::kStaticTf;
+  if (is_static || message.getTopic() == tum_topic::kTf) {
+    if (const auto transforms = message.instantiate<tf2_msgs::TFMessage>()) take_transforms(*transforms, is_static);
     return;
   }
   if (const auto camera_info = message.instantiate<sensor_msgs::CameraInfo>()) {
@@ -123,7 +124,7 @@ void TumBagSource::take_pairs() {
   while (const std::optional<Image> pair = pairing_.take()) images_.push_back(*pair);
 }
 
-void TumBagSource::take_transforms(const tf2_msgs::TFMessage& message) {
+void TumBagSource::take_transforms(const tf2_msgs::TFMessage& message, bool is_static) {
   tf2_msgs::TFMessage taken;
   for (geometry_msgs::TransformStamped transform : message.transforms) {
     transform.header.frame_id = strip_leading_slash(transform.header.frame_id);
@@ -134,12 +135,17 @@ void TumBagSource::take_transforms(const tf2_msgs::TFMessage& message) {
     }
     taken.transforms.push_back(transform);
   }
-  if (!taken.transforms.empty()) transforms_.push_back(std::move(taken));
+  if (is_static) {
+    static_transforms_.insert(static_transforms_.end(), taken.transforms.begin(), taken.transforms.end());
+  } else if (!taken.transforms.empty()) {
+    transforms_.push_back(std::move(taken));
+  }
 }
 
 PlayerItem TumBagSource::make_item(const Image& image) {
   PlayerItem item;
   item.transforms.swap(transforms_);
+  item.static_transforms.swap(static_transforms_);
   if (calibration_) item.camera_info = *calibration_;
   item.camera_info.header = image.header;
   item.camera_info.header.frame_id = strip_leading_slash(image.header.frame_id);

@@ -20,13 +20,14 @@ namespace semantic_topo_loop {
 /// Topics of the official TUM layout.
 namespace tum_topic {
 constexpr char kColor[] = "/camera/rgb/image_color", kDepth[] = "/camera/depth/image";
-constexpr char kCameraInfo[] = "/camera/rgb/camera_info", kTf[] = "/tf";
+constexpr char kCameraInfo[] = "/camera/rgb/camera_info";
+constexpr char kTf[] = "/tf", kStaticTf[] = "/tf_static";
 }  // namespace tum_topic
 
 /// Reads a bag in the official TUM layout, in one pass, without a master: the tum_topics, with `/world -> /kinect` of
-/// /tf from the motion capture and the camera's chain below `/kinect`. Only the motion capture's edge is changed, so
-/// that `kinect` has one parent. Leading slashes of frame ids are stripped. Images out of order, and colour images
-/// without depth where both are wanted, are left out and said to be.
+/// /tf from the motion capture and the camera's chain below `/kinect`, or another camera's in /tf_static. Only the
+/// motion capture's edge is changed, so that `kinect` has one parent. Leading slashes of frame ids are stripped. Images
+/// out of order, and colour images without depth where both are wanted, are left out and said to be.
 class TumBagSource {
  public:
   /// @param calibration replaces the recorded camera_info, which holds the driver's defaults
@@ -47,7 +48,7 @@ class TumBagSource {
   bool is_due() const;
   void read_message(const rosbag::MessageInstance& message);
   void take_pairs();
-  void take_transforms(const tf2_msgs::TFMessage& message);
+  void take_transforms(const tf2_msgs::TFMessage& message, bool is_static);
   PlayerItem make_item(const Image& image);
   bool is_in_order(const std_msgs::Header& header, PlayerItem* item);
 
@@ -62,6 +63,7 @@ class TumBagSource {
   std::deque<Image> images_;
   std::optional<ros::Time> last_stamp_;  ///< of the images given
   std::vector<tf2_msgs::TFMessage> transforms_;
+  std::vector<geometry_msgs::TransformStamped> static_transforms_;
   core::Status end_;  ///< a fault that ended the reading; what was read before it is still played
 };
 

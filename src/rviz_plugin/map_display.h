@@ -43,6 +43,9 @@ class MapDisplay : public rviz::Display {
   void reset() override {
     Display::reset();
     message_.reset();
+    has_frame_ = false;  // whose status is gone
+    frame_.clear();
+    if (isEnabled()) subscribe();  // what is latched comes to new subscribers alone
     redraw();
   }
   void update(float /*wall_dt*/, float /*ros_dt*/) override {

@@ -171,6 +171,20 @@ class ArgumentsTest(unittest.TestCase):
                 self.assertEqual(yaml.safe_load(text)[parameter], expected)
 
 
+    def test_who_needs_images_gets_them_and_who_is_in_no_tf_sends_none(self):
+        def parameters(launch_file, *arguments):
+            text = subprocess.check_output(['roslaunch', '--dump-params', PACKAGE, launch_file, *arguments],
+                                           universal_newlines=True)
+            return yaml.safe_load(text)
+
+        played = '/%s/player/' % PACKAGE
+        values = parameters('tum.launch', 'bag:=/none.bag', 'poses:=mocap', 'detections:=topic')
+        self.assertEqual((values[played + 'images'], values[played + 'depth_images']), (True, False))
+        for arguments, sent in [(['pose_source:=rgbd'], True), (['pose_source:=rgbd', 'publish_odom_tf:=false'], False),
+                                ([], True)]:
+            self.assertEqual(parameters('slam.launch', *arguments)['/%s/pose_graph/publish_tf' % PACKAGE], sent, arguments)
+
+
 class Recorder:
     """Writes a bag image by image, a view's step after the other."""
 
@@ -230,8 +244,8 @@ class ImagesTest(DirectoryTest):
         self.assertTrue(ended, launch.output())
         return launch
 
-    def play_and_listen(self, bag, output):
-        return play_and_listen(self, bag=bag, output=self.path(output), camera=self.path('camera.yaml'))
+    def play_and_listen(self, bag, output, **arguments):
+        return play_and_listen(self, bag=bag, output=self.path(output), camera=self.path('camera.yaml'), **arguments)
 
     def run_offline(self, bag, output, *arguments, camera=None):
         return run_program('offline', '--bag', bag, '--camera', camera or self.path('camera.yaml'), '--output',
@@ -312,12 +326,26 @@ class ImagesTest(DirectoryTest):
     def test_a_bag_whose_tf_does_not_know_the_camera(self):
         bag = self.path('no_rig.bag')
         record(bag, 45, with_rig=False)
-        launch, edges = self.play_and_listen(bag, 'no_rig')
+        launch, edges = self.play_and_listen(bag, 'no_rig', base_frame='kinect')
         warnings = [line for line in launch.lines if 'nothing in tf has' in line]
         self.assertEqual(len(warnings), 1, launch.output())
         self.assertIn("'%s' below 'kinect'" % wall.FRAME[1:], warnings[0])
         parents = {parent for parent, child, _ in edges if child == wall.FRAME[1:]}
         self.assertEqual(parents, {'odom'}, 'the camera is all there is to move')
+
+    def test_a_bag_of_another_camera_moves_the_root_of_that_cameras_tree(self):
+        bag = self.path('driver.bag')
+        recorder = Recorder(bag)
+        mount = TransformStamped(child_frame_id=wall.FRAME[1:])
+        mount.header.frame_id, mount.header.stamp = 'camera_link', wall.stamp_at(0.0)
+        mount.transform.rotation.w = 1.0
+        recorder.write('/tf_static', TFMessage([mount]), 0.0)
+        for i in range(10):
+            recorder.step(i, wall.PERIOD_S * i, with_rig=False)
+        recorder.close()
+        _, edges = self.play_and_listen(bag, 'driver')
+        self.assertIn(('odom', 'camera_link'), {edge[:2] for edge in edges})
+        self.assertNotIn(('odom', wall.FRAME[1:]), {edge[:2] for edge in edges})
 
     def test_bad_images_are_counted_and_the_chain_goes_on(self):
         bag = self.path('bad.bag')

@@ -14,7 +14,7 @@ import rospy
 import rostest
 from geometry_msgs.msg import Point, TransformStamped
 from nav_msgs.msg import Path
-from std_srvs.srv import SetBool
+from std_srvs.srv import SetBool, Trigger
 from tf2_msgs.msg import TFMessage
 from visualization_msgs.msg import MarkerArray
 
@@ -351,6 +351,8 @@ class EarlierMapTest(DirectoryTest):
             self.assertTrue(wait_until(lambda: os.path.exists(self.path('fourth.db')), 30), launch.output())
             answer = rospy.ServiceProxy(load, LoadMap)(os.path.basename(there), False)
             self.assertTrue(answer.success, answer.message)
+            # Before that session has written anything.
+            self.assertTrue(rospy.ServiceProxy('/%s/pose_frontend/reset' % PACKAGE, Trigger)().success)
             fixed = '/%s/pose_frontend/set_localization_mode' % PACKAGE
             self.assertTrue(rospy.ServiceProxy(fixed, SetBool)(True).success)
             query = rospy.ServiceProxy('/%s/quadric_mapping/query_objects' % PACKAGE, QueryObjects)

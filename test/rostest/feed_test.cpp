@@ -150,6 +150,27 @@ TEST(OdometryPoses, MovesThePoseToTheCamera) {
   EXPECT_EQ(poses.at(at_ms(25), "base").status, PoseSource::Status::kFound) << "the odometry is the camera's";
 }
 
+TEST(OdometryPoses, AFrameThatDoesNotMoveInItselfIsNone) {
+  const auto transforms = std::make_shared<TfPoses>("odom", 0.1);
+  ASSERT_TRUE(transforms->add(message_of(transform("base", "camera", 0, 2.0)), true));
+  ASSERT_TRUE(transforms->add(message_of(transform("world", "base", 0, 1.0)), false));
+  const auto x_of = [&](const std::string& child, const std::string& base_frame) {
+    OdometryPoses poses(transforms, 0.1, base_frame);
+    nav_msgs::Odometry message = odometry_at(0);
+    message.header.frame_id = "/world";
+    message.child_frame_id = child;
+    const core::Status added = poses.add(message);
+    if (!added) return added.message();
+    return std::to_string(poses.at(at_ms(0), "camera").sample.T_odom_camera.t.x());
+  };
+  EXPECT_EQ(x_of("world", ""),
+            "odometry child_frame_id = 'world' is its header's frame_id; base_frame can name the frame that moves");
+  EXPECT_EQ(x_of("world", "base"), std::to_string(2.0));
+  EXPECT_EQ(x_of("", "base"), std::to_string(2.0));
+  EXPECT_EQ(x_of("", ""), std::to_string(0.0)) << "the camera's own";
+  EXPECT_EQ(x_of("base", "other"), std::to_string(2.0));
+}
+
 TEST(OdometryPoses, TakesTheStepsCovarianceFromTheTwist) {
   OdometryPoses poses(std::make_shared<TfPoses>("odom", 1.0), 1.0);
   for (const int time_ms : {0, 500, 1000}) {
@@ -169,6 +190,21 @@ TEST(OdometryPoses, TakesTheStepsCovarianceFromTheTwist) {
   EXPECT_NEAR(50.0 * variance_of(20), 20.0 * variance_of(50), 1e-12) << "of a second, at 50 and at 20 images a second";
   poses.reset();
   EXPECT_FALSE(poses.at(at_ms(700), "base").sample.covariance);
+}
+
+TEST(OdometryPoses, ARobotThatStandsBecomesHardlyMoreUncertain) {
+  OdometryPoses poses(std::make_shared<TfPoses>("odom", 1.0), 1.0);
+  for (int time_ms = 0; time_ms <= 2000; time_ms += 50) {
+    nav_msgs::Odometry message = odometry_at(std::min(time_ms, 1000));
+    message.header = make_header(to_ros_time(at_ms(time_ms)), "odom");
+    for (std::size_t i = 0; i < 36; i += 7) message.twist.covariance[i] = 0.04;
+    ASSERT_TRUE(poses.add(message));
+  }
+  const auto sigma_from = [&poses](int begin_ms) {
+    poses.use(at_ms(begin_ms));
+    return std::sqrt((*poses.at(at_ms(begin_ms + 33), "base").sample.covariance)(0, 0));
+  };
+  EXPECT_NEAR(sigma_from(1510), 0.01 * sigma_from(510), 1e-9);
 }
 
 TEST(OdometryPoses, CarriesTheCovarianceToTheCamera) {
@@ -548,6 +584,25 @@ TEST(TumBagSource, DropsTheMotionCaptureAndReplacesTheCalibration) {
   }
   EXPECT_EQ(images, 6);
   EXPECT_EQ(transforms, 26);
+}
+
+TEST(TumBagSource, GivesWhatNeverMovesWithTheFirstImage) {
+  const core::TestDirectory directory;
+  const std::string file = write_bag(directory, 500);
+  {
+    rosbag::Bag bag(file, rosbag::bagmode::Append);
+    bag.write("/tf_static", to_ros_time(at_ms(0)), message_of(transform("/camera_link", "/lens", 0, 0.1)));
+  }
+  const auto opened = TumBagSource::open(playback_of(file), std::nullopt);
+  ASSERT_TRUE(opened) << opened.message();
+  const std::optional<PlayerItem> first = (*opened)->next();
+  ASSERT_TRUE(first);
+  ASSERT_EQ(first->static_transforms.size(), 1u);
+  EXPECT_EQ(first->static_transforms[0].header.frame_id, "camera_link");
+  EXPECT_EQ(first->static_transforms[0].child_frame_id, "lens");
+  const std::optional<PlayerItem> second = (*opened)->next();
+  ASSERT_TRUE(second);
+  EXPECT_TRUE(second->static_transforms.empty());
 }
 
 TEST(TumBagSource, SaysWhatIsWrongWithAFile) {

@@ -1,3 +1,6 @@
+#include <sensor_msgs/CameraInfo.h>
+#include <std_msgs/String.h>
+
 #include <chrono>
 #include <deque>
 #include <filesystem>
@@ -9,6 +12,8 @@
 #include <utility>
 
 #include "pipeline/map_state.h"
+#include "ros/conversions.h"
+#include "semantic_topo_loop/SessionControl.h"
 #include "semantic_topo_loop/io/map_file.h"
 #include "semantic_topo_loop/io/run_files.h"
 #include "semantic_topo_loop/io/tum_trajectory.h"
@@ -230,6 +235,61 @@ TEST(LateMapping, AStageThatIsLoadedAnewDoesNotTakeAwayWhatItToldBefore) {
   chain.unload_all();
   EXPECT_GE(submaps(map + "~"), told);
   EXPECT_GT(submaps(map), 0U);
+}
+
+/// The last optimisation of a day takes longer than the second after which images are a new session's.
+TEST(LateMapping, ACameraThatGoesOnDoesNotTakeTheEndFromTheStagesThatWorkOnIt) {
+  const core::TestDirectory directory;
+  const std::string data = directory.path("data");
+  write_simulation({{"trajectory.duration_s", "6"}}, data);
+  if (::testing::Test::HasFatalFailure()) return;
+  std::mutex mutex;  // guards both below
+  FrameMessage::ConstPtr end;
+  std::uint32_t session_id = 0;
+  ros::NodeHandle node;
+  const boost::function<void(const FrameMessage::ConstPtr&)> take_frame = [&](const auto& frame) {
+    const std::lock_guard<std::mutex> lock(mutex);
+    if (frame->is_end && !end) end = frame;
+  };
+  const boost::function<void(const SessionControl::ConstPtr&)> take_control = [&](const auto& control) {
+    const std::lock_guard<std::mutex> lock(mutex);
+    session_id = control->session_id;
+  };
+  const auto get = [&mutex](const auto& value) {
+    const std::lock_guard<std::mutex> lock(mutex);
+    return value;
+  };
+  const ros::Subscriber frames = node.subscribe<FrameMessage>("frames", 1000, take_frame);
+  const ros::Subscriber control = node.subscribe<SessionControl>("session_control", 10, take_control);
+  ros::Publisher camera = node.advertise<sensor_msgs::CameraInfo>("camera_info", 10);
+  ros::Publisher working = node.advertise<std_msgs::String>("working", 10);
+  const Delay<MapUpdateMessage> delay("prompt_updates", "quadric_map_updates", std::chrono::seconds(4),
+                                      [&](const auto& update) {
+                                        const FrameMessage::ConstPtr last = get(end);
+                                        return last && update.frame_id == last->frame_id;
+                                      });
+  InProcessChain chain;
+  chain.load_stages(data, directory.path("results"), {{"quadric_map_updates", "prompt_updates"}});
+  chain.load_player(data, false);
+  ASSERT_TRUE(wait_until([&] { return get(end) != nullptr; }, 60.0));
+  const std::uint32_t first = get(session_id);
+  sensor_msgs::CameraInfo image;
+  to_msg(core::Camera{500.0, 500.0, 319.5, 239.5, 640, 480, {}}, &image);
+  std_msgs::String stage;
+  stage.data = "QuadricMapping";
+  const auto next_image = [&] {
+    image.header.stamp =
+        (image.header.stamp.isZero() ? get(end)->header.stamp + ros::Duration(2.0) : image.header.stamp) +
+        ros::Duration(0.1);
+    camera.publish(image);
+    working.publish(stage);
+    return !chain.wait_for_end(0.1).empty();
+  };
+  ASSERT_TRUE(wait_until(next_image, 30.0));
+  EXPECT_EQ(chain.wait_for_end(0.0), "finished");
+  EXPECT_TRUE(std::filesystem::exists(directory.path("results/summary.json")));
+  EXPECT_TRUE(wait_until([&] { return next_image() && get(session_id) == first + 1; }, 10.0));
+  chain.unload_all();
 }
 
 }  // namespace

@@ -11,6 +11,7 @@ import rospy
 import rostest
 from geometry_msgs.msg import TransformStamped
 from nav_msgs.msg import Odometry
+from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import CameraInfo, Image, PointCloud2, PointField
 from std_msgs.msg import Empty
 from std_srvs.srv import Trigger
@@ -202,6 +203,11 @@ class TfTest(DetectorTest):
         self.see(9.007, with_detections=False)
         self.assert_status(9.007, FrameDone.STATUS_NO_POSE)
         self.assert_counted('PoseFrontend', 'images without a pose', 2)
+        session = self.control.messages[-1].session_id
+        self.move(5.42, 6.0)
+        self.see(5.507)
+        self.assert_status(5.507, FrameDone.STATUS_PROCESSED)
+        self.assertEqual(self.done.at(5.507).session_id, session, 'that one was far ahead; time did not jump back')
 
     def test_4_a_jump_back_in_time_begins_a_session(self):
         before = self.control.messages[-1].session_id
@@ -285,10 +291,14 @@ class TfTest(DetectorTest):
         self.see(40.607, with_detections=False)
         self.assert_status(40.607, FrameDone.STATUS_FAILED)
         self.assertEqual(self.control.messages[-1].session_id, before)
-        self.see(43.007, with_detections=False)
-        self.assertIsNotNone(self.frames.at(43.007))
-        self.assertEqual(self.frames.at(43.007).session_id, before + 1)
-        self.assertEqual(self.frames.at(43.007).frame_id, 0)
+        times = iter(43.007 + 0.02 * i for i in range(48))  # left out until the end is through
+
+        def begins():
+            self.see(next(times), with_detections=False)
+            return wait_until(lambda: self.frames.messages[-1].session_id == before + 1, 0.5)
+
+        self.assertTrue(wait_until(begins, 20))
+        self.assertEqual([m.frame_id for m in self.frames.messages if m.session_id == before + 1], [0])
 
     def test_9_images_between_the_poses_of_a_slower_odometry_are_no_frames(self):
         # Sent every 20 ms, and new every 0.2 s.
@@ -386,7 +396,8 @@ class RgbdTest(LiveTest):
     def setUpClass(cls):
         cls.start(pose_source='rgbd', color='/color', depth='/depth', camera_info='/info', use_detections='false')
         cls.color, cls.depth = cls.publisher('/color', Image), cls.publisher('/depth', Image)
-        cls.info = cls.publisher('/info', CameraInfo)
+        cls.info, cls.tf_static = cls.publisher('/info', CameraInfo), cls.publisher('/tf_static', TFMessage, latch=True)
+        cls.time_s = 0.8 + 35 * wall.PERIOD_S
         cls.parents = {}
         cls.tf_listener = rospy.Subscriber('/tf', TFMessage, cls.take_tf)
         cls.wait_until_up()
@@ -432,16 +443,37 @@ class RgbdTest(LiveTest):
         self.assertAlmostEqual(moved, 10 * wall.STEP_M, delta=0.02)
         self.assertTrue(wait_until(lambda: self.parents.get(wall.FRAME[1:]) == 'odom', 10), self.parents)
         self.assertEqual(self.parents.get('odom'), 'map')
+        # The robot's description comes late.
+        mount = TransformStamped()
+        mount.header.frame_id, mount.child_frame_id = 'base_link', wall.FRAME[1:]
+        mount.header.stamp = rospy.Time.from_sec(START_S + 100.0)
+        mount.transform.rotation.w = 1.0
+        self.tf_static.publish(TFMessage([mount]))
+        self.assertTrue(wait_until(lambda: self.sees_base(), 10), self.parents)
+
+    def test_3_another_odometry_in_tf_is_told(self):
+        other = TransformStamped()
+        other.header.frame_id, other.child_frame_id = 'odom', 'base_link'
+        other.header.stamp = rospy.Time.from_sec(START_S + 1.0)
+        other.transform.rotation.w = 1.0
+        self.assertEqual(self.diagnostics.count('RgbdFrontend', 'transforms of another odometry'), 0)
+        self.publisher('/tf', TFMessage, latch=True).publish(TFMessage([other]))
+        self.assert_counted('RgbdFrontend', 'transforms of another odometry')
+
+    def sees_base(self):
+        type(self).time_s += wall.PERIOD_S
+        self.see(self.time_s)
+        return self.parents.get('base_link') == 'odom'
 
     def test_3_bad_images(self):
-        self.see(2.0, with_depth=False)
-        self.see(2.0 + wall.PERIOD_S)
-        self.see(2.0 + 2 * wall.PERIOD_S, depth=lambda stamp: wall.depth(stamp, width=100, height=100))
-        self.see(2.0 + 3 * wall.PERIOD_S)
-        self.see(2.0 + 4 * wall.PERIOD_S)
-        self.assert_status(2.0, FrameDone.STATUS_FAILED)
-        self.assert_status(2.0 + 2 * wall.PERIOD_S, FrameDone.STATUS_FAILED)
-        self.assert_status(2.0 + 3 * wall.PERIOD_S, FrameDone.STATUS_PROCESSED)
+        self.see(2.9, with_depth=False)
+        self.see(2.9 + wall.PERIOD_S)
+        self.see(2.9 + 2 * wall.PERIOD_S, depth=lambda stamp: wall.depth(stamp, width=100, height=100))
+        self.see(2.9 + 3 * wall.PERIOD_S)
+        self.see(2.9 + 4 * wall.PERIOD_S)
+        self.assert_status(2.9, FrameDone.STATUS_FAILED)
+        self.assert_status(2.9 + 2 * wall.PERIOD_S, FrameDone.STATUS_FAILED)
+        self.assert_status(2.9 + 3 * wall.PERIOD_S, FrameDone.STATUS_PROCESSED)
         self.assert_counted('RgbdFrontend', 'colour images without depth')
         self.assert_counted('RgbdFrontend', 'unusable images')
 
@@ -476,6 +508,29 @@ class RgbdTest(LiveTest):
         summaries = self.diagnostics.summaries
         self.assertTrue(wait_until(lambda: 'depth.max_m = 8 m' in summaries.get('RgbdFrontend', ''), 5), summaries)
         self.assertIn('32FC1', summaries['RgbdFrontend'])
+
+
+class ClockTest(LiveTest):
+    """What a playback left on the master."""
+
+    @classmethod
+    def setUpClass(cls):
+        rospy.set_param('/use_sim_time', True)
+        cls.start(camera_info='/info')
+
+    @classmethod
+    def tearDownClass(cls):
+        super().tearDownClass()
+        rospy.delete_param('/use_sim_time')
+
+    def test_a_time_that_nobody_tells_is_missed(self):
+        def summary():
+            return self.diagnostics.summaries.get('PoseFrontend', '')
+
+        expected = 'use_sim_time is true, but no time has come on /clock'
+        self.assertTrue(wait_until(lambda: expected in summary(), 40), self.launch.output())
+        clock = self.publisher('/clock', Clock)
+        self.assertTrue(wait_until(lambda: clock.publish(Clock(rospy.Time(START_S))) or expected not in summary(), 10), summary())
 
 
 if __name__ == '__main__':

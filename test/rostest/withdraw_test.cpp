@@ -90,7 +90,7 @@ class Feed {
 
   void publish(const ExternalLoop& loop) { external_loops_.publish(loop); }
 
-  /// Transforms from map to odom, as sent.
+  /// Transforms between map and odom, as sent.
   std::vector<geometry_msgs::TransformStamped> tf() {
     const std::lock_guard<std::mutex> lock(mutex_);
     return tf_sent_;
@@ -136,7 +136,7 @@ class Feed {
   void take_tf(const tf2_msgs::TFMessage::ConstPtr& message) {
     const std::lock_guard<std::mutex> lock(mutex_);
     for (const geometry_msgs::TransformStamped& transform : message->transforms) {
-      if (transform.child_frame_id == "odom") tf_sent_.push_back(transform);
+      if (transform.child_frame_id == "odom" || transform.header.frame_id == "odom") tf_sent_.push_back(transform);
     }
     changed_.notify_all();
   }
@@ -360,6 +360,30 @@ TEST(ExternalLoops, BetweenAnyImagesCloseAsOthersDoAndSaySo) {
               closed[static_cast<std::size_t>(number)]);
   }
   EXPECT_GT(new_position(feed.corrections().back()).norm(), 0.3) << "the drift is corrected";
+  chain.unload_all();
+}
+
+TEST(MapToOdom, IsSentTheOtherWayRoundBelowAnotherMap) {
+  InProcessChain chain;
+  for (const char* nodelet : {"pose_graph", "quadric_mapping"}) chain.set(nodelet, "map_frame", "object_map");
+  chain.set("pose_graph", "map_below_odom", true);
+  chain.load_correction();
+  ros::param::del("/pose_graph");
+  ros::param::del("/quadric_mapping/map_frame");
+  Feed feed;
+  ASSERT_TRUE(feed.start_session());
+  core::TwoRounds run([&feed](const core::Frame& frame, const core::AssociationFrame& associations,
+                              const std::vector<core::LoopClosure>& loops) { feed.step(frame, associations, loops); });
+  run.both_rounds();
+  run.idle(core::TwoRounds::loops());
+  ASSERT_FALSE(feed.corrections().empty());
+  ASSERT_TRUE(feed.wait_for_tf());
+  for (const geometry_msgs::TransformStamped& sent : feed.tf()) {
+    EXPECT_EQ(sent.header.frame_id, "odom");
+    EXPECT_EQ(sent.child_frame_id, "object_map");
+  }
+  const geometry_msgs::Vector3& t = feed.tf().back().transform.translation;
+  EXPECT_LT((core::Vec3(t.x, t.y, t.z) - feed.corrections().back().T_map_odom.inverse().t).norm(), 1e-9);
   chain.unload_all();
 }
 

@@ -169,6 +169,16 @@ TEST_F(RvizPlugin, DrawsAsManyObjectsAsTheMessageHas) {
   EXPECT_TRUE(wait_for_objects(display, 1)) << "what the map has no longer is gone";
 }
 
+TEST_F(RvizPlugin, ShowsTheLatchedMapAgainAfterAReset) {
+  rviz::Display* display = add("semantic_topo_loop/QuadricMap");
+  publish_map({make_landmark(1, kTv, core::LandmarkState::kConfirmed, {1.0, 2.0, 3.0})});
+  ASSERT_TRUE(wait_for_objects(display, 1));
+  display->reset();
+  EXPECT_TRUE(drawn<Ogre::Entity>(display).size() == 1 || wait_for_objects(display, 1));
+  RvizHost::spin_until([] { return false; }, 0.2);
+  EXPECT_EQ(drawn<Ogre::Entity>(display).size(), 1u);
+}
+
 TEST_F(RvizPlugin, DrawsWhatLooksSmallWithFewerVertices) {
   rviz::Display* display = add("semantic_topo_loop/QuadricMap");
   look_at_origin();
