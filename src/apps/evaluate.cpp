@@ -35,16 +35,24 @@ std::string line(std::string name, const std::string& value) {
 
 /// A count, ratio or error, for people and for programs.
 struct Figure {
+  static constexpr char kNone[] = "none";  ///< to judge by
+
   Figure(int count) : text(std::to_string(count)), json(count) {}
   Figure(const Ratio& ratio)
       : text(format_fixed(ratio.value(), 4) + "  (" + std::to_string(ratio.right) + " / " +
              std::to_string(ratio.total) + ")"),
-        json{{"value", ratio.value()}, {"right", ratio.right}, {"total", ratio.total}} {}
+        json{{"value", ratio.value()}, {"right", ratio.right}, {"total", ratio.total}} {
+    if (ratio.total == 0) text = kNone;
+  }
   Figure(const ErrorStatistics& e, const char* unit)
       : text("rmse " + format_fixed(e.rmse, 4) + "  mean " + format_fixed(e.mean, 4) + "  median " +
              format_fixed(e.median, 4) + "  max " + format_fixed(e.max, 4) + " " + unit + "  (" +
              std::to_string(e.count) + ")"),
-        json{{"count", e.count}, {"rmse", e.rmse}, {"mean", e.mean}, {"median", e.median}, {"max", e.max}} {}
+        json{{"count", e.count}, {"rmse", e.rmse}, {"mean", e.mean}, {"median", e.median}, {"max", e.max}} {
+    if (e.count > 0) return;
+    text = kNone;  // and no error of zero
+    for (const char* key : {"rmse", "mean", "median", "max"}) json[key] = nullptr;
+  }
 
   std::string text;
   Json json;
@@ -133,7 +141,10 @@ Result<Report> report_objects(const Arguments& arguments) {
   if (!objects) return objects.error();
   const auto references = read_reference_objects(arguments.reference);
   if (!references) return references.error();
-  const auto trajectory = align_files(run + "/trajectory.txt", arguments.truth, false);
+  if (const Status labels = check_labels(*objects, *references); !labels) {
+    return Error{arguments.reference + ": " + labels.message()};
+  }
+  const auto trajectory = align_files(run + "/trajectory.txt", arguments.truth, arguments.with_scale);
   if (!trajectory) return trajectory.error();
   const ObjectEvaluation e = evaluate_objects(*objects, *references, trajectory->alignment);
   Report report;
@@ -209,8 +220,11 @@ void add_viewpoints(const LoopEvaluation& e, Report* report) {
   report->table += "\nviewpoint difference, deg  right within 0.35 m, 10 deg   median error\n";
   for (const ViewpointFigures& bin : e.by_viewpoint) {
     char text[160];
-    std::snprintf(text, sizeof(text), "%8.0f to %3.0f %13s %-27s %.3f m, %.2f deg\n", bin.from_deg, bin.to_deg, "",
-                  Figure(bin.right_wide).text.c_str(), bin.error_m.median, bin.error_deg.median);
+    const std::string errors = bin.error_m.count == 0 ? Figure::kNone
+                                                      : format_fixed(bin.error_m.median, 3) + " m, " +
+                                                            format_fixed(bin.error_deg.median, 2) + " deg";
+    std::snprintf(text, sizeof(text), "%8.0f to %3.0f %13s %-27s %s\n", bin.from_deg, bin.to_deg, "",
+                  Figure(bin.right_wide).text.c_str(), errors.c_str());
     report->table += text;
     report->json["by_viewpoint"].push_back({{"from_deg", bin.from_deg},
                                             {"to_deg", bin.to_deg},
@@ -314,10 +328,11 @@ int main(int argc, char** argv) {
   trajectory.option("scale", po::bool_switch(&arguments.with_scale), "align by a similarity (monocular odometry)")
       .option("aligned-by", po::value(&arguments.aligned_by),
               "trajectory in the same frame, such as the map's, by which it is aligned instead");
-  Command objects = make_command("objects", "RUN_DIR GT REFERENCE [--json FILE]",
+  Command objects = make_command("objects", "RUN_DIR GT REFERENCE [--scale] [--json FILE]",
                                  "objects.csv against reference objects, aligned by trajectory.txt and GT.\n",
                                  report_objects, &arguments);
   objects.words = {{"RUN_DIR", &arguments.run}, {"GT", &arguments.truth}, {"REFERENCE", &arguments.reference}};
+  objects.option("scale", po::bool_switch(&arguments.with_scale), "align by a similarity (monocular odometry)");
   Command loops =
       make_command("loops", "RUN_DIR GT_FRAMES [--mocap F] [--sightings RUN_DIR] [--details DIR] [--json FILE]",
                    "loops.csv against a true pose for every image.\n", report_loops, &arguments);

@@ -108,16 +108,20 @@ Status load_optional(const Arguments& arguments, RunInputs* inputs) {
     if (!loops) return loops.error();
     inputs->extra_loops = *std::move(loops);
   }
+  // Paper mode keeps no submaps to be found by, and looks for none.
+  for (const auto& [name, map] : {std::pair("--map", arguments.map), std::pair("--save-map", arguments.save_map)}) {
+    if (map.empty() || inputs->options.loop.mode == "graph") continue;
+    return Error{std::string("argument ") + name + " = '" + map + "' needs loop.mode = graph"};
+  }
   if (!arguments.map.empty()) {
-    if (inputs->options.loop.mode != "graph") {
-      return Error{"argument --map = '" + arguments.map + "' needs loop.mode = graph"};
-    }
     Result<std::shared_ptr<const MapState>> map = read_map(arguments.map, *inputs->classes);
     if (!map) return map.error();
     inputs->earlier_map = *std::move(map);
     if (arguments.frozen && !arguments.save_map.empty() && is_same_file(arguments.map, arguments.save_map)) {
       return Error{arguments.save_map + ": is the frozen map, which stays as it is: save under another name"};
     }
+    const Status has_scale = inputs->earlier_map->check_scale(inputs->options.pose_graph);
+    if (!arguments.frozen && !has_scale) return Error{arguments.map + ": " + has_scale.message()};
     if (inputs->earlier_map->submaps.empty()) return Error{arguments.map + ": holds no place to be found at"};
     if (!arguments.frozen && inputs->earlier_map->graph.sessions.empty()) {
       return Error{arguments.map + ": holds submaps only, so that it can only be used with --frozen"};
@@ -409,6 +413,11 @@ Status run(const Arguments& arguments) {
   }
   if (!arguments.reference.empty()) {
     if (const auto references = read_reference_objects(arguments.reference); !references) return references.error();
+  }
+  for (const std::string& input : {arguments.trajectory, arguments.detections, arguments.associations,
+                                   arguments.extra_loops, arguments.truth, arguments.reference}) {
+    if (input.empty()) continue;
+    if (const Status survives = check_survives_run(input, arguments.output); !survives) return survives;
   }
   Status writable = make_directory(arguments.output);
   for (const std::string& path : {arguments.output + "/", arguments.save_map, arguments.points}) {

@@ -9,6 +9,7 @@
 #include "apps/program.h"
 #include "semantic_topo_loop/io/detection_file.h"
 #include "semantic_topo_loop/io/run_files.h"
+#include "semantic_topo_loop/io/run_recorder.h"
 #include "semantic_topo_loop/io/text_file.h"
 #include "semantic_topo_loop/io/yaml_files.h"
 #include "tools/perturbation/perturbation.h"
@@ -54,6 +55,7 @@ struct LoopArguments {
 };
 
 Status make_false_loop_file(const LoopArguments& arguments) {
+  if (const Status survives = check_survives_run(arguments.out, arguments.run); !survives) return survives;
   const auto keyframes = read_keyframes(arguments.run + "/keyframes.csv");
   if (!keyframes) return keyframes.error();
   const auto loops = read_loops(arguments.run + "/loops.csv");

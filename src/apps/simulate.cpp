@@ -33,11 +33,10 @@ std::string outputs(const Arguments& arguments) {
 }
 
 /// Whether directory and bag are what the manifest says. A bag that is newer was written again, from other arguments.
-bool is_made(const Arguments& arguments, const std::string& path, const std::string& manifest) {
-  const Result<std::string> there = read_text_file(path);
-  if (!there || *there != manifest) return false;
+bool is_made(const Arguments& arguments, const std::string& manifest) {
+  if (!has_rendered_sequence(arguments.output, manifest)) return false;
   std::error_code ignored, missing;
-  const auto made = std::filesystem::last_write_time(path, ignored);
+  const auto made = std::filesystem::last_write_time(arguments.output + "/manifest.txt", ignored);
   return arguments.bag.empty() || (std::filesystem::last_write_time(arguments.bag, missing) <= made && !missing);
 }
 
@@ -74,14 +73,17 @@ Status run(const Arguments& arguments) {
   const Result<std::string> class_text = read_text_file(arguments.classes);
   if (!class_text) return class_text.error();
   const std::string manifest = sequence_manifest(*options, *camera, *class_text, outputs(arguments));
-  const std::string manifest_path = arguments.output + "/manifest.txt";
-  if (arguments.has_images && is_made(arguments, manifest_path, manifest)) {
+  if (arguments.has_images && is_made(arguments, manifest)) {
     std::printf("%s is up to date\n", arguments.output.c_str());
     return {};
   }
-  if (const Status begun = begin_sequence(arguments.output, arguments.has_images); !begun) return begun;
+  // Now, not after hours of work, and before what is there goes.
+  Status ready = make_directory(arguments.output);
+  if (ready && !arguments.bag.empty()) ready = check_writable(arguments.bag);
+  if (ready) ready = begin_sequence(arguments.output, arguments.has_images);
+  if (!ready) return ready;
   const Status written = write_files(arguments, *options, *camera, *classes);
-  return written && arguments.has_images ? write_text_file(manifest_path, manifest) : written;
+  return written && arguments.has_images ? finish_sequence(arguments.output, manifest) : written;
 }
 
 Status complete(bool is_for_bags, Arguments* arguments) {

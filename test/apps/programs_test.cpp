@@ -15,6 +15,7 @@
 #include "semantic_topo_loop/geometry/lie.h"
 #include "semantic_topo_loop/io/map_file.h"
 #include "semantic_topo_loop/io/run_files.h"
+#include "semantic_topo_loop/io/run_recorder.h"
 #include "semantic_topo_loop/io/tum_trajectory.h"
 #include "support/program_test.h"
 #include "support/simulated_run.h"
@@ -275,6 +276,26 @@ TEST_F(OfflineRun, OutputThatCannotBeWrittenIsOneClearErrorBeforeTheRun) {
   expect_failure(with("d.json", "taken"), 1, "taken");
 }
 
+TEST_F(OfflineRun, PaperModeHasNoMap) {
+  for (const std::string option : {"--map", "--save-map"}) {
+    expect_failure(with("d.json", "run") + " --set loop.mode=paper " + option + " @map.db", 1,
+                   "argument " + option + " = '" + directory_.path("map.db") + "' needs loop.mode = graph");
+  }
+}
+
+TEST_F(OfflineRun, NoInputIsReplacedByResults) {
+  ASSERT_EQ(run(with("d.json", "run")), 0) << err_;
+  for (const auto& entry : std::filesystem::directory_iterator(directory_.path("run"))) {
+    EXPECT_FALSE(check_survives_run(entry.path(), directory_.path("run"))) << entry.path();
+  }
+  directory_.write("own/trajectory.txt", "1.0 0 0 0 0 0 0 1\n1.1 0.1 0 0 0 0 0 1\n");
+  const std::string before = read_whole(directory_.path("own/trajectory.txt"));
+  std::filesystem::remove(directory_.path("t.txt"));
+  std::filesystem::create_symlink("own/trajectory.txt", directory_.path("t.txt"));
+  expect_failure(with("d.json", "own"), 1, "t.txt: the run's results would take its place");
+  EXPECT_EQ(read_whole(directory_.path("own/trajectory.txt")), before);
+}
+
 TEST_F(OfflineRun, DetectionsOfAnotherRecordingLeaveTheMapThatIsThere) {
   ASSERT_EQ(run(with("d.json", "run") + " --save-map @map.db"), 0) << err_;
   const std::string before = read_whole(directory_.path("map.db"));
@@ -463,6 +484,33 @@ TEST_F(MergeMapsProgram, MapsOfTwoPlacesAreNotJoined) {
                  "office.db: would take the place of a map that is joined");
   ASSERT_EQ(run("@desk.db @desk.db @both.db --classes " STL_CONFIG_DIR "/classes_coco.yaml"), 0) << err_;
   EXPECT_NE(out_.find(" loops join the maps; "), std::string::npos) << out_;
+  EXPECT_NE(err_.find("merge_maps: warning: "), std::string::npos) << "it is one session, twice: " << err_;
+  EXPECT_NE(err_.find(" boxes are in both maps"), std::string::npos) << err_;
+}
+
+TEST_F(MergeMapsProgram, AUnitThatDriftsNeedsAFreeScale) {
+  const SimulationOptions options =
+      simulation_test::options_of({{"trajectory.duration_s", "30"}, {"trajectory.rate_hz", "10"}});
+  const SimulatedSequence sequence = checked(simulate(options, camera_fr2(), coco()));
+  MapState map = *testing::map_of(sequence, 0, sequence.odometry.size(), shared_coco());
+  ASSERT_EQ(write_map(directory_.path("metric.db"), map, coco()).message(), "");
+  map.graph.keyframes.back().pose.scale = 1.2;
+  ASSERT_EQ(write_map(directory_.path("free.db"), map, coco()).message(), "");
+  expect_failure("@metric.db @free.db @both.db --classes " STL_CONFIG_DIR "/classes_coco.yaml", 1,
+                 "free.db: its unit of length drifts, which needs pose_graph.scale = free");
+  ASSERT_EQ(write_sequence(sequence, coco(), directory_.path("run")).message(), "");
+  const std::string later =
+      "--trajectory @run/odometry.txt --detections @run/detections.json --camera @run/camera.yaml "
+      "--classes " STL_CONFIG_DIR "/classes_coco.yaml --output @results --map @free.db";
+  const ProgramRun offline = run_program(STL_PROGRAM_DIR "/offline", later, directory_);
+  EXPECT_EQ(offline.status, 1);
+  EXPECT_NE(offline.err.find("free.db: its unit of length drifts, which needs pose_graph.scale = free"),
+            std::string::npos)
+      << offline.err;
+  for (const char* allowed : {" --frozen", " --set pose_graph.scale=free --set loop.scale=free"}) {
+    const ProgramRun run = run_program(STL_PROGRAM_DIR "/offline", later + allowed, directory_);
+    EXPECT_EQ(run.status, 0) << allowed << ": " << run.err;
+  }
 }
 
 class OptimiseGraphProgram : public ProgramTest {

@@ -52,8 +52,17 @@ document.body.append(result);
 """
 
 
+def is_snap(path):
+    """Which sees nothing of /tmp; Ubuntu's chromium-browser is a script that asks for one."""
+    real = os.path.realpath(path)
+    with open(real, 'rb') as file:
+        begin = file.read(1000)
+    return '/snap/' in real or os.path.basename(real) == 'snap' or (begin[:2] == b'#!' and b'snap' in begin)
+
+
 def find_browser():
-    return next(filter(None, map(shutil.which, ('chromium', 'chromium-browser', 'google-chrome'))), None)
+    paths = filter(None, map(shutil.which, ('chromium', 'chromium-browser', 'google-chrome')))
+    return next((path for path in paths if not is_snap(path)), None)
 
 
 def call(*words):

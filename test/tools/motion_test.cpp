@@ -308,10 +308,18 @@ TEST(Dynamics, nothing_moves_unless_asked_for) {
   EXPECT_EQ(std::count(text.begin(), text.end(), '\n'), 1) << text;
 }
 
+TEST(Dynamics, what_would_move_after_the_end_is_an_error) {
+  const auto options =
+      make_options<SimulationOptions>({{"trajectory.duration_s", "30"}, {"dynamics.new_objects", "1"}});
+  EXPECT_EQ(options.message(), "parameter 'dynamics.move_time_s' = '36' must be before the end of the sequence");
+}
+
 TEST(Dynamics, what_moves_leaves_the_rest_as_it_is) {
   const SimulatedSequence still = simulate_fr2({{"trajectory.duration_s", "1"}});
-  const SimulatedSequence moved =
-      simulate_fr2({{"trajectory.duration_s", "1"}, {"dynamics.persons", "2"}, {"dynamics.moved_objects", "1"}});
+  const SimulatedSequence moved = simulate_fr2({{"trajectory.duration_s", "1"},
+                                                {"dynamics.persons", "2"},
+                                                {"dynamics.moved_objects", "1"},
+                                                {"dynamics.move_time_s", "0.5"}});
   ASSERT_EQ(moved.scene.objects.size(), still.scene.objects.size() + 2);
   for (std::size_t i = 0; i < still.scene.objects.size(); ++i) {
     const Vec3 at_begin = moved.scene.objects[i].at(0.0)->center();

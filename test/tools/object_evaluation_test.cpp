@@ -3,6 +3,7 @@
 #include <gtest/gtest.h>
 
 #include "support/random_poses.h"
+#include "support/test_files.h"
 
 namespace semantic_topo_loop::core {
 namespace {
@@ -129,6 +130,26 @@ TEST(ObjectEvaluation, MovesObjectsByTheAlignment) {
       evaluate_objects({mapped(5, kCup, center_map)}, {reference(0, kCup, alignment.T_a_b * center_map)}, alignment);
   EXPECT_EQ(e.matched_certain, 1);
   EXPECT_NEAR(e.center_m.max, 0.0, 1e-12);
+}
+
+TEST(ObjectEvaluation, LabelsAreThoseOfTheRunsClassTable) {
+  std::vector<MappedObject> objects{mapped(5, kCup, {0, 0, 0})};
+  objects.back().label = "cup";
+  ReferenceObject cup;
+  cup.id = 3;
+  cup.class_id = 47;  // COCO's own number
+  cup.label = "cup";
+  const std::string error = check_labels(objects, {cup}).message();
+  EXPECT_NE(error.find("label_id: 47 of reference 3, 'cup', is"), std::string::npos) << error;
+  cup.class_id = kCup;
+  EXPECT_TRUE(check_labels(objects, {cup}));
+}
+
+TEST(ReferenceObjects, AnIdThatIsThereTwiceIsAnError) {
+  const TestDirectory directory;
+  const std::string row = "4,41,cup,0,0,0,1,1,1,certain\n";
+  const std::string path = directory.write("r.csv", "id,label_id,label,x,y,z,a,b,c,certainty\n" + row + row);
+  EXPECT_EQ(read_reference_objects(path).message(), path + ": id: 4 is there twice");
 }
 
 }  // namespace

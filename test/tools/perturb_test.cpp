@@ -229,6 +229,7 @@ TEST_F(PerturbProgram, FalseLoopsAreASeededShareOfTheRightOnes) {
 TEST_F(PerturbProgram, BadArgumentsAreOneClearError) {
   expect_failure("", 2, "the sub-command is missing");
   expect_failure("poses", 2, "unknown sub-command 'poses'");
+  expect_failure("loops @run @run/loops.csv", 1, "run/loops.csv: the run's results would take its place");
   expect_failure("loops @run", 2, "the option '--OUT' is required but missing");
   expect_failure("loops @run @out.csv --cluster 0", 2,
                  "('0') for option '--cluster' must be an integer in [1, 1000000]");

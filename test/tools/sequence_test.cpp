@@ -216,6 +216,12 @@ TEST(SimulationOptions, documentation_is_what_the_code_says) {
       << "scripts/generate_parameters writes it";
 }
 
+TEST(SimulationOptions, classes_that_the_scene_does_not_have_are_an_error) {
+  const ClassTable other = *ClassTable::create({{0, "cup", ClassRole::kMovable, "", 0.1}});
+  const std::string error = simulate({}, camera_fr2(), other).message();
+  EXPECT_NE(error.find("the class table lacks id "), std::string::npos) << error;
+}
+
 TEST(SimulationOptions, an_invalid_camera_is_an_error) {
   Camera camera = camera_fr2();
   camera.fx = 0.0;
@@ -277,14 +283,30 @@ TEST_F(SimulateProgram, half_made_directories_are_made_again) {
   EXPECT_EQ(run(STL_PROGRAM_DIR "/simulate", "--images true").status, 0);
   EXPECT_EQ(run(STL_PROGRAM_DIR "/simulate", "--images true --set drift.position_m=-1").status, 1);
   EXPECT_TRUE(exists("manifest.txt")) << "nothing was begun";
+  const auto is_made_again = [this] {
+    const ProgramRun again = run(STL_PROGRAM_DIR "/simulate", "--images true");
+    EXPECT_EQ(again.status, 0) << again.err;
+    return again.out.find("up to date") == std::string::npos;
+  };
   EXPECT_EQ(run(STL_PROGRAM_DIR "/simulate", "--images true --bag @none/a.bag").status, 1);
-  const ProgramRun again = run(STL_PROGRAM_DIR "/simulate", "--images true");
-  EXPECT_EQ(again.status, 0) << again.err;
-  EXPECT_EQ(again.out.find("up to date"), std::string::npos) << again.out;
+  EXPECT_FALSE(is_made_again()) << "nothing was begun";
+  directory_.write("made/manifest.txt", "# What this directory was made from.\n");  // ended while images were written
+  EXPECT_TRUE(is_made_again());
+  for (const char* name : {"rgb", "detections.json"}) {
+    std::filesystem::remove_all(directory_.path(std::string("made/") + name));
+    EXPECT_TRUE(is_made_again()) << name;
+  }
+}
+
+TEST_F(SimulateProgram, without_images_those_from_before_go_with_their_lists) {
+  EXPECT_EQ(run(STL_PROGRAM_DIR "/simulate", "--images true").status, 0);
+  EXPECT_EQ(run(STL_PROGRAM_DIR "/simulate", "").status, 0);
+  EXPECT_FALSE(exists("rgb"));
+  EXPECT_FALSE(exists("associations.txt"));
 }
 
 TEST_F(SimulateProgram, a_recording_of_others_is_not_touched) {
-  for (const char* name : {"rgb/1.png", "depth/1.png", "rgb.txt"}) {
+  for (const char* name : {"rgb/1.png", "depth/1.png", "rgb.txt", "associations.txt", "odometry.txt", "camera.yaml"}) {
     directory_.write(std::string("made/") + name, "mine");
     directory_.write("made/manifest.txt", "mine, too\n");
     for (const char* program : {"/simulate", "/simulate --images true", "/simulate_bag"}) {
@@ -295,7 +317,7 @@ TEST_F(SimulateProgram, a_recording_of_others_is_not_touched) {
           << refused.err;
       EXPECT_EQ(read_whole(directory_.path(std::string("made/") + name)), "mine") << program;
     }
-    EXPECT_FALSE(exists("groundtruth.txt"));
+    EXPECT_FALSE(exists("groundtruth.txt")) << name;
     std::filesystem::remove_all(directory_.path("made"));
   }
 }

@@ -115,6 +115,44 @@ TEST(TrajectoryEvaluation, RelativeErrorOfASteadyDrift) {
   EXPECT_NEAR(e->relative_m.mean, 0.01, 0.01);
 }
 
+TEST(TrajectoryEvaluation, APoseHasOnePartner) {
+  // 200 Hz against 30 Hz of the same path: shared partners would be up to 16 ms of motion off.
+  StampedPoses fast, slow;
+  const auto pose_at = [](double s) { return SE3(Quaternion::Identity(), Vec3(0.5 * s, std::sin(s), std::cos(s))); };
+  for (int i = 0; i < 2000; ++i) fast.push_back({i * 5 * kMs, pose_at(0.005 * i)});
+  for (int i = 0; i < 300; ++i) slow.push_back({i * 33 * kMs, pose_at(0.033 * i)});
+  const auto e = evaluate_trajectory(fast, slow);
+  ASSERT_TRUE(e);
+  EXPECT_EQ(e->pairs, 300u);
+  EXPECT_LT(e->absolute_m.max, 0.003);
+}
+
+TEST(TrajectoryEvaluation, RelativeErrorsAreOverTheIntervalThatIsNearest) {
+  StampedPoses reference, estimate;
+  for (int i = 0; i < 60; ++i) {
+    const std::int64_t stamp_ns = i * 500 * kMs + (i % 3 == 0 ? 2 : 0) * kMs;  // of 2 Hz, which jitters
+    reference.push_back({stamp_ns, SE3(Quaternion::Identity(), Vec3(0.0, std::sin(0.5 * i), 0.0))});
+    estimate.push_back(reference.back());
+    estimate.back().T_world_camera.t.x() += 0.01e-9 * static_cast<double>(stamp_ns);
+  }
+  const auto e = evaluate_trajectory(estimate, reference, false, Alignment{});
+  ASSERT_TRUE(e);
+  EXPECT_EQ(e->relative_m.count, 57u);
+  EXPECT_NEAR(e->relative_m.max, 0.01, 0.0001) << "in 1 s, not in 1.5 s";
+}
+
+TEST(TrajectoryEvaluation, RelativeErrorsGoOnBehindAHoleOfTheFasterOne) {
+  StampedPoses fast, slow;
+  const auto pose_at = [](double s) { return SE3(Quaternion::Identity(), Vec3(0.5 * s, std::sin(s), std::cos(s))); };
+  for (int i = 0; i < 2000; ++i) {
+    if (i <= 400 || i >= 405) fast.push_back({i * 5 * kMs, pose_at(0.005 * i)});  // 25 ms are missing
+  }
+  for (int i = 0; i < 1000; ++i) slow.push_back({i * 10 * kMs, pose_at(0.01 * i)});
+  const auto e = evaluate_trajectory(fast, slow);
+  ASSERT_TRUE(e);
+  EXPECT_GE(e->relative_m.count, 895u);
+}
+
 TEST(TrajectoryEvaluation, NoRelativeErrorAcrossAGap) {
   StampedPoses reference = make_path(40);
   for (std::size_t i = 20; i < 40; ++i) reference[i].stamp_ns += 5000 * kMs;

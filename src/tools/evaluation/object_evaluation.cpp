@@ -1,6 +1,7 @@
 #include "tools/evaluation/object_evaluation.h"
 
 #include <algorithm>
+#include <set>
 
 #include "geometry/assignment.h"
 #include "io/csv.h"
@@ -108,7 +109,25 @@ ReferenceObject read_reference(CsvTable& table) {
 }  // namespace
 
 Result<std::vector<ReferenceObject>> read_reference_objects(const std::string& path) {
-  return read_csv<ReferenceObject>(path, read_reference);
+  auto references = read_csv<ReferenceObject>(path, read_reference);
+  std::set<int> ids;
+  for (std::size_t i = 0; references && i < references->size(); ++i) {
+    const int id = (*references)[i].id;
+    if (!ids.insert(id).second) return Error{path + ": id: " + std::to_string(id) + " is there twice"};
+  }
+  return references;
+}
+
+Status check_labels(const std::vector<MappedObject>& objects, const std::vector<ReferenceObject>& references) {
+  for (const ReferenceObject& reference : references) {
+    const auto same = std::find_if(objects.begin(), objects.end(),
+                                   [&](const MappedObject& object) { return object.label == reference.label; });
+    if (same == objects.end() || same->class_id == reference.class_id) continue;
+    return Error{"label_id: " + std::to_string(reference.class_id) + " of reference " + std::to_string(reference.id) +
+                 ", '" + reference.label + "', is " + std::to_string(same->class_id) +
+                 " in the class table of the run"};
+  }
+  return {};
 }
 
 ObjectEvaluation evaluate_objects(const std::vector<MappedObject>& objects,

@@ -30,6 +30,9 @@ struct ReferenceObject {
 /// @return an error, with file, line, column and value
 Result<std::vector<ReferenceObject>> read_reference_objects(const std::string& path);
 
+/// @return an error if a label has another id in the run's class table than in the reference
+Status check_labels(const std::vector<MappedObject>& objects, const std::vector<ReferenceObject>& references);
+
 /// Precision and recall with their counts.
 struct Detectability {
   Ratio precision, recall;

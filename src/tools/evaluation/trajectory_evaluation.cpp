@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <cstdlib>
 #include <utility>
 
 #include "semantic_topo_loop/geometry/lie.h"
@@ -15,16 +16,24 @@ using IndexPairs = std::vector<std::pair<std::size_t, std::size_t>>;
 constexpr std::int64_t kMaxStampDifference_ns = 20000000 - 1;  // as TUM's tools
 constexpr std::int64_t kInterval_ns = 1000000000;              // between the two poses of a relative error
 
-/// Relative errors between each pair and the first one at least the interval later, unless that is much later.
+/// Relative errors between each pair and the one nearest to the interval later, unless there is a gap or an end.
 void relative_errors(const StampedPoses& estimate, const StampedPoses& reference, const IndexPairs& pairs, double scale,
                      TrajectoryEvaluation* result) {
   std::vector<double> translations, rotations;
   std::size_t later = 0;
   for (const auto& [i, j] : pairs) {
-    while (later < pairs.size() && estimate[pairs[later].first].stamp_ns < estimate[i].stamp_ns + kInterval_ns) ++later;
-    if (later == pairs.size()) break;
+    const std::int64_t wanted_ns = estimate[i].stamp_ns + kInterval_ns;
+    const auto late_ns = [&](std::size_t pair) { return estimate[pairs[pair].first].stamp_ns - wanted_ns; };
+    const auto is_near = [&](std::size_t pair) {
+      return pair < pairs.size() && std::abs(late_ns(pair)) <= kInterval_ns / 2;
+    };
+    // Pairs of one pose with several of the denser trajectory are equally late.
+    while (later + 1 < pairs.size() &&
+           (late_ns(later + 1) == late_ns(later) || std::abs(late_ns(later + 1)) < std::abs(late_ns(later)))) {
+      ++later;
+    }
+    if (!is_near(later) || (late_ns(later) < 0 && !is_near(later + 1))) continue;
     const auto& [i2, j2] = pairs[later];
-    if (estimate[i2].stamp_ns > estimate[i].stamp_ns + kInterval_ns + kInterval_ns / 2) continue;
     SE3 motion = estimate[i].T_world_camera.inverse() * estimate[i2].T_world_camera;
     motion.t *= scale;
     const SE3 true_motion = reference[j].T_world_camera.inverse() * reference[j2].T_world_camera;
@@ -34,6 +43,29 @@ void relative_errors(const StampedPoses& estimate, const StampedPoses& reference
   }
   result->relative_m = error_statistics(std::move(translations));
   result->relative_deg = error_statistics(std::move(rotations));
+}
+
+/// How many poses are within the time of others.
+std::size_t count_during(const StampedPoses& poses, const StampedPoses& others) {
+  if (others.empty()) return 0;
+  const std::int64_t begin_ns = others.front().stamp_ns, end_ns = others.back().stamp_ns;
+  const auto is_during = [=](const StampedPose& pose) { return pose.stamp_ns >= begin_ns && pose.stamp_ns <= end_ns; };
+  return static_cast<std::size_t>(std::count_if(poses.begin(), poses.end(), is_during));
+}
+
+/// Each pose of the sparser trajectory with the nearest of the denser: other pairs would share partners that are some
+/// motion away.
+IndexPairs pair_by_time(const StampedPoses& estimate, const StampedPoses& reference) {
+  const bool is_denser = count_during(estimate, reference) > count_during(reference, estimate);
+  const StampedPoses &sparse = is_denser ? reference : estimate, &dense = is_denser ? estimate : reference;
+  IndexPairs pairs;
+  for (std::size_t i = 0; i < sparse.size(); ++i) {
+    const StampedPose* nearest = find_stamp(dense, sparse[i].stamp_ns, kMaxStampDifference_ns);
+    if (nearest == nullptr) continue;
+    const auto j = static_cast<std::size_t>(nearest - dense.data());
+    pairs.emplace_back(is_denser ? j : i, is_denser ? i : j);
+  }
+  return pairs;
 }
 
 }  // namespace
@@ -59,14 +91,11 @@ ErrorStatistics error_statistics(std::vector<double> errors) {
 
 Result<TrajectoryEvaluation> evaluate_trajectory(const StampedPoses& estimate, const StampedPoses& reference,
                                                  bool with_scale, const std::optional<Alignment>& known) {
-  IndexPairs pairs;
+  const IndexPairs pairs = pair_by_time(estimate, reference);
   std::vector<Vec3> points_reference, points_estimate;
-  for (std::size_t i = 0; i < estimate.size(); ++i) {
-    const StampedPose* nearest = find_stamp(reference, estimate[i].stamp_ns, kMaxStampDifference_ns);
-    if (nearest == nullptr) continue;
-    pairs.emplace_back(i, static_cast<std::size_t>(nearest - reference.data()));
+  for (const auto& [i, j] : pairs) {
     points_estimate.push_back(estimate[i].T_world_camera.t);
-    points_reference.push_back(nearest->T_world_camera.t);
+    points_reference.push_back(reference[j].T_world_camera.t);
   }
   if (known && pairs.empty()) return Error{"no pose has a partner in time"};
   const std::optional<Alignment> alignment =

@@ -30,8 +30,8 @@ struct PoseError {
   double error_m = 0.0;
 };
 
-/// Absolute and relative errors of a trajectory, as TUM's tools compute them: of each estimated pose and the
-/// reference nearest in time, where they are less than 0.02 s apart. Two estimates may share a reference.
+/// Absolute and relative errors of a trajectory, as TUM's tools compute them: of each pose of the sparser one, estimate
+/// or reference, and that of the other which is nearest in time, where they are less than 0.02 s apart.
 struct TrajectoryEvaluation {
   std::size_t estimated = 0, reference = 0;  ///< poses of the two files
   std::size_t pairs = 0;                     ///< poses that have a partner

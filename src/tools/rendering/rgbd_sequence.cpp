@@ -1,10 +1,12 @@
 #include "tools/rendering/rgbd_sequence.h"
 
 #include <algorithm>
+#include <array>
 #include <filesystem>
 #include <future>
 #include <limits>
 #include <opencv2/imgcodecs.hpp>
+#include <vector>
 
 #include "semantic_topo_loop/io/text_file.h"
 #include "semantic_topo_loop/io/yaml_files.h"
@@ -19,6 +21,8 @@ namespace {
 constexpr int kGeneratorVersion = 1;
 constexpr char kManifest[] = "manifest.txt";
 constexpr char kManifestTitle[] = "# What this directory was made from.\n";
+/// What comes with images alone.
+constexpr std::array<const char*, 5> kImageFiles = {"rgb", "depth", "rgb.txt", "depth.txt", "associations.txt"};
 constexpr int kPngCompression = 1;  ///< the images' noise leaves little to gain
 
 std::string color_name(const SimulatedSequence& sequence, std::size_t frame) {
@@ -118,6 +122,11 @@ Status write_lists(const SimulatedSequence& sequence, const std::string& directo
   return {};
 }
 
+bool is_there(const std::string& directory, const char* name) {
+  std::error_code missing;
+  return std::filesystem::exists(std::filesystem::symlink_status(directory + "/" + name, missing));
+}
+
 /// Fowler-Noll-Vo hash.
 std::uint64_t fnv1a(const std::string& text) {
   std::uint64_t hash = 0xcbf29ce484222325ULL;
@@ -133,21 +142,38 @@ SE3 color_from_depth(const RenderingOptions& options) {
 
 Status begin_sequence(const std::string& directory, bool with_images) {
   if (Status made = make_directory(directory); !made) return made;
-  const std::string manifest = directory + "/" + kManifest;
-  const Result<std::string> before = read_text_file(manifest);
-  const bool is_own = before && before->rfind(kManifestTitle, 0) == 0;
-  for (const char* name : {"rgb", "depth", "rgb.txt", "depth.txt"}) {
-    std::error_code missing;
-    if (is_own || !std::filesystem::exists(std::filesystem::symlink_status(directory + "/" + name, missing))) continue;
-    return Error{directory + ": holds a recording that is not simulated (" + name + " without simulate's " + kManifest +
-                 "): give another directory"};
+  const auto begins_with = [&directory](const char* name, const std::string& title) {
+    const Result<std::string> text = read_text_file(directory + "/" + name);
+    return text && text->rfind(title, 0) == 0;
+  };
+  const bool has_own_images = begins_with(kManifest, kManifestTitle);
+  const bool is_own = has_own_images || begins_with("camera.yaml", kSequenceTitle);
+  std::vector<const char*> others;
+  if (!has_own_images) others.insert(others.end(), kImageFiles.begin(), kImageFiles.end());
+  if (!is_own) others.insert(others.end(), kSequenceFiles.begin(), kSequenceFiles.end());
+  for (const char* name : others) {
+    if (!is_there(directory, name)) continue;
+    return Error{directory + ": holds a recording that is not simulated (" + name + "): give another directory"};
   }
-  if (!is_own && !with_images) return {};
-  for (const char* name : {"rgb", "depth", "rgb.txt", "depth.txt", "sequence.bag"}) {
+  if (!has_own_images && !with_images) return {};
+  std::vector<const char*> images(kImageFiles.begin(), kImageFiles.end());
+  images.push_back("sequence.bag");
+  for (const char* name : images) {
     std::error_code ignored;
     std::filesystem::remove_all(directory + "/" + name, ignored);
   }
-  return write_text_file(manifest, kManifestTitle);
+  return write_text_file(directory + "/" + kManifest, kManifestTitle);
+}
+
+bool has_rendered_sequence(const std::string& directory, const std::string& manifest) {
+  const Result<std::string> made_from = read_text_file(directory + "/" + kManifest);
+  const auto is_here = [&directory](const char* name) { return is_there(directory, name); };
+  return made_from && *made_from == manifest && std::all_of(kImageFiles.begin(), kImageFiles.end(), is_here) &&
+         std::all_of(kSequenceFiles.begin(), kSequenceFiles.end(), is_here);
+}
+
+Status finish_sequence(const std::string& directory, const std::string& manifest) {
+  return write_text_file(directory + "/" + kManifest, manifest);
 }
 
 Status render_sequence(const SimulationOptions& options, const ClassTable& classes, int threads,

@@ -14,8 +14,13 @@ SE3 color_from_depth(const RenderingOptions& options);
 /// Lets a directory, made if missing, be filled with a simulated sequence. If it has images, now or from before, its
 /// `manifest.txt` says that they are simulated ones, of a sequence that is not whole yet; those from before go, and
 /// sequence.bag with them.
-/// @return an error if it holds another recording: images or lists of them without such a manifest
+/// @return an error if it holds another recording: images or lists of them without such a manifest, or what every
+/// sequence has without the camera.yaml of a simulated one
 Status begin_sequence(const std::string& directory, bool with_images);
+/// Says what the directory's whole sequence was made from.
+Status finish_sequence(const std::string& directory, const std::string& manifest);
+/// Whether the directory holds what this manifest says.
+bool has_rendered_sequence(const std::string& directory, const std::string& manifest);
 
 /// Renders the images of a sequence into a directory, as the TUM benchmark lays them out: rgb/<stamp>.png (8 bit),
 /// depth/<stamp>.png (16 bit), rgb.txt, depth.txt and associations.txt ("stamp rgb/.. stamp depth/.."). The sequence's
@@ -31,8 +36,7 @@ Result<cv::Mat> read_rendered_color(const SimulatedSequence& sequence, const std
 Result<cv::Mat> read_rendered_depth(const SimulatedSequence& sequence, const RenderingOptions& rendering,
                                     const std::string& directory, std::size_t frame);
 
-/// What a directory of a simulated sequence is made from. A directory whose `manifest.txt` says the same as a new
-/// request need not be made again.
+/// What a directory of a simulated sequence is made from, for its `manifest.txt`.
 /// @param class_table text of its file   @param outputs which files were asked for
 std::string sequence_manifest(const SimulationOptions& options, const Camera& camera, const std::string& class_table,
                               const std::string& outputs);

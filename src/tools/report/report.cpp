@@ -83,10 +83,12 @@ std::string error_table(const RunData& run) {
   HtmlTable table({"trajectory", "poses", "ATE rmse, m", "mean", "median", "max", "RPE 1 s, m", "RPE 1 s, deg"});
   for (const ShownTrajectory& trajectory : run.trajectories) {
     const TrajectoryEvaluation& e = *trajectory.evaluation;
+    const auto relative = [](const ErrorStatistics& errors, int decimals) {
+      return errors.count > 0 ? format_fixed(errors.rmse, decimals) : std::string("-");
+    };
     table.add({trajectory.name, std::to_string(e.pairs), format_fixed(e.absolute_m.rmse, 4),
                format_fixed(e.absolute_m.mean, 4), format_fixed(e.absolute_m.median, 4),
-               format_fixed(e.absolute_m.max, 4), format_fixed(e.relative_m.rmse, 4),
-               format_fixed(e.relative_deg.rmse, 3)});
+               format_fixed(e.absolute_m.max, 4), relative(e.relative_m, 4), relative(e.relative_deg, 3)});
   }
   return "<div class=\"wide\">" + table.html() + "</div>\n";
 }
@@ -193,8 +195,9 @@ std::string reference_note(const RunData& run) {
   const Detectability& certain = run.object_evaluation->certain;
   const auto ratio = [](const Ratio& r) { return std::to_string(r.right) + " of " + std::to_string(r.total); };
   std::string note = "Ellipses are the outlines of the ellipsoids from above. Right: " + ratio(certain.precision) +
-                     "; certain references found: " + ratio(certain.recall) + "; centres " +
-                     format_fixed(run.object_evaluation->center_m.median, 3) + " m off (median).";
+                     "; certain references found: " + ratio(certain.recall);
+  const ErrorStatistics& center_m = run.object_evaluation->center_m;
+  note += center_m.count > 0 ? "; centres " + format_fixed(center_m.median, 3) + " m off (median)." : ".";
   for (const ObjectMatchResult& match : run.object_evaluation->matches) {
     if (match.object_id >= 0) continue;
     for (const ReferenceObject& reference : run.references) {

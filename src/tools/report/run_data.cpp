@@ -162,6 +162,9 @@ Result<RunData> read_run(const ReportInputs& inputs) {
   for (LoopRecord& loop : loops) run.loops.push_back({std::move(loop), 0, false, {}, {}, {}});
   complete_loops(verdicts, std::move(loop_objects), &run);
   if (!inputs.reference.empty()) {
+    if (const Status labels = check_labels(run.objects, run.references); !labels) {
+      return Error{inputs.reference + ": " + labels.message()};
+    }
     run.object_evaluation = evaluate_objects(run.objects, run.references, run.optimised().evaluation->alignment);
   }
   return run;

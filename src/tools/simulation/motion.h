@@ -63,6 +63,7 @@ struct DynamicsOptions {
   int moved_objects = 0, removed_objects = 0, new_objects = 0;
   double move_time_s = 36.0;
 
+  bool changes_objects() const { return moved_objects + removed_objects + new_objects > 0; }
   void visit(OptionVisitor& visitor) {
     visitor.module("dynamics");
     visitor("persons", persons, between(0, 10000), "people who walk through the view, one after the other");

@@ -170,6 +170,11 @@ Result<SimulatedSequence> simulate(const SimulationOptions& options, const Camer
       make_trajectory(sequence.scene, options.trajectory, seed_of(options, SeedStream::kTrajectory));
   const double duration_s = options.trajectory.duration_s;
   add_dynamics(options.dynamics, trajectory, duration_s, seed_of(options, SeedStream::kDynamics), &sequence.scene);
+  for (const SceneObject& object : sequence.scene.objects) {
+    if (classes.find(object.class_id) != nullptr) continue;
+    return Error{"the class table lacks id " + std::to_string(object.class_id) +
+                 ", which the scene has: its ids must be COCO's"};
+  }
   const double rate_hz = options.trajectory.rate_hz;
   const auto count = static_cast<std::size_t>(std::llround(duration_s * rate_hz));
   sequence.truth = sample(trajectory, 0.0, rate_hz, count);
@@ -261,16 +266,16 @@ std::string format_gone_objects(const SimulatedSequence& sequence, const ClassTa
 
 Status write_sequence(const SimulatedSequence& sequence, const ClassTable& classes, const std::string& directory) {
   Status status = make_directory(directory);
+  // First: it says whose directory this is.
+  if (status) status = write_text_file(directory + "/camera.yaml", kSequenceTitle + format_camera(sequence.camera));
   for (const auto& [name, poses] :
        {std::pair("/groundtruth.txt", &sequence.mocap), std::pair("/groundtruth_frames.txt", &sequence.truth),
         std::pair("/odometry.txt", &sequence.odometry)}) {
     if (status) status = write_tum_trajectory(directory + name, *poses);
   }
   if (status) status = write_detections_json(directory + "/detections.json", detection_frames(sequence));
-  for (const auto& [name, text] :
-       {std::pair("/reference_objects.csv", format_reference_objects(sequence, classes)),
-        std::pair("/gone_objects.csv", format_gone_objects(sequence, classes)),
-        std::pair("/camera.yaml", "# Camera of a simulated sequence.\n" + format_camera(sequence.camera))}) {
+  for (const auto& [name, text] : {std::pair("/reference_objects.csv", format_reference_objects(sequence, classes)),
+                                   std::pair("/gone_objects.csv", format_gone_objects(sequence, classes))}) {
     if (status) status = write_text_file(directory + name, text);
   }
   return status;

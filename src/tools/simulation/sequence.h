@@ -1,5 +1,6 @@
 #pragma once
 
+#include <array>
 #include <map>
 #include <string>
 #include <vector>
@@ -64,6 +65,8 @@ struct SimulationOptions {
                     "no more than the scene has from trajectory.first_desk on");
     drift.visit(visitor);
     dynamics.visit(visitor);
+    visitor.require("move_time_s", !dynamics.changes_objects() || dynamics.move_time_s < trajectory.duration_s,
+                    "before the end of the sequence");
     detector.visit(visitor);
     rendering.visit(visitor);
   }
@@ -144,6 +147,13 @@ std::vector<GoneObject> gone_objects(const SimulatedSequence& sequence);
 /// The text of gone_objects.csv: `id,label_id,label,x,y,z,a,b,c,yaw,views,last,reference_id`, the last one the object's
 /// row in reference_objects.csv, -1 without one.
 std::string format_gone_objects(const SimulatedSequence& sequence, const ClassTable& classes);
+
+/// What write_sequence writes.
+inline constexpr std::array<const char*, 7> kSequenceFiles = {
+    "groundtruth.txt",       "groundtruth_frames.txt", "odometry.txt", "detections.json",
+    "reference_objects.csv", "gone_objects.csv",       "camera.yaml"};
+/// Its camera.yaml begins so.
+inline constexpr char kSequenceTitle[] = "# Camera of a simulated sequence.\n";
 
 /// Writes groundtruth.txt, groundtruth_frames.txt, odometry.txt (TUM format), detections.json (OA-SLAM's format),
 /// reference_objects.csv, gone_objects.csv and camera.yaml, making the directory.
