@@ -19,6 +19,7 @@ import json
 import os
 import re
 import shlex
+import shutil
 import statistics
 import subprocess
 import sys
@@ -199,7 +200,8 @@ def measure(name, commands, arguments):
     begin = time.monotonic()
     if arguments.keep:
         return folder, 0.0
-    os.makedirs(folder, exist_ok=True)
+    shutil.rmtree(folder, ignore_errors=True)  # what no command writes any more is no figure of today
+    os.makedirs(folder)
     environment = dict(os.environ, SEMANTIC_TOPO_LOOP_DATA=arguments.data, ROS_PACKAGE_PATH=PACKAGE)
     with open(os.path.join(folder, PRINTED), "w") as printed:
         for command in commands:

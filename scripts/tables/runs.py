@@ -128,9 +128,9 @@ def find_image_sequences(data):
 
 
 def read_rows(path):
-    """A CSV file with a header, a dictionary a row."""
-    with open(path, newline="") as file:
-        return list(csv.DictReader(file))
+    """A CSV file with a header, a dictionary a row; as the programs read it, blank lines and comments are none."""
+    with open(path, newline="", encoding="utf-8-sig") as file:
+        return list(csv.DictReader(line for line in file if line.strip() and not line.startswith("#")))
 
 
 def package_folder():
