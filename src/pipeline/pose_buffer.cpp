@@ -52,6 +52,15 @@ PoseBuffer::Answer PoseBuffer::at(std::int64_t stamp_ns) const {
   return {Status::kFound, interpolate(before->second, after->second, ratio)};
 }
 
+bool PoseBuffer::is_continuous(std::int64_t from_ns, std::int64_t to_ns) const {
+  auto sample = samples_.upper_bound(from_ns);
+  if (sample == samples_.begin() || samples_.lower_bound(to_ns) == samples_.end()) return false;
+  for (--sample; sample->first < to_ns; ++sample) {
+    if (std::next(sample)->first - sample->first > max_gap_ns_) return false;
+  }
+  return true;
+}
+
 const char* describe(PoseBuffer::Status status) {
   constexpr std::array<const char*, 4> kNames = {"found", "no pose has arrived that is as new as this stamp",
                                                  "this stamp is older than the first pose",

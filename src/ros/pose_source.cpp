@@ -121,6 +121,7 @@ PoseSource::Answer TfPoses::at(std::int64_t stamp_ns, const std::string& camera_
     return {Status::kNotYet, {}, "tf has no chain from '" + odom_frame_ + "' down to '" + camera_frame + "'"};
   }
   core::SE3 T_odom_child;
+  bool is_continuous = false;
   const auto samples = moving_.find(child);
   if (samples != moving_.end()) {
     const core::PoseBuffer::Answer pose = samples->second.at(stamp_ns);
@@ -128,6 +129,7 @@ PoseSource::Answer TfPoses::at(std::int64_t stamp_ns, const std::string& camera_
       return missing("tf " + odom_frame_ + " -> " + child, pose.status);
     }
     T_odom_child = pose.pose;
+    is_continuous = last_stamp_ns_ && samples->second.is_continuous(*last_stamp_ns_, stamp_ns);
   } else if (const std::optional<core::SE3> fixed = find(odom_frame_, child, stamp_ns)) {
     T_odom_child = *fixed;
   }
@@ -135,7 +137,9 @@ PoseSource::Answer TfPoses::at(std::int64_t stamp_ns, const std::string& camera_
   if (!T_child_camera) {
     return {Status::kNotYet, {}, "tf from '" + child + "' to '" + camera_frame + "' does not reach the stamp"};
   }
-  return found(stamp_ns, T_odom_child * *T_child_camera);
+  Answer answer = found(stamp_ns, T_odom_child * *T_child_camera);
+  answer.sample.is_continuous = is_continuous;
+  return answer;
 }
 
 std::optional<core::SE3> TfPoses::find(const std::string& target, const std::string& source, std::int64_t stamp_ns) {
@@ -170,12 +174,9 @@ core::Status OdometryPoses::add(const nav_msgs::Odometry& message) {
   }
   if (const core::Status added = poses_.add(stamp_ns, *pose); !added) return added.error();
   moved_frame_ = std::move(child);
-  if (const std::optional<core::Mat6> covariance = to_covariance(message.twist.covariance)) {
-    twist_covariances_[stamp_ns] = *covariance;
-    while (twist_covariances_.begin()->first < stamp_ns - static_cast<std::int64_t>(kKeepPoses_s * 1e9)) {
-      twist_covariances_.erase(twist_covariances_.begin());
-    }
-  }
+  twist_covariances_[stamp_ns] = to_covariance(message.twist.covariance);
+  const std::int64_t oldest_ns = poses_.newest_ns() - static_cast<std::int64_t>(kKeepPoses_s * 1e9);
+  twist_covariances_.erase(twist_covariances_.begin(), twist_covariances_.lower_bound(oldest_ns));
   return {};
 }
 
@@ -190,12 +191,13 @@ PoseSource::Answer OdometryPoses::at(std::int64_t stamp_ns, const std::string& c
   }
   Answer answer = found(stamp_ns, pose.pose * *T_base_camera);
   answer.sample.covariance = step_covariance(stamp_ns, *T_base_camera);
+  answer.sample.is_continuous = last_stamp_ns_ && poses_.is_continuous(*last_stamp_ns_, stamp_ns);
   return answer;
 }
 
 std::optional<core::Mat6> OdometryPoses::step_covariance(std::int64_t stamp_ns, const core::SE3& T_base_camera) const {
   const auto after = twist_covariances_.upper_bound(stamp_ns);
-  if (!last_stamp_ns_ || after == twist_covariances_.begin()) return std::nullopt;
+  if (!last_stamp_ns_ || after == twist_covariances_.begin() || !std::prev(after)->second) return std::nullopt;
   const double dt_s = 1e-9 * static_cast<double>(stamp_ns - *last_stamp_ns_);
   // Errors of a velocity last: a second's are the same however many images it has.
   constexpr double kLasting_s = 0.1;
@@ -208,7 +210,7 @@ std::optional<core::Mat6> OdometryPoses::step_covariance(std::int64_t stamp_ns, 
                       core::rotation_angle(last.pose.q, now.pose.q) < kRounding;
   const double scale = (stands ? kStandingShare * kStandingShare : 1.0) * dt_s * std::max(dt_s, kLasting_s);
   const core::Mat6 carry = core::transport(T_base_camera);
-  return core::Mat6(scale * carry * std::prev(after)->second * carry.transpose());
+  return core::Mat6(scale * carry * *std::prev(after)->second * carry.transpose());
 }
 
 }  // namespace semantic_topo_loop

@@ -64,6 +64,8 @@ class TfPoses : public PoseSource {
   core::Status add(const tf2_msgs::TFMessage& message, bool is_static);
   /// T_odom_camera
   Answer at(std::int64_t stamp_ns, const std::string& camera_frame) override;
+  void use(std::int64_t stamp_ns) override { last_stamp_ns_ = stamp_ns; }
+  void reset() override { last_stamp_ns_.reset(); }
   /// T_target_source at a stamp as tf2 interpolates it, without the check of gaps: for the rigid part of a robot.
   std::optional<core::SE3> find(const std::string& target, const std::string& source, std::int64_t stamp_ns);
   /// Whether a frame hangs on another than the odometry's.
@@ -84,6 +86,7 @@ class TfPoses : public PoseSource {
   tf2::BufferCore buffer_;
   std::map<std::string, core::PoseBuffer> moving_;  ///< T_parent_child by child frame
   std::set<std::string> asked_;                     ///< frames that somebody wanted to know about
+  std::optional<std::int64_t> last_stamp_ns_;       ///< of the last pose used
 };
 
 /// Poses of nav_msgs/Odometry messages: the pose of `child_frame_id`, moved to the camera by tf. Where that is empty or
@@ -107,10 +110,10 @@ class OdometryPoses : public PoseSource {
 
   std::shared_ptr<TfPoses> transforms_;
   core::PoseBuffer poses_;
-  std::map<std::int64_t, core::Mat6> twist_covariances_;  ///< of the messages that state one, by stamp
-  const std::string base_frame_;                          ///< where the messages name none
-  std::string moved_frame_;                               ///< empty: the camera's
-  std::optional<std::int64_t> last_stamp_ns_;             ///< of the last pose used
+  std::map<std::int64_t, std::optional<core::Mat6>> twist_covariances_;  ///< of each message, by stamp
+  const std::string base_frame_;                                         ///< where the messages name none
+  std::string moved_frame_;                                              ///< empty: the camera's
+  std::optional<std::int64_t> last_stamp_ns_;                            ///< of the last pose used
 };
 
 }  // namespace semantic_topo_loop

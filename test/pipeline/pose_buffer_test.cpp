@@ -57,6 +57,17 @@ TEST(PoseBuffer, DoesNotBridgeAGap) {
   EXPECT_EQ(buffer.at(at_ms(225)).status, PoseBuffer::Status::kFound);
 }
 
+TEST(PoseBuffer, TellsWhetherItKnowsTheWayBetweenTwoStamps) {
+  const PoseBuffer buffer = filled(0.1, {0, 100, 201, 250, 300});
+  EXPECT_TRUE(buffer.is_continuous(at_ms(0), at_ms(100)));
+  EXPECT_TRUE(buffer.is_continuous(at_ms(210), at_ms(290)));
+  EXPECT_TRUE(buffer.is_continuous(at_ms(201), at_ms(300)));
+  EXPECT_FALSE(buffer.is_continuous(at_ms(50), at_ms(150)));
+  EXPECT_FALSE(buffer.is_continuous(at_ms(50), at_ms(290)));
+  EXPECT_FALSE(buffer.is_continuous(at_ms(-10), at_ms(50))) << "begins before the first";
+  EXPECT_FALSE(buffer.is_continuous(at_ms(210), at_ms(310))) << "ends after the last";
+}
+
 TEST(PoseBuffer, SortsALateSampleIn) {
   PoseBuffer buffer = filled(0.1, {0, 100, 200});
   ASSERT_EQ(filled(0.1, {0, 200}).at(at_ms(150)).status, PoseBuffer::Status::kGap);

@@ -207,6 +207,39 @@ TEST(OdometryPoses, ARobotThatStandsBecomesHardlyMoreUncertain) {
   EXPECT_NEAR(sigma_from(1510), 0.01 * sigma_from(510), 1e-9);
 }
 
+TEST(OdometryPoses, ACovarianceThatIsNoLongerStatedIsNone) {
+  OdometryPoses poses(std::make_shared<TfPoses>("odom", 0.1), 0.1);
+  for (int time_ms = 0; time_ms <= 2000; time_ms += 50) {
+    nav_msgs::Odometry message = odometry_at(time_ms);
+    for (std::size_t i = 0; i < 36; i += 7) message.twist.covariance[i] = time_ms <= 500 ? 0.04 : 9999.0;
+    ASSERT_TRUE(poses.add(message));
+  }
+  poses.use(at_ms(450));
+  EXPECT_TRUE(poses.at(at_ms(510), "base").sample.covariance);
+  EXPECT_FALSE(poses.at(at_ms(560), "base").sample.covariance);
+}
+
+/// Images may pause, or be few; the way of the robot is known.
+TEST(OdometryPoses, VouchForTheWayThatTheyHaveNoGapIn) {
+  for (const bool has_gap : {false, true}) {
+    const auto transforms = std::make_shared<TfPoses>("odom", 0.1);
+    OdometryPoses poses(std::make_shared<TfPoses>("odom", 0.1), 0.1);
+    for (int time_ms = 0; time_ms <= 5000; time_ms += 50) {
+      if (has_gap && time_ms > 2000 && time_ms < 4000) continue;
+      fill(transforms.get(), {time_ms});
+      ASSERT_TRUE(poses.add(odometry_at(time_ms)));
+    }
+    EXPECT_FALSE(transforms->at(at_ms(110), "camera").sample.is_continuous) << "the first";
+    EXPECT_FALSE(poses.at(at_ms(110), "base").sample.is_continuous) << "the first";
+    transforms->use(at_ms(110));
+    poses.use(at_ms(110));
+    EXPECT_EQ(transforms->at(at_ms(4110), "camera").sample.is_continuous, !has_gap);
+    EXPECT_EQ(poses.at(at_ms(4110), "base").sample.is_continuous, !has_gap);
+    transforms->reset();
+    EXPECT_FALSE(transforms->at(at_ms(4110), "camera").sample.is_continuous) << "the first of a session";
+  }
+}
+
 TEST(OdometryPoses, CarriesTheCovarianceToTheCamera) {
   const auto transforms = std::make_shared<TfPoses>("odom", 1.0);
   ASSERT_TRUE(transforms->add(message_of(turned(transform("base", "camera", 0, 2.0))), true));

@@ -28,10 +28,9 @@ struct KeyframeOptions {
     visitor("break_speed_m_s", break_speed_m_s, positive(),
             "faster motion between two frames is a break of the odometry");
     visitor("break_rate_deg_s", break_rate_deg_s, positive(), "faster rotation between two frames is a break");
-    visitor(
-        "break_gap_s", break_gap_s, positive(),
-        "a longer time between two poses is a break, unless RgbdFrontend found its map again, or it is below 2 s and "
-        "the odometry moved, up to three times as fast as before");
+    visitor("break_gap_s", break_gap_s, positive(),
+            "a longer time between two frames is a break, unless RgbdFrontend found its map again, tf or odometry had "
+            "no gap, or it is below 2 s and the odometry moved, up to three times as fast as before");
   }
 };
 

@@ -34,6 +34,8 @@ class PoseBuffer {
   Answer at(std::int64_t stamp_ns) const;
   void clear() { samples_.clear(); }
   bool empty() const { return samples_.empty(); }
+  /// Whether no two samples around and between these stamps are too far apart.
+  bool is_continuous(std::int64_t from_ns, std::int64_t to_ns) const;
   bool has(std::int64_t stamp_ns) const { return samples_.count(stamp_ns) > 0; }
   /// Of the newest sample; the buffer must not be empty.
   std::int64_t newest_ns() const { return samples_.rbegin()->first; }
