@@ -46,15 +46,16 @@ void MotionBursts::push(const Frame& frame, std::size_t section) {
   const SE3& T_odom_camera = frame.T_odom_camera;
   const std::optional<SE3> T_odom_last = std::exchange(T_odom_last_, T_odom_camera);
   const std::int64_t elapsed_ns = frame.stamp_ns - std::exchange(last_stamp_ns_, frame.stamp_ns);
-  if (!T_odom_last || frame.is_break || elapsed_ns <= 0) return;
-  // What was missed is no burst, and says as little of the motions around it.
-  if (frame.held_since_ns) return window_.clear();
+  if (!T_odom_last || elapsed_ns <= 0) return;
   const double dt_s = 1e-9 * static_cast<double>(elapsed_ns);
   // What the frames around a gap do says little of the motion over it.
   constexpr double kGap = 3.0;  // times the longest between the frames before
   const auto is_longer = [](const Motion& p, const Motion& q) { return p.dt_s < q.dt_s; };
   const auto longest = std::max_element(window_.begin(), window_.end(), is_longer);
   if (longest != window_.end() && dt_s > kGap * longest->dt_s) return window_.clear();
+  if (frame.is_break) return;
+  // What was missed is no burst, and says as little of the motions around it.
+  if (frame.held_since_ns) return window_.clear();
   time_s_ += dt_s;
   window_.push_back({se3_log(T_odom_last->inverse() * T_odom_camera), T_odom_camera.q, dt_s, time_s_, section});
   constexpr double kSpan_s = kLengths_s.back() + 2.0 * kSide_s;

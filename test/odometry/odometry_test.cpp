@@ -163,6 +163,22 @@ TEST(MotionBursts, AGapIsNoBurst) {
   EXPECT_EQ(bursts.suspected_jump(0).motion.norm(), 0.0);
 }
 
+/// Nor has one that was fast when it was lost, and is slow when found again.
+TEST(MotionBursts, AGapThatEndsInABreakIsNoBurstEither) {
+  MotionBursts bursts;
+  Random random(4);
+  SE3 pose;
+  for (int k = 0; k < 300; ++k) {
+    const bool is_lost = k >= 126 && k < 186;
+    Vec6 motion;
+    motion << 0.001 * random.normal3(), 0.002 * random.normal3();
+    if (k >= 120 && k < 126) motion(0) += 0.1;
+    pose = pose * se3_exp(motion);
+    if (!is_lost) bursts.push(frame_at(k * kIntervalNs, pose, k == 186), 0);
+  }
+  EXPECT_LT(bursts.suspected_jump(0).motion.norm(), 0.01);
+}
+
 TEST(MotionBursts, AWayThatWasMissedIsNoBurst) {
   constexpr int kLostEvery = 150, kLostFrames = 20;
   MotionBursts bursts;
