@@ -17,9 +17,13 @@ std::optional<Vec2> pixel_in_view(const Camera& camera, const Vec3& p) {
   constexpr double kNearest_m = 0.1;  // what is nearer is a blur in any image
   if (p.z() < kNearest_m) return std::nullopt;
   const Vec2 pixel = camera.pixel(p);
-  if (!(pixel.x() >= 0.0 && pixel.y() >= 0.0 && pixel.x() < camera.width && pixel.y() < camera.height)) {
-    return std::nullopt;
-  }
+  const auto is_inside = [&camera](const Vec2& q, double margin) {
+    return q.x() >= -margin * camera.width && q.y() >= -margin * camera.height &&
+           q.x() < (1.0 + margin) * camera.width && q.y() < (1.0 + margin) * camera.height;
+  };
+  // The raw image has borders; far beyond them the lens's polynomial may lead back into it.
+  constexpr double kBeyond = 0.5;
+  if (!is_inside(pixel, kBeyond) || !is_inside(camera.distort(pixel), 0.0)) return std::nullopt;
   return pixel;
 }
 
@@ -29,7 +33,7 @@ NearestDepth::NearestDepth(const Camera& camera, const std::vector<Vec3>& points
   for (const Vec3& point : points_camera) {
     const std::optional<Vec2> pixel = pixel_in_view(camera, point);
     if (!pixel) continue;
-    float& nearest_m = own(cell(*pixel));
+    float& nearest_m = own(cell(camera, *pixel));
     nearest_m = std::min(nearest_m, static_cast<float>(point.z()));
   }
   cv::erode(own, nearest_m_, cv::Mat());
@@ -41,11 +45,12 @@ bool NearestDepth::sees_through(const Camera& camera, const Vec3& point_camera) 
   constexpr double kMargin_m = 0.05, kShare = 0.05;  // of the depth: several sigmas of it, and of the two poses
   const std::optional<Vec2> pixel = pixel_in_view(camera, point_camera);
   return pixel && !nearest_m_.empty() &&
-         point_camera.z() < (1.0 - kShare) * static_cast<double>(nearest_m_(cell(*pixel))) - kMargin_m;
+         point_camera.z() < (1.0 - kShare) * static_cast<double>(nearest_m_(cell(camera, *pixel))) - kMargin_m;
 }
 
-cv::Point NearestDepth::cell(const Vec2& pixel) const {
-  return {static_cast<int>(pixel.x()) / cell_px_, static_cast<int>(pixel.y()) / cell_px_};
+cv::Point NearestDepth::cell(const Camera& camera, const Vec2& pixel) const {
+  const Vec2 raw = camera.distort(pixel);
+  return {static_cast<int>(raw.x()) / cell_px_, static_cast<int>(raw.y()) / cell_px_};
 }
 
 }  // namespace semantic_topo_loop::core

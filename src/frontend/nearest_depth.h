@@ -11,7 +11,7 @@ namespace semantic_topo_loop::core {
 /// Undistorted pixel of a point in the camera frame; nullopt if it is out of view.
 std::optional<Vec2> pixel_in_view(const Camera& camera, const Vec3& point_camera);
 
-/// The nearest that an image sees, by cells of some pixels.
+/// The nearest that an image sees, by cells of some pixels of the raw image.
 class NearestDepth {
  public:
   NearestDepth() = default;
@@ -20,7 +20,7 @@ class NearestDepth {
   bool sees_through(const Camera& camera, const Vec3& point_camera) const;
 
  private:
-  cv::Point cell(const Vec2& pixel) const;
+  cv::Point cell(const Camera& camera, const Vec2& pixel) const;
 
   int cell_px_ = 1;
   cv::Mat1f nearest_m_;  ///< in each cell and around it; 0: no depth in the cell

@@ -136,7 +136,6 @@ struct RgbdFrontend::Impl {
     if (depths < 2 * options.min_inliers) return false;
     image->T_camera_map = last ? last->T_camera_map : SE3();
     image->inliers = image->matches = 0;
-    image->points.assign(image->features.size(), -1);
     image->section = {next_section, next_section};
     ++next_section;
     return true;
@@ -189,7 +188,6 @@ struct RgbdFrontend::Impl {
     std::optional<TrackedFeatures> best;
     for (const std::int64_t id : tried) {
       TrackedFeatures candidate = *image;
-      candidate.matches = candidate.inliers = 0;
       if (!find_points(*map.keyframe(id), calibration.camera, &map, &candidate) ||
           !track_local_map(calibration.camera, &map, &candidate)) {
         tell(candidate, image);
@@ -398,7 +396,7 @@ struct RgbdFrontend::Impl {
 
   /// Begins the map anew at an image that has a pose, if the calibration turned out to be wrong.
   /// @return whether every pose should be found anew
-  bool correct_calibration(TrackedFeatures* image) {
+  bool correct_calibration(const RgbdImage& rgbd, TrackedFeatures* image) {
     constexpr int kMostRestarts = 4;  // registration, then focal lengths that converge
     if (!has_new_registration && new_focal_factor == 1.0) return false;
     if (new_focal_factor != 1.0) calibration.is_focal_given = false;
@@ -413,10 +411,15 @@ struct RgbdFrontend::Impl {
     map = TrackingMap(options);
     sighting.reset();
     ++starts;
-    image->points.assign(image->features.size(), -1);
+    look_at(rgbd, image);
     if (image->stamp_ns - first_stamp_ns > kEarly_ns || calibration.restarts == kMostRestarts) return false;
     ++calibration.restarts;
     return true;
+  }
+
+  void look_at(const RgbdImage& rgbd, TrackedFeatures* image) const {
+    image->features = extract_features(rgbd, options, calibration.camera, calibration.registration);
+    image->points.assign(image->features.size(), -1);
   }
 
   /// The map's points that an image shows, camera frame.
@@ -451,8 +454,7 @@ struct RgbdFrontend::Impl {
     image.stamp_ns = rgbd.stamp_ns;
     if (images == 0) first_stamp_ns = rgbd.stamp_ns;
     look_for_registration(rgbd);
-    image.features = extract_features(rgbd, options, calibration.camera, calibration.registration);
-    image.points.assign(image.features.size(), -1);
+    look_at(rgbd, &image);
     if (last) image.section = last->section;
     take_refinement();
     TrackedImage result;
@@ -480,12 +482,12 @@ struct RgbdFrontend::Impl {
       sample.T_odom_camera = image.T_camera_map.inverse();
       sample.is_break = is_break;
       sample.is_continuous = !is_break;
-      sample.points_camera = grid.points(rgbd.depth_m, calibration.registration, calibration.camera);
       sample.features = features_of(image);
       if (last && !is_break) sample.covariance = motion_covariance(image);
       sample.source_loop = image.source_loop;
       result.sample = std::move(sample);
-      result.is_recalibrated = correct_calibration(&image);
+      result.is_recalibrated = correct_calibration(rgbd, &image);
+      result.sample->points_camera = grid.points(rgbd.depth_m, calibration.registration, calibration.camera);
       if (map.keyframes().empty() || needs_keyframe(image, map)) {
         // What hangs on a weak pose may lie wrong against the rest: it is looked for there as after a loss.
         const bool is_weak = result.state != TrackingState::kStarted && image.inliers < strong_inliers(options);

@@ -100,13 +100,16 @@ void drop_points(std::int64_t newest, TrackingMap* map) {
   // Keyframes since the point was made, and the share of the images that should show it: of ORB-SLAM's order.
   constexpr std::int64_t kYoung = 3, kSettled = 8;
   constexpr double kMinFoundShare = 0.25;
+  const std::int64_t world = map->keyframe(newest)->section.world;
   for (std::int64_t id = map->next_point() - 1; id >= 0; --id) {
     const MapPoint* point = map->point(id);
     if (point == nullptr) continue;
     const std::int64_t age = newest - point->first_keyframe;
     if (age > kSettled) break;  // and those before are older
     const bool is_rarely_found = point->found < kMinFoundShare * point->expected;
-    const bool is_alone = age >= kYoung && point->views.size() < 2;
+    // The images after a loss show nothing of what was there before.
+    const bool could_be_seen = map->keyframe(point->views.begin()->first)->section.world == world;
+    const bool is_alone = age >= kYoung && point->views.size() < 2 && could_be_seen;
     if (is_rarely_found || is_alone) map->remove_point(id);
   }
 }

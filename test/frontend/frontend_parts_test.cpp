@@ -175,6 +175,18 @@ TEST(NearestDepth, SeesThroughWhereNothingWas) {
   EXPECT_FALSE(NearestDepth().sees_through(kKinect, Vec3(0.0, 0.0, 1.0))) << "nothing is known";
 }
 
+/// A wide lens sees beyond the rectangle that its raw image fills.
+TEST(NearestDepth, TheRawImageSaysWhatIsInView) {
+  const Camera wide{450.0, 450.0, 320.0, 240.0, 640, 480, {-0.3, 0.1, 0.0, 0.0, 0.0}};
+  for (const Vec2& raw : {Vec2(25.0, 240.0), Vec2(620.0, 460.0), Vec2(320.0, 2.0)}) {
+    EXPECT_TRUE(pixel_in_view(wide, 2.0 * wide.ray(wide.undistort(raw)))) << raw.transpose();
+  }
+  EXPECT_FALSE(pixel_in_view(wide, 2.0 * wide.ray(wide.undistort(Vec2(-5.0, 240.0)))));
+  EXPECT_FALSE(pixel_in_view(wide, Vec3(5.0, 0.0, 1.0))) << "the polynomial leads back into the image";
+  const Vec3 at_the_side = wide.ray(wide.undistort(Vec2(25.0, 240.0)));
+  EXPECT_TRUE(NearestDepth(wide, {3.0 * at_the_side}).sees_through(wide, at_the_side));
+}
+
 /// Features 40 pixels apart, which no point has yet.
 TrackedFeatures features_at(int world, const std::vector<double>& depths_m) {
   TrackedFeatures image;
@@ -201,6 +213,16 @@ TEST(TrackingMap, WhatHasComeGivesNoPoints) {
   EXPECT_NEAR(map.points().begin()->second.position.z(), 3.0, 1e-9);
   add_keyframe(features_at(1, {1.5}), wall_with_box(), kKinect, &map);
   EXPECT_EQ(map.points().size(), 2U) << "how another world lies to this one is not known";
+}
+
+TEST(TrackingMap, WhatWasLastSeenBeforeALossStaysToBeFoundAgain) {
+  const FrontendOptions options;
+  TrackingMap map(options);
+  add_keyframe(features_at(0, {2.0, 2.0, 2.0}), {}, kKinect, &map);
+  for (int i = 0; i < 3; ++i) add_keyframe(features_at(1, {2.0}), {}, kKinect, &map);
+  EXPECT_NE(map.point(0), nullptr);
+  for (int i = 0; i < 3; ++i) add_keyframe(features_at(0, {}), {}, kKinect, &map);
+  EXPECT_EQ(map.point(0), nullptr) << "could be seen";
 }
 
 TEST(TrackingMap, AnImageCountsForWhatItSeesAndForWhatItMisses) {
