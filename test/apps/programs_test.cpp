@@ -109,7 +109,7 @@ void write_part(const std::string& recording, double begin_s, double end_s, cons
 
 /// A real network on the first of real images: the boxes that `detect` writes are those that `offline` finds.
 TEST_F(DetectProgram, WritesWhatOfflineFinds) {
-  const auto model = shared_detector(), recording = shared_data("tum/fr1_xyz");
+  const auto model = shared_detector(), recording = shared_folder("tum/fr1_xyz", "rgb.txt");
   if (!model) GTEST_SKIP() << "SEMANTIC_TOPO_LOOP_DATA is not set, or OpenCV too old";
   write_part(*recording, 0.0, 1.0, "tum", directory_);
   ASSERT_EQ(run("@tum " + *model + " @d.json --set detector.rate_hz=10" + classes_), 0) << err_;
@@ -149,7 +149,7 @@ TEST_F(DetectProgram, LeavesOutAnImageThatCannotBeRead) {
 
 /// While most of what is on the desk is cut by the image border: four or five objects, and surfaces, tell the place.
 TEST_F(OfflineProgram, FindsItsPlaceInTheMapOfAnotherRunByObjectsAndSurfaces) {
-  const auto recording = shared_data("tum/fr1_xyz");
+  const auto recording = shared_folder("tum/fr1_xyz", "rgb.txt");
   if (!recording) GTEST_SKIP() << "SEMANTIC_TOPO_LOOP_DATA is not set";
   write_part(*recording, 0.0, 13.3, "first", directory_);
   write_part(*recording, 16.0, 26.0, "second", directory_);

@@ -376,7 +376,7 @@ TEST_F(TinyNetwork, LooksAtNoMoreImagesThanAreWanted) {
 class YoloxNano : public ::testing::Test {
  protected:
   void SetUp() override {
-    const auto model = shared_detector(), folder = shared_data("tum/fr1_xyz");
+    const auto model = shared_detector(), folder = shared_folder("tum/fr1_xyz", "rgb.txt");
     if (!model) GTEST_SKIP() << "SEMANTIC_TOPO_LOOP_DATA is not set, or OpenCV too old";
     options_.model = *model;
     folder_ = *folder;

@@ -103,7 +103,7 @@ TEST(RgbdFolderAsDownloaded, BadListsAreNamed) {
 }
 
 TEST(RgbdFolderAsDownloaded, IsJoinedAsTheBenchmarksScriptDoes) {
-  const std::optional<std::string> folder = shared_data("tum/fr1_xyz");
+  const std::optional<std::string> folder = shared_folder("tum/fr1_xyz", "rgb.txt");
   if (!folder) GTEST_SKIP() << "SEMANTIC_TOPO_LOOP_DATA is not set";
   const auto files = associate_images(*folder);
   ASSERT_TRUE(files) << files.message();

@@ -33,7 +33,7 @@ using Recording = std::vector<Step>;
 /// Associates a sequence without closing loops.   @return empty without the shared data
 Recording record(const std::string& sequence, const std::string& trajectory, const std::string& detections,
                  const std::string& camera_file, std::size_t max_frames) {
-  const auto root = shared_data("tum/" + sequence + "/");
+  const auto root = shared_folder("tum/" + sequence + "/", trajectory);
   Recording steps;
   if (!root) return steps;
   const auto classes = shared_coco();

@@ -4,7 +4,6 @@
 
 #include <Eigen/Geometry>
 #include <cmath>
-#include <deque>
 #include <limits>
 #include <memory>
 #include <random>

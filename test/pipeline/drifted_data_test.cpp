@@ -5,7 +5,6 @@
 
 #include <algorithm>
 #include <cstdint>
-#include <memory>
 #include <string>
 #include <vector>
 
@@ -46,7 +45,7 @@ struct Outcome {
 class DriftedData : public ::testing::Test {
  protected:
   void SetUp() override {
-    if (!shared_data("tum/fr2_desk/")) GTEST_SKIP() << "SEMANTIC_TOPO_LOOP_DATA is not set";
+    if (!shared_data("tum/fr3_office/drifted_real")) GTEST_SKIP() << "no drifted odometry in SEMANTIC_TOPO_LOOP_DATA";
   }
 
   /// @param file the odometry, a file of the sequence

@@ -52,7 +52,9 @@ double ate_m(const MapState& map, const Recording& recording) {
 class MapSessions : public ::testing::Test {
  protected:
   void SetUp() override {
-    if (!shared_data("tum/fr2_desk/")) GTEST_SKIP() << "SEMANTIC_TOPO_LOOP_DATA is not set";
+    if (!shared_data("tum/fr3_office/orbslam2_rgbd_trajectory.txt")) {
+      GTEST_SKIP() << "no recorded trajectories in SEMANTIC_TOPO_LOOP_DATA";
+    }
   }
 
   Recording read(const std::string& sequence, const std::string& odometry, const std::string& detections,

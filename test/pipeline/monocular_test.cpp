@@ -2,7 +2,6 @@
 #include <gtest/gtest.h>
 
 #include <algorithm>
-#include <map>
 
 #include "support/simulated_run.h"
 #include "support/test_fixtures.h"

@@ -93,7 +93,6 @@ TEST(Options, DocumentationIsWhatTheCodeSays) {
 }
 
 TEST(Config, CamerasAndClassesLoad) {
-  std::string error;
   for (const std::string name : {"tum_fr1", "tum_fr2", "tum_fr3"}) {
     EXPECT_EQ(read_camera(STL_CONFIG_DIR "/camera/" + name + ".yaml").message(), "");
   }

@@ -36,12 +36,13 @@ struct Outcome {
 class PoseGraphData : public ::testing::Test {
  protected:
   void SetUp() override {
-    const char* data = std::getenv("SEMANTIC_TOPO_LOOP_DATA");
-    if (data == nullptr) GTEST_SKIP() << "set SEMANTIC_TOPO_LOOP_DATA to the shared data to run this test";
-    data_ = data;
+    const auto data = shared_data("tum");
+    if (!data || !shared_data("tum/fr3_office/drifted_real"))
+      GTEST_SKIP() << "no drifted odometry in SEMANTIC_TOPO_LOOP_DATA";
+    data_ = *data;
   }
 
-  StampedPoses read(const std::string& path) const { return checked(read_tum_ground_truth(data_ + "/tum/" + path)); }
+  StampedPoses read(const std::string& path) const { return checked(read_tum_ground_truth(data_ + "/" + path)); }
   /// @param odometry a file of the sequence
   Sequence sequence(const std::string& name, const std::string& odometry) const {
     Sequence sequence{{}, {}, read(name + "/groundtruth.txt")};

@@ -4,7 +4,6 @@
 
 #include <boost/make_shared.hpp>
 #include <cstdint>
-#include <map>
 #include <string>
 #include <vector>
 

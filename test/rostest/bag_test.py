@@ -170,6 +170,10 @@ class ArgumentsTest(unittest.TestCase):
                                                arguments, universal_newlines=True)
                 self.assertEqual(yaml.safe_load(text)[parameter], expected)
 
+    def test_rviz_is_started_where_it_is_asked_for(self):
+        for arguments in (['view.launch'], ['slam.launch', 'rviz:=true'], ['tum.launch', 'bag:=/none.bag', 'rviz:=true']):
+            text = subprocess.check_output(['roslaunch', '--nodes', PACKAGE, *arguments], universal_newlines=True)
+            self.assertIn('/%s/rviz' % PACKAGE, text.split(), arguments)
 
     def test_who_needs_images_gets_them_and_who_is_in_no_tf_sends_none(self):
         def parameters(launch_file, *arguments):

@@ -284,7 +284,7 @@ class EarlierMapTest(DirectoryTest):
     def test_1_a_run_saves_its_map(self):
         # A relative path is one below the nodes' working directory.
         launch = self.play('first', save_map=os.path.relpath(self.map, self.home))
-        copy = os.path.join(self.home, 'semantic_topo_loop_test_copy.db')
+        copy = os.path.join(self.home, 'semantic_topo_loop_test_%d_copy.db' % os.getpid())
         try:
             self.assertTrue(wait_until(lambda: is_closed(self.map), 10), launch.output())
             save = rospy.ServiceProxy('/%s/map_database/save_map' % PACKAGE, SaveMap)
@@ -339,7 +339,7 @@ class EarlierMapTest(DirectoryTest):
             self.assertGreaterEqual(json.load(file)['joined_map']['loops'], 1)
 
     def test_4_a_map_is_loaded_while_the_robot_runs(self):
-        there = os.path.join(self.home, 'semantic_topo_loop_test_map.db')
+        there = os.path.join(self.home, 'semantic_topo_loop_test_%d_map.db' % os.getpid())
         shutil.copy(self.map, there)
         launch = demo(duration='20', data=self.path('fourth'), lockstep='false', exit_at_end='false', rate='2',
                       save_map=self.path('fourth.db'))

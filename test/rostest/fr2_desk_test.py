@@ -13,6 +13,7 @@ import rostest
 from playback import PACKAGE, DirectoryTest, Launch, differing_files, run_program
 
 DATA = os.environ.get('SEMANTIC_TOPO_LOOP_DATA', '')
+RECORDED = ('orbslam2_rgbd_trajectory.txt', 'detections_yolov5.json', 'groundtruth_frames.txt', 'reference_objects.csv')
 
 
 class Fr2DeskTest(DirectoryTest):
@@ -66,10 +67,10 @@ class Fr2DeskTest(DirectoryTest):
 
 
 def start_rostest(results):
-    if os.path.isdir(os.path.join(DATA, 'tum/fr2_desk')):
+    if all(os.path.exists(os.path.join(DATA, 'tum/fr2_desk', name)) for name in RECORDED):
         os.execvp('rostest', ['rostest', '--results-base-dir', results, '--results-filename', 'rostest_fr2_desk.xml',
                               os.path.join(os.path.dirname(os.path.abspath(__file__)), 'run.test'), 'name:=fr2_desk'])
-    print("SKIPPED: no tum/fr2_desk in SEMANTIC_TOPO_LOOP_DATA='%s'" % DATA)
+    print("SKIPPED: tum/fr2_desk in SEMANTIC_TOPO_LOOP_DATA='%s' lacks one of %s" % (DATA, ', '.join(RECORDED)))
     os.makedirs(results, exist_ok=True)
     with open(os.path.join(results, 'rostest_fr2_desk.xml'), 'w') as file:
         file.write('<testsuite name="fr2_desk" tests="1" skipped="1"><testcase name="fr2_desk"><skipped/></testcase>'

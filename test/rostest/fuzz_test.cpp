@@ -16,7 +16,6 @@
 #include <limits>
 #include <random>
 #include <thread>
-#include <utility>
 #include <vector>
 
 #include "ros/conversions.h"

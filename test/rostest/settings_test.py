@@ -85,7 +85,7 @@ class WhileRunningTest(DirectoryTest):
             return self.last.session_id, any(a.landmark_id >= 0 for a in self.last.associations)
 
     def test_settings_are_shown_changed_and_refused(self):
-        launch = demo(duration='40', data=self.path('data'), lockstep='false')
+        launch = demo(duration='120', data=self.path('data'), lockstep='false')
         try:
             self.assertTrue(wait_until(lambda: self.seen() == (1, True), 60), launch.output())
             self.check_association(launch)

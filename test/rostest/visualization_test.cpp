@@ -5,8 +5,6 @@
 #include <std_msgs/String.h>
 
 #include <cmath>
-#include <optional>
-#include <vector>
 
 #include "ros/conversions.h"
 #include "ros/stage.h"

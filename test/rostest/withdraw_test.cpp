@@ -387,6 +387,19 @@ TEST(MapToOdom, IsSentTheOtherWayRoundBelowAnotherMap) {
   chain.unload_all();
 }
 
+TEST(MapToOdom, IsSentByNobodyWhereItIsTurnedOff) {
+  InProcessChain chain;
+  chain.set("pose_graph", "publish_tf", false);
+  chain.load_correction();
+  ros::param::del("/pose_graph");
+  Feed feed;
+  ASSERT_TRUE(feed.start_session());
+  feed.step(first_frame(1000.0), {}, {});
+  std::this_thread::sleep_for(std::chrono::milliseconds(300));
+  EXPECT_TRUE(feed.tf().empty());
+  chain.unload_all();
+}
+
 TEST(MapToOdom, FollowsTimeThatJumpsBackWithTheSession) {
   InProcessChain chain;
   chain.load_correction();

@@ -85,7 +85,13 @@ inline std::string generated_part(const std::string& page, const std::string& co
 inline std::optional<std::string> shared_data(const std::string& name) {
   const char* root = std::getenv("SEMANTIC_TOPO_LOOP_DATA");
   if (root == nullptr || *root == '\0') return std::nullopt;
-  return std::string(root) + "/" + name;
+  const std::string path = std::string(root) + "/" + name;
+  return std::filesystem::exists(path) ? std::optional(path) : std::nullopt;
+}
+
+/// Such a folder, or nullopt where it does not hold that file.
+inline std::optional<std::string> shared_folder(const std::string& name, const std::string& file) {
+  return shared_data(name + "/" + file) ? shared_data(name) : std::nullopt;
 }
 
 /// A real network, or nullopt where there is none or OpenCV cannot run it: GTEST_SKIP() then.

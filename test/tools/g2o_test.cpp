@@ -2,14 +2,13 @@
 
 #include <gtest/gtest.h>
 
-#include <cstdlib>
-#include <filesystem>
 #include <limits>
 
 #include "geometry/relative_pose.h"
 #include "semantic_topo_loop/geometry/lie.h"
 #include "semantic_topo_loop/io/text_file.h"
 #include "support/random_motions.h"
+#include "support/test_files.h"
 
 namespace semantic_topo_loop::core {
 namespace {
@@ -18,13 +17,13 @@ constexpr char kUnit[] = " 1 0 0 0 0 0 1 0 0 0 0 1 0 0 0 1 0 0 1 0 1\n";
 
 class G2o : public ::testing::Test {
  protected:
-  void TearDown() override { std::filesystem::remove(path_); }
   Result<G2oGraph> read(const std::string& text) {
     EXPECT_EQ(write_text_file(path_, text).message(), "");
     return read_g2o(path_, &refusals_);
   }
 
-  std::string path_ = (std::filesystem::temp_directory_path() / "semantic_topo_loop_g2o_test.g2o").string();
+  TestDirectory directory_;
+  std::string path_ = directory_.path("graph.g2o");
   G2oRefusals refusals_;
 };
 
@@ -287,11 +286,11 @@ TEST(OptimizeGraph, WrongOptionsAreNamed) {
 }
 
 TEST(OptimizeGraph, KnownMinimaOfPublicGraphs) {
-  const char* data = std::getenv("SEMANTIC_TOPO_LOOP_DATA");
-  if (data == nullptr) GTEST_SKIP() << "set SEMANTIC_TOPO_LOOP_DATA to the shared data to run this test";
+  const auto data = shared_data("pose_graphs");
+  if (!data) GTEST_SKIP() << "no pose_graphs in SEMANTIC_TOPO_LOOP_DATA";
   const std::pair<const char*, double> known[] = {{"sphere2500", 727.15}, {"parking-garage", 1.2387}};
   for (const auto& [name, chi2] : known) {
-    auto graph = read_g2o(std::string(data) + "/pose_graphs/" + name + ".g2o", nullptr);
+    auto graph = read_g2o(*data + "/" + name + ".g2o", nullptr);
     ASSERT_TRUE(graph) << graph.message();
     const auto report = optimize_graph(&*graph, {});
     ASSERT_TRUE(report) << report.message();
