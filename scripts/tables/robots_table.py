@@ -281,10 +281,10 @@ def measure(arguments, seed):
     if not is_joined:
         return row
     parts, whole = house.judge_trajectory("all.db", robots)
-    first, wrong_first = house.judge_loops("two.db")
+    first, _ = house.judge_loops("two.db")
     last, wrong_last = house.judge_loops("all.db")
     row.update(parts=parts, whole=whole, ratio=max(part / own for part, own in zip(parts, alone)),
-               loops=(first[0, 1], last[1, 2]), wrong=wrong_first + wrong_last, joins=house.judge_joins("all.db"),
+               loops=(first[0, 1], last[1, 2]), wrong=wrong_last, joins=house.judge_joins("all.db"),
                f=[house.judge_objects("all.db", robot, robot) for robot in robots])
     return row
 

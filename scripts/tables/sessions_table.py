@@ -137,14 +137,17 @@ def rows_from_images(context, elsewhere):
     return rows
 
 
+def poorer(sequence):
+    """Its files of odometry that drifts."""
+    return [path for path in sequence.drifted_real if POORER_LEVEL in path]
+
+
 def poorer_row(context, sequence):
     """Odometry that drifts, alone and in the map of one that hardly does."""
     programs = context.programs
     first = Session(context, sequence, sequence.name + "_whole", lines_of(sequence.trajectory))
     columns = [[], [], []]
-    for path in sequence.drifted_real:
-        if POORER_LEVEL not in path:
-            continue
+    for path in poorer(sequence):
         folder = os.path.join(context.output, "sessions", sequence.name + "_" + os.path.basename(path)[:-4])
         result = os.path.join(folder, "trajectory.txt")
         columns[0].append(programs.trajectory(path, sequence.ground_truth)["ate_m"]["rmse"])
@@ -184,5 +187,5 @@ def table_sessions(context):
         merged.append(merged_row(context, first, Session(context, s, s.name + "_rest", rest)))
     return ("### Sessions\n\n**Later runs in a map**\n\n" + markdown(FOUND_COLUMNS, found) + "\n**Later runs from images**\n\n" +
             markdown(FOUND_COLUMNS, rows_from_images(context, firsts)) + "\n**Poorer odometry**\n\n" +
-            markdown(POORER_COLUMNS, [poorer_row(context, s) for s in sequences]) + "\n**Maps joined**\n\n" +
+            markdown(POORER_COLUMNS, [poorer_row(context, s) for s in sequences if poorer(s)]) + "\n**Maps joined**\n\n" +
             markdown(MERGED_COLUMNS, merged) + "\n" + NOTES)
