@@ -142,7 +142,7 @@ Command make_command(bool is_for_bags, Arguments* arguments) {
           "(simulate_bag: DIR/sequence.bag)")
       .option("bag-images", boolean(&arguments->has_bag_images), "false: the bag has camera_info only (default: true)")
       .option("bag-compression", choice(&arguments->bag_compression, {"bz2", "lz4", "none"}),
-              "of its chunks (default: bz2 as the official bags; with images lz4, which is 20 times faster)")
+              "of its chunks (default: bz2 as the official bags; with images lz4, which is about 10 times faster)")
       .option("seed", option_value("simulation.seed", options), "short for --set simulation.seed")
       .option("layout", option_value("scene.layout", options), "short for --set scene.layout")
       .option("duration", option_value("trajectory.duration_s", options), "short for --set trajectory.duration_s")

@@ -23,7 +23,8 @@ namespace semantic_topo_loop {
 
 /// What the front ends share: the session, which a front end alone starts, pauses and resumes, the order of images,
 /// the calibration, and the frames, keyframes and tf that come of a pose. Every image is answered, by a frame or by a
-/// FrameDone that says why there is none, but for those that are dropped since they come too fast.
+/// FrameDone that says why there is none, but for those that are dropped since they come too fast, or as a session
+/// begins.
 ///
 /// A derived class calls Stage::start, `open`, makes its own subscriptions, then calls `follow_stream`.
 class FrontendStage : public Stage {

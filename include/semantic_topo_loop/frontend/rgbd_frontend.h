@@ -22,7 +22,7 @@ enum class TrackingState {
 
 struct TrackedImage {
   TrackingState state = TrackingState::kLost;
-  std::optional<PoseSample> sample;  ///< unless lost: T_odom_camera, covariance, break flag, source_loop, points_camera
+  std::optional<PoseSample> sample;  ///< neither of kLost nor of kUnusable
   int matches = 0;                   ///< map points found in the image
   int inliers = 0;                   ///< of these, how many the pose explains
   /// The calibration was corrected so early that it pays to begin anew: every pose until now has the old one's error.
@@ -43,7 +43,7 @@ class RgbdFrontend {
   void begin_anew();
   /// The color camera, with its focal lengths as self-calibration corrected them; else as given.
   const Camera& camera() const;
-  /// What the last image with a pose adds to the map: the map points that it sees, with ids that are never used twice,
+  /// What the last image with a pose adds to the map: the map points that it sees, with ids that this run uses once,
   /// and points on its edges.
   /// @param image that one   @param semi_dense_max about so many points on edges at most
   KeyframePoints keyframe_points(const RgbdImage& image, int semi_dense_max) const;

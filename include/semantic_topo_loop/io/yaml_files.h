@@ -18,8 +18,8 @@ Result<Camera> read_camera(const std::string& path);
 std::string format_camera(const Camera& camera);
 
 /// Reads a class table such as config/classes_coco.yaml:
-/// `classes: [{id, name, role: static|movable|dynamic|ignore, group, size_prior_m, size_range_m}]`; the last three are
-/// optional.
+/// `classes: [{id, name, role: static|movable|dynamic|ignore, coco_id, group, size_prior_m, size_range_m}]`; the last
+/// four are optional.
 /// @return an error, with file, line, key and value, for anything else
 Result<ClassTable> read_class_table(const std::string& path);
 

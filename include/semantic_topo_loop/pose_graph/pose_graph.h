@@ -41,7 +41,7 @@ class PoseGraph {
   /// it is. Motions between keyframes that are not known, or no neighbours, are left out.
   void refine(const std::vector<SolvedMotion>& motions);
   /// Adds the frame's keyframe and odometry edge and the accepted loops, but for those into an earlier run's map;
-  /// optimises when there is reason to. An end frame always optimises.
+  /// optimises when there is reason to: at an end frame, where there is anything but the odometry's own motions.
   /// @param extra_loops loops from outside, treated alike
   MapCorrection process(const Frame& frame, const std::vector<LoopClosure>& loops,
                         const std::vector<LoopClosure>& extra_loops = {});

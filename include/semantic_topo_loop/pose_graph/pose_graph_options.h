@@ -60,8 +60,8 @@ struct PoseGraphOptions {
             "free scale: error of its logarithm after one metre of path (1 sigma; grows with the root of the path)");
     visitor(
         "objects", objects, one_of({"off", "auto", "on"}),
-        "whether objects take part in corrections: off, auto (if loops show odometry to be wrong) or on (then the end "
-        "of a run is one, too)");
+        "whether objects take part in corrections: off, auto (where odometry is found wrong, or broke) or on (in every "
+        "one, and at the end of a run without loops, too); never with scale=free");
     visitor.live("object_sigma_px", object_sigma_px, positive(),
                  "noise of a box edge that all from about one direction share, constant part; 0.6 of it each has "
                  "besides; of an image 640 pixels wide, wider ones in proportion");

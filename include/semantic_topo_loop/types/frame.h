@@ -34,11 +34,11 @@ struct SourceLoop {
 struct PoseSample {
   std::int64_t stamp_ns = 0;
   SE3 T_odom_camera;
-  std::optional<Mat6> covariance = {};  ///< of the motion since the previous sample
+  std::optional<Mat6> covariance = {};  ///< as Frame's
   bool is_break = false;                ///< as stated by the source
   bool is_continuous = false;           ///< the source vouches for the motion, however long the previous sample is ago
   std::optional<SourceLoop> source_loop = {};
-  std::shared_ptr<const std::vector<Vec3>> points_camera = {};
+  std::shared_ptr<const std::vector<Vec3>> points_camera = {};  ///< camera frame, m
   std::shared_ptr<const std::vector<PointFeature>> features = {};
 };
 
@@ -53,7 +53,7 @@ struct Frame {
   SE3 T_odom_camera;
   /// Stamp of the frame whose pose the ones between were given too: the odometry had stood, and has caught up now.
   std::optional<std::int64_t> held_since_ns;
-  std::optional<Mat6> covariance;  ///< of the motion since the previous frame: (translation m, rotation rad)
+  std::optional<Mat6> covariance;  ///< of the motion since the previous frame, in this camera's axes: (m, rad)
   std::optional<SourceLoop> source_loop;
   Camera camera;
   std::shared_ptr<const std::vector<Vec3>> points_camera;     ///< optional points seen by this frame, camera frame, m
