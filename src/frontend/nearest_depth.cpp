@@ -21,10 +21,10 @@ std::optional<Vec2> pixel_in_view(const Camera& camera, const Vec3& p) {
     return q.x() >= -margin * camera.width && q.y() >= -margin * camera.height &&
            q.x() < (1.0 + margin) * camera.width && q.y() < (1.0 + margin) * camera.height;
   };
-  // The raw image has borders; far beyond them the lens's polynomial may lead back into it.
+  // At least the raw image's rectangle, as Camera::image. Far beyond it the lens's polynomial may lead back into it.
   constexpr double kBeyond = 0.5;
-  if (!is_inside(pixel, kBeyond) || !is_inside(camera.distort(pixel), 0.0)) return std::nullopt;
-  return pixel;
+  const bool is_in_view = is_inside(pixel, 0.0) || (is_inside(pixel, kBeyond) && is_inside(camera.distort(pixel), 0.0));
+  return is_in_view ? std::optional(pixel) : std::nullopt;
 }
 
 NearestDepth::NearestDepth(const Camera& camera, const std::vector<Vec3>& points_camera)
@@ -49,8 +49,9 @@ bool NearestDepth::sees_through(const Camera& camera, const Vec3& point_camera) 
 }
 
 cv::Point NearestDepth::cell(const Camera& camera, const Vec2& pixel) const {
-  const Vec2 raw = camera.distort(pixel);
-  return {static_cast<int>(raw.x()) / cell_px_, static_cast<int>(raw.y()) / cell_px_};
+  const int x = std::clamp(static_cast<int>(pixel.x()), 0, camera.width - 1);
+  const int y = std::clamp(static_cast<int>(pixel.y()), 0, camera.height - 1);
+  return {x / cell_px_, y / cell_px_};
 }
 
 }  // namespace semantic_topo_loop::core

@@ -11,7 +11,7 @@ namespace semantic_topo_loop::core {
 /// Undistorted pixel of a point in the camera frame; nullopt if it is out of view.
 std::optional<Vec2> pixel_in_view(const Camera& camera, const Vec3& point_camera);
 
-/// The nearest that an image sees, by cells of some pixels of the raw image.
+/// The nearest that an image sees, by cells of some pixels.
 class NearestDepth {
  public:
   NearestDepth() = default;
