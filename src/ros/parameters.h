@@ -70,8 +70,7 @@ struct FrontendParameters : FileStageParameters<ClassStageParameters> {
     visitor("odom_frame", odom_frame, core::given(), "tf frame of the odometry");
     visitor("base_frame", base_frame, core::any(),
             "tf frame that publish_odom_tf moves (empty: the root of the camera's tree in tf, which may be the "
-            "camera), and "
-            "of which odometry is whose child_frame_id names none (empty: the camera's optical frame)");
+            "camera), and of which odometry is whose child_frame_id names none (empty: the camera's optical frame)");
     visitor("camera_frame", camera_frame, core::any(), "tf frame of the camera's optical frame; empty: camera_info's");
     visitor("publish_odom_tf", publish_odom_tf, "send odom_frame -> base_frame, for poses that are not in tf");
     visitor("map_file", map_file, core::any(), "map of earlier sessions that this one goes on with; empty: none");
