@@ -31,6 +31,7 @@ class PointMappingNodelet : public StageWith<PointMappingParameters> {
   }
 
   void reset_session() override {
+    stamp_ = ros::Time();
     const std::lock_guard<std::mutex> lock(mutex_);
     map_ = std::make_unique<core::PointMap>(options_.point_map);
     if (const auto map = session_map({false, false, true})) core::restore_points(*map, map_.get());

@@ -159,9 +159,11 @@ class PoseFrontendNodelet : public StageWith<PoseFrontendParameters, FrontendSta
     if (!parameters_.use_points) return true;
     const auto it = points_.lower_bound(trigger.stamp_ns - kStampTolerance_ns);
     if (it == points_.end() || it->first > trigger.stamp_ns + kStampTolerance_ns) {
-      if (is_late)
-        complain("images without points", "no cloud within 1 us of " + std::to_string(trigger.stamp_ns) + " ns");
-      return is_late;
+      // Clouds that are fewer than the images come in order, too.
+      const bool is_past = it != points_.end() && it->first <= trigger.stamp_ns + kJumpBack_ns;
+      if (!is_late && !is_past) return false;
+      complain("images without points", "no cloud within 1 us of " + std::to_string(trigger.stamp_ns) + " ns");
+      return true;
     }
     const std::string frame = strip_leading_slash(it->second->header.frame_id);
     core::Result<std::vector<core::Vec3>> points =

@@ -54,6 +54,7 @@ class VisualizationNodelet : public StageWith<VisualizationParameters> {
   }
 
   void reset_session() override {
+    stamp_ = ros::Time();
     view_ = MapView();
     follower_ = MapFollower();
     joiner_->clear();

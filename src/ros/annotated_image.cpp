@@ -87,6 +87,7 @@ core::Status annotate(const core::Frame& frame, const core::AssociationFrame& as
     if (landmark.ellipsoid && is_shown) draw_object(landmark, P_image_map, is_detected ? kThick : kThin, image);
   }
   for (const core::Association& association : associations.associations) {
+    if (!association.box.is_valid()) continue;  // out of view
     const core::Box box = core::clip(association.box, camera.width - 1, camera.height - 1);
     const cv::Point from(cvRound(box.x1), cvRound(box.y1)), to(cvRound(box.x2), cvRound(box.y2));
     const bool has_landmark = association.landmark_id >= 0;

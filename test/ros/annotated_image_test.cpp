@@ -122,6 +122,9 @@ TEST(Annotate, RefusesAnImageOfAnotherSizeAndIsQuietAboutWhatIsBehind) {
     ASSERT_TRUE(annotate(make_frame(), {}, make_view(make_sphere(3, center)), {}, &image));
     EXPECT_EQ(cv::norm(image), 0.0) << center.transpose();
   }
+  cv::Mat image = black();
+  ASSERT_TRUE(annotate(make_frame(), make_detection(-1, {}), {}, {}, &image));
+  EXPECT_EQ(cv::norm(image), 0.0) << "a box out of the lens's view";
 }
 
 TEST(Annotate, ADistortedImageIsStraightened) {

@@ -107,7 +107,7 @@ class DetectorTest(LiveTest):
     @classmethod
     def start(cls, **arguments):
         super().start(camera_info='/camera_info', detections='/detector', odometry='/odometry', points='/cloud',
-                      detection_timeout_s='0.4', pose_timeout_s='0.4', **arguments)
+                      detection_timeout_s='0.4', **{'pose_timeout_s': '0.4', **arguments})
         cls.tf, cls.tf_static = cls.publisher('/tf', TFMessage), cls.publisher('/tf_static', TFMessage, latch=True)
         cls.camera_info = cls.publisher('/camera_info', CameraInfo)
         cls.detections = cls.publisher('/detector', cls.detector_type)
@@ -326,7 +326,8 @@ class OdometryTest(DetectorTest):
     @classmethod
     def setUpClass(cls):
         camera = os.path.join(rospkg.RosPack().get_path(PACKAGE), 'config/camera/tum_fr3.yaml')
-        cls.start(pose_source='odometry', trigger='detections', use_points='true', camera=camera)
+        cls.start(pose_source='odometry', trigger='detections', use_points='true', camera=camera,
+                  pose_timeout_s='60')
         cls.odometry, cls.cloud = cls.publisher('/odometry', Odometry), cls.publisher('/cloud', PointCloud2)
         cls.wait_until_up()
 
@@ -388,7 +389,11 @@ class OdometryTest(DetectorTest):
         self.assertFalse(self.frames.at(1.107).has_points)
         self.assert_counted('PoseFrontend', 'unusable points')
         self.see(1.207)
+        self.show_points(1.307)
+        self.see(1.307)
         self.assert_status(1.207, FrameDone.STATUS_PROCESSED)
+        self.assertFalse(self.frames.at(1.207).has_points, 'a later cloud is there')
+        self.assertTrue(self.frames.at(1.307).has_points)
         self.assert_counted('PoseFrontend', 'images without points')
 
 

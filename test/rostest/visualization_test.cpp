@@ -171,6 +171,16 @@ TEST_F(Visualization, WhoComesLateHasEveryLoopAndItsMoves) {
   EXPECT_TRUE(late.wait_for([](const LoopMap& m) { return m.loops[0].query.x == 0.5 && !m.loops[0].kept; }));
 }
 
+TEST_F(Visualization, WhatANewSessionShowsHasNoStampOfTheOneBefore) {
+  Last<LoopMap> map("loop_map");
+  ASSERT_TRUE(map.wait_for([](const LoopMap& m) { return m.header.stamp == ros::Time(1.0); }));
+  SessionControl start;
+  start.session_id = 2;
+  start.command = SessionControl::COMMAND_START;
+  control_.publish(start);
+  EXPECT_TRUE(map.wait_for([](const LoopMap& m) { return m.header.stamp.isZero(); }));
+}
+
 TEST(LazyPublisher, IsDueForWhoComesInTheOthersPlace) {
   ros::NodeHandle node;
   LazyPublisher publisher;
