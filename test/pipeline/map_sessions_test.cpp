@@ -52,7 +52,7 @@ double ate_m(const MapState& map, const Recording& recording) {
 class MapSessions : public ::testing::Test {
  protected:
   void SetUp() override {
-    if (!shared_data("tum/fr3_office/orbslam2_rgbd_trajectory.txt")) {
+    if (!shared_data("tum/fr2_desk/orbslam2_rgbd_trajectory.txt") || !shared_data("tum/fr3_office/detections_yolov3")) {
       GTEST_SKIP() << "no recorded trajectories in SEMANTIC_TOPO_LOOP_DATA";
     }
   }
