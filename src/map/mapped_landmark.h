@@ -191,6 +191,7 @@ struct LandmarkRecord {
 
 struct MappedLandmark : LandmarkRecord {
   std::vector<Observation> observations;  ///< bounded: thinned when too many, where most are
+  double seen_at_s = 0.0;                 ///< when it had its last box, in the time that somebody looked this session
 };
 
 /// The corrected keyframes and the camera: what turns observations into views.

@@ -234,6 +234,7 @@ void MergeHistory::join(const KeyframePlaces& S_map_keyframe, MappedLandmark mer
     survivor->sightings.missed_since_s = merged.sightings.missed_since_s;
     survivor->sightings.seen_through_since_s = merged.sightings.seen_through_since_s;
     survivor->last_stamp_ns = merged.last_stamp_ns;
+    survivor->seen_at_s = merged.seen_at_s;
   }
   survivor->seen_from.add(merged.seen_from);
   survivor->was_confirmed = survivor->was_confirmed || merged.was_confirmed;

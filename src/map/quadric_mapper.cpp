@@ -53,6 +53,11 @@ void thin(std::vector<Observation>* observations) {
   }
 }
 
+struct Break {
+  std::int64_t keyframe_id = -1;  ///< the first after it
+  std::int64_t stamp_ns = 0;
+};
+
 }  // namespace
 
 struct QuadricMapper::Impl {
@@ -69,7 +74,7 @@ struct QuadricMapper::Impl {
     if (frame.is_end) {
       end_frame_id_ = frame.frame_id;
     } else {
-      if (frame.is_break) break_ns_ = frame.stamp_ns;
+      if (frame.is_break) breaks_.push_back({frame.keyframe_id, frame.stamp_ns});
       take_camera(frame.camera);
       add_keyframe(frame);
       blur_.push(frame);
@@ -109,7 +114,7 @@ struct QuadricMapper::Impl {
     T_map_odom_ = correction.T_map_odom;
     scale_ = correction.scale;
     if (correction.changed) {
-      break_ns_.reset();
+      forget_breaks(correction.loops);
       KeyframePlaces before;  // of those that landmarks move with
       for (const auto& [id, landmark] : landmarks_) {
         const auto anchor = S_map_keyframe_.find(landmark.state.anchor_keyframe_id);
@@ -173,10 +178,11 @@ struct QuadricMapper::Impl {
     for (const KeyframePose& keyframe : keyframes) {
       T_odom_keyframe_[keyframe.keyframe_id] = keyframe.T_map_camera;
       S_map_keyframe_[keyframe.keyframe_id] = Sim3(keyframe.T_map_camera, keyframe.scale);
-      map_end_ns_ = keyframe.stamp_ns;
     }
+    const std::int64_t map_end_ns = keyframes.empty() ? 0 : keyframes.back().stamp_ns;
     forget_gone_neighbours(&state.landmarks);
     for (MappedLandmark& landmark : state.landmarks) {
+      landmark.seen_at_s = -1e-9 * static_cast<double>(std::max<std::int64_t>(0, map_end_ns - landmark.last_stamp_ns));
       changed_.insert(landmark.state.id);
       landmark.was_confirmed = landmark.state.state == LandmarkState::kConfirmed;
       if (landmark.state.state == LandmarkState::kRetired) {
@@ -190,6 +196,17 @@ struct QuadricMapper::Impl {
     }
     end_update(&update);
     return update;
+  }
+
+  /// Where a loop leads over a break, a correction has told how its two sides lie.
+  void forget_breaks(const std::vector<LoopVerdict>& loops) {
+    const auto is_joined = [&loops](const Break& b) {
+      return std::any_of(loops.begin(), loops.end(), [&b](const LoopVerdict& loop) {
+        const auto [first, last] = std::minmax(loop.match_keyframe_id, loop.query_keyframe_id);
+        return loop.kept && first < b.keyframe_id && b.keyframe_id <= last;
+      });
+    };
+    breaks_.erase(std::remove_if(breaks_.begin(), breaks_.end(), is_joined), breaks_.end());
   }
 
   /// Boxes are kept in the pixels of one camera.
@@ -216,7 +233,7 @@ struct QuadricMapper::Impl {
     const double since_s = last_stamp_ns_ ? 1e-9 * static_cast<double>(stamp_ns - *last_stamp_ns_) : 0.0;
     step_s_ = std::clamp(since_s, 0.0, kStepMax_s);
     if (!last_stamp_ns_ || stamp_ns < last_maintenance_ns_) last_maintenance_ns_ = stamp_ns;
-    if (!last_stamp_ns_) first_stamp_ns_ = stamp_ns;
+    looked_s_ += step_s_;
     last_stamp_ns_ = stamp_ns;
   }
 
@@ -309,6 +326,7 @@ struct QuadricMapper::Impl {
       landmark.state.observations += 1;
       landmark.state.count_class(association.class_id);
       landmark.last_stamp_ns = frame.stamp_ns;
+      landmark.seen_at_s = looked_s_;
       changed_.insert(id);
     }
     count_side_by_side(associations);
@@ -331,7 +349,7 @@ struct QuadricMapper::Impl {
     for (const ExpectedLandmark& expected : expected_landmarks(landmarks_, frame, points, T_map_camera, associations)) {
       MappedLandmark& landmark = landmarks_.at(expected.id);
       // Where the camera is to what it saw before a break is not known.
-      if (break_ns_ && landmark.last_stamp_ns < *break_ns_) continue;
+      if (!breaks_.empty() && landmark.last_stamp_ns < breaks_.back().stamp_ns) continue;
       const Vec3 direction = landmark.state.ellipsoid->center() - T_map_camera.t;
       // A box that is missing in a blurred image tells little, and nothing where nothing at all was detected: that is
       // rather the detector's fault. Depth tells as much as ever.
@@ -398,13 +416,9 @@ struct QuadricMapper::Impl {
 
   /// Those that went unseen until the last answer: while nobody looks, as between two sessions, none grows older.
   void forget_stale_candidates(MapUpdate* update) {
-    if (!last_stamp_ns_) return;
     for (auto next = landmarks_.begin(); next != landmarks_.end();) {
       const auto& [id, landmark] = *next++;
-      const bool is_of_session = first_stamp_ns_ <= landmark.last_stamp_ns && landmark.last_stamp_ns <= *last_stamp_ns_;
-      const std::int64_t before_ns = std::max(std::int64_t{0}, map_end_ns_ - landmark.last_stamp_ns);
-      const std::int64_t since_ns = is_of_session ? landmark.last_stamp_ns : first_stamp_ns_ - before_ns;
-      const double unseen_s = 1e-9 * static_cast<double>(*last_stamp_ns_ - since_ns);
+      const double unseen_s = looked_s_ - landmark.seen_at_s;
       const bool is_short = landmark.sightings.seen_s < options_.forget_candidate_seen_s;
       // Retired, but never an object: what was carried through the view, say.
       const bool is_candidate =
@@ -596,10 +610,9 @@ struct QuadricMapper::Impl {
   LandmarkFitter fitter_;
   DuplicateTest duplicates_;
   std::optional<std::int64_t> last_stamp_ns_;  ///< of the answer before
-  std::int64_t first_stamp_ns_ = 0;            ///< of this session's first answer
-  std::int64_t map_end_ns_ = 0;                ///< of the last keyframe of the sessions before
+  double looked_s_ = 0.0;                      ///< of this session, the time that its answers stand for
   std::int64_t last_maintenance_ns_ = 0;
-  std::optional<std::int64_t> break_ns_;  ///< of the odometry, and nothing was corrected since
+  std::vector<Break> breaks_;  ///< of the odometry, which no loop leads over
   bool is_fixed_ = false;
   double step_s_ = 0.0;  ///< the time that this answer stands for
   MotionBlur blur_;

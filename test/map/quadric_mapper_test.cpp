@@ -453,6 +453,16 @@ TEST_F(MapperTest, WhatWasSeenBesideOneThatWasMergedDoesNotMergeEither) {
   EXPECT_EQ(update.merged[0].merged_id, 1);
 }
 
+TEST_F(MapperTest, WhileNobodyLooksNoCandidateGrowsOlder) {
+  Ellipsoid far = kCup;
+  far.T_world_quadric.t += Vec3(3.0, 3.0, 0.0);
+  for (const SE3& pose : arc(15, 1.0)) step(pose, {{0, 41, kCup}});
+  ASSERT_EQ(find(0)->state, LandmarkState::kCandidate);
+  clock_ns_ += 400'000'000'000;
+  step(arc(15, 1.0).back(), {{1, 62, far}});
+  EXPECT_NE(find(0), nullptr) << "after a pause";
+}
+
 TEST_F(MapperTest, StaleCandidateIsGivenUp) {
   step(arc(2, 1.0)[0], {{0, 41, kCup}});
   std::vector<std::int64_t> removed;
@@ -690,8 +700,16 @@ TEST_F(MapperTest, WhatWasSeenBeforeABreakIsNotMissedBeforeACorrectionSaysWhereI
   is_break_ = true;  // elsewhere, and the odometry counts on as if it were here
   for (int i = 0; i < 600; ++i) step(poses[static_cast<std::size_t>(i % 120)], {{1, 73, book}});
   EXPECT_EQ(find(0)->state, LandmarkState::kConfirmed);
+  const std::int64_t first = keyframes_.front().keyframe_id, last = keyframes_.back().keyframe_id;
   MapCorrection correction;
   correction.changed = true;
+  for (const LoopVerdict& loop : {LoopVerdict{0, first + 1, first, true}, LoopVerdict{1, last, first, false}}) {
+    correction.loops = {loop};
+    mapper_.apply(correction);
+    for (int i = 0; i < 600; ++i) step(poses[static_cast<std::size_t>(i % 120)], {{1, 73, book}});
+    EXPECT_EQ(find(0)->state, LandmarkState::kConfirmed) << "no loop that is kept leads over the break";
+  }
+  correction.loops = {{1, last, first, true}};
   mapper_.apply(correction);
   for (int i = 0; i < 600; ++i) step(poses[static_cast<std::size_t>(i % 120)], {{1, 73, book}});
   EXPECT_EQ(find(0)->state, LandmarkState::kRetired);
