@@ -41,7 +41,7 @@ double share_of_points_in_box(const std::vector<Vec3>& points_map, const Mat34& 
 }
 
 bool is_in_previous_frame(const AssociationContext& context, const Track& track) {
-  return track.last_answer == context.answer - 1;
+  return track.last_answer == context.answer - 1 && track.last_answer >= context.first_answer;
 }
 
 constexpr double kReachFloor_m = 0.15;  // of depth's place of an object about the centre of its landmark, for a thing

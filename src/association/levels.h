@@ -38,8 +38,9 @@ struct AssociationContext {
   const AssociatorOptions& options;
   const ClassTable& classes;
   const Frame* frame = nullptr;
-  std::int64_t answer = -1;  ///< which of the detector's answers this is, counted from 0
-  double interval_s = 0.0;   ///< since the answer before
+  std::int64_t answer = -1;       ///< which of the detector's answers this is, counted from 0
+  std::int64_t first_answer = 0;  ///< since a break or a long pause: boxes of earlier ones tell no place
+  double interval_s = 0.0;        ///< since the answer before
   Mat34 P_image_map = Mat34::Zero();
   Box image = {};  ///< of the frame's camera, undistorted
   std::vector<PreparedDetection> detections = {};

@@ -24,6 +24,7 @@ constexpr double kMinProjection_px = 2.0;  // of either side: no detector boxes 
 /// Twice the default of mapping.forget_unconfirmed_s, after which the map gives up itself what it has taken up.
 constexpr std::int64_t kGiveUpAfter_ns = 600'000'000'000, kGiveUpInterval_ns = 60'000'000'000;
 constexpr int kNoTrack = -1;                      // as assign_max has it
+constexpr double kLongestPause_s = 10.0;          // between answers: no detector is slower, and a robot is elsewhere
 constexpr double kProvisionalBaseline_deg = 3.0;  // with less parallax, boxes cannot have corrected a wrong depth
 
 /// Splits "2d,pro,3d"; nullopt for a name that is no level.
@@ -72,12 +73,16 @@ struct ObjectAssociator::Impl {
     return result;
   }
 
-  AssociationFrame begin(const Frame& frame) const {
+  AssociationFrame begin(const Frame& frame) {
+    if (frame.is_break) forget_boxes();
     AssociationFrame result;
     result.frame_id = frame.frame_id;
     result.map_version = map_version_;
     return result;
   }
+
+  /// No track's last box tells any longer where it may be; what the map says of it stays.
+  void forget_boxes() { context_.first_answer = context_.answer + 1; }
 
   bool apply(const MapUpdate& update) {
     if (update.base_version != map_version_) return false;
@@ -171,8 +176,9 @@ struct ObjectAssociator::Impl {
     context.detections.clear();
     context.tracks.clear();
     context.frame = &frame;
-    ++context.answer;
     context.interval_s = last_stamp_ns_ ? 1e-9 * static_cast<double>(frame.stamp_ns - *last_stamp_ns_) : 0.0;
+    if (context.interval_s > kLongestPause_s) forget_boxes();
+    ++context.answer;
     const SE3 T_map_camera = T_map_odom_ * frame.T_odom_camera;
     context.P_image_map = projection_matrix(frame.camera, T_map_camera);
     context.image = frame.camera.image();
@@ -275,8 +281,9 @@ struct ObjectAssociator::Impl {
 
   bool is_recent(const Track& track, const Frame& frame) const {
     constexpr std::int64_t kAnswers = 2;  // one missed, however slow the detector
-    return context_.answer - track.last_answer <= kAnswers ||
-           frame.stamp_ns - track.last_stamp_ns <= static_cast<std::int64_t>(options_.memory_s * 1e9);
+    return track.last_answer >= context_.first_answer &&
+           (context_.answer - track.last_answer <= kAnswers ||
+            frame.stamp_ns - track.last_stamp_ns <= static_cast<std::int64_t>(options_.memory_s * 1e9));
   }
 
   /// Indices into context.tracks by detection, kNoTrack for those that start a track.
@@ -410,6 +417,9 @@ AssociationFrame ObjectAssociator::pass(const Frame& frame) {
   AssociationFrame result = impl_->begin(frame);
   result.unanswered = true;
   return result;
+}
+void ObjectAssociator::count_from(std::int64_t landmark_id) {
+  impl_->next_id_ = std::max(impl_->next_id_, landmark_id);
 }
 bool ObjectAssociator::apply(const MapUpdate& update) { return impl_->apply(update); }
 std::uint64_t ObjectAssociator::map_version() const { return impl_->map_version_; }

