@@ -65,6 +65,7 @@ struct LoopDetector::Impl {
                                     [&found](const auto& entry) { return entry.second.stamp_ns <= found.stamp_ns; });
     const auto query = keyframes_.find(frame.keyframe_id);
     if (match == keyframes_.rend() || query == keyframes_.end() || match->first == query->first) return std::nullopt;
+    if (match->first < first_keyframe_id_) return std::nullopt;  // another session's clock
     LoopClosure loop;
     loop.query_keyframe_id = query->first;
     loop.match_keyframe_id = match->first;

@@ -33,11 +33,8 @@ class LoopDetectionNodelet : public StageWith<LoopDetectionParameters> {
   void onInit() override {
     if (!start(2)) return;
     // A break, and what the odometry's source found, are told by one frame alone, whose boxes may get lost.
-    joiner_ = std::make_unique<Joiner>(queue_capacity(), [this](std::int64_t frame_id, const Joiner::Partial& partial) {
-      core::AssociationFrame unseen;
-      unseen.frame_id = frame_id;
-      unseen.unanswered = true;
-      if (const auto& frame = std::get<0>(partial)) detect(**frame, unseen);
+    joiner_ = std::make_unique<Joiner>(queue_capacity(), [this](std::int64_t id, const Joiner::Partial& partial) {
+      if (const auto& frame = std::get<0>(partial)) detect(**frame, core::AssociationFrame::without_answer(id));
     });
     publisher_ = advertise<LoopsMessage>("loop_closures");
     for (const char* counter : {kIncomplete, kAccepted}) statistics().count(counter, 0);

@@ -28,7 +28,10 @@ class ObjectAssociationNodelet : public StageWith<ClassStageParameters> {
 
   void onInit() override {
     if (!start(2)) return;
-    joiner_ = std::make_unique<Joiner>(queue_capacity());
+    // A break is told by one frame alone, whose boxes may get lost.
+    joiner_ = std::make_unique<Joiner>(queue_capacity(), [this](std::int64_t, const Joiner::Partial& partial) {
+      if (const auto& frame = std::get<0>(partial)) send(**frame, associator_->pass(**frame));
+    });
     associations_publisher_ = advertise<AssociationsMessage>("associations");
     done_publisher_ = advertise_done();
     for (const char* counter : {kIncomplete, kVersionGaps}) statistics().count(counter, 0);
@@ -36,7 +39,7 @@ class ObjectAssociationNodelet : public StageWith<ClassStageParameters> {
     serve_settings(&options_.association, [this] { associator_->set_options(options_.association); });
     subscribe("quadric_map_updates", Keep::kAlways, &ObjectAssociationNodelet::on_update);
     subscribe("detections", Keep::kDroppable, &ObjectAssociationNodelet::on_detections);
-    subscribe("frames", Keep::kDroppable, &ObjectAssociationNodelet::on_frame);
+    subscribe("frames", Keep::kAlways, &ObjectAssociationNodelet::on_frame);
     follow_sessions();
   }
 
@@ -57,7 +60,10 @@ class ObjectAssociationNodelet : public StageWith<ClassStageParameters> {
   void on_frame(const FrameMessage::ConstPtr& frame) {
     open_[frame->frame_id] = {frame->header.stamp, frame->is_end, false};
     if (!has_frames_ && frame->frame_id > first_frame_id_) {
-      follower_.join_late();  // landmark ids may have been given out before this nodelet was loaded
+      // Ids were given out before this nodelet was loaded, some to landmarks that the map has merged since.
+      constexpr std::int64_t kMostPerFrame = 1000;
+      associator_->count_from(kMostPerFrame * frame->frame_id);
+      follower_.join_late();
       take_over({});
     }
     has_frames_ = true;
@@ -72,10 +78,13 @@ class ObjectAssociationNodelet : public StageWith<ClassStageParameters> {
     statistics().set_lost(kIncomplete, joiner_->evicted());
     if (!joined) return;
     const auto& [frame, detections] = *joined;
-    core::AssociationFrame associations =
-        detections->unanswered ? associator_->pass(*frame) : associator_->associate(*frame, detections->detections);
     open_[frame->frame_id].associated = true;
-    publish<AssociationsMessage>(associations_publisher_, make_header(frame->header.stamp, frame->camera_frame),
+    send(*frame,
+         detections->unanswered ? associator_->pass(*frame) : associator_->associate(*frame, detections->detections));
+  }
+
+  void send(const FrameMessage& frame, core::AssociationFrame associations) {
+    publish<AssociationsMessage>(associations_publisher_, make_header(frame.header.stamp, frame.camera_frame),
                                  std::move(associations));
     count_processed();
   }

@@ -31,7 +31,10 @@ class QuadricMappingNodelet : public StageWith<QuadricMappingParameters> {
 
   void onInit() override {
     if (!start(2)) return;
-    joiner_ = std::make_unique<Joiner>(queue_capacity());
+    // A break, and the keyframe that later boxes hang on, are told by one frame alone, whose boxes may get lost.
+    joiner_ = std::make_unique<Joiner>(queue_capacity(), [this](std::int64_t id, const Joiner::Partial& partial) {
+      if (const auto& frame = std::get<0>(partial)) integrate(**frame, core::AssociationFrame::without_answer(id));
+    });
     update_publisher_ = advertise<MapUpdateMessage>("quadric_map_updates");
     map_publisher_ = advertise<MapMessage>("quadric_map", true);
     statistics().count(kIncomplete, 0);
@@ -41,7 +44,7 @@ class QuadricMappingNodelet : public StageWith<QuadricMappingParameters> {
     serve_settings(&options_.mapping, [this] { mapper_->set_options(options_.mapping); });
     subscribe("map_corrections", Keep::kAlways, &QuadricMappingNodelet::on_correction);
     subscribe("associations", Keep::kDroppable, &QuadricMappingNodelet::on_associations);
-    subscribe("frames", Keep::kDroppable, &QuadricMappingNodelet::on_frame);
+    subscribe("frames", Keep::kAlways, &QuadricMappingNodelet::on_frame);
     start_timer(kFullMapPeriodS, [this] { publish_map(); });
     follow_sessions();
   }
@@ -111,18 +114,22 @@ class QuadricMappingNodelet : public StageWith<QuadricMappingParameters> {
     return request.since.isZero() || mapper_->last_seen_ns(landmark.id) >= to_stamp_ns(request.since);
   }
 
-  void on_frame(const FrameMessage::ConstPtr& frame) { integrate(joiner_->add<0>(frame->frame_id, frame)); }
-
-  void on_associations(const AssociationsMessage::ConstPtr& associations) {
-    integrate(joiner_->add<1>(associations->frame_id, associations));
+  void on_frame(const FrameMessage::ConstPtr& frame) {
+    if (frame->is_end) map_parts_.set_end(frame->frame_id);
+    take(joiner_->add<0>(frame->frame_id, frame));
   }
 
-  void integrate(const std::optional<std::tuple<FrameMessage::ConstPtr, AssociationsMessage::ConstPtr>>& joined) {
+  void on_associations(const AssociationsMessage::ConstPtr& associations) {
+    take(joiner_->add<1>(associations->frame_id, associations));
+  }
+
+  void take(const std::optional<Joiner::Set>& joined) {
     statistics().set_lost(kIncomplete, joiner_->evicted());
-    if (!joined) return;
-    const auto& [frame, associations] = *joined;
-    if (frame->is_end) map_parts_.set_end(frame->frame_id);
-    publish(mapper_->integrate(*frame, *associations), frame->header.stamp);
+    if (joined) integrate(*std::get<0>(*joined), *std::get<1>(*joined));
+  }
+
+  void integrate(const FrameMessage& frame, const core::AssociationFrame& associations) {
+    publish(mapper_->integrate(frame, associations), frame.header.stamp);
     count_processed();
   }
 

@@ -134,6 +134,20 @@ TEST(LoopDetector, WhatTheSourceFoundRestsOnNothingOfAnEarlierSession) {
   EXPECT_EQ(loops[0].match_end, 10 * (kBefore + 2));
 }
 
+TEST(LoopDetector, WhatTheSourceFoundLeadsToNoEarlierSession) {
+  LoopDetector detector(LoopOptions(), std::make_shared<const ClassTable>());
+  detector.restore({}, {{0, 0, 1'000'000'000, {}}, {1, 10, 2'000'000'000, {}}}, {});
+  Frame frame;
+  frame.is_keyframe = true;
+  for (const std::int64_t id : {2, 3}) {
+    frame.frame_id = 10 * id;
+    frame.keyframe_id = id;
+    frame.stamp_ns = id * 1'000'000'000;
+    frame.source_loop = SourceLoop{1'000'000'000, {}, Mat6::Identity(), 80};  // of before this stage was loaded
+    EXPECT_TRUE(detector.detect(frame, {}).empty());
+  }
+}
+
 TEST(LoopDetector, PassesOnWhatTheOdometrysSourceFound) {
   const SE3 T_odom_match(so3_exp(Vec3(0.1, 0.2, -0.3)), Vec3(1.0, 2.0, 3.0));
   const SE3 T_match_image(so3_exp(Vec3(0.0, 0.05, 0.0)), Vec3(0.02, 0.0, 0.03));  // of the image that was found again
@@ -317,10 +331,7 @@ std::map<std::int64_t, SolvedMotion> motions_along_a_desk(LoopDetector* detector
     const auto frame = builder.build({1'000'000'000 + k * 100'000'000, drift * pose});
     if (frame->is_keyframe) keyframes->push_back(pose);
     AssociationFrame seen = testing::observe(desk, *frame, pose, 0, random);
-    if (k % answered_every != 0) {
-      seen.associations.clear();
-      seen.unanswered = true;
-    }
+    if (k % answered_every != 0) seen = AssociationFrame::without_answer(frame->frame_id);
     detector->detect(*frame, seen);
     for (const SolvedMotion& motion : detector->motions()) motions[motion.from_keyframe_id] = motion;
   }
@@ -414,10 +425,7 @@ std::int64_t last_begin_after_a_turn(bool camera_turns, int frames = 420, std::i
     const SE3 T_odom_camera = time_s < 7.0 ? pose : pose * turn;
     const auto frame = builder.build({std::llround(1e9 * (1.0 + time_s)), T_odom_camera});
     AssociationFrame seen = testing::observe(desk, *frame, camera_turns ? T_odom_camera : pose, 0, random);
-    if ((k + 5) % answered_every != 0) {
-      seen.associations.clear();
-      seen.unanswered = true;
-    }
+    if ((k + 5) % answered_every != 0) seen = AssociationFrame::without_answer(frame->frame_id);
     detector.detect(*frame, seen);
   }
   const std::vector<LocalMap> submaps = detector.submaps();

@@ -1,5 +1,5 @@
 // What PoseGraph makes of loops: corrections and tf, of loops that come late or from outside, of one that is withdrawn
-// by service, and of a new session; and that LoopDetection tells of each frame, with its boxes or without.
+// by service, and of a new session; and that no stage misses a frame whose boxes are lost.
 #include <nav_msgs/Path.h>
 #include <tf2_msgs/TFMessage.h>
 
@@ -13,6 +13,7 @@
 
 #include "ros/conversions.h"
 #include "semantic_topo_loop/ExternalLoop.h"
+#include "semantic_topo_loop/QueryObjects.h"
 #include "semantic_topo_loop/SessionAck.h"
 #include "semantic_topo_loop/SessionControl.h"
 #include "semantic_topo_loop/WithdrawLoop.h"
@@ -313,6 +314,78 @@ TEST(LoopDetection, HearsOfAFrameWhoseBoxesAreLost) {
   ASSERT_EQ(heard.count(kLost), 1U);
   ASSERT_EQ(heard[kLost]->closures.size(), 1U) << "what the odometry's source found";
   EXPECT_EQ(heard[kLost]->closures[0].match_frame, 0);
+  chain.unload_all();
+}
+
+TEST(QuadricMapping, TakesUpBoxesInAKeyframeWhoseOwnAreLost) {
+  InProcessChain chain;
+  chain.load_correction();
+  Feed feed;
+  ASSERT_TRUE(feed.start_session());
+  core::Frame frame = first_frame(10.0);
+  frame.camera = {500.0, 500.0, 319.5, 239.5, 640, 480, {}};
+  feed.begin_step(frame, {});
+  const auto go_on = [&frame](bool is_keyframe) {
+    ++frame.frame_id;
+    frame.stamp_ns += 100'000'000;
+    frame.is_keyframe = is_keyframe;
+    frame.keyframe_id += is_keyframe ? 1 : 0;
+  };
+  go_on(true);
+  feed.publish_frame(frame);  // and no boxes
+  core::AssociationFrame cup;
+  cup.associations.resize(1);
+  cup.associations[0].landmark_id = 7;
+  cup.associations[0].class_id = cup.associations[0].landmark_class_id = 41;
+  cup.associations[0].box = {300.0, 200.0, 340.0, 260.0};
+  cup.associations[0].score = 0.9;
+  go_on(false);
+  feed.begin_step(frame, cup);
+  EXPECT_FALSE(feed.is_stuck());
+  QueryObjects query;
+  ASSERT_TRUE(ros::service::call("/quadric_mapping/query_objects", query));
+  ASSERT_EQ(query.response.objects.size(), 1U) << query.response.message;
+  EXPECT_EQ(query.response.objects[0].id, 7);
+  chain.unload_all();
+}
+
+TEST(ObjectAssociation, LoadedInMidStreamPassesAFrameOnWhoseDetectionsAreLost) {
+  InProcessChain chain;
+  chain.load("object_association", "ObjectAssociation");
+  Feed feed;
+  std::mutex mutex;
+  std::vector<AssociationsMessage::ConstPtr> heard;
+  ros::NodeHandle node;
+  const boost::function<void(const AssociationsMessage::ConstPtr&)> take = [&](const auto& associations) {
+    const std::lock_guard<std::mutex> lock(mutex);
+    heard.push_back(associations);
+  };
+  const ros::Subscriber subscriber = node.subscribe<AssociationsMessage>("associations", 10, take);
+  ros::Publisher detections = node.advertise<DetectionsMessage>("detections", 10);
+  ASSERT_TRUE(feed.start_session(kSession, 1));
+  constexpr std::int64_t kFirst = 90, kFrames = 4, kLost = 2;
+  for (std::int64_t i = 0; i < kFrames; ++i) {
+    core::Frame frame = first_frame(10.0 + 0.1 * static_cast<double>(i));
+    frame.frame_id = kFirst + i;
+    frame.is_keyframe = i == 0;
+    frame.camera = {500.0, 500.0, 319.5, 239.5, 640, 480, {}};
+    feed.publish_frame(frame);
+    if (i == kLost) continue;
+    DetectionsMessage seen(make_header(to_ros_time(frame.stamp_ns), "odom"), kSession, {});
+    seen.frame_id = frame.frame_id;
+    seen.detections = {{41, 0.9, {300.0, 200.0, 340.0, 260.0}}};
+    detections.publish(seen);
+  }
+  EXPECT_TRUE(wait_until([&] {
+    const std::lock_guard<std::mutex> lock(mutex);
+    return heard.size() == kFrames;
+  }));
+  const std::lock_guard<std::mutex> lock(mutex);
+  for (std::size_t i = 0; i < heard.size(); ++i) {
+    EXPECT_EQ(heard[i]->frame_id, kFirst + static_cast<std::int64_t>(i));
+    EXPECT_EQ(heard[i]->unanswered, i == kLost);
+  }
+  EXPECT_GT(heard.at(0)->associations.at(0).landmark_id, 10 * kFirst) << "ids were given out before it was loaded";
   chain.unload_all();
 }
 

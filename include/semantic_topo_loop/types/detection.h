@@ -58,6 +58,14 @@ struct AssociationFrame {
   std::uint64_t map_version = 0;          ///< of the quadric map that was associated against
   std::vector<Association> associations;  ///< in order of detection_index, every detection once
   double duration_us = 0.0;
+
+  /// Of a frame that nothing is known of but its pose.
+  static AssociationFrame without_answer(std::int64_t frame_id) {
+    AssociationFrame result;
+    result.frame_id = frame_id;
+    result.unanswered = true;
+    return result;
+  }
 };
 
 }  // namespace semantic_topo_loop::core
