@@ -133,7 +133,7 @@ struct OpenFrame {
   bool is_break = false;
   AssociationFrame associations;
   std::vector<LoopClosure> loops;
-  std::optional<SE3> T_map_odom;  ///< after its correction
+  std::optional<std::pair<SE3, SE3>> T_map_odom;  ///< before and after its correction
   double mapping_us = 0.0, loop_us = 0.0, optimise_us = 0.0;
   std::optional<Memory> memory;  ///< once a second
 };
@@ -205,7 +205,7 @@ class FileRecorder : public RunRecorder {
 
   void record(const MapCorrection& correction) override {
     open_[correction.frame_id].optimise_us = correction.duration_us;
-    open_[correction.frame_id].T_map_odom = correction.T_map_odom;
+    open_[correction.frame_id].T_map_odom = {correction.T_map_odom_old, correction.T_map_odom};
     if (correction.frame_id >= last_T_map_odom_.first) last_T_map_odom_ = {correction.frame_id, correction.T_map_odom};
     if (!correction.changed) return;
     ++corrections_;
@@ -287,9 +287,10 @@ class FileRecorder : public RunRecorder {
   }
 
  private:
-  /// The frame's rows.   @param T_map_odom before its own correction, what a live user had; then after it
+  /// The frame's rows.   @param T_map_odom after the frame before; then after this one
   Rows rows_of(std::int64_t frame_id, const OpenFrame& frame, SE3* T_map_odom) const {
     Rows rows;
+    if (frame.T_map_odom) *T_map_odom = frame.T_map_odom->first;  // what a live user had
     if (frame.place) {
       rows[kLivePoses] = format_tum_pose({frame.place->stamp_ns, *T_map_odom * frame.T_odom_live}) + '\n';
       constexpr int kMicrosecondDecimals = 1;
@@ -302,7 +303,7 @@ class FileRecorder : public RunRecorder {
       rows[kMemory] =
           csv_row(frame_id, format_fixed(frame.memory->resident_mb, 1), format_fixed(frame.memory->peak_mb, 1));
     }
-    if (frame.T_map_odom) *T_map_odom = *frame.T_map_odom;
+    if (frame.T_map_odom) *T_map_odom = frame.T_map_odom->second;
     for (const LoopClosure& loop : frame.loops) {
       rows[loop.T_earlier_match ? kRelocalisations : kLoops] += table_row(loop);
       if (loop.accepted && !loop.T_earlier_match) rows[kLoopObjects] += loop_object_rows(loop, *classes_);

@@ -50,6 +50,7 @@ KeyframePoints reduced(const KeyframePoints& points, const PointMapOptions& opti
 }
 
 void PointMap::add(const Frame& frame) {
+  if (begin_at_) T_map_odom_.t = *std::exchange(begin_at_, std::nullopt) - frame.T_odom_camera.t;
   if (!frame.is_keyframe || !frame.keyframe_points || keyframes_.count(frame.keyframe_id) != 0) return;
   Keyframe keyframe;
   keyframe.T_odom_camera = frame.T_odom_camera;
@@ -74,6 +75,7 @@ void PointMap::insert(std::int64_t keyframe_id, Keyframe keyframe) {
 
 void PointMap::apply(const MapCorrection& correction) {
   T_map_odom_ = correction.T_map_odom;
+  begin_at_.reset();
   scale_ = correction.scale;
   if (!correction.changed) return;
   for (const KeyframePose& pose : correction.keyframes) {

@@ -55,7 +55,7 @@ void thin(std::vector<Observation>* observations) {
 
 struct Break {
   std::int64_t keyframe_id = -1;  ///< the first after it
-  std::int64_t stamp_ns = 0;
+  double looked_s = 0.0;          ///< when it was, in the time that somebody looked this session
 };
 
 }  // namespace
@@ -74,7 +74,8 @@ struct QuadricMapper::Impl {
     if (frame.is_end) {
       end_frame_id_ = frame.frame_id;
     } else {
-      if (frame.is_break) breaks_.push_back({frame.keyframe_id, frame.stamp_ns});
+      if (frame.is_break || begin_at_) breaks_.push_back({frame.keyframe_id, looked_s_});
+      if (begin_at_) T_map_odom_.t = *std::exchange(begin_at_, std::nullopt) - frame.T_odom_camera.t;
       take_camera(frame.camera);
       add_keyframe(frame);
       blur_.push(frame);
@@ -130,7 +131,7 @@ struct QuadricMapper::Impl {
       for (auto& [id, landmark] : landmarks_) move(before, &landmark);
       undo_wrong_merges(&update);
       // The map's frame moved even if no landmark did.
-      update.map_version = ++map_version_;
+      ++map_version_;
     }
     if (correction.frame_id == end_frame_id_ && !is_fixed_) finish(&update);
     end_update(&update);
@@ -170,11 +171,14 @@ struct QuadricMapper::Impl {
     return delta;
   }
 
-  MapUpdate restore(MapperState state, const std::vector<KeyframePose>& keyframes, const SE3& T_map_odom) {
+  MapUpdate restore(MapperState state, const std::vector<KeyframePose>& keyframes,
+                    const std::optional<Vec3>& begin_at) {
+    constexpr double kNowhere_m = 1e6;
     MapUpdate update = begin_update(-1, MapUpdatePhase::kCorrection);
     camera_ = state.camera;
     merge_log_.restore(state.merges);
-    T_map_odom_ = T_map_odom;
+    begin_at_ = begin_at;
+    if (begin_at_) T_map_odom_.t = *begin_at_;
     for (const KeyframePose& keyframe : keyframes) {
       T_odom_keyframe_[keyframe.keyframe_id] = keyframe.T_map_camera;
       S_map_keyframe_[keyframe.keyframe_id] = Sim3(keyframe.T_map_camera, keyframe.scale);
@@ -195,6 +199,8 @@ struct QuadricMapper::Impl {
       landmarks_[landmark.state.id] = std::move(landmark);
     }
     end_update(&update);
+    // Until a frame tells where the odometry is, none of the map is in its view.
+    if (begin_at_) update.T_map_odom.t.x() = kNowhere_m;
     return update;
   }
 
@@ -244,7 +250,6 @@ struct QuadricMapper::Impl {
     update.frame_id = frame_id;
     update.phase = phase;
     update.base_version = map_version_;
-    update.map_version = map_version_;
     return update;
   }
 
@@ -266,7 +271,7 @@ struct QuadricMapper::Impl {
     }
     const bool is_new =
         !update->changed.empty() || !update->removed.empty() || !update->merged.empty() || !update->unmerged.empty();
-    if (is_new && update->map_version == map_version_ && update->base_version == map_version_) ++map_version_;
+    if (is_new && update->base_version == map_version_) ++map_version_;
     update->map_version = map_version_;
     update->T_map_odom = T_map_odom_;
   }
@@ -349,7 +354,7 @@ struct QuadricMapper::Impl {
     for (const ExpectedLandmark& expected : expected_landmarks(landmarks_, frame, points, T_map_camera, associations)) {
       MappedLandmark& landmark = landmarks_.at(expected.id);
       // Where the camera is to what it saw before a break is not known.
-      if (!breaks_.empty() && landmark.last_stamp_ns < breaks_.back().stamp_ns) continue;
+      if (!breaks_.empty() && landmark.seen_at_s <= breaks_.back().looked_s) continue;
       const Vec3 direction = landmark.state.ellipsoid->center() - T_map_camera.t;
       // A box that is missing in a blurred image tells little, and nothing where nothing at all was detected: that is
       // rather the detector's fault. Depth tells as much as ever.
@@ -599,7 +604,8 @@ struct QuadricMapper::Impl {
   std::shared_ptr<const ClassTable> classes_;
   Camera camera_;
   SE3 T_map_odom_;
-  double scale_ = 1.0;  ///< units of length of the map in one of the odometry, now
+  std::optional<Vec3> begin_at_;  ///< where the first camera is to stand, until it comes
+  double scale_ = 1.0;            ///< units of length of the map in one of the odometry, now
   KeyframePlaces S_map_keyframe_;
   std::map<std::int64_t, SE3> T_odom_keyframe_;
   std::map<std::int64_t, MappedLandmark> landmarks_;
@@ -612,7 +618,7 @@ struct QuadricMapper::Impl {
   std::optional<std::int64_t> last_stamp_ns_;  ///< of the answer before
   double looked_s_ = 0.0;                      ///< of this session, the time that its answers stand for
   std::int64_t last_maintenance_ns_ = 0;
-  std::vector<Break> breaks_;  ///< of the odometry, which no loop leads over
+  std::vector<Break> breaks_;  ///< of the odometry, which no loop leads over; the session's begin is one
   bool is_fixed_ = false;
   double step_s_ = 0.0;  ///< the time that this answer stands for
   MotionBlur blur_;
@@ -638,8 +644,9 @@ MapUpdate QuadricMapper::integrate(const Frame& frame, const AssociationFrame& a
 MapUpdate QuadricMapper::apply(const MapCorrection& correction) { return impl_->apply(correction); }
 MapperState QuadricMapper::state() const { return impl_->state(); }
 MapperDelta QuadricMapper::take_delta(bool whole) { return impl_->take_delta(whole); }
-MapUpdate QuadricMapper::restore(MapperState state, const std::vector<KeyframePose>& keyframes, const SE3& T_map_odom) {
-  return impl_->restore(std::move(state), keyframes, T_map_odom);
+MapUpdate QuadricMapper::restore(MapperState state, const std::vector<KeyframePose>& keyframes,
+                                 const std::optional<Vec3>& begin_at) {
+  return impl_->restore(std::move(state), keyframes, begin_at);
 }
 std::vector<Landmark> QuadricMapper::landmarks() const {
   std::vector<Landmark> landmarks;

@@ -110,7 +110,7 @@ std::vector<LocalMap> MapState::submaps_in_unit() const {
 }
 
 void MapState::append(MapState other) {
-  move(place_beside(*this) * place_beside(other), &other);
+  move(SE3(Quaternion::Identity(), place_beside(*this) + place_beside(other)), &other);
   const std::int64_t frames = graph.next_frame_id, keyframes = graph.next_keyframe_id();
   const std::int64_t landmarks = next_landmark_id(*this);
   for (Session& session : other.graph.sessions) session.first_keyframe_id += keyframes;
@@ -148,12 +148,12 @@ void MapState::append(MapState other) {
   }
 }
 
-SE3 place_beside(const MapState& map) {
+Vec3 place_beside(const MapState& map) {
   double reach_m = 0.0;
   for (const GraphKeyframe& keyframe : map.graph.keyframes) {
     reach_m = std::max(reach_m, keyframe.pose.T_map_camera.t.norm());
   }
-  return {Quaternion::Identity(), Vec3(reach_m + kBeside_m, 0.0, 0.0)};
+  return {reach_m + kBeside_m, 0.0, 0.0};
 }
 
 std::map<std::int64_t, AssociationFrame> boxes_in_keyframes(const MapState& map) {

@@ -62,7 +62,7 @@ class SavePoints {
 };
 
 /// Where something unplaced stands, so that nothing of the map is taken for what it shows: some way beside it, along x.
-SE3 place_beside(const MapState& map);
+Vec3 place_beside(const MapState& map);
 
 /// The boxes of its objects in the images of keyframes, by keyframe_id.
 std::map<std::int64_t, AssociationFrame> boxes_in_keyframes(const MapState& map);

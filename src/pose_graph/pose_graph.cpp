@@ -58,13 +58,13 @@ struct PoseGraph::Impl {
                         const std::vector<LoopClosure>& extra_loops) {
     MapCorrection correction;
     correction.frame_id = frame.frame_id;
-    correction.T_map_odom_old = T_map_odom_;
     last_frame_id_ = frame.frame_id;
     if (frame.is_end) {
       suspect_jumps(&trajectory_.edges);
     } else {
       add_frame(frame);
     }
+    correction.T_map_odom_old = T_map_odom_;
     for (const LoopClosure& loop : loops) add_loop(loop, false);
     for (const LoopClosure& loop : extra_loops) add_loop(loop, true);
     if (is_due(frame)) {
@@ -157,7 +157,7 @@ struct PoseGraph::Impl {
     return state;
   }
 
-  void restore(GraphState state, const SE3& T_map_odom) {
+  void restore(GraphState state, const std::optional<Vec3>& begin_at) {
     sessions_ = std::move(state.sessions);
     next_frame_id_ = state.next_frame_id;
     for (const auto& [pose, T_vertex_keyframe, T_map_live] : state.keyframes) {
@@ -178,7 +178,7 @@ struct PoseGraph::Impl {
     knowledge_.noise = std::move(state.noise);
     knowledge_.loose_factor = state.loose_factor;
     restored_ = told_keyframes_ = keyframes_.size();
-    T_map_odom_ = T_map_odom;
+    begin_at_ = begin_at;
   }
 
   /// What was learnt of the map's odometry holds for its edges; that of the session that begins is another.
@@ -220,6 +220,7 @@ struct PoseGraph::Impl {
 
   void add_frame(const Frame& frame) {
     if (!frame.T_odom_camera.is_finite()) return;
+    if (begin_at_) T_map_odom_.t = *std::exchange(begin_at_, std::nullopt) - frame.T_odom_camera.t;
     bursts_.push(frame, keyframes_.empty() ? 0 : keyframes_.size() - 1);
     last_stamp_ns_ = frame.stamp_ns;
     accumulator_.add(frame);
@@ -555,6 +556,7 @@ struct PoseGraph::Impl {
   SE3 T_odom_frame_;                       ///< of the last frame
   std::vector<double> log_scale_;  ///< of the map's unit of length over the odometry's, one a vertex; 0 unless free
   SE3 T_map_odom_;
+  std::optional<Vec3> begin_at_;  ///< where the first camera is to stand, until it comes
   GraphKnowledge knowledge_;
   std::size_t learnt_loops_ = 0, loops_since_learnt_ = 0;
   int keyframes_since_ = 0;
@@ -580,7 +582,9 @@ MapCorrection PoseGraph::process(const Frame& frame, const std::vector<LoopClosu
 }
 GraphState PoseGraph::state() const { return impl_->state(); }
 GraphDelta PoseGraph::take_delta(bool whole) { return impl_->take_delta(whole); }
-void PoseGraph::restore(GraphState state, const SE3& T_map_odom) { impl_->restore(std::move(state), T_map_odom); }
+void PoseGraph::restore(GraphState state, const std::optional<Vec3>& begin_at) {
+  impl_->restore(std::move(state), begin_at);
+}
 bool PoseGraph::withdraw(std::int64_t query_keyframe_id, std::int64_t match_keyframe_id) {
   return impl_->withdraw(query_keyframe_id, match_keyframe_id);
 }

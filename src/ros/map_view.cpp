@@ -56,15 +56,14 @@ void MapView::apply(const core::MapUpdate& update) {
     redirects_.merge(merge);
   }
   T_map_odom_ = update.T_map_odom;
+  if (!is_corrected_) compose_after(-1);  // with the first frame it is said where the session begins
 }
 
 void MapView::apply(const core::MapCorrection& correction) {
   if (!correction.changed) return;
+  is_corrected_ = true;
   T_map_odom_ = correction.T_map_odom;
-  // What is newer than the solution is composed on it.
-  for (auto it = keyframes_.upper_bound(correction.valid_to_keyframe_id); it != keyframes_.end(); ++it) {
-    it->second.T_map_camera = T_map_odom_ * it->second.T_odom_camera;
-  }
+  compose_after(correction.valid_to_keyframe_id);
   for (const core::KeyframePose& pose : correction.keyframes) {
     const auto it = keyframes_.find(pose.keyframe_id);
     if (it != keyframes_.end()) it->second.T_map_camera = pose.T_map_camera;
@@ -74,6 +73,12 @@ void MapView::apply(const core::MapCorrection& correction) {
     if (verdict.is_extra) extra_loops_[ends].kept = verdict.kept;
     const auto loop = loops_.find(ends);
     if (!verdict.is_extra && loop != loops_.end()) loop->second.kept = verdict.kept;
+  }
+}
+
+void MapView::compose_after(std::int64_t keyframe_id) {
+  for (auto it = keyframes_.upper_bound(keyframe_id); it != keyframes_.end(); ++it) {
+    it->second.T_map_camera = T_map_odom_ * it->second.T_odom_camera;
   }
 }
 

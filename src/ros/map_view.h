@@ -104,6 +104,8 @@ class MapView {
  private:
   /// Those of these ids, and of what they were merged into, that there are to show.
   std::vector<const core::Landmark*> objects_of(const std::vector<std::int64_t>& ids) const;
+  /// Where T_map_odom puts the keyframes that are newer than the solution.
+  void compose_after(std::int64_t keyframe_id);
 
   std::map<std::int64_t, core::Landmark> landmarks_;
   core::LandmarkRedirects redirects_;  ///< none of a landmark that lives
@@ -113,6 +115,7 @@ class MapView {
   std::optional<core::Frame> frame_;
   std::vector<std::int64_t> in_view_;
   core::SE3 T_map_odom_;
+  bool is_corrected_ = false;  ///< a correction has moved keyframes
 };
 
 }  // namespace semantic_topo_loop

@@ -28,6 +28,7 @@ class RunRecorderTest : public ::testing::Test {
  protected:
   RunRecorderTest() : recorder_(make_run_recorder(classes(), directory_.path(""))) {
     RandomPoses random(31);
+    T_map_odom_before_ = random.pose(1.0);
     T_map_odom_ = random.pose(1.0);
     for (int i = 0; i < 2; ++i) T_map_keyframe_.push_back(random.pose(1.0));
     for (int i = 0; i < 10; ++i) frames_.push_back(make_frame(i, random.pose(1.0)));
@@ -47,7 +48,8 @@ class RunRecorderTest : public ::testing::Test {
   MapCorrection correction(int i) const {
     MapCorrection correction;
     correction.frame_id = i;
-    if (i >= 7) correction.T_map_odom = T_map_odom_;
+    correction.T_map_odom_old = i > 7 ? T_map_odom_ : T_map_odom_before_;
+    correction.T_map_odom = i >= 7 ? T_map_odom_ : T_map_odom_before_;
     if (i != 7) return correction;
     correction.changed = true;
     for (int k = 0; k < 2; ++k) {
@@ -79,6 +81,7 @@ class RunRecorderTest : public ::testing::Test {
   TestDirectory directory_;
   std::unique_ptr<RunRecorder> recorder_;
   std::vector<Frame> frames_;
+  SE3 T_map_odom_before_;  ///< of a session that goes on with a map
   SE3 T_map_odom_;
   std::vector<SE3> T_map_keyframe_;
 };
@@ -126,7 +129,7 @@ TEST_F(RunRecorderTest, LivePosesUseTheCorrectionBeforeTheFrame) {
   const StampedPoses live = poses("trajectory_live.txt");
   ASSERT_EQ(live.size(), 10u);
   for (std::size_t i = 0; i < 10; ++i) {
-    expect_pose(live[i].T_world_camera, (i > 7 ? T_map_odom_ : SE3()) * frames_[i].T_odom_camera);
+    expect_pose(live[i].T_world_camera, (i > 7 ? T_map_odom_ : T_map_odom_before_) * frames_[i].T_odom_camera);
   }
 }
 

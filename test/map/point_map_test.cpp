@@ -72,8 +72,9 @@ TEST(PointMap, PointsMoveWithTheirKeyframesAndNewerOnesWithTheOdometry) {
 
 TEST(PointMap, NewKeyframesStandWhereTheLastCorrectionPutsTheOdometry) {
   PointMap map{PointMapOptions()};
-  const SE3 T_map_odom(so3_exp(Vec3(0.1, 0.2, 0.3)), Vec3(1.0, 2.0, 3.0));
-  map.begin_session(T_map_odom);
+  const Vec3 begin_at(1.0, 2.0, 3.0);
+  map.begin_session(begin_at);
+  const SE3 T_map_odom(Quaternion::Identity(), begin_at - at(0.1).t);
   map.add(keyframe(0, at(0.1), {{}, line(1, 0.1F)}));
   MapCorrection correction;
   correction.T_map_odom = at(0.7) * T_map_odom;

@@ -171,11 +171,32 @@ TEST_F(MapSessions, BoxesOfBothSessionsHoldThemTogether) {
   }
 }
 
+TEST_F(MapSessions, BeginsBesideTheMapWhereverTheOdometryBegins) {
+  const Recording recording = desk();
+  const Map map = run(recording, 0, 150, SE3()).map;
+  const Options options;
+  ObjectSlam slam(options, classes_);
+  const Vec3 told = slam.restore(*map).T_map_odom.t;
+  EXPECT_GT(told.norm(), 1e4) << "the first frame's boxes are none of the map's objects'";
+  FrameBuilder builder(options.keyframe, recording.camera);
+  builder.count_from(map->graph.next_frame_id, map->graph.next_keyframe_id());
+  RandomPoses random(3);
+  const SE3 T_odom_camera = random.pose(100.0);
+  const FrameResult first =
+      slam.process(checked(builder.build({recording.odometry[150].stamp_ns, T_odom_camera})), nullptr);
+  for (const SE3& T_map_odom :
+       {first.observation.T_map_odom, first.correction.T_map_odom_old, first.correction.T_map_odom}) {
+    EXPECT_LT((T_map_odom * T_odom_camera.t - place_beside(*map)).norm(), 1e-9);
+    EXPECT_LT(rotation_angle(T_map_odom.q, Quaternion::Identity()), 1e-12) << "upright is not turned";
+  }
+}
+
 TEST_F(MapSessions, AnotherPlaceStandsBesideTheMap) {
   const Recording first = desk(), second = office();
   const Map map = run(first, 0, 1400, SE3()).map;
-  // To its end, where it has loops of its own.
-  const SessionResult result = run(second, 0, second.odometry.size(), SE3(), map);
+  // To its end, where it has loops of its own; by an odometry that is as far on the other side.
+  const SE3 T_odom_world(Quaternion::Identity(), -place_beside(*map));
+  const SessionResult result = run(second, 0, second.odometry.size(), T_odom_world, map);
   EXPECT_LT(result.first_loop_s, 0.0);
   const std::vector<KeyframePose> poses = result.map->keyframe_poses();
   const auto at = static_cast<std::size_t>(result.map->graph.sessions[1].first_keyframe_id);
@@ -204,7 +225,7 @@ TEST(MapState, PointsOfALaterSessionStandBesideTheMap) {
   const std::vector<Eigen::Vector3f> placed = point_map.points().semi_dense;
   ASSERT_EQ(placed.size(), 2U);
   EXPECT_EQ(placed[0], Eigen::Vector3f(0.0F, 0.0F, 1.0F));
-  EXPECT_LT((placed[1].cast<double>() - place_beside(map) * Vec3::UnitZ()).norm(), 1e-5);
+  EXPECT_LT((placed[1].cast<double>() - (place_beside(map) + Vec3::UnitZ())).norm(), 1e-5);
 }
 
 /// The map of another camera: what its boxes show stays where it is, and was seen from as far.

@@ -409,7 +409,7 @@ TEST(PoseGraph, ALaterSessionsNoiseIsItsOwn) {
   const std::vector<LoopClosure> later_loops = noisy_loops(poor, 4, 2);
   const std::vector<KeyframePose> before = first.graph.keyframes();
   PoseGraph second{PoseGraphOptions()};
-  second.restore(first.graph.state(), SE3());
+  second.restore(first.graph.state());
   for (int k = 0; k < poor.size(); ++k) {
     std::vector<LoopClosure> found;
     for (const LoopClosure& loop : loops_at(k, later_loops)) {
@@ -442,7 +442,7 @@ TEST(PoseGraph, ALaterSessionsNoiseIsLearntAsOftenAsThatOfTheFirst) {
   const FinishedRun first = finish(good, noisy_loops(good, 3, 2));
   ASSERT_GE(first.graph.size().loops, 40U);
   PoseGraph second{PoseGraphOptions()};
-  second.restore(first.graph.state(), SE3());
+  second.restore(first.graph.state());
   const auto noise_at = [&](int begin, int end) {
     for (int k = begin; k < end; ++k) second.process(later(session.frame(k), good), {});
     std::vector<LoopClosure> found;
@@ -482,7 +482,7 @@ TEST(PoseGraph, OfJoinedMapsEachOdometryHasErrorsOfItsOwn) {
     joined.append(graph.state());
   }
   PoseGraph graph{PoseGraphOptions()};
-  graph.restore(joined, SE3());
+  graph.restore(joined);
   std::vector<LoopClosure> between;
   for (int k = 0; k < 5; ++k) between.push_back(later(runs[1].exact_loop(k, k), runs[0], true));
   graph.process(later(later(runs[1].end_frame(), runs[0]), runs[1]), between);
@@ -616,6 +616,20 @@ TEST(PoseGraph, CopiesOfALoopCountOnce) {
   for (int i = 0; i < 10; ++i) often.push_back(once[4]);
   const auto a = finish(run, once).graph.keyframes(), b = finish(run, often).graph.keyframes();
   EXPECT_LT((a.back().T_map_camera.t - b.back().T_map_camera.t).norm(), 0.02);
+}
+
+TEST(PoseGraph, OfLoopsThatRepeatOthersTheLastAreRemembered) {
+  SyntheticRun run;
+  run.drift(0.005, 0.002, 2);
+  std::vector<LoopClosure> loops = noisy_loops(run, 3);
+  const std::size_t once = loops.size();
+  const int at = static_cast<int>(loops.back().query_keyframe_id);
+  loops.resize(once + 3000, loops.back());
+  PoseGraph graph{PoseGraphOptions()};
+  for (int k = 0; k <= at; ++k) graph.process(run.frame(k), loops_at(k, loops));
+  graph.process(run.end_frame(), {});
+  EXPECT_GE(graph.size().loops, once / 2);
+  EXPECT_LE(graph.state().loops.size(), once + 1000);
 }
 
 TEST(PoseGraph, BadFramesAreLeftOut) {

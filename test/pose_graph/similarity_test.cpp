@@ -3,6 +3,7 @@
 #include <cmath>
 #include <functional>
 #include <limits>
+#include <memory>
 
 #include "geometry/relative_pose.h"
 #include "pose_graph/graph_state.h"
@@ -239,8 +240,9 @@ TEST(FreeScale, ALaterSessionBeginsWhereItIsSaidToStand) {
   PoseGraph first(free_scale());
   for (int k = 0; k < 20; ++k) first.process(run.frame(k), {});
   PoseGraph second(free_scale());
-  const SE3 T_map_odom(Quaternion(so3_exp({0.0, 0.0, 1.0})), {30.0, 0.0, 0.0});
-  second.restore(first.state(), T_map_odom);
+  const Vec3 begin_at(30.0, 0.0, 0.0);
+  second.restore(first.state(), begin_at);
+  const SE3 T_map_odom(Quaternion::Identity(), begin_at - run.odometry(20).t);
   for (int k = 20; k < 25; ++k) {
     const MapCorrection correction = second.process(run.frame(k), {});
     EXPECT_LT((correction.T_map_odom.t - T_map_odom.t).norm(), 1e-9) << k;
@@ -278,7 +280,15 @@ TEST(FreeScale, WhatTheOdometryMissedIsInTheMapsUnitToo) {
   trajectory.edges.emplace_back();
   trajectory.edges[0].missed.frozen_s = 1.0;
   trajectory.edges[0].missed.covariance = Mat6::Identity();
-  const Mat6 missed = in_map_unit(trajectory, {std::log(0.5), std::log(0.5)}).edges[0].missed.covariance;
+  EdgeCovariance joined;
+  joined.translation.topLeftCorner<3, 3>().setIdentity();
+  joined.rotation.setIdentity();
+  trajectory.edges[0].joined = std::make_shared<const EdgeCovariance>(joined);
+  const OdometryEdge edge = in_map_unit(trajectory, {std::log(0.5), std::log(0.5)}).edges[0];
+  EXPECT_NEAR(edge.joined->translation(0, 0), 0.5, 1e-12) << "m of way";
+  EXPECT_NEAR(edge.joined->rotation(0, 0), 0.25, 1e-12) << "m^2 a rad";
+  EXPECT_NEAR(edge.joined->rotation(3, 3), 1.0, 1e-12);
+  const Mat6& missed = edge.missed.covariance;
   EXPECT_NEAR(missed(0, 0), 0.25, 1e-12) << "m^2";
   EXPECT_NEAR(missed(3, 3), 1.0, 1e-12) << "rad^2";
 }
@@ -292,7 +302,7 @@ TEST(FreeScale, AMapGoneOnWithAtAFixedScaleKeepsItsKeyframesScales) {
   const std::vector<KeyframePose> before = first.keyframes();
   ASSERT_NE(before.back().scale, 1.0);
   PoseGraph second{PoseGraphOptions()};
-  second.restore(first.state(), SE3());
+  second.restore(first.state());
   Frame frame = run.frame(run.size() - 1);
   constexpr int kMany = 2500;  // so many that the graph becomes coarser
   for (int k = 0; k < kMany; ++k) {

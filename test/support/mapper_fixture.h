@@ -75,17 +75,14 @@ class MapperFixture : public ::testing::Test {
   /// The detector does not look.
   MapUpdate pass(const SE3& pose) {
     const Frame frame = next_frame(pose);
-    AssociationFrame associations;
-    associations.frame_id = frame.frame_id;
-    associations.unanswered = true;
-    return mapper_.integrate(frame, associations);
+    return mapper_.integrate(frame, AssociationFrame::without_answer(frame.frame_id));
   }
 
   /// A later session goes on with the map, in the frame of the one before.
   void begin_session(const QuadricMapperOptions& options = {}) {
     MapperState state = mapper_.state();
     mapper_ = QuadricMapper(options, classes_);
-    mapper_.restore(std::move(state), keyframes_, {});
+    mapper_.restore(std::move(state), keyframes_);
   }
 
   const Landmark* find(std::int64_t id) {

@@ -3,6 +3,7 @@
 #include <cstdint>
 #include <map>
 #include <memory>
+#include <optional>
 #include <utility>
 #include <vector>
 
@@ -50,14 +51,15 @@ class PointMap {
   explicit PointMap(const PointMapOptions& options) : options_(options) {}
 
   /// What comes from here on is of a further session, whose front end numbers its points anew.
-  /// @param T_map_odom where it stands for now
-  void begin_session(const SE3& T_map_odom = {}) {
+  /// @param begin_at where its first camera stands for now, as PoseGraph::restore has it
+  void begin_session(const std::optional<Vec3>& begin_at = {}) {
     ++session_;
-    T_map_odom_ = T_map_odom;
+    T_map_odom_ = SE3();
+    begin_at_ = begin_at;
   }
   /// Takes in a keyframe of an earlier session. @param S_map_camera where it is
   void restore(const PointsOfKeyframe& keyframe, const Sim3& S_map_camera);
-  /// Takes in the points of a keyframe; other frames change nothing.
+  /// Takes in the points of a keyframe, and where a session begins.
   void add(const Frame& frame);
   /// Moves the keyframes.
   void apply(const MapCorrection& correction);
@@ -81,7 +83,8 @@ class PointMap {
 
   PointMapOptions options_;
   SE3 T_map_odom_;
-  double scale_ = 1.0;  ///< of new keyframes
+  std::optional<Vec3> begin_at_;  ///< where the first camera is to stand, until it comes
+  double scale_ = 1.0;            ///< of new keyframes
   int session_ = 0;
   std::map<std::int64_t, Keyframe> keyframes_;
   std::size_t size_ = 0;

@@ -44,9 +44,10 @@ class QuadricMapper {
   /// What is new since the last call, or all there is. @param whole also if it was told before
   MapperDelta take_delta(bool whole);
   /// Goes on with earlier sessions' objects. Call it before the first frame.
-  /// @param keyframes that they hang on   @param T_map_odom where this session stands for now   @return all of them,
-  /// for those who follow the map
-  MapUpdate restore(MapperState state, const std::vector<KeyframePose>& keyframes, const SE3& T_map_odom);
+  /// @param keyframes that they hang on   @param begin_at where this session's first camera stands for now, as
+  /// PoseGraph::restore has it   @return all of them, for those who follow the map
+  MapUpdate restore(MapperState state, const std::vector<KeyframePose>& keyframes,
+                    const std::optional<Vec3>& begin_at = {});
 
  private:
   struct Impl;

@@ -2,6 +2,7 @@
 
 #include <cstddef>
 #include <memory>
+#include <optional>
 #include <vector>
 
 #include "semantic_topo_loop/types/detection.h"
@@ -51,8 +52,9 @@ class PoseGraph {
   GraphDelta take_delta(bool whole);
   /// Goes on with earlier sessions' graph; the odometry of this one has nothing to do with theirs. Call it before the
   /// first frame.
-  /// @param T_map_odom where this session stands as long as no loop tells
-  void restore(GraphState state, const SE3& T_map_odom);
+  /// @param begin_at where its first camera stands as long as no loop tells, map frame, m; without, the odometry's
+  /// frame is the map's
+  void restore(GraphState state, const std::optional<Vec3>& begin_at = {});
   /// Remembers an earlier session's boxes of objects, after `restore`, in ascending order of keyframes. Those in
   /// keyframes that are no vertices are left out.
   /// @param camera undistorted, whose pixels the boxes are in
