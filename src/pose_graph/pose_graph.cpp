@@ -81,7 +81,7 @@ struct PoseGraph::Impl {
       correction.loops =
           loops_.new_verdicts([this](const GraphLoop& loop) { return chi2(loop); }, knowledge_.noise.loop_factor);
       correction.odometry = odometry_report();
-      if (loops_.size() > kMaxLoops) loops_.bound();
+      loops_.bound(kMaxLoops);
     }
     if (trajectory_.T_map_vertex.size() > max_vertices_ && !has_free_scale()) coarsen();
     return correction;

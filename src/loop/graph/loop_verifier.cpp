@@ -17,8 +17,7 @@ bool find_detection(const LocalFrame& frame, const Box& projected, int label, do
                     std::vector<bool>* explained) {
   double best = 0.0;
   std::size_t best_index = 0;
-  const Box visible{std::max(projected.x1, frame.image.x1), std::max(projected.y1, frame.image.y1),
-                    std::min(projected.x2, frame.image.x2), std::min(projected.y2, frame.image.y2)};
+  const Box visible = clip(projected, frame.image);
   for (std::size_t k = 0; k < frame.boxes.size(); ++k) {
     if (frame.boxes[k].label != label) continue;
     const double overlap = iou(visible, frame.boxes[k].box);

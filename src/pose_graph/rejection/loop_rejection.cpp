@@ -40,15 +40,18 @@ void LoopRejection::move(const CarrierOf& carrier) {
   consistency_.keep(stays);
 }
 
-void LoopRejection::bound() {
+void LoopRejection::bound(std::size_t most) {
   constexpr std::size_t kMaxOthers = 1000;  // a few minutes of them where loops are found all the time
-  constexpr int kLoopsOfAVertex = 2;        // so that there are at most as many loops as twice the vertices
+  const std::size_t in_graph = size();
+  const bool is_full = in_graph > most;
+  if (!is_full && entries_.size() - in_graph <= 2 * kMaxOthers) return;
+  constexpr int kLoopsOfAVertex = 2;  // so that there are at most as many loops as twice the vertices
   std::vector<bool> stays(entries_.size());
   std::vector<std::size_t> graph;
   std::size_t others = 0;
   for (std::size_t i = entries_.size(); i-- > 0;) {
-    if (entries_[i].is_in_graph) graph.push_back(i);
-    stays[i] = !entries_[i].is_in_graph && others++ < kMaxOthers;
+    if (entries_[i].is_in_graph && is_full) graph.push_back(i);
+    stays[i] = entries_[i].is_in_graph ? !is_full : others++ < kMaxOthers;
   }
   std::stable_sort(graph.begin(), graph.end(), [this](std::size_t i, std::size_t j) {
     const Entry &p = entries_[i], &q = entries_[j];

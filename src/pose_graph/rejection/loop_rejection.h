@@ -82,10 +82,11 @@ class LoopRejection {
   const GraphLoop* add(const LoopClosure& closure, int query, int match, bool is_extra, const CarrierOf& carrier);
   /// Follows the vertices. @param carrier by the number that a vertex had
   void move(const CarrierOf& carrier);
-  /// Bounds what is remembered, once it has been told; what was said last of a loop that is forgotten stands. In the
-  /// graph each vertex keeps its best two loops, the believed ones before the others, then by their stated errors. Of
-  /// the loops that repeat others the last thousand stay, to take the place of one that turns out false.
-  void bound();
+  /// Bounds what is remembered, once it has been told; what was said last of a loop that is forgotten stands. Of a
+  /// graph with more than `most` loops each vertex keeps its best two, the believed ones before the others, then by
+  /// their stated errors. Of the loops that repeat others the last thousand stay, to take the place of one that turns
+  /// out false.
+  void bound(std::size_t most);
   /// Forgets the loops between two keyframes. @return false if none is remembered
   bool withdraw(std::int64_t query_keyframe_id, std::int64_t match_keyframe_id);
   /// Every loop that is remembered, and how many were accepted so far.

@@ -3,6 +3,7 @@
 #include <Eigen/SparseCholesky>
 #include <algorithm>
 #include <cmath>
+#include <memory>
 
 #include "geometry/relative_pose.h"
 
@@ -77,6 +78,13 @@ OdometryEdge in_unit(OdometryEdge edge, double scale) {
   edge.jump_error_m *= scale;
   scale_translation(scale, &edge.missed.covariance);
   if (edge.covariance) scale_translation(scale, &*edge.covariance);
+  if (edge.joined) {
+    Mat6 unit = Mat6::Identity();
+    unit.topLeftCorner<3, 3>() *= scale;
+    EdgeCovariance joined = edge.joined->carried(unit);
+    joined.translation /= scale;  // it is one for a way of so many metres
+    edge.joined = std::make_shared<const EdgeCovariance>(joined);
+  }
   return edge;
 }
 

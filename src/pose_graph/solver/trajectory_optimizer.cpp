@@ -284,8 +284,9 @@ class TrajectoryOptimizer {
     const int views = std::min(std::max(share, kLeastViews), options_.object_views);
     GraphSolverOptions solver_options = solver_options_;
     if (!starts_afresh()) solver_options.max_iterations = std::min(solver_options.max_iterations, kFewIterations);
-    solve_graph(graph(result_.knowledge.noise, !has_loss, Steady::kOpen), solver_options, &result_.T_map_vertex,
-                well_seen(trajectory_.objects, result_.T_map_vertex, views));
+    const GraphObjects seen = well_seen(trajectory_.objects, result_.T_map_vertex, views);
+    if (seen.objects.empty()) return;
+    solve_graph(graph(result_.knowledge.noise, !has_loss, Steady::kOpen), solver_options, &result_.T_map_vertex, seen);
   }
 
   /// The errors that last: as the loops tell them, or open to what changes along the way, which loops do not see.
