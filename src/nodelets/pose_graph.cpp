@@ -246,6 +246,7 @@ class PoseGraphNodelet : public StageWith<PoseGraphParameters> {
     loops.insert(loops.end(), frame_loops.begin(), frame_loops.end());
     external_loops_.add(frame);
     core::MapCorrection correction = graph_->process(frame, loops, external_loops_.take());
+    if (!last_frame_) T_map_begin_ = correction.T_map_odom_old;
     if (frame.is_end) external_loops_.end();
     announce_joining(correction);
     if (correction.changed) show_optimisation(correction, frame.stamp_ns);
@@ -253,7 +254,9 @@ class PoseGraphNodelet : public StageWith<PoseGraphParameters> {
     publish<CorrectionMessage>(correction_publisher_, make_header(frame.header.stamp, parameters_.map_frame),
                                std::move(correction));
     last_frame_ = stamped(frame.header.stamp, frame.T_odom_camera);
-    if (frame.is_keyframe) odometry_keyframes_.push_back(*last_frame_);
+    if (frame.is_keyframe) {
+      odometry_keyframes_.push_back(stamped(frame.header.stamp, T_map_begin_ * frame.T_odom_camera));
+    }
     odometry_path_.mark_changed();
     corrected_path_.mark_changed();
     if (frame.is_end) map_parts_.set_end(frame.frame_id);
@@ -293,17 +296,22 @@ class PoseGraphNodelet : public StageWith<PoseGraphParameters> {
     return pose;
   }
 
-  /// The path through the keyframes and the last frame; both in the map frame, so that they can be compared.
+  /// The session's path through its keyframes and the last frame; the odometry's, too, begins where the session begins
+  /// in the map, so that they can be compared.
   void publish_paths() {
     if (!last_frame_) return;
-    if (odometry_path_.is_due()) publish_path(odometry_keyframes_, *last_frame_, &odometry_path_);
+    const core::SE3 T_odom_camera = from_msg(last_frame_->pose);
+    const auto last = [&](const core::SE3& T_map_odom) {
+      return stamped(last_frame_->header.stamp, T_map_odom * T_odom_camera);
+    };
+    if (odometry_path_.is_due()) publish_path(odometry_keyframes_, last(T_map_begin_), &odometry_path_);
     if (!corrected_path_.is_due()) return;
     std::vector<geometry_msgs::PoseStamped> poses;
     for (const core::KeyframePose& keyframe : graph_->keyframes()) {
+      if (keyframe.keyframe_id < restored_keyframes_) continue;
       poses.push_back(stamped(to_ros_time(keyframe.stamp_ns), keyframe.T_map_camera));
     }
-    const core::SE3 T_map_camera = graph_->T_map_odom() * from_msg(last_frame_->pose);
-    publish_path(poses, stamped(last_frame_->header.stamp, T_map_camera), &corrected_path_);
+    publish_path(poses, last(graph_->T_map_odom()), &corrected_path_);
   }
 
   static void publish_path(const std::vector<geometry_msgs::PoseStamped>& poses, const geometry_msgs::PoseStamped& last,
@@ -327,6 +335,7 @@ class PoseGraphNodelet : public StageWith<PoseGraphParameters> {
   std::vector<core::LoopClosure> late_loops_;
   ExternalLoops external_loops_{[this](const std::string& problem) { complain(kRefused, problem); }};
   std::int64_t restored_keyframes_ = 0;   ///< ids below are of earlier sessions
+  core::SE3 T_map_begin_;                 ///< from the odometry's frame, before any correction
   bool is_joined_ = false;                ///< a loop into them is kept
   std::map<std::int64_t, bool> is_kept_;  ///< by number of the loop, as the optimiser said last
   std::vector<geometry_msgs::PoseStamped> odometry_keyframes_;

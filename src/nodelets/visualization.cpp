@@ -61,7 +61,7 @@ class VisualizationNodelet : public StageWith<VisualizationParameters> {
     sent_upright_.reset();
     if (const auto map = session_map({true})) {
       for (const core::KeyframePose& pose : map->keyframe_poses()) {
-        view_.add_keyframe(pose.keyframe_id, pose.T_map_camera);
+        view_.add_earlier_keyframe(pose.keyframe_id, pose.T_map_camera);
       }
       take_over(follower_.follow(core::objects_of(*map, options_, classes())));
     }

@@ -55,15 +55,17 @@ void MapView::apply(const core::MapUpdate& update) {
     landmarks_.erase(merge.merged_id);
     redirects_.merge(merge);
   }
+  const bool has_moved = update.T_map_odom.t != T_map_odom_.t;
   T_map_odom_ = update.T_map_odom;
-  if (!is_corrected_) compose_after(-1);  // with the first frame it is said where the session begins
+  // Before the first solution only where the session begins is said anew, with its first frame.
+  if (has_moved && solved_to_ == earlier_to_) compose_new();
 }
 
 void MapView::apply(const core::MapCorrection& correction) {
   if (!correction.changed) return;
-  is_corrected_ = true;
   T_map_odom_ = correction.T_map_odom;
-  compose_after(correction.valid_to_keyframe_id);
+  solved_to_ = correction.valid_to_keyframe_id;
+  compose_new();
   for (const core::KeyframePose& pose : correction.keyframes) {
     const auto it = keyframes_.find(pose.keyframe_id);
     if (it != keyframes_.end()) it->second.T_map_camera = pose.T_map_camera;
@@ -76,14 +78,19 @@ void MapView::apply(const core::MapCorrection& correction) {
   }
 }
 
-void MapView::compose_after(std::int64_t keyframe_id) {
-  for (auto it = keyframes_.upper_bound(keyframe_id); it != keyframes_.end(); ++it) {
+void MapView::compose_new() {
+  for (auto it = keyframes_.upper_bound(solved_to_); it != keyframes_.end(); ++it) {
     it->second.T_map_camera = T_map_odom_ * it->second.T_odom_camera;
   }
 }
 
 void MapView::add_keyframe(std::int64_t keyframe_id, const core::SE3& T_odom_camera) {
   keyframes_[keyframe_id] = {T_odom_camera, T_map_odom_ * T_odom_camera};
+}
+
+void MapView::add_earlier_keyframe(std::int64_t keyframe_id, const core::SE3& T_map_camera) {
+  keyframes_[keyframe_id] = {T_map_camera, T_map_camera};
+  solved_to_ = earlier_to_ = keyframe_id;
 }
 
 void MapView::add_loops(const std::vector<core::LoopClosure>& loops) {

@@ -75,6 +75,8 @@ class MapView {
   /// Keyframes and loops of which the correction says nothing stay as they are.
   void apply(const core::MapCorrection& correction);
   void add_keyframe(std::int64_t keyframe_id, const core::SE3& T_odom_camera);
+  /// Of an earlier session, before all of this one.
+  void add_earlier_keyframe(std::int64_t keyframe_id, const core::SE3& T_map_camera);
   /// A loop counts as kept until a correction says otherwise. Of refused candidates the last ones are held.
   void add_loops(const std::vector<core::LoopClosure>& loops);
   void set_frame(const core::Frame& frame) { frame_ = frame; }
@@ -104,8 +106,8 @@ class MapView {
  private:
   /// Those of these ids, and of what they were merged into, that there are to show.
   std::vector<const core::Landmark*> objects_of(const std::vector<std::int64_t>& ids) const;
-  /// Where T_map_odom puts the keyframes that are newer than the solution.
-  void compose_after(std::int64_t keyframe_id);
+  /// Puts the keyframes that are newer than the solution where T_map_odom has them.
+  void compose_new();
 
   std::map<std::int64_t, core::Landmark> landmarks_;
   core::LandmarkRedirects redirects_;  ///< none of a landmark that lives
@@ -115,7 +117,8 @@ class MapView {
   std::optional<core::Frame> frame_;
   std::vector<std::int64_t> in_view_;
   core::SE3 T_map_odom_;
-  bool is_corrected_ = false;  ///< a correction has moved keyframes
+  std::int64_t earlier_to_ = -1;  ///< keyframes up to this id are of earlier sessions
+  std::int64_t solved_to_ = -1;   ///< up to this one they stand where those or a solution have them
 };
 
 }  // namespace semantic_topo_loop

@@ -187,6 +187,19 @@ TEST(MapView, ACorrectionMaySayOnlyWhatHasChanged) {
   for (const auto& [loop, accepted] : view.loops()) EXPECT_FALSE(accepted.kept) << loop.second;
 }
 
+TEST(MapView, ASessionBeginsBesideTheEarlierMapWhichStays) {
+  MapView view;
+  view.add_earlier_keyframe(0, pose_of(0, 3.0).T_map_camera);
+  core::MapUpdate update;
+  update.T_map_odom.t.y() = 1e6;  // no frame has told where the odometry is
+  view.apply(update);
+  view.add_keyframe(1, pose_of(1, 100.0).T_map_camera);
+  update.T_map_odom.t = core::Vec3(-77.0, 0.0, 0.0);
+  view.apply(update);
+  EXPECT_EQ(view.keyframes().at(0).T_map_camera.t, core::Vec3(3.0, 0.0, 0.0));
+  EXPECT_EQ(view.keyframes().at(1).T_map_camera.t, core::Vec3(23.0, 0.0, 0.0));
+}
+
 /// A loop from outside joins the keyframes that an own one joins.
 TEST(MapView, ShowsLoopsFromOutsideBesideTheirOwn) {
   MapView view;
