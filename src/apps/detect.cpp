@@ -80,6 +80,9 @@ Status run(const Arguments& arguments) {
   if (!detector) return detector.error();
   if (arguments.out.empty() || arguments.out.back() == '/')
     return Error{"'" + arguments.out + "' is no name of a file"};
+  for (const std::string& input : {arguments.images, arguments.model}) {
+    if (is_same_file(input, arguments.out)) return Error{arguments.out + ": would take the place of the input"};
+  }
   if (const Status writable = check_writable(arguments.out); !writable) return writable;
   const Stopwatch stopwatch;
   const auto found = detect_in_recording(arguments.images, detector->get());
@@ -88,7 +91,9 @@ Status run(const Arguments& arguments) {
   std::size_t boxes = 0;
   for (const DetectionFrame& frame : found->frames) boxes += frame.detections.size();
   std::printf("%zu images, %zu boxes in %.1f s\n", found->frames.size(), boxes, seconds);
-  if (!found->warning.empty()) std::fprintf(stderr, "detect: warning: %s\n", found->warning.c_str());
+  for (const std::string& warning : {(*detector)->warning(), found->warning}) {
+    if (!warning.empty()) std::fprintf(stderr, "detect: warning: %s\n", warning.c_str());
+  }
   return write_detections_json(arguments.out, found->frames);
 }
 

@@ -102,6 +102,7 @@ Status load_optional(const Arguments& arguments, RunInputs* inputs) {
     auto detector = ObjectDetector::load(inputs->options.detector, *inputs->classes);
     if (!detector) return detector.error();
     inputs->detector = *std::move(detector);
+    if (const std::string& warning = inputs->detector->warning(); !warning.empty()) say(warning);
   }
   if (!arguments.extra_loops.empty()) {
     Result<std::vector<LoopClosure>> loops = read_given_loops(arguments.extra_loops);
@@ -165,8 +166,10 @@ void show_progress(std::size_t done, std::size_t total, int* shown) {
 /// Hands loops out at their query frames.
 class ExtraLoops {
  public:
-  explicit ExtraLoops(const std::vector<LoopClosure>& loops) {
+  /// @param earlier that the run goes on with, empty without: loops may lead into it
+  ExtraLoops(const std::vector<LoopClosure>& loops, const std::vector<KeyframePose>& earlier) {
     for (const LoopClosure& loop : loops) loops_.emplace(loop.query_frame, loop);
+    for (const KeyframePose& keyframe : earlier) keyframe_of_[keyframe.frame_id] = keyframe.keyframe_id;
   }
   std::vector<LoopClosure> at(const Frame& frame) {
     if (frame.is_keyframe) keyframe_of_[frame.frame_id] = frame.keyframe_id;
@@ -309,7 +312,9 @@ Status run_once(const Arguments& arguments, const RunInputs& inputs, ChainResult
     database->write({slam.take_delta(), points});
   };
   SavePoints save_points;
-  ExtraLoops extra_loops(inputs.extra_loops);
+  const bool goes_on = inputs.earlier_map && !arguments.frozen;
+  ExtraLoops extra_loops(inputs.extra_loops,
+                         goes_on ? inputs.earlier_map->keyframe_poses() : std::vector<KeyframePose>());
   DetectionSource detection_source(inputs);
   const auto take = [&](const Frame& frame, const FrameResult& result) {
     point_map.apply(result.correction);

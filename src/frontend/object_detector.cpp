@@ -80,7 +80,9 @@ Letterbox letterbox(const cv::Mat& color, double roll_rad, int input_px, YoloLay
     box.scale.setConstant(scale);
     const Eigen::Matrix2d A = scale * box.R;
     box.offset = Vec2(left + 0.5 * width, top + 0.5 * height) - A * Vec2(0.5 * bgr.cols, 0.5 * bgr.rows);
-    const cv::Matx23d to_square(A(0, 0), A(0, 1), box.offset.x(), A(1, 0), A(1, 1), box.offset.y());
+    // Boxes, and cv::resize, count from the corner of the first pixel; cv::warpAffine from its middle.
+    const Vec2 half = Vec2::Constant(0.5), shift = box.offset + A * half - half;
+    const cv::Matx23d to_square(A(0, 0), A(0, 1), shift.x(), A(1, 0), A(1, 1), shift.y());
     cv::warpAffine(bgr, square, to_square, square.size(), cv::INTER_LINEAR, cv::BORDER_CONSTANT,
                    cv::Scalar::all(kGray));
   }
@@ -121,6 +123,7 @@ class ObjectDetector::Impl {
     return name_classes(classes);
   }
 
+  const std::string& warning() const { return warning_; }
   void set_options(const ObjectDetectorOptions& options) { options_ = options; }
   void restart() { last_slot_.reset(); }
 
@@ -178,6 +181,7 @@ class ObjectDetector::Impl {
         const cv::Mat output = run(cv::Mat(std::vector<int>{1, 3, size, size}, CV_32FC1, cv::Scalar(0.0)));
         const Result<YoloLayout> layout = find_yolo_layout(output, size, options_.layout);
         if (layout) {
+          if (const Status checked = check_yolo_values(output, *layout); !checked) return failure(checked.message());
           layout_ = *layout;
           input_px_ = size;
           class_count_ = yolo_class_count(output, layout_);
@@ -193,8 +197,15 @@ class ObjectDetector::Impl {
   }
 
   Status name_classes(const ClassTable& classes) {
+    std::string unknown;
     if (options_.names.empty()) {
       for (int id = 0; id < class_count_; ++id) class_ids_.push_back(classes.find(id) != nullptr ? id : -1);
+      const auto known = static_cast<std::size_t>(std::count_if(class_ids_.begin(), class_ids_.end(), is_known));
+      if (known < classes.classes().size()) {
+        warning_ = options_.model + ": its " + std::to_string(class_count_) + " classes are taken for the ids 0 to " +
+                   std::to_string(class_count_ - 1) + " of the class table, which has others besides: are they? " +
+                   "detector.names states them";
+      }
     } else {
       std::ifstream file(options_.names);
       if (!file) return Error{options_.names + ": cannot open the file"};
@@ -205,19 +216,24 @@ class ObjectDetector::Impl {
         if (begin == std::string::npos) continue;
         const ObjectClass* found = classes.find(line.substr(begin, end - begin + 1));
         class_ids_.push_back(found != nullptr ? found->id : -1);
+        if (found == nullptr) unknown += (unknown.empty() ? "" : ", ") + line.substr(begin, end - begin + 1);
       }
       if (class_ids_.size() != static_cast<std::size_t>(class_count_)) {
         return Error{options_.names + ": " + std::to_string(class_ids_.size()) + " names, but the output of " +
                      options_.model + " is " + output_shape_ + ", of " + std::to_string(class_count_) + " classes"};
       }
     }
-    if (std::all_of(class_ids_.begin(), class_ids_.end(), [](int id) { return id < 0; })) {
+    if (std::none_of(class_ids_.begin(), class_ids_.end(), is_known)) {
       return failure("the class table has none of its " + std::to_string(class_count_) + " classes");
     }
+    if (!unknown.empty()) warning_ = options_.names + ": left out, since the class table has no such names: " + unknown;
     return {};
   }
 
+  static bool is_known(int class_id) { return class_id >= 0; }
+
   ObjectDetectorOptions options_;
+  std::string warning_;
   cv::dnn::Net net_;
   YoloLayout layout_ = YoloLayout::kYolox;
   int input_px_ = 0, class_count_ = 0;
@@ -238,6 +254,7 @@ Result<std::unique_ptr<ObjectDetector>> ObjectDetector::load(const ObjectDetecto
 }
 
 void ObjectDetector::set_options(const ObjectDetectorOptions& options) { impl_->set_options(options); }
+const std::string& ObjectDetector::warning() const { return impl_->warning(); }
 void ObjectDetector::restart() { impl_->restart(); }
 bool ObjectDetector::is_due(std::int64_t stamp_ns) { return impl_->is_due(stamp_ns); }
 Result<std::vector<Detection>> ObjectDetector::detect(const cv::Mat& color, double roll_rad) {

@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <array>
 #include <cmath>
+#include <sstream>
 #include <utility>
 
 namespace semantic_topo_loop::core {
@@ -39,6 +40,12 @@ bool fits(const cv::Mat& output, int cells, YoloLayout layout) {
   return false;
 }
 
+/// One row a candidate, by layout.
+cv::Mat rows_of(const cv::Mat& output, YoloLayout layout) {
+  const cv::Mat rows(output.size[1], output.size[2], CV_32FC1, const_cast<float*>(output.ptr<float>()));
+  return layout == YoloLayout::kYolov8 ? cv::Mat(rows.t()) : rows;
+}
+
 }  // namespace
 
 std::string shape_of(const cv::Mat& output) {
@@ -61,11 +68,32 @@ int yolo_class_count(const cv::Mat& output, YoloLayout layout) {
   return layout == YoloLayout::kYolov8 ? output.size[1] - 4 : output.size[2] - 5;
 }
 
+Status check_yolo_values(const cv::Mat& output, YoloLayout layout) {
+  constexpr double kRounding = 1e-3, kMostLogSize = 10.0;  // in strides: 170,000 px and more
+  const cv::Mat rows = rows_of(output, layout);
+  const auto range = [&rows](int first, int end) {
+    double low = 0.0, high = 0.0;
+    cv::minMaxLoc(rows.colRange(first, end), &low, &high);
+    return std::pair(low, high);
+  };
+  const auto [low, high] = range(4, rows.cols);
+  if (low < -kRounding || high > 1.0 + kRounding) {
+    std::ostringstream text;
+    text << "the output " << shape_of(output) << " has scores from " << low << " to " << high
+         << ", not from 0 to 1: it is of another network, or of one that gives more than boxes";
+    return Error{text.str()};
+  }
+  if (layout == YoloLayout::kYolox && range(2, 4).second > kMostLogSize) {
+    return Error{"the output " + shape_of(output) +
+                 " has boxes in pixels, a YOLOX's are in cells: export it without decoding"};
+  }
+  return {};
+}
+
 std::vector<Detection> read_yolo(const cv::Mat& output, YoloLayout layout, int input_px, double min_score) {
   const bool is_yolov8 = layout == YoloLayout::kYolov8, is_yolox = layout == YoloLayout::kYolox;
-  cv::Mat rows(output.size[1], output.size[2], CV_32FC1, const_cast<float*>(output.ptr<float>()));
-  if (is_yolov8) rows = rows.t();
-  const std::vector<Cell> cells = grid(input_px);
+  const cv::Mat rows = rows_of(output, layout);
+  const std::vector<Cell> cells = is_yolox ? grid(input_px) : std::vector<Cell>();
   const int first_score = is_yolov8 ? 4 : 5;
   std::vector<Detection> detections;
   for (int i = 0; i < rows.rows; ++i) {

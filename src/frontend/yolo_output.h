@@ -23,6 +23,8 @@ std::string shape_of(const cv::Mat& output);
 /// @param input_px side of the input   @param stated "yolox", "yolov5", "yolov8", or "auto" for whichever fits
 /// @return an error that names the shape if it has not
 Result<YoloLayout> find_yolo_layout(const cv::Mat& output, int input_px, const std::string& stated);
+/// @param output of any image   @return an error if it has the layout's shape, but cannot be its values
+Status check_yolo_values(const cv::Mat& output, YoloLayout layout);
 int yolo_class_count(const cv::Mat& output, YoloLayout layout);
 
 /// The best class of each row whose score is not below `min_score`.

@@ -6,6 +6,7 @@
 #include <map>
 #include <memory>
 #include <mutex>
+#include <optional>
 #include <pluginlib/class_list_macros.hpp>
 #include <utility>
 #include <vector>
@@ -38,6 +39,7 @@ class ObjectDetectorNodelet : public StageWith<ObjectDetectorParameters> {
       return;
     }
     detector_ = *std::move(detector);
+    if (!detector_->warning().empty()) NODELET_WARN("%s", detector_->warning().c_str());
     constexpr std::uint32_t kImages = 10;  // that wait for the callback, which is short
     auto subscriber =
         subscribe_to_images(subscriber_node(), getPrivateNodeHandle(), "color", parameters_.color_transport, kImages,
@@ -47,7 +49,6 @@ class ObjectDetectorNodelet : public StageWith<ObjectDetectorParameters> {
       return;
     }
     subscriber_ = *std::move(subscriber);
-    reset_session();
     statistics().count(kLeftOut, 0);
     publisher_ = advertise<DetectionsMessage>("detections_in");
     serve_settings(&options_.detector, [this] { detector_->set_options(options_.detector); });
@@ -59,12 +60,15 @@ class ObjectDetectorNodelet : public StageWith<ObjectDetectorParameters> {
     up_ = std::make_unique<core::UpEstimator>(options_.loop.up_window_s);
     waiting_.clear();
     roll_rad_.clear();
+    size_px_.reset();
     detector_->restart();
   }
 
   void on_image(const sensor_msgs::ImageConstPtr& image) {
     if (parameters_.lockstep) {
       return push("color", Keep::kAlways, [this, image] {
+        // A recording that begins anew: nobody waits for the others any longer.
+        while (!waiting_.empty() && waiting_.back()->header.stamp > image->header.stamp) waiting_.pop_back();
         waiting_.push_back(image);
         look_at_waiting();
         // No player sends so many before it is answered: these are, by failures.
@@ -86,6 +90,7 @@ class ObjectDetectorNodelet : public StageWith<ObjectDetectorParameters> {
   void on_frame(const FrameMessage::ConstPtr& frame) {
     const bool has_pose = !frame->is_end && frame->T_odom_camera.is_finite();
     if (has_pose) up_->push(*frame);
+    if (has_pose) size_px_ = {frame->camera.width, frame->camera.height};
     if (!parameters_.lockstep) roll_rad_.clear();
     // No image comes after the end.
     const ros::Time stamp = frame->is_end ? ros::TIME_MAX : frame->header.stamp;
@@ -135,6 +140,11 @@ class ObjectDetectorNodelet : public StageWith<ObjectDetectorParameters> {
   core::Result<std::vector<core::Detection>> detect(const sensor_msgs::Image& image, double roll_rad) {
     const core::Result<cv::Mat> pixels = to_mat(image, sensor_msgs::image_encodings::BGR8, "colour");
     if (!pixels) return pixels.error();
+    if (size_px_ && *size_px_ != std::pair(pixels->cols, pixels->rows)) {
+      return core::Error{"of " + std::to_string(pixels->cols) + " x " + std::to_string(pixels->rows) +
+                         " px, but the calibration of the frames' camera is for " + std::to_string(size_px_->first) +
+                         " x " + std::to_string(size_px_->second)};
+    }
     return detector_->detect(*pixels, roll_rad);
   }
 
@@ -147,6 +157,7 @@ class ObjectDetectorNodelet : public StageWith<ObjectDetectorParameters> {
   ros::Publisher publisher_;
   image_transport::Subscriber subscriber_;
   std::unique_ptr<core::UpEstimator> up_;
+  std::optional<std::pair<int, int>> size_px_;      ///< of the frames' camera
   std::deque<sensor_msgs::ImageConstPtr> waiting_;  ///< lockstep: for their frames
   std::map<ros::Time, double> roll_rad_;            ///< by stamp: of frames whose image may still come, or the last one
   std::mutex mutex_;                                ///< guards all below

@@ -87,6 +87,7 @@ TEST_F(DetectProgram, ADirectoryIsNoPlaceForTheBoxes) {
   std::filesystem::create_directories(directory_.path("results"));
   expect_failure("@ @tiny.onnx @results" + classes_, 1, "results: is a directory, not a file");
   expect_failure("@ @tiny.onnx @results/" + classes_, 1, "results/' is no name of a file");
+  expect_failure("@ @tiny.onnx @tiny.onnx" + classes_, 1, "tiny.onnx: would take the place of the input");
 }
 
 /// The images of a TUM folder from `begin_s` after its first one on, in a folder of their own.

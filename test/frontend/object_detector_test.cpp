@@ -57,6 +57,24 @@ TEST(YoloOutput, LayoutsAreToldApartByShape) {
   EXPECT_FALSE(find_yolo_layout(cv::Mat(3, 4, CV_32FC1), kInput_px, "auto"));
 }
 
+TEST(YoloOutput, ValuesThatAreNoneOfTheLayoutAreOneError) {
+  cv::Mat yolox = make_output(kCells, 5 + kClasses);
+  set_row(&yolox, 7, {0.5, 0.25, 1.0, -1.0, 1.0, 0.0, 1.0, 0.5});
+  EXPECT_TRUE(check_yolo_values(yolox, YoloLayout::kYolox));
+  set_row(&yolox, 7, {30.0, 20.0, 40.0, 8.0, 0.8, 0.1, 0.2, 0.5});
+  EXPECT_EQ(check_yolo_values(yolox, YoloLayout::kYolox).message(),
+            "the output 1 x 84 x 8 has boxes in pixels, a YOLOX's are in cells: export it without decoding");
+  EXPECT_TRUE(check_yolo_values(make_output(3 * kCells, 5 + kClasses), YoloLayout::kYolov5));
+  cv::Mat keypoints = make_output(4 + 4, kCells);  // one class, and the place of one point
+  keypoints.at<float>(0, 0, 17) = 30.0F;
+  EXPECT_TRUE(check_yolo_values(keypoints, YoloLayout::kYolov8));
+  keypoints.at<float>(0, 5, 17) = 31.5F;
+  EXPECT_EQ(
+      check_yolo_values(keypoints, YoloLayout::kYolov8).message(),
+      "the output 1 x 8 x 84 has scores from 0 to 31.5, not from 0 to 1: it is of another network, or of one that "
+      "gives more than boxes");
+}
+
 TEST(YoloOutput, YoloxBoxesAreInTheirCells) {
   cv::Mat output = make_output(kCells, 5 + kClasses);
   // Of the second grid, of stride 16, the cell (1, 2).
@@ -236,10 +254,14 @@ TEST_P(EveryLayout, ClassesAreThoseOfTheNamesFile) {
     return found;
   };
   EXPECT_EQ(ids(), (std::set<int>{0, 1, 2}));
+  EXPECT_EQ(load()->warning(), options_.model +
+                                   ": its 3 classes are taken for the ids 0 to 2 of the class table, which "
+                                   "has others besides: are they? detector.names states them");
   options_.names = directory_.write("model.names",
                                     "\xEF\xBB\xBF"
                                     "chair \r\nunheard of\n\n\tbook\n");
   EXPECT_EQ(ids(), (std::set<int>{coco().find("chair")->id, coco().find("book")->id}));
+  EXPECT_EQ(load()->warning(), options_.names + ": left out, since the class table has no such names: unheard of");
 }
 
 TEST_P(EveryLayout, ModelsAsTheyAreExportedRunOncePrepared) {
@@ -316,6 +338,20 @@ TEST_P(EveryLayout, ARolledImageIsTurnedUpright) {
   const Vec2 half(std::hypot(45.0 * c, 25.0 * s), std::hypot(45.0 * s, 25.0 * c));
   const Vec4 edges(center.x() - half.x(), center.y() - half.y(), center.x() + half.x(), center.y() + half.y());
   EXPECT_LT((found[0].box.edges() - edges).cwiseAbs().maxCoeff(), 3.0) << found[0].box.edges().transpose();
+}
+
+TEST_P(EveryLayout, OfAnImageOnItsSideItSeesWhatItSeesOfTheUprightOne) {
+  const std::unique_ptr<ObjectDetector> detector = load();
+  const cv::Mat upright = painted({320, 240}, {{{140, 60, 90, 50}, kRed}});
+  cv::Mat on_its_side;
+  cv::rotate(upright, on_its_side, cv::ROTATE_90_COUNTERCLOCKWISE);
+  const std::vector<Detection> expected = checked(detector->detect(upright)),
+                               found = checked(detector->detect(on_its_side, 0.5 * kPi));
+  ASSERT_EQ(expected.size(), 1U);
+  ASSERT_EQ(found.size(), 1U);
+  const Box& box = expected[0].box;
+  const Vec4 edges(box.y1, 320.0 - box.x2, box.y2, 320.0 - box.x1);
+  EXPECT_LT((found[0].box.edges() - edges).cwiseAbs().maxCoeff(), 0.5) << found[0].box.edges().transpose();
 }
 
 TEST_P(EveryLayout, AnotherLayoutThanTheStatedOneIsOneError) {

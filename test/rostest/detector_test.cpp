@@ -201,6 +201,18 @@ TEST_F(DetectorInTheChain, InLockstepEachImageIsTurnedUprightByItsOwnPose) {
   EXPECT_GE(received.back()->detections.size(), 2U);
 }
 
+TEST_F(DetectorInTheChain, ImagesOfAnotherSizeThanTheCalibrationsAreLeftOut) {
+  load(true, 0.0);
+  send(0);
+  ASSERT_EQ(wait_for(1).size(), 1U);
+  EXPECT_FALSE(wait_for(1)[0]->unanswered);
+  cv::Mat small;
+  cv::resize(image(1), small, {320, 240});
+  send(1, small, core::Quaternion::Identity());
+  ASSERT_EQ(wait_for(2).size(), 2U);
+  EXPECT_TRUE(wait_for(2)[1]->unanswered) << "its boxes would be in other pixels";
+}
+
 TEST_F(DetectorInTheChain, InRealTimeTheNewestImageHasItsBoxesAndNoFrameWaitsForMore) {
   constexpr std::size_t kImages = 20;
   load(false, 0.0);

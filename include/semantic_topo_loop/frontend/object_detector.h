@@ -52,12 +52,15 @@ class ObjectDetector {
  public:
   /// Reads the model and tries it on an empty image.
   /// @return an error that names the file, and shape or line, for a model that cannot be read or does not take the
-  /// input, an output of no known layout, or names of another number than the model's classes
+  /// input, an output of no known layout or with values that are none of it, or names of another number than the
+  /// model's classes
   static Result<std::unique_ptr<ObjectDetector>> load(const ObjectDetectorOptions& options, const ClassTable& classes);
   ~ObjectDetector();
   ObjectDetector(const ObjectDetector&) = delete;
   ObjectDetector& operator=(const ObjectDetector&) = delete;
 
+  /// Which of the model's classes are left out, or may be others than they are taken for; empty if none.
+  const std::string& warning() const;
   /// Whether an image is to be looked at: at most `rate_hz` a second are, whatever the camera's rate. Asked once an
   /// image, in order.
   bool is_due(std::int64_t stamp_ns);
