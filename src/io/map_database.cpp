@@ -28,7 +28,7 @@
 namespace semantic_topo_loop::core {
 namespace {
 
-constexpr std::chrono::seconds kRetry(1);
+constexpr std::chrono::seconds kRetry(1), kLongestRetry(60);  // twice as long each time: what fails may be costly
 // What follows a map's name: of the one that a session goes on with, before numbers, and of what is not in the file
 // yet.
 constexpr char kLoaded[] = ".loaded-";
@@ -203,8 +203,11 @@ Result<std::string> link_loaded_map(const std::string& path) {
   for (const char* end : {"", kJournals[0], kJournals[1]}) remove_files_of_the_dead(map + kLoaded, end);
   // Other programs, and the session before, may still read theirs.
   static std::atomic<int> next{1};
-  const std::string link = map + kLoaded + std::to_string(::getpid()) + "-" + std::to_string(next++);
-  std::filesystem::create_hard_link(map, link, code);
+  std::string link;
+  do {  // a process that was killed may have had the same number
+    link = map + kLoaded + std::to_string(::getpid()) + "-" + std::to_string(next++);
+    std::filesystem::create_hard_link(map, link, code);
+  } while (code == std::errc::file_exists);
   if (!code || copy_map(map, link)) return link;
   std::filesystem::remove(link, code);
   return path;  // where nothing can be written, nothing takes its place
@@ -290,6 +293,7 @@ class MapDatabase::Impl {
 
   void run() {
     std::unique_lock<std::mutex> lock(mutex_);
+    std::chrono::seconds retry = kRetry;
     for (;;) {
       wake_.wait(lock, [this] { return is_closed_ || !waiting_.empty(); });
       if (waiting_.empty()) break;
@@ -303,10 +307,14 @@ class MapDatabase::Impl {
       is_writing_ = false;
       problem_ = written;
       is_made_ = is_made_ || written;
-      if (written) continue;
+      if (written) {
+        retry = kRetry;
+        continue;
+      }
       waiting_.push_front(std::move(batch));
       if (is_closed_) return;
-      wake_.wait_for(lock, kRetry, [this] { return is_closed_; });
+      wake_.wait_for(lock, retry, [this] { return is_closed_; });
+      retry = std::min(2 * retry, kLongestRetry);
     }
     if (!map_) return;
     lock.unlock();

@@ -279,6 +279,7 @@ void check_rows(SqliteFile* file) {
 }
 
 void read_all(const ClassTable& classes, MapParts parts, SqliteFile* file, MapState* map) {
+  file->run("BEGIN");  // one state of it, whoever else writes
   if (file->number("PRAGMA application_id") != kMapApplicationId)
     return file->reject("is no map of semantic_topo_loop");
   const std::int64_t version = file->number("PRAGMA user_version");

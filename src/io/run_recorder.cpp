@@ -26,7 +26,8 @@ namespace semantic_topo_loop::core {
 namespace {
 
 /// Besides those that every run has.
-constexpr std::array<const char*, 3> kSometimesWritten = {"relocalisations.csv", "scales.csv", "loop_scales.csv"};
+constexpr std::array<const char*, 4> kSometimesWritten = {"relocalisations.csv", "scales.csv", "loop_scales.csv",
+                                                          "report.html"};
 
 const char* level_name(AssociationLevel level) {
   constexpr std::array<const char*, 10> kNames = {"new", "2d",      "pro",        "3d",        "joint",
@@ -427,7 +428,10 @@ class FileRecorder : public RunRecorder {
     std::map<std::string, int> states;
     for (const auto& [id, landmark] : landmarks_) ++states[to_string(landmark.state)];
     std::int64_t kept = 0;
-    for (const auto& [number, verdict] : verdicts_) kept += verdict.kept ? 1 : 0;
+    for (const auto& [number, verdict] : verdicts_) {
+      const bool is_own = !verdict.is_extra && keyframes_.count(verdict.query_keyframe_id) > 0;
+      kept += is_own && verdict.kept ? 1 : 0;
+    }
     nlohmann::json summary = {{"frames", counts.frames},
                               {"keyframes", keyframes_.size()},
                               {"breaks", counts.breaks},

@@ -68,7 +68,7 @@ class LoopDetectionNodelet : public StageWith<LoopDetectionParameters> {
       fail("a session that goes on with the map '" + file + "' needs loop/mode graph");
       return;
     }
-    const auto map = core::read_map(file, *classes());
+    const auto map = core::read_map(file, *classes(), {true, true, false});
     if (!map) {
       fail(map.message());
       return;

@@ -44,8 +44,9 @@ class MapDatabaseNodelet : public StageWith<MapDatabaseParameters> {
       return;
     }
     path_ = *place;
-    // A part that never comes does not hold up the others.
-    joiner_ = std::make_unique<Joiner>(queue_capacity(), [this](std::int64_t, const Joiner::Partial& parts) {
+    // A part that never comes does not hold up the others for long: they come twice a second.
+    constexpr std::size_t kWaiting = 4;
+    joiner_ = std::make_unique<Joiner>(kWaiting, [this](std::int64_t, const Joiner::Partial& parts) {
       std::apply([this](const auto&... part) { (add(part.value_or(nullptr)), ...); }, parts);
       write();
       const std::string missing = missing_stages();
@@ -54,13 +55,14 @@ class MapDatabaseNodelet : public StageWith<MapDatabaseParameters> {
     statistics().count(kIncomplete, 0);
     save_at_end([this] { close(); });
     subscribe("keyframe_points", Keep::kAlways, &MapDatabaseNodelet::on_points);
-    subscribe("map_parts", Keep::kAlways, &MapDatabaseNodelet::on_part);
     start_timer(kWatchPeriodS, [this] { watch(); });
     follow_sessions();
   }
 
   void reset_session() override {
     if (!joiner_) return;
+    // A stage tells all that it has to who hears it first, and who must know the session by then.
+    if (!std::exchange(hears_parts_, true)) subscribe("map_parts", Keep::kAlways, &MapDatabaseNodelet::on_part);
     joiner_->clear();
     close();
     waiting_.clear();
@@ -218,6 +220,7 @@ class MapDatabaseNodelet : public StageWith<MapDatabaseParameters> {
 
   std::string path_;  ///< absolute
   std::unique_ptr<Joiner> joiner_;
+  bool hears_parts_ = false;
   std::array<std::optional<ros::Time>, 3> told_by_;  ///< by stage: when the one was loaded that sent its whole part
   core::MapDatabase::Parts waiting_;                 ///< until each stage has sent its part as a whole
   bool keeps_copy_ = false;                          ///< of what was written before those

@@ -77,7 +77,10 @@ core::Status FrontendStage::set_map(const std::string& file, bool frozen) {
     const bool has_no_place = map && frozen && (*map)->submaps.empty();
     if (!map || has_no_place) {
       if (next.file != map_.file) remove_link(next);
-      return has_no_place ? core::Error{file + ": holds no place to be found at"} : map.error();
+      if (has_no_place) return core::Error{file + ": holds no place to be found at"};
+      std::string problem = map.message();
+      if (problem.rfind(next.file, 0) == 0) problem.replace(0, next.file.size(), absolute);  // not of the link's name
+      return core::Error{problem};
     }
     next.camera = (*map)->objects.camera;
     if (!frozen) {
