@@ -1,5 +1,6 @@
 #include <algorithm>
 #include <cstdio>
+#include <filesystem>
 #include <map>
 #include <nlohmann/json.hpp>
 #include <optional>
@@ -171,6 +172,9 @@ struct LoopFiles {
 
 Result<LoopFiles> read_loop_files(const Arguments& arguments) {
   const std::string& run = arguments.run;
+  if (const std::string scales = run + "/loop_scales.csv"; std::filesystem::exists(scales)) {
+    return Error{scales + ": the run's unit of length drifts, in which its loops are; they cannot be judged in metres"};
+  }
   const auto loops = read_loops(run + "/loops.csv");
   if (!loops) return loops.error();
   const auto frames = read_tum_trajectory(run + "/trajectory.txt");

@@ -143,6 +143,10 @@ class PlayerNodelet : public StageWith<PlayerParameters> {
     if (wait != Wait::kReady) return;
     if (!end) NODELET_ERROR("the recording ends early: %s; what was mapped is kept", end.message().c_str());
     if (!play_end()) return;
+    if (end && has_no_pose()) {
+      end = core::Error{"no image has a pose"};
+      NODELET_ERROR("%s", end.message().c_str());
+    }
     set_status(end ? "finished" : "failed: " + end.message());
   } catch (const std::exception& exception) {
     fail(exception.what());
@@ -248,6 +252,11 @@ class PlayerNodelet : public StageWith<PlayerParameters> {
                  sent, static_cast<unsigned long>(ledger_->frames_without_pose()), dropped,
                  sent > 0 ? 100.0 * static_cast<double>(dropped) / static_cast<double>(sent) : 0.0);
     return true;
+  }
+
+  bool has_no_pose() {
+    const std::lock_guard<std::mutex> lock(mutex_);
+    return ledger_->frames_sent() > 0 && ledger_->frames_without_pose() == ledger_->frames_sent();
   }
 
   Wait wait_for_turn(std::int64_t stamp_ns) {

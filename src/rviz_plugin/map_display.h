@@ -85,6 +85,8 @@ class MapDisplay : public rviz::Display {
   }
   /// @param message null: nothing is to be seen
   virtual void draw(const Message* message) = 0;
+  /// Whether something of it is drawn upright, which hangs on how the fixed frame is turned.
+  virtual bool has_upright() const { return false; }
 
  private:
   void subscribe() {
@@ -119,7 +121,7 @@ class MapDisplay : public rviz::Display {
       frame_ = frame;
     }
     if (!is_known) return;
-    if (!(orientation == scene_node_->getOrientation())) redraw();  // for what stands upright
+    if (has_upright() && !(orientation == scene_node_->getOrientation())) redraw();
     scene_node_->setPosition(position);
     scene_node_->setOrientation(orientation);
   }

@@ -38,6 +38,7 @@ class QuadricMapDisplay : public MapDisplay<MapMessage> {
  protected:
   void onInitialize() override;
   void draw(const MapMessage* message) override;
+  bool has_upright() const override { return true; }
 
  private:
   enum ColourBy { kClass = 0, kState = 1, kQuality = 2 };

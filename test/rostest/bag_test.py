@@ -129,6 +129,20 @@ class PosesTest(DirectoryTest):
         self.assertGreater(frames, 10)
         self.assertLess(frames, len(read_poses(self.path('odometry.txt'))))
 
+    def test_poses_of_another_recording_are_one_error(self):
+        other = self.path('other.txt')
+        with open(self.path('odometry.txt')) as poses, open(other, 'w') as file:
+            for line in filter(lambda line: not line.startswith('#'), poses):
+                stamp, pose = line.split(None, 1)
+                file.write('%.6f %s' % (float(stamp) + 1000.0, pose))
+        launch = Launch('tum.launch', bag=self.bag, detections=self.path('detections.json'), trajectory=other,
+                        camera=self.path('camera.yaml'), output=self.path('other'))
+        ended = launch.wait(90)
+        launch.stop()
+        self.assertTrue(ended, launch.output())
+        self.assertIn('player: failed: no image has a pose', launch.output())
+        self.assertIn('exit code 1', launch.output())
+
     def test_a_cut_bag_is_one_error(self):
         cut = self.path('cut.bag')
         shutil.copy(self.bag, cut)
@@ -144,11 +158,14 @@ class PosesTest(DirectoryTest):
 
 
 class ArgumentsTest(unittest.TestCase):
-    def test_a_detector_beside_other_boxes_or_none_is_refused_before_anything_starts(self):
+    def test_arguments_that_contradict_each_other_are_refused_before_anything_starts(self):
         both, bag = 'there are both detections:= and detector:=', '/none.bag'
         for launch_file, arguments, error in [
                 ('tum.launch', {'bag': bag, 'detections': '/boxes.json'}, both),
                 ('tum.launch', {'bag': bag, 'detections': 'topic'}, both),
+                ('tum.launch', {'bag': bag, 'trajectory': '/poses.txt', 'poses': 'rgbd'},
+                 'trajectory:= needs poses:=file'),
+                ('tum.launch', {'bag': bag, 'rate': '2.0'}, 'rate:= needs realtime:=true'),
                 ('demo.launch', {'images': 'false'}, 'detector:= needs images:=true'),
                 ('slam.launch', {'use_detections': 'false'}, 'detector:= needs use_detections:=true')]:
             with self.subTest(launch_file, **arguments):

@@ -184,7 +184,7 @@ TEST(LoopEvaluation, LoopsOfAnotherRunAreAnError) {
   const TruePoses truth(frames, {}, 0.1);
   LoopRecord loop = make_loop(frames, 2100, 100);
   loop.query_end = 3000;
-  EXPECT_EQ(judge_loops({loop}, frames, truth).message(), "a loop names frame 3000, but the run has 3000");
+  EXPECT_EQ(judge_loops({loop}, frames, truth).message(), "a loop names frame 3000, which the run does not have");
   loop = make_loop(frames, 2100, 100);
   loop.query_stamp_ns += 1;
   EXPECT_NE(judge_loops({loop}, frames, truth).message().find("the stamps of loop 2100 - 100"), std::string::npos);

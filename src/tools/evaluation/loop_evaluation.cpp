@@ -42,7 +42,7 @@ Status check_frames(const LoopRecord& loop, const RunFrames& frames) {
   for (const std::int64_t frame :
        {loop.query_frame, loop.match_frame, loop.query_begin, loop.query_end, loop.match_begin, loop.match_end}) {
     if (frames.has(frame)) continue;
-    return Error{"a loop names frame " + std::to_string(frame) + ", but the run has " + std::to_string(frames.size())};
+    return Error{"a loop names frame " + std::to_string(frame) + ", which the run does not have"};
   }
   if (frames.stamp_ns(loop.query_frame) == loop.query_stamp_ns &&
       frames.stamp_ns(loop.match_frame) == loop.match_stamp_ns) {

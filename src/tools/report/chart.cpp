@@ -22,8 +22,10 @@ std::string point(const Vec2& p) { return px(p.x()) + ',' + px(p.y()); }
 
 std::string polyline(const std::vector<Vec2>& points, const std::string& color, const std::string& attributes) {
   if (points.empty()) return {};
-  std::string text = "<polyline fill=\"none\" stroke=\"" + color + "\" " + attributes + " points=\"";
+  std::string text =
+      "<polyline fill=\"none\" stroke-linecap=\"round\" stroke=\"" + color + "\" " + attributes + " points=\"";
   for (const Vec2& p : points) text += point(p) + ' ';
+  if (points.size() == 1) text += point(points.front()) + ' ';  // a dot: a line of one point is not drawn
   text.back() = '"';
   return text + "/>\n";
 }

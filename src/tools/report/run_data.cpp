@@ -110,7 +110,11 @@ Result<ShownTrajectory> shown(std::string name, StampedPoses poses, const std::s
 Status read_trajectories(const ReportInputs& inputs, RunData* run) {
   std::vector<std::pair<std::string, std::string>> files = {{"live", inputs.run + "/trajectory_live.txt"},
                                                             {"optimised", inputs.run + "/trajectory.txt"}};
-  if (!inputs.odometry.empty()) files.insert(files.begin(), {"odometry", inputs.odometry});
+  // Of a run that goes on with a map it lies elsewhere, and only the truth brings them together.
+  const bool is_first = run->timing.empty() || run->timing.front().frame_id == 0;
+  if (!inputs.odometry.empty() && (is_first || !inputs.truth.empty())) {
+    files.insert(files.begin(), {"odometry", inputs.odometry});
+  }
   for (const auto& [name, path] : files) {
     Result<StampedPoses> poses = read_tum_trajectory(path);
     if (!poses) return poses.error();
