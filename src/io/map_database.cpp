@@ -81,14 +81,14 @@ std::pair<std::string, std::string> names_beside(const std::string& path) {
   return names;
 }
 
-/// Gives a map and its journals the next free name. @param stays under its own, too, until another file takes that
-Status put_aside(const std::string& path, bool stays) {
+/// Gives a map and its journals the next free name; under its own it stays, too, until another file takes that.
+Status put_aside(const std::string& path) {
   const auto [last, aside] = names_beside(path);
   std::error_code code, none;
   if (!last.empty() && std::filesystem::equivalent(path, last, none)) return {};  // by an attempt that went wrong later
   for (const char* journal : kJournals) std::filesystem::remove(aside + journal, none);
-  if (stays) std::filesystem::create_hard_link(path, aside, code);
-  if (!stays || code) std::filesystem::rename(path, aside, code);
+  std::filesystem::create_hard_link(path, aside, code);
+  if (code) std::filesystem::rename(path, aside, code);
   if (code) return Error{path + ": cannot be renamed to " + aside + ": " + code.message()};
   for (const char* journal : kJournals) std::filesystem::rename(path + journal, aside + journal, none);
   return {};
@@ -173,8 +173,6 @@ Status replace_map(const std::string& path, const std::function<Status(const std
   if (const Status place = check_map_place(path); !place) return place;
   return replace_file(path, write);
 }
-
-Status set_map_aside(const std::string& path) { return put_aside(path, false); }
 
 void append(MapDatabase::Parts parts, MapDatabase::Parts* waiting) {
   for (auto& part : parts) {
@@ -381,7 +379,7 @@ class MapDatabase::Impl {
       for (const auto& part : whole) tables.write(*part);
       if (!earlier_.empty()) require_earlier(&file);
       file.run("COMMIT");
-      if (file.is_fine() && keeps_other && is_there(path_)) return put_aside(path_, true);
+      if (file.is_fine() && keeps_other && is_there(path_)) return put_aside(path_);
       return status_of(file);
     });
   }

@@ -30,7 +30,6 @@ class MapFollower {
   void join_late() { is_late_ = true; }
   bool has_gap() const { return is_late_ || !waiting_.empty(); }
   std::uint64_t gaps() const { return gaps_; }
-  std::uint64_t version() const { return version_; }
 
  private:
   void take(const core::MapUpdate& update);

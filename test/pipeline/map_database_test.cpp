@@ -384,23 +384,6 @@ TEST_F(MapDatabaseTest, AJournalThatWasLeftBehindIsNoPartOfTheNextMap) {
   EXPECT_TRUE(rows_of(path_) == rows_of(whole));
 }
 
-TEST_F(MapDatabaseTest, AMapIsSetAsideWithItsJournal) {
-  ChainRun run(laps(), shared_coco());
-  SavePoints save_points;
-  MapDatabase database(path_, shared_coco());
-  run_to(100, &run, &save_points, &database);
-  wait_for(database);
-  ASSERT_TRUE(std::filesystem::exists(path_ + "-wal"));
-  directory_.write("map.db~-wal", "of another map");
-  EXPECT_EQ(set_map_aside(path_).message(), "");
-  EXPECT_FALSE(std::filesystem::exists(path_));
-  const auto aside = checked(read_map(path_ + "~", *shared_coco()));
-  EXPECT_GT(aside->graph.keyframes.size(), run.slam().map()->graph.keyframes.size() / 2);
-  directory_.write("map.db", "the next one");
-  EXPECT_EQ(set_map_aside(path_).message(), "");
-  EXPECT_EQ(read_whole(path_ + "~2"), "the next one");
-}
-
 TEST_F(MapDatabaseTest, WhatWasThereIsSetAsideOnceSomethingTakesItsPlace) {
   ChainRun run(laps(), shared_coco());
   for (int i = 0; i < 20; ++i) run.next();

@@ -26,7 +26,8 @@ class MapDatabase {
  public:
   /// @param configuration kept for who wonders how the map came about
   /// @param earlier map's file with which the session goes on, whose points stay, or empty
-  /// @param sets_aside what is there by then stays, as set_map_aside has it
+  /// @param sets_aside what is there by then stays as FILE~, or FILE~2 if that is there, with what is in its journal
+  /// yet
   MapDatabase(const std::string& path, std::shared_ptr<const ClassTable> classes, std::string configuration = {},
               std::string earlier = {}, bool sets_aside = false);
   /// As `close`.
@@ -38,7 +39,7 @@ class MapDatabase {
   using Parts = std::vector<std::shared_ptr<const MapDelta>>;
   /// Returns at once. What comes while the last cannot be written is written with it.
   /// @param parts of the first call: whole, and of every stage
-  /// @param keeps_copy what is written by then stays as FILE~, or FILE~2 if that is there: these take its place
+  /// @param keeps_copy what is written by then stays likewise: these take its place
   void write(Parts parts, bool keeps_copy = false);
   /// Whether something waits to be written: who can tell more at once later may wait with it.
   bool is_behind() const;
@@ -66,9 +67,6 @@ void append(MapDatabase::Parts parts, MapDatabase::Parts* waiting);
 
 /// As replace_file, for a map. @return also an error where check_map_place has one
 Status replace_map(const std::string& path, const std::function<Status(const std::string&)>& write);
-
-/// Renames a map to FILE~, or FILE~2 if that is there, with what is in its journal yet.
-Status set_map_aside(const std::string& path);
 
 /// A name under which a map stays as it is now, although another takes its place: a link beside it, FILE.loaded-..., a
 /// copy where no link can be made, or its own name where nothing can be written. Removes such links of programs that
