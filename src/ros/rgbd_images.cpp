@@ -82,12 +82,18 @@ void DepthPairing::add_depth(const sensor_msgs::ImagePtr& image) {
   const std::int64_t stamp_ns = to_stamp_ns(image->header.stamp);
   depths_.emplace(stamp_ns, image);
   if (depths_.size() > kMaxWaiting) depths_.erase(depths_.begin());
-  newest_depth_ns_ = std::max(stamp_ns, newest_depth_ns_.value_or(stamp_ns));
+  last_depth_ns_ = stamp_ns;  // the last one: one far ahead does not make clear what follows
 }
 
 bool DepthPairing::is_clear(std::int64_t color_ns) const {
   return is_finished_ || colors_.size() > kMaxWaiting ||
-         (newest_depth_ns_ && *newest_depth_ns_ >= color_ns + max_delay_ns_);
+         (last_depth_ns_ && *last_depth_ns_ >= color_ns + max_delay_ns_);
+}
+
+bool DepthPairing::is_ahead(std::int64_t color_ns) const {
+  if (colors_.size() < 2) return false;
+  const std::int64_t next_ns = to_stamp_ns(colors_[1].color->header.stamp);
+  return next_ns < color_ns && (!last_color_ns_ || next_ns > *last_color_ns_);
 }
 
 DepthPairing::Depths::iterator DepthPairing::nearest(std::int64_t color_ns, std::int64_t before_ns) {
@@ -104,6 +110,12 @@ std::optional<DepthPairing::Answer> DepthPairing::take() {
   if (colors_.empty() || (colors_.size() == 1 && may_wait)) return std::nullopt;
   constexpr std::int64_t kAny = std::numeric_limits<std::int64_t>::max();
   const std::int64_t color_ns = to_stamp_ns(colors_.front().color->header.stamp);
+  if (is_ahead(color_ns)) {
+    // Waiting for its depth would cost those after it theirs.
+    Answer ahead = colors_.front();
+    colors_.pop_front();
+    return ahead;
+  }
   if (!is_clear(color_ns)) return std::nullopt;
   auto own = nearest(color_ns, kAny);
   if (own != depths_.end() && colors_.size() > 1) {
@@ -115,6 +127,7 @@ std::optional<DepthPairing::Answer> DepthPairing::take() {
   }
   Answer answer = colors_.front();
   colors_.pop_front();
+  last_color_ns_ = color_ns;
   if (own == depths_.end()) {
     depths_.erase(depths_.begin(), depths_.lower_bound(color_ns - max_delay_ns_));
     return answer;

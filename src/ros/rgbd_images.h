@@ -40,8 +40,9 @@ core::Result<image_transport::Subscriber> subscribe_to_images(
     std::uint32_t queue_size, const boost::function<void(const sensor_msgs::ImageConstPtr&)>& take);
 
 /// Which depth image of a recording belongs to which colour image: the one nearest in stamp, `max_delay_s` away at
-/// most, each once, and none that the next colour image is nearer to and has no nearer one than. The same recording
-/// gives the same pairs, whatever order its two topics were recorded in.
+/// most, each once, and none that the next colour image is nearer to and has no nearer one than; a colour image
+/// stamped after the next one gets none. The same recording gives the same pairs, whatever order its two topics were
+/// recorded in.
 class DepthPairing {
  public:
   struct Answer {
@@ -66,13 +67,15 @@ class DepthPairing {
   using Depths = std::map<std::int64_t, sensor_msgs::ImagePtr>;  ///< by stamp
 
   bool is_clear(std::int64_t color_ns) const;
+  /// Of the first colour image that waits: the next one is between it and the last.
+  bool is_ahead(std::int64_t color_ns) const;
   /// Of those before a stamp; its end if there is none within max_delay_s.
   Depths::iterator nearest(std::int64_t color_ns, std::int64_t before_ns);
 
   const std::int64_t max_delay_ns_;
   std::deque<Answer> colors_;
   Depths depths_;
-  std::optional<std::int64_t> newest_depth_ns_;
+  std::optional<std::int64_t> last_depth_ns_, last_color_ns_;
   bool is_finished_ = false;
 };
 

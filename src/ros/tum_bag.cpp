@@ -149,7 +149,7 @@ PlayerItem TumBagSource::make_item(const Image& image) {
   if (calibration_) item.camera_info = *calibration_;
   item.camera_info.header = image.header;
   item.camera_info.header.frame_id = strip_leading_slash(image.header.frame_id);
-  if (!options_.with_images || !is_in_order(image.header, &item)) return item;
+  if (!options_.with_images || !is_before_next(image.header, &item) || !is_in_order(image.header, &item)) return item;
   item.color = image.color;
   if (!options_.with_depth) return item;
   if (!image.depth) {
@@ -162,6 +162,16 @@ PlayerItem TumBagSource::make_item(const Image& image) {
   image.depth->header.stamp = image.header.stamp;
   item.depth = image.depth;
   return item;
+}
+
+bool TumBagSource::is_before_next(const std_msgs::Header& header, PlayerItem* item) const {
+  if (images_.empty()) return true;
+  const ros::Time& next = images_.front().header.stamp;
+  if (header.stamp <= next || (last_stamp_ && next <= *last_stamp_)) return true;
+  item->left_out = "images stamped after the next one";
+  item->detail =
+      "stamp " + core::format_stamp(to_stamp_ns(header.stamp)) + " before " + core::format_stamp(to_stamp_ns(next));
+  return false;
 }
 
 bool TumBagSource::is_in_order(const std_msgs::Header& header, PlayerItem* item) {

@@ -27,7 +27,8 @@ constexpr char kTf[] = "/tf", kStaticTf[] = "/tf_static";
 /// Reads a bag in the official TUM layout, in one pass, without a master: the tum_topics, with `/world -> /kinect` of
 /// /tf from the motion capture and the camera's chain below `/kinect`, or another camera's in /tf_static. Only the
 /// motion capture's edge is changed, so that `kinect` has one parent. Leading slashes of frame ids are stripped. Images
-/// out of order, and colour images without depth where both are wanted, are left out and said to be.
+/// out of order, those stamped after the one that follows, and colour images without depth where both are wanted, are
+/// left out and said to be.
 class TumBagSource {
  public:
   /// @param calibration replaces the recorded camera_info, which holds the driver's defaults
@@ -50,6 +51,8 @@ class TumBagSource {
   void take_pairs();
   void take_transforms(const tf2_msgs::TFMessage& message, bool is_static);
   PlayerItem make_item(const Image& image);
+  /// One image stamped far ahead would make all that follow look out of order.
+  bool is_before_next(const std_msgs::Header& header, PlayerItem* item) const;
   bool is_in_order(const std_msgs::Header& header, PlayerItem* item);
 
   const TumBagPlayback options_;

@@ -92,6 +92,24 @@ TEST(DepthPairing, KeepsWhatBelongsToAnImageThatColourPausesAfter) {
   EXPECT_EQ(pairs, (std::vector<std::pair<int, int>>{{0, 0}}));
 }
 
+TEST(DepthPairing, LosesNoOtherPairToImagesStampedFarAhead) {
+  constexpr int kFarAhead = 60000;
+  DepthPairing pairing(0.02);
+  std::vector<std::pair<int, int>> pairs, expected;
+  for (int i = 0; i < 60; ++i) {
+    const int time_ms = i == 20 ? kFarAhead : 33 * i;
+    pairing.add_color({}, image_at(time_ms));
+    expected.emplace_back(time_ms, i == 20 ? -1 : time_ms + 5);
+    for (const auto& pair : take_all(&pairing)) pairs.push_back(pair);
+    pairing.add_depth(image_at((i == 40 ? kFarAhead : time_ms) + 5));
+    if (i == 40) expected.back().second = -1;
+    for (const auto& pair : take_all(&pairing)) pairs.push_back(pair);
+  }
+  pairing.finish();
+  for (const auto& pair : take_all(&pairing)) pairs.push_back(pair);
+  EXPECT_EQ(pairs, expected);
+}
+
 TEST(DepthPairing, KeepsWhatTheNextColourImageHasANearerOneThan) {
   DepthPairing pairing(0.02);
   for (const int time_ms : {0, 33}) pairing.add_color({}, image_at(time_ms));

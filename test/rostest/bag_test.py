@@ -393,6 +393,9 @@ class ImagesTest(DirectoryTest):
             elif i == 24:
                 back = wall.stamp_at(time_s - 0.5)
                 recorder.step(i, time_s, color=wall.color(back, i))
+            elif i == 27:
+                ahead = wall.stamp_at(time_s + 500.0)
+                recorder.step(i, time_s, color=wall.color(ahead, i), depth=wall.depth(ahead))
             else:
                 recorder.step(place, time_s)
             if i == 30:
@@ -400,22 +403,23 @@ class ImagesTest(DirectoryTest):
         recorder.close()
         launch, edges = self.play_and_listen(bag, 'bad')
         text = launch.output()
-        for cause in ('colour images without depth', 'images out of order', 'unusable images',
-                      'images with nothing to follow'):
+        for cause in ('colour images without depth', 'images out of order', 'images stamped after the next one',
+                      'unusable images', 'images with nothing to follow'):
             self.assertEqual(text.count(cause + ':'), 1, (cause, text))
         status, output = self.run_offline(bag, 'bad_offline')
         self.assertEqual(status, 0, output)
         self.assertIn('1 colour images without depth', output)
         self.assertIn('1 images out of order', output)
+        self.assertIn('1 images stamped after the next one', output)
         self.assertEqual(differing_files(self.path('bad_offline'), self.path('bad')), [])
         # What the bag says about the rig at an image that is left out is played all the same.
         told = {stamp for _, child, stamp in edges if child == wall.FRAME[1:]}
         self.assertEqual([i for i, stamp in enumerate(stamps) if stamp not in told], [])
         images = self.summary('bad')['images']
-        self.assertEqual(images['total'], 38)
+        self.assertEqual(images['total'], 37)
         self.assertEqual(images['unreadable'], 1)
         self.assertGreaterEqual(self.summary('bad')['breaks'], 1, 'the gap of two seconds')
-        self.assertGreaterEqual(len(read_rows(self.path('bad/trajectory.txt'))), 34)
+        self.assertGreaterEqual(len(read_rows(self.path('bad/trajectory.txt'))), 33)
 
     def test_a_damaged_bag_is_one_error_and_keeps_what_was_mapped(self):
         bag = self.path('damaged.bag')
