@@ -8,7 +8,6 @@
 #include <rviz/display.h>
 #include <rviz/display_context.h>
 #include <rviz/frame_manager.h>
-#include <rviz/ogre_helpers/ogre_vector.h>
 #include <rviz/properties/ros_topic_property.h>
 
 #include <string>
