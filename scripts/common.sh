@@ -59,7 +59,7 @@ debian_packages="
   roslib              libroslib-dev                                      -
   rospy               python3-rospy                                      python3-rospy
   rostest             librostest-dev,python3-rostest                     python3-rostest
-  rviz                rviz,librviz-dev                                   rviz
+  rviz                rviz,librviz-dev,libopengl-dev                     rviz
   tf2                 libtf2-dev                                         -
   tf2_ros             libtf2-ros-dev                                     -
   topic_tools         libtopic-tools-dev                                 -"
