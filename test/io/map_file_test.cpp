@@ -318,7 +318,9 @@ TEST_F(MapFile, ABitThatChangedIsDamageOrOfNoMatter) {
   int damaged = 0;
   for (int i = 0; i < 200; ++i) {
     std::string changed = whole;
-    changed[random() % changed.size()] ^= static_cast<char>(1 << random() % 8);
+    const std::uint32_t bit = 1U << random() % 8;
+    char& byte = changed[random() % changed.size()];
+    byte = static_cast<char>(byte ^ static_cast<char>(bit));
     directory_.write("map.db", changed);
     if (!read_map(path_, *shared_coco())) {
       ++damaged;
