@@ -698,6 +698,30 @@ TEST(UpEstimator, TellsHowFarACameraIsRolledThatHasLookedAroundWithoutRoll) {
   EXPECT_EQ(UpEstimator(33.0).roll_rad(pose.q), 0.0);
 }
 
+TEST(UpEstimator, ATableTellsUpToACameraThatIsRolledAfterItWasHeldUpright) {
+  const Ellipsoid wall{SE3(Quaternion::Identity(), Vec3(1.3, 0.0, 0.0)), Vec3(0.02, 5.0, 5.0)};
+  const DepthScene scene{{on_table(0.0, 0.0, Vec3(0.1, 0.1, 0.1)), wall}};
+  UpEstimator up(10.0);
+  for (int k = 0; k < 160; ++k) {
+    const SE3 pose = pose_at(8.0 * std::sin(k), 30.0, 170.0 * std::sin(radians(4.5 * k)));
+    up.push(frame_at(k, pose, std::make_shared<const std::vector<Vec3>>(scene.look(kCamera, pose, 1 + k))));
+    if (k < 5) continue;
+    ASSERT_TRUE(up.estimate(pose.q).certain) << k;
+    ASSERT_LT(error_deg(up.estimate(pose.q), pose), 2.0) << k;
+  }
+}
+
+TEST(UpEstimator, WhereACameraThatOnlyRollsLooksIsNotUp) {
+  UpEstimator up(33.0);
+  SE3 pose;
+  for (int k = 0; k < 160; ++k) {
+    pose = pose_at(2.0 * std::sin(k), 20.0, 80.0 * std::sin(radians(4.5 * k)));
+    up.push(frame_at(k, pose, nullptr));
+    ASSERT_FALSE(up.estimate(pose.q).certain) << k;
+  }
+  EXPECT_LT(error_deg(up.estimate(pose.q), pose), 40.0) << "image-up, on the average";
+}
+
 TEST(UpEstimator, AWallIsNotTakenForAFloor) {
   UpEstimator up(33.0);
   auto wall = std::make_shared<std::vector<Vec3>>();
