@@ -96,12 +96,14 @@ TEST(Chart, ASeriesKeepsPeaks) {
   EXPECT_NE(svg.find(",0 "), std::string::npos) << "the highest value is at the top";
 }
 
-TEST(Chart, NamesAvoidEachOther) {
-  LabelPlacer placer({300.0, 100.0});
+TEST(Chart, NamesAvoidEachOtherAndWhatIsBesideTheirSpace) {
+  constexpr double kLeft_px = 135.0;
+  LabelPlacer placer({kLeft_px, 0.0}, {300.0, 100.0});
   std::set<std::string> places;
   for (int i = 0; i < 5; ++i) {
     const std::string text = placer.place("cup", {150.0, 50.0}, {8.0, 8.0}, "class=\"name\"");
     places.insert(text.substr(0, text.find("class")));
+    EXPECT_GT(std::stod(text.substr(text.find('"') + 1)), kLeft_px) << text;
   }
   EXPECT_EQ(places.size(), 5u);
 }

@@ -265,7 +265,8 @@ std::string LabelPlacer::place(const std::string& text, const Vec2& center_px, c
 /// Area that other names cover, px^2; much more where the space ends.
 double LabelPlacer::cost(const Area& area) const {
   constexpr double kOutside = 1e6;
-  const bool is_inside = (area.min.array() >= 0.0).all() && (area.max.array() <= size_.array()).all();
+  const bool is_inside =
+      (area.min.array() >= space_.min.array()).all() && (area.max.array() <= space_.max.array()).all();
   double covered = is_inside ? 0.0 : kOutside;
   for (const Area& other : taken_) {
     const Vec2 common = (area.max.cwiseMin(other.max) - area.min.cwiseMax(other.min)).cwiseMax(0.0);

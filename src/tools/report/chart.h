@@ -99,8 +99,8 @@ std::string legend(const std::vector<LegendEntry>& entries);
 /// Places names beside what they name, so that they do not cover each other as far as that can be.
 class LabelPlacer {
  public:
-  /// @param size_px of the space for them
-  explicit LabelPlacer(const Vec2& size_px) : size_(size_px) {}
+  /// @param min_px, max_px corners of the space for them
+  LabelPlacer(const Vec2& min_px, const Vec2& max_px) : space_{min_px, max_px} {}
   /// @param reach_px half the size of what is named   @param attributes among them a class that centres the text
   /// @param font_px the size that it will have   @return an SVG element
   std::string place(const std::string& text, const Vec2& center_px, const Vec2& reach_px, const std::string& attributes,
@@ -112,7 +112,7 @@ class LabelPlacer {
   };
   double cost(const Area& area) const;
 
-  Vec2 size_;
+  Area space_;
   std::vector<Area> taken_;
 };
 

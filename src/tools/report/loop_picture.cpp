@@ -119,7 +119,7 @@ std::string draw_objects(const Panel& panel, const SeenSubmap& submap, const Cla
 
 std::string draw_names(const Panel& panel, const SeenSubmap& submap, const ClassColors& colors) {
   std::string svg;
-  LabelPlacer placer(panel.origin_px + panel.size_px);
+  LabelPlacer placer(panel.origin_px, panel.origin_px + panel.size_px);
   for (const SeenObject& object : submap.objects) {
     const std::string& label = object.record->label;
     svg += placer.place(

@@ -192,7 +192,7 @@ std::string draw_objects(const RunData& run, const TopView& view, const ClassCol
     chart.add(svg_circle(chart.to_px(view(reference.center)), kMissed_px,
                          "fill=\"none\" stroke-width=\"1.6\" stroke=\"" + std::string(kWrongColor) + '"'));
   }
-  LabelPlacer placer(chart.inner());
+  LabelPlacer placer(Vec2::Zero(), chart.inner());
   for (const auto& [shape, object] : confirmed) {
     chart.add(placer.place(object->label + " " + std::to_string(object->id), chart.to_px(shape.center),
                            chart.px_per_m() * shape.reach, "class=\"name\" fill=\"" + colors.at(object->label) + "\""));
